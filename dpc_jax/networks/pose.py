@@ -1,0 +1,89 @@
+"""The pose branches: an ensemble of K heads and the student distilled from it."""
+
+import chex
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+
+from dpc_jax.networks.encoder import conv_init, leaky_relu
+
+
+def spread_rotations(count: int) -> chex.Array:
+    """`count` quaternions [count, 4] spread over SO(3), the first the identity.
+
+    Greedy: each is, of 4096 fixed random rotations, the one farthest from those before.
+    """
+    pool = jax.random.normal(jax.random.key(0), (4096, 4))
+    pool = pool / jnp.linalg.norm(pool, axis=-1, keepdims=True)
+    chosen = [jnp.array([1.0, 0.0, 0.0, 0.0])]
+    while len(chosen) < count:
+        nearest = jnp.max(jnp.abs(pool @ jnp.stack(chosen).T), axis=1)
+        chosen.append(pool[jnp.argmin(nearest)])
+    return jnp.stack(chosen[:count])
+
+
+class QuaternionHead(nn.Module):
+    """Layers of 32, 32 and 4 units that one pose predictor has for its own.
+
+    Attributes:
+      width: of the two hidden layers.
+    """
+
+    width: int = 32
+
+    @nn.compact
+    def __call__(self, features: chex.Array, initial: chex.Array) -> chex.Array:
+        """Features [B, F] to quaternions [B, 4], near `initial` [4] before training."""
+        x = leaky_relu(nn.Dense(self.width, kernel_init=conv_init)(features))
+        x = leaky_relu(nn.Dense(self.width, kernel_init=conv_init)(x))
+        # The output is of the order of `initial`: small beside it, yet not constant.
+        out = nn.Dense(4, kernel_init=nn.initializers.variance_scaling(
+            0.1, "fan_in", "normal"
+        ))
+        return initial + out(x)
+
+
+class PoseEnsemble(nn.Module):
+    """K pose predictors behind one shared hidden layer, as one vmapped module.
+
+    Attributes:
+      num_candidates: K.
+      hidden: width of the shared layer.
+      spread: start the heads at rotations spread over SO(3), not all at the identity.
+        Not in the paper.
+    """
+
+    num_candidates: int
+    hidden: int = 1024
+    spread: bool = False
+
+    @nn.compact
+    def __call__(self, features: chex.Array) -> chex.Array:
+        """Features [B, F] to quaternions [B, K, 4] of any length."""
+        x = leaky_relu(nn.Dense(self.hidden, kernel_init=conv_init)(features))
+        heads = nn.vmap(
+            QuaternionHead,
+            variable_axes={"params": 0},
+            split_rngs={"params": True},
+            in_axes=(None, 0),
+            out_axes=1,
+        )
+        count = self.num_candidates
+        initial = spread_rotations(count) if self.spread else jnp.zeros((count, 4))
+        return heads(name="heads")(x, initial)
+
+
+class PoseStudent(nn.Module):
+    """One pose predictor of the same architecture, distilled from the ensemble.
+
+    Attributes:
+      hidden: width of its hidden layer.
+    """
+
+    hidden: int = 1024
+
+    @nn.compact
+    def __call__(self, features: chex.Array) -> chex.Array:
+        """Features [B, F] to quaternions [B, 4] of any length."""
+        x = leaky_relu(nn.Dense(self.hidden, kernel_init=conv_init)(features))
+        return QuaternionHead(name="head")(x, jnp.zeros(4))

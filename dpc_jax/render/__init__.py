@@ -1,0 +1,14 @@
+"""Floor 0: the differentiable projection of point clouds."""
+
+from dpc_jax.render import quaternion as quaternion
+from dpc_jax.render.camera import Camera as Camera
+from dpc_jax.render.camera import VoxelGrid as VoxelGrid
+from dpc_jax.render.projection import Projection as Projection
+from dpc_jax.render.projection import mass_of_peak as mass_of_peak
+from dpc_jax.render.projection import project as project
+from dpc_jax.render.smoothing import smooth as smooth
+from dpc_jax.render.splatting import splat as splat
+from dpc_jax.render.termination import opacity as opacity
+from dpc_jax.render.termination import (
+    termination_probabilities as termination_probabilities,
+)

@@ -1,0 +1,145 @@
+"""Unit quaternions as rotations: wxyz order, object frame to camera frame.
+
+Every function takes one quaternion of shape [4] (`rotate` takes many points);
+callers `vmap`. q and -q are the same rotation. Norms are taken inside, so any
+non-zero quaternion stands for a rotation; the zero quaternion stands for none and is
+read as the identity.
+"""
+
+import chex
+import jax
+import jax.numpy as jnp
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0)
+
+
+def normalize(quaternion: chex.Array) -> chex.Array:
+    """Scale a quaternion to length one.
+
+    Args:
+      quaternion: [4], wxyz, any length.
+
+    Returns:
+      [4] of unit length. The zero quaternion gives the identity, with zero gradient:
+      the direction of a zero vector has no limit, so none is invented.
+    """
+    chex.assert_shape(quaternion, (4,))
+    # Dividing by the largest component first keeps the squares of 1e-30 and of 1e30
+    # inside float32. The result does not depend on that factor, so neither does the
+    # gradient.
+    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(quaternion)))
+    is_zero = largest == 0
+    identity = jnp.array(IDENTITY, quaternion.dtype)
+    scaled = jnp.where(is_zero, identity, quaternion / jnp.where(is_zero, 1, largest))
+    return scaled / jnp.sqrt(jnp.sum(scaled**2))
+
+
+def conjugate(quaternion: chex.Array) -> chex.Array:
+    """Reverse the rotation: the inverse of a unit quaternion [4]."""
+    chex.assert_shape(quaternion, (4,))
+    return quaternion * jnp.array([1, -1, -1, -1], quaternion.dtype)
+
+
+def multiply(left: chex.Array, right: chex.Array) -> chex.Array:
+    """Hamilton product of two quaternions [4]: rotate by `right`, then by `left`."""
+    chex.assert_shape([left, right], (4,))
+    w1, x1, y1, z1 = left
+    w2, x2, y2, z2 = right
+    return jnp.stack(
+        [
+            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
+            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
+        ]
+    )
+
+
+def to_matrix(quaternion: chex.Array) -> chex.Array:
+    """Rotation matrix [3, 3] of a quaternion [4] of any non-zero length."""
+    w, x, y, z = normalize(quaternion)
+    return jnp.stack(
+        [
+            jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
+            jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
+            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+        ]
+    )
+
+
+def from_matrix(matrix: chex.Array) -> chex.Array:
+    """Quaternion [4] of a rotation matrix [3, 3].
+
+    Each of four formulas divides by one component; the one whose component is largest
+    (at least 1/2) is taken, so half turns are as accurate as any other rotation.
+    """
+    chex.assert_shape(matrix, (3, 3))
+    m = matrix
+    # Row i is 4·q_i·(w, x, y, z).
+    rows = jnp.stack(
+        [
+            jnp.stack(
+                [
+                    1 + m[0, 0] + m[1, 1] + m[2, 2],
+                    m[2, 1] - m[1, 2],
+                    m[0, 2] - m[2, 0],
+                    m[1, 0] - m[0, 1],
+                ]
+            ),
+            jnp.stack(
+                [
+                    m[2, 1] - m[1, 2],
+                    1 + m[0, 0] - m[1, 1] - m[2, 2],
+                    m[0, 1] + m[1, 0],
+                    m[0, 2] + m[2, 0],
+                ]
+            ),
+            jnp.stack(
+                [
+                    m[0, 2] - m[2, 0],
+                    m[0, 1] + m[1, 0],
+                    1 - m[0, 0] + m[1, 1] - m[2, 2],
+                    m[1, 2] + m[2, 1],
+                ]
+            ),
+            jnp.stack(
+                [
+                    m[1, 0] - m[0, 1],
+                    m[0, 2] + m[2, 0],
+                    m[1, 2] + m[2, 1],
+                    1 - m[0, 0] - m[1, 1] + m[2, 2],
+                ]
+            ),
+        ]
+    )
+    return normalize(rows[jnp.argmax(jnp.diagonal(rows))])
+
+
+def rotate(points: chex.Array, rotation: chex.Array) -> chex.Array:
+    """Rotate points [N, 3] by a quaternion [4] or a rotation matrix [3, 3]."""
+    chex.assert_shape(points, (None, 3))
+    matrix = to_matrix(rotation) if rotation.shape == (4,) else rotation
+    chex.assert_shape(matrix, (3, 3))
+    # Three products a point: float32 throughout, also where a GPU would round to TF32.
+    return jnp.matmul(points, matrix.T, precision=jax.lax.Precision.HIGHEST)
+
+
+def angle_between(first: chex.Array, second: chex.Array) -> chex.Array:
+    """Angle in radians, in [0, π], between two rotations given as quaternions [4].
+
+    2·atan2(‖v‖, |w|) of q₁q₂⁻¹ (appendix "Quantitative evaluation" has 2·acos, which
+    loses half the digits near 0). The angle has a kink at 0 and at π; there the
+    gradient is zero.
+    """
+    product = multiply(normalize(first), conjugate(normalize(second)))
+    square = jnp.sum(product[1:] ** 2)
+    is_zero = square == 0
+    sine = jnp.where(is_zero, 0, jnp.sqrt(jnp.where(is_zero, 1, square)))
+    return 2 * jnp.arctan2(sine, jnp.abs(product[0]))
+
+
+def from_axis_angle(axis: chex.Array, angle: chex.Array) -> chex.Array:
+    """Quaternion [4] that turns by `angle` radians about the unit vector `axis` [3]."""
+    chex.assert_shape(axis, (3,))
+    half = jnp.asarray(angle, axis.dtype) / 2
+    return jnp.concatenate([jnp.cos(half)[None], jnp.sin(half) * axis])
