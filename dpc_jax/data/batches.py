@@ -1,0 +1,91 @@
+"""Batches as a pure function of (sizes, seed, step): any step can be replayed."""
+
+import functools
+
+import numpy as np
+
+_MODELS, _VIEWS = 0, 1  # so that the two never share a random stream
+
+
+def choose_batch(
+    num_models, num_views, *, seed, step, models_per_batch, views_per_batch
+):
+    """Which models and which of their views make the batch of a step.
+
+    The models are read from one endless sequence of seeded permutations, one per epoch,
+    `models_per_batch` at a time: every model comes once per epoch, and a batch that
+    straddles two epochs holds no model twice. Views are drawn without replacement.
+
+    Args:
+      num_models, num_views: of the data set.
+      seed, step: integers >= 0.
+      models_per_batch: B. views_per_batch: V.
+
+    Returns:
+      (models [B], views [B, V]), int64 indices.
+
+    Raises:
+      ValueError: if the batch wants more models or views than there are.
+    """
+    if not 1 <= models_per_batch <= num_models:
+        raise ValueError(
+            f"models_per_batch must lie in [1, {num_models}], the number of models, got "
+            f"{models_per_batch}; make the batch smaller or add models."
+        )
+    if not 1 <= views_per_batch <= num_views:
+        raise ValueError(
+            f"views_per_batch must lie in [1, {num_views}], the number of views rendered "
+            f"per model, got {views_per_batch}; use fewer or render more views."
+        )
+    epoch, place = divmod(step * models_per_batch, num_models)
+    stop = place + models_per_batch
+    models = _epoch_order(num_models, models_per_batch, seed, epoch)[place:stop]
+    if stop > num_models:
+        following = _epoch_order(num_models, models_per_batch, seed, epoch + 1)
+        models = np.concatenate([models, following[: stop - num_models]])
+    rng = np.random.default_rng([seed, _VIEWS, step])
+    noise = rng.random((models_per_batch, num_views))
+    return models.copy(), np.argsort(noise, axis=1)[:, :views_per_batch]
+
+
+@functools.lru_cache(maxsize=4)
+def _epoch_order(num_models, batch, seed, epoch):
+    """Order of the models in one epoch.
+
+    The last batch of an epoch reaches into the next one by some models; these are the
+    first in that epoch's permutation which the batch does not hold yet. So an order
+    depends on the one before, back to the last epoch that started with a fresh batch,
+    at most `batch` epochs ago.
+    """
+    anchor = epoch
+    while anchor * num_models % batch:
+        anchor -= 1
+    order = None
+    for current in range(anchor, epoch + 1):
+        drawn = np.random.default_rng([seed, _MODELS, current]).permutation(num_models)
+        held = current * num_models % batch  # models of the previous epoch in the batch
+        if held:
+            fresh = np.flatnonzero(~np.isin(drawn, order[-held:]))[: batch - held]
+            drawn = np.concatenate([drawn[fresh], np.delete(drawn, fresh)])
+        order = drawn
+    order.flags.writeable = False  # it is shared by all callers through the cache
+    return order
+
+
+def read_batch(dataset, models, views):
+    """The views of a batch, as stored; scaling to floats is left to the device.
+
+    Args:
+      dataset: `DataSet`.
+      models: [B] indices. views: [B, V] indices.
+
+    Returns:
+      dict of arrays in memory: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S],
+      quaternions float32 [B, V, 4] (wxyz, object to camera).
+    """
+    rows = np.asarray(models)[:, None]
+    return {
+        "images": np.array(dataset.images[rows, views]),
+        "masks": np.array(dataset.masks[rows, views]),
+        "quaternions": np.array(dataset.quaternions[rows, views]),
+    }

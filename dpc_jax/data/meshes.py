@@ -1,0 +1,160 @@
+"""Reading mesh files: find them, read them with their colours, bring them to size.
+
+Files are expected in the canonical frame: z up, front towards +x, left towards +y.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+PLAIN = np.array([170, 170, 170, 255], dtype=np.uint8)  # where a file has no colour
+
+
+def find_meshes(folder):
+    """Mesh files below a folder, at any depth, sorted by path.
+
+    Raises:
+      ValueError: if the folder does not exist or holds no mesh file.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ValueError(f"expected a folder of mesh files, {folder} is none; check it.")
+    found = (path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
+    paths = sorted(path for path in found if path.is_file())
+    if not paths:
+        raise ValueError(
+            f"expected mesh files ({', '.join(SUFFIXES)}) in {folder}, found none; give "
+            "another folder or convert the files."
+        )
+    return paths
+
+
+def read_mesh(path):
+    """Reads one mesh file into a single mesh with one colour per face.
+
+    The parts of a scene are put in place by their transforms and concatenated. Colours
+    come from face colours, vertex colours (mean of a face's corners), a texture (looked
+    up at the middle of the face) or the material, in this order; grey without any.
+
+    Args:
+      path: file with one of the endings `SUFFIXES`.
+
+    Returns:
+      `trimesh.Trimesh` in the frame and units of the file.
+
+    Raises:
+      ValueError: naming the file, if it cannot be read, has no faces, coordinates that
+        are not finite, or no extent.
+    """
+    path = Path(path)
+    try:
+        scene = trimesh.load_scene(path, process=False)
+        pieces = [
+            _place_part(scene, node) for node in sorted(scene.graph.nodes_geometry)
+        ]
+    except Exception as error:  # readers raise anything at all on damaged files
+        raise ValueError(
+            f"expected a readable mesh in {path}, got {type(error).__name__}: {error}; "
+            "repair or remove the file."
+        ) from error
+    pieces = [piece for piece in pieces if piece is not None]
+    if not pieces:
+        raise ValueError(f"expected a mesh with faces in {path}, got none; remove it.")
+    starts = np.cumsum([0, *(len(vertices) for vertices, _, _ in pieces)])
+    vertices = np.concatenate([vertices for vertices, _, _ in pieces])
+    faces = np.concatenate(
+        [faces + start for (_, faces, _), start in zip(pieces, starts, strict=False)]
+    )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError(
+            f"expected faces between {len(vertices)} vertices in {path}, got an index "
+            "out of range; repair or remove the file."
+        )
+    used = vertices[np.unique(faces)]
+    if not np.isfinite(used).all():
+        raise ValueError(
+            f"expected finite coordinates in {path}, got NaN or infinity; repair or "
+            "remove the file."
+        )
+    if not np.ptp(used, axis=0).max() > 0:
+        raise ValueError(
+            f"expected a mesh with an extent in {path}, all its vertices coincide; "
+            "remove the file."
+        )
+    return _keep_used(vertices, faces, np.concatenate([color for *_, color in pieces]))
+
+
+def _keep_used(vertices, faces, colors):
+    """Mesh of the vertices that have a face: a stray vertex would spoil the box."""
+    index, faces = np.unique(faces, return_inverse=True)
+    return trimesh.Trimesh(
+        vertices[index], faces.reshape(-1, 3), face_colors=colors, process=False
+    )
+
+
+def _place_part(scene, node):
+    """Vertices, faces and face colours of one node of a scene, or None for no mesh."""
+    transform, name = scene.graph[node]
+    part = scene.geometry[name]
+    if not isinstance(part, trimesh.Trimesh) or len(part.faces) == 0:
+        return None
+    vertices = trimesh.transform_points(part.vertices, transform)
+    return vertices, np.asarray(part.faces), _face_colors(part)
+
+
+def _face_colors(part):
+    """Colours [F, 4] uint8 of the faces of one part."""
+    count = len(part.faces)
+    visual = part.visual
+    if visual.kind in ("face", "vertex"):
+        return np.asarray(visual.face_colors, dtype=np.uint8)
+    if visual.kind == "texture":
+        material = visual.material
+        texture = getattr(material, "baseColorTexture", None)
+        texture = getattr(material, "image", None) if texture is None else texture
+        if texture is not None and visual.uv is not None:
+            middle = np.asarray(visual.uv)[part.faces].mean(axis=1)
+            return trimesh.visual.color.uv_to_color(middle, texture)
+        return np.tile(np.asarray(material.main_color, dtype=np.uint8), (count, 1))
+    return np.tile(PLAIN, (count, 1))
+
+
+def normalize(mesh):
+    """Copy of a mesh, centred on its bounding box and scaled to a box diagonal of 1.
+
+    Raises:
+      ValueError: if the mesh has no extent.
+    """
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    diagonal = float(np.linalg.norm(high - low))
+    if not diagonal > 0:
+        raise ValueError(
+            f"expected a mesh with an extent, got a box diagonal of {diagonal}; skip it."
+        )
+    return _with_vertices(mesh, (vertices - (low + high) / 2) / diagonal)
+
+
+def scale_randomly(mesh, *, seed, amount=0.15):
+    """Copy of a mesh, stretched along x, y and z by factors of its own.
+
+    An augmentation for small sets of files: proportions vary, the object stays one of
+    its category. Factors are uniform in [1 - amount, 1 + amount].
+
+    Raises:
+      ValueError: if amount is not in [0, 1).
+    """
+    if not 0 <= amount < 1:
+        raise ValueError(
+            f"amount must lie in [0, 1) for positive factors, got {amount}; use 0.15."
+        )
+    factors = np.random.default_rng(seed).uniform(1 - amount, 1 + amount, 3)
+    return _with_vertices(mesh, np.asarray(mesh.vertices, dtype=np.float64) * factors)
+
+
+def _with_vertices(mesh, vertices):
+    return trimesh.Trimesh(
+        vertices, mesh.faces, face_colors=mesh.visual.face_colors, process=False
+    )

@@ -1,0 +1,141 @@
+"""Building blocks of the procedural shapes: coloured lofts, boxes, panels.
+
+A part is a `Part(vertices, faces, color)`; a list of parts joins to one mesh. Nearly
+everything is a loft: rings of points along a path, skinned with triangles.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+
+BLACK = (18, 18, 20)
+GLASS = (32, 40, 52)
+CHROME = (190, 195, 200)
+
+
+class Part(NamedTuple):
+    """vertices [N, 3] in metres, faces [F, 3], one colour (r, g, b) in 0..255."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    color: tuple
+
+
+def loft(rings, *, color, caps=True):
+    """Skin over rings [S, R, 3] of R points each; with caps both ends are closed."""
+    rings = np.asarray(rings, dtype=np.float64)
+    stations, around, _ = rings.shape
+    index = np.arange(stations * around).reshape(stations, around)
+    a, b = index[:-1], np.roll(index[:-1], -1, axis=1)
+    c, d = index[1:], np.roll(index[1:], -1, axis=1)
+    faces = [np.stack([a, b, d], -1).reshape(-1, 3)]
+    faces.append(np.stack([a, d, c], -1).reshape(-1, 3))
+    vertices = rings.reshape(-1, 3)
+    if caps:
+        for ring, centre in ((index[0, ::-1], rings[0]), (index[-1], rings[-1])):
+            middle = np.full(around, len(vertices))
+            vertices = np.concatenate([vertices, centre.mean(axis=0, keepdims=True)])
+            faces.append(np.stack([middle, ring, np.roll(ring, -1)], -1))
+    return Part(vertices, np.concatenate(faces), color)
+
+
+def circle(count):
+    """Corners [count, 2] of a regular polygon in the unit circle."""
+    angle = (np.arange(count) + 0.5) * 2.0 * np.pi / count
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def tube(start, stop, radius, *, color, radius_stop=None, sides=8, caps=True):
+    """Cylinder, or cone where `radius_stop` differs, between two points."""
+    start, stop = np.asarray(start, float), np.asarray(stop, float)
+    axis = (stop - start) / np.linalg.norm(stop - start)
+    helper = np.eye(3)[np.argmin(np.abs(axis))]
+    side = np.cross(axis, helper)
+    side /= np.linalg.norm(side)
+    frame = np.stack([side, np.cross(axis, side)])
+    ring = circle(sides) @ frame
+    end = radius if radius_stop is None else radius_stop
+    return loft([start + radius * ring, stop + end * ring], color=color, caps=caps)
+
+
+def box(low, high, *, color):
+    """Axis-aligned box between two corners."""
+    (x0, y0, z0), (x1, y1, z1) = low, high
+    square = np.array([[y0, z0], [y1, z0], [y1, z1], [y0, z1]])
+    rings = [np.column_stack([np.full(4, x), square]) for x in (x0, x1)]
+    return loft(rings, color=color)
+
+
+def bar(start, stop, *, width, height, color):
+    """Beam of rectangular section between two points; width along y where possible."""
+    start, stop = np.asarray(start, float), np.asarray(stop, float)
+    axis = (stop - start) / np.linalg.norm(stop - start)
+    across = np.array([0.0, 1.0, 0.0]) if abs(axis[1]) < 0.9 else np.array([1.0, 0, 0])
+    across -= axis * (across @ axis)
+    across /= np.linalg.norm(across)
+    upright = np.cross(axis, across)
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2.0
+    ring = square @ np.stack([width * across, height * upright])
+    return loft([start + ring, stop + ring], color=color)
+
+
+def panel(corners, *, color):
+    """Flat convex polygon from its corners [K, 3]: a window, a lamp, a stripe."""
+    corners = np.asarray(corners, dtype=np.float64)
+    last = np.arange(2, len(corners))
+    faces = np.stack([np.zeros_like(last), last - 1, last], axis=-1)
+    return Part(corners, faces, color)
+
+
+def inset(corners, *, left=0.0, right=0.0, bottom=0.0, top=0.0, lift=0.0):
+    """Quad inside a quad [4, 3] (bottom left, bottom right, top right, top left).
+
+    The margins are shares of the quad's sides; `lift` moves along its normal.
+    """
+    a, b, c, d = np.asarray(corners, dtype=np.float64)
+
+    def place(s, t):
+        return (1 - t) * ((1 - s) * a + s * b) + t * ((1 - s) * d + s * c)
+
+    normal = np.cross(c - a, d - b)
+    normal /= np.linalg.norm(normal)
+    low, high, near, far = bottom, 1 - top, left, 1 - right
+    quad = [place(near, low), place(far, low), place(far, high), place(near, high)]
+    return np.array(quad) + lift * normal
+
+
+def mirror(parts):
+    """The parts and their mirror images at the xz plane (left and right)."""
+    flipped = [
+        Part(part.vertices * [1.0, -1.0, 1.0], part.faces[:, ::-1], part.color)
+        for part in parts
+    ]
+    return [*parts, *flipped]
+
+
+def join(parts):
+    """One `trimesh.Trimesh` with face colours; triangles without area are left out."""
+    offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    vertices = np.concatenate([part.vertices for part in parts])
+    faces = np.concatenate(
+        [part.faces + start for part, start in zip(parts, offsets, strict=False)]
+    )
+    colors = np.concatenate(
+        [np.tile(np.array([*p.color, 255], np.uint8), (len(p.faces), 1)) for p in parts]
+    )
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    keep = np.linalg.norm(normal, axis=-1) > 1e-10
+    return trimesh.Trimesh(
+        vertices, faces[keep], face_colors=colors[keep], process=False
+    )
+
+
+def draw_color(rng, *, saturation, value):
+    """Random (r, g, b): any hue, saturation and value uniform in the given ranges."""
+    hue = rng.uniform(0.0, 6.0)
+    s, v = rng.uniform(*saturation), rng.uniform(*value)
+    wheel = np.abs((hue + np.array([0.0, 4.0, 2.0])) % 6.0 - 3.0) - 1.0
+    rgb = v * (1.0 - s + s * np.clip(wheel, 0.0, 1.0))
+    return tuple(int(channel) for channel in np.rint(255.0 * rgb))

@@ -1,0 +1,71 @@
+"""Which members of the pose ensemble win, as a warning of its collapse."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+ALIVE_THRESHOLD = 0.01
+DOMINANT_SHARE = 0.95  # heuristic: beyond it the ensemble works like one regressor
+
+
+def winner_share(winners: ArrayLike, *, num_candidates: int) -> np.ndarray:
+    """Share of views that each candidate wins.
+
+    Args:
+      winners: integer indices of the winning candidates, any shape, at least one.
+      num_candidates: K.
+
+    Returns:
+      [K] shares that sum to 1.
+
+    Raises:
+      ValueError: there is no winner, they are not integers, or one is outside 0..K-1.
+    """
+    indices = np.asarray(winners).ravel()
+    if indices.size == 0 or not np.issubdtype(indices.dtype, np.integer):
+        raise ValueError(
+            f"Expected at least one integer index of a winning candidate, got "
+            f"{indices.size} of type {indices.dtype}; pass the argmin of the losses."
+        )
+    if indices.min() < 0 or indices.max() >= num_candidates:
+        raise ValueError(
+            f"Expected winners between 0 and {num_candidates - 1}, got "
+            f"{indices.min()} to {indices.max()}; pass num_candidates as large as the "
+            f"ensemble, turned copies included."
+        )
+    return np.bincount(indices, minlength=num_candidates) / indices.size
+
+
+def count_alive(shares: ArrayLike, *, threshold: float = ALIVE_THRESHOLD) -> int:
+    """How many candidates win at least a share of ``threshold`` of the views."""
+    return int(np.sum(np.asarray(shares, np.float64) >= threshold))
+
+
+def winner_entropy(shares: ArrayLike) -> float:
+    """Entropy of the shares in bits: 0 when one always wins, log2 K when all equally.
+
+    Two to this power is the effective number of candidates.
+    """
+    p = np.asarray(shares, np.float64)
+    p = p[p > 0.0]
+    return float(max(0.0, -np.sum(p * np.log2(p))))
+
+
+def collapse_warning(
+    shares: ArrayLike, *, threshold: float = ALIVE_THRESHOLD
+) -> str | None:
+    """A sentence when the ensemble has collapsed onto one candidate, else None.
+
+    An ensemble of one (K = 1) has nothing to collapse.
+    """
+    p = np.asarray(shares, np.float64)
+    if p.size <= 1:
+        return None
+    alive, leader = count_alive(p, threshold=threshold), int(np.argmax(p))
+    if alive >= 2 and p[leader] <= DOMINANT_SHARE:
+        return None
+    return (
+        f"The pose ensemble has collapsed: candidate {leader} wins "
+        f"{100 * p[leader]:.1f} % of the views and {alive} of {p.size} win at least "
+        f"{100 * threshold:g} %; poses are then learned as by a single regressor. More "
+        f"heads, initial quaternions spread further, or another seed usually help."
+    )

@@ -1,0 +1,77 @@
+"""The rotations that many views agree on, in spite of outliers and half turns."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dpc_jax.evaluation import rotations
+
+INLIER_DEG = 30.0  # a vote this near agrees: the threshold of pose accuracy
+KERNEL_DEG = 15.0  # width of the robust weight, half of the above (heuristic)
+
+
+class Mode(NamedTuple):
+    """A rotation [4] and the share of all votes within 30 degrees of it, 0 to 1."""
+
+    rotation: np.ndarray
+    share: float
+
+
+def robust_mean(
+    votes: ArrayLike,
+    start: ArrayLike,
+    *,
+    kernel_deg: float = KERNEL_DEG,
+    max_iterations: int = 50,
+    tolerance_deg: float = 1e-6,
+) -> np.ndarray:
+    """Mean rotation [4] of the votes [n, 4] around a start [4], outliers left aside.
+
+    Iteratively re-weighted Markley mean with the Geman-McClure weight
+    1 / (1 + (angle / kernel)^2)^2: a vote 180 degrees off weighs 5e-5. The start should
+    be one of the votes or near some, as a median would be.
+    """
+    q = rotations.normalize(votes).reshape(-1, 4)
+    mean = rotations.canonical_sign(rotations.normalize(start))
+    for _ in range(max_iterations):
+        ratio = rotations.angle_deg(q, mean) / kernel_deg
+        refined = rotations.mean_rotation(q, weights=(1.0 + ratio**2) ** -2)
+        turn = rotations.angle_deg(refined, mean)
+        mean = refined
+        if turn < tolerance_deg:
+            break
+    return mean
+
+
+def find_modes(
+    votes: ArrayLike, *, max_modes: int = 6, inlier_deg: float = INLIER_DEG
+) -> list[Mode]:
+    """Modes of votes [n, 4], the one with the largest share first.
+
+    The vote with the most neighbours starts a robust mean; its neighbourhood is taken
+    away and the rest searched again. Networks without pose labels typically have two
+    modes, half a turn apart.
+
+    Raises:
+      ValueError: there are no votes, or one is zero or not finite.
+    """
+    q = rotations.normalize(votes).reshape(-1, 4)
+    if len(q) == 0:
+        raise ValueError(
+            "Expected at least one rotation to average, got none; pass the validation "
+            "views."
+        )
+    near = rotations.angle_deg(q[:, None], q[None]) <= inlier_deg
+    left = np.ones(len(q), dtype=bool)
+    modes: list[Mode] = []
+    while left.any() and len(modes) < max_modes:
+        density = np.where(left, near.sum(axis=1), -1)
+        seed = int(np.argmax(density))
+        mean = robust_mean(q, q[seed])
+        agree = rotations.angle_deg(q, mean) <= inlier_deg
+        left &= ~(agree | near[seed])
+        # A sparse seed can slide into a mode that is already known.
+        if all(rotations.angle_deg(mean, m.rotation) > inlier_deg for m in modes):
+            modes.append(Mode(mean, float(agree.mean())))
+    return sorted(modes, key=lambda mode: -mode.share)

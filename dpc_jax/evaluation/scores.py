@@ -1,0 +1,134 @@
+"""All metrics of a test set at once: poses, and shapes in the paper's units."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
+from dpc_jax.evaluation.chamfer import PAPER_UNITS, chamfer_distance, check_points
+from dpc_jax.evaluation.pose import (
+    ACCURACY_THRESHOLD_DEG,
+    pose_summary,
+    rotation_angle_deg,
+)
+
+
+class Scores(NamedTuple):
+    """What a test set says about a network.
+
+    Attributes:
+      metrics: plain floats by name: ``pose_accuracy`` (0 to 1),
+        ``pose_median_error_deg``, ``flip_share`` (0 to 1), ``chamfer``, ``precision``
+        and ``coverage`` (times 100), and with candidates
+        ``best_candidate_pose_accuracy`` and ``best_candidate_pose_median_error_deg``.
+      pose_errors_deg: [n, V] error of each view's predicted pose.
+      best_candidate_errors_deg: [n, V], or None without candidates.
+      chamfers: [n, views scored, 2] precision and coverage of each shape, in object
+        units (not times 100).
+    """
+
+    metrics: dict[str, float]
+    pose_errors_deg: np.ndarray
+    best_candidate_errors_deg: np.ndarray | None
+    chamfers: np.ndarray
+
+
+def score(
+    predicted_poses: ArrayLike,
+    true_poses: ArrayLike,
+    points: ArrayLike,
+    surfaces: ArrayLike,
+    *,
+    alignment: Alignment,
+    best_candidate_poses: ArrayLike | None = None,
+    threshold_deg: float = ACCURACY_THRESHOLD_DEG,
+    chamfer_views: int | None = None,
+    workers: int = 1,
+) -> Scores:
+    """Score predictions on a test set (paper, section Evaluation metrics).
+
+    Args:
+      predicted_poses: [n, V, 4] the student's (or the only) pose of each view,
+        network's frame to camera.
+      true_poses: [n, V, 4] object frame to camera.
+      points: [n, V, N, 3] shape predicted from each view, in the network's frame.
+      surfaces: [n, P, 3] points of the true surfaces, object frame; too few
+        would raise precision by their own spacing. A list of [P_i, 3] will do.
+      alignment: from ``align`` on validation models.
+      best_candidate_poses: [n, V, 4] the ensemble's winner for each view, or None where
+        there is no ensemble.
+      threshold_deg: a pose error up to it counts as right.
+      chamfer_views: shapes of only the first this many views are compared; all if None.
+      workers: threads of the neighbour search, -1 for all cores.
+
+    Returns:
+      Scores. Distances are means over models and views.
+
+    Raises:
+      ValueError: shapes that do not fit together; quaternions or points unfit for use.
+    """
+    count = _check(predicted_poses, true_poses, points, surfaces, chamfer_views)
+    errors = rotation_angle_deg(align_poses(alignment, predicted_poses), true_poses)
+    summary = pose_summary(errors, threshold_deg=threshold_deg)
+    metrics = {
+        "pose_accuracy": summary.accuracy,
+        "pose_median_error_deg": summary.median_error_deg,
+        "flip_share": summary.flip_share,
+    }
+    candidate_errors = None
+    if best_candidate_poses is not None:
+        if np.shape(best_candidate_poses) != np.shape(true_poses):
+            raise ValueError(
+                f"Expected best_candidate_poses of shape {np.shape(true_poses)}, got "
+                f"{np.shape(best_candidate_poses)}; pass one winner for each view."
+            )
+        candidate_errors = rotation_angle_deg(
+            align_poses(alignment, best_candidate_poses), true_poses
+        )
+        best = pose_summary(candidate_errors, threshold_deg=threshold_deg)
+        metrics["best_candidate_pose_accuracy"] = best.accuracy
+        metrics["best_candidate_pose_median_error_deg"] = best.median_error_deg
+
+    chamfers = np.empty((len(surfaces), count, 2))
+    for model, surface in enumerate(surfaces):
+        surface = check_points(surface, name=f"surface of model {model}")
+        tree = cKDTree(surface)
+        for view in range(count):
+            cloud = align_points(alignment, points[model][view])
+            chamfers[model, view] = chamfer_distance(
+                cloud, surface, tree=tree, workers=workers
+            )
+    precision, coverage = PAPER_UNITS * chamfers.mean(axis=(0, 1))
+    metrics["chamfer"] = float(precision + coverage)
+    metrics["precision"] = float(precision)
+    metrics["coverage"] = float(coverage)
+    return Scores(metrics, errors, candidate_errors, chamfers)
+
+
+def _check(predicted_poses, true_poses, points, surfaces, chamfer_views) -> int:
+    """How many views of each model have their shape compared."""
+    pose_shape, cloud_shape = np.shape(true_poses), np.shape(points)
+    fits = (
+        len(pose_shape) == 3
+        and np.shape(predicted_poses) == pose_shape
+        and len(cloud_shape) == 4
+        and len(surfaces) == pose_shape[0] == cloud_shape[0] > 0
+        and pose_shape[1] > 0
+        and cloud_shape[1] > 0
+    )
+    if not fits:
+        raise ValueError(
+            f"Expected poses [n, V, 4] twice, points [n, V, N, 3] and surfaces of n "
+            f"models, got {np.shape(predicted_poses)}, {pose_shape}, {cloud_shape} and "
+            f"{len(surfaces)} surfaces; pass test models with at least one view each."
+        )
+    if chamfer_views is None:
+        return cloud_shape[1]
+    if not 1 <= chamfer_views <= cloud_shape[1]:
+        raise ValueError(
+            f"Expected chamfer_views between 1 and {cloud_shape[1]}, got "
+            f"{chamfer_views}; the points hold that many views."
+        )
+    return chamfer_views

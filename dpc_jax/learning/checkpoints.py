@@ -1,0 +1,111 @@
+"""Checkpoints of a run: everything to go on from, whole or not at all (orbax)."""
+
+import contextlib
+import os
+import zlib
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from absl import logging
+from orbax.checkpoint import v1 as ocp
+
+from dpc_jax.learning.step import TrainState
+
+KEPT = 2  # the newest and, should that be damaged, the one before
+
+
+class Restored(NamedTuple):
+    """A checkpoint read back.
+
+    Attributes:
+      state: the training state.
+      seconds: training time spent until then.
+      damaged: steps of newer checkpoints that could not be read.
+    """
+
+    state: TrainState
+    seconds: float
+    damaged: tuple[int, ...]
+
+
+class Checkpoints:
+    """The checkpoints in one folder; writes to a temporary name, then renames."""
+
+    def __init__(self, folder: str | os.PathLike):
+        self._folder = Path(folder).absolute()
+        policies = ocp.training
+        # Orbax reports every file that it touches; a user wants to hear of errors.
+        logging.set_verbosity(logging.ERROR)
+        self._checkpointer = ocp.training.Checkpointer(
+            self._folder,
+            save_decision_policy=policies.save_decision_policies.FixedIntervalPolicy(1),
+            preservation_policy=policies.preservation_policies.LatestN(KEPT),
+        )
+
+    def close(self):
+        """Wait for what is being written."""
+        self._checkpointer.close()
+
+    def save(self, state: TrainState, *, seconds: float):
+        """Write the state under its step; does nothing where that step is saved."""
+        step = int(state.step)
+        if step in self.steps():
+            return
+        self._checkpointer.save_checkpointables(
+            step,
+            {
+                "state": state._asdict(),
+                "progress": {"seconds": seconds, "checksum": _checksum(state)},
+            },
+        )
+
+    def steps(self) -> list[int]:
+        """Steps with a whole checkpoint, oldest first."""
+        return sorted(c.step for c in self._checkpointer.checkpoints)
+
+    def restore(self, like: TrainState) -> Restored | None:
+        """The newest checkpoint that can be read, or None where there is none.
+
+        Args:
+          like: a state of the same shapes and dtypes.
+
+        Raises:
+          ValueError: if there are checkpoints, yet none can be read.
+        """
+        target = jax.tree.map(
+            lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=a.sharding),
+            like._asdict(),
+        )
+        progress = {"seconds": 0.0, "checksum": 0}
+        damaged = []
+        for step in reversed(self.steps()):
+            # Whatever a damaged file makes orbax raise, the one before is tried.
+            with contextlib.suppress(Exception):
+                loaded = self._checkpointer.load_checkpointables(
+                    step, {"state": target, "progress": progress}
+                )
+                state = TrainState(**loaded["state"])
+                # Orbax notices a missing or short file, but not a changed byte.
+                if int(loaded["progress"]["checksum"]) == _checksum(state):
+                    return Restored(
+                        state, float(loaded["progress"]["seconds"]), tuple(damaged)
+                    )
+            damaged.append(step)
+        if damaged:
+            raise ValueError(
+                f"None of the checkpoints in {self._folder} (steps "
+                f"{', '.join(map(str, damaged))}) could be read, though at least one "
+                "was expected to be whole; choose another workdir or remove that folder "
+                "to start anew."
+            )
+        return None
+
+
+def _checksum(state: TrainState) -> int:
+    """CRC-32 of all leaves in their order."""
+    value = 0
+    for leaf in jax.tree.leaves(jax.device_get(state)):
+        value = zlib.crc32(np.ascontiguousarray(leaf).view(np.uint8), value)
+    return value

@@ -1,0 +1,155 @@
+"""Predictions for a whole data set, and their scores."""
+
+from typing import NamedTuple
+
+import chex
+import jax
+import numpy as np
+
+from dpc_jax.data import DataSet
+from dpc_jax.evaluation import alignment as alignments
+from dpc_jax.evaluation import candidates as candidate_use
+from dpc_jax.evaluation import scores
+from dpc_jax.learning import hindsight, losses, schedules
+from dpc_jax.learning.settings import Settings
+from dpc_jax.learning.step import compute_mass, map_renders, scale_images
+from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.render import Camera, VoxelGrid, project
+
+
+class Predictions(NamedTuple):
+    """What the network says of M models with V views each, in its own frame.
+
+    Attributes:
+      points: [M, V, N, 3], the shape predicted from each view.
+      colors: [M, V, N, 3], or None.
+      poses: [M, V, 4], the student's quaternion; the given one where poses are known.
+      candidate_poses: [M, V, 4], the candidate that fits the view best.
+      winners: [M, V] its index among the K heads.
+      silhouettes: [M, V, D, D], the shape seen from the student's pose.
+    """
+
+    points: np.ndarray
+    colors: np.ndarray | None
+    poses: np.ndarray
+    candidate_poses: np.ndarray
+    winners: np.ndarray
+    silhouettes: np.ndarray
+
+
+def make_predictor(network: ShapePoseNetwork, settings: Settings):
+    """The compiled function (params, step, images, masks, quaternions) -> dict.
+
+    For n views: images uint8 [n, S, S, 3], masks uint8 [n, S, S], quaternions [n, 4].
+    """
+    camera = Camera(settings.focal_length, settings.distance)
+    grid = VoxelGrid(settings.grid)
+
+    def predict(params, step, images, masks, quaternions):
+        output = network.apply(params, scale_images(images))
+        sigma = schedules.compute_sigma(step, settings)
+        mass = compute_mass(output["scale"], sigma, settings)
+        targets = losses.downsample_masks(masks, settings.grid)
+        candidates = output.get("candidates", quaternions[:, None])
+        poses = output.get("student", quaternions)
+
+        def explain(view):
+            points, view_mass, pose, view_candidates, target = view
+            image = project(
+                points, pose, sigma=sigma, scale=view_mass, camera=camera, grid=grid
+            )
+            if view_candidates.shape[0] == 1:
+                return image.silhouette, 0
+            winner, _ = hindsight.choose_candidate(
+                points,
+                view_mass,
+                view_candidates,
+                target,
+                sigma=sigma,
+                camera=camera,
+                grid=grid,
+            )
+            return image.silhouette, winner
+
+        silhouettes, winners = map_renders(
+            explain,
+            (output["points"], mass, poses, candidates, targets),
+            at_once=settings.renders_at_once,
+        )
+        best = jax.vmap(lambda q, k: q[k])(candidates, winners)
+        result = {
+            "points": output["points"],
+            "poses": poses,
+            "candidate_poses": best,
+            "winners": winners,
+            "silhouettes": silhouettes,
+        }
+        if "colors" in output:
+            result["colors"] = output["colors"]
+        return result
+
+    return jax.jit(predict)
+
+
+def predict_all(
+    predictor,
+    params: chex.ArrayTree,
+    step: int,
+    dataset: DataSet,
+    *,
+    views_at_once: int = 64,
+) -> Predictions:
+    """Run the predictor over a data set in equal batches (the last one is padded)."""
+    models, views = dataset.masks.shape[:2]
+    total = models * views
+
+    def flatten(array):
+        return np.asarray(array).reshape(total, *array.shape[2:])
+
+    inputs = [flatten(a) for a in (dataset.images, dataset.masks, dataset.quaternions)]
+    parts = []
+    for start in range(0, total, views_at_once):
+        rows = np.minimum(np.arange(start, start + views_at_once), total - 1)
+        output = predictor(params, step, *(a[rows] for a in inputs))
+        parts.append(jax.device_get(output))
+    merged = {
+        name: np.concatenate([p[name] for p in parts])[:total].reshape(
+            models, views, *parts[0][name].shape[1:]
+        )
+        for name in parts[0]
+    }
+    return Predictions(colors=merged.pop("colors", None), **merged)
+
+
+def align(predictions: Predictions, dataset: DataSet) -> alignments.Alignment:
+    """Canonical alignment from validation models (§ Evaluation metrics)."""
+    return alignments.align(
+        predictions.poses,
+        dataset.quaternions,
+        predictions.points,
+        dataset.surfaces,
+    )
+
+
+def score(
+    predictions: Predictions,
+    dataset: DataSet,
+    *,
+    alignment: alignments.Alignment,
+    num_candidates: int,
+    chamfer_views: int | None = None,
+) -> tuple[scores.Scores, np.ndarray]:
+    """Scores of predictions and the share of views that each head wins."""
+    result = scores.score(
+        predictions.poses,
+        dataset.quaternions,
+        predictions.points,
+        dataset.surfaces,
+        alignment=alignment,
+        best_candidate_poses=predictions.candidate_poses,
+        chamfer_views=chamfer_views,
+    )
+    shares = candidate_use.winner_share(
+        predictions.winners, num_candidates=max(1, num_candidates)
+    )
+    return result, shares

@@ -1,0 +1,35 @@
+"""Losses of the paper: reprojection (Eq. 1) and the student's (§ distilled ensemble)."""
+
+import chex
+import jax
+import jax.numpy as jnp
+
+from dpc_jax.render import quaternion
+
+
+def reprojection_loss(predicted: chex.Array, target: chex.Array) -> chex.Array:
+    """Sum of squared differences of two images of one view (Eq. 1); ()."""
+    chex.assert_equal_shape([predicted, target])
+    return jnp.sum((predicted - target) ** 2)
+
+
+def student_loss(student: chex.Array, teacher: chex.Array) -> chex.Array:
+    """Angular difference 1 - |Re(q₁q₂⁻¹)| of two quaternions [4]; in [0, 1].
+
+    Differs from the paper's 1 - Re(q₁q₂⁻¹) in taking the absolute value, because q and
+    -q are one rotation, and from the released code's 1 - Re², whose gradient vanishes
+    for opposite rotations. At exactly 180°, a kink, the gradient is that towards
+    +teacher. The teacher gets no gradient.
+    """
+    teacher = jax.lax.stop_gradient(quaternion.normalize(teacher))
+    cosine = jnp.sum(quaternion.normalize(student) * teacher)
+    return 1 - jnp.where(cosine >= 0, cosine, -cosine)
+
+
+def downsample_masks(masks: chex.Array, size: int) -> chex.Array:
+    """Average masks [..., S, S] of 0..255 over blocks, to [..., size, size] in [0, 1]."""
+    factor = masks.shape[-1] // size
+    blocks = masks.astype(jnp.float32).reshape(
+        *masks.shape[:-2], size, factor, size, factor
+    )
+    return jnp.mean(blocks, axis=(-3, -1)) / 255

@@ -1,0 +1,245 @@
+"""The objective and the training step: pure functions, compiled once per point count."""
+
+from typing import NamedTuple
+
+import chex
+import jax
+import jax.numpy as jnp
+import optax
+
+from dpc_jax.learning import hindsight, losses, schedules
+from dpc_jax.learning.settings import Settings
+from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.render import Camera, VoxelGrid, project
+from dpc_jax.render.smoothing import sample_gaussian
+
+
+class TrainState(NamedTuple):
+    """All that a checkpoint holds.
+
+    Attributes:
+      step: () int32, steps done.
+      params: of the network.
+      optimizer: state of the optimiser.
+    """
+
+    step: chex.Array
+    params: chex.ArrayTree
+    optimizer: chex.ArrayTree
+
+
+def make_optimizer(settings: Settings) -> optax.GradientTransformation:
+    """Adam with the run's learning rate; AdamW where weight decay is asked for."""
+    rate = schedules.make_learning_rate(settings)
+    if settings.weight_decay:
+        return optax.adamw(rate, weight_decay=settings.weight_decay)
+    return optax.adam(rate)
+
+
+def init_state(
+    network: ShapePoseNetwork, settings: Settings, *, image_size: int
+) -> TrainState:
+    """Parameters and optimiser at step 0, from the seed alone."""
+    images = jnp.zeros((1, image_size, image_size, 3))
+    params = jax.jit(network.init)(jax.random.key(settings.seed), images)
+    optimizer = make_optimizer(settings).init(params)
+    return TrainState(jnp.asarray(0, jnp.int32), params, optimizer)
+
+
+def scale_images(images: chex.Array) -> chex.Array:
+    """Bytes 0..255 to the network's [-1, 1]."""
+    return images.astype(jnp.float32) / 127.5 - 1
+
+
+def compute_mass(scale: chex.Array, sigma: chex.Array, settings: Settings):
+    """Mass of a point in voxels from the learned scaling coefficient in (0, 1).
+
+    With the unit "peak" a coefficient of one makes a point on a cell centre fill that
+    cell, whatever its size: the coefficient is the c of Eq. 4. With "mass" it is the
+    point's mass in voxels, as in the released code.
+    """
+    if settings.scale_unit == "mass":
+        return scale
+    return scale / sample_gaussian(jnp.zeros(()), sigma) ** 3
+
+
+def map_renders(function, inputs, *, at_once: int):
+    """`vmap` over the leading axis, `at_once` entries at a time (0: all).
+
+    One volume at a time stays in a CPU's cache; a GPU wants all at once.
+    """
+    if at_once == 0:
+        return jax.vmap(function)(inputs)
+    if at_once == 1:
+        return jax.lax.map(function, inputs)
+    return jax.lax.map(function, inputs, batch_size=at_once)
+
+
+def compute_loss(
+    params: chex.ArrayTree,
+    batch: dict[str, chex.Array],
+    key: chex.PRNGKey,
+    step: chex.Array,
+    *,
+    network: ShapePoseNetwork,
+    settings: Settings,
+    kept_points: int,
+) -> tuple[chex.Array, dict[str, chex.Array]]:
+    """The training objective of one batch: Eq. 1 with Eq. 2, and the student's loss.
+
+    The shape is predicted from each object's first view and compared with all its
+    views; the pose of a view from that view.
+
+    Args:
+      params: of the network.
+      batch: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S], quaternions
+        [B, V, 4] (read only where poses are known).
+      key: for the point dropout.
+      step: ().
+      network, settings: static.
+      kept_points: number of points rendered, static.
+
+    Returns:
+      (() loss, metrics: reprojection (mean sum of squares of a view), student (mean
+      1 - |cos|), scale, winners [B·V] int32).
+    """
+    camera = Camera(settings.focal_length, settings.distance)
+    grid = VoxelGrid(settings.grid)
+    sigma = schedules.compute_sigma(step, settings)
+    batch_size, views = batch["images"].shape[:2]
+
+    images = scale_images(batch["images"])
+    features = network.apply(
+        params, images.reshape(-1, *images.shape[2:]), method="encode"
+    )
+    by_object = features.reshape(batch_size, views, -1)
+    shape = network.apply(params, by_object[:, 0], method="predict_shape")
+    # One subset for all views and candidates of an object, so that the choice among
+    # candidates does not depend on the luck of their subsets.
+    subset = jax.vmap(
+        lambda k: jax.random.permutation(k, settings.num_points)[:kept_points]
+    )(jax.random.split(key, batch_size))
+    kept = jax.tree.map(
+        lambda a: jnp.take_along_axis(a, subset[..., None], axis=1),
+        {k: v for k, v in shape.items() if k != "scale"},
+    )
+    mass = compute_mass(shape["scale"], sigma, settings)
+    targets = losses.downsample_masks(batch["masks"], settings.grid)
+    metrics = {"scale": jnp.mean(shape["scale"])}
+
+    if settings.num_candidates:
+        pose = network.apply(params, features, method="predict_pose")
+        poses, winners = _choose_poses(
+            pose, kept["points"], mass, targets, sigma, camera, settings
+        )
+        metrics["winners"] = winners.reshape(-1)
+    else:
+        poses = batch["quaternions"]
+
+    def render(view):
+        points, view_mass, rotation = view
+        return project(
+            points, rotation, sigma=sigma, scale=view_mass, camera=camera, grid=grid
+        ).silhouette
+
+    def per_view(array):
+        return jnp.repeat(array, views, axis=0)
+
+    silhouettes = map_renders(
+        render,
+        (per_view(kept["points"]), per_view(mass), poses.reshape(-1, 4)),
+        at_once=settings.renders_at_once,
+    )
+    reprojection = losses.reprojection_loss(
+        silhouettes, targets.reshape(silhouettes.shape)
+    ) / (batch_size * views)
+    metrics["reprojection"] = loss = reprojection
+    if settings.num_candidates > 1:
+        student = jnp.mean(
+            jax.vmap(losses.student_loss)(pose["student"], poses.reshape(-1, 4))
+        )
+        metrics["student"] = student
+        loss = loss + settings.student_weight * settings.grid**2 * student
+    return loss, metrics
+
+
+def _choose_poses(pose, points, mass, targets, sigma, camera, settings):
+    """Winning quaternion [B, V, 4] of each view, and its index [B, V]."""
+    batch_size, views = targets.shape[:2]
+    side = settings.choice_grid or settings.grid
+    ratio = side / settings.grid
+    coarse = targets.reshape(
+        batch_size, views, side, settings.grid // side, side, settings.grid // side
+    ).mean(axis=(3, 5))
+    points, mass = jax.lax.stop_gradient((points, mass))
+    if settings.choice_points:
+        all_points = points.shape[1]
+        points = points[:, : settings.choice_points]
+        mass = mass * (all_points / points.shape[1])  # the same total mass
+    candidates = pose["candidates"].reshape(batch_size, views, -1, 4)
+    if settings.flips:
+        turns = hindsight.find_half_turns(points.reshape(-1, 3))
+        candidates = jax.vmap(jax.vmap(hindsight.turn_candidates, (0, None)), (0, None))(
+            candidates, turns
+        )
+    if candidates.shape[2] == 1:
+        return candidates[:, :, 0], jnp.zeros((batch_size, views), jnp.int32)
+    students = pose["student"].reshape(batch_size, views, 4)
+
+    def choose(view):
+        view_points, view_mass, view_candidates, target, student = view
+        return hindsight.choose_candidate(
+            view_points,
+            view_mass * ratio**3,
+            view_candidates,
+            target,
+            sigma=sigma * ratio,
+            camera=camera,
+            grid=VoxelGrid(side),
+            student=student,
+            tie_break=settings.tie_break,
+        )[0]
+
+    flat = jax.tree.map(
+        lambda a: a.reshape(batch_size * views, *a.shape[2:]),
+        jax.lax.stop_gradient((candidates, coarse, students)),
+    )
+    winners = map_renders(
+        choose,
+        (jnp.repeat(points, views, 0), jnp.repeat(mass, views, 0), *flat),
+        at_once=settings.renders_at_once,
+    ).reshape(batch_size, views)
+    chosen = jnp.take_along_axis(candidates, winners[..., None, None], axis=2)[:, :, 0]
+    return chosen, winners
+
+
+def make_train_step(network: ShapePoseNetwork, settings: Settings, kept_points: int):
+    """The compiled step for a number of kept points.
+
+    Returns:
+      A function (state, batch) -> (state, metrics) that gives the old state's memory
+      to the new one. The dropout key is a function of seed and step, so any step can
+      be replayed.
+    """
+    optimizer = make_optimizer(settings)
+
+    def step(state: TrainState, batch):
+        key = jax.random.fold_in(jax.random.key(settings.seed), state.step)
+        (loss, metrics), grads = jax.value_and_grad(compute_loss, has_aux=True)(
+            state.params,
+            batch,
+            key,
+            state.step,
+            network=network,
+            settings=settings,
+            kept_points=kept_points,
+        )
+        updates, opt_state = optimizer.update(grads, state.optimizer, state.params)
+        params = optax.apply_updates(state.params, updates)
+        metrics["loss"] = loss
+        metrics["gradient_norms"] = {
+            name: optax.global_norm(part) for name, part in grads["params"].items()
+        }
+        return TrainState(state.step + 1, params, opt_state), metrics
+
+    return jax.jit(step, donate_argnums=0)

@@ -1,0 +1,125 @@
+"""Pictures of predictions: input, silhouettes, and the cloud from two other views."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from dpc_jax.reporting.examples import Example
+from dpc_jax.reporting.figures import INK, save_figure
+
+FRONT = (35.0, 25.0)  # azimuth, elevation in degrees: front and left, from above
+REAR = (-130.0, 20.0)  # back and right side
+SHOWN_SURFACE_POINTS = 2000  # about as many as are predicted, for a fair look
+
+
+def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Path:
+    """A grid with one row per example.
+
+    Columns: the input, the target silhouette, the predicted one, their difference (red
+    where the prediction is too large, blue where it is too small), the predicted cloud
+    from the front and from the rear, and the true shape from the front where an example
+    has one. Clouds are orthographic, z up; near points are drawn over far ones and
+    darker, or in their predicted colour, fading with distance.
+
+    Args:
+      examples: at least one.
+      path: of the PNG.
+
+    Raises:
+      ValueError: there are no examples.
+    """
+    if not examples:
+        raise ValueError("Expected at least one example to draw, got none; pass some.")
+    titles = ["input", "target", "predicted", "difference"]
+    titles += ["shape, front", "shape, rear"]
+    if any(example.surface is not None for example in examples):
+        titles.append("true shape")
+    size = 1.45
+    figure = Figure(
+        figsize=(size * len(titles) + 0.2, size * len(examples) * 1.12 + 0.35),
+        layout="constrained",
+    )
+    figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
+    grid = figure.subplots(len(examples), len(titles), squeeze=False)
+    for row, example in zip(grid, examples, strict=True):
+        _draw_row(row, example)
+    for axes, title in zip(grid[0], titles, strict=True):
+        axes.set_title(title, fontsize=9, color=INK)
+    return save_figure(figure, path)
+
+
+def _draw_row(row, example: Example) -> None:
+    for axes in row:
+        axes.set(xticks=[], yticks=[])
+        axes.spines[:].set_color("#d5dbe1")
+    row[0].imshow(example.image)
+    row[1].imshow(example.target, cmap="gray", vmin=0.0, vmax=1.0)
+    row[2].imshow(example.predicted, cmap="gray", vmin=0.0, vmax=1.0)
+    difference = silhouette_difference(
+        np.asarray(example.predicted), np.asarray(example.target)
+    )
+    row[3].imshow(difference, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    _draw_cloud(row[4], example.points, example.colors, FRONT)
+    _draw_cloud(row[5], example.points, example.colors, REAR)
+    if len(row) > 6:
+        if example.surface is None:
+            row[6].set_axis_off()
+        else:
+            step = max(1, len(example.surface) // SHOWN_SURFACE_POINTS)
+            _draw_cloud(row[6], example.surface[::step], None, FRONT)
+    label = f"{example.name}   pose error {example.pose_error_deg:.1f}°"
+    row[0].set_xlabel(label, fontsize=7.5, color=INK, loc="left")
+
+
+def silhouette_difference(predicted: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Predicted minus target, the coarser one repeated onto the finer one's pixels."""
+    rows = max(predicted.shape[0], target.shape[0])
+    cols = max(predicted.shape[1], target.shape[1])
+    stretched = []
+    for image in (predicted, target):
+        r = np.arange(rows) * image.shape[0] // rows
+        c = np.arange(cols) * image.shape[1] // cols
+        stretched.append(image[np.ix_(r, c)].astype(np.float64))
+    return stretched[0] - stretched[1]
+
+
+def view_points(points: np.ndarray, view_deg: tuple[float, float]) -> np.ndarray:
+    """Points [N, 3] as right, up and nearness [N, 3] for a viewer.
+
+    Orthographic, z up. The view is azimuth and elevation in degrees; azimuth 0 looks at
+    the front (from +x), 90 at the left (from +y).
+    """
+    azimuth, elevation = np.radians(view_deg)
+    toward = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    up = np.cross(toward, right)
+    return np.asarray(points, np.float64) @ np.stack([right, up, toward], axis=1)
+
+
+def _draw_cloud(axes, points, colors, view_deg) -> None:
+    seen = view_points(points, view_deg)
+    order = np.argsort(seen[:, 2])  # painter's order: far first
+    # Distances on a fixed scale, so that rows compare; 0 is far and 1 is near.
+    near = np.clip(seen[:, 2] + 0.5, 0.0, 1.0)[:, None]
+    if colors is None:
+        shade = np.array([0.80, 0.87, 0.94]) * (1 - near) + near * [0.03, 0.19, 0.42]
+    else:
+        colors = np.asarray(colors)
+        scale = 255.0 if colors.dtype == np.uint8 else 1.0
+        rgb = np.clip(colors / scale, 0.0, 1.0)
+        shade = rgb + (1.0 - rgb) * 0.45 * (1.0 - near)
+    size = np.clip(5000.0 / len(seen), 0.4, 6.0)
+    axes.scatter(
+        seen[order, 0], seen[order, 1], s=size, c=shade[order], linewidths=0, zorder=2
+    )
+    axes.set(xlim=(-0.55, 0.55), ylim=(-0.55, 0.55), aspect="equal")
+    axes.set_facecolor("white")

@@ -1,0 +1,229 @@
+"""The canonical alignment: known rotations come back, through flips and noise."""
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
+
+from dpc_jax.evaluation import align, align_points, align_poses, icp, modes
+from dpc_jax.evaluation.alignment import identity_alignment
+
+HALF_TURN_Z = Rotation.from_rotvec([0.0, 0.0, np.pi])
+FRAMES = {
+    "identity": Rotation.identity(),
+    "half turn about x": Rotation.from_rotvec([np.pi, 0.0, 0.0]),
+    "half turn about z": HALF_TURN_Z,
+    "half turn askew": Rotation.from_rotvec(np.pi * np.array([0.6, 0.0, 0.8])),
+    "anything": Rotation.random(random_state=5),
+}
+
+
+def wxyz(rotation):
+    return rotation.as_quat(scalar_first=True)
+
+
+def gap_deg(quaternion, rotation):
+    """Angle by scipy alone."""
+    other = Rotation.from_quat(quaternion, scalar_first=True)
+    return np.degrees((other * rotation.inv()).magnitude())
+
+
+def wedge(rng, n):
+    """Points of a solid without symmetry: a box, a cabin behind, a fin at a side."""
+    box = rng.uniform(-0.5, 0.5, (n, 3)) * [0.9, 0.4, 0.2]
+    cabin = rng.uniform(-0.5, 0.5, (n, 3)) * [0.4, 0.3, 0.2] + [-0.2, 0.0, 0.2]
+    fin = rng.uniform(-0.5, 0.5, (n, 3)) * [0.1, 0.1, 0.1] + [0.3, 0.2, 0.1]
+    kind = rng.choice(3, size=(n, 1), p=[0.6, 0.3, 0.1])
+    return np.where(kind == 0, box, np.where(kind == 1, cabin, fin))
+
+
+def scene(frame, *, flips=0.0, noise_deg=0.0, models=8, views=5, seed=0):
+    """What a network would predict whose frame is turned: object point = frame p."""
+    rng = np.random.default_rng(seed)
+    count = models * views
+    truth = Rotation.random(count, random_state=seed + 1)
+    flipped = np.zeros(count)
+    flipped[: round(flips * count)] = np.pi
+    flip = Rotation.from_rotvec(rng.permutation(flipped)[:, None] * [0.0, 0.0, 1.0])
+    noise = Rotation.from_rotvec(np.radians(noise_deg) * rng.normal(size=(count, 3)))
+    predicted = wxyz(noise * truth * flip * frame)
+    predicted *= rng.choice([-1.0, 1.0], size=(count, 1))  # q and -q are one rotation
+    surfaces = np.stack([wedge(rng, 1500) for _ in range(models)])
+    points = np.stack(
+        [[frame.inv().apply(wedge(rng, 400)) for _ in range(views)] for _ in surfaces]
+    )
+    shape = (models, views, 4)
+    return predicted.reshape(shape), wxyz(truth).reshape(shape), points, surfaces
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_a_known_frame_is_recovered_in_spite_of_flips_and_noise(name):
+    got = align(*scene(FRAMES[name], flips=0.3, noise_deg=4.0))
+    # 28 agreeing views with 4 degrees per axis: their mean is good to 0.8 degrees per
+    # axis, 1.3 in angle; ICP on sampled clouds does no worse. 2 leaves a margin.
+    assert gap_deg(got.rotation, FRAMES[name]) < 2.0
+    assert got.inlier_share == pytest.approx(0.7)
+    assert got.spread_deg < 10.0
+    assert all(np.isfinite(value).all() for value in got)
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_without_noise_the_vote_is_exact_even_at_half_turns(name):
+    predicted, truth, *_ = scene(FRAMES[name], flips=0.3)
+    votes = Rotation.from_quat(
+        truth.reshape(-1, 4), scalar_first=True
+    ).inv() * Rotation.from_quat(predicted.reshape(-1, 4), scalar_first=True)
+    best = modes.find_modes(wxyz(votes))[0]
+    # The flipped 30 % weigh 5e-5 each and pull along the great circle of their own
+    # half turn, where the mean is stationary: only rounding is left.
+    assert gap_deg(best.rotation, FRAMES[name]) < 1e-4
+    assert best.share == pytest.approx(0.7)
+
+
+def test_both_half_turns_are_found_as_modes_and_their_midpoint_is_not():
+    predicted, truth, *_ = scene(Rotation.identity(), flips=0.4, noise_deg=3.0)
+    relative = Rotation.from_quat(truth.reshape(-1, 4), scalar_first=True).inv()
+    votes = relative * Rotation.from_quat(predicted.reshape(-1, 4), scalar_first=True)
+    first, second = modes.find_modes(wxyz(votes))[:2]
+    assert gap_deg(first.rotation, Rotation.identity()) < 3.0
+    assert gap_deg(second.rotation, HALF_TURN_Z) < 3.0
+    assert (first.share, second.share) == pytest.approx((0.6, 0.4))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_mode_is_listed_twice(seed):
+    # Scattered votes, whose sparse seeds slide into the modes found before.
+    votes = Rotation.random(60, random_state=seed)
+    found = modes.find_modes(wxyz(votes), max_modes=20)
+    for index, mode in enumerate(found):
+        rotation = Rotation.from_quat(mode.rotation, scalar_first=True)
+        others = [other.rotation for other in found[index + 1 :]]
+        assert all(gap_deg(other, rotation) > modes.INLIER_DEG for other in others)
+
+
+def test_the_shared_chamfer_is_that_of_the_turned_prediction():
+    rng = np.random.default_rng(0)
+    cloud, surface = rng.normal(size=(30, 3)), rng.normal(size=(40, 3))
+    turn = FRAMES["anything"]
+    gaps = cdist(turn.apply(cloud), surface)
+    expected = gaps.min(axis=1).mean() + gaps.min(axis=0).mean()
+    got = icp.shared_chamfer([icp.pair_clouds(cloud, surface)] * 2, wxyz(turn))
+    assert got == pytest.approx(expected, rel=1e-12)  # float64 throughout
+
+
+def test_shapes_decide_where_flips_are_nearly_even():
+    # 55 % of the views are turned about z; the shapes are not, and settle it.
+    got = align(*scene(FRAMES["anything"], flips=0.55, noise_deg=4.0))
+    assert gap_deg(got.rotation, FRAMES["anything"]) < 2.5
+    assert got.inlier_share == pytest.approx(0.45)
+
+
+def test_shapes_do_not_overrule_a_clear_vote():
+    # Poses say identity for 90 % of the views; the shapes are all turned round.
+    predicted, truth, points, surfaces = scene(Rotation.identity(), flips=0.1)
+    turned = HALF_TURN_Z.apply(points.reshape(-1, 3)).reshape(points.shape)
+    got = align(predicted, truth, turned, surfaces)
+    assert got.inlier_share >= 0.9
+
+
+def test_icp_removes_what_a_common_pose_bias_leaves():
+    # Every pose is off by the same 12 degrees, so the vote cannot know; shapes do.
+    frame = FRAMES["anything"]
+    predicted, truth, points, surfaces = scene(frame)
+    bias = Rotation.from_rotvec(np.radians([12.0, 0.0, 0.0]))
+    truth_rotation = Rotation.from_quat(truth.reshape(-1, 4), scalar_first=True)
+    biased = wxyz(truth_rotation * bias * frame).reshape(predicted.shape)
+    got = align(biased, truth, points, surfaces)
+    # Subsampled clouds of 400 points, 40 of them: about a degree.
+    assert gap_deg(got.rotation, frame) < 2.0
+    assert 10.0 < got.icp_turn_deg < 14.0
+
+
+def test_icp_is_not_taken_where_it_would_not_lower_the_chamfer_distance(monkeypatch):
+    worse = wxyz(Rotation.from_rotvec([0.0, 0.0, 0.5]))
+    monkeypatch.setattr(icp, "fit_rotation", lambda pairs, start: worse)
+    got = align(*scene(Rotation.identity(), noise_deg=1.0))
+    assert got.icp_turn_deg == 0.0
+    assert gap_deg(got.rotation, Rotation.identity()) < 2.0
+
+
+def test_one_cloud_per_model_is_enough():
+    predicted, truth, points, surfaces = scene(FRAMES["anything"], noise_deg=3.0)
+    got = align(predicted, truth, points[:, 0], surfaces)
+    assert gap_deg(got.rotation, FRAMES["anything"]) < 2.0
+
+
+def test_only_the_first_models_are_looked_at():
+    predicted, truth, points, surfaces = scene(FRAMES["anything"], noise_deg=3.0)
+    first = align(predicted[:4], truth[:4], points[:4], surfaces[:4])
+    points[4:] = np.nan
+    again = align(predicted, truth, points, surfaces, max_models=4)
+    np.testing.assert_array_equal(first.rotation, again.rotation)
+
+
+def test_the_same_arguments_give_the_same_bits():
+    arguments = scene(FRAMES["anything"], flips=0.3, noise_deg=5.0)
+    first, again = align(*arguments), align(*arguments)
+    np.testing.assert_array_equal(first.rotation, again.rotation)
+    assert first[1:] == again[1:]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_poses_at_random_still_give_a_rotation(seed):
+    predicted, truth, points, surfaces = scene(Rotation.identity(), models=3, seed=seed)
+    predicted = wxyz(Rotation.random(15, random_state=seed)).reshape(3, 5, 4)
+    got = align(predicted, truth, points, surfaces)
+    assert not any(np.isnan(value).any() for value in got)
+    # Of unit length up to rounding.
+    assert np.linalg.norm(got.rotation) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_two_views_half_a_turn_apart_give_one_of_them_not_nan():
+    q = np.array([[1.0, 0, 0, 0], [0, 0, 0, 1.0]])
+    best = modes.find_modes(q)[0].rotation
+    # The other one weighs 5e-5 and lies where it pulls nowhere; 1e-3 degrees is ample.
+    assert (
+        min(gap_deg(best, Rotation.from_quat(r, scalar_first=True)) for r in q) < 1e-3
+    )
+
+
+def test_a_shape_shrunk_to_a_point_far_off_leaves_the_vote_as_it_is():
+    predicted, truth, points, surfaces = scene(Rotation.identity(), models=3)
+    got = align(predicted, truth, np.full_like(points, 5.0), surfaces)
+    assert got.rms == np.inf  # nothing matched must not look like a perfect fit
+    assert gap_deg(got.rotation, Rotation.identity()) < 1e-4
+
+
+def test_the_fitted_rotation_is_the_one_applied_and_never_a_reflection():
+    rng = np.random.default_rng(0)
+    source = rng.normal(size=(50, 3))
+    for index in range(20):
+        true = Rotation.random(random_state=index)
+        matrix = icp.best_rotation(source, true.apply(source))
+        np.testing.assert_allclose(matrix, true.as_matrix(), atol=1e-12)  # float64
+    mirrored = icp.best_rotation(source, source * [1.0, 1.0, -1.0])
+    assert np.linalg.det(mirrored) == pytest.approx(1.0)
+    flat = icp.best_rotation(source * [1.0, 1.0, 0.0], source * [1.0, 1.0, 0.0])
+    np.testing.assert_allclose(flat, np.eye(3), atol=1e-12)
+
+
+def test_aligned_shape_and_pose_give_the_same_picture_as_before():
+    frame, pose = Rotation.random(2, random_state=9)
+    alignment = identity_alignment()._replace(rotation=wxyz(frame))
+    points = np.random.default_rng(0).normal(size=(6, 3))
+    moved = align_points(alignment, points)
+    np.testing.assert_allclose(moved, frame.apply(points), atol=1e-14)  # float64
+    aligned = Rotation.from_quat(align_poses(alignment, wxyz(pose)), scalar_first=True)
+    np.testing.assert_allclose(aligned.apply(moved), pose.apply(points), atol=1e-14)
+
+
+def test_arguments_that_do_not_fit_together_are_refused_in_a_sentence():
+    predicted, truth, points, surfaces = scene(Rotation.identity(), models=2)
+    with pytest.raises(ValueError, match=r"points \[n, V, N, 3\]"):
+        align(predicted, truth, points[:, :3], surfaces)
+    with pytest.raises(ValueError, match="at least one model"):
+        align(predicted[:0], truth[:0], points[:0], surfaces[:0])
+    with pytest.raises(ValueError, match="finite coordinates in points"):
+        align(predicted, truth, points * np.nan, surfaces)
+    with pytest.raises(ValueError, match="10 of 10"):
+        align(0 * predicted, truth, points, surfaces)

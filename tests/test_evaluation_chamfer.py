@@ -1,0 +1,83 @@
+"""Chamfer distance against loops in float64, and what it refuses."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from dpc_jax.evaluation import chamfer_distance
+
+
+def mean_gap_by_loops(a, b):
+    total = 0.0
+    for p in a.tolist():
+        total += min(math.dist(p, q) for q in b.tolist())
+    return total / len(a)
+
+
+def clouds(seed=0, n=60, m=90):
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(n, 3)), rng.normal(size=(m, 3)) + 0.3
+
+
+def test_chamfer_equals_the_loops_over_all_pairs():
+    predicted, truth = clouds()
+    got = chamfer_distance(predicted, truth)
+    # Both sum under 100 float64 distances of order 1: 1e-12 leaves room for the order.
+    assert got.precision == pytest.approx(
+        mean_gap_by_loops(predicted, truth), abs=1e-12
+    )
+    assert got.coverage == pytest.approx(mean_gap_by_loops(truth, predicted), abs=1e-12)
+    assert got.chamfer == got.precision + got.coverage
+
+
+def test_precision_and_coverage_are_not_exchanged():
+    # One predicted point sits on the truth; the second true point is 2 away from it.
+    got = chamfer_distance([[0.0, 0, 0]], [[0.0, 0, 0], [0, 0, 2]])
+    assert (got.precision, got.coverage) == (0.0, 1.0)
+
+
+def test_distances_are_euclidean_and_the_paper_units_a_hundredfold():
+    got = chamfer_distance([[3.0, 4.0, 0.0]], [[0.0, 0.0, 0.0]]).in_paper_units()
+    assert got == {"chamfer": 1000.0, "precision": 500.0, "coverage": 500.0}
+
+
+def test_a_cloud_is_at_no_distance_from_itself_in_another_order():
+    cloud, _ = clouds()
+    assert chamfer_distance(cloud, cloud[::-1]).chamfer == 0.0
+
+
+def test_single_precision_far_from_the_origin_keeps_double_precision_distances():
+    # 2^20 and 2^20 + 1/8 are exact in float32; their distance must be as well.
+    a = np.full((1, 3), 2.0**20, np.float32)
+    b = a + np.float32([0.125, 0.0, 0.0])
+    assert chamfer_distance(a, b).precision == 0.125
+
+
+def test_a_tree_given_along_changes_nothing():
+    predicted, truth = clouds()
+    with_tree = chamfer_distance(predicted, truth, tree=cKDTree(truth), workers=-1)
+    assert with_tree == chamfer_distance(predicted, truth)
+
+
+@pytest.mark.parametrize(
+    ("predicted", "truth", "words"),
+    [
+        (np.zeros((0, 3)), np.zeros((1, 3)), "at least one point"),
+        (np.zeros((1, 3)), np.zeros((0, 3)), "ground_truth"),
+        (np.zeros((4, 2)), np.zeros((1, 3)), r"got shape \(4, 2\)"),
+        (np.zeros((2, 4, 3)), np.zeros((1, 3)), "one cloud per call"),
+        (np.array([[0, 0, np.nan]]), np.zeros((1, 3)), "1 of 1 points with NaN"),
+        (np.zeros((1, 3)), np.array([[0, np.inf, 0]]), "NaN or infinity"),
+    ],
+)
+def test_clouds_unfit_for_a_distance_are_refused_in_a_sentence(predicted, truth, words):
+    with pytest.raises(ValueError, match=words):
+        chamfer_distance(predicted, truth)
+
+
+def test_the_tree_of_another_cloud_is_refused():
+    predicted, truth = clouds()
+    with pytest.raises(ValueError, match="tree of 60"):
+        chamfer_distance(predicted, truth, tree=cKDTree(predicted))

@@ -1,0 +1,146 @@
+"""Pose error and quaternion helpers against scipy's rotations; ensemble shares."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dpc_jax.evaluation import (
+    collapse_warning,
+    count_alive,
+    pose_accuracy,
+    pose_summary,
+    rotation_angle_deg,
+    rotations,
+    winner_entropy,
+    winner_share,
+)
+
+
+def wxyz(rotation):
+    return rotation.as_quat(scalar_first=True)
+
+
+def random_pair(n=200):
+    return Rotation.random(n, random_state=1), Rotation.random(n, random_state=2)
+
+
+def test_the_angle_equals_scipys():
+    a, b = random_pair()
+    # Angles of order 1 in float64 through different formulas; 1e-6 degrees is loose
+    # only because scipy's own path loses digits near 180 degrees.
+    np.testing.assert_allclose(
+        rotation_angle_deg(wxyz(a), wxyz(b)),
+        np.degrees((a * b.inv()).magnitude()),
+        atol=1e-6,
+    )
+
+
+def test_the_angle_sees_neither_sign_nor_length():
+    a, b = map(wxyz, random_pair())
+    plain = rotation_angle_deg(a, b)
+    # Scaling rounds each component once: 1e-16 relative, 1e-13 degrees, with margin.
+    np.testing.assert_allclose(rotation_angle_deg(-a, b), plain, atol=1e-11)
+    np.testing.assert_allclose(
+        rotation_angle_deg(7e180 * a, 3e-200 * b), plain, atol=1e-11
+    )
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-7, 1e-3, 30.0, 179.999999, 180.0])
+def test_the_angle_is_exact_at_both_ends(angle):
+    half = np.radians(angle) / 2
+    turn = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
+    got = rotation_angle_deg(turn, [1.0, 0, 0, 0])
+    # One rounding of cos and sin: 1e-16 rad absolute at 0 and at 180 degrees alike.
+    # The arc cosine would be wrong by 1e-6 degrees here.
+    assert got == pytest.approx(angle, abs=1e-12)
+
+
+def test_rounding_never_makes_the_angle_of_a_rotation_with_itself_nan():
+    q = wxyz(Rotation.random(5000, random_state=3)).astype(np.float32)
+    angles = rotation_angle_deg(q, q)
+    assert np.all(angles >= 0.0)
+    assert angles.max() < 1e-13  # the same float64 numbers on both sides
+
+
+@pytest.mark.parametrize("bad", [[0, 0, 0, 0], [np.nan, 0, 0, 1], [1, 0, np.inf, 0]])
+def test_a_quaternion_that_is_no_rotation_is_refused_not_scored(bad):
+    with pytest.raises(ValueError, match=r"1 of 2 .*index \[1\]"):
+        rotation_angle_deg([[1.0, 0, 0, 0], bad], [1.0, 0, 0, 0])
+
+
+def test_a_matrix_is_not_taken_for_quaternions():
+    with pytest.raises(ValueError, match=r"4 components .* shape \(3, 3\)"):
+        rotation_angle_deg(np.eye(3), np.eye(3))
+
+
+def test_products_matrices_and_turned_points_equal_scipys():
+    a, b = random_pair()
+    product = rotations.multiply(wxyz(a), wxyz(b))
+    np.testing.assert_allclose(  # float64, a handful of operations
+        rotations.rotation_matrix(product), (a * b).as_matrix(), atol=1e-14
+    )
+    points = np.random.default_rng(0).normal(size=(5, 3))
+    np.testing.assert_allclose(
+        rotations.rotate(wxyz(a)[0], points), a[0].apply(points), atol=1e-14
+    )
+
+
+@pytest.mark.parametrize("axis", np.eye(3).tolist() + [[1, 1, 0], [1, -2, 3]])
+def test_a_half_turn_survives_the_way_through_its_matrix(axis):
+    q = np.concatenate([[0.0], np.array(axis) / np.linalg.norm(axis)])
+    back = rotations.from_matrix(rotations.rotation_matrix(q))
+    assert rotation_angle_deg(back, q) < 1e-6  # a square root of 1e-16 at worst
+
+
+def test_accuracy_counts_errors_up_to_the_threshold():
+    assert pose_accuracy([0.0, 30.0, 30.001, 180.0]) == 0.5
+    assert pose_accuracy([0.0, 30.0, 30.001, 180.0], threshold_deg=40.0) == 0.75
+
+
+def test_the_summary_names_accuracy_median_flips_and_histogram():
+    got = pose_summary(np.array([[1.0, 2.0, 12.0], [40.0, 150.0, 180.0]]), bins=18)
+    assert got.accuracy == 0.5
+    assert got.median_error_deg == 26.0
+    assert got.flip_share == pytest.approx(1 / 6)
+    assert got.counts.sum() == 6
+    assert got.counts[0] == 2
+    assert got.edges_deg[[0, 1, -1]].tolist() == [0.0, 10.0, 180.0]
+
+
+@pytest.mark.parametrize("errors", [[], [np.nan], [-1.0], [181.0]])
+def test_errors_that_are_no_angles_are_refused(errors):
+    with pytest.raises(ValueError, match="between 0 and 180"):
+        pose_summary(errors)
+
+
+def test_winner_shares_count_the_views_each_candidate_wins():
+    shares = winner_share(np.array([[0, 2], [2, 2]]), num_candidates=4)
+    assert shares.tolist() == [0.25, 0.0, 0.75, 0.0]
+    assert count_alive(shares) == 2
+    assert count_alive(shares, threshold=0.5) == 1
+
+
+def test_entropy_runs_from_none_to_log2_of_the_number_of_candidates():
+    assert winner_entropy([0.0, 1.0, 0.0]) == 0.0
+    assert winner_entropy([0.25] * 4) == 2.0
+    assert winner_entropy([0.5, 0.25, 0.25]) == 1.5
+
+
+@pytest.mark.parametrize(
+    ("winners", "words"),
+    [([], "at least one"), ([0.5], "integer"), ([-1], "-1 to -1"), ([4], "0 and 3")],
+)
+def test_winners_that_are_no_candidates_are_refused(winners, words):
+    with pytest.raises(ValueError, match=words):
+        winner_share(np.array(winners), num_candidates=4)
+
+
+def test_a_collapsed_ensemble_is_named_and_a_live_one_is_not():
+    assert collapse_warning([0.5, 0.5]) is None
+    assert collapse_warning([0.95, 0.05]) is None
+    assert "candidate 1 wins 96.0 %" in collapse_warning([0.04, 0.96])
+    # Two members are alive by name only: the second wins half a per cent.
+    assert "1 of 2 win at least 1 %" in collapse_warning([0.995, 0.005])
+    # One below the limit of dominance, but the twelve others live by name only.
+    assert "1 of 13 win" in collapse_warning([0.94] + [0.005] * 12)
+    assert collapse_warning([1.0]) is None  # one regressor has nothing to collapse

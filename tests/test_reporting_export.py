@@ -1,0 +1,146 @@
+"""Point cloud files, read again by another library; atomic writes."""
+
+import io
+import json
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+
+from dpc_jax.reporting.export import write_glb, write_ply
+from dpc_jax.reporting.files import write_bytes, write_text
+
+
+def cloud(n=40, seed=0):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-0.5, 0.5, (n, 3)).astype(np.float32)
+    return points, rng.integers(0, 256, (n, 3)).astype(np.uint8)
+
+
+def read_glb(path):
+    """The mesh as its vertices lie in the file, and the node's rotation matrix."""
+    # With a material trimesh drops the colours of the vertices.
+    scene = trimesh.load_scene(path, skip_materials=True)
+    matrix, name = scene.graph[scene.graph.nodes_geometry[0]]
+    return scene.geometry[name], matrix
+
+
+def test_a_ply_file_holds_the_same_points_and_colours(tmp_path):
+    points, colors = cloud()
+    read = trimesh.load(write_ply(tmp_path / "a.ply", points, colors))
+    np.testing.assert_array_equal(read.vertices.astype(np.float32), points)
+    np.testing.assert_array_equal(read.colors[:, :3], colors)
+
+
+def test_a_ply_file_without_colours_says_nothing_of_them(tmp_path):
+    points, _ = cloud()
+    path = write_ply(tmp_path / "a.ply", points)
+    assert b"red" not in path.read_bytes()
+    read = trimesh.load(path)
+    np.testing.assert_array_equal(read.vertices.astype(np.float32), points)
+
+
+def test_colours_as_floats_and_as_bytes_give_the_same_file(tmp_path):
+    points, colors = cloud()
+    a = write_ply(tmp_path / "a.ply", points, colors)
+    b = write_ply(tmp_path / "b.ply", points, colors / 255.0)
+    assert a.read_bytes() == b.read_bytes()
+
+
+def test_colours_beyond_their_range_are_clipped_not_wrapped(tmp_path):
+    path = write_ply(tmp_path / "a.ply", np.zeros((1, 3)), np.array([[-0.2, 0.5, 1.3]]))
+    assert trimesh.load(path).colors[0, :3].tolist() == [0, 128, 255]
+
+
+def test_an_empty_ply_is_a_whole_file(tmp_path):
+    path = write_ply(tmp_path / "a.ply", np.zeros((0, 3)))
+    assert b"element vertex 0\n" in path.read_bytes()
+
+
+def test_a_glb_file_holds_an_octahedron_around_each_point(tmp_path):
+    points, _ = cloud()
+    mesh, _ = read_glb(write_glb(tmp_path / "a.glb", points, radius=0.01))
+    corners = mesh.vertices.reshape(-1, 6, 3)
+    # Coordinates up to 0.5 in float32: steps of 3e-8, six of them averaged.
+    np.testing.assert_allclose(corners.mean(axis=1), points, atol=1e-7)
+    np.testing.assert_allclose(
+        np.linalg.norm(corners - points[:, None], axis=2), 0.01, atol=1e-7
+    )
+    owners = mesh.faces.reshape(len(points), -1) // 6
+    assert np.all(owners == np.arange(len(points))[:, None])  # no face between points
+
+
+def test_the_faces_of_a_glb_file_look_outward(tmp_path):
+    mesh, _ = read_glb(write_glb(tmp_path / "a.glb", np.zeros((1, 3)), radius=1.0))
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(4 / 3)  # of the octahedron, and positive
+    np.testing.assert_allclose(mesh.vertex_normals, mesh.vertices, atol=1e-6)  # float32
+
+
+def test_a_glb_file_stands_upright_in_viewers(tmp_path):
+    _, matrix = read_glb(write_glb(tmp_path / "a.glb", np.zeros((1, 3))))
+    # glTF has y up and z to the front; a rotation from a float64 quaternion.
+    np.testing.assert_allclose(matrix[:3, :3] @ [0, 0, 1], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(matrix[:3, :3] @ [1, 0, 0], [0, 0, 1], atol=1e-12)
+
+
+def test_glb_colours_are_linear_light(tmp_path):
+    points, colors = cloud()
+    mesh, _ = read_glb(write_glb(tmp_path / "a.glb", points, colors))
+    linear = mesh.visual.vertex_colors.reshape(-1, 6, 4)[:, 0] / 255.0
+    low = linear[:, :3] <= 0.0031308
+    srgb = np.where(
+        low, 12.92 * linear[:, :3], 1.055 * linear[:, :3] ** (1 / 2.4) - 0.055
+    )
+    # A byte of linear light is at most 12.92 / 255 / 2 of sRGB in the dark.
+    np.testing.assert_allclose(srgb, colors / 255.0, atol=0.026)
+    assert np.all(linear[:, 3] == 1.0)
+
+
+def test_a_glb_file_is_laid_out_as_its_header_says(tmp_path):
+    data = write_glb(tmp_path / "a.glb", cloud(7)[0]).read_bytes()
+    magic, version, total = struct.unpack_from("<4sII", data)
+    assert (magic, version, total) == (b"glTF", 2, len(data))
+    length, kind = struct.unpack_from("<I4s", data, 12)
+    assert kind == b"JSON"
+    assert length % 4 == 0
+    scene = json.loads(data[20 : 20 + length])
+    size, kind = struct.unpack_from("<I4s", data, 20 + length)
+    assert kind == b"BIN\0"
+    assert size == scene["buffers"][0]["byteLength"] == total - 28 - length
+    assert all(view["byteOffset"] % 4 == 0 for view in scene["bufferViews"])
+
+
+@pytest.mark.parametrize("write", [write_ply, write_glb])
+def test_clouds_unfit_for_a_file_are_refused_and_leave_none(tmp_path, write):
+    path = tmp_path / "a"
+    with pytest.raises(ValueError, match="finite points"):
+        write(path, [[0.0, np.nan, 0.0]])
+    with pytest.raises(ValueError, match=r"got shape \(3,\)"):
+        write(path, np.zeros(3))
+    with pytest.raises(ValueError, match="one RGB colour for each point"):
+        write(path, np.zeros((2, 3)), np.zeros((1, 3)))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("points", "radius"), [(0, 0.1), (1, 0.0), (1, np.nan)])
+def test_a_glb_of_nothing_is_refused(tmp_path, points, radius):
+    with pytest.raises(ValueError, match="positive radius"):
+        write_glb(tmp_path / "a.glb", np.zeros((points, 3)), radius=radius)
+
+
+def test_a_write_that_fails_leaves_the_old_file_and_no_debris(tmp_path, monkeypatch):
+    path = write_text(tmp_path / "folder" / "a.txt", "old ü")
+    assert path.read_text(encoding="utf-8") == "old ü"
+
+    def half_written(self, data):
+        with io.FileIO(self, "w") as file:
+            file.write(data[:2])
+        raise OSError("disk full")
+
+    monkeypatch.setattr("pathlib.Path.write_bytes", half_written)
+    with pytest.raises(OSError, match="disk full"):
+        write_bytes(path, b"new content")
+    assert path.read_text(encoding="utf-8") == "old ü"
+    assert list(path.parent.iterdir()) == [path]

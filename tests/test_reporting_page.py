@@ -1,0 +1,261 @@
+"""Figures, tables and the report: complete, self-contained, safe to open."""
+
+import base64
+import io
+import json
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from dpc_jax.reporting import figures, gallery, tables
+from dpc_jax.reporting.examples import Example
+from dpc_jax.reporting.page import REQUIRED_METRICS, write_report
+
+METRICS = {
+    "pose_accuracy": np.float64(0.875),
+    "pose_median_error_deg": 7.25,
+    "chamfer": np.float32(3.5),
+    "precision": 1.5,
+    "coverage": 2.0,
+    "train_seconds": 321,
+    "flip_share": float("nan"),
+    "seed": 0,
+}
+RECORDS = [
+    {"step": 10, "seconds": 1.0, "loss": 0.5},
+    {"step": 20, "seconds": 2.0, "loss": float("nan")},
+    {"step": 30, "seconds": 3.0, "loss": 0.25, "pose_accuracy": 0.2, "chamfer": 6.0},
+    {"step": 60, "seconds": 6.0, "pose_accuracy": 0.6, "pose_median_error_deg": 12.0},
+]
+
+
+def example(name="car", colors=True, surface=True, size=16):
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.4, 0.4, (50, 3))
+    return Example(
+        name=name,
+        image=rng.integers(0, 256, (size, size, 3)).astype(np.uint8),
+        target=rng.uniform(size=(size, size)),
+        predicted=rng.uniform(size=(2 * size, 2 * size)),  # of its own size
+        points=points,
+        colors=rng.uniform(size=(50, 3)) if colors else None,
+        pose_error_deg=4.5,
+        surface=points if surface else None,
+    )
+
+
+def report(folder, **changes):
+    arguments = {
+        "title": "Cars & <b>bold</b>",
+        "metrics": METRICS,
+        "records": RECORDS,
+        "examples": [example(), example("car", colors=False, surface=False)],
+        "pose_errors": np.array([[1.0, 20.0], [40.0, 179.0]]),
+        "shares": [0.5, 0.495, 0.005],
+        "warnings": ["3 meshes < 5 could not be read."],
+        "config_text": "a = '<script>alert(1)</script>'",
+    }
+    return write_report(folder, **(arguments | changes))
+
+
+class Tags(HTMLParser):
+    """All tags with their attributes, and whether every one opened was closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.found, self.open = [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.found.append((tag, dict(attrs)))
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def picture(data):
+    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("run") / "report"
+    assert report(path) == path / "index.html"
+    return path
+
+
+def test_metrics_are_sorted_strict_json_with_all_that_is_required(folder):
+    text = (folder / "metrics.json").read_text()
+    metrics = json.loads(text, parse_constant=pytest.fail)
+    assert list(metrics) == sorted(metrics)
+    assert set(REQUIRED_METRICS) <= set(metrics)
+    assert metrics["pose_accuracy"] == 0.875
+    assert metrics["flip_share"] is None  # NaN is not JSON
+    assert '\n  "chamfer": 3.5,\n' in text
+
+
+def test_the_page_reaches_for_nothing_outside_itself_but_its_own_files(folder):
+    text = (folder / "index.html").read_text(encoding="utf-8")
+    assert not re.search(r"(?:https?:)?//[a-z]", re.sub(r"base64,[^\"]*", "", text))
+    tags = Tags(text)
+    assert tags.open == []
+    assert {tag for tag, _ in tags.found} & {"script", "link", "iframe"} == set()
+    links = [attrs["href"] for tag, attrs in tags.found if tag == "a"]
+    assert len(links) == 5
+    assert all((folder / link).is_file() for link in links)
+
+
+def test_the_page_carries_its_figures_and_none_is_blank(folder):
+    tags = Tags((folder / "index.html").read_text(encoding="utf-8"))
+    images = [attrs for tag, attrs in tags.found if tag == "img"]
+    assert len(images) == 4
+    for attrs in images:
+        kind, data = attrs["src"].split(",")
+        assert kind == "data:image/png;base64"
+        assert attrs["alt"]
+        assert picture(base64.b64decode(data)).std() > 5.0  # a blank page has none
+
+
+def test_what_users_wrote_is_shown_and_never_run(folder):
+    text = (folder / "index.html").read_text(encoding="utf-8")
+    assert "<h1>Cars &amp; &lt;b&gt;bold&lt;/b&gt;</h1>" in text
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
+    assert "3 meshes &lt; 5 could not be read." in text
+    assert "87.5" in text
+
+
+def test_examples_of_one_name_keep_their_files_apart(folder):
+    names = sorted(path.name for path in (folder / "points").iterdir())
+    assert names == ["car.glb", "car.ply", "car_2.glb", "car_2.ply"]
+    read = trimesh.load(folder / "points" / "car.ply")
+    # Stored in float32: coordinates under 0.5 keep 3e-8.
+    np.testing.assert_allclose(read.vertices, example().points, atol=1e-7)
+
+
+def test_a_name_of_an_example_cannot_leave_the_folder(tmp_path):
+    names = ["../../evil", "a/b c", "é", "..", "a_b", "A_B"]
+    report(tmp_path / "report", examples=[example(name) for name in names])
+    written = {path.stem for path in (tmp_path / "report" / "points").glob("*.ply")}
+    # Names that differ by case alone would be one file on some systems.
+    assert written == {"evil", "a_b_c", "example", "example_2", "a_b", "A_B_2"}
+    assert [path.name for path in tmp_path.iterdir()] == ["report"]
+
+
+def test_sections_without_data_are_left_out(tmp_path):
+    missing = dict.fromkeys(("records", "examples", "warnings"), ())
+    path = report(tmp_path, **missing, pose_errors=None, shares=None, config_text="")
+    assert {p.name for p in tmp_path.iterdir()} == {"index.html", "metrics.json"}
+    assert "<img" not in path.read_text(encoding="utf-8")
+
+
+def test_the_same_run_gives_the_same_bytes(tmp_path, folder):
+    again = tmp_path / "elsewhere"
+    report(again)
+    for path in folder.rglob("*.*"):
+        assert (again / path.relative_to(folder)).read_bytes() == path.read_bytes()
+
+
+def test_a_missing_metric_is_named_before_anything_is_written(tmp_path):
+    few = {name: 1.0 for name in REQUIRED_METRICS if name != "chamfer"}
+    with pytest.raises(ValueError, match="got none for chamfer"):
+        report(tmp_path / "report", metrics=few)
+    with pytest.raises(
+        ValueError, match=r"'extra' to be a single value, got shape \(2,\)"
+    ):
+        report(tmp_path / "report", metrics=METRICS | {"extra": [1.0, 2.0]})
+    assert not (tmp_path / "report").exists()
+
+
+def test_curves_compare_runs_and_bear_missing_quantities(tmp_path):
+    one = figures.draw_curves(RECORDS, tmp_path / "one.png").read_bytes()
+    runs = {"ensemble": RECORDS, "naive": RECORDS[:1], "nothing": []}
+    several = figures.draw_curves(runs, tmp_path / "several.png").read_bytes()
+    assert picture(one).shape == picture(several).shape
+    assert np.any(picture(one) != picture(several))
+    figures.draw_curves([], tmp_path / "none.png")
+    many = [{"seconds": t, "loss": 0.0} for t in range(200)]  # no logarithm of zero
+    figures.draw_curves(many, tmp_path / "zero.png")
+
+
+def test_the_time_axis_follows_the_seconds_not_the_order_of_lines(tmp_path):
+    lines = [{"seconds": float(t), "chamfer": 9.0 - t} for t in (1, 2, 5, 6)]
+    mixed = [lines[index] for index in (2, 0, 3, 1)]
+    a = figures.draw_curves(lines, tmp_path / "a.png").read_bytes()
+    b = figures.draw_curves(mixed, tmp_path / "b.png").read_bytes()
+    assert a == b
+
+
+def test_a_histogram_of_no_or_broken_errors_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="got 0 with"):
+        figures.draw_pose_errors([], tmp_path / "a.png")
+    with pytest.raises(ValueError, match="1 not finite"):
+        figures.draw_pose_errors([1.0, np.nan], tmp_path / "a.png")
+
+
+def test_drawing_leaves_pyplot_alone(tmp_path):
+    code = (
+        "import sys; from dpc_jax.reporting import figures, gallery;"
+        "figures.draw_candidates([1.0], sys.argv[1]);"
+        "sys.exit('matplotlib.pyplot' in sys.modules)"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "a.png")]
+    assert subprocess.run(command, check=False).returncode == 0
+
+
+def test_writing_points_does_not_load_matplotlib_or_trimesh():
+    code = (
+        "import sys, dpc_jax.reporting.export;"
+        "sys.exit(bool({'matplotlib', 'trimesh'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_predictions_without_examples_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="at least one example"):
+        gallery.draw_predictions([], tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(
+    ("view", "nearest"), [((0, 0), 0), ((90, 0), 1), ((123, 90), 2), ((180, 0), 3)]
+)
+def test_a_viewer_sees_the_side_its_angles_name(view, nearest):
+    corners = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]], float)
+    assert np.argmax(gallery.view_points(corners, view)[:, 2]) == nearest
+
+
+def test_seen_from_the_front_up_is_up_and_the_left_side_is_at_the_right():
+    up, left = gallery.view_points([[0.0, 0, 1], [0, 1.0, 0]], (0.0, 0.0))
+    # Sines and cosines of 0, in float64.
+    np.testing.assert_allclose(up, [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(left, [1, 0, 0], atol=1e-15)
+
+
+def test_the_difference_is_positive_where_the_prediction_is_too_large():
+    target, predicted = np.zeros((2, 2)), np.zeros((4, 4))
+    predicted[0, 0], target[1, 1] = 1.0, 0.5
+    got = gallery.silhouette_difference(predicted, target)
+    assert got.shape == (4, 4)
+    assert got[0, 0] == 1.0
+    assert np.all(got[2:, 2:] == -0.5)
+
+
+def test_a_markdown_table_has_a_line_per_run_and_units_in_its_head():
+    runs = {"K=8": {"chamfer": 3.456, "pose_accuracy": 0.9, "zeta": 12345.678}}
+    runs["a|b"] = {"pose_accuracy": None, "chamfer": float("nan")}
+    assert tables.markdown_table(runs).splitlines() == [
+        "| Run | Pose accuracy (%) | Chamfer distance (×100) | zeta |",
+        "| --- | ---: | ---: | ---: |",
+        "| K=8 | 90.0 | 3.46 | 1.235e+04 |",
+        "| a\\|b | – | – | – |",
+    ]
+    assert "Chamfer" not in tables.markdown_table(runs, columns=["zeta"])
+    with pytest.raises(ValueError, match="at least one run"):
+        tables.markdown_table({})
