@@ -2,7 +2,9 @@
 
 import contextlib
 import os
+import shutil
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,9 +37,12 @@ class Checkpoints:
 
     def __init__(self, folder: str | os.PathLike):
         self._folder = Path(folder).absolute()
-        policies = ocp.training
         # Orbax reports every file that it touches; a user wants to hear of errors.
         logging.set_verbosity(logging.ERROR)
+        self._open()
+
+    def _open(self):
+        policies = ocp.training
         self._checkpointer = ocp.training.Checkpointer(
             self._folder,
             save_decision_policy=policies.save_decision_policies.FixedIntervalPolicy(1),
@@ -64,6 +69,18 @@ class Checkpoints:
     def steps(self) -> list[int]:
         """Steps with a whole checkpoint, oldest first."""
         return sorted(c.step for c in self._checkpointer.checkpoints)
+
+    def set_aside(self, steps: Iterable[int]):
+        """Move checkpoints out of the way, to damaged-checkpoint-STEP beside the folder.
+
+        A run that went on from an earlier one can then save at those steps again.
+        """
+        self.close()
+        for step in steps:
+            target = self._folder.with_name(f"damaged-checkpoint-{step}")
+            shutil.rmtree(target, ignore_errors=True)
+            os.replace(self._folder / str(step), target)
+        self._open()
 
     def restore(self, like: TrainState) -> Restored | None:
         """The newest checkpoint that can be read, or None where there is none.

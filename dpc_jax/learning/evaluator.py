@@ -60,14 +60,8 @@ def make_predictor(network: ShapePoseNetwork, settings: Settings):
             )
             if view_candidates.shape[0] == 1:
                 return image.silhouette, 0
-            winner, _ = hindsight.choose_candidate(
-                points,
-                view_mass,
-                view_candidates,
-                target,
-                sigma=sigma,
-                camera=camera,
-                grid=grid,
+            winner = hindsight.choose_candidate(
+                points, view_mass, view_candidates, target, sigma=sigma, camera=camera
             )
             return image.silhouette, winner
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning.losses import reprojection_loss, student_loss
+from dpc_jax.networks.pose import spread_rotations
 from dpc_jax.render import Camera, VoxelGrid, project, quaternion
 
 
@@ -43,6 +44,37 @@ def turn_candidates(candidates: chex.Array, turns: chex.Array) -> chex.Array:
     return turned.reshape(-1, 4)
 
 
+def compute_candidate_losses(
+    points: chex.Array,
+    mass: chex.Array,
+    candidates: chex.Array,
+    target: chex.Array,
+    *,
+    sigma: chex.Array,
+    camera: Camera,
+) -> chex.Array:
+    """Reprojection loss of each candidate, the inside of Eq. 2.
+
+    Args:
+      points: [N, 3]. mass: (), of each, in voxels.
+      candidates: [C, 4] quaternions.
+      target: [D, D] silhouette.
+      sigma: (), in voxels.
+
+    Returns:
+      [C].
+    """
+    grid = VoxelGrid(target.shape[0])
+
+    def compute_loss(candidate):
+        image = project(
+            points, candidate, sigma=sigma, scale=mass, camera=camera, grid=grid
+        )
+        return reprojection_loss(image.silhouette, target)
+
+    return jax.vmap(compute_loss)(candidates)
+
+
 def choose_candidate(
     points: chex.Array,
     mass: chex.Array,
@@ -51,35 +83,70 @@ def choose_candidate(
     *,
     sigma: chex.Array,
     camera: Camera,
-    grid: VoxelGrid,
     student: chex.Array | None = None,
     tie_break: float = 0.0,
-) -> tuple[chex.Array, chex.Array]:
-    """Index of the candidate whose silhouette fits one view best (Eq. 2).
+    first_grid: int = 0,
+    first_points: int = 0,
+    top: int = 0,
+) -> chex.Array:
+    """Index of the candidate whose silhouette fits one view best (Eq. 2); ().
+
+    By default the exact minimum. With `first_grid` or `first_points`, candidates are
+    first compared in a coarser volume and with fewer points, and of those only the best
+    `top` exactly (0: the first comparison decides).
 
     Args:
-      points: [N, 3]. mass: (), of each, in voxels of `grid`.
+      points: [N, 3]. mass: (), of each, in voxels of the target's grid.
       candidates: [C, 4] quaternions.
-      target: [rows, cols] silhouette.
-      sigma: (), in voxels. camera, grid: see `project`.
+      target: [D, D] silhouette.
+      sigma: (), in voxels of the target's grid. camera: see `project`.
       student: [4], the student's quaternion, needed where tie_break > 0.
-      tie_break: each loss grows by this share for a candidate orthogonal to the
+      tie_break: each loss grows by up to this share with the distance from the
         student's pose. Views of near-equal silhouette (front and back) are then told
         apart as the student has learned from the others. Not in the paper.
-
-    Returns:
-      (() index of the winner, [C] losses without the tie break).
+      first_grid: side of the coarser volume, a divisor of D; 0 for D.
+      first_points: largest number of points of the first comparison; 0 for all.
+      top: how many candidates are compared exactly after that.
     """
-
-    def compute_loss(candidate):
-        image = project(
-            points, candidate, sigma=sigma, scale=mass, camera=camera, grid=grid
-        )
-        return reprojection_loss(image.silhouette, target)
-
-    losses = jax.vmap(compute_loss)(candidates)
-    preferred = losses
+    lean = jnp.ones(candidates.shape[0], points.dtype)
     if tie_break:
         distance = jax.vmap(student_loss, (None, 0))(student, candidates)
-        preferred = losses * (1 + tie_break * distance)
-    return jnp.argmin(jax.lax.stop_gradient(preferred)), losses
+        lean = 1 + tie_break * distance
+
+    side = target.shape[0]
+    coarse_side = first_grid or side
+    count = min(first_points or points.shape[0], points.shape[0])
+    ratio = coarse_side / side
+    factor = side // coarse_side
+    blocks = target.reshape(coarse_side, factor, coarse_side, factor)
+    losses = lean * compute_candidate_losses(
+        points[:count],
+        mass * (points.shape[0] / count) * ratio**3,  # the same total mass
+        candidates,
+        jnp.mean(blocks, axis=(1, 3)),
+        sigma=sigma * ratio,
+        camera=camera,
+    )
+    is_exact = coarse_side == side and count == points.shape[0]
+    if is_exact or top == 0:
+        return jnp.argmin(losses)
+    _, best = jax.lax.top_k(-losses, min(top, losses.shape[0]))
+    exact = lean[best] * compute_candidate_losses(
+        points, mass, candidates[best], target, sigma=sigma, camera=camera
+    )
+    return best[jnp.argmin(exact)]
+
+
+def draw_rotations(key: chex.PRNGKey, count: int) -> chex.Array:
+    """`count` quaternions [count, 4] spread over SO(3), turned as a whole at random."""
+    turn = jax.random.normal(key, (4,))
+    return jax.vmap(quaternion.multiply, (0, None))(spread_rotations(count), turn)
+
+
+def nearest_head_loss(candidates: chex.Array, teacher: chex.Array) -> chex.Array:
+    """The student's loss of the head nearest to the teacher; candidates [K, 4]; ().
+
+    While a search finds the poses, this keeps the ensemble learning: each head takes
+    the poses nearest to its own.
+    """
+    return jnp.min(jax.vmap(student_loss, (0, None))(candidates, teacher))

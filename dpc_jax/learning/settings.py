@@ -15,8 +15,14 @@ class Settings:
       num_candidates: K pose heads; 0 where poses are known.
       flips: also try every head turned by 180° about each principal axis.
       tie_break: how strongly the choice among candidates leans to the student's pose.
-      choice_grid, choice_points: volume and largest number of points that the winner
-        is chosen with; `grid` and all points where 0.
+      search: number of rotations spread over SO(3), turned anew at random every step,
+        that compete with the heads in the first part of the run.
+      search_until: share of the run after which the search ends.
+      student_competes: also try the student's own pose, and render it with a gradient
+        where it wins.
+      choice_grid, choice_points: volume and largest number of points that candidates
+        are first compared with; `grid` and all points where 0.
+      choice_top: how many of them are then compared exactly; 0 for none.
       student_weight: of the student's loss, per pixel of the silhouette loss.
       sigma_start, sigma_end: standard deviation of a point over the run, as a share of
         the volume's side.
@@ -41,8 +47,12 @@ class Settings:
     num_candidates: int
     flips: bool
     tie_break: float
+    search: int
+    search_until: float
+    student_competes: bool
     choice_grid: int
     choice_points: int
+    choice_top: int
     student_weight: float
     sigma_start: float
     sigma_end: float

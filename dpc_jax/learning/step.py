@@ -84,6 +84,7 @@ def compute_loss(
     network: ShapePoseNetwork,
     settings: Settings,
     kept_points: int,
+    searches: bool,
 ) -> tuple[chex.Array, dict[str, chex.Array]]:
     """The training objective of one batch: Eq. 1 with Eq. 2, and the student's loss.
 
@@ -129,8 +130,13 @@ def compute_loss(
 
     if settings.num_candidates:
         pose = network.apply(params, features, method="predict_pose")
+        rotations = jnp.zeros((0, 4))
+        if searches:
+            rotations = hindsight.draw_rotations(
+                jax.random.fold_in(key, 1), settings.search
+            )
         poses, winners = _choose_poses(
-            pose, kept["points"], mass, targets, sigma, camera, settings
+            pose, kept["points"], mass, targets, sigma, camera, settings, rotations
         )
         metrics["winners"] = winners.reshape(-1)
     else:
@@ -160,60 +166,70 @@ def compute_loss(
         )
         metrics["student"] = student
         loss = loss + settings.student_weight * settings.grid**2 * student
+        if searches:
+            heads = jnp.mean(
+                jax.vmap(hindsight.nearest_head_loss)(
+                    pose["candidates"], poses.reshape(-1, 4)
+                )
+            )
+            metrics["heads"] = heads
+            loss = loss + settings.student_weight * settings.grid**2 * heads
     return loss, metrics
 
 
-def _choose_poses(pose, points, mass, targets, sigma, camera, settings):
-    """Winning quaternion [B, V, 4] of each view, and its index [B, V]."""
+def _choose_poses(
+    pose, points, mass, targets, sigma, camera, settings, rotations
+):
+    """Winning quaternion [B, V, 4] of each view, and its index [B, V].
+
+    Candidates in order: the heads, the heads turned, the student, the search.
+    """
     batch_size, views = targets.shape[:2]
-    side = settings.choice_grid or settings.grid
-    ratio = side / settings.grid
-    coarse = targets.reshape(
-        batch_size, views, side, settings.grid // side, side, settings.grid // side
-    ).mean(axis=(3, 5))
-    points, mass = jax.lax.stop_gradient((points, mass))
-    if settings.choice_points:
-        all_points = points.shape[1]
-        points = points[:, : settings.choice_points]
-        mass = mass * (all_points / points.shape[1])  # the same total mass
     candidates = pose["candidates"].reshape(batch_size, views, -1, 4)
     if settings.flips:
         turns = hindsight.find_half_turns(points.reshape(-1, 3))
         candidates = jax.vmap(jax.vmap(hindsight.turn_candidates, (0, None)), (0, None))(
             candidates, turns
         )
+    if settings.student_competes:
+        own = pose["student"].reshape(batch_size, views, 1, 4)
+        candidates = jnp.concatenate([candidates, own], axis=2)
+    rotations = jnp.broadcast_to(rotations, (batch_size, views, *rotations.shape))
+    candidates = jnp.concatenate([candidates, rotations], axis=2)
     if candidates.shape[2] == 1:
         return candidates[:, :, 0], jnp.zeros((batch_size, views), jnp.int32)
-    students = pose["student"].reshape(batch_size, views, 4)
 
     def choose(view):
         view_points, view_mass, view_candidates, target, student = view
         return hindsight.choose_candidate(
             view_points,
-            view_mass * ratio**3,
+            view_mass,
             view_candidates,
             target,
-            sigma=sigma * ratio,
+            sigma=sigma,
             camera=camera,
-            grid=VoxelGrid(side),
             student=student,
             tie_break=settings.tie_break,
-        )[0]
+            first_grid=settings.choice_grid,
+            first_points=settings.choice_points,
+            top=settings.choice_top,
+        )
 
-    flat = jax.tree.map(
-        lambda a: a.reshape(batch_size * views, *a.shape[2:]),
-        jax.lax.stop_gradient((candidates, coarse, students)),
+    per_view = (
+        jnp.repeat(points, views, axis=0),
+        jnp.repeat(mass, views, axis=0),
+        candidates.reshape(batch_size * views, -1, 4),
+        targets.reshape(batch_size * views, *targets.shape[2:]),
+        pose["student"],
     )
     winners = map_renders(
-        choose,
-        (jnp.repeat(points, views, 0), jnp.repeat(mass, views, 0), *flat),
-        at_once=settings.renders_at_once,
+        choose, jax.lax.stop_gradient(per_view), at_once=settings.renders_at_once
     ).reshape(batch_size, views)
     chosen = jnp.take_along_axis(candidates, winners[..., None, None], axis=2)[:, :, 0]
     return chosen, winners
 
 
-def make_train_step(network: ShapePoseNetwork, settings: Settings, kept_points: int):
+def make_train_step(network: ShapePoseNetwork, settings: Settings, kept_points: int, searches: bool = False):
     """The compiled step for a number of kept points.
 
     Returns:
@@ -233,6 +249,7 @@ def make_train_step(network: ShapePoseNetwork, settings: Settings, kept_points: 
             network=network,
             settings=settings,
             kept_points=kept_points,
+            searches=searches,
         )
         updates, opt_state = optimizer.update(grads, state.optimizer, state.params)
         params = optax.apply_updates(state.params, updates)

@@ -2,8 +2,8 @@
 
 import chex
 import flax.linen as nn
-import jax
 import jax.numpy as jnp
+import numpy as np
 
 from dpc_jax.networks.encoder import conv_init, leaky_relu
 
@@ -13,13 +13,14 @@ def spread_rotations(count: int) -> chex.Array:
 
     Greedy: each is, of 4096 fixed random rotations, the one farthest from those before.
     """
-    pool = jax.random.normal(jax.random.key(0), (4096, 4))
-    pool = pool / jnp.linalg.norm(pool, axis=-1, keepdims=True)
-    chosen = [jnp.array([1.0, 0.0, 0.0, 0.0])]
+    pool = np.random.default_rng(0).normal(size=(4096, 4))
+    pool /= np.linalg.norm(pool, axis=-1, keepdims=True)
+    chosen = [np.array([1.0, 0.0, 0.0, 0.0])]
+    nearest = np.zeros(len(pool))
     while len(chosen) < count:
-        nearest = jnp.max(jnp.abs(pool @ jnp.stack(chosen).T), axis=1)
-        chosen.append(pool[jnp.argmin(nearest)])
-    return jnp.stack(chosen[:count])
+        nearest = np.maximum(nearest, np.abs(pool @ chosen[-1]))
+        chosen.append(pool[np.argmin(nearest)])
+    return jnp.asarray(np.stack(chosen[:count]), jnp.float32)
 
 
 class QuaternionHead(nn.Module):

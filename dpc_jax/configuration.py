@@ -1,0 +1,303 @@
+"""The config of a run: its fields, their checks, and the records made from it.
+
+The config is unpacked here, once; what is below takes arrays and frozen records.
+"""
+
+from pathlib import Path
+
+import ml_collections
+
+from dpc_jax.data import DataSpec
+from dpc_jax.learning.loop import Intervals
+from dpc_jax.learning.settings import Settings
+from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.networks.encoder import count_blocks
+
+VARIANTS = ("", "paper", "naive", "known_pose")
+# What may differ between a run and its continuation.
+FREE_FIELDS = ("data.cache_dir", "data.processes", "log", "render.renders_at_once")
+
+
+def default_config(category: str) -> ml_collections.ConfigDict:
+    """The fields of every config, with the values of the quick default runs."""
+    c = ml_collections.ConfigDict()
+    c.category = category  # "car", "chair", "airplane": what the procedural shapes are
+    c.variant = ""  # the text after the colon of --config
+    c.seed = 0  # of everything random but the data
+
+    c.data = d = ml_collections.ConfigDict()
+    d.meshes = ""  # folder of mesh files, z up, x front; "" for procedural shapes
+    d.test_meshes = ""  # folder to test on; "" for a part of the same source
+    d.models = 1000  # procedural models to train on
+    d.val_models = 40  # procedural models to validate on (20 of them align)
+    d.test_models = 100  # procedural models to test on
+    d.copies = 1  # of each mesh file; those beyond the first are stretched
+    d.stretch = 0.15  # largest stretch of a copy along an axis, as a share
+    d.views = 5  # per model (§ Datasets)
+    d.image_size = 64  # pixels; a power of two
+    d.surface_points = 10_000  # ground truth per model
+    d.seed = 0  # of shapes, split, views and lights
+    d.cache_dir = "data"  # where rendered sets are kept
+    d.processes = 0  # that render; 0 for one per core
+
+    c.network = n = ml_collections.ConfigDict()
+    n.channels = 16  # of the first convolution (released code)
+    n.hidden = 512  # units of the encoder's and pose branches' dense layers
+    n.shape_hidden = 512  # units of the shape branch's hidden layer
+    n.normalize = True  # features of a sample after each encoder layer
+
+    c.render = r = ml_collections.ConfigDict()
+    r.grid = 32  # side of the volume and of the silhouettes compared, voxels
+    r.num_points = 2000  # of a predicted cloud (§ Training details: 2000 at 32)
+    r.sigma_start = 0.05  # of the volume's side (§ Training details)
+    r.sigma_end = 0.003
+    r.keep_start = 0.1  # share of points not dropped (§ Training details)
+    r.keep_end = 1.0
+    r.keep_levels = 4  # stairs of that schedule; each is compiled once
+    r.scale_unit = "peak"  # learned scale: "peak" density or "mass" in voxels
+    r.focal_length = 1.875  # of an image 1 wide
+    r.distance = 2.0  # from camera to object, in box diagonals
+    r.renders_at_once = 1  # views rendered side by side; 0 for all (GPU)
+
+    c.pose = p = ml_collections.ConfigDict()
+    p.known = False  # read the poses from the data instead of learning them
+    p.candidates = 4  # K heads of the ensemble (§ distilled ensemble)
+    p.spread = True  # start the heads at rotations spread over SO(3)
+    p.flips = False  # also try each head turned by 180° about the principal axes
+    p.tie_break = 0.0  # lean of the choice towards the student's pose
+    p.search = 64  # rotations over SO(3) that compete with the heads at first
+    p.search_until = 0.5  # share of the run with that search
+    p.student_competes = True  # the student's own pose is a candidate too
+    p.choice_grid = 16  # volume that candidates are first compared in; 0: render.grid
+    p.choice_points = 250  # points that they are first compared with; 0: all
+    p.choice_top = 8  # of them are then compared exactly
+    p.student_weight = 0.01  # of the student's loss, per pixel of the silhouette
+
+    c.train = t = ml_collections.ConfigDict()
+    t.steps = 5000
+    t.models_per_batch = 4  # (§ Training details)
+    t.views_per_batch = 4  # of each model
+    t.learning_rate = 3e-4  # of Adam, at its peak
+    t.warmup_steps = 200  # linear
+    t.final_rate = 0.02  # share of the peak that the cosine decay ends at
+    t.weight_decay = 0.0  # decoupled
+    t.color_weight = 0.0  # of the colour loss per pixel; 0 learns no colour
+
+    c.log = ml_collections.ConfigDict()
+    c.log.every = 100  # steps between lines of metrics.jsonl
+    c.log.evaluate = 1000  # steps between validations
+    c.log.checkpoint = 1000  # steps between checkpoints
+    return c
+
+
+def apply_variant(config: ml_collections.ConfigDict, variant: str | None):
+    """Turn a config into a variant of it: "paper", "naive" or "known_pose".
+
+    Raises:
+      ValueError: for another name.
+    """
+    variant = variant or ""
+    if variant not in VARIANTS:
+        raise ValueError(
+            f"The variant after the colon of --config must be one of "
+            f"{', '.join(VARIANTS[1:])}, but it is {variant!r}."
+        )
+    config.variant = variant
+    if variant == "naive":
+        config.pose.update(
+            candidates=1, spread=False, flips=False, search=0, student_competes=False
+        )
+    if variant == "known_pose":
+        config.pose.known = True
+    if variant == "paper":
+        # § Training details and § Network architecture, at 64 pixels.
+        config.data.update(models=5247, val_models=750, test_models=1500)
+        config.network.update(hidden=1024, shape_hidden=1024, normalize=False)
+        config.render.update(grid=64, num_points=8000, keep_levels=32)
+        config.pose.update(
+            candidates=4,
+            spread=False,
+            flips=False,
+            tie_break=0.0,
+            search=0,
+            student_competes=False,
+            choice_grid=0,
+            choice_points=0,
+        )
+        config.train.update(
+            steps=600_000, learning_rate=1e-4, warmup_steps=0, final_rate=1.0
+        )
+        config.log.update(every=500, evaluate=20_000, checkpoint=5000)
+    return config
+
+
+def validate(config: ml_collections.ConfigDict):
+    """Check what no later part can check better.
+
+    Raises:
+      ValueError: for a value that cannot work, naming its field.
+    """
+
+    def expect(condition, field, expected):
+        value = config
+        for part in field.split("."):
+            value = value[part]
+        if not condition:
+            raise ValueError(
+                f"config.{field} must be {expected}, but it is {value!r}; set another "
+                f"with --config.{field}=VALUE."
+            )
+
+    data, render, pose, train = config.data, config.render, config.pose, config.train
+    for field in (
+        "data.models data.val_models data.test_models data.copies data.views "
+        "data.surface_points network.channels network.hidden network.shape_hidden "
+        "render.grid render.num_points render.keep_levels train.steps "
+        "train.models_per_batch train.views_per_batch log.every"
+    ).split():
+        section, name = field.split(".")
+        expect(config[section][name] >= 1, field, "at least 1")
+    expect(pose.candidates >= 1, "pose.candidates", "at least 1 (K heads)")
+    for name in ("search", "tie_break", "choice_grid", "choice_points", "choice_top"):
+        expect(pose[name] >= 0, f"pose.{name}", "0 or more")
+    expect(config.seed >= 0, "seed", "0 or more")
+    try:
+        count_blocks(data.image_size)
+    except ValueError as error:
+        raise ValueError(f"config.data.image_size cannot be used. {error}") from None
+    expect(
+        train.views_per_batch <= data.views,
+        "train.views_per_batch",
+        f"at most data.views = {data.views}, the views there are of a model",
+    )
+    expect(
+        bool(data.meshes) or train.models_per_batch <= data.models,
+        "train.models_per_batch",
+        f"at most data.models = {data.models}, the models to train on",
+    )
+    expect(
+        data.image_size % render.grid == 0,
+        "render.grid",
+        f"a divisor of data.image_size = {data.image_size}, so that masks can be "
+        "averaged down to it",
+    )
+    expect(
+        not pose.choice_grid or render.grid % pose.choice_grid == 0,
+        "pose.choice_grid",
+        f"0 or a divisor of render.grid = {render.grid}",
+    )
+    for name in ("keep_start", "keep_end"):
+        expect(0 < render[name] <= 1, f"render.{name}", "above 0 and at most 1")
+    for name in ("sigma_start", "sigma_end"):
+        expect(0 <= render[name] <= 1, f"render.{name}", "between 0 and 1")
+    expect(render.scale_unit in ("peak", "mass"), "render.scale_unit", "'peak' or 'mass'")
+    expect(render.distance > 0.5, "render.distance", "above 0.5, outside the object")
+    expect(render.focal_length > 0, "render.focal_length", "above 0")
+    expect(train.learning_rate > 0, "train.learning_rate", "above 0")
+    expect(
+        0 <= train.warmup_steps <= train.steps,
+        "train.warmup_steps",
+        f"between 0 and train.steps = {train.steps}",
+    )
+    for section in ("meshes", "test_meshes"):
+        folder = data[section]
+        expect(
+            not folder or Path(folder).is_dir(), f"data.{section}", "a folder that exists"
+        )
+
+
+def make_settings(config: ml_collections.ConfigDict) -> Settings:
+    """The record that the training step takes."""
+    c = config
+    pose_off = c.pose.known
+    is_ensemble = not pose_off and c.pose.candidates > 1
+    return Settings(
+        steps=c.train.steps,
+        models_per_batch=c.train.models_per_batch,
+        views_per_batch=c.train.views_per_batch,
+        grid=c.render.grid,
+        num_points=c.render.num_points,
+        num_candidates=0 if pose_off else c.pose.candidates,
+        flips=c.pose.flips,
+        tie_break=c.pose.tie_break if is_ensemble else 0.0,
+        search=c.pose.search if is_ensemble else 0,
+        search_until=c.pose.search_until,
+        student_competes=c.pose.student_competes and is_ensemble,
+        choice_grid=c.pose.choice_grid,
+        choice_points=c.pose.choice_points,
+        choice_top=c.pose.choice_top,
+        student_weight=c.pose.student_weight,
+        sigma_start=c.render.sigma_start,
+        sigma_end=c.render.sigma_end,
+        keep_start=c.render.keep_start,
+        keep_end=c.render.keep_end,
+        keep_levels=c.render.keep_levels,
+        scale_unit=c.render.scale_unit,
+        learning_rate=c.train.learning_rate,
+        warmup_steps=c.train.warmup_steps,
+        final_rate=c.train.final_rate,
+        weight_decay=c.train.weight_decay,
+        color_weight=c.train.color_weight,
+        focal_length=c.render.focal_length,
+        distance=c.render.distance,
+        renders_at_once=c.render.renders_at_once,
+        seed=c.seed,
+    )
+
+
+def make_network(config: ml_collections.ConfigDict) -> ShapePoseNetwork:
+    """The network; what is not learned has no parameters."""
+    return ShapePoseNetwork(
+        num_points=config.render.num_points,
+        num_candidates=0 if config.pose.known else config.pose.candidates,
+        channels=config.network.channels,
+        hidden=config.network.hidden,
+        shape_hidden=config.network.shape_hidden,
+        normalize=config.network.normalize,
+        has_color=config.train.color_weight > 0,
+        spread_poses=config.pose.spread,
+    )
+
+
+def make_data_specs(config: ml_collections.ConfigDict) -> dict[str, DataSpec]:
+    """Specifications of the splits "train", "val" and "test"."""
+    d, r = config.data, config.render
+    shared = {
+        "category": config.category,
+        "seed": d.seed,
+        "views": d.views,
+        "image_size": d.image_size,
+        "focal_length": r.focal_length,
+        "distance": r.distance,
+        "surface_points": d.surface_points,
+    }
+    counts = {"train": d.models, "val": d.val_models, "test": d.test_models}
+    if not d.meshes:
+        specs = {
+            split: DataSpec(split=split, models=count, **shared)
+            for split, count in counts.items()
+        }
+    else:
+        fractions = (0.9, 0.1, 0.0) if d.test_meshes else (0.8, 0.1, 0.1)
+        stretch = {"copies": d.copies, "scale_amount": d.stretch}
+        specs = {
+            split: DataSpec(
+                split=split,
+                folder=d.meshes,
+                fractions=fractions,
+                **(stretch if split == "train" else {}),
+                **shared,
+            )
+            for split in ("train", "val", "test")
+        }
+    if d.test_meshes:
+        specs["test"] = DataSpec(
+            split="test", folder=d.test_meshes, fractions=(0, 0, 1), **shared
+        )
+    return specs
+
+
+def make_intervals(config: ml_collections.ConfigDict) -> Intervals:
+    """Steps between log lines, validations and checkpoints."""
+    log = config.log
+    return Intervals(log.every, log.evaluate, log.checkpoint)

@@ -1,0 +1,49 @@
+"""Train, evaluate and report: python -m dpc_jax.main --config=configs/car.py
+
+Starting again in the same workdir goes on from its last checkpoint.
+"""
+
+import sys
+
+from absl import app, flags
+from ml_collections import config_flags
+
+from dpc_jax import run
+
+_CONFIG = config_flags.DEFINE_config_file(
+    "config", None, "Path of a config, for example configs/car.py or configs/car.py:paper."
+)
+_WORKDIR = flags.DEFINE_string(
+    "workdir", None, "Folder of the run; runs/NAME-seedN where not given."
+)
+
+
+def _parse(argv):
+    """Parse the flags; what cannot be parsed is the user's to mend, in one sentence."""
+    try:
+        rest = flags.FLAGS(argv)
+        if len(rest) > 1:
+            raise ValueError(
+                f"Expected only flags, but {' '.join(rest[1:])} came; write for example "
+                "--config=configs/car.py."
+            )
+        if _CONFIG.value is None:
+            raise ValueError(
+                "Expected a config, but none came; write for example "
+                "--config=configs/car.py."
+            )
+        return rest
+    except (flags.Error, AttributeError, KeyError, TypeError, ValueError, OSError) as e:
+        message = e.args[0] if e.args else repr(e)
+        print(f"Error: {message}", file=sys.stderr)
+        sys.exit(2)
+
+
+def main(_):
+    """Hand the parsed flags to the run."""
+    path = config_flags.get_config_filename(flags.FLAGS["config"])
+    sys.exit(run.run_guarded(_CONFIG.value, config_path=path, workdir=_WORKDIR.value))
+
+
+if __name__ == "__main__":
+    app.run(main, flags_parser=_parse)

@@ -1,0 +1,299 @@
+"""One run from config to report: data, training, evaluation, report."""
+
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import ml_collections
+import numpy as np
+
+from dpc_jax import configuration
+from dpc_jax.data import load_or_render
+from dpc_jax.evaluation import candidates as candidate_use
+from dpc_jax.evaluation.alignment import align_points, identity_alignment
+from dpc_jax.learning import evaluator, loop
+from dpc_jax.learning.checkpoints import Checkpoints
+from dpc_jax.learning.log import MetricLog
+from dpc_jax.learning.step import init_state
+from dpc_jax.reporting.examples import Example
+from dpc_jax.reporting.files import write_text
+from dpc_jax.reporting.page import write_report
+
+EXAMPLES = 8  # test inputs shown in the report
+
+
+def run_guarded(config, *, config_path: str, workdir: str | None) -> int:
+    """`run`, with expected failures as one sentence and an exit status."""
+    try:
+        run(config, config_path=config_path, workdir=workdir)
+    except (ValueError, OSError, loop.NonFiniteError) as error:
+        if os.environ.get("DPC_JAX_TRACEBACK"):
+            raise
+        print(f"Error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("Interrupted; start again in the same workdir to go on.", file=sys.stderr)
+        return 130
+    return 0
+
+
+def run(config: ml_collections.ConfigDict, *, config_path: str, workdir: str | None):
+    """Train where that is left to do, then evaluate on the test split and report.
+
+    Args:
+      config: see `configuration.default_config`.
+      config_path: file it came from, for the default workdir's name.
+      workdir: folder of the run; runs/NAME-seedN where None.
+
+    Raises:
+      ValueError: for a config that cannot work, or a workdir made by another one.
+      OSError: where the workdir cannot be written.
+      loop.NonFiniteError: where training breaks.
+    """
+    configuration.validate(config)
+    if workdir is None:
+        parts = (Path(config_path).stem, config.variant, f"seed{config.seed}")
+        workdir = Path("runs") / "-".join(p for p in parts if p)
+    workdir = _claim_workdir(Path(workdir), config)
+    print(f"Workdir: {workdir}", flush=True)
+
+    started = time.monotonic()
+    settings = configuration.make_settings(config)
+    network = configuration.make_network(config)
+    sets = {
+        split: load_or_render(
+            spec,
+            cache_dir=config.data.cache_dir,
+            processes=config.data.processes or None,
+        )
+        for split, spec in configuration.make_data_specs(config).items()
+    }
+    if settings.models_per_batch > len(sets["train"].names):
+        raise ValueError(
+            f"A batch of train.models_per_batch = {settings.models_per_batch} models "
+            f"was asked for, but {len(sets['train'].names)} can be trained on; set "
+            "--config.train.models_per_batch lower or add mesh files."
+        )
+    data_seconds = time.monotonic() - started
+
+    predictor = evaluator.make_predictor(network, settings)
+
+    def predict(state, split):
+        return evaluator.predict_all(
+            predictor, state.params, int(state.step), sets[split]
+        )
+
+    def align(predictions):
+        if config.pose.known:
+            return identity_alignment()
+        return evaluator.align(predictions, sets["val"])
+
+    def evaluate(state):
+        predictions = predict(state, "val")
+        result, _ = evaluator.score(
+            predictions,
+            sets["val"],
+            alignment=align(predictions),
+            num_candidates=settings.num_candidates,
+            chamfer_views=1,
+        )
+        return result.metrics
+
+    checkpoints = Checkpoints(workdir / "checkpoints")
+    log = MetricLog(workdir / "metrics.jsonl")
+    state = init_state(network, settings, image_size=config.data.image_size)
+    restored = checkpoints.restore(state)
+    seconds = 0.0
+    if restored is not None:
+        state, seconds = restored.state, restored.seconds
+        for step in restored.damaged:
+            print(f"The checkpoint of step {step} is damaged; the one before is used.")
+        if restored.damaged:
+            checkpoints.set_aside(restored.damaged)
+        print(f"Going on from the checkpoint of step {int(state.step)}.", flush=True)
+        log.cut_after(int(state.step))
+
+    outcome = loop.Outcome(state, seconds, True)
+    if int(state.step) < settings.steps:
+        with _StopSignal() as stop:
+            outcome = loop.train(
+                state,
+                sets["train"],
+                network=network,
+                settings=settings,
+                intervals=configuration.make_intervals(config),
+                checkpoints=checkpoints,
+                log=log,
+                evaluate=evaluate,
+                should_stop=stop.is_set,
+                seconds=seconds,
+                title=f"Training {workdir.name}",
+            )
+    checkpoints.close()
+    if not outcome.is_finished:
+        print(
+            f"Stopped and saved at step {int(outcome.state.step)}; start again in the "
+            "same workdir to go on."
+        )
+        return
+    _report(
+        workdir,
+        config,
+        sets,
+        outcome,
+        predictions=predict(outcome.state, "test"),
+        alignment=align(predict(outcome.state, "val")),
+        records=log.read(),
+        data_seconds=data_seconds,
+        num_candidates=settings.num_candidates,
+    )
+
+
+def _report(
+    workdir,
+    config,
+    sets,
+    outcome,
+    *,
+    predictions,
+    alignment,
+    records,
+    data_seconds,
+    num_candidates,
+):
+    """Score the test split and write WORKDIR/report."""
+    test = sets["test"]
+    result, shares = evaluator.score(
+        predictions, test, alignment=alignment, num_candidates=num_candidates
+    )
+    metrics = result.metrics | {
+        "train_seconds": round(outcome.seconds, 1),
+        "data_seconds": round(data_seconds, 1),
+        "steps": int(outcome.state.step),
+        "train_models": len(sets["train"].names),
+        "test_models": len(test.names),
+        "candidates_alive": candidate_use.count_alive(shares),
+        "alignment_inlier_share": alignment.inlier_share,
+    }
+    warnings = []
+    if num_candidates > 1:
+        warning = candidate_use.collapse_warning(shares)
+        warnings += [warning] if warning else []
+    skipped = [s for split in sets.values() for s in split.skipped]
+    if skipped:
+        named = "; ".join(f"{name}: {reason}" for name, reason in skipped[:10])
+        warnings.append(f"{len(skipped)} meshes were skipped ({named}).")
+    path = write_report(
+        workdir / "report",
+        title=f"dpc_jax: {workdir.name}",
+        metrics=metrics,
+        records=records,
+        examples=_make_examples(predictions, test, alignment, result),
+        pose_errors=result.pose_errors_deg,
+        shares=shares if num_candidates > 1 else None,
+        warnings=warnings,
+        config_text=str(config),
+    )
+    for warning in warnings:
+        print(f"Warning: {warning}")
+    print(
+        f"Test: pose accuracy {metrics['pose_accuracy']:.3f}, median error "
+        f"{metrics['pose_median_error_deg']:.1f}°, Chamfer {metrics['chamfer']:.2f} "
+        f"after {outcome.seconds:.0f} s of training."
+    )
+    print(f"Report: {path}")
+
+
+def _make_examples(predictions, dataset, alignment, result) -> list[Example]:
+    """The first views of test models spread over the split."""
+    count = min(EXAMPLES, len(dataset.names))
+    examples = []
+    for model in np.linspace(0, len(dataset.names) - 1, count).astype(int):
+        colors = predictions.colors
+        examples.append(
+            Example(
+                name=dataset.names[model],
+                image=np.asarray(dataset.images[model, 0]),
+                target=np.asarray(dataset.masks[model, 0]) / 255,
+                predicted=predictions.silhouettes[model, 0],
+                points=align_points(alignment, predictions.points[model, 0]),
+                colors=None if colors is None else colors[model, 0],
+                pose_error_deg=float(result.pose_errors_deg[model, 0]),
+                surface=np.asarray(dataset.surfaces[model]),
+            )
+        )
+    return examples
+
+
+def _claim_workdir(workdir: Path, config: ml_collections.ConfigDict) -> Path:
+    """Make the workdir and write its config, or check that it is this config's.
+
+    Raises:
+      ValueError: where another config made it.
+      OSError: where it cannot be written.
+    """
+    try:
+        workdir.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(
+            f"The workdir {workdir} cannot be made ({error.strerror}); give a folder "
+            "that can be written with --workdir=DIR."
+        ) from None
+    if not os.access(workdir, os.W_OK):
+        raise OSError(
+            f"The workdir {workdir} cannot be written; give another with --workdir=DIR."
+        )
+    path = workdir / "config.json"
+    fields = _flatten(json.loads(config.to_json()))
+    if path.exists():
+        old = _flatten(json.loads(path.read_text(encoding="utf-8")))
+        differing = sorted(
+            name
+            for name in fields.keys() | old.keys()
+            if fields.get(name) != old.get(name)
+            and not name.startswith(configuration.FREE_FIELDS)
+        )
+        if differing:
+            listed = ", ".join(
+                f"{n} ({old.get(n)!r} there, {fields.get(n)!r} now)" for n in differing
+            )
+            raise ValueError(
+                f"The workdir {workdir} was made by another config, which differs in "
+                f"{listed}; give another --workdir=DIR or the old values."
+            )
+    write_text(path, json.dumps(json.loads(config.to_json()), indent=2) + "\n")
+    return workdir
+
+
+def _flatten(tree: dict, prefix: str = "") -> dict:
+    """Nested dictionaries to one with dotted names."""
+    flat = {}
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            flat |= _flatten(value, f"{prefix}{name}.")
+        else:
+            flat[prefix + name] = value
+    return flat
+
+
+class _StopSignal:
+    """Turns SIGTERM into a flag, so that a run saves before it ends."""
+
+    def __init__(self):
+        self._is_set = False
+
+    def is_set(self) -> bool:
+        return self._is_set
+
+    def __enter__(self):
+        def handle(*_):
+            self._is_set = True
+
+        self._before = signal.signal(signal.SIGTERM, handle)
+        return self
+
+    def __exit__(self, *_):
+        signal.signal(signal.SIGTERM, self._before)
