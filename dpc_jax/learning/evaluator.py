@@ -49,7 +49,7 @@ def make_predictor(network: ShapePoseNetwork, settings: Settings):
         output = network.apply(params, scale_images(images))
         sigma = schedules.compute_sigma(step, settings)
         mass = compute_mass(output["scale"], sigma, settings)
-        targets = losses.downsample_masks(masks, settings.grid)
+        targets = losses.downsample_images(masks, settings.grid)
         candidates = output.get("candidates", quaternions[:, None])
         poses = output.get("student", quaternions)
 

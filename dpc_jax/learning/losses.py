@@ -26,10 +26,10 @@ def student_loss(student: chex.Array, teacher: chex.Array) -> chex.Array:
     return 1 - jnp.where(cosine >= 0, cosine, -cosine)
 
 
-def downsample_masks(masks: chex.Array, size: int) -> chex.Array:
-    """Average masks [..., S, S] of 0..255 over blocks, to [..., size, size] in [0, 1]."""
-    factor = masks.shape[-1] // size
-    blocks = masks.astype(jnp.float32).reshape(
-        *masks.shape[:-2], size, factor, size, factor
+def downsample_images(images: chex.Array, size: int) -> chex.Array:
+    """Average bytes [..., S, S] over blocks of pixels, to [..., size, size] in [0, 1]."""
+    factor = images.shape[-1] // size
+    blocks = images.astype(jnp.float32).reshape(
+        *images.shape[:-2], size, factor, size, factor
     )
     return jnp.mean(blocks, axis=(-3, -1)) / 255

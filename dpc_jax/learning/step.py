@@ -125,7 +125,7 @@ def compute_loss(
         {k: v for k, v in shape.items() if k != "scale"},
     )
     mass = compute_mass(shape["scale"], sigma, settings)
-    targets = losses.downsample_masks(batch["masks"], settings.grid)
+    targets = losses.downsample_images(batch["masks"], settings.grid)
     metrics = {"scale": jnp.mean(shape["scale"])}
 
     if settings.num_candidates:
@@ -142,24 +142,46 @@ def compute_loss(
     else:
         poses = batch["quaternions"]
 
+    has_color = settings.color_weight > 0
+    signals = ("silhouette", "color") if has_color else ("silhouette",)
+
     def render(view):
-        points, view_mass, rotation = view
+        points, view_mass, rotation, colors = view
         return project(
-            points, rotation, sigma=sigma, scale=view_mass, camera=camera, grid=grid
-        ).silhouette
+            points,
+            rotation,
+            sigma=sigma,
+            scale=view_mass,
+            colors=colors,
+            camera=camera,
+            grid=grid,
+            signals=signals,
+        )
 
     def per_view(array):
-        return jnp.repeat(array, views, axis=0)
+        return None if array is None else jnp.repeat(array, views, axis=0)
 
-    silhouettes = map_renders(
+    images_seen = map_renders(
         render,
-        (per_view(kept["points"]), per_view(mass), poses.reshape(-1, 4)),
+        (
+            per_view(kept["points"]),
+            per_view(mass),
+            poses.reshape(-1, 4),
+            per_view(kept.get("colors")),
+        ),
         at_once=settings.renders_at_once,
     )
-    reprojection = losses.reprojection_loss(
-        silhouettes, targets.reshape(silhouettes.shape)
-    ) / (batch_size * views)
-    metrics["reprojection"] = loss = reprojection
+
+    def compare(predicted, target):
+        target = target.reshape(predicted.shape)
+        return losses.reprojection_loss(predicted, target) / (batch_size * views)
+
+    loss = metrics["reprojection"] = compare(images_seen.silhouette, targets)
+    if has_color:
+        channels = jnp.moveaxis(batch["images"], -1, 2)
+        colors = losses.downsample_images(channels, settings.grid)
+        metrics["color"] = compare(images_seen.color, jnp.moveaxis(colors, 2, -1))
+        loss = loss + settings.color_weight * metrics["color"]
     if settings.num_candidates > 1:
         student = jnp.mean(
             jax.vmap(losses.student_loss)(pose["student"], poses.reshape(-1, 4))

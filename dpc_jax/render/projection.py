@@ -93,30 +93,32 @@ def project(
     if tuple(signals) == ("silhouette",):
         return Projection(silhouette=termination.opacity(occupancy))
 
-    probability, background = termination.termination_probabilities(occupancy)
+    reached, background = termination.transmittance(occupancy)
     silhouette = depth = color = None
     if "silhouette" in signals:
         silhouette = termination.opacity(occupancy)
     if "depth" in signals:
-        depth = probability @ grid.depths(camera, dtype) + background * jnp.asarray(
+        depth = (occupancy * reached) @ grid.depths(camera, dtype) + background * jnp.asarray(
             background_depth, dtype
         )
     if "color" in signals:
         color = _project_colors(
-            coordinates, mass, jnp.asarray(colors, dtype), sigma, density, probability
+            coordinates, mass, jnp.asarray(colors, dtype), sigma, density, reached
         ) + background[..., None] * jnp.asarray(background_color, dtype)
     return Projection(silhouette=silhouette, depth=depth, color=color)
 
 
-def _project_colors(coordinates, mass, colors, sigma, density, probability):
-    """Σ_k r_k·y_k with y = Σ y_i f_i / Σ f_i; 0·y where no density reaches a cell."""
-    shape = density.shape
-    is_empty = density <= 0
-    inverse = jnp.where(is_empty, 0, probability / jnp.where(is_empty, 1, density))
+def _project_colors(coordinates, mass, colors, sigma, density, reached):
+    """Σ_k r_k·y_k with y = Σ y_i f_i / Σ f_i.
 
+    With o = clip(Σ f_i), o·y is Σ y_i f_i below the clip and y above it: no division by
+    a density that may be as small as floats go.
+    """
+    shape = density.shape
+    weight = reached / jnp.where(density > 1, density, 1)
     channels = [
         jnp.sum(
-            inverse
+            weight
             * smoothing.smooth(
                 splatting.splat(coordinates, mass * channel, shape), sigma
             ),

@@ -73,6 +73,20 @@ def _opacity_backward(occupancy, cotangent):
 opacity.defvjp(_opacity_forward, _opacity_backward)
 
 
+def transmittance(occupancy: chex.Array) -> tuple[chex.Array, chex.Array]:
+    """Probability that a ray reaches each cell, Π_{u<k}(1 - o_u).
+
+    Args:
+      occupancy: [..., D] in [0, 1], nearest cell first.
+
+    Returns:
+      ([..., D], and [...] the probability that it passes them all, the background's).
+    """
+    passed = jnp.cumprod(1 - occupancy, axis=-1)
+    before = jnp.concatenate([jnp.ones_like(passed[..., :1]), passed[..., :-1]], -1)
+    return before, passed[..., -1]
+
+
 def termination_probabilities(occupancy: chex.Array) -> tuple[chex.Array, chex.Array]:
     """Probability that a ray ends in each cell, r_k = o_k·Π_{u<k}(1 - o_u).
 
@@ -83,6 +97,5 @@ def termination_probabilities(occupancy: chex.Array) -> tuple[chex.Array, chex.A
       ([..., D] probabilities, [...] background Π(1 - o_u)); they are non-negative and
       sum to one.
     """
-    passed = jnp.cumprod(1 - occupancy, axis=-1)
-    before = jnp.concatenate([jnp.ones_like(passed[..., :1]), passed[..., :-1]], -1)
-    return occupancy * before, passed[..., -1]
+    before, background = transmittance(occupancy)
+    return occupancy * before, background

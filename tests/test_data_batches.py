@@ -1,0 +1,78 @@
+"""Batches are a pure function of sizes, seed and step."""
+
+import numpy as np
+import pytest
+
+from dpc_jax.data import batches
+from dpc_jax.data.dataset import DataSet
+
+
+def choose(step, *, models=10, batch=4, seed=0, views=5, views_per_batch=3):
+    return batches.choose_batch(
+        models, views, seed=seed, step=step, models_per_batch=batch,
+        views_per_batch=views_per_batch,
+    )  # fmt: skip
+
+
+def test_a_step_can_be_replayed_in_any_order():
+    forward = [choose(step) for step in range(30)]
+    batches._epoch_order.cache_clear()
+    for step in reversed(range(30)):
+        for found, expected in zip(choose(step), forward[step], strict=True):
+            np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("models, batch", [(10, 4), (10, 10), (7, 5), (9, 1), (13, 12)])
+def test_every_model_comes_once_per_epoch_and_once_per_batch(models, batch):
+    steps = 3 * models
+    drawn = [choose(step, models=models, batch=batch)[0] for step in range(steps)]
+    for chosen in drawn:
+        assert len(set(chosen.tolist())) == batch
+    for epoch in np.concatenate(drawn).reshape(-1, models):
+        assert sorted(epoch) == list(range(models))
+
+
+def test_epochs_steps_and_seeds_differ():
+    orders = [np.concatenate([choose(2 * e + i, batch=5)[0] for i in (0, 1)])
+              for e in range(4)]  # fmt: skip
+    assert len({tuple(order) for order in orders}) == 4
+    assert (choose(0)[0] != choose(0, seed=1)[0]).any()
+    assert len({choose(step)[1].tobytes() for step in range(20)}) == 20
+
+
+def test_views_are_drawn_without_replacement_and_evenly():
+    counts = np.zeros(5)
+    for step in range(500):
+        views = choose(step)[1]
+        assert views.shape == (4, 3)
+        assert all(len(set(row.tolist())) == 3 for row in views)
+        counts += np.bincount(views.ravel(), minlength=5)
+    # 2000 rows, each view in 0.6 of them: standard deviation 22; five of them
+    assert np.abs(counts - 1200).max() < 110
+
+
+def test_a_caller_may_write_into_its_batch():
+    models, _ = choose(0)
+    models[:] = -1
+    assert (choose(0)[0] >= 0).all()
+
+
+@pytest.mark.parametrize("batch, views", [(11, 3), (0, 3), (4, 6), (4, 0)])
+def test_a_batch_larger_than_the_data_is_refused(batch, views):
+    with pytest.raises(ValueError, match="must lie in"):
+        choose(0, batch=batch, views_per_batch=views)
+
+
+def test_reading_picks_each_model_with_its_own_views():
+    tags = np.arange(6)[:, None] * 10 + np.arange(4)
+    spread = np.broadcast_to(tags[..., None, None], (6, 4, 2, 2)).astype(np.uint8)
+    data = DataSet(
+        images=np.repeat(spread[..., None], 3, axis=-1), masks=spread, depths=spread,
+        quaternions=np.repeat(tags[..., None], 4, -1).astype(np.float32),
+        surfaces=np.zeros((6, 1, 3)), names=(), skipped=(),
+    )  # fmt: skip
+    batch = batches.read_batch(data, [4, 1], [[3, 0], [2, 1]])
+    np.testing.assert_array_equal(batch["masks"][:, :, 0, 0], [[43, 40], [12, 11]])
+    np.testing.assert_array_equal(batch["images"][:, :, 1, 1, 2], [[43, 40], [12, 11]])
+    np.testing.assert_array_equal(batch["quaternions"][..., 3], [[43, 40], [12, 11]])
+    assert batch["images"].dtype == np.uint8 and type(batch["images"]) is np.ndarray
