@@ -44,6 +44,7 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     n.channels = 16  # of the first convolution (released code)
     n.hidden = 512  # units of the encoder's and pose branches' dense layers
     n.shape_hidden = 512  # units of the shape branch's hidden layer
+    n.student_width = 256  # units of the student's own layers (the paper's heads: 32)
     n.normalize = True  # features of a sample after each encoder layer
 
     c.render = r = ml_collections.ConfigDict()
@@ -54,7 +55,7 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     r.keep_start = 0.1  # share of points not dropped (§ Training details)
     r.keep_end = 1.0
     r.keep_levels = 4  # stairs of that schedule; each is compiled once
-    r.scale_unit = "peak"  # learned scale: "peak" density or "mass" in voxels
+    r.scale_unit = "mass"  # learned scale: "peak" density or "mass" in voxels
     r.focal_length = 1.875  # of an image 1 wide
     r.distance = 2.0  # from camera to object, in box diagonals
     r.renders_at_once = 1  # views rendered side by side; 0 for all (GPU)
@@ -64,7 +65,7 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     p.candidates = 4  # K heads of the ensemble (§ distilled ensemble)
     p.spread = True  # start the heads at rotations spread over SO(3)
     p.flips = False  # also try each head turned by 180° about the principal axes
-    p.tie_break = 0.0  # lean of the choice towards the student's pose
+    p.tie_break = 0.0  # lean of the choice towards the student's pose, at the end
     p.search = 64  # rotations over SO(3) that compete with the heads at first
     p.search_until = 0.5  # share of the run with that search
     p.student_competes = True  # the student's own pose is a candidate too
@@ -81,6 +82,8 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     t.warmup_steps = 200  # linear
     t.final_rate = 0.02  # share of the peak that the cosine decay ends at
     t.weight_decay = 0.0  # decoupled
+    t.repulsion_weight = 0.05  # of the points' repulsion, at its end; 0 for none
+    t.repulsion_points = 500  # of a cloud, that repel each other in a step
     t.color_weight = 0.0  # of the colour loss per pixel; 0 learns no colour
 
     c.log = ml_collections.ConfigDict()
@@ -112,7 +115,7 @@ def apply_variant(config: ml_collections.ConfigDict, variant: str | None):
     if variant == "paper":
         # § Training details and § Network architecture, at 64 pixels.
         config.data.update(models=5247, val_models=750, test_models=1500)
-        config.network.update(hidden=1024, shape_hidden=1024, normalize=False)
+        config.network.update(hidden=1024, shape_hidden=1024, student_width=32, normalize=False)
         config.render.update(grid=64, num_points=8000, keep_levels=32)
         config.pose.update(
             candidates=4,
@@ -125,7 +128,8 @@ def apply_variant(config: ml_collections.ConfigDict, variant: str | None):
             choice_points=0,
         )
         config.train.update(
-            steps=600_000, learning_rate=1e-4, warmup_steps=0, final_rate=1.0
+            steps=600_000, learning_rate=1e-4, warmup_steps=0, final_rate=1.0,
+            repulsion_weight=0.0
         )
         config.log.update(every=500, evaluate=20_000, checkpoint=5000)
     return config
@@ -237,6 +241,8 @@ def make_settings(config: ml_collections.ConfigDict) -> Settings:
         warmup_steps=c.train.warmup_steps,
         final_rate=c.train.final_rate,
         weight_decay=c.train.weight_decay,
+        repulsion_weight=c.train.repulsion_weight,
+        repulsion_points=c.train.repulsion_points,
         color_weight=c.train.color_weight,
         focal_length=c.render.focal_length,
         distance=c.render.distance,
@@ -254,6 +260,7 @@ def make_network(config: ml_collections.ConfigDict) -> ShapePoseNetwork:
         hidden=config.network.hidden,
         shape_hidden=config.network.shape_hidden,
         normalize=config.network.normalize,
+        student_width=config.network.student_width,
         has_color=config.train.color_weight > 0,
         spread_poses=config.pose.spread,
     )

@@ -25,7 +25,8 @@ def test_shapes_are_centred_with_a_box_diagonal_of_one(category):
         assert np.isfinite(mesh.vertices).all()
         assert mesh.area_faces.min() > 0
         assert 80 < len(mesh.faces) < 2000
-        assert len(np.unique(mesh.visual.face_colors, axis=0)) >= 2
+        colors = np.unique(mesh.visual.face_colors, axis=0)
+        assert len(colors) >= (1 if category == "chair" else 3)  # wholly wooden chairs
 
 
 @pytest.mark.parametrize("category", procedural.CATEGORIES)
@@ -62,18 +63,17 @@ def test_cars_have_the_proportions_of_cars():
     assert np.ptp(height / length) > 0.15  # from sports car to van
 
 
-def test_a_car_shows_white_lamps_in_front_and_red_ones_at_the_rear():
-    def red_share(image):
-        red, green, blue = np.moveaxis(image.astype(int), -1, 0)
-        return ((red > 60) & (red > 3 * green) & (red > 3 * blue)).sum()
+def test_a_car_shows_red_lamps_at_the_rear_and_none_in_front():
+    def count_red(seed, azimuth):
+        image = see("car", seed, azimuth, size=96).image.astype(int)
+        red, green, blue = np.moveaxis(image, -1, 0)
+        return ((red > 50) & (red > 3 * green) & (red > 3 * blue)).sum()
 
-    grey = 0  # a dark car: its own paint counts for nothing
-    for seed in range(40):
-        if red_share(see("car", seed, np.pi / 2).image) < 6:
-            grey += 1
-            assert red_share(see("car", seed, np.pi).image) > 5
-            assert red_share(see("car", seed, 0.0).image) < 6
-    assert grey > 10
+    others = [s for s in range(24) if count_red(s, np.pi / 2) < 12]  # not painted red
+    assert len(others) > 10
+    for seed in others:
+        assert count_red(seed, np.pi) > 12
+        assert count_red(seed, 0.0) < 12
 
 
 def test_chairs_have_their_back_at_the_back_and_airplanes_their_fin():

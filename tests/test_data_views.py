@@ -121,7 +121,9 @@ def test_rotations_are_those_of_scipy():
         assert quaternion[0] >= 0
 
 
-@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 2, 3)])
+@pytest.mark.parametrize(
+    "axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 2, 3)]
+)
 @pytest.mark.parametrize("less", [0.0, 1e-7])
 def test_half_turns_keep_their_digits_as_quaternions(axis, less):
     axis = np.array(axis) / np.linalg.norm(axis)
@@ -234,14 +236,18 @@ def test_surface_points_lie_on_the_surface_in_proportion_to_area():
     z = points[big, 2] / 0.4
     assert abs(z.mean()) < 5 * 0.58 / np.sqrt(big.sum())
     assert abs((z**2).mean() - 1 / 3) < 5 * 0.3 / np.sqrt(big.sum())
-    np.testing.assert_array_equal(points, views.sample_surface(box, count=20_000, seed=3))
+    np.testing.assert_array_equal(
+        points, views.sample_surface(box, count=20_000, seed=3)
+    )
     assert (points != views.sample_surface(box, count=20_000, seed=4)).any()
 
 
 def test_a_mesh_without_faces_or_area_is_refused():
     with pytest.raises(ValueError, match="faces"):
         views.build_scene(trimesh.Trimesh())
-    line = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], process=False)
+    line = trimesh.Trimesh(
+        [[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], process=False
+    )
     with pytest.raises(ValueError, match="area"):
         views.sample_surface(line)
     with pytest.raises(ValueError, match="at least 1"):

@@ -29,13 +29,13 @@ def choose_batch(
     """
     if not 1 <= models_per_batch <= num_models:
         raise ValueError(
-            f"models_per_batch must lie in [1, {num_models}], the number of models, got "
-            f"{models_per_batch}; make the batch smaller or add models."
+            f"models_per_batch must lie in [1, {num_models}], the number of models, "
+            f"got {models_per_batch}; make the batch smaller or add models."
         )
     if not 1 <= views_per_batch <= num_views:
         raise ValueError(
-            f"views_per_batch must lie in [1, {num_views}], the number of views rendered "
-            f"per model, got {views_per_batch}; use fewer or render more views."
+            f"views_per_batch must lie in [1, {num_views}], the number of views "
+            f"rendered per model, got {views_per_batch}; use fewer or render more views."
         )
     epoch, place = divmod(step * models_per_batch, num_models)
     stop = place + models_per_batch

@@ -1,11 +1,11 @@
 """A data set on disk: rendered once, kept under a key of everything that made it.
 
-A cache folder holds one `.npy` file per array and `spec.json`, written under a temporary
-name and renamed when whole; what bears the final name is complete.
+A cache folder holds one `.npy` file per array and `spec.json`, written under a
+temporary name and renamed when whole; what bears the final name is complete.
 """
 
-import json
 import hashlib
+import json
 import os
 import shutil
 import socket
@@ -69,7 +69,9 @@ def load_or_render(spec, *, cache_dir, processes=None, progress=True):
             print(f"The cache {folder} is damaged ({error}); rendering again.")
     folder.parent.mkdir(parents=True, exist_ok=True)
     _remove_leftovers(folder)
-    partial = folder.with_name(f"{folder.name}.{socket.gethostname()}.{os.getpid()}.tmp")
+    partial = folder.with_name(
+        f"{folder.name}.{socket.gethostname()}.{os.getpid()}.tmp"
+    )
     try:
         partial.mkdir()
         _render(partial, spec, sources, record, processes=processes, progress=progress)
@@ -175,7 +177,7 @@ def _publish(partial, folder):
 
 
 def _remove_leftovers(folder):
-    """Removes what a process of this machine left when it was killed while rendering."""
+    """Removes what a process of this machine left when killed while rendering."""
     host = socket.gethostname()
     for path in folder.parent.glob(f"{folder.name}.{host}.*"):
         pid = path.name.split(".")[-2]
@@ -208,7 +210,9 @@ def read_cache(folder):
     for name, (shape, dtype, checksum) in record["arrays"].items():
         path = folder / f"{name}.npy"
         if not path.is_file() or _checksum(path) != checksum:
-            raise ValueError(f"expected {path} as it was written, it is missing or changed")
+            raise ValueError(
+                f"expected {path} as it was written, it is missing or changed"
+            )
         arrays[name] = np.load(path, mmap_mode="r")
         if arrays[name].shape != tuple(shape) or arrays[name].dtype != dtype:
             raise ValueError(

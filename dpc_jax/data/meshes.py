@@ -20,13 +20,15 @@ def find_meshes(folder):
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise ValueError(f"expected a folder of mesh files, {folder} is none; check it.")
+        raise ValueError(
+            f"expected a folder of mesh files, {folder} is none; check it."
+        )
     found = (path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
     paths = sorted(path for path in found if path.is_file())
     if not paths:
         raise ValueError(
-            f"expected mesh files ({', '.join(SUFFIXES)}) in {folder}, found none; give "
-            "another folder or convert the files."
+            f"expected mesh files ({', '.join(SUFFIXES)}) in {folder}, found none; "
+            "give another folder or convert the files."
         )
     return paths
 
@@ -132,7 +134,8 @@ def normalize(mesh):
     diagonal = float(np.linalg.norm(high - low))
     if not diagonal > 0:
         raise ValueError(
-            f"expected a mesh with an extent, got a box diagonal of {diagonal}; skip it."
+            f"expected a mesh with an extent, got a box diagonal of {diagonal}; "
+            "skip it."
         )
     return _with_vertices(mesh, (vertices - (low + high) / 2) / diagonal)
 

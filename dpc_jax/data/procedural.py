@@ -27,8 +27,8 @@ def make_shape(category, seed):
     """
     if category not in MAKERS:
         raise ValueError(
-            f"category must be one of {', '.join(CATEGORIES)}, got {category!r}; choose "
-            "one of these or give a folder of meshes."
+            f"category must be one of {', '.join(CATEGORIES)}, got {category!r}; "
+            "choose one of these or give a folder of meshes."
         )
     rng = np.random.default_rng([seed, CATEGORIES.index(category)])
     return meshes.normalize(MAKERS[category](rng))

@@ -1,69 +1,19 @@
 """Procedural airplanes of four kinds, in metres, z up, nose towards +x."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from . import procedural_parts as parts
-
-KINDS = ("airliner", "bizjet", "light", "fighter")
-KIND_SHARES = (0.4, 0.2, 0.2, 0.2)
-
-
-class Plan(NamedTuple):
-    """Measures of one airplane, all in fuselage lengths (the mesh is rescaled)."""
-
-    kind: str
-    radius: float  # of the fuselage
-    span: float  # half span
-    root: float  # chord of the wing at the fuselage
-    taper: float  # tip chord / root chord
-    sweep: float  # run of the leading edge per half span
-    dihedral: float  # rise per half span
-    place: float  # leading edge at the root, share of the length from the nose
-    height: float  # of the wing, in fuselage radii
-    body: tuple
-    accent: tuple
-
-
-def draw_plan(rng):
-    """Draws the kind and the measures of an airplane."""
-    kind = str(rng.choice(KINDS, p=KIND_SHARES))
-    ranges = {
-        "airliner": dict(radius=(0.046, 0.066), span=(0.42, 0.54), root=(0.16, 0.22),
-                         taper=(0.22, 0.35), sweep=(0.45, 0.65), dihedral=(0.06, 0.12),
-                         place=(0.34, 0.40), height=(-0.7, -0.4)),
-        "bizjet": dict(radius=(0.05, 0.065), span=(0.38, 0.52), root=(0.15, 0.2),
-                       taper=(0.3, 0.45), sweep=(0.2, 0.5), dihedral=(0.03, 0.08),
-                       place=(0.40, 0.47), height=(-0.8, -0.5)),
-        "light": dict(radius=(0.06, 0.085), span=(0.58, 0.75), root=(0.17, 0.23),
-                      taper=(0.6, 1.0), sweep=(-0.02, 0.08), dihedral=(0.02, 0.09),
-                      place=(0.24, 0.31), height=(-0.8, 0.95)),
-        "fighter": dict(radius=(0.045, 0.06), span=(0.28, 0.38), root=(0.34, 0.46),
-                        taper=(0.1, 0.3), sweep=(0.7, 1.0), dihedral=(-0.05, 0.04),
-                        place=(0.36, 0.44), height=(-0.3, 0.4)),
-    }[kind]  # fmt: skip
-    measures = {key: rng.uniform(*span) for key, span in ranges.items()}
-    if kind == "light":  # high or low wing, nothing between
-        measures["height"] = float(rng.choice([-0.75, 0.92]))
-    if kind == "fighter":
-        grey = rng.uniform(70, 170) * np.array([1.0, 1.0, rng.uniform(0.85, 1.1)])
-        body = tuple(int(c) for c in grey)
-    elif rng.uniform() < 0.65:
-        body = tuple(int(c) for c in rng.integers(185, 226) + rng.integers(-5, 6, 3))
-    else:
-        body = parts.draw_color(rng, saturation=(0.2, 0.9), value=(0.5, 0.9))
-    accent = parts.draw_color(rng, saturation=(0.6, 1.0), value=(0.3, 0.9))
-    return Plan(kind=kind, body=body, accent=accent, **measures)
+from .procedural_airplane_engines import make_engines, make_gear, wing_lead
+from .procedural_airplane_plans import draw_plan
 
 
 def make_airplane(rng):
     """Mesh of a random airplane (`trimesh.Trimesh`, one fuselage long)."""
     plan = draw_plan(rng)
     pieces = [*_make_fuselage(plan, rng), *_make_wings(plan), *_make_tail(plan, rng)]
-    pieces += _make_engines(plan, rng)
+    pieces += make_engines(plan, rng)
     if plan.kind == "light":
-        pieces += _make_gear(plan)
+        pieces += make_gear(plan)
     return parts.join(pieces)
 
 
@@ -104,15 +54,23 @@ def _make_fuselage(plan, rng):
 def _make_windows(plan):
     """A dark windscreen around the nose and a stripe of windows along each side."""
     r = plan.radius
-    pane = [(0.468, 0.16 * r, 0.44 * r), (0.432, 0.66 * r, 0.44 * r),
-            (0.428, 0.50 * r, 0.80 * r), (0.455, 0.14 * r, 0.68 * r)]
+    pane = [
+        (0.468, 0.16 * r, 0.44 * r),
+        (0.432, 0.66 * r, 0.44 * r),
+        (0.428, 0.50 * r, 0.80 * r),
+        (0.455, 0.14 * r, 0.68 * r),
+    ]
     low, high = 0.18 * r, 0.36 * r
     reach = 1.005 * r
-    stripe = [(0.36, reach, low), (-0.2, reach, low), (-0.2, 0.985 * r, high),
-              (0.36, 0.985 * r, high)]
-    return parts.mirror([
-        parts.panel(pane, color=parts.GLASS), parts.panel(stripe, color=plan.accent)
-    ])
+    stripe = [
+        (0.36, reach, low),
+        (-0.2, reach, low),
+        (-0.2, 0.985 * r, high),
+        (0.36, 0.985 * r, high),
+    ]
+    return parts.mirror(
+        [parts.panel(pane, color=parts.GLASS), parts.panel(stripe, color=plan.accent)]
+    )
 
 
 def _make_canopy(plan):
@@ -127,7 +85,11 @@ def _make_canopy(plan):
     ring = parts.circle(10)
     rings = [
         np.column_stack(
-            [np.full(len(ring), a), s * r * ring[:, 0], r * (base + tall * s * ring[:, 1])]
+            [
+                np.full(len(ring), a),
+                s * r * ring[:, 0],
+                r * (base + tall * s * ring[:, 1]),
+            ]
         )
         for a, s in zip(x, size, strict=True)
     ]
@@ -147,29 +109,25 @@ def _foil(lead, chord, *, color, thick=0.11, upright=False):
     return parts.loft(rings, color=color)
 
 
-def _wing_lead(plan, share):
-    """Leading edge of the wing at a share of the half span."""
-    return np.array([
-        0.5 - plan.place - share * plan.sweep * plan.span,
-        share * plan.span,
-        plan.height * plan.radius + share * plan.dihedral * plan.span,
-    ])
-
-
 def _make_wings(plan):
     thick = 0.05 if plan.kind == "fighter" else 0.12
     chords = np.array([1.0, plan.taper]) * plan.root
-    lead = [_wing_lead(plan, share) for share in (0.0, 1.0)]
+    lead = [wing_lead(plan, share) for share in (0.0, 1.0)]
     wing = [_foil(lead, chords, color=plan.body, thick=thick)]
     if plan.kind in ("airliner", "bizjet") and plan.taper > 0.28:  # winglet
         tip = lead[1]
         top = tip + [-0.045, 0.012, 0.05]
         wing.append(
-            _foil([tip, top], [chords[1], 0.5 * chords[1]], color=plan.accent,
-                  thick=0.1, upright=True)
+            _foil(
+                [tip, top],
+                [chords[1], 0.5 * chords[1]],
+                color=plan.accent,
+                thick=0.1,
+                upright=True,
+            )
         )
     if plan.kind == "light" and plan.height > 0:  # strut of a high wing
-        start = _wing_lead(plan, 0.45) - [0.35 * plan.root, 0, 0]
+        start = wing_lead(plan, 0.45) - [0.35 * plan.root, 0, 0]
         foot = np.array([start[0], 0.7 * plan.radius, -0.7 * plan.radius])
         wing.append(parts.tube(foot, start, 0.006, color=plan.accent, sides=6))
     return parts.mirror(wing)
@@ -188,12 +146,24 @@ def _make_tail(plan, rng):
     if twin:
         lean = rng.uniform(0.0, 0.35) * rise
         side = np.array([0.0, 0.85 * plan.radius, 0.0])
-        fin = _foil([start + side, tip + side + [0, lean, 0]], [chord, 0.45 * chord],
-                    color=plan.body, thick=0.07, upright=True)
+        fin = _foil(
+            [start + side, tip + side + [0, lean, 0]],
+            [chord, 0.45 * chord],
+            color=plan.body,
+            thick=0.07,
+            upright=True,
+        )
         pieces = parts.mirror([fin])
     else:
-        pieces = [_foil([start, tip], [chord, 0.5 * chord], color=plan.accent,
-                        thick=0.1, upright=True)]
+        pieces = [
+            _foil(
+                [start, tip],
+                [chord, 0.5 * chord],
+                color=plan.accent,
+                thick=0.1,
+                upright=True,
+            )
+        ]
     half = rng.uniform(0.14, 0.2)
     root = tip - [0.01, 0, 0.01] if tee else start + [-0.02, 0, 0.1 * plan.radius]
     if plan.kind == "fighter":
@@ -202,75 +172,3 @@ def _make_tail(plan, rng):
     chords = [0.6 * chord, 0.35 * chord] if tee else [0.75 * chord, 0.4 * chord]
     stabiliser = _foil([root, end], chords, color=plan.body, thick=0.09)
     return [*pieces, *parts.mirror([stabiliser])]
-
-
-def _make_engines(plan, rng):
-    """Under the wings, at the tail, a propeller, or one or two nozzles."""
-    r = plan.radius
-    if plan.kind == "airliner":
-        shares = (0.32,) if rng.uniform() < 0.72 else (0.28, 0.56)
-        size = rng.uniform(0.42, 0.6) * r if len(shares) == 1 else 0.38 * r
-        pieces = []
-        for share in shares:
-            lead = _wing_lead(plan, share)
-            centre = lead - [0.0, 0.0, 1.25 * size]
-            pieces += _make_nacelle(centre + [0.06, 0, 0], 0.12, size, plan.accent)
-            pieces.append(
-                parts.bar(centre + [0.0, 0, 0.4 * size], lead - [0.05, 0, 0],
-                          width=0.008, height=0.05, color=plan.body)
-            )
-        return parts.mirror(pieces)
-    if plan.kind == "bizjet":
-        centre = np.array([-0.2, 1.75 * r, 0.5 * r])
-        pod = _make_nacelle(centre, 0.14, rng.uniform(0.42, 0.52) * r, plan.accent)
-        post = parts.bar(centre - [0.05, r, 0], centre - [0.05, 0, 0], width=0.07,
-                         height=0.012, color=plan.body)
-        return parts.mirror([*pod, post])
-    if plan.kind == "light":
-        reach = rng.uniform(0.13, 0.17)
-        turn = rng.uniform(0, np.pi)
-        blade = reach * np.array([0.0, np.cos(turn), np.sin(turn)])
-        hub = np.array([0.515, 0, -0.1 * r])
-        spinner = parts.tube((0.5, 0, -0.1 * r), (0.54, 0, -0.1 * r), 0.25 * r,
-                             radius_stop=0.02 * r, color=plan.accent)
-        blades = parts.bar(hub - blade, hub + blade, width=0.02, height=0.008,
-                           color=parts.BLACK)
-        return [spinner, blades]
-    side = 0.0 if rng.uniform() < 0.4 else 0.6 * r
-    nozzle = parts.tube((-0.48, side, 0), (-0.53, side, 0), 0.62 * r,
-                        radius_stop=0.5 * r, color=parts.BLACK, sides=10)
-    intake = parts.box((-0.05, 1.0 * r, -0.5 * r), (0.16, 1.5 * r, 0.4 * r),
-                       color=plan.body)
-    return [*(parts.mirror([nozzle]) if side else [nozzle]), *parts.mirror([intake])]
-
-
-def _make_nacelle(front, length, radius, color):
-    """Engine pod: its open front is a dark disc."""
-    front = np.asarray(front, float)
-    ring = parts.circle(10)
-    rings = []
-    for share, size in ((0.0, 0.85), (0.15, 1.0), (0.6, 0.95), (1.0, 0.55)):
-        offset = np.column_stack([np.full(10, -share * length), radius * size * ring])
-        rings.append(front + offset)
-    disc = parts.panel(
-        front + [0.001, 0, 0] + np.column_stack([np.zeros(10), 0.75 * radius * ring]),
-        color=parts.BLACK,
-    )
-    return [parts.loft(rings, color=color), disc]
-
-
-def _make_gear(plan):
-    """Fixed gear of a light airplane: two main wheels and one at the nose."""
-    low = -plan.radius - 0.09
-    main = np.array([0.08, 0.15, low])
-    pieces = parts.mirror([
-        parts.tube((0.08, 0.4 * plan.radius, -0.8 * plan.radius), main, 0.008,
-                   color=plan.body, sides=6),
-        parts.tube(main - [0, 0.012, 0], main + [0, 0.012, 0], 0.03, color=parts.BLACK),
-    ])
-    nose = np.array([0.38, 0.0, low])
-    strut = parts.tube((0.38, 0, -0.5 * plan.radius), nose, 0.008, color=plan.body,
-                       sides=6)
-    wheel = parts.tube(nose - [0, 0.01, 0], nose + [0, 0.01, 0], 0.026,
-                       color=parts.BLACK)
-    return [*pieces, strut, wheel]

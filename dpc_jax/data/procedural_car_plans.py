@@ -78,7 +78,9 @@ def draw_plan(rng):
 
     roof_front = m["cowl"] + m["rake"]
     front_axle = rng.uniform(0.165, 0.2) if style != "van" else rng.uniform(0.15, 0.19)
-    rear_axle = rng.uniform(0.79, 0.83) if style != "pickup" else rng.uniform(0.74, 0.79)
+    rear_axle = (
+        rng.uniform(0.79, 0.83) if style != "pickup" else rng.uniform(0.74, 0.79)
+    )
     return Plan(
         style=style,
         length=length,

@@ -1,10 +1,17 @@
-"""Procedural chairs, in metres, z up; one sits looking towards +x, the back is at -x."""
+"""Procedural chairs, in metres, z up; one sits looking to +x, the back is at -x."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from . import procedural_parts as parts
+from .procedural_chair_bases import (
+    make_block,
+    make_legs,
+    make_pedestal,
+    make_sled,
+    make_star,
+)
 
 BASES = ("legs", "legs", "legs", "star", "sled", "pedestal", "block")
 BACKS = ("solid", "slats", "rails", "curved", "frame")
@@ -61,8 +68,8 @@ def draw_plan(rng):
 def make_chair(rng):
     """Mesh of a random chair (`trimesh.Trimesh`, metres, not normalised)."""
     plan = draw_plan(rng)
-    makers = {"legs": _make_legs, "star": _make_star, "sled": _make_sled,
-              "pedestal": _make_pedestal, "block": _make_block}  # fmt: skip
+    makers = {"legs": make_legs, "star": make_star, "sled": make_sled,
+              "pedestal": make_pedestal, "block": make_block}  # fmt: skip
     pieces = [_make_seat(plan, rng), *makers[plan.base](plan, rng)]
     pieces += _make_back(plan, rng)
     if plan.arms:
@@ -87,98 +94,6 @@ def _make_seat(plan, rng):
     return parts.loft(rings, color=plan.seat_color)
 
 
-def _make_legs(plan, rng):
-    """Four legs, splayed or straight, now and then with stretchers."""
-    radius, splay = rng.uniform(0.012, 0.024), rng.uniform(0.0, 0.16)
-    square = rng.uniform() < 0.4
-    x, y = 0.43 * plan.depth, 0.42 * plan.width
-    top = plan.seat - plan.thick
-    pieces = []
-    for sign in (1, -1):
-        start = np.array([sign * x, y, top])
-        foot = np.array([sign * (x + splay * 0.4), y + splay * 0.3, 0.0])
-        if square:
-            leg = parts.bar(start, foot, width=2 * radius, height=2 * radius,
-                            color=plan.frame_color)
-        else:
-            leg = parts.tube(start, foot, 1.15 * radius, radius_stop=0.75 * radius,
-                             color=plan.frame_color, sides=8)
-        pieces.append(leg)
-    if rng.uniform() < 0.45 or top > 0.55:
-        height = rng.uniform(0.25, 0.45)
-        reach = splay * (1 - height)
-        z = top * height
-        side = y + 0.3 * reach
-        pieces.append(parts.tube((x + 0.4 * reach, side, z), (-x - 0.4 * reach, side, z),
-                                 0.7 * radius, color=plan.frame_color, sides=6))
-        for sign in (1, -1):
-            end = sign * (x + 0.4 * reach)
-            pieces.append(parts.tube((end, -1e-3, z), (end, side, z), 0.7 * radius,
-                                     color=plan.frame_color, sides=6))
-    return parts.mirror(pieces)
-
-
-def _make_star(plan, rng):
-    """Gas spring on a star of four or five feet with castors."""
-    count, reach = int(rng.choice([4, 5])), rng.uniform(0.26, 0.33)
-    top = plan.seat - plan.thick
-    pieces = [parts.tube((0, 0, 0.1), (0, 0, top), 0.028, color=plan.frame_color)]
-    turn = rng.uniform(0.0, 2 * np.pi)
-    for angle in turn + 2 * np.pi * np.arange(count) / count:
-        out = np.array([np.cos(angle), np.sin(angle), 0.0])
-        foot = reach * out + [0, 0, 0.07]
-        pieces.append(parts.tube((0, 0, 0.12), foot, 0.028, radius_stop=0.016,
-                                 color=plan.frame_color, sides=6))
-        side = 0.02 * np.cross(out, [0, 0, 1])
-        hub = reach * out + [0, 0, 0.032]
-        pieces.append(parts.tube(hub - side, hub + side, 0.032, color=parts.BLACK))
-    return pieces
-
-
-def _make_sled(plan, rng):
-    """Bent tube on each side; the cantilever has no rear leg."""
-    radius = rng.uniform(0.011, 0.016)
-    x, y, top = 0.46 * plan.depth, 0.46 * plan.width, plan.seat - plan.thick
-    path = [(x, top), (x + rng.uniform(0, 0.05), radius), (-x, radius)]
-    if rng.uniform() < 0.5:
-        path.append((-x, top))
-    pieces = [
-        parts.tube((a[0], y, a[1]), (b[0], y, b[1]), radius, color=plan.frame_color)
-        for a, b in zip(path[:-1], path[1:], strict=True)
-    ]
-    pieces.append(parts.tube((-x, -1e-3, radius), (-x, y, radius), radius,
-                             color=plan.frame_color, sides=6))
-    return parts.mirror(pieces)
-
-
-def _make_pedestal(plan, rng):
-    """One column on a round or trumpet-shaped foot."""
-    radius, top = rng.uniform(0.17, 0.24), plan.seat - plan.thick
-    neck = rng.uniform(0.02, 0.035)
-    heights = np.array([0.0, 0.02, 0.05, 0.3 * top, top])
-    radii = np.array([radius, radius, rng.uniform(0.3, 0.8) * radius, neck, neck])
-    ring = parts.circle(14)
-    rings = [
-        np.column_stack([r * ring, np.full(len(ring), z)])
-        for r, z in zip(radii, heights, strict=True)
-    ]
-    return [parts.loft(rings, color=plan.frame_color)]
-
-
-def _make_block(plan, rng):
-    """Upholstered plinth of an armchair, on short feet."""
-    foot = rng.uniform(0.05, 0.14)
-    x, y = 0.5 * plan.depth, 0.48 * plan.width
-    plinth = parts.box((-x, -y, foot), (0.96 * x, y, plan.seat - plan.thick),
-                       color=plan.seat_color)
-    feet = [
-        parts.tube((s * 0.85 * x, 0.85 * y, 0), (s * 0.85 * x, 0.85 * y, foot), 0.02,
-                   radius_stop=0.03, color=plan.frame_color)
-        for s in (1, -1)
-    ]
-    return [plinth, *parts.mirror(feet)]
-
-
 def _make_back(plan, rng):
     """Back rest, leaning towards -x, as one plate, slats, rails or a padded frame."""
     rear, half = -plan.depth / 2, 0.5 * plan.width * rng.uniform(0.8, 0.98)
@@ -195,8 +110,14 @@ def _make_back(plan, rng):
         for t in np.linspace(-1, 1, 7 if bow else 2):
             forward = [bow * t * t - 0.5 * thick, bow * t * t + 0.5 * thick]
             a, b = at(t * half, low), at(t * half_top, high)
-            rings.append([a + [forward[0], 0, 0], a + [forward[1], 0, 0],
-                          b + [forward[1], 0, 0], b + [forward[0], 0, 0]])
+            rings.append(
+                [
+                    a + [forward[0], 0, 0],
+                    a + [forward[1], 0, 0],
+                    b + [forward[1], 0, 0],
+                    b + [forward[0], 0, 0],
+                ]
+            )
         return parts.loft(rings, color=color)
 
     taper = rng.uniform(0.75, 1.0) * half
@@ -206,21 +127,37 @@ def _make_back(plan, rng):
         gap = rng.uniform(0.0, 0.4) * plan.rise
         pieces = [plate(bottom + gap, top, bow=rng.uniform(0.04, 0.12))]
         if gap:
-            post = parts.bar(at(0.5 * half, bottom - 0.03), at(0.5 * half, bottom + gap),
-                             width=0.03, height=0.015, color=plan.frame_color)
+            post = parts.bar(
+                at(0.5 * half, bottom - 0.03),
+                at(0.5 * half, bottom + gap),
+                width=0.03,
+                height=0.015,
+                color=plan.frame_color,
+            )
             pieces += parts.mirror([post])
         return pieces
     post_width = rng.uniform(0.02, 0.04)
-    post = parts.bar(at(half - post_width / 2, plan.seat - plan.thick),
-                     at(half - post_width / 2, top), width=post_width, height=0.03,
-                     color=plan.frame_color)
+    post = parts.bar(
+        at(half - post_width / 2, plan.seat - plan.thick),
+        at(half - post_width / 2, top),
+        width=post_width,
+        height=0.03,
+        color=plan.frame_color,
+    )
     pieces = parts.mirror([post])
     head = plan.rise * rng.uniform(0.12, 0.22)
     if plan.back == "slats":
         pieces.append(plate(top - head, top, color=plan.frame_color))
         for y in np.linspace(-1, 1, int(rng.integers(5, 9)))[1:-1] * half:
-            pieces.append(parts.bar(at(y, bottom), at(y, top - 0.5 * head), width=0.02,
-                                    height=0.012, color=plan.frame_color))
+            pieces.append(
+                parts.bar(
+                    at(y, bottom),
+                    at(y, top - 0.5 * head),
+                    width=0.02,
+                    height=0.012,
+                    color=plan.frame_color,
+                )
+            )
     elif plan.back == "rails":
         count = int(rng.integers(2, 5))
         for high in np.linspace(top, plan.seat + 0.35 * plan.rise, count):
@@ -236,17 +173,29 @@ def _make_arms(plan, rng):
     half = plan.width / 2
     if plan.base == "block":
         height = plan.seat + rng.uniform(0.12, 0.24)
-        wall = parts.box((rear - 0.04, half - 0.02, 0.12),
-                         (front, half + rng.uniform(0.08, 0.16), height),
-                         color=plan.seat_color)
+        wall = parts.box(
+            (rear - 0.04, half - 0.02, 0.12),
+            (front, half + rng.uniform(0.08, 0.16), height),
+            color=plan.seat_color,
+        )
         return parts.mirror([wall])
     height = plan.seat + rng.uniform(0.17, 0.24)
     reach = rear + rng.uniform(0.6, 0.95) * plan.depth
     start = rear - plan.lean * (height - plan.seat) + 0.01
     side = half + 0.02
-    rest = parts.bar((start, side, height), (reach, side, height), width=0.05,
-                     height=0.03, color=plan.frame_color)
+    rest = parts.bar(
+        (start, side, height),
+        (reach, side, height),
+        width=0.05,
+        height=0.03,
+        color=plan.frame_color,
+    )
     x = reach - 0.05
-    post = parts.bar((x, side, plan.seat - plan.thick), (x, side, height), width=0.025,
-                     height=0.025, color=plan.frame_color)
+    post = parts.bar(
+        (x, side, plan.seat - plan.thick),
+        (x, side, height),
+        width=0.025,
+        height=0.025,
+        color=plan.frame_color,
+    )
     return parts.mirror([rest, post])

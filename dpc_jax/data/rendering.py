@@ -41,11 +41,18 @@ def array_shapes(spec, count):
 
 
 def write_plan(folder, spec, sources):
-    """Creates the array files and the plan that workers read."""
+    """Creates the array files and the plan that workers read.
+
+    Raises:
+      OSError: if the disk has no room for them.
+    """
     for name, (shape, dtype) in array_shapes(spec, len(sources)).items():
-        np.lib.format.open_memmap(
-            Path(folder) / f"{name}.npy", mode="w+", dtype=dtype, shape=shape
-        )
+        path = Path(folder) / f"{name}.npy"
+        np.lib.format.open_memmap(path, mode="w+", dtype=dtype, shape=shape)
+        if hasattr(os, "posix_fallocate"):
+            # reserved now: a disk that fills up under a mapped file kills the process
+            with open(path, "r+b") as file:
+                os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
     plan = {"spec": vars(spec), "sources": [list(source) for source in sources]}
     (Path(folder) / "plan.json").write_text(json.dumps(plan), encoding="utf-8")
 
@@ -109,7 +116,9 @@ def render_models(folder, indices):
             arrays["images"][index, view] = picture.image
             arrays["masks"][index, view] = picture.mask
             arrays["depths"][index, view] = picture.depth
-            arrays["quaternions"][index, view] = viewpoints.matrix_to_quaternion(rotation)
+            arrays["quaternions"][index, view] = viewpoints.matrix_to_quaternion(
+                rotation
+            )
         yield index, None
     for array in arrays.values():
         array.flush()
@@ -159,7 +168,8 @@ def render_in_processes(folder, *, count, processes):
                 tail = logs[part].read_text(encoding="utf-8", errors="replace")[-2000:]
                 raise RuntimeError(
                     f"a rendering process ended with status {worker.returncode}; its "
-                    f"last words:\n{tail.strip()}\nRender with one process to look closer."
+                    f"last words:\n{tail.strip()}\nRender with one process to "
+                    "look closer."
                 )
     finally:
         for worker in workers:
@@ -174,7 +184,7 @@ def render_in_processes(folder, *, count, processes):
 
 
 def follow(results, *, count, label, progress):
-    """Passes results on while showing progress: a bar on a terminal, lines elsewhere."""
+    """Passes results on and shows progress: a bar on a terminal, lines elsewhere."""
     if not progress:
         yield from results
         return

@@ -17,7 +17,7 @@ class DataSpec:
     """Everything that determines a data set; equal specs give equal bytes.
 
     With `folder` the models are its mesh files, split by `fractions` and `seed`;
-    without, they are procedural shapes of `category`, and the splits use disjoint seeds.
+    without, they are procedural shapes of `category`, each split with its own seeds.
     """
 
     category: str  # "car", "chair", "airplane"; with a folder only a label
@@ -61,8 +61,8 @@ class DataSpec:
         low, high = self.elevation
         if not -90 < low <= high < 90:
             raise ValueError(
-                "elevation must be (low, high) with -90 < low <= high < 90 degrees, got "
-                f"{self.elevation}."
+                "elevation must be (low, high) with -90 < low <= high < 90 degrees, "
+                f"got {self.elevation}."
             )
         if min(self.focal_length, self.extent) <= 0 or self.distance <= 0.5:
             raise ValueError(
@@ -103,14 +103,12 @@ def list_sources(spec):
 
     paths = find_meshes(spec.folder)
     digests = [_digest(path) for path in paths]
-    sides = split_files(
-        paths, fractions=spec.fractions, seed=spec.seed, groups=digests
-    )
+    sides = split_files(paths, fractions=spec.fractions, seed=spec.seed, groups=digests)
     chosen = sides[SPLITS.index(spec.split)]
     if not chosen:
         raise ValueError(
-            f"expected mesh files for the {spec.split} split of {spec.folder}, got none "
-            f"({len(paths)} files split by {spec.fractions}); add files or change the "
+            f"expected mesh files for the {spec.split} split of {spec.folder}, got "
+            f"none ({len(paths)} files split by {spec.fractions}); add files or change the "
             "fractions."
         )
     known = dict(zip(paths, digests, strict=True))

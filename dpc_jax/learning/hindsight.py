@@ -84,7 +84,7 @@ def choose_candidate(
     sigma: chex.Array,
     camera: Camera,
     student: chex.Array | None = None,
-    tie_break: float = 0.0,
+    tie_break: chex.Numeric = 0.0,
     first_grid: int = 0,
     first_points: int = 0,
     top: int = 0,
@@ -100,8 +100,8 @@ def choose_candidate(
       candidates: [C, 4] quaternions.
       target: [D, D] silhouette.
       sigma: (), in voxels of the target's grid. camera: see `project`.
-      student: [4], the student's quaternion, needed where tie_break > 0.
-      tie_break: each loss grows by up to this share with the distance from the
+      student: [4], the student's quaternion; None for no lean towards it.
+      tie_break: () each loss grows by up to this share with the distance from the
         student's pose. Views of near-equal silhouette (front and back) are then told
         apart as the student has learned from the others. Not in the paper.
       first_grid: side of the coarser volume, a divisor of D; 0 for D.
@@ -109,7 +109,7 @@ def choose_candidate(
       top: how many candidates are compared exactly after that.
     """
     lean = jnp.ones(candidates.shape[0], points.dtype)
-    if tie_break:
+    if student is not None:
         distance = jax.vmap(student_loss, (None, 0))(student, candidates)
         lean = 1 + tie_break * distance
 

@@ -26,6 +26,23 @@ def student_loss(student: chex.Array, teacher: chex.Array) -> chex.Array:
     return 1 - jnp.where(cosine >= 0, cosine, -cosine)
 
 
+def repulsion_energy(points: chex.Array, *, softening: float = 0.02) -> chex.Array:
+    """Mean Coulomb energy 1/r of the pairs of a cloud; (). Not in the paper.
+
+    Silhouettes cannot tell a solid from its shell. Charges in a bounded region settle
+    on its surface, evenly, and the reprojection loss is what bounds them.
+
+    Args:
+      points: [N, 3], N >= 2.
+      softening: distance below which the energy levels off, so that coincident points
+        have a finite one.
+    """
+    square = jnp.sum((points[:, None] - points[None]) ** 2, axis=-1)
+    energy = 1 / jnp.sqrt(square + softening**2)
+    count = points.shape[0]
+    return (jnp.sum(energy) - count / softening) / (count * (count - 1))
+
+
 def downsample_images(images: chex.Array, size: int) -> chex.Array:
     """Average bytes [..., S, S] over blocks of pixels, to [..., size, size] in [0, 1]."""
     factor = images.shape[-1] // size

@@ -14,7 +14,8 @@ class Settings:
       num_points: N.
       num_candidates: K pose heads; 0 where poses are known.
       flips: also try every head turned by 180° about each principal axis.
-      tie_break: how strongly the choice among candidates leans to the student's pose.
+      tie_break: how strongly the choice among candidates leans to the student's pose
+        at the end of the run; grows from 0.
       search: number of rotations spread over SO(3), turned anew at random every step,
         that compete with the heads in the first part of the run.
       search_until: share of the run after which the search ends.
@@ -33,6 +34,8 @@ class Settings:
       learning_rate, warmup_steps, final_rate: peak rate, steps of linear warm-up, and
         share of the peak that a cosine decay ends at; 1 keeps it constant.
       weight_decay: of decoupled weight decay (AdamW); 0 is Adam.
+      repulsion_weight: of the points' repulsion energy; 0 for none.
+      repulsion_points: how many points of a cloud repel each other in a step.
       color_weight: of the colour loss, per pixel; 0 learns no colour.
       focal_length, distance: of the camera.
       renders_at_once: how many views are rendered side by side; 0 for all (GPU).
@@ -64,6 +67,8 @@ class Settings:
     warmup_steps: int
     final_rate: float
     weight_decay: float
+    repulsion_weight: float
+    repulsion_points: int
     color_weight: float
     focal_length: float
     distance: float

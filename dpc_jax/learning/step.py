@@ -107,6 +107,7 @@ def compute_loss(
     camera = Camera(settings.focal_length, settings.distance)
     grid = VoxelGrid(settings.grid)
     sigma = schedules.compute_sigma(step, settings)
+    done = step / settings.steps
     batch_size, views = batch["images"].shape[:2]
 
     images = scale_images(batch["images"])
@@ -136,7 +137,15 @@ def compute_loss(
                 jax.random.fold_in(key, 1), settings.search
             )
         poses, winners = _choose_poses(
-            pose, kept["points"], mass, targets, sigma, camera, settings, rotations
+            pose,
+            kept["points"],
+            mass,
+            targets,
+            sigma,
+            camera,
+            settings,
+            rotations,
+            done,
         )
         metrics["winners"] = winners.reshape(-1)
     else:
@@ -182,6 +191,11 @@ def compute_loss(
         colors = losses.downsample_images(channels, settings.grid)
         metrics["color"] = compare(images_seen.color, jnp.moveaxis(colors, 2, -1))
         loss = loss + settings.color_weight * metrics["color"]
+    if settings.repulsion_weight:
+        repelling = kept["points"][:, : settings.repulsion_points]
+        metrics["repulsion"] = jnp.mean(jax.vmap(losses.repulsion_energy)(repelling))
+        strength = settings.repulsion_weight * settings.num_points * done
+        loss = loss + strength * metrics["repulsion"]
     if settings.num_candidates > 1:
         student = jnp.mean(
             jax.vmap(losses.student_loss)(pose["student"], poses.reshape(-1, 4))
@@ -200,7 +214,7 @@ def compute_loss(
 
 
 def _choose_poses(
-    pose, points, mass, targets, sigma, camera, settings, rotations
+    pose, points, mass, targets, sigma, camera, settings, rotations, done
 ):
     """Winning quaternion [B, V, 4] of each view, and its index [B, V].
 
@@ -230,8 +244,8 @@ def _choose_poses(
             target,
             sigma=sigma,
             camera=camera,
-            student=student,
-            tie_break=settings.tie_break,
+            student=student if settings.tie_break else None,
+            tie_break=settings.tie_break * done,
             first_grid=settings.choice_grid,
             first_points=settings.choice_points,
             top=settings.choice_top,

@@ -20,6 +20,7 @@ class ShapePoseNetwork(nn.Module):
       channels, hidden, normalize: of the encoder.
       shape_hidden: width of the shape branch's hidden layer.
       has_color: predict colours.
+      student_width: of the student's own layers.
       spread_poses: spread the heads' first rotations over SO(3).
     """
 
@@ -30,6 +31,7 @@ class ShapePoseNetwork(nn.Module):
     shape_hidden: int = 1024
     normalize: bool = False
     has_color: bool = False
+    student_width: int = 32
     spread_poses: bool = False
 
     def setup(self):
@@ -48,7 +50,7 @@ class ShapePoseNetwork(nn.Module):
                 spread=self.spread_poses,
             )
         if self.num_candidates > 1:
-            self.student = PoseStudent(hidden=self.hidden)
+            self.student = PoseStudent(hidden=self.hidden, width=self.student_width)
 
     def encode(self, images: chex.Array) -> chex.Array:
         """Images [B, S, S, 3] in [-1, 1] to features [B, hidden]."""

@@ -79,12 +79,14 @@ class PoseStudent(nn.Module):
 
     Attributes:
       hidden: width of its hidden layer.
+      width: of the layers after it; the paper's heads have 32.
     """
 
     hidden: int = 1024
+    width: int = 32
 
     @nn.compact
     def __call__(self, features: chex.Array) -> chex.Array:
         """Features [B, F] to quaternions [B, 4] of any length."""
         x = leaky_relu(nn.Dense(self.hidden, kernel_init=conv_init)(features))
-        return QuaternionHead(name="head")(x, jnp.zeros(4))
+        return QuaternionHead(width=self.width, name="head")(x, jnp.zeros(4))

@@ -1,0 +1,146 @@
+"""Mesh files: found, read with their colours, and refused by name where broken."""
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from dpc_jax.data import meshes
+
+OBJ = """mtllib colours.mtl
+v 0 0 0
+v 1 0 0
+v 0 1 0
+v 0 0 2
+usemtl red
+f 1 2 3
+usemtl blue
+f 1 2 4
+f 1 3 4
+"""
+MTL = "newmtl red\nKd 1 0 0\n\nnewmtl blue\nKd 0 0 0.6\n"
+
+
+def write_coloured(folder):
+    (folder / "colours.mtl").write_text(MTL)
+    (folder / "part.obj").write_text(OBJ)
+    return folder / "part.obj"
+
+
+def test_files_are_found_at_any_depth_and_in_order(tmp_path):
+    (tmp_path / "b" / "deep").mkdir(parents=True)
+    for name in ("z.OBJ", "b/deep/a.stl", "b/c.glb", "notes.txt", "b/colours.mtl"):
+        (tmp_path / name).write_bytes(b"")
+    (tmp_path / "folder.obj").mkdir()
+    found = [p.relative_to(tmp_path).as_posix() for p in meshes.find_meshes(tmp_path)]
+    assert found == ["b/c.glb", "b/deep/a.stl", "z.OBJ"]
+
+
+def test_a_folder_without_meshes_and_no_folder_are_named(tmp_path):
+    with pytest.raises(ValueError, match=f"expected mesh files .* in {tmp_path}"):
+        meshes.find_meshes(tmp_path)
+    with pytest.raises(ValueError, match="missing is none"):
+        meshes.find_meshes(tmp_path / "missing")
+
+
+def test_colours_of_an_mtl_file_are_kept(tmp_path):
+    mesh = meshes.read_mesh(write_coloured(tmp_path))
+    assert len(mesh.faces) == 3
+    np.testing.assert_allclose(mesh.extents, [1, 1, 2])
+    upright = mesh.triangles[:, :, 2].max(axis=1) > 1
+    np.testing.assert_array_equal(mesh.visual.face_colors[~upright, :3], [[255, 0, 0]])
+    np.testing.assert_array_equal(
+        mesh.visual.face_colors[upright, :3], [[0, 0, 153]] * 2
+    )
+
+
+def test_colours_of_vertices_become_their_mean_on_a_face(tmp_path):
+    mesh = trimesh.Trimesh(
+        np.eye(3), [[0, 1, 2]], process=False,
+        vertex_colors=[[30, 0, 0, 255], [60, 90, 0, 255], [90, 0, 120, 255]],
+    )  # fmt: skip
+    mesh.export(tmp_path / "v.ply")
+    colors = meshes.read_mesh(tmp_path / "v.ply").visual.face_colors
+    np.testing.assert_allclose(colors[0, :3], [60, 30, 40], atol=1)  # rounding
+
+
+def test_a_texture_is_looked_up_at_the_middle_of_each_face(tmp_path):
+    picture = np.zeros((2, 2, 3), np.uint8)
+    picture[:, 0], picture[:, 1] = (200, 10, 10), (10, 10, 200)
+    Image.fromarray(np.repeat(np.repeat(picture, 8, 0), 8, 1)).save(tmp_path / "t.png")
+    (tmp_path / "t.mtl").write_text("newmtl skin\nKd 1 1 1\nmap_Kd t.png\n")
+    (tmp_path / "t.obj").write_text(
+        "mtllib t.mtl\nusemtl skin\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+        "vt 0.1 0.1\nvt 0.3 0.1\nvt 0.2 0.9\nvt 0.7 0.1\nvt 0.9 0.1\nvt 0.8 0.9\n"
+        "f 1/1 2/2 3/3\nf 1/4 2/5 4/6\n"
+    )
+    mesh = meshes.read_mesh(tmp_path / "t.obj")
+    colors = mesh.visual.face_colors[:, :3].tolist()
+    assert sorted(colors) == [[10, 10, 200], [200, 10, 10]]
+
+
+def test_parts_of_a_scene_are_put_in_place(tmp_path):
+    scene = trimesh.Scene()
+    box = trimesh.creation.box(extents=[1, 1, 1])
+    box.visual.face_colors = [0, 200, 0, 255]
+    for x in (0.0, 5.0):
+        place = trimesh.transformations.translation_matrix([x, 0, 0])
+        scene.add_geometry(box, geom_name="box", transform=place)
+    scene.export(tmp_path / "two.glb")
+    mesh = meshes.read_mesh(tmp_path / "two.glb")
+    np.testing.assert_allclose(mesh.bounds, [[-0.5] * 3, [5.5, 0.5, 0.5]])
+    assert len(mesh.faces) == 24
+    assert (mesh.visual.face_colors[:, :3] == [0, 200, 0]).all()
+
+
+def test_a_file_without_colours_is_grey_and_a_stray_vertex_does_not_count(tmp_path):
+    (tmp_path / "a.off").write_text("OFF\n4 1 0\n0 0 0\n1 0 0\n0 1 0\n9 9 9\n3 0 1 2\n")
+    mesh = meshes.read_mesh(tmp_path / "a.off")
+    np.testing.assert_allclose(mesh.extents, [1, 1, 0])
+    assert (mesh.visual.face_colors == meshes.PLAIN).all()
+
+
+@pytest.mark.parametrize(
+    "name, content, message",
+    [
+        ("bad.stl", b"\x00\x01garbage", "readable mesh in|faces in"),
+        ("bad.ply", b"not a ply at all", "readable mesh in"),
+        ("bad.glb", b"glTF....", "readable mesh in"),
+        ("empty.obj", b"", "readable mesh in|faces in"),
+        ("points.obj", b"v 0 0 0\nv 1 1 1\n", "readable mesh in|faces in"),
+        ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite coordinates in"),
+        ("dot.obj", b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "extent in"),
+        ("far.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", " in "),
+    ],
+)
+def test_a_broken_file_is_refused_by_name(tmp_path, name, content, message):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=message) as caught:
+        meshes.read_mesh(tmp_path / name)
+    assert name in str(caught.value)
+
+
+def test_normalising_centres_the_box_and_makes_its_diagonal_one():
+    box = trimesh.creation.box(extents=[1, 2, 2])
+    box.apply_translation([7, -3, 1e3])
+    before = box.vertices.copy()
+    mesh = meshes.normalize(box)
+    # 1e3 away in float64
+    np.testing.assert_allclose(mesh.extents, [1 / 3, 2 / 3, 2 / 3], atol=1e-12)
+    np.testing.assert_allclose(mesh.bounds.sum(axis=0), 0, atol=1e-12)
+    np.testing.assert_array_equal(box.vertices, before)
+    dot = trimesh.Trimesh(np.ones((3, 3)), [[0, 1, 2]], process=False)
+    with pytest.raises(ValueError, match="extent"):
+        meshes.normalize(dot)
+
+
+def test_stretching_scales_the_axes_within_the_amount_and_repeats():
+    box = trimesh.creation.box(extents=[1, 1, 1])
+    for seed in range(20):
+        extents = meshes.scale_randomly(box, seed=seed, amount=0.15).extents
+        assert (extents >= 0.85).all() and (extents <= 1.15).all()
+        assert np.ptp(extents) > 0
+        again = meshes.scale_randomly(box, seed=seed, amount=0.15).extents
+        np.testing.assert_array_equal(extents, again)
+    with pytest.raises(ValueError, match="amount"):
+        meshes.scale_randomly(box, seed=0, amount=1.0)

@@ -1,0 +1,345 @@
+"""The data set on disk: whole or absent, the same for any number of processes."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+
+from dpc_jax.data import (
+    DataSpec,
+    load_or_render,
+    rendering,
+    sources,
+    split_files,
+    views,
+)
+
+SMALL = dict(
+    category="car", models=3, views=2, image_size=16, supersample=2, surface_points=50
+)
+ARRAYS = ("images", "masks", "depths", "quaternions", "surfaces")
+
+
+def load(cache, *, processes=1, progress=False, **changes):
+    spec = DataSpec(**{**SMALL, **changes})
+    return load_or_render(spec, cache_dir=cache, processes=processes, progress=progress)
+
+
+def assert_same(first, second):
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    assert first.names == second.names and first.skipped == second.skipped
+
+
+def write_boxes(folder, count):
+    folder.mkdir(parents=True, exist_ok=True)
+    for i in range(count):
+        box = trimesh.creation.box(extents=[2 + 0.1 * i, 1, 1])
+        box.export(folder / f"box{i}.ply")
+    return folder
+
+
+@pytest.fixture
+def count_renders(monkeypatch):
+    calls = []
+    original = views.render_view
+
+    def counted(*args, **options):
+        calls.append(1)
+        return original(*args, **options)
+
+    monkeypatch.setattr(views, "render_view", counted)
+    return calls
+
+
+def test_a_set_holds_what_it_says(tmp_path):
+    data = load(tmp_path)
+    assert data.images.shape == (3, 2, 16, 16, 3) and data.images.dtype == np.uint8
+    assert data.masks.shape == (3, 2, 16, 16) and data.masks.dtype == np.uint8
+    assert data.depths.shape == (3, 2, 16, 16) and data.depths.dtype == np.float32
+    assert data.quaternions.shape == (3, 2, 4) and data.surfaces.shape == (3, 50, 3)
+    covered = data.masks > 0
+    assert covered.any(axis=(2, 3)).all()
+    # the object lies within 0.5 of its centre, the camera at 2
+    assert (np.abs(data.depths[covered] - 2.0) < 0.5).all()
+    assert (data.depths[~covered] == 0).all()
+    assert not data.images.flags.writeable
+
+
+def test_stored_poses_project_the_surface_into_the_stored_masks(tmp_path):
+    data = load(tmp_path, image_size=32, supersample=4)
+    for model, view in np.ndindex(3, 2):
+        w, x, y, z = data.quaternions[model, view].astype(float)
+        rotation = np.array([
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ])  # fmt: skip
+        u, v, depth = rotation @ data.surfaces[model].T + [[0], [0], [2.0]]
+        cols, rows = (
+            np.floor((1.875 * a / depth + 0.5) * 32).astype(int) for a in (u, v)
+        )
+        # a point at the rim can fall between the samples of its pixel
+        assert (data.masks[model, view, rows, cols] > 0).mean() > 0.97
+        elevation = np.rad2deg(np.arcsin(-rotation[2, 2]))
+        assert -20.001 < elevation < 40.001 and abs(rotation[0, 2]) < 1e-6
+
+
+def test_a_second_call_renders_nothing(tmp_path, count_renders):
+    first = load(tmp_path)
+    rendered = len(count_renders)
+    assert_same(first, load(tmp_path))
+    assert rendered == 6 and len(count_renders) == 6
+    load(tmp_path, seed=1)
+    assert len(count_renders) == 12
+
+
+def test_any_number_of_processes_gives_the_same_bytes(tmp_path, monkeypatch):
+    alone = load(tmp_path / "alone")
+    monkeypatch.setattr(rendering, "INLINE", 0)
+    check = "\nassert 'jax' not in sys.modules, 'a worker loaded jax'"
+    monkeypatch.setattr(rendering, "BOOT", rendering.BOOT + check)
+    assert_same(alone, load(tmp_path / "two", processes=2))
+
+
+def test_a_worker_that_dies_is_reported_with_its_last_words(tmp_path, monkeypatch):
+    monkeypatch.setattr(rendering, "INLINE", 0)
+    monkeypatch.setattr(rendering, "BOOT", "import sys; sys.exit('out of luck')")
+    with pytest.raises(RuntimeError, match="out of luck"):
+        load(tmp_path, processes=2)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupted_rendering_leaves_nothing_behind(tmp_path, monkeypatch):
+    def interrupt(*args, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(views, "sample_surface", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            load(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    assert len(load(tmp_path).names) == 3
+
+
+def test_ctrl_c_ends_the_workers(tmp_path, monkeypatch):
+    monkeypatch.setattr(rendering, "INLINE", 0)
+    started = []
+    original = subprocess.Popen
+
+    def record(*args, **options):
+        started.append(original(*args, **options))
+        return started[-1]
+
+    def interrupt(results, **options):
+        next(iter(results))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(subprocess, "Popen", record)
+    monkeypatch.setattr(rendering, "follow", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        load(tmp_path, processes=2, models=400)
+    assert len(started) == 2
+    assert all(worker.returncode is not None for worker in started)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_killed_process_left_is_removed_and_never_read(tmp_path):
+    whole = load(tmp_path)
+    (folder,) = tmp_path.iterdir()
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    host = os.uname().nodename
+    leftover = tmp_path / f"{folder.name}.{host}.{dead.pid}.tmp"
+    os.rename(folder, leftover)
+    (leftover / "masks.npy").unlink()
+    assert_same(whole, load(tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == [folder.name]
+
+
+@pytest.mark.parametrize("harm", ["flip", "cut", "gone", "unfinished", "nonsense"])
+def test_a_damaged_cache_is_named_and_made_again(tmp_path, capsys, harm):
+    whole = load(tmp_path)
+    expected = {name: np.array(getattr(whole, name)) for name in ARRAYS}
+    (folder,) = tmp_path.iterdir()
+    path = folder / "masks.npy"
+    content = bytearray(path.read_bytes())
+    path.unlink()  # a new file: the old one is still mapped
+    if harm == "flip":
+        content[-5] ^= 1
+        path.write_bytes(content)
+    elif harm == "cut":
+        path.write_bytes(content[:-5])
+    elif harm == "unfinished":
+        (folder / "spec.json").unlink()
+    elif harm == "nonsense":
+        (folder / "spec.json").write_text("{")
+    again = load(tmp_path)
+    assert "is damaged" in capsys.readouterr().out
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(again, name), expected[name])
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_two_runs_at_once_both_get_the_whole_set(tmp_path, monkeypatch):
+    original = views.sample_surface
+    other = []
+
+    def overtaken(*args, **options):
+        if not other:
+            other.append(None)
+            other[0] = load(tmp_path / "other")
+            shutil.copytree(tmp_path / "other", tmp_path / "here", dirs_exist_ok=True)
+        return original(*args, **options)
+
+    monkeypatch.setattr(views, "sample_surface", overtaken)
+    assert_same(load(tmp_path / "here"), other[0])
+    assert len(list((tmp_path / "here").iterdir())) == 1
+
+
+def test_unusable_meshes_are_skipped_named_and_counted(tmp_path, capsys):
+    folder = write_boxes(tmp_path / "meshes", 3)
+    (folder / "broken.stl").write_bytes(b"\x00\x01")
+    (folder / "box1b.obj").write_text("v 0 0 0\n")
+    options = dict(folder=str(folder), models=None, split="test", fractions=(0, 0, 1))
+    data = load(tmp_path / "cache", progress=True, **options)
+    assert data.names == ("box0.ply", "box1.ply", "box2.ply")
+    assert sorted(name for name, _ in data.skipped) == ["box1b.obj", "broken.stl"]
+    text = capsys.readouterr().out
+    assert "Skipped 2 of 5" in text and "broken.stl" in text
+    # rows were moved together: each model's views are its own
+    widths = np.ptp(data.surfaces, axis=1)
+    ratio = widths[:, 0] / widths[:, 1]
+    assert (np.diff(ratio) > 0).all()
+    assert_same(data, load(tmp_path / "cache", **options))
+
+
+def test_a_folder_of_which_nothing_is_usable_is_an_error(tmp_path):
+    folder = tmp_path / "meshes"
+    folder.mkdir()
+    (folder / "broken.stl").write_bytes(b"\x00\x01")
+    options = dict(folder=str(folder), models=None, split="test", fractions=(0, 0, 1))
+    with pytest.raises(ValueError, match="at least one usable mesh.*broken.stl"):
+        load(tmp_path / "cache", **options)
+    assert list((tmp_path / "cache").iterdir()) == []
+
+
+def test_a_changed_file_or_material_is_rendered_anew_but_a_moved_folder_is_not(
+    tmp_path,
+):
+    folder = write_boxes(tmp_path / "meshes", 1)
+    options = dict(models=None, fractions=(1, 0, 0))
+    cache = tmp_path / "cache"
+    load(cache, folder=str(folder), **options)
+    moved = tmp_path / "moved"
+    folder.rename(moved)
+    load(cache, folder=str(moved), **options)
+    assert len(list(cache.iterdir())) == 1
+    (moved / "colours.mtl").write_text("newmtl red\nKd 1 0 0\n")
+    load(cache, folder=str(moved), **options)
+    assert len(list(cache.iterdir())) == 2
+    trimesh.creation.box(extents=[3, 1, 1]).export(moved / "box0.ply")
+    load(cache, folder=str(moved), **options)
+    assert len(list(cache.iterdir())) == 3
+
+
+def test_copies_are_stretched_and_stay_on_the_side_of_their_file(tmp_path):
+    folder = write_boxes(tmp_path / "meshes", 4)
+    names = {}
+    for split in sources.SPLITS:
+        options = dict(folder=str(folder), models=None, fractions=(2, 1, 1))
+        data = load(tmp_path / "cache", split=split, copies=3, **options)
+        names[split] = {name.split("#")[0] for name in data.names}
+        assert len(data.names) == 3 * len(names[split])
+        size = np.ptp(data.surfaces, axis=1)
+        first = data.names.index(data.names[0].split("#")[0])
+        assert np.abs(size[first] - size[len(names[split])]).max() > 0.005
+    assert sum(map(len, names.values())) == 4
+    assert len(set.union(*names.values())) == 4
+
+
+def test_splits_hold_every_file_once_and_equal_files_together():
+    paths = [f"{i:02d}.obj" for i in range(23)]
+    groups = [i // 2 for i in range(23)]
+    sides = split_files(paths, fractions=(0.7, 0.15, 0.15), seed=3, groups=groups)
+    assert sorted(sum(sides, [])) == paths
+    assert all(sides)
+    for first, second in zip(paths[0:22:2], paths[1:22:2], strict=True):
+        assert sum(first in side and second in side for side in sides) == 1
+    again = split_files(
+        paths[::-1], fractions=(0.7, 0.15, 0.15), seed=3, groups=groups[::-1]
+    )
+    assert sides == again
+    assert sides != split_files(
+        paths, fractions=(0.7, 0.15, 0.15), seed=4, groups=groups
+    )
+    assert split_files(paths, fractions=(0, 0, 1), seed=0) == ([], [], paths)
+    for shares in ((1, 1), (0, 0, 0), (2, -1, 0)):
+        with pytest.raises(ValueError, match="three shares"):
+            split_files(paths, fractions=shares, seed=0)
+
+
+def test_procedural_splits_and_seeds_never_share_a_shape():
+    seeds = [
+        {
+            s.seed
+            for s in sources.list_sources(DataSpec("car", models=50, split=p, seed=i))
+        }
+        for p in sources.SPLITS
+        for i in range(3)
+    ]
+    assert len(set.union(*seeds)) == 9 * 50
+
+
+def test_an_empty_split_of_a_folder_is_named(tmp_path):
+    folder = write_boxes(tmp_path / "meshes", 2)
+    with pytest.raises(ValueError, match="val split"):
+        load(
+            tmp_path, folder=str(folder), split="val", fractions=(1, 0, 1), models=None
+        )
+
+
+@pytest.mark.parametrize(
+    "field, value",
+    [
+        ("views", 0), ("image_size", 0), ("supersample", 0), ("copies", 0),
+        ("split", "dev"), ("seed", -1), ("models", 0), ("models", None),
+        ("elevation", (40, -20)), ("elevation", (-20, 90)), ("distance", 0.4),
+        ("focal_length", 0.0), ("extent", -1.0),
+    ],
+)  # fmt: skip
+def test_impossible_values_are_named(field, value):
+    with pytest.raises(ValueError, match=field):
+        DataSpec(**{**SMALL, field: value})
+
+
+def test_progress_is_shown_in_lines_where_there_is_no_terminal(tmp_path, capsys):
+    load(tmp_path, progress=True, models=20, views=1)
+    lines = capsys.readouterr().out.splitlines()
+    assert 8 <= len(lines) <= 11
+    assert "20/20 models" in lines[-1] and "/s" in lines[-1] and "left" in lines[-1]
+
+
+def test_the_record_says_what_the_set_is_made_of(tmp_path):
+    load(tmp_path)
+    (folder,) = tmp_path.iterdir()
+    record = json.loads((folder / "spec.json").read_text())
+    assert record["image_size"] == 16 and record["category"] == "car"
+    assert len(record["names"]) == 3 and record["elevation"] == [-20.0, 40.0]
+
+
+def test_choosing_batches_needs_no_trimesh():
+    # alone, as a worker loads it: what the package above imports is another's matter
+    boot = rendering.BOOT[: rendering.BOOT.index("from dpc_jax")]
+    code = boot + (
+        "import dpc_jax.data\n"
+        "heavy = {'trimesh', 'embreex', 'jax', 'rich', 'PIL'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    package = os.path.dirname(os.path.dirname(os.path.abspath(rendering.__file__)))
+    subprocess.run([sys.executable, "-c", code, package], check=True)
