@@ -11,8 +11,8 @@ def get_config(variant: str | None = None):
     )
     c.network.update(channels=4, hidden=32, shape_hidden=32)
     c.render.update(grid=16, num_points=100, keep_levels=2)
-    if c.pose.search:
-        c.pose.update(search=8, choice_grid=8, choice_points=50, choice_top=4)
+    if c.pose.choice_grid:
+        c.pose.update(choice_grid=8, choice_points=50, choice_top=4)
     c.pose.candidates = min(c.pose.candidates, 2)
     c.train.update(steps=20, warmup_steps=4)
     c.log.update(every=5, evaluate=10, checkpoint=10)

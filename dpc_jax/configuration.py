@@ -65,10 +65,8 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     p.candidates = 4  # K heads of the ensemble (§ distilled ensemble)
     p.spread = True  # start the heads at rotations spread over SO(3)
     p.flips = False  # also try each head turned by 180° about the principal axes
+    p.selects = True  # the student selects a candidate; False: regresses a pose
     p.tie_break = 0.0  # lean of the choice towards the student's pose, at the end
-    p.search = 64  # rotations over SO(3) that compete with the heads at first
-    p.search_until = 0.5  # share of the run with that search
-    p.student_competes = True  # the student's own pose is a candidate too
     p.choice_grid = 16  # volume that candidates are first compared in; 0: render.grid
     p.choice_points = 250  # points that they are first compared with; 0: all
     p.choice_top = 8  # of them are then compared exactly
@@ -108,7 +106,7 @@ def apply_variant(config: ml_collections.ConfigDict, variant: str | None):
     config.variant = variant
     if variant == "naive":
         config.pose.update(
-            candidates=1, spread=False, flips=False, search=0, student_competes=False
+            candidates=1, spread=False, flips=False
         )
     if variant == "known_pose":
         config.pose.known = True
@@ -121,9 +119,8 @@ def apply_variant(config: ml_collections.ConfigDict, variant: str | None):
             candidates=4,
             spread=False,
             flips=False,
+            selects=False,
             tie_break=0.0,
-            search=0,
-            student_competes=False,
             choice_grid=0,
             choice_points=0,
         )
@@ -162,7 +159,7 @@ def validate(config: ml_collections.ConfigDict):
         section, name = field.split(".")
         expect(config[section][name] >= 1, field, "at least 1")
     expect(pose.candidates >= 1, "pose.candidates", "at least 1 (K heads)")
-    for name in ("search", "tie_break", "choice_grid", "choice_points", "choice_top"):
+    for name in ("tie_break", "choice_grid", "choice_points", "choice_top"):
         expect(pose[name] >= 0, f"pose.{name}", "0 or more")
     expect(config.seed >= 0, "seed", "0 or more")
     try:
@@ -222,11 +219,9 @@ def make_settings(config: ml_collections.ConfigDict) -> Settings:
         grid=c.render.grid,
         num_points=c.render.num_points,
         num_candidates=0 if pose_off else c.pose.candidates,
-        flips=c.pose.flips,
+        flips=c.pose.flips and is_ensemble,
+        selects=c.pose.selects and is_ensemble,
         tie_break=c.pose.tie_break if is_ensemble else 0.0,
-        search=c.pose.search if is_ensemble else 0,
-        search_until=c.pose.search_until,
-        student_competes=c.pose.student_competes and is_ensemble,
         choice_grid=c.pose.choice_grid,
         choice_points=c.pose.choice_points,
         choice_top=c.pose.choice_top,
@@ -260,10 +255,18 @@ def make_network(config: ml_collections.ConfigDict) -> ShapePoseNetwork:
         hidden=config.network.hidden,
         shape_hidden=config.network.shape_hidden,
         normalize=config.network.normalize,
+        num_classes=_count_classes(config),
         student_width=config.network.student_width,
         has_color=config.train.color_weight > 0,
         spread_poses=config.pose.spread,
     )
+
+
+def _count_classes(config: ml_collections.ConfigDict) -> int:
+    """Candidates that a selecting student has: each head, and its three half turns."""
+    if not config.pose.selects or config.pose.known or config.pose.candidates == 1:
+        return 0
+    return config.pose.candidates * (4 if config.pose.flips else 1)
 
 
 def make_data_specs(config: ml_collections.ConfigDict) -> dict[str, DataSpec]:

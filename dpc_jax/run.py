@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import signal
 import sys
 import time
@@ -82,9 +83,7 @@ def run(config: ml_collections.ConfigDict, *, config_path: str, workdir: str | N
     predictor = evaluator.make_predictor(network, settings)
 
     def predict(state, split):
-        return evaluator.predict_all(
-            predictor, state.params, int(state.step), sets[split]
-        )
+        return evaluator.predict_all(predictor, state, sets[split])
 
     def align(predictions):
         if config.pose.known:
@@ -172,6 +171,10 @@ def _report(
     metrics = result.metrics | {
         "train_seconds": round(outcome.seconds, 1),
         "data_seconds": round(data_seconds, 1),
+        # Linux gives kilobytes; render processes are not counted in.
+        "peak_memory_gb": round(
+            resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2
+        ),
         "steps": int(outcome.state.step),
         "train_models": len(sets["train"].names),
         "test_models": len(test.names),

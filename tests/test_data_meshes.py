@@ -18,6 +18,19 @@ usemtl blue
 f 1 2 4
 f 1 3 4
 """
+PLY = """ply
+format ascii 1.0
+element vertex {}
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+"""
 MTL = "newmtl red\nKd 1 0 0\n\nnewmtl blue\nKd 0 0 0.6\n"
 
 
@@ -94,9 +107,10 @@ def test_parts_of_a_scene_are_put_in_place(tmp_path):
 
 
 def test_a_file_without_colours_is_grey_and_a_stray_vertex_does_not_count(tmp_path):
-    (tmp_path / "a.off").write_text("OFF\n4 1 0\n0 0 0\n1 0 0\n0 1 0\n9 9 9\n3 0 1 2\n")
-    mesh = meshes.read_mesh(tmp_path / "a.off")
-    np.testing.assert_allclose(mesh.extents, [1, 1, 0])
+    (tmp_path / "a.ply").write_text(PLY.format(4) + "9 9 9\n3 0 1 2\n")
+    mesh = meshes.read_mesh(tmp_path / "a.ply")
+    assert len(mesh.vertices) == 3
+    np.testing.assert_allclose(meshes.normalize(mesh).extents, [0.5**0.5, 0.5**0.5, 0])
     assert (mesh.visual.face_colors == meshes.PLAIN).all()
 
 
@@ -110,7 +124,7 @@ def test_a_file_without_colours_is_grey_and_a_stray_vertex_does_not_count(tmp_pa
         ("points.obj", b"v 0 0 0\nv 1 1 1\n", "readable mesh in|faces in"),
         ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite coordinates in"),
         ("dot.obj", b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "extent in"),
-        ("far.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", " in "),
+        ("far.ply", (PLY.format(3) + "3 0 1 7\n").encode(), "index out of range"),
     ],
 )
 def test_a_broken_file_is_refused_by_name(tmp_path, name, content, message):

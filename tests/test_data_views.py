@@ -160,6 +160,16 @@ def test_an_object_around_or_behind_the_camera_is_rendered_without_a_crop():
     np.testing.assert_allclose(view.depth, 5.0, atol=3e-6)
 
 
+def test_a_floor_that_reaches_behind_the_camera_fills_the_bottom_of_the_image():
+    corners = [[-9, -9, -0.3], [9, -9, -0.3], [9, 9, -0.3], [-9, 9, -0.3]]
+    floor = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+    mask = render(floor).mask
+    # its far edge, 11 from the camera, lies at v = 1.875 * 0.3 / 11 = 0.051
+    rows = (np.arange(32) + 0.5) / 32 - 0.5
+    assert (mask[rows > 0.051 + 1 / 32] == 255).all()
+    assert (mask[rows < 0.051 - 1 / 32] == 0).all()
+
+
 def test_an_object_outside_of_the_image_leaves_it_white():
     mesh = trimesh.creation.icosphere(subdivisions=1, radius=0.1)
     mesh.apply_translation((0.0, 0.0, 1.5))

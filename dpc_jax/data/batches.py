@@ -35,7 +35,8 @@ def choose_batch(
     if not 1 <= views_per_batch <= num_views:
         raise ValueError(
             f"views_per_batch must lie in [1, {num_views}], the number of views "
-            f"rendered per model, got {views_per_batch}; use fewer or render more views."
+            f"rendered per model, got {views_per_batch}; use fewer or "
+            "render more views."
         )
     epoch, place = divmod(step * models_per_batch, num_models)
     stop = place + models_per_batch
@@ -45,6 +46,7 @@ def choose_batch(
         models = np.concatenate([models, following[: stop - num_models]])
     rng = np.random.default_rng([seed, _VIEWS, step])
     noise = rng.random((models_per_batch, num_views))
+    # a copy, because the order is shared by all callers through the cache
     return models.copy(), np.argsort(noise, axis=1)[:, :views_per_batch]
 
 
@@ -68,7 +70,6 @@ def _epoch_order(num_models, batch, seed, epoch):
             fresh = np.flatnonzero(~np.isin(drawn, order[-held:]))[: batch - held]
             drawn = np.concatenate([drawn[fresh], np.delete(drawn, fresh)])
         order = drawn
-    order.flags.writeable = False  # it is shared by all callers through the cache
     return order
 
 

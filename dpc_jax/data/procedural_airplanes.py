@@ -1,4 +1,4 @@
-"""Procedural airplanes of four kinds, in metres, z up, nose towards +x."""
+"""Procedural airplanes of four kinds, one fuselage long, z up, nose towards +x."""
 
 import numpy as np
 

@@ -108,8 +108,8 @@ def list_sources(spec):
     if not chosen:
         raise ValueError(
             f"expected mesh files for the {spec.split} split of {spec.folder}, got "
-            f"none ({len(paths)} files split by {spec.fractions}); add files or change the "
-            "fractions."
+            f"none ({len(paths)} files split by {spec.fractions}); add files or "
+            "change the fractions."
         )
     known = dict(zip(paths, digests, strict=True))
     sources = []

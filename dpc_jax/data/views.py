@@ -173,8 +173,6 @@ def render_view(
     top, bottom, left, right = _crop_box(
         scene, rotation, image_size, focal_length, distance, extent
     )
-    if top >= bottom or left >= right:
-        return View(image, mask, depth)
     rays = _camera_rays(image_size, float(focal_length), float(extent), supersample)
     rays = rays[:, top:bottom, left:right]
     shape = rays.shape[:3]

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import chex
 import jax
 import numpy as np
 
@@ -12,7 +11,13 @@ from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation import scores
 from dpc_jax.learning import hindsight, losses, schedules
 from dpc_jax.learning.settings import Settings
-from dpc_jax.learning.step import compute_mass, map_renders, scale_images
+from dpc_jax.learning.step import (
+    TrainState,
+    complete_poses,
+    compute_mass,
+    map_renders,
+    scale_images,
+)
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera, VoxelGrid, project
 
@@ -24,8 +29,8 @@ class Predictions(NamedTuple):
       points: [M, V, N, 3], the shape predicted from each view.
       colors: [M, V, N, 3], or None.
       poses: [M, V, 4], the student's quaternion; the given one where poses are known.
-      candidate_poses: [M, V, 4], the candidate that fits the view best.
-      winners: [M, V] its index among the K heads.
+      candidate_poses: [M, V, 4], the candidate, turned or not, that fits the view best.
+      winners: [M, V] its index; turned or not, it is head index % K's.
       silhouettes: [M, V, D, D], the shape seen from the student's pose.
     """
 
@@ -38,16 +43,18 @@ class Predictions(NamedTuple):
 
 
 def make_predictor(network: ShapePoseNetwork, settings: Settings):
-    """The compiled function (params, step, images, masks, quaternions) -> dict.
+    """The compiled function (state, images, masks, quaternions) -> dict.
 
     For n views: images uint8 [n, S, S, 3], masks uint8 [n, S, S], quaternions [n, 4].
     """
     camera = Camera(settings.focal_length, settings.distance)
     grid = VoxelGrid(settings.grid)
 
-    def predict(params, step, images, masks, quaternions):
-        output = network.apply(params, scale_images(images))
-        sigma = schedules.compute_sigma(step, settings)
+    def predict(state, images, masks, quaternions):
+        output = network.apply(state.params, scale_images(images))
+        if settings.num_candidates:
+            output = complete_poses(output, state.covariance, settings)
+        sigma = schedules.compute_sigma(state.step, settings)
         mass = compute_mass(output["scale"], sigma, settings)
         targets = losses.downsample_images(masks, settings.grid)
         candidates = output.get("candidates", quaternions[:, None])
@@ -87,8 +94,7 @@ def make_predictor(network: ShapePoseNetwork, settings: Settings):
 
 def predict_all(
     predictor,
-    params: chex.ArrayTree,
-    step: int,
+    state: TrainState,
     dataset: DataSet,
     *,
     views_at_once: int = 64,
@@ -104,7 +110,7 @@ def predict_all(
     parts = []
     for start in range(0, total, views_at_once):
         rows = np.minimum(np.arange(start, start + views_at_once), total - 1)
-        output = predictor(params, step, *(a[rows] for a in inputs))
+        output = predictor(state, *(a[rows] for a in inputs))
         parts.append(jax.device_get(output))
     merged = {
         name: np.concatenate([p[name] for p in parts])[:total].reshape(
@@ -143,7 +149,8 @@ def score(
         best_candidate_poses=predictions.candidate_poses,
         chamfer_views=chamfer_views,
     )
+    heads = predictions.winners % max(1, num_candidates)
     shares = candidate_use.winner_share(
-        predictions.winners, num_candidates=max(1, num_candidates)
+        heads, num_candidates=max(1, num_candidates)
     )
     return result, shares

@@ -9,24 +9,24 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning.losses import reprojection_loss, student_loss
-from dpc_jax.networks.pose import spread_rotations
 from dpc_jax.render import Camera, VoxelGrid, project, quaternion
 
 
-def find_half_turns(points: chex.Array) -> chex.Array:
-    """Half turns about the principal axes of a set of points.
+def compute_covariance(points: chex.Array) -> chex.Array:
+    """Covariance [3, 3] of points [N, 3], without gradient."""
+    centred = jax.lax.stop_gradient(points - jnp.mean(points, axis=0))
+    return jnp.matmul(centred.T, centred, precision="highest") / points.shape[0]
 
-    Args:
-      points: [N, 3].
+
+def find_half_turns(covariance: chex.Array) -> chex.Array:
+    """Half turns about the principal axes of a covariance [3, 3].
 
     Returns:
       [4, 4] quaternions: the identity, then 180° about each principal axis.
     """
-    centred = points - jnp.mean(points, axis=0)
-    _, axes = jnp.linalg.eigh(centred.T @ centred)
-    turns = jnp.concatenate([jnp.zeros((3, 1), points.dtype), axes.T], axis=1)
-    identity = jnp.array([quaternion.IDENTITY], points.dtype)
-    return jax.lax.stop_gradient(jnp.concatenate([identity, turns]))
+    _, axes = jnp.linalg.eigh(covariance)
+    turns = jnp.concatenate([jnp.zeros((3, 1), axes.dtype), axes.T], axis=1)
+    return jnp.concatenate([jnp.array([quaternion.IDENTITY], axes.dtype), turns])
 
 
 def turn_candidates(candidates: chex.Array, turns: chex.Array) -> chex.Array:
@@ -135,18 +135,3 @@ def choose_candidate(
         points, mass, candidates[best], target, sigma=sigma, camera=camera
     )
     return best[jnp.argmin(exact)]
-
-
-def draw_rotations(key: chex.PRNGKey, count: int) -> chex.Array:
-    """`count` quaternions [count, 4] spread over SO(3), turned as a whole at random."""
-    turn = jax.random.normal(key, (4,))
-    return jax.vmap(quaternion.multiply, (0, None))(spread_rotations(count), turn)
-
-
-def nearest_head_loss(candidates: chex.Array, teacher: chex.Array) -> chex.Array:
-    """The student's loss of the head nearest to the teacher; candidates [K, 4]; ().
-
-    While a search finds the poses, this keeps the ensemble learning: each head takes
-    the poses nearest to its own.
-    """
-    return jnp.min(jax.vmap(student_loss, (0, None))(candidates, teacher))

@@ -26,6 +26,16 @@ def student_loss(student: chex.Array, teacher: chex.Array) -> chex.Array:
     return 1 - jnp.where(cosine >= 0, cosine, -cosine)
 
 
+def selection_loss(logits: chex.Array, winners: chex.Array) -> chex.Array:
+    """Mean cross entropy, in nats, of a student that selects; logits [n, C].
+
+    Args:
+      winners: [n] int32, the hindsight choice. No gradient reaches the candidates.
+    """
+    chosen = jnp.take_along_axis(logits, winners[:, None], axis=-1)[:, 0]
+    return jnp.mean(jax.nn.logsumexp(logits, axis=-1) - chosen)
+
+
 def repulsion_energy(points: chex.Array, *, softening: float = 0.02) -> chex.Array:
     """Mean Coulomb energy 1/r of the pairs of a cloud; (). Not in the paper.
 

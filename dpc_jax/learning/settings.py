@@ -14,13 +14,9 @@ class Settings:
       num_points: N.
       num_candidates: K pose heads; 0 where poses are known.
       flips: also try every head turned by 180° about each principal axis.
+      selects: whether the student selects a candidate or regresses a pose.
       tie_break: how strongly the choice among candidates leans to the student's pose
         at the end of the run; grows from 0.
-      search: number of rotations spread over SO(3), turned anew at random every step,
-        that compete with the heads in the first part of the run.
-      search_until: share of the run after which the search ends.
-      student_competes: also try the student's own pose, and render it with a gradient
-        where it wins.
       choice_grid, choice_points: volume and largest number of points that candidates
         are first compared with; `grid` and all points where 0.
       choice_top: how many of them are then compared exactly; 0 for none.
@@ -49,10 +45,8 @@ class Settings:
     num_points: int
     num_candidates: int
     flips: bool
+    selects: bool
     tie_break: float
-    search: int
-    search_until: float
-    student_competes: bool
     choice_grid: int
     choice_points: int
     choice_top: int

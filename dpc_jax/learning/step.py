@@ -21,11 +21,14 @@ class TrainState(NamedTuple):
       step: () int32, steps done.
       params: of the network.
       optimizer: state of the optimiser.
+      covariance: [3, 3] of predicted points, averaged over the last hundred or so
+        batches: its principal axes are those of the half turns.
     """
 
     step: chex.Array
     params: chex.ArrayTree
     optimizer: chex.ArrayTree
+    covariance: chex.Array
 
 
 def make_optimizer(settings: Settings) -> optax.GradientTransformation:
@@ -43,7 +46,7 @@ def init_state(
     images = jnp.zeros((1, image_size, image_size, 3))
     params = jax.jit(network.init)(jax.random.key(settings.seed), images)
     optimizer = make_optimizer(settings).init(params)
-    return TrainState(jnp.asarray(0, jnp.int32), params, optimizer)
+    return TrainState(jnp.asarray(0, jnp.int32), params, optimizer, jnp.zeros((3, 3)))
 
 
 def scale_images(images: chex.Array) -> chex.Array:
@@ -80,12 +83,12 @@ def compute_loss(
     batch: dict[str, chex.Array],
     key: chex.PRNGKey,
     step: chex.Array,
+    covariance: chex.Array,
     *,
     network: ShapePoseNetwork,
     settings: Settings,
     kept_points: int,
-    searches: bool,
-) -> tuple[chex.Array, dict[str, chex.Array]]:
+) -> tuple[chex.Array, tuple[dict[str, chex.Array], chex.Array]]:
     """The training objective of one batch: Eq. 1 with Eq. 2, and the student's loss.
 
     The shape is predicted from each object's first view and compared with all its
@@ -97,12 +100,13 @@ def compute_loss(
         [B, V, 4] (read only where poses are known).
       key: for the point dropout.
       step: ().
+      covariance: [3, 3], see `TrainState`.
       network, settings: static.
       kept_points: number of points rendered, static.
 
     Returns:
-      (() loss, metrics: reprojection (mean sum of squares of a view), student (mean
-      1 - |cos|), scale, winners [B·V] int32).
+      (() loss, (metrics, covariance)). Metrics: reprojection (mean sum of squares of a
+      view), student's loss, scale, winners [B·V] int32, and what else is asked for.
     """
     camera = Camera(settings.focal_length, settings.distance)
     grid = VoxelGrid(settings.grid)
@@ -131,11 +135,12 @@ def compute_loss(
 
     if settings.num_candidates:
         pose = network.apply(params, features, method="predict_pose")
-        rotations = jnp.zeros((0, 4))
-        if searches:
-            rotations = hindsight.draw_rotations(
-                jax.random.fold_in(key, 1), settings.search
-            )
+        if settings.flips:
+            # The plain mean at first, then one that forgets within a hundred batches.
+            weight = jnp.maximum(0.01, 1 / (step + 1))
+            current = hindsight.compute_covariance(kept["points"].reshape(-1, 3))
+            covariance = (1 - weight) * covariance + weight * current
+        pose = complete_poses(pose, covariance, settings)
         poses, winners = _choose_poses(
             pose,
             kept["points"],
@@ -144,7 +149,6 @@ def compute_loss(
             sigma,
             camera,
             settings,
-            rotations,
             done,
         )
         metrics["winners"] = winners.reshape(-1)
@@ -194,44 +198,50 @@ def compute_loss(
     if settings.repulsion_weight:
         repelling = kept["points"][:, : settings.repulsion_points]
         metrics["repulsion"] = jnp.mean(jax.vmap(losses.repulsion_energy)(repelling))
-        strength = settings.repulsion_weight * settings.num_points * done
+        strength = settings.repulsion_weight * settings.num_points * jnp.maximum(0, 2 * done - 1)
         loss = loss + strength * metrics["repulsion"]
     if settings.num_candidates > 1:
-        student = jnp.mean(
-            jax.vmap(losses.student_loss)(pose["student"], poses.reshape(-1, 4))
-        )
+        if settings.selects:
+            student = losses.selection_loss(pose["logits"], winners.reshape(-1))
+        else:
+            student = jnp.mean(
+                jax.vmap(losses.student_loss)(pose["student"], poses.reshape(-1, 4))
+            )
         metrics["student"] = student
         loss = loss + settings.student_weight * settings.grid**2 * student
-        if searches:
-            heads = jnp.mean(
-                jax.vmap(hindsight.nearest_head_loss)(
-                    pose["candidates"], poses.reshape(-1, 4)
-                )
-            )
-            metrics["heads"] = heads
-            loss = loss + settings.student_weight * settings.grid**2 * heads
-    return loss, metrics
+    return loss, (metrics, covariance)
+
+
+def complete_poses(
+    pose: dict[str, chex.Array], covariance: chex.Array, settings: Settings
+) -> dict[str, chex.Array]:
+    """Add the turned candidates, and the pose of a student that selects.
+
+    Args:
+      pose: of the network: candidates [n, K, 4], and student [n, 4] or logits [n, C].
+      covariance: [3, 3], see `TrainState`.
+
+    Returns:
+      The same with candidates [n, C, 4], of which i belongs to head i % K, and with
+      student [n, 4].
+    """
+    candidates = pose["candidates"]
+    if settings.flips:
+        turns = hindsight.find_half_turns(covariance)
+        candidates = jax.vmap(hindsight.turn_candidates, (0, None))(candidates, turns)
+    student = pose.get("student")
+    if settings.selects:
+        chosen = jnp.argmax(pose["logits"], axis=-1)
+        student = jnp.take_along_axis(candidates, chosen[:, None, None], axis=1)[:, 0]
+    return pose | {"candidates": candidates, "student": student}
 
 
 def _choose_poses(
-    pose, points, mass, targets, sigma, camera, settings, rotations, done
+    pose, points, mass, targets, sigma, camera, settings, done
 ):
-    """Winning quaternion [B, V, 4] of each view, and its index [B, V].
-
-    Candidates in order: the heads, the heads turned, the student, the search.
-    """
+    """Winning quaternion [B, V, 4] of each view, and its index [B, V]."""
     batch_size, views = targets.shape[:2]
     candidates = pose["candidates"].reshape(batch_size, views, -1, 4)
-    if settings.flips:
-        turns = hindsight.find_half_turns(points.reshape(-1, 3))
-        candidates = jax.vmap(jax.vmap(hindsight.turn_candidates, (0, None)), (0, None))(
-            candidates, turns
-        )
-    if settings.student_competes:
-        own = pose["student"].reshape(batch_size, views, 1, 4)
-        candidates = jnp.concatenate([candidates, own], axis=2)
-    rotations = jnp.broadcast_to(rotations, (batch_size, views, *rotations.shape))
-    candidates = jnp.concatenate([candidates, rotations], axis=2)
     if candidates.shape[2] == 1:
         return candidates[:, :, 0], jnp.zeros((batch_size, views), jnp.int32)
 
@@ -245,7 +255,7 @@ def _choose_poses(
             sigma=sigma,
             camera=camera,
             student=student if settings.tie_break else None,
-            tie_break=settings.tie_break * done,
+            tie_break=settings.tie_break * jnp.maximum(0, 2 * done - 1),
             first_grid=settings.choice_grid,
             first_points=settings.choice_points,
             top=settings.choice_top,
@@ -265,7 +275,7 @@ def _choose_poses(
     return chosen, winners
 
 
-def make_train_step(network: ShapePoseNetwork, settings: Settings, kept_points: int, searches: bool = False):
+def make_train_step(network: ShapePoseNetwork, settings: Settings, kept_points: int):
     """The compiled step for a number of kept points.
 
     Returns:
@@ -277,15 +287,15 @@ def make_train_step(network: ShapePoseNetwork, settings: Settings, kept_points: 
 
     def step(state: TrainState, batch):
         key = jax.random.fold_in(jax.random.key(settings.seed), state.step)
-        (loss, metrics), grads = jax.value_and_grad(compute_loss, has_aux=True)(
+        (loss, (metrics, covariance)), grads = jax.value_and_grad(compute_loss, has_aux=True)(
             state.params,
             batch,
             key,
             state.step,
+            state.covariance,
             network=network,
             settings=settings,
             kept_points=kept_points,
-            searches=searches,
         )
         updates, opt_state = optimizer.update(grads, state.optimizer, state.params)
         params = optax.apply_updates(state.params, updates)
@@ -293,6 +303,6 @@ def make_train_step(network: ShapePoseNetwork, settings: Settings, kept_points: 
         metrics["gradient_norms"] = {
             name: optax.global_norm(part) for name, part in grads["params"].items()
         }
-        return TrainState(state.step + 1, params, opt_state), metrics
+        return TrainState(state.step + 1, params, opt_state, covariance), metrics
 
     return jax.jit(step, donate_argnums=0)

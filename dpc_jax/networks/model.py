@@ -4,7 +4,7 @@ import chex
 import flax.linen as nn
 
 from dpc_jax.networks.encoder import ImageEncoder
-from dpc_jax.networks.pose import PoseEnsemble, PoseStudent
+from dpc_jax.networks.pose import PoseEnsemble, PoseSelector, PoseStudent
 from dpc_jax.networks.shape import ShapeHead
 
 
@@ -20,6 +20,8 @@ class ShapePoseNetwork(nn.Module):
       channels, hidden, normalize: of the encoder.
       shape_hidden: width of the shape branch's hidden layer.
       has_color: predict colours.
+      num_classes: how many candidates the student selects from, turned ones included;
+        0 for the paper's student, which regresses a pose.
       student_width: of the student's own layers.
       spread_poses: spread the heads' first rotations over SO(3).
     """
@@ -31,6 +33,7 @@ class ShapePoseNetwork(nn.Module):
     shape_hidden: int = 1024
     normalize: bool = False
     has_color: bool = False
+    num_classes: int = 0
     student_width: int = 32
     spread_poses: bool = False
 
@@ -49,7 +52,13 @@ class ShapePoseNetwork(nn.Module):
                 hidden=self.hidden,
                 spread=self.spread_poses,
             )
-        if self.num_candidates > 1:
+        if self.num_candidates > 1 and self.num_classes:
+            self.student = PoseSelector(
+                num_classes=self.num_classes,
+                hidden=self.hidden,
+                width=self.student_width,
+            )
+        elif self.num_candidates > 1:
             self.student = PoseStudent(hidden=self.hidden, width=self.student_width)
 
     def encode(self, images: chex.Array) -> chex.Array:
@@ -61,8 +70,9 @@ class ShapePoseNetwork(nn.Module):
         return self.shape(features)
 
     def predict_pose(self, features: chex.Array) -> dict[str, chex.Array]:
-        """Features [B, F] to candidates [B, K, 4] and student [B, 4].
+        """Features [B, F] to candidates [B, K, 4] and what the student says.
 
+        That is "student" [B, 4], or "logits" [B, num_classes] of one that selects.
         With K = 1 the single regressor is its own student; without poses to learn the
         dictionary is empty.
         """
@@ -71,7 +81,8 @@ class ShapePoseNetwork(nn.Module):
         candidates = self.pose(features)
         if self.num_candidates == 1:
             return {"candidates": candidates, "student": candidates[:, 0]}
-        return {"candidates": candidates, "student": self.student(features)}
+        says = "logits" if self.num_classes else "student"
+        return {"candidates": candidates, says: self.student(features)}
 
     def __call__(self, images: chex.Array) -> dict[str, chex.Array]:
         """All predictions for images [B, S, S, 3]; used to make the parameters."""

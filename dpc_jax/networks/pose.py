@@ -90,3 +90,26 @@ class PoseStudent(nn.Module):
         """Features [B, F] to quaternions [B, 4] of any length."""
         x = leaky_relu(nn.Dense(self.hidden, kernel_init=conv_init)(features))
         return QuaternionHead(width=self.width, name="head")(x, jnp.zeros(4))
+
+
+class PoseSelector(nn.Module):
+    """A student that selects among the candidates instead of regressing a pose.
+
+    Not in the paper. Between two candidates that are half a turn apart a regressor can
+    only jump or average; choosing one keeps that candidate's accuracy.
+
+    Attributes:
+      num_classes: of candidates, turned ones included.
+      hidden, width: of its two hidden layers.
+    """
+
+    num_classes: int
+    hidden: int = 1024
+    width: int = 32
+
+    @nn.compact
+    def __call__(self, features: chex.Array) -> chex.Array:
+        """Features [B, F] to logits [B, num_classes]."""
+        x = leaky_relu(nn.Dense(self.hidden, kernel_init=conv_init)(features))
+        x = leaky_relu(nn.Dense(self.width, kernel_init=conv_init)(x))
+        return nn.Dense(self.num_classes, kernel_init=conv_init)(x)

@@ -1,0 +1,66 @@
+"""What a data set is made of: impossible specifications, seeded splits."""
+
+import pytest
+import trimesh
+
+from dpc_jax.data import DataSpec, sources, split_files
+
+
+def test_splits_hold_every_file_once_and_equal_files_together():
+    paths = [f"{i:02d}.obj" for i in range(23)]
+    groups = [i // 2 for i in range(23)]
+    sides = split_files(paths, fractions=(0.7, 0.15, 0.15), seed=3, groups=groups)
+    assert sorted(sum(sides, [])) == paths
+    assert all(sides)
+    for first, second in zip(paths[0:22:2], paths[1:22:2], strict=True):
+        assert sum(first in side and second in side for side in sides) == 1
+    again = split_files(
+        paths[::-1], fractions=(0.7, 0.15, 0.15), seed=3, groups=groups[::-1]
+    )
+    assert sides == again
+    assert sides != split_files(
+        paths, fractions=(0.7, 0.15, 0.15), seed=4, groups=groups
+    )
+    assert split_files(paths, fractions=(0, 0, 1), seed=0) == ([], [], paths)
+    for shares in ((1, 1), (0, 0, 0), (2, -1, 0)):
+        with pytest.raises(ValueError, match="three shares"):
+            split_files(paths, fractions=shares, seed=0)
+
+
+def test_every_side_with_a_share_gets_a_file_as_far_as_they_last():
+    for count in (3, 5, 9):
+        sides = split_files(range(count), fractions=(0.8, 0.1, 0.1), seed=0)
+        assert all(sides)
+    assert all(split_files(range(2), fractions=(0.5, 0, 0.5), seed=0)[::2])
+    assert split_files(range(1), fractions=(0.8, 0.1, 0.1), seed=0) == ([0], [], [])
+
+
+def test_procedural_splits_and_seeds_never_share_a_shape():
+    seeds = set()
+    for split in sources.SPLITS:
+        for seed in range(3):
+            spec = DataSpec("car", models=50, split=split, seed=seed)
+            seeds |= {source.seed for source in sources.list_sources(spec)}
+    assert len(seeds) == 9 * 50
+
+
+def test_an_empty_split_of_a_folder_is_named(tmp_path):
+    for i in range(2):
+        trimesh.creation.box(extents=[1, 1, 1 + i]).export(tmp_path / f"{i}.ply")
+    spec = DataSpec("car", folder=str(tmp_path), split="val", fractions=(1, 0, 1))
+    with pytest.raises(ValueError, match="val split"):
+        sources.list_sources(spec)
+
+
+@pytest.mark.parametrize(
+    "field, value",
+    [
+        ("views", 0), ("image_size", 0), ("supersample", 0), ("copies", 0),
+        ("split", "dev"), ("seed", -1), ("models", 0), ("models", None),
+        ("elevation", (40, -20)), ("elevation", (-20, 90)), ("distance", 0.4),
+        ("focal_length", 0.0), ("extent", -1.0),
+    ],
+)  # fmt: skip
+def test_impossible_values_are_named(field, value):
+    with pytest.raises(ValueError, match=field):
+        DataSpec(**{"category": "car", "models": 3, field: value})
