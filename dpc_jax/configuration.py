@@ -63,7 +63,7 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     c.pose = p = ml_collections.ConfigDict()
     p.known = False  # read the poses from the data instead of learning them
     p.candidates = 4  # K heads of the ensemble (§ distilled ensemble)
-    p.spread = True  # start the heads at rotations spread over SO(3)
+    p.spread = "upright"  # where heads start: "upright" cameras, "all" of SO(3), or ""
     p.flips = False  # also try each head turned by 180° about the principal axes
     p.selects = True  # the student selects a candidate; False: regresses a pose
     p.tie_break = 0.0  # lean of the choice towards the student's pose, at the end
@@ -106,7 +106,7 @@ def apply_variant(config: ml_collections.ConfigDict, variant: str | None):
     config.variant = variant
     if variant == "naive":
         config.pose.update(
-            candidates=1, spread=False, flips=False
+            candidates=1, spread="", flips=False
         )
     if variant == "known_pose":
         config.pose.known = True
@@ -117,7 +117,7 @@ def apply_variant(config: ml_collections.ConfigDict, variant: str | None):
         config.render.update(grid=64, num_points=8000, keep_levels=32)
         config.pose.update(
             candidates=4,
-            spread=False,
+            spread="",
             flips=False,
             selects=False,
             tie_break=0.0,
@@ -192,6 +192,9 @@ def validate(config: ml_collections.ConfigDict):
     for name in ("sigma_start", "sigma_end"):
         expect(0 <= render[name] <= 1, f"render.{name}", "between 0 and 1")
     expect(render.scale_unit in ("peak", "mass"), "render.scale_unit", "'peak' or 'mass'")
+    expect(
+        pose.spread in ("", "all", "upright"), "pose.spread", "'', 'all' or 'upright'"
+    )
     expect(render.distance > 0.5, "render.distance", "above 0.5, outside the object")
     expect(render.focal_length > 0, "render.focal_length", "above 0")
     expect(train.learning_rate > 0, "train.learning_rate", "above 0")

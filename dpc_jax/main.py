@@ -34,9 +34,23 @@ def _parse(argv):
             )
         return rest
     except (flags.Error, AttributeError, KeyError, TypeError, ValueError, OSError) as e:
-        message = e.args[0] if e.args else repr(e)
-        print(f"Error: {message}", file=sys.stderr)
+        print(f"Error: {_explain(e)}", file=sys.stderr)
         sys.exit(2)
+
+
+def _explain(error: Exception) -> str:
+    """One line from what the flags library raises, which may hold a traceback."""
+    while error.args and isinstance(error.args[0], Exception):
+        error = error.args[0]
+    text = str(error.args[0] if error.args else error).strip()
+    last = text.splitlines()[-1].strip() if text else repr(error)
+    if isinstance(error, KeyError):
+        field, _, hint = text.partition("\n")
+        return f"The config has no field {field}. {hint}".strip()
+    if isinstance(error, OSError):
+        return f"The config file could not be read: {last}; check the path."
+    # A config file's own error comes with its traceback; its last line says it.
+    return last.partition(": ")[2] if "Traceback" in text else last
 
 
 def main(_):

@@ -127,12 +127,13 @@ def train(
                 window_start, window_seconds = done, elapsed
 
             pause = time.monotonic()
+            elapsed = spend()  # the validation itself is not training
             is_finished = done == settings.steps
             if evaluate and (_is_due(done, intervals.evaluate) or is_finished):
                 if window:
                     check_finite(window[-1], step)
                 scores = evaluate(state)
-                log.write({"step": done, "seconds": round(spend(), 3), **scores})
+                log.write({"step": done, "seconds": round(elapsed, 3), **scores})
                 progress.tell(_describe(done, scores))
             clock += time.monotonic() - pause
             if _is_due(done, intervals.checkpoint) or is_last:
@@ -158,16 +159,15 @@ def check_finite(metrics: dict, step: int):
         if name in metrics and not np.isfinite(metrics[name]):
             raise NonFiniteError(
                 f"The {name} loss became {float(metrics[name])} at step {step}, where a "
-                "finite number was expected; lower train.learning_rate, and start again "
-                "in the same workdir to go on from the last checkpoint."
+                "finite number was expected; start a run in another workdir with a lower "
+                "train.learning_rate. The last checkpoint is kept."
             )
     for name, norm in metrics["gradient_norms"].items():
         if not np.isfinite(norm):
             raise NonFiniteError(
                 f"The gradient of the {name} parameters became {float(norm)} at step "
-                f"{step}, where a finite number was expected; lower "
-                "train.learning_rate, and start again in the same workdir to go on from "
-                "the last checkpoint."
+                f"{step}, where a finite number was expected; start a run in another "
+                "workdir with a lower train.learning_rate. The last checkpoint is kept."
             )
 
 

@@ -23,7 +23,7 @@ class ShapePoseNetwork(nn.Module):
       num_classes: how many candidates the student selects from, turned ones included;
         0 for the paper's student, which regresses a pose.
       student_width: of the student's own layers.
-      spread_poses: spread the heads' first rotations over SO(3).
+      spread_poses: where the heads start, see `PoseEnsemble`.
     """
 
     num_points: int
@@ -35,7 +35,7 @@ class ShapePoseNetwork(nn.Module):
     has_color: bool = False
     num_classes: int = 0
     student_width: int = 32
-    spread_poses: bool = False
+    spread_poses: str = ""
 
     def setup(self):
         self.encoder = ImageEncoder(

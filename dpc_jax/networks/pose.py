@@ -23,6 +23,28 @@ def spread_rotations(count: int) -> chex.Array:
     return jnp.asarray(np.stack(chosen[:count]), jnp.float32)
 
 
+def surround_object(count: int) -> chex.Array:
+    """`count` quaternions [count, 4] of level cameras around an upright object.
+
+    At elevation 0 and equal steps of azimuth: z of the object up, y of the camera down.
+    """
+    # Half angles: azimuth 0 looks along -x, with +y of the object on the right.
+    half = np.pi * np.arange(count) / count
+    w, x, y, z = 0.5, 0.5, 0.5, -0.5
+    cosine, sine = np.cos(half), -np.sin(half)
+    # level ⊗ (cos, 0, 0, sin): turn the object about its own z first.
+    turned = np.stack(
+        [
+            w * cosine - z * sine,
+            x * cosine + y * sine,
+            y * cosine - x * sine,
+            z * cosine + w * sine,
+        ],
+        axis=-1,
+    )
+    return jnp.asarray(turned, jnp.float32)
+
+
 class QuaternionHead(nn.Module):
     """Layers of 32, 32 and 4 units that one pose predictor has for its own.
 
@@ -50,13 +72,13 @@ class PoseEnsemble(nn.Module):
     Attributes:
       num_candidates: K.
       hidden: width of the shared layer.
-      spread: start the heads at rotations spread over SO(3), not all at the identity.
-        Not in the paper.
+      spread: where the heads start. "" near zero, as in the paper; "all", rotations
+        spread over SO(3); "upright", level cameras around the object.
     """
 
     num_candidates: int
     hidden: int = 1024
-    spread: bool = False
+    spread: str = ""
 
     @nn.compact
     def __call__(self, features: chex.Array) -> chex.Array:
@@ -70,7 +92,12 @@ class PoseEnsemble(nn.Module):
             out_axes=1,
         )
         count = self.num_candidates
-        initial = spread_rotations(count) if self.spread else jnp.zeros((count, 4))
+        starts = {
+            "": lambda n: jnp.zeros((n, 4)),
+            "all": spread_rotations,
+            "upright": surround_object,
+        }
+        initial = starts[self.spread](count)
         return heads(name="heads")(x, initial)
 
 

@@ -1,0 +1,266 @@
+"""The networks: the paper's layers, and nothing that a run does not learn."""
+
+import itertools
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tiny_runs import rotation_matrix
+
+from dpc_jax.networks import ImageEncoder, ShapeHead, ShapePoseNetwork
+from dpc_jax.networks.pose import PoseEnsemble, spread_rotations, surround_object
+
+KEY = jax.random.key(0)
+
+
+def shapes_of(module, *inputs):
+    """Shapes of the parameters by path; nothing is computed."""
+    tree = jax.eval_shape(module.init, KEY, *inputs)["params"]
+    leaves = jax.tree_util.tree_flatten_with_path(tree)[0]
+    return {"/".join(k.key for k in path): leaf.shape for path, leaf in leaves}
+
+
+def run(module, inputs, seed=0):
+    """Output of a module with fresh parameters, in one compiled call."""
+    return jax.jit(module.init_with_output)(jax.random.key(seed), inputs)[0]
+
+
+def image_shape(size):
+    return jax.ShapeDtypeStruct((2, size, size, 3), jnp.float32)
+
+
+def network_shapes(**changes):
+    values = dict(num_points=10, num_candidates=4, channels=2, hidden=8, shape_hidden=8)
+    return shapes_of(ShapePoseNetwork(**values | changes), image_shape(16))
+
+
+def conv_sides(size):
+    """Side of the picture after each convolution, in their order."""
+    encoder = ImageEncoder()
+
+    def apply(images):
+        return encoder.apply(
+            encoder.init(KEY, images),
+            images,
+            capture_intermediates=lambda module, _: isinstance(module, nn.Conv),
+        )[1]["intermediates"]
+
+    outputs = jax.eval_shape(apply, image_shape(size))
+    return [outputs[f"Conv_{i}"]["__call__"][0].shape[1] for i in range(len(outputs))]
+
+
+def test_at_64_pixels_there_are_seven_convolutions_of_which_four_are_strided():
+    # The strided ones are 1st, 2nd, 4th and 6th (§ Network architecture): 64 → 4.
+    assert conv_sides(64) == [32, 16, 16, 8, 8, 4, 4]
+
+
+@pytest.mark.parametrize("size, sides", [(16, [8, 4, 4]), (32, [16, 8, 8, 4, 4])])
+def test_the_depth_follows_the_image_size(size, sides):
+    assert conv_sides(size) == sides
+
+
+def test_the_first_kernel_is_5x5_the_others_3x3_and_two_dense_layers_have_1024_units():
+    shapes = shapes_of(ImageEncoder(), image_shape(64))
+    kernels = [shapes[f"Conv_{i}/kernel"] for i in range(7)]
+    assert [k[:2] for k in kernels] == [(5, 5)] + 6 * [(3, 3)]
+    dense = {name: s for name, s in shapes.items() if name.startswith("Dense")}
+    assert dense["Dense_0/kernel"][1] == 1024
+    assert dense["Dense_1/kernel"] == (1024, 1024)
+    assert len(dense) == 4  # two kernels, two biases
+
+
+@pytest.mark.parametrize("size", [0, 1, 8, 48, 65])
+def test_an_image_size_that_cannot_be_halved_to_four_is_refused_in_a_sentence(size):
+    with pytest.raises(ValueError, match=rf"power of two.*but it is {size}; use"):
+        shapes_of(ImageEncoder(channels=2, hidden=4), image_shape(size))
+
+
+def test_the_heads_are_one_module_with_a_leading_axis_of_k_and_layers_32_32_4():
+    shapes = network_shapes(num_candidates=5, hidden=48)
+    heads = {n: s for n, s in shapes.items() if n.startswith("pose/heads")}
+    assert heads == {
+        "pose/heads/Dense_0/kernel": (5, 48, 32),
+        "pose/heads/Dense_0/bias": (5, 32),
+        "pose/heads/Dense_1/kernel": (5, 32, 32),
+        "pose/heads/Dense_1/bias": (5, 32),
+        "pose/heads/Dense_2/kernel": (5, 32, 4),
+        "pose/heads/Dense_2/bias": (5, 4),
+    }
+
+
+def test_each_head_starts_from_random_numbers_of_its_own():
+    ensemble = PoseEnsemble(num_candidates=3, hidden=8)
+    params = jax.jit(ensemble.init)(KEY, jnp.ones((1, 8)))
+    kernels = params["params"]["heads"]["Dense_0"]["kernel"]
+    for a, b in itertools.combinations(kernels, 2):
+        assert not np.any(a == b)
+
+
+def branches(shapes):
+    return {name.split("/")[0] for name in shapes}
+
+
+def test_known_poses_leave_no_pose_parameters():
+    assert branches(network_shapes(num_candidates=0)) == {"encoder", "shape"}
+
+
+def test_a_single_regressor_has_no_student_and_is_its_own():
+    assert branches(network_shapes(num_candidates=1)) == {"encoder", "shape", "pose"}
+    network = ShapePoseNetwork(
+        num_points=4, num_candidates=1, channels=2, hidden=8, shape_hidden=8
+    )
+    output = run(network, jnp.ones((2, 16, 16, 3)))
+    assert output["candidates"].shape == (2, 1, 4)
+    np.testing.assert_array_equal(output["student"], output["candidates"][:, 0])
+
+
+def test_an_ensemble_has_a_student_of_the_same_layers():
+    shapes = network_shapes()
+    assert branches(shapes) == {"encoder", "shape", "pose", "student"}
+    own = [shapes[f"student/head/Dense_{i}/kernel"] for i in range(3)]
+    assert own == [(8, 32), (32, 32), (32, 4)]
+
+
+def test_a_student_that_selects_has_one_logit_for_each_candidate():
+    network = ShapePoseNetwork(
+        num_points=4,
+        num_candidates=3,
+        num_classes=12,
+        channels=2,
+        hidden=8,
+        shape_hidden=8,
+    )
+    output = jax.eval_shape(
+        lambda images: network.init_with_output(KEY, images)[0], image_shape(16)
+    )
+    assert output["logits"].shape == (2, 12)
+    assert "student" not in output
+
+
+def test_without_colour_the_shape_branch_has_3n_outputs_and_no_colour_parameters():
+    shapes = network_shapes(num_points=10)
+    assert shapes["shape/points/kernel"] == (8, 30)
+    assert not any("color" in name for name in shapes)
+
+
+def test_with_colour_the_shape_branch_has_6n_outputs():
+    plain, colored = network_shapes(), network_shapes(has_color=True)
+    assert colored["shape/colors/kernel"] == (8, 30)
+    assert set(colored) - set(plain) == {"shape/colors/kernel", "shape/colors/bias"}
+
+
+def test_points_stay_in_the_cube_and_colours_and_scale_in_the_unit_interval():
+    head = ShapeHead(num_points=50, hidden=16, has_color=True)
+    # Features far beyond training's drive tanh and the sigmoids to their ends.
+    features = jax.random.normal(KEY, (3, 8)) * 1e4
+    shape = run(head, features)
+    assert shape["points"].shape == shape["colors"].shape == (3, 50, 3)
+    assert shape["scale"].shape == (3,)
+    assert float(jnp.max(jnp.abs(shape["points"]))) <= 0.5
+    for name in ("scale", "colors"):
+        assert 0 <= float(jnp.min(shape[name])) <= float(jnp.max(shape[name])) <= 1
+
+
+def angle_deg(first, second):
+    """Angle between two rotations from the trace of their matrices, degrees."""
+    trace = np.trace(rotation_matrix(first) @ rotation_matrix(second).T)
+    return np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
+
+
+@pytest.mark.parametrize("count, least", [(2, 170), (4, 100), (8, 75)])
+def test_initial_rotations_are_spread_over_so3(count, least):
+    # The best possible pairwise angles are 180°, 120° (4 of the 24 cells' centres) and
+    # about 90°; a greedy choice from a pool stays some degrees below.
+    rotations = spread_rotations(count)
+    assert rotations.shape == (count, 4)
+    np.testing.assert_array_equal(rotations[0], [1, 0, 0, 0])
+    np.testing.assert_allclose(np.linalg.norm(rotations, axis=-1), 1, atol=1e-6)
+    angles = [angle_deg(a, b) for a, b in itertools.combinations(rotations, 2)]
+    assert min(angles) > least
+
+
+def test_one_rotation_is_the_identity():
+    np.testing.assert_array_equal(spread_rotations(1), [[1, 0, 0, 0]])
+
+
+def test_heads_start_near_their_rotations_yet_depend_on_the_image():
+    ensemble = PoseEnsemble(num_candidates=4, hidden=64, spread="all")
+    features = jax.random.normal(KEY, (20, 64))
+    candidates = np.asarray(run(ensemble, features))
+    assert candidates.shape == (20, 4, 4)
+    initial = spread_rotations(4)
+    angles = [
+        angle_deg(q, initial[k]) for row in candidates for k, q in enumerate(row)
+    ]
+    # Heads are at least 100° apart: within 50° each is nearest to its own rotation.
+    assert np.median(angles) < 50
+    assert np.min(np.std(candidates, axis=0)) > 1e-3
+
+
+def test_heads_that_are_not_spread_start_from_zero():
+    ensemble = PoseEnsemble(num_candidates=4, hidden=64)
+    candidates = run(ensemble, jnp.zeros((1, 64)))
+    # No bias at first: without features there is no quaternion either.
+    np.testing.assert_array_equal(candidates, jnp.zeros((1, 4, 4)))
+
+
+def test_upright_heads_stand_around_the_object_at_its_own_height():
+    count = 5
+    matrices = np.array([rotation_matrix(q) for q in surround_object(count)])
+    # Rows are the camera's right, down and forward in the object's frame; 1e-6 is
+    # rounding in float32.
+    np.testing.assert_allclose(matrices[:, 1], count * [[0, 0, -1]], atol=1e-6)
+    np.testing.assert_allclose(matrices[0], [[0, 1, 0], [0, 0, -1], [-1, 0, 0]], atol=1e-6)
+    forward = matrices[:, 2]
+    np.testing.assert_allclose(
+        np.sum(forward * np.roll(forward, 1, 0), -1), np.cos(2 * np.pi / count), atol=1e-6
+    )
+    assert len(np.unique(forward.round(3), axis=0)) == count
+
+
+def encode(images, *, normalize):
+    return run(ImageEncoder(channels=2, hidden=8, normalize=normalize), images)
+
+
+def test_normalisation_makes_features_independent_of_contrast():
+    image = jax.random.uniform(KEY, (1, 16, 16, 3), minval=-1)
+    images = jnp.concatenate([image, image / 4])
+    plain, normal = (encode(images, normalize=flag) for flag in (False, True))
+    # Without biases every layer is linear but for its leaky ReLU: a quarter in, a
+    # quarter out, to rounding. With normalisation the factor divides out, up to the
+    # 1e-6 added to the variance of the first layer, here of order 1e-2: 1e-3, relative.
+    np.testing.assert_allclose(plain[1], plain[0] / 4, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(normal[1], normal[0], rtol=1e-2, atol=1e-3)
+    assert np.max(np.abs(normal[0] - plain[0])) > 0.1
+
+
+def test_normalisation_adds_no_parameters():
+    plain, normal = (
+        shapes_of(ImageEncoder(channels=2, hidden=8, normalize=flag), image_shape(16))
+        for flag in (False, True)
+    )
+    assert plain == normal
+
+
+def test_normalisation_of_a_blank_image_is_finite_with_a_finite_gradient():
+    encoder = ImageEncoder(channels=2, hidden=8, normalize=True)
+
+    @jax.jit
+    def differentiate(images):
+        params = encoder.init(KEY, images)
+        return jax.value_and_grad(lambda x: jnp.sum(encoder.apply(params, x) ** 2))(
+            images
+        )
+
+    value, gradient = differentiate(jnp.zeros((1, 16, 16, 3)))
+    assert np.isfinite(value) and np.all(np.isfinite(gradient))
+
+
+def test_normalisation_looks_at_one_sample_alone():
+    images = jax.random.uniform(KEY, (2, 16, 16, 3), minval=-1)
+    first = encode(images, normalize=True)
+    other = encode(images.at[1].set(0.5), normalize=True)
+    # Rounding alone: the same sums, whatever stands beside them in the batch.
+    np.testing.assert_allclose(first[0], other[0], rtol=1e-5, atol=1e-6)

@@ -1,0 +1,148 @@
+"""Tiny settings, networks, batches and data sets, shared by the tests of learning."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpc_jax.data import DataSet
+from dpc_jax.learning.schedules import count_kept_points
+from dpc_jax.learning.settings import Settings
+from dpc_jax.learning.step import init_state, make_train_step
+from dpc_jax.networks import ShapePoseNetwork
+
+IMAGE_SIZE = 16  # pixels, the smallest that the encoder takes
+FOCAL_LENGTH, DISTANCE = 1.875, 2.0
+
+
+def make_settings(**changes) -> Settings:
+    """The plain method of the paper in miniature; every extra is off."""
+    values = dict(
+        steps=20,
+        models_per_batch=2,
+        views_per_batch=2,
+        grid=8,
+        num_points=24,
+        num_candidates=3,
+        flips=False,
+        selects=False,
+        tie_break=0.0,
+        choice_grid=0,
+        choice_points=0,
+        choice_top=0,
+        student_weight=0.01,
+        sigma_start=0.1,
+        sigma_end=0.05,
+        keep_start=0.5,
+        keep_end=1.0,
+        keep_levels=2,
+        scale_unit="mass",
+        learning_rate=1e-3,
+        warmup_steps=0,
+        final_rate=1.0,
+        weight_decay=0.0,
+        repulsion_weight=0.0,
+        repulsion_points=0,
+        color_weight=0.0,
+        focal_length=FOCAL_LENGTH,
+        distance=DISTANCE,
+        renders_at_once=0,
+        seed=0,
+    )
+    return Settings(**values | changes)
+
+
+def make_network(settings: Settings, **changes) -> ShapePoseNetwork:
+    """A network that fits the settings, 12 units wide."""
+    classes = settings.num_candidates * (4 if settings.flips else 1)
+    values = dict(
+        num_points=settings.num_points,
+        num_candidates=settings.num_candidates,
+        channels=2,
+        hidden=12,
+        shape_hidden=12,
+        has_color=settings.color_weight > 0,
+        num_classes=classes if settings.selects else 0,
+        spread_poses="all",
+    )
+    return ShapePoseNetwork(**values | changes)
+
+
+def make_state(network: ShapePoseNetwork, settings: Settings):
+    """The state at step 0."""
+    return init_state(network, settings, image_size=IMAGE_SIZE)
+
+
+def make_step(network: ShapePoseNetwork, settings: Settings, *, step: int = 0):
+    """The compiled step that the loop would take at a step."""
+    return make_train_step(network, settings, count_kept_points(step, settings))
+
+
+def copy(tree):
+    """A copy whose memory a training step may take."""
+    return jax.tree.map(jnp.copy, tree)
+
+
+def random_quaternions(seed: int, *shape: int) -> np.ndarray:
+    """Unit quaternions [*shape, 4] in float64."""
+    q = np.random.default_rng(seed).normal(size=(*shape, 4))
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def rotation_matrix(quaternion) -> np.ndarray:
+    """Rotation matrix [3, 3] of a quaternion, by Rodrigues' formula in float64."""
+    w, *v = np.asarray(quaternion, np.float64) / np.linalg.norm(quaternion)
+    x, y, z = v
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+
+
+def draw_mask(points, quaternion, *, size: int = IMAGE_SIZE, radius=1.0) -> np.ndarray:
+    """Bytes [size, size]: 255 within `radius` pixels of a projected point."""
+    x, y, z = rotation_matrix(quaternion) @ np.asarray(points, np.float64).T
+    columns = (FOCAL_LENGTH * x / (z + DISTANCE) + 0.5) * size - 0.5
+    rows = (FOCAL_LENGTH * y / (z + DISTANCE) + 0.5) * size - 0.5
+    i, j = np.mgrid[:size, :size]
+    square = (i[..., None] - rows) ** 2 + (j[..., None] - columns) ** 2
+    return np.where(square.min(-1) <= radius**2, 255, 0).astype(np.uint8)
+
+
+def make_dataset(*, models: int = 3, views: int = 3, seed: int = 0) -> DataSet:
+    """Boxes of random points, seen from random sides, without any ray casting."""
+    rng = np.random.default_rng(seed)
+    poses = random_quaternions(seed, models, views)
+    sides = np.sort(rng.uniform(0.1, 0.6, (models, 3)))
+    surfaces = rng.uniform(-0.5, 0.5, (models, 60, 3)) * sides[:, None]
+    masks = np.array(
+        [
+            [draw_mask(s, q) for q in views_of]
+            for s, views_of in zip(surfaces, poses, strict=True)
+        ]
+    )
+    shade = rng.integers(0, 200, (models, views, 1, 1, 3))
+    images = np.where(masks[..., None] > 0, shade, 255).astype(np.uint8)
+    return DataSet(
+        images=images,
+        masks=masks,
+        depths=np.zeros(masks.shape, np.float32),
+        quaternions=poses.astype(np.float32),
+        surfaces=surfaces.astype(np.float32),
+        names=tuple(f"box-{i}" for i in range(models)),
+        skipped=(),
+    )
+
+
+def make_batch(*, models: int = 2, views: int = 2, seed: int = 0) -> dict:
+    """A batch as `read_batch` gives it."""
+    dataset = make_dataset(models=models, views=views, seed=seed)
+    return {
+        "images": dataset.images,
+        "masks": dataset.masks,
+        "quaternions": dataset.quaternions,
+    }
+
+
+def assert_same_bits(first, second):
+    """Fail unless two trees have the same leaves, bit for bit."""
+    assert jax.tree.structure(first) == jax.tree.structure(second)
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
+        np.testing.assert_array_equal(np.asarray(a), np.asarray(b), strict=True)
