@@ -10,7 +10,7 @@ def get_config(variant: str | None = None):
         models=12, val_models=4, test_models=4, image_size=32, surface_points=10_000
     )
     c.network.update(channels=4, hidden=32, shape_hidden=32)
-    c.render.update(grid=16, num_points=100, keep_levels=2)
+    c.render.update(grid=16, fine_grid=32, num_points=100, keep_levels=2)
     if c.pose.choice_grid:
         c.pose.update(choice_grid=8, choice_points=50, choice_top=4)
     c.pose.candidates = min(c.pose.candidates, 2)

@@ -49,6 +49,8 @@ def default_config(category: str) -> ml_collections.ConfigDict:
 
     c.render = r = ml_collections.ConfigDict()
     r.grid = 32  # side of the volume and of the silhouettes compared, voxels
+    r.fine_grid = 64  # side for the winners' renders towards the end; 0 for none
+    r.fine_from = 0.75  # share of the run from which that grid is used
     r.num_points = 2000  # of a predicted cloud (§ Training details: 2000 at 32)
     r.sigma_start = 0.05  # of the volume's side (§ Training details)
     r.sigma_end = 0.003
@@ -65,6 +67,7 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     p.candidates = 4  # K heads of the ensemble (§ distilled ensemble)
     p.spread = "upright"  # where heads start: "upright" cameras, "all" of SO(3), or ""
     p.flips = False  # also try each head turned by 180° about the principal axes
+    p.flips_from = 0.4  # share of the run from which they are tried
     p.selects = True  # the student selects a candidate; False: regresses a pose
     p.tie_break = 0.0  # lean of the choice towards the student's pose, at the end
     p.choice_grid = 16  # volume that candidates are first compared in; 0: render.grid
@@ -82,6 +85,7 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     t.weight_decay = 0.0  # decoupled
     t.repulsion_weight = 0.05  # of the points' repulsion, at its end; 0 for none
     t.repulsion_points = 500  # of a cloud, that repel each other in a step
+    t.containment_weight = 1.0  # of points beyond radius 1/2; 0 for none
     t.color_weight = 0.0  # of the colour loss per pixel; 0 learns no colour
 
     c.log = ml_collections.ConfigDict()
@@ -105,16 +109,16 @@ def apply_variant(config: ml_collections.ConfigDict, variant: str | None):
         )
     config.variant = variant
     if variant == "naive":
-        config.pose.update(
-            candidates=1, spread="", flips=False
-        )
+        config.pose.update(candidates=1, spread="", flips=False)
     if variant == "known_pose":
         config.pose.known = True
     if variant == "paper":
         # § Training details and § Network architecture, at 64 pixels.
         config.data.update(models=5247, val_models=750, test_models=1500)
-        config.network.update(hidden=1024, shape_hidden=1024, student_width=32, normalize=False)
-        config.render.update(grid=64, num_points=8000, keep_levels=32)
+        config.network.update(
+            hidden=1024, shape_hidden=1024, student_width=32, normalize=False
+        )
+        config.render.update(grid=64, fine_grid=0, num_points=8000, keep_levels=32)
         config.pose.update(
             candidates=4,
             spread="",
@@ -125,8 +129,12 @@ def apply_variant(config: ml_collections.ConfigDict, variant: str | None):
             choice_points=0,
         )
         config.train.update(
-            steps=600_000, learning_rate=1e-4, warmup_steps=0, final_rate=1.0,
-            repulsion_weight=0.0
+            steps=600_000,
+            learning_rate=1e-4,
+            warmup_steps=0,
+            final_rate=1.0,
+            repulsion_weight=0.0,
+            containment_weight=0.0,
         )
         config.log.update(every=500, evaluate=20_000, checkpoint=5000)
     return config
@@ -183,6 +191,14 @@ def validate(config: ml_collections.ConfigDict):
         "averaged down to it",
     )
     expect(
+        not render.fine_grid
+        or data.image_size % render.fine_grid == 0
+        and render.fine_grid % render.grid == 0,
+        "render.fine_grid",
+        f"0, or a multiple of render.grid = {render.grid} that divides data.image_size "
+        f"= {data.image_size}",
+    )
+    expect(
         not pose.choice_grid or render.grid % pose.choice_grid == 0,
         "pose.choice_grid",
         f"0 or a divisor of render.grid = {render.grid}",
@@ -191,7 +207,9 @@ def validate(config: ml_collections.ConfigDict):
         expect(0 < render[name] <= 1, f"render.{name}", "above 0 and at most 1")
     for name in ("sigma_start", "sigma_end"):
         expect(0 <= render[name] <= 1, f"render.{name}", "between 0 and 1")
-    expect(render.scale_unit in ("peak", "mass"), "render.scale_unit", "'peak' or 'mass'")
+    expect(
+        render.scale_unit in ("peak", "mass"), "render.scale_unit", "'peak' or 'mass'"
+    )
     expect(
         pose.spread in ("", "all", "upright"), "pose.spread", "'', 'all' or 'upright'"
     )
@@ -206,7 +224,9 @@ def validate(config: ml_collections.ConfigDict):
     for section in ("meshes", "test_meshes"):
         folder = data[section]
         expect(
-            not folder or Path(folder).is_dir(), f"data.{section}", "a folder that exists"
+            not folder or Path(folder).is_dir(),
+            f"data.{section}",
+            "a folder that exists",
         )
 
 
@@ -220,9 +240,12 @@ def make_settings(config: ml_collections.ConfigDict) -> Settings:
         models_per_batch=c.train.models_per_batch,
         views_per_batch=c.train.views_per_batch,
         grid=c.render.grid,
+        fine_grid=c.render.fine_grid,
+        fine_from=c.render.fine_from,
         num_points=c.render.num_points,
         num_candidates=0 if pose_off else c.pose.candidates,
         flips=c.pose.flips and is_ensemble,
+        flips_from=c.pose.flips_from,
         selects=c.pose.selects and is_ensemble,
         tie_break=c.pose.tie_break if is_ensemble else 0.0,
         choice_grid=c.pose.choice_grid,
@@ -241,6 +264,7 @@ def make_settings(config: ml_collections.ConfigDict) -> Settings:
         weight_decay=c.train.weight_decay,
         repulsion_weight=c.train.repulsion_weight,
         repulsion_points=c.train.repulsion_points,
+        containment_weight=c.train.containment_weight,
         color_weight=c.train.color_weight,
         focal_length=c.render.focal_length,
         distance=c.render.distance,

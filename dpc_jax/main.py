@@ -11,7 +11,9 @@ from ml_collections import config_flags
 from dpc_jax import run
 
 _CONFIG = config_flags.DEFINE_config_file(
-    "config", None, "Path of a config, for example configs/car.py or configs/car.py:paper."
+    "config",
+    None,
+    "Path of a config, for example configs/car.py or configs/car.py:paper.",
 )
 _WORKDIR = flags.DEFINE_string(
     "workdir", None, "Folder of the run; runs/NAME-seedN where not given."

@@ -1,11 +1,14 @@
 """Tiny settings, networks, batches and data sets, shared by the tests of learning."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dpc_jax import configuration
 from dpc_jax.data import DataSet
-from dpc_jax.learning.schedules import count_kept_points
+from dpc_jax.learning.schedules import find_stage
 from dpc_jax.learning.settings import Settings
 from dpc_jax.learning.step import init_state, make_train_step
 from dpc_jax.networks import ShapePoseNetwork
@@ -48,7 +51,9 @@ def make_settings(**changes) -> Settings:
         renders_at_once=0,
         seed=0,
     )
-    return Settings(**values | changes)
+    # A field that is new and not above has its default.
+    default = configuration.make_settings(configuration.default_config("car"))
+    return dataclasses.replace(default, **values | changes)
 
 
 def make_network(settings: Settings, **changes) -> ShapePoseNetwork:
@@ -74,7 +79,7 @@ def make_state(network: ShapePoseNetwork, settings: Settings):
 
 def make_step(network: ShapePoseNetwork, settings: Settings, *, step: int = 0):
     """The compiled step that the loop would take at a step."""
-    return make_train_step(network, settings, count_kept_points(step, settings))
+    return make_train_step(network, settings, find_stage(step, settings))
 
 
 def copy(tree):

@@ -10,14 +10,14 @@ from dpc_jax.evaluation import alignment as alignments
 from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation import scores
 from dpc_jax.learning import hindsight, losses, schedules
-from dpc_jax.learning.settings import Settings
-from dpc_jax.learning.step import (
-    TrainState,
+from dpc_jax.learning.objective import (
     complete_poses,
     compute_mass,
     map_renders,
     scale_images,
 )
+from dpc_jax.learning.settings import Settings
+from dpc_jax.learning.step import TrainState
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera, VoxelGrid, project
 
@@ -48,7 +48,8 @@ def make_predictor(network: ShapePoseNetwork, settings: Settings):
     For n views: images uint8 [n, S, S, 3], masks uint8 [n, S, S], quaternions [n, 4].
     """
     camera = Camera(settings.focal_length, settings.distance)
-    grid = VoxelGrid(settings.grid)
+    grid = VoxelGrid(settings.fine_grid or settings.grid)
+    ratio = grid.shape[0] / settings.grid
 
     def predict(state, images, masks, quaternions):
         output = network.apply(state.params, scale_images(images))
@@ -63,7 +64,12 @@ def make_predictor(network: ShapePoseNetwork, settings: Settings):
         def explain(view):
             points, view_mass, pose, view_candidates, target = view
             image = project(
-                points, pose, sigma=sigma, scale=view_mass, camera=camera, grid=grid
+                points,
+                pose,
+                sigma=sigma * ratio,
+                scale=view_mass,
+                camera=camera,
+                grid=grid,
             )
             if view_candidates.shape[0] == 1:
                 return image.silhouette, 0
@@ -150,7 +156,5 @@ def score(
         chamfer_views=chamfer_views,
     )
     heads = predictions.winners % max(1, num_candidates)
-    shares = candidate_use.winner_share(
-        heads, num_candidates=max(1, num_candidates)
-    )
+    shares = candidate_use.winner_share(heads, num_candidates=max(1, num_candidates))
     return result, shares

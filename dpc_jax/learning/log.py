@@ -33,5 +33,7 @@ class MetricLog:
         if not self._path.exists():
             return
         partial = self._path.with_name(self._path.name + ".tmp")
-        partial.write_text("".join(json.dumps(r) + "\n" for r in kept), encoding="utf-8")
+        partial.write_text(
+            "".join(json.dumps(r) + "\n" for r in kept), encoding="utf-8"
+        )
         os.replace(partial, self._path)

@@ -80,7 +80,7 @@ def train(
     """
     start = int(state.step)
     models, views = dataset.masks.shape[:2]
-    train_step, kept_points = None, None
+    train_step, stage = None, None
     window: list[dict] = []
     window_start, window_seconds = start, seconds
     clock = time.monotonic()
@@ -91,10 +91,9 @@ def train(
 
     with ProgressReport(title, total=settings.steps, start=start) as progress:
         for step in range(start, settings.steps):
-            kept = schedules.count_kept_points(step, settings)
-            if kept != kept_points:
-                train_step = make_train_step(network, settings, kept)
-                kept_points = kept
+            if stage != (current := schedules.find_stage(step, settings)):
+                stage = current
+                train_step = make_train_step(network, settings, stage)
             chosen = choose_batch(
                 models,
                 views,

@@ -53,6 +53,18 @@ def repulsion_energy(points: chex.Array, *, softening: float = 0.02) -> chex.Arr
     return (jnp.sum(energy) - count / softening) / (count * (count - 1))
 
 
+def containment_loss(points: chex.Array, *, radius: float = 0.5) -> chex.Array:
+    """Sum over points [N, 3] of the squared distance beyond a sphere; (). Not in the paper.
+
+    An object of box diagonal 1 lies within radius 1/2. A point that has left the image
+    of every view gets no other gradient and would stay where it is for good.
+    """
+    square = jnp.sum(points**2, axis=-1)
+    is_beyond = square > radius**2
+    length = jnp.sqrt(jnp.where(is_beyond, square, 1))
+    return jnp.sum(jnp.where(is_beyond, (length - radius) ** 2, 0))
+
+
 def downsample_images(images: chex.Array, size: int) -> chex.Array:
     """Average bytes [..., S, S] over blocks of pixels, to [..., size, size] in [0, 1]."""
     factor = images.shape[-1] // size

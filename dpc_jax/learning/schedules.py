@@ -1,5 +1,7 @@
 """Schedules over a run: point size, point dropout, learning rate (§ Training details)."""
 
+from typing import NamedTuple
+
 import chex
 import jax.numpy as jnp
 import optax
@@ -29,6 +31,31 @@ def count_kept_points(step: int, settings: Settings) -> int:
     done = 1.0 if level == levels - 1 else (level + 0.5) / levels
     share = settings.keep_start + done * (settings.keep_end - settings.keep_start)
     return max(1, round(share * settings.num_points))
+
+
+class Stage(NamedTuple):
+    """What is static about a step; each stage is a program of its own.
+
+    Attributes:
+      kept_points: number of points rendered.
+      grid: side of the volume that the winners are rendered in.
+      flips: whether half turns of the heads compete too.
+    """
+
+    kept_points: int
+    grid: int
+    flips: bool
+
+
+def find_stage(step: int, settings: Settings) -> Stage:
+    """The stage that a step belongs to."""
+    return Stage(
+        kept_points=count_kept_points(step, settings),
+        grid=settings.fine_grid
+        if settings.fine_grid and step >= settings.fine_from * settings.steps
+        else settings.grid,
+        flips=settings.flips and step >= settings.flips_from * settings.steps,
+    )
 
 
 def make_learning_rate(settings: Settings) -> optax.Schedule:

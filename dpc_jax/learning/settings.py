@@ -11,9 +11,12 @@ class Settings:
       steps: training steps in all; the schedules end there.
       models_per_batch, views_per_batch: objects in a batch and views of each.
       grid: side of the volume and of the silhouettes compared, in voxels.
+      fine_grid, fine_from: a finer grid for the winners' renders, from this share of the
+        run on; 0 for none.
       num_points: N.
       num_candidates: K pose heads; 0 where poses are known.
-      flips: also try every head turned by 180° about each principal axis.
+      flips: also try every head turned by 180° about each principal axis,
+      flips_from: from this share of the run on.
       selects: whether the student selects a candidate or regresses a pose.
       tie_break: how strongly the choice among candidates leans to the student's pose
         at the end of the run; grows from 0.
@@ -32,6 +35,7 @@ class Settings:
       weight_decay: of decoupled weight decay (AdamW); 0 is Adam.
       repulsion_weight: of the points' repulsion energy; 0 for none.
       repulsion_points: how many points of a cloud repel each other in a step.
+      containment_weight: of points beyond the sphere that holds every object; 0 for none.
       color_weight: of the colour loss, per pixel; 0 learns no colour.
       focal_length, distance: of the camera.
       renders_at_once: how many views are rendered side by side; 0 for all (GPU).
@@ -42,9 +46,12 @@ class Settings:
     models_per_batch: int
     views_per_batch: int
     grid: int
+    fine_grid: int
+    fine_from: float
     num_points: int
     num_candidates: int
     flips: bool
+    flips_from: float
     selects: bool
     tie_break: float
     choice_grid: int
@@ -63,6 +70,7 @@ class Settings:
     weight_decay: float
     repulsion_weight: float
     repulsion_points: int
+    containment_weight: float
     color_weight: float
     focal_length: float
     distance: float

@@ -60,9 +60,9 @@ class QuaternionHead(nn.Module):
         x = leaky_relu(nn.Dense(self.width, kernel_init=conv_init)(features))
         x = leaky_relu(nn.Dense(self.width, kernel_init=conv_init)(x))
         # The output is of the order of `initial`: small beside it, yet not constant.
-        out = nn.Dense(4, kernel_init=nn.initializers.variance_scaling(
-            0.1, "fan_in", "normal"
-        ))
+        out = nn.Dense(
+            4, kernel_init=nn.initializers.variance_scaling(0.1, "fan_in", "normal")
+        )
         return initial + out(x)
 
 

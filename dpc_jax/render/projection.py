@@ -86,9 +86,7 @@ def project(
     coordinates, is_inside = to_grid(moved, camera=camera, grid=grid)
     mass = jnp.where(is_inside, scale, 0)
 
-    density = smoothing.smooth(
-        splatting.splat(coordinates, mass, grid.shape), sigma
-    )
+    density = smoothing.smooth(splatting.splat(coordinates, mass, grid.shape), sigma)
     occupancy = termination.clip_unit(density)
     if tuple(signals) == ("silhouette",):
         return Projection(silhouette=termination.opacity(occupancy))
@@ -98,9 +96,9 @@ def project(
     if "silhouette" in signals:
         silhouette = termination.opacity(occupancy)
     if "depth" in signals:
-        depth = (occupancy * reached) @ grid.depths(camera, dtype) + background * jnp.asarray(
-            background_depth, dtype
-        )
+        depth = (occupancy * reached) @ grid.depths(
+            camera, dtype
+        ) + background * jnp.asarray(background_depth, dtype)
     if "color" in signals:
         color = _project_colors(
             coordinates, mass, jnp.asarray(colors, dtype), sigma, density, reached

@@ -1,0 +1,288 @@
+"""The hindsight choice: whose gradient it has, ties, order, turns, the coarse look."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tiny_runs import (
+    draw_mask,
+    make_batch,
+    make_network,
+    make_settings,
+    make_state,
+    random_quaternions,
+    rotation_matrix,
+)
+
+from dpc_jax.learning import hindsight, step
+from dpc_jax.learning.losses import downsample_images
+from dpc_jax.learning.schedules import find_stage
+from dpc_jax.render import Camera, VoxelGrid, project
+
+CAMERA = Camera()
+SIGMA = 0.6  # voxels
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A lopsided cloud, candidates none of which is right, and a view of the cloud."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.5, 0.5, (30, 3)) * [0.8, 0.4, 0.2] + [0.05, 0.02, 0]
+    target = draw_mask(points, random_quaternions(9)) / 255.0
+    return {
+        "points": jnp.array(points),
+        "mass": jnp.array(0.7),
+        "candidates": jnp.array(random_quaternions(1, 6)),
+        "target": downsample_images(jnp.array(target * 255), 8),
+    }
+
+
+def render_losses(points, mass, candidates, target, *, sigma=SIGMA):
+    """Loss of each candidate, in the plainest way."""
+    images = jax.vmap(
+        lambda q: project(
+            points, q, sigma=sigma, scale=mass, grid=VoxelGrid(target.shape[0])
+        ).silhouette
+    )(candidates)
+    return jnp.sum((images - target) ** 2, axis=(1, 2))
+
+
+@jax.jit
+def find_losses(points, mass, candidates, target, sigma=SIGMA):
+    return render_losses(points, mass, candidates, target, sigma=sigma)
+
+
+@functools.partial(jax.jit, static_argnames=("first_grid", "first_points", "top"))
+def compute_choice(arrays, student, tie_break, **static):
+    return hindsight.choose_candidate(
+        **arrays,
+        sigma=SIGMA,
+        camera=CAMERA,
+        student=student,
+        tie_break=tie_break,
+        **static,
+    )
+
+
+def choose(scene, *, candidates=None, student=None, tie_break=0.0, **static):
+    if candidates is not None:
+        scene = scene | {"candidates": candidates}
+    found = compute_choice(dict(scene), student, tie_break, **static)
+    assert found.shape == ()
+    return int(found)
+
+
+def test_the_candidate_of_the_smallest_loss_wins(scene):
+    losses = np.asarray(find_losses(**scene))
+    assert len(np.unique(losses)) == 6  # no ties in this scene
+    assert choose(scene) == np.argmin(losses)
+
+
+def test_permuting_the_candidates_permutes_the_winner(scene):
+    winner = choose(scene)
+    for seed in range(3):
+        order = np.random.default_rng(seed).permutation(6)
+        found = choose(scene, candidates=scene["candidates"][order])
+        assert order[found] == winner
+
+
+def test_of_equal_candidates_the_first_wins(scene):
+    winner = scene["candidates"][choose(scene)]
+    # The same rotation five times, once with the other sign: equal losses.
+    copies = jnp.stack([winner, winner, -winner, winner, 2 * winner])
+    losses = find_losses(**scene | {"candidates": copies})
+    # 2q is normalised to q exactly: powers of two do not round.
+    np.testing.assert_array_equal(losses, losses[0])
+    assert choose(scene, candidates=copies) == 0
+
+
+def test_a_look_at_a_coarse_volume_agrees_with_the_exact_choice_if_all_pass_it(scene):
+    for top in (6, 100):
+        assert choose(scene, first_grid=4, first_points=10, top=top) == choose(scene)
+
+
+@pytest.mark.parametrize("grid, count", [(4, 30), (8, 10), (2, 7)])
+def test_without_an_exact_second_look_the_coarse_comparison_decides(scene, grid, count):
+    blocks = np.asarray(scene["target"]).reshape(grid, 8 // grid, grid, 8 // grid)
+    coarse = find_losses(
+        scene["points"][:count],
+        scene["mass"] * (30 / count) * (grid / 8) ** 3,
+        scene["candidates"],
+        jnp.array(blocks.mean((1, 3))),
+        sigma=SIGMA * grid / 8,
+    )
+    assert choose(scene, first_grid=grid, first_points=count) == np.argmin(coarse)
+
+
+def test_only_the_candidates_that_pass_the_coarse_look_can_win(scene):
+    alone = choose(scene, first_grid=2, first_points=3, top=1)
+    assert alone == choose(scene, first_grid=2, first_points=3, top=0)
+
+
+def test_more_first_points_than_there_are_means_all_of_them(scene):
+    assert choose(scene, first_points=1000) == choose(scene)
+
+
+def test_a_tie_break_leans_to_the_candidate_nearest_to_the_student(scene):
+    # A lean beyond the ratio of the losses turns the choice; below it does not.
+    pair = scene["candidates"][:2]
+    losses = np.asarray(find_losses(**scene | {"candidates": pair}))
+    worse = int(np.argmax(losses))
+    ratio = losses.max() / losses.min() - 1
+    cosine = abs(np.asarray(pair[0]) @ np.asarray(pair[1]))
+    needed = ratio / (1 - cosine)
+    student = pair[worse]
+    assert choose(scene, candidates=pair, student=student, tie_break=needed * 1.1) == worse
+    assert choose(scene, candidates=pair, student=student, tie_break=needed * 0.9) != worse
+
+
+def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():
+    axes = rotation_matrix(random_quaternions(4))  # columns
+    rng = np.random.default_rng(0)
+    points = (rng.normal(size=(500, 3)) * [1, 2, 3]) @ axes.T + [5, 6, 7]
+    covariance = hindsight.compute_covariance(jnp.array(points, jnp.float32))
+    np.testing.assert_allclose(covariance, np.cov(points.T, bias=True), rtol=1e-4, atol=1e-4)
+    turns = np.asarray(hindsight.find_half_turns(covariance))
+    np.testing.assert_allclose(np.linalg.norm(turns, axis=-1), 1, atol=1e-6)
+    np.testing.assert_array_equal(turns[0], [1, 0, 0, 0])
+    _, principal = np.linalg.eigh(np.cov(points.T))
+    for turn, axis in zip(turns[1:], principal.T, strict=True):
+        # 180° about a: 2aaᵀ - I. The eigenvectors of a float32 covariance with gaps of
+        # order one are good to some 1e-6.
+        expected = 2 * np.outer(axis, axis) - np.eye(3)
+        np.testing.assert_allclose(rotation_matrix(turn), expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("covariance", [np.zeros((3, 3)), np.eye(3), np.diag([1, 0, 0])])
+def test_half_turns_of_a_cloud_without_distinct_axes_are_still_half_turns(covariance):
+    turns = np.asarray(hindsight.find_half_turns(jnp.array(covariance, jnp.float32)))
+    assert np.all(turns[1:, 0] == 0)
+    np.testing.assert_allclose(np.linalg.norm(turns, axis=-1), 1, atol=1e-6)
+    for i in range(4):
+        for j in range(i):
+            assert abs(turns[i] @ turns[j]) < 1e-6
+
+
+def test_turned_candidate_i_is_head_i_mod_k_after_a_turn_of_the_object():
+    candidates, turns = random_quaternions(1, 5), random_quaternions(2, 4)
+    turned = hindsight.turn_candidates(jnp.array(candidates), jnp.array(turns))
+    assert turned.shape == (20, 4)
+    for i, q in enumerate(turned):
+        expected = rotation_matrix(candidates[i % 5]) @ rotation_matrix(turns[i // 5])
+        np.testing.assert_allclose(rotation_matrix(q), expected, atol=1e-5)
+
+
+# The training objective against the plain minimum.
+
+
+def plain_objective(params, batch, *, network, settings):
+    """Mean over views of min over K, every candidate rendered with its gradient."""
+    views = batch["images"].reshape(-1, *batch["images"].shape[2:])
+    output = network.apply(params, views / 127.5 - 1.0)
+    per_object = batch["images"].shape[1]
+    # The shape comes from the object's first view.
+    first = np.arange(len(views)) // per_object * per_object
+    all_losses = jax.vmap(
+        functools.partial(render_losses, sigma=settings.sigma_end * settings.grid)
+    )(
+        output["points"][first],
+        output["scale"][first],
+        output["candidates"],
+        downsample_images(batch["masks"].reshape(-1, 16, 16), settings.grid),
+    )
+    losses = jnp.min(all_losses, axis=1)
+    winners = jnp.argmin(all_losses, axis=1)
+    teacher = jax.lax.stop_gradient(
+        output["candidates"][np.arange(len(views)), winners]
+    )
+    cosine = jnp.sum(output["student"] * teacher, -1) / (
+        jnp.linalg.norm(output["student"], axis=-1) * jnp.linalg.norm(teacher, axis=-1)
+    )
+    student = settings.student_weight * settings.grid**2 * (1 - jnp.abs(cosine))
+    return jnp.mean(losses) + jnp.mean(student)
+
+
+@pytest.fixture(scope="module")
+def objective():
+    """The objective and its gradient, without dropout; compiled once."""
+    settings = make_settings(sigma_start=0.1, sigma_end=0.1, keep_start=1.0)
+    network = make_network(settings)
+
+    @jax.jit
+    def differentiate(params, batch):
+        return jax.value_and_grad(step.compute_loss, has_aux=True)(
+            params,
+            batch,
+            jax.random.key(0),
+            jnp.asarray(0),
+            jnp.zeros((3, 3)),
+            network=network,
+            settings=settings,
+            stage=find_stage(0, settings),
+        )
+
+    return differentiate, network, settings, make_state(network, settings).params
+
+
+def test_the_gradient_through_the_winner_alone_is_that_of_the_plain_minimum(objective):
+    differentiate, network, settings, params = objective
+    batch = make_batch()
+    (loss, _), gradient = differentiate(params, batch)
+    expected_loss, expected = jax.jit(
+        jax.value_and_grad(
+            lambda p: plain_objective(p, batch, network=network, settings=settings)
+        )
+    )(params)
+    assert float(loss) == pytest.approx(float(expected_loss), rel=1e-5)
+    # The same sums in another order: float32, against the largest entry of each leaf.
+    for found, wanted in zip(
+        jax.tree.leaves(gradient), jax.tree.leaves(expected), strict=True
+    ):
+        largest = float(jnp.max(jnp.abs(wanted)))
+        np.testing.assert_allclose(found, wanted, atol=2e-5 * largest + 1e-7)
+    norms = [float(jnp.linalg.norm(g)) for g in jax.tree.leaves(gradient)]
+    assert np.median(norms) > 1e-3
+
+
+def test_heads_that_never_win_get_no_gradient_and_those_that_win_get_one(objective):
+    differentiate, _, settings, params = objective
+    for seed in range(3):
+        (_, (metrics, _)), gradient = differentiate(params, make_batch(seed=seed))
+        winners = np.asarray(metrics["winners"])
+        assert winners.shape == (4,)
+        heads = gradient["params"]["pose"]["heads"]["Dense_2"]["kernel"]
+        norms = np.linalg.norm(np.asarray(heads).reshape(3, -1), axis=-1)
+        np.testing.assert_array_equal(norms > 0, np.isin(np.arange(3), winners))
+
+
+def test_equal_heads_tie_on_every_view_whatever_points_were_dropped(objective):
+    # Candidates rendered with different subsets would differ: with one subset for all
+    # of them the tie is exact, and the first head has the whole gradient.
+    _, network, _, params = objective
+    settings = make_settings(keep_start=0.3, keep_levels=1, keep_end=0.3)
+    heads = params["params"]["pose"]["heads"]
+    equal = jax.tree.map(lambda a: jnp.broadcast_to(a[:1], a.shape), heads)
+    params = {"params": params["params"] | {"pose": params["params"]["pose"] | {"heads": equal}}}
+    network = network.clone(spread_poses="")
+
+    @jax.jit
+    def differentiate(key):
+        return jax.grad(step.compute_loss, has_aux=True)(
+            params,
+            make_batch(),
+            key,
+            jnp.asarray(0),
+            jnp.zeros((3, 3)),
+            network=network,
+            settings=settings,
+            stage=find_stage(0, settings),
+        )
+
+    for seed in range(3):
+        gradient, (metrics, _) = differentiate(jax.random.key(seed))
+        np.testing.assert_array_equal(metrics["winners"], 0)
+        kernel = gradient["params"]["pose"]["heads"]["Dense_2"]["kernel"]
+        assert np.linalg.norm(kernel[0]) > 0
+        np.testing.assert_array_equal(kernel[1:], 0)

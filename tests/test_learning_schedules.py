@@ -1,0 +1,102 @@
+"""Schedules over a run: the paper's ends, at every resolution and length."""
+
+import numpy as np
+import pytest
+from tiny_runs import make_settings
+
+from dpc_jax.learning.schedules import (
+    compute_sigma,
+    count_kept_points,
+    make_learning_rate,
+)
+
+
+@pytest.mark.parametrize("grid", [8, 32, 64, 128])
+@pytest.mark.parametrize("steps", [1, 10, 600_000])
+def test_sigma_goes_from_five_to_a_third_of_a_percent_of_the_volume(grid, steps):
+    settings = make_settings(grid=grid, steps=steps, sigma_start=0.05, sigma_end=0.003)
+    # float32, relative.
+    assert compute_sigma(0, settings) == pytest.approx(0.05 * grid, rel=1e-5)
+    assert compute_sigma(steps, settings) == pytest.approx(0.003 * grid, rel=1e-5)
+    middle = compute_sigma(steps / 2, settings)
+    assert middle == pytest.approx(0.0265 * grid, rel=1e-5)
+
+
+def test_sigma_stays_at_its_end_beyond_the_last_step():
+    settings = make_settings(steps=10)
+    assert compute_sigma(25, settings) == compute_sigma(10, settings)
+
+
+@pytest.mark.parametrize("levels", [1, 2, 5, 32])
+def test_the_number_of_kept_points_rises_in_stairs_to_its_end(levels):
+    settings = make_settings(
+        steps=1000, num_points=2000, keep_start=0.07, keep_end=1.0, keep_levels=levels
+    )
+    kept = np.array([count_kept_points(s, settings) for s in range(1000)])
+    assert np.all(np.diff(kept) >= 0)
+    assert len(np.unique(kept)) == levels
+    assert kept[-1] == 2000
+    # All stairs but the last lie around the line, by at most half a stair.
+    line = 2000 * (0.07 + 0.93 * np.arange(1000) / 1000)
+    inner = slice(0, 1000 * (levels - 1) // levels)
+    assert np.all(np.abs(kept - line)[inner] <= 0.93 * 2000 / levels / 2 + 1)
+
+
+def test_the_last_stair_keeps_the_end_value_and_at_least_one_point_is_left():
+    settings = make_settings(num_points=40, keep_start=0.1, keep_end=0.5, keep_levels=3)
+    assert count_kept_points(settings.steps - 1, settings) == 20
+    assert count_kept_points(settings.steps + 5, settings) == 20
+    few = make_settings(num_points=3, keep_start=1e-3, keep_end=1e-3, keep_levels=1)
+    assert count_kept_points(0, few) == 1
+
+
+def test_a_run_shorter_than_its_stairs_ends_with_all_points():
+    settings = make_settings(steps=3, keep_levels=32)
+    assert count_kept_points(2, settings) <= settings.num_points
+    longer = make_settings(steps=32, keep_levels=32)
+    assert count_kept_points(31, longer) == longer.num_points
+
+
+def rates(*steps, **changes):
+    schedule = make_learning_rate(make_settings(**changes))
+    return [float(schedule(step)) for step in steps]
+
+
+def test_the_learning_rate_of_the_paper_is_constant():
+    # float32
+    assert rates(
+        0, 1, 500, 999, steps=1000, learning_rate=1e-4, warmup_steps=0, final_rate=1.0
+    ) == pytest.approx(4 * [1e-4], rel=1e-6)
+
+
+def test_the_learning_rate_warms_up_linearly_and_decays_as_a_cosine():
+    first, second, peak, middle, last, after = rates(
+        0,
+        1,
+        100,
+        600,
+        1100,
+        2000,
+        steps=1100,
+        learning_rate=1e-2,
+        warmup_steps=100,
+        final_rate=0.1,
+    )
+    # float32; the first step already moves, by 1 / warmup_steps of the peak. The line
+    # of the warm-up reaches the peak at step 100.
+    assert first == pytest.approx(1e-4, rel=1e-5)
+    assert second == pytest.approx(1e-4 + 1e-2 * 0.99 / 100, rel=1e-5)
+    assert peak == pytest.approx(1e-2, rel=1e-5)
+    assert middle == pytest.approx(1e-2 * (1 + 0.1) / 2, rel=1e-4)
+    assert last == after == pytest.approx(1e-3, rel=1e-4)
+
+
+def test_without_warm_up_the_first_step_has_the_peak_rate():
+    first, last = rates(0, 50, steps=50, learning_rate=2e-3, final_rate=0.5)
+    assert first == pytest.approx(2e-3, rel=1e-6)
+    assert last == pytest.approx(1e-3, rel=1e-5)
+
+
+def test_a_run_that_is_all_warm_up_has_finite_rates():
+    found = rates(0, 10, 20, steps=20, warmup_steps=20, learning_rate=1e-3)
+    assert np.all(np.isfinite(found)) and max(found) == pytest.approx(1e-3, rel=1e-5)
