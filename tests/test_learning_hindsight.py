@@ -16,8 +16,9 @@ from tiny_runs import (
     rotation_matrix,
 )
 
-from dpc_jax.learning import hindsight, step
+from dpc_jax.learning import hindsight
 from dpc_jax.learning.losses import downsample_images
+from dpc_jax.learning.objective import compute_loss
 from dpc_jax.learning.schedules import find_stage
 from dpc_jax.render import Camera, VoxelGrid, project
 
@@ -212,7 +213,7 @@ def objective():
 
     @jax.jit
     def differentiate(params, batch):
-        return jax.value_and_grad(step.compute_loss, has_aux=True)(
+        return jax.value_and_grad(compute_loss, has_aux=True)(
             params,
             batch,
             jax.random.key(0),
@@ -269,7 +270,7 @@ def test_equal_heads_tie_on_every_view_whatever_points_were_dropped(objective):
 
     @jax.jit
     def differentiate(key):
-        return jax.grad(step.compute_loss, has_aux=True)(
+        return jax.grad(compute_loss, has_aux=True)(
             params,
             make_batch(),
             key,

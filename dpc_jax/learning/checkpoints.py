@@ -71,7 +71,7 @@ class Checkpoints:
         return sorted(c.step for c in self._checkpointer.checkpoints)
 
     def set_aside(self, steps: Iterable[int]):
-        """Move checkpoints out of the way, to damaged-checkpoint-STEP beside the folder.
+        """Move checkpoints to damaged-checkpoint-STEP beside the folder.
 
         A run that went on from an earlier one can then save at those steps again.
         """
@@ -114,8 +114,8 @@ class Checkpoints:
             raise ValueError(
                 f"None of the checkpoints in {self._folder} (steps "
                 f"{', '.join(map(str, damaged))}) could be read, though at least one "
-                "was expected to be whole; choose another workdir or remove that folder "
-                "to start anew."
+                "was expected to be whole; choose another workdir or remove that "
+                "folder to start anew."
             )
         return None
 

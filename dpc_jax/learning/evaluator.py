@@ -67,7 +67,7 @@ def make_predictor(network: ShapePoseNetwork, settings: Settings):
                 points,
                 pose,
                 sigma=sigma * ratio,
-                scale=view_mass,
+                scale=view_mass * ratio**3,
                 camera=camera,
                 grid=grid,
             )

@@ -1,4 +1,4 @@
-"""Losses of the paper: reprojection (Eq. 1) and the student's (§ distilled ensemble)."""
+"""Losses: reprojection (Eq. 1), the student's (§ distilled ensemble), priors."""
 
 import chex
 import jax
@@ -66,7 +66,7 @@ def containment_loss(points: chex.Array, *, radius: float = 0.5) -> chex.Array:
 
 
 def downsample_images(images: chex.Array, size: int) -> chex.Array:
-    """Average bytes [..., S, S] over blocks of pixels, to [..., size, size] in [0, 1]."""
+    """Average bytes [..., S, S] over blocks, to [..., size, size] in [0, 1]."""
     factor = images.shape[-1] // size
     blocks = images.astype(jnp.float32).reshape(
         *images.shape[:-2], size, factor, size, factor

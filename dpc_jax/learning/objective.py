@@ -1,4 +1,4 @@
-"""The objective of a batch: reprojection with the hindsight choice, and the student's."""
+"""The objective of a batch: Eq. 1 with the hindsight choice, and the student's."""
 
 import chex
 import jax
@@ -145,7 +145,7 @@ def compute_loss(
         render,
         (
             per_view(kept["points"]),
-            per_view(compute_mass(shape["scale"], sigma * ratio, settings)),
+            per_view(mass * ratio**3),  # the same density in smaller voxels
             poses.reshape(-1, 4),
             per_view(kept.get("colors")),
         ),

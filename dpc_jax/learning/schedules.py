@@ -1,4 +1,4 @@
-"""Schedules over a run: point size, point dropout, learning rate (§ Training details)."""
+"""Schedules over a run: point size, dropout, learning rate (§ Training details)."""
 
 from typing import NamedTuple
 

@@ -78,7 +78,7 @@ def make_train_step(
         params = optax.apply_updates(state.params, updates)
         metrics["loss"] = loss
         metrics["gradient_norms"] = {
-            name: optax.global_norm(part) for name, part in grads["params"].items()
+            name: optax.tree.norm(part) for name, part in grads["params"].items()
         }
         return TrainState(state.step + 1, params, opt_state, covariance), metrics
 

@@ -1,4 +1,4 @@
-"""The image encoder: strided convolutions, then two dense layers (§ Network architecture).
+"""The image encoder of § Network architecture: convolutions, two dense layers.
 
 Leaky ReLU with slope 0.2 after every layer.
 """

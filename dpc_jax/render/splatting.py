@@ -1,4 +1,4 @@
-"""Trilinear splatting: points to a volume, the first step of the paper's fast method."""
+"""Trilinear splatting: points to a volume, the fast method's first step."""
 
 import functools
 import itertools

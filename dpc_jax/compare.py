@@ -1,0 +1,85 @@
+"""Runs side by side: python -m dpc_jax.compare runs/car-seed0 runs/car-naive-seed0
+
+Prints a Markdown table of their test metrics, with the mean of runs that differ in the
+seed alone, and draws their error against run time into --out.
+"""
+
+import argparse
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from dpc_jax.learning.log import MetricLog
+from dpc_jax.reporting.figures import draw_curves
+from dpc_jax.reporting.tables import markdown_table
+
+COLUMNS = (
+    "pose_accuracy",
+    "pose_median_error_deg",
+    "chamfer",
+    "precision",
+    "coverage",
+    "best_candidate_pose_accuracy",
+    "train_seconds",
+    "peak_memory_gb",
+)
+
+
+def read_metrics(workdir: Path) -> dict[str, float]:
+    """Test metrics of a finished run.
+
+    Raises:
+      ValueError: if there is no report in the folder.
+    """
+    path = workdir / "report" / "metrics.json"
+    if not path.is_file():
+        raise ValueError(
+            f"Expected the report of a finished run at {path}, but there is none; train "
+            f"it to the end with python -m dpc_jax.main --workdir={workdir}."
+        )
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def add_means(runs: dict[str, dict]) -> dict[str, dict]:
+    """The runs, and after those that differ in the seed alone their mean."""
+    groups: dict[str, list[str]] = {}
+    for name in runs:
+        groups.setdefault(re.sub(r"-seed\d+$", "", name), []).append(name)
+    rows = {}
+    for group, names in groups.items():
+        rows |= {name: runs[name] for name in names}
+        if len(names) > 1:
+            rows[f"{group}, mean of {len(names)}"] = {
+                c: float(np.mean([runs[n][c] for n in names]))
+                for c in COLUMNS
+                if all(runs[n].get(c) is not None for n in names)
+            }
+    return rows
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Parse the command line, print the table, draw the curves."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("workdirs", nargs="+", type=Path, help="folders of finished runs")
+    parser.add_argument("--out", type=Path, default=Path("runs/comparison.png"))
+    options = parser.parse_args(arguments)
+    try:
+        runs = {folder.name: read_metrics(folder) for folder in options.workdirs}
+    except ValueError as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return 1
+    print(markdown_table(add_means(runs), columns=COLUMNS))
+    records = {
+        folder.name: MetricLog(folder / "metrics.jsonl").read()
+        for folder in options.workdirs
+    }
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    print(f"Curves: {draw_curves(records, options.out)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
