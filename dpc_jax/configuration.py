@@ -64,26 +64,26 @@ def default_config(category: str) -> ml_collections.ConfigDict:
 
     c.pose = p = ml_collections.ConfigDict()
     p.known = False  # read the poses from the data instead of learning them
-    p.candidates = 4  # K heads of the ensemble (§ distilled ensemble)
+    p.candidates = 8  # K heads of the ensemble (§ distilled ensemble)
     p.spread = "upright"  # where heads start: "upright" cameras, "all" of SO(3), or ""
-    p.flips = False  # also try each head turned by 180° about the principal axes
+    p.flips = True  # also try each head turned by 180° about the principal axes
     p.flips_from = 0.4  # share of the run from which they are tried
     p.selects = True  # the student selects a candidate; False: regresses a pose
     p.tie_break = 0.0  # lean of the choice towards the student's pose, at the end
     p.choice_grid = 16  # volume that candidates are first compared in; 0: render.grid
-    p.choice_points = 250  # points that they are first compared with; 0: all
-    p.choice_top = 8  # of them are then compared exactly
-    p.student_weight = 0.01  # of the student's loss, per pixel of the silhouette
+    p.choice_points = 500  # points that they are first compared with; 0: all
+    p.choice_top = 4  # of them are then compared exactly
+    p.student_weight = 0.003  # of the student's loss, per pixel of the silhouette
 
     c.train = t = ml_collections.ConfigDict()
-    t.steps = 5000
+    t.steps = 4500
     t.models_per_batch = 4  # (§ Training details)
     t.views_per_batch = 4  # of each model
     t.learning_rate = 3e-4  # of Adam, at its peak
     t.warmup_steps = 200  # linear
     t.final_rate = 0.02  # share of the peak that the cosine decay ends at
     t.weight_decay = 0.0  # decoupled
-    t.repulsion_weight = 0.05  # of the points' repulsion, at its end; 0 for none
+    t.repulsion_weight = 0.004  # of the points' repulsion, at its end; 0 for none
     t.repulsion_points = 500  # of a cloud, that repel each other in a step
     t.containment_weight = 1.0  # of points beyond radius 1/2; 0 for none
     t.color_weight = 0.0  # of the colour loss per pixel; 0 learns no colour
@@ -121,6 +121,7 @@ def apply_variant(config: ml_collections.ConfigDict, variant: str | None):
         config.render.update(grid=64, fine_grid=0, num_points=8000, keep_levels=32)
         config.pose.update(
             candidates=4,
+            student_weight=0.01,
             spread="",
             flips=False,
             selects=False,

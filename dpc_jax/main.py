@@ -34,6 +34,8 @@ def _parse(argv):
                 "Expected a config, but none came; write for example "
                 "--config=configs/car.py."
             )
+        # A config that could not be loaded says so only when it is read.
+        getattr(_CONFIG.value, "seed", None)
         return rest
     except (flags.Error, AttributeError, KeyError, TypeError, ValueError, OSError) as e:
         print(f"Error: {_explain(e)}", file=sys.stderr)

@@ -1,0 +1,211 @@
+"""Bad input ends with an exit status and one sentence, never with a traceback."""
+
+import os
+import sys
+
+import pytest
+from absl import flags
+from test_main_configs import load
+
+from dpc_jax import configuration, main, run
+
+
+@pytest.fixture
+def config(tmp_path):
+    config = load("debug")
+    config.data.cache_dir = str(tmp_path / "cache")
+    return config
+
+
+def refuse(config, workdir, capsys):
+    """The one line on stderr of a run that is refused."""
+    status = run.run_guarded(config, config_path="configs/debug.py", workdir=str(workdir))
+    error = capsys.readouterr().err
+    assert status == 1
+    assert error.startswith("Error: ") and error.count("\n") == 1
+    assert "Traceback" not in error
+    return error
+
+
+def set_field(config, field, value):
+    with config.unlocked():
+        config.update_from_flattened_dict({field: value})
+
+
+@pytest.mark.parametrize(
+    "field, value, says",
+    [
+        ("pose.candidates", 0, "at least 1 (K heads), but it is 0"),
+        ("train.views_per_batch", 6, "at most data.views = 5"),
+        ("train.models_per_batch", 13, "at most data.models = 12"),
+        ("data.image_size", 48, "power of two"),
+        ("data.image_size", 8, "at least 16 pixels"),
+        ("render.grid", 24, "a divisor of data.image_size = 32"),
+        ("render.grid", 0, "at least 1"),
+        ("render.fine_grid", 24, "a multiple of render.grid = 16"),
+        ("render.num_points", 0, "at least 1"),
+        ("render.keep_start", 0.0, "above 0 and at most 1"),
+        ("render.sigma_start", -0.1, "between 0 and 1"),
+        ("render.scale_unit", "volume", "'peak' or 'mass'"),
+        ("render.distance", 0.2, "outside the object"),
+        ("pose.choice_grid", 7, "a divisor of render.grid = 16"),
+        ("pose.spread", "wide", "'all' or 'upright'"),
+        ("train.steps", 0, "at least 1"),
+        ("train.warmup_steps", 21, "between 0 and train.steps = 20"),
+        ("train.learning_rate", 0.0, "above 0"),
+        ("train.learning_rate", float("nan"), "above 0"),
+        ("data.meshes", "/nowhere/at/all", "a folder that exists"),
+        ("data.test_meshes", "/nowhere/at/all", "a folder that exists"),
+        ("seed", -1, "0 or more"),
+    ],
+)
+def test_a_value_that_cannot_work_is_refused_by_name_before_anything_is_made(
+    config, tmp_path, capsys, field, value, says
+):
+    set_field(config, field, value)
+    error = refuse(config, tmp_path / "workdir", capsys)
+    assert f"config.{field} " in error and says in error
+    assert not (tmp_path / "workdir").exists()
+
+
+def test_a_folder_without_meshes_is_refused(config, tmp_path, capsys):
+    folder = tmp_path / "meshes"
+    folder.mkdir()
+    (folder / "readme.txt").write_text("nothing to see")
+    config.data.meshes = str(folder)
+    assert str(folder) in refuse(config, tmp_path / "workdir", capsys)
+
+
+def test_a_category_that_is_not_known_is_refused(config, tmp_path, capsys):
+    config.category = "boat"
+    assert "boat" in refuse(config, tmp_path / "workdir", capsys)
+
+
+def test_more_models_in_a_batch_than_usable_meshes_are_refused(config, tmp_path, capsys):
+    import trimesh
+
+    folder = tmp_path / "meshes"
+    folder.mkdir()
+    for i in range(3):
+        trimesh.creation.box((1, 2, 3 + i)).export(folder / f"box{i}.ply")
+    config.data.update(meshes=str(folder), image_size=16, surface_points=10, processes=1)
+    config.render.update(grid=8, fine_grid=0)
+    error = refuse(config, tmp_path / "workdir", capsys)
+    assert "models_per_batch = 4 models was asked for, but 1 can be trained on" in error
+
+
+def test_a_workdir_that_is_a_file_is_refused_and_the_file_is_left_alone(
+    config, tmp_path, capsys
+):
+    path = tmp_path / "notes.txt"
+    path.write_text("mine")
+    assert "give a folder that can be written" in refuse(config, path, capsys)
+    assert "cannot be made" in refuse(config, path / "below", capsys)
+    assert path.read_text() == "mine"
+
+
+def test_a_workdir_that_cannot_be_written_is_refused(
+    config, tmp_path, capsys, monkeypatch
+):
+    # Root may write anywhere, so that permissions alone would not show it.
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert "cannot be written" in refuse(config, tmp_path, capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_workdir_of_another_config_is_refused_naming_what_differs(
+    config, tmp_path, capsys
+):
+    workdir = run._claim_workdir(tmp_path / "workdir", config)
+    before = (workdir / "config.json").read_text()
+    config.train.steps = 21
+    config.pose.candidates = 3
+    error = refuse(config, workdir, capsys)
+    assert "pose.candidates (2 there, 3 now), train.steps (20 there, 21 now)" in error
+    assert (workdir / "config.json").read_text() == before
+
+
+@pytest.mark.parametrize("field", configuration.FREE_FIELDS)
+def test_what_does_not_change_the_result_may_differ(config, tmp_path, field):
+    values = {"log": {"log.every": 3, "log.checkpoint": 1}}
+    changes = values.get(field, {field: 7})
+    workdir = run._claim_workdir(tmp_path / "workdir", config)
+    if field == "data.cache_dir":
+        changes = {field: "elsewhere"}
+    config.update_from_flattened_dict(changes)
+    assert run._claim_workdir(workdir, config) == workdir
+
+
+# What the command line refuses before a config is there. ml_collections 1.1 loads a
+# config file by a method that Python has deprecated.
+
+loads_config = pytest.mark.filterwarnings(
+    "ignore:the load_module:DeprecationWarning:importlib"
+)
+
+@pytest.fixture
+def parse(monkeypatch, capsys):
+    """Parses arguments as the command does; gives the line on stderr."""
+
+    def call(*arguments):
+        argv = ["main.py", *arguments]
+        # Overrides of config fields are found in sys.argv by the flags library.
+        monkeypatch.setattr(sys, "argv", argv)
+        with pytest.raises(SystemExit) as caught:
+            main._parse(argv)
+        error = capsys.readouterr().err
+        assert caught.value.code == 2
+        assert error.startswith("Error: ") and error.count("\n") == 1
+        assert "Traceback" not in error
+        return error
+
+    before = set(flags.FLAGS)
+    yield call
+    flags.FLAGS.unparse_flags()
+    for name in set(flags.FLAGS) - before:
+        delattr(flags.FLAGS, name)
+
+
+DEBUG = f"--config={main.__file__.replace('dpc_jax/main.py', 'configs/debug.py')}"
+
+
+@loads_config
+def test_an_unknown_field_is_refused_with_the_nearest_name(parse):
+    error = parse(DEBUG, "--config.train.stepz=3")
+    assert "no field 'stepz'" in error and "steps" in error.replace("stepz", "")
+
+
+@loads_config
+def test_an_unknown_section_is_refused_with_the_nearest_name(parse):
+    error = parse(DEBUG, "--config.trian.steps=3")
+    assert "'trian'" in error and '"train"' in error
+
+
+@loads_config
+def test_a_value_of_the_wrong_type_is_refused(parse):
+    assert "abc" in parse(DEBUG, "--config.train.steps=abc")
+
+
+@loads_config
+def test_an_unknown_flag_is_refused(parse):
+    assert "wrkdir" in parse(DEBUG, "--wrkdir=x")
+
+
+@loads_config
+def test_a_stray_argument_is_refused(parse):
+    assert "Expected only flags, but car came" in parse(DEBUG, "car")
+
+
+def test_a_missing_config_is_refused(parse):
+    assert "write for example --config=configs/car.py" in parse()
+
+
+@loads_config
+def test_a_config_file_that_is_not_there_is_refused_by_its_path(parse):
+    assert "configs/plane.py" in parse("--config=configs/plane.py")
+
+
+@loads_config
+def test_an_unknown_variant_of_a_config_is_refused_with_those_there_are(parse):
+    error = parse(f"{DEBUG}:fast")
+    assert "paper, naive, known_pose" in error and "'fast'" in error

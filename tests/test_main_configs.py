@@ -1,0 +1,154 @@
+"""Every config builds in every variant; `paper` has the paper's numbers."""
+
+import importlib.util
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from dpc_jax import configuration
+
+FOLDER = Path(__file__).parents[1] / "configs"
+NAMES = sorted(path.stem for path in FOLDER.glob("*.py"))
+
+
+def load(name, variant=None):
+    spec = importlib.util.spec_from_file_location(f"config_{name}", FOLDER / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.get_config(variant) if variant is not None else module.get_config()
+
+
+def parameter_shapes(config):
+    """Shapes of the network's parameters by path; nothing is computed."""
+    network = configuration.make_network(config)
+    size = config.data.image_size
+    images = jax.ShapeDtypeStruct((2, size, size, 3), jnp.float32)
+    output, variables = jax.eval_shape(
+        lambda x: network.init_with_output(jax.random.key(0), x), images
+    )
+    leaves = jax.tree_util.tree_flatten_with_path(variables["params"])[0]
+    return output, {"/".join(k.key for k in path): leaf.shape for path, leaf in leaves}
+
+
+def test_the_configs_of_the_three_categories_and_of_the_tests_are_there():
+    assert {"car", "chair", "airplane", "debug"} <= set(NAMES)
+
+
+@pytest.mark.parametrize("variant", [None, "paper", "naive", "known_pose"])
+@pytest.mark.parametrize("name", NAMES)
+def test_every_config_builds_in_every_variant(name, variant):
+    config = load(name, variant)
+    configuration.validate(config)
+    settings = configuration.make_settings(config)
+    intervals = configuration.make_intervals(config)
+    specs = configuration.make_data_specs(config)
+    output, _ = parameter_shapes(config)
+
+    assert output["points"].shape == (2, settings.num_points, 3)
+    if settings.num_candidates:
+        assert output["candidates"].shape == (2, settings.num_candidates, 4)
+    assert set(specs) == {"train", "val", "test"}
+    assert all(spec.image_size == config.data.image_size for spec in specs.values())
+    assert settings.views_per_batch <= specs["train"].views
+    assert intervals.log >= 1 and intervals.checkpoint >= 1
+    assert config.variant == (variant or "")
+
+
+@pytest.mark.parametrize("name", ["car", "chair", "airplane"])
+def test_a_config_makes_the_shapes_of_its_name(name):
+    assert {s.category for s in configuration.make_data_specs(load(name)).values()} == {
+        name
+    }
+
+
+@pytest.mark.parametrize("name", ["car", "chair", "airplane"])
+def test_the_paper_variant_has_the_papers_numbers(name):
+    config = load(name, "paper")
+    settings = configuration.make_settings(config)
+    expected = dict(
+        steps=600_000,
+        models_per_batch=4,
+        views_per_batch=4,
+        grid=64,
+        fine_grid=0,
+        num_points=8000,
+        num_candidates=4,
+        flips=False,
+        selects=False,
+        tie_break=0.0,
+        choice_grid=0,
+        choice_points=0,
+        sigma_start=0.05,
+        sigma_end=0.003,
+        learning_rate=1e-4,
+        warmup_steps=0,
+        final_rate=1.0,
+        weight_decay=0.0,
+        repulsion_weight=0.0,
+        containment_weight=0.0,
+        color_weight=0.0,
+        focal_length=1.875,
+        distance=2.0,
+    )
+    assert {n: getattr(settings, n) for n in expected} == expected
+    spec = configuration.make_data_specs(config)["train"]
+    assert (spec.image_size, spec.views, spec.elevation) == (64, 5, (-20.0, 40.0))
+
+    _, shapes = parameter_shapes(config)
+    assert sum(len(s) == 4 for s in shapes.values()) == 7  # convolutions
+    assert shapes["encoder/Dense_1/kernel"] == (1024, 1024)
+    assert shapes["shape/points/kernel"] == (1024, 24_000)
+    assert shapes["pose/heads/Dense_1/kernel"] == (4, 32, 32)
+    assert shapes["student/head/Dense_2/kernel"] == (32, 4)
+    network = configuration.make_network(config)
+    assert not network.normalize and not network.spread_poses
+
+
+def test_the_naive_variant_is_one_regressor_without_a_student():
+    config = load("car", "naive")
+    settings = configuration.make_settings(config)
+    assert settings.num_candidates == 1
+    assert not settings.flips and not settings.selects and settings.tie_break == 0
+    _, shapes = parameter_shapes(config)
+    assert not any(name.startswith("student") for name in shapes)
+
+
+def test_with_known_poses_there_is_no_pose_branch():
+    config = load("car", "known_pose")
+    assert configuration.make_settings(config).num_candidates == 0
+    output, shapes = parameter_shapes(config)
+    assert {name.split("/")[0] for name in shapes} == {"encoder", "shape"}
+    assert set(output) == {"points", "scale"}
+
+
+def test_colour_is_learned_where_its_loss_has_a_weight():
+    config = load("debug")
+    config.train.color_weight = 0.1
+    output, _ = parameter_shapes(config)
+    assert output["colors"].shape == output["points"].shape
+
+
+def test_an_unknown_variant_is_refused_by_the_names_that_there_are():
+    with pytest.raises(ValueError, match="paper, naive, known_pose.*but it is 'fast'"):
+        load("car", "fast")
+
+
+def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
+    config = load("car")
+    config.data.meshes = "meshes"
+    specs = configuration.make_data_specs(config)
+    assert {s.folder for s in specs.values()} == {"meshes"}
+    assert {s.fractions for s in specs.values()} == {(0.8, 0.1, 0.1)}
+    config.data.test_meshes = "others"
+    specs = configuration.make_data_specs(config)
+    assert [specs[s].folder for s in ("train", "val", "test")] == [
+        "meshes",
+        "meshes",
+        "others",
+    ]
+    assert specs["test"].fractions == (0, 0, 1)
+    config.data.copies = 3
+    specs = configuration.make_data_specs(config)
+    assert [specs[s].copies for s in ("train", "val", "test")] == [3, 1, 1]

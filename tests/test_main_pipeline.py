@@ -1,0 +1,250 @@
+"""The whole command: it reports, and what stops it on the way changes nothing."""
+
+import fcntl
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from orbax.checkpoint import v1 as ocp
+
+ROOT = Path(__file__).parents[1]
+STEPS = 150
+FIELDS = {
+    "train.steps": STEPS,
+    "log.every": 1,
+    "log.evaluate": 100,
+    "log.checkpoint": 40,
+    "data.image_size": 16,
+    "data.surface_points": 300,
+    "data.processes": 1,
+    "network.channels": 2,
+    "network.hidden": 16,
+    "network.shape_hidden": 16,
+    "render.grid": 8,
+    "render.fine_grid": 0,
+    "render.num_points": 40,
+    "pose.choice_grid": 0,
+    "pose.choice_points": 0,
+}
+
+
+class Command:
+    """The main command on one data cache, with compiled programs kept between runs."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.environment = os.environ | {
+            "JAX_PLATFORMS": "cpu",
+            "JAX_COMPILATION_CACHE_DIR": str(folder / "programs"),
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+            "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+        }
+
+    def start(self, workdir, **changes):
+        fields = FIELDS | {"data.cache_dir": self.folder / "data"} | changes
+        process = subprocess.Popen(
+            [sys.executable, "-m", "dpc_jax.main", f"--config={ROOT}/configs/debug.py"]
+            + [f"--workdir={workdir}"]
+            + [f"--config.{name}={value}" for name, value in fields.items()],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=self.environment,
+            cwd=self.folder,
+        )
+        return process
+
+    def run(self, workdir, **changes):
+        process = self.start(workdir, **changes)
+        out, error = process.communicate(timeout=300)
+        assert process.returncode == 0, error.decode()
+        return out.decode()
+
+    def signal_at(self, workdir, step, signum):
+        """Send a signal when a step is reported; gives status, what it says after it.
+
+        The pipe holds some 60 lines: without a reader the run cannot get far beyond
+        the step, so that the signal always falls within the training.
+        """
+        process = self.start(workdir)
+        fcntl.fcntl(process.stdout, fcntl.F_SETPIPE_SZ, 4096)
+        seen = b""
+        while f"step {step}/".encode() not in seen:
+            read = os.read(process.stdout.fileno(), 64)
+            assert read, process.communicate()[1].decode()
+            seen += read
+        process.send_signal(signum)
+        out, error = process.communicate(timeout=300)
+        return process.returncode, (seen + out).decode(), error.decode()
+
+
+@pytest.fixture(scope="module")
+def command(tmp_path_factory):
+    return Command(tmp_path_factory.mktemp("command"))
+
+
+@pytest.fixture(scope="module")
+def finished(command):
+    """A run that nothing stopped: its workdir and what it printed."""
+    workdir = command.folder / "unbroken"
+    return workdir, command.run(workdir)
+
+
+def read_records(workdir):
+    lines = (workdir / "metrics.jsonl").read_text().splitlines()
+    return [json.loads(line) for line in lines]
+
+
+def read_checkpoint(workdir, step):
+    """Every array of a checkpoint by its path, as numpy."""
+    import jax
+
+    loaded = ocp.load_checkpointables(workdir / "checkpoints" / str(step))
+    leaves = jax.tree_util.tree_flatten_with_path(loaded["state"])[0]
+    return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
+
+
+def assert_ends_alike(workdir, unbroken):
+    ours, theirs = (read_checkpoint(w, STEPS) for w in (workdir, unbroken))
+    assert ours.keys() == theirs.keys() and len(ours) > 20
+    for name, value in theirs.items():
+        np.testing.assert_array_equal(ours[name], value, err_msg=name, strict=True)
+
+    def strip(record):
+        timed = ("seconds", "steps_per_second")
+        return {n: v for n, v in record.items() if n not in timed}
+
+    assert [strip(r) for r in read_records(workdir)] == [
+        strip(r) for r in read_records(unbroken)
+    ]
+
+
+def test_the_report_has_every_number_and_picture_that_is_promised(finished):
+    workdir, _ = finished
+    report = workdir / "report"
+    metrics = json.loads((report / "metrics.json").read_text())
+    names = "pose_accuracy pose_median_error_deg chamfer precision coverage".split()
+    for name in [*names, "train_seconds"]:
+        assert np.isfinite(metrics[name]), name
+    assert 0 <= metrics["pose_accuracy"] <= 1
+    # The Chamfer distance is the sum of its two directions (§ Evaluation metrics).
+    assert metrics["chamfer"] == pytest.approx(metrics["precision"] + metrics["coverage"])
+    assert metrics["steps"] == STEPS
+
+    page = (report / "index.html").read_text()
+    assert not re.search(r"""(src|href)=["']?(https?:)?//""", page)
+    clouds = sorted((report / "points").iterdir())
+    assert {path.suffix for path in clouds} == {".ply", ".glb"}
+    assert len(clouds) == 2 * 4  # of each test model, twice
+    for path in clouds:
+        vertices = np.asarray(trimesh.load_scene(path).to_geometry().vertices)
+        # A GLB holds a small solid for each of the 40 points.
+        assert len(vertices) == 40 if path.suffix == ".ply" else len(vertices) % 40 == 0
+        assert np.all(np.isfinite(vertices))
+
+
+def test_the_curve_has_a_line_a_step_and_validations_with_their_seconds(finished):
+    records = read_records(finished[0])
+    training = [r for r in records if "loss" in r]
+    validation = [r for r in records if "pose_accuracy" in r]
+    assert [r["step"] for r in training] == list(range(1, STEPS + 1))
+    assert [r["step"] for r in validation] == [100, STEPS]
+    seconds = [r["seconds"] for r in records]
+    assert seconds == sorted(seconds) and seconds[0] >= 0
+
+
+def test_plain_lines_tell_how_far_the_run_is_where_there_is_no_terminal(finished):
+    _, out = finished
+    assert f"step 100/{STEPS}, loss " in out and " s left" in out
+    assert "Validation at step 100" in out
+    assert "\x1b" not in out and "\r" not in out
+    assert out.rstrip().endswith("report/index.html")
+
+
+def test_a_finished_run_started_again_only_reports_again(command, finished):
+    workdir, _ = finished
+    records = (workdir / "metrics.jsonl").read_bytes()
+    before = json.loads((workdir / "report" / "metrics.json").read_text())
+    (workdir / "report" / "index.html").unlink()
+    out = command.run(workdir)
+    assert "loss" not in out
+    assert (workdir / "metrics.jsonl").read_bytes() == records
+    assert (workdir / "report" / "index.html").exists()
+    after = json.loads((workdir / "report" / "metrics.json").read_text())
+    measured_anew = ("data_seconds", "peak_memory_gb")
+    assert {n: v for n, v in after.items() if n not in measured_anew} == {
+        n: v for n, v in before.items() if n not in measured_anew
+    }
+
+
+def test_a_run_that_is_terminated_then_killed_ends_as_one_that_nothing_stopped(
+    command, finished
+):
+    workdir = command.folder / "broken"
+    # Not a multiple of any interval, so that what is saved is due to the signal.
+    status, out, error = command.signal_at(workdir, 7, signal.SIGTERM)
+    assert status == 0, error
+    stopped = int(re.search(r"Stopped and saved at step (\d+)", out)[1])
+    assert 7 <= stopped < STEPS
+    assert read_records(workdir)[-1]["step"] == stopped
+    assert not (workdir / "report").exists()
+
+    target = stopped + 45  # a checkpoint later, and lines after it
+    status, out, _ = command.signal_at(workdir, target, signal.SIGKILL)
+    assert status == -signal.SIGKILL
+    assert f"Going on from the checkpoint of step {stopped}." in out
+
+    # A kill may also cut a line short.
+    with open(workdir / "metrics.jsonl", "a", encoding="utf-8") as file:
+        file.write('{"step": 1')
+    out = command.run(workdir)
+    start = int(re.search(r"Going on from the checkpoint of step (\d+)", out)[1])
+    assert stopped <= start <= STEPS
+    assert_ends_alike(workdir, finished[0])
+
+
+def test_a_damaged_newest_checkpoint_is_said_and_the_run_ends_the_same(command, finished):
+    workdir = command.folder / "damaged"
+    status, _, error = command.signal_at(workdir, 85, signal.SIGTERM)
+    assert status == 0, error
+    newest, before = sorted(
+        (int(p.name) for p in (workdir / "checkpoints").iterdir()), reverse=True
+    )
+    folder = workdir / "checkpoints" / str(newest)
+    largest = max(
+        (p for p in folder.rglob("*") if p.is_file()), key=lambda p: p.stat().st_size
+    )
+    os.truncate(largest, largest.stat().st_size // 2)
+    out = command.run(workdir)
+    assert f"The checkpoint of step {newest} is damaged; the one before is used." in out
+    assert f"Going on from the checkpoint of step {before}." in out
+    assert (workdir / f"damaged-checkpoint-{newest}").is_dir()
+    assert_ends_alike(workdir, finished[0])
+
+
+def test_a_refused_command_has_a_status_and_one_line_on_stderr(command):
+    process = command.start(command.folder / "refused", **{"train.stepz": 3})
+    out, error = process.communicate(timeout=120)
+    assert process.returncode == 2 and out == b""
+    assert error.startswith(b"Error: ") and error.count(b"\n") == 1
+    assert b"Traceback" not in error
+
+
+def test_naive_and_known_poses_run_too(command):
+    """Known poses need no alignment, one regressor no ensemble: both paths report."""
+    for name, fields in {
+        "naive": {"pose.candidates": 1, "train.steps": 2},
+        "known": {"pose.known": True, "train.steps": 2, "train.color_weight": 0.1},
+    }.items():
+        workdir = command.folder / name
+        command.run(workdir, **fields | {"train.warmup_steps": 0})
+        metrics = json.loads((workdir / "report" / "metrics.json").read_text())
+        assert np.isfinite(metrics["chamfer"])
+        if name == "known":
+            assert metrics["pose_accuracy"] == 1

@@ -1,0 +1,95 @@
+"""Quaternion operations: algebra, scipy as the oracle, and the places where they break."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dpc_jax import quaternion
+
+RANDOM = np.random.default_rng(0).normal(size=(20, 4))
+HALF_TURNS = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0, 1, 1, 0], [1e-9, 1, -2, 3]])
+NEAR_IDENTITY = np.array([[1, 1e-7, 0, 0], [1, 0, -1e-7, 1e-7], [1, 0, 0, 0]])
+CASES = np.concatenate([RANDOM, HALF_TURNS, NEAR_IDENTITY])
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    with jax.enable_x64(True):
+        yield
+
+
+def as_rotation(q):
+    return Rotation.from_quat(np.asarray(q), scalar_first=True)
+
+
+def test_products_matrices_and_rotated_points_agree_with_scipy():
+    points = np.random.default_rng(1).normal(size=(5, 3))
+    for left, right in zip(CASES, CASES[::-1], strict=True):
+        product = quaternion.multiply(jnp.asarray(left), jnp.asarray(right))
+        expected = (as_rotation(left) * as_rotation(right)).as_matrix()
+        np.testing.assert_allclose(quaternion.to_matrix(product), expected, atol=1e-14)
+        moved = quaternion.rotate(jnp.asarray(points), jnp.asarray(left))
+        np.testing.assert_allclose(moved, as_rotation(left).apply(points), atol=1e-14)
+
+
+def test_every_rotation_comes_back_from_its_matrix_half_turns_too():
+    for q in CASES:
+        back = quaternion.from_matrix(quaternion.to_matrix(jnp.asarray(q)))
+        # 1e-14: rounding; the sign of a quaternion is free.
+        assert abs(np.dot(back, q / np.linalg.norm(q))) == pytest.approx(1, abs=1e-14)
+        np.testing.assert_allclose(
+            quaternion.to_matrix(back), as_rotation(q).as_matrix(), atol=1e-14
+        )
+
+
+def test_a_quaternion_times_its_conjugate_is_the_identity():
+    for q in CASES:
+        unit = quaternion.normalize(jnp.asarray(q))
+        product = quaternion.multiply(unit, quaternion.conjugate(unit))
+        np.testing.assert_allclose(product, quaternion.IDENTITY, atol=1e-15)
+
+
+@pytest.mark.parametrize("size", [1e-30, 1.0, 1e30])
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_any_length_gives_a_unit_quaternion_and_a_finite_gradient(size, dtype):
+    q = jnp.asarray(np.array([0.5, -1.0, 2.0, 0.25]) * size, dtype)
+    unit = quaternion.normalize(q)
+    assert float(jnp.linalg.norm(unit)) == pytest.approx(1, abs=1e-6)  # float32 rounding
+    gradient = jax.grad(lambda a: quaternion.normalize(a)[0])(q)
+    exact = np.array([1.0, 0, 0, 0]) / np.linalg.norm(np.asarray(q, float))
+    unit64 = np.asarray(q, float) / np.linalg.norm(np.asarray(q, float))
+    exact -= unit64[0] * unit64 / np.linalg.norm(np.asarray(q, float))
+    np.testing.assert_allclose(gradient, exact, rtol=1e-5)
+
+
+def test_the_zero_quaternion_is_the_identity_with_zero_gradient():
+    zero = jnp.zeros(4)
+    np.testing.assert_array_equal(quaternion.normalize(zero), quaternion.IDENTITY)
+    jacobian = jax.jacobian(quaternion.normalize)(zero)
+    np.testing.assert_array_equal(jacobian, np.zeros((4, 4)))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-7, 0.3, np.pi / 2, np.pi - 1e-7, np.pi])
+def test_the_angle_between_rotations_is_exact_from_zero_to_half_a_turn(angle):
+    first = jnp.asarray(RANDOM[0])
+    axis = np.array([1.0, 2.0, -2.0]) / 3
+    turn = quaternion.from_axis_angle(jnp.asarray(axis), angle)
+    second = quaternion.multiply(turn, first)
+    for other in (second, -second):
+        measured = quaternion.angle_between(first, other)
+        assert float(measured) == pytest.approx(angle, abs=1e-15 + 1e-8 * angle)
+        gradient = jax.grad(quaternion.angle_between)(first, other)
+        assert np.all(np.isfinite(gradient))
+
+
+def test_a_hundred_thousand_products_stay_a_rotation():
+    step = quaternion.from_axis_angle(jnp.array([0.0, 0.6, 0.8]), 0.1)
+    end = jax.lax.fori_loop(
+        0, 100_000, lambda _, q: quaternion.normalize(quaternion.multiply(step, q)), step
+    )
+    matrix = quaternion.to_matrix(end)
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-14)
+    expected = Rotation.from_rotvec(np.array([0, 0.6, 0.8]) * 0.1 * 100_001).as_matrix()
+    np.testing.assert_allclose(matrix, expected, atol=1e-9)  # 1e5 roundings of 1e-16, in angle
