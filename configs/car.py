@@ -1,6 +1,6 @@
 """Cars from silhouettes without poses, in minutes on two CPU cores."""
 
-from dpc_jax.configuration import apply_variant, default_config
+from dpc_jax.defaults import apply_variant, default_config
 
 
 def get_config(variant: str | None = None):

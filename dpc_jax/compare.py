@@ -37,8 +37,8 @@ def read_metrics(workdir: Path) -> dict[str, float]:
     path = workdir / "report" / "metrics.json"
     if not path.is_file():
         raise ValueError(
-            f"Expected the report of a finished run at {path}, but there is none; train "
-            f"it to the end with python -m dpc_jax.main --workdir={workdir}."
+            f"Expected the report of a finished run at {path}, but there is none; "
+            f"train it to the end with python -m dpc_jax.main --workdir={workdir}."
         )
     return json.loads(path.read_text(encoding="utf-8"))
 
@@ -63,7 +63,9 @@ def add_means(runs: dict[str, dict]) -> dict[str, dict]:
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, print the table, draw the curves."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("workdirs", nargs="+", type=Path, help="folders of finished runs")
+    parser.add_argument(
+        "workdirs", nargs="+", type=Path, help="folders of finished runs"
+    )
     parser.add_argument("--out", type=Path, default=Path("runs/comparison.png"))
     options = parser.parse_args(arguments)
     try:

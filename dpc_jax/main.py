@@ -26,8 +26,8 @@ def _parse(argv):
         rest = flags.FLAGS(argv)
         if len(rest) > 1:
             raise ValueError(
-                f"Expected only flags, but {' '.join(rest[1:])} came; write for example "
-                "--config=configs/car.py."
+                f"Expected only flags, but {' '.join(rest[1:])} came; write "
+                "for example --config=configs/car.py."
             )
         if _CONFIG.value is None:
             raise ValueError(

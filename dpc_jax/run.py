@@ -1,6 +1,5 @@
 """One run from config to report: data, training, evaluation, report."""
 
-import json
 import os
 import resource
 import signal
@@ -20,8 +19,8 @@ from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.log import MetricLog
 from dpc_jax.learning.step import init_state
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.files import write_text
 from dpc_jax.reporting.page import write_report
+from dpc_jax.workdir import claim_workdir
 
 EXAMPLES = 8  # test inputs shown in the report
 
@@ -45,7 +44,7 @@ def run(config: ml_collections.ConfigDict, *, config_path: str, workdir: str | N
     """Train where that is left to do, then evaluate on the test split and report.
 
     Args:
-      config: see `configuration.default_config`.
+      config: see `defaults.default_config`.
       config_path: file it came from, for the default workdir's name.
       workdir: folder of the run; runs/NAME-seedN where None.
 
@@ -58,7 +57,7 @@ def run(config: ml_collections.ConfigDict, *, config_path: str, workdir: str | N
     if workdir is None:
         parts = (Path(config_path).stem, config.variant, f"seed{config.seed}")
         workdir = Path("runs") / "-".join(p for p in parts if p)
-    workdir = _claim_workdir(Path(workdir), config)
+    workdir = claim_workdir(Path(workdir), config)
     print(f"Workdir: {workdir}", flush=True)
 
     started = time.monotonic()
@@ -229,57 +228,6 @@ def _make_examples(predictions, dataset, alignment, result) -> list[Example]:
             )
         )
     return examples
-
-
-def _claim_workdir(workdir: Path, config: ml_collections.ConfigDict) -> Path:
-    """Make the workdir and write its config, or check that it is this config's.
-
-    Raises:
-      ValueError: where another config made it.
-      OSError: where it cannot be written.
-    """
-    try:
-        workdir.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OSError(
-            f"The workdir {workdir} cannot be made ({error.strerror}); give a folder "
-            "that can be written with --workdir=DIR."
-        ) from None
-    if not os.access(workdir, os.W_OK):
-        raise OSError(
-            f"The workdir {workdir} cannot be written; give another with --workdir=DIR."
-        )
-    path = workdir / "config.json"
-    fields = _flatten(json.loads(config.to_json()))
-    if path.exists():
-        old = _flatten(json.loads(path.read_text(encoding="utf-8")))
-        differing = sorted(
-            name
-            for name in fields.keys() | old.keys()
-            if fields.get(name) != old.get(name)
-            and not name.startswith(configuration.FREE_FIELDS)
-        )
-        if differing:
-            listed = ", ".join(
-                f"{n} ({old.get(n)!r} there, {fields.get(n)!r} now)" for n in differing
-            )
-            raise ValueError(
-                f"The workdir {workdir} was made by another config, which differs in "
-                f"{listed}; give another --workdir=DIR or the old values."
-            )
-    write_text(path, json.dumps(json.loads(config.to_json()), indent=2) + "\n")
-    return workdir
-
-
-def _flatten(tree: dict, prefix: str = "") -> dict:
-    """Nested dictionaries to one with dotted names."""
-    flat = {}
-    for name, value in tree.items():
-        if isinstance(value, dict):
-            flat |= _flatten(value, f"{prefix}{name}.")
-        else:
-            flat[prefix + name] = value
-    return flat
 
 
 class _StopSignal:

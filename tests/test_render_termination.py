@@ -53,7 +53,7 @@ def test_opacity_has_the_gradient_of_the_product_also_at_empty_and_full_cells(ra
     np.testing.assert_allclose(gradient, product_of_others(ray), rtol=1e-12, atol=1e-15)
 
 
-@pytest.mark.parametrize("full", itertools.combinations(range(4), 2))
+@pytest.mark.parametrize("full", list(itertools.combinations(range(4), 2)))
 def test_two_full_cells_have_zero_gradient_and_one_has_its_own(full):
     ray = np.full(4, 0.25, "f4")
     ray[full[0]] = 1

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpc_jax import configuration
+from dpc_jax import configuration, defaults
 from dpc_jax.data import DataSet
 from dpc_jax.learning.schedules import find_stage
 from dpc_jax.learning.settings import Settings
@@ -55,7 +55,7 @@ def make_settings(**changes) -> Settings:
         seed=0,
     )
     # A field that is new and not above has its default.
-    default = configuration.make_settings(configuration.default_config("car"))
+    default = configuration.make_settings(defaults.default_config("car"))
     return dataclasses.replace(default, **values | changes)
 
 

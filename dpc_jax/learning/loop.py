@@ -157,9 +157,9 @@ def check_finite(metrics: dict, step: int):
     for name in ("reprojection", "color", "student", "loss"):
         if name in metrics and not np.isfinite(metrics[name]):
             raise NonFiniteError(
-                f"The {name} loss became {float(metrics[name])} at step {step}, where a "
-                "finite number was expected; start a run in another workdir with a lower "
-                "train.learning_rate. The last checkpoint is kept."
+                f"The {name} loss became {float(metrics[name])} at step {step}, where "
+                "a finite number was expected; start a run in another workdir with a "
+                "lower train.learning_rate. The last checkpoint is kept."
             )
     for name, norm in metrics["gradient_norms"].items():
         if not np.isfinite(norm):

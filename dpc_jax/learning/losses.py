@@ -54,7 +54,7 @@ def repulsion_energy(points: chex.Array, *, softening: float = 0.02) -> chex.Arr
 
 
 def containment_loss(points: chex.Array, *, radius: float = 0.5) -> chex.Array:
-    """Sum over points [N, 3] of the squared distance beyond a sphere; (). Not in the paper.
+    """Squared distance of points [N, 3] beyond a sphere, summed; (). Not in the paper.
 
     An object of box diagonal 1 lies within radius 1/2. A point that has left the image
     of every view gets no other gradient and would stay where it is for good.

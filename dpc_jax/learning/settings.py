@@ -11,8 +11,8 @@ class Settings:
       steps: training steps in all; the schedules end there.
       models_per_batch, views_per_batch: objects in a batch and views of each.
       grid: side of the volume and of the silhouettes compared, in voxels.
-      fine_grid, fine_from: a finer grid for the winners' renders, from this share of the
-        run on; 0 for none.
+      fine_grid, fine_from: a finer grid for the winners' renders, from this share of
+        the run on; 0 for none.
       num_points: N.
       num_candidates: K pose heads; 0 where poses are known.
       flips: also try every head turned by 180° about each principal axis,
@@ -35,7 +35,7 @@ class Settings:
       weight_decay: of decoupled weight decay (AdamW); 0 is Adam.
       repulsion_weight: of the points' repulsion energy; 0 for none.
       repulsion_points: how many points of a cloud repel each other in a step.
-      containment_weight: of points beyond the sphere that holds every object; 0 for none.
+      containment_weight: of points beyond the sphere that holds every object.
       color_weight: of the colour loss, per pixel; 0 learns no colour.
       focal_length, distance: of the camera.
       renders_at_once: how many views are rendered side by side; 0 for all (GPU).

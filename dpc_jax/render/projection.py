@@ -171,7 +171,8 @@ def _check_arguments(
         )
     if translation is not None and jnp.shape(translation) != (3,):
         raise ValueError(
-            f"translation must have shape [3], but it has {list(jnp.shape(translation))}."
+            "translation must have shape [3], but it has "
+            f"{list(jnp.shape(translation))}."
         )
     if isinstance(signals, str) or not signals or set(signals) - set(SIGNALS):
         raise ValueError(
