@@ -7,6 +7,7 @@ import pytest
 from tiny_runs import random_quaternions
 
 from dpc_jax.learning.losses import (
+    containment_loss,
     downsample_images,
     repulsion_energy,
     reprojection_loss,
@@ -137,3 +138,20 @@ def test_repulsion_pushes_near_points_apart_and_is_finite_where_they_coincide():
     value, gradient = jax.value_and_grad(repulsion_energy)(jnp.zeros((2, 3)))
     assert value == pytest.approx(1 / 0.02, rel=1e-5)
     np.testing.assert_array_equal(gradient, 0)
+
+
+def test_containment_is_the_squared_distance_beyond_the_sphere():
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (40, 3))
+    beyond = np.maximum(np.linalg.norm(points, axis=-1) - 0.5, 0)
+    assert 5 < np.count_nonzero(beyond) < 35
+    value, gradient = jax.value_and_grad(containment_loss)(jnp.array(points))
+    assert float(value) == pytest.approx(np.sum(beyond**2), rel=1e-5)
+    expected = 2 * beyond[:, None] * points / np.linalg.norm(points, axis=-1)[:, None]
+    np.testing.assert_allclose(gradient, expected, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("point", [[0.0, 0, 0], [0.5, 0, 0], [0.5 + 1e-7, 0, 0]])
+def test_containment_is_smooth_at_the_centre_and_on_the_sphere(point):
+    value, gradient = jax.value_and_grad(containment_loss)(jnp.array([point]))
+    assert float(value) == pytest.approx(0, abs=ROUNDING)
+    np.testing.assert_allclose(gradient, 0, atol=ROUNDING)

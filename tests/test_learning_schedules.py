@@ -7,6 +7,7 @@ from tiny_runs import make_settings
 from dpc_jax.learning.schedules import (
     compute_sigma,
     count_kept_points,
+    find_stage,
     make_learning_rate,
 )
 
@@ -100,3 +101,22 @@ def test_without_warm_up_the_first_step_has_the_peak_rate():
 def test_a_run_that_is_all_warm_up_has_finite_rates():
     found = rates(0, 10, 20, steps=20, warmup_steps=20, learning_rate=1e-3)
     assert np.all(np.isfinite(found)) and max(found) == pytest.approx(1e-3, rel=1e-5)
+
+
+def test_half_turns_and_the_finer_grid_come_in_from_their_share_of_the_run():
+    settings = make_settings(
+        steps=10, grid=8, fine_grid=16, fine_from=0.75, flips=True, flips_from=0.4
+    )
+    stages = [find_stage(step, settings) for step in range(10)]
+    assert [s.grid for s in stages] == 8 * [8] + 2 * [16]
+    assert [s.flips for s in stages] == 4 * [False] + 6 * [True]
+    assert [s.kept_points for s in stages] == [
+        count_kept_points(step, settings) for step in range(10)
+    ]
+
+
+def test_without_a_finer_grid_or_half_turns_a_run_has_a_stage_for_each_stair_only():
+    settings = make_settings(steps=10, keep_levels=3)
+    stages = {find_stage(step, settings) for step in range(10)}
+    assert len(stages) == 3
+    assert {(s.grid, s.flips) for s in stages} == {(8, False)}

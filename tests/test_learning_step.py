@@ -181,6 +181,9 @@ def test_a_step_with_turned_candidates_and_a_selecting_student(plain):
         choice_grid=4,
         choice_points=10,
         choice_top=4,
+        fine_grid=16,
+        fine_from=0.0,
+        containment_weight=1.0,
         repulsion_weight=0.01,
         repulsion_points=8,
         renders_at_once=1,
@@ -189,7 +192,8 @@ def test_a_step_with_turned_candidates_and_a_selecting_student(plain):
     for found in metrics:
         assert found["winners"].shape == (4,)
         assert np.all((0 <= found["winners"]) & (found["winners"] < 12))
-        numbers = [found[n] for n in ("loss", "reprojection", "student", "repulsion")]
+        names = "loss reprojection student repulsion containment".split()
+        numbers = [found[name] for name in names]
         assert np.all(np.isfinite([*numbers, *found["gradient_norms"].values()]))
         assert min(found["gradient_norms"].values()) > 0
 

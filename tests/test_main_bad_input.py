@@ -8,6 +8,7 @@ from absl import flags
 from test_main_configs import load
 
 from dpc_jax import configuration, main, run
+from dpc_jax.workdir import claim_workdir
 
 
 @pytest.fixture
@@ -116,7 +117,7 @@ def test_a_workdir_that_cannot_be_written_is_refused(
 def test_a_workdir_of_another_config_is_refused_naming_what_differs(
     config, tmp_path, capsys
 ):
-    workdir = run._claim_workdir(tmp_path / "workdir", config)
+    workdir = claim_workdir(tmp_path / "workdir", config)
     before = (workdir / "config.json").read_text()
     config.train.steps = 21
     config.pose.candidates = 3
@@ -129,11 +130,11 @@ def test_a_workdir_of_another_config_is_refused_naming_what_differs(
 def test_what_does_not_change_the_result_may_differ(config, tmp_path, field):
     values = {"log": {"log.every": 3, "log.checkpoint": 1}}
     changes = values.get(field, {field: 7})
-    workdir = run._claim_workdir(tmp_path / "workdir", config)
+    workdir = claim_workdir(tmp_path / "workdir", config)
     if field == "data.cache_dir":
         changes = {field: "elsewhere"}
     config.update_from_flattened_dict(changes)
-    assert run._claim_workdir(workdir, config) == workdir
+    assert claim_workdir(workdir, config) == workdir
 
 
 # What the command line refuses before a config is there. ml_collections 1.1 loads a

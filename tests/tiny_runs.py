@@ -1,5 +1,6 @@
 """Tiny settings, networks, batches and data sets, shared by the tests of learning."""
 
+import contextlib
 import dataclasses
 
 import jax
@@ -75,9 +76,20 @@ def make_network(settings: Settings, **changes) -> ShapePoseNetwork:
     return ShapePoseNetwork(**values | changes)
 
 
+@contextlib.contextmanager
+def compiling_quickly():
+    """Compile without most optimisations: for what runs once, like initial parameters."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_disable_most_optimizations", False)
+
+
 def make_state(network: ShapePoseNetwork, settings: Settings):
     """The state at step 0."""
-    return init_state(network, settings, image_size=IMAGE_SIZE)
+    with compiling_quickly():
+        return init_state(network, settings, image_size=IMAGE_SIZE)
 
 
 def make_step(network: ShapePoseNetwork, settings: Settings, *, step: int = 0):
