@@ -54,7 +54,7 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     p.candidates = 8  # K heads of the ensemble (§ distilled ensemble)
     p.spread = "upright"  # where heads start: "upright" cameras, "all" of SO(3), or ""
     p.flips = True  # also try each head turned by 180° about the principal axes
-    p.flips_from = 0.4  # share of the run from which they are tried
+    p.flips_from = 0.0  # share of the run from which they are tried
     p.selects = True  # the student selects a candidate; False: regresses a pose
     p.tie_break = 0.0  # lean of the choice towards the student's pose, at the end
     p.choice_grid = 16  # volume that candidates are first compared in; 0: render.grid

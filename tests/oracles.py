@@ -27,7 +27,9 @@ def smooth(volume, sigma):
     if sigma == 0:
         return np.array(volume)
     reach = int(50 * sigma) + 2
-    total = math.fsum(math.exp(-0.5 * (k / sigma) ** 2) for k in range(-reach, reach + 1))
+    total = math.fsum(
+        math.exp(-0.5 * (k / sigma) ** 2) for k in range(-reach, reach + 1)
+    )
     result = np.array(volume, float)
     for axis, size in enumerate(volume.shape):
         kernel = [

@@ -35,7 +35,9 @@ def list_imports(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            base = ".".join(package[: len(package) - node.level + 1]) if node.level else ""
+            base = (
+                ".".join(package[: len(package) - node.level + 1]) if node.level else ""
+            )
             module = ".".join(p for p in (base, node.module or "") if p)
             yield from (f"{module}.{alias.name}" for alias in node.names)
 
@@ -53,7 +55,9 @@ def test_a_room_imports_from_its_own_floor_and_below(room):
 
 
 def test_every_room_is_on_a_floor():
-    rooms = {p.name for p in ROOT.iterdir() if p.is_dir() and (p / "__init__.py").exists()}
+    rooms = {
+        p.name for p in ROOT.iterdir() if p.is_dir() and (p / "__init__.py").exists()
+    }
     assert rooms == set(FLOORS)
 
 
@@ -63,7 +67,9 @@ def test_importing_the_package_loads_no_heavy_library():
         "print([m for m in ('trimesh', 'orbax', 'matplotlib', 'scipy', 'flax', 'optax') "
         "if m in sys.modules])"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True
+    )
     assert result.stdout.strip() == "[]", result.stdout + result.stderr
 
 

@@ -64,7 +64,7 @@ class Command:
 
     def run(self, workdir, environment=None, **changes):
         process = self.start(workdir, environment, **changes)
-        out, error = process.communicate(timeout=300)
+        out, error = process.communicate(timeout=1200)
         assert process.returncode == 0, error.decode()
         return out.decode()
 
@@ -82,7 +82,7 @@ class Command:
             assert read, process.communicate()[1].decode()
             seen += read
         process.send_signal(signum)
-        out, error = process.communicate(timeout=300)
+        out, error = process.communicate(timeout=1200)
         return process.returncode, (seen + out).decode(), error.decode()
 
 
@@ -234,7 +234,7 @@ def test_a_damaged_newest_checkpoint_is_said_and_the_run_ends_the_same(command, 
 
 def test_a_refused_command_has_a_status_and_one_line_on_stderr(command):
     process = command.start(command.folder / "refused", **{"train.stepz": 3})
-    out, error = process.communicate(timeout=120)
+    out, error = process.communicate(timeout=1200)
     assert process.returncode == 2 and out == b""
     assert error.startswith(b"Error: ") and error.count(b"\n") == 1
     assert b"Traceback" not in error

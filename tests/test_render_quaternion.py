@@ -4,12 +4,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from dpc_jax import quaternion
 
 RANDOM = np.random.default_rng(0).normal(size=(20, 4))
-HALF_TURNS = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0, 1, 1, 0], [1e-9, 1, -2, 3]])
+HALF_TURNS = np.array(
+    [[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0, 1, 1, 0], [1e-9, 1, -2, 3]]
+)
 NEAR_IDENTITY = np.array([[1, 1e-7, 0, 0], [1, 0, -1e-7, 1e-7], [1, 0, 0, 0]])
 CASES = np.concatenate([RANDOM, HALF_TURNS, NEAR_IDENTITY])
 
@@ -44,6 +48,39 @@ def test_every_rotation_comes_back_from_its_matrix_half_turns_too():
         )
 
 
+def test_a_matrix_passes_a_finite_gradient_in_every_branch():
+    for q in CASES:
+        matrix = jnp.asarray(as_rotation(q).as_matrix())
+        jacobian = jax.jacobian(quaternion.from_matrix)(matrix)
+        assert np.all(np.isfinite(jacobian))
+
+
+COMPONENTS = st.tuples(*[st.floats(-2, 2)] * 4)
+QUATERNIONS = COMPONENTS.filter(lambda q: np.linalg.norm(q) > 1e-3)
+
+
+@given(QUATERNIONS, QUATERNIONS, QUATERNIONS)
+def test_the_algebra_of_quaternions_holds(a, b, c):
+    a, b, c = (np.asarray(q) for q in (a, b, c))
+    with jax.enable_x64(True):  # hypothesis runs each example outside the fixture
+        multiply = quaternion.multiply
+        left, right = multiply(multiply(a, b), c), multiply(a, multiply(b, c))
+        reverse = multiply(quaternion.conjugate(b), quaternion.conjugate(a))
+        size = np.linalg.norm(multiply(a, b))
+        angles = [
+            float(quaternion.angle_between(*p)) for p in ((a, b), (b, a), (-a, b))
+        ]
+        turned = quaternion.angle_between(multiply(c, a), multiply(c, b))
+    # Norms are at most 4, so a product of three has roundings of 64 · 1e-16.
+    np.testing.assert_allclose(left, right, atol=1e-13)
+    np.testing.assert_allclose(
+        reverse, quaternion.conjugate(multiply(a, b)), atol=1e-13, rtol=0
+    )
+    assert size == pytest.approx(np.linalg.norm(a) * np.linalg.norm(b), abs=1e-13)
+    assert angles == pytest.approx([angles[0]] * 3, abs=1e-12)
+    assert float(turned) == pytest.approx(angles[0], abs=1e-12)
+
+
 def test_a_quaternion_times_its_conjugate_is_the_identity():
     for q in CASES:
         unit = quaternion.normalize(jnp.asarray(q))
@@ -56,7 +93,9 @@ def test_a_quaternion_times_its_conjugate_is_the_identity():
 def test_any_length_gives_a_unit_quaternion_and_a_finite_gradient(size, dtype):
     q = jnp.asarray(np.array([0.5, -1.0, 2.0, 0.25]) * size, dtype)
     unit = quaternion.normalize(q)
-    assert float(jnp.linalg.norm(unit)) == pytest.approx(1, abs=1e-6)  # float32 rounding
+    assert float(jnp.linalg.norm(unit)) == pytest.approx(
+        1, abs=1e-6
+    )  # float32 rounding
     gradient = jax.grad(lambda a: quaternion.normalize(a)[0])(q)
     exact = np.array([1.0, 0, 0, 0]) / np.linalg.norm(np.asarray(q, float))
     unit64 = np.asarray(q, float) / np.linalg.norm(np.asarray(q, float))
@@ -87,9 +126,14 @@ def test_the_angle_between_rotations_is_exact_from_zero_to_half_a_turn(angle):
 def test_a_hundred_thousand_products_stay_a_rotation():
     step = quaternion.from_axis_angle(jnp.array([0.0, 0.6, 0.8]), 0.1)
     end = jax.lax.fori_loop(
-        0, 100_000, lambda _, q: quaternion.normalize(quaternion.multiply(step, q)), step
+        0,
+        100_000,
+        lambda _, q: quaternion.normalize(quaternion.multiply(step, q)),
+        step,
     )
     matrix = quaternion.to_matrix(end)
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-14)
     expected = Rotation.from_rotvec(np.array([0, 0.6, 0.8]) * 0.1 * 100_001).as_matrix()
-    np.testing.assert_allclose(matrix, expected, atol=1e-9)  # 1e5 roundings of 1e-16, in angle
+    np.testing.assert_allclose(
+        matrix, expected, atol=1e-9
+    )  # 1e5 roundings of 1e-16, in angle

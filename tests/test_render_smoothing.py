@@ -14,7 +14,7 @@ VOLUME = np.random.default_rng(0).uniform(size=SHAPE)
 smooth = jax.jit(dpc_jax.smooth)
 
 
-@pytest.mark.parametrize("sigma", [0.0, 0.1, 0.3, 0.99, 1.0, 1.01, 2.5, 40.0])
+@pytest.mark.parametrize("sigma", [0.0, 0.1, 0.3, 0.99, 1.0, 1.01, 5.0, 1e3])
 def test_smoothing_equals_the_direct_sum_in_float64(sigma):
     with jax.enable_x64(True):
         result = smooth(jnp.asarray(VOLUME), sigma)
@@ -32,7 +32,7 @@ def test_a_vanishing_sigma_is_the_identity_with_zero_slope(sigma, dtype):
         assert float(total(jnp.asarray(sigma, dtype))) == 0
 
 
-@pytest.mark.parametrize("sigma", [0.25, 0.6, 0.999, 1.001, 3.0, 1e3])
+@pytest.mark.parametrize("sigma", [0.25, 0.6, 0.999, 1.0, 1.001, 3.0, 1e3])
 def test_the_slope_in_sigma_equals_finite_differences(sigma):
     def total(s):
         return jnp.sum(smooth(jnp.asarray(VOLUME), s) * VOLUME)
@@ -59,4 +59,4 @@ def test_smoothing_is_its_own_transpose():
     with jax.enable_x64(True):
         left = np.sum(other * smooth(jnp.asarray(VOLUME), 1.3))
         right = np.sum(VOLUME * smooth(jnp.asarray(other), 1.3))
-    assert left == pytest.approx(right, rel=1e-13)
+    assert float(left) == pytest.approx(float(right), rel=1e-13)

@@ -13,9 +13,12 @@ import dpc_jax
 SHAPE = (5, 6, 4)
 
 
+_splat = jax.jit(dpc_jax.splat, static_argnums=2)
+
+
 def splat(coordinates, values, shape=SHAPE):
     coordinates = jnp.asarray(coordinates, jnp.float32).reshape(-1, 3)
-    return np.asarray(dpc_jax.splat(coordinates, jnp.asarray(values, jnp.float32), shape))
+    return np.asarray(_splat(coordinates, jnp.asarray(values, jnp.float32), shape))
 
 
 @pytest.mark.parametrize("shape", [(5, 6, 4), (1, 1, 9), (1, 7, 1), (1, 1, 1)])
@@ -45,7 +48,13 @@ def test_gradients_equal_finite_differences_off_the_cell_planes():
         )
 
 
-@given(st.lists(st.tuples(*[st.floats(0, s - 1, width=32) for s in SHAPE]), max_size=8))
+@given(
+    st.lists(
+        st.tuples(*[st.floats(0, s - 1, width=32) for s in SHAPE]),
+        min_size=8,
+        max_size=8,
+    )
+)
 def test_mass_is_conserved_inside(points):
     volume = splat(points, np.ones(len(points)))
     # One float32 rounding per corner and addition.
@@ -56,6 +65,15 @@ def test_mass_is_conserved_inside(points):
 def test_a_point_on_a_cell_centre_fills_that_cell_alone():
     volume = splat([2.0, 3.0, 1.0], [1.0])
     assert volume[2, 3, 1] == 1
+    assert volume.sum() == 1
+
+
+@pytest.mark.parametrize(
+    ("point", "cells"), [((2, 3, 1.5), 2), ((2, 3.5, 1.5), 4), ((2.5, 3.5, 1.5), 8)]
+)
+def test_a_point_on_a_face_edge_or_corner_is_shared_equally(point, cells):
+    volume = splat(point, [1.0])
+    assert np.sum(volume == 1 / cells) == cells
     assert volume.sum() == 1
 
 

@@ -8,6 +8,7 @@ centres: cell i of D has coordinate ((i + 1/2)/D - 1/2)·extent.
 
 import dataclasses
 import functools
+import numbers
 from typing import NamedTuple
 
 import chex
@@ -17,6 +18,9 @@ import jax.numpy as jnp
 from dpc_jax.render import quaternion
 
 PROJECTIONS = ("perspective", "orthographic")
+# Nearest depth with an image, in extents (heuristic): 1/z² of a nearer point would
+# overflow, and make the gradient of every other input NaN.
+_NEAR = 1e-6
 
 
 @functools.partial(
@@ -64,20 +68,22 @@ class VoxelGrid:
 
     def __post_init__(self):
         shape = self.shape
-        if isinstance(shape, int):
-            shape = (shape,) * 3
-        shape = tuple(shape)
-        if len(shape) != 3 or not all(isinstance(s, int) and s > 0 for s in shape):
+        is_one = isinstance(shape, numbers.Integral)
+        sides = (shape,) * 3 if is_one else shape
+        if not isinstance(sides, tuple | list) or not (
+            len(sides) == 3 and all(_is_side(s) for s in sides)
+        ):
             raise ValueError(
                 "VoxelGrid shape must be a positive int or three of them (rows, cols, "
                 f"depth), but it is {self.shape!r}; give for example VoxelGrid(64)."
             )
-        if not self.extent > 0:
+        is_number = isinstance(self.extent, numbers.Real)
+        if not (is_number and 0 < self.extent < float("inf")):
             raise ValueError(
-                f"VoxelGrid extent must be positive, but it is {self.extent!r}; the "
-                "unit cube has extent 1.0."
+                "VoxelGrid extent must be a positive finite number, but it is "
+                f"{self.extent!r}; the unit cube has extent 1.0."
             )
-        object.__setattr__(self, "shape", shape)
+        object.__setattr__(self, "shape", tuple(int(s) for s in sides))
 
     def depths(self, camera: Camera, dtype=jnp.float32) -> chex.Array:
         """Metric depth z_k of each cell along a ray, [depth], nearest first."""
@@ -87,6 +93,11 @@ class VoxelGrid:
 
 
 jax.tree_util.register_static(VoxelGrid)
+
+
+def _is_side(side) -> bool:
+    is_integer = isinstance(side, numbers.Integral) and not isinstance(side, bool)
+    return is_integer and side > 0
 
 
 class GridPoints(NamedTuple):
@@ -114,19 +125,19 @@ def to_camera_frame(
     """
     moved = quaternion.rotate(points, rotation)
     if translation is not None:
-        moved = moved + translation
+        moved = moved + jnp.asarray(translation, points.dtype)
     return moved.at[:, 2].add(jnp.asarray(camera.distance, points.dtype))
 
 
 def to_grid(points: chex.Array, *, camera: Camera, grid: VoxelGrid) -> GridPoints:
     """Project points [N, 3] of the camera frame to grid indices; depth stays metric.
 
-    Points at or behind the camera plane (z <= 0) have no image: they are marked
-    outside and get zero gradient.
+    Points behind the camera plane or within a millionth of the extent before it have
+    no perspective image: they are marked outside and get zero gradient.
     """
     x, y, z = points[:, 0], points[:, 1], points[:, 2]
     if camera.projection == "perspective":
-        is_before = z > 0
+        is_before = z > _NEAR * grid.extent
         inverse = jnp.asarray(camera.focal_length, z.dtype) / jnp.where(is_before, z, 1)
         u, v = x * inverse, y * inverse
     else:

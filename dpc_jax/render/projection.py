@@ -6,6 +6,7 @@ Only what `signals` names is computed.
 """
 
 import chex
+import jax
 import jax.numpy as jnp
 
 from dpc_jax.render import smoothing, splatting, termination
@@ -78,6 +79,7 @@ def project(
     _check_arguments(
         points, rotation, sigma, scale, covariance, colors, translation, signals, method
     )
+    _check_background(background_depth, background_color, colors)
     dtype = points.dtype
     sigma, scale = jnp.asarray(sigma, dtype), jnp.asarray(scale, dtype)
     moved = to_camera_frame(
@@ -96,8 +98,11 @@ def project(
     if "silhouette" in signals:
         silhouette = termination.opacity(occupancy)
     if "depth" in signals:
-        depth = (occupancy * reached) @ grid.depths(
-            camera, dtype
+        # Float32 throughout, also where a GPU would round to TF32.
+        depth = jnp.matmul(
+            occupancy * reached,
+            grid.depths(camera, dtype),
+            precision=jax.lax.Precision.HIGHEST,
         ) + background * jnp.asarray(background_depth, dtype)
     if "color" in signals:
         color = _project_colors(
@@ -167,12 +172,12 @@ def _check_arguments(
     if jnp.shape(scale) not in ((), points.shape[:1]):
         raise ValueError(
             f"scale must be one number or [N] = [{points.shape[0]}], but it has shape "
-            f"{list(jnp.shape(scale))}."
+            f"{list(jnp.shape(scale))}; pass a scalar or one value per point."
         )
     if translation is not None and jnp.shape(translation) != (3,):
         raise ValueError(
             "translation must have shape [3], but it has "
-            f"{list(jnp.shape(translation))}."
+            f"{list(jnp.shape(translation))}; use jax.vmap over several poses."
         )
     if isinstance(signals, str) or not signals or set(signals) - set(SIGNALS):
         raise ValueError(
@@ -190,9 +195,26 @@ def _check_arguments(
             "them or leave 'color' out of signals."
         )
     if colors is not None and (
-        jnp.ndim(colors) != 2 or jnp.shape(colors)[0] != points.shape[0]
+        jnp.ndim(colors) != 2
+        or jnp.shape(colors)[0] != points.shape[0]
+        or jnp.shape(colors)[1] == 0
     ):
         raise ValueError(
-            f"colors must have shape [N, C] with N = {points.shape[0]}, but they have "
-            f"{list(jnp.shape(colors))}."
+            f"colors must have shape [N, C] with N = {points.shape[0]} and C >= 1, but "
+            f"they have {list(jnp.shape(colors))}; give one row per point."
+        )
+
+
+def _check_background(background_depth, background_color, colors):
+    if jnp.ndim(background_depth) != 0:
+        raise ValueError(
+            "background_depth must be one number, but it has shape "
+            f"{list(jnp.shape(background_depth))}; pass a scalar."
+        )
+    channels = () if colors is None else jnp.shape(colors)[1:]
+    if jnp.shape(background_color) not in ((), channels):
+        raise ValueError(
+            f"background_color must be one number or [C] = {list(channels)} like the "
+            f"colors, but it has shape {list(jnp.shape(background_color))}; pass one "
+            "value per channel."
         )

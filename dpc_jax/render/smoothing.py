@@ -28,8 +28,10 @@ def sample_gaussian(distances: chex.Array, sigma: chex.Array) -> chex.Array:
     sigma = jnp.maximum(sigma, _SIGMA_FLOOR)
     # The normaliser is a theta function: the sum itself converges fast for small
     # sigma, its Poisson transform for large; at 1 both are right to 1e-16.
-    narrow = jnp.minimum(sigma, 1)
-    wide = jnp.maximum(sigma, 1)
+    # Not minimum and maximum: at sigma = 1 each would pass half of the derivative.
+    is_narrow = sigma < 1
+    narrow = jnp.where(is_narrow, sigma, 1)
+    wide = jnp.where(is_narrow, 1, sigma)
     k = jnp.arange(1, 10, dtype=distances.dtype)
     sum_narrow = 1 + 2 * jnp.sum(jnp.exp(-0.5 * (k / narrow) ** 2))
     k = jnp.arange(1, 3, dtype=distances.dtype)
@@ -38,7 +40,7 @@ def sample_gaussian(distances: chex.Array, sigma: chex.Array) -> chex.Array:
         * wide
         * (1 + 2 * jnp.sum(jnp.exp(-2 * (jnp.pi * k * wide) ** 2)))
     )
-    total = jnp.where(sigma < 1, sum_narrow, sum_wide)
+    total = jnp.where(is_narrow, sum_narrow, sum_wide)
     return jnp.exp(-0.5 * (distances / sigma) ** 2) / total
 
 

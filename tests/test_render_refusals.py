@@ -1,0 +1,84 @@
+"""What `project`, `Camera` and `VoxelGrid` refuse, each in a sentence."""
+
+import numpy as np
+import pytest
+
+import dpc_jax
+
+GOOD = {"points": np.zeros((5, 3), "f4"), "rotation": np.ones(4, "f4"), "sigma": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"points": np.zeros((2, 5, 3), "f4")}, r"points.*\[2, 5, 3\].*vmap"),
+        ({"points": np.zeros((5, 2), "f4")}, r"points.*\[N, 3\].*\[5, 2\]"),
+        ({"points": np.zeros((5, 3), int)}, "points.*floating.*int"),
+        ({"rotation": np.ones(3, "f4")}, r"rotation.*\[4\].*\[3, 3\].*\[3\]"),
+        ({"sigma": np.ones(5)}, r"sigma.*one number.*\[5\]"),
+        ({"sigma": None}, "sigma.*None"),
+        ({"covariance": np.ones((5, 3, 3))}, "covariance.*not yet supported"),
+        ({"scale": np.ones(4)}, r"scale.*\[5\].*\[4\]"),
+        ({"translation": np.ones(2)}, r"translation.*\[3\].*\[2\]"),
+        ({"signals": ("shadow",)}, "signals.*silhouette.*shadow"),
+        ({"signals": "depth"}, "signals.*tuple.*depth"),
+        ({"signals": ()}, r"signals.*\(\)"),
+        ({"signals": ("color",)}, "colors.*None"),
+        ({"colors": np.ones((4, 3))}, r"colors.*N = 5.*\[4, 3\]"),
+        ({"colors": np.ones((5, 0))}, r"colors.*C >= 1.*\[5, 0\]"),
+        (
+            {"colors": np.ones((5, 3)), "background_color": np.ones(2)},
+            r"background_color.*\[3\].*\[2\]",
+        ),
+        ({"background_depth": np.ones(3)}, r"background_depth.*\[3\]"),
+        ({"method": "gaussian"}, "method.*gaussian.*not yet supported"),
+    ],
+)
+def test_wrong_arguments_are_refused_in_a_sentence(change, words):
+    arguments = GOOD | change
+    with pytest.raises(ValueError, match=f"(?s){words}") as error:
+        dpc_jax.project(arguments.pop("points"), arguments.pop("rotation"), **arguments)
+    assert str(error.value).endswith(".")
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: dpc_jax.Camera(projection="fisheye"), "fisheye"),
+        (lambda: dpc_jax.VoxelGrid(0), "positive.*0"),
+        (lambda: dpc_jax.VoxelGrid((4, 4)), r"\(4, 4\)"),
+        (lambda: dpc_jax.VoxelGrid((4, 4, -1)), r"\(4, 4, -1\)"),
+        (lambda: dpc_jax.VoxelGrid((4, 4, 4.0)), r"\(4, 4, 4.0\)"),
+        (lambda: dpc_jax.VoxelGrid(64.0), "int.*64.0"),
+        (lambda: dpc_jax.VoxelGrid(None), "int.*None"),
+        (lambda: dpc_jax.VoxelGrid("64"), "int.*'64'"),
+        (lambda: dpc_jax.VoxelGrid(True), "int.*True"),
+        (lambda: dpc_jax.VoxelGrid(8, extent=float("nan")), "extent.*nan"),
+        (lambda: dpc_jax.VoxelGrid(8, extent=float("inf")), "extent.*inf"),
+        (lambda: dpc_jax.VoxelGrid(8, extent="1"), "extent.*'1'"),
+        (lambda: dpc_jax.VoxelGrid(8, extent=0.0), "extent.*0.0"),
+    ],
+)
+def test_impossible_cameras_and_grids_are_refused_in_a_sentence(make, words):
+    with pytest.raises(ValueError, match=words) as error:
+        make()
+    assert str(error.value).endswith(".")
+
+
+def test_a_grid_takes_integers_of_numpy_and_lists():
+    assert dpc_jax.VoxelGrid(np.int64(8)) == dpc_jax.VoxelGrid(8)
+    assert dpc_jax.VoxelGrid([4, 5, np.int32(6)]) == dpc_jax.VoxelGrid((4, 5, 6))
+
+
+def test_lists_of_numbers_are_taken_where_arrays_are():
+    lists = dpc_jax.project(
+        [[0.1, 0.0, 0.0], [0.0, 0.1, 0.2]],
+        [1.0, 0.0, 0.0, 0.0],
+        sigma=1.0,
+        scale=[1.0, 2.0],
+        translation=[0.0, 0.1, 0.0],
+        colors=[[0.5], [1.0]],
+        grid=dpc_jax.VoxelGrid(4),
+        signals=["color"],
+    )
+    assert lists.color.shape == (4, 4, 1)
