@@ -1,4 +1,4 @@
-"""The written equations in float64 numpy, with loops; no code shared with the package."""
+"""The written equations in float64 numpy, with loops; shares no code with dpc_jax."""
 
 import math
 

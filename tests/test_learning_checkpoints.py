@@ -36,7 +36,9 @@ def save_some(checkpoints, *steps):
 
 def damage(folder, *, how):
     """Cut or change the largest file of a checkpoint, where the arrays are."""
-    path = max((p for p in folder.rglob("*") if p.is_file()), key=lambda p: p.stat().st_size)
+    path = max(
+        (p for p in folder.rglob("*") if p.is_file()), key=lambda p: p.stat().st_size
+    )
     content = bytearray(path.read_bytes())
     if how == "truncated":
         content = content[: len(content) // 2]
@@ -116,7 +118,9 @@ def test_where_no_checkpoint_can_be_read_a_sentence_says_so(opened, tmp_path):
     save_some(opened, 5, 6)
     for step in "56":
         damage(tmp_path / "checkpoints" / step, how="truncated")
-    with pytest.raises(ValueError, match=r"None of .*checkpoints \(steps 6, 5\).*remove"):
+    with pytest.raises(
+        ValueError, match=r"None of .*checkpoints \(steps 6, 5\).*remove"
+    ):
         reopen(tmp_path)
 
 

@@ -147,7 +147,9 @@ def test_log_validation_and_checkpoints_come_at_their_intervals_and_at_the_end(
     assert restore(tmp_path, first_state)[1] == [7, 8]
 
 
-def test_the_time_of_a_validation_is_not_training_time(tmp_path, first_state, monkeypatch):
+def test_the_time_of_a_validation_is_not_training_time(
+    tmp_path, first_state, monkeypatch
+):
     # A clock that only the validation moves.
     now = [0.0]
     monkeypatch.setattr(loop.time, "monotonic", lambda: now[0])
@@ -216,7 +218,9 @@ def test_the_first_loss_that_is_not_finite_stops_with_its_name_and_step(
     tmp_path, first_state, monkeypatch, every
 ):
     monkeypatch.setattr(loop, "make_train_step", poison(5, "shape", "scale"))
-    with pytest.raises(loop.NonFiniteError, match="reprojection loss became nan at step 5"):
+    with pytest.raises(
+        loop.NonFiniteError, match="reprojection loss became nan at step 5"
+    ):
         run_loop(tmp_path, first_state, every=every)
     restored, steps = restore(tmp_path, first_state)
     assert steps[-1] == (5 if every[2] == 1 else 4)
@@ -235,7 +239,9 @@ def test_a_student_that_is_not_finite_is_named(tmp_path, first_state, monkeypatc
 @pytest.mark.parametrize("value", [np.inf, np.nan])
 def test_a_gradient_that_is_not_finite_is_named_though_the_loss_is(value):
     metrics = {"loss": 1.0, "gradient_norms": {"encoder": 1.0, "pose": value}}
-    with pytest.raises(loop.NonFiniteError, match=r"gradient of the pose .* at step 12"):
+    with pytest.raises(
+        loop.NonFiniteError, match=r"gradient of the pose .* at step 12"
+    ):
         loop.check_finite(metrics, 12)
     loop.check_finite({"loss": 1.0, "gradient_norms": {"pose": 0.0}}, 12)
 
@@ -287,7 +293,9 @@ def test_the_best_candidate_is_the_one_whose_silhouette_fits_best(predictions, o
     )
 
 
-def test_scores_have_the_names_that_the_report_needs_and_shares_of_the_heads(predictions):
+def test_scores_have_the_names_that_the_report_needs_and_shares_of_the_heads(
+    predictions,
+):
     alignment = evaluator.align(predictions, DATASET)
     result, shares = evaluator.score(
         predictions, DATASET, alignment=alignment, num_candidates=3
@@ -295,4 +303,6 @@ def test_scores_have_the_names_that_the_report_needs_and_shares_of_the_heads(pre
     wanted = "pose_accuracy pose_median_error_deg chamfer precision coverage".split()
     assert set(wanted) <= result.metrics.keys()
     assert all(np.isfinite(v) for v in result.metrics.values())
-    np.testing.assert_allclose(shares, np.bincount(predictions.winners.ravel(), minlength=3) / 9)
+    np.testing.assert_allclose(
+        shares, np.bincount(predictions.winners.ravel(), minlength=3) / 9
+    )

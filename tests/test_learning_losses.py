@@ -59,7 +59,9 @@ def test_the_student_loss_agrees_with_finite_differences():
         return 1 - abs(q @ b) / np.linalg.norm(q)
 
     step = 1e-5  # error 1e-10 of the central difference, far below float32's
-    expected = [(loss(a + step * e) - loss(a - step * e)) / (2 * step) for e in np.eye(4)]
+    expected = [
+        (loss(a + step * e) - loss(a - step * e)) / (2 * step) for e in np.eye(4)
+    ]
     _, (gradient, _) = differentiate(a, b)
     np.testing.assert_allclose(gradient, expected, atol=ROUNDING)
 
@@ -111,7 +113,9 @@ def test_masks_are_averaged_over_blocks_of_pixels(size):
     f = 16 // size
     for i, j in [(0, 0), (size - 1, 0), (size // 2, size - 1)]:
         block = masks[..., i * f : (i + 1) * f, j * f : (j + 1) * f] / 255.0
-        np.testing.assert_allclose(small[..., i, j], block.mean((-1, -2)), atol=ROUNDING)
+        np.testing.assert_allclose(
+            small[..., i, j], block.mean((-1, -2)), atol=ROUNDING
+        )
 
 
 def test_black_stays_zero_and_white_stays_one():
@@ -129,7 +133,9 @@ def test_repulsion_is_the_mean_of_one_over_the_distance_of_the_pairs():
         if i != j
     ]
     # The own term, 50 a point, is added and taken away again: rounding of 9·50.
-    assert repulsion_energy(jnp.array(points)) == pytest.approx(np.mean(pairs), rel=1e-4)
+    assert repulsion_energy(jnp.array(points)) == pytest.approx(
+        np.mean(pairs), rel=1e-4
+    )
 
 
 def test_repulsion_pushes_near_points_apart_and_is_finite_where_they_coincide():

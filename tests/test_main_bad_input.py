@@ -20,7 +20,9 @@ def config(tmp_path):
 
 def refuse(config, workdir, capsys):
     """The one line on stderr of a run that is refused."""
-    status = run.run_guarded(config, config_path="configs/debug.py", workdir=str(workdir))
+    status = run.run_guarded(
+        config, config_path="configs/debug.py", workdir=str(workdir)
+    )
     error = capsys.readouterr().err
     assert status == 1
     assert error.startswith("Error: ") and error.count("\n") == 1
@@ -82,14 +84,18 @@ def test_a_category_that_is_not_known_is_refused(config, tmp_path, capsys):
     assert "boat" in refuse(config, tmp_path / "workdir", capsys)
 
 
-def test_more_models_in_a_batch_than_usable_meshes_are_refused(config, tmp_path, capsys):
+def test_more_models_in_a_batch_than_usable_meshes_are_refused(
+    config, tmp_path, capsys
+):
     import trimesh
 
     folder = tmp_path / "meshes"
     folder.mkdir()
     for i in range(3):
         trimesh.creation.box((1, 2, 3 + i)).export(folder / f"box{i}.ply")
-    config.data.update(meshes=str(folder), image_size=16, surface_points=10, processes=1)
+    config.data.update(
+        meshes=str(folder), image_size=16, surface_points=10, processes=1
+    )
     config.render.update(grid=8, fine_grid=0)
     error = refuse(config, tmp_path / "workdir", capsys)
     assert "models_per_batch = 4 models was asked for, but 1 can be trained on" in error
@@ -143,6 +149,7 @@ def test_what_does_not_change_the_result_may_differ(config, tmp_path, field):
 loads_config = pytest.mark.filterwarnings(
     "ignore:the load_module:DeprecationWarning:importlib"
 )
+
 
 @pytest.fixture
 def parse(monkeypatch, capsys):

@@ -14,7 +14,9 @@ NAMES = sorted(path.stem for path in FOLDER.glob("*.py"))
 
 
 def load(name, variant=None):
-    spec = importlib.util.spec_from_file_location(f"config_{name}", FOLDER / f"{name}.py")
+    spec = importlib.util.spec_from_file_location(
+        f"config_{name}", FOLDER / f"{name}.py"
+    )
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module.get_config(variant) if variant is not None else module.get_config()

@@ -137,7 +137,9 @@ def test_the_report_has_every_number_and_picture_that_is_promised(finished):
         assert np.isfinite(metrics[name]), name
     assert 0 <= metrics["pose_accuracy"] <= 1
     # The Chamfer distance is the sum of its two directions (§ Evaluation metrics).
-    assert metrics["chamfer"] == pytest.approx(metrics["precision"] + metrics["coverage"])
+    assert metrics["chamfer"] == pytest.approx(
+        metrics["precision"] + metrics["coverage"]
+    )
     assert metrics["steps"] == STEPS
 
     page = (report / "index.html").read_text()
@@ -213,7 +215,9 @@ def test_a_run_that_is_terminated_then_killed_ends_as_one_that_nothing_stopped(
     assert_ends_alike(workdir, finished[0])
 
 
-def test_a_damaged_newest_checkpoint_is_said_and_the_run_ends_the_same(command, finished):
+def test_a_damaged_newest_checkpoint_is_said_and_the_run_ends_the_same(
+    command, finished
+):
     workdir = command.folder / "damaged"
     status, _, error = command.signal_at(workdir, 85, signal.SIGTERM)
     assert status == 0, error

@@ -192,9 +192,7 @@ def test_heads_start_near_their_rotations_yet_depend_on_the_image():
     candidates = np.asarray(run(ensemble, features))
     assert candidates.shape == (20, 4, 4)
     initial = spread_rotations(4)
-    angles = [
-        angle_deg(q, initial[k]) for row in candidates for k, q in enumerate(row)
-    ]
+    angles = [angle_deg(q, initial[k]) for row in candidates for k, q in enumerate(row)]
     # Heads are at least 100° apart: within 50° each is nearest to its own rotation.
     assert np.median(angles) < 50
     assert np.min(np.std(candidates, axis=0)) > 1e-3
@@ -213,10 +211,14 @@ def test_upright_heads_stand_around_the_object_at_its_own_height():
     # Rows are the camera's right, down and forward in the object's frame; 1e-6 is
     # rounding in float32.
     np.testing.assert_allclose(matrices[:, 1], count * [[0, 0, -1]], atol=1e-6)
-    np.testing.assert_allclose(matrices[0], [[0, 1, 0], [0, 0, -1], [-1, 0, 0]], atol=1e-6)
+    np.testing.assert_allclose(
+        matrices[0], [[0, 1, 0], [0, 0, -1], [-1, 0, 0]], atol=1e-6
+    )
     forward = matrices[:, 2]
     np.testing.assert_allclose(
-        np.sum(forward * np.roll(forward, 1, 0), -1), np.cos(2 * np.pi / count), atol=1e-6
+        np.sum(forward * np.roll(forward, 1, 0), -1),
+        np.cos(2 * np.pi / count),
+        atol=1e-6,
     )
     assert len(np.unique(forward.round(3), axis=0)) == count
 

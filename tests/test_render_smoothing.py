@@ -1,4 +1,4 @@
-"""Gaussian smoothing: against direct sums, for sigma from nothing to a thousand voxels."""
+"""Gaussian smoothing: against direct sums, for sigma from nothing to 1000 voxels."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Ray termination: exact at empty and full cells, for tiny occupancies and any depth."""
+"""Ray termination: exact at empty and full cells, tiny occupancies, any depth."""
 
 import itertools
 import math

@@ -75,7 +75,10 @@ def project(
       ValueError: for a wrong shape or dtype, an unknown signal or method, colour asked
         without colours, and arguments not yet supported.
     """
-    points, rotation = jnp.asarray(points), jnp.asarray(rotation)
+    points, rotation, scale = (jnp.asarray(a) for a in (points, rotation, scale))
+    colors = None if colors is None else jnp.asarray(colors)
+    translation = None if translation is None else jnp.asarray(translation)
+    background_color = jnp.asarray(background_color)
     _check_arguments(
         points, rotation, sigma, scale, covariance, colors, translation, signals, method
     )
