@@ -213,7 +213,7 @@ def poison(step_at, *names):
     return make
 
 
-@pytest.mark.parametrize("every", [(1, 0, 2), (100, 0, 2), (5, 0, 2), (100, 0, 1)])
+@pytest.mark.parametrize("every", [(1, 0, 2), (100, 0, 4), (5, 0, 2), (100, 0, 1)])
 def test_the_first_loss_that_is_not_finite_stops_with_its_name_and_step(
     tmp_path, first_state, monkeypatch, every
 ):

@@ -9,8 +9,8 @@ from tiny_runs import random_quaternions
 from dpc_jax.learning.losses import (
     containment_loss,
     downsample_images,
-    repulsion_energy,
     reprojection_loss,
+    repulsion_energy,
     student_loss,
 )
 

@@ -78,7 +78,7 @@ def make_network(settings: Settings, **changes) -> ShapePoseNetwork:
 
 @contextlib.contextmanager
 def compiling_quickly():
-    """Compile without most optimisations: for what runs once, like initial parameters."""
+    """Compile without most optimisations what runs only once."""
     jax.config.update("jax_disable_most_optimizations", True)
     try:
         yield
