@@ -36,7 +36,10 @@ def test_gradients_equal_finite_differences_off_the_cell_planes():
     rng = np.random.default_rng(1)
     base = rng.integers(0, 3, (8, 3))
     coordinates = base + rng.uniform(0.1, 0.9, (8, 3))
-    values, weights = rng.normal(size=8), rng.normal(size=SHAPE)
+    # Between the last centre and the border, where cells outside have no weight.
+    border = [[-0.3, 2.4, 1.3], [4.3, 5.2, 3.4], [1.3, -0.2, -0.4]]
+    coordinates = np.concatenate([coordinates, border])
+    values, weights = rng.normal(size=11), rng.normal(size=SHAPE)
     with jax.enable_x64(True):
         jax.test_util.check_grads(
             lambda c, v: jnp.sum(dpc_jax.splat(c, v, SHAPE) * weights),
