@@ -21,8 +21,8 @@ def make_small_state(step):
     )
 
 
-# When a read fails, orbax drops the other reads of that checkpoint half way; Python says
-# so whenever it happens to collect them.
+# When a read fails, orbax drops the other reads of that checkpoint half way; Python
+# says so whenever it happens to collect them.
 pytestmark = pytest.mark.filterwarnings(
     "ignore:Exception ignored in:pytest.PytestUnraisableExceptionWarning"
 )

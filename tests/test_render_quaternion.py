@@ -124,6 +124,20 @@ def test_the_angle_between_rotations_is_exact_from_zero_to_half_a_turn(angle):
         assert np.all(np.isfinite(gradient))
 
 
+@pytest.mark.parametrize("other", [[1.0, 0, 0, 0], [-2.0, 0, 0, 0]])
+def test_the_angle_of_equal_rotations_has_zero_gradient(other):
+    first = jnp.array([1.0, 0.0, 0.0, 0.0])  # no rounding hides the kink
+    gradient = jax.grad(quaternion.angle_between)(first, jnp.array(other))
+    np.testing.assert_array_equal(gradient, np.zeros(4))
+
+
+def test_at_exactly_half_a_turn_the_slope_is_that_of_one_side():
+    first = jnp.array([1.0, 0.0, 0.0, 0.0])
+    gradient = jax.grad(quaternion.angle_between)(first, jnp.array([0, 0, 1.0, 0]))
+    # Towards or away from the other rotation, at two radians per unit of length.
+    np.testing.assert_allclose(np.abs(gradient), [0, 0, 2, 0], atol=1e-15)
+
+
 def test_a_hundred_thousand_products_stay_a_rotation():
     step = quaternion.from_axis_angle(jnp.array([0.0, 0.6, 0.8]), 0.1)
     end = jax.lax.fori_loop(

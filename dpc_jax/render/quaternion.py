@@ -134,8 +134,8 @@ def angle_between(first: chex.Array, second: chex.Array) -> chex.Array:
     """Angle in radians, in [0, π], between two rotations given as quaternions [4].
 
     2·atan2(‖v‖, |w|) of q₁q₂⁻¹ (appendix "Quantitative evaluation" has 2·acos, which
-    loses half the digits near 0). The angle has a kink at 0 and at π; there the
-    gradient is zero.
+    loses half the digits near 0). The angle has a kink at 0, where the gradient
+    is zero, and at π, where it is that of one side.
     """
     product = multiply(normalize(first), conjugate(normalize(second)))
     square = jnp.sum(product[1:] ** 2)
