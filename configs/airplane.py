@@ -1,6 +1,6 @@
 """Airplanes from silhouettes without poses: procedural, on two CPU cores.
 
-Cost: about ten minutes and 1.7 GB on two cores. Not measured yet. ":paper" is the
+Cost: about seven minutes and 1.7 GB on two cores. Not measured yet. ":paper" is the
 paper's setting: a GPU and days, never run to the end.
 """
 
