@@ -20,6 +20,7 @@ def deck_height(plan):
 
 
 def make_wheels(plan, rng):
+    """Tyres with rims of a plan's axles, both sides: a list of meshes, metres."""
     width = rng.uniform(0.19, 0.25)
     rim_color = parts.CHROME if rng.uniform() < 0.75 else (70, 70, 74)
     pieces = []
@@ -42,6 +43,7 @@ def make_wheels(plan, rng):
 
 
 def make_lamps(plan, rng):
+    """Head and tail lamps of a plan: a list of meshes, metres."""
     front, rear = plan.length / 2, -plan.length / 2
     yellow = (255, 244, 205) if rng.uniform() < 0.7 else (255, 215, 120)
     low = plan.floor + 0.55 * (plan.nose - plan.floor)
