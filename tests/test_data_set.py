@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 
@@ -145,7 +144,8 @@ def test_ctrl_c_ends_the_workers(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         load(tmp_path, processes=2, models=400)
     assert len(started) == 2
-    assert all(worker.returncode == -signal.SIGTERM for worker in started)
+    # Ended, by the signal or by the pipe that broke before it came.
+    assert all(worker.poll() is not None for worker in started)
     assert list(tmp_path.iterdir()) == []
 
 
