@@ -82,6 +82,9 @@ def validate(config: ml_collections.ConfigDict):
     )
     for name in ("keep_start", "keep_end"):
         expect(0 < render[name] <= 1, f"render.{name}", "above 0 and at most 1")
+    expect(
+        0 < render.anneal_until <= 1, "render.anneal_until", "above 0 and at most 1"
+    )
     for name in ("sigma_start", "sigma_end"):
         expect(0 <= render[name] <= 1, f"render.{name}", "between 0 and 1")
     expect(
@@ -131,6 +134,7 @@ def make_settings(config: ml_collections.ConfigDict) -> Settings:
         student_weight=c.pose.student_weight,
         sigma_start=c.render.sigma_start,
         sigma_end=c.render.sigma_end,
+        anneal_until=c.render.anneal_until,
         keep_start=c.render.keep_start,
         keep_end=c.render.keep_end,
         keep_levels=c.render.keep_levels,

@@ -41,6 +41,7 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     r.num_points = 2000  # of a predicted cloud (§ Training details: 2000 at 32)
     r.sigma_start = 0.05  # of the volume's side (§ Training details)
     r.sigma_end = 0.003
+    r.anneal_until = 0.8  # share of the run at which both schedules end
     r.keep_start = 0.1  # share of points not dropped (§ Training details)
     r.keep_end = 1.0
     r.keep_levels = 4  # stairs of that schedule; each is compiled once
@@ -105,7 +106,9 @@ def apply_variant(config: ml_collections.ConfigDict, variant: str | None):
         config.network.update(
             hidden=1024, shape_hidden=1024, student_width=32, normalize=False
         )
-        config.render.update(grid=64, fine_grid=0, num_points=8000, keep_levels=32)
+        config.render.update(
+            grid=64, fine_grid=0, num_points=8000, anneal_until=1.0, keep_levels=32
+        )
         config.pose.update(
             candidates=4,
             student_weight=0.01,

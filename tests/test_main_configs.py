@@ -84,6 +84,7 @@ def test_the_paper_variant_has_the_papers_numbers(name):
         choice_points=0,
         sigma_start=0.05,
         sigma_end=0.003,
+        anneal_until=1.0,
         learning_rate=1e-4,
         warmup_steps=0,
         final_rate=1.0,

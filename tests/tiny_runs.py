@@ -38,6 +38,7 @@ def make_settings(**changes) -> Settings:
         student_weight=0.01,
         sigma_start=0.1,
         sigma_end=0.05,
+        anneal_until=1.0,
         keep_start=0.5,
         keep_end=1.0,
         keep_levels=2,

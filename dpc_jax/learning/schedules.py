@@ -14,7 +14,8 @@ def compute_sigma(step: chex.Numeric, settings: Settings) -> chex.Array:
 
     The paper goes from 5 % to 0.3 % of the volume, at every resolution.
     """
-    done = jnp.clip(jnp.asarray(step, jnp.float32) / settings.steps, 0, 1)
+    annealed = settings.anneal_until * settings.steps
+    done = jnp.clip(jnp.asarray(step, jnp.float32) / annealed, 0, 1)
     share = settings.sigma_start + done * (settings.sigma_end - settings.sigma_start)
     return share * settings.grid
 
@@ -26,7 +27,8 @@ def count_kept_points(step: int, settings: Settings) -> int:
     program of its own, compiled when first reached.
     """
     levels = settings.keep_levels
-    level = min(step * levels // settings.steps, levels - 1)
+    annealed = settings.anneal_until * settings.steps
+    level = min(int(step * levels / annealed), levels - 1)
     # The middle of the stair lies on the line; the last stair keeps the end value.
     done = 1.0 if level == levels - 1 else (level + 0.5) / levels
     share = settings.keep_start + done * (settings.keep_end - settings.keep_start)

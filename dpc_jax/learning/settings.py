@@ -26,6 +26,8 @@ class Settings:
       student_weight: of the student's loss, per pixel of the silhouette loss.
       sigma_start, sigma_end: standard deviation of a point over the run, as a share of
         the volume's side.
+      anneal_until: share of the run after which point size and dropout stay at their
+        end values.
       keep_start, keep_end: share of the points rendered over the run.
       keep_levels: number of different shares; each is compiled once.
       scale_unit: what the learned scale in (0, 1) multiplies: "peak", a density of one
@@ -60,6 +62,7 @@ class Settings:
     student_weight: float
     sigma_start: float
     sigma_end: float
+    anneal_until: float
     keep_start: float
     keep_end: float
     keep_levels: int
