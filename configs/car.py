@@ -11,4 +11,7 @@ from dpc_jax.defaults import apply_variant, default_config
 
 def get_config(variant: str | None = None):
     """The config, or a variant of it: "paper", "naive", "known_pose"."""
-    return apply_variant(default_config("car"), variant)
+    config = default_config("car")
+    # Spreads the points over the surface of a solid body; thin shapes it blows apart.
+    config.train.repulsion_weight = 0.004
+    return apply_variant(config, variant)

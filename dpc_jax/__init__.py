@@ -17,6 +17,7 @@ from dpc_jax.render import quaternion as quaternion
 from dpc_jax.render import smooth as smooth
 from dpc_jax.render import splat as splat
 from dpc_jax.render import termination_probabilities as termination_probabilities
+from dpc_jax.render import voxelize as voxelize
 
 # Name to module, loaded when first asked for: flax, optax and scipy cost import time
 # that a caller of `project` need not pay.

@@ -37,7 +37,7 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     c.render = r = ml_collections.ConfigDict()
     r.grid = 32  # side of the volume and of the silhouettes compared, voxels
     r.fine_grid = 64  # side for the winners' renders towards the end; 0 for none
-    r.fine_from = 0.75  # share of the run from which that grid is used
+    r.fine_from = 0.6  # share of the run from which that grid is used
     r.num_points = 2000  # of a predicted cloud (§ Training details: 2000 at 32)
     r.sigma_start = 0.05  # of the volume's side (§ Training details)
     r.sigma_end = 0.003
@@ -64,14 +64,14 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     p.student_weight = 0.003  # of the student's loss, per pixel of the silhouette
 
     c.train = t = ml_collections.ConfigDict()
-    t.steps = 4500
+    t.steps = 5500
     t.models_per_batch = 4  # (§ Training details)
     t.views_per_batch = 4  # of each model
     t.learning_rate = 3e-4  # of Adam, at its peak
     t.warmup_steps = 200  # linear
     t.final_rate = 0.02  # share of the peak that the cosine decay ends at
     t.weight_decay = 0.0  # decoupled
-    t.repulsion_weight = 0.004  # of the points' repulsion, at its end; 0 for none
+    t.repulsion_weight = 0.0  # of the points' repulsion, at its end; 0 for none
     t.repulsion_points = 500  # of a cloud, that repel each other in a step
     t.containment_weight = 1.0  # of points beyond radius 1/2; 0 for none
     t.color_weight = 0.0  # of the colour loss per pixel; 0 learns no colour

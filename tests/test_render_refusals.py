@@ -15,9 +15,23 @@ GOOD = {"points": np.zeros((5, 3), "f4"), "rotation": np.ones(4, "f4"), "sigma":
         ({"points": np.zeros((5, 2), "f4")}, r"points.*\[N, 3\].*\[5, 2\]"),
         ({"points": np.zeros((5, 3), int)}, "points.*floating.*int"),
         ({"rotation": np.ones(3, "f4")}, r"rotation.*\[4\].*\[3, 3\].*\[3\]"),
-        ({"sigma": np.ones(5)}, r"sigma.*one number.*\[5\]"),
-        ({"sigma": None}, "sigma.*None"),
-        ({"covariance": np.ones((5, 3, 3))}, "covariance.*not yet supported"),
+        ({"sigma": np.ones(4)}, r"sigma.*\[5\].*\[4\]"),
+        ({"sigma": None}, "sigma and covariance are None"),
+        ({"covariance": np.ones((5, 3, 3))}, "sigma=None with a covariance"),
+        (
+            {"covariance": np.ones((5, 3)), "sigma": None},
+            r"covariance.*\[N, 3, 3\].*N = 5.*\[5, 3\]",
+        ),
+        ({"sigma": np.ones(5), "method": "trilinear"}, "trilinear.*size per point"),
+        (
+            {
+                "covariance": np.ones((5, 3, 3)),
+                "sigma": None,
+                "method": "trilinear",
+            },
+            "trilinear.*size per point",
+        ),
+        ({"ray_rule": "minimum"}, "ray_rule.*termination.*minimum"),
         ({"scale": np.ones(4)}, r"scale.*\[5\].*\[4\]"),
         ({"translation": np.ones(2)}, r"translation.*\[3\].*\[2\]"),
         ({"signals": ("shadow",)}, "signals.*silhouette.*shadow"),
@@ -31,7 +45,7 @@ GOOD = {"points": np.zeros((5, 3), "f4"), "rotation": np.ones(4, "f4"), "sigma":
             r"background_color.*\[3\].*\[2\]",
         ),
         ({"background_depth": np.ones(3)}, r"background_depth.*\[3\]"),
-        ({"method": "gaussian"}, "method.*gaussian.*not yet supported"),
+        ({"method": "splat"}, "method.*trilinear.*splat"),
     ],
 )
 def test_wrong_arguments_are_refused_in_a_sentence(change, words):

@@ -7,7 +7,7 @@ import oracles
 import pytest
 
 import dpc_jax
-from dpc_jax.render.smoothing import sample_gaussian
+from dpc_jax.render.kernels import sample_gaussian
 
 SHAPE = (5, 7, 6)
 VOLUME = np.random.default_rng(0).uniform(size=SHAPE)

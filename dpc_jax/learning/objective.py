@@ -8,7 +8,7 @@ from dpc_jax.learning import hindsight, losses, schedules
 from dpc_jax.learning.settings import Settings
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera, VoxelGrid, project
-from dpc_jax.render.smoothing import sample_gaussian
+from dpc_jax.render.kernels import sample_gaussian
 
 
 def scale_images(images: chex.Array) -> chex.Array:

@@ -126,7 +126,8 @@ def to_camera_frame(
     moved = quaternion.rotate(points, rotation)
     if translation is not None:
         moved = moved + jnp.asarray(translation, points.dtype)
-    return moved.at[:, 2].add(jnp.asarray(camera.distance, points.dtype))
+    x, y, z = moved.T
+    return jnp.stack([x, y, z + jnp.asarray(camera.distance, z.dtype)], axis=-1)
 
 
 def to_grid(points: chex.Array, *, camera: Camera, grid: VoxelGrid) -> GridPoints:
@@ -144,9 +145,12 @@ def to_grid(points: chex.Array, *, camera: Camera, grid: VoxelGrid) -> GridPoint
         is_before = jnp.ones_like(z, bool)
         u, v = x, y
     w = z - jnp.asarray(camera.distance, z.dtype)
-    sizes = jnp.array(grid.shape, z.dtype)
-    fractions = jnp.stack([v, u, w], axis=-1) / grid.extent + 0.5  # [0, 1) inside
-    is_inside = is_before & jnp.all((fractions >= 0) & (fractions <= 1), axis=-1)
+    is_inside = is_before
+    coordinates = []
+    for value, size in zip((v, u, w), grid.shape, strict=True):
+        fraction = value / grid.extent + 0.5  # [0, 1] inside
+        is_inside &= (fraction >= 0) & (fraction <= 1)
+        coordinates.append(fraction * size - 0.5)
     # A far point's index may overflow any integer; it is never used.
-    safe = jnp.where(is_inside[:, None], fractions, 0.5)
-    return GridPoints(coordinates=safe * sizes - 0.5, inside=is_inside)
+    safe = [jnp.where(is_inside, c, 0) for c in coordinates]
+    return GridPoints(coordinates=jnp.stack(safe, axis=-1), inside=is_inside)

@@ -1,7 +1,6 @@
 """Trilinear splatting: points to a volume, the fast method's first step."""
 
 import functools
-import itertools
 
 import chex
 import jax
@@ -67,29 +66,48 @@ def _splat_forward(coordinates, values, shape):
 
 
 def _splat_backward(shape, residuals, cotangent):
-    """Read the cotangent at the eight corners: eight plain gathers.
+    """Read the cotangent at the eight corners, as four pairs along the rays.
 
     The transpose of the windowed scatter, a windowed gather, is several times slower
-    on a CPU.
+    on a CPU; eight single reads take half as long again as four pairs.
     """
     coordinates, values = residuals
     base, weights, is_inside = _find_neighbours(coordinates, shape)
     padded = jnp.pad(cotangent, 1)
     rows, cols, depth = padded.shape
     first = ((base[:, 0] + 1) * cols + base[:, 1] + 1) * depth + base[:, 2] + 1
-    # Of the weights (1 - f, f) the derivatives are (-1, 1).
-    value_grad, coordinate_grad = 0, [0, 0, 0]
-    for corner in itertools.product((0, 1), repeat=3):
-        offset = (corner[0] * cols + corner[1]) * depth + corner[2]
-        read = padded.reshape(-1).at[first + offset].get(mode="promise_in_bounds")
-        a, b, c = (weights[axis][:, corner[axis]] for axis in range(3))
-        value_grad += read * a * b * c
-        for axis, others in enumerate((b * c, a * c, a * b)):
-            sign = 1 if corner[axis] else -1
-            coordinate_grad[axis] += sign * read * others
+
+    def read(row, col):
+        return jax.lax.gather(
+            padded.reshape(-1),
+            (first + (row * cols + col) * depth)[:, None],
+            jax.lax.GatherDimensionNumbers(
+                offset_dims=(1,), collapsed_slice_dims=(), start_index_map=(0,)
+            ),
+            slice_sizes=(2,),
+            mode="promise_in_bounds",
+        )
+
+    # [row, col] of pairs; of the weights (1 - f, f) the derivatives are (-1, 1).
+    pairs = [[read(row, col) for col in (0, 1)] for row in (0, 1)]
+    row, col, depth = weights
+    along = [[jnp.sum(pair * depth, axis=-1) for pair in line] for line in pairs]
+    slope = [[pair[:, 1] - pair[:, 0] for pair in line] for line in pairs]
+
+    def blend(corners, row, col):
+        return sum(
+            row[:, i] * (corners[i][0] * col[:, 0] + corners[i][1] * col[:, 1])
+            for i in (0, 1)
+        )
+
+    step = jnp.array([[-1, 1]], values.dtype)
+    grads = jnp.stack(
+        [blend(along, step, col), blend(along, row, step), blend(slope, row, col)],
+        axis=-1,
+    )
     mask = jnp.where(is_inside, values, 0)
-    grads = jnp.stack(coordinate_grad, axis=-1) * mask[:, None]
-    return grads, jnp.where(is_inside, value_grad, 0)
+    value_grad = jnp.where(is_inside, blend(along, row, col), 0)
+    return grads * mask[:, None], value_grad
 
 
 splat.defvjp(_splat_forward, _splat_backward)

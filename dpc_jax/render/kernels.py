@@ -1,0 +1,79 @@
+"""The one-dimensional Gaussian on a grid: every method's weights along an axis.
+
+Sampled at cell centres and normalised over the unbounded grid, so that the weights of
+a point sum to one for every sigma and every position; sigma → 0 leaves the nearest
+cell alone.
+"""
+
+import chex
+import jax
+import jax.numpy as jnp
+
+# Below this many voxels the neighbour's share exp(-1/(2·sigma²)) of a point on a cell
+# centre underflows to zero in float64 too. The floor keeps sigma = 0 and 1e-30 from
+# dividing by zero; it shows only for a point within 0.02 of the middle between two
+# cells, which it shares over a width of 0.02² voxels instead of none.
+SIGMA_FLOOR = 0.02
+# From here on the Poisson transform of the normaliser converges faster than its sum.
+_WIDE = 0.5
+
+
+def sample_gaussian(
+    cells: chex.Array, sigma: chex.Array, *, center: chex.Numeric = 0.0
+) -> chex.Array:
+    """Weights exp(-(i - x)²/2σ²) / Σ_{k∈Z} exp(-(k - x)²/2σ²).
+
+    Args:
+      cells: [...], indices i, whole numbers.
+      sigma: broadcastable to `cells`, standard deviation in voxels, >= 0.
+      center: broadcastable to `cells`, the Gaussian's mean x as a continuous index.
+
+    Returns:
+      [...] weights, of the largest dtype among the arguments. Right to rounding for
+      every sigma; no intermediate overflows.
+    """
+    sigma = jnp.maximum(sigma, SIGMA_FLOOR)
+    # Relative to the nearest cell both exponents are <= 0, and 0 there: nothing is
+    # left to cancel however narrow the kernel is. The ratio does not depend on which
+    # cell that is, so its jump has no part in the derivative.
+    nearest = jax.lax.stop_gradient(jnp.round(center))
+    offset = center - nearest
+    distance = cells - nearest
+    weights = jnp.exp(-0.5 * (distance / sigma) * ((distance - 2 * offset) / sigma))
+    return weights / _sum_over_integers(offset, sigma)
+
+
+def _sum_over_integers(offset, sigma):
+    """Σ_{k∈Z} exp(-k(k - 2δ)/2σ²), a theta function, for |δ| <= 1/2."""
+    # Not minimum and maximum: at the border each would pass half of the derivative.
+    is_narrow = sigma < _WIDE
+    narrow = jnp.where(is_narrow, sigma, _WIDE)
+    wide = jnp.where(is_narrow, _WIDE, sigma)
+    direct = sum(
+        jnp.exp(-0.5 * (k / narrow) * ((k - 2 * offset) / narrow)) for k in range(-4, 5)
+    )
+    waves = 1 + 2 * sum(
+        jnp.exp(-2 * (jnp.pi * m * wide) ** 2) * jnp.cos(2 * jnp.pi * m * offset)
+        for m in range(1, 4)
+    )
+    root = jnp.sqrt(jnp.asarray(2 * jnp.pi, waves.dtype))
+    poisson = root * wide * jnp.exp(0.5 * (offset / wide) ** 2) * waves
+    return jnp.where(is_narrow, direct, poisson)
+
+
+def cut_negligible(weights: chex.Array, cells, sigma, *, center) -> chex.Array:
+    """Set weights beyond the kernel's reach to exactly zero, so they can be skipped.
+
+    The reach is where exp(-t²/2) falls below half a rounding unit: what is cut cannot
+    change a sum that holds the weight of the nearest cell.
+    """
+    return jnp.where(
+        jnp.abs(cells - center) <= find_reach(sigma, weights.dtype), weights, 0
+    )
+
+
+def find_reach(sigma: chex.Array, dtype) -> chex.Array:
+    """Distance in voxels from a Gaussian's mean beyond which it is cut."""
+    unit = jnp.finfo(dtype).eps / 2
+    deviations = jnp.sqrt(-2 * jnp.log(jnp.asarray(unit, dtype)))
+    return jnp.maximum(sigma, SIGMA_FLOOR) * deviations + 0.5
