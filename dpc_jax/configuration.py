@@ -8,6 +8,7 @@ from pathlib import Path
 import ml_collections
 
 from dpc_jax.data import DataSpec
+from dpc_jax.data.sources import CROPS, FRONTS
 from dpc_jax.learning.loop import Intervals
 from dpc_jax.learning.settings import Settings
 from dpc_jax.networks import ShapePoseNetwork
@@ -15,6 +16,8 @@ from dpc_jax.networks.encoder import count_blocks
 
 # What may differ between a run and its continuation.
 FREE_FIELDS = ("data.cache_dir", "data.processes", "log", "render.renders_at_once")
+
+FOLDERS = ("meshes", "shapenet", "renders", "images")  # where models come from
 
 
 def validate(config: ml_collections.ConfigDict):
@@ -44,20 +47,26 @@ def validate(config: ml_collections.ConfigDict):
         section, name = field.split(".")
         expect(config[section][name] >= 1, field, "at least 1")
     expect(pose.candidates >= 1, "pose.candidates", "at least 1 (K heads)")
-    for name in ("tie_break", "choice_grid", "choice_points", "choice_top"):
+    for name in ("choice_grid", "choice_points", "choice_top"):
         expect(pose[name] >= 0, f"pose.{name}", "0 or more")
     expect(config.seed >= 0, "seed", "0 or more")
     try:
         count_blocks(data.image_size)
     except ValueError as error:
         raise ValueError(f"config.data.image_size cannot be used. {error}") from None
+    given = [name for name in FOLDERS if data[name]]
     expect(
-        train.views_per_batch <= data.views,
+        len(given) < 2,
+        f"data.{given[-1]}" if given else "data.meshes",
+        f"'' where data.{given[0] if given else ''} is given: one source at a time",
+    )
+    expect(
+        bool(data.images) or train.views_per_batch <= data.views,
         "train.views_per_batch",
         f"at most data.views = {data.views}, the views there are of a model",
     )
     expect(
-        bool(data.meshes) or train.models_per_batch <= data.models,
+        bool(given) or train.models_per_batch <= data.models,
         "train.models_per_batch",
         f"at most data.models = {data.models}, the models to train on",
     )
@@ -101,7 +110,16 @@ def validate(config: ml_collections.ConfigDict):
         "train.warmup_steps",
         f"between 0 and train.steps = {train.steps}",
     )
-    for section in ("meshes", "test_meshes"):
+    expect(data.crop in CROPS, "data.crop", f"one of {', '.join(CROPS)}")
+    expect(0.1 <= data.fill <= 1, "data.fill", "between 0.1 and 1")
+    expect(0 <= data.surface_voxel < 1, "data.surface_voxel", "at least 0 and below 1")
+    expect(data.shapenet_front in FRONTS, "data.shapenet_front", f"one of {FRONTS}")
+    expect(
+        not data.split_file or Path(data.split_file).is_file(),
+        "data.split_file",
+        "a file that exists",
+    )
+    for section in (*FOLDERS, "test_meshes", "ground_truth"):
         folder = data[section]
         expect(
             not folder or Path(folder).is_dir(),
@@ -125,9 +143,7 @@ def make_settings(config: ml_collections.ConfigDict) -> Settings:
         num_points=c.render.num_points,
         num_candidates=0 if pose_off else c.pose.candidates,
         flips=c.pose.flips and is_ensemble,
-        flips_from=c.pose.flips_from,
         selects=c.pose.selects and is_ensemble,
-        tie_break=c.pose.tie_break if is_ensemble else 0.0,
         choice_grid=c.pose.choice_grid,
         choice_points=c.pose.choice_points,
         choice_top=c.pose.choice_top,
@@ -188,9 +204,12 @@ def make_data_specs(config: ml_collections.ConfigDict) -> dict[str, DataSpec]:
         "focal_length": r.focal_length,
         "distance": r.distance,
         "surface_points": d.surface_points,
+        "surface_voxel": d.surface_voxel,
+        "surface_visible": d.surface_visible,
     }
     counts = {"train": d.models, "val": d.val_models, "test": d.test_models}
-    if not d.meshes:
+    kind = next((name for name in FOLDERS if d[name]), None)
+    if kind is None:
         specs = {
             split: DataSpec(split=split, models=count, **shared)
             for split, count in counts.items()
@@ -198,11 +217,21 @@ def make_data_specs(config: ml_collections.ConfigDict) -> dict[str, DataSpec]:
     else:
         fractions = (0.9, 0.1, 0.0) if d.test_meshes else (0.8, 0.1, 0.1)
         stretch = {"copies": d.copies, "scale_amount": d.stretch}
+        stretch = {} if kind in ("renders", "images") else stretch
+        source = {
+            "kind": kind,
+            "folder": d[kind],
+            "split_file": d.split_file or None,
+            "front": d.shapenet_front,
+            "ground_truth": d.ground_truth or None,
+            "crop": d.crop,
+            "fill": d.fill,
+        }
         specs = {
             split: DataSpec(
                 split=split,
-                folder=d.meshes,
                 fractions=fractions,
+                **source,
                 **(stretch if split == "train" else {}),
                 **shared,
             )

@@ -14,7 +14,15 @@ def default_config(category: str) -> ml_collections.ConfigDict:
 
     c.data = d = ml_collections.ConfigDict()
     d.meshes = ""  # folder of mesh files, z up, x front; "" for procedural shapes
+    d.shapenet = ""  # folder of ShapeNet's synsets, version 1 or 2, or ""
+    d.renders = ""  # folder of the renders published with the paper's code, or ""
+    d.images = ""  # folder of your own images, one folder of views per object, or ""
     d.test_meshes = ""  # folder to test on; "" for a part of the same source
+    d.split_file = ""  # official split of ShapeNet; "": looked for in the folder
+    d.shapenet_front = ""  # axis its models face, "-z" for instance; "": its version's
+    d.ground_truth = ""  # folder of MODEL.mat for the renders; "": looked for
+    d.crop = "object"  # of own images: one scale per "object", per "view", or "none"
+    d.fill = 0.85  # share of the frame that the object of an own image takes
     d.models = 1000  # procedural models to train on
     d.val_models = 40  # procedural models to validate on (20 of them align)
     d.test_models = 100  # procedural models to test on
@@ -22,7 +30,9 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     d.stretch = 0.15  # largest stretch of a copy along an axis, as a share
     d.views = 5  # per model (§ Datasets)
     d.image_size = 64  # pixels; a power of two
-    d.surface_points = 10_000  # ground truth per model
+    d.surface_points = 10_000  # ground truth per model, before thinning
+    d.surface_voxel = 0.0  # side of the voxels that keep one point each; 0: all stay
+    d.surface_visible = False  # ground truth that can be seen from outside only
     d.seed = 0  # of shapes, split, views and lights
     d.cache_dir = "data"  # where rendered sets are kept
     d.processes = 0  # that render; 0 for one per core
@@ -53,11 +63,9 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     c.pose = p = ml_collections.ConfigDict()
     p.known = False  # read the poses from the data instead of learning them
     p.candidates = 8  # K heads of the ensemble (§ distilled ensemble)
-    p.spread = "upright"  # where heads start: "upright" cameras, "all" of SO(3), or ""
+    p.spread = "all"  # where heads start: "all" of SO(3), "upright" cameras, or ""
     p.flips = True  # also try each head turned by 180° about the principal axes
-    p.flips_from = 0.0  # share of the run from which they are tried
     p.selects = True  # the student selects a candidate; False: regresses a pose
-    p.tie_break = 0.0  # lean of the choice towards the student's pose, at the end
     p.choice_grid = 16  # volume that candidates are first compared in; 0: render.grid
     p.choice_points = 500  # points that they are first compared with; 0: all
     p.choice_top = 4  # of them are then compared exactly
@@ -102,7 +110,13 @@ def apply_variant(config: ml_collections.ConfigDict, variant: str | None):
         config.pose.known = True
     if variant == "paper":
         # § Training details and § Network architecture, at 64 pixels.
-        config.data.update(models=5247, val_models=750, test_models=1500)
+        config.data.update(
+            models=5247,
+            val_models=750,
+            test_models=1500,
+            surface_points=100_000,  # § Evaluation, as in the released code
+            surface_voxel=0.01,
+        )
         config.network.update(
             hidden=1024, shape_hidden=1024, student_width=32, normalize=False
         )
@@ -115,7 +129,6 @@ def apply_variant(config: ml_collections.ConfigDict, variant: str | None):
             spread="",
             flips=False,
             selects=False,
-            tie_break=0.0,
             choice_grid=0,
             choice_points=0,
         )

@@ -76,3 +76,31 @@ def test_reading_picks_each_model_with_its_own_views():
     np.testing.assert_array_equal(batch["images"][:, :, 1, 1, 2], [[43, 40], [12, 11]])
     np.testing.assert_array_equal(batch["quaternions"][..., 3], [[43, 40], [12, 11]])
     assert batch["images"].dtype == np.uint8 and type(batch["images"]) is np.ndarray
+
+
+def test_models_with_few_views_have_all_of_them_before_one_comes_again():
+    counts = np.array([1, 2, 3, 5, 9, 40])
+    seen = [set() for _ in counts]
+    for step in range(200):
+        models, views = batches.choose_batch(
+            6, counts, seed=1, step=step, models_per_batch=3, views_per_batch=4
+        )
+        assert views.shape == (3, 4)
+        for model, chosen in zip(models, views, strict=True):
+            times = np.bincount(chosen, minlength=counts[model])
+            assert len(times) == counts[model] and np.ptp(times) <= 1
+            seen[model] |= set(chosen.tolist())
+    # 100 draws of 4 of 40 miss a view with a probability below 3e-5
+    assert [len(views) for views in seen] == counts.tolist()
+
+
+def test_equal_counts_choose_as_one_number_does():
+    for step in range(20):
+        one = batches.choose_batch(
+            7, 5, seed=0, step=step, models_per_batch=3, views_per_batch=4
+        )
+        each = batches.choose_batch(
+            7, np.full(7, 5), seed=0, step=step, models_per_batch=3, views_per_batch=4
+        )
+        for first, second in zip(one, each, strict=True):
+            np.testing.assert_array_equal(first, second)

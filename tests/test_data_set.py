@@ -12,6 +12,7 @@ import trimesh
 
 from dpc_jax.data import (
     DataSpec,
+    dataset,
     load_or_render,
     rendering,
     sources,
@@ -67,7 +68,7 @@ def test_a_set_holds_what_it_says(tmp_path):
     # the object lies within 0.5 of its centre, the camera at 2
     assert (np.abs(data.depths[covered] - 2.0) < 0.5).all()
     assert (data.depths[~covered] == 0).all()
-    assert not data.images.flags.writeable
+    assert not data.images[0].flags.writeable
 
 
 def test_stored_poses_project_the_surface_into_the_stored_masks(tmp_path):
@@ -99,11 +100,14 @@ def test_a_second_call_renders_nothing(tmp_path, count_renders):
 
 
 def test_any_number_of_processes_gives_the_same_bytes(tmp_path, monkeypatch):
-    alone = load(tmp_path / "alone")
+    alone = load(tmp_path / "alone", models=9)  # in three shards
     monkeypatch.setattr(rendering, "INLINE", 0)
     check = "\nassert 'jax' not in sys.modules, 'a worker loaded jax'"
     monkeypatch.setattr(rendering, "BOOT", rendering.BOOT + check)
-    assert_same(alone, load(tmp_path / "two", processes=2))
+    assert_same(alone, load(tmp_path / "two", processes=2, models=9))
+    for path in (tmp_path / "alone").rglob("*.npz"):
+        other = tmp_path / "two" / path.relative_to(tmp_path / "alone")
+        assert path.read_bytes() == other.read_bytes()
 
 
 def test_a_worker_that_dies_is_reported_with_its_last_words(tmp_path, monkeypatch):
@@ -150,40 +154,108 @@ def test_ctrl_c_ends_the_workers(tmp_path, monkeypatch):
 
 
 def test_what_a_killed_process_left_is_removed_and_never_read(tmp_path):
-    whole = load(tmp_path)
+    whole = load(tmp_path, models=9)
     (folder,) = tmp_path.iterdir()
+    (folder / "spec.json").unlink()  # it comes last
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
-    host = os.uname().nodename
-    leftover = tmp_path / f"{folder.name}.{host}.{dead.pid}.tmp"
-    os.rename(folder, leftover)
-    (leftover / "masks.npy").unlink()
-    assert_same(whole, load(tmp_path))
-    assert [path.name for path in tmp_path.iterdir()] == [folder.name]
+    shard = folder / "shard-00001.npz"
+    leftover = folder / f"{shard.name}.{os.uname().nodename}.{dead.pid}.tmp"
+    leftover.write_bytes(shard.read_bytes()[:1000])
+    shard.unlink()
+    assert_same(whole, load(tmp_path, models=9))
+    assert not list(folder.glob("*.tmp"))
 
 
-@pytest.mark.parametrize("harm", ["flip", "cut", "gone", "unfinished", "nonsense"])
-def test_a_damaged_cache_is_named_and_made_again(tmp_path, capsys, harm):
-    whole = load(tmp_path)
+def test_an_interrupted_set_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
+    whole = load(tmp_path / "unbroken", models=9)
+    original, calls = views.sample_surface, []
+
+    def stop(*args, **options):
+        calls.append(1)
+        if len(calls) == 7:  # of the second shard, which has four models
+            raise KeyboardInterrupt
+        return original(*args, **options)
+
+    monkeypatch.setattr(views, "sample_surface", stop)
+    with pytest.raises(KeyboardInterrupt):
+        load(tmp_path / "broken", models=9)
+    (folder,) = (tmp_path / "broken").iterdir()
+    assert [path.name for path in folder.iterdir()] == ["shard-00000.npz"]
+    with pytest.raises(ValueError, match="never finished"):
+        dataset.read_cache(folder)
+    assert_same(whole, load(tmp_path / "broken", models=9, progress=True))
+    assert len(calls) == 7 + 5
+    assert "5 of 9 models are missing" in capsys.readouterr().out
+
+
+HARM = ["flip", "cut", "gone", "swapped", "unfinished", "nonsense"]
+
+
+@pytest.mark.parametrize("harm", HARM)
+def test_a_damaged_cache_is_named_and_only_that_is_made_again(
+    tmp_path, capsys, count_renders, harm
+):
+    whole = load(tmp_path, models=9)
     expected = {name: np.array(getattr(whole, name)) for name in ARRAYS}
     (folder,) = tmp_path.iterdir()
-    path = folder / "masks.npy"
+    path = folder / "shard-00001.npz"
     content = bytearray(path.read_bytes())
     path.unlink()  # a new file: the old one is still mapped
     if harm == "flip":
-        content[-5] ^= 1
+        content[len(content) // 2] ^= 1
         path.write_bytes(content)
     elif harm == "cut":
         path.write_bytes(content[:-5])
-    elif harm == "unfinished":
+    elif harm != "gone":
+        path.write_bytes(content)
+    if harm == "unfinished":
         (folder / "spec.json").unlink()
     elif harm == "nonsense":
         (folder / "spec.json").write_text("{")
-    again = load(tmp_path)
-    assert "is damaged" in capsys.readouterr().out
+    elif harm == "swapped":
+        path.write_bytes((folder / "shard-00000.npz").read_bytes())
+    before = len(count_renders)
+    again = load(tmp_path, models=9)
+    text = capsys.readouterr().out
+    assert ("is damaged" in text) == (harm != "unfinished")
+    if harm in ("flip", "cut", "gone", "swapped"):
+        assert "shard-00001.npz" in text
+        assert len(count_renders) - before == 4 * 2  # the views of one shard
+    else:
+        assert len(count_renders) == before
     for name in ARRAYS:
         np.testing.assert_array_equal(getattr(again, name), expected[name])
     assert len(list(tmp_path.iterdir())) == 1
+    load(tmp_path, models=9)
+    assert "is damaged" not in capsys.readouterr().out
+
+
+def test_a_full_disk_is_a_sentence_with_the_file(tmp_path, monkeypatch):
+    def fail(*args, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", fail)
+    with pytest.raises(OSError, match="shard-00000.npz cannot be written .No space"):
+        load(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setattr(
+        shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(9, 9, 9)
+    )
+    with pytest.raises(OSError, match="GB free for"):
+        load(tmp_path)
+
+
+def test_a_worker_that_cannot_write_tells_the_parent_why(tmp_path, monkeypatch):
+    monkeypatch.setattr(rendering, "INLINE", 0)
+    fault = "import numpy\ndef fail(*a, **k): raise OSError(28, 'No space')\n"
+    boot = rendering.BOOT.replace(
+        "rendering.work", "numpy.savez = fail\nrendering.work"
+    )
+    monkeypatch.setattr(rendering, "BOOT", fault + boot)
+    with pytest.raises(OSError, match="shard-00000.npz cannot be written .No space"):
+        load(tmp_path, processes=2)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_two_runs_at_once_both_get_the_whole_set(tmp_path, monkeypatch):

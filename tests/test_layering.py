@@ -14,7 +14,7 @@ STANDARD = set(sys.stdlib_module_names)
 # Package: (third-party imports allowed, rooms of dpc_jax allowed).
 FLOORS = {
     "render": ({"jax", "chex"}, {"render"}),
-    "data": ({"numpy", "trimesh", "embreex", "PIL", "rich"}, {"data"}),
+    "data": ({"numpy", "trimesh", "embreex", "PIL", "rich", "scipy"}, {"data"}),
     "networks": ({"jax", "flax", "chex", "numpy"}, {"networks", "render"}),
     "evaluation": ({"numpy", "scipy"}, {"evaluation", "render"}),
     "learning": (

@@ -58,21 +58,14 @@ def find_losses(points, mass, candidates, target, sigma=SIGMA):
 
 
 @functools.partial(jax.jit, static_argnames=("first_grid", "first_points", "top"))
-def compute_choice(arrays, student, tie_break, **static):
-    return hindsight.choose_candidate(
-        **arrays,
-        sigma=SIGMA,
-        camera=CAMERA,
-        student=student,
-        tie_break=tie_break,
-        **static,
-    )
+def compute_choice(arrays, **static):
+    return hindsight.choose_candidate(**arrays, sigma=SIGMA, camera=CAMERA, **static)
 
 
-def choose(scene, *, candidates=None, student=None, tie_break=0.0, **static):
+def choose(scene, *, candidates=None, **static):
     if candidates is not None:
         scene = scene | {"candidates": candidates}
-    found = compute_choice(dict(scene), student, tie_break, **static)
+    found = compute_choice(dict(scene), **static)
     assert found.shape == ()
     return int(found)
 
@@ -131,23 +124,6 @@ def test_only_the_candidates_that_pass_the_coarse_look_can_win(scene):
 
 def test_more_first_points_than_there_are_means_all_of_them(scene):
     assert choose(scene, first_points=1000) == choose(scene)
-
-
-def test_a_tie_break_leans_to_the_candidate_nearest_to_the_student(scene):
-    # A lean beyond the ratio of the losses turns the choice; below it does not.
-    pair = scene["candidates"][:2]
-    losses = np.asarray(find_losses(**scene | {"candidates": pair}))
-    worse = int(np.argmax(losses))
-    ratio = losses.max() / losses.min() - 1
-    cosine = abs(np.asarray(pair[0]) @ np.asarray(pair[1]))
-    needed = ratio / (1 - cosine)
-    student = pair[worse]
-    assert (
-        choose(scene, candidates=pair, student=student, tie_break=needed * 1.1) == worse
-    )
-    assert (
-        choose(scene, candidates=pair, student=student, tie_break=needed * 0.9) != worse
-    )
 
 
 def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():

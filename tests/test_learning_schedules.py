@@ -103,20 +103,31 @@ def test_a_run_that_is_all_warm_up_has_finite_rates():
     assert np.all(np.isfinite(found)) and max(found) == pytest.approx(1e-3, rel=1e-5)
 
 
-def test_half_turns_and_the_finer_grid_come_in_from_their_share_of_the_run():
-    settings = make_settings(
-        steps=10, grid=8, fine_grid=16, fine_from=0.75, flips=True, flips_from=0.4
-    )
+def test_the_finer_grid_comes_in_from_its_share_of_the_run():
+    settings = make_settings(steps=10, grid=8, fine_grid=16, fine_from=0.75)
     stages = [find_stage(step, settings) for step in range(10)]
     assert [s.grid for s in stages] == 8 * [8] + 2 * [16]
-    assert [s.flips for s in stages] == 4 * [False] + 6 * [True]
     assert [s.kept_points for s in stages] == [
         count_kept_points(step, settings) for step in range(10)
     ]
 
 
-def test_without_a_finer_grid_or_half_turns_a_run_has_a_stage_for_each_stair_only():
+def test_without_a_finer_grid_a_run_has_a_stage_for_each_stair_only():
     settings = make_settings(steps=10, keep_levels=3)
     stages = {find_stage(step, settings) for step in range(10)}
     assert len(stages) == 3
-    assert {(s.grid, s.flips) for s in stages} == {(8, False)}
+    assert {s.grid for s in stages} == {8}
+
+
+@pytest.mark.parametrize("until", [0.5, 0.8])
+def test_size_and_dropout_reach_their_ends_before_the_run_does(until):
+    settings = make_settings(
+        steps=100, num_points=1000, keep_levels=4, keep_end=1.0, anneal_until=until
+    )
+    last = int(until * 100)
+    end = settings.sigma_end * settings.grid
+    assert compute_sigma(last, settings) == pytest.approx(end, rel=1e-6)
+    assert compute_sigma(99, settings) == pytest.approx(end, rel=1e-6)
+    assert compute_sigma(last // 2, settings) > 1.2 * end
+    assert count_kept_points(last, settings) == 1000
+    assert count_kept_points(last * 3 // 4 - 1, settings) < 1000

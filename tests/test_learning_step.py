@@ -178,9 +178,7 @@ def test_training_on_one_batch_lowers_its_loss(plain):
 def test_a_step_with_turned_candidates_and_a_selecting_student(plain):
     run = make_run(
         flips=True,
-        flips_from=0.0,
         selects=True,
-        tie_break=0.5,
         choice_grid=4,
         choice_points=10,
         choice_top=4,

@@ -79,7 +79,6 @@ def test_the_paper_variant_has_the_papers_numbers(name):
         num_candidates=4,
         flips=False,
         selects=False,
-        tie_break=0.0,
         choice_grid=0,
         choice_points=0,
         sigma_start=0.05,
@@ -113,7 +112,7 @@ def test_the_naive_variant_is_one_regressor_without_a_student():
     config = load("car", "naive")
     settings = configuration.make_settings(config)
     assert settings.num_candidates == 1
-    assert not settings.flips and not settings.selects and settings.tie_break == 0
+    assert not settings.flips and not settings.selects
     _, shapes = parameter_shapes(config)
     assert not any(name.startswith("student") for name in shapes)
 
@@ -155,3 +154,23 @@ def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
     config.data.copies = 3
     specs = configuration.make_data_specs(config)
     assert [specs[s].copies for s in ("train", "val", "test")] == [3, 1, 1]
+
+
+@pytest.mark.parametrize("source", ["shapenet", "renders", "images"])
+def test_every_source_reaches_all_splits_with_what_belongs_to_it(source):
+    config = load("car")
+    config.data[source] = "folder"
+    config.data.update(split_file="all.csv", crop="view", fill=0.7, surface_voxel=0.01)
+    specs = configuration.make_data_specs(config)
+    assert set(specs) == {"train", "val", "test"}
+    for split, spec in specs.items():
+        assert (spec.kind, spec.folder, spec.split) == (source, "folder", split)
+        assert (spec.split_file, spec.crop, spec.fill) == ("all.csv", "view", 0.7)
+        assert spec.surface_voxel == 0.01 and spec.models is None
+
+
+def test_two_sources_at_once_are_refused(tmp_path):
+    config = load("car")
+    config.data.update(shapenet=str(tmp_path), images=str(tmp_path))
+    with pytest.raises(ValueError, match="data.images must be '' where data.shapenet"):
+        configuration.validate(config)

@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 
+BATCH_ARRAYS = ("images", "masks", "quaternions")
 _MODELS, _VIEWS = 0, 1  # so that the two never share a random stream
 
 
@@ -14,10 +15,12 @@ def choose_batch(
 
     The models are read from one endless sequence of seeded permutations, one per epoch,
     `models_per_batch` at a time: every model comes once per epoch, and a batch that
-    straddles two epochs holds no model twice. Views are drawn without replacement.
+    straddles two epochs holds no model twice. Views are drawn without replacement; a
+    model with fewer than the batch wants has all of them before one comes again.
 
     Args:
-      num_models, num_views: of the data set.
+      num_models: of the data set.
+      num_views: of each model; one number, or [num_models] where they differ.
       seed, step: integers >= 0.
       models_per_batch: B. views_per_batch: V.
 
@@ -25,18 +28,20 @@ def choose_batch(
       (models [B], views [B, V]), int64 indices.
 
     Raises:
-      ValueError: if the batch wants more models or views than there are.
+      ValueError: if the batch wants more models than there are, or more views than
+        the one number of all models.
     """
     if not 1 <= models_per_batch <= num_models:
         raise ValueError(
             f"models_per_batch must lie in [1, {num_models}], the number of models, "
             f"got {models_per_batch}; make the batch smaller or add models."
         )
-    if not 1 <= views_per_batch <= num_views:
+    counts = np.broadcast_to(np.asarray(num_views), num_models)
+    most = int(counts.max())
+    if views_per_batch < 1 or np.ndim(num_views) == 0 and views_per_batch > most:
         raise ValueError(
-            f"views_per_batch must lie in [1, {num_views}], the number of views "
-            f"rendered per model, got {views_per_batch}; use fewer or "
-            "render more views."
+            f"views_per_batch must lie in [1, {most}], the number of views per model, "
+            f"got {views_per_batch}; use fewer or add views."
         )
     epoch, place = divmod(step * models_per_batch, num_models)
     stop = place + models_per_batch
@@ -45,9 +50,12 @@ def choose_batch(
         following = _epoch_order(num_models, models_per_batch, seed, epoch + 1)
         models = np.concatenate([models, following[: stop - num_models]])
     rng = np.random.default_rng([seed, _VIEWS, step])
-    noise = rng.random((models_per_batch, num_views))
+    noise = rng.random((models_per_batch, most))
+    there = counts[models][:, None]
+    noise[np.arange(most) >= there] = 2.0  # views that a model has not come last
+    places = np.arange(views_per_batch) % there
     # a copy, because the order is shared by all callers through the cache
-    return models.copy(), np.argsort(noise, axis=1)[:, :views_per_batch]
+    return models.copy(), np.take_along_axis(np.argsort(noise, axis=1), places, axis=1)
 
 
 @functools.lru_cache(maxsize=4)
@@ -81,12 +89,10 @@ def read_batch(dataset, models, views):
       models: [B] indices. views: [B, V] indices.
 
     Returns:
-      dict of arrays in memory: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S],
-      quaternions float32 [B, V, 4] (wxyz, object to camera).
+      dict of arrays in memory: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S]
+      and, where the poses are known, quaternions float32 [B, V, 4] (wxyz, object to
+      camera).
     """
     rows = np.asarray(models)[:, None]
-    return {
-        "images": np.array(dataset.images[rows, views]),
-        "masks": np.array(dataset.masks[rows, views]),
-        "quaternions": np.array(dataset.quaternions[rows, views]),
-    }
+    arrays = {name: getattr(dataset, name) for name in BATCH_ARRAYS}
+    return {n: np.asarray(a[rows, views]) for n, a in arrays.items() if a is not None}

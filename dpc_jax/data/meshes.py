@@ -52,7 +52,9 @@ def read_mesh(path):
     """
     path = Path(path)
     try:
-        scene = trimesh.load_scene(path, process=False)
+        # ShapeNet keeps textures in the folder above that of the mesh
+        resolver = trimesh.resolvers.FilePathResolver(path, allow_anywhere=True)
+        scene = trimesh.load_scene(path, process=False, resolver=resolver)
         pieces = [
             _place_part(scene, node) for node in sorted(scene.graph.nodes_geometry)
         ]

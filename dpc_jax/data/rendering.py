@@ -1,20 +1,22 @@
-"""Rendering the models of a data set into array files, in one process or several.
+"""Preparing the shards of a data set, in one process or several.
 
-Workers are plain Python processes that write rows of memory-mapped `.npy` files; they
-report on a pipe, one JSON line per model. They are started with a bare parent package,
-because importing the whole package would load jax in each of them, and they are not
-forked, because jax runs threads.
+Workers are plain Python processes that write whole shards; they are told which on their
+input and report on a pipe, one JSON line per model. They are started with a bare parent
+package, because importing the whole package would load jax in each of them, and they
+are not forked, because jax runs threads.
 """
 
 import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 
+from . import shards
 from .sources import SPLITS, DataSpec, Source
 
 BOOT = """
@@ -23,54 +25,60 @@ package = types.ModuleType("dpc_jax")
 package.__path__ = [sys.argv[1]]
 sys.modules["dpc_jax"] = package
 from dpc_jax.data import rendering
-rendering.work(sys.argv[2], part=int(sys.argv[3]), parts=int(sys.argv[4]))
+rendering.work(sys.argv[2], part=int(sys.argv[3]))
 """
 INLINE = 16  # so few models are done before a worker has imported what it needs
+SHARD_MODELS = (4, 64)  # fewest and most in a shard
+SHARD_BYTES = 64 << 20  # a worker holds one shard in memory
 
 
-def array_shapes(spec, count):
-    """Name -> (shape, dtype) of the arrays of a data set of `count` models."""
-    lead, size = (count, spec.views), (spec.image_size, spec.image_size)
-    return {
-        "images": ((*lead, *size, 3), "uint8"),
-        "masks": ((*lead, *size), "uint8"),
-        "depths": ((*lead, *size), "float32"),
-        "quaternions": ((*lead, 4), "float32"),
-        "surfaces": ((count, spec.surface_points, 3), "float32"),
-    }
+def estimate_bytes(spec, source):
+    """Size of a model's rows."""
+    pixels = spec.image_size**2 * source.views
+    if spec.kind == "images":
+        return 4 * pixels
+    points = spec.surface_points
+    if spec.surface_voxel > 0:  # surfaces are about as large as their boxes' sides
+        points = min(points, round(2 / spec.surface_voxel**2))
+    return 8 * pixels + 12 * points
 
 
-def write_plan(folder, spec, sources):
-    """Creates the array files and the plan that workers read.
+def plan_shards(spec, sources):
+    """Which models go into which shard: `range`s of indices, in order.
 
-    Raises:
-      OSError: if the disk has no room for them.
+    The plan depends on the models alone, so that any number of processes, and a process
+    that goes on where another has stopped, write the same files.
     """
-    for name, (shape, dtype) in array_shapes(spec, len(sources)).items():
-        path = Path(folder) / f"{name}.npy"
-        np.lib.format.open_memmap(path, mode="w+", dtype=dtype, shape=shape)
-        if hasattr(os, "posix_fallocate"):
-            # reserved now: a disk that fills up under a mapped file kills the process
-            with open(path, "r+b") as file:
-                os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
-    plan = {"spec": vars(spec), "sources": [list(source) for source in sources]}
-    (Path(folder) / "plan.json").write_text(json.dumps(plan), encoding="utf-8")
+    few, many = SHARD_MODELS
+    most = min(max(few, -(-len(sources) // 16)), many)
+    plan, start, size = [], 0, 0
+    for index, source in enumerate(sources):
+        size += estimate_bytes(spec, source)
+        if index > start and (index - start == most or size > SHARD_BYTES):
+            plan.append(range(start, index))
+            start, size = index, estimate_bytes(spec, source)
+    return [*plan, range(start, len(sources))]
 
 
-def read_plan(folder):
-    """(spec, sources) as `write_plan` wrote them."""
-    plan = json.loads((Path(folder) / "plan.json").read_text(encoding="utf-8"))
-    spec = {k: tuple(v) if isinstance(v, list) else v for k, v in plan["spec"].items()}
-    return DataSpec(**spec), [Source(*source) for source in plan["sources"]]
+def name_shard(number):
+    """File name of a shard."""
+    return f"shard-{number:05d}.npz"
+
+
+def identify_shard(folder, models):
+    """What tells a shard from those of other sets and other models."""
+    return {"set": Path(folder).name, "models": [models.start, models.stop]}
 
 
 def make_model(spec, source):
     """The normalised mesh of one source. Raises ValueError if its file is no use."""
-    from . import meshes, procedural
+    from . import meshes, procedural, shapenet
 
     if source.path is None:
         return procedural.make_shape(spec.category, source.seed)
     mesh = meshes.read_mesh(source.path)
+    if spec.kind == "shapenet":
+        mesh.vertices = mesh.vertices @ shapenet.find_turn(source.path, spec.front).T
     if source.copy:
         # normalised first, so that the factors meet comparable sides
         seed = [spec.seed, source.copy, int(source.digest[:8], 16)]
@@ -78,94 +86,180 @@ def make_model(spec, source):
     return meshes.normalize(mesh)
 
 
-def render_models(folder, indices):
-    """Renders models into the array files; yields (index, None or reason to skip)."""
-    from . import viewpoints, views
+def make_arrays(spec, source, index):
+    """Rows of one model: (arrays by name, remarks).
 
-    spec, sources = read_plan(folder)
-    arrays = {
-        name: np.load(Path(folder) / f"{name}.npy", mmap_mode="r+")
-        for name in array_shapes(spec, 1)
-    }
-    for index in indices:
-        try:
-            mesh = make_model(spec, sources[index])
-            arrays["surfaces"][index] = views.sample_surface(
-                mesh, count=spec.surface_points, seed=spec.seed
-            )
-        except ValueError as error:
-            yield index, str(error)
-            continue
-        scene = views.build_scene(mesh)
-        # every model has its own stream: any number of processes gives the same views
-        rng = np.random.default_rng([spec.seed, SPLITS.index(spec.split), index])
-        for view in range(spec.views):
-            azimuth = rng.uniform(0.0, 2.0 * np.pi)
-            elevation = np.deg2rad(rng.uniform(*spec.elevation))
-            rotation = viewpoints.look_at_rotation(azimuth, elevation)
-            picture = views.render_view(
-                scene,
-                rotation,
-                lights=views.draw_lights(rng),
-                image_size=spec.image_size,
-                focal_length=spec.focal_length,
-                distance=spec.distance,
-                extent=spec.extent,
-                supersample=spec.supersample,
-            )
-            arrays["images"][index, view] = picture.image
-            arrays["masks"][index, view] = picture.mask
-            arrays["depths"][index, view] = picture.depth
-            arrays["quaternions"][index, view] = viewpoints.matrix_to_quaternion(
-                rotation
-            )
-        yield index, None
-    for array in arrays.values():
-        array.flush()
-
-
-def work(folder, *, part, parts):
-    """Body of a worker: every `parts`-th model, one line on stdout for each."""
-    _, sources = read_plan(folder)
-    for index, reason in render_models(folder, range(part, len(sources), parts)):
-        sys.stdout.write(json.dumps([index, reason and reason[:2000]]) + "\n")
-        sys.stdout.flush()
-
-
-def render_in_processes(folder, *, count, processes):
-    """As `render_models` for all models, by worker processes, in order of finishing.
+    Arrays are images, masks, depths and quaternions, one row per view, and surfaces,
+    one row per point; own images and training renders lack some.
 
     Raises:
+      ValueError: naming the file, if the model is no use.
+    """
+    shared = {
+        "image_size": spec.image_size,
+        "focal_length": spec.focal_length,
+        "distance": spec.distance,
+    }
+    if spec.kind == "images":
+        from . import image_folder
+
+        place = Path(source.path)
+        return image_folder.read_object(place, crop=spec.crop, fill=spec.fill, **shared)
+    if spec.kind == "renders":
+        from . import catalogs, released_renders, shapenet
+
+        synset, _ = shapenet.find_synset(spec.folder, spec.category)
+        truths = released_renders.find_ground_truth(
+            spec.folder, synset, spec.ground_truth
+        )
+        truth = catalogs.find_truth(spec, truths, source.name)
+        place = Path(source.path)
+        arrays = released_renders.read_model(place, truth, views=spec.views, **shared)
+        return arrays, []
+    arrays = render_model(spec, source, index)
+    if spec.kind == "shapenet":
+        from . import shapenet
+
+        remark = shapenet.describe_materials(source.path)
+        return arrays, [remark] if remark else []
+    return arrays, []
+
+
+def render_model(spec, source, index):
+    """Rendered views and surface points of one mesh, as `make_arrays` gives them."""
+    from . import surface, viewpoints, views
+
+    mesh = make_model(spec, source)
+    scene = views.build_scene(mesh)
+    surfaces = surface.make_ground_truth(mesh, spec, scene=scene)
+    size = (spec.views, spec.image_size, spec.image_size)
+    arrays = {
+        "images": np.empty((*size, 3), np.uint8),
+        "masks": np.empty(size, np.uint8),
+        "depths": np.empty(size, np.float32),
+        "quaternions": np.empty((spec.views, 4), np.float32),
+    }
+    # every model has its own stream: any number of processes gives the same views
+    rng = np.random.default_rng([spec.seed, SPLITS.index(spec.split), index])
+    for view in range(spec.views):
+        azimuth = rng.uniform(0.0, 2.0 * np.pi)
+        elevation = np.deg2rad(rng.uniform(*spec.elevation))
+        rotation = viewpoints.look_at_rotation(azimuth, elevation)
+        picture = views.render_view(
+            scene,
+            rotation,
+            lights=views.draw_lights(rng),
+            image_size=spec.image_size,
+            focal_length=spec.focal_length,
+            distance=spec.distance,
+            extent=spec.extent,
+            supersample=spec.supersample,
+        )
+        arrays["images"][view] = picture.image
+        arrays["masks"][view] = picture.mask
+        arrays["depths"][view] = picture.depth
+        arrays["quaternions"][view] = viewpoints.matrix_to_quaternion(rotation)
+    return arrays | {"surfaces": surfaces}
+
+
+def write_shards(folder, spec, sources, numbers):
+    """Prepares and writes shards; yields (index, None or reason to skip) per model.
+
+    Raises:
+      OSError: naming the file, if it cannot be written.
+    """
+    plan = plan_shards(spec, sources)
+    for number in numbers:
+        record = identify_shard(folder, plan[number])
+        record |= {"names": [], "counts": {}, "skipped": [], "remarks": []}
+        rows = {}
+        for index in plan[number]:
+            name, reason = sources[index].name, None
+            try:
+                arrays, remarks = make_arrays(spec, sources[index], index)
+            except ValueError as error:
+                reason = str(error)
+                record["skipped"].append([name, reason])
+            else:
+                record["names"].append(name)
+                record["remarks"] += [[name, remark] for remark in remarks]
+                for key, array in arrays.items():
+                    rows.setdefault(key, []).append(array)
+            if index < plan[number].stop - 1:
+                yield index, reason
+        record["counts"] = {key: [len(a) for a in part] for key, part in rows.items()}
+        joined = {key: np.concatenate(part) for key, part in rows.items()}
+        shards.write_shard(Path(folder) / name_shard(number), joined, record)
+        # the last model counts as done when it is safe
+        yield index, reason
+
+
+def work(folder, *, part):
+    """Body of a worker: writes the shards it is told, a line on stdout per model."""
+    plan = json.loads(sys.stdin.readline())
+    spec = {k: tuple(v) if isinstance(v, list) else v for k, v in plan["spec"].items()}
+    spec, sources = DataSpec(**spec), [Source(*source) for source in plan["sources"]]
+
+    def tell(*message):
+        sys.stdout.write(json.dumps([part, *message]) + "\n")
+        sys.stdout.flush()
+
+    try:
+        tell("ready")
+        for line in sys.stdin:
+            for index, reason in write_shards(folder, spec, sources, [int(line)]):
+                tell("model", index, reason and reason[:1000])
+            tell("ready")
+    except OSError as error:
+        tell("failed", str(error)[:1000])
+
+
+def render_in_processes(folder, spec, sources, numbers, *, processes):
+    """As `write_shards`, by worker processes, in order of finishing.
+
+    Raises:
+      OSError: if a shard cannot be written.
       RuntimeError: if a worker dies; the message holds the end of its error output.
     """
     package = str(Path(__file__).resolve().parent.parent)
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    plan = {"spec": vars(spec), "sources": [list(source) for source in sources]}
+    waiting = list(reversed(numbers))
     reader, writer = os.pipe()
     workers, logs = [], []
     try:
-        for part in range(processes):
-            logs.append(Path(folder) / f"worker-{part}.log")
-            command = [sys.executable, "-c", BOOT, package, str(folder)]
-            with open(logs[-1], "wb") as log:
-                workers.append(
-                    subprocess.Popen(
-                        [*command, str(part), str(processes)],
-                        stdin=subprocess.DEVNULL,
-                        stdout=writer,
-                        stderr=log,
-                        env={**os.environ, **threads},
-                        start_new_session=True,  # Ctrl-C reaches us; we end them
-                    )
+        for part in range(min(processes, len(numbers))):
+            logs.append(tempfile.TemporaryFile())
+            workers.append(
+                subprocess.Popen(
+                    [sys.executable, "-c", BOOT, package, str(folder), str(part)],
+                    stdin=subprocess.PIPE,
+                    stdout=writer,
+                    stderr=logs[-1],
+                    env={**os.environ, **threads},
+                    start_new_session=True,  # Ctrl-C reaches us; we end them
+                    text=True,
                 )
+            )
         os.close(writer)
         writer = None
+        for worker in workers:
+            _send(worker, json.dumps(plan))
         with open(reader, encoding="utf-8", closefd=False) as lines:
             for line in lines:
-                index, reason = json.loads(line)
-                yield index, reason
+                part, kind, *message = json.loads(line)
+                if kind == "model":
+                    yield tuple(message)
+                elif kind == "failed":
+                    raise OSError(message[0])
+                elif waiting:
+                    _send(workers[part], waiting.pop())
+                else:
+                    _close(workers[part])
         for part, worker in enumerate(workers):
             if worker.wait() != 0:
-                tail = logs[part].read_text(encoding="utf-8", errors="replace")[-2000:]
+                logs[part].seek(0)
+                tail = logs[part].read().decode("utf-8", errors="replace")[-2000:]
                 raise RuntimeError(
                     f"a rendering process ended with status {worker.returncode}; its "
                     f"last words:\n{tail.strip()}\nRender with one process to "
@@ -176,11 +270,27 @@ def render_in_processes(folder, *, count, processes):
             if worker.poll() is None:
                 worker.terminate()
             worker.wait()
+            _close(worker)
+        for log in logs:
+            log.close()
         os.close(reader)
         if writer is not None:
             os.close(writer)
-    for log in logs:
-        log.unlink()
+
+
+def _send(worker, message):
+    try:
+        worker.stdin.write(f"{message}\n")
+        worker.stdin.flush()
+    except BrokenPipeError:
+        pass  # it has died, which its status will tell
+
+
+def _close(worker):
+    try:
+        worker.stdin.close()
+    except BrokenPipeError:
+        pass  # it has died, which its status will tell
 
 
 def follow(results, *, count, label, progress):

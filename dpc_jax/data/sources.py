@@ -8,6 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 SPLITS = ("train", "val", "test")
+KINDS = ("meshes", "shapenet", "renders", "images")
+CROPS = ("object", "view", "none")
+FRONTS = ("", "+x", "-x", "+z", "-z")
 SIDECARS = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".webp")
 SEEDS_PER_SPLIT = 1_000_000
 
@@ -16,8 +19,10 @@ SEEDS_PER_SPLIT = 1_000_000
 class DataSpec:
     """Everything that determines a data set; equal specs give equal bytes.
 
-    With `folder` the models are its mesh files, split by `fractions` and `seed`;
-    without, they are procedural shapes of `category`, each split with its own seeds.
+    With `folder` the models are what is in it, split by `fractions` and `seed` or by
+    an official split file; `kind` says what that is: mesh files, a ShapeNet tree,
+    renders as published with the paper's code, or a user's own images. Without, they
+    are procedural shapes of `category`, each split with its own seeds.
     """
 
     category: str  # "car", "chair", "airplane"; with a folder only a label
@@ -35,7 +40,15 @@ class DataSpec:
     distance: float = 2.0  # camera to object, in box diagonals
     extent: float = 1.0  # of the image plane
     supersample: int = 4  # rays per pixel along each axis
-    surface_points: int = 10_000  # ground truth per model
+    surface_points: int = 10_000  # ground truth per model, before thinning
+    surface_voxel: float = 0.0  # one point is kept per voxel of this side; 0 for all
+    surface_visible: bool = False  # only points that can be seen from outside
+    kind: str = "meshes"  # of the folder
+    split_file: str | None = None  # official split; None: looked for in the folder
+    front: str = ""  # axis that ShapeNet's models face; "": as its version says
+    ground_truth: str | None = None  # folder of the published ground truth
+    crop: str = "object"  # of own images: one scale per "object", "view", or "none"
+    fill: float = 0.85  # share of the frame that an own image's object takes
 
     def __post_init__(self):
         for name in ("views", "image_size", "supersample", "surface_points", "copies"):
@@ -46,6 +59,23 @@ class DataSpec:
         if self.split not in SPLITS:
             raise ValueError(
                 f"split must be one of {', '.join(SPLITS)}, got {self.split!r}."
+            )
+        for name, known in (("kind", KINDS), ("crop", CROPS), ("front", FRONTS)):
+            if getattr(self, name) not in known:
+                raise ValueError(
+                    f"{name} must be one of {known}, got {getattr(self, name)!r}."
+                )
+        if self.kind != "meshes" and self.folder is None:
+            raise ValueError(f"kind {self.kind!r} needs a folder, got None; give one.")
+        if self.kind in ("renders", "images") and self.copies > 1:
+            raise ValueError(
+                f"copies must be 1 where there are no meshes to stretch, got "
+                f"{self.copies}."
+            )
+        if not 0.1 <= self.fill <= 1 or not 0 <= self.surface_voxel < 1:
+            raise ValueError(
+                "fill must lie in [0.1, 1] and surface_voxel in [0, 1), got "
+                f"{self.fill} and {self.surface_voxel}."
             )
         if self.seed < 0:
             raise ValueError(f"seed must not be negative, got {self.seed}.")
@@ -77,7 +107,8 @@ class Source(NamedTuple):
 
     name: unique in the data set. path: mesh file, or None for a procedural shape.
     seed: of the procedural shape. copy: 0 for the original, above for stretched copies.
-    digest: sha256 of the file's content, or "".
+    digest: sha256 of the file's content, or of what else tells it from others, or "".
+    views: how many there are at most.
     """
 
     name: str
@@ -85,6 +116,7 @@ class Source(NamedTuple):
     seed: int
     copy: int
     digest: str
+    views: int = 0
 
 
 def list_sources(spec):
@@ -96,9 +128,22 @@ def list_sources(spec):
     if spec.folder is None:
         first = (spec.seed * len(SPLITS) + SPLITS.index(spec.split)) * SEEDS_PER_SPLIT
         return [
-            Source(f"{spec.category}-{first + i:07d}", None, first + i, 0, "")
+            Source(
+                f"{spec.category}-{first + i:07d}", None, first + i, 0, "", spec.views
+            )
             for i in range(spec.models)
         ]
+    if spec.kind != "meshes":
+        from . import catalogs
+
+        catalog = catalogs.open_catalog(spec, split_files=split_files)
+        found = catalogs.describe_models(spec, catalog)
+        sources = [
+            Source(f"{name}#{copy}" if copy else name, path, 0, copy, key, views)
+            for copy in range(spec.copies)
+            for name, path, views, key in found
+        ]
+        return sources[: spec.models]
     from .meshes import find_meshes
 
     paths = find_meshes(spec.folder)
@@ -117,8 +162,8 @@ def list_sources(spec):
         for path in chosen:
             name = path.relative_to(spec.folder).as_posix()
             name = f"{name}#{copy}" if copy else name
-            sources.append(Source(name, str(path), 0, copy, known[path]))
-    return sources if spec.models is None else sources[: spec.models]
+            sources.append(Source(name, str(path), 0, copy, known[path], spec.views))
+    return sources[: spec.models]
 
 
 def split_files(paths, *, fractions, seed, groups=None):
@@ -165,7 +210,7 @@ def split_files(paths, *, fractions, seed, groups=None):
 
 def list_sidecars(spec):
     """(relative path, sha256) of the materials and textures that a folder holds."""
-    if spec.folder is None:
+    if spec.folder is None or spec.kind != "meshes":
         return []
     folder = Path(spec.folder)
     paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in SIDECARS)

@@ -66,7 +66,8 @@ def align(
       true_poses: [n, V, 4] quaternions, object frame to camera.
       points: [n, V, N, 3] shape predicted from each view, in the network's frame, or
         [n, N, 3] from each model's first view.
-      surfaces: [n, P, 3] points of the true surfaces, object frame.
+      surfaces: [n, P, 3] points of the true surfaces, object frame; or a list of
+        [P_i, 3].
       max_models: only the first this many models are used.
       subsample: points drawn from each predicted cloud.
       surface_subsample: points drawn from each surface.
@@ -107,16 +108,49 @@ def align(
     if near and refined_chamfer < chamfer:
         rotation, chamfer = refined, refined_chamfer
 
-    angles = rotations.angle_deg(votes, rotation)
-    inliers = angles[angles <= modes.INLIER_DEG]
     return Alignment(
         rotation=rotations.canonical_sign(rotation),
-        inlier_share=float(inliers.size / angles.size),
-        spread_deg=float(np.sqrt(np.mean(inliers**2))) if inliers.size else np.inf,
+        **_measure_agreement(votes, rotation),
         rms=icp.match_rms(icp.match(trusted, rotation), rotation),
         chamfer=chamfer,
         icp_turn_deg=float(rotations.angle_deg(rotation, voted)),
     )
+
+
+def align_by_poses(
+    predicted_poses: ArrayLike, true_poses: ArrayLike, *, max_votes: int = 1000
+) -> Alignment:
+    """Canonical alignment where there are poses but no shapes: the mode of the votes.
+
+    ``rms`` and ``chamfer`` are NaN.
+
+    Args:
+      predicted_poses, true_poses: [n, V, 4] quaternions, as for ``align``.
+      max_votes: only the first this many views vote.
+
+    Raises:
+      ValueError: no view, or quaternions that are zero or not finite.
+    """
+    poses = rotations.normalize(predicted_poses).reshape(-1, 4)[:max_votes]
+    truth = rotations.normalize(true_poses).reshape(-1, 4)[:max_votes]
+    votes = rotations.multiply(rotations.conjugate(truth), poses)
+    rotation = modes.find_modes(votes)[0].rotation
+    return Alignment(
+        rotation=rotations.canonical_sign(rotation),
+        **_measure_agreement(votes, rotation),
+        rms=np.nan,
+        chamfer=np.nan,
+        icp_turn_deg=0.0,
+    )
+
+
+def _measure_agreement(votes, rotation) -> dict[str, float]:
+    angles = rotations.angle_deg(votes, rotation)
+    inliers = angles[angles <= modes.INLIER_DEG]
+    return {
+        "inlier_share": float(inliers.size / angles.size),
+        "spread_deg": float(np.sqrt(np.mean(inliers**2))) if inliers.size else np.inf,
+    }
 
 
 def align_points(alignment: Alignment, points: ArrayLike) -> np.ndarray:
@@ -170,7 +204,7 @@ def _check(predicted_poses, true_poses, points, surfaces, max_models):
     poses = np.asarray(predicted_poses, np.float64)
     truth = np.asarray(true_poses, np.float64)
     clouds = np.asarray(points)
-    surfaces = np.asarray(surfaces)
+    surfaces = [np.asarray(surface) for surface in surfaces]
     if clouds.ndim == 3:
         clouds = clouds[:, None]
     fits = (
@@ -179,21 +213,22 @@ def _check(predicted_poses, true_poses, points, surfaces, max_models):
         and clouds.ndim == 4
         and clouds.shape[1] in (1, poses.shape[1])
         and clouds.shape[-1] == 3
-        and surfaces.ndim == 3
-        and surfaces.shape[-1] == 3
+        and all(s.ndim == 2 and s.shape[1] == 3 and len(s) for s in surfaces)
         and len(poses) == len(clouds) == len(surfaces)
-        and min(poses.size, clouds.size, surfaces.size, max_models) > 0
+        and min(poses.size, clouds.size, len(surfaces), max_models) > 0
     )
     if not fits:
         raise ValueError(
             f"Expected poses [n, V, 4] twice, points [n, V, N, 3] or [n, N, 3] and "
             f"surfaces [n, P, 3] of at least one model, got {poses.shape}, "
-            f"{truth.shape}, {np.shape(points)}, {surfaces.shape} and max_models="
-            f"{max_models}; pass validation models, all with the same number of views."
+            f"{truth.shape}, {np.shape(points)}, {[s.shape for s in surfaces[:3]]} and "
+            f"max_models={max_models}; pass validation models, all with the same "
+            f"number of views."
         )
     clouds = clouds[:max_models].astype(np.float64)
-    surfaces = surfaces[:max_models].astype(np.float64)
-    for name, array in (("points", clouds), ("surfaces", surfaces)):
+    surfaces = [surface.astype(np.float64) for surface in surfaces[:max_models]]
+    named = [("points", clouds), *(("surfaces", surface) for surface in surfaces)]
+    for name, array in named:
         if not np.isfinite(array).all():
             raise ValueError(
                 f"Expected finite coordinates in {name}, got NaN or infinity in "

@@ -23,23 +23,24 @@ class Scores(NamedTuple):
         ``pose_median_error_deg``, ``flip_share`` (0 to 1), ``chamfer``, ``precision``
         and ``coverage`` (times 100), and with candidates
         ``best_candidate_pose_accuracy`` and ``best_candidate_pose_median_error_deg``.
-      pose_errors_deg: [n, V] error of each view's predicted pose.
-      best_candidate_errors_deg: [n, V], or None without candidates.
+      pose_errors_deg: [n, V] error of each view's predicted pose, or None without true
+        poses.
+      best_candidate_errors_deg: [n, V], or None without candidates or true poses.
       chamfers: [n, views scored, 2] precision and coverage of each shape, in object
-        units (not times 100).
+        units (not times 100), or None without true shapes.
     """
 
     metrics: dict[str, float]
-    pose_errors_deg: np.ndarray
+    pose_errors_deg: np.ndarray | None
     best_candidate_errors_deg: np.ndarray | None
-    chamfers: np.ndarray
+    chamfers: np.ndarray | None
 
 
 def score(
     predicted_poses: ArrayLike,
-    true_poses: ArrayLike,
+    true_poses: ArrayLike | None,
     points: ArrayLike,
-    surfaces: ArrayLike,
+    surfaces: ArrayLike | None,
     *,
     alignment: Alignment,
     best_candidate_poses: ArrayLike | None = None,
@@ -52,10 +53,12 @@ def score(
     Args:
       predicted_poses: [n, V, 4] the student's (or the only) pose of each view,
         network's frame to camera.
-      true_poses: [n, V, 4] object frame to camera.
+      true_poses: [n, V, 4] object frame to camera. None where they are not known:
+        nothing can be scored then, because the alignment needs them.
       points: [n, V, N, 3] shape predicted from each view, in the network's frame.
       surfaces: [n, P, 3] points of the true surfaces, object frame; too few
-        would raise precision by their own spacing. A list of [P_i, 3] will do.
+        would raise precision by their own spacing. A list of [P_i, 3] will do. None
+        without ground truth: only poses are scored.
       alignment: from ``align`` on validation models.
       best_candidate_poses: [n, V, 4] the ensemble's winner for each view, or None where
         there is no ensemble.
@@ -69,6 +72,8 @@ def score(
     Raises:
       ValueError: shapes that do not fit together; quaternions or points unfit for use.
     """
+    if true_poses is None:
+        return Scores({}, None, None, None)
     count = _check(predicted_poses, true_poses, points, surfaces, chamfer_views)
     errors = rotation_angle_deg(align_poses(alignment, predicted_poses), true_poses)
     summary = pose_summary(errors, threshold_deg=threshold_deg)
@@ -91,6 +96,8 @@ def score(
         metrics["best_candidate_pose_accuracy"] = best.accuracy
         metrics["best_candidate_pose_median_error_deg"] = best.median_error_deg
 
+    if surfaces is None:
+        return Scores(metrics, errors, candidate_errors, None)
     chamfers = np.empty((len(surfaces), count, 2))
     for model, surface in enumerate(surfaces):
         surface = check_points(surface, name=f"surface of model {model}")
@@ -110,11 +117,12 @@ def score(
 def _check(predicted_poses, true_poses, points, surfaces, chamfer_views) -> int:
     """How many views of each model have their shape compared."""
     pose_shape, cloud_shape = np.shape(true_poses), np.shape(points)
+    shapes = len(points if surfaces is None else surfaces)
     fits = (
         len(pose_shape) == 3
         and np.shape(predicted_poses) == pose_shape
         and len(cloud_shape) == 4
-        and len(surfaces) == pose_shape[0] == cloud_shape[0] > 0
+        and shapes == pose_shape[0] == cloud_shape[0] > 0
         and pose_shape[1] > 0
         and cloud_shape[1] > 0
     )
@@ -122,7 +130,7 @@ def _check(predicted_poses, true_poses, points, surfaces, chamfer_views) -> int:
         raise ValueError(
             f"Expected poses [n, V, 4] twice, points [n, V, N, 3] and surfaces of n "
             f"models, got {np.shape(predicted_poses)}, {pose_shape}, {cloud_shape} and "
-            f"{len(surfaces)} surfaces; pass test models with at least one view each."
+            f"{shapes} surfaces; pass test models with at least one view each."
         )
     if chamfer_views is None:
         return cloud_shape[1]

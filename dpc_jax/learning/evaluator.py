@@ -98,6 +98,19 @@ def make_predictor(network: ShapePoseNetwork, settings: Settings):
     return jax.jit(predict)
 
 
+def arrange_views(dataset: DataSet) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (models, views) [n, V] of all views, in the layout of predictions.
+
+    Where models differ in their number of views each view stands alone: V is 1 and n
+    counts views.
+    """
+    counts = dataset.counts
+    models = np.repeat(np.arange(len(counts)), counts)
+    views = np.arange(len(models)) - np.repeat(np.cumsum(counts) - counts, counts)
+    width = counts[0] if (counts == counts[0]).all() else 1
+    return models.reshape(-1, width), views.reshape(-1, width)
+
+
 def predict_all(
     predictor,
     state: TrainState,
@@ -105,36 +118,58 @@ def predict_all(
     *,
     views_at_once: int = 64,
 ) -> Predictions:
-    """Run the predictor over a data set in equal batches (the last one is padded)."""
-    models, views = dataset.masks.shape[:2]
-    total = models * views
+    """Run the predictor over a data set in equal batches (the last one is padded).
 
-    def flatten(array):
-        return np.asarray(array).reshape(total, *array.shape[2:])
+    Views are read batch by batch: a set may be larger than the memory. The layout is
+    that of `arrange_views`; poses that are not given are the identity.
+    """
+    models, views = arrange_views(dataset)
+    total = models.size
 
-    inputs = [flatten(a) for a in (dataset.images, dataset.masks, dataset.quaternions)]
     parts = []
     for start in range(0, total, views_at_once):
         rows = np.minimum(np.arange(start, start + views_at_once), total - 1)
-        output = predictor(state, *(a[rows] for a in inputs))
+        chosen = models.reshape(-1)[rows], views.reshape(-1)[rows]
+        if dataset.quaternions is None:
+            poses = np.tile(np.float32([1, 0, 0, 0]), (views_at_once, 1))
+        else:
+            poses = np.asarray(dataset.quaternions[chosen])
+        images, masks = dataset.images[chosen], dataset.masks[chosen]
+        output = predictor(state, np.asarray(images), np.asarray(masks), poses)
         parts.append(jax.device_get(output))
     merged = {
         name: np.concatenate([p[name] for p in parts])[:total].reshape(
-            models, views, *parts[0][name].shape[1:]
+            *models.shape, *parts[0][name].shape[1:]
         )
         for name in parts[0]
     }
     return Predictions(colors=merged.pop("colors", None), **merged)
 
 
-def align(predictions: Predictions, dataset: DataSet) -> alignments.Alignment:
-    """Canonical alignment from validation models (§ Evaluation metrics)."""
-    return alignments.align(
-        predictions.poses,
-        dataset.quaternions,
-        predictions.points,
-        dataset.surfaces,
+def arrange_truth(dataset: DataSet):
+    """True poses [n, V, 4] and surfaces of n models in the layout of predictions.
+
+    Either is None where it is not given; surfaces are a list of [P, 3].
+    """
+    models, views = arrange_views(dataset)
+    poses, surfaces = dataset.quaternions, dataset.surfaces
+    return (
+        None if poses is None else np.asarray(poses[models, views]),
+        None if surfaces is None else [surfaces[int(m)] for m in models[:, 0]],
     )
+
+
+def align(predictions: Predictions, dataset: DataSet) -> alignments.Alignment:
+    """Canonical alignment from validation models (§ Evaluation metrics).
+
+    Without ground truth shapes the poses alone vote, without poses there is none.
+    """
+    poses, surfaces = arrange_truth(dataset)
+    if poses is None:
+        return alignments.identity_alignment()
+    if surfaces is None:
+        return alignments.align_by_poses(predictions.poses, poses)
+    return alignments.align(predictions.poses, poses, predictions.points, surfaces)
 
 
 def score(
@@ -145,16 +180,40 @@ def score(
     num_candidates: int,
     chamfer_views: int | None = None,
 ) -> tuple[scores.Scores, np.ndarray]:
-    """Scores of predictions and the share of views that each head wins."""
+    """Scores of predictions and the share of views that each head wins.
+
+    What there is no truth for is left out of the metrics. Then, as a measure that needs
+    none, they have ``silhouette_iou``, the mean overlap of predicted silhouettes with
+    the masks, 0 to 1.
+    """
+    poses, surfaces = arrange_truth(dataset)
     result = scores.score(
         predictions.poses,
-        dataset.quaternions,
+        poses,
         predictions.points,
-        dataset.surfaces,
+        surfaces,
         alignment=alignment,
         best_candidate_poses=predictions.candidate_poses,
         chamfer_views=chamfer_views,
     )
+    if poses is None or surfaces is None:
+        overlap = measure_overlap(predictions, dataset)
+        result = result._replace(metrics=result.metrics | {"silhouette_iou": overlap})
     heads = predictions.winners % max(1, num_candidates)
     shares = candidate_use.winner_share(heads, num_candidates=max(1, num_candidates))
     return result, shares
+
+
+def measure_overlap(predictions: Predictions, dataset: DataSet) -> float:
+    """Mean intersection over union of soft silhouettes with the masks."""
+    models, views = arrange_views(dataset)
+    side = predictions.silhouettes.shape[-1]
+    overlaps = []
+    for index in np.ndindex(models.shape):
+        mask = np.asarray(dataset.masks[models[index], views[index]]) / 255.0
+        step = mask.shape[0] // side
+        target = mask.reshape(side, step, side, step).mean(axis=(1, 3))
+        seen = predictions.silhouettes[index]
+        union = np.maximum(seen, target).sum()
+        overlaps.append(np.minimum(seen, target).sum() / max(union, 1e-9))
+    return float(np.mean(overlaps))

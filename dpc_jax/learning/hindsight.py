@@ -8,7 +8,7 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.learning.losses import reprojection_loss, student_loss
+from dpc_jax.learning.losses import reprojection_loss
 from dpc_jax.render import Camera, VoxelGrid, project, quaternion
 
 
@@ -83,8 +83,6 @@ def choose_candidate(
     *,
     sigma: chex.Array,
     camera: Camera,
-    student: chex.Array | None = None,
-    tie_break: chex.Numeric = 0.0,
     first_grid: int = 0,
     first_points: int = 0,
     top: int = 0,
@@ -100,26 +98,17 @@ def choose_candidate(
       candidates: [C, 4] quaternions.
       target: [D, D] silhouette.
       sigma: (), in voxels of the target's grid. camera: see `project`.
-      student: [4], the student's quaternion; None for no lean towards it.
-      tie_break: () each loss grows by up to this share with the distance from the
-        student's pose. Views of near-equal silhouette (front and back) are then told
-        apart as the student has learned from the others. Not in the paper.
       first_grid: side of the coarser volume, a divisor of D; 0 for D.
       first_points: largest number of points of the first comparison; 0 for all.
       top: how many candidates are compared exactly after that.
     """
-    lean = jnp.ones(candidates.shape[0], points.dtype)
-    if student is not None:
-        distance = jax.vmap(student_loss, (None, 0))(student, candidates)
-        lean = 1 + tie_break * distance
-
     side = target.shape[0]
     coarse_side = first_grid or side
     count = min(first_points or points.shape[0], points.shape[0])
     ratio = coarse_side / side
     factor = side // coarse_side
     blocks = target.reshape(coarse_side, factor, coarse_side, factor)
-    losses = lean * compute_candidate_losses(
+    losses = compute_candidate_losses(
         points[:count],
         mass * (points.shape[0] / count) * ratio**3,  # the same total mass
         candidates,
@@ -131,7 +120,7 @@ def choose_candidate(
     if is_exact or top == 0:
         return jnp.argmin(losses)
     _, best = jax.lax.top_k(-losses, min(top, losses.shape[0]))
-    exact = lean[best] * compute_candidate_losses(
+    exact = compute_candidate_losses(
         points, mass, candidates[best], target, sigma=sigma, camera=camera
     )
     return best[jnp.argmin(exact)]

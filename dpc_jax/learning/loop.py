@@ -79,7 +79,7 @@ def train(
         step. Nothing is saved then: the last checkpoint is the last good state.
     """
     start = int(state.step)
-    models, views = dataset.masks.shape[:2]
+    counts = dataset.counts
     train_step, stage = None, None
     window: list[dict] = []
     window_start, window_seconds = start, seconds
@@ -95,8 +95,8 @@ def train(
                 stage = current
                 train_step = make_train_step(network, settings, stage)
             chosen = choose_batch(
-                models,
-                views,
+                len(counts),
+                counts,
                 seed=settings.seed,
                 step=step,
                 models_per_batch=settings.models_per_batch,
@@ -186,8 +186,12 @@ def summarize(window: list[dict], settings: Settings) -> dict:
 
 
 def _describe(step: int, scores: dict[str, float]) -> str:
-    """One line of validation metrics."""
-    parts = [f"pose accuracy {scores['pose_accuracy']:.2f}"]
-    parts.append(f"median error {scores['pose_median_error_deg']:.1f}°")
-    parts.append(f"Chamfer {scores['chamfer']:.2f}")
+    """One line of validation metrics, of those that there is a truth for."""
+    shown = (
+        ("pose_accuracy", "pose accuracy {:.2f}"),
+        ("pose_median_error_deg", "median error {:.1f}°"),
+        ("chamfer", "Chamfer {:.2f}"),
+        ("silhouette_iou", "silhouette overlap {:.2f}"),
+    )
+    parts = [text.format(scores[name]) for name, text in shown if name in scores]
     return f"Validation at step {step}: {', '.join(parts)}"

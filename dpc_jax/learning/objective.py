@@ -108,15 +108,13 @@ def compute_loss(
             covariance = (1 - weight) * covariance + weight * current
         pose = complete_poses(pose, covariance, settings)
         poses, winners = _choose_poses(
-            pose,
+            pose["candidates"],
             kept["points"],
             mass,
             targets,
             sigma,
             camera,
             settings,
-            stage,
-            done,
         )
         metrics["winners"] = winners.reshape(-1)
     else:
@@ -212,17 +210,15 @@ def complete_poses(
     return pose | {"candidates": candidates, "student": student}
 
 
-def _choose_poses(pose, points, mass, targets, sigma, camera, settings, stage, done):
+def _choose_poses(candidates, points, mass, targets, sigma, camera, settings):
     """Winning quaternion [B, V, 4] of each view, and its index [B, V]."""
     batch_size, views = targets.shape[:2]
-    candidates = pose["candidates"].reshape(batch_size, views, -1, 4)
-    if settings.flips and not stage.flips:
-        candidates = candidates[:, :, : settings.num_candidates]
+    candidates = candidates.reshape(batch_size, views, -1, 4)
     if candidates.shape[2] == 1:
         return candidates[:, :, 0], jnp.zeros((batch_size, views), jnp.int32)
 
     def choose(view):
-        view_points, view_mass, view_candidates, target, student = view
+        view_points, view_mass, view_candidates, target = view
         return hindsight.choose_candidate(
             view_points,
             view_mass,
@@ -230,8 +226,6 @@ def _choose_poses(pose, points, mass, targets, sigma, camera, settings, stage, d
             target,
             sigma=sigma,
             camera=camera,
-            student=student if settings.tie_break else None,
-            tie_break=settings.tie_break * jnp.maximum(0, 2 * done - 1),
             first_grid=settings.choice_grid,
             first_points=settings.choice_points,
             top=settings.choice_top,
@@ -242,7 +236,6 @@ def _choose_poses(pose, points, mass, targets, sigma, camera, settings, stage, d
         jnp.repeat(mass, views, axis=0),
         candidates.reshape(batch_size * views, -1, 4),
         targets.reshape(batch_size * views, *targets.shape[2:]),
-        pose["student"],
     )
     winners = map_renders(
         choose, jax.lax.stop_gradient(per_view), at_once=settings.renders_at_once

@@ -41,12 +41,10 @@ class Stage(NamedTuple):
     Attributes:
       kept_points: number of points rendered.
       grid: side of the volume that the winners are rendered in.
-      flips: whether half turns of the heads compete too.
     """
 
     kept_points: int
     grid: int
-    flips: bool
 
 
 def find_stage(step: int, settings: Settings) -> Stage:
@@ -56,7 +54,6 @@ def find_stage(step: int, settings: Settings) -> Stage:
         grid=settings.fine_grid
         if settings.fine_grid and step >= settings.fine_from * settings.steps
         else settings.grid,
-        flips=settings.flips and step >= settings.flips_from * settings.steps,
     )
 
 

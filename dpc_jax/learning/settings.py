@@ -15,11 +15,8 @@ class Settings:
         the run on; 0 for none.
       num_points: N.
       num_candidates: K pose heads; 0 where poses are known.
-      flips: also try every head turned by 180° about each principal axis,
-      flips_from: from this share of the run on.
+      flips: also try every head turned by 180° about each principal axis.
       selects: whether the student selects a candidate or regresses a pose.
-      tie_break: how strongly the choice among candidates leans to the student's pose
-        at the end of the run; grows from 0.
       choice_grid, choice_points: volume and largest number of points that candidates
         are first compared with; `grid` and all points where 0.
       choice_top: how many of them are then compared exactly; 0 for none.
@@ -53,9 +50,7 @@ class Settings:
     num_points: int
     num_candidates: int
     flips: bool
-    flips_from: float
     selects: bool
-    tie_break: float
     choice_grid: int
     choice_points: int
     choice_top: int

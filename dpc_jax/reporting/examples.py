@@ -16,7 +16,8 @@ class Example:
       predicted: [S, S] silhouette of the prediction, 0 to 1; of any size of its own.
       points: [N, 3] predicted shape, object frame (z up, x front).
       colors: [N, 3] predicted colours, bytes or floats 0 to 1; None without colour.
-      pose_error_deg: of the predicted pose, degrees.
+      pose_error_deg: of the predicted pose, degrees; None where the true one is not
+        known.
       surface: [P, 3] points of the true shape, shown beside the prediction; or None.
     """
 
@@ -26,5 +27,5 @@ class Example:
     predicted: np.ndarray
     points: np.ndarray
     colors: np.ndarray | None
-    pose_error_deg: float
+    pose_error_deg: float | None
     surface: np.ndarray | None = None

@@ -70,7 +70,9 @@ def _draw_row(row, example: Example) -> None:
         else:
             step = max(1, len(example.surface) // SHOWN_SURFACE_POINTS)
             _draw_cloud(row[6], example.surface[::step], None, FRONT)
-    label = f"{example.name}   pose error {example.pose_error_deg:.1f}°"
+    label = example.name
+    if example.pose_error_deg is not None:
+        label += f"   pose error {example.pose_error_deg:.1f}°"
     row[0].set_xlabel(label, fontsize=7.5, color=INK, loc="left")
 
 

@@ -209,9 +209,10 @@ def _clouds(examples: Sequence[Example], folder: Path) -> str:
         stem = _file_name(example.name, taken)
         export.write_ply(folder / f"{stem}.ply", example.points, example.colors)
         export.write_glb(folder / f"{stem}.glb", example.points, example.colors)
+        error = example.pose_error_deg
         rows.append(
             f"<tr><td>{html.escape(example.name)}</td>"
-            f'<td class="number">{example.pose_error_deg:.1f}°</td>'
+            f'<td class="number">{"–" if error is None else f"{error:.1f}°"}</td>'
             f'<td><a href="points/{stem}.glb">GLB</a></td>'
             f'<td><a href="points/{stem}.ply">PLY</a></td></tr>'
         )

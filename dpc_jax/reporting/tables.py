@@ -46,6 +46,9 @@ COLUMNS = {
     "best_candidate_pose_median_error_deg": Column(
         "Median pose error, best candidate (°)", ".1f", 1.0, "same, for the winner"
     ),
+    "silhouette_iou": Column(
+        "Silhouette overlap (%)", ".1f", 100.0, "intersection over union with the masks"
+    ),
     "train_seconds": Column(
         "Training time (s)", ".0f", 1.0, "wall clock, compilation included"
     ),

@@ -1,0 +1,262 @@
+"""Framing a user's images: where the square of the data set's camera lies in each.
+
+The camera of a data set looks at the middle of an object whose box diagonal is 1 from
+a fixed distance. Photographs are brought to that: a square around the object is cut
+out, scaled so that the object fills a share of it, and where position and lens of the
+camera are known the image is turned as if the camera had looked straight at the object.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+MOST_SAMPLES = 16  # per output pixel and axis
+
+
+class Outline(NamedTuple):
+    """What framing needs to know of a mask.
+
+    shape: (height, width) of its image. low, high: [2] corners of its box in pixels,
+    x before y, high exclusive. border: [2, n] centres (x, y) of the pixels at its rim.
+    """
+
+    shape: tuple
+    low: np.ndarray
+    high: np.ndarray
+    border: np.ndarray
+
+    @property
+    def middle(self):
+        return (self.low + self.high) / 2.0
+
+
+class Frame(NamedTuple):
+    """A square of the data set's camera in an image.
+
+    homography: [3, 3], from (u, v, 1) of the frame, u and v in [-1/2, 1/2], to pixels
+        of the image (corner at 0, 0).
+    rotation: [3, 3], object to the camera of the frame, or None where poses are not
+        known.
+    """
+
+    homography: np.ndarray
+    rotation: np.ndarray | None
+
+
+def trace_outline(mask):
+    """`Outline` of a boolean mask [height, width] that is not empty."""
+    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+    padded = np.pad(mask, 1)
+    inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    rim = np.nonzero(mask & ~inner)
+    return Outline(
+        mask.shape,
+        np.array([columns[0], rows[0]], dtype=np.float64),
+        np.array([columns[-1] + 1, rows[-1] + 1], dtype=np.float64),
+        np.stack(rim[::-1]) + 0.5,
+    )
+
+
+def frame_views(outlines, poses, *, crop, fill, focal_length, distance):
+    """Frames of all views of one object.
+
+    Args:
+      outlines: one `Outline` per view.
+      poses: one `pose_files.Pose` per view, or None.
+      crop: "object" (one scale for all views of an object), "view" (each view its own)
+        or "none" (the whole image, cut to its middle square). With positions and lenses
+        the scale follows from them, and `crop` does not matter.
+      fill: share of the frame's side that the object takes in its largest view.
+      focal_length, distance: of the data set's camera.
+
+    Returns:
+      list of `Frame`.
+
+    Raises:
+      ValueError: if the positions of the cameras contradict each other.
+    """
+    if poses is not None and all(p.position is not None for p in poses):
+        return _frame_by_geometry(
+            outlines, poses, fill=fill, focal_length=focal_length, distance=distance
+        )
+    rotations = [pose.rotation for pose in poses] if poses else [None] * len(outlines)
+    if crop == "none":
+        middles = [np.array(outline.shape[::-1]) / 2.0 for outline in outlines]
+        sides = [float(min(outline.shape)) for outline in outlines]
+    else:
+        middles = [outline.middle for outline in outlines]
+        sides = [float((o.high - o.low).max()) / fill for o in outlines]
+        if crop == "object":
+            sides = [max(sides)] * len(sides)
+    return [
+        Frame(np.array([[s, 0, m[0]], [0, s, m[1]], [0, 0, 1]]), rotation)
+        for s, m, rotation in zip(sides, middles, rotations, strict=True)
+    ]
+
+
+def _frame_by_geometry(outlines, poses, *, fill, focal_length, distance):
+    """Frames of cameras whose place and lens are known.
+
+    The middle of the object is the point nearest to the lines through the middles of
+    all masks; each camera is turned to look at it, and the scale is the one that fits
+    every view at its distance.
+    """
+    lenses = [
+        read_lens(pose.lens, outline.shape)
+        for pose, outline in zip(poses, outlines, strict=True)
+    ]
+    positions = np.array([pose.position for pose in poses])
+    lines = []
+    for outline, pose, lens in zip(outlines, poses, lenses, strict=True):
+        ray = np.linalg.solve(lens, [*outline.middle, 1.0])
+        lines.append(pose.rotation.T @ (ray / np.linalg.norm(ray)))
+    middle = find_meeting_point(positions, np.array(lines))
+
+    turns, reaches, ranges = [], [], []
+    for outline, pose, lens in zip(outlines, poses, lenses, strict=True):
+        towards = pose.rotation @ (middle - pose.position)
+        away = np.linalg.norm(towards)
+        if not towards[2] > 1e-6 * max(away, 1e-30):
+            raise ValueError(
+                "expected every camera to face the object, one looks away from where "
+                "the others see it; check the convention of the poses"
+            )
+        turn = turn_to_axis(towards / away)
+        rays = np.concatenate([outline.border, np.ones((1, outline.border.shape[1]))])
+        seen = turn @ np.linalg.solve(lens, rays)
+        turns.append(turn)
+        ranges.append(away)
+        reaches.append(np.abs(seen[:2] / seen[2]).max())
+    # an object of size s at range r looks like one of size 1 at r / s
+    widths = 2.0 * np.array(reaches) * np.array(ranges) / fill
+    size = widths.max() * focal_length / distance
+    frames = []
+    for pose, lens, turn, away in zip(poses, lenses, turns, ranges, strict=True):
+        side = size * distance / (focal_length * away)
+        homography = lens @ turn.T @ np.diag([side, side, 1.0])
+        frames.append(Frame(homography, turn @ pose.rotation))
+    return frames
+
+
+def read_lens(lens, shape):
+    """Matrix [3, 3] from camera rays to pixels, of an image of (height, width).
+
+    Raises:
+      ValueError: if neither fl_x nor camera_angle_x is given.
+    """
+    lens, (height, width) = lens or {}, shape
+    scale = width / lens.get("w", width)  # images are often scaled after calibration
+    if "fl_x" in lens:
+        focal_x = lens["fl_x"] * scale
+        focal_y = lens.get("fl_y", lens["fl_x"]) * height / lens.get("h", height)
+    elif "camera_angle_x" in lens:
+        focal_x = focal_y = width / 2.0 / np.tan(lens["camera_angle_x"] / 2.0)
+    else:
+        raise ValueError(
+            "expected fl_x or camera_angle_x beside the frames, found neither; add one"
+        )
+    center_x = lens["cx"] * scale if "cx" in lens else width / 2.0
+    center_y = (
+        lens["cy"] * height / lens.get("h", height) if "cy" in lens else height / 2.0
+    )
+    return np.array([[focal_x, 0, center_x], [0, focal_y, center_y], [0, 0, 1.0]])
+
+
+def find_meeting_point(origins, directions):
+    """Point [3] nearest to lines by least squares; the origin where they are parallel.
+
+    Args:
+      origins, directions: [n, 3], directions of unit length.
+    """
+    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    total = across.sum(axis=0)
+    if np.linalg.eigvalsh(total)[0] < 1e-3 * len(origins):
+        return np.zeros(3)
+    return np.linalg.solve(total, np.einsum("nij,nj->i", across, origins))
+
+
+def turn_to_axis(direction):
+    """The smallest rotation [3, 3] that takes a unit vector to (0, 0, 1)."""
+    axis = np.cross(direction, [0.0, 0.0, 1.0])
+    cosine = direction[2]
+    cross = np.cross(axis, np.eye(3)).T
+    return np.eye(3) + cross + cross @ cross / (1.0 + cosine)
+
+
+def cut_frame(image, mask, frame, *, image_size):
+    """Image and mask as the camera of a frame sees them, by supersampling.
+
+    Args:
+      image: uint8 [height, width, 3]. mask: float32 [height, width], coverage 0 to 1.
+      frame: `Frame`. image_size: S.
+
+    Returns:
+      (uint8 [S, S, 3] on white, uint8 [S, S] coverage times 255). What lies beyond the
+      image is empty.
+    """
+    corners = np.array([[-0.5, 0.5, 0.5, -0.5], [-0.5, -0.5, 0.5, 0.5], [1] * 4])
+    outline = frame.homography @ corners
+    outline = outline[:2] / outline[2]
+    low = np.floor(outline.min(axis=1)).astype(int) - 2
+    high = np.ceil(outline.max(axis=1)).astype(int) + 2
+    # at least a pixel, even where the frame lies beside the image
+    low = np.clip(low, 0, np.array(image.shape[1::-1]) - 1)
+    high = np.maximum(np.minimum(high, image.shape[1::-1]), low + 1)
+    region = np.s_[low[1] : high[1], low[0] : high[0]]
+    wide = np.linalg.norm(outline[:, 1] - outline[:, 0]) / image_size
+    block = max(1, int(wide / MOST_SAMPLES * 2))
+    layers = _weigh_colors(image[region], mask[region], block)
+    samples = int(np.clip(np.ceil(wide / block), 2, MOST_SAMPLES))
+    total = np.zeros((image_size, image_size, 4), dtype=np.float32)
+    steps = (np.arange(image_size * samples) + 0.5) / (image_size * samples) - 0.5
+    for i in range(samples):
+        for j in range(samples):
+            v, u = np.meshgrid(steps[i::samples], steps[j::samples], indexing="ij")
+            rays = np.stack([u, v, np.ones_like(u)])
+            x, y, z = np.tensordot(frame.homography, rays, axes=1)
+            y, x = (y / z - low[1]) / block, (x / z - low[0]) / block
+            total += _interpolate(layers, y, x)
+    total /= samples**2
+    coverage = np.clip(total[..., 3:], 0.0, 1.0)
+    picture = np.clip(total[..., :3] + 255.0 * (1.0 - coverage), 0.0, 255.0)
+    return (
+        np.rint(picture).astype(np.uint8),
+        np.rint(255.0 * coverage[..., 0]).astype(np.uint8),
+    )
+
+
+def _weigh_colors(image, mask, block):
+    """Means over blocks of pixels of colours times coverage, and coverage [h, w, 4].
+
+    Weighted so that the colours of the background do not bleed in; in blocks, and a
+    few rows at a time, because a photograph in floats would fill the memory.
+    """
+    height, width = (-(-side // block) for side in mask.shape)
+    layers = np.zeros((height, width, 4), dtype=np.float32)
+    for row in range(height):
+        here = np.s_[row * block : (row + 1) * block]
+        covered = mask[here].astype(np.float32)[..., None]
+        band = np.concatenate([image[here] * covered, covered], axis=2)
+        # what a last block lacks is empty
+        short = width * block - band.shape[1]
+        band = np.pad(band.sum(axis=0), ((0, short), (0, 0)))
+        layers[row] = band.reshape(width, block, 4).sum(axis=1) / block**2
+    return layers
+
+
+def _interpolate(layers, y, x):
+    """Bilinear samples of [h, w, c] at pixel coordinates; 0 outside of the image.
+
+    Pixel centres lie at halves; between the outermost centre and the edge of the image
+    the outermost pixel continues.
+    """
+    height, width = layers.shape[:2]
+    inside = (y >= 0) & (y <= height) & (x >= 0) & (x <= width)
+    rows, columns = np.clip(y - 0.5, 0, height - 1), np.clip(x - 0.5, 0, width - 1)
+    top, left = rows.astype(int), columns.astype(int)
+    bottom, right = np.minimum(top + 1, height - 1), np.minimum(left + 1, width - 1)
+    b = (rows - top)[..., None].astype(np.float32)
+    a = (columns - left)[..., None].astype(np.float32)
+    upper = layers[top, left] * (1 - a) + layers[top, right] * a
+    lower = layers[bottom, left] * (1 - a) + layers[bottom, right] * a
+    return (upper * (1 - b) + lower * b) * inside[..., None]

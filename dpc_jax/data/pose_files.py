@@ -1,0 +1,105 @@
+"""Camera poses that come with a user's own images.
+
+Two forms are read. `poses.json` maps an image's name to a quaternion wxyz from the
+object to a camera that looks straight at it. `transforms.json`, as NeRF tools write it,
+has a camera-to-world matrix for each image and the lens; its cameras look along -z with
+y up, unless the file says `"convention": "opencv"` (along +z, y down).
+"""
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+QUATERNIONS = "poses.json"
+TRANSFORMS = "transforms*.json"
+LENS = ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x")
+
+
+class Pose(NamedTuple):
+    """Where the camera of an image stood.
+
+    rotation: [3, 3], world or object to camera (x right, y down, z forward).
+    position: [3] of the camera in the world, or None where only the rotation is known.
+    lens: what the file says of focal length and centre in pixels, by the names `LENS`.
+    """
+
+    rotation: np.ndarray
+    position: np.ndarray | None = None
+    lens: dict | None = None
+
+
+def find_pose_files(folder):
+    """The pose files of an object's folder, sorted; none is fine."""
+    folder = Path(folder)
+    found = [folder / QUATERNIONS] if (folder / QUATERNIONS).is_file() else []
+    return found + sorted(p for p in folder.glob(TRANSFORMS) if p.is_file())
+
+
+def read_poses(files):
+    """Poses by image path from the pose files of one object.
+
+    Raises:
+      ValueError: naming the file, if it cannot be understood.
+    """
+    poses = {}
+    for path in files:
+        try:
+            content = json.loads(Path(path).read_text(encoding="utf-8"))
+            read = _read_quaternions if path.name == QUATERNIONS else _read_transforms
+            poses |= read(content, Path(path).parent)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ValueError(
+                f"expected poses in {path}, they cannot be read "
+                f"({type(error).__name__}: {error}); see docs/data.md for their form."
+            ) from None
+    return poses
+
+
+def _read_quaternions(content, folder):
+    poses = {}
+    for name, values in content.items():
+        quaternion = np.asarray(values, dtype=np.float64)
+        length = np.linalg.norm(quaternion)
+        if quaternion.shape != (4,) or not np.isfinite(length) or length < 1e-6:
+            raise ValueError(f"{name} has no quaternion of four numbers, but {values}")
+        poses[folder / name] = Pose(_rotation_of(quaternion / length))
+    return poses
+
+
+def _rotation_of(quaternion):
+    """Rotation matrix of a unit quaternion wxyz."""
+    w, v = quaternion[0], quaternion[1:]
+    cross = np.cross(v, np.eye(3)).T
+    return np.eye(3) + 2.0 * (w * cross + cross @ cross)
+
+
+def _read_transforms(content, folder):
+    axes = {"opengl": np.diag([1.0, -1.0, -1.0]), "opencv": np.eye(3)}
+    turn = axes[content.get("convention", "opengl").lower()]
+    shared = {name: content[name] for name in LENS if name in content}
+    poses = {}
+    for frame in content["frames"]:
+        matrix = np.asarray(frame["transform_matrix"], dtype=np.float64)
+        turned = matrix[:3, :3] @ turn  # columns: the camera's axes in the world
+        flaw = np.abs(turned.T @ turned - np.eye(3)).max()
+        if matrix.shape not in ((3, 4), (4, 4)) or not flaw < 1e-2:
+            raise ValueError(f"{frame['file_path']} has no rigid transform_matrix")
+        # the nearest rotation: files carry a few digits only
+        left, _, right = np.linalg.svd(turned.T)
+        if np.linalg.det(left @ right) < 0:
+            raise ValueError(f"{frame['file_path']} has a mirrored transform_matrix")
+        lens = shared | {name: frame[name] for name in LENS if name in frame}
+        path = _find_image(folder / frame["file_path"])
+        poses[path] = Pose(left @ right, matrix[:3, 3], lens)
+    return poses
+
+
+def _find_image(path):
+    """The image file of a frame, whose ending NeRF's own files leave out."""
+    if not path.suffix or not path.is_file():
+        for suffix in (".png", ".jpg", ".jpeg", ".webp"):
+            if (whole := path.with_name(path.name + suffix)).is_file():
+                return whole
+    return path

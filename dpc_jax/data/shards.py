@@ -1,0 +1,233 @@
+"""Shards: the files of a data set, each written, checked and mapped on its own.
+
+A shard holds whole models. It is an uncompressed `.npz`, so `numpy.load` reads it and
+the archive itself keeps a size and a checksum of every array; because nothing is
+compressed, the arrays can also be mapped where they lie.
+"""
+
+import io
+import json
+import mmap
+import os
+import socket
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+RECORD = "record"  # member that says what the shard holds, as JSON
+KEPT_PAGES = 32 << 20  # bytes read before mapped pages are given back to the system
+
+
+class Shard(NamedTuple):
+    """One mapped shard: arrays by name, read-only, and its record."""
+
+    arrays: dict
+    record: dict
+    mapping: mmap.mmap
+
+
+def write_shard(path, arrays, record):
+    """Writes a shard under a temporary name and renames it when it is whole.
+
+    Args:
+      path: of the shard.
+      arrays: arrays by name; all but those of `RECORD`.
+      record: what JSON can hold.
+
+    Raises:
+      OSError: naming the file, if it cannot be written.
+    """
+    path = Path(path)
+    partial = path.with_name(f"{path.name}.{socket.gethostname()}.{os.getpid()}.tmp")
+    text = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
+    try:
+        with open(partial, "wb") as file:
+            np.savez(file, **arrays, **{RECORD: text})
+        os.replace(partial, path)
+    except OSError as error:
+        raise OSError(
+            f"The file {path} cannot be written ({error.strerror or error}); make room "
+            "or give another folder."
+        ) from None
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def read_record(path):
+    """The record of a shard whose every array is as it was written.
+
+    Raises:
+      ValueError: naming the file, if it is cut, changed or no shard.
+      OSError: if it is not there or cannot be read.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if (damaged := archive.testzip()) is not None:
+                raise ValueError(f"the checksum of {damaged} differs")
+            with archive.open(f"{RECORD}.npy") as file:
+                return json.loads(np.lib.format.read_array(file).tobytes())
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise ValueError(
+            f"expected {path} as it was written, it is damaged ({error})"
+        ) from None
+
+
+def checksum(path):
+    """CRC-32 of a file."""
+    value = 0
+    with open(path, "rb") as file:
+        while block := file.read(1 << 22):
+            value = zlib.crc32(block, value)
+    return value
+
+
+def map_shard(path):
+    """Maps the arrays of a shard; nothing is read yet but where they lie."""
+    with open(path, "rb") as file:
+        mapping = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    with zipfile.ZipFile(path) as archive:
+        places = {m.filename: m.header_offset for m in archive.infolist()}
+    arrays = {
+        name.removesuffix(".npy"): _map_array(mapping, offset)
+        for name, offset in places.items()
+    }
+    record = json.loads(arrays.pop(RECORD).tobytes())
+    return Shard(arrays, record, mapping)
+
+
+def _map_array(mapping, offset):
+    """The array whose archive member starts at an offset of a mapping."""
+    # a member is a header of 30 bytes, its name, an extra field, and the .npy file
+    name_length, extra_length = struct.unpack_from("<HH", mapping, offset + 26)
+    start = offset + 30 + name_length + extra_length
+    head = io.BytesIO(mapping[start : start + 1024])
+    np.lib.format.read_magic(head)
+    shape, _, dtype = np.lib.format.read_array_header_1_0(head)
+    return np.ndarray(shape, dtype, buffer=mapping, offset=start + head.tell())
+
+
+class Pages:
+    """Gives mapped pages back once enough was read, so that memory stays small.
+
+    The system would keep them as long as it has room, and a process that has read
+    3 GB would look, and be counted, as large as that. A page that is wanted again comes
+    from the file cache.
+    """
+
+    def __init__(self, mappings):
+        self._mappings = mappings
+        self._read = 0
+
+    def count(self, size):
+        """Note that so many bytes were read."""
+        self._read += size
+        if self._read > KEPT_PAGES and hasattr(mmap, "MADV_DONTNEED"):
+            self._read = 0
+            for mapping in self._mappings:
+                mapping.madvise(mmap.MADV_DONTNEED)
+
+
+class Stack(np.lib.mixins.NDArrayOperatorsMixin):
+    """Rows of many models over several shards, addressed by model and row.
+
+    It reads like an array [M, V, ...] of which model m has only `counts[m]` rows:
+    `stack[m]` is an array [counts[m], ...], `stack[m, v]` one row, and
+    `stack[models, rows]` gathers rows into memory, for index arrays of like shapes.
+    `shape[1]` is the largest count. Where all counts agree, everything else that an
+    array can do works too, by reading the whole into memory.
+    """
+
+    def __init__(self, pieces, counts, pages=None):
+        """pieces: the row arrays [R, ...] of the shards, in order; counts: [M]."""
+        self.counts = np.asarray(counts, dtype=np.int64)
+        self._pieces = pieces
+        self._pages = pages or Pages([])
+        self._starts = np.concatenate([[0], np.cumsum(self.counts)])
+        self._edges = np.concatenate([[0], np.cumsum([len(p) for p in pieces])])
+        largest = int(self.counts.max(initial=0))
+        self.shape = (len(self.counts), largest, *pieces[0].shape[1:])
+        self.dtype = pieces[0].dtype
+
+    @property
+    def ndim(self):
+        return len(self.shape)
+
+    @property
+    def is_ragged(self):
+        """Whether models differ in their number of rows."""
+        return bool((self.counts != self.shape[1]).any())
+
+    def __len__(self):
+        return len(self.counts)
+
+    def __iter__(self):
+        return (self[model] for model in range(len(self)))
+
+    def __getitem__(self, key):
+        if isinstance(key, int | np.integer):
+            return self._read_model(key)
+        if isinstance(key, tuple) and isinstance(key[0], int | np.integer):
+            return self._read_model(key[0])[key[1:]]
+        if isinstance(key, slice):
+            return self._join(range(len(self))[key])
+        if isinstance(key, tuple) and len(key) == 2:
+            first, second = (np.asarray(part) for part in key)
+            if first.dtype.kind in "iu" and second.dtype.kind in "iu":
+                return self._gather(first, second)
+        return np.asarray(self)[key]
+
+    def __array__(self, dtype=None, copy=None):
+        if copy is False:
+            raise ValueError("The rows lie in several files; they can only be copied.")
+        return np.asarray(self._join(range(len(self))), dtype=dtype)
+
+    def __array_ufunc__(self, ufunc, method, *inputs, **options):
+        inputs = [np.asarray(x) if isinstance(x, Stack) else x for x in inputs]
+        return getattr(ufunc, method)(*inputs, **options)
+
+    def _read_model(self, model):
+        if not -len(self) <= model < len(self):
+            raise IndexError(f"model {model} of {len(self)}")
+        model = model % len(self)
+        start, stop = self._starts[model : model + 2]
+        shard = np.searchsorted(self._edges, start, "right") - 1
+        shard = min(shard, len(self._pieces) - 1)  # a last model without rows
+        rows = self._pieces[shard][start - self._edges[shard] :][: stop - start]
+        self._pages.count(rows.nbytes)
+        return rows
+
+    def _join(self, models):
+        if self.is_ragged:
+            raise ValueError(
+                f"expected models with equal numbers of rows, they have "
+                f"{self.counts.min()} to {self.counts.max()}; read them one by one."
+            )
+        out = np.empty((len(models), *self.shape[1:]), self.dtype)
+        for place, model in enumerate(models):
+            out[place] = self._read_model(model)
+        return out
+
+    def _gather(self, models, rows):
+        models, rows = np.broadcast_arrays(models, rows)
+        if (
+            models.size
+            and not ((models >= 0) & (models < len(self)) & (rows >= 0)).all()
+        ):
+            raise IndexError(f"models of {len(self)} and rows counted from 0")
+        if (rows >= self.counts[models]).any():
+            raise IndexError("a row beyond the last of its model")
+        places = (self._starts[models] + rows).ravel()
+        shards = np.searchsorted(self._edges, places, "right") - 1
+        out = np.empty((*models.shape, *self.shape[2:]), self.dtype)
+        flat = out.reshape(-1, *self.shape[2:])
+        rows = places - self._edges[shards]
+        for i, (shard, row) in enumerate(
+            zip(shards.tolist(), rows.tolist(), strict=True)
+        ):
+            flat[i] = self._pieces[shard][row]
+        self._pages.count(out.nbytes)
+        return out

@@ -1,0 +1,373 @@
+"""A user's own images: masks, framing, poses, and what is left out."""
+
+import json
+
+import numpy as np
+import pytest
+from data_trees import (
+    BALLS,
+    draw_balls,
+    look_at,
+    rotate,
+    sample_balls,
+    share_inside,
+    write_photos,
+)
+from PIL import Image
+
+from dpc_jax.data import DataSpec, batches, framing, image_folder, load_or_render
+
+LENS = np.array([[120.0, 0, 40], [0, 120.0, 40], [0, 0, 1]])
+
+
+def load(folder, cache, **changes):
+    spec = dict(category="car", kind="images", image_size=32, fractions=(0, 0, 1))
+    spec = DataSpec(**spec | {"folder": str(folder), "split": "test"} | changes)
+    return load_or_render(spec, cache_dir=cache, processes=1, progress=False)
+
+
+def write_object(folder, *, views=2, masks="alpha", shape=(80, 80), seed=0):
+    """Upright views of the balls from a distance of 2, the object in the middle."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rotations = []
+    for view in range(views):
+        angle = 2 * np.pi * view / views + seed
+        position = 2 * np.array([np.cos(angle), np.sin(angle), 0.3])
+        rotations.append(look_at(position))
+        rgba, _ = draw_balls(rotations[-1], position, LENS, shape)
+        image = Image.fromarray(rgba)
+        if masks == "files":
+            image.convert("RGB").save(folder / f"view{view}.png")
+            image.getchannel("A").save(folder / f"view{view}_mask.png")
+        else:
+            image.save(folder / f"view{view}.png")
+    return rotations
+
+
+def write_quaternions(folder, rotations):
+    from dpc_jax.data import viewpoints
+
+    poses = {
+        f"view{i}.png": viewpoints.matrix_to_quaternion(rotation).tolist()
+        for i, rotation in enumerate(rotations)
+    }
+    (folder / "poses.json").write_text(json.dumps(poses))
+
+
+def test_objects_of_any_number_of_views_make_one_set(tmp_path):
+    for name, views in (("a", 1), ("b", 3), ("c", 7)):
+        write_object(tmp_path / "set" / name, views=views)
+    data = load(tmp_path / "set", tmp_path / "cache")
+    assert data.names == ("a", "b", "c") and data.counts.tolist() == [1, 3, 7]
+    assert data.images.shape == (3, 7, 32, 32, 3)
+    assert data.quaternions is data.surfaces is data.depths is None
+    for step in range(20):
+        models, views = batches.choose_batch(
+            3, data.counts, seed=0, step=step, models_per_batch=2, views_per_batch=4
+        )
+        batch = batches.read_batch(data, models, views)
+        assert batch["images"].shape == (2, 4, 32, 32, 3) and "quaternions" not in batch
+        for model, chosen in zip(models, views, strict=True):
+            assert len(set(chosen.tolist())) == min(4, data.counts[model])
+            counts = np.bincount(chosen, minlength=data.counts[model])
+            assert np.ptp(counts) <= 1
+
+
+def test_alpha_and_mask_files_say_the_same(tmp_path):
+    for kind in ("alpha", "files"):
+        for name in "abc":
+            write_object(tmp_path / kind / name, masks=kind)
+    first, second = (load(tmp_path / k, tmp_path / "cache") for k in ("alpha", "files"))
+    np.testing.assert_array_equal(first.masks, second.masks)
+    np.testing.assert_array_equal(first.images, second.images)
+    # the room behind the object is gone
+    assert (np.asarray(first.images)[np.asarray(first.masks) == 0] == 255).all()
+
+
+def test_images_side_by_side_are_objects_of_one_view(tmp_path):
+    folder = tmp_path / "set"
+    write_object(folder, views=5)
+    data = load(folder, tmp_path / "cache")
+    assert data.names == tuple(f"view{i}" for i in range(5))
+    assert (data.counts == 1).all()
+
+
+@pytest.mark.parametrize("crop", ["object", "view", "none"])
+def test_crops_center_the_object_and_fill_the_frame(tmp_path, crop):
+    folder = tmp_path / "set" / "a"
+    folder.mkdir(parents=True)
+    corners = {0: (5, 10, 40, 20), 1: (50, 8, 20, 30)}  # left, top, width, height
+    for view, (left, top, width, height) in corners.items():
+        rgba = np.zeros((60, 90, 4), np.uint8)
+        rgba[top : top + height, left : left + width] = (10, 200, 30, 255)
+        Image.fromarray(rgba).save(folder / f"{view}.png")
+    data = load(tmp_path / "set", tmp_path / "cache", crop=crop, fill=0.8)
+    side = {"object": (50, 50), "view": (50, 37.5), "none": (60, 60)}[crop]
+    for view, (_, _, width, height) in corners.items():
+        mask = data.masks[0, view] / 255.0
+        scale = 32 / side[view]
+        # areas are exact but for the samples, 2 to 4 per pixel and axis, at the rim
+        area = width * height * scale**2
+        if crop != "none":
+            assert abs(mask.sum() - area) < 0.12 * 2 * (width + height) * scale
+            rows, columns = np.mgrid[:32, :32] + 0.5
+            middle = (mask * rows).sum() / area, (mask * columns).sum() / area
+            np.testing.assert_allclose(middle, 16, atol=0.4)
+        assert (data.images[0, view][mask == 1] == [10, 200, 30]).all()
+
+
+def test_a_large_photograph_gives_the_picture_of_a_small_one(tmp_path):
+    rows, columns = np.mgrid[:64, :64]
+    small = np.zeros((64, 64, 4), np.uint8)
+    small[..., :3] = np.stack([4 * rows, 4 * columns, 0 * rows], -1)
+    small[(rows - 30) ** 2 + (columns - 33) ** 2 < 400, 3] = 255
+    large = small.repeat(31, axis=0).repeat(31, axis=1)
+    for name, pixels in (("small", small), ("large", large)):
+        (tmp_path / "set" / name).mkdir(parents=True)
+        Image.fromarray(pixels).save(tmp_path / "set" / name / "0.png")
+    data = load(tmp_path / "set", tmp_path / "cache", image_size=16)
+    masks, images = (np.asarray(a).astype(int) for a in (data.masks, data.images))
+    # the small one is smoothed over its pixels, 3 of which make one of the picture's
+    assert np.abs(masks[0] - masks[1]).mean() < 5
+    assert np.abs(images[0] - images[1]).mean() < 4
+    assert abs(masks[0].sum() / masks[1].sum() - 1) < 0.01
+
+
+def test_a_crop_beyond_the_border_is_empty_there(tmp_path):
+    folder = tmp_path / "set" / "a"
+    folder.mkdir(parents=True)
+    rgba = np.zeros((40, 40, 4), np.uint8)
+    rgba[:, :10] = (0, 0, 0, 255)
+    Image.fromarray(rgba).save(folder / "0.png")
+    data = load(tmp_path / "set", tmp_path / "cache", fill=1.0)
+    mask = data.masks[0, 0]
+    # the strip of 10 of 40 pixels stands upright in the middle
+    assert (mask[:, 13:19] == 255).all() and (mask[:, :11] == 0).all()
+    assert (mask[:, 21:] == 0).all()
+
+
+def test_quaternions_come_with_their_views(tmp_path):
+    for i, name in enumerate("abc"):
+        place = tmp_path / "set" / name
+        rotations = write_object(place, views=3, seed=i)
+        write_quaternions(place, rotations)
+    data = load(tmp_path / "set", tmp_path / "cache")
+    for i in range(3):
+        for view in range(3):
+            angle = 2 * np.pi * view / 3 + i
+            expected = look_at(2 * np.array([np.cos(angle), np.sin(angle), 0.3]))
+            np.testing.assert_allclose(
+                rotate(data.quaternions[i, view]), expected, atol=1e-6
+            )
+
+
+@pytest.mark.parametrize("convention", ["opengl", "opencv"])
+def test_transforms_give_views_that_fit_one_object(tmp_path, convention):
+    """With place and lens known, one scale and one middle explain all views."""
+    for i, name in enumerate("abc"):
+        place = tmp_path / "set" / name
+        content, _ = write_photos(place, views=6, seed=i)
+        if convention == "opencv":
+            content["convention"] = "opencv"
+            for frame in content["frames"]:
+                matrix = np.array(frame["transform_matrix"])
+                matrix[:3, 1:3] *= -1
+                frame["transform_matrix"] = matrix.tolist()
+        (place / "transforms.json").write_text(json.dumps(content))
+    data = load(tmp_path / "set", tmp_path / "cache", image_size=64)
+    points = sample_balls()
+    for model in range(3):
+        # the size is free: it is the one at which the largest view fills the frame
+        best = max(
+            np.linspace(0.8, 1.5, 36),
+            key=lambda s: min(
+                share_inside(
+                    s * points, data.quaternions[model, v], data.masks[model, v]
+                )
+                - 0.02 * (1.5 - s)
+                for v in range(6)
+            ),
+        )
+        for view in range(6):
+            pose, mask = data.quaternions[model, view], data.masks[model, view]
+            # the middle is found from the boxes of masks, not quite that of the balls
+            assert share_inside(best * points, pose, mask) > 0.9
+            # and the mask has no room for much more
+            assert share_inside(1.35 * best * points, pose, mask) < 0.9
+        extent = [(m > 127).any(0).sum() / 64 for m in data.masks[model]]
+        assert 0.6 < max(extent) <= 0.9
+
+
+def test_a_camera_turned_towards_the_object_sees_it_undistorted():
+    """The homography of a frame is a camera with the same place and another lens."""
+    rng = np.random.default_rng(0)
+    position = np.array([3.0, 1.0, 0.5])
+    rotation = look_at(position, target=(0.3, -0.4, 0.2))
+    points = rng.uniform(-0.2, 0.2, (3, 200))
+    lens = np.array([[100.0, 0, 60], [0, 100.0, 45], [0, 0, 1]])
+    turn = framing.turn_to_axis(-rotation @ position / np.linalg.norm(position))
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+    homography = lens @ turn.T @ np.diag([0.4, 0.4, 1.0])
+    seen = turn @ rotation @ (points - position[:, None])
+    u, v = seen[:2] / seen[2] / 0.4
+    pixel = lens @ rotation @ (points - position[:, None])
+    mapped = homography @ np.stack([u, v, np.ones(200)])
+    np.testing.assert_allclose(mapped[:2] / mapped[2], pixel[:2] / pixel[2], atol=1e-9)
+    assert np.abs(seen.mean(axis=1)[:2]).max() < 0.05  # the object is in the middle
+
+
+def test_the_meeting_point_of_lines_is_found():
+    rng = np.random.default_rng(0)
+    target = np.array([1.0, -2.0, 0.5])
+    origins = rng.normal(size=(5, 3)) * 4
+    directions = target - origins
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    found = framing.find_meeting_point(origins, directions)
+    np.testing.assert_allclose(found, target, atol=1e-9)
+    parallel = framing.find_meeting_point(origins, np.tile(directions[:1], (5, 1)))
+    np.testing.assert_array_equal(parallel, 0)
+
+
+@pytest.mark.parametrize(
+    "harm, message",
+    [
+        ("cut", "readable image in .*view1.png"),
+        ("opaque", "view1.png, it covers the whole image"),
+        ("empty", "view1.png, it is empty"),
+        ("bare", "view1.png or view1_mask.png beside it"),
+        ("size", "view1_mask.png of the size of view1.png"),
+    ],
+)
+def test_a_view_without_a_usable_mask_is_left_out_and_named(tmp_path, harm, message):
+    for name in "abc":
+        write_object(tmp_path / "set" / name, views=3)
+    path = tmp_path / "set" / "b" / "view1.png"
+    pixels = np.array(Image.open(path))
+    if harm == "cut":
+        path.write_bytes(path.read_bytes()[:200])
+    elif harm in ("opaque", "empty"):
+        pixels[..., 3] = 255 if harm == "opaque" else 0
+        Image.fromarray(pixels).save(path)
+    else:
+        Image.fromarray(pixels[..., :3]).save(path)
+    if harm == "size":
+        Image.fromarray(pixels[:40, :, 3]).save(path.with_name("view1_mask.png"))
+    data = load(tmp_path / "set", tmp_path / "cache")
+    assert data.counts.tolist() == [3, 2, 3] and data.skipped == ()
+    ((name, remark),) = data.remarks
+    import re
+
+    assert name == "b" and re.search(message, remark)
+
+
+def test_an_object_without_any_usable_view_is_skipped(tmp_path):
+    for name in "abcd":
+        write_object(tmp_path / "set" / name)
+    for path in (tmp_path / "set" / "c").iterdir():
+        path.write_bytes(b"no image")
+    data = load(tmp_path / "set", tmp_path / "cache")
+    assert data.names == ("a", "b", "d")
+    ((name, reason),) = data.skipped
+    assert name == "c" and "view0.png" in reason
+
+
+def test_poses_for_some_objects_only_are_refused(tmp_path):
+    for name in "abc":
+        rotations = write_object(tmp_path / "set" / name)
+    write_quaternions(tmp_path / "set" / "b", rotations)
+    with pytest.raises(ValueError, match="set/b has a pose file and .*set/a has not"):
+        load(tmp_path / "set", tmp_path / "cache")
+
+
+@pytest.mark.parametrize(
+    "name, text, message",
+    [
+        ("poses.json", "{", "poses.json, they cannot be read"),
+        ("poses.json", '{"view0.png": [1, 0, 0]}', "no quaternion of four numbers"),
+        ("poses.json", '{"view0.png": [0, 0, 0, 0]}', "no quaternion of four numbers"),
+        ("transforms.json", '{"frames": [{"file_path": "view0"}]}', "transform_matrix"),
+        ("transforms.json", json.dumps({"frames": [
+            {"file_path": "view0", "transform_matrix": np.diag([2.0, 1, 1, 1]).tolist()}
+        ]}), "no rigid transform_matrix"),
+        ("transforms.json", json.dumps({"frames": [
+            {"file_path": "view0", "transform_matrix": np.diag([-1, 1, 1, 1]).tolist()}
+        ]}), "mirrored"),
+        ("transforms.json", json.dumps({"frames": [
+            {"file_path": "view0", "transform_matrix": np.eye(4).tolist()}
+        ]}), "fl_x or camera_angle_x"),
+    ],
+)  # fmt: skip
+def test_a_pose_file_that_cannot_be_used_is_named(tmp_path, name, text, message):
+    for i in "abc":
+        write_object(tmp_path / "set" / i)
+        (tmp_path / "set" / i / name).write_text(text)
+    with pytest.raises(ValueError, match=message) as error:
+        load(tmp_path / "set", tmp_path / "cache")
+    assert str(tmp_path / "set" / "a") in str(error.value)
+
+
+def test_cameras_that_look_away_are_refused(tmp_path):
+    for i, name in enumerate("abc"):
+        content, _ = write_photos(tmp_path / "set" / name, views=4, seed=i)
+        content["convention"] = "opencv"  # which they are not
+        (tmp_path / "set" / name / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(ValueError, match="check the convention of the poses"):
+        load(tmp_path / "set", tmp_path / "cache")
+
+
+def test_a_view_without_a_pose_is_left_out(tmp_path):
+    for name in "abc":
+        place = tmp_path / "set" / name
+        write_quaternions(place, write_object(place, views=3)[:2])
+    data = load(tmp_path / "set", tmp_path / "cache")
+    assert (data.counts == 2).all()
+    assert "a pose of" in data.remarks[0][1] and "view2.png" in data.remarks[0][1]
+
+
+def test_one_or_two_objects_stand_in_all_splits_and_it_is_said(tmp_path):
+    write_object(tmp_path / "set" / "only", views=4)
+    for split in ("train", "val", "test"):
+        data = load(
+            tmp_path / "set", tmp_path / "cache", split=split, fractions=(8, 1, 1)
+        )
+        assert data.names == ("only",)
+        assert "too few objects to split" in data.remarks[0][1]
+
+
+def test_a_changed_mask_is_read_anew(tmp_path):
+    for name in "abc":
+        write_object(tmp_path / "set" / name)
+    first = load(tmp_path / "set", tmp_path / "cache")
+    path = tmp_path / "set" / "a" / "view0.png"
+    pixels = np.array(Image.open(path))
+    pixels[:30, :, 3] = 0
+    Image.fromarray(pixels).save(path)
+    second = load(tmp_path / "set", tmp_path / "cache")
+    assert (np.asarray(first.masks[0, 0]) != second.masks[0, 0]).any()
+
+
+def test_photographs_are_turned_as_their_camera_noted(tmp_path):
+    pixels = np.zeros((20, 30, 3), np.uint8)
+    pixels[:, :5] = 255
+    image, exif = Image.fromarray(pixels), Image.Exif()
+    exif[0x0112] = 6  # turn a quarter to the right
+    image.save(tmp_path / "a.jpg", exif=exif, quality=95)
+    mask = np.zeros((30, 20), np.uint8)
+    mask[:5] = 255
+    Image.fromarray(mask).save(tmp_path / "a_mask.png")
+    colors, covered = image_folder.read_image(tmp_path / "a.jpg")
+    assert colors.shape == (30, 20, 3) and covered.shape == (30, 20)
+    assert colors[covered > 0.5].min() > 200 and colors[8:].max() < 50
+
+
+def test_a_folder_without_images_is_named(tmp_path):
+    with pytest.raises(ValueError, match="nowhere is none"):
+        load(tmp_path / "nowhere", tmp_path / "cache")
+    (tmp_path / "empty" / "a").mkdir(parents=True)
+    with pytest.raises(ValueError, match="folders of images .* in .*empty"):
+        load(tmp_path / "empty", tmp_path / "cache")
+
+
+def test_the_balls_of_these_tests_have_no_symmetry():
+    size = np.ptp(sample_balls(), axis=0)
+    assert np.unique(np.round(size, 2)).size == 3 and len(BALLS) == 3

@@ -1,0 +1,121 @@
+"""The published renders, read from a small tree of the same form."""
+
+import numpy as np
+import pytest
+from data_trees import sample_balls, share_inside, write_renders
+from PIL import Image
+from scipy.io import loadmat, savemat
+
+from dpc_jax.data import DataSpec, load_or_render
+
+SPEC = dict(category="car", kind="renders", views=2, image_size=28)
+NAMES = [f"model{i}" for i in range(5)]
+
+
+def load(folder, cache, **changes):
+    spec = DataSpec(**SPEC | {"folder": str(folder)} | changes)
+    return load_or_render(spec, cache_dir=cache, processes=1, progress=False)
+
+
+def test_renders_arrive_with_their_poses_depth_and_ground_truth(tmp_path):
+    folder = write_renders(tmp_path, NAMES)
+    data = load(folder, tmp_path / "cache", split="test", fractions=(0, 0, 1))
+    assert data.names == tuple(NAMES) and data.images.shape == (5, 2, 28, 28, 3)
+    for model, view in np.ndindex(5, 2):
+        points = sample_balls(balls=0 + data_balls(model))
+        mask, pose = data.masks[model, view], data.quaternions[model, view]
+        # a ray per pixel of 112 misses slivers at the rim
+        assert share_inside(points, pose, mask) > 0.97
+        np.testing.assert_allclose(
+            np.sort(data.surfaces[model], axis=0), np.sort(points, axis=0), atol=1e-6
+        )
+        covered = mask == 255
+        distances = np.abs(data.depths[model, view][covered] - 2.0)
+        assert covered.any() and (distances < 0.5).all()
+        assert (data.depths[model, view][mask == 0] == 0).all()
+        assert (data.images[model, view][mask == 0] == 255).all()
+
+
+def data_balls(model):
+    from data_trees import BALLS
+
+    return BALLS * (0.9 + 0.1 * model / 4)
+
+
+def test_depth_is_that_of_the_file_where_a_pixel_is_covered(tmp_path):
+    folder = write_renders(tmp_path, NAMES[:3])
+    data = load(folder, tmp_path / "cache", split="test", fractions=(0, 0, 1))
+    place = folder / "02958343" / NAMES[0]
+    raw = np.asarray(Image.open(place / "depth_1.png")).astype(float) * 10 / 65535
+    blocks = raw.reshape(28, 4, 28, 4)
+    whole = data.masks[0, 1] == 255
+    np.testing.assert_allclose(
+        data.depths[0, 1][whole], blocks.mean((1, 3))[whole], rtol=1e-6
+    )
+
+
+def test_training_models_have_no_ground_truth_and_need_none(tmp_path):
+    folder = write_renders(tmp_path, NAMES, truth=False)
+    data = load(folder, tmp_path / "cache", fractions=(1, 0, 0))
+    assert data.surfaces is None and len(data.names) == 5
+
+
+def test_the_split_beside_the_renders_is_read(tmp_path):
+    folder = write_renders(tmp_path, NAMES)
+    (tmp_path / "splits").mkdir()
+    for split, names in (("train", NAMES[:2]), ("val", NAMES[2:3]), ("test", "gone")):
+        lines = [names] if isinstance(names, str) else names
+        path = tmp_path / "splits" / f"02958343_{split}.txt"
+        path.write_text("\n".join(lines) + "\n")
+    assert load(folder, tmp_path / "cache").names == tuple(NAMES[:2])
+    assert load(folder, tmp_path / "cache", split="val").names == (NAMES[2],)
+    with pytest.raises(ValueError, match="gone, found 0"):
+        load(folder, tmp_path / "cache", split="test")
+
+
+@pytest.mark.parametrize("harm", ["image", "depth", "camera", "lens", "view", "truth"])
+def test_a_damaged_model_is_left_out_and_its_file_named(tmp_path, harm):
+    folder = write_renders(tmp_path, NAMES)
+    place = folder / "02958343" / NAMES[1]
+    expected = {"image": "render_0.png", "depth": "depth_1.png"}.get(harm)
+    if expected:
+        content = (place / expected).read_bytes()
+        (place / expected).write_bytes(content[: len(content) // 2])
+    elif harm == "camera":
+        expected = "camera_0.mat"
+        (place / expected).write_bytes(b"nonsense")
+    elif harm == "lens":
+        expected = "focal length 1.875 and distance 2.0"
+        content = loadmat(place / "camera_0.mat")
+        content["K"][0, 0] *= 2
+        savemat(
+            place / "camera_0.mat", {k: content[k] for k in ("extrinsic", "pos", "K")}
+        )
+    elif harm == "view":
+        expected = f"2 views render_N.png in {place}"
+        (place / "render_1.png").unlink()
+        (place / "render_2.png").unlink()
+    else:
+        expected = f"{NAMES[1]}.mat, found none"
+        (tmp_path / "gt" / "downsampled" / "02958343" / f"{NAMES[1]}.mat").unlink()
+    data = load(folder, tmp_path / "cache", split="test", fractions=(0, 0, 1))
+    assert len(data.names) == 4
+    ((name, reason),) = data.skipped
+    assert name == NAMES[1] and expected in reason
+
+
+def test_a_camera_that_contradicts_itself_is_refused(tmp_path):
+    folder = write_renders(tmp_path, NAMES[:3])
+    place = folder / "02958343" / NAMES[0] / "camera_0.mat"
+    content = loadmat(place)
+    savemat(place, {**{k: content[k] for k in ("extrinsic", "K")}, "pos": [1.0, 2, 3]})
+    data = load(folder, tmp_path / "cache", split="test", fractions=(0, 0, 1))
+    assert "looks at the origin" in dict(data.skipped)[NAMES[0]]
+
+
+def test_a_folder_without_renders_is_named(tmp_path):
+    (tmp_path / "02958343" / "empty").mkdir(parents=True)
+    with pytest.raises(ValueError, match="render_0.png.*in .*02958343"):
+        load(tmp_path, tmp_path / "cache")
+    with pytest.raises(ValueError, match="02958343 .car. in .*nowhere"):
+        load(tmp_path / "nowhere", tmp_path / "cache")

@@ -1,0 +1,243 @@
+"""ShapeNet trees of both versions, made small: axes, splits, materials, damage."""
+
+import csv
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from dpc_jax.data import DataSpec, load_or_render, shapenet, split_lists
+
+SYNSET = "02958343"
+NAMES = [f"{i:x}" * 8 for i in range(1, 8)]
+SPEC = dict(category="car", kind="shapenet", views=1, image_size=16, supersample=2)
+LAYOUTS = ["model.obj", "models/model_normalized.obj"]
+FRONTS = {"model.obj": (1, 0, 0), "models/model_normalized.obj": (0, 0, -1)}
+
+
+def make_wedge(layout, width=0.3):
+    """Long to the front, half as high; its nose is the only red part."""
+    front, up = np.array(FRONTS[layout]), np.array([0, 1, 0])
+    left = np.cross(up, front)
+    axes = np.stack([front, left, up], axis=1)  # canonical to file
+    body = trimesh.creation.box(extents=[1.0, width, 0.4])
+    nose = trimesh.creation.box(extents=[0.2, width / 2, 0.1])
+    nose.vertices += [0.6, 0, -0.15]
+    for part in (body, nose):
+        part.vertices = part.vertices @ axes.T
+    return body, nose
+
+
+def write_model(folder, layout, *, width=0.3, materials="colors"):
+    path = folder / layout
+    path.parent.mkdir(parents=True)
+    lines, start = [], 1
+    if materials:
+        lines.append(f"mtllib {path.stem}.mtl")
+    for name, part in zip(("grey", "red"), make_wedge(layout, width), strict=True):
+        lines.append(f"usemtl {name}")
+        lines += ["v {} {} {}".format(*v) for v in part.vertices]
+        lines += ["vt 0.5 0.5"]
+        lines += ["f {} {} {}".format(*(f + start)) for f in part.faces]
+        start += len(part.vertices)
+    path.write_text("\n".join(lines) + "\n")
+    if materials in ("colors", "textures"):
+        text = "newmtl grey\nKd 0.2 0.2 0.2\nnewmtl red\nKd 1 0 0\n"
+        if materials == "textures":
+            text += "map_Kd ../images/gone.jpg\n"
+        path.with_suffix(".mtl").write_text(text)
+
+
+def write_tree(root, layout="model.obj", names=NAMES):
+    for i, name in enumerate(names):
+        write_model(root / SYNSET / name, layout, width=0.3 + 0.05 * i)
+    return root
+
+
+def load(root, cache, **changes):
+    spec = DataSpec(**SPEC | {"folder": str(root)} | changes)
+    return load_or_render(spec, cache_dir=cache, processes=1, progress=False)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_the_front_turns_to_x_and_up_to_z(tmp_path, layout):
+    write_tree(tmp_path, layout, NAMES[:3])
+    data = load(tmp_path, tmp_path / "cache", split="test", fractions=(0, 0, 1))
+    assert data.names == tuple(NAMES[:3]) and data.skipped == data.remarks == ()
+    for model in range(3):
+        size = np.ptp(data.surfaces[model], axis=0)
+        width = 0.3 + 0.05 * model
+        np.testing.assert_allclose(
+            size / size[0], [1, width / 1.2, 0.4 / 1.2], atol=0.01
+        )
+        # only the nose reaches there, low on the front
+        front = data.surfaces[model][data.surfaces[model][:, 0] > 0.48 * size[0]]
+        assert len(front) and (front[:, 2] < 0).all()
+
+
+def test_both_versions_give_the_same_views(tmp_path):
+    sets = []
+    for layout in LAYOUTS:
+        root = write_tree(tmp_path / layout.replace("/", "-"), layout, NAMES[:3])
+        sets.append(load(root, tmp_path / "cache", split="test", fractions=(0, 0, 1)))
+    first, second = (np.asarray(data.images).astype(int) for data in sets)
+    # rounded coordinates move single rays
+    assert np.abs(first - second).mean() < 0.5
+    assert (first[..., 0] - first[..., 1]).max() > 50  # the nose is red
+
+
+def test_a_front_of_ones_own_is_obeyed(tmp_path):
+    write_tree(tmp_path, "model.obj", NAMES[:3])
+    options = dict(split="test", fractions=(0, 0, 1), front="+z")
+    size = np.ptp(load(tmp_path, tmp_path / "cache", **options).surfaces[0], axis=0)
+    assert size[1] > 2 * size[0]
+
+
+def test_the_turns_are_rotations_that_keep_y_up():
+    for turn in shapenet.TURNS.values():
+        assert np.linalg.det(np.array(turn, float)) == pytest.approx(1)
+        np.testing.assert_array_equal(turn @ np.array([0, 1, 0]), [0, 0, 1])
+
+
+def write_csv(path, rows):
+    with open(path, "w", newline="") as file:
+        csv.writer(file).writerows(
+            [["id", "synsetId", "subSynsetId", "modelId", "split"], *rows]
+        )
+
+
+def test_the_official_split_is_read_and_what_it_misses_is_counted(tmp_path, capsys):
+    write_tree(tmp_path)
+    sides = dict(zip(NAMES[:6], ["train"] * 3 + ["val"] + ["test"] * 2, strict=True))
+    rows = [
+        [i, "2958343", "x", name, side] for i, (name, side) in enumerate(sides.items())
+    ]
+    rows += [
+        [8, "2691156", "x", "plane", "train"],
+        [9, "2958343", "x", "gone", "train"],
+    ]
+    write_csv(tmp_path / "all.csv", rows)
+    data = load(tmp_path, tmp_path / "cache")
+    assert data.names == tuple(NAMES[:3])
+    ((name, reason),) = data.skipped
+    assert name == "gone" and "gone/model.obj" in reason
+    ((_, remark),) = data.remarks  # the seventh model is in no split
+    assert "leaves out 1 model" in remark
+    assert load(tmp_path, tmp_path / "cache", split="val").names == (NAMES[3],)
+    assert not list((tmp_path / "cache").glob("*.csv"))
+    moved = tmp_path / "elsewhere.csv"
+    (tmp_path / "all.csv").rename(moved)
+    again = load(tmp_path, tmp_path / "cache", split_file=str(moved))
+    assert again.names == data.names
+
+
+def test_a_seeded_split_is_written_down_in_the_official_form(tmp_path):
+    write_tree(tmp_path / "net")
+    options = dict(fractions=(5, 1, 1), seed=3)
+    named = {
+        split: load(tmp_path / "net", tmp_path / "cache", split=split, **options).names
+        for split in split_lists.SPLITS
+    }
+    assert sorted(sum(named.values(), ())) == NAMES
+    (path,) = (tmp_path / "cache").glob("car-split-*.csv")
+    read = split_lists.read_split(path, SYNSET)
+    assert {split: tuple(sorted(names)) for split, names in read.items()} == named
+    again = load(tmp_path / "net", tmp_path / "cache", split_file=str(path))
+    assert set(again.names) == set(named["train"])
+
+
+def write_table(path, sides):
+    """The same split as the serialised table it was first published in."""
+    lines, count = ["3", "1", str(len(sides))], 1
+    for split, names in sides.items():
+        count += 1
+        lines += ["2", str(len(split)), split, "3", str(count), str(len(names))]
+        for i, name in enumerate(names):
+            lines += ["1", str(i + 1), "2", str(len(name)), name]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_three_forms_of_a_split_say_the_same(tmp_path):
+    sides = {"train": NAMES[:4], "val": NAMES[4:5], "test": NAMES[5:]}
+    write_table(tmp_path / f"{SYNSET}.file", dict(reversed(sides.items())))
+    for split, names in sides.items():
+        (tmp_path / f"{SYNSET}_{split}.txt").write_text("\n".join(names))
+    rows = [[0, SYNSET, SYNSET, n, s] for s, names in sides.items() for n in names]
+    write_csv(tmp_path / "all.csv", rows)
+    for name in ("all.csv", f"{SYNSET}.file", f"{SYNSET}_val.txt"):
+        assert split_lists.read_split(tmp_path / name, SYNSET) == sides
+
+
+@pytest.mark.parametrize(
+    "name, text, message",
+    [
+        ("all.csv", "id,modelId\n1,a\n", "synsetId is missing|split, synsetId"),
+        ("all.csv", "synsetId,modelId,split\n1,a,train\n", "found none"),
+        ("all.csv", f"synsetId,modelId,split\n{SYNSET},a,train\n{SYNSET},a,val\n",
+         "a is there twice"),
+        (f"{SYNSET}.file", "3\n1\n2\n2\n5\ntrain\n3\n2\n1\n1\n", "cannot be read"),
+        ("cars.txt", "a\n", "SYNSET_train.txt"),
+        ("x_train.txt", "a\n", "x_val.txt beside"),
+    ],
+)  # fmt: skip
+def test_a_split_file_that_cannot_be_used_is_named(tmp_path, name, text, message):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=message) as error:
+        split_lists.read_split(tmp_path / name, SYNSET)
+    assert name.split(".")[0].removesuffix("train") in str(error.value)
+
+
+def test_damaged_models_are_skipped_and_bare_ones_remarked_upon(tmp_path, capsys):
+    write_tree(tmp_path, names=NAMES[:2])
+    write_model(tmp_path / SYNSET / "bare", "model.obj", materials=None)
+    write_model(tmp_path / SYNSET / "lost", "model.obj", materials="missing")
+    write_model(tmp_path / SYNSET / "plain", "model.obj", materials="textures")
+    (tmp_path / SYNSET / "empty").mkdir()
+    (tmp_path / SYNSET / "cut").mkdir()
+    (tmp_path / SYNSET / "cut" / "model.obj").write_text("v 0 0 0\nv 1 0")
+    spec = DataSpec(**SPEC, folder=str(tmp_path), split="test", fractions=(0, 0, 1))
+    data = load_or_render(spec, cache_dir=tmp_path / "cache", processes=1)
+    assert sorted(data.names) == sorted([*NAMES[:2], "bare", "lost", "plain"])
+    assert {name for name, _ in data.skipped} == {"empty", "cut"}
+    assert all("model.obj" in reason for _, reason in data.skipped)
+    remarks = dict(data.remarks)
+    assert "no materials" in remarks["bare"] and "model.mtl" in remarks["lost"]
+    assert "1 of 1 textures, ../images/gone.jpg" in remarks["plain"]
+    text = capsys.readouterr().out
+    assert "Skipped 2 of 7 models" in text and "Remarks on 3 of 7 models" in text
+    grey = data.images[data.names.index("bare"), 0]
+    assert np.ptp(grey.astype(int), axis=-1).max() <= 1
+
+
+def test_textures_colour_the_faces(tmp_path):
+    write_tree(tmp_path, LAYOUTS[1], NAMES[:2])
+    write_model(tmp_path / SYNSET / "painted", LAYOUTS[1], materials="textures")
+    images = tmp_path / SYNSET / "painted" / "images"
+    images.mkdir()
+    Image.new("RGB", (8, 8), (0, 200, 0)).save(images / "gone.jpg")
+    path = tmp_path / SYNSET / "painted" / LAYOUTS[1]
+    path.write_text(path.read_text().replace("usemtl grey", "usemtl red"))
+    text = path.read_text().splitlines()
+    faces = [" ".join(f"{i}/1" if i.isdigit() else i for i in line.split())
+             if line.startswith("f ") else line for line in text]  # fmt: skip
+    path.write_text("\n".join(faces) + "\n")
+    data = load(tmp_path, tmp_path / "cache", split="test", fractions=(0, 0, 1))
+    assert dict(data.remarks) == {}
+    picture = data.images[data.names.index("painted"), 0].astype(int)
+    green = picture[..., 1] - picture[..., 0]
+    assert green.max() > 40 and green.min() > -5
+
+
+def test_folders_and_categories_that_fit_nothing_are_named(tmp_path):
+    with pytest.raises(ValueError, match="02958343 .car. in"):
+        load(tmp_path, tmp_path / "cache")
+    (tmp_path / SYNSET / "a").mkdir(parents=True)
+    with pytest.raises(ValueError, match="model.obj or MODEL/models/model_normalized"):
+        load(tmp_path, tmp_path / "cache")
+    with pytest.raises(ValueError, match="eight digits, got 'boat'"):
+        load(tmp_path, tmp_path / "cache", category="boat")
+    write_tree(tmp_path)
+    write_csv(tmp_path / "all.csv", [[0, SYNSET, "x", "other", "train"]])
+    with pytest.raises(ValueError, match="none of its 1 is there"):
+        load(tmp_path, tmp_path / "cache")

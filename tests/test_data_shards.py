@@ -1,0 +1,135 @@
+"""Shards on disk and the arrays that lie over several of them."""
+
+import mmap
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from dpc_jax.data import shards
+
+
+def make_pieces(counts, *, split, seed=0):
+    """A ragged array as a list of models, and as a stack over two shards."""
+    rng = np.random.default_rng(seed)
+    models = [rng.integers(0, 255, (count, 2, 3), np.uint8) for count in counts]
+    parts = [models[:split], models[split:]]
+    empty = np.zeros((0, 2, 3), np.uint8)
+    pieces = [np.concatenate([empty, *part]) for part in parts]
+    return models, shards.Stack(pieces, counts)
+
+
+@pytest.mark.parametrize("split", [0, 1, 3, 5])
+def test_a_stack_reads_like_an_array(split):
+    models, stack = make_pieces([4] * 5, split=split)
+    whole = np.stack(models)
+    assert (stack.shape, stack.ndim, stack.dtype, len(stack)) == (
+        whole.shape, 4, np.uint8, 5,
+    )  # fmt: skip
+    keys = [
+        0, -1, np.int64(3), (2, 1), (np.int64(1), 0, 1), (4, slice(1, 3)),
+        slice(1, 4), slice(None, None, 2), (np.array([3, 0, 4]), np.array([1, 3, 0])),
+        (np.array([[3], [0]]), np.array([[1, 3], [0, 0]])), whole > 100, ..., (..., 0),
+    ]  # fmt: skip
+    for key in keys:
+        np.testing.assert_array_equal(stack[key], whole[key])
+    np.testing.assert_array_equal(stack, whole)
+    np.testing.assert_array_equal(stack / 2 > 60, whole / 2 > 60)
+    np.testing.assert_array_equal(np.ptp(stack, axis=1), np.ptp(whole, axis=1))
+    assert stack[[1, 2], [0, 0]].dtype == np.uint8 and not stack.is_ragged
+
+
+@pytest.mark.parametrize("split", [0, 2, 4, 6])
+def test_models_of_a_ragged_stack_keep_their_rows(split):
+    counts = [3, 0, 1, 5, 0, 2]
+    models, stack = make_pieces(counts, split=split)
+    assert stack.is_ragged and stack.shape == (6, 5, 2, 3)
+    for read, model in zip(stack, models, strict=True):
+        np.testing.assert_array_equal(read, model)
+    np.testing.assert_array_equal(
+        stack[np.array([5, 3, 0]), np.array([1, 4, 2])],
+        [models[5][1], models[3][4], models[0][2]],
+    )
+    with pytest.raises(IndexError, match="beyond the last"):
+        stack[np.array([0]), np.array([3])]
+    for models_, rows in (([6], [0]), ([-1], [0]), ([0], [-1])):
+        with pytest.raises(IndexError):
+            stack[np.array(models_), np.array(rows)]
+    with pytest.raises(ValueError, match="equal numbers of rows, they have 0 to 5"):
+        np.asarray(stack)
+    with pytest.raises(IndexError):
+        stack[6]
+
+
+def test_what_is_written_is_mapped_and_numpy_reads_it(tmp_path):
+    rng = np.random.default_rng(0)
+    arrays = {
+        "images": rng.integers(0, 255, (3, 5, 5, 3), np.uint8),
+        "depths": rng.normal(size=(3, 5, 5)).astype(np.float32),
+        "none": np.zeros((0, 3), np.float32),
+    }
+    path = tmp_path / "shard-00000.npz"
+    shards.write_shard(path, arrays, {"names": ["ä", "b"]})
+    shard = shards.map_shard(path)
+    assert shard.record == shards.read_record(path) == {"names": ["ä", "b"]}
+    with np.load(path) as loaded:
+        for name, array in arrays.items():
+            np.testing.assert_array_equal(shard.arrays[name], array, strict=True)
+            np.testing.assert_array_equal(loaded[name], array, strict=True)
+            assert not shard.arrays[name].flags.writeable
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+    first = path.read_bytes()
+    shards.write_shard(path, arrays, {"names": ["ä", "b"]})
+    assert path.read_bytes() == first
+
+
+def test_any_changed_byte_of_the_arrays_is_noticed(tmp_path):
+    path = tmp_path / "shard-00000.npz"
+    shards.write_shard(path, {"masks": np.arange(200, dtype=np.uint8)}, {"a": 1})
+    content = path.read_bytes()
+    start = content.index(bytes(range(50)))
+    rng = np.random.default_rng(0)
+    for place in rng.integers(start, start + 200, 20):
+        path.write_bytes(content[:place] + b"\xff" + content[place + 1 :])
+        with pytest.raises(ValueError, match="shard-00000.npz as it was written"):
+            shards.read_record(path)
+    for length in (0, 10, start + 20, len(content) - 30, len(content) - 1):
+        path.write_bytes(content[:length])
+        with pytest.raises(ValueError, match="shard-00000.npz as it was written"):
+            shards.read_record(path)
+
+
+def test_reading_a_large_set_needs_little_memory(tmp_path):
+    """A process that has read 160 MB twice holds a fraction of it."""
+    if not hasattr(mmap, "MADV_DONTNEED"):
+        pytest.skip("the system cannot be told to give pages back")
+    rng = np.random.default_rng(0)
+    for number in range(4):
+        rows = rng.integers(0, 255, (40, 1 << 20), np.uint8)
+        path = tmp_path / f"shard-{number}.npz"
+        shards.write_shard(path, {"images": rows}, {})
+    code = f"""
+import sys, types, numpy as np
+package = types.ModuleType("dpc_jax"); package.__path__ = [{shards.__file__!r}[:-15]]
+sys.modules["dpc_jax"] = package
+from dpc_jax.data import shards
+from pathlib import Path
+def measure():
+    text = Path("/proc/self/status").read_text()
+    return int(text.split("VmRSS:")[1].split()[0]) // 1024
+parts = [shards.map_shard(p) for p in sorted(Path({str(tmp_path)!r}).iterdir())]
+pages = shards.Pages([part.mapping for part in parts])
+pieces = [part.arrays["images"] for part in parts]
+stack = shards.Stack(pieces, [4] * 40, pages)
+start, most = measure(), 0
+for step in range(80):
+    stack[np.full(4, step % 40), np.arange(4)]
+    most = max(most, measure())
+print(most - start)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    # 32 MB are kept before pages are given back, and a batch of 4 MB is in hand
+    assert int(done.stdout) < 60, done.stdout

@@ -1,0 +1,122 @@
+"""Evaluation where poses or shapes are not known, or models differ in their views."""
+
+import numpy as np
+import pytest
+import tiny_runs
+
+from dpc_jax.data import shards
+from dpc_jax.evaluation.alignment import align_by_poses, identity_alignment
+from dpc_jax.evaluation.scores import score
+from dpc_jax.learning import evaluator, loop
+
+
+def rag(dataset, counts):
+    """The same set with only the first views of each model."""
+
+    def cut(array):
+        models = [rows[:count] for rows, count in zip(array, counts, strict=True)]
+        return shards.Stack([np.concatenate(models)], counts)
+
+    changed = {n: cut(getattr(dataset, n)) for n in ("images", "masks", "quaternions")}
+    return dataset._replace(**changed)
+
+
+@pytest.fixture(scope="module")
+def trained():
+    settings = tiny_runs.make_settings()
+    network = tiny_runs.make_network(settings)
+    state = tiny_runs.make_state(network, settings)
+    with tiny_runs.compiling_quickly():
+        predictor = evaluator.make_predictor(network, settings)
+        dataset = tiny_runs.make_dataset(models=3, views=3)
+        whole = evaluator.predict_all(predictor, state, dataset, views_at_once=4)
+        yield (
+            dataset,
+            whole,
+            lambda d: evaluator.predict_all(predictor, state, d, views_at_once=4),
+        )
+
+
+def test_views_of_unequal_models_are_predicted_one_by_one(trained):
+    dataset, whole, predict = trained
+    few = predict(rag(dataset, [3, 1, 2]))
+    models, views = evaluator.arrange_views(rag(dataset, [3, 1, 2]))
+    assert models.ravel().tolist() == [0, 0, 0, 1, 2, 2]
+    assert views.ravel().tolist() == [0, 1, 2, 0, 0, 1] and models.shape == (6, 1)
+    for row, (model, view) in enumerate(zip(models[:, 0], views[:, 0], strict=True)):
+        # float32; the batches differ in their composition
+        np.testing.assert_allclose(
+            few.points[row, 0], whole.points[model, view], atol=1e-5
+        )
+        np.testing.assert_allclose(
+            few.silhouettes[row, 0], whole.silhouettes[model, view], atol=1e-4
+        )
+
+
+def test_scores_of_single_views_are_those_of_their_models(trained):
+    dataset, whole, predict = trained
+    options = dict(alignment=identity_alignment(), num_candidates=3)
+    equal, _ = evaluator.score(whole, dataset, **options)
+    ragged = rag(dataset, [3, 1, 2])
+    single, _ = evaluator.score(predict(ragged), ragged, **options)
+    kept = [(0, 0), (0, 1), (0, 2), (1, 0), (2, 0), (2, 1)]
+    np.testing.assert_allclose(
+        single.pose_errors_deg[:, 0],
+        [equal.pose_errors_deg[place] for place in kept],
+        atol=1e-2,  # degrees; float32 quaternions
+    )
+    np.testing.assert_allclose(
+        single.chamfers[:, 0], [equal.chamfers[place] for place in kept], atol=1e-5
+    )
+    assert "silhouette_iou" not in single.metrics
+
+
+def test_without_shapes_chamfer_is_left_out_and_overlap_given(trained):
+    dataset, whole, _ = trained
+    dataset = dataset._replace(surfaces=None)
+    alignment = evaluator.align(whole, dataset)
+    assert np.isnan(alignment.chamfer)
+    result, _ = evaluator.score(
+        whole, dataset, alignment=alignment, num_candidates=3, chamfer_views=1
+    )
+    assert "pose_accuracy" in result.metrics and result.chamfers is None
+    assert not {"chamfer", "precision", "coverage"} & result.metrics.keys()
+    masks = dataset.masks.reshape(3, 3, 8, 2, 8, 2).mean((3, 5)) / 255.0
+    low = np.minimum(masks, whole.silhouettes).sum((2, 3))
+    high = np.maximum(masks, whole.silhouettes).sum((2, 3))
+    assert result.metrics["silhouette_iou"] == pytest.approx((low / high).mean())
+
+
+def test_without_poses_only_the_overlap_is_left(trained):
+    dataset, _, predict = trained
+    dataset = dataset._replace(quaternions=None, surfaces=None)
+    predictions = predict(dataset)
+    result, shares = evaluator.score(
+        predictions,
+        dataset,
+        alignment=evaluator.align(predictions, dataset),
+        num_candidates=3,
+    )
+    assert list(result.metrics) == ["silhouette_iou"] and shares.sum() == pytest.approx(
+        1
+    )
+    assert result.pose_errors_deg is result.best_candidate_errors_deg is None
+    text = loop._describe(7, result.metrics)
+    assert text.startswith("Validation at step 7: silhouette overlap 0.")
+
+
+def test_the_mode_of_the_votes_aligns_where_there_are_no_shapes():
+    truth = tiny_runs.random_quaternions(0, 20, 5)
+    turn = np.array([0.8, 0.0, 0.6, 0.0])
+    # q_pred = q_true A: what the network calls its object is the true one turned by A
+    w, x, y, z = np.moveaxis(truth, -1, 0)
+    a, _, c, _ = turn
+    poses = np.stack(
+        [w * a - y * c, x * a - z * c, y * a + w * c, z * a + x * c], axis=-1
+    )
+    poses[:3] = tiny_runs.random_quaternions(1, 3, 5)  # outliers
+    found = align_by_poses(poses, truth)
+    np.testing.assert_allclose(found.rotation, turn, atol=1e-3)
+    assert found.inlier_share == pytest.approx(0.85, abs=0.05)
+    errors = score(poses[3:], truth[3:], np.zeros((17, 5, 4, 3)), None, alignment=found)
+    assert errors.metrics["pose_accuracy"] == 1
