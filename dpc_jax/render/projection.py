@@ -50,8 +50,9 @@ def project(
 ) -> Projection:
     """Render one point cloud from one pose.
 
-    Differentiable with respect to every array: points, rotation, sigma, scale,
-    covariance, colors, translation, focal length, distance, background values.
+    Differentiable (in reverse mode) with respect to every array: points, rotation,
+    sigma, scale, covariance, colors, translation, focal length, distance, background
+    values.
 
     Args:
       points: [N, 3], object frame; float. Their dtype decides that of the result.
