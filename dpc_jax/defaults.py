@@ -72,7 +72,7 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     p.student_weight = 0.003  # of the student's loss, per pixel of the silhouette
 
     c.train = t = ml_collections.ConfigDict()
-    t.steps = 5500
+    t.steps = 6300
     t.models_per_batch = 4  # (§ Training details)
     t.views_per_batch = 4  # of each model
     t.learning_rate = 3e-4  # of Adam, at its peak
