@@ -102,13 +102,13 @@ def choose_order(covariance: chex.Array) -> chex.Array:
     return jnp.argmax(jnp.stack(candidates), axis=0)  # of equal ones, the first
 
 
-def factor_covariance(covariance: chex.Array, order: tuple[int, int, int]) -> Factors:
-    """Conditionals of covariances [N, 3, 3] in one order of the axes.
+def factor_covariance(covariance: chex.Array) -> Factors:
+    """Conditionals of covariances [N, 3, 3], in the order of their axes.
 
     What rounding makes of a singular covariance, and a variance below zero, count as
     zero; then the conditional lies on the nearest cell.
     """
-    a, b, c = order
+    a, b, c = range(3)
     entry = lambda i, j: covariance[:, i, j]  # noqa: E731
     first = entry(a, a)
     zero = jnp.zeros_like(first)
@@ -138,28 +138,42 @@ def sum_covariances(
         return jnp.zeros((values.shape[1], *shape), values.dtype)
     chosen = choose_order(jax.lax.stop_gradient(covariance))
     is_there = jnp.any(values != 0, axis=-1)
-    total = 0
-    for i, order in enumerate(_ORDERS):
+    side = max(shape)
+
+    def add_order(total, i):
+        # All orders run one program, so the volume is a cube until the end; tiles that
+        # no point reaches cost nothing.
+        order = jnp.array(_ORDERS)[i]
         part = _sum_in_order(
-            coordinates, values, covariance, is_there & (chosen == i), order, shape
+            coordinates[:, order],
+            values,
+            covariance[:, order][:, :, order],
+            is_there & (chosen == i),
+            side,
         )
-        back = [order.index(axis) for axis in range(3)]
-        total += part.transpose(0, *(1 + axis for axis in back))
-    return total
+        turns = [
+            functools.partial(
+                jnp.transpose, axes=(0, *(1 + o.index(a) for a in range(3)))
+            )
+            for o in _ORDERS
+        ]
+        return total + jax.lax.switch(i, turns, part), None
+
+    total = jnp.zeros((values.shape[1], side, side, side), values.dtype)
+    total, _ = jax.lax.scan(add_order, total, jnp.arange(len(_ORDERS)))
+    return total[:, : shape[0], : shape[1], : shape[2]]
 
 
-def _sum_in_order(coordinates, values, covariance, is_there, order, shape):
-    """The part of those points that this order was chosen for."""
-    factors = factor_covariance(covariance, order)
-    centers = coordinates[:, jnp.array(order)]
+def _sum_in_order(centers, values, covariance, is_there, side):
+    """The part of those points whose covariance this order of axes was chosen for."""
+    factors = factor_covariance(covariance)
     reaches = kernels.find_reach(factors.sigmas, centers.dtype)
     along = reaches[:, 1] + jnp.abs(factors.slopes[:, 0]) * reaches[:, 0]
     intervals = gaussians.find_intervals(centers, (reaches[:, 0], along), is_there)
-    permuted = tuple(shape[axis] for axis in order)
     points = {"centers": centers, "values": values, "factors": factors}
     return tiles.sum_in_tiles(
-        _make_density(permuted[2]),
-        permuted,
+        _make_density(side),
+        (side, side, side),
         _CHUNK,
         tiles.Points(points, {}, {}),
         intervals,
