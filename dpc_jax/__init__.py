@@ -8,8 +8,10 @@ import importlib
 import importlib.metadata
 
 from dpc_jax.render import Camera as Camera
+from dpc_jax.render import MemoryEstimate as MemoryEstimate
 from dpc_jax.render import Projection as Projection
 from dpc_jax.render import VoxelGrid as VoxelGrid
+from dpc_jax.render import estimate_memory as estimate_memory
 from dpc_jax.render import mass_of_peak as mass_of_peak
 from dpc_jax.render import opacity as opacity
 from dpc_jax.render import project as project

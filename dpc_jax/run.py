@@ -1,7 +1,5 @@
 """One run from config to report: data, training, evaluation, report."""
 
-import contextlib
-import ctypes
 import os
 import resource
 import signal
@@ -20,6 +18,7 @@ from dpc_jax.learning import evaluator, loop
 from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.log import MetricLog
 from dpc_jax.learning.step import init_state
+from dpc_jax.process import keep_freed_memory
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.page import REQUIRED_METRICS, write_report
 from dpc_jax.workdir import claim_workdir
@@ -56,7 +55,7 @@ def run(config: ml_collections.ConfigDict, *, config_path: str, workdir: str | N
       loop.NonFiniteError: where training breaks.
     """
     configuration.validate(config)
-    _keep_freed_memory()
+    keep_freed_memory()
     if workdir is None:
         parts = (Path(config_path).stem, config.variant, f"seed{config.seed}")
         workdir = Path("runs") / "-".join(p for p in parts if p)
@@ -274,19 +273,6 @@ def _make_examples(predictions, dataset, alignment, result) -> list[Example]:
             )
         )
     return examples
-
-
-def _keep_freed_memory():
-    """Have glibc keep what a step frees for the next one.
-
-    By default blocks of some megabytes go back to the system and come again page by
-    page: 10,000 page faults and a quarter of the CPU time of a step of configs/car.py.
-    """
-    with contextlib.suppress(OSError, AttributeError):  # another C library
-        libc = ctypes.CDLL("libc.so.6")
-        trim_threshold, mmap_max = -1, -4  # names in malloc.h
-        libc.mallopt(mmap_max, 0)
-        libc.mallopt(trim_threshold, 2**31 - 1)
 
 
 class _StopSignal:

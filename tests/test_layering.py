@@ -25,6 +25,10 @@ FLOORS = {
         {"numpy", "matplotlib", "trimesh", "PIL"},
         {"reporting", "learning", "render", "data", "networks", "evaluation"},
     ),
+    "benchmarking": (
+        {"jax", "numpy", "matplotlib", "torch", "trimesh"},
+        {"benchmarking", "reporting", "learning", "render", "data"},
+    ),
 }
 
 
@@ -79,6 +83,7 @@ def test_the_public_names_are_these():
     assert public - (modules - {"quaternion"}) == {
         "Camera",
         "ImageEncoder",
+        "MemoryEstimate",
         "PoseEnsemble",
         "PoseStudent",
         "Projection",
@@ -88,6 +93,7 @@ def test_the_public_names_are_these():
         "align",
         "chamfer_distance",
         "choose_candidate",
+        "estimate_memory",
         "mass_of_peak",
         "opacity",
         "pose_summary",
@@ -99,6 +105,7 @@ def test_the_public_names_are_these():
         "splat",
         "student_loss",
         "termination_probabilities",
+        "voxelize",
     }
     for name in public:
         assert getattr(dpc_jax, name) is not None

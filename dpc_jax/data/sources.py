@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from . import families
+
 SPLITS = ("train", "val", "test")
 KINDS = ("meshes", "shapenet", "renders", "images")
 CROPS = ("object", "view", "none")
@@ -148,7 +150,8 @@ def list_sources(spec):
 
     paths = find_meshes(spec.folder)
     digests = [_digest(path) for path in paths]
-    sides = split_files(paths, fractions=spec.fractions, seed=spec.seed, groups=digests)
+    groups = families.group_variants(paths, digests)
+    sides = split_files(paths, fractions=spec.fractions, seed=spec.seed, groups=groups)
     chosen = sides[SPLITS.index(spec.split)]
     if not chosen:
         raise ValueError(

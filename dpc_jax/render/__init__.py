@@ -3,6 +3,8 @@
 from dpc_jax.render import quaternion as quaternion
 from dpc_jax.render.camera import Camera as Camera
 from dpc_jax.render.camera import VoxelGrid as VoxelGrid
+from dpc_jax.render.memory import MemoryEstimate as MemoryEstimate
+from dpc_jax.render.memory import estimate_memory as estimate_memory
 from dpc_jax.render.projection import Projection as Projection
 from dpc_jax.render.projection import mass_of_peak as mass_of_peak
 from dpc_jax.render.projection import project as project

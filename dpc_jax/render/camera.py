@@ -100,6 +100,19 @@ def _is_side(side) -> bool:
     return is_integer and side > 0
 
 
+class CameraPoints(NamedTuple):
+    """Points in the camera's axes.
+
+    Attributes:
+      centered: [N, 3], from the middle of the volume. Depth is kept from there too:
+        from a far eye it would lose the digits that place a point in the volume.
+      ahead: [N] depth z from the eye.
+    """
+
+    centered: chex.Array
+    ahead: chex.Array
+
+
 class GridPoints(NamedTuple):
     """Points in the grid's own coordinates.
 
@@ -118,39 +131,47 @@ def to_camera_frame(
     *,
     translation: chex.Array | None,
     camera: Camera,
-) -> chex.Array:
-    """Move points [N, 3] from the object frame to the camera frame [N, 3].
+) -> CameraPoints:
+    """Move points [N, 3] from the object frame to the camera frame.
 
     The transform T_c of section "Differentiable Point Clouds", before the division.
     """
     moved = quaternion.rotate(points, rotation)
     if translation is not None:
         moved = moved + jnp.asarray(translation, points.dtype)
-    x, y, z = moved.T
-    return jnp.stack([x, y, z + jnp.asarray(camera.distance, z.dtype)], axis=-1)
+    return CameraPoints(moved, moved[:, 2] + jnp.asarray(camera.distance, moved.dtype))
 
 
-def to_grid(points: chex.Array, *, camera: Camera, grid: VoxelGrid) -> GridPoints:
-    """Project points [N, 3] of the camera frame to grid indices; depth stays metric.
+def to_grid(points: CameraPoints, *, camera: Camera, grid: VoxelGrid) -> GridPoints:
+    """Project points to grid indices; depth stays metric.
 
     Points behind the camera plane or within a millionth of the extent before it have
-    no perspective image: they are marked outside and get zero gradient.
+    no perspective image: they are marked outside. A point outside has zero gradient.
     """
-    x, y, z = points[:, 0], points[:, 1], points[:, 2]
+    x, y, z = points.centered.T
+    ahead = points.ahead
+    is_inside = jnp.ones_like(z, bool)
     if camera.projection == "perspective":
-        is_before = z > _NEAR * grid.extent
-        inverse = jnp.asarray(camera.focal_length, z.dtype) / jnp.where(is_before, z, 1)
-        u, v = x * inverse, y * inverse
-    else:
-        is_before = jnp.ones_like(z, bool)
-        u, v = x, y
-    w = z - jnp.asarray(camera.distance, z.dtype)
-    is_inside = is_before
-    coordinates = []
-    for value, size in zip((v, u, w), grid.shape, strict=True):
-        fraction = value / grid.extent + 0.5  # [0, 1] inside
+        is_inside = ahead > _NEAR * grid.extent
+    # Twice: without gradient to see where a point is, then with gradient what is
+    # inside. Products with 3e38 overflow, and zero times infinity, in the derivative,
+    # would be everyone's NaN.
+    for fraction in _find_fractions(
+        *jax.lax.stop_gradient((x, y, z, jnp.where(is_inside, ahead, 1))), camera, grid
+    ):
         is_inside &= (fraction >= 0) & (fraction <= 1)
-        coordinates.append(fraction * size - 0.5)
-    # A far point's index may overflow any integer; it is never used.
-    safe = [jnp.where(is_inside, c, 0) for c in coordinates]
-    return GridPoints(coordinates=jnp.stack(safe, axis=-1), inside=is_inside)
+    x, y, z = (jnp.where(is_inside, value, 0) for value in (x, y, z))
+    fractions = _find_fractions(x, y, z, jnp.where(is_inside, ahead, 1), camera, grid)
+    coordinates = [
+        jnp.where(is_inside, fraction * size - 0.5, 0)
+        for fraction, size in zip(fractions, grid.shape, strict=True)
+    ]
+    return GridPoints(coordinates=jnp.stack(coordinates, axis=-1), inside=is_inside)
+
+
+def _find_fractions(x, y, z, ahead, camera, grid):
+    """Place in the volume along (row, col, depth), [0, 1] inside."""
+    if camera.projection == "perspective":
+        inverse = jnp.asarray(camera.focal_length, z.dtype) / ahead
+        x, y = x * inverse, y * inverse
+    return [value / grid.extent + 0.5 for value in (y, x, z)]

@@ -144,9 +144,12 @@ def angle_between(first: chex.Array, second: chex.Array) -> chex.Array:
     is zero, and at π, where it is that of one side.
     """
     product = multiply(normalize(first), conjugate(normalize(second)))
-    square = jnp.sum(product[1:] ** 2)
-    is_zero = square == 0
-    sine = jnp.where(is_zero, 0, jnp.sqrt(jnp.where(is_zero, 1, square)))
+    # Scaled as in `normalize`: the square of a turn by 1e-25 is nothing in float32.
+    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(product[1:])))
+    is_zero = largest == 0
+    scaled = product[1:] / jnp.where(is_zero, 1, largest)
+    square = jnp.sum(scaled**2)
+    sine = jnp.where(is_zero, 0, largest * jnp.sqrt(jnp.where(is_zero, 1, square)))
     return 2 * jnp.arctan2(sine, jnp.abs(product[0]))
 
 

@@ -44,8 +44,8 @@ def place_points(
         is_matrix = rotation.shape == (3, 3)
         matrix = rotation if is_matrix else quaternion.to_matrix(rotation)
         # A point outside may lie in the camera plane, where perspective has no slope.
-        anywhere = jnp.stack([jnp.zeros(()), jnp.zeros(()), jnp.ones(())])
-        safe = jnp.where(is_inside[:, None], moved, anywhere.astype(moved.dtype))
+        x, y, _ = jnp.where(is_inside[:, None], moved.centered, 0).T
+        safe = jnp.stack([x, y, jnp.where(is_inside, moved.ahead, 1)], axis=-1)
         covariance = covariances.move_covariance(
             covariance, safe, matrix, camera=camera, grid=grid
         )

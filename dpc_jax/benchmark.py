@@ -1,0 +1,49 @@
+"""Error against run time: python -m dpc_jax.benchmark [--quick] [--out=DIR]
+
+Measures speed beside peers, the error of every setting, growth and memory, and writes
+benchmark.md, benchmark.json and figures into DIR. A report, never a test.
+"""
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+
+from dpc_jax.benchmarking.plan import FULL, PARTS, QUICK
+from dpc_jax.benchmarking.suite import run_benchmark
+from dpc_jax.process import keep_freed_memory
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Parse the command line, measure, write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--quick", action="store_true", help="tiny sizes: a check that all works"
+    )
+    parser.add_argument("--out", type=Path, default=Path("runs/benchmark"))
+    parser.add_argument(
+        "--parts", default=",".join(PARTS), help="comma between; default: all of them"
+    )
+    options = parser.parse_args(arguments)
+    keep_freed_memory()
+    words = ["python", "-m", "dpc_jax.benchmark", f"--parts={options.parts}"]
+    words += ["--quick"] * options.quick
+    try:
+        path = run_benchmark(
+            options.out,
+            plan=QUICK if options.quick else FULL,
+            parts=[part.strip() for part in options.parts.split(",") if part.strip()],
+            command=shlex.join(words),
+        )
+    except (ValueError, OSError, RuntimeError) as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("Interrupted; nothing was written.", file=sys.stderr)
+        return 130
+    print(f"Report: {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

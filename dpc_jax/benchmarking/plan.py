@@ -1,0 +1,134 @@
+"""What is measured, and at which sizes."""
+
+import dataclasses
+
+PARTS = ("speed", "error", "scaling", "memory")
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One workload: `batch` clouds of `points` points on a `side`³ grid."""
+
+    batch: int
+    points: int
+    side: int
+    sigma: float
+
+    def __str__(self):
+        return f"B={self.batch}, N={self.points}, D={self.side}, σ={self.sigma:g}"
+
+
+@dataclasses.dataclass(frozen=True)
+class MemoryCase:
+    """A workload of which the peak is taken; `limit_gb` None where none is set."""
+
+    case: Case
+    method: str
+    limit_gb: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """Sizes of one run of the benchmark.
+
+    Attributes:
+      rounds: of each measurement; medians are reported.
+      cases: of the speed table; per_point: gaussian against trilinear.
+      candidates: workload of the choice among `num_candidates`.
+      scene_points, sparse_points: points of the dense scenes and of the sparse one.
+      sigmas: voxels of a grid with `base_side` cells a side.
+      sides, depths: of cubic grids, and of the depth of grids with base_side² pixels.
+      point_shares: one point in this many is kept.
+      dtypes: pairs of method and dtype beside float32.
+      reference_side: of the float64 reference.
+      budget_seconds: after so much time a setting gets no further round.
+      scaling_*: values of one number, the others as in `scaling_base`.
+      memory: see `MemoryCase`.
+    """
+
+    rounds: int
+    seed: int
+    cases: tuple[Case, ...]
+    per_point: Case
+    candidates: Case
+    num_candidates: int
+    scene_points: int
+    sparse_points: int
+    sigmas: tuple[float, ...]
+    base_side: int
+    sides: tuple[int, ...]
+    depths: tuple[int, ...]
+    point_shares: tuple[int, ...]
+    dtypes: tuple[tuple[str, str], ...]
+    reference_side: int
+    budget_seconds: float
+    scaling_base: Case
+    scaling_points: tuple[int, ...]
+    scaling_sides: tuple[int, ...]
+    scaling_batches: tuple[int, ...]
+    scaling_candidates: tuple[int, ...]
+    memory: tuple[MemoryCase, ...]
+
+
+FULL = Plan(
+    rounds=7,
+    seed=0,
+    cases=(
+        Case(16, 8000, 64, 3.0),
+        Case(16, 2000, 32, 1.6),
+        Case(4, 16000, 128, 3.0),
+    ),
+    per_point=Case(16, 8000, 64, 3.0),
+    candidates=Case(4, 8000, 64, 3.0),
+    num_candidates=8,
+    scene_points=8000,
+    sparse_points=400,
+    sigmas=(0.3, 0.6, 1.2, 2.5, 5.0),
+    base_side=64,
+    sides=(32, 64, 128),
+    depths=(16, 32, 128),
+    point_shares=(2, 4, 8),
+    dtypes=(
+        ("trilinear", "float64"),
+        ("trilinear", "bfloat16"),
+        ("gaussian", "float64"),
+    ),
+    reference_side=192,  # a multiple of 32 and 64
+    budget_seconds=1.5,
+    scaling_base=Case(1, 8000, 64, 3.0),
+    scaling_points=(125, 500, 2000, 8000, 32000, 128000),
+    scaling_sides=(16, 32, 64, 128),
+    scaling_batches=(1, 2, 4, 8, 16),
+    scaling_candidates=(1, 2, 4, 8, 16),
+    memory=(
+        MemoryCase(Case(16, 16000, 128, 3.0), "trilinear", 1.5),
+        MemoryCase(Case(1, 100_000, 256, 3.0), "trilinear", 2.0),
+        MemoryCase(Case(1, 16000, 128, 3.0), "gaussian", None),
+    ),
+)
+
+# Sizes that share programs: nearly all of its time goes into compiling them.
+QUICK = Plan(
+    rounds=5,
+    seed=0,
+    cases=(Case(2, 500, 16, 1.5),),
+    per_point=Case(2, 500, 16, 1.5),
+    candidates=Case(2, 500, 16, 1.5),
+    num_candidates=4,
+    scene_points=500,
+    sparse_points=500,
+    sigmas=(0.5, 2.0),
+    base_side=16,
+    sides=(16,),
+    depths=(),
+    point_shares=(4,),
+    dtypes=(),
+    reference_side=32,
+    budget_seconds=0.2,
+    scaling_base=Case(2, 500, 16, 1.5),
+    scaling_points=(500, 5000),
+    scaling_sides=(8, 16),
+    scaling_batches=(1, 2),
+    scaling_candidates=(1, 4),
+    memory=(MemoryCase(Case(2, 500, 16, 1.5), "trilinear", None),),
+)

@@ -1,0 +1,74 @@
+"""Clocks: several computations side by side, and the machine they ran on."""
+
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+# Of the many flags of a processor, those that decide the speed of a matrix product.
+_FLAGS = ("avx2", "fma", "avx512f", "avx512_bf16", "amx_bf16", "asimd", "sve")
+
+
+def time_interleaved(
+    calls: Mapping[str, Callable[[], Any]],
+    *,
+    rounds: int,
+    budget_seconds: float = float("inf"),
+) -> dict[str, list[float]]:
+    """Seconds of each call, round by round, all calls in each round.
+
+    So a machine that is slow for a while is slow for all of them. One round more comes
+    first, which compiles and is not counted.
+
+    Args:
+      calls: by name; what they return is waited for.
+      rounds: of each call.
+      budget_seconds: a call that took so long in all gets no further round; each gets
+        one.
+    """
+    for call in calls.values():
+        jax.block_until_ready(call())
+    seconds = {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            if seconds[name] and sum(seconds[name]) >= budget_seconds:
+                continue
+            start = time.perf_counter()
+            jax.block_until_ready(call())
+            seconds[name].append(time.perf_counter() - start)
+    return seconds
+
+
+def take_medians(seconds: Mapping[str, list[float]]) -> dict[str, float]:
+    """Median seconds of each call."""
+    return {name: float(np.median(values)) for name, values in seconds.items()}
+
+
+def describe_machine() -> dict[str, Any]:
+    """What a reader needs to know to compare times with those of another machine."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.is_file() else []
+    fields = {}
+    for line in lines:
+        name, _, value = line.partition(":")
+        fields.setdefault(name.strip(), value.strip())
+    flags = fields.get("flags", fields.get("Features", "")).split()
+    has_affinity = hasattr(os, "sched_getaffinity")
+    cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count()
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    return {
+        "processor": fields.get("model name", platform.machine()),
+        "cores": cores,
+        "flags": [flag for flag in _FLAGS if flag in flags],
+        "system": platform.system(),
+        "python": platform.python_version(),
+        "jax": jax.__version__,
+        "backend": jax.default_backend(),
+        "device": jax.devices()[0].device_kind,
+        "load_at_start": load,
+    }

@@ -1,0 +1,146 @@
+"""Data sets from the command line.
+
+python -m dpc_jax.data fetch chair         open meshes, from Debian packages
+python -m dpc_jax.data show FOLDER         what is in a set, and a sheet of pictures
+python -m dpc_jax.data check FOLDER        what is wrong with a set
+"""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+CATEGORIES = ("chair", "car", "airplane")
+KINDS = ("meshes", "shapenet", "renders", "images")
+
+
+def parse_arguments(arguments=None):
+    """The parsed command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m dpc_jax.data", description="Get data and look at it."
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    fetch = commands.add_parser("fetch", help="open meshes, from Debian packages")
+    fetch.add_argument("category", choices=CATEGORIES)
+    fetch.add_argument("--out", default="data/open", help="folder (%(default)s)")
+    show = commands.add_parser("show", help="what is in a set, with a sheet of it")
+    check = commands.add_parser("check", help="what is wrong with a set")
+    for command, models in ((show, 8), (check, None)):
+        command.add_argument(
+            "folder", help="a rendered set, a folder of them, of meshes or of images"
+        )
+        command.add_argument(
+            "--kind", choices=KINDS, help="what the folder is; found out if left out"
+        )
+        command.add_argument("--category", help="of ShapeNet and the published renders")
+        command.add_argument(
+            "--models",
+            type=int,
+            default=models,
+            help=f"of meshes or images, how many ({models or 'all'})",
+        )
+    show.add_argument("--out", help="picture to write (FOLDER's name-sheet.png, here)")
+    return parser.parse_args(arguments)
+
+
+def fetch(flags):
+    """Fetches a category."""
+    from . import open_meshes
+
+    open_meshes.fetch_category(flags.category, flags.out)
+    return 0
+
+
+def show(flags):
+    """Lists sets; draws the sheet where it is one."""
+    from . import overview
+
+    caches = overview.list_caches(flags.folder)
+    for path in caches or [flags.folder]:
+        with _open(path, flags) as opened:
+            print("\n".join(overview.describe_set(opened)))
+            if len(caches) > 1:
+                continue
+            sheet = overview.draw_set(opened, models=flags.models)
+        out = Path(flags.out or f"{Path(flags.folder).resolve().name}-sheet.png")
+        partial = out.with_name(f"{out.name}.{os.getpid()}.tmp")
+        try:
+            sheet.save(partial, format="png")
+            os.replace(partial, out)
+        finally:
+            partial.unlink(missing_ok=True)
+        print(f"  {out} shows some; red is the front, green the left, blue the top")
+    if len(caches) > 1:
+        print("Give one of them for a sheet of its pictures.")
+    return 0
+
+
+def check(flags):
+    """Checks sets; status 1 where an error was found."""
+    from . import overview
+
+    caches = overview.list_caches(flags.folder)
+    failed = False
+    for path in caches or [flags.folder]:
+        try:
+            failed |= _check_one(path, flags)
+        except ValueError as error:
+            if len(caches) < 2:
+                raise
+            print(f"{path.name}\n  error: {error}")  # the others may be whole
+            failed = True
+    return int(failed)
+
+
+def _check_one(path, flags):
+    """Whether a set has an error; prints what is found."""
+    from . import inspection, overview
+
+    with _open(path, flags) as opened:
+        data = opened.data
+        print(overview.describe_set(opened)[0])
+        findings = inspection.check_set(data, opened.lens)
+    for finding in findings:
+        print(f"  {finding.level}: {finding.text}")
+    if not findings:
+        poses = "poses fit their masks" if data.quaternions is not None else "no poses"
+        print(f"  no fault found; {poses}")
+    return any(finding.level == "error" for finding in findings)
+
+
+def _open(path, flags):
+    from . import overview
+
+    return overview.open_set(
+        path, kind=flags.kind, category=flags.category, models=flags.models
+    )
+
+
+def main(arguments=None):
+    """Runs one command; what went wrong is told in one sentence.
+
+    Returns:
+      Exit status.
+    """
+    flags = parse_arguments(arguments)
+    try:
+        return {"fetch": fetch, "show": show, "check": check}[flags.command](flags)
+    except (ValueError, RuntimeError, OSError) as error:
+        print(f"Error: {_explain(error)}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("Stopped; the same command goes on.", file=sys.stderr)
+        return 130
+
+
+def _explain(error):
+    if isinstance(error, OSError) and error.filename:
+        return (
+            f"{error.filename} cannot be read or written ({error.strerror}); make room "
+            "or give another folder."
+        )
+    return str(error)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

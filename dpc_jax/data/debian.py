@@ -1,0 +1,106 @@
+"""Debian packages, fetched and unpacked with the ordinary commands and without root."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+NO_NETWORK = ("resolve", "connect", "Failed to fetch", "timed out", "unreachable")
+
+
+def fetch_package(name, folder):
+    """Path of a package's file in a folder, downloaded where it is not there yet.
+
+    A file NAME_VERSION.deb that somebody has put there is as good. What was downloaded
+    before an interruption is kept, and apt goes on from there.
+
+    Raises:
+      RuntimeError: if there is no apt-get, no network or no such package.
+    """
+    folder = Path(folder)
+    if found := find_package(name, folder):
+        return found
+    hint = f"put the file {name}_VERSION.deb from any Debian mirror into {folder}"
+    _expect_command("apt-get", f"it comes with Debian and Ubuntu; elsewhere {hint}")
+    partial = folder / f"{name}.partial"
+    partial.mkdir(parents=True, exist_ok=True)
+    print(f"Fetching the package {name} with apt-get", flush=True)
+    result = _run(["apt-get", "download", name], cwd=partial)
+    found = find_package(name, partial)
+    if result.returncode != 0 or found is None:
+        last = _last_error(result.stderr)
+        if "Unable to locate" in result.stderr or "No packages found" in result.stderr:
+            advice = f"run `apt-get update` once as root, or {hint}"
+        elif any(word in result.stderr for word in NO_NETWORK):
+            advice = f"connect to the network and run this again, or {hint}"
+        else:
+            advice = f"mend that and run this again, or {hint}"
+        raise RuntimeError(
+            f"expected apt-get to download {name}, it failed ({last}); {advice}."
+        )
+    path = folder / found.name
+    os.replace(found, path)
+    shutil.rmtree(partial, ignore_errors=True)
+    return path
+
+
+def find_package(name, folder):
+    """The file of a package in a folder, the last by name, or None."""
+    found = sorted(Path(folder).glob(f"{name}_*.deb"))
+    return found[-1] if found else None
+
+
+def unpack_package(path, folder):
+    """Unpacks a package's files into a folder, unless that is there already.
+
+    Raises:
+      RuntimeError: naming the file, if there is no dpkg-deb or the file is damaged.
+    """
+    path, folder = Path(path), Path(folder)
+    if folder.is_dir():
+        return folder
+    _expect_command("dpkg-deb", "install the package dpkg, or use Debian or Ubuntu")
+    partial = folder.with_name(f"{folder.name}.tmp")
+    shutil.rmtree(partial, ignore_errors=True)  # of a run that was interrupted
+    partial.mkdir(parents=True)
+    print(f"Unpacking {path.name}", flush=True)
+    result = _run(["dpkg-deb", "-x", path.resolve(), partial.resolve()])
+    if result.returncode != 0:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise RuntimeError(
+            f"expected a whole package in {path}, dpkg-deb cannot unpack it "
+            f"({_last_error(result.stderr)}); delete the file and run this again."
+        )
+    os.replace(partial, folder)
+    return folder
+
+
+def read_version(path):
+    """Version of a package, from the name of its file."""
+    return Path(path).stem.split("_")[1].replace("%3a", ":")
+
+
+def _expect_command(command, advice):
+    if shutil.which(command) is None:
+        raise RuntimeError(
+            f"expected the command {command}, it is not installed; {advice}."
+        )
+
+
+def _run(command, **options):
+    """Runs a command with English messages; its errors are kept, not shown."""
+    return subprocess.run(
+        command,
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        env={**os.environ, "LC_ALL": "C"},
+        **options,
+    )
+
+
+def _last_error(text):
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    errors = [line for line in lines if line.startswith(("E:", "dpkg"))]
+    return (errors or lines or ["it gave no reason"])[0]

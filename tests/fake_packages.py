@@ -1,0 +1,230 @@
+"""Small packages of the form of the real ones, and commands that serve them."""
+
+import io
+import json
+import os
+import tarfile
+import zipfile
+
+import numpy as np
+
+RED, GREEN, BLUE, GREY = (1, 0, 0), (0, 1, 0), (0, 0, 1), (0.5, 0.5, 0.5)
+BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+QUADS = (
+    (0, 1, 3, 2),
+    (4, 6, 7, 5),
+    (0, 4, 5, 1),
+    (2, 3, 7, 6),
+    (0, 2, 6, 4),
+    (1, 5, 7, 3),
+)
+
+APT = """#!/bin/sh
+PATH=/usr/bin:/bin
+echo "$@" >> {store}/log
+if [ -e {store}/fails ]; then cat {store}/fails >&2; echo half > $2.part; exit 100; fi
+if [ -e $2.part ]; then echo resumed >> {store}/log; fi
+cp {store}/$2_*.deb .
+"""
+DPKG = """#!/bin/sh
+PATH=/usr/bin:/bin
+echo "dpkg-deb $1" >> {store}/log
+if ! tar -xf "$2" -C "$3" 2>/dev/null; then
+  echo "dpkg-deb: error: '$2' is not a Debian format archive" >&2; exit 2
+fi
+"""
+
+
+def make_boxes(*, height=0.5):
+    """Boxes of an object 2 long, 1 wide, `height` high with coloured marks.
+
+    [(name, corners [8, 3] in the canonical frame, colour)]: red in front, green to the
+    left, blue on top, all inside the body's box but for the top's.
+    """
+
+    def box(low, high):
+        return np.array(low) + BOX * (np.array(high) - np.array(low))
+
+    h = height
+    return [
+        ("body", box((-1, -0.5, 0), (1, 0.5, h)), GREY),
+        ("front", box((0.8, -0.1, h), (1.0, 0.1, h + 0.1)), RED),
+        ("left", box((-0.1, 0.4, h), (0.1, 0.5, h + 0.1)), GREEN),
+        ("top", box((-0.1, -0.1, h), (0.1, 0.1, h + 0.3)), BLUE),
+    ]
+
+
+def write_obj(boxes, to_file, name):
+    """{file name: bytes} of an OBJ and its MTL; `to_file` [3, 3] leaves the frame."""
+    lines, materials = [f"mtllib {name}.mtl"], []
+    for i, (part, corners, color) in enumerate(boxes):
+        lines += ["v {} {} {}".format(*v) for v in corners @ np.array(to_file).T]
+        lines += [f"g {part}", f"usemtl m{i}"]
+        lines += ["f " + " ".join(str(8 * i + k + 1) for k in q) for q in QUADS]
+        materials += [f"newmtl m{i}", "Kd {} {} {}".format(*color)]
+    return {
+        f"{name}.obj": "\n".join(lines).encode(),
+        f"{name}.mtl": "\n".join(materials).encode(),
+    }
+
+
+def write_ac(boxes, to_file, *, texture=None):
+    """Bytes of an AC3D file; a box of four numbers as colour is that transparent."""
+    lines = ["AC3Db"]
+    for i, (_, _, color) in enumerate(boxes):
+        rgb, trans = color[:3], color[3] if len(color) > 3 else 0
+        lines.append(
+            'MATERIAL "m{}" rgb {} {} {}  amb 1 1 1  emis 0 0 0  spec 0 0 0  shi 1  '
+            "trans {}".format(i, *rgb, trans)
+        )
+    lines += ["OBJECT world", f"kids {len(boxes)}"]
+    for i, (name, corners, _) in enumerate(boxes):
+        lines += ["OBJECT poly", f'name "{name}"', f"data {len(name)}", name]
+        lines += [f'texture "{texture}"'] if texture else []
+        lines += ["numvert 8"]
+        lines += ["{} {} {}".format(*v) for v in corners @ np.array(to_file).T]
+        lines += ["numsurf 6"]
+        for quad in QUADS:
+            lines += ["SURF 0x10", f"mat {i}", "refs 4"]
+            lines += [
+                f"{k} {u} {v}" for k, u, v in zip(quad, "0110", "0011", strict=True)
+            ]
+        lines += ["kids 0"]
+    return "\r\n".join(lines).encode()
+
+
+def write_deb(store, name, files):
+    """A package of the fake commands: a tar archive under a package's name."""
+    with tarfile.open(store / f"{name}_1.0-1_all.deb", "w") as archive:
+        for path, data in files.items():
+            entry = tarfile.TarInfo(path)
+            entry.size = len(data)
+            archive.addfile(entry, io.BytesIO(data))
+
+
+def write_furniture(store, items):
+    """sweethome3d-furniture with one library; items: (name, stem, category, extra).
+
+    Front is +z, up is +y; with the extra "turned" the front is +x and the catalogue's
+    rotation says so.
+    """
+    straight, turned = (
+        [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
+        [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    )
+    catalogue = ["# a comment", "id=Lib", "license=Creative Commons Attribution 3.0"]
+    library = io.BytesIO()
+    with zipfile.ZipFile(library, "w") as archive:
+        for i, (name, stem, category, extra) in enumerate(items, start=1):
+            catalogue += [f"name#{i}={name}", f"category#{i}={category}"]
+            catalogue += [f"model#{i}=/lib/{stem}/{stem}.obj", f"creator#{i}=Ann"]
+            if extra == "turned":
+                catalogue.append(f"modelRotation#{i}=0 0 -1 0 1 0 1 0 0")
+            boxes = make_boxes(height=0.3 + 0.1 * i)
+            files = write_obj(boxes, turned if extra == "turned" else straight, stem)
+            if extra == "damaged":
+                files[f"{stem}.obj"] = b"v 0 0 0\nf 1 2 3\n"
+            for file, data in files.items():
+                archive.writestr(f"lib/{stem}/{file}", data)
+        archive.writestr(
+            "PluginFurnitureCatalog.properties", "\n".join(catalogue).encode("latin-1")
+        )
+    path = "usr/share/sweethome3d/furniture/Lib.sh3f"
+    write_deb(store, "sweethome3d-furniture", {path: library.getvalue()})
+
+
+def write_airplanes(store, planes):
+    """flightgear-data-ai; planes: {folder: {file: boxes}}. The nose is -x, up is +y."""
+    to_file = [[-1, 0, 0], [0, 0, 1], [0, 1, 0]]
+    base = "usr/share/games/flightgear/AI/Aircraft"
+    files = {
+        f"{base}/{folder}/{name}": write_ac(boxes, to_file)
+        for folder, members in planes.items()
+        for name, boxes in members.items()
+    }
+    write_deb(store, "flightgear-data-ai", files)
+
+
+def write_racing(store):
+    """torcs-data and trigger-rally-data with one car each.
+
+    Bodies are 4 m long; wheels of radius 0.3 m stand at x = 1.2 and -1.4, y = ±0.7.
+    """
+    body = [(n, c * (2, 1.6, 2), color) for n, c, color in make_boxes()]
+    hub = BOX * (0.2, 0.1, 0.2) + (-0.1, 0.4, -0.1)  # the outer side is the left
+    wheel = [("tyre", BOX - 0.5, (0, 0, 0)), ("hub", hub, (1, 1, 1))]
+    to_file = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # x forward, y up
+    base = "usr/share/games/torcs"
+    sections = "".join(
+        f'<section name="{end} {side} Wheel"><attnum name="ypos" unit="m" val="{y}"/>'
+        '<attnum name="ride height" unit="mm" val="100"/></section>'
+        for end in ("Front", "Rear")
+        for side, y in (("Left", 0.7), ("Right", -0.7))
+    )
+    own = (
+        '<?xml version="1.0"?><!DOCTYPE params SYSTEM "p.dtd" [<!ENTITY more SYSTEM '
+        '"more.xml">]><params>&more;<section name="Car"><attstr name="category" '
+        f'val="A"/></section>{sections}<section name="Front Axle"><attnum name="xpos" '
+        'val="1.2"/></section><section name="Rear Axle"><attnum name="xpos" '
+        'val="-1.4"/></section></params>'
+    )
+    wheels = "".join(
+        f'<section name="{end} {side} Wheel"><attnum name="rim diameter" unit="in" '
+        f'val="{0.4 / 0.0254}"/><attnum name="tire width" unit="mm" val="200"/>'
+        '<attnum name="tire height-width ratio" val="0.5"/></section>'
+        for end in ("Front", "Rear")
+        for side in ("Left", "Right")
+    )
+    files = {
+        f"{base}/cars/racer/racer.acc": write_ac(body, to_file),
+        f"{base}/cars/racer/racer-lod1.acc": b"AC3Db\n",
+        f"{base}/cars/racer/racer.xml": own.encode(),
+        f"{base}/cars/racer/readme.txt": "Copyright © 2002 Ann".encode("latin-1"),
+        f"{base}/categories/A.xml": f"<params>{wheels}</params>".encode(),
+        f"{base}/wheels/trb1-5/wheel0.acc": write_ac(wheel, to_file),
+    }
+    write_deb(store, "torcs-data", files)
+
+    to_file = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]  # y forward, z up
+    places = [(x, y) for y in (1.2, -1.4) for x in (0.7, -0.7)]
+    wheels = "".join(f'<wheel pos="{x}, {y}, 0.2" radius="0.3"/>' for x, y in places)
+    vehicle = (
+        '<vehicle><genparams wheelmodel="w.obj" wheelscale="0.1"/><part scale="0.01" '
+        f'model="b.obj">{wheels}</part></vehicle>'
+    )
+    tall = [(n, c * 100, color) for n, c, color in body]
+    # here the outer side is the right
+    round_ = [(n, c * 20 * (1, -1, 1), color) for n, c, color in wheel]
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w") as data:
+        for name in ("fast_wrc", "fast_kit"):
+            data.writestr(f"vehicles/{name}/{name}.vehicle", vehicle)
+            parts = {**write_obj(tall, to_file, "b"), **write_obj(round_, to_file, "w")}
+            for file, content in parts.items():
+                data.writestr(f"vehicles/{name}/{file}", content)
+    path = "usr/share/games/trigger-rally/data.zip"
+    write_deb(store, "trigger-rally-data", {path: archive.getvalue()})
+
+
+def install_commands(tmp_path, monkeypatch, *, commands=("apt-get", "dpkg-deb")):
+    """Makes the fake commands the only ones that are found; the folder they serve."""
+    store, place = tmp_path / "store", tmp_path / "bin"
+    store.mkdir(exist_ok=True)
+    place.mkdir(exist_ok=True)
+    for path in place.iterdir():
+        path.unlink()
+    for name in commands:
+        script = {"apt-get": APT, "dpkg-deb": DPKG}[name].format(store=store)
+        (place / name).write_text(script)
+        os.chmod(place / name, 0o755)
+    monkeypatch.setenv("PATH", str(place))
+    return store
+
+
+def read_log(store):
+    """What the commands were asked, a line each."""
+    return (store / "log").read_text().splitlines() if (store / "log").exists() else []
+
+
+def read_json(path):
+    return json.loads(path.read_text(encoding="utf-8"))

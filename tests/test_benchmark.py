@@ -1,0 +1,271 @@
+"""The benchmark measures what it says; no test here looks at a clock."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from dpc_jax import benchmark
+from dpc_jax.benchmarking import (
+    accuracy,
+    peak,
+    plan,
+    report,
+    scaling,
+    scenes,
+    speed,
+    timing,
+)
+
+TINY = plan.Case(batch=2, points=40, side=8, sigma=1.0)
+
+
+def test_things_compared_take_turns_after_a_round_that_is_not_counted():
+    order = []
+    calls = {name: (lambda n=name: order.append(n)) for name in "ab"}
+    seconds = timing.time_interleaved(calls, rounds=3)
+    assert "".join(order) == "ab" * 4
+    assert [len(v) for v in seconds.values()] == [3, 3]
+
+
+def test_a_call_over_its_budget_is_measured_once():
+    seconds = timing.time_interleaved({"a": dict}, rounds=5, budget_seconds=0.0)
+    assert len(seconds["a"]) == 1
+
+
+def test_every_peer_has_the_engines_gradients():
+    result = speed.compare_with_peers(TINY, rounds=1, seed=0)
+    peers = {"plain JAX"} | ({"PyTorch"} if speed.has_torch() else set())
+    assert set(result["gradient_difference"]) == peers
+    for differences in result["gradient_difference"].values():
+        assert len(differences) == 3  # points, quaternions, masses
+        assert max(differences) < 1e-4  # float32, sums of some hundred terms
+
+
+def test_the_chosen_winner_has_the_gradient_of_the_minimum():
+    result = speed.compare_choices(TINY, num_candidates=3, rounds=1, seed=0)
+    assert set(result["ratio_to_ours"]) == {"min, one by one", "min, all at once"}
+    for differences in result["gradient_difference"].values():
+        assert max(differences) < 1e-5  # the same render, in another order
+
+
+def test_distances_are_relative_and_defined_for_nothing():
+    assert speed.measure_distance(np.ones(4), 2 * np.ones(4)) == 0.5
+    assert speed.measure_distance(np.zeros(4), np.zeros(4)) == 0
+    assert speed.measure_distance(np.ones(4), np.zeros(4)) == np.inf
+
+
+def test_scenes_are_the_same_every_time_and_fill_the_unit_ball():
+    first, second = (
+        scenes.make_scenes(num_points=200, num_sparse=20, seed=5) for _ in range(2)
+    )
+    assert [s.name for s in first] == ["car", "chair", "block", "sparse"]
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one.points, other.points)
+        assert 0.3 < np.linalg.norm(one.points, axis=1).max() < 0.51
+        assert np.linalg.norm(one.pose) == pytest.approx(1)
+        cosine = abs(one.pose @ one.target_pose)
+        assert 20 < np.degrees(2 * np.arccos(cosine)) < 35
+
+
+def test_the_chairs_legs_are_thin():
+    chair = scenes.make_scenes(num_points=4000, num_sparse=1, seed=0)[1].points
+    low = chair[chair[:, 2] < np.quantile(chair[:, 2], 0.1)]
+    corner = low[(low[:, 0] > low[:, 0].mean()) & (low[:, 1] > low[:, 1].mean())]
+    assert len(corner) > 20
+    assert np.ptp(corner[:, :2], axis=0).max() < 0.03  # of a diagonal of 1
+
+
+def make_tiny_plan():
+    return dataclasses.replace(
+        plan.QUICK,
+        rounds=1,
+        base_side=8,
+        sides=(8,),
+        reference_side=8,
+        point_shares=(),
+    )
+
+
+def test_errors_of_an_exact_setting_vanish_and_of_a_rough_one_do_not():
+    tiny = make_tiny_plan()
+    scene = scenes.make_scenes(num_points=30, num_sparse=30, seed=0)[0]
+    settings = [
+        accuracy.Setting("f", "exact", "gaussian", (8,) * 3, dtype="float64"),
+        accuracy.Setting("f", "rough", "trilinear", (8,) * 3),
+    ]
+    records = accuracy.measure_scene(scene, 1.5, plan=tiny, settings=settings)
+    exact, rough = records
+    for kind in ("image", "gradient"):
+        # The reference has the same grid here, so it is the same computation.
+        assert exact[f"{kind}_error"] < 1e-12
+        assert exact[f"{kind}_error_same_grid"] < 1e-12
+        assert 1e-3 < rough[f"{kind}_error"] < 1
+        assert rough[f"{kind}_rounds"] == 1
+
+
+def test_a_cloud_of_pairs_loses_nothing_when_one_of_each_pair_is_kept():
+    """Mass and gradient are scaled to stand for the points left out."""
+    tiny = make_tiny_plan()
+    scene = scenes.make_scenes(num_points=30, num_sparse=60, seed=0)[0]
+    scene = scene._replace(points=np.concatenate([scene.points, scene.points]))
+    half = accuracy.Setting("f", "half", "gaussian", (8,) * 3, share=2, dtype="float64")
+    (record,) = accuracy.measure_scene(scene, 1.5, plan=tiny, settings=[half])
+    assert record["image_error"] < 1e-12
+    assert record["gradient_error"] < 1e-12
+
+
+def test_the_full_plan_asks_for_what_the_report_is_for():
+    labels = [s.label for s in accuracy.list_settings(plan.FULL)]
+    assert len(labels) == len(set(labels))
+    settings = accuracy.list_settings(plan.FULL)
+    assert {s.dtype for s in settings} == {"float32", "float64", "bfloat16"}
+    assert {s.shape[0] for s in settings} == {32, 64, 128}
+    assert {s.share for s in settings} == {1, 2, 4, 8}
+    assert plan.FULL.rounds >= 5
+    # Images are compared in blocks of the coarsest grid's pixels.
+    for side in (*plan.FULL.sides, plan.FULL.reference_side, plan.FULL.base_side):
+        assert side % min(plan.FULL.sides) == 0
+
+
+def make_record(setting, seconds, error, sigma=1.0):
+    record = {"scene": "car", "sigma": sigma, "family": "f", "setting": setting}
+    for kind in ("image", "gradient"):
+        record |= {
+            f"{kind}_error": error,
+            f"{kind}_error_same_grid": error,
+            f"{kind}_seconds": seconds,
+            f"{kind}_rounds": 1,
+        }
+    return record
+
+
+def test_the_soonest_is_the_fastest_that_is_good_enough():
+    records = [
+        make_record("rough", 1e-3, 0.2),
+        make_record("right", 2e-3, 0.01),
+        make_record("slow", 9e-3, 1e-6),
+        make_record("rough", 1e-3, 0.2, sigma=0.3),
+        make_record("less rough", 2e-3, 0.1, sigma=0.3),
+    ]
+    good, none = accuracy.find_soonest(records, kind="image")
+    assert (good["setting"], good["reached"]) == ("right", True)
+    assert (none["setting"], none["reached"]) == ("less rough", False)
+
+
+def make_results():
+    return {
+        "machine": timing.describe_machine(),
+        "command": "python -m dpc_jax.benchmark",
+        "has_torch": False,
+        "seed": 0,
+        "reference_side": 192,
+        "base_side": 64,
+        "speed": [
+            {
+                "kind": "peers",
+                "case": str(plan.FULL.cases[0]),
+                "ours": "ours",
+                "median_seconds": {"ours": 0.01, "plain JAX": 0.02},
+                "seconds": {"ours": [0.01], "plain JAX": [0.02]},
+                "ratio_to_ours": {"plain JAX": 2.0},
+                "gradient_difference": {"plain JAX": [1e-6, 2e-6, 3e-6]},
+            }
+        ],
+        "error": [
+            make_record("one", 1e-3, 0.02),
+            make_record("two", 2e-3, float("inf")),
+        ],
+        "scaling": [
+            {
+                "axis": axis,
+                "subject": subject,
+                "order": order,
+                "base": "B=1",
+                "values": [1, 2],
+                "median_seconds": [0.01, 0.02],
+                "seconds": [[0.01], [0.02]],
+            }
+            for axis, (subject, order) in scaling.AXES.items()
+        ],
+        "memory": [
+            {
+                "case": "B=1",
+                "method": "trilinear",
+                "peak_bytes": 2,
+                "baseline_bytes": 1,
+                "extra_bytes": 1_100_000_000,
+                "limit_bytes": limit,
+                "estimate_bytes": 3,
+                "all_cells_bytes": 4,
+            }
+            for limit in (1_500_000_000, None)
+        ],
+    }
+
+
+def test_the_report_names_every_figure_it_shows_and_leaves_no_other_file(tmp_path):
+    path = report.write_report(tmp_path, make_results())
+    text = path.read_text(encoding="utf-8")
+    figures = {p.name for p in tmp_path.glob("*.png")}
+    assert len(figures) == 5
+    for name in figures:
+        assert f"({name})" in text
+    assert {p.name for p in tmp_path.iterdir()} == figures | {
+        "benchmark.md",
+        "benchmark.json",
+    }
+    assert "PyTorch is not installed and was left out" in text
+    assert "| plain JAX | 20.00 | 2.00 | 3.0e-06 |" in text
+    assert "| 22.7 |" in text  # released code: 2.00 · 250/22
+    assert "| 1.10 | 1.5 |" in text
+
+
+def test_the_json_is_strict_where_an_error_is_infinite(tmp_path):
+    report.write_report(tmp_path, make_results())
+
+    def refuse(name):
+        raise AssertionError(name)
+
+    text = (tmp_path / "benchmark.json").read_text(encoding="utf-8")
+    data = json.loads(text, parse_constant=refuse)
+    assert data["error"][1]["image_error"] is None
+
+
+def test_the_peak_of_a_process_is_its_own_and_not_that_of_its_parent():
+    ballast = np.ones(100_000_000)  # 0.8 GB here
+    assert peak.read_peak() > ballast.nbytes
+    assert 10_000_000 < peak.measure_baseline() < ballast.nbytes
+
+
+def test_a_failing_process_is_one_sentence():
+    with pytest.raises(RuntimeError, match="ended with status 1"):
+        peak._run_child({"method": "trilinear", "seed": 0})
+
+
+@pytest.mark.parametrize("parts", ["speed,sped", ""])
+def test_an_unknown_part_is_refused_in_a_sentence(parts, tmp_path, capsys):
+    arguments = ["--quick", f"--parts={parts}", f"--out={tmp_path / 'new'}"]
+    assert benchmark.main(arguments) == 1
+    assert "Error: parts must be some of speed, error" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+def test_one_command_measures_and_writes(tmp_path, monkeypatch, capsys):
+    tiny = dataclasses.replace(
+        plan.QUICK,
+        rounds=1,
+        scaling_base=TINY,  # programs of the tests above
+        scaling_points=(40,),
+        scaling_sides=(8,),
+        scaling_batches=(2,),
+        scaling_candidates=(3,),
+    )
+    monkeypatch.setattr(benchmark, "QUICK", tiny)
+    assert benchmark.main(["--quick", "--parts=scaling", f"--out={tmp_path}"]) == 0
+    said = capsys.readouterr().out
+    assert "4/4 scaling: K" in said
+    text = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
+    assert "python -m dpc_jax.benchmark --parts=scaling --quick" in text
+    assert (tmp_path / "scaling.png").is_file()

@@ -1,0 +1,210 @@
+"""AC3D files: corners, triangles and colours, as a second reader and by hand."""
+
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from fake_packages import make_boxes, write_ac
+from PIL import Image
+
+from dpc_jax.data import ac3d, polygons
+
+HEAD = 'AC3Db\nMATERIAL "m" rgb 1 0.5 0.25  amb 1 1 1  emis 0 0 0  spec 0 0 0  shi 1  '
+
+
+def write(path, *, body, trans=0):
+    path.write_text(f"{HEAD}trans {trans}\n{body}")
+    return path
+
+
+def make_object(vertices, surfaces, *, more=(), kids=0):
+    """Text of an object; surfaces are (flags, indices), corners get u, v = x, y."""
+    lines = ["OBJECT poly", 'name "part"', *more, f"numvert {len(vertices)}"]
+    lines += ["{} {} {}".format(*v) for v in vertices]
+    lines += [f"numsurf {len(surfaces)}"]
+    for flags, indices in surfaces:
+        lines += [f"SURF {flags}", "mat 0", f"refs {len(indices)}"]
+        lines += [f"{i} {vertices[i][0]} {vertices[i][1]}" for i in indices]
+    return "\n".join([*lines, f"kids {kids}"]) + "\n"
+
+
+SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+
+
+def measure_area(part):
+    a, b, c = np.moveaxis(part.vertices[part.faces], 1, 0)
+    return np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum() / 2
+
+
+def test_objects_are_placed_where_their_parents_are(tmp_path):
+    inner = make_object(SQUARE, [("0x10", range(4))], more=["loc 0 0 5"])
+    outer = make_object(SQUARE, [("0x10", range(4))], more=["loc 1 2 3"], kids=1)
+    path = write(tmp_path / "a.ac", body=f"OBJECT world\nkids 1\n{outer}{inner}")
+    first, second = ac3d.read_parts(path)
+    np.testing.assert_array_equal(first.vertices, np.add(SQUARE, (1, 2, 3)))
+    np.testing.assert_array_equal(second.vertices, np.add(SQUARE, (1, 2, 8)))
+    # rotations multiply rows from the right, as flight simulators read them
+    turned = "rot 0 1 0 -1 0 0 0 0 1"
+    outer = make_object(SQUARE, [], more=[turned], kids=1)
+    path = write(tmp_path / "a.ac", body=outer + inner)
+    (part,) = ac3d.read_parts(path)
+    expected = [(-y, x, 5) for x, y, _ in SQUARE]
+    np.testing.assert_array_equal(part.vertices, expected)
+
+
+def test_polygons_strips_and_lines_are_told_apart(tmp_path):
+    surfaces = [
+        ("0x20", (0, 1, 2)),  # a triangle
+        ("0X34", (0, 1, 3, 3, 2)),  # a strip that turns: one of its triangles is none
+        ("0x1", (0, 1, 2)),  # lines
+        ("0x02", (0, 1)),
+        ("0x10", (0, 1)),  # a polygon without area
+    ]
+    path = write(tmp_path / "a.ac", body=make_object(SQUARE, surfaces))
+    (part,) = ac3d.read_parts(path)
+    assert sorted(sorted(face) for face in part.faces.tolist()) == [
+        [0, 1, 2],
+        [0, 1, 3],
+    ]
+    np.testing.assert_array_equal(part.colors, [[255, 128, 64, 255]] * 2)
+
+
+def test_dents_stay_open():
+    rng = np.random.default_rng(0)
+    dart = [(0, 0, 0), (2, 1, 0), (0, 2, 0), (0.5, 1, 0)]
+    comb = [
+        (0, 0),
+        (5, 0),
+        (5, 3),
+        (4, 3),
+        (4, 1),
+        (3, 1),
+        (3, 3),
+        (2, 3),
+        (2, 1),
+        (0, 1),
+    ]
+    star = [
+        ((1 + i % 2) * np.cos(np.pi * i / 7), (1 + i % 2) * np.sin(np.pi * i / 7))
+        for i in range(14)
+    ]
+    for outline in (dart, [(*p, 0) for p in comb], [(*p, 0) for p in star]):
+        outline = np.array(outline, dtype=np.float64)
+        x, y = outline[:, 0], outline[:, 1]
+        area = abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2  # shoelace
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        for corners in (outline, outline[::-1], np.roll(outline, 3, axis=0)):
+            corners = corners @ turn + 7
+            faces = np.array(polygons.split_polygon(corners))
+            assert len(faces) == len(corners) - 2
+            part = ac3d.Part("", corners, faces, None)
+            # overlapping or outside triangles would add up to more; float64
+            np.testing.assert_allclose(measure_area(part), area, rtol=1e-12)
+
+
+def test_a_dented_quad_is_cut_along_the_inner_diagonal(tmp_path):
+    dart = [(0, 0, 0), (2, 1, 0), (0, 2, 0), (0.5, 1, 0)]
+    for first in range(4):
+        surface = ("0x10", [(first + i) % 4 for i in range(4)])
+        path = write(tmp_path / "a.ac", body=make_object(dart, [surface]))
+        (part,) = ac3d.read_parts(path)
+        np.testing.assert_allclose(measure_area(part), 1.5, rtol=1e-12)
+
+
+def test_a_polygon_that_crosses_itself_still_ends():
+    bow = np.array([(0, 0, 0), (1, 1, 0), (1, 0, 0), (0, 1, 0), (0.5, 2, 0)])
+    assert len(polygons.split_polygon(bow)) == 3
+    assert len(polygons.split_polygon(np.zeros((6, 3)))) == 4
+
+
+def test_textures_colour_faces_and_are_found_elsewhere(tmp_path):
+    pixels = np.zeros((2, 2, 4), np.uint8)  # row 0 is the top, v = 1
+    pixels[0, 0], pixels[0, 1] = (255, 0, 0, 255), (0, 255, 0, 255)
+    pixels[1, 0], pixels[1, 1] = (0, 0, 255, 255), (255, 255, 255, 0)
+    (tmp_path / "liveries/b").mkdir(parents=True)
+    Image.fromarray(pixels).save(tmp_path / "liveries/b/paint.png")
+    corners = [(0.0, 0.5, 0), (0.5, 0.5, 0), (0.5, 1.0, 0), (0.0, 1.0, 0)]
+    quads = [np.add(corners, shift) for shift in ((0, 0, 0), (0.5, 0, 0), (1, -0.5, 0))]
+    clear = [np.add(corners, (0.5, -0.5, 0))]
+    vertices = np.concatenate([*quads, *clear]).tolist()
+    surfaces = [("0x0", range(4 * i, 4 * i + 4)) for i in range(4)]
+    body = make_object(vertices, surfaces, more=['texture "C:\\\\x\\paint.png"'])
+    path = write(tmp_path / "a.ac", body=body)
+    for textures in (None, tmp_path / "none"):
+        (part,) = ac3d.read_parts(path, textures=textures)
+        assert (part.colors == (255, 128, 64, 255)).all()  # the material alone
+    (part,) = ac3d.read_parts(path, textures=tmp_path)
+    seen = part.colors.reshape(4, 2, 4)[:, 0].tolist()
+    assert seen == [  # material times texture, rounded
+        [255, 0, 0, 255],
+        [0, 128, 0, 255],
+        [0, 0, 64, 255],  # beyond 1 the texture repeats
+        [255, 128, 64, 0],
+    ]
+    # the second quad, half as wide on the texture and half of it lower: lower left
+    body = body.replace("numvert", "texrep 0.5 1\ntexoff 0 -0.5\nnumvert")
+    (part,) = ac3d.read_parts(write(tmp_path / "a.ac", body=body), textures=tmp_path)
+    assert part.colors[2].tolist() == [0, 0, 64, 255]
+    path = write(tmp_path / "a.ac", body=make_object(SQUARE, surfaces[:1]), trans=0.75)
+    assert (ac3d.read_parts(path)[0].colors[:, 3] == 64).all()
+
+
+def test_sloppy_files_are_read(tmp_path):
+    square = make_object(
+        SQUARE, [("0x10", range(4))], more=["data 10", "kids", "loc 9"]
+    )
+    spaced = square.replace("refs 4", "refs 4\n\n").replace("\n", "\r\n")
+    path = tmp_path / "a.ac"
+    path.write_bytes(f"{HEAD}trans 0\r\nOBJECT world\r\nkids 3\r\n{spaced}".encode())
+    (part,) = ac3d.read_parts(path)  # three objects announced, one is there
+    assert len(part.faces) == 2
+    # the normals and further texture coordinates of games
+    lines = square.replace("1 1 0\n0 1 0", "1 1 0 0 0 1\n0 1 0 0 0 1")
+    lines = lines.replace("2 1 1\n", "2 1 1 0.3 0.3\n")
+    (part,) = ac3d.read_parts(write(path, body=lines))
+    np.testing.assert_array_equal(part.vertices, SQUARE)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "PLY",
+        f"{HEAD}trans 0\n",
+        HEAD,
+        f"{HEAD}trans 0\nOBJECT world\nkids x\n",
+        f"{HEAD}trans 0\nOBJECT poly\nnumvert 3\n0 0 0\n",
+        f"{HEAD}trans 0\nOBJECT poly\nnumvert 1\n0 0\nnumsurf 0\nkids 0\n",
+        f"{HEAD}trans 0\n" + make_object(SQUARE, [("0x1", (0, 1))]),
+        f"{HEAD}trans 0\n" + make_object(SQUARE, [("0x0", range(4))])[:-80],
+        f"{HEAD}trans 0\n"
+        + make_object(SQUARE, [("0x0", range(4))]).replace("3 0 1", "9 0 1"),
+        f"{HEAD}trans 0\n"
+        + make_object(SQUARE, [("0x0", range(4))]).replace("SURF 0x0", "SURF q"),
+        f"{HEAD}trans 0\n" + "OBJECT group\nkids 1\n" * 5000,
+    ],
+)
+def test_damaged_files_are_named(tmp_path, text):
+    path = tmp_path / "bad.ac"
+    path.write_text(text)
+    with pytest.raises(ValueError, match="bad.ac"):
+        ac3d.read_parts(path)
+    with pytest.raises(ValueError, match="absent.ac"):
+        ac3d.read_parts(tmp_path / "absent.ac")
+
+
+@pytest.mark.skipif(shutil.which("assimp") is None, reason="no second reader here")
+def test_a_second_reader_sees_the_same(tmp_path):
+    path, other = tmp_path / "a.ac", tmp_path / "a.obj"
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    path.write_bytes(write_ac(make_boxes(), turn))
+    subprocess.run(["assimp", "export", path, other], check=True, capture_output=True)
+    lines = [line.split() for line in other.read_text().splitlines()]
+    theirs = np.array([line[1:4] for line in lines if line[:1] == ["v"]], float)
+    faces = sum(len(line) - 3 for line in lines if line[:1] == ["f"])
+    ours = np.concatenate([part.vertices for part in ac3d.read_parts(path)])
+    assert faces == sum(len(part.faces) for part in ac3d.read_parts(path))
+    # text of single precision
+    for x in (np.min, np.max, np.mean):
+        np.testing.assert_allclose(x(ours, 0), x(theirs, 0), atol=2e-5)

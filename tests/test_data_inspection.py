@@ -1,0 +1,367 @@
+"""Looking before training: what a check finds in sets that were damaged on purpose."""
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from dpc_jax.data import (
+    DataSpec,
+    __main__,
+    conventions,
+    inspection,
+    load_or_render,
+    overview,
+    procedural,
+    viewpoints,
+)
+
+LENS = conventions.Lens(focal_length=1.875, distance=2.0, extent=1.0)
+MODELS, VIEWS, SIZE = 5, 4, 48
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    """Folder with one rendered set of chairs, which look different from all sides."""
+    folder = tmp_path_factory.mktemp("cache")
+    spec = DataSpec(
+        "chair", models=MODELS, views=VIEWS, image_size=SIZE, surface_points=5000
+    )
+    load_or_render(spec, cache_dir=folder, processes=1, progress=False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(cache):
+    (path,) = overview.list_caches(cache)
+    data = overview.dataset.read_cache(path)
+    names = ("images", "masks", "depths", "quaternions", "surfaces")
+    return data._replace(**{name: np.array(getattr(data, name)) for name in names})
+
+
+def damage(data, name, index, value):
+    array = np.array(getattr(data, name))
+    array[index] = value
+    return data._replace(**{name: array})
+
+
+def read_findings(data):
+    return [f"{f.level}: {f.text}" for f in inspection.check_set(data, LENS)]
+
+
+def restate(data, change):
+    """The set with every rotation matrix changed."""
+    rotations = Rotation.from_quat(
+        np.asarray(data.quaternions, np.float64).reshape(-1, 4), scalar_first=True
+    ).as_matrix()
+    stored = Rotation.from_matrix(change(rotations)).as_quat(scalar_first=True)
+    return data._replace(quaternions=stored.reshape(data.quaternions.shape))
+
+
+def turn_order(data):
+    return data._replace(quaternions=np.asarray(data.quaternions)[..., [1, 2, 3, 0]])
+
+
+# points with y up, from those with z up and front +x, by where they have their front
+FROM_Y_UP = {
+    "+z": np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]]),  # (front, left, up) of (l, u, f)
+    "-z": np.array([[0, 0, -1], [-1, 0, 0], [0, 1, 0]]),
+    "+x": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
+}
+BLENDER = np.diag([1, -1, -1])
+
+
+def turn_inverse(r):
+    return r.transpose(0, 2, 1)
+
+
+WRONG = {
+    "the inverse, camera to object": lambda d: restate(d, turn_inverse),
+    "the order xyzw": turn_order,
+    "the order xyzw of the inverse": lambda d: turn_order(restate(d, turn_inverse)),
+    "cameras with y up and z backward (OpenGL)": lambda d: restate(
+        d, lambda r: BLENDER @ r
+    ),
+    "camera to object, y up and z backward (NeRF)": lambda d: restate(
+        d, lambda r: turn_inverse(BLENDER @ r)
+    ),
+    "xyzw, y up and z backward (OpenGL)": lambda d: turn_order(
+        restate(d, lambda r: BLENDER @ r)
+    ),
+    "xyzw, camera to object, y up and z backward (NeRF)": lambda d: turn_order(
+        restate(d, lambda r: turn_inverse(BLENDER @ r))
+    ),
+    "cameras with the axes depth, up, right (the paper's code)": lambda d: restate(
+        d, lambda r: np.stack([r[:, 2], -r[:, 1], r[:, 0]], axis=1)
+    ),
+    **{
+        f"objects with y up and front {front}": lambda d, turn=turn: restate(
+            d, lambda r: r @ turn
+        )
+        for front, turn in FROM_Y_UP.items()
+    },
+    **{
+        f"objects with y up and front {front}, y up and z backward (OpenGL)": (
+            lambda d, turn=turn: restate(d, lambda r: BLENDER @ r @ turn)
+        )
+        for front, turn in FROM_Y_UP.items()
+    },
+    **{
+        f"objects with their front at {front}": lambda d, angle=angle: restate(
+            d, lambda r: r @ Rotation.from_euler("z", -angle, degrees=True).as_matrix()
+        )
+        for front, angle in (("-x", 180), ("+y", 90), ("-y", -90))
+    },
+    "images mirrored left to right": lambda d: d._replace(
+        images=d.images[:, :, :, ::-1],
+        masks=d.masks[..., ::-1],
+        depths=d.depths[..., ::-1],
+    ),
+    "images upside down": lambda d: d._replace(
+        images=d.images[:, :, ::-1],
+        masks=d.masks[..., ::-1, :],
+        depths=d.depths[..., ::-1, :],
+    ),
+}
+
+
+def test_a_whole_set_has_no_fault(whole):
+    assert read_findings(whole) == []
+    bare = whole._replace(depths=None, surfaces=None)
+    assert read_findings(bare) == []
+    assert read_findings(bare._replace(quaternions=None)) == []
+
+
+def test_all_conventions_have_a_test():
+    assert set(WRONG) == {convention.name for convention in conventions.OTHERS}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_convention_is_detected_and_named(whole, name):
+    findings = read_findings(WRONG[name](whole))
+    assert len(findings) == 1
+    assert findings[0].startswith("error: the poses follow another convention")
+    named = findings[0].split("convention: ")[1].split(" (overlap")[0]
+    assert named == name
+
+
+def test_without_surfaces_the_views_contradict_each_other(whole):
+    bare = whole._replace(depths=None, surfaces=None)
+    for name in ("the inverse, camera to object", "the order xyzw"):
+        (finding,) = read_findings(WRONG[name](bare))
+        assert finding.startswith("error: the poses follow another convention")
+        assert name in finding
+    # mirrored cameras see the same hull mirrored: silhouettes cannot tell them apart
+    (finding,) = read_findings(WRONG["cameras with y up and z backward (OpenGL)"](bare))
+    assert "OpenGL" in finding and "mirrored" in finding
+    rng = np.random.default_rng(0)
+    lost = bare._replace(
+        quaternions=Rotation.random(20, rng).as_quat().reshape(5, 4, 4)
+    )
+    assert len(read_findings(lost)) == 1
+
+
+def test_poses_of_no_convention_are_told(whole):
+    odd = Rotation.from_euler("xyz", [50, 20, 70], degrees=True).as_matrix()
+    (finding,) = read_findings(restate(whole, lambda r: r @ odd))
+    assert finding.startswith("error: the poses follow no convention")
+
+
+def test_a_single_stray_pose_is_named(whole):
+    away = Rotation.from_euler("y", 60, degrees=True).as_quat(scalar_first=True)
+    (finding,) = read_findings(damage(whole, "quaternions", (2, 3), away))
+    assert finding.startswith("error: 1 of 20 views whose pose")
+    assert f"{whole.names[2]} view 3" in finding
+
+
+def test_a_wrong_scale_is_told(whole):
+    findings = read_findings(whole._replace(surfaces=whole.surfaces * 0.6))
+    assert any("do not fit the masks" in text for text in findings)
+    findings = read_findings(whole._replace(surfaces=whole.surfaces * 0.4))
+    assert any("5 of 5 objects have surface points whose box" in f for f in findings)
+
+
+def test_depth_that_is_not_along_the_axis_is_told(whole):
+    axis = ((np.arange(SIZE) + 0.5) / SIZE - 0.5) / LENS.focal_length
+    stretch = np.sqrt(1 + axis**2 + axis[:, None] ** 2)
+    (finding,) = read_findings(whole._replace(depths=whole.depths * stretch))
+    assert "length of the ray" in finding
+    shifted = np.where(whole.depths > 0, whole.depths + 0.1, 0)
+    (finding,) = read_findings(whole._replace(depths=shifted))
+    assert "off by 0.1" in finding
+    middle = np.where(whole.depths > 0, whole.depths - 2.0, 0)
+    findings = read_findings(whole._replace(depths=middle))
+    assert any("counted from the object's middle" in text for text in findings)
+
+
+# what is damaged, how, and what is said of it; a mask that is gone fits no pose
+ROW = (1, 2)
+DAMAGES = [
+    ("masks", ROW, 0, "error: 1 of 20 views with an empty mask"),
+    ("masks", ROW, 255, "error: 1 of 20 views with a mask that fills the image"),
+    *(
+        ("masks", (*ROW, *rim), 255, "error: 1 of 20 views with an object cut by")
+        for span in [slice(20, 29)]
+        for rim in ((0, span), (-1, span), (span, 0), (span, -1))
+    ),
+    ("depths", (*ROW, 5, 5), np.nan, "error: 1 of 20 views with a depth with NaN"),
+    ("depths", ROW, 0, "error: 1 of 20 views with no depth where"),
+    ("depths", ROW, 5, "error: 1 of 20 views with depth beyond"),
+    ("quaternions", (*ROW, 0), np.nan, "error: 1 of 20 views with a quaternion with"),
+    ("quaternions", (*ROW, 0), np.inf, "error: 1 of 20 views with a quaternion with"),
+    ("quaternions", ROW, 0, "error: 1 of 20 views with a quaternion that is not"),
+    ("images", ROW, 0, "warning: 1 of 20 views with a background that is not white"),
+    ("images", ROW, 255, "warning: 1 of 20 views with an object as white"),
+    (
+        "surfaces",
+        (1, 7, 0),
+        np.nan,
+        "error: 1 of 5 objects have surface points with NaN",
+    ),
+]
+
+
+@pytest.mark.parametrize("name, index, value, said", DAMAGES)
+def test_a_damaged_view_is_named(whole, name, index, value, said):
+    findings = read_findings(damage(whole, name, index, value))
+    place = "" if name == "surfaces" else " view 2"
+    found = [text for text in findings if text.startswith(said)]
+    assert len(found) == 1 and f"{whole.names[1]}{place}" in found[0], findings
+    assert not any("convention" in text for text in findings)
+
+
+def test_tiny_masks_and_quaternions_of_another_length_are_told(whole):
+    tiny = np.zeros((SIZE, SIZE), np.uint8)
+    tiny[20:23, 20:23] = 255
+    data = damage(whole, "masks", ROW, tiny)
+    assert any("below 0.5%" in text for text in read_findings(data))
+    doubled = whole._replace(quaternions=whole.quaternions * 2)
+    (finding,) = read_findings(doubled)  # they still turn the same way
+    assert finding.startswith("error: 20 of 20 views") and "length 1" in finding
+    assert finding.endswith("and 15 more")
+
+
+def test_a_set_without_one_usable_pose_is_told(whole):
+    for value in (np.nan, np.inf):
+        (finding,) = read_findings(
+            whole._replace(quaternions=np.full_like(whole.quaternions, value))
+        )
+        assert finding.startswith("error: 20 of 20 views with a quaternion with NaN")
+
+
+def test_a_set_of_single_views_is_told(whole):
+    names = ("images", "masks", "depths", "quaternions")
+    single = whole._replace(**{name: getattr(whole, name)[:, :1] for name in names})
+    (finding,) = read_findings(single)
+    assert finding.startswith("warning: 5 of 5 objects have fewer than two views")
+
+
+def test_angles_are_those_of_the_camera():
+    for azimuth, elevation, roll in ((0, 0, 0), (130, 35, 0), (-75, -20, 40)):
+        rotation = viewpoints.look_at_rotation(*np.deg2rad((azimuth, elevation)))
+        # the camera turned to the left sees the object turned clockwise
+        rotation = Rotation.from_euler("z", roll, degrees=True).as_matrix() @ rotation
+        angles = overview.read_angles(viewpoints.matrix_to_quaternion(rotation))
+        np.testing.assert_allclose(angles, (azimuth, elevation, roll), atol=1e-9)
+
+
+def run(*arguments):
+    return __main__.main([str(argument) for argument in arguments])
+
+
+def test_a_set_is_listed_and_drawn(cache, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (path,) = overview.list_caches(cache)
+    for folder in (path, cache):  # the set, and the folder that holds it
+        assert run("show", folder, "--out", "sheet.png", "--models", 3) == 0
+        out = capsys.readouterr().out
+        assert "5 chair models, train split, 20 views of 48 x 48" in out
+        assert "views per model: 4" in out and "sheet.png" in out
+        with Image.open("sheet.png") as sheet:
+            # three tiles for each of four views, three models
+            assert sheet.width >= 4 * 3 * overview.TILE
+            assert sheet.height >= 3 * overview.TILE
+            pixels = np.asarray(sheet).reshape(-1, 3)
+        for color in overview.AXES:
+            assert (pixels == color).all(axis=1).sum() > 100
+        assert [p.name for p in tmp_path.iterdir()] == ["sheet.png"]
+    assert run("check", path) == 0
+    assert "no fault found; poses fit" in capsys.readouterr().out
+
+
+def test_the_axes_of_a_sheet_point_where_the_object_does(cache):
+    (path,) = overview.list_caches(cache)
+    with overview.open_set(path) as opened:
+        rotation = viewpoints.look_at_rotation(np.deg2rad(90), 0.0)  # from the left
+        quaternion = viewpoints.matrix_to_quaternion(rotation)
+        picture = Image.new("RGB", (overview.TILE, overview.TILE), "white")
+        overview._draw_axes(picture, quaternion, opened.lens)
+    pixels, middle = np.asarray(picture), overview.TILE / 2
+    rows, columns = {}, {}
+    for name, color in zip(("front", "left", "up"), overview.AXES, strict=True):
+        rows[name], columns[name] = np.nonzero((pixels == color).all(axis=-1))
+    # its front shows to the left of the image, its top upwards
+    assert columns["front"].max() <= middle + 2 and columns["front"].min() < middle - 40
+    assert rows["up"].max() <= middle + 2 and rows["up"].min() < middle - 40
+
+
+def test_several_sets_are_listed_and_a_damaged_one_does_not_hide_others(
+    tmp_path, capsys
+):
+    for split in ("train", "val"):
+        spec = DataSpec("chair", models=2, views=2, image_size=32, split=split)
+        load_or_render(spec, cache_dir=tmp_path, processes=1, progress=False)
+    assert run("show", tmp_path) == 0
+    assert capsys.readouterr().out.count("2 chair models") == 2
+    shard = next(overview.list_caches(tmp_path)[0].glob("shard*"))
+    shard.write_bytes(shard.read_bytes()[:-100])
+    assert run("check", tmp_path) == 1
+    out = capsys.readouterr().out
+    assert shard.name in out and out.count("no fault found") == 1
+    assert run("check", shard.parent) == 1
+    error = capsys.readouterr().err
+    assert shard.name in error and error.count("\n") == 1
+
+
+def test_meshes_and_images_are_prepared_to_be_looked_at(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "meshes").mkdir()
+    for seed in range(3):
+        path = tmp_path / f"meshes/{seed}.ply"
+        procedural.make_shape("chair", seed).export(path)
+    assert run("show", "meshes", "--models", 2) == 0
+    assert "prepared from meshes (meshes)" in capsys.readouterr().out
+    assert (tmp_path / "meshes-sheet.png").exists()
+    assert run("check", "meshes") == 0
+    assert "3 object models" in capsys.readouterr().out
+    for name in ("one", "two", "three"):
+        (tmp_path / "own" / name).mkdir(parents=True)
+        for view in range(2):
+            image = np.zeros((40, 50, 4), np.uint8)
+            image[10 : 30 - view, 15:35] = (200, 30, 30, 255)
+            Image.fromarray(image).save(tmp_path / f"own/{name}/{view}.png")
+    assert run("show", "own", "--out", "own.png") == 0
+    assert run("check", "own") == 0
+    out = capsys.readouterr().out
+    assert "(images)" in out and "no fault found; no poses" in out
+    # nothing is left behind, nothing lies between the images
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "meshes", "meshes-sheet.png", "own", "own.png",
+    ]  # fmt: skip
+    assert len(list((tmp_path / "own").rglob("*.png"))) == 6
+
+
+def test_what_a_folder_is_shows_from_what_it_holds(tmp_path):
+    (tmp_path / "02958343/abc").mkdir(parents=True)
+    assert overview.guess_kind(tmp_path) == "renders"
+    (tmp_path / "02958343/abc/model.obj").write_text("")
+    assert overview.guess_kind(tmp_path) == "shapenet"
+    assert overview.guess_kind(tmp_path / "02958343/abc") == "meshes"
+
+
+def test_a_folder_with_nothing_to_see_is_named(tmp_path, capsys):
+    for folder in (tmp_path, tmp_path / "absent"):
+        for command in ("show", "check"):
+            assert run(command, folder) == 1
+            error = capsys.readouterr().err
+            assert str(folder) in error and error.count("\n") == 1

@@ -1,0 +1,430 @@
+"""Open meshes in one command: canonical frame, origins, families, failures, reruns."""
+
+import os
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+import trimesh
+from fake_packages import (
+    BLUE,
+    GREEN,
+    RED,
+    install_commands,
+    make_boxes,
+    read_json,
+    read_log,
+    write_airplanes,
+    write_deb,
+    write_furniture,
+    write_racing,
+)
+from PIL import Image
+
+from dpc_jax.data import DataSpec, __main__, open_meshes, sources, sweethome3d
+
+CHAIRS = [
+    ("Chair", "plain", "Kitchen", ""),
+    ("Armchair", "round", "Office", "turned"),
+    ("Stool", "high", "Kitchen", ""),
+]
+
+
+def fetch(category, tmp_path):
+    return __main__.main(["fetch", category, "--out", str(tmp_path / "open")])
+
+
+def read_marks(path):
+    """Middle of the box, and of each colour's faces; box diagonal is checked."""
+    mesh = trimesh.load_mesh(path, process=False)
+    low, high = mesh.bounds
+    # float32 of the file, coordinates below 1
+    np.testing.assert_allclose(low, -high, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(high - low), 1, atol=1e-6)
+    colors = mesh.visual.face_colors[:, :3]
+    middle = mesh.triangles.mean(axis=1)
+
+    def find(color):
+        chosen = (colors == np.multiply(color, 255)).all(axis=1)
+        assert chosen.sum() % 12 == 0 and chosen.any(), (path, color)
+        return middle[chosen]
+
+    return mesh, find
+
+
+def assert_upright(path):
+    """Red is in front, green to the left, blue on top."""
+    mesh, find = read_marks(path)
+    size = np.ptp(mesh.vertices, axis=0)
+    front, left, top = (find(c).mean(axis=0) for c in (RED, GREEN, BLUE))
+    assert front[0] > 0.35 * size[0] and abs(front[1]) < 0.05 * size[1]
+    assert left[1] > 0.2 * size[1] and abs(left[0]) < 0.05 * size[0]
+    assert top[2] > 0.2 * size[2] and top[2] > front[2]
+    return mesh
+
+
+def test_chairs_come_upright_with_colours_licence_and_origin(
+    tmp_path, monkeypatch, capsys
+):
+    store = install_commands(tmp_path, monkeypatch)
+    write_furniture(
+        store,
+        [
+            *CHAIRS,
+            ("Wheelchair", "wheelchair", "Misc", ""),
+            ("Table", "table", "Kitchen", ""),
+            ("Seat Leon", "seat_leon", "Vehicles", ""),
+        ],
+    )
+    assert fetch("chair", tmp_path) == 0
+    folder = tmp_path / "open/chair"
+    paths = sorted((folder / "train").glob("*.ply"))
+    assert [p.stem for p in paths] == ["Lib-high", "Lib-plain", "Lib-round"]
+    for path in paths:
+        assert_upright(path)
+        beside = read_json(path.with_suffix(".json"))
+        assert beside["licence"] == "CC-BY-3.0" and beside["author"] == "Ann"
+        assert beside["package"] == "sweethome3d-furniture 1.0-1"
+        assert beside["original"].endswith(f"{path.stem[4:]}.obj")
+    assert set(read_json(folder / "models.json")["models"]) == {
+        f"train/{path.name}" for path in paths
+    }
+    with Image.open(folder / "sheet.png") as sheet:
+        assert sheet.width > 3 * 4 * open_meshes.SHEET_VIEW
+        dark = np.asarray(sheet.convert("L")) < 200
+    for i in range(3):  # each of the three columns shows something
+        assert dark[:, i * sheet.width // 3 :][:, : sheet.width // 3].sum() > 500
+    assert "3 models" in capsys.readouterr().out
+    assert not list((tmp_path / "open").rglob(".making*"))
+    # what is unpacked is gone, the package stays
+    assert sorted(p.name for p in (tmp_path / "open/packages").iterdir()) == [
+        "lock",
+        "sweethome3d-furniture_1.0-1_all.deb",
+    ]
+
+
+def test_chairs_kept_for_testing_and_loungers_stay_out_of_training(
+    tmp_path, monkeypatch
+):
+    store = install_commands(tmp_path, monkeypatch)
+    write_furniture(store, CHAIRS)
+    monkeypatch.setattr(sweethome3d, "RESERVED", ("Lib-round",))
+    monkeypatch.setattr(sweethome3d, "LEFT_OUT", {"Lib-high": "no back"})
+    assert fetch("chair", tmp_path) == 0
+    found = {p.relative_to(tmp_path / "open/chair") for p in tmp_path.rglob("*.ply")}
+    assert {str(p) for p in found} == {"train/Lib-plain.ply", "reserved/Lib-round.ply"}
+
+
+def test_cars_have_their_wheels_in_place_and_the_reserved_stand_apart(
+    tmp_path, monkeypatch
+):
+    store = install_commands(tmp_path, monkeypatch)
+    write_racing(store)
+    vehicles = [("Seat Leon", "leon", "Vehicles", ""), ("Bus", "bus", "Vehicles", "")]
+    write_furniture(store, [*vehicles, *CHAIRS])
+    assert fetch("car", tmp_path) == 0
+    folder = tmp_path / "open/car"
+    assert [p.name for p in (folder / "test").glob("*.ply")] == ["Lib-leon.ply"]
+    assert_upright(folder / "test/Lib-leon.ply")
+    names = ["torcs-racer", "trigger-rally-fast"]
+    assert sorted(p.stem for p in (folder / "train").glob("*.ply")) == names
+    for name in names:
+        mesh = assert_upright(folder / f"train/{name}.ply")
+        scale = 4 / np.ptp(mesh.vertices[:, 0])  # bodies are 4 m long, at the middle
+        _, find = read_marks(folder / f"train/{name}.ply")
+        tyres = find((0, 0, 0)) * scale
+        for x in (1.2, -1.4):
+            for y in (0.7, -0.7):
+                # faces of a cube of side 0.6 (0.2 wide) around its middle
+                near = np.abs(tyres[:, :2] - (x, y)).max(axis=1) < 0.31
+                assert near.sum() == 12
+                middle = tyres[near].mean(axis=0)
+                np.testing.assert_allclose(middle[:2], (x, y), atol=1e-5)
+        # the hubs, outwards
+        hubs = np.abs(find((1, 1, 1))[:, 1]) * scale
+        assert len(hubs) == 4 * 12 and hubs.min() > 0.7
+        # the floor lies 0.1 m below the body: middle of the box from its corners
+        height = np.ptp(mesh.vertices[:, 2]) * scale
+        np.testing.assert_allclose(height, 1.6 + 0.1, atol=1e-5)
+    authors = {n: read_json(folder / f"train/{n}.json")["author"] for n in names}
+    assert authors["torcs-racer"] == "© 2002 Ann"
+
+
+def test_airplanes_lose_their_discs_and_keep_their_families(tmp_path, monkeypatch):
+    store = install_commands(tmp_path, monkeypatch)
+    disc = make_boxes()[0][1] * (0.01, 9, 9)
+    planes = {
+        name: {
+            "Models/a.ac": [
+                *make_boxes(height=0.3 + 0.02 * i),
+                ("propdisc", disc, (1, 1, 1)),
+                ("left Halo", disc, (1, 1, 1)),
+                ("propeller.2", disc, (1, 1, 1, 0.9)),
+                ("hidden", disc, (1, 1, 1, 1.0)),
+            ],
+            "Models/lights/large.ac": make_boxes() * 9,
+            "Models/small.ac": make_boxes()[:1],
+        }
+        for i, name in enumerate(("733", "734", "735", "747", "E-2C", "Cub", "F-15"))
+    }
+    planes["Ferry"] = {"Ferry.ac": make_boxes()}
+    planes["nothing"] = {"notes.txt": make_boxes()}
+    write_airplanes(store, planes)
+    assert fetch("airplane", tmp_path) == 0
+    folder = tmp_path / "open/airplane/train"
+    paths = sorted(folder.glob("*.ply"))
+    assert [p.stem for p in paths] == [
+        "733",
+        "734",
+        "735",
+        "747",
+        "Cub",
+        "E-2C",
+        "F-15",
+    ]
+    for path in paths:
+        mesh = assert_upright(path)
+        assert len(mesh.faces) == 4 * 12  # nothing but the four boxes is left
+    families = read_json(folder / "families.json")
+    assert len(set(families.values())) == 5
+    assert families["733.ply"] == families["734.ply"] == families["735.ply"]
+    for seed in range(8):
+        sides = [
+            {families[source.name] for source in sources.list_sources(spec)}
+            for spec in (
+                DataSpec("airplane", folder=str(folder), split=split, seed=seed)
+                for split in sources.SPLITS
+            )
+        ]
+        assert sum(len(side) for side in sides) == len(set.union(*sides)) == 5
+
+
+def test_a_second_call_does_nothing(tmp_path, monkeypatch):
+    store = install_commands(tmp_path, monkeypatch)
+    write_furniture(store, CHAIRS)
+    assert fetch("chair", tmp_path) == 0
+    assert read_log(store) == ["download sweethome3d-furniture", "dpkg-deb -x"]
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "open/chair").rglob("*")}
+    install_commands(tmp_path, monkeypatch, commands=())
+    shutil.rmtree(tmp_path / "open/packages")
+    assert fetch("chair", tmp_path) == 0
+    after = {p: p.stat().st_mtime_ns for p in (tmp_path / "open/chair").rglob("*")}
+    assert after == before
+
+
+def test_a_conversion_that_was_stopped_goes_on(tmp_path, monkeypatch, capsys):
+    store = install_commands(tmp_path, monkeypatch)
+    write_furniture(store, CHAIRS)
+    make, made = sweethome3d.make_mesh, []
+
+    def stop_at_second(model, folder):
+        if made:
+            raise KeyboardInterrupt
+        made.append(model.name)
+        return make(model, folder)
+
+    monkeypatch.setattr(sweethome3d, "make_mesh", stop_at_second)
+    assert fetch("chair", tmp_path) == 130
+    assert "goes on" in capsys.readouterr().err
+    folder = tmp_path / "open/chair"
+    assert not (folder / "models.json").exists()
+    assert len(list(folder.rglob("*.ply"))) == 1
+    (folder / ".making-killed").mkdir()  # as a process that was killed leaves
+
+    def count(model, folder):
+        made.append(model.name)
+        return make(model, folder)
+
+    monkeypatch.setattr(sweethome3d, "make_mesh", count)
+    assert fetch("chair", tmp_path) == 0
+    assert sorted(made) == ["Lib-high", "Lib-plain", "Lib-round"]
+    assert read_log(store).count("download sweethome3d-furniture") == 1
+    assert not list(folder.glob(".making*"))
+
+
+def test_a_download_that_was_cut_goes_on(tmp_path, monkeypatch, capsys):
+    store = install_commands(tmp_path, monkeypatch)
+    write_furniture(store, CHAIRS)
+    (store / "fails").write_text(
+        "E: Failed to fetch http://host/x  Could not resolve\n"
+    )
+    assert fetch("chair", tmp_path) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "sweethome3d-furniture" in error and "connect to the network" in error
+    (store / "fails").unlink()
+    assert fetch("chair", tmp_path) == 0
+    assert "resumed" in read_log(store)
+    assert not list((tmp_path / "open/packages").glob("*.partial"))
+
+
+def test_an_unpacking_that_was_cut_starts_anew(tmp_path, monkeypatch):
+    store = install_commands(tmp_path, monkeypatch)
+    write_furniture(store, CHAIRS)
+    left = tmp_path / "open/packages/sweethome3d-furniture.tmp/usr"
+    left.mkdir(parents=True)
+    (left / "half").write_text("")
+    assert fetch("chair", tmp_path) == 0
+
+
+@pytest.mark.parametrize(
+    "commands, said, words",
+    [
+        ((), "", ("apt-get", "not installed", "Debian", "_VERSION.deb", "packages")),
+        (("apt-get",), "", ("dpkg-deb", "not installed", "dpkg")),
+        (
+            ("apt-get", "dpkg-deb"),
+            "W: a warning\nE: Unable to locate package sweethome3d-furniture\n",
+            ("E: Unable to locate", "apt-get update", "_VERSION.deb"),
+        ),
+        (
+            ("apt-get", "dpkg-deb"),
+            "E: You don't have enough free space\n",
+            ("enough free space", "mend that"),
+        ),
+    ],
+)
+def test_what_is_missing_is_told_in_one_sentence(
+    tmp_path, monkeypatch, capsys, commands, said, words
+):
+    store = install_commands(tmp_path, monkeypatch, commands=commands)
+    write_furniture(store, CHAIRS)
+    if said:
+        (store / "fails").write_text(said)
+    assert fetch("chair", tmp_path) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("Error: expected") and error.count("\n") == 1
+    for word in words:
+        assert word in error
+    assert not (tmp_path / "open/chair").exists()
+
+
+def test_a_package_put_there_by_hand_needs_no_apt(tmp_path, monkeypatch):
+    store = install_commands(tmp_path, monkeypatch, commands=("dpkg-deb",))
+    packages = tmp_path / "open/packages"
+    packages.mkdir(parents=True)
+    write_furniture(packages, CHAIRS)
+    assert fetch("chair", tmp_path) == 0
+    assert read_log(store) == ["dpkg-deb -x"]
+
+
+def test_damaged_and_foreign_packages_are_named(tmp_path, monkeypatch, capsys):
+    store = install_commands(tmp_path, monkeypatch)
+    package = store / "sweethome3d-furniture_1.0-1_all.deb"
+    package.write_bytes(b"no archive")
+    assert fetch("chair", tmp_path) == 1
+    error = capsys.readouterr().err
+    assert package.name in error and "delete the file" in error
+    sh3f = "usr/share/sweethome3d/furniture/Lib.sh3f"
+    for files in ({"usr/share/doc/readme": b"moved"}, {sh3f: b"no archive"}):
+        shutil.rmtree(tmp_path / "open")
+        write_deb(store, "sweethome3d-furniture", files)
+        assert fetch("chair", tmp_path) == 1
+        error = capsys.readouterr().err
+        assert package.name in error and "delete the file" in error
+        assert error.count("\n") == 1
+
+
+def test_a_damaged_model_is_skipped_and_named(tmp_path, monkeypatch, capsys):
+    store = install_commands(tmp_path, monkeypatch)
+    write_furniture(store, [*CHAIRS, ("Chair", "broken", "Kitchen", "damaged")])
+    assert fetch("chair", tmp_path) == 0
+    out = capsys.readouterr().out
+    assert "skipped Lib-broken" in out and "broken.obj" in out
+    assert len(list((tmp_path / "open/chair").rglob("*.ply"))) == 3
+    shutil.rmtree(tmp_path / "open")
+    write_furniture(store, [("Chair", "broken", "Kitchen", "damaged")])
+    assert fetch("chair", tmp_path) == 1
+    assert "broken.obj" in capsys.readouterr().err
+    assert not (tmp_path / "open/chair/models.json").exists()
+
+
+def test_a_model_that_is_gone_or_cut_is_made_again_and_a_changed_one_is_kept(
+    tmp_path, monkeypatch
+):
+    store = install_commands(tmp_path, monkeypatch)
+    write_furniture(store, CHAIRS)
+    assert fetch("chair", tmp_path) == 0
+    folder = tmp_path / "open/chair/train"
+    data = {p.name: p.read_bytes() for p in folder.glob("*.ply")}
+    (folder / "Lib-plain.ply").unlink()
+    (folder / "Lib-round.json").unlink()
+    (folder / "Lib-high.ply").write_bytes(b"mine")
+    (folder / "families.json").unlink()
+    assert fetch("chair", tmp_path) == 0
+    assert {p.name: p.read_bytes() for p in folder.glob("*.ply")} == data
+    assert (folder / "Lib-high.ply.changed").read_bytes() == b"mine"
+    assert len(read_json(folder / "families.json")) == 3
+
+
+def test_two_at_once_do_not_meet(tmp_path, monkeypatch, capsys):
+    fcntl = pytest.importorskip("fcntl")
+    store = install_commands(tmp_path, monkeypatch)
+    write_furniture(store, CHAIRS)
+    packages = tmp_path / "open/packages"
+    packages.mkdir(parents=True)
+    with open(packages / "lock", "w") as file:
+        fcntl.flock(file, fcntl.LOCK_SH)  # nobody else can have it alone
+        assert fetch("chair", tmp_path) == 1
+    assert "another process" in capsys.readouterr().err
+    assert read_log(store) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch, capsys):
+    install_commands(tmp_path, monkeypatch)
+    (tmp_path / "open").mkdir(mode=0o500)
+    assert fetch("chair", tmp_path) == 1
+    assert str(tmp_path / "open/packages") in capsys.readouterr().err
+
+
+def test_a_file_where_the_folder_should_be_is_named(tmp_path, monkeypatch, capsys):
+    install_commands(tmp_path, monkeypatch)
+    (tmp_path / "open").write_text("")
+    assert fetch("chair", tmp_path) == 1
+    error = capsys.readouterr().err
+    assert str(tmp_path / "open") in error and error.count("\n") == 1
+
+
+@pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="no dpkg-deb here")
+def test_a_real_package_is_unpacked_by_the_real_command(tmp_path, monkeypatch):
+    path = os.environ["PATH"]
+    store = install_commands(tmp_path, monkeypatch, commands=("apt-get",))
+    tree, packages = tmp_path / "tree", tmp_path / "open/packages"
+    packages.mkdir(parents=True)
+    write_furniture(store, CHAIRS)
+    shutil.unpack_archive(store / "sweethome3d-furniture_1.0-1_all.deb", tree, "tar")
+    (tree / "DEBIAN").mkdir()
+    (tree / "DEBIAN/control").write_text(
+        "Package: sweethome3d-furniture\nVersion: 1.0-1\nArchitecture: all\n"
+        "Maintainer: A <a@example.org>\nDescription: a test\n"
+    )
+    monkeypatch.setenv("PATH", path)
+    package = packages / "sweethome3d-furniture_1.0-1_all.deb"
+    subprocess.run(
+        ["dpkg-deb", "--root-owner-group", "-b", tree, package],
+        check=True,
+        capture_output=True,
+    )
+    assert fetch("chair", tmp_path) == 0
+    assert len(list((tmp_path / "open/chair/train").glob("*.ply"))) == 3
+
+
+def test_families_and_equal_files_stay_together(tmp_path):
+    for i in range(9):
+        side = 1 + 0.1 * (i // 2 if i < 4 else i)  # 0, 1 and 2, 3 are equal files
+        trimesh.creation.box(extents=[side, 1, 1]).export(tmp_path / f"{i}.ply")
+    families = '{"1.ply": "a", "2.ply": "a", "4.ply": "b", "5.ply": "b", "x": "c"}'
+    (tmp_path / "families.json").write_text(families)
+    for seed in range(10):
+        sides = []
+        for split in sources.SPLITS:
+            spec = DataSpec("car", folder=str(tmp_path), split=split, seed=seed)
+            sides.append({source.name[0] for source in sources.list_sources(spec)})
+        assert sum(len(side) for side in sides) == 9
+        assert sum({"0", "1", "2", "3"} <= side for side in sides) == 1
+        assert sum({"4", "5"} <= side for side in sides) == 1
+    (tmp_path / "families.json").write_text('["1.ply"]')
+    with pytest.raises(ValueError, match="families.json"):
+        sources.list_sources(spec)

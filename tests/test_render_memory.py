@@ -1,0 +1,71 @@
+"""What a call will take, told beforehand."""
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+import dpc_jax
+
+N, D = 200, 16
+POINTS = jax.ShapeDtypeStruct((N, 3), "float32")
+ROTATION = jax.ShapeDtypeStruct((4,), "float32")
+GRID = dpc_jax.VoxelGrid(D)
+VOLUME = 4 * (D + 2) ** 3  # bytes of one, with a border
+# Of a tuple of results the compiler counts the pointers too.
+POINTERS = 64
+
+
+def estimate(**arguments):
+    return dpc_jax.estimate_memory(POINTS, ROTATION, grid=GRID, **arguments)
+
+
+def test_inputs_and_images_are_counted_to_the_byte():
+    sizes = estimate(sigma=1.0)
+    numbers = 4 * 4  # sigma alone, or with the camera's; none is larger
+    assert 4 * (3 * N + 4) <= sizes.arguments <= 4 * (3 * N + 4) + numbers
+    assert 4 * D * D <= sizes.outputs <= 4 * D * D + POINTERS
+    assert sizes.total == sizes.arguments + sizes.outputs + sizes.temporary
+
+
+def test_an_array_and_what_stands_for_it_take_the_same():
+    arrays = dpc_jax.estimate_memory(
+        jnp.zeros((N, 3)), jnp.ones(4), sigma=1.0, grid=GRID
+    )
+    assert arrays == estimate(sigma=1.0)
+
+
+def test_a_gradient_comes_with_the_size_of_every_array_it_is_taken_to():
+    sizes = estimate(
+        sigma=jax.ShapeDtypeStruct((), "float32"),
+        scale=jax.ShapeDtypeStruct((N,), "float32"),
+        gradient=True,
+    )
+    gradients = 4 * (3 * N + 4 + 1 + N)
+    expected = 4 * D * D + gradients
+    assert expected <= sizes.outputs <= expected + POINTERS
+    # The cotangent of the image comes in.
+    assert sizes.arguments >= gradients + 4 * D * D
+    # No stack of volumes: the density, its smoothing passes and its cotangent.
+    assert VOLUME <= sizes.temporary <= 9 * VOLUME  # 5.8 when written
+
+
+def test_a_gaussian_of_its_own_per_point_never_takes_cells_times_points():
+    points = jax.ShapeDtypeStruct((4000, 3), "float32")
+    sizes = dpc_jax.estimate_memory(
+        points, ROTATION, sigma=1.0, method="gaussian", grid=GRID, gradient=True
+    )
+    assert sizes.total < 4 * 4000 * D**3 / 10
+
+
+def test_what_project_refuses_is_refused_in_its_words():
+    with pytest.raises(ValueError, match=r"points must have shape \[N, 3\]"):
+        dpc_jax.estimate_memory(ROTATION, ROTATION, sigma=1.0)
+    with pytest.raises(TypeError, match="colour"):
+        dpc_jax.estimate_memory(POINTS, ROTATION, sigma=1.0, colour=1)
+
+
+def test_numbers_and_lists_are_taken_as_project_takes_them():
+    sizes = dpc_jax.estimate_memory(
+        jnp.zeros((2, 3)), [1.0, 0, 0, 0], sigma=1, grid=dpc_jax.VoxelGrid(4)
+    )
+    assert sizes.outputs >= 4 * 4 * 4
