@@ -11,6 +11,7 @@ from dpc_jax.render import Camera as Camera
 from dpc_jax.render import MemoryEstimate as MemoryEstimate
 from dpc_jax.render import Projection as Projection
 from dpc_jax.render import VoxelGrid as VoxelGrid
+from dpc_jax.render import compensate_widening as compensate_widening
 from dpc_jax.render import estimate_memory as estimate_memory
 from dpc_jax.render import mass_of_peak as mass_of_peak
 from dpc_jax.render import opacity as opacity

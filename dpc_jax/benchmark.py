@@ -39,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"Error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("Interrupted; nothing was written.", file=sys.stderr)
+        print(f"Interrupted; whole parts are in {options.out}.", file=sys.stderr)
         return 130
     print(f"Report: {path}")
     return 0

@@ -91,9 +91,7 @@ def validate(config: ml_collections.ConfigDict):
     )
     for name in ("keep_start", "keep_end"):
         expect(0 < render[name] <= 1, f"render.{name}", "above 0 and at most 1")
-    expect(
-        0 < render.anneal_until <= 1, "render.anneal_until", "above 0 and at most 1"
-    )
+    expect(0 < render.anneal_until <= 1, "render.anneal_until", "above 0 and at most 1")
     for name in ("sigma_start", "sigma_end"):
         expect(0 <= render[name] <= 1, f"render.{name}", "between 0 and 1")
     expect(
@@ -114,6 +112,7 @@ def validate(config: ml_collections.ConfigDict):
     expect(0.1 <= data.fill <= 1, "data.fill", "between 0.1 and 1")
     expect(0 <= data.surface_voxel < 1, "data.surface_voxel", "at least 0 and below 1")
     expect(data.shapenet_front in FRONTS, "data.shapenet_front", f"one of {FRONTS}")
+    expect(0 <= data.own_test <= 0.5, "data.own_test", "between 0 and 0.5")
     expect(
         not data.split_file or Path(data.split_file).is_file(),
         "data.split_file",
@@ -194,7 +193,11 @@ def _count_classes(config: ml_collections.ConfigDict) -> int:
 
 
 def make_data_specs(config: ml_collections.ConfigDict) -> dict[str, DataSpec]:
-    """Specifications of the splits "train", "val" and "test"."""
+    """Specifications of the splits "train", "val" and "test".
+
+    And of "own" where, beside `data.test_meshes`, objects of the training source are to
+    be tested apart.
+    """
     d, r = config.data, config.render
     shared = {
         "category": config.category,
@@ -215,7 +218,8 @@ def make_data_specs(config: ml_collections.ConfigDict) -> dict[str, DataSpec]:
             for split, count in counts.items()
         }
     else:
-        fractions = (0.9, 0.1, 0.0) if d.test_meshes else (0.8, 0.1, 0.1)
+        tested = d.own_test if d.test_meshes else 0.1
+        fractions = (0.9 - tested, 0.1, tested)
         stretch = {"copies": d.copies, "scale_amount": d.stretch}
         stretch = {} if kind in ("renders", "images") else stretch
         source = {
@@ -238,6 +242,8 @@ def make_data_specs(config: ml_collections.ConfigDict) -> dict[str, DataSpec]:
             for split in ("train", "val", "test")
         }
     if d.test_meshes:
+        if d.own_test and kind:
+            specs["own"] = specs["test"]
         specs["test"] = DataSpec(
             split="test", folder=d.test_meshes, fractions=(0, 0, 1), **shared
         )

@@ -18,6 +18,7 @@ def default_config(category: str) -> ml_collections.ConfigDict:
     d.renders = ""  # folder of the renders published with the paper's code, or ""
     d.images = ""  # folder of your own images, one folder of views per object, or ""
     d.test_meshes = ""  # folder to test on; "" for a part of the same source
+    d.own_test = 0.0  # with test_meshes, share of the source to be tested on apart
     d.split_file = ""  # official split of ShapeNet; "": looked for in the folder
     d.shapenet_front = ""  # axis its models face, "-z" for instance; "": its version's
     d.ground_truth = ""  # folder of MODEL.mat for the renders; "": looked for

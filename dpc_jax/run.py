@@ -1,29 +1,23 @@
 """One run from config to report: data, training, evaluation, report."""
 
 import os
-import resource
 import signal
 import sys
 import time
 from pathlib import Path
 
 import ml_collections
-import numpy as np
 
 from dpc_jax import configuration
 from dpc_jax.data import load_or_render
-from dpc_jax.evaluation import candidates as candidate_use
-from dpc_jax.evaluation.alignment import align_points, identity_alignment
+from dpc_jax.evaluation.alignment import identity_alignment
 from dpc_jax.learning import evaluator, loop
 from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.log import MetricLog
 from dpc_jax.learning.step import init_state
 from dpc_jax.process import keep_freed_memory
-from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.page import REQUIRED_METRICS, write_report
+from dpc_jax.run_report import report_run
 from dpc_jax.workdir import claim_workdir
-
-EXAMPLES = 8  # test inputs shown in the report
 
 
 def run_guarded(config, *, config_path: str, workdir: str | None) -> int:
@@ -140,12 +134,15 @@ def run(config: ml_collections.ConfigDict, *, config_path: str, workdir: str | N
             "same workdir to go on."
         )
         return
-    _report(
+    predictions = {
+        name: predict(outcome.state, name) for name in ("test", "own") if name in sets
+    }
+    report_run(
         workdir,
         config,
         sets,
         outcome,
-        predictions=predict(outcome.state, "test"),
+        predictions=predictions,
         alignment=align(predict(outcome.state, "val")),
         records=log.read(),
         data_seconds=data_seconds,
@@ -166,113 +163,6 @@ def _check_poses(config, sets):
             f"{' and '.join(lacking)} images come without; add poses.json or "
             "transforms.json to every object, or set --config.pose.known=False."
         )
-
-
-def _name_left_out(dataset) -> list[str]:
-    """A sentence on the metrics that a test set has no truth for."""
-    if dataset.quaternions is None:
-        return [
-            "The test images come without poses and true shapes: pose errors, Chamfer "
-            "distance, precision and coverage are left out."
-        ]
-    if dataset.surfaces is None:
-        return [
-            "The test images come without true shapes: Chamfer distance, precision and "
-            "coverage are left out."
-        ]
-    return []
-
-
-def _report(
-    workdir,
-    config,
-    sets,
-    outcome,
-    *,
-    predictions,
-    alignment,
-    records,
-    data_seconds,
-    num_candidates,
-):
-    """Score the test split and write WORKDIR/report."""
-    test = sets["test"]
-    result, shares = evaluator.score(
-        predictions, test, alignment=alignment, num_candidates=num_candidates
-    )
-    metrics = dict.fromkeys(REQUIRED_METRICS) | result.metrics
-    metrics |= {
-        "train_seconds": round(outcome.seconds, 1),
-        "data_seconds": round(data_seconds, 1),
-        # Linux gives kilobytes; render processes are not counted in.
-        "peak_memory_gb": round(
-            resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2
-        ),
-        "steps": int(outcome.state.step),
-        "train_models": len(sets["train"].names),
-        "test_models": len(test.names),
-        "candidates_alive": candidate_use.count_alive(shares),
-        "alignment_inlier_share": (
-            None if test.quaternions is None else alignment.inlier_share
-        ),
-    }
-    warnings = _name_left_out(test)
-    if num_candidates > 1:
-        warning = candidate_use.collapse_warning(shares)
-        warnings += [warning] if warning else []
-    skipped = [s for split in sets.values() for s in split.skipped]
-    if skipped:
-        named = "; ".join(f"{name}: {reason}" for name, reason in skipped[:10])
-        warnings.append(f"{len(skipped)} models were skipped ({named}).")
-    remarks = [r for split in sets.values() for r in split.remarks]
-    if remarks:
-        named = "; ".join(f"{name}: {remark}" for name, remark in remarks[:10])
-        warnings.append(f"{len(remarks)} remarks on the data ({named}).")
-    path = write_report(
-        workdir / "report",
-        title=f"dpc_jax: {workdir.name}",
-        metrics=metrics,
-        records=records,
-        examples=_make_examples(predictions, test, alignment, result),
-        pose_errors=result.pose_errors_deg,  # None: no such figure
-        shares=shares if num_candidates > 1 else None,
-        warnings=warnings,
-        config_text=str(config),
-    )
-    for warning in warnings:
-        print(f"Warning: {warning}")
-    shown = (
-        ("pose_accuracy", "pose accuracy {:.3f}"),
-        ("pose_median_error_deg", "median error {:.1f}°"),
-        ("chamfer", "Chamfer {:.2f}"),
-        ("silhouette_iou", "silhouette overlap {:.3f}"),
-    )
-    found = [t.format(metrics[n]) for n, t in shown if metrics.get(n) is not None]
-    print(f"Test: {', '.join(found)} after {outcome.seconds:.0f} s of training.")
-    print(f"Report: {path}")
-
-
-def _make_examples(predictions, dataset, alignment, result) -> list[Example]:
-    """The first views of test models spread over the split."""
-    models, views = evaluator.arrange_views(dataset)
-    errors, colors = result.pose_errors_deg, predictions.colors
-    examples = []
-    for row in np.linspace(0, len(models) - 1, min(EXAMPLES, len(models))).astype(int):
-        model, view = models[row, 0], views[row, 0]
-        surfaces = dataset.surfaces
-        examples.append(
-            Example(
-                name=dataset.names[model],
-                image=np.asarray(dataset.images[model, view]),
-                target=np.asarray(dataset.masks[model, view]) / 255,
-                predicted=predictions.silhouettes[row, 0],
-                points=align_points(alignment, predictions.points[row, 0]),
-                colors=None if colors is None else colors[row, 0],
-                pose_error_deg=None if errors is None else float(errors[row, 0]),
-                surface=None if surfaces is None else np.asarray(surfaces[model]),
-            )
-        )
-    return examples
 
 
 class _StopSignal:

@@ -50,6 +50,40 @@ def termination(occupancy):
     return probabilities, passed
 
 
+def place(
+    points,
+    rotation,
+    *,
+    shape,
+    focal_length=1.875,
+    distance=2.0,
+    extent=1.0,
+    translation=None,
+    orthographic=False,
+):
+    """Continuous (row, col, depth) index [N, 3] of points of the object."""
+    rotation = np.asarray(rotation, float)
+    if rotation.shape == (4,):
+        rotation = Rotation.from_quat(rotation, scalar_first=True).as_matrix()
+    moved = np.asarray(points, float) @ rotation.T
+    if translation is not None:
+        moved = moved + translation
+    x, y, z = moved[:, 0], moved[:, 1], moved[:, 2] + distance
+    if orthographic:
+        u, v = x, y
+    else:
+        u, v = focal_length * x / z, focal_length * y / z
+    rows, cols, depth = shape
+    return np.stack(
+        [
+            (v / extent + 0.5) * rows - 0.5,
+            (u / extent + 0.5) * cols - 0.5,
+            ((z - distance) / extent + 0.5) * depth - 0.5,
+        ],
+        axis=-1,
+    )
+
+
 def project(
     points,
     rotation,
@@ -65,30 +99,28 @@ def project(
     orthographic=False,
     background_depth=10.0,
     background_color=1.0,
+    fill=None,
 ):
-    """Silhouette, depth and colour of a cloud as the conventions write them."""
-    rotation = np.asarray(rotation, float)
-    if rotation.shape == (4,):
-        rotation = Rotation.from_quat(rotation, scalar_first=True).as_matrix()
-    moved = np.asarray(points, float) @ rotation.T
-    if translation is not None:
-        moved = moved + translation
-    x, y, z = moved[:, 0], moved[:, 1], moved[:, 2] + distance
-    if orthographic:
-        u, v = x, y
-    else:
-        u, v = focal_length * x / z, focal_length * y / z
-    rows, cols, depth = shape
-    coordinates = np.stack(
-        [
-            (v / extent + 0.5) * rows - 0.5,
-            (u / extent + 0.5) * cols - 0.5,
-            ((z - distance) / extent + 0.5) * depth - 0.5,
-        ],
-        axis=-1,
+    """Silhouette, depth and colour of a cloud as the conventions write them.
+
+    `fill` makes a volume of coordinates [N, 3] and values [N]; by default the fast
+    method's.
+    """
+    if fill is None:
+        fill = lambda where, what: smooth(splat(where, what, shape), sigma)  # noqa: E731
+    coordinates = place(
+        points,
+        rotation,
+        shape=shape,
+        focal_length=focal_length,
+        distance=distance,
+        extent=extent,
+        translation=translation,
+        orthographic=orthographic,
     )
+    depth = shape[2]
     masses = np.broadcast_to(scale, len(points))
-    density = smooth(splat(coordinates, masses, shape), sigma)
+    density = fill(coordinates, masses)
     probabilities, background = termination(np.clip(density, 0, 1))
     depths = distance + ((np.arange(depth) + 0.5) / depth - 0.5) * extent
     images = {
@@ -98,7 +130,7 @@ def project(
     if colors is not None:
         channels = []
         for channel in np.asarray(colors, float).T:
-            weighted = smooth(splat(coordinates, masses * channel, shape), sigma)
+            weighted = fill(coordinates, masses * channel)
             mean = np.divide(
                 weighted, density, out=np.zeros_like(density), where=density > 0
             )

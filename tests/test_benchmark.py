@@ -15,6 +15,7 @@ from dpc_jax.benchmarking import (
     scaling,
     scenes,
     speed,
+    suite,
     timing,
 )
 
@@ -269,3 +270,21 @@ def test_one_command_measures_and_writes(tmp_path, monkeypatch, capsys):
     text = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
     assert "python -m dpc_jax.benchmark --parts=scaling --quick" in text
     assert (tmp_path / "scaling.png").is_file()
+
+
+def test_parts_before_a_failing_one_are_kept(tmp_path, monkeypatch, capsys):
+    def fail():
+        raise RuntimeError("no memory left")
+
+    done = make_results()["scaling"]
+    tasks = {
+        "scaling": lambda plan: [("N", lambda: done)],
+        "memory": lambda plan: [("one", lambda: [{}]), ("two", fail)],
+    }
+    monkeypatch.setattr(suite, "_TASKS", tasks)
+    arguments = ["--parts=memory,scaling", f"--out={tmp_path}"]
+    assert benchmark.main(arguments) == 1
+    assert "Error: no memory left" in capsys.readouterr().err
+    text = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
+    assert "## Growth" in text
+    assert "## Memory" not in text

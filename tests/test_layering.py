@@ -93,6 +93,7 @@ def test_the_public_names_are_these():
         "align",
         "chamfer_distance",
         "choose_candidate",
+        "compensate_widening",
         "estimate_memory",
         "mass_of_peak",
         "opacity",

@@ -143,6 +143,9 @@ def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
     specs = configuration.make_data_specs(config)
     assert {s.folder for s in specs.values()} == {"meshes"}
     assert {s.fractions for s in specs.values()} == {(0.8, 0.1, 0.1)}
+    config.data.own_test = 0.2  # of no meaning without another folder
+    assert configuration.make_data_specs(config) == specs
+    config.data.own_test = 0.0
     config.data.test_meshes = "others"
     specs = configuration.make_data_specs(config)
     assert [specs[s].folder for s in ("train", "val", "test")] == [
@@ -154,6 +157,12 @@ def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
     config.data.copies = 3
     specs = configuration.make_data_specs(config)
     assert [specs[s].copies for s in ("train", "val", "test")] == [3, 1, 1]
+    assert set(specs) == {"train", "val", "test"}
+    config.data.own_test = 0.1
+    specs = configuration.make_data_specs(config)
+    assert [specs[s].folder for s in ("own", "test")] == ["meshes", "others"]
+    assert specs["own"].split == "test" and specs["own"].copies == 1
+    assert specs["own"].fractions == specs["train"].fractions == (0.8, 0.1, 0.1)
 
 
 @pytest.mark.parametrize("source", ["shapenet", "renders", "images"])

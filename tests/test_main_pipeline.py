@@ -244,17 +244,37 @@ def test_a_refused_command_has_a_status_and_one_line_on_stderr(command):
     assert b"Traceback" not in error
 
 
-def test_naive_and_known_poses_run_too(command):
+def make_boxes(folder, count):
+    folder.mkdir()
+    for i in range(count):
+        trimesh.creation.box((0.8, 0.4 + i / 50, 0.3)).export(folder / f"{i}.ply")
+    return str(folder)
+
+
+def test_naive_and_known_poses_and_another_source_run_too(command):
     # Known poses need no alignment, one regressor no ensemble: both paths report.
     short = {"train.steps": 2, "train.warmup_steps": 0, "render.keep_levels": 1}
     quick = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}  # compiling is most of the time
     for name, fields in {
         "naive": {"pose.candidates": 1},
         "known": {"pose.known": True, "train.color_weight": 0.1},
+        "other": {
+            "pose.candidates": 1,
+            "data.meshes": make_boxes(command.folder / "boxes", 6),
+            "data.test_meshes": make_boxes(command.folder / "others", 2),
+            "data.own_test": 0.3,
+            "train.models_per_batch": 2,
+        },
     }.items():
         workdir = command.folder / name
-        command.run(workdir, quick, **fields, **short)
+        out = command.run(workdir, quick, **fields, **short)
         metrics = json.loads((workdir / "report" / "metrics.json").read_text())
         assert np.isfinite(metrics["chamfer"])
         if name == "known":
             assert metrics["pose_accuracy"] == 1
+        if name == "other":
+            assert metrics["test_models"] == 2 and metrics["own_test_models"] == 1
+            assert metrics["own_chamfer"] != metrics["chamfer"]
+            assert "Objects of the training source: pose accuracy" in out
+            page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
+            assert "Chamfer distance (×100), training source" in page

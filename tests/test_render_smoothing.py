@@ -1,5 +1,7 @@
 """Gaussian smoothing: against direct sums, for sigma from nothing to 1000 voxels."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -60,3 +62,83 @@ def test_smoothing_is_its_own_transpose():
         left = np.sum(other * smooth(jnp.asarray(VOLUME), 1.3))
         right = np.sum(VOLUME * smooth(jnp.asarray(other), 1.3))
     assert float(left) == pytest.approx(float(right), rel=1e-13)
+
+
+# Half-widths of the kernels that each size has a branch for; the first is none.
+WIDTHS = {16: (0,), 20: (0, 4), 33: (0, 4, 9), 64: (0, 4, 18)}
+ROUNDING = {"float32": 2.0**-24, "float64": 2.0**-53}
+
+
+def find_threshold(width, dtype):
+    """Sigma at which the cell after the last of a half-width falls below rounding."""
+    return (width + 1) / math.sqrt(-2 * math.log(ROUNDING[dtype]))
+
+
+def list_sigmas(size, dtype):
+    """Two for each threshold, one on each side of it."""
+    return [
+        side * find_threshold(width, dtype)
+        for width in WIDTHS[size]
+        for side in (0.99, 1.01)
+    ]
+
+
+@pytest.mark.parametrize("size", WIDTHS)
+def test_every_branch_equals_the_direct_sum_with_its_gradients(size):
+    shape = (size + 1, size, size + 2)
+    rng = np.random.default_rng(size)
+    volume, weights = rng.uniform(size=shape), rng.normal(size=shape)
+
+    @jax.jit
+    def differentiate(volume, sigma):
+        def measure(volume, sigma):
+            smoothed = dpc_jax.smooth(volume, sigma)
+            return jnp.sum(smoothed * weights), smoothed
+
+        call = jax.value_and_grad(measure, argnums=(0, 1), has_aux=True)
+        (_, smoothed), slopes = call(volume, sigma)
+        return smoothed, *slopes
+
+    for sigma in list_sigmas(size, "float64"):
+        with jax.enable_x64(True):
+            smoothed, slope, sigma_slope = differentiate(jnp.asarray(volume), sigma)
+        expected = oracles.smooth(volume, sigma)
+        # Rounding of three sums of at most 66 terms, of which each is below one.
+        np.testing.assert_allclose(smoothed, expected, atol=2e-15)
+        np.testing.assert_allclose(slope, oracles.smooth(weights, sigma), atol=1e-14)
+        step = 1e-5 * sigma
+        sides = [
+            np.sum(oracles.smooth(volume, sigma + s * step) * weights) for s in (1, -1)
+        ]
+        # Differences of a sum of order 100 with rounding 1e-14.
+        numeric = (sides[0] - sides[1]) / (2 * step)
+        assert float(sigma_slope) == pytest.approx(numeric, rel=1e-6, abs=1e-13 / step)
+
+
+@pytest.mark.parametrize("size", WIDTHS)
+def test_every_branch_is_right_to_rounding_in_float32(size):
+    volume = np.random.default_rng(size).uniform(size=(size, size + 1, size))
+    single = jnp.asarray(volume, "f4")
+    for sigma in list_sigmas(size, "float32"):
+        smoothed = smooth(single, jnp.float32(sigma))
+        # A few roundings, of 6e-8, of sums below one.
+        np.testing.assert_allclose(smoothed, oracles.smooth(volume, sigma), atol=6e-7)
+        if sigma < find_threshold(0, "float32"):
+            np.testing.assert_array_equal(smoothed, single)
+
+
+@pytest.mark.parametrize("size", [20, 33, 64])
+def test_sigma_decides_how_far_the_columns_are_summed(size):
+    impulse = jnp.zeros((size,) * 3).at[size // 2, 0, size // 2].set(1.0)
+
+    def find_reach(sigma):
+        smoothed = smooth(impulse, jnp.float32(sigma))
+        return int(np.flatnonzero(smoothed[size // 2, :, size // 2]).max())
+
+    before = 0
+    for width in WIDTHS[size]:
+        threshold = find_threshold(width, "float32")
+        assert find_reach(0.99 * threshold) == width
+        # The next branch, which reaches as far as numbers go.
+        assert find_reach(1.01 * threshold) > width >= before
+        before = width

@@ -18,10 +18,9 @@ from dpc_jax.benchmarking.plan import Plan
 from dpc_jax.benchmarking.scenes import Scene
 from dpc_jax.benchmarking.speed import measure_distance
 from dpc_jax.benchmarking.timing import time_interleaved
-from dpc_jax.render import VoxelGrid, project
+from dpc_jax.render import VoxelGrid, compensate_widening, project
 
 MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
-WIDENING = 1 / 6  # mean variance, in voxels², that trilinear splatting adds
 SOON = 0.01  # the error of which a reader asks what reaches it soonest
 
 
@@ -30,7 +29,7 @@ class Setting(NamedTuple):
 
     Attributes:
       family: of settings that differ in one number; label: of this one.
-      method: of `project`. is_corrected: sigma² less the mean widening.
+      method: of `project`. is_compensated: sigma of `compensate_widening`.
       shape: (rows, cols, depth). share: one point in this many is kept.
       dtype: of all arrays.
     """
@@ -39,7 +38,7 @@ class Setting(NamedTuple):
     label: str
     method: str
     shape: tuple[int, int, int]
-    is_corrected: bool = False
+    is_compensated: bool = False
     share: int = 1
     dtype: str = "float32"
 
@@ -50,13 +49,13 @@ def list_settings(plan: Plan) -> list[Setting]:
     settings = []
     for side in plan.sides:
         cube = (side,) * 3
-        for family, method, is_corrected in (
+        for family, method, is_compensated in (
             ("trilinear", "trilinear", False),
-            ("trilinear, σ² − 1/6", "trilinear", True),
+            ("trilinear, compensated", "trilinear", True),
             ("gaussian", "gaussian", False),
         ):
             label = f"{family}, {side}³"
-            settings.append(Setting(family, label, method, cube, is_corrected))
+            settings.append(Setting(family, label, method, cube, is_compensated))
     for depth in plan.depths:
         label = f"trilinear, {base[0]}²×{depth}"
         shape = (*base[:2], depth)
@@ -145,8 +144,8 @@ def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
     count = len(scene.points) // setting.share
     mass = scene.mass * rows * cols / MASS_SIDE**2 * len(scene.points) / count
     sigma = sigma * rows / plan.base_side
-    if setting.is_corrected:
-        sigma = max(sigma**2 - WIDENING, 0.0) ** 0.5
+    if setting.is_compensated:
+        sigma = float(compensate_widening(sigma))
     values = (scene.points[:count], scene.pose, mass, sigma, target)
     with jax.enable_x64(True):
         values = [jnp.asarray(value, setting.dtype) for value in values]

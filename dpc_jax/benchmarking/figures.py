@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
 
 from dpc_jax.benchmarking.accuracy import SOON
 from dpc_jax.reporting.files import write_bytes
@@ -57,6 +58,7 @@ def draw_errors(
         axes.axhline(SOON, color=_INK, linestyle="--", linewidth=0.8)
         axes.set_xscale("log")
         axes.set_yscale("log")
+        axes.xaxis.set_minor_formatter(NullFormatter())  # they would overlap
         axes.set_title(scene, fontsize=10, color=_INK)
         axes.grid(which="major", color="#e3e7ea", linewidth=0.6)
     for axes in flat[len(scenes) :]:

@@ -24,7 +24,8 @@ def run_benchmark(
 
     Raises:
       ValueError: for an unknown part, or none.
-      RuntimeError: where a process of the memory part fails.
+      RuntimeError: where a process of the memory part fails; the parts before it are
+        written.
       OSError: where the folder cannot be written.
     """
     unknown = sorted(set(parts) - set(PARTS))
@@ -43,12 +44,18 @@ def run_benchmark(
     results: dict[str, Any] = {"machine": describe_machine(), "command": command}
     results |= {"has_torch": speed.has_torch(), "seed": plan.seed}
     results |= {"reference_side": plan.reference_side, "base_side": plan.base_side}
-    results |= {part: [] for part in PARTS if part in parts}
-    with ProgressReport("Benchmark", total=len(tasks)) as progress:
-        for step, (part, name, task) in enumerate(tasks, start=1):
-            progress.tell(f"{step}/{len(tasks)} {part}: {name}")
-            results[part] += task()
-            progress.advance(step)
+    try:
+        with ProgressReport("Benchmark", total=len(tasks)) as progress:
+            for step, (part, name, task) in enumerate(tasks, start=1):
+                progress.tell(f"{step}/{len(tasks)} {part}: {name}")
+                results.setdefault(part, []).extend(task())
+                progress.advance(step)
+    except BaseException:
+        # The parts before the one that failed, or was interrupted, took minutes.
+        results.pop(part, None)
+        if any(name in results for name in PARTS):
+            report.write_report(out, results)
+        raise
     return report.write_report(out, results)
 
 

@@ -10,6 +10,7 @@ from dpc_jax.render.projection import mass_of_peak as mass_of_peak
 from dpc_jax.render.projection import project as project
 from dpc_jax.render.projection import voxelize as voxelize
 from dpc_jax.render.smoothing import smooth as smooth
+from dpc_jax.render.splatting import compensate_widening as compensate_widening
 from dpc_jax.render.splatting import splat as splat
 from dpc_jax.render.termination import opacity as opacity
 from dpc_jax.render.termination import (

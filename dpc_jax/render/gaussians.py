@@ -4,7 +4,10 @@ Appendix "Differentiable point cloud projection", the basic implementation. Exac
 rounding: no position is rounded to a cell, and every point has a size of its own.
 """
 
+import functools
+
 import chex
+import jax
 import jax.numpy as jnp
 
 from dpc_jax.render import kernels, tiles
@@ -34,7 +37,13 @@ def sum_gaussians(
     if count == 0:
         return jnp.zeros((values.shape[1], *shape), values.dtype)
     sigma = jnp.broadcast_to(sigma, (count,))
+    # The weights are sampled again for the backward pass: they are cheap, and N·3D of
+    # them for every sample in flight is what would fill the memory.
+    call = jax.checkpoint(functools.partial(_sum_sampled, shape=shape))
+    return call(coordinates, values, sigma)
 
+
+def _sum_sampled(coordinates, values, sigma, *, shape):
     def sample(axis):
         cells = jnp.arange(shape[axis], dtype=coordinates.dtype)
         center, width = coordinates[:, axis, None], sigma[:, None]

@@ -52,8 +52,10 @@ def _sum_over_integers(offset, sigma):
     direct = sum(
         jnp.exp(-0.5 * (k / narrow) * ((k - 2 * offset) / narrow)) for k in range(-4, 5)
     )
+    # Beyond four voxels the waves are below 1e-137, and their exponent may overflow.
+    low = jnp.where(wide < 4, wide, 4)
     waves = 1 + 2 * sum(
-        jnp.exp(-2 * (jnp.pi * m * wide) ** 2) * jnp.cos(2 * jnp.pi * m * offset)
+        jnp.exp(-2 * (jnp.pi * m * low) ** 2) * jnp.cos(2 * jnp.pi * m * offset)
         for m in range(1, 4)
     )
     root = jnp.sqrt(jnp.asarray(2 * jnp.pi, waves.dtype))
@@ -73,7 +75,16 @@ def cut_negligible(weights: chex.Array, cells, sigma, *, center) -> chex.Array:
 
 
 def find_reach(sigma: chex.Array, dtype) -> chex.Array:
-    """Distance in voxels from a Gaussian's mean beyond which it is cut."""
+    """Distance in voxels from a Gaussian's mean beyond which it is cut.
+
+    Half a voxel more than `find_half_width`: the weight of the nearest cell, which
+    others are compared with, may be that far from the mean.
+    """
+    return find_half_width(sigma, dtype) + 0.5
+
+
+def find_half_width(sigma: chex.Array, dtype) -> chex.Array:
+    """Distance in voxels at which exp(-t²/2σ²) falls below half a rounding unit."""
     unit = jnp.finfo(dtype).eps / 2
     deviations = jnp.sqrt(-2 * jnp.log(jnp.asarray(unit, dtype)))
-    return jnp.maximum(sigma, SIGMA_FLOOR) * deviations + 0.5
+    return jnp.maximum(sigma, SIGMA_FLOOR) * deviations

@@ -210,4 +210,6 @@ def mass_of_peak(peak: chex.Numeric, sigma: chex.Numeric) -> chex.Array:
 
     scale = c·(2π)^{3/2}·σ³, with sigma in voxels.
     """
-    return jnp.asarray(peak) * (2 * jnp.pi) ** 1.5 * jnp.asarray(sigma) ** 3
+    sigma = jnp.asarray(sigma)
+    # Factor by factor: σ³ alone may overflow where the mass does not.
+    return jnp.asarray(peak) * (2 * jnp.pi) ** 1.5 * sigma * sigma * sigma

@@ -49,7 +49,7 @@ def smooth(volume: chex.Array, sigma: chex.Array) -> chex.Array:
         _smooth_dense,
     ]
     # A kernel of half-width w is exact to rounding where cell w + 1 is out of reach.
-    reach = kernels.find_reach(jnp.asarray(sigma, volume.dtype), volume.dtype)
+    reach = kernels.find_half_width(jnp.asarray(sigma, volume.dtype), volume.dtype)
     level = jnp.sum(reach >= jnp.array([w + 1.0 for w in widths], volume.dtype))
     return jax.lax.switch(level, branches, volume, kernel)
 

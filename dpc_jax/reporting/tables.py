@@ -52,11 +52,18 @@ COLUMNS = {
     "train_seconds": Column(
         "Training time (s)", ".0f", 1.0, "wall clock, compilation included"
     ),
+    "peak_memory_gb": Column("Peak memory (GB)", ".1f", 1.0, "of the training process"),
 }
+# Of metrics on objects of the training source, where another one is tested on.
+_OWN = "own_"
 
 
 def describe(name: str) -> Column:
     """The column of a metric; an unknown one is shown by its name with 4 digits."""
+    plain = name.removeprefix(_OWN)
+    if plain != name and plain in COLUMNS:
+        column = COLUMNS[plain]
+        return column._replace(label=f"{column.label}, training source")
     return COLUMNS.get(name, Column(name))
 
 

@@ -1,0 +1,175 @@
+"""What a scene does not need is not in its compiled program."""
+
+import functools
+import re
+
+import jax
+import jax.numpy as jnp
+import pytest
+from tiny_runs import make_batch, make_network, make_settings, make_state
+
+import dpc_jax
+from dpc_jax.learning.objective import compute_loss
+from dpc_jax.learning.schedules import Stage
+
+D, N = 20, 40
+GRID = dpc_jax.VoxelGrid(D)
+VOLUME = 4 * D**3  # bytes
+POINTS, POSE = jax.ShapeDtypeStruct((N, 3), "float32"), jnp.array([1.0, 0, 0, 0])
+SIGMA = jax.ShapeDtypeStruct((), "float32")
+COLORS = jax.ShapeDtypeStruct((N, 3), "float32")
+
+
+def compile_sum(*arrays, gradient_of=(), **options):
+    """The program of a sum over all images, or of its gradients."""
+
+    def total(points, *others):
+        names = ("sigma", "colors")[: len(others)]
+        inputs = dict(zip(names, others, strict=True))
+        images = dpc_jax.project(points, POSE, grid=GRID, **inputs, **options)
+        return sum(jnp.sum(image) for image in jax.tree.leaves(images))
+
+    function = jax.grad(total, argnums=gradient_of) if gradient_of else total
+    return jax.jit(function).lower(*arrays).compile()
+
+
+def count_flops(program):
+    return program.cost_analysis()["flops"]
+
+
+@functools.cache
+def count_image(signals):
+    return count_flops(compile_sum(POINTS, SIGMA, COLORS, signals=signals))
+
+
+def test_colours_that_are_given_but_not_asked_for_cost_nothing():
+    without = count_flops(compile_sum(POINTS, SIGMA, signals=("depth",)))
+    assert count_image(("depth",)) == without
+
+
+def test_a_silhouette_has_no_product_along_the_ray_per_cell():
+    # A cumulative product becomes windows that are reduced.
+    depth = compile_sum(POINTS, SIGMA, signals=("depth",)).as_text()
+    assert "reduce-window(" in depth
+    silhouette = compile_sum(POINTS, SIGMA, signals=("silhouette",)).as_text()
+    assert "reduce-window(" not in silhouette
+    assert count_image(("silhouette",)) < count_image(("depth",))
+
+
+def test_every_channel_of_colour_is_one_splat_and_none_is_kept():
+    program = compile_sum(POINTS, SIGMA, COLORS, signals=("color",))
+    many = jax.ShapeDtypeStruct((N, 30), "float32")
+    wide = compile_sum(POINTS, SIGMA, many, signals=("color",))
+    extra = (
+        wide.memory_analysis().temp_size_in_bytes
+        - program.memory_analysis().temp_size_in_bytes
+    )
+    assert extra < VOLUME  # of 27 more channels: images, not volumes
+
+
+def find_branches(text):
+    """Texts of the computations that the program's conditional chooses from."""
+    (names,) = re.findall(r"branch_computations=\{([^}]*)\}", text)
+    return [
+        re.search(rf"^{re.escape(name.strip())} .*?^}}", text, re.S | re.M).group()
+        for name in names.split(",")
+    ]
+
+
+def test_the_first_branch_of_smoothing_hands_the_volume_through():
+    volume = jax.ShapeDtypeStruct((D,) * 3, "float32")
+    text = jax.jit(dpc_jax.smooth).lower(volume, SIGMA).compile().as_text()
+    narrowest, *others = find_branches(text)
+    arithmetic = r" (dot|multiply|add|fusion|custom-call|call)\("
+    assert not re.search(arithmetic, narrowest)
+    assert all(re.search(arithmetic, branch) for branch in others)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1e-30, 0.1])
+def test_a_known_sigma_below_rounding_leaves_no_smoothing_in_the_program(sigma):
+    def find_choices(sigma):
+        program = compile_sum(POINTS, sigma=sigma)
+        return program.as_text().count("conditional("), count_flops(program)
+
+    choices, flops = find_choices(sigma)
+    _, smoothed = find_choices(3.0)
+    assert choices == 0
+    assert smoothed > flops + 3 * 2 * D**4  # three matrix products
+
+
+def test_a_sigma_without_gradient_keeps_no_volume_and_costs_no_smoothing():
+    fixed = compile_sum(POINTS, SIGMA, gradient_of=(0,))
+    moving = compile_sum(POINTS, SIGMA, gradient_of=(0, 1))
+    assert count_flops(moving) > count_flops(fixed) + 3 * 2 * D**4
+    extra = (
+        moving.memory_analysis().temp_size_in_bytes
+        - fixed.memory_analysis().temp_size_in_bytes
+    )
+    assert extra >= VOLUME
+
+
+@pytest.mark.parametrize("method", ["trilinear", "gaussian"])
+def test_backward_keeps_no_stack_of_volumes(method):
+    grid = dpc_jax.VoxelGrid(32)
+
+    def measure(count):
+        def total(points):
+            def render(one):
+                return dpc_jax.project(
+                    one, POSE, sigma=1.5, grid=grid, method=method
+                ).silhouette
+
+            return jnp.sum(jax.lax.map(render, points))
+
+        clouds = jax.ShapeDtypeStruct((count, N, 3), "float32")
+        analysis = jax.jit(jax.grad(total)).lower(clouds).compile().memory_analysis()
+        return analysis.temp_size_in_bytes
+
+    # A sample keeps the occupancies that its rays end in (four bytes a cell), and where
+    # they were clipped (one); with the basic method also the weights of its points.
+    weights = 4 * 3 * N * 32 if method == "gaussian" else 0
+    assert (measure(10) - measure(2)) / 8 <= 1.3 * 4 * 32**3 + 2 * weights
+
+
+def lower_step(kept=24, **changes):
+    """The program of a training step's gradient."""
+    settings = make_settings(**changes)
+    network = make_network(settings)
+    state = make_state(network, settings)
+    function = functools.partial(
+        compute_loss,
+        network=network,
+        settings=settings,
+        stage=Stage(kept_points=kept, grid=settings.grid),
+    )
+    return jax.jit(jax.grad(function, has_aux=True)).lower(
+        state.params, make_batch(), jax.random.key(0), 0, state.covariance
+    )
+
+
+def count_splats(lowered):
+    """How many clouds a step splats: the batch dimension of its scatters."""
+    updates = re.findall(
+        r'"stablehlo.scatter"\(.*?\) -> tensor<(\S+?)x10x10x10xf32>',
+        lowered.as_text(),
+        re.S,
+    )
+    return sum(
+        functools.reduce(lambda a, b: a * int(b), found.split("x"), 1)
+        for found in updates
+    )
+
+
+def test_candidates_of_a_known_pose_are_not_rendered():
+    views = 4
+    assert count_splats(lower_step(num_candidates=0)) == views
+    assert count_splats(lower_step(num_candidates=1)) == views
+    assert count_splats(lower_step(num_candidates=3)) == (3 + 1) * views
+
+
+def test_points_that_dropout_left_out_are_in_no_render():
+    few, all_of_them = (lower_step(kept=kept).as_text() for kept in (6, 24))
+    windows = r"tensor<(?:\d+x)*{}x2x2x2xf32>"
+    assert re.search(windows.format(6), few)
+    assert not re.search(windows.format(24), few)
+    assert re.search(windows.format(24), all_of_them)
