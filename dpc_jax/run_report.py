@@ -9,6 +9,7 @@ from dpc_jax.evaluation.alignment import align_points
 from dpc_jax.learning import evaluator
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.page import REQUIRED_METRICS, write_report
+from dpc_jax.workdir import write_alignment
 
 EXAMPLES = 8  # test inputs shown in the report
 
@@ -85,6 +86,8 @@ def report_run(
         warnings=warnings,
         config_text=str(config),
     )
+    if config.pose.known or sets["val"].quaternions is not None:
+        write_alignment(workdir, alignment)
     for warning in warnings:
         print(f"Warning: {warning}")
     print(f"Test: {_describe(metrics)} after {outcome.seconds:.0f} s of training.")

@@ -15,6 +15,11 @@ import numpy as np
 import pytest
 import trimesh
 from orbax.checkpoint import v1 as ocp
+from PIL import Image
+
+from dpc_jax import predict, rotation_angle_deg
+from dpc_jax.data.dataset import read_cache
+from dpc_jax.data.viewpoints import look_at_rotation
 
 ROOT = Path(__file__).parents[1]
 STEPS = 150
@@ -234,6 +239,78 @@ def test_a_damaged_newest_checkpoint_is_said_and_the_run_ends_the_same(
     assert f"Going on from the checkpoint of step {before}." in out
     assert (workdir / f"damaged-checkpoint-{newest}").is_dir()
     assert_ends_alike(workdir, finished[0])
+
+
+def save_drawing(path, image=None):
+    """An image with an alpha channel: a disc, or what is given."""
+    if image is None:
+        rows, cols = np.mgrid[:40, :40]
+        mask = ((rows - 20) ** 2 + (cols - 17) ** 2 < 80).astype(np.uint8) * 255
+        image = np.dstack([mask // 2, mask, mask, mask])
+    Image.fromarray(image).save(path)
+    return str(path)
+
+
+def test_predicting_test_images_gives_what_the_report_scored(
+    command, finished, tmp_path, capsys
+):
+    workdir, _ = finished
+    (cache,) = (command.folder / "data").glob("car-test-*")
+    test = read_cache(cache)
+    images = [
+        save_drawing(tmp_path / f"{name}.png", np.dstack([image[0], mask[0]]))
+        for name, image, mask in zip(test.names, test.images, test.masks, strict=True)
+    ]
+    out = tmp_path / "out"
+    assert predict.main([f"--workdir={workdir}", f"--out={out}", *images]) == 0
+    assert "4 of 4 images" in capsys.readouterr().out
+    truth = np.stack([test.quaternions[i][0] for i in range(4)])
+    facts = [json.loads((out / f"{name}.json").read_text()) for name in test.names]
+    assert {fact["frame"] for fact in facts} == {"object"}
+    found = np.array([fact["quaternion"] for fact in facts])
+    errors = rotation_angle_deg(found, truth)
+    # The report's examples are the same views. Cutting an image out again at its own
+    # size blurs it by up to a pixel, which moves a barely trained network a little.
+    page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
+    shown = [float(error) for error in re.findall(r"([\d.]+)°", page)[:4]]
+    np.testing.assert_allclose(errors, shown, atol=3)
+    for name in test.names:
+        ((cloud, shown),) = zip(
+            [trimesh.load(out / f"{name}.ply")],
+            map(trimesh.load, (workdir / "report" / "points").glob(f"*{name}*.ply")),
+            strict=True,
+        )
+        np.testing.assert_allclose(cloud.vertices, shown.vertices, atol=0.02)
+    # The camera stands where the azimuth and elevation say.
+    for fact in facts:
+        look = look_at_rotation(
+            np.radians(fact["azimuth_deg"]), np.radians(fact["elevation_deg"])
+        )
+        w, x, y, z = fact["quaternion"]
+        axis = [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+        np.testing.assert_allclose(look[2], axis, atol=1e-6)
+    assert (out / "predictions.png").stat().st_size > 1000
+    assert (out / f"{test.names[3]}.glb").is_file()
+
+
+def test_images_of_no_use_are_named_and_the_others_predicted(
+    finished, tmp_path, capsys
+):
+    good, bad = save_drawing(tmp_path / "good.png"), tmp_path / "bad.png"
+    bad.write_text("no image")
+    options = [f"--workdir={finished[0]}", f"--out={tmp_path}", "--crop=view"]
+    assert predict.main([*options, good, str(bad)]) == 0
+    out, error = capsys.readouterr()
+    assert "1 of 2 images" in out and f"{bad} was left out" in error
+    assert (tmp_path / "good.glb").is_file() and not (tmp_path / "bad.ply").exists()
+    for arguments, words in (
+        ([*options, str(bad)], "No image could be used"),
+        ([*options, good, good], "different names, got good"),
+        ([f"--workdir={tmp_path}", good], "Expected the config of a run"),
+    ):
+        assert predict.main(arguments) == 1
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert line.startswith("Error: ") and words in line
 
 
 def test_a_refused_command_has_a_status_and_one_line_on_stderr(command):
