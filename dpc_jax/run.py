@@ -71,7 +71,7 @@ def run(config: ml_collections.ConfigDict, *, config_path: str, workdir: str | N
         raise ValueError(
             f"A batch of train.models_per_batch = {settings.models_per_batch} models "
             f"was asked for, but {len(sets['train'].names)} can be trained on; set "
-            "--config.train.models_per_batch lower or add mesh files."
+            "--config.train.models_per_batch lower or add models."
         )
     _check_poses(config, sets)
     data_seconds = time.monotonic() - started

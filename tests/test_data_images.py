@@ -293,6 +293,23 @@ def test_poses_for_some_objects_only_are_refused(tmp_path):
             {"file_path": "view0", "transform_matrix": np.diag([-1, 1, 1, 1]).tolist()}
         ]}), "mirrored"),
         ("transforms.json", json.dumps({"frames": [
+            {"file_path": "view0", "transform_matrix": [[1, 0], [0, 1]]}
+        ]}), r"no finite transform_matrix \[4, 4\]"),
+        ("transforms.json", json.dumps({"frames": [
+            {"file_path": "view0", "transform_matrix": np.full((4, 4), 1e999).tolist()}
+        ]}), r"no finite transform_matrix \[4, 4\]"),
+        ("transforms.json", '{"fl_x": 3}', "KeyError: 'frames'"),
+        ("transforms.json", '{"frames": []}', "none of 0"),
+        ("transforms.json", json.dumps({"fl_x": "wide", "frames": [
+            {"file_path": "view0", "transform_matrix": np.eye(4).tolist()}
+        ]}), "fl_x is no number but 'wide'"),
+        ("transforms.json", json.dumps({"fl_x": 0, "frames": [
+            {"file_path": "view0", "transform_matrix": np.eye(4).tolist()}
+        ]}), "fl_x is 0, which no lens has"),
+        ("transforms.json", json.dumps({"camera_angle_x": 40, "frames": [
+            {"file_path": "view0", "transform_matrix": np.eye(4).tolist()}
+        ]}), "camera_angle_x is 40 radians"),
+        ("transforms.json", json.dumps({"frames": [
             {"file_path": "view0", "transform_matrix": np.eye(4).tolist()}
         ]}), "fl_x or camera_angle_x"),
     ],
@@ -304,6 +321,24 @@ def test_a_pose_file_that_cannot_be_used_is_named(tmp_path, name, text, message)
     with pytest.raises(ValueError, match=message) as error:
         load(tmp_path / "set", tmp_path / "cache")
     assert str(tmp_path / "set" / "a") in str(error.value)
+
+
+def test_an_object_with_a_damaged_pose_file_is_skipped_and_the_others_stay(tmp_path):
+    """Also where nothing but the damaged file says which images there are."""
+    for i, name in enumerate("abcde"):
+        content, _ = write_photos(tmp_path / "set" / name, views=3, seed=i)
+        (tmp_path / "set" / name / "transforms.json").write_text(json.dumps(content))
+    (tmp_path / "set" / "b" / "transforms.json").write_text('{"frames": [')
+    place = tmp_path / "set" / "d"
+    (place / "images").mkdir()
+    for path in place.glob("*.png"):
+        path.rename(place / "images" / path.name)
+    (place / "transforms.json").write_text('{"fl_x": 3}')
+    data = load(tmp_path / "set", tmp_path / "cache")
+    assert data.names == ("a", "c", "e")
+    assert [name for name, _ in data.skipped] == ["b", "d"]
+    for name, reason in data.skipped:
+        assert f"{name}/transforms.json" in reason
 
 
 def test_cameras_that_look_away_are_refused(tmp_path):

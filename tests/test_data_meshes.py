@@ -114,6 +114,18 @@ def test_a_file_without_colours_is_grey_and_a_stray_vertex_does_not_count(tmp_pa
     assert (mesh.visual.face_colors == meshes.PLAIN).all()
 
 
+def test_names_in_an_old_encoding_and_with_backslashes_do_not_matter(tmp_path):
+    place = tmp_path / "m"
+    place.mkdir()
+    (place / "b.obj").write_bytes(
+        "# dessiné\r\nmtllib .\\b.mtl\r\nv 0 0 0\r\nv 1 0 0\r\nv 0 1 0\r\n"
+        "usemtl bleuté\r\nf 1 2 3".encode("latin-1")
+    )
+    (place / "b.mtl").write_bytes("newmtl bleuté\nKd 0 0 1\n".encode("latin-1"))
+    colors = meshes.read_mesh(place / "b.obj").visual.face_colors
+    np.testing.assert_array_equal(colors[:, :3], [[0, 0, 255]])
+
+
 @pytest.mark.parametrize(
     "name, content, message",
     [
@@ -124,6 +136,10 @@ def test_a_file_without_colours_is_grey_and_a_stray_vertex_does_not_count(tmp_pa
         ("points.obj", b"v 0 0 0\nv 1 1 1\n", "readable mesh in|faces in"),
         ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite coordinates in"),
         ("dot.obj", b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "extent in"),
+        ("cut.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2", "ends within a line"),
+        ("half.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1/1 2/2 3/", "'f 1/1 2/2"),
+        ("noise.obj", bytes(range(256)) * 9, "faces in"),
+        ("long.stl", b"\xff" * 84 + b"\x81" * 50, "neither text nor whole"),
         ("far.ply", (PLY.format(3) + "3 0 1 7\n").encode(), "index out of range"),
     ],
 )

@@ -73,7 +73,10 @@ def test_the_split_beside_the_renders_is_read(tmp_path):
         load(folder, tmp_path / "cache", split="test")
 
 
-@pytest.mark.parametrize("harm", ["image", "depth", "camera", "lens", "view", "truth"])
+@pytest.mark.parametrize(
+    "harm",
+    ["image", "depth", "bytes", "camera", "shape", "texts", "lens", "view", "truth"],
+)
 def test_a_damaged_model_is_left_out_and_its_file_named(tmp_path, harm):
     folder = write_renders(tmp_path, NAMES)
     place = folder / "02958343" / NAMES[1]
@@ -81,6 +84,14 @@ def test_a_damaged_model_is_left_out_and_its_file_named(tmp_path, harm):
     if expected:
         content = (place / expected).read_bytes()
         (place / expected).write_bytes(content[: len(content) // 2])
+    elif harm == "bytes":
+        expected = "16-bit depth"
+        Image.fromarray(np.zeros((112, 112), np.uint8)).save(place / "depth_1.png")
+    elif harm in ("shape", "texts"):
+        expected = "camera_0.mat"
+        extrinsic = np.eye(3) if harm == "shape" else "none"
+        content = {"extrinsic": extrinsic, "pos": [0, 0, 2.0], "K": np.eye(3)}
+        savemat(place / expected, content)
     elif harm == "camera":
         expected = "camera_0.mat"
         (place / expected).write_bytes(b"nonsense")

@@ -177,12 +177,15 @@ def test_three_forms_of_a_split_say_the_same(tmp_path):
         ("all.csv", f"synsetId,modelId,split\n{SYNSET},a,train\n{SYNSET},a,val\n",
          "a is there twice"),
         (f"{SYNSET}.file", "3\n1\n2\n2\n5\ntrain\n3\n2\n1\n1\n", "cannot be read"),
+        ("all.csv", f"synsetId,modelId,split\n{SYNSET},,train\n", "line 2 has none"),
+        ("all.csv", b"\xff\xfe\x00", "expected text in"),
+        (f"{SYNSET}.file", b"\xff\xfe\x00", "cannot be read"),
         ("cars.txt", "a\n", "SYNSET_train.txt"),
         ("x_train.txt", "a\n", "x_val.txt beside"),
     ],
 )  # fmt: skip
 def test_a_split_file_that_cannot_be_used_is_named(tmp_path, name, text, message):
-    (tmp_path / name).write_text(text)
+    (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ValueError, match=message) as error:
         split_lists.read_split(tmp_path / name, SYNSET)
     assert name.split(".")[0].removesuffix("train") in str(error.value)
@@ -208,6 +211,41 @@ def test_damaged_models_are_skipped_and_bare_ones_remarked_upon(tmp_path, capsys
     assert "Skipped 2 of 7 models" in text and "Remarks on 3 of 7 models" in text
     grey = data.images[data.names.index("bare"), 0]
     assert np.ptp(grey.astype(int), axis=-1).max() <= 1
+
+
+@pytest.mark.parametrize("harm", ["text", "cut", "materials"])
+def test_damaged_textures_and_materials_leave_plain_colours_and_a_remark(
+    tmp_path, harm
+):
+    write_tree(tmp_path, LAYOUTS[1], NAMES[:2])
+    place = tmp_path / SYNSET / "painted"
+    write_model(place, LAYOUTS[1], materials="textures")
+    (place / "images").mkdir()
+    path = place / "images" / "gone.jpg"
+    Image.effect_noise((64, 64), 50).convert("RGB").save(path)
+    # as other systems write it; and used, so that its pixels are asked for
+    mtl = (place / LAYOUTS[1]).with_suffix(".mtl")
+    mtl.write_text(mtl.read_text().replace("../images/", "..\\images\\"))
+    obj = place / LAYOUTS[1]
+    obj.write_text(
+        "\n".join(
+            " ".join(f"{i}/1" if i.isdigit() else i for i in line.split())
+            if line.startswith("f ")
+            else line
+            for line in obj.read_text().splitlines()
+        )
+    )
+    options = dict(split="test", fractions=(0, 0, 1))
+    assert load(tmp_path, tmp_path / "whole", **options).remarks == ()
+    if harm == "materials":
+        mtl.write_bytes(b"newmtl\nKd a b\n\xff\x00")
+    else:
+        path.write_bytes(b"no image" if harm == "text" else path.read_bytes()[:-900])
+    data = load(tmp_path, tmp_path / "cache", **options)
+    assert len(data.names) == 3 and data.skipped == ()
+    ((name, remark),) = data.remarks
+    expected = {"materials": "no material in model_normalized.mtl"}
+    assert name == "painted" and expected.get(harm, "1 of 1 textures") in remark
 
 
 def test_textures_colour_the_faces(tmp_path):

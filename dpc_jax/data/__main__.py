@@ -32,7 +32,10 @@ def parse_arguments(arguments=None):
         command.add_argument(
             "--kind", choices=KINDS, help="what the folder is; found out if left out"
         )
-        command.add_argument("--category", help="of ShapeNet and the published renders")
+        command.add_argument(
+            "--category",
+            help="of ShapeNet and the published renders, where there are several",
+        )
         command.add_argument(
             "--models",
             type=int,
@@ -67,6 +70,8 @@ def show(flags):
         try:
             sheet.save(partial, format="png")
             os.replace(partial, out)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(out)) from None
         finally:
             partial.unlink(missing_ok=True)
         print(f"  {out} shows some; red is the front, green the left, blue the top")

@@ -4,6 +4,7 @@ The mask of an image is its alpha channel, or the file `NAME_mask.png` beside it
 folder that holds images itself, and no folders of them, has one object per image.
 """
 
+import contextlib
 import hashlib
 from pathlib import Path
 
@@ -29,7 +30,11 @@ def list_objects(folder):
         raise ValueError(f"expected a folder of images, {folder} is none; check it.")
     if pose_files.find_pose_files(folder):
         return {folder.resolve().name: folder}
-    places = [p for p in sorted(folder.iterdir()) if p.is_dir() and list_images(p)]
+    places = [
+        place
+        for place in sorted(folder.iterdir())
+        if place.is_dir() and (list_images(place) or has_poses(place))
+    ]
     if not places:
         places = _find_images(folder)
     if not places:
@@ -41,12 +46,16 @@ def list_objects(folder):
 
 
 def list_images(place):
-    """The images of an object, sorted; those of `transforms.json` where it has one."""
+    """The images of an object, sorted; those of `transforms.json` where it has one.
+
+    A damaged `transforms.json` is told when the object is read, which is left out then.
+    """
     if place.is_file():
         return [place]
     files = [p for p in pose_files.find_pose_files(place) if p.match("transforms*")]
-    if files:
-        return sorted(pose_files.read_poses(files))
+    with contextlib.suppress(ValueError):
+        if files:
+            return sorted(pose_files.read_poses(files))
     return _find_images(place)
 
 

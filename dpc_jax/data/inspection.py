@@ -21,7 +21,21 @@ def check_set(data, lens):
     finder = _Finder(data, lens)
     for model in range(len(data.names)):
         finder.look_at(model)
-    return [*finder.report(), *pose_checks.check_poses(data, lens)]
+    return [
+        *finder.report(),
+        *pose_checks.check_poses(data, lens),
+        *_list_skipped(data),
+    ]
+
+
+def _list_skipped(data):
+    """A finding that says what was asked for and is not in the set."""
+    if not data.skipped:
+        return []
+    count, total = len(data.skipped), len(data.names) + len(data.skipped)
+    names = name_places([name for name, _ in data.skipped])
+    text = f"{count} of {total} objects left out as unusable: {names}; show tells why"
+    return [Finding("warning", text)]
 
 
 class _Finder:

@@ -3,6 +3,8 @@
 Files are expected in the canonical frame: z up, front towards +x, left towards +y.
 """
 
+import contextlib
+import io
 from pathlib import Path
 
 import numpy as np
@@ -53,15 +55,22 @@ def read_mesh(path):
     path = Path(path)
     try:
         # ShapeNet keeps textures in the folder above that of the mesh
-        resolver = trimesh.resolvers.FilePathResolver(path, allow_anywhere=True)
-        scene = trimesh.load_scene(path, process=False, resolver=resolver)
+        options = {"resolver": _Files(path, allow_anywhere=True), "process": False}
+        if path.suffix.lower() == ".obj":
+            text = _decode(path.read_bytes())
+            _expect_whole_line(text)
+            scene = trimesh.load_scene(io.StringIO(text), file_type="obj", **options)
+        else:
+            scene = trimesh.load_scene(path, **options)
         pieces = [
             _place_part(scene, node) for node in sorted(scene.graph.nodes_geometry)
         ]
     except Exception as error:  # readers raise anything at all on damaged files
+        reason = f"got {type(error).__name__}: {error}"
+        if getattr(error, "name", None) == "charset_normalizer":  # trimesh's last try
+            reason = "it is neither text nor whole"
         raise ValueError(
-            f"expected a readable mesh in {path}, got {type(error).__name__}: {error}; "
-            "repair or remove the file."
+            f"expected a readable mesh in {path}, {reason}; repair or remove the file."
         ) from error
     pieces = [piece for piece in pieces if piece is not None]
     if not pieces:
@@ -88,6 +97,33 @@ def read_mesh(path):
             "remove the file."
         )
     return _keep_used(vertices, faces, np.concatenate([color for *_, color in pieces]))
+
+
+class _Files(trimesh.resolvers.FilePathResolver):
+    """Materials and textures of a mesh file, as systems of all kinds name them."""
+
+    def get(self, name):
+        content = super().get(name.replace("\\", "/"))
+        is_text = name.lower().endswith(".mtl")
+        return _decode(content).encode() if is_text else content
+
+
+def _decode(content):
+    """Text of a file; names in old encodings are read too, if wrongly spelt."""
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError:
+        return content.decode("latin-1")
+
+
+def _expect_whole_line(text):
+    """Refuses an OBJ file that was cut within its last vertex or face."""
+    if not text or text[-1] in "\r\n":
+        return
+    words = text[text.rfind("\n") + 1 :].split()
+    least = {"v": 4, "vt": 3, "vn": 4, "f": 4}.get(words[0] if words else "", 0)
+    if len(words) < least or (least and words[-1][-1] in "/-+eE"):
+        raise ValueError(f"it ends within a line, {' '.join(words)!r}")
 
 
 def _keep_used(vertices, faces, colors):
@@ -120,7 +156,9 @@ def _face_colors(part):
         texture = getattr(material, "image", None) if texture is None else texture
         if texture is not None and visual.uv is not None:
             middle = np.asarray(visual.uv)[part.faces].mean(axis=1)
-            return trimesh.visual.color.uv_to_color(middle, texture)
+            # a cut picture shows only when its pixels are asked for; plain colour then
+            with contextlib.suppress(OSError, SyntaxError):
+                return trimesh.visual.color.uv_to_color(middle, texture)
         return np.tile(np.asarray(material.main_color, dtype=np.uint8), (count, 1))
     return np.tile(PLAIN, (count, 1))
 

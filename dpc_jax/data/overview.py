@@ -4,13 +4,22 @@ import contextlib
 import json
 import re
 import tempfile
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw
 
-from . import contact_sheet, conventions, dataset, image_folder, meshes
+from . import (
+    contact_sheet,
+    conventions,
+    dataset,
+    image_folder,
+    meshes,
+    released_renders,
+    shapenet,
+)
 from .sources import DataSpec
 
 TILE = 128  # pixels of a picture on the sheet
@@ -50,7 +59,7 @@ def open_set(path, *, kind=None, category=None, models=None):
       path: a finished cache, or a folder of meshes, of own images, of ShapeNet, or of
         the published renders.
       kind: what the folder is, of `sources.KINDS`; None to find out.
-      category: of ShapeNet and the renders.
+      category: of ShapeNet and the renders; None where there is but one.
       models: how many of a folder's to prepare; None for all.
 
     Yields:
@@ -67,12 +76,16 @@ def open_set(path, *, kind=None, category=None, models=None):
         raise ValueError(
             f"expected a folder with a data set, {path} is none; check it."
         )
+    kind = kind or guess_kind(path)
+    if kind in ("shapenet", "renders"):
+        category = category or _guess_category(path)
     spec = DataSpec(
         category or "object",
         folder=str(path),
         fractions=(1, 0, 0),
-        kind=kind or guess_kind(path),
+        kind=kind,
         models=models,
+        views=_count_renders(path, category) if kind == "renders" else 5,
         image_size=TILE,
     )
     with tempfile.TemporaryDirectory() as place:
@@ -85,9 +98,16 @@ def open_set(path, *, kind=None, category=None, models=None):
 
 
 def _read_set(cache, name, note):
-    data = dataset.read_cache(cache)
-    record = json.loads((cache / "spec.json").read_text(encoding="utf-8"))
-    lens = conventions.Lens(*(record[field] for field in conventions.Lens._fields))
+    damages = (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError)
+    try:
+        data = dataset.read_cache(cache)
+        record = json.loads((cache / "spec.json").read_text(encoding="utf-8"))
+        lens = conventions.Lens(*(record[field] for field in conventions.Lens._fields))
+    except damages as error:
+        raise ValueError(
+            f"expected the record of a set in {cache / 'spec.json'}, it is damaged "
+            f"({type(error).__name__}: {error}); train again, which makes it anew."
+        ) from None
     return OpenSet(name, data, lens, record, note)
 
 
@@ -100,18 +120,43 @@ def guess_kind(path):
     path = Path(path)
     files = (p for p in path.rglob("*") if p.suffix.lower() in meshes.SUFFIXES)
     found = next((p for p in files if p.is_file()), None)
-    if any(re.fullmatch(r"\d{8}", p.name) for p in path.iterdir() if p.is_dir()):
+    if list_synsets(path):
         return "shapenet" if found else "renders"
     if found:
         return "meshes"
-    try:
-        image_folder.list_objects(path)
-    except ValueError:
+    if any(p.suffix.lower() in image_folder.SUFFIXES for p in path.rglob("*")):
+        return "images"
+    raise ValueError(
+        f"expected a data set, meshes or images in {path}, found none; give a "
+        "folder that holds spec.json, mesh files, or a folder of images per object."
+    )
+
+
+def list_synsets(path):
+    """Names of the synsets that a folder is or holds, sorted."""
+    path = Path(path).resolve()
+    names = [path.name, *(p.name for p in path.iterdir() if p.is_dir())]
+    return sorted(name for name in names if re.fullmatch(r"\d{8}", name))
+
+
+def _guess_category(path):
+    """The one category of a tree of synsets."""
+    synsets = list_synsets(path)
+    if len(synsets) != 1:
         raise ValueError(
-            f"expected a data set, meshes or images in {path}, found none; give a "
-            "folder that holds spec.json, mesh files, or a folder of images per object."
-        ) from None
-    return "images"
+            f"expected one synset in {path}, found {len(synsets)}; add "
+            "--category=airplane, car or chair."
+        )
+    known = {synset: category for category, synset in shapenet.SYNSETS.items()}
+    return known.get(synsets[0], synsets[0])
+
+
+def _count_renders(path, category):
+    """How many views most models of a folder of renders have."""
+    _, place = shapenet.find_synset(path, category)
+    models = released_renders.list_models(place).values()
+    counts = Counter(len(released_renders.list_renders(model)) for model in models)
+    return max(1, counts.most_common(1)[0][0])
 
 
 def describe_set(opened):

@@ -82,18 +82,34 @@ def _read_transforms(content, folder):
     poses = {}
     for frame in content["frames"]:
         matrix = np.asarray(frame["transform_matrix"], dtype=np.float64)
+        if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
+            raise ValueError(
+                f"{frame['file_path']} has no finite transform_matrix [4, 4], but "
+                f"{frame['transform_matrix']}"
+            )
         turned = matrix[:3, :3] @ turn  # columns: the camera's axes in the world
-        flaw = np.abs(turned.T @ turned - np.eye(3)).max()
-        if matrix.shape not in ((3, 4), (4, 4)) or not flaw < 1e-2:
+        if not np.abs(turned.T @ turned - np.eye(3)).max() < 1e-2:
             raise ValueError(f"{frame['file_path']} has no rigid transform_matrix")
         # the nearest rotation: files carry a few digits only
         left, _, right = np.linalg.svd(turned.T)
         if np.linalg.det(left @ right) < 0:
             raise ValueError(f"{frame['file_path']} has a mirrored transform_matrix")
         lens = shared | {name: frame[name] for name in LENS if name in frame}
+        _expect_lens(lens)
         path = _find_image(folder / frame["file_path"])
         poses[path] = Pose(left @ right, matrix[:3, 3], lens)
     return poses
+
+
+def _expect_lens(lens):
+    for name, value in lens.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"{name} is no number but {value!r}")
+        # only the centre may lie at 0 or beyond the image
+        if not np.isfinite(value) or not (name in ("cx", "cy") or value > 0):
+            raise ValueError(f"{name} is {value}, which no lens has")
+    if lens.get("camera_angle_x", 1.0) >= np.pi:
+        raise ValueError(f"camera_angle_x is {lens['camera_angle_x']} radians")
 
 
 def _find_image(path):

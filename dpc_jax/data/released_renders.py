@@ -136,7 +136,7 @@ def _read_pictures(place, number, image_size):
     on_white = pixels[..., :3] * covered[..., None] + 255.0 * (1.0 - covered[..., None])
     path = place / f"depth_{number}.png"
     raw = np.asarray(_open(path))
-    if raw.shape != covered.shape or raw.dtype.kind not in "iu":
+    if raw.shape != covered.shape or raw.dtype.kind not in "iu" or raw.itemsize < 2:
         raise ValueError(
             f"expected 16-bit depth of {covered.shape} in {path}, got {raw.dtype} "
             f"{raw.shape}; unpack the renders again."
@@ -165,13 +165,13 @@ def read_camera(path, *, width, focal_length, distance):
         camera has another focal length or distance than the data set's.
     """
     content = _read_mat(path, ("extrinsic", "pos", "K"))
-    extrinsic = np.asarray(content["extrinsic"], dtype=np.float64)
-    position = np.asarray(content["pos"], dtype=np.float64).ravel()
-    lens = np.asarray(content["K"], dtype=np.float64)
+    extrinsic, position, lens = (content[n] for n in ("extrinsic", "pos", "K"))
+    position = position.ravel()
     if extrinsic.shape != (4, 4) or position.shape != (3,) or lens.shape != (3, 3):
         raise ValueError(
             f"expected extrinsic [4, 4], pos [3] and K [3, 3] in {path}, got "
-            f"{extrinsic.shape}, {position.shape} and {lens.shape}."
+            f"{extrinsic.shape}, {position.shape} and {lens.shape}; unpack the archive "
+            "again."
         )
     rotation, shift = extrinsic[:3, :3], extrinsic[:3, 3]
     flaws = [
@@ -201,7 +201,7 @@ def read_ground_truth(path):
     Raises:
       ValueError: naming the file, if it cannot be read or holds no finite points.
     """
-    points = np.asarray(_read_mat(path, ("points",))["points"], dtype=np.float64)
+    points = _read_mat(path, ("points",))["points"]
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise ValueError(
             f"expected finite points [P, 3] in {path}, got {points.shape}; download "
@@ -211,6 +211,7 @@ def read_ground_truth(path):
 
 
 def _read_mat(path, names):
+    """Arrays of numbers, float64, by name."""
     from scipy.io import loadmat
 
     if not path.is_file():
@@ -228,7 +229,13 @@ def _read_mat(path, names):
             f"expected {', '.join(names)} in {path}, {', '.join(missing)} is missing; "
             "unpack the archive again."
         )
-    return content
+    try:
+        return {name: np.asarray(content[name], dtype=np.float64) for name in names}
+    except (ValueError, TypeError) as error:  # texts, cells, structures
+        raise ValueError(
+            f"expected numbers in {', '.join(names)} of {path}, got others ({error}); "
+            "unpack the archive again."
+        ) from None
 
 
 def _open(path):

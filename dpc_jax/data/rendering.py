@@ -117,12 +117,14 @@ def make_arrays(spec, source, index):
         arrays = released_renders.read_model(place, truth, views=spec.views, **shared)
         return arrays, []
     arrays = render_model(spec, source, index)
-    if spec.kind == "shapenet":
-        from . import shapenet
+    if not str(source.path).lower().endswith(".obj") or source.copy:
+        return arrays, []
+    from . import shapenet
 
-        remark = shapenet.describe_materials(source.path)
-        return arrays, [remark] if remark else []
-    return arrays, []
+    # other OBJ files may have colours of their own
+    remark = shapenet.describe_materials(source.path)
+    bare = spec.kind != "shapenet" and remark == shapenet.BARE
+    return arrays, [remark] if remark and not bare else []
 
 
 def render_model(spec, source, index):

@@ -11,10 +11,12 @@ import re
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 SYNSETS = {"airplane": "02691156", "car": "02958343", "chair": "03001627"}
 LAYOUTS = {1: "model.obj", 2: "models/model_normalized.obj"}
 FRONTS = {1: "+x", 2: "-z"}
+BARE = "names no materials, rendered grey"
 TURNS = {  # rows are the canonical axes (front, left, up) in the axes of the file
     "+x": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
     "-x": ((-1, 0, 0), (0, 0, 1), (0, 1, 0)),
@@ -99,21 +101,35 @@ def describe_materials(path):
     """What a model lacks of materials and textures, in a phrase, or None for nothing.
 
     The model is rendered all the same, in the plain colours of its materials or grey.
+    Textures are missing where they are no pictures, too.
     """
     path = Path(path)
     with open(path, encoding="utf-8", errors="replace") as file:
         text = file.read(1 << 20)  # materials are named before anything uses them
     libraries = re.findall(r"^mtllib[ \t]+(.+?)\s*$", text, re.MULTILINE)
     if not libraries:
-        return "names no materials, rendered grey"
+        return BARE
     found = [path.parent / name for name in libraries if (path.parent / name).is_file()]
     if not found:
         return f"lacks its materials {libraries[0]}, rendered grey"
-    images = []
-    for library in found:
-        content = library.read_text(encoding="utf-8", errors="replace")
-        images += re.findall(r"^\s*map_Kd[ \t]+(.+?)\s*$", content, re.MULTILINE)
-    lost = [n for n in images if not (path.parent / n.replace("\\", "/")).is_file()]
+    content = "\n".join(
+        library.read_text(encoding="utf-8", errors="replace") for library in found
+    )
+    if not re.search(r"^\s*newmtl[ \t]+\S", content, re.MULTILINE):
+        return f"has no material in {libraries[0]}, rendered grey"
+    images = re.findall(r"^\s*map_Kd[ \t]+(.+?)\s*$", content, re.MULTILINE)
+    lost = [name for name in images if not _is_picture(path.parent, name)]
     if lost:
         return f"lacks {len(lost)} of {len(images)} textures, {lost[0]} for one"
     return None
+
+
+def _is_picture(folder, name):
+    """Whether a texture is there and whole."""
+    try:
+        with Image.open(folder / name.replace("\\", "/")) as picture:
+            picture.draft("RGB", (1, 1))  # a small decoding shows a cut file too
+            picture.load()
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return False
+    return True

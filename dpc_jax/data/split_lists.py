@@ -42,12 +42,17 @@ def read_split(path, synset):
       OSError: if it cannot be read.
     """
     path = Path(path)
-    if path.suffix == ".csv":
-        sides = _read_csv(path, synset)
-    elif path.suffix == ".file":
-        sides = _read_table(path)
-    else:
-        sides = _read_texts(path)
+    try:
+        if path.suffix == ".csv":
+            sides = _read_csv(path, synset)
+        elif path.suffix == ".file":
+            sides = _read_table(path)
+        else:
+            sides = _read_texts(path)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(
+            f"expected text in {path}, it cannot be read ({error}); give another file."
+        ) from None
     listed = [model for side in sides.values() for model in side]
     if not listed:
         raise ValueError(
@@ -76,6 +81,11 @@ def _read_csv(path, synset):
         for row in rows:
             side = SYNONYMS.get(row["split"], row["split"])
             if (row["synsetId"] or "").zfill(8) == synset and side in sides:
+                if not row["modelId"]:
+                    raise ValueError(
+                        f"expected a modelId in every row of {path}, line "
+                        f"{rows.line_num} has none; repair it."
+                    )
                 sides[side].append(row["modelId"])
     return sides
 
