@@ -29,6 +29,22 @@ FLOORS = {
         {"jax", "numpy", "matplotlib", "torch", "trimesh"},
         {"benchmarking", "reporting", "learning", "render", "data"},
     ),
+    "stress": (
+        {"jax", "chex", "numpy", "matplotlib", "hypothesis", "optax"},
+        {
+            "stress",
+            "benchmarking",
+            "reporting",
+            "learning",
+            "networks",
+            "evaluation",
+            "render",
+            "data",
+            # A training run of the stress report is one of the default configuration.
+            "configuration",
+            "defaults",
+        },
+    ),
 }
 
 

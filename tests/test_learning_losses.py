@@ -132,9 +132,8 @@ def test_repulsion_is_the_mean_of_one_over_the_distance_of_the_pairs():
         for j, b in enumerate(points)
         if i != j
     ]
-    # The own term, 50 a point, is added and taken away again: rounding of 9·50.
     assert repulsion_energy(jnp.array(points)) == pytest.approx(
-        np.mean(pairs), rel=1e-4
+        np.mean(pairs), rel=ROUNDING
     )
 
 
@@ -161,3 +160,13 @@ def test_containment_is_smooth_at_the_centre_and_on_the_sphere(point):
     value, gradient = jax.value_and_grad(containment_loss)(jnp.array([point]))
     assert float(value) == pytest.approx(0, abs=ROUNDING)
     np.testing.assert_allclose(gradient, 0, atol=ROUNDING)
+
+
+def test_repulsion_of_points_far_apart_is_not_drowned_by_their_own_terms():
+    far = np.array([[0.0, 0, 0], [3e6, 0, 0], [0, 4e6, 0]])
+    value, gradient = jax.value_and_grad(repulsion_energy)(jnp.array(far))
+    distances = np.array([3e6, 4e6, 5e6])
+    assert value == pytest.approx(np.mean(1 / distances), rel=ROUNDING)
+    # ∂/∂x of the first point: 1/d² of each of two pairs, of three in the mean.
+    expected = [1 / 3e6**2 / 3, 1 / 4e6**2 / 3, 0]
+    np.testing.assert_allclose(gradient[0], expected, rtol=ROUNDING)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import dpc_jax
+from dpc_jax.render import kernels
 
 ALL = ("silhouette", "depth", "color")
 
@@ -79,3 +80,41 @@ def test_a_cloud_of_no_or_one_point_has_its_images(count):
     assert image.color.shape == (8, 8, 1)
     assert (np.max(image.silhouette) > 0) == (count > 0)
     assert np.all(np.isfinite(image.depth))
+
+
+@pytest.mark.parametrize("size", ["sigma", "covariance"])
+def test_a_point_of_mass_zero_has_the_gradient_of_its_mass(size):
+    points = jnp.array([[0.1, 0.05, 0.0], [-0.2, 0.1, 0.1]])
+    sizes = {"sigma": None, "covariance": None}
+    sizes[size] = jnp.ones(2) if size == "sigma" else jnp.stack([jnp.eye(3)] * 2)
+
+    def total(scale):
+        image = dpc_jax.project(
+            points, IDENTITY, **sizes, scale=scale, grid=dpc_jax.VoxelGrid(8)
+        )
+        return jnp.sum(image.silhouette)
+
+    gradient = jax.jit(jax.grad(total))
+    without = gradient(jnp.array([0.5, 0.0]))
+    # Silhouettes are polynomials in a mass: next to nothing has next to that gradient.
+    np.testing.assert_allclose(without, gradient(jnp.array([0.5, 1e-6])), rtol=1e-4)
+    assert without[1] > 0.5
+
+
+def test_a_kernel_at_its_floor_has_a_finite_slope_in_float16():
+    # 1/σ² of the floor is 2500, and 65504 the largest float16. The offsets were found
+    # by a search over 20000; the weight of the nearest cell is what overflowed.
+    cells = jnp.arange(8, dtype=jnp.float16)
+
+    @jax.jit
+    def differentiate(sigma, center):
+        def total(sigma, center):
+            weights = kernels.sample_gaussian(cells, sigma, center=center)
+            return jnp.sum(weights * 1.5)
+
+        return jax.grad(total, argnums=(0, 1))(sigma, center)
+
+    for center in (-0.4849, 2.479, -0.3442, 3.27, 4.68):
+        for sigma in (0.0, 0.02):
+            slopes = differentiate(jnp.float16(sigma), jnp.float16(center))
+            assert np.all(np.isfinite(slopes)), (center, sigma)

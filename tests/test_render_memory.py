@@ -29,7 +29,7 @@ def test_inputs_and_images_are_counted_to_the_byte():
 
 def test_an_array_and_what_stands_for_it_take_the_same():
     arrays = dpc_jax.estimate_memory(
-        jnp.zeros((N, 3)), jnp.ones(4), sigma=1.0, grid=GRID
+        jnp.zeros((N, 3), "f4"), jnp.ones(4, "f4"), sigma=1.0, grid=GRID
     )
     assert arrays == estimate(sigma=1.0)
 

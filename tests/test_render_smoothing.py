@@ -129,7 +129,7 @@ def test_every_branch_is_right_to_rounding_in_float32(size):
 
 @pytest.mark.parametrize("size", [20, 33, 64])
 def test_sigma_decides_how_far_the_columns_are_summed(size):
-    impulse = jnp.zeros((size,) * 3).at[size // 2, 0, size // 2].set(1.0)
+    impulse = jnp.zeros((size,) * 3, "f4").at[size // 2, 0, size // 2].set(1.0)
 
     def find_reach(sigma):
         smoothed = smooth(impulse, jnp.float32(sigma))

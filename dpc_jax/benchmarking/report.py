@@ -1,6 +1,5 @@
 """benchmark.md and benchmark.json: the records as tables, in whole sentences."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from dpc_jax.benchmarking import accuracy, figures
-from dpc_jax.reporting.files import write_text
+from dpc_jax.reporting.files import write_json, write_text
 
 # Times of the released TensorFlow code over those of `plain_peer`, measured side by
 # side on another day (B, N, D, σ): it needs libraries of its own and is not run here.
@@ -33,8 +32,7 @@ def write_report(out: Path, results: dict[str, Any]) -> Path:
             if results.get(part)
         ),
     ]
-    data = json.dumps(_make_plain(results), indent=1, ensure_ascii=False)
-    write_text(out / "benchmark.json", data + "\n")
+    write_json(out / "benchmark.json", results)
     return write_text(out / "benchmark.md", "\n".join(text))
 
 
@@ -229,14 +227,3 @@ _SECTIONS = {
 
 def _percent(value):
     return f"{100 * value:.2g} %" if math.isfinite(value) else "–"
-
-
-def _make_plain(value):
-    """What JSON can hold; a number that is not finite becomes null."""
-    if isinstance(value, dict):
-        return {str(key): _make_plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_make_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -34,7 +34,8 @@ class Alignment(NamedTuple):
       inlier_share: share of the validation views within 30 degrees of it, 0 to 1.
       spread_deg: root mean square angle of those views about it, degrees; NaN never,
         infinite where there are none.
-      rms: root mean square distance of matched points under it, object units.
+      rms: root mean square distance of matched points under it, object units; infinite
+        where no point is within reach of another.
       chamfer: Chamfer distance of the validation shapes under it, on subsampled points
         and therefore above the true one; object units, not times 100.
       icp_turn_deg: how far ICP turned the vote's rotation; 0 where it was not taken.

@@ -47,10 +47,17 @@ def repulsion_energy(points: chex.Array, *, softening: float = 0.02) -> chex.Arr
       softening: distance below which the energy levels off, so that coincident points
         have a finite one.
     """
-    square = jnp.sum((points[:, None] - points[None]) ** 2, axis=-1)
-    energy = 1 / jnp.sqrt(square + softening**2)
+    away = points[:, None] - points[None]
+    # In units of each distance, so that no square overflows, nor the derivative's cube
+    # of a distance vanishes.
+    unit = jax.lax.stop_gradient(jnp.maximum(jnp.max(jnp.abs(away), -1), softening))
+    square = jnp.sum((away / unit[..., None]) ** 2, axis=-1) + (softening / unit) ** 2
+    energy = 1 / jnp.sqrt(square) / unit
     count = points.shape[0]
-    return (jnp.sum(energy) - count / softening) / (count * (count - 1))
+    # Left out, not subtracted: 1/softening of a point with itself would drown what
+    # points far apart have.
+    is_pair = ~jnp.eye(count, dtype=bool)
+    return jnp.sum(jnp.where(is_pair, energy, 0)) / (count * (count - 1))
 
 
 def containment_loss(points: chex.Array, *, radius: float = 0.5) -> chex.Array:

@@ -112,13 +112,13 @@ def factor_covariance(covariance: chex.Array) -> Factors:
     entry = lambda i, j: covariance[:, i, j]  # noqa: E731
     first = entry(a, a)
     zero = jnp.zeros_like(first)
-    slope_b = _divide(entry(b, a), first, zero)
-    slope_c = _divide(entry(c, a), first, zero)
+    slope_b = _find_slope(entry(b, a), first, zero)
+    slope_c = _find_slope(entry(c, a), first, zero)
     second = entry(b, b) - slope_b * entry(b, a)
     # Below the rounding of what was subtracted nothing is known of it.
     noise = 8 * jnp.finfo(first.dtype).eps * jnp.abs(first)
     shared = entry(c, b) - slope_c * entry(b, a)
-    slope_e = _divide(shared, second, noise)
+    slope_e = _find_slope(shared, second, noise)
     third = entry(c, c) - slope_c * entry(c, a) - slope_e * shared
     return Factors(
         jnp.stack([_take_root(v) for v in (first, second, third)], axis=-1),
@@ -132,23 +132,29 @@ def sum_covariances(
     covariance: chex.Array,
     *,
     shape: tuple[int, int, int],
+    is_inside: chex.Array | None = None,
 ) -> chex.Array:
     """Density of Gaussians with covariances [N, 3, 3]; else as `sum_gaussians`."""
     if coordinates.shape[0] == 0:
         return jnp.zeros((values.shape[1], *shape), values.dtype)
     chosen = choose_order(jax.lax.stop_gradient(covariance))
-    is_there = jnp.any(values != 0, axis=-1)
-    side = max(shape)
+    if is_inside is None:
+        is_inside = jnp.ones(coordinates.shape[0], bool)
+    side, dtype = max(shape), covariance.dtype
 
     def add_order(total, i):
         # All orders run one program, so the volume is a cube until the end; tiles that
         # no point reaches cost nothing.
         order = jnp.array(_ORDERS)[i]
+        is_mine = is_inside & (chosen == i)
+        # In another order slopes may be anything, and zero times the infinity of their
+        # derivative would be NaN.
+        safe = jnp.where(is_mine[:, None, None], covariance, jnp.eye(3, dtype=dtype))
         part = _sum_in_order(
             coordinates[:, order],
             values,
-            covariance[:, order][:, :, order],
-            is_there & (chosen == i),
+            safe[:, order][:, :, order],
+            is_mine,
             side,
         )
         turns = [
@@ -164,12 +170,12 @@ def sum_covariances(
     return total[:, : shape[0], : shape[1], : shape[2]]
 
 
-def _sum_in_order(centers, values, covariance, is_there, side):
+def _sum_in_order(centers, values, covariance, is_inside, side):
     """The part of those points whose covariance this order of axes was chosen for."""
     factors = factor_covariance(covariance)
     reaches = kernels.find_reach(factors.sigmas, centers.dtype)
     along = reaches[:, 1] + jnp.abs(factors.slopes[:, 0]) * reaches[:, 0]
-    intervals = gaussians.find_intervals(centers, (reaches[:, 0], along), is_there)
+    intervals = gaussians.find_intervals(centers, (reaches[:, 0], along), is_inside)
     points = {"centers": centers, "values": values, "factors": factors}
     return tiles.sum_in_tiles(
         _make_density(side),
@@ -213,6 +219,20 @@ def _make_density(size):
         )
 
     return sum_density
+
+
+def _find_slope(shared, variance, threshold):
+    """Slope of a conditional mean; zero where the variance says nothing of it.
+
+    Of the widest axis over the others no slope exceeds one, but for rounding: one
+    beyond two comes from a matrix that is no covariance. The square of the variance,
+    which the derivative divides by, must not underflow.
+    """
+    least = jnp.sqrt(jnp.finfo(variance.dtype).tiny)
+    is_safe = jnp.abs(shared) <= 2 * variance
+    return _divide(
+        jnp.where(is_safe, shared, 0), variance, jnp.maximum(threshold, least)
+    )
 
 
 def _divide(numerator, denominator, threshold):

@@ -21,6 +21,7 @@ def sum_gaussians(
     sigma: chex.Array,
     *,
     shape: tuple[int, int, int],
+    is_inside: chex.Array | None = None,
 ) -> chex.Array:
     """Density of isotropic Gaussians, Σ_n v_n·a_n ⊗ b_n ⊗ c_n.
 
@@ -29,6 +30,8 @@ def sum_gaussians(
       values: [N, V], mass of a point, and mass times each colour channel.
       sigma: () or [N], standard deviation in voxels, >= 0.
       shape: (rows, cols, depth), static.
+      is_inside: [N] bool, the points that count; None for all. The others cost
+        nothing. A point of mass zero counts: its mass has a gradient.
 
     Returns:
       [V, rows, cols, depth].
@@ -40,10 +43,12 @@ def sum_gaussians(
     # The weights are sampled again for the backward pass: they are cheap, and N·3D of
     # them for every sample in flight is what would fill the memory.
     call = jax.checkpoint(functools.partial(_sum_sampled, shape=shape))
-    return call(coordinates, values, sigma)
+    if is_inside is None:
+        is_inside = jnp.ones(count, bool)
+    return call(coordinates, values, sigma, is_inside)
 
 
-def _sum_sampled(coordinates, values, sigma, *, shape):
+def _sum_sampled(coordinates, values, sigma, is_inside, *, shape):
     def sample(axis):
         cells = jnp.arange(shape[axis], dtype=coordinates.dtype)
         center, width = coordinates[:, axis, None], sigma[:, None]
@@ -51,25 +56,23 @@ def _sum_sampled(coordinates, values, sigma, *, shape):
         return kernels.cut_negligible(weights, cells, width, center=center)
 
     rows, cols, depth = (sample(axis) for axis in range(3))
-    # A point of mass zero costs nothing.
-    is_there = jnp.any(values != 0, axis=-1)
     reach = kernels.find_reach(sigma, coordinates.dtype)
-    intervals = find_intervals(coordinates, (reach, reach), is_there)
+    intervals = find_intervals(coordinates, (reach, reach), is_inside)
     points = tiles.Points({"values": values, "depth": depth}, rows, cols)
     return tiles.sum_in_tiles(_sum_separable, shape, _CHUNK, points, intervals)
 
 
-def find_intervals(coordinates, reaches, is_there):
-    """First and last row and column a point reaches, [N, 4]; none where not there."""
+def find_intervals(coordinates, reaches, is_inside):
+    """First and last row and column a point reaches, [N, 4]; none where outside."""
     row, col = coordinates[:, 0], coordinates[:, 1]
     down, across = reaches
     nowhere = jnp.asarray(-jnp.inf, coordinates.dtype)
     return jnp.stack(
         [
             row - down,
-            jnp.where(is_there, row + down, nowhere),
+            jnp.where(is_inside, row + down, nowhere),
             col - across,
-            jnp.where(is_there, col + across, nowhere),
+            jnp.where(is_inside, col + across, nowhere),
         ],
         axis=-1,
     )

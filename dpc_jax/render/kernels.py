@@ -39,28 +39,34 @@ def sample_gaussian(
     nearest = jax.lax.stop_gradient(jnp.round(center))
     offset = center - nearest
     distance = cells - nearest
-    weights = jnp.exp(-0.5 * (distance / sigma) * ((distance - 2 * offset) / sigma))
-    return weights / _sum_over_integers(offset, sigma)
+    # One quotient for all cells: in the derivative of d/σ, zero times the infinity
+    # that 1/σ² is in float16 would be NaN.
+    inverse = 1 / sigma
+    weights = jnp.exp(-0.5 * (distance * inverse) * ((distance - 2 * offset) * inverse))
+    return weights * _invert_sum(offset, sigma, inverse)
 
 
-def _sum_over_integers(offset, sigma):
-    """Σ_{k∈Z} exp(-k(k - 2δ)/2σ²), a theta function, for |δ| <= 1/2."""
+def _invert_sum(offset, sigma, inverse):
+    """1 / Σ_{k∈Z} exp(-k(k - 2δ)/2σ²), of a theta function, for |δ| <= 1/2."""
     # Not minimum and maximum: at the border each would pass half of the derivative.
     is_narrow = sigma < _WIDE
-    narrow = jnp.where(is_narrow, sigma, _WIDE)
-    wide = jnp.where(is_narrow, _WIDE, sigma)
-    direct = sum(
-        jnp.exp(-0.5 * (k / narrow) * ((k - 2 * offset) / narrow)) for k in range(-4, 5)
+    narrow = jnp.where(is_narrow, inverse, 1 / _WIDE)
+    wide = jnp.where(is_narrow, 1 / _WIDE, inverse)
+    direct = 1 + sum(
+        jnp.exp(-0.5 * (k * narrow) * ((k - 2 * offset) * narrow))
+        for k in range(-4, 5)
+        if k != 0
     )
     # Beyond four voxels the waves are below 1e-137, and their exponent may overflow.
-    low = jnp.where(wide < 4, wide, 4)
+    low = jnp.where(is_narrow, _WIDE, jnp.where(sigma < 4, sigma, 4))
     waves = 1 + 2 * sum(
         jnp.exp(-2 * (jnp.pi * m * low) ** 2) * jnp.cos(2 * jnp.pi * m * offset)
         for m in range(1, 4)
     )
     root = jnp.sqrt(jnp.asarray(2 * jnp.pi, waves.dtype))
-    poisson = root * wide * jnp.exp(0.5 * (offset / wide) ** 2) * waves
-    return jnp.where(is_narrow, direct, poisson)
+    poisson = root * jnp.exp(0.5 * (offset * wide) ** 2) * waves
+    # The sum is σ times that; the product may overflow, its inverse does not.
+    return jnp.where(is_narrow, 1, inverse) / jnp.where(is_narrow, direct, poisson)
 
 
 def cut_negligible(weights: chex.Array, cells, sigma, *, center) -> chex.Array:

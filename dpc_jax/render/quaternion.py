@@ -28,6 +28,9 @@ def normalize(quaternion: chex.Array) -> chex.Array:
     # inside float32. The result does not depend on that factor, so neither does the
     # gradient.
     largest = jax.lax.stop_gradient(jnp.max(jnp.abs(quaternion)))
+    # Of a number beyond max/16 the inverse may be subnormal, which processors flush to
+    # zero; up to 16 its square is safe in float16 too.
+    largest = jnp.minimum(largest, jnp.finfo(quaternion.dtype).max / 16)
     is_zero = largest == 0
     identity = jnp.array(IDENTITY, quaternion.dtype)
     scaled = jnp.where(is_zero, identity, quaternion / jnp.where(is_zero, 1, largest))

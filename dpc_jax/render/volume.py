@@ -16,12 +16,14 @@ class Scene(NamedTuple):
     Attributes:
       coordinates: [N, 3] continuous (row, col, depth) index.
       mass: [N] in voxels, zero for a point outside.
+      is_inside: [N] bool, which points are in the volume and before the camera.
       sigma: () or [N] in voxels, or None with a covariance.
       covariance: [N, 3, 3] in the grid's axes, voxels², or None.
     """
 
     coordinates: chex.Array
     mass: chex.Array
+    is_inside: chex.Array
     sigma: chex.Array | None
     covariance: chex.Array | None
 
@@ -49,7 +51,8 @@ def place_points(
         covariance = covariances.move_covariance(
             covariance, safe, matrix, camera=camera, grid=grid
         )
-    return Scene(coordinates, jnp.where(is_inside, scale, 0), sigma, covariance)
+    mass = jnp.where(is_inside, scale, 0)
+    return Scene(coordinates, mass, is_inside, sigma, covariance)
 
 
 def fill_volume(scene: Scene, colors: chex.Array | None, *, shape, method):
@@ -82,10 +85,18 @@ def fill_volume(scene: Scene, colors: chex.Array | None, *, shape, method):
         values = jnp.concatenate([values, values * colors], axis=1)
     if scene.covariance is not None:
         volumes = covariances.sum_covariances(
-            scene.coordinates, values, scene.covariance, shape=shape
+            scene.coordinates,
+            values,
+            scene.covariance,
+            shape=shape,
+            is_inside=scene.is_inside,
         )
     else:
         volumes = gaussians.sum_gaussians(
-            scene.coordinates, values, scene.sigma, shape=shape
+            scene.coordinates,
+            values,
+            scene.sigma,
+            shape=shape,
+            is_inside=scene.is_inside,
         )
     return volumes[0], lambda function: jax.vmap(function)(volumes[1:])

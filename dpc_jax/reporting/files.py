@@ -1,7 +1,10 @@
 """Files that are either the old ones or the new ones whole, never a torn half."""
 
+import json
+import math
 import os
 from pathlib import Path
+from typing import Any
 
 
 def write_bytes(path: str | os.PathLike, data: bytes) -> Path:
@@ -23,3 +26,19 @@ def write_bytes(path: str | os.PathLike, data: bytes) -> Path:
 def write_text(path: str | os.PathLike, text: str) -> Path:
     """``write_bytes`` of text in UTF-8."""
     return write_bytes(path, text.encode("utf-8"))
+
+
+def write_json(path: str | os.PathLike, data: Any) -> Path:
+    """``write_text`` of JSON; a number that is not finite becomes null."""
+    text = json.dumps(_make_plain(data), indent=1, ensure_ascii=False)
+    return write_text(path, text + "\n")
+
+
+def _make_plain(value):
+    if isinstance(value, dict):
+        return {str(key): _make_plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_make_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

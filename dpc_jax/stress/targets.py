@@ -1,0 +1,106 @@
+"""What random draws are thrown at: a function, the range of its inputs, what holds."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+LARGEST = float(np.finfo(np.float32).max)
+
+
+@dataclasses.dataclass(frozen=True)
+class Range:
+    """Float32 arrays that are drawn for one input.
+
+    Attributes:
+      shape: fixed, so that a function is compiled once.
+      low, high: bounds; by default all finite numbers, subnormal ones too.
+      usual: bounds of the ordinary numbers that are mixed in, so that not every point
+        is out of sight.
+      smallest: magnitudes below it become zero.
+      kind: "float", or "byte" for uint8.
+    """
+
+    shape: tuple[int, ...]
+    low: float = -LARGEST
+    high: float = LARGEST
+    usual: tuple[float, float] = (-0.5, 0.5)
+    smallest: float = 0.0
+    kind: str = "float"
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """A function, and what must hold for every draw.
+
+    Attributes:
+      name: as a user writes it.
+      function: of the inputs as arrays; an array or a tree of them.
+      inputs: their ranges.
+      holds: (outputs, *inputs) -> further properties by name, each a bool.
+      limit: the documented range where it is not all finite numbers, and why.
+      has_gradient: whether every input must have a finite gradient.
+      is_traced: False for functions in numpy.
+      refusals: exceptions that are documented answers.
+    """
+
+    name: str
+    function: Callable
+    inputs: tuple[Range, ...]
+    holds: Callable[..., dict[str, Any]] = lambda outputs, *inputs: {}
+    limit: str = ""
+    has_gradient: bool = True
+    is_traced: bool = True
+    refusals: tuple[type[Exception], ...] = ()
+
+
+def make_check(target: Target) -> Callable[..., dict[str, bool]]:
+    """A function of drawn arrays that gives each property and whether it holds.
+
+    For what is traced it is one compiled program: outputs are finite, gradients of
+    Σ ±output are, and what else the target promises.
+    """
+    if not target.is_traced:
+        return lambda *arrays: _check_plain(target, arrays)
+
+    def check(*arrays):
+        if target.has_gradient:
+            outputs, pull_back = jax.vjp(target.function, *arrays)
+            found = {"finite": _are_finite(outputs)}
+            gradients = pull_back(jax.tree.map(_alternate, outputs))
+            for place, gradient in enumerate(gradients):
+                found[f"gradient of input {place}"] = _are_finite(gradient)
+        else:
+            outputs = target.function(*arrays)
+            found = {"finite": _are_finite(outputs)}
+        return found | target.holds(outputs, *arrays)
+
+    compiled = jax.jit(check)
+    return lambda *arrays: {
+        k: bool(v) for k, v in jax.device_get(compiled(*arrays)).items()
+    }
+
+
+def _check_plain(target, arrays):
+    try:
+        outputs = target.function(*arrays)
+    except target.refusals as error:
+        # A refusal is a sentence that says what was expected.
+        return {"refused in a sentence": "xpected" in str(error)}
+    leaves = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(outputs)]
+    found = {"finite": all(np.isfinite(leaf).all() for leaf in leaves)}
+    return found | target.holds(outputs, *arrays)
+
+
+def _are_finite(tree):
+    leaves = jax.tree.leaves(tree)
+    return jnp.all(jnp.array([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
+
+
+def _alternate(output):
+    """Cotangents 1, -1, 1, ...: no cell's gradient can hide behind another's."""
+    size = output.size
+    return (1 - 2 * (jnp.arange(size) % 2)).reshape(output.shape).astype(output.dtype)
