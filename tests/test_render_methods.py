@@ -103,8 +103,9 @@ def carry_covariances(scene, kind):
     return np.stack(carried)
 
 
-@pytest.mark.parametrize("channels", [1, 3, 7])
-@pytest.mark.parametrize("size", ["one sigma", "sigma per point", "covariance"])
+@pytest.mark.parametrize(
+    ("size", "channels"), [("one sigma", 1), ("sigma per point", 7), ("covariance", 3)]
+)
 def test_images_of_the_basic_method_equal_the_written_equations(size, channels):
     scene, kind = make_scene(channels), "perspective"
     if size == "covariance":
@@ -135,7 +136,7 @@ def test_images_of_the_basic_method_equal_the_written_equations(size, channels):
         np.testing.assert_allclose(image[name], expected[name], rtol=0, atol=tolerance)
 
 
-@pytest.mark.parametrize("channels", [1, 3, 7])
+@pytest.mark.parametrize("channels", [1, 7])
 def test_images_of_the_fast_method_equal_the_written_equations(channels):
     scene = make_scene(channels)
     with jax.enable_x64(True):
@@ -182,7 +183,7 @@ def test_auto_is_the_fast_method_for_one_sigma_and_the_basic_one_for_several():
     assert write("auto", **matrices) == write("gaussian", **matrices)
 
 
-@pytest.mark.parametrize("sigma", [1.0, 2.0, 3.0])
+@pytest.mark.parametrize("sigma", [1.0, 3.0])
 def test_compensated_widening_brings_the_fast_method_to_the_basic_one(sigma):
     rng = np.random.default_rng(5)
     points = rng.normal(size=(500, 3)) * 0.1
