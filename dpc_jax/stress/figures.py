@@ -19,7 +19,8 @@ def draw_growth(curves: Sequence[Curve], path: Path) -> Path:
     """A panel for each thing counted: error over n, and √n dashed through the worst."""
     subjects = list(dict.fromkeys(curve.subject for curve in curves))
     figure = Figure(figsize=(11.0, 3.6 * -(-len(subjects) // 2)), layout="constrained")
-    flat = np.atleast_1d(figure.subplots(-(-len(subjects) // 2), 2)).ravel()
+    panels = figure.subplots(-(-len(subjects) // 2), 2, sharey=True)
+    flat = np.atleast_1d(panels).ravel()
     for axes, subject in zip(flat, subjects, strict=False):
         chosen = [curve for curve in curves if curve.subject == subject]
         for i, curve in enumerate(chosen):
@@ -42,9 +43,11 @@ def draw_growth(curves: Sequence[Curve], path: Path) -> Path:
             color=_MUTED,
             label=r"$\sqrt{n}$",
         )
+        axes.set_xticks(sizes, [str(n) for n in chosen[0].sizes])
+        axes.set_xticks([], minor=True)
         axes.set_xlabel(f"n {subject}", fontsize=9)
         axes.grid(which="major", color="#e3e7ea", linewidth=0.6)
-        axes.legend(fontsize=7, frameon=False, loc="best")
+        axes.legend(fontsize=7, frameon=False, loc="upper left")
     for axes in flat[len(subjects) :]:
         axes.set_visible(False)
     figure.supylabel("relative error of float32", fontsize=10)

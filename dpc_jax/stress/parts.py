@@ -49,6 +49,7 @@ class Order:
 PARTS = {
     "cases": "dpc_jax.stress.catalogue",
     "ordinary": "dpc_jax.stress.ordinary",
+    "stiff": "dpc_jax.stress.stiff",
     "random": "dpc_jax.stress.random_draws",
     "training": "dpc_jax.stress.training",
 }

@@ -1,6 +1,8 @@
 """The part of the report on training far too fast: finite, or stopped with a name."""
 
+import contextlib
 import dataclasses
+import io
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -46,7 +48,7 @@ class Ending(NamedTuple):
     Attributes:
       variant, factor, steps: of the `Trial`.
       learning_rate: the peak.
-      steps_done: until the end or the stop.
+      steps_done: until the end; None where it stopped.
       seconds: wall clock, compilation included.
       first_loss, last_loss: means over the first and last interval of the log; None
         without one.
@@ -59,7 +61,7 @@ class Ending(NamedTuple):
     factor: float
     steps: int
     learning_rate: float
-    steps_done: int
+    steps_done: int | None
     seconds: float
     first_loss: float | None
     last_loss: float | None
@@ -145,18 +147,19 @@ def train(trial: Trial, folder: Path, name: str, *, seed: int) -> Ending:
     (folder / name).mkdir()
     log = MetricLog(folder / name / "metrics.jsonl")
     checkpoints = Checkpoints(folder / name / "checkpoints")
-    error, steps_done, is_finite = "", 0, True
+    error, steps_done, is_finite = "", None, True
     try:
-        outcome = loop.train(
-            state,
-            dataset,
-            network=network,
-            settings=settings,
-            intervals=configuration.make_intervals(config),
-            checkpoints=checkpoints,
-            log=log,
-            title=f"Training {_name(trial)}",
-        )
+        # The report has a progress bar of its own.
+        with contextlib.redirect_stdout(io.StringIO()):
+            outcome = loop.train(
+                state,
+                dataset,
+                network=network,
+                settings=settings,
+                intervals=configuration.make_intervals(config),
+                checkpoints=checkpoints,
+                log=log,
+            )
         steps_done = int(outcome.state.step)
         is_finite = _is_finite(outcome.state)
     except loop.NonFiniteError as caught:
@@ -170,7 +173,7 @@ def train(trial: Trial, folder: Path, name: str, *, seed: int) -> Ending:
     return Ending(
         **dataclasses.asdict(trial),
         learning_rate=settings.learning_rate,
-        steps_done=steps_done or (records[-1]["step"] if records else 0),
+        steps_done=steps_done,
         seconds=time.perf_counter() - start,
         first_loss=losses[0] if losses else None,
         last_loss=losses[-1] if losses else None,
@@ -227,10 +230,10 @@ def write_section(endings: Sequence[Ending], failures: Sequence[str]) -> str:
     ]
     for e in endings:
         numbers = (e.first_loss, e.last_loss, e.largest_gradient)
+        done = "–" if e.steps_done is None else e.steps_done
         shown = " | ".join("–" if n is None else f"{n:.3g}" for n in numbers)
         lines.append(
             f"| {e.variant or 'default'} | {e.learning_rate:.2g} (×{e.factor:g}) | "
-            f"{e.steps_done} of {e.steps} | {e.seconds:.0f} | {shown} | "
-            f"{describe(e)} |"
+            f"{done} of {e.steps} | {e.seconds:.0f} | {shown} | {describe(e)} |"
         )
     return "\n".join(lines) + "\n"

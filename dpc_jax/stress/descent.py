@@ -1,0 +1,172 @@
+"""Descent on poses and points from silhouettes: one compiled loop for every recipe."""
+
+import functools
+from typing import NamedTuple
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpc_jax.learning.losses import reprojection_loss
+from dpc_jax.render import Camera, VoxelGrid, project, quaternion
+
+GRID = VoxelGrid(32)
+CAMERA = Camera()
+_MOMENTUM = 0.9  # Adam's decay of the mean gradient, its authors' value
+
+
+class Problem(NamedTuple):
+    """Silhouettes of one object, and what they were made from.
+
+    Attributes:
+      targets: [V, 32, 32].
+      poses: [V, 4] true quaternions.
+      surface: [M, 3] true points.
+      masses: [N] of the points sought, in voxels.
+    """
+
+    targets: chex.Array
+    poses: chex.Array
+    surface: chex.Array
+    masses: chex.Array
+
+
+class Start(NamedTuple):
+    """Where a descent starts: points [N, 3] and poses [V, 4]."""
+
+    points: chex.Array
+    poses: chex.Array
+
+
+class Recipe(NamedTuple):
+    """How to descend; all of it traced, so that one program serves every recipe.
+
+    Attributes:
+      sigmas: [T] standard deviation of a point at each iteration, voxels.
+      point_rates: [T, N] learning rate of each point, in object units.
+      pose_rates: [T, V] of each pose, in units of a quaternion.
+      is_adam: () whether the gradient is divided by its own root mean square.
+      memory: () Adam's decay of the mean square, 0.999 by default of its authors.
+    """
+
+    sigmas: chex.Array
+    point_rates: chex.Array
+    pose_rates: chex.Array
+    is_adam: chex.Array
+    memory: chex.Array
+
+
+class Trace(NamedTuple):
+    """Errors before each iteration, and after the last.
+
+    Attributes:
+      losses: [T + 1, V] reprojection loss of each view at sigma one.
+      pose_errors: [T + 1, V] degrees.
+      chamfer: [T + 1] in the paper's units (×100).
+      distances: [T + 1, N] of each point from where it was made; only where the surface
+        has as many points as are sought.
+      end: the last points and poses.
+    """
+
+    losses: chex.Array
+    pose_errors: chex.Array
+    chamfer: chex.Array
+    distances: chex.Array
+    end: Start
+
+
+def render_views(points, poses, *, masses, sigma) -> chex.Array:
+    """Silhouettes [V, 32, 32] of points [N, 3] from poses [V, 4]."""
+
+    def render(pose):
+        return project(
+            points, pose, sigma=sigma, scale=masses, camera=CAMERA, grid=GRID
+        ).silhouette
+
+    return jax.lax.map(render, poses)
+
+
+@functools.partial(jax.jit, static_argnames="every")
+def descend(problem: Problem, start: Start, recipe: Recipe, *, every: int = 1) -> Trace:
+    """Follow a recipe from a start.
+
+    Args:
+      problem: what is sought.
+      start: points and poses to begin with.
+      recipe: its T is a multiple of `every`.
+      every: iterations between two measurements of the error; 1 measures each.
+
+    Returns:
+      The trace, with T / every + 1 entries.
+    """
+
+    def compute_loss(params, sigma):
+        images = render_views(
+            params.points, params.poses, masses=problem.masses, sigma=sigma
+        )
+        return reprojection_loss(images, problem.targets)
+
+    def step(carry, inputs):
+        sigma, point_rates, pose_rates = inputs
+        params, mean, square, count = carry
+        gradient = jax.grad(compute_loss)(params, sigma)
+        count = count + 1
+        mean = _average(mean, gradient, _MOMENTUM)
+        square = _average(square, jax.tree.map(jnp.square, gradient), recipe.memory)
+        first = jax.tree.map(lambda m: m / (1 - _MOMENTUM**count), mean)
+        second = jax.tree.map(lambda s: s / (1 - recipe.memory**count), square)
+        direction = jax.tree.map(
+            lambda g, f, s: jnp.where(recipe.is_adam, _divide_by_root(f, s), g),
+            gradient,
+            first,
+            second,
+        )
+        rates = Start(point_rates[:, None], pose_rates[:, None])
+        params = jax.tree.map(lambda p, r, d: p - r * d, params, rates, direction)
+        return (params, mean, square, count), None
+
+    def measure(params):
+        sharp = render_views(
+            params.points, params.poses, masses=problem.masses, sigma=1.0
+        )
+        losses = jnp.sum((sharp - problem.targets) ** 2, axis=(1, 2))
+        angles = jax.vmap(quaternion.angle_between)(params.poses, problem.poses)
+        gaps = jnp.linalg.norm(params.points[:, None] - problem.surface[None], axis=-1)
+        chamfer = 100 * (jnp.mean(jnp.min(gaps, 1)) + jnp.mean(jnp.min(gaps, 0)))
+        return losses, jnp.degrees(angles), chamfer, jnp.diagonal(gaps)
+
+    def stretch(carry, inputs):
+        errors = measure(carry[0])
+        carry, _ = jax.lax.scan(step, carry, inputs)
+        return carry, errors
+
+    zeros = jax.tree.map(jnp.zeros_like, start)
+    carry = (start, zeros, zeros, 0)
+    inputs = jax.tree.map(
+        lambda a: a.reshape(-1, every, *a.shape[1:]),
+        (recipe.sigmas, recipe.point_rates, recipe.pose_rates),
+    )
+    carry, before = jax.lax.scan(stretch, carry, inputs)
+    after = measure(carry[0])
+    joined = jax.tree.map(lambda b, a: jnp.concatenate([b, a[None]]), before, after)
+    return Trace(*joined, end=carry[0])
+
+
+def _average(old, new, decay):
+    return jax.tree.map(lambda a, b: decay * a + (1 - decay) * b, old, new)
+
+
+def _divide_by_root(mean, square):
+    """Adam's direction, without the epsilon that would hold light points still."""
+    is_zero = square == 0
+    return jnp.where(is_zero, 0, mean / jnp.sqrt(jnp.where(is_zero, 1, square)))
+
+
+def turn_randomly(poses, degrees, rng) -> np.ndarray:
+    """Poses [V, 4] turned by an angle about axes of their own."""
+    axes = rng.normal(size=(len(poses), 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    turn = jax.vmap(quaternion.from_axis_angle, in_axes=(0, None))
+    turns = turn(jnp.asarray(axes, jnp.float32), np.radians(degrees))
+    return jax.vmap(quaternion.multiply)(turns, jnp.asarray(poses, jnp.float32))
