@@ -19,10 +19,12 @@ BELOW = "a variance below zero counts as zero: the nearest cell, with zero gradi
 
 
 def sum_isotropic(coordinates, masses, sigma):
+    """One Gaussian per point, with one mass each."""
     return gaussians.sum_gaussians(coordinates, masses[:, None], sigma, shape=SHAPE)[0]
 
 
 def sum_anisotropic(coordinates, masses, covariance):
+    """The same with covariances."""
     # As `project` does, which reads the symmetric part.
     covariance = (covariance + jnp.swapaxes(covariance, 1, 2)) / 2
     return covariances.sum_covariances(

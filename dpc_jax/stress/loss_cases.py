@@ -88,6 +88,7 @@ WINNERS = np.array([0, 2])
 
 
 def select(logits):
+    """The selection loss with fixed winners."""
     return losses.selection_loss(logits, jnp.asarray(WINNERS))
 
 

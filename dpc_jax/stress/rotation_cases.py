@@ -17,6 +17,7 @@ ZERO = "the zero quaternion stands for the identity, with zero gradient"
 
 
 def turn_points(points, rotation):
+    """`quaternion.rotate` under a name that cases share."""
     return quaternion.rotate(points, rotation)
 
 

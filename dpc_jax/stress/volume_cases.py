@@ -20,6 +20,7 @@ CROWD = 100_000
 
 
 def splat_into(coordinates, values, *, shape):
+    """`splat` with the shape bound by keyword."""
     return splat(coordinates, values, shape)
 
 
