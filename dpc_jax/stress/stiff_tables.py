@@ -80,7 +80,8 @@ def write_section(
         "arrives. At σ 1 gradient descent crawls: Adam is after a quarter of the "
         "iterations where it ends. A σ that shrinks from two voxels to a half, with "
         "Adam, ends nearest in pose, at the same run time. One that begins at 5 throws "
-        "points and poses away first, and half of the run goes into the way back.",
+        "points and poses away first: the chair spends half of the run on the way "
+        "back, and the car's poses do not come back.",
         "",
         "### K starts",
         "",
