@@ -57,7 +57,9 @@ def find_losses(points, mass, candidates, target, sigma=SIGMA):
     return render_losses(points, mass, candidates, target, sigma=sigma)
 
 
-@functools.partial(jax.jit, static_argnames=("first_grid", "first_points", "top"))
+@functools.partial(
+    jax.jit, static_argnames=("first_grid", "first_points", "top", "at_once")
+)
 def compute_choice(arrays, **static):
     return hindsight.choose_candidate(**arrays, sigma=SIGMA, camera=CAMERA, **static)
 
@@ -74,6 +76,12 @@ def test_the_candidate_of_the_smallest_loss_wins(scene):
     losses = np.asarray(find_losses(**scene))
     assert len(np.unique(losses)) == 6  # no ties in this scene
     assert choose(scene) == np.argmin(losses)
+
+
+@pytest.mark.parametrize("at_once", [0, 4])
+def test_the_choice_does_not_depend_on_how_many_are_rendered_at_once(scene, at_once):
+    for static in ({}, {"first_grid": 4, "first_points": 10, "top": 2}):
+        assert choose(scene, at_once=at_once, **static) == choose(scene, **static)
 
 
 def test_permuting_the_candidates_permutes_the_winner(scene):

@@ -18,8 +18,9 @@ from tiny_runs import (
     make_step,
 )
 
+from dpc_jax.learning.hindsight import map_renders
 from dpc_jax.learning.losses import selection_loss
-from dpc_jax.learning.objective import compute_mass, map_renders, scale_images
+from dpc_jax.learning.objective import compute_mass, scale_images
 
 
 class Run(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dpc_jax
-from dpc_jax.render import covariances, gaussians
+from dpc_jax.render import covariances, gaussians, tiles
 
 SHAPE = (11, 20, 9)  # neither cubic nor a multiple of a tile's side
 
@@ -132,6 +132,28 @@ def test_what_a_point_does_not_reach_is_exactly_zero():
     reached = np.argwhere(volume)
     assert reached.min() >= 4 - 3 and reached.max() <= 4 + 3  # 5.8 sigma
     assert volume[4, 4, 4] > 0
+
+
+def test_a_tile_beyond_the_circle_that_a_point_reaches_is_left_out():
+    # It reaches 0.78 * 5.77 + 0.5 = 5 cells: the tiles below and beside its own are 4
+    # away, the one across the corner 5.7. There the product of the weights that are
+    # left would be exp(-26) of the peak, not zero.
+    centre = np.full((1, 3), 4.0, "f4")
+    volume = fill(centre, np.ones((1, 1), "f4"), 0.78, shape=(12, 12, 6))[0]
+    assert np.any(volume[8:, :8]) and np.any(volume[:8, 8:])
+    assert not np.any(volume[8:, 8:])
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 1000])
+def test_a_tile_lists_the_points_that_reach_it_in_their_order(count):
+    rng = np.random.default_rng(count)
+    for share in (0, 0.1, 1):
+        reaches = rng.uniform(size=count) < share
+        order, number = tiles.find_points(jnp.asarray(reaches))
+        expected = np.flatnonzero(reaches)
+        assert number == len(expected)
+        np.testing.assert_array_equal(order[:number], expected)
+        np.testing.assert_array_equal(order[number:], count)  # the point of zeros
 
 
 @functools.partial(jax.jit, static_argnames=("grid", "method"))

@@ -13,7 +13,6 @@ from dpc_jax.learning import hindsight, losses, schedules
 from dpc_jax.learning.objective import (
     complete_poses,
     compute_mass,
-    map_renders,
     scale_images,
 )
 from dpc_jax.learning.settings import Settings
@@ -74,11 +73,17 @@ def make_predictor(network: ShapePoseNetwork, settings: Settings):
             if view_candidates.shape[0] == 1:
                 return image.silhouette, 0
             winner = hindsight.choose_candidate(
-                points, view_mass, view_candidates, target, sigma=sigma, camera=camera
+                points,
+                view_mass,
+                view_candidates,
+                target,
+                sigma=sigma,
+                camera=camera,
+                at_once=settings.renders_at_once,
             )
             return image.silhouette, winner
 
-        silhouettes, winners = map_renders(
+        silhouettes, winners = hindsight.map_renders(
             explain,
             (output["points"], mass, poses, candidates, targets),
             at_once=settings.renders_at_once,

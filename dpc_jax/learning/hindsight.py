@@ -12,6 +12,18 @@ from dpc_jax.learning.losses import reprojection_loss
 from dpc_jax.render import Camera, VoxelGrid, project, quaternion
 
 
+def map_renders(function, inputs, *, at_once: int):
+    """`vmap` over the leading axis, `at_once` entries at a time (0: all).
+
+    One volume at a time stays in a CPU's cache; a GPU wants all at once.
+    """
+    if at_once == 0:
+        return jax.vmap(function)(inputs)
+    if at_once == 1:
+        return jax.lax.map(function, inputs)
+    return jax.lax.map(function, inputs, batch_size=at_once)
+
+
 def compute_covariance(points: chex.Array) -> chex.Array:
     """Covariance [3, 3] of points [N, 3], without gradient."""
     centred = jax.lax.stop_gradient(points - jnp.mean(points, axis=0))
@@ -52,6 +64,7 @@ def compute_candidate_losses(
     *,
     sigma: chex.Array,
     camera: Camera,
+    at_once: int = 1,
 ) -> chex.Array:
     """Reprojection loss of each candidate, the inside of Eq. 2.
 
@@ -60,6 +73,7 @@ def compute_candidate_losses(
       candidates: [C, 4] quaternions.
       target: [D, D] silhouette.
       sigma: (), in voxels.
+      at_once: how many candidates are rendered side by side, see `map_renders`.
 
     Returns:
       [C].
@@ -72,7 +86,7 @@ def compute_candidate_losses(
         )
         return reprojection_loss(image.silhouette, target)
 
-    return jax.vmap(compute_loss)(candidates)
+    return map_renders(compute_loss, candidates, at_once=at_once)
 
 
 def choose_candidate(
@@ -86,6 +100,7 @@ def choose_candidate(
     first_grid: int = 0,
     first_points: int = 0,
     top: int = 0,
+    at_once: int = 1,
 ) -> chex.Array:
     """Index of the candidate whose silhouette fits one view best (Eq. 2); ().
 
@@ -101,6 +116,7 @@ def choose_candidate(
       first_grid: side of the coarser volume, a divisor of D; 0 for D.
       first_points: largest number of points of the first comparison; 0 for all.
       top: how many candidates are compared exactly after that.
+      at_once: how many are rendered side by side: 1 on a CPU, 0 (all) on a GPU.
     """
     side = target.shape[0]
     coarse_side = first_grid or side
@@ -115,12 +131,19 @@ def choose_candidate(
         jnp.mean(blocks, axis=(1, 3)),
         sigma=sigma * ratio,
         camera=camera,
+        at_once=at_once,
     )
     is_exact = coarse_side == side and count == points.shape[0]
     if is_exact or top == 0:
         return jnp.argmin(losses)
     _, best = jax.lax.top_k(-losses, min(top, losses.shape[0]))
     exact = compute_candidate_losses(
-        points, mass, candidates[best], target, sigma=sigma, camera=camera
+        points,
+        mass,
+        candidates[best],
+        target,
+        sigma=sigma,
+        camera=camera,
+        at_once=at_once,
     )
     return best[jnp.argmin(exact)]

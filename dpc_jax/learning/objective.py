@@ -28,18 +28,6 @@ def compute_mass(scale: chex.Array, sigma: chex.Array, settings: Settings):
     return scale / sample_gaussian(jnp.zeros(()), sigma) ** 3
 
 
-def map_renders(function, inputs, *, at_once: int):
-    """`vmap` over the leading axis, `at_once` entries at a time (0: all).
-
-    One volume at a time stays in a CPU's cache; a GPU wants all at once.
-    """
-    if at_once == 0:
-        return jax.vmap(function)(inputs)
-    if at_once == 1:
-        return jax.lax.map(function, inputs)
-    return jax.lax.map(function, inputs, batch_size=at_once)
-
-
 def compute_loss(
     params: chex.ArrayTree,
     batch: dict[str, chex.Array],
@@ -139,7 +127,7 @@ def compute_loss(
     def per_view(array):
         return None if array is None else jnp.repeat(array, views, axis=0)
 
-    images_seen = map_renders(
+    images_seen = hindsight.map_renders(
         render,
         (
             per_view(kept["points"]),
@@ -229,6 +217,7 @@ def _choose_poses(candidates, points, mass, targets, sigma, camera, settings):
             first_grid=settings.choice_grid,
             first_points=settings.choice_points,
             top=settings.choice_top,
+            at_once=settings.renders_at_once,
         )
 
     per_view = (
@@ -237,7 +226,7 @@ def _choose_poses(candidates, points, mass, targets, sigma, camera, settings):
         candidates.reshape(batch_size * views, -1, 4),
         targets.reshape(batch_size * views, *targets.shape[2:]),
     )
-    winners = map_renders(
+    winners = hindsight.map_renders(
         choose, jax.lax.stop_gradient(per_view), at_once=settings.renders_at_once
     ).reshape(batch_size, views)
     chosen = jnp.take_along_axis(candidates, winners[..., None, None], axis=2)[:, :, 0]

@@ -16,7 +16,7 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.render import gaussians, kernels, tiles
+from dpc_jax.render import kernels, tiles
 from dpc_jax.render.camera import Camera, VoxelGrid
 
 _CHUNK = 32
@@ -175,15 +175,32 @@ def _sum_in_order(centers, values, covariance, is_inside, side):
     factors = factor_covariance(covariance)
     reaches = kernels.find_reach(factors.sigmas, centers.dtype)
     along = reaches[:, 1] + jnp.abs(factors.slopes[:, 0]) * reaches[:, 0]
-    intervals = gaussians.find_intervals(centers, (reaches[:, 0], along), is_inside)
+    places = _Places(centers, reaches[:, 0], along, is_inside)
     points = {"centers": centers, "values": values, "factors": factors}
     return tiles.sum_in_tiles(
         _make_density(side),
+        _is_reached,
         (side, side, side),
         _CHUNK,
         tiles.Points(points, {}, {}),
-        intervals,
+        places,
     )
+
+
+class _Places(NamedTuple):
+    """Centres [N, 3], and how far points reach along the first and second axis, [N]."""
+
+    centers: chex.Array
+    first: chex.Array
+    second: chex.Array
+    is_inside: chex.Array
+
+
+def _is_reached(places, corner):
+    first, second = (
+        tiles.find_gap(places.centers[:, axis], corner[axis]) for axis in range(2)
+    )
+    return places.is_inside & (first <= places.first) & (second <= places.second)
 
 
 @functools.cache

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 SIDE = 8  # pixels of a tile along each axis (measured: 4 and 16 are slower)
+_BLOCK = 64  # points whose running count is one row of a matrix product
 
 
 class Points(NamedTuple):
@@ -31,19 +32,20 @@ class Points(NamedTuple):
     by_col: chex.ArrayTree
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(0, 1, 2))
-def sum_in_tiles(density, shape, chunk, points, intervals):
+@functools.partial(jax.custom_vjp, nondiff_argnums=(0, 1, 2, 3))
+def sum_in_tiles(density, is_reached, shape, chunk, points, places):
     """Sum points' densities over a volume.
 
     Args:
       density: function (`Points` of one chunk and tile, first row and column [2]) ->
         [V, SIDE, SIDE, depth], their summed density there; static. It must be zero for
         a point of which all parameters are zero.
+      is_reached: function (`places`, first row and column [2]) -> [N] bool, the points
+        whose density a tile needs; static.
       shape: (rows, cols, depth), static.
       chunk: points at once, static.
       points: the densities' parameters.
-      intervals: [N, 4] float, first and last row, first and last column that a point
-        reaches; without gradient.
+      places: what `is_reached` looks at, a tree of floats; without gradient.
 
     Returns:
       [V, rows, cols, depth].
@@ -52,7 +54,7 @@ def sum_in_tiles(density, shape, chunk, points, intervals):
     start = _find_density_shape(density, points, chunk)
 
     def sum_tile(corner):
-        order, count = _find_points(intervals, corner)
+        order, count = find_points(is_reached(places, corner))
 
         def add_chunk(i, total):
             index = _take_index(order, count, i, chunk)
@@ -64,18 +66,18 @@ def sum_in_tiles(density, shape, chunk, points, intervals):
     return _join_tiles(jax.lax.map(sum_tile, _list_corners(shape)), shape)
 
 
-def _sum_forward(density, shape, chunk, points, intervals):
-    volume = sum_in_tiles(density, shape, chunk, points, intervals)
-    return volume, (points, intervals)
+def _sum_forward(density, is_reached, shape, chunk, points, places):
+    volume = sum_in_tiles(density, is_reached, shape, chunk, points, places)
+    return volume, (points, places)
 
 
-def _sum_backward(density, shape, chunk, residuals, cotangent):
-    points, intervals = residuals
+def _sum_backward(density, is_reached, shape, chunk, residuals, cotangent):
+    points, places = residuals
     points, unblock = jax.vjp(lambda p: _block(p, shape), points)
 
     def add_tile(grads, tile):
         corner, tile_cotangent = tile
-        order, count = _find_points(intervals, corner)
+        order, count = find_points(is_reached(places, corner))
 
         def add_chunk(i, grads):
             index = _take_index(order, count, i, chunk)
@@ -89,48 +91,53 @@ def _sum_backward(density, shape, chunk, residuals, cotangent):
     zeros = jax.tree.map(jnp.zeros_like, points)
     tiles = _split_tiles(cotangent, shape)
     grads, _ = jax.lax.scan(add_tile, zeros, (_list_corners(shape), tiles))
-    return *unblock(grads), jnp.zeros_like(intervals)
+    return *unblock(grads), None
 
 
 sum_in_tiles.defvjp(_sum_forward, _sum_backward)
 
 
 def _block(points, shape):
-    """Split the axes of rows and columns into tiles: [N, tiles, SIDE, ...]."""
+    """Split the axes of rows and columns into tiles: [N + 1, tiles, SIDE, ...].
+
+    The last point is all zeros, for the free places of a chunk.
+    """
 
     def split(leaf, count):
         padding = [(0, 0)] * leaf.ndim
-        padding[1] = (0, count * SIDE - leaf.shape[1])
+        padding[0], padding[1] = (0, 1), (0, count * SIDE - leaf.shape[1])
         leaf = jnp.pad(leaf, padding)
         return leaf.reshape(leaf.shape[0], count, SIDE, *leaf.shape[2:])
 
     down, across = _count_tiles(shape)
     return Points(
-        points.whole,
+        jax.tree.map(
+            lambda a: jnp.pad(a, [(0, 1)] + [(0, 0)] * (a.ndim - 1)), points.whole
+        ),
         jax.tree.map(lambda a: split(a, down), points.by_row),
         jax.tree.map(lambda a: split(a, across), points.by_col),
     )
 
 
 def _take_points(points, index, corner):
-    """A chunk of points as a tile needs them; zeros at index N."""
+    """A chunk of points as a tile needs them."""
     row, col = corner[0] // SIDE, corner[1] // SIDE
-    fill = {"mode": "fill", "fill_value": 0}
+    known = {"mode": "promise_in_bounds"}
     return Points(
-        jax.tree.map(lambda a: a.at[index].get(**fill), points.whole),
-        jax.tree.map(lambda a: a.at[index, row].get(**fill), points.by_row),
-        jax.tree.map(lambda a: a.at[index, col].get(**fill), points.by_col),
+        jax.tree.map(lambda a: a.at[index].get(**known), points.whole),
+        jax.tree.map(lambda a: a.at[index, row].get(**known), points.by_row),
+        jax.tree.map(lambda a: a.at[index, col].get(**known), points.by_col),
     )
 
 
 def _add_points(grads, part, index, corner):
     """The transpose of `_take_points`, added to what is there."""
     row, col = corner[0] // SIDE, corner[1] // SIDE
-    drop = {"mode": "drop"}
+    known = {"mode": "promise_in_bounds"}
 
     def add(grads, part, *place):
         return jax.tree.map(
-            lambda g, p: g.at[(index, *place)].add(p, **drop), grads, part
+            lambda g, p: g.at[(index, *place)].add(p, **known), grads, part
         )
 
     return Points(
@@ -183,15 +190,28 @@ def _split_tiles(volume, shape):
     )
 
 
-def _find_points(intervals, corner):
-    """Indices [N] of the points that reach a tile, first, and how many they are."""
-    first_row, last_row, first_col, last_col = intervals.T
-    row, col = corner[0], corner[1]
-    reaches = (first_row < row + SIDE) & (last_row >= row)
-    reaches &= (first_col < col + SIDE) & (last_col >= col)
-    count = intervals.shape[0]
-    (order,) = jnp.nonzero(reaches, size=count, fill_value=count)
-    return order, jnp.sum(reaches)
+def find_gap(centers, first):
+    """Distance of points [N] from a tile's cells along an axis, 0 between them."""
+    last = first + SIDE - 1
+    return jnp.maximum(jnp.maximum(first - centers, centers - last), 0)
+
+
+def find_points(reaches):
+    """Indices [N] of the points that reach a tile, first, and how many they are.
+
+    As `jnp.nonzero`, at a quarter of its time on a CPU: the running count is summed in
+    blocks, by a product with a triangle of ones. It is exact in every precision.
+    """
+    count = len(reaches)
+    blocks = jnp.pad(reaches, (0, -count % _BLOCK)).reshape(-1, _BLOCK)
+    ones = jnp.triu(jnp.ones((_BLOCK, _BLOCK), jnp.float32))
+    within = (blocks.astype(jnp.float32) @ ones).astype(jnp.int32)
+    sizes = within[:, -1]
+    ranks = (within + (jnp.cumsum(sizes) - sizes)[:, None]).ravel()[:count]
+    index = jnp.arange(count, dtype=jnp.int32)
+    order = jnp.full(count, count, jnp.int32)
+    order = order.at[jnp.where(reaches, ranks - 1, count)].set(index, mode="drop")
+    return order, jnp.sum(sizes)
 
 
 def _count_chunks(count, chunk):

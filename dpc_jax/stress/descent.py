@@ -101,6 +101,15 @@ def descend(problem: Problem, start: Start, recipe: Recipe, *, every: int = 1) -
       The trace, with T / every + 1 entries.
     """
 
+    # One dtype for all: with x64, NumPy's float64 would enter with the rates.
+    dtype = start.points.dtype
+    recipe = recipe._replace(
+        sigmas=recipe.sigmas.astype(dtype),
+        point_rates=recipe.point_rates.astype(dtype),
+        pose_rates=recipe.pose_rates.astype(dtype),
+        memory=recipe.memory.astype(dtype),
+    )
+
     def compute_loss(params, sigma):
         images = render_views(
             params.points, params.poses, masses=problem.masses, sigma=sigma
