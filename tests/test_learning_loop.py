@@ -218,8 +218,12 @@ def test_the_first_loss_that_is_not_finite_stops_with_its_name_and_step(
     tmp_path, first_state, monkeypatch, every
 ):
     monkeypatch.setattr(loop, "make_train_step", poison(5, "shape", "scale"))
-    with pytest.raises(
-        loop.NonFiniteError, match="reprojection loss became nan at step 5"
+    # The NaN is meant, so JAX_DEBUG_NANS must not stop it first; so below.
+    with (
+        jax.debug_nans(False),
+        pytest.raises(
+            loop.NonFiniteError, match="reprojection loss became nan at step 5"
+        ),
     ):
         run_loop(tmp_path, first_state, every=every)
     restored, steps = restore(tmp_path, first_state)
@@ -232,7 +236,10 @@ def test_the_first_loss_that_is_not_finite_stops_with_its_name_and_step(
 
 def test_a_student_that_is_not_finite_is_named(tmp_path, first_state, monkeypatch):
     monkeypatch.setattr(loop, "make_train_step", poison(2, "student"))
-    with pytest.raises(loop.NonFiniteError, match="student loss became nan at step 2"):
+    with (
+        jax.debug_nans(False),
+        pytest.raises(loop.NonFiniteError, match="student loss became nan at step 2"),
+    ):
         run_loop(tmp_path, first_state)
 
 
