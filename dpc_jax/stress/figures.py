@@ -43,7 +43,7 @@ def draw_growth(curves: Sequence[Curve], path: Path) -> Path:
             color=_MUTED,
             label=r"$\sqrt{n}$",
         )
-        axes.set_xticks(sizes, [str(n) for n in chosen[0].sizes])
+        axes.set_xticks(sizes, [f"{n:,.0f}" for n in sizes])
         axes.set_xticks([], minor=True)
         axes.set_xlabel(f"n {subject}", fontsize=9)
         axes.grid(which="major", color="#e3e7ea", linewidth=0.6)
