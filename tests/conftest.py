@@ -8,3 +8,8 @@ import hypothesis
 hypothesis.settings.register_profile("local", deadline=None)
 hypothesis.settings.register_profile("ci", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "local")
+
+
+def pytest_collection_modifyitems(items):
+    """Begin with the longest file: the last one to begin is waited for alone."""
+    items.sort(key=lambda item: item.path.name != "test_main_pipeline.py")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dpc_jax
-from dpc_jax.render import covariances, gaussians, tiles
+from dpc_jax.render import covariances, gaussians, kernels, tiles
 
 SHAPE = (11, 20, 9)  # neither cubic nor a multiple of a tile's side
 
@@ -132,6 +132,44 @@ def test_what_a_point_does_not_reach_is_exactly_zero():
     reached = np.argwhere(volume)
     assert reached.min() >= 4 - 3 and reached.max() <= 4 + 3  # 5.8 sigma
     assert volume[4, 4, 4] > 0
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32", "float16"])
+def test_weights_of_many_points_have_the_derivative_of_each_alone(dtype):
+    # From below the floor to kernels wider than any grid; centres on cells, in the
+    # middle of two, outside the axis. Written out, as autodiff would do it.
+    rng = np.random.default_rng(0)
+    size, largest = 9, {"float16": 1e3, "float32": 1e30, "float64": 1e30}[dtype]
+    sigma = np.array([0, 0.02, 0.1, 0.3, 0.49, 0.51, 1, 3, 30, largest])
+    centers = np.concatenate([[4.0, 4.5, -0.5, 8.49, -3], rng.uniform(-1, 9, 20)])
+    weights = rng.normal(size=(len(centers), len(sigma), size))
+
+    def sample_each(centers, sigma):
+        cells = jnp.arange(size, dtype=centers.dtype)
+        sampled = kernels.sample_gaussian(cells, sigma, center=centers)
+        return kernels.cut_negligible(sampled, cells, sigma, center=centers)
+
+    @functools.partial(jax.jit, static_argnums=0)
+    def differentiate(sample, centers, sigma, cotangents):
+        found, pull_back = jax.vjp(sample, centers, sigma)
+        return found, *pull_back(cotangents)
+
+    with jax.enable_x64(True):
+        pairs = np.meshgrid(centers, sigma, indexing="ij")
+        inputs = [jnp.asarray(a).astype(dtype) for a in map(np.ravel, pairs)]
+        inputs.append(jnp.asarray(weights.reshape(-1, size)).astype(dtype))
+        at_once = functools.partial(kernels.sample_axis, size=size)
+        found = differentiate(at_once, *inputs)
+        wide = [a.astype("float64") for a in inputs]
+        expected = differentiate(jax.vmap(sample_each), *wide)
+        found, expected = ([np.asarray(a, "f8") for a in b] for b in (found, expected))
+    unit = float(jnp.finfo(dtype).eps)
+    np.testing.assert_allclose(found[0], expected[0], rtol=0, atol=8 * unit)
+    for slope, reference in zip(found[1:], expected[1:], strict=True):
+        assert np.all(np.isfinite(slope))
+        # Relative to the largest: sums of terms of either sign.
+        error = np.abs(slope - reference).max()
+        assert error <= 64 * unit * np.abs(reference).max()
 
 
 def test_a_tile_beyond_the_circle_that_a_point_reaches_is_left_out():

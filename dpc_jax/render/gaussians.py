@@ -50,13 +50,10 @@ def sum_gaussians(
 
 
 def _sum_sampled(coordinates, values, sigma, is_inside, *, shape):
-    def sample(axis):
-        cells = jnp.arange(shape[axis], dtype=coordinates.dtype)
-        center, width = coordinates[:, axis, None], sigma[:, None]
-        weights = kernels.sample_gaussian(cells, width, center=center)
-        return kernels.cut_negligible(weights, cells, width, center=center)
-
-    rows, cols, depth = (sample(axis) for axis in range(3))
+    rows, cols, depth = (
+        kernels.sample_axis(coordinates[:, axis], sigma, shape[axis])
+        for axis in range(3)
+    )
     reach = kernels.find_reach(sigma, coordinates.dtype)
     places = _Places(coordinates[:, :2], jnp.where(is_inside, reach**2, -1))
     points = tiles.Points({"values": values, "depth": depth}, rows, cols)
