@@ -66,7 +66,8 @@ def list_settings(plan: Plan) -> list[Setting]:
         settings.append(Setting(family, label, "trilinear", base, share=share))
     for method, dtype in plan.dtypes:
         label = f"{method}, {base[0]}³, {dtype}"
-        settings.append(Setting("dtype", label, method, base, dtype=dtype))
+        family = f"{method}, {dtype}"
+        settings.append(Setting(family, label, method, base, dtype=dtype))
     return settings
 
 

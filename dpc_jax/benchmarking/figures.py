@@ -12,7 +12,10 @@ from matplotlib.ticker import NullFormatter
 from dpc_jax.benchmarking.accuracy import SOON
 from dpc_jax.reporting.files import write_bytes
 
-_COLORS = ("#2f7ebc", "#3a9d6e", "#d1495b", "#e0a030", "#7b5ea7", "#5f6c77")
+_COLORS = (
+    *("#2f7ebc", "#3a9d6e", "#d1495b", "#e0a030"),
+    *("#7b5ea7", "#5f6c77", "#56b4c9", "#8c5a3c"),
+)
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _INK, _MUTED = "#22303c", "#8795a1"
 _FLOOR = 1e-8  # smaller errors are drawn here
@@ -50,7 +53,6 @@ def draw_errors(
                     np.array(errors)[order],
                     marker=marker,
                     color=color,
-                    linestyle="" if family == "dtype" else "-",
                     linewidth=0.6,
                     markersize=5,
                     alpha=0.8,
