@@ -96,3 +96,94 @@ def test_lists_of_numbers_are_taken_where_arrays_are():
         signals=["color"],
     )
     assert lists.color.shape == (4, 4, 1)
+
+
+CLOUD, QUATERNION, IMAGE = (
+    np.zeros((5, 3), "f4"),
+    np.ones(4, "f4"),
+    np.zeros((8, 8), "f4"),
+)
+
+
+def choose(**changes):
+    arrays = {"points": CLOUD, "candidates": np.ones((2, 4), "f4"), "target": IMAGE}
+    arrays = {"mass": 1.0, "sigma": 1.0, "camera": dpc_jax.Camera()} | arrays | changes
+    return dpc_jax.choose_candidate(**arrays)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: dpc_jax.project(None, QUATERNION, sigma=1.0), "points.*NoneType"),
+        (lambda: dpc_jax.project(CLOUD, None, sigma=1.0), "rotation.*NoneType"),
+        (lambda: dpc_jax.project(CLOUD, QUATERNION, sigma=-1.0), "sigma.*0.*-1.0"),
+        (lambda: dpc_jax.project(CLOUD, QUATERNION, sigma=float("nan")), "sigma.*nan"),
+        (
+            lambda: dpc_jax.project(CLOUD, QUATERNION, sigma=1.0, scale=None),
+            "scale.*None",
+        ),
+        (lambda: dpc_jax.project(CLOUD, QUATERNION, sigma=1j), "sigma.*real.*complex"),
+        (
+            lambda: dpc_jax.project(CLOUD, QUATERNION, sigma=1.0, signals=3),
+            "signals.*3",
+        ),
+        (
+            lambda: dpc_jax.project(CLOUD, QUATERNION, sigma=1.0, camera=None),
+            "Camera.*NoneType",
+        ),
+        (
+            lambda: dpc_jax.project(
+                CLOUD, QUATERNION, sigma=1.0, camera=dpc_jax.Camera(np.ones(5))
+            ),
+            r"focal_length.*\[5\].*vmap",
+        ),
+        (
+            lambda: dpc_jax.project(CLOUD, QUATERNION, sigma=1.0, grid=32),
+            "VoxelGrid.*int",
+        ),
+        (
+            lambda: dpc_jax.project(
+                CLOUD, QUATERNION, sigma=1.0, background_depth=None
+            ),
+            "background_depth.*NoneType",
+        ),
+        (lambda: dpc_jax.splat(CLOUD, np.zeros(4, "f4"), (4, 4, 4)), r"\[5\].*\[4\]"),
+        (lambda: dpc_jax.splat(CLOUD, np.zeros(5, int), (4, 4, 4)), "values.*int"),
+        (lambda: dpc_jax.splat(CLOUD, np.zeros(5, "f4"), (4, 4)), r"\(4, 4\)"),
+        (lambda: dpc_jax.splat(CLOUD, np.zeros(5, "f4"), (4, 4, -1)), "-1"),
+        (lambda: dpc_jax.smooth(IMAGE, 1.0), r"volume.*\[N, N, N\].*\[8, 8\]"),
+        (lambda: dpc_jax.smooth(np.zeros((2, 2, 2), int), 1.0), "volume.*int"),
+        (lambda: dpc_jax.smooth(np.zeros((2, 0, 2), "f4"), 1.0), r"positive.*0"),
+        (
+            lambda: dpc_jax.smooth(np.zeros((2, 2, 2), "f4"), np.ones(2)),
+            r"sigma.*\[2\]",
+        ),
+        (lambda: dpc_jax.smooth(np.zeros((2, 2, 2), "f4"), -1.0), "sigma.*-1.0"),
+        (lambda: dpc_jax.opacity(np.float32(1)), r"\[..., N\].*\[\]"),
+        (lambda: dpc_jax.opacity(np.zeros((3, 0), "f4")), r"one cell.*\[3, 0\]"),
+        (lambda: dpc_jax.termination_probabilities([1, 0]), "occupancy.*int"),
+        (
+            lambda: dpc_jax.quaternion.normalize(np.ones((2, 4))),
+            r"\[4\].*\[2, 4\].*vmap",
+        ),
+        (lambda: dpc_jax.quaternion.to_matrix([1, 0, 0, 0]), "quaternion.*int"),
+        (lambda: dpc_jax.quaternion.multiply(QUATERNION, CLOUD), r"right.*\[5, 3\]"),
+        (lambda: dpc_jax.quaternion.rotate(CLOUD, np.ones(3)), r"\[4\] or \[3, 3\]"),
+        (lambda: dpc_jax.quaternion.from_matrix(np.eye(2)), r"matrix.*\[2, 2\]"),
+        (lambda: dpc_jax.quaternion.normalize("up"), "quaternion.*str"),
+        (
+            lambda: dpc_jax.reprojection_loss(IMAGE.astype("u1"), IMAGE),
+            "predicted.*uint8",
+        ),
+        (lambda: choose(candidates=np.ones((0, 4), "f4")), "one candidate.*0 cand"),
+        (lambda: choose(target=np.zeros((8, 4), "f4")), r"square.*\[8, 4\]"),
+        (lambda: choose(first_grid=3), "first_grid.*8.*3"),
+        (lambda: choose(first_points=-1), "first_points.*-1"),
+        (lambda: choose(top=1.5), "top.*1.5"),
+        (lambda: choose(at_once=True), "at_once.*True"),
+    ],
+)
+def test_every_public_function_refuses_what_it_can_see_is_wrong(call, words):
+    with pytest.raises(ValueError, match=f"(?s){words}") as error:
+        call()
+    assert str(error.value).endswith(".")

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning.losses import reprojection_loss
-from dpc_jax.render import Camera, VoxelGrid, project, quaternion
+from dpc_jax.render import Camera, VoxelGrid, checks, project, quaternion
 
 
 def map_renders(function, inputs, *, at_once: int):
@@ -117,8 +117,28 @@ def choose_candidate(
       first_points: largest number of points of the first comparison; 0 for all.
       top: how many candidates are compared exactly after that.
       at_once: how many are rendered side by side: 1 on a CPU, 0 (all) on a GPU.
+
+    Raises:
+      ValueError: for a wrong shape, dtype or number.
     """
+    points = checks.check_array("points", points, (None, 3))
+    candidates = checks.check_array("candidates", candidates, (None, 4))
+    target = checks.check_array("target", target, (None, None))
     side = target.shape[0]
+    counts = {"first_grid": first_grid, "first_points": first_points, "top": top}
+    for name, count in (counts | {"at_once": at_once}).items():
+        checks.check_count(name, count)
+    if not (len(points) and len(candidates) and side and target.shape == (side, side)):
+        raise ValueError(
+            "choose_candidate needs at least one point, one candidate and a square "
+            f"target, but it got {len(points)} points, {len(candidates)} candidates "
+            f"and a target of shape {list(target.shape)}; give some of each."
+        )
+    if first_grid and side % first_grid:
+        raise ValueError(
+            f"first_grid must divide the target's side {side}, but it is {first_grid}; "
+            "give for example half of the side."
+        )
     coarse_side = first_grid or side
     count = min(first_points or points.shape[0], points.shape[0])
     ratio = coarse_side / side

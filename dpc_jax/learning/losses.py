@@ -4,12 +4,18 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.render import quaternion
+from dpc_jax.render import checks, quaternion
 
 
 def reprojection_loss(predicted: chex.Array, target: chex.Array) -> chex.Array:
-    """Sum of squared differences of two images of one view (Eq. 1); ()."""
-    chex.assert_equal_shape([predicted, target])
+    """Sum of squared differences of two images of one view (Eq. 1); ().
+
+    Raises:
+      ValueError: for images of different shapes, or not of floating point numbers.
+    """
+    predicted = checks.check_array("predicted", predicted, (...,))
+    fit = "give both images one size"
+    target = checks.check_array("target", target, predicted.shape, hint=fit)
     return jnp.sum((predicted - target) ** 2)
 
 

@@ -1,10 +1,24 @@
 """What the arguments of a projection must look like; each mistake in a sentence."""
 
+import chex
 import jax.numpy as jnp
+
+from dpc_jax.render import checks
+from dpc_jax.render.camera import Camera, VoxelGrid
 
 SIGNALS = ("silhouette", "depth", "color")
 METHODS = ("auto", "trilinear", "gaussian")
 RAY_RULES = ("termination", "maximum")
+
+
+def convert_points(points) -> chex.Array:
+    """Points as an array [N, 3].
+
+    Raises:
+      ValueError: for anything else.
+    """
+    over = "use jax.vmap or jax.lax.map over a batch of clouds"
+    return checks.check_array("points", points, (None, 3), hint=over)
 
 
 def check_points(points, rotation, sigma, scale, covariance, translation):
@@ -13,16 +27,6 @@ def check_points(points, rotation, sigma, scale, covariance, translation):
     Raises:
       ValueError: naming the argument, what was expected and what came.
     """
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(
-            f"points must have shape [N, 3], but they have {list(points.shape)}; use "
-            "jax.vmap or jax.lax.map over a batch of clouds."
-        )
-    if not jnp.issubdtype(points.dtype, jnp.floating):
-        raise ValueError(
-            f"points must be floating point numbers, but they are {points.dtype}; "
-            "convert them with points.astype('float32')."
-        )
     if rotation.shape not in ((4,), (3, 3)):
         raise ValueError(
             "rotation must be a quaternion [4] or a matrix [3, 3], but it has shape "
@@ -44,6 +48,14 @@ def check_points(points, rotation, sigma, scale, covariance, translation):
             f"covariance must have shape [N, 3, 3] with N = {count}, but it has "
             f"{list(jnp.shape(covariance))}; give one matrix per point."
         )
+    for name, value in (
+        *(("rotation", rotation), ("sigma", sigma), ("scale", scale)),
+        *(("covariance", covariance), ("translation", translation)),
+    ):
+        if value is not None and jnp.iscomplexobj(value):
+            raise ValueError(
+                f"{name} must be real, but it is {value.dtype}; pass its real part."
+            )
     for name, value in (("sigma", sigma), ("scale", scale)):
         if value is not None and jnp.shape(value) not in ((), (count,)):
             raise ValueError(
@@ -54,6 +66,32 @@ def check_points(points, rotation, sigma, scale, covariance, translation):
         raise ValueError(
             "translation must have shape [3], but it has "
             f"{list(jnp.shape(translation))}; use jax.vmap over several poses."
+        )
+
+
+def check_scene(sigma, scale, camera, grid):
+    """Refuse what is wrong before any of it is an array.
+
+    Raises:
+      ValueError: naming the argument, what was expected and what came.
+    """
+    checks.check_at_least_zero("sigma", sigma)
+    if scale is None:
+        raise ValueError(
+            "scale must be one number or [N], the mass of a point in voxels, but it is "
+            "None; leave it out for 1.0."
+        )
+    if not isinstance(camera, Camera):
+        raise ValueError(
+            f"camera must be a dpc_jax.Camera, but it is of type "
+            f"{type(camera).__name__}; write for example dpc_jax.Camera(1.875, 2.0)."
+        )
+    checks.check_number("camera.focal_length", camera.focal_length)
+    checks.check_number("camera.distance", camera.distance)
+    if not isinstance(grid, VoxelGrid):
+        raise ValueError(
+            f"grid must be a dpc_jax.VoxelGrid, but it is of type "
+            f"{type(grid).__name__}; write for example dpc_jax.VoxelGrid(64)."
         )
 
 
@@ -85,7 +123,8 @@ def check_signals(signals, ray_rule, points, colors):
     Raises:
       ValueError: naming the argument, what was expected and what came.
     """
-    if isinstance(signals, str) or not signals or set(signals) - set(SIGNALS):
+    is_list = isinstance(signals, tuple | list | set | frozenset)
+    if not is_list or not signals or any(s not in SIGNALS for s in signals):
         raise ValueError(
             f"signals must be a non-empty tuple with any of {SIGNALS}, but it is "
             f"{signals!r}; write for example signals=('silhouette',)."
@@ -104,10 +143,12 @@ def check_signals(signals, ray_rule, points, colors):
         jnp.ndim(colors) != 2
         or jnp.shape(colors)[0] != points.shape[0]
         or jnp.shape(colors)[1] == 0
+        or jnp.iscomplexobj(colors)
     ):
         raise ValueError(
-            f"colors must have shape [N, C] with N = {points.shape[0]} and C >= 1, but "
-            f"they have {list(jnp.shape(colors))}; give one row per point."
+            f"colors must be real, of shape [N, C] with N = {points.shape[0]} and C >= "
+            f"1, but they are {colors.dtype} of shape {list(jnp.shape(colors))}; give "
+            "one row per point."
         )
 
 
@@ -117,15 +158,12 @@ def check_background(background_depth, background_color, colors):
     Raises:
       ValueError: naming the argument, what was expected and what came.
     """
-    if jnp.ndim(background_depth) != 0:
-        raise ValueError(
-            "background_depth must be one number, but it has shape "
-            f"{list(jnp.shape(background_depth))}; pass a scalar."
-        )
+    checks.check_number("background_depth", background_depth)
     channels = () if colors is None else jnp.shape(colors)[1:]
-    if jnp.shape(background_color) not in ((), channels):
+    background_color = checks.convert("background_color", background_color)
+    if background_color.shape not in ((), channels):
         raise ValueError(
             f"background_color must be one number or [C] = {list(channels)} like the "
-            f"colors, but it has shape {list(jnp.shape(background_color))}; pass one "
+            f"colors, but it has shape {list(background_color.shape)}; pass one "
             "value per channel."
         )

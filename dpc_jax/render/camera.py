@@ -15,7 +15,7 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.render import quaternion
+from dpc_jax.render import checks, quaternion
 
 PROJECTIONS = ("perspective", "orthographic")
 # Nearest depth with an image, in extents (heuristic): 1/z² of a nearer point would
@@ -71,13 +71,13 @@ class VoxelGrid:
         is_one = isinstance(shape, numbers.Integral)
         sides = (shape,) * 3 if is_one else shape
         if not isinstance(sides, tuple | list) or not (
-            len(sides) == 3 and all(_is_side(s) for s in sides)
+            len(sides) == 3 and all(checks.is_count(s) and s > 0 for s in sides)
         ):
             raise ValueError(
                 "VoxelGrid shape must be a positive int or three of them (rows, cols, "
                 f"depth), but it is {self.shape!r}; give for example VoxelGrid(64)."
             )
-        is_number = isinstance(self.extent, numbers.Real)
+        is_number = isinstance(self.extent, numbers.Real) and self.extent is not True
         if not (is_number and 0 < self.extent < float("inf")):
             raise ValueError(
                 "VoxelGrid extent must be a positive finite number, but it is "
@@ -93,11 +93,6 @@ class VoxelGrid:
 
 
 jax.tree_util.register_static(VoxelGrid)
-
-
-def _is_side(side) -> bool:
-    is_integer = isinstance(side, numbers.Integral) and not isinstance(side, bool)
-    return is_integer and side > 0
 
 
 class CameraPoints(NamedTuple):

@@ -8,7 +8,7 @@ names is computed.
 import chex
 import jax.numpy as jnp
 
-from dpc_jax.render import arguments, termination, volume
+from dpc_jax.render import arguments, checks, termination, volume
 from dpc_jax.render.camera import Camera, VoxelGrid
 
 # Depth and colour of a ray that hits nothing (the released code's values).
@@ -87,8 +87,8 @@ def project(
       ValueError: for a wrong shape or dtype, an unknown signal, method or rule, colour
         asked without colours, and a method that cannot do what is asked.
     """
-    points, colors = _as_arrays(points, colors)
-    background_depth, background_color = _as_arrays(background_depth, background_color)
+    points = arguments.convert_points(points)
+    colors = None if colors is None else jnp.asarray(colors)
     arguments.check_signals(signals, ray_rule, points, colors)
     arguments.check_background(background_depth, background_color, colors)
     has_color = "color" in signals
@@ -150,7 +150,7 @@ def voxelize(
     what ray-consistency losses (DRC) compare.
     """
     density, _ = _fill(
-        jnp.asarray(points),
+        arguments.convert_points(points),
         rotation,
         sigma=sigma,
         scale=scale,
@@ -178,8 +178,11 @@ def _fill(
     method,
 ):
     """Check what places the points, and fill the volume in the points' dtype."""
-    rotation, sigma, scale, covariance, translation = _as_arrays(
-        rotation, sigma, scale, covariance, translation
+    arguments.check_scene(sigma, scale, camera, grid)
+    rotation = checks.convert("rotation", rotation)
+    sigma, scale, covariance, translation = (
+        None if value is None else jnp.asarray(value)
+        for value in (sigma, scale, covariance, translation)
     )
     arguments.check_points(points, rotation, sigma, scale, covariance, translation)
     method = arguments.choose_method(method, sigma, covariance)
@@ -198,11 +201,6 @@ def _fill(
         grid=grid,
     )
     return volume.fill_volume(scene, cast(colors), shape=grid.shape, method=method)
-
-
-def _as_arrays(*values):
-    """Arrays of numbers and lists; None stays None."""
-    return [None if value is None else jnp.asarray(value) for value in values]
 
 
 def mass_of_peak(peak: chex.Numeric, sigma: chex.Numeric) -> chex.Array:

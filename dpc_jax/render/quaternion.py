@@ -10,6 +10,8 @@ import chex
 import jax
 import jax.numpy as jnp
 
+from dpc_jax.render import checks
+
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -23,7 +25,7 @@ def normalize(quaternion: chex.Array) -> chex.Array:
       [4] of unit length. The zero quaternion gives the identity, with zero gradient:
       the direction of a zero vector has no limit, so none is invented.
     """
-    chex.assert_shape(quaternion, (4,))
+    quaternion = checks.check_array("quaternion", quaternion, (4,))
     # Dividing by the largest component first keeps the squares of 1e-30 and of 1e30
     # inside float32. The result does not depend on that factor, so neither does the
     # gradient.
@@ -39,13 +41,14 @@ def normalize(quaternion: chex.Array) -> chex.Array:
 
 def conjugate(quaternion: chex.Array) -> chex.Array:
     """Reverse the rotation: the inverse of a unit quaternion [4]."""
-    chex.assert_shape(quaternion, (4,))
+    quaternion = checks.check_array("quaternion", quaternion, (4,))
     return quaternion * jnp.array([1, -1, -1, -1], quaternion.dtype)
 
 
 def multiply(left: chex.Array, right: chex.Array) -> chex.Array:
     """Hamilton product of two quaternions [4]: rotate by `right`, then by `left`."""
-    chex.assert_shape([left, right], (4,))
+    left = checks.check_array("left", left, (4,))
+    right = checks.check_array("right", right, (4,))
     w1, x1, y1, z1 = left
     w2, x2, y2, z2 = right
     return jnp.stack(
@@ -82,8 +85,7 @@ def from_matrix(matrix: chex.Array) -> chex.Array:
     Each of four formulas divides by one component; the one whose component is largest
     (at least 1/2) is taken, so half turns are as accurate as any other rotation.
     """
-    chex.assert_shape(matrix, (3, 3))
-    m = matrix
+    m = checks.check_array("matrix", matrix, (3, 3))
     # Row i is 4·q_i·(w, x, y, z).
     rows = jnp.stack(
         [
@@ -126,9 +128,9 @@ def from_matrix(matrix: chex.Array) -> chex.Array:
 
 def rotate(points: chex.Array, rotation: chex.Array) -> chex.Array:
     """Rotate points [N, 3] by a quaternion [4] or a rotation matrix [3, 3]."""
-    chex.assert_shape(points, (None, 3))
+    points = checks.check_array("points", points, (None, 3))
+    rotation = checks.check_array("rotation", rotation, (4,), (3, 3))
     matrix = to_matrix(rotation) if rotation.shape == (4,) else rotation
-    chex.assert_shape(matrix, (3, 3))
     # Coordinate by coordinate: a matrix product of three columns is several times
     # slower on a CPU, and a GPU might round it to TF32.
     coordinates = points.T
@@ -158,6 +160,6 @@ def angle_between(first: chex.Array, second: chex.Array) -> chex.Array:
 
 def from_axis_angle(axis: chex.Array, angle: chex.Array) -> chex.Array:
     """Quaternion [4] that turns by `angle` radians about the unit vector `axis` [3]."""
-    chex.assert_shape(axis, (3,))
-    half = jnp.asarray(angle, axis.dtype) / 2
+    axis = checks.check_array("axis", axis, (3,))
+    half = checks.check_number("angle", angle).astype(axis.dtype) / 2
     return jnp.concatenate([jnp.cos(half)[None], jnp.sin(half) * axis])

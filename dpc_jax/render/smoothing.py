@@ -12,7 +12,7 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.render import kernels
+from dpc_jax.render import checks, kernels
 
 # Half-widths of the short kernels (measured on two CPU cores, `dpc_jax.benchmark`):
 # up to the first, all three axes are sums of shifts; up to the second of a pair, the
@@ -23,7 +23,6 @@ _MEDIUM = {32: 9, 64: 18, 128: 18}
 _SMALLEST = 17
 
 
-@jax.custom_vjp
 def smooth(volume: chex.Array, sigma: chex.Array) -> chex.Array:
     """Convolve a volume with an isotropic Gaussian; cells outside count as empty.
 
@@ -35,8 +34,18 @@ def smooth(volume: chex.Array, sigma: chex.Array) -> chex.Array:
 
     Returns:
       [rows, cols, depth].
+
+    Raises:
+      ValueError: for another shape or dtype, and a plain number sigma below zero.
     """
-    chex.assert_rank(volume, 3)
+    volume = checks.check_array("volume", volume, (None, None, None))
+    checks.check_sides("the volume's shape", volume.shape)
+    checks.check_at_least_zero("sigma", sigma)
+    return _smooth(volume, checks.check_number("sigma", sigma).astype(volume.dtype))
+
+
+@jax.custom_vjp
+def _smooth(volume, sigma):
     kernel = _sample_kernel(sigma, volume)
     size = max(volume.shape)
     widths = [0]
@@ -57,7 +66,7 @@ def smooth(volume: chex.Array, sigma: chex.Array) -> chex.Array:
 def _smooth_forward(volume, sigma):
     # Only a sigma that is differentiated needs the volume again.
     kept = volume.value if sigma.perturbed else None
-    return smooth(volume.value, sigma.value), (kept, sigma.value)
+    return _smooth(volume.value, sigma.value), (kept, sigma.value)
 
 
 def _smooth_backward(residuals, cotangent):
@@ -71,10 +80,10 @@ def _smooth_backward(residuals, cotangent):
             lambda s: _smooth_dense(volume, _sample_kernel(s, volume)), sigma
         )
         (sigma_grad,) = pull_back(cotangent)
-    return smooth(cotangent, sigma), sigma_grad
+    return _smooth(cotangent, sigma), sigma_grad
 
 
-smooth.defvjp(_smooth_forward, _smooth_backward, symbolic_zeros=True)
+_smooth.defvjp(_smooth_forward, _smooth_backward, symbolic_zeros=True)
 
 
 def _sample_kernel(sigma, volume):

@@ -6,8 +6,9 @@ import chex
 import jax
 import jax.numpy as jnp
 
+from dpc_jax.render import checks
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
+
 def splat(
     coordinates: chex.Array,
     values: chex.Array,
@@ -27,9 +28,18 @@ def splat(
     Returns:
       [rows, cols, depth]. Each axis is linear between cell centres, so the derivative
       jumps at them; there the one towards the higher index is taken.
+
+    Raises:
+      ValueError: for another shape or dtype.
     """
-    chex.assert_shape(coordinates, (None, 3))
-    chex.assert_shape(values, (coordinates.shape[0],))
+    checks.check_sides("shape", shape)
+    coordinates = checks.check_array("coordinates", coordinates, (None, 3))
+    values = checks.check_array("values", values, (len(coordinates),))
+    return _splat(coordinates, values.astype(coordinates.dtype), tuple(shape))
+
+
+@functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
+def _splat(coordinates, values, shape):
     base, weights, is_inside = _find_neighbours(coordinates, shape)
     row, col, depth = weights
     block = row[:, :, None, None] * col[:, None, :, None] * depth[:, None, None, :]
@@ -62,7 +72,7 @@ def _find_neighbours(coordinates, shape):
 
 
 def _splat_forward(coordinates, values, shape):
-    return splat(coordinates, values, shape), (coordinates, values)
+    return _splat(coordinates, values, shape), (coordinates, values)
 
 
 def _splat_backward(shape, residuals, cotangent):
@@ -110,7 +120,7 @@ def _splat_backward(shape, residuals, cotangent):
     return grads * mask[:, None], value_grad
 
 
-splat.defvjp(_splat_forward, _splat_backward)
+_splat.defvjp(_splat_forward, _splat_backward)
 
 
 def compensate_widening(sigma: chex.Numeric) -> chex.Array:

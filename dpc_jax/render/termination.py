@@ -8,6 +8,8 @@ import chex
 import jax
 import jax.numpy as jnp
 
+from dpc_jax.render import checks
+
 
 @jax.custom_jvp
 def clip_unit(density: chex.Array) -> chex.Array:
@@ -31,7 +33,6 @@ def _union(first: chex.Array, second: chex.Array) -> chex.Array:
     return first + second * (1 - first)
 
 
-@jax.custom_vjp
 def opacity(occupancy: chex.Array) -> chex.Array:
     """Probability that a ray ends in some cell, 1 - Π(1 - o_u): the silhouette.
 
@@ -44,7 +45,15 @@ def opacity(occupancy: chex.Array) -> chex.Array:
     Returns:
       [...] in [0, 1]. The gradient with respect to o_k is Π_{u≠k}(1 - o_u), right also
       where cells are exactly 0 or 1.
+
+    Raises:
+      ValueError: for rays without cells, or another dtype.
     """
+    return _opacity(_check_rays(occupancy))
+
+
+@jax.custom_vjp
+def _opacity(occupancy):
     while (size := occupancy.shape[-1]) > 1:
         half = size // 2
         pairs = _union(occupancy[..., :half], occupancy[..., half : 2 * half])
@@ -54,7 +63,7 @@ def opacity(occupancy: chex.Array) -> chex.Array:
 
 
 def _opacity_forward(occupancy):
-    return opacity(occupancy), occupancy
+    return _opacity(occupancy), occupancy
 
 
 def _opacity_backward(occupancy, cotangent):
@@ -70,7 +79,17 @@ def _opacity_backward(occupancy, cotangent):
     return (others * cotangent[..., None],)
 
 
-opacity.defvjp(_opacity_forward, _opacity_backward)
+_opacity.defvjp(_opacity_forward, _opacity_backward)
+
+
+def _check_rays(occupancy):
+    occupancy = checks.check_array("occupancy", occupancy, (..., None))
+    if occupancy.shape[-1] == 0:
+        raise ValueError(
+            "occupancy must have at least one cell along its last axis, but its shape "
+            f"is {list(occupancy.shape)}; give rays [..., D]."
+        )
+    return occupancy
 
 
 def transmittance(occupancy: chex.Array) -> tuple[chex.Array, chex.Array]:
@@ -81,7 +100,11 @@ def transmittance(occupancy: chex.Array) -> tuple[chex.Array, chex.Array]:
 
     Returns:
       ([..., D], and [...] the probability that it passes them all, the background's).
+
+    Raises:
+      ValueError: as `opacity`.
     """
+    occupancy = _check_rays(occupancy)
     passed = jnp.cumprod(1 - occupancy, axis=-1)
     before = jnp.concatenate([jnp.ones_like(passed[..., :1]), passed[..., :-1]], -1)
     return before, passed[..., -1]
@@ -96,6 +119,10 @@ def termination_probabilities(occupancy: chex.Array) -> tuple[chex.Array, chex.A
     Returns:
       ([..., D] probabilities, [...] background Π(1 - o_u)); they are non-negative and
       sum to one.
+
+    Raises:
+      ValueError: as `opacity`.
     """
+    occupancy = _check_rays(occupancy)
     before, background = transmittance(occupancy)
     return occupancy * before, background
