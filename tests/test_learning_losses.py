@@ -170,3 +170,17 @@ def test_repulsion_of_points_far_apart_is_not_drowned_by_their_own_terms():
     # ∂/∂x of the first point: 1/d² of each of two pairs, of three in the mean.
     expected = [1 / 3e6**2 / 3, 1 / 4e6**2 / 3, 0]
     np.testing.assert_allclose(gradient[0], expected, rtol=ROUNDING)
+
+
+@pytest.mark.parametrize("far", [1.0, 1e10, 1e30, 3e38])
+def test_points_at_either_end_of_the_floats_repel_each_other_by_a_finite_energy(far):
+    pair = jnp.array([[far, 0, 0], [-far, 0, 0]], jnp.float32)
+    energy, slopes = jax.value_and_grad(repulsion_energy)(pair)
+    # 1 / (2r), but for the softening; from 1e38 on it is below the normal floats.
+    assert energy == pytest.approx(0.5 / far, rel=1e-3, abs=2e-38)
+    assert np.all(np.isfinite(slopes))
+
+
+def test_a_single_point_has_no_repulsion_and_is_refused():
+    with pytest.raises(ValueError, match="two points.*1"):
+        repulsion_energy(jnp.zeros((1, 3)))

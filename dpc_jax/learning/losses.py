@@ -52,14 +52,26 @@ def repulsion_energy(points: chex.Array, *, softening: float = 0.02) -> chex.Arr
       points: [N, 3], N >= 2.
       softening: distance below which the energy levels off, so that coincident points
         have a finite one.
+
+    Raises:
+      ValueError: for fewer points.
     """
-    away = points[:, None] - points[None]
+    count = points.shape[0]
+    if count < 2:
+        raise ValueError(
+            f"repulsion_energy needs at least two points, but it got {count}; a single "
+            "one has no energy."
+        )
+    # An eighth of the distances, for those of points at either end of the floats are
+    # none themselves.
+    away, softening = points[:, None] / 8 - points[None] / 8, softening / 8
     # In units of each distance, so that no square overflows, nor the derivative's cube
     # of a distance vanishes.
     unit = jax.lax.stop_gradient(jnp.maximum(jnp.max(jnp.abs(away), -1), softening))
+    # Of more than that the inverse may be subnormal, which processors flush to zero.
+    unit = jnp.minimum(unit, jnp.finfo(points.dtype).max / 16)
     square = jnp.sum((away / unit[..., None]) ** 2, axis=-1) + (softening / unit) ** 2
-    energy = 1 / jnp.sqrt(square) / unit
-    count = points.shape[0]
+    energy = 1 / jnp.sqrt(square) / unit / 8
     # Left out, not subtracted: 1/softening of a point with itself would drown what
     # points far apart have.
     is_pair = ~jnp.eye(count, dtype=bool)

@@ -26,17 +26,29 @@ def normalize(quaternion: chex.Array) -> chex.Array:
       the direction of a zero vector has no limit, so none is invented.
     """
     quaternion = checks.check_array("quaternion", quaternion, (4,))
-    # Dividing by the largest component first keeps the squares of 1e-30 and of 1e30
-    # inside float32. The result does not depend on that factor, so neither does the
-    # gradient.
-    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(quaternion)))
+    scaled, largest = _divide_by_largest(quaternion)
+    identity = jnp.array(IDENTITY, quaternion.dtype)
+    scaled = jnp.where(largest == 0, identity, scaled)
+    return scaled / jnp.sqrt(jnp.sum(scaled**2))
+
+
+def _divide_by_largest(vector):
+    """A vector over its largest magnitude (up to 16 times that), and the magnitude.
+
+    It keeps the squares of 1e-30 and of 1e30 inside float32. What is done with the
+    quotient does not depend on the divisor, so neither does the gradient.
+    """
+    limits = jnp.finfo(vector.dtype)
+    # Of a number below about 1/max the inverse overflows (a compiler multiplies by it).
+    # A power of two lifts it, without rounding; float16 holds subnormal numbers.
+    lift = 2.0 ** ((-limits.minexp) * 3 // 4)
+    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(vector)))
+    factor = jnp.where(largest < 1, jnp.asarray(lift, vector.dtype), 1)
     # Of a number beyond max/16 the inverse may be subnormal, which processors flush to
     # zero; up to 16 its square is safe in float16 too.
-    largest = jnp.minimum(largest, jnp.finfo(quaternion.dtype).max / 16)
-    is_zero = largest == 0
-    identity = jnp.array(IDENTITY, quaternion.dtype)
-    scaled = jnp.where(is_zero, identity, quaternion / jnp.where(is_zero, 1, largest))
-    return scaled / jnp.sqrt(jnp.sum(scaled**2))
+    divisor = jnp.minimum(largest * factor, limits.max / 16)
+    divisor = jnp.where(largest == 0, 1, divisor)
+    return vector * factor / divisor, largest
 
 
 def conjugate(quaternion: chex.Array) -> chex.Array:
@@ -149,10 +161,9 @@ def angle_between(first: chex.Array, second: chex.Array) -> chex.Array:
     is zero, and at π, where it is that of one side.
     """
     product = multiply(normalize(first), conjugate(normalize(second)))
-    # Scaled as in `normalize`: the square of a turn by 1e-25 is nothing in float32.
-    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(product[1:])))
+    # The square of a turn by 1e-25 is nothing in float32.
+    scaled, largest = _divide_by_largest(product[1:])
     is_zero = largest == 0
-    scaled = product[1:] / jnp.where(is_zero, 1, largest)
     square = jnp.sum(scaled**2)
     sine = jnp.where(is_zero, 0, largest * jnp.sqrt(jnp.where(is_zero, 1, square)))
     return 2 * jnp.arctan2(sine, jnp.abs(product[0]))

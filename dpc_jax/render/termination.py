@@ -44,7 +44,8 @@ def opacity(occupancy: chex.Array) -> chex.Array:
 
     Returns:
       [...] in [0, 1]. The gradient with respect to o_k is Π_{u≠k}(1 - o_u), right also
-      where cells are exactly 0 or 1.
+      where cells are exactly 0 or 1. Differentiated once more it is right where no cell
+      is exactly 1.
 
     Raises:
       ValueError: for rays without cells, or another dtype.
