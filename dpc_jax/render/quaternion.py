@@ -40,10 +40,11 @@ def _divide_by_largest(vector):
     """
     limits = jnp.finfo(vector.dtype)
     # Of a number below about 1/max the inverse overflows (a compiler multiplies by it).
-    # A power of two lifts it, without rounding; float16 holds subnormal numbers.
-    lift = 2.0 ** ((-limits.minexp) * 3 // 4)
+    # A power of two lifts such a one; float16 holds them. Not others: in the derivative
+    # the cotangent is divided by what has been lifted, and might vanish.
     largest = jax.lax.stop_gradient(jnp.max(jnp.abs(vector)))
-    factor = jnp.where(largest < 1, jnp.asarray(lift, vector.dtype), 1)
+    lift = jnp.asarray(2.0 ** (-limits.minexp * 3 // 4), vector.dtype)
+    factor = jnp.where(largest < limits.tiny, lift, 1)
     # Of a number beyond max/16 the inverse may be subnormal, which processors flush to
     # zero; up to 16 its square is safe in float16 too.
     divisor = jnp.minimum(largest * factor, limits.max / 16)
