@@ -127,6 +127,16 @@ def test_a_covariance_at_the_edge_of_definite_has_finite_values_and_gradients(sm
     assert all(np.all(np.isfinite(s)) for s in slopes)
 
 
+def test_what_is_no_covariance_has_a_finite_slope_under_a_large_cotangent():
+    # As a random draw made it: an indefinite matrix, seen from 394,738 away.
+    matrix = np.zeros((1, 3, 3), "f4")
+    matrix[0, 0] = [1.9e-18, 1.6e-12, -7.1e-7]
+    matrix[0, :, 0] = matrix[0, 0]
+    factors, pull_back = jax.vjp(covariances.factor_covariance, matrix)
+    (slopes,) = pull_back(jax.tree.map(lambda a: jnp.full_like(a, 1e30), factors))
+    assert np.all(np.isfinite(slopes))
+
+
 def test_what_a_point_does_not_reach_is_exactly_zero():
     volume = np.asarray(fill(np.full((1, 3), 4.0, "f4"), np.ones((1, 1), "f4"), 0.5))[0]
     reached = np.argwhere(volume)

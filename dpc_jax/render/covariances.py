@@ -247,15 +247,23 @@ def _find_slope(shared, variance, threshold):
     """
     least = jnp.sqrt(jnp.finfo(variance.dtype).tiny)
     is_safe = jnp.abs(shared) <= 2 * variance
+    # Both, or the inverse square of a small variance, times a large cotangent, would be
+    # infinite before it is multiplied by the zero.
     return _divide(
-        jnp.where(is_safe, shared, 0), variance, jnp.maximum(threshold, least)
+        jnp.where(is_safe, shared, 0),
+        jnp.where(is_safe, variance, 0),
+        jnp.maximum(threshold, least),
     )
 
 
 def _divide(numerator, denominator, threshold):
-    """Quotient, or zero where the denominator does not exceed the threshold."""
+    """Quotient, or zero where the denominator does not exceed the threshold.
+
+    As a product with the inverse: in its derivative the numerator comes before the
+    inverse square, which may be too large without it.
+    """
     is_safe = denominator > threshold
-    return jnp.where(is_safe, numerator / jnp.where(is_safe, denominator, 1), 0)
+    return jnp.where(is_safe, numerator * (1 / jnp.where(is_safe, denominator, 1)), 0)
 
 
 def _take_root(variance):
