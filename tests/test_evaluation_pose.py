@@ -144,3 +144,16 @@ def test_a_collapsed_ensemble_is_named_and_a_live_one_is_not():
     # One below the limit of dominance, but the twelve others live by name only.
     assert "1 of 13 win" in collapse_warning([0.94] + [0.005] * 12)
     assert collapse_warning([1.0]) is None  # one regressor has nothing to collapse
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"bins": 0}, {"bins": 2.5}, {"threshold_deg": np.nan}]
+)
+def test_a_summary_without_bins_or_a_threshold_is_refused(wrong):
+    with pytest.raises(ValueError, match="positive integer, and a threshold"):
+        pose_summary([1.0], **wrong)
+
+
+def test_rotations_of_which_one_side_has_fewer_are_refused():
+    with pytest.raises(ValueError, match=r"broadcast.*\(3, 4\) and \(2, 4\)"):
+        rotation_angle_deg(np.ones((3, 4)), np.ones((2, 4)))

@@ -1,5 +1,6 @@
 """Pose error: the angle between predicted and true rotation, and its summary."""
 
+import numbers
 from typing import NamedTuple
 
 import numpy as np
@@ -39,8 +40,16 @@ def rotation_angle_deg(first: ArrayLike, second: ArrayLike) -> np.ndarray:
       [...] angles. The same for q and -q, and never NaN.
 
     Raises:
-      ValueError: a quaternion is zero, not finite, or has not 4 components.
+      ValueError: a quaternion is zero, not finite, or has not 4 components, or the
+        shapes do not broadcast.
     """
+    try:
+        np.broadcast_shapes(np.shape(first), np.shape(second))
+    except ValueError as error:
+        raise ValueError(
+            "Expected two arrays of quaternions that broadcast, got shapes "
+            f"{np.shape(first)} and {np.shape(second)}; give as many of each."
+        ) from error
     return rotations.angle_deg(first, second)
 
 
@@ -65,9 +74,15 @@ def pose_summary(
       bins: equal bins of the histogram between 0 and 180 degrees.
 
     Raises:
-      ValueError: there is no error, or one is not within 0 to 180 degrees.
+      ValueError: there is no error, or one is not within 0 to 180 degrees, or there
+        are no bins, or the threshold is no number.
     """
     errors = _check_errors(errors_deg)
+    if not (isinstance(bins, numbers.Integral) and bins > 0 and threshold_deg >= 0):
+        raise ValueError(
+            "Expected bins, a positive integer, and a threshold of at least 0 degrees, "
+            f"got {bins!r} and {threshold_deg!r}; leave them out for 36 and 30."
+        )
     counts, edges = np.histogram(errors, bins=bins, range=(0.0, 180.0))
     return PoseSummary(
         accuracy=pose_accuracy(errors, threshold_deg=threshold_deg),
