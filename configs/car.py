@@ -6,7 +6,7 @@ Cost: nine minutes and 1.8 GB on two cores. Reached on 100 test cars, seeds 0,
 ":paper" is the paper's setting: a GPU and days, never run to the end.
 """
 
-from dpc_jax.defaults import apply_variant, default_config
+from dpc_jax.config.defaults import apply_variant, default_config
 
 
 def get_config(variant: str | None = None):

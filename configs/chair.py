@@ -5,7 +5,7 @@ November 2026: pose accuracy 0.814, median error 6.6 degrees, Chamfer 4.42. ":pa
 the paper's setting: a GPU and days, never run to the end.
 """
 
-from dpc_jax.defaults import apply_variant, default_config
+from dpc_jax.config.defaults import apply_variant, default_config
 
 
 def get_config(variant: str | None = None):

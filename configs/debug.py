@@ -1,6 +1,6 @@
 """The whole pipeline in under a minute: for tests and first looks, not for results."""
 
-from dpc_jax.defaults import apply_variant, default_config
+from dpc_jax.config.defaults import apply_variant, default_config
 
 
 def get_config(variant: str | None = None):

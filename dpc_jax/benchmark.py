@@ -9,9 +9,9 @@ import shlex
 import sys
 from pathlib import Path
 
-from dpc_jax.benchmarking.plan import FULL, PARTS, QUICK
-from dpc_jax.benchmarking.suite import run_benchmark
-from dpc_jax.process import keep_freed_memory
+from dpc_jax.measure.benchmark.plan import FULL, PARTS, QUICK
+from dpc_jax.measure.benchmark.suite import run_benchmark
+from dpc_jax.run.process import keep_freed_memory
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -8,7 +8,7 @@ import sys
 from absl import app, flags
 from ml_collections import config_flags
 
-from dpc_jax import run
+from dpc_jax.run import pipeline
 
 _CONFIG = config_flags.DEFINE_config_file(
     "config",
@@ -60,7 +60,9 @@ def _explain(error: Exception) -> str:
 def main(_):
     """Hand the parsed flags to the run."""
     path = config_flags.get_config_filename(flags.FLAGS["config"])
-    sys.exit(run.run_guarded(_CONFIG.value, config_path=path, workdir=_WORKDIR.value))
+    sys.exit(
+        pipeline.run_guarded(_CONFIG.value, config_path=path, workdir=_WORKDIR.value)
+    )
 
 
 if __name__ == "__main__":

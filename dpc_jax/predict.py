@@ -14,20 +14,20 @@ from pathlib import Path
 import ml_collections
 import numpy as np
 
-from dpc_jax import configuration
 from dpc_jax.data import DataSet
-from dpc_jax.data.image_folder import FAULTS, read_object
+from dpc_jax.data.sets.image_folder import FAULTS, read_object
 from dpc_jax.evaluation import rotations
 from dpc_jax.evaluation.alignment import align_points, align_poses
+from dpc_jax.files import write_text
 from dpc_jax.learning import evaluator
 from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.step import init_state
-from dpc_jax.process import keep_freed_memory
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.export import write_glb, write_ply
-from dpc_jax.reporting.files import write_text
 from dpc_jax.reporting.gallery import draw_predictions
-from dpc_jax.workdir import read_alignment, read_config
+from dpc_jax.run import configuration
+from dpc_jax.run.process import keep_freed_memory
+from dpc_jax.run.workdir import read_alignment, read_config
 
 SHOWN = 16  # images in the picture
 

@@ -11,12 +11,12 @@ import sys
 import time
 from pathlib import Path
 
-from dpc_jax.benchmarking.timing import describe_machine
 from dpc_jax.learning.progress import ProgressReport
-from dpc_jax.stress.cases import DTYPES
-from dpc_jax.stress.catalogue import SUBJECTS, check_names
-from dpc_jax.stress.parts import PARTS, Order, PartResult, run_part
-from dpc_jax.stress.report import write_report
+from dpc_jax.measure.stability.cases.case import DTYPES
+from dpc_jax.measure.stability.cases.catalogue import SUBJECTS, check_names
+from dpc_jax.measure.stability.report import write_report
+from dpc_jax.measure.stability.report_parts import PARTS, Order, PartResult, run_part
+from dpc_jax.measure.timing import describe_machine
 
 
 def main(arguments: list[str] | None = None) -> int:

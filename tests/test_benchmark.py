@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 
 from dpc_jax import benchmark
-from dpc_jax.benchmarking import (
+from dpc_jax.measure import scenes, timing
+from dpc_jax.measure.benchmark import (
     accuracy,
     peak,
     plan,
     report,
     scaling,
-    scenes,
     speed,
     suite,
-    timing,
 )
 
 TINY = plan.Case(batch=2, points=40, side=8, sigma=1.0)

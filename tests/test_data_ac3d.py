@@ -8,7 +8,7 @@ import pytest
 from fake_packages import make_boxes, write_ac
 from PIL import Image
 
-from dpc_jax.data import ac3d, polygons
+from dpc_jax.data.open import ac3d, polygons
 
 HEAD = 'AC3Db\nMATERIAL "m" rgb 1 0.5 0.25  amb 1 1 1  emis 0 0 0  spec 0 0 0  shi 1  '
 

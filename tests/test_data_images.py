@@ -15,7 +15,8 @@ from data_trees import (
 )
 from PIL import Image
 
-from dpc_jax.data import DataSpec, batches, framing, image_folder, load_or_render
+from dpc_jax.data import DataSpec, batches, load_or_render
+from dpc_jax.data.sets import framing, image_folder
 
 LENS = np.array([[120.0, 0, 40], [0, 120.0, 40], [0, 0, 1]])
 

@@ -5,18 +5,11 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from dpc_jax.data import (
-    DataSpec,
-    __main__,
-    conventions,
-    inspection,
-    load_or_render,
-    overview,
-    procedural,
-    viewpoints,
-)
+from dpc_jax.data import DataSpec, __main__, load_or_render, viewpoints
+from dpc_jax.data.look import inspection, overview, pose_conventions
+from dpc_jax.shapes import procedural
 
-LENS = conventions.Lens(focal_length=1.875, distance=2.0, extent=1.0)
+LENS = pose_conventions.Lens(focal_length=1.875, distance=2.0, extent=1.0)
 MODELS, VIEWS, SIZE = 5, 4, 48
 
 
@@ -133,7 +126,7 @@ def test_a_whole_set_has_no_fault(whole):
 
 
 def test_all_conventions_have_a_test():
-    assert set(WRONG) == {convention.name for convention in conventions.OTHERS}
+    assert set(WRONG) == {convention.name for convention in pose_conventions.OTHERS}
 
 
 @pytest.mark.parametrize("name", WRONG)

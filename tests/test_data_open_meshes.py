@@ -22,7 +22,9 @@ from fake_packages import (
 )
 from PIL import Image
 
-from dpc_jax.data import DataSpec, __main__, open_meshes, sources, sweethome3d
+from dpc_jax.data import DataSpec, __main__
+from dpc_jax.data.open import categories, sweethome3d
+from dpc_jax.data.spec import SPLITS, list_sources
 
 CHAIRS = [
     ("Chair", "plain", "Kitchen", ""),
@@ -91,7 +93,7 @@ def test_chairs_come_upright_with_colours_licence_and_origin(
         f"train/{path.name}" for path in paths
     }
     with Image.open(folder / "sheet.png") as sheet:
-        assert sheet.width > 3 * 4 * open_meshes.SHEET_VIEW
+        assert sheet.width > 3 * 4 * categories.SHEET_VIEW
         dark = np.asarray(sheet.convert("L")) < 200
     for i in range(3):  # each of the three columns shows something
         assert dark[:, i * sheet.width // 3 :][:, : sheet.width // 3].sum() > 500
@@ -191,10 +193,10 @@ def test_airplanes_lose_their_discs_and_keep_their_families(tmp_path, monkeypatc
     assert families["733.ply"] == families["734.ply"] == families["735.ply"]
     for seed in range(8):
         sides = [
-            {families[source.name] for source in sources.list_sources(spec)}
+            {families[source.name] for source in list_sources(spec)}
             for spec in (
                 DataSpec("airplane", folder=str(folder), split=split, seed=seed)
-                for split in sources.SPLITS
+                for split in SPLITS
             )
         ]
         assert sum(len(side) for side in sides) == len(set.union(*sides)) == 5
@@ -419,12 +421,12 @@ def test_families_and_equal_files_stay_together(tmp_path):
     (tmp_path / "families.json").write_text(families)
     for seed in range(10):
         sides = []
-        for split in sources.SPLITS:
+        for split in SPLITS:
             spec = DataSpec("car", folder=str(tmp_path), split=split, seed=seed)
-            sides.append({source.name[0] for source in sources.list_sources(spec)})
+            sides.append({source.name[0] for source in list_sources(spec)})
         assert sum(len(side) for side in sides) == 9
         assert sum({"0", "1", "2", "3"} <= side for side in sides) == 1
         assert sum({"4", "5"} <= side for side in sides) == 1
     (tmp_path / "families.json").write_text('["1.ply"]')
     with pytest.raises(ValueError, match="families.json"):
-        sources.list_sources(spec)
+        list_sources(spec)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from dpc_jax.data import procedural, viewpoints, views
+from dpc_jax.data import viewpoints, views
+from dpc_jax.shapes import procedural
 
 SEEDS = range(12)
 

@@ -10,14 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from dpc_jax.data import (
-    DataSpec,
-    dataset,
-    load_or_render,
-    rendering,
-    sources,
-    views,
-)
+from dpc_jax.data import DataSpec, dataset, load_or_render, rendering, views
+from dpc_jax.data.spec import SPLITS
 
 SMALL = dict(
     category="car", models=3, views=2, image_size=16, supersample=2, surface_points=50
@@ -325,7 +319,7 @@ def test_a_changed_file_or_material_is_rendered_anew_but_a_moved_folder_is_not(
 def test_copies_are_stretched_and_stay_on_the_side_of_their_file(tmp_path):
     folder = write_boxes(tmp_path / "meshes", 4)
     names = {}
-    for split in sources.SPLITS:
+    for split in SPLITS:
         options = dict(folder=str(folder), models=None, fractions=(2, 1, 1))
         data = load(tmp_path / "cache", split=split, copies=3, **options)
         names[split] = {name.split("#")[0] for name in data.names}

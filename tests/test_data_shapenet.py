@@ -7,7 +7,8 @@ import pytest
 import trimesh
 from PIL import Image
 
-from dpc_jax.data import DataSpec, load_or_render, shapenet, split_lists
+from dpc_jax.data import DataSpec, load_or_render
+from dpc_jax.data.sets import shapenet, split_lists
 
 SYNSET = "02958343"
 NAMES = [f"{i:x}" * 8 for i in range(1, 8)]

@@ -3,7 +3,8 @@
 import pytest
 import trimesh
 
-from dpc_jax.data import DataSpec, sources, split_files
+from dpc_jax.data import DataSpec, split_files
+from dpc_jax.data.spec import SPLITS, list_sources
 
 
 def test_splits_hold_every_file_once_and_equal_files_together():
@@ -37,10 +38,10 @@ def test_every_side_with_a_share_gets_a_file_as_far_as_they_last():
 
 def test_procedural_splits_and_seeds_never_share_a_shape():
     seeds = set()
-    for split in sources.SPLITS:
+    for split in SPLITS:
         for seed in range(3):
             spec = DataSpec("car", models=50, split=split, seed=seed)
-            seeds |= {source.seed for source in sources.list_sources(spec)}
+            seeds |= {source.seed for source in list_sources(spec)}
     assert len(seeds) == 9 * 50
 
 
@@ -49,7 +50,7 @@ def test_an_empty_split_of_a_folder_is_named(tmp_path):
         trimesh.creation.box(extents=[1, 1, 1 + i]).export(tmp_path / f"{i}.ply")
     spec = DataSpec("car", folder=str(tmp_path), split="val", fractions=(1, 0, 1))
     with pytest.raises(ValueError, match="val split"):
-        sources.list_sources(spec)
+        list_sources(spec)
 
 
 @pytest.mark.parametrize(

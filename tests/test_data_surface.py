@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from dpc_jax.data import DataSpec, load_or_render, surface, views
+from dpc_jax.data import DataSpec, load_or_render, surfaces, views
 
 SPEC = DataSpec("car", models=1, surface_points=100_000, surface_voxel=0.01)
 
@@ -20,33 +20,33 @@ def make_ball(radius=0.4):
 def test_thinning_keeps_the_mean_of_each_voxel():
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.5, 0.5, (5000, 3))
-    thin = surface.thin_points(points, voxel=0.1)
+    thin = surfaces.thin_points(points, voxel=0.1)
     means = {}
     for point in points:
         means.setdefault(tuple(np.floor(point / 0.1)), []).append(point)
     expected = [np.mean(means[key], axis=0) for key in sorted(means)]
     np.testing.assert_allclose(thin, expected, atol=1e-6)  # float32
     assert thin.dtype == np.float32
-    shuffled = surface.thin_points(rng.permutation(points), voxel=0.1)
+    shuffled = surfaces.thin_points(rng.permutation(points), voxel=0.1)
     np.testing.assert_allclose(shuffled, thin, atol=1e-6)
 
 
 def test_ground_truth_is_dense_even_and_on_the_surface():
-    points = surface.make_ground_truth(make_ball(), SPEC)
+    points = surfaces.make_ground_truth(make_ball(), SPEC)
     # an even cover: about area / voxel², some more because voxels are cut obliquely
     area = 4 * np.pi * 0.16 / 1e-4
     assert area < len(points) < 2 * area
     radius = np.linalg.norm(points, axis=1)
     assert np.abs(radius - 0.4).max() < 0.01
-    again = surface.make_ground_truth(make_ball(), SPEC)
+    again = surfaces.make_ground_truth(make_ball(), SPEC)
     np.testing.assert_array_equal(points, again)
     assert np.linalg.norm(points.mean(axis=0)) < 0.01
 
 
 def test_what_lies_inside_is_seen_by_no_one():
     both = trimesh.util.concatenate([make_ball(), make_ball(0.2)])
-    everything = surface.make_ground_truth(both, SPEC)
-    seen = surface.make_ground_truth(both, change(surface_visible=True))
+    everything = surfaces.make_ground_truth(both, SPEC)
+    seen = surfaces.make_ground_truth(both, change(surface_visible=True))
     assert (np.linalg.norm(everything, axis=1) < 0.25).mean() > 0.1
     assert np.linalg.norm(seen, axis=1).min() > 0.38
     # and of the outside nothing is lost but what the voxels of the rim took with them
@@ -61,16 +61,16 @@ def test_a_point_is_seen_if_a_ray_over_the_rim_reaches_it():
     box.update_faces(~lid)
     points = np.array([[0.0, 0, -0.2], [0.19, 0, -0.1], [0, 0.2, 0]])
     scene = views.build_scene(box)
-    assert surface.find_visible(points, scene, distance=2.0).all()
+    assert surfaces.find_visible(points, scene, distance=2.0).all()
     closed = trimesh.creation.box(extents=[0.4, 0.4, 0.4])
     hidden = np.array([[0.0, 0, 0.05], [0.1, 0.1, 0.1]])
-    assert not surface.find_visible(
+    assert not surfaces.find_visible(
         hidden, views.build_scene(closed), distance=2.0
     ).any()
 
 
 def test_directions_are_spread_over_the_sphere():
-    directions = surface.spread_directions(128)
+    directions = surfaces.spread_directions(128)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
     assert np.abs(directions.mean(axis=0)).max() < 0.01
     nearest = np.sort(directions @ directions.T, axis=1)[:, -2]

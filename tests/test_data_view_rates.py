@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from dpc_jax.data import procedural, view_rates
+from dpc_jax.measure import view_rates
+from dpc_jax.shapes import procedural
 
 
 def test_divided_faces_cover_the_same_surface_in_the_same_colours():

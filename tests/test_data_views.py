@@ -5,7 +5,8 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from dpc_jax.data import procedural, viewpoints, views
+from dpc_jax.data import viewpoints, views
+from dpc_jax.shapes import procedural
 
 FOCAL, DISTANCE = 1.875, 2.0
 

@@ -8,8 +8,9 @@ from PIL import Image
 from rasteriser import DISTANCE, FOCAL
 from scipy.spatial.transform import Rotation
 
-from dpc_jax.data import DataSpec, meshes, procedural, rendering, viewpoints, views
-from dpc_jax.data.sources import list_sources
+from dpc_jax.data import DataSpec, meshes, rendering, viewpoints, views
+from dpc_jax.data.spec import list_sources
+from dpc_jax.shapes import procedural
 
 LIGHTS = views.Lights(
     np.array([[0.6, 0, 0.8], [0, -0.8, 0.6]]), np.array([0.4, 0.3]), 0.3

@@ -11,74 +11,109 @@ import dpc_jax
 
 ROOT = Path(dpc_jax.__file__).parent
 STANDARD = set(sys.stdlib_module_names)
-# Package: (third-party imports allowed, rooms of dpc_jax allowed).
-FLOORS = {
-    "render": ({"jax", "chex"}, {"render"}),
-    "data": ({"numpy", "trimesh", "embreex", "PIL", "rich", "scipy"}, {"data"}),
-    "networks": ({"jax", "flax", "chex", "numpy"}, {"networks", "render"}),
-    "evaluation": ({"numpy", "scipy"}, {"evaluation", "render"}),
+# Room: (third-party imports allowed, rooms of dpc_jax allowed beside its own).
+ROOMS = {
+    "files": (set(), set()),
+    "config": ({"ml_collections"}, set()),
+    "render": ({"jax", "chex"}, set()),
+    "shapes": ({"numpy", "trimesh"}, set()),
+    "data": (
+        {"numpy", "trimesh", "embreex", "PIL", "rich", "scipy"},
+        {"files", "shapes"},
+    ),
+    "networks": ({"jax", "flax", "chex", "numpy"}, {"config", "render"}),
+    "evaluation": ({"numpy", "scipy"}, {"render"}),
     "learning": (
         {"jax", "optax", "orbax", "chex", "numpy", "absl", "rich"},
-        {"learning", "render", "data", "networks", "evaluation"},
+        {"files", "config", "render", "data", "networks", "evaluation"},
     ),
     "reporting": (
         {"numpy", "matplotlib", "trimesh", "PIL"},
-        {"reporting", "learning", "render", "data", "networks", "evaluation"},
+        {"files", "learning", "render", "data", "networks", "evaluation"},
     ),
-    "benchmarking": (
-        {"jax", "numpy", "matplotlib", "torch", "trimesh"},
-        {"benchmarking", "reporting", "learning", "render", "data"},
-    ),
-    "stress": (
-        {"jax", "chex", "numpy", "matplotlib", "hypothesis", "optax"},
+    "run": (
+        {"jax", "numpy", "ml_collections"},
         {
-            "stress",
-            "benchmarking",
-            "reporting",
-            "learning",
-            "networks",
-            "evaluation",
+            "files",
+            "config",
             "render",
             "data",
-            # A training run of the stress report is one of the default configuration.
-            "configuration",
-            "defaults",
+            "networks",
+            "evaluation",
+            "learning",
+            "reporting",
+        },
+    ),
+    "measure": (
+        {"jax", "chex", "numpy", "matplotlib", "torch", "trimesh", "hypothesis"}
+        | {"optax"},
+        {
+            "files",
+            "config",
+            "render",
+            "shapes",
+            "data",
+            "networks",
+            "evaluation",
+            "learning",
+            "reporting",
+            "run",
         },
     ),
 }
+DOORWAYS = {"main", "predict", "benchmark", "stability", "compare"}
 
 
 def list_imports(path):
-    """Absolute dotted names that a file imports."""
-    package = ("dpc_jax", *path.relative_to(ROOT).parts[:-1])
+    """Dotted names that a file imports; all imports are absolute."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            base = (
-                ".".join(package[: len(package) - node.level + 1]) if node.level else ""
-            )
-            module = ".".join(p for p in (base, node.module or "") if p)
-            yield from (f"{module}.{alias.name}" for alias in node.names)
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-@pytest.mark.parametrize("room", FLOORS)
+def list_files(room):
+    """All files of a room, those of its folders too."""
+    folder = ROOT / room
+    return sorted(folder.rglob("*.py")) if folder.is_dir() else [ROOT / f"{room}.py"]
+
+
+@pytest.mark.parametrize("room", ROOMS)
 def test_a_room_imports_from_its_own_floor_and_below(room):
-    outside, inside = FLOORS[room]
-    for path in (ROOT / room).glob("*.py"):
+    outside, inside = ROOMS[room]
+    for path in list_files(room):
         for name in list_imports(path):
             first, *rest = name.split(".")
+            where = path.relative_to(ROOT)
             if first == "dpc_jax":
-                assert rest[0] in inside, f"{path.name} imports {name}"
+                assert rest[0] in inside | {room}, f"{where} imports {name}"
             elif first not in STANDARD:
-                assert first in outside, f"{path.name} imports {name}"
+                assert first in outside, f"{where} imports {name}"
 
 
-def test_every_room_is_on_a_floor():
-    rooms = {
-        p.name for p in ROOT.iterdir() if p.is_dir() and (p / "__init__.py").exists()
+def test_rooms_allow_each_other_no_circle():
+    below = {room: inside for room, (_, inside) in ROOMS.items()}
+    while below:
+        floor = {room for room, inside in below.items() if not inside & below.keys()}
+        assert floor, f"a circle among {sorted(below)}"
+        below = {room: inside for room, inside in below.items() if room not in floor}
+
+
+def test_every_module_is_in_a_room_or_a_doorway():
+    names = {
+        path.stem
+        for path in ROOT.iterdir()
+        if path.suffix == ".py" or (path / "__init__.py").exists()
     }
-    assert rooms == set(FLOORS)
+    assert names == set(ROOMS) | DOORWAYS | {"__init__"}
+
+
+def test_imports_are_absolute():
+    for path in ROOT.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            is_relative = isinstance(node, ast.ImportFrom) and node.level
+            assert not is_relative, f"{path.relative_to(ROOT)} line {node.lineno}"
 
 
 def test_importing_the_package_loads_no_heavy_library():
@@ -95,7 +130,7 @@ def test_importing_the_package_loads_no_heavy_library():
 
 def test_the_public_names_are_these():
     public = {n for n in dir(dpc_jax) if not n.startswith("_") and n != "importlib"}
-    modules = {p.stem for p in ROOT.iterdir()} | set(FLOORS)
+    modules = {p.stem for p in ROOT.iterdir()} | set(ROOMS)
     assert public - (modules - {"quaternion"}) == {
         "Camera",
         "ImageEncoder",

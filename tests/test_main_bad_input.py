@@ -7,8 +7,9 @@ import pytest
 from absl import flags
 from test_main_configs import load
 
-from dpc_jax import configuration, main, run
-from dpc_jax.workdir import claim_workdir
+from dpc_jax import main
+from dpc_jax.run import configuration, pipeline
+from dpc_jax.run.workdir import claim_workdir
 
 
 @pytest.fixture
@@ -20,7 +21,7 @@ def config(tmp_path):
 
 def refuse(config, workdir, capsys):
     """The one line on stderr of a run that is refused."""
-    status = run.run_guarded(
+    status = pipeline.run_guarded(
         config, config_path="configs/debug.py", workdir=str(workdir)
     )
     error = capsys.readouterr().err

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import dpc_jax
-from dpc_jax.render import covariances, gaussians, kernels, tiles
+from dpc_jax.render import kernels
+from dpc_jax.render.exact import covariances, gaussians, tiles
 
 SHAPE = (11, 20, 9)  # neither cubic nor a multiple of a tile's side
 

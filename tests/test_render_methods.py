@@ -12,7 +12,7 @@ import oracles
 import pytest
 
 import dpc_jax
-from dpc_jax.render import covariances
+from dpc_jax.render.exact import covariances
 
 ALL = ("silhouette", "depth", "color")
 SHAPE, EXTENT = (9, 12, 7), 1.1

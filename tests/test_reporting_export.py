@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from dpc_jax.files import write_bytes, write_text
 from dpc_jax.reporting.export import write_glb, write_ply
-from dpc_jax.reporting.files import write_bytes, write_text
 
 
 def cloud(n=40, seed=0):

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from dpc_jax import stability
-from dpc_jax.stress import case_tables, catalogue, parts
-from dpc_jax.stress.cases import DTYPES, Case, differentiate_oracle
-from dpc_jax.stress.runner import compare, run_cases
+from dpc_jax.measure.stability import case_tables, report_parts
+from dpc_jax.measure.stability.cases import catalogue
+from dpc_jax.measure.stability.cases.case import DTYPES, Case, differentiate_oracle
+from dpc_jax.measure.stability.cases.runner import compare, run_cases
 
 # An eighth of the programs of the command, which runs both ways in every dtype, and
 # compiled with less effort: that is what takes the time. The slow test runs all.
@@ -201,7 +202,7 @@ def test_an_interrupted_run_keeps_the_parts_that_are_done(
     def run_part(name, order):
         if name == "random":
             raise KeyboardInterrupt
-        return parts.PartResult(f"## {name}\n", {"part": name}, True)
+        return report_parts.PartResult(f"## {name}\n", {"part": name}, True)
 
     monkeypatch.setattr(stability, "run_part", run_part)
     flags = [f"--out={tmp_path}", "--parts=random,ordinary"]
@@ -213,7 +214,9 @@ def test_an_interrupted_run_keeps_the_parts_that_are_done(
 
 def test_a_part_that_fails_is_named_on_top(tmp_path, monkeypatch, capsys):
     def run_part(name, order):
-        return parts.PartResult(f"## {name}\n", {}, name == "cases", ("too far.",))
+        return report_parts.PartResult(
+            f"## {name}\n", {}, name == "cases", ("too far.",)
+        )
 
     monkeypatch.setattr(stability, "run_part", run_part)
     assert stability.main([f"--out={tmp_path}", "--parts=cases,random"]) == 1

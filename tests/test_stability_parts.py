@@ -8,23 +8,22 @@ import numpy as np
 import pytest
 from tiny_runs import compiling_quickly
 
+from dpc_jax.files import write_json
 from dpc_jax.learning import loop
-from dpc_jax.render import VoxelGrid, project, quaternion
-from dpc_jax.reporting.files import write_json
-from dpc_jax.stress import (
-    descent,
-    growth,
+from dpc_jax.measure.stability import (
+    error_growth,
+    fast_training,
+    precision,
+    precision_report,
+)
+from dpc_jax.measure.stability.draws import (
     learning_targets,
-    ordinary,
     random_draws,
     render_targets,
-    single,
-    stiff,
-    stiff_studies,
-    stiff_tables,
-    training,
 )
-from dpc_jax.stress.targets import LARGEST, Range, Target
+from dpc_jax.measure.stability.draws.targets import LARGEST, Range, Target
+from dpc_jax.measure.stability.stiff import descent, stiff_report, studies, tables
+from dpc_jax.render import VoxelGrid, project, quaternion
 
 # Compiled in a second or two each; the others are drawn for in the slow test.
 CHEAP = (
@@ -56,31 +55,31 @@ def assert_section(result, folder, *, title, figures=()):
 
 def test_ordinary_scenes_are_within_tolerance_and_drawn(tmp_path):
     with compiling_quickly():
-        result = ordinary.run(tmp_path, quick=True)
+        result = precision_report.run(tmp_path, quick=True)
     title = "Ordinary scenes in float32"
-    assert_section(result, tmp_path, title=title, figures=[ordinary.FIGURE])
+    assert_section(result, tmp_path, title=title, figures=[precision_report.FIGURE])
     assert result.passes, result.failures
 
 
 @pytest.mark.parametrize("error", [1.0, float("nan")])
 def test_a_wrong_image_or_gradient_in_float32_fails(error):
     for quantity in ("image", "points"):
-        found = single.Comparison("trilinear", "car", "depth", quantity, error)
-        (sentence,) = ordinary.judge([found], [])
+        found = precision.Comparison("trilinear", "car", "depth", quantity, error)
+        (sentence,) = precision_report.judge([found], [])
         assert "car, depth" in sentence
-    fine = single.Comparison("trilinear", "car", "depth", "image", 1e-7)
-    assert ordinary.judge([fine], []) == []
+    fine = precision.Comparison("trilinear", "car", "depth", "image", 1e-7)
+    assert precision_report.judge([fine], []) == []
 
 
 def test_an_error_that_grows_as_n_fails_and_one_as_the_root_does_not():
     sizes = (100, 1000, 10_000)
     for power, num_failures in ((0.5, 0), (1.0, 1)):
         errors = tuple(1e-7 * n**power for n in sizes)
-        exponent = growth.fit_exponent(sizes, errors)
+        exponent = error_growth.fit_exponent(sizes, errors)
         np.testing.assert_allclose(exponent, power, rtol=1e-12)  # rounding of logs
-        curve = growth.Curve("points", "sum", sizes, errors, exponent)
-        assert len(ordinary.judge([], [curve])) == num_failures
-    assert growth.fit_exponent(sizes, (1e-7, float("nan"), 1e-7)) == float("inf")
+        curve = error_growth.Curve("points", "sum", sizes, errors, exponent)
+        assert len(precision_report.judge([], [curve])) == num_failures
+    assert error_growth.fit_exponent(sizes, (1e-7, float("nan"), 1e-7)) == float("inf")
 
 
 def test_random_draws_break_no_function(tmp_path):
@@ -158,8 +157,8 @@ def test_random_draws_say_what_to_install(tmp_path, monkeypatch):
 
 def test_training_ten_times_too_fast_ends_finite(tmp_path):
     with compiling_quickly():
-        result = training.run(
-            tmp_path, quick=True, trials=[training.Trial("naive", 10, 30)]
+        result = fast_training.run(
+            tmp_path, quick=True, trials=[fast_training.Trial("naive", 10, 30)]
         )
     assert_section(result, tmp_path, title="Training far too fast")
     assert result.passes, result.failures
@@ -173,8 +172,8 @@ def test_training_that_stops_is_shown_with_its_reason(tmp_path, monkeypatch):
 
     monkeypatch.setattr(loop, "train", stop)
     with compiling_quickly():
-        result = training.run(
-            tmp_path, quick=True, trials=[training.Trial("naive", 10, 30)]
+        result = fast_training.run(
+            tmp_path, quick=True, trials=[fast_training.Trial("naive", 10, 30)]
         )
     assert result.passes, result.failures
     assert "stopped: The loss became nan at step 3 |" in result.markdown
@@ -182,21 +181,21 @@ def test_training_that_stops_is_shown_with_its_reason(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_training_the_default_ten_times_too_fast_ends_finite(tmp_path):
-    result = training.run(tmp_path, quick=True)
+    result = fast_training.run(tmp_path, quick=True)
     assert result.passes and result.data[0]["is_finite"], result.failures
 
 
 def test_a_run_that_breaks_unnoticed_or_without_a_name_fails():
-    good = training.Ending("", 10, 5, 1e-3, 5, 1.0, 2.0, 1.0, 3.0, True, "")
+    good = fast_training.Ending("", 10, 5, 1e-3, 5, 1.0, 2.0, 1.0, 3.0, True, "")
     named = "The student loss became nan at step 1, where a finite number was expected"
     stopped = good._replace(steps_done=None, is_finite=False, error=named)
-    assert training.judge(good) == training.judge(stopped) == []
+    assert fast_training.judge(good) == fast_training.judge(stopped) == []
     for change, words in (
         ({"is_finite": False}, "unnoticed"),
         ({"steps_done": 3}, "3 of 5"),
         ({"error": "Out of memory"}, "without a name"),
     ):
-        (sentence,) = training.judge(good._replace(**change))
+        (sentence,) = fast_training.judge(good._replace(**change))
         assert words in sentence
 
 
@@ -204,23 +203,23 @@ def test_a_run_that_breaks_unnoticed_or_without_a_name_fails():
 def quick_descents(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stiff")
     with compiling_quickly():
-        return stiff.run(folder, quick=True), folder
+        return stiff_report.run(folder, quick=True), folder
 
 
 def test_stiff_descents_stay_finite_and_are_drawn(quick_descents):
     result, folder = quick_descents
-    figures = [stiff_tables.SHAPE_FIGURE, stiff_tables.OTHER_FIGURE]
+    figures = [tables.SHAPE_FIGURE, tables.OTHER_FIGURE]
     assert_section(result, folder, title="Stiff optimisation", figures=figures)
     assert result.passes, result.failures
     recipes = {row["recipe"] for row in result.data["summaries"]}
-    assert {stiff.BEST, stiff.STAGED} <= recipes
+    assert {stiff_report.BEST, stiff_report.STAGED} <= recipes
 
 
 def make_summary(**changes):
     values = dict(
         study="shape",
         scene="chair",
-        recipe=stiff.BEST,
+        recipe=stiff_report.BEST,
         rate=None,
         seconds=1.0,
         iterations=[0, 10],
@@ -228,28 +227,28 @@ def make_summary(**changes):
         first_errors=[30.0, 1.0],
         second_errors=[12.0, 5.0],
     )
-    return stiff_tables.Summary(**values | changes)
+    return tables.Summary(**values | changes)
 
 
 def test_the_best_recipe_is_held_to_its_bounds():
-    few = stiff_tables.Choice("chair", 1, 90.0, 0.1, 1.0)
+    few = tables.Choice("chair", 1, 90.0, 0.1, 1.0)
     many = few._replace(starts=8, accuracy=0.7)
     fine = ([], [make_summary()], [few, many])
-    assert stiff.judge(*fine, is_full=True) == []
+    assert stiff_report.judge(*fine, is_full=True) == []
     for change, words in (
         ({"losses": [1.0, 2.0]}, "did not fall"),
         ({"first_errors": [30.0, 20.0]}, "pose error"),
         ({"second_errors": [12.0, float("nan")]}, "Chamfer"),
-        ({"study": "masses", "recipe": stiff.STAGED}, "heavy points"),
+        ({"study": "masses", "recipe": stiff_report.STAGED}, "heavy points"),
     ):
-        sentences = stiff.judge([], [make_summary(**change)], [], is_full=True)
+        sentences = stiff_report.judge([], [make_summary(**change)], [], is_full=True)
         assert any(words in sentence for sentence in sentences)
     lost = many._replace(accuracy=0.2)
-    (sentence,) = stiff.judge([], [], [few, lost], is_full=True)
+    (sentence,) = stiff_report.judge([], [], [few, lost], is_full=True)
     assert "8 starts" in sentence
     # Plain gradient descent may crawl: that is what the report shows.
     crawls = make_summary(recipe="gradient, σ 1", first_errors=[30.0, 29.0])
-    assert stiff.judge([], [crawls], [], is_full=True) == []
+    assert stiff_report.judge([], [crawls], [], is_full=True) == []
 
 
 def test_a_descent_that_is_not_finite_fails():
@@ -260,8 +259,8 @@ def test_a_descent_that_is_not_finite_fails():
         (fine._replace(chamfer=np.array([1.0, np.nan])), ["not finite"]),
         (fine._replace(end=end._replace(points=np.full((4, 3), np.inf))), ["not fin"]),
     ):
-        run = stiff_studies.Run("shape", "car", "gradient, σ 1", 0.1, 0, 1.0, trace)
-        sentences = stiff.judge([run], [], [], is_full=False)
+        run = studies.Run("shape", "car", "gradient, σ 1", 0.1, 0, 1.0, trace)
+        sentences = stiff_report.judge([run], [], [], is_full=False)
         assert len(sentences) == len(words)
         assert all(w in sentence for w, sentence in zip(words, sentences, strict=True))
 

@@ -7,12 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpc_jax import configuration, defaults
+from dpc_jax.config import defaults
+from dpc_jax.config.settings import Settings
 from dpc_jax.data import DataSet
 from dpc_jax.learning.schedules import find_stage
-from dpc_jax.learning.settings import Settings
 from dpc_jax.learning.step import init_state, make_train_step
 from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.run import configuration
 
 IMAGE_SIZE = 16  # pixels, the smallest that the encoder takes
 FOCAL_LENGTH, DISTANCE = 1.875, 2.0

@@ -48,15 +48,15 @@ def parse_arguments(arguments=None):
 
 def fetch(flags):
     """Fetches a category."""
-    from . import open_meshes
+    from dpc_jax.data.open import categories
 
-    open_meshes.fetch_category(flags.category, flags.out)
+    categories.fetch_category(flags.category, flags.out)
     return 0
 
 
 def show(flags):
     """Lists sets; draws the sheet where it is one."""
-    from . import overview
+    from dpc_jax.data.look import overview
 
     caches = overview.list_caches(flags.folder)
     for path in caches or [flags.folder]:
@@ -82,7 +82,7 @@ def show(flags):
 
 def check(flags):
     """Checks sets; status 1 where an error was found."""
-    from . import overview
+    from dpc_jax.data.look import overview
 
     caches = overview.list_caches(flags.folder)
     failed = False
@@ -99,7 +99,7 @@ def check(flags):
 
 def _check_one(path, flags):
     """Whether a set has an error; prints what is found."""
-    from . import inspection, overview
+    from dpc_jax.data.look import inspection, overview
 
     with _open(path, flags) as opened:
         data = opened.data
@@ -114,7 +114,7 @@ def _check_one(path, flags):
 
 
 def _open(path, flags):
-    from . import overview
+    from dpc_jax.data.look import overview
 
     return overview.open_set(
         path, kind=flags.kind, category=flags.category, models=flags.models

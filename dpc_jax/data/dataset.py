@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import rendering, shards
-from .sources import DataSpec as DataSpec
-from .sources import list_sidecars, list_sources, split_files
+from dpc_jax.data import rendering, shards
+from dpc_jax.data.spec import DataSpec as DataSpec
+from dpc_jax.data.spec import list_sidecars, list_sources, split_files
 
 SHOWN = 20  # skipped models that are printed
 VERSION = 2  # raise it when rendering, the procedural shapes or the shards change
@@ -197,10 +197,10 @@ def _finish(folder, spec, sources, record, *, progress):
 
 def _write_split(folder, spec):
     """Writes a seeded split beside the cache; remarks on the set as a whole."""
-    from . import catalogs, split_lists
+    from dpc_jax.data.sets import listings, split_lists
 
-    catalog = catalogs.open_catalog(spec, split_files=split_files)
-    remarks = catalogs.list_remarks(spec, catalog)
+    catalog = listings.open_catalog(spec, split_files=split_files)
+    remarks = listings.list_remarks(spec, catalog)
     if catalog.official is None:
         text = json.dumps(catalog.sides, sort_keys=True)
         key = hashlib.sha256(text.encode()).hexdigest()[:12]

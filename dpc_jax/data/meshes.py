@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from dpc_jax.shapes.normalization import replace_vertices
+
 SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 PLAIN = np.array([170, 170, 170, 255], dtype=np.uint8)  # where a file has no colour
 
@@ -163,23 +165,6 @@ def _face_colors(part):
     return np.tile(PLAIN, (count, 1))
 
 
-def normalize(mesh):
-    """Copy of a mesh, centred on its bounding box and scaled to a box diagonal of 1.
-
-    Raises:
-      ValueError: if the mesh has no extent.
-    """
-    vertices = np.asarray(mesh.vertices, dtype=np.float64)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    diagonal = float(np.linalg.norm(high - low))
-    if not diagonal > 0:
-        raise ValueError(
-            f"expected a mesh with an extent, got a box diagonal of {diagonal}; "
-            "skip it."
-        )
-    return _with_vertices(mesh, (vertices - (low + high) / 2) / diagonal)
-
-
 def scale_randomly(mesh, *, seed, amount=0.15):
     """Copy of a mesh, stretched along x, y and z by factors of its own.
 
@@ -194,10 +179,4 @@ def scale_randomly(mesh, *, seed, amount=0.15):
             f"amount must lie in [0, 1) for positive factors, got {amount}; use 0.15."
         )
     factors = np.random.default_rng(seed).uniform(1 - amount, 1 + amount, 3)
-    return _with_vertices(mesh, np.asarray(mesh.vertices, dtype=np.float64) * factors)
-
-
-def _with_vertices(mesh, vertices):
-    return trimesh.Trimesh(
-        vertices, mesh.faces, face_colors=mesh.visual.face_colors, process=False
-    )
+    return replace_vertices(mesh, np.asarray(mesh.vertices, dtype=np.float64) * factors)

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from . import shards
-from .sources import SPLITS, DataSpec, Source
+from dpc_jax.data import shards
+from dpc_jax.data.spec import SPLITS, DataSpec, Source
 
 BOOT = """
 import sys, types
@@ -72,7 +72,10 @@ def identify_shard(folder, models):
 
 def make_model(spec, source):
     """The normalised mesh of one source. Raises ValueError if its file is no use."""
-    from . import meshes, procedural, shapenet
+    from dpc_jax.data import meshes
+    from dpc_jax.data.sets import shapenet
+    from dpc_jax.shapes import procedural
+    from dpc_jax.shapes.normalization import normalize
 
     if source.path is None:
         return procedural.make_shape(spec.category, source.seed)
@@ -83,7 +86,7 @@ def make_model(spec, source):
         # normalised first, so that the factors meet comparable sides
         seed = [spec.seed, source.copy, int(source.digest[:8], 16)]
         mesh = meshes.scale_randomly(mesh, seed=seed, amount=spec.scale_amount)
-    return meshes.normalize(mesh)
+    return normalize(mesh)
 
 
 def make_arrays(spec, source, index):
@@ -101,25 +104,25 @@ def make_arrays(spec, source, index):
         "distance": spec.distance,
     }
     if spec.kind == "images":
-        from . import image_folder
+        from dpc_jax.data.sets import image_folder
 
         place = Path(source.path)
         return image_folder.read_object(place, crop=spec.crop, fill=spec.fill, **shared)
     if spec.kind == "renders":
-        from . import catalogs, released_renders, shapenet
+        from dpc_jax.data.sets import listings, released_renders, shapenet
 
         synset, _ = shapenet.find_synset(spec.folder, spec.category)
         truths = released_renders.find_ground_truth(
             spec.folder, synset, spec.ground_truth
         )
-        truth = catalogs.find_truth(spec, truths, source.name)
+        truth = listings.find_truth(spec, truths, source.name)
         place = Path(source.path)
         arrays = released_renders.read_model(place, truth, views=spec.views, **shared)
         return arrays, []
     arrays = render_model(spec, source, index)
     if not str(source.path).lower().endswith(".obj") or source.copy:
         return arrays, []
-    from . import shapenet
+    from dpc_jax.data.sets import shapenet
 
     # other OBJ files may have colours of their own
     remark = shapenet.describe_materials(source.path)
@@ -129,11 +132,11 @@ def make_arrays(spec, source, index):
 
 def render_model(spec, source, index):
     """Rendered views and surface points of one mesh, as `make_arrays` gives them."""
-    from . import surface, viewpoints, views
+    from dpc_jax.data import surfaces, viewpoints, views
 
     mesh = make_model(spec, source)
     scene = views.build_scene(mesh)
-    surfaces = surface.make_ground_truth(mesh, spec, scene=scene)
+    surfaces = surfaces.make_ground_truth(mesh, spec, scene=scene)
     size = (spec.views, spec.image_size, spec.image_size)
     arrays = {
         "images": np.empty((*size, 3), np.uint8),

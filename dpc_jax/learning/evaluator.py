@@ -5,17 +5,13 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from dpc_jax.config.settings import Settings
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation import alignment as alignments
 from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation import scores
 from dpc_jax.learning import hindsight, losses, schedules
-from dpc_jax.learning.objective import (
-    complete_poses,
-    compute_mass,
-    scale_images,
-)
-from dpc_jax.learning.settings import Settings
+from dpc_jax.learning.objective import complete_poses, compute_mass, scale_images
 from dpc_jax.learning.step import TrainState
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera, VoxelGrid, project

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from dpc_jax.config.settings import Settings
 from dpc_jax.data import DataSet, choose_batch, read_batch
 from dpc_jax.learning import schedules
 from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.log import MetricLog
 from dpc_jax.learning.progress import ProgressReport
-from dpc_jax.learning.settings import Settings
 from dpc_jax.learning.step import TrainState, make_train_step
 from dpc_jax.networks import ShapePoseNetwork
 

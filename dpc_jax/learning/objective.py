@@ -4,8 +4,8 @@ import chex
 import jax
 import jax.numpy as jnp
 
+from dpc_jax.config.settings import Settings
 from dpc_jax.learning import hindsight, losses, schedules
-from dpc_jax.learning.settings import Settings
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.render.kernels import sample_gaussian

@@ -6,7 +6,7 @@ import chex
 import jax.numpy as jnp
 import optax
 
-from dpc_jax.learning.settings import Settings
+from dpc_jax.config.settings import Settings
 
 
 def compute_sigma(step: chex.Numeric, settings: Settings) -> chex.Array:

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from dpc_jax.config.settings import Settings
 from dpc_jax.learning import schedules
 from dpc_jax.learning.objective import compute_loss
-from dpc_jax.learning.settings import Settings
 from dpc_jax.networks import ShapePoseNetwork
 
 

@@ -6,8 +6,9 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.render import covariances, gaussians, quaternion, smoothing, splatting
+from dpc_jax.render import quaternion, smoothing, splatting
 from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
+from dpc_jax.render.exact import covariances, gaussians
 
 
 class Scene(NamedTuple):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dpc_jax.reporting.files import write_bytes
+from dpc_jax.files import write_bytes
 
 POINT_RADIUS = 0.008  # object units; a third of the spacing of 2000 points on a car
 PLAIN_COLOR = (0.36, 0.53, 0.73)  # sRGB, for points that carry no colour

@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from dpc_jax.reporting.files import write_bytes
+from dpc_jax.files import write_bytes
 
 INK, MUTED, GOOD, ACCENT = "#22303c", "#8795a1", "#2f7ebc", "#d1495b"
 RUN_COLORS = ("#2f7ebc", "#d1495b", "#3a9d6e", "#e0a030", "#7b5ea7", "#5f6c77")

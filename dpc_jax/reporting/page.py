@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dpc_jax.files import write_text
 from dpc_jax.reporting import export, figures, gallery, tables
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.files import write_text
 
 REQUIRED_METRICS = (
     "chamfer",

@@ -1,0 +1,60 @@
+"""Contact sheets: pictures in a grid, with a line of text under each."""
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from dpc_jax.data import viewpoints, views
+
+VIEWS = ((35, 20), (90, 5), (180, 10), (-60, 45))  # azimuth, elevation, degrees
+LINE = 12  # pixels of a line of text
+
+
+def draw_models(meshes, texts, *, size=96, columns=3):
+    """Sheet of models, each from four sides: half front, left, rear, above the right.
+
+    Args:
+      meshes: `trimesh.Trimesh`es in the canonical frame, normalised.
+      texts: one line each.
+      size: of a view, pixels. columns: models in a row.
+
+    Returns:
+      `PIL.Image.Image`.
+    """
+    lights = views.Lights(
+        np.array([[0.3, 0.4, 0.86], [0.6, -0.7, 0.4]]), np.array([0.45, 0.2]), 0.35
+    )
+    strips = []
+    for mesh in meshes:
+        scene = views.build_scene(mesh)
+        pictures = [
+            views.render_view(
+                scene,
+                viewpoints.look_at_rotation(np.deg2rad(azimuth), np.deg2rad(elevation)),
+                lights=lights,
+                image_size=size,
+                supersample=3,
+            ).image
+            for azimuth, elevation in VIEWS
+        ]
+        strips.append(np.concatenate(pictures, axis=1))
+    return arrange(strips, texts, columns=columns)
+
+
+def arrange(pictures, texts, *, columns):
+    """Pictures of one size in a grid, a line of text under each.
+
+    Args:
+      pictures: uint8 [H, W, 3] each. texts: one line each.
+    """
+    height, width = pictures[0].shape[:2]
+    rows = -(-len(pictures) // columns)
+    gap = 6
+    sheet = Image.new(
+        "RGB", (columns * (width + gap), rows * (height + LINE + gap)), "white"
+    )
+    pen = ImageDraw.Draw(sheet)
+    for i, (picture, text) in enumerate(zip(pictures, texts, strict=True)):
+        x, y = i % columns * (width + gap), i // columns * (height + LINE + gap)
+        sheet.paste(Image.fromarray(picture), (x, y))
+        pen.text((x + 2, y + height), text[: width // 6], fill="black")
+    return sheet

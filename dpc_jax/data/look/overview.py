@@ -1,0 +1,281 @@
+"""What is in a data set: opened from wherever it lies, listed, and drawn."""
+
+import contextlib
+import json
+import re
+import tempfile
+from collections import Counter
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from dpc_jax.data import dataset, meshes
+from dpc_jax.data.look import contact_sheet, pose_conventions
+from dpc_jax.data.sets import image_folder, released_renders, shapenet
+from dpc_jax.data.spec import DataSpec
+
+TILE = 128  # pixels of a picture on the sheet
+VIEWS = 4  # of an object on the sheet
+NEAR, FAR = np.array([255.0, 220, 60]), np.array([20.0, 30, 120])  # colours of depth
+AXES = ((220, 0, 0), (0, 150, 0), (0, 60, 255))  # colours of front, left and up
+LISTED = 5  # skipped models that are named
+
+
+class OpenSet(NamedTuple):
+    """A data set to be looked at.
+
+    name: what it is called. data: `DataSet`. lens: its camera. record: what its
+    specification says. note: what else there is to be said, or "".
+    """
+
+    name: str
+    data: dataset.DataSet
+    lens: pose_conventions.Lens
+    record: dict
+    note: str
+
+
+def list_caches(path):
+    """The finished caches that a path is or holds, sorted; none is fine."""
+    path = Path(path)
+    if (path / "spec.json").is_file():
+        return [path]
+    return sorted(p.parent for p in path.glob("*/spec.json"))
+
+
+@contextlib.contextmanager
+def open_set(path, *, kind=None, category=None, models=None):
+    """Opens a cache, or prepares the models of a folder for a moment.
+
+    Args:
+      path: a finished cache, or a folder of meshes, of own images, of ShapeNet, or of
+        the published renders.
+      kind: what the folder is, of `sources.KINDS`; None to find out.
+      category: of ShapeNet and the renders; None where there is but one.
+      models: how many of a folder's to prepare; None for all.
+
+    Yields:
+      `OpenSet`.
+
+    Raises:
+      ValueError: naming the file, if there is nothing to open or it is damaged.
+    """
+    path = Path(path)
+    if (path / "spec.json").is_file():
+        yield _read_set(path, path.name, "")
+        return
+    if not path.is_dir():
+        raise ValueError(
+            f"expected a folder with a data set, {path} is none; check it."
+        )
+    kind = kind or guess_kind(path)
+    if kind in ("shapenet", "renders"):
+        category = category or _guess_category(path)
+    spec = DataSpec(
+        category or "object",
+        folder=str(path),
+        fractions=(1, 0, 0),
+        kind=kind,
+        models=models,
+        views=_count_renders(path, category) if kind == "renders" else 5,
+        image_size=TILE,
+    )
+    with tempfile.TemporaryDirectory() as place:
+        dataset.load_or_render(spec, cache_dir=place)
+        (cache,) = list_caches(place)
+        note = f"prepared from {path} ({spec.kind}) to be looked at"
+        if models is not None:
+            note += f", at most {models} models"
+        yield _read_set(cache, path.name, note)
+
+
+def _read_set(cache, name, note):
+    damages = (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError)
+    try:
+        data = dataset.read_cache(cache)
+        record = json.loads((cache / "spec.json").read_text(encoding="utf-8"))
+        lens = pose_conventions.Lens(
+            *(record[field] for field in pose_conventions.Lens._fields)
+        )
+    except damages as error:
+        raise ValueError(
+            f"expected the record of a set in {cache / 'spec.json'}, it is damaged "
+            f"({type(error).__name__}: {error}); train again, which makes it anew."
+        ) from None
+    return OpenSet(name, data, lens, record, note)
+
+
+def guess_kind(path):
+    """What a folder holds, of `sources.KINDS`.
+
+    Raises:
+      ValueError: if it is nothing that can be read.
+    """
+    path = Path(path)
+    files = (p for p in path.rglob("*") if p.suffix.lower() in meshes.SUFFIXES)
+    found = next((p for p in files if p.is_file()), None)
+    if list_synsets(path):
+        return "shapenet" if found else "renders"
+    if found:
+        return "meshes"
+    if any(p.suffix.lower() in image_folder.SUFFIXES for p in path.rglob("*")):
+        return "images"
+    raise ValueError(
+        f"expected a data set, meshes or images in {path}, found none; give a "
+        "folder that holds spec.json, mesh files, or a folder of images per object."
+    )
+
+
+def list_synsets(path):
+    """Names of the synsets that a folder is or holds, sorted."""
+    path = Path(path).resolve()
+    names = [path.name, *(p.name for p in path.iterdir() if p.is_dir())]
+    return sorted(name for name in names if re.fullmatch(r"\d{8}", name))
+
+
+def _guess_category(path):
+    """The one category of a tree of synsets."""
+    synsets = list_synsets(path)
+    if len(synsets) != 1:
+        raise ValueError(
+            f"expected one synset in {path}, found {len(synsets)}; add "
+            "--category=airplane, car or chair."
+        )
+    known = {synset: category for category, synset in shapenet.SYNSETS.items()}
+    return known.get(synsets[0], synsets[0])
+
+
+def _count_renders(path, category):
+    """How many views most models of a folder of renders have."""
+    _, place = shapenet.find_synset(path, category)
+    models = released_renders.list_models(place).values()
+    counts = Counter(len(released_renders.list_renders(model)) for model in models)
+    return max(1, counts.most_common(1)[0][0])
+
+
+def describe_set(opened):
+    """Lines that say what a set holds (`list[str]`)."""
+    data, record = opened.data, opened.record
+    counts = np.asarray(data.counts)
+    size = data.images.shape[-2]
+    names = ("images", "masks", "depths", "quaternions", "surfaces")
+    present = [name for name in names if getattr(data, name) is not None]
+    lines = [
+        f"{opened.name}: {len(data.names)} {record['category']} models, "
+        f"{record['split']} split, {int(counts.sum())} views of {size} x {size} pixels",
+        f"  views per model: {counts.min()} to {counts.max()}"
+        if counts.min() < counts.max()
+        else f"  views per model: {counts.min()}",
+        f"  arrays: {', '.join(present)}",
+    ]
+    if opened.note:
+        lines.append(f"  {opened.note}")
+    elif record.get("folder"):
+        lines.append(f"  made from: {record['folder']}")
+    if data.quaternions is not None:
+        angles = np.array(
+            [
+                read_angles(quaternion)
+                for model in range(len(data.names))
+                for quaternion in np.asarray(data.quaternions[model])[: counts[model]]
+            ]
+        )
+        angles = angles[np.isfinite(angles).all(axis=1)]
+        if len(angles):
+            low, high = angles[:, 1].min(), angles[:, 1].max()
+            lines.append(
+                f"  elevation {low:.0f} to {high:.0f} degrees, "
+                f"roll up to {np.abs(angles[:, 2]).max():.0f}"
+            )
+    for title, pairs in (("skipped", data.skipped), ("remarks on", data.remarks)):
+        if pairs:
+            lines.append(f"  {title} {len(pairs)} models:")
+            lines += [f"    {name}: {text}" for name, text in pairs[:LISTED]]
+    return lines
+
+
+def read_angles(quaternion):
+    """(azimuth, elevation, roll) in degrees of a camera; NaN for a broken pose.
+
+    Azimuth is counted from the object's front to its left, elevation upwards, roll is
+    what the image is turned by against upright, clockwise.
+    """
+    right, down, forward = pose_conventions.rotation_of(quaternion)
+    azimuth = np.arctan2(-forward[1], -forward[0])
+    elevation = np.arcsin(np.clip(-forward[2], -1.0, 1.0))
+    roll = np.arctan2(right[2], -down[2])
+    return tuple(np.rad2deg([azimuth, elevation, roll]))
+
+
+def draw_set(opened, *, models=8):
+    """Sheet of a set: images with the object's axes, masks and depths, and poses.
+
+    Red is the object's front, green its left, blue its top.
+
+    Args:
+      opened: `OpenSet`. models: how many, spread over the set.
+
+    Returns:
+      `PIL.Image.Image`.
+    """
+    data = opened.data
+    count = min(models, len(data.names))
+    chosen = np.linspace(0, len(data.names) - 1, count).round().astype(int)
+    columns = int(min(VIEWS, np.max(data.counts)))
+    pictures, texts = [], []
+    for model in chosen:
+        for view in range(columns):
+            if view < data.counts[model]:
+                pictures.append(_draw_view(opened, model, view))
+                texts.append(_name_view(data, model, view))
+            else:
+                pictures.append(np.full_like(pictures[-1], 255))
+                texts.append("")
+    return contact_sheet.arrange(pictures, texts, columns=columns)
+
+
+def _name_view(data, model, view):
+    name = f"{data.names[model][:20]} {view}"
+    if data.quaternions is None:
+        return name
+    azimuth, elevation, roll = read_angles(data.quaternions[model][view])
+    text = f"{name}: az {azimuth:.0f} el {elevation:.0f}"
+    return text if abs(roll) < 1 else f"{text} roll {roll:.0f}"
+
+
+def _draw_view(opened, model, view):
+    """Image with axes, mask and depth side by side, uint8 [TILE, n TILE, 3]."""
+    data = opened.data
+    image = _scale(Image.fromarray(np.asarray(data.images[model][view])))
+    if data.quaternions is not None:
+        _draw_axes(image, data.quaternions[model][view], opened.lens)
+    mask = np.asarray(data.masks[model][view])
+    tiles = [image, _scale(Image.fromarray(255 - mask).convert("RGB"))]
+    if data.depths is not None:
+        depth = np.asarray(data.depths[model][view], dtype=np.float64)
+        share = np.clip(np.nan_to_num(depth) - opened.lens.distance + 0.5, 0.0, 1.0)
+        colors = NEAR + (FAR - NEAR) * share[..., None]
+        colors[(mask == 0) & (depth == 0)] = 255
+        colors[~np.isfinite(depth)] = (255, 0, 255)
+        tiles.append(_scale(Image.fromarray(colors.astype(np.uint8))))
+    return np.concatenate([np.asarray(tile) for tile in tiles], axis=1)
+
+
+def _scale(picture):
+    smaller = picture.width > TILE
+    way = Image.Resampling.BOX if smaller else Image.Resampling.NEAREST
+    return picture.resize((TILE, TILE), way)
+
+
+def _draw_axes(picture, quaternion, lens):
+    rotation = pose_conventions.rotation_of(quaternion)
+    if not np.isfinite(rotation).all():
+        return
+    ends = np.concatenate([np.zeros((1, 3)), 0.5 * np.eye(3)])
+    places, _ = pose_conventions.project_points(ends, rotation[None], lens)
+    pen = ImageDraw.Draw(picture)
+    middle, *tips = (tuple(place * TILE) for place in places[0])
+    for tip, color in zip(tips, AXES, strict=True):
+        pen.line([middle, tip], fill=color, width=2)

@@ -1,0 +1,211 @@
+"""Checks of poses and depths: do they put the object where its mask is?"""
+
+import numpy as np
+
+from dpc_jax.data.look import pose_conventions
+from dpc_jax.data.look.findings import Finding, name_places
+
+TRIED_VIEWS = 64  # on which conventions are tried
+TRIED_POINTS = 10_000  # of a surface that take part
+FIT = 0.85  # intersection over union of right poses: 0.92 and above on real meshes
+STRAY = 0.9  # share of a surface inside its own mask: above 0.99 for right poses
+FILLED = 0.95  # share of masks that hulls fill: 0.98 and above for right poses
+RAY = 0.4  # between 0, depth along the axis, and 1, along the ray
+CLEARER = 0.02  # by which another convention must fit better
+DEPTH_FLAW = 0.05  # of the object's box diagonal
+
+
+def check_poses(data, lens):
+    """Whether poses put objects where their masks are (`list[Finding]`).
+
+    Surface points under the stored poses are compared with the masks; where there are
+    none, the masks of an object's views with each other. If another convention fits
+    better, it is named; single poses that stray from their masks are too.
+    """
+    if data.quaternions is None or len(data.names) == 0:
+        return []
+    chosen = _choose_models(data)
+    if not chosen:
+        return []
+    others = _list_others(data)
+    stored, *scores = (
+        np.mean([_score(data, m, convention, lens) for m in chosen])
+        for convention in (pose_conventions.STORED, *others)
+    )
+    best = max(scores)
+    measure, enough = "overlap with the masks", FIT
+    if data.surfaces is None:
+        measure, enough = "share of the masks that agrees", FILLED
+    if best > stored + CLEARER:
+        same = [
+            convention.name
+            for convention, score in zip(others, scores, strict=True)
+            if score > best - CLEARER / 4
+        ]
+        text = f"the poses follow another convention: {' or '.join(same)}"
+        if best < enough:
+            text = (
+                "the poses follow no convention that is known here; the nearest is "
+                f"{same[0]}"
+            )
+        return [
+            Finding(
+                "error",
+                f"{text} ({measure} {best:.2f}); as stored, which should be "
+                f"{pose_conventions.STORED.name}, it is {stored:.2f}; convert the "
+                "poses.",
+            )
+        ]
+    strays = [] if data.surfaces is None else _find_strays(data, lens)
+    if stored < enough and not 0 < len(strays) < np.sum(data.counts) / 2:
+        return [
+            Finding(
+                "error",
+                f"the poses do not fit the masks ({measure} {stored:.2f}, expected "
+                f"{enough} and more) under any convention that is known here; check "
+                "scale, centre and camera.",
+            )
+        ]
+    findings = []
+    if strays:
+        findings.append(
+            Finding(
+                "error",
+                f"{len(strays)} of {int(np.sum(data.counts))} views whose pose puts "
+                f"the object beside its mask: {name_places(strays)}",
+            )
+        )
+    if data.surfaces is not None and data.depths is not None:
+        findings += _check_depths(data, chosen, lens)
+    return findings
+
+
+def _choose_models(data):
+    """Models that conventions are tried on, spread over the set."""
+    finite = [
+        m
+        for m in range(len(data.names))
+        if data.counts[m] >= (1 if data.surfaces is not None else 3)
+        and np.isfinite(np.asarray(data.quaternions[m])).all()
+        and np.asarray(data.masks[m]).any()
+        and (data.surfaces is None or _read_surface(data, m) is not None)
+    ]
+    if not finite:
+        return []
+    count = max(1, TRIED_VIEWS // int(max(1, np.max(data.counts))))
+    places = np.linspace(0, len(finite) - 1, min(count, len(finite))).round()
+    return [finite[int(place)] for place in places]
+
+
+def _read_surface(data, model):
+    """Some of a model's surface points, or None where they are no use."""
+    points = np.asarray(data.surfaces[model])
+    if len(points) == 0 or not np.isfinite(points).all():
+        return None
+    return points[:: max(1, len(points) // TRIED_POINTS)]
+
+
+def _list_others(data):
+    """Conventions that can be told apart: without surfaces not by the object's axes."""
+    if data.surfaces is not None:
+        return pose_conventions.OTHERS
+    return [c for c in pose_conventions.OTHERS if np.array_equal(c.object, np.eye(3))]
+
+
+def _score(data, model, convention, lens):
+    surface = None if data.surfaces is None else _read_surface(data, model)
+    count = data.counts[model]
+    return pose_conventions.score_convention(
+        convention,
+        np.asarray(data.quaternions[model])[:count],
+        np.asarray(data.masks[model])[:count],
+        surface,
+        lens,
+    )
+
+
+def _find_strays(data, lens):
+    """Views whose own pose puts the object elsewhere than their mask, as text."""
+    strays = []
+    for model, name in enumerate(data.names):
+        count = data.counts[model]
+        quaternions = np.asarray(data.quaternions[model])[:count]
+        surface = _read_surface(data, model)
+        if surface is None:
+            continue
+        masks = pose_conventions.grow_masks(
+            np.asarray(data.masks[model])[:count] > 0, 1
+        )
+        size = masks.shape[-1]
+        places, _ = pose_conventions.project_points(
+            surface[:: max(1, len(surface) // 1000)],
+            pose_conventions.rotation_of(quaternions),
+            lens,
+        )
+        cells = np.floor(places * size)
+        cells = np.where(np.isfinite(cells), cells, -1).astype(int)
+        within = ((cells >= 0) & (cells < size)).all(axis=-1)
+        cells = np.clip(cells, 0, size - 1)
+        hits = masks[np.arange(count)[:, None], cells[..., 1], cells[..., 0]] & within
+        usable = masks.any(axis=(1, 2)) & np.isfinite(quaternions).all(axis=1)
+        strays += [
+            f"{name} view {view} ({share:.0%} inside)"
+            for view, share in enumerate(hits.mean(axis=1))
+            if share < STRAY and usable[view]
+        ]
+    return strays
+
+
+def _check_depths(data, chosen, lens):
+    """Whether depths are metric and along the camera's axis."""
+    given, expected, longer = (
+        np.concatenate(parts)
+        for parts in zip(*(_pair_depths(data, m, lens) for m in chosen), strict=True)
+    )
+    if len(given) == 0:
+        return []
+    off = float(np.median(given - expected))
+    if abs(off) > DEPTH_FLAW:
+        reason = f"it is off by {off:.3f} in the median pixel"
+        if abs(off + lens.distance) < DEPTH_FLAW:
+            reason = f"it is counted from the object's middle, {lens.distance:g} less"
+    else:
+        # the length of a ray exceeds its depth, the more the farther from the axis; a
+        # slope, because the nearest of a pixel's points is nearer than their mean
+        near = np.abs(given - expected) < DEPTH_FLAW
+        extra, longer = (given - expected)[near], longer[near]
+        longer = longer - longer.mean() if len(longer) else longer
+        if not longer @ extra > RAY * (longer @ longer):
+            return []
+        reason = "it is the length of the ray"
+    return [
+        Finding(
+            "error",
+            "the depth is not the metric distance along the camera's axis: "
+            f"{reason}; convert the depth.",
+        )
+    ]
+
+
+def _pair_depths(data, model, lens):
+    """Depths of an object's pixels, those of the nearest points, and how much longer
+    than these the rays are (three arrays [n])."""
+    count = data.counts[model]
+    rotations = pose_conventions.rotation_of(data.quaternions[model])[:count]
+    places, z = pose_conventions.project_points(
+        _read_surface(data, model), rotations, lens
+    )
+    masks = np.asarray(data.masks[model])[:count]
+    depths = np.asarray(data.depths[model], dtype=np.float64)[:count]
+    size = masks.shape[-1]
+    cells = np.clip(np.floor(places * size).astype(int), 0, size - 1)
+    nearest = np.full(masks.shape, np.inf)
+    view = np.broadcast_to(np.arange(count)[:, None], z.shape)
+    np.minimum.at(nearest, (view, cells[..., 1], cells[..., 0]), z)
+    use = np.isfinite(nearest) & (masks == 255) & np.isfinite(depths)
+    axis = ((np.arange(size) + 0.5) / size - 0.5) * lens.extent / lens.focal_length
+    stretch = np.broadcast_to(
+        np.sqrt(1.0 + axis**2 + axis[:, None] ** 2) - 1.0, masks.shape
+    )
+    expected = nearest[use]
+    return depths[use], expected, expected * stretch[use]

@@ -1,0 +1,257 @@
+"""Reading AC3D files (.ac, .acc), which trimesh does not know.
+
+AC3D is a text format: materials, then a tree of objects, each with its own offset,
+vertices, texture and surfaces. The `.acc` of racing games adds normals, several texture
+coordinates per corner, and triangle strips. Lines have no surface and are left out.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+from PIL import Image
+
+from dpc_jax.data.open import polygons
+
+GREY = (0.667, 0.667, 0.667)  # of a surface without a material
+SAMPLES = (
+    np.array(  # of a triangle, barycentric: its middle and six around it
+        [(4, 4, 4), (8, 2, 2), (2, 8, 2), (2, 2, 8), (5, 5, 2), (5, 2, 5), (2, 5, 5)]
+    )
+    / 12.0
+)
+POLYGON, STRIP = 0, 4  # kinds of surface; 1 and 2 are lines
+FAULTS = (OSError, ValueError, SyntaxError, Image.DecompressionBombError)  # of Pillow
+
+
+class Part(NamedTuple):
+    """One object of a file.
+
+    vertices: float64 [N, 3], in the frame of the file. faces: int [F, 3].
+    colors: uint8 [F, 4], material times texture at the middle of the face; alpha is
+        the mean over the face, 0 where nothing of it can be seen.
+    """
+
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    colors: np.ndarray
+
+
+def read_parts(path, *, textures=None):
+    """The objects of an AC3D file that have surfaces.
+
+    Args:
+      path: the file.
+      textures: folder to look through for textures that are not where the file says;
+        the first of that name counts. None: they are left out.
+
+    Returns:
+      List of `Part`, in the order of the file.
+
+    Raises:
+      ValueError: naming the file, if it cannot be read or has no surfaces.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="latin-1").split("\n")
+        if not lines[0].startswith("AC3D"):
+            raise ValueError("its first line is not AC3D")
+        parts = _Reader(lines, path.parent, textures).read_all()
+    except (OSError, ValueError, IndexError, RecursionError) as error:
+        raise ValueError(
+            f"expected an AC3D file in {path}, it cannot be read ({error}); repair or "
+            "remove it."
+        ) from error
+    if not parts:
+        raise ValueError(f"expected surfaces in {path}, found none; remove it.")
+    return parts
+
+
+def join_parts(parts):
+    """One `trimesh.Trimesh` of several parts, with their colours, made opaque.
+
+    Raises:
+      ValueError: if there are none.
+    """
+    if not parts:
+        raise ValueError("expected parts with surfaces to join, got none.")
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])[:-1]
+    faces = [part.faces + start for part, start in zip(parts, starts, strict=True)]
+    colors = np.concatenate([part.colors for part in parts])
+    colors[:, 3] = 255
+    return trimesh.Trimesh(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate(faces),
+        face_colors=colors,
+        process=False,
+    )
+
+
+class _Reader:
+    """A cursor over the lines of a file."""
+
+    def __init__(self, lines, folder, textures):
+        self._lines, self._at = lines, 1
+        self._folder, self._textures = folder, textures
+        self._images, self._materials, self._parts = {}, [], []
+
+    def read_all(self):
+        while not self._is_over():
+            self._at += 1
+            key, _, rest = self._lines[self._at - 1].strip().partition(" ")
+            if key == "MATERIAL":
+                words = rest.rpartition('"')[2].split()
+                color = [float(x) for x in words[words.index("rgb") + 1 :][:3]]
+                clear = float(words[words.index("trans") + 1])
+                self._materials.append((*color, 1.0 - clear))
+            elif key == "OBJECT":
+                self._read_object(np.zeros(3), np.eye(3))
+        return self._parts
+
+    def _is_over(self):
+        return self._at >= len(self._lines)
+
+    def _next(self):
+        """The next line that is not blank."""
+        while True:
+            self._at += 1
+            if line := self._lines[self._at - 1].strip():
+                return line
+
+    def _read_object(self, place, turn):
+        """Reads one object and those below it, placed as their parents say."""
+        name, texture = "", None
+        repeat, offset = np.ones(2), np.zeros(2)
+        vertices, surfaces = np.zeros((0, 3)), []
+        while True:
+            key, _, rest = self._next().partition(" ")
+            if key == "name":
+                name = rest.strip('" ')
+            elif key == "data":
+                left = int(rest)
+                while left > 0:  # characters, of any number of lines
+                    left -= len(self._lines[self._at]) + 1
+                    self._at += 1
+            elif key == "texture" and texture is None:  # the first is the base layer
+                texture = rest.split('"')[1] if '"' in rest else rest
+            elif key == "texrep":
+                repeat = _numbers(rest, 2)
+            elif key == "texoff":
+                offset = _numbers(rest, 2)
+            elif key == "loc":
+                place = place + _numbers(rest, 3) @ turn
+            elif key == "rot":
+                turn = _numbers(rest, 9).reshape(3, 3) @ turn
+            elif key == "numvert":
+                rows = [self._next().split()[:3] for _ in range(int(rest))]
+                vertices = np.array(rows, dtype=np.float64).reshape(-1, 3)
+            elif key == "numsurf":
+                surfaces = [self._read_surface() for _ in range(int(rest))]
+            elif key == "kids":
+                break
+        part = self._make_part(
+            name, vertices @ turn + place, surfaces, texture, repeat, offset
+        )
+        if part is not None:
+            self._parts.append(part)
+        for _ in range(int(rest)):
+            while not self._is_over() and not self._lines[self._at].startswith("OBJ"):
+                self._at += 1
+            if self._is_over():
+                return  # some files count more objects than they have
+            self._at += 1
+            self._read_object(place, turn)
+
+    def _read_surface(self):
+        """(kind, material, corners): corners are lists of index, u, v."""
+        kind, material = POLYGON, 0
+        while True:
+            key, _, rest = self._next().partition(" ")
+            if key == "SURF":
+                kind = int(rest, 16) & 0xF
+            elif key == "mat":
+                material = int(rest)
+            elif key == "refs":
+                break
+        corners = [self._next().split()[:3] for _ in range(int(rest))]
+        corners = [(int(i), float(u), float(v)) for i, u, v in corners]
+        return kind, material, corners
+
+    def _make_part(self, name, vertices, surfaces, texture, repeat, offset):
+        triangles, materials, quads, quad_materials = [], [], [], []
+        for kind, material, corners in surfaces:
+            if not all(0 <= corner[0] < len(vertices) for corner in corners):
+                raise ValueError(
+                    f"a surface of {name or 'an object'} has no such corner"
+                )
+            if kind == POLYGON and len(corners) == 4:
+                quads.append(corners)
+                quad_materials.append(material)
+                continue
+            if kind == POLYGON:
+                found = polygons.split_polygon(
+                    vertices[[corner[0] for corner in corners]]
+                )
+            elif kind == STRIP:
+                found = [(i, i + 1, i + 2) for i in range(len(corners) - 2)]
+            else:
+                continue
+            triangles += [[corners[i] for i in triangle] for triangle in found]
+            materials += [material] * len(found)
+        if quads:
+            triangles += polygons.split_quads(np.array(quads), vertices)
+            materials += np.repeat(quad_materials, 2).tolist()
+        if not triangles:
+            return None
+        corners = np.array(triangles)  # [F, 3, 3]: index, u, v
+        faces = corners[..., 0].astype(int)
+        # strips turn corners by triangles without area, which repeat an index
+        whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+        known = [*self._materials, (*GREY, 1.0)]
+        materials = [m if m < len(self._materials) else -1 for m in materials]
+        corners, faces = corners[whole], faces[whole]
+        colors = np.array(known)[materials][whole]
+        if len(faces) == 0:
+            return None
+        image = self._load_texture(texture)
+        if image is not None:
+            colors = colors * _look_up(image, corners[..., 1:] * repeat + offset)
+        colors = np.rint(np.clip(colors, 0.0, 1.0) * 255.0).astype(np.uint8)
+        return Part(name, vertices, faces, colors)
+
+    def _load_texture(self, name):
+        """Texture uint8 [H, W, 4], or None where there is none to be read."""
+        if name is None:
+            return None
+        if name not in self._images:
+            self._images[name] = None
+            path = self._folder / name.replace("\\", "/")
+            if not path.is_file() and self._textures is not None:
+                found = sorted(Path(self._textures).rglob(path.name), key=str)
+                path = next((p for p in found if p.is_file()), path)
+            try:
+                with Image.open(path) as image:
+                    self._images[name] = np.asarray(image.convert("RGBA"))
+            except FAULTS:
+                pass  # the material alone colours the surface
+        return self._images[name]
+
+
+def _numbers(text, count):
+    numbers = np.array(text.split(), dtype=np.float64)
+    if len(numbers) != count:
+        raise ValueError(f"expected {count} numbers, got {text!r}")
+    return numbers
+
+
+def _look_up(image, uv):
+    """Colours [F, 4] of triangles with texture coordinates [F, 3, 2], origin below."""
+    places = np.einsum("sk,fkc->fsc", SAMPLES, uv)
+    places = (places - np.floor(places)) * image.shape[1::-1]
+    column, row = np.moveaxis(places, -1, 0).astype(int)
+    column = np.minimum(column, image.shape[1] - 1)
+    row = image.shape[0] - 1 - np.minimum(row, image.shape[0] - 1)
+    found = image[row, column].astype(np.float32) / 255
+    return np.concatenate([found[:, 0, :3], found[:, :, 3].mean(1)[:, None]], axis=1)

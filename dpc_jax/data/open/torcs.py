@@ -1,0 +1,135 @@
+"""Cars of the package torcs-data, a racing game: bodies with their wheels put on.
+
+A body has no wheels; the car's parameters say where they are and how large. Parameters
+that a car leaves out come from its category.
+"""
+
+import re
+import xml.etree.ElementTree
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from dpc_jax.data.open import ac3d
+from dpc_jax.data.open.models import OpenModel
+
+PACKAGE = "torcs-data"
+UNITS = {"m": 1.0, "": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+WHEEL = "trb1-5"  # where a car names no model of its wheels
+GPL = ("155-DTM", "buggy", "p406")  # by the package's copyright file
+FAMILIES = {"car1-trb3": "torcs-car1-trb1"}  # the same body without its wing
+
+
+def list_models(root, category="car"):
+    """The cars of the unpacked package, sorted by name (`list[OpenModel]`)."""
+    game = Path(root) / "usr/share/games/torcs"
+    models = []
+    for folder in game.glob("cars/*"):
+        name, path = folder.name, folder / f"{folder.name}.acc"
+        if not path.is_file():
+            continue
+        origin = {
+            "licence": "GPL-2.0-or-later" if name in GPL else "FAL-1.3",
+            "author": _read_authors(folder / "readme.txt"),
+            "original": str(path.relative_to(root)),
+        }
+        family = FAMILIES.get(name, f"torcs-{name}")
+        source = (path, game)
+        models.append(
+            OpenModel(f"torcs-{name}", family, "train", origin, PACKAGE, source)
+        )
+    return sorted(models)
+
+
+def _read_authors(path):
+    """The copyright lines of a readme, or the package's own."""
+    data = path.read_bytes() if path.is_file() else b""
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    lines = re.findall(r"Copyright\s+(.*)", text)
+    return "; ".join(line.strip() for line in lines) or "the TORCS team"
+
+
+def make_mesh(model, folder):
+    """The mesh of a car with its wheels in the canonical frame.
+
+    Raises:
+      ValueError: naming the file, if it or one it needs cannot be read.
+    """
+    path, game = model.source
+    own = _read_parameters(path.with_suffix(".xml"))
+    general = {}
+    if "Car/category" in own:
+        general = _read_parameters(game / f"categories/{own['Car/category']}.xml")
+    values = {**general, **own}
+    wheel = values.get("Graphic Objects/3d wheel directory", WHEEL)
+    wheel = _turn(ac3d.join_parts(ac3d.read_parts(game / f"wheels/{wheel}/wheel0.acc")))
+    pieces = [_turn(ac3d.join_parts(ac3d.read_parts(path)))]
+    try:
+        pieces += [
+            _place_wheel(wheel, values, f"{end} {side} Wheel", f"{end} Axle")
+            for end in ("Front", "Rear")
+            for side in ("Right", "Left")
+        ]
+    except KeyError as error:
+        raise ValueError(
+            f"expected {error} in {path.with_suffix('.xml')}, found none; repair it."
+        ) from error
+    return join_meshes(pieces)
+
+
+def _turn(mesh):
+    """A mesh with x forward and y up in the canonical frame."""
+    mesh.vertices = np.asarray(mesh.vertices)[:, [0, 2, 1]] * (1.0, -1.0, 1.0)
+    return mesh
+
+
+def _place_wheel(wheel, values, name, axle):
+    """A copy of the unit wheel in its place; its outer side is turned outwards."""
+    width = values[f"{name}/tire width"]
+    radius = (
+        values[f"{name}/rim diameter"] / 2
+        + width * values[f"{name}/tire height-width ratio"]
+    )
+    left = values[f"{name}/ypos"]
+    place = (values[f"{axle}/xpos"], left, radius - values[f"{name}/ride height"])
+    scale = (2 * radius, np.copysign(width, left), 2 * radius)
+    wheel = wheel.copy()
+    wheel.vertices = np.asarray(wheel.vertices) * scale + place
+    return wheel
+
+
+def join_meshes(pieces):
+    """One mesh of several, with their face colours."""
+    starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])[:-1]
+    return trimesh.Trimesh(
+        np.concatenate([piece.vertices for piece in pieces]),
+        np.concatenate([p.faces + s for p, s in zip(pieces, starts, strict=True)]),
+        face_colors=np.concatenate([p.visual.face_colors for p in pieces]),
+        process=False,
+    )
+
+
+def _read_parameters(path):
+    """{"Section/name": value} of a parameter file, lengths in metres."""
+    try:
+        tree = xml.etree.ElementTree.fromstring(
+            # an entity that only pulls in another file of the game is not needed here
+            re.sub(rb"&[\w-]+;", b"", path.read_bytes())
+        )
+    except (OSError, xml.etree.ElementTree.ParseError) as error:
+        raise ValueError(
+            f"expected parameters of a car in {path}, they cannot be read ({error})."
+        ) from error
+    values = {}
+    for section in tree.iter("section"):
+        for item in section:
+            key = f"{section.get('name')}/{item.get('name')}"
+            if item.tag == "attstr":
+                values[key] = item.get("val")
+            elif item.tag == "attnum" and item.get("unit", "") in UNITS:
+                values[key] = float(item.get("val")) * UNITS[item.get("unit", "")]
+    return values

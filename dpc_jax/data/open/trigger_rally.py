@@ -1,0 +1,77 @@
+"""Cars of the package trigger-rally-data, a racing game: three bodies with wheels.
+
+The package paints each body three times; the one of the highest class is taken.
+"""
+
+import xml.etree.ElementTree
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from dpc_jax.data import meshes
+from dpc_jax.data.open.models import OpenModel
+from dpc_jax.data.open.torcs import join_meshes
+
+PACKAGE = "trigger-rally-data"
+PAINT = "_wrc"
+
+
+def list_models(root, category="car"):
+    """The cars of the unpacked package, sorted by name (`list[OpenModel]`)."""
+    archive = Path(root) / "usr/share/games/trigger-rally/data.zip"
+    with zipfile.ZipFile(archive) as files:
+        found = [n for n in files.namelist() if n.endswith(f"{PAINT}.vehicle")]
+    models = []
+    for member in found:
+        name = f"trigger-rally-{Path(member).stem.removesuffix(PAINT)}"
+        origin = {
+            "licence": "GPL-2.0-or-later",
+            "author": "Jasmine Langridge, Richard Langridge and contributors",
+            "original": f"{archive.relative_to(root)}:{member}",
+        }
+        models.append(
+            OpenModel(name, name, "train", origin, PACKAGE, (archive, member))
+        )
+    return sorted(models)
+
+
+def make_mesh(model, folder):
+    """The mesh of a car with its wheels in the canonical frame; unpacks to `folder`.
+
+    Raises:
+      ValueError: naming the file, if it cannot be read.
+    """
+    archive, member = model.source
+    beside = f"{Path(member).parent}/"
+    with zipfile.ZipFile(archive) as files:
+        files.extractall(folder, [n for n in files.namelist() if n.startswith(beside)])
+    path = Path(folder) / member
+    try:
+        tree = xml.etree.ElementTree.parse(path)
+        general, part = tree.find("genparams"), tree.find("part")
+        body = _read_scaled(path.parent / part.get("model"), float(part.get("scale")))
+        size = float(general.get("wheelscale"))
+        pieces = [body]
+        for item in part.iter("wheel"):
+            place = np.array(item.get("pos").split(","), dtype=np.float64)
+            radius = float(item.get("radius"))
+            wheel = _read_scaled(path.parent / general.get("wheelmodel"), size * radius)
+            # its outer side, +x in the file, is turned outwards
+            sign = (np.copysign(1.0, place[0]), 1.0, 1.0)
+            wheel.vertices = np.asarray(wheel.vertices) * sign + place
+            pieces.append(wheel)
+    except (xml.etree.ElementTree.ParseError, AttributeError, TypeError) as error:
+        raise ValueError(
+            f"expected a vehicle in {path}, it cannot be read ({error})."
+        ) from error
+    mesh = join_meshes(pieces)
+    # y forward, z up
+    mesh.vertices = np.asarray(mesh.vertices)[:, [1, 0, 2]] * (1.0, -1.0, 1.0)
+    return mesh
+
+
+def _read_scaled(path, scale):
+    mesh = meshes.read_mesh(path)
+    mesh.vertices = np.asarray(mesh.vertices) * scale
+    return mesh

@@ -1,0 +1,94 @@
+"""Ground truth of the evaluation: points on a surface, seen and evenly spaced.
+
+The paper's reference has 1e5 points on each mesh, thinned to one per voxel of 0.01.
+"""
+
+import numpy as np
+
+from dpc_jax.data import views
+
+VIEWPOINTS = 128  # on the viewing sphere; more of them uncover next to nothing
+CLEARANCE = 1e-4  # of the box diagonal: how far before a point a hit may lie
+
+
+def make_ground_truth(mesh, spec, *, scene=None):
+    """Points [P, 3] float32 that stand for the surface of a normalised mesh.
+
+    `spec.surface_points` are spread over it; with `spec.surface_visible` only those
+    that can be seen from outside stay, and with `spec.surface_voxel` one per voxel.
+
+    Raises:
+      ValueError: if the mesh has no area.
+    """
+    points = views.sample_surface(mesh, count=spec.surface_points, seed=spec.seed)
+    if spec.surface_visible:
+        scene = scene or views.build_scene(mesh)
+        points = points[find_visible(points, scene, distance=spec.distance)]
+    if spec.surface_voxel > 0:
+        points = thin_points(points, voxel=spec.surface_voxel)
+    return points
+
+
+def thin_points(points, *, voxel):
+    """One point for each occupied voxel: the mean of those in it.
+
+    Voxels are cubes of side `voxel` with a corner at the origin; the result is in
+    their order and does not depend on the order of the points beyond rounding.
+
+    Args:
+      points: [N, 3]. voxel: above 0, in the units of the points.
+
+    Returns:
+      [P, 3] float32, P <= N.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    cells = np.floor(points / voxel).astype(np.int64)
+    cells -= cells.min(axis=0)
+    wide = cells.max(axis=0) + 1
+    keys = (cells[:, 0] * wide[1] + cells[:, 1]) * wide[2] + cells[:, 2]
+    _, voxels, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    sums = [np.bincount(voxels, weights=points[:, axis]) for axis in range(3)]
+    return (np.stack(sums, axis=1) / counts[:, None]).astype(np.float32)
+
+
+def find_visible(points, scene, *, distance, viewpoints=VIEWPOINTS):
+    """Which points [N] a straight line reaches from some place of the viewing sphere.
+
+    The sphere is around the origin with radius `distance`. What only the inside of an
+    object could see, seats of a closed car for instance, is left out.
+
+    Args:
+      points: [N, 3] on the surface. scene: `views.Scene` of the mesh.
+      distance: radius of the sphere, beyond the mesh.
+      viewpoints: how many places on the sphere are tried, spread evenly.
+    """
+    points = np.asarray(points, dtype=np.float32)
+    seen = np.zeros(len(points), dtype=bool)
+    for eye in distance * spread_directions(viewpoints):
+        left = np.flatnonzero(~seen)  # most points are seen by the first few
+        if len(left) == 0:
+            break
+        directions = points[left] - eye.astype(np.float32)
+        origins = np.empty_like(directions)
+        origins[:] = eye
+        # directions end at the points: only what lies before t = 1 can hide them
+        before = 1.0 - CLEARANCE / np.linalg.norm(directions, axis=1)
+        blocked = scene.embree.run(
+            origins, directions, dists=before.astype(np.float32), query="OCCLUDED"
+        )
+        seen[left] = blocked == -1
+    return seen
+
+
+def spread_directions(count):
+    """Unit vectors [count, 3], spread evenly over the sphere (Fibonacci spiral).
+
+    They come in a shuffled order, so that a few of the first already look from all
+    around.
+    """
+    place = np.arange(count) + 0.5
+    height = 1.0 - 2.0 * place / count
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * place
+    flat = np.sqrt(1.0 - height**2)
+    directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    return directions[np.random.default_rng(0).permutation(count)]

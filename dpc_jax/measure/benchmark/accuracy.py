@@ -1,0 +1,244 @@
+"""Error against run time: settings of the projection beside a finer, exact one.
+
+What is compared is independent of the grid: the silhouette in blocks of the coarsest
+grid's pixels, and the gradient, to the points, of its squared difference from another
+pose's silhouette. On a grid r times finer a point has r times the sigma and r² times
+the mass, in voxels: what lies before a pixel stays the same, so that there is a limit.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpc_jax.measure.benchmark.plan import Plan
+from dpc_jax.measure.benchmark.speed import measure_distance
+from dpc_jax.measure.scenes import Scene
+from dpc_jax.measure.timing import time_interleaved
+from dpc_jax.render import VoxelGrid, compensate_widening, project
+
+MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
+SOON = 0.01  # the error of which a reader asks what reaches it soonest
+
+
+class Setting(NamedTuple):
+    """One way to render.
+
+    Attributes:
+      family: of settings that differ in one number; label: of this one.
+      method: of `project`. is_compensated: sigma of `compensate_widening`.
+      shape: (rows, cols, depth). share: one point in this many is kept.
+      dtype: of all arrays.
+    """
+
+    family: str
+    label: str
+    method: str
+    shape: tuple[int, int, int]
+    is_compensated: bool = False
+    share: int = 1
+    dtype: str = "float32"
+
+
+def list_settings(plan: Plan) -> list[Setting]:
+    """All settings of a plan."""
+    base = (plan.base_side,) * 3
+    settings = []
+    for side in plan.sides:
+        cube = (side,) * 3
+        for family, method, is_compensated in (
+            ("trilinear", "trilinear", False),
+            ("trilinear, compensated", "trilinear", True),
+            ("gaussian", "gaussian", False),
+        ):
+            label = f"{family}, {side}³"
+            settings.append(Setting(family, label, method, cube, is_compensated))
+    for depth in plan.depths:
+        label = f"trilinear, {base[0]}²×{depth}"
+        shape = (*base[:2], depth)
+        settings.append(Setting("trilinear, depth cells", label, "trilinear", shape))
+    for share in plan.point_shares:
+        label = f"trilinear, {base[0]}³, 1 point in {share}"
+        family = "trilinear, fewer points"
+        settings.append(Setting(family, label, "trilinear", base, share=share))
+    for method, dtype in plan.dtypes:
+        label = f"{method}, {base[0]}³, {dtype}"
+        family = f"{method}, {dtype}"
+        settings.append(Setting(family, label, method, base, dtype=dtype))
+    return settings
+
+
+class Outcome(NamedTuple):
+    """Silhouette [C, C] and gradient [N, 3], for all points together; float64."""
+
+    image: np.ndarray
+    gradient: np.ndarray
+
+
+def measure_scene(
+    scene: Scene,
+    sigma: float,
+    *,
+    plan: Plan,
+    settings: list[Setting],
+) -> list[dict[str, Any]]:
+    """Errors and run times of all settings on one scene.
+
+    Args:
+      scene: see `scenes`. sigma: in voxels of the plan's base grid.
+
+    Returns:
+      A record per setting: errors against the fine reference and against the exact
+      result on its own grid, seconds of the image and of image and gradient.
+    """
+    fine = (plan.reference_side,) * 3
+    target = _compute_target(scene, sigma, plan)
+    renders = {s.label: _prepare(scene, sigma, s, plan, target) for s in settings}
+    times = {
+        kind: time_interleaved(
+            {label: pair[i] for label, pair in renders.items()},
+            rounds=plan.rounds,
+            budget_seconds=plan.budget_seconds,
+        )
+        for i, kind in enumerate(("image", "gradient"))
+    }
+    reference = _compute_exact(scene, sigma, fine, plan, target)
+    own_grid = {
+        shape: _compute_exact(scene, sigma, shape, plan, target)
+        for shape in dict.fromkeys(s.shape for s in settings)
+    }
+    records = []
+    for setting in settings:
+        call_image, call_gradient = renders[setting.label]
+        count = len(scene.points) // setting.share
+        gradient, _ = call_gradient()
+        outcome = Outcome(
+            np.asarray(call_image(), np.float64),
+            # A point that stands for `share` points has the gradient of them all.
+            np.asarray(gradient, np.float64) * count / len(scene.points),
+        )
+        record = {
+            "scene": scene.name,
+            "sigma": sigma,
+            "family": setting.family,
+            "setting": setting.label,
+        }
+        for kind in ("image", "gradient"):
+            record[f"{kind}_error"] = _measure_error(outcome, reference, kind)
+            record[f"{kind}_error_same_grid"] = _measure_error(
+                outcome, own_grid[setting.shape], kind
+            )
+            seconds = times[kind][setting.label]
+            record[f"{kind}_seconds"] = float(np.median(seconds))
+            record[f"{kind}_rounds"] = len(seconds)
+        records.append(record)
+    return records
+
+
+def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
+    """Calls that give the image, and the gradient with the image, of a setting."""
+    image, gradient = _make_programs(setting.method, setting.shape, min(plan.sides))
+    rows, cols, _ = setting.shape
+    count = len(scene.points) // setting.share
+    mass = scene.mass * rows * cols / MASS_SIDE**2 * len(scene.points) / count
+    sigma = sigma * rows / plan.base_side
+    if setting.is_compensated:
+        sigma = float(compensate_widening(sigma))
+    values = (scene.points[:count], scene.pose, mass, sigma, target)
+    with jax.enable_x64(True):
+        values = [jnp.asarray(value, setting.dtype) for value in values]
+
+    def call(program, *values):
+        with jax.enable_x64(True):  # else float64 would be computed in float32
+            return program(*values)
+
+    return (
+        functools.partial(call, image, *values[:4]),
+        functools.partial(call, gradient, *values),
+    )
+
+
+@functools.lru_cache
+def _make_programs(method, shape, blocks):
+    """Compiled once for all scenes: sigma, mass and target are inputs."""
+
+    def render(points, pose, mass, sigma):
+        image = project(
+            points,
+            pose,
+            sigma=sigma,
+            scale=mass,
+            grid=VoxelGrid(shape),
+            method=method,
+        ).silhouette
+        tiles = image.reshape(blocks, shape[0] // blocks, blocks, shape[1] // blocks)
+        return jnp.mean(tiles, axis=(1, 3))
+
+    def compute_loss(points, pose, mass, sigma, target):
+        image = render(points, pose, mass, sigma)
+        return jnp.sum((image - target) ** 2), image
+
+    return (
+        jax.jit(render),
+        jax.jit(jax.grad(compute_loss, has_aux=True)),
+    )
+
+
+def _compute_exact(scene, sigma, shape, plan, target) -> Outcome:
+    """The gaussian method in float64."""
+    setting = Setting("exact", "exact", "gaussian", shape, dtype="float64")
+    _, call = _prepare(scene, sigma, setting, plan, target)
+    gradient, image = call()
+    return Outcome(np.asarray(image), np.asarray(gradient))
+
+
+def _compute_target(scene, sigma, plan) -> np.ndarray:
+    """An image from the other pose: any will do, so this is the cheapest."""
+    turned = scene._replace(pose=scene.target_pose)
+    setting = Setting("target", "target", "trilinear", (plan.base_side,) * 3)
+    image, _ = _prepare(turned, sigma, setting, plan, np.zeros(()))
+    return np.asarray(image(), np.float64)
+
+
+def _measure_error(outcome, reference, kind):
+    value, true = getattr(outcome, kind), getattr(reference, kind)
+    return measure_distance(value, true[: len(value)])
+
+
+def find_soonest(
+    records: list[dict], *, kind: str, error: float = SOON, suffix: str = ""
+) -> list[dict]:
+    """For each scene and sigma the fastest setting with at most that error.
+
+    Where none gets there it is the most accurate one; `reached` tells which.
+
+    Args:
+      records: of `measure_scene`. kind: "image" or "gradient".
+      suffix: "_same_grid" for the error against the exact result on the same grid.
+    """
+    name, clock = f"{kind}_error{suffix}", f"{kind}_seconds"
+    groups: dict[tuple, list[dict]] = {}
+    for record in records:
+        groups.setdefault((record["scene"], record["sigma"]), []).append(record)
+    rows = []
+    for (scene, sigma), group in groups.items():
+        good = [r for r in group if r[name] <= error]
+        best = (
+            min(good, key=lambda r: r[clock])
+            if good
+            else min(group, key=lambda r: r[name])
+        )
+        rows.append(
+            {
+                "scene": scene,
+                "sigma": sigma,
+                "setting": best["setting"],
+                "error": best[name],
+                "seconds": best[clock],
+                "reached": bool(good),
+            }
+        )
+    return rows

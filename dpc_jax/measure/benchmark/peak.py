@@ -1,0 +1,114 @@
+"""The peak memory of a whole process that runs one workload and nothing else.
+
+`python -m dpc_jax.measure.benchmark.peak '{"batch": 1, ...}'` is such a process; it
+prints its peak in bytes. `null` only imports JAX: what a workload is compared with. So
+this module imports what it needs where it needs it.
+"""
+
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from dpc_jax.measure.benchmark.plan import Case, MemoryCase
+
+
+def measure_baseline() -> int:
+    """Peak in bytes of a process that imports JAX and computes nothing."""
+    return _run_child(None)
+
+
+def measure_case(memory_case: MemoryCase, *, seed: int) -> dict[str, Any]:
+    """Peak of one workload, beside what `estimate_memory` says beforehand."""
+    import jax
+
+    from dpc_jax.render import VoxelGrid, estimate_memory
+
+    case = memory_case.case
+    request = dataclasses.asdict(case) | {"method": memory_case.method, "seed": seed}
+    baseline, peak = measure_baseline(), _run_child(request)
+    estimate = estimate_memory(
+        jax.ShapeDtypeStruct((case.points, 3), "float32"),
+        jax.ShapeDtypeStruct((4,), "float32"),
+        sigma=jax.ShapeDtypeStruct((), "float32"),
+        scale=jax.ShapeDtypeStruct((), "float32"),
+        grid=VoxelGrid(case.side),
+        method=memory_case.method,
+        gradient=True,
+    )
+    return {
+        "case": str(case),
+        "method": memory_case.method,
+        "peak_bytes": peak,
+        "baseline_bytes": baseline,
+        "extra_bytes": peak - baseline,
+        "limit_bytes": memory_case.limit_gb and int(memory_case.limit_gb * 1e9),
+        "estimate_bytes": estimate.total,  # of one sample
+        "all_cells_bytes": 4 * case.points * case.side**3,  # what N·D³ would take
+    }
+
+
+def _run_child(request) -> int:
+    """Start a process, wait for it, read its peak.
+
+    Raises:
+      RuntimeError: with the last line of what it said, where it fails.
+    """
+    command = [
+        sys.executable,
+        "-m",
+        "dpc_jax.measure.benchmark.peak",
+        json.dumps(request),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode != 0:
+        said = done.stderr.strip().splitlines() or ["nothing"]
+        raise RuntimeError(
+            f"Expected the process of {request} to end well, but it ended with status "
+            f"{done.returncode} ({said[-1]}); free some memory or leave out --parts="
+            "memory."
+        )
+    return int(done.stdout.split()[-1])
+
+
+def read_peak() -> int:
+    """Largest resident size of this process so far, in bytes."""
+    status = Path("/proc/self/status")
+    if status.is_file():
+        # Not getrusage: on Linux its maximum is inherited from the starting process.
+        for line in status.read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
+    import resource
+
+    size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return size if sys.platform == "darwin" else size * 1024
+
+
+def run_case(case: Case, *, method: str, seed: int):
+    """Gradients of one workload, samples one after the other."""
+    import jax
+
+    from dpc_jax.measure.benchmark import speed
+
+    work = speed.draw_work(case, seed=seed)
+    call = speed.make_jax_call(
+        speed.render_ours, *work, case.sigma, side=case.side, method=method
+    )
+    jax.block_until_ready(call())
+
+
+def _main(text):
+    request = json.loads(text)
+    if request is None:
+        import jax  # noqa: F401
+    else:
+        method, seed = request.pop("method"), request.pop("seed")
+        run_case(Case(**request), method=method, seed=seed)
+    print(read_peak())
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1])

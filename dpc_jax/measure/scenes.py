@@ -1,0 +1,83 @@
+"""The fixed scenes: clouds that are easy and hard for a volume, made in code."""
+
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+
+from dpc_jax.data import views
+from dpc_jax.shapes import procedural
+from dpc_jax.shapes.normalization import normalize
+
+
+class Scene(NamedTuple):
+    """A cloud and two poses, one to render and one to make the target from.
+
+    Attributes:
+      name: of the scene.
+      points: [N, 3] float64, in a ball of diameter 1.
+      mass: of a point, in voxels of a 64³ grid.
+      pose, target_pose: [4] quaternions, some degrees apart.
+    """
+
+    name: str
+    points: np.ndarray
+    mass: float
+    pose: np.ndarray
+    target_pose: np.ndarray
+
+
+def make_scenes(*, num_points: int, num_sparse: int, seed: int) -> list[Scene]:
+    """A car's surface, a thin-legged chair, a solid block and a sparse cloud.
+
+    Masses make the middle of the first three nearly opaque (an optical depth of about
+    4 on 64² pixels) and a lone point of the last clearly visible.
+
+    Args:
+      num_points: of each of the first three. num_sparse: of the last. seed: of all.
+    """
+    rng = np.random.default_rng(seed)
+    car = procedural.make_shape("car", seed)
+    block = rng.uniform(-0.5, 0.5, (num_points, 3)) * (0.6, 0.4, 0.3)
+    directions = rng.normal(size=(num_sparse, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    cloud = 0.45 * directions * rng.uniform(0, 1, (num_sparse, 1)) ** (1 / 3)
+    clouds = (
+        ("car", _sample(car, num_points, seed), 4000 / num_points),
+        ("chair", _sample(_make_chair(), num_points, seed), 3000 / num_points),
+        ("block", block, 5000 / num_points),
+        ("sparse", cloud, 3.0),
+    )
+    pose = np.array([0.62, 0.71, 0.21, 0.26])
+    target = pose + np.array([0.0, 0.12, -0.17, 0.14])  # about 28 degrees away
+    return [
+        Scene(
+            name,
+            # In a random order, so that the first n are a fair sample of all.
+            rng.permutation(np.asarray(points, np.float64)),
+            mass,
+            pose / np.linalg.norm(pose),
+            target / np.linalg.norm(target),
+        )
+        for name, points, mass in clouds
+    ]
+
+
+def _sample(mesh, count, seed):
+    return views.sample_surface(mesh, count=count, seed=seed)
+
+
+def _make_chair():
+    """Seat and back as thin plates; legs a fiftieth of the chair's size."""
+
+    def box(size, middle):
+        return trimesh.creation.box(
+            size, trimesh.transformations.translation_matrix(middle)
+        )
+
+    legs = [
+        box((0.02, 0.02, 0.45), (x, y, 0.225)) for x in (-0.2, 0.2) for y in (-0.2, 0.2)
+    ]
+    seat = box((0.44, 0.44, 0.03), (0, 0, 0.465))
+    back = box((0.02, 0.44, 0.45), (-0.21, 0, 0.70))
+    return normalize(trimesh.util.concatenate([*legs, seat, back]))

@@ -1,0 +1,203 @@
+"""The written equations in long double numpy; shares no code with what they judge.
+
+Every function takes real or complex arrays, and decides by real parts alone: an
+imaginary part of 1e-60 carries a derivative through it.
+"""
+
+import numpy as np
+
+from dpc_jax.measure.stability.cases.case import REAL
+
+PI = REAL("3.14159265358979323846264338327950288")
+
+
+def root_sum(x):
+    """√Σx², without the conjugate that a norm would take."""
+    return np.sqrt(np.sum(x * x))
+
+
+def flip_sign(x):
+    """|x| for the derivative's sake; at 0 the slope is one."""
+    return np.where(np.real(x) < 0, -x, x)
+
+
+def normalize(q):
+    """q/‖q‖, and the identity with no slope for q = 0."""
+    if np.all(np.real(q) == 0):
+        return np.array([1, 0, 0, 0], REAL)
+    return q / root_sum(q)
+
+
+def multiply(p, q):
+    """Hamilton product, as (w, v): (w₁w₂ - v₁·v₂, w₁v₂ + w₂v₁ + v₁×v₂)."""
+    w, v, u, x = p[0], p[1:], q[0], q[1:]
+    return np.concatenate(
+        [np.array([w * u - np.sum(v * x)]), w * x + u * v + np.cross(v, x)]
+    )
+
+
+def rotate(points, q):
+    """q·(0, p)·q⁻¹ for each point, or the matrix product."""
+    if q.shape == (3, 3):
+        return np.sum(points[:, None, :] * q, axis=-1)
+    q = normalize(q)
+    reverse = q * np.array([1, -1, -1, -1])
+    pure = [np.concatenate([np.zeros(1), p]) for p in points]
+    moved = [multiply(multiply(q, p), reverse)[1:] for p in pure]
+    return np.array(moved).reshape(-1, 3)
+
+
+def angle(p, q):
+    """2·atan(‖v‖/|w|) of p·q⁻¹; atan of the inverse beyond a quarter turn."""
+    turn = multiply(normalize(p), normalize(q) * np.array([1, -1, -1, -1]))
+    sine, cosine = root_sum(turn[1:]), flip_sign(turn[0])
+    if np.real(sine) <= np.real(cosine):
+        return 2 * np.arctan(sine / cosine)
+    return PI - 2 * np.arctan(cosine / sine)
+
+
+def place(points, q, *, focal, distance, shape, extent=1.0, orthographic=False):
+    """Continuous (row, col, depth) indices, 0 outside, and whether a point is inside.
+
+    A point nearer than a millionth of the extent has no image.
+    """
+    x, y, z = rotate(points, q).T
+    ahead = z + distance
+    u, v, is_before = x, y, np.ones(len(points), bool)
+    if not orthographic:
+        is_before = np.real(ahead) > 1e-6 * extent
+        safe = np.where(is_before, ahead, 1)
+        u, v = focal * x / safe, focal * y / safe
+    shares = np.stack([v, u, z], axis=-1) / REAL(extent) + REAL(0.5)
+    is_inside = is_before & np.all((np.real(shares) >= 0) & (np.real(shares) <= 1), 1)
+    coordinates = shares * np.array(shape) - REAL(0.5)
+    return np.where(is_inside[:, None], coordinates, 0), is_inside
+
+
+def splat(coordinates, values, shape):
+    """Trilinear weights, product of 1 - |x - i| along the axes."""
+    volume = np.zeros(shape, np.result_type(coordinates, values))
+    for point, value in zip(coordinates, values, strict=True):
+        real = np.real(point)
+        if np.any(real < -0.5) or np.any(real > np.array(shape) - 0.5):
+            continue
+        block = np.asarray(value)
+        for x, size in zip(point, shape, strict=True):
+            away = x - np.arange(size)
+            # Of a kink, the side towards the higher index.
+            is_near = (np.real(away) >= -1) & (np.real(away) < 1)
+            tent = np.where(np.real(away) >= 0, 1 - away, 1 + away)
+            block = np.multiply.outer(block, np.where(is_near, tent, 0))
+        volume = volume + block
+    return volume
+
+
+def weigh(cells, center, sigma):
+    """exp(-(i - x)²/2σ²) over its sum on all integers; σ at least 0.02, as documented.
+
+    Args:
+      cells: [n]. center: any shape [...]. sigma: ().
+
+    Returns:
+      [..., n].
+    """
+    center = np.asarray(center)[..., None]
+    nearest = np.round(np.real(center))
+    if np.real(sigma) < 0.02:
+        sigma = REAL(0.02)
+    if np.real(sigma) < 4:
+        reach = int(30 * float(np.real(sigma))) + 4
+        wide = nearest + np.arange(-reach, reach + 1)
+        total = np.sum(np.exp(-((wide - center) ** 2) / (2 * sigma * sigma)), axis=-1)
+    else:  # the integral; the next term of Poisson's sum is exp(-2π²σ²), 1e-137
+        total = np.sqrt(2 * PI) * sigma * np.ones(center.shape[:-1])
+    weights = np.exp(-((np.asarray(cells) - center) ** 2) / (2 * sigma * sigma))
+    return weights / total[..., None]
+
+
+def smooth(volume, sigma):
+    """Direct sums over all cells, axis by axis."""
+    for axis, size in enumerate(volume.shape):
+        cells = np.arange(size)
+        matrix = np.stack([weigh(cells, REAL(i), sigma) for i in range(size)])
+        volume = np.moveaxis(np.tensordot(matrix, volume, axes=(1, axis)), 0, axis)
+    return volume
+
+
+def sum_gaussians(coordinates, masses, sigmas, shape):
+    """Σ of separable Gaussians, point by point."""
+    volume = np.zeros(shape)
+    for point, mass, sigma in zip(coordinates, masses, sigmas, strict=True):
+        block = np.asarray(mass)
+        for x, size in zip(point, shape, strict=True):
+            block = np.multiply.outer(block, weigh(np.arange(size), x, sigma))
+        volume = volume + block
+    return volume
+
+
+def sum_covariances(coordinates, masses, covariances, shape):
+    """Σ of Gaussians, sampled along the widest axis, then given it, and so on."""
+    volume = np.zeros(shape)
+    for point, mass, matrix in zip(coordinates, masses, covariances, strict=True):
+        matrix = (matrix + matrix.T) / 2
+        order, left = [], matrix
+        for _ in range(3):  # pivoted elimination: what each axis leaves of the rest
+            free = [a for a in range(3) if a not in order]
+            pivot = max(free, key=lambda a: float(np.real(left[a, a])))
+            order.append(pivot)
+            if np.real(left[pivot, pivot]) > 0:
+                column = left[:, pivot]
+                left = left - np.outer(column, column) / left[pivot, pivot]
+        matrix, mean = matrix[np.ix_(order, order)], point[order]
+        first, second, third = (np.arange(shape[a]) for a in order)
+        slope, across = _regress(matrix, 1)
+        slopes, along = _regress(matrix, 2)
+        away = first - mean[0]
+        middle = mean[1] + slope[0] * away
+        block = weigh(first, mean[0], np.sqrt(matrix[0, 0]))[:, None]
+        block = block * weigh(second, middle, np.sqrt(across))
+        end = mean[2] + slopes[0] * away[:, None] + slopes[1] * (second - mean[1])
+        block = block[..., None] * weigh(third, end, np.sqrt(along))
+        volume = volume + mass * np.transpose(block, np.argsort(order))
+    return volume
+
+
+def _regress(matrix, count):
+    """Slopes of an axis on the `count` axes before it, and the variance they leave.
+
+    An axis without variance of its own says nothing, and gets no slope.
+    """
+    known, cross = matrix[:count, :count], matrix[count, :count]
+    gain = np.zeros(count, matrix.dtype)
+    if count == 2 and np.real(_find_minor(known)) > 0:
+        turned = np.array([[known[1, 1], -known[0, 1]], [-known[1, 0], known[0, 0]]])
+        gain = np.array([np.sum(cross * turned[:, k]) for k in (0, 1)])
+        gain = gain / _find_minor(known)
+    elif np.real(known[0, 0]) > 0:
+        gain[0] = cross[0] / known[0, 0]
+    variance = matrix[count, count] - np.sum(gain * cross)
+    return gain, variance if np.real(variance) > 0 else 0 * variance
+
+
+def _find_minor(matrix):
+    return matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
+
+
+def clip(density):
+    """To [0, 1]; at the two ends the slope of the inner side."""
+    real = np.real(density)
+    return np.where(real < 0, 0, np.where(real > 1, 1, density))
+
+
+def terminate(occupancy):
+    """(o_k·Π_{u<k}(1 - o_u), Π(1 - o)) cell by cell along the last axis."""
+    passed, probabilities = np.ones(occupancy.shape[:-1]), []
+    for k in range(occupancy.shape[-1]):
+        probabilities.append(occupancy[..., k] * passed)
+        passed = passed * (1 - occupancy[..., k])
+    return np.stack(probabilities, axis=-1), passed
+
+
+def find_opacity(occupancy):
+    """Σ_k r_k: no 1 - (1 - …), which would cancel."""
+    return np.sum(terminate(occupancy)[0], axis=-1)

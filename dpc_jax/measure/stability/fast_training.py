@@ -1,0 +1,239 @@
+"""The part of the report on training far too fast: finite, or stopped with a name."""
+
+import contextlib
+import dataclasses
+import io
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from dpc_jax.config.defaults import apply_variant, default_config
+from dpc_jax.data import load_or_render
+from dpc_jax.learning import loop
+from dpc_jax.learning.checkpoints import Checkpoints
+from dpc_jax.learning.log import MetricLog
+from dpc_jax.learning.step import init_state
+from dpc_jax.measure.stability.report_parts import Order, PartResult
+from dpc_jax.run import configuration
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """A run to be made.
+
+    Attributes:
+      variant: of the config, "" for the default.
+      factor: the config's learning rate is multiplied by it.
+      steps: of training.
+    """
+
+    variant: str
+    factor: float
+    steps: int
+
+
+# The third cannot end well: it shows that a run stops.
+TRIALS = (Trial("", 10, 2000), Trial("paper", 10, 2000), Trial("", 1e36, 2000))
+QUICK_TRIALS = (Trial("", 10, 200),)
+
+
+class Ending(NamedTuple):
+    """How a run ended.
+
+    Attributes:
+      variant, factor, steps: of the `Trial`.
+      learning_rate: the peak.
+      steps_done: until the end; None where it stopped.
+      seconds: wall clock, compilation included.
+      first_loss, last_loss: means over the first and last interval of the log; None
+        without one.
+      largest_gradient: norm, the largest of the log's means.
+      is_finite: the last state and every logged number; False where it stopped.
+      error: what stopped it, or "".
+    """
+
+    variant: str
+    factor: float
+    steps: int
+    learning_rate: float
+    steps_done: int | None
+    seconds: float
+    first_loss: float | None
+    last_loss: float | None
+    largest_gradient: float | None
+    is_finite: bool
+    error: str
+
+
+def run_part(order: Order) -> PartResult:
+    """The part in full; see `parts.run_part`."""
+    return run(order.out, quick=False, seed=order.seed, tell=order.tell)
+
+
+def run(
+    out: Path,
+    *,
+    quick: bool,
+    seed: int = 0,
+    trials: Sequence[Trial] | None = None,
+    tell: Callable[[str], None] = lambda text: None,
+) -> PartResult:
+    """Train small networks at ten times the learning rate; writes no file.
+
+    Args:
+      quick: 200 steps of the default, else 2,000 of it and of the paper's variant.
+      seed: of parameters and batches.
+      trials: other runs.
+      tell: shows a line of text for each run that is done.
+    """
+    del out  # a table says it all
+    if trials is None:
+        trials = QUICK_TRIALS if quick else TRIALS
+    endings = []
+    with tempfile.TemporaryDirectory() as folder:
+        for place, trial in enumerate(trials):
+            endings.append(train(trial, Path(folder), f"trial-{place}", seed=seed))
+            tell(f"training, {_name(trial)}: {describe(endings[-1])}")
+    failures = tuple(f for e in endings for f in judge(e))
+    return PartResult(
+        markdown=write_section(endings, failures),
+        data=[e._asdict() for e in endings],
+        passes=not failures,
+        failures=failures,
+    )
+
+
+def make_config(trial: Trial, *, seed: int):
+    """The default config in miniature: cars of 32 pixels, volumes of 8 to 16 cells."""
+    c = apply_variant(default_config("car"), trial.variant)
+    c.seed = seed
+    c.data.update(models=12, image_size=32, surface_points=1000, views=5)
+    c.network.update(channels=4, hidden=32, shape_hidden=32)
+    # One stage: what is static changes the program, not what can break.
+    c.render.update(grid=16, fine_grid=0, num_points=100, keep_start=1.0, keep_levels=1)
+    c.pose.candidates = 2
+    if c.pose.choice_grid:
+        c.pose.update(choice_grid=8, choice_points=50, choice_top=4)
+    c.train.update(
+        steps=trial.steps,
+        warmup_steps=min(c.train.warmup_steps, trial.steps // 10),
+        learning_rate=c.train.learning_rate * trial.factor,
+        models_per_batch=2,
+        views_per_batch=2,
+    )
+    c.log.update(every=max(1, trial.steps // 20), evaluate=0, checkpoint=0)
+    return c
+
+
+def train(trial: Trial, folder: Path, name: str, *, seed: int) -> Ending:
+    """Train one network with the loop that users train with."""
+    config = make_config(trial, seed=seed)
+    configuration.validate(config)
+    settings = configuration.make_settings(config)
+    network = configuration.make_network(config)
+    dataset = load_or_render(
+        configuration.make_data_specs(config)["train"],
+        cache_dir=folder / "data",
+        processes=1,
+        progress=False,
+    )
+    start = time.perf_counter()
+    state = init_state(network, settings, image_size=config.data.image_size)
+    (folder / name).mkdir()
+    log = MetricLog(folder / name / "metrics.jsonl")
+    checkpoints = Checkpoints(folder / name / "checkpoints")
+    error, steps_done, is_finite = "", None, True
+    try:
+        # The report has a progress bar of its own.
+        with contextlib.redirect_stdout(io.StringIO()):
+            outcome = loop.train(
+                state,
+                dataset,
+                network=network,
+                settings=settings,
+                intervals=configuration.make_intervals(config),
+                checkpoints=checkpoints,
+                log=log,
+            )
+        steps_done = int(outcome.state.step)
+        is_finite = _is_finite(outcome.state)
+    except loop.NonFiniteError as caught:
+        error, is_finite = str(caught), False
+    finally:
+        checkpoints.close()
+    records = log.read()
+    is_finite &= all(np.all(np.isfinite(v)) for r in records for v in r.values())
+    norms = [v for r in records for k, v in r.items() if k.startswith("gradient_norm")]
+    losses = [r["loss"] for r in records]
+    return Ending(
+        **dataclasses.asdict(trial),
+        learning_rate=settings.learning_rate,
+        steps_done=steps_done,
+        seconds=time.perf_counter() - start,
+        first_loss=losses[0] if losses else None,
+        last_loss=losses[-1] if losses else None,
+        largest_gradient=max(norms, default=None),
+        is_finite=is_finite,
+        error=error,
+    )
+
+
+def _is_finite(state):
+    leaves = jax.tree.leaves(jax.device_get(state))
+    return all(bool(np.all(np.isfinite(leaf))) for leaf in leaves)
+
+
+def judge(ending: Ending) -> list[str]:
+    """A sentence where a run neither ended finite nor said what broke and when."""
+    label = f"training, {_name(ending)}"
+    if ending.error:
+        says = "at step" in ending.error and (
+            "loss became" in ending.error or "gradient of the" in ending.error
+        )
+        return [] if says else [f"{label}: it stopped without a name: {ending.error}"]
+    if not ending.is_finite:
+        return [f"{label}: it ended with numbers that are not finite, unnoticed."]
+    if ending.steps_done != ending.steps:
+        return [f"{label}: it ended after {ending.steps_done} of {ending.steps} steps."]
+    return []
+
+
+def _name(trial):
+    return f"{trial.variant or 'default'}, learning rate x{trial.factor:g}"
+
+
+def describe(ending: Ending) -> str:
+    """How a run ended, in words."""
+    if ending.error:
+        return "stopped: " + ending.error.split(", where")[0]
+    return "finite to the end" if ending.is_finite else "not finite, unnoticed"
+
+
+def write_section(endings: Sequence[Ending], failures: Sequence[str]) -> str:
+    """Section of the report: a row for each run."""
+    lines = ["## Training far too fast", ""]
+    if failures:
+        lines += ["**Outside tolerance:**", "", *(f"- {f}" for f in failures), ""]
+    lines += [
+        "The default config in miniature (12 cars of 32 pixels, a volume of 16³, 100 "
+        "points, two heads), trained with the loop that users train with. A run must "
+        "end finite, or stop with the name of what broke and the step.",
+        "",
+        "| config | learning rate | steps | seconds | first loss | last loss | largest "
+        "gradient norm | ended |",
+        "|---|---:|---:|---:|---:|---:|---:|---|",
+    ]
+    for e in endings:
+        numbers = (e.first_loss, e.last_loss, e.largest_gradient)
+        done = "–" if e.steps_done is None else e.steps_done
+        shown = " | ".join("–" if n is None else f"{n:.3g}" for n in numbers)
+        lines.append(
+            f"| {e.variant or 'default'} | {e.learning_rate:.2g} (×{e.factor:g}) | "
+            f"{done} of {e.steps} | {e.seconds:.0f} | {shown} | {describe(e)} |"
+        )
+    return "\n".join(lines) + "\n"

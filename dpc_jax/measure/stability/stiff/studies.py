@@ -1,0 +1,235 @@
+"""Three stiff problems, and the ways to descend that are compared on each."""
+
+import dataclasses
+import time
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpc_jax.measure.scenes import make_scenes
+from dpc_jax.measure.stability.stiff.descent import (
+    Problem,
+    Recipe,
+    Start,
+    Trace,
+    descend,
+    render_views,
+    turn_randomly,
+)
+
+VIEWS = 6
+EVERY = 10  # iterations between two measurements of the error
+_OFF_DEG = 30.0  # of the first poses from the true ones
+_DENSE = 2000  # points that targets are rendered from
+_ADAM_RATE, _START_RATE = 0.01, 0.03  # of Adam; poses alone bear a larger one
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """How much is run.
+
+    Attributes:
+      steps: iterations, a multiple of `EVERY`.
+      points: sought. surface: true points that they are compared with.
+      seeds: of views, starts and surfaces. starts: K at most.
+      scenes: by name.
+      sigmas: fixed ones, in voxels.
+      rates: of plain gradient descent, of which the best is shown.
+    """
+
+    steps: int = 400
+    points: int = 600
+    surface: int = 600
+    seeds: int = 3
+    starts: int = 8
+    scenes: tuple[str, ...] = ("car", "chair")
+    sigmas: tuple[float, ...] = (5.0, 2.0, 1.0, 0.5, 0.2)
+    rates: tuple[float, ...] = (1e-4, 4e-4)
+
+
+_FEW = 24  # points of the study of masses
+FULL = Plan()
+# As many points as in the study of masses: one program serves all.
+QUICK = Plan(
+    steps=40,
+    points=_FEW,
+    surface=_FEW,
+    seeds=1,
+    starts=2,
+    scenes=("chair",),
+    sigmas=(5.0, 0.2),
+    rates=(1e-4,),
+)
+
+
+class Run(NamedTuple):
+    """One descent.
+
+    Attributes:
+      study: "shape", "starts" or "masses". scene: what is sought. recipe: in words.
+      rate: of plain gradient descent, or None.
+      seed: of the problem.
+      seconds: wall clock, measurements included, compilation not.
+      trace: errors.
+    """
+
+    study: str
+    scene: str
+    recipe: str
+    rate: float | None
+    seed: int
+    seconds: float
+    trace: Trace
+
+
+def run_shapes(plan: Plan) -> Iterator[Run]:
+    """Points and poses from six silhouettes, one pose known so that the frame is.
+
+    Points start in a ball, poses 30° off. Targets are nearly sharp, as masks are.
+    """
+    for scene in plan.scenes:
+        for seed in range(plan.seeds):
+            problem, start = make_shape(scene, plan, seed)
+            for sigma in plan.sigmas:
+                for rate in plan.rates:
+                    recipe = make_recipe(plan, (sigma, sigma), rate=rate)
+                    name = f"gradient, σ {sigma:g}"
+                    yield _time(
+                        "shape", scene, name, rate, seed, problem, start, recipe
+                    )
+                recipe = make_recipe(plan, (sigma, sigma))
+                name = f"Adam, σ {sigma:g}"
+                yield _time("shape", scene, name, None, seed, problem, start, recipe)
+            for rate in plan.rates:
+                recipe = make_recipe(plan, (2.0, 0.5), rate=rate)
+                name = "gradient, σ 2 → 0.5"
+                yield _time("shape", scene, name, rate, seed, problem, start, recipe)
+            for ends in ((5.0, 0.2), (2.0, 0.5)):
+                recipe = make_recipe(plan, ends)
+                name = f"Adam, σ {ends[0]:g} → {ends[1]:g}"
+                yield _time("shape", scene, name, None, seed, problem, start, recipe)
+
+
+def run_starts(plan: Plan) -> Iterator[Run]:
+    """Poses of six views of a known shape, from random rotations."""
+    for scene in plan.scenes:
+        for seed in range(plan.seeds):
+            problem, start = make_shape(scene, plan, seed)
+            recipe = make_recipe(plan, (2.0, 0.5))
+            poses = jnp.full((plan.steps, VIEWS), _START_RATE) * _cool(plan)[:, None]
+            recipe = recipe._replace(
+                point_rates=0 * recipe.point_rates, pose_rates=poses
+            )
+            for k in range(plan.starts):
+                rng = np.random.default_rng((seed, 1000 + k))  # not that of the views
+                poses = jnp.asarray(_draw_rotations(VIEWS, rng))
+                start = Start(problem.surface[: plan.points], poses)
+                name = "Adam, σ 2 → 0.5"
+                yield _time("starts", scene, name, None, seed, problem, start, recipe)
+
+
+def run_masses(plan: Plan, *, points: int = _FEW) -> Iterator[Run]:
+    """Points of masses 10 to 0.001 voxels, displaced by 0.02; poses are known."""
+    masses = np.geomspace(10, 1e-3, points)
+    order = np.arange(points) / points
+    steps, cool = np.arange(plan.steps)[:, None], _cool(plan)[:, None]
+    # Each point begins when the heavier ones have come to rest, and has its own decay.
+    done = (steps - 0.6 * plan.steps * order) / (0.4 * plan.steps)
+    staged = np.where(done < 0, 0, 0.5 * (1 + np.cos(np.pi * np.clip(done, 0, 1))))
+    flat = np.ones((plan.steps, points))
+    ways = [("gradient", r, flat * r, False, 0.999) for r in (1e-4, 3e-4, 1e-3)]
+    ways += [
+        ("gradient / mass", r, flat * r / masses, False, 0.999)
+        for r in (3e-4, 1e-3, 3e-3)
+    ]
+    ways += [
+        ("Adam", None, flat * cool * 0.003, True, 0.999),
+        ("Adam, heavy points first", None, staged * 0.003, True, 0.9),
+    ]
+    for seed in range(plan.seeds):
+        problem, start = _make_cloud(masses, seed)
+        for name, rate, rates, is_adam, memory in ways:
+            recipe = Recipe(
+                jnp.ones(plan.steps),
+                jnp.asarray(rates, jnp.float32),
+                jnp.zeros((plan.steps, VIEWS)),
+                jnp.asarray(is_adam),
+                jnp.asarray(memory),
+            )
+            yield _time("masses", "sparse", name, rate, seed, problem, start, recipe)
+
+
+def make_shape(scene: str, plan: Plan, seed: int) -> tuple[Problem, Start]:
+    """Nearly sharp targets of a scene, and where points and poses begin."""
+    scenes = {
+        s.name: s for s in make_scenes(num_points=_DENSE, num_sparse=64, seed=seed)
+    }
+    rng = np.random.default_rng(seed)
+    poses = jnp.asarray(_draw_rotations(VIEWS, rng))
+    surface = jnp.asarray(scenes[scene].points, jnp.float32)
+    masses = jnp.full(_DENSE, 2.0)
+    targets = render_views(surface, poses, masses=masses, sigma=0.5)
+    # What the points weigh together does not depend on their number.
+    problem = Problem(
+        targets,
+        poses,
+        surface[: plan.surface],
+        jnp.full(plan.points, 2400 / plan.points, jnp.float32),
+    )
+    directions = rng.normal(size=(plan.points, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    ball = 0.3 * directions * rng.uniform(0, 1, (plan.points, 1)) ** (1 / 3)
+    turned = turn_randomly(poses, _OFF_DEG, rng).at[0].set(poses[0])
+    return problem, Start(jnp.asarray(ball, jnp.float32), turned)
+
+
+def _make_cloud(masses, seed):
+    rng = np.random.default_rng(seed)
+    *_, cloud = make_scenes(num_points=64, num_sparse=len(masses), seed=seed)
+    poses = jnp.asarray(_draw_rotations(VIEWS, rng))
+    points, masses = (jnp.asarray(a, jnp.float32) for a in (cloud.points, masses))
+    targets = render_views(points, poses, masses=masses, sigma=1.0)
+    moved = points + jnp.asarray(rng.normal(size=points.shape) * 0.02, jnp.float32)
+    return Problem(targets, poses, points, masses), Start(moved, poses)
+
+
+def make_recipe(plan: Plan, ends: Sequence[float], *, rate: float | None = None):
+    """Gradient descent at a rate, or Adam; sigma goes evenly in its logarithm."""
+    factors = np.ones(plan.steps) if rate else _cool(plan)
+    rates = jnp.asarray((rate or _ADAM_RATE) * factors, jnp.float32)[:, None]
+    return Recipe(
+        jnp.asarray(np.geomspace(*ends, plan.steps), jnp.float32),
+        jnp.broadcast_to(rates, (plan.steps, plan.points)),
+        # The first pose is known: it holds the frame.
+        jnp.broadcast_to(rates, (plan.steps, VIEWS)).at[:, 0].set(0),
+        jnp.asarray(rate is None),
+        jnp.asarray(0.999),
+    )
+
+
+def _cool(plan):
+    """Cosine decay of the learning rate, [T]."""
+    return 0.5 * (1 + np.cos(np.pi * np.arange(plan.steps) / plan.steps))
+
+
+def _draw_rotations(count, rng):
+    quaternions = rng.normal(size=(count, 4)).astype(np.float32)
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+
+def _time(study, scene, name, rate, seed, problem, start, recipe):
+    # Compiled for its shapes by a first call, which is not timed.
+    key = (start.points.shape, problem.surface.shape, recipe.sigmas.shape)
+    if key not in _compiled:
+        jax.block_until_ready(descend(problem, start, recipe, every=EVERY))
+        _compiled.add(key)
+    begin = time.perf_counter()
+    trace = jax.block_until_ready(descend(problem, start, recipe, every=EVERY))
+    seconds = time.perf_counter() - begin
+    return Run(study, scene, name, rate, seed, seconds, jax.device_get(trace))
+
+
+_compiled: set[tuple] = set()

@@ -1,0 +1,146 @@
+"""What a view costs: python -m dpc_jax.measure.view_rates
+
+Renders views of procedural shapes, subdivided to a number of faces, in one process,
+and prints a Markdown table: views a second by faces and rays per pixel, and by how much
+the rim of the silhouette is off. Processor time counts where others share the core.
+"""
+
+import argparse
+import statistics
+import sys
+import time
+
+import numpy as np
+import trimesh
+
+from dpc_jax.data import viewpoints, views
+from dpc_jax.shapes import procedural
+
+REFERENCE = 16  # rays per pixel and axis that rims are compared with
+COMPARED = 8  # views that they are compared in
+
+
+def divide_faces(mesh, *, faces):
+    """A mesh of the same shape with so many faces (up to two more), if it had fewer."""
+    vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    colors = np.asarray(mesh.visual.face_colors)
+    while len(triangles) < faces:
+        corners = vertices[triangles]
+        sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        order = np.argsort(-np.linalg.norm(sides, axis=1), kind="stable")
+        # a face becomes four, the largest first
+        count = min(len(triangles), -(-(faces - len(triangles)) // 3))
+        parts, rest = order[:count], order[count:]
+        a, b, c = (vertices[triangles[parts, i]] for i in range(3))
+        middles = np.concatenate([(a + b) / 2, (b + c) / 2, (c + a) / 2])
+        ab, bc, ca = len(vertices) + np.arange(3 * count).reshape(3, count)
+        i, j, k = triangles[parts].T
+        made = [(i, ab, ca), (ab, j, bc), (ca, bc, k), (ab, bc, ca)]
+        made = np.concatenate([np.stack(corner, axis=1) for corner in made])
+        vertices = np.concatenate([vertices, middles])
+        colors = np.concatenate([colors[rest], np.tile(colors[parts], (4, 1))])
+        triangles = np.concatenate([triangles[rest], made])
+    return trimesh.Trimesh(vertices, triangles, face_colors=colors, process=False)
+
+
+def draw_views(mesh, *, count, image_size, supersample, seed=0):
+    """Views of a mesh as a data set has them: any azimuth, elevation -20 to 40."""
+    scene = mesh if isinstance(mesh, views.Scene) else views.build_scene(mesh)
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        azimuth = rng.uniform(0.0, 2.0 * np.pi)
+        rotation = viewpoints.look_at_rotation(
+            azimuth, np.deg2rad(rng.uniform(-20.0, 40.0))
+        )
+        yield views.render_view(
+            scene,
+            rotation,
+            lights=views.draw_lights(rng),
+            image_size=image_size,
+            supersample=supersample,
+        )
+
+
+def measure(mesh, *, image_size, supersample, count, rounds):
+    """Views a second, of processor time and of time: two lists, one value a round.
+
+    The scene is built in each round, as it is for each model of a set, but once for
+    all views of the round.
+    """
+    rates = [], []
+    for number in range(rounds):
+        starts = time.process_time(), time.perf_counter()
+        for _ in draw_views(
+            mesh,
+            count=count,
+            image_size=image_size,
+            supersample=supersample,
+            seed=number,
+        ):
+            pass
+        stops = time.process_time(), time.perf_counter()
+        for kind, start, stop in zip(rates, starts, stops, strict=True):
+            kind.append(count / max(stop - start, 1e-9))
+    return rates
+
+
+def measure_rims(mesh, *, image_size, supersample):
+    """Mean error of the coverage of pixels that are partly covered, from 0 to 1."""
+    options = {"count": COMPARED, "image_size": image_size}
+    ours = draw_views(mesh, supersample=supersample, **options)
+    exact = draw_views(mesh, supersample=REFERENCE, **options)
+    errors = []
+    for first, second in zip(ours, exact, strict=True):
+        rim = (second.mask > 0) & (second.mask < 255)
+        errors.append(np.abs(first.mask[rim].astype(float) - second.mask[rim]) / 255.0)
+    return float(np.concatenate(errors).mean())
+
+
+def make_table(*, faces, image_size, rays, count, rounds):
+    """Lines of the table (`list[str]`): every shape, number of faces and of rays."""
+    lines = [
+        "| shape | faces | rays per pixel | views/s | lowest–highest | "
+        "by the clock | error of rims |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for category in procedural.CATEGORIES:
+        for wanted in faces:
+            mesh = divide_faces(procedural.make_shape(category, 0), faces=wanted)
+            for side in rays:
+                options = {"image_size": image_size, "supersample": side}
+                busy, passed = measure(mesh, count=count, rounds=rounds, **options)
+                lines.append(
+                    f"| {category} | {len(mesh.faces):,} | {side}² | "
+                    f"{statistics.median(busy):.0f} | {min(busy):.0f}–{max(busy):.0f} "
+                    f"| {statistics.median(passed):.0f} | "
+                    f"{measure_rims(mesh, **options):.3f} |"
+                )
+    return lines
+
+
+def main(arguments=None):
+    """Parse the command line, measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--faces", type=int, nargs="+", default=[10_000, 100_000])
+    parser.add_argument("--rays", type=int, nargs="+", default=[2, 4, 8])
+    parser.add_argument("--image_size", type=int, default=128)
+    parser.add_argument("--views", type=int, default=40, help="in a round")
+    parser.add_argument("--rounds", type=int, default=5)
+    options = parser.parse_args(arguments)
+    try:
+        lines = make_table(
+            faces=options.faces,
+            image_size=options.image_size,
+            rays=options.rays,
+            count=max(1, options.views),
+            rounds=max(1, options.rounds),
+        )
+    except ValueError as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return 1
+    print("\n".join(lines))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

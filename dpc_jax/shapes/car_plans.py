@@ -1,0 +1,108 @@
+"""Measures of procedural cars: seven body styles and the ranges they are drawn from.
+
+Lengths along the car are written as shares of its length from the front bumper, as a
+designer's side view is read: bonnet, windscreen, roof, rear window, deck.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dpc_jax.shapes import building_blocks as parts
+
+# ranges: length, width, height, clearance, wheel radius (metres); cowl, windscreen run,
+# roof end, rear window run (shares of the length); belt line, nose (shares of height);
+# share of the cabin's width that the roof keeps. Typical of cars on the road.
+STYLES = {
+    "sedan": dict(length=(4.4, 5.0), width=(1.75, 1.88), height=(1.40, 1.50),
+                  clearance=(0.14, 0.18), wheel=(0.30, 0.34), cowl=(0.26, 0.31),
+                  rake=(0.11, 0.15), roof_end=(0.64, 0.70), tail=(0.11, 0.15),
+                  belt=(0.60, 0.66), nose=(0.44, 0.50), roof=(0.74, 0.80)),
+    "hatchback": dict(length=(3.6, 4.3), width=(1.62, 1.80), height=(1.42, 1.56),
+                      clearance=(0.14, 0.18), wheel=(0.28, 0.33), cowl=(0.22, 0.27),
+                      rake=(0.12, 0.17), roof_end=(0.84, 0.90), tail=(0.06, 0.09),
+                      belt=(0.58, 0.65), nose=(0.43, 0.50), roof=(0.76, 0.83)),
+    "wagon": dict(length=(4.5, 4.95), width=(1.75, 1.88), height=(1.44, 1.54),
+                  clearance=(0.14, 0.19), wheel=(0.30, 0.34), cowl=(0.25, 0.29),
+                  rake=(0.11, 0.14), roof_end=(0.88, 0.93), tail=(0.04, 0.06),
+                  belt=(0.60, 0.65), nose=(0.44, 0.50), roof=(0.76, 0.82)),
+    "suv": dict(length=(4.3, 5.0), width=(1.80, 2.00), height=(1.64, 1.88),
+                clearance=(0.20, 0.28), wheel=(0.36, 0.42), cowl=(0.24, 0.29),
+                rake=(0.08, 0.11), roof_end=(0.87, 0.93), tail=(0.03, 0.07),
+                belt=(0.60, 0.66), nose=(0.50, 0.57), roof=(0.78, 0.86)),
+    "van": dict(length=(4.5, 5.4), width=(1.80, 2.00), height=(1.85, 2.25),
+                clearance=(0.17, 0.22), wheel=(0.31, 0.36), cowl=(0.11, 0.17),
+                rake=(0.11, 0.15), roof_end=(0.955, 0.975), tail=(0.012, 0.02),
+                belt=(0.50, 0.57), nose=(0.38, 0.44), roof=(0.84, 0.92)),
+    "pickup": dict(length=(4.9, 5.7), width=(1.80, 2.00), height=(1.72, 1.92),
+                   clearance=(0.22, 0.30), wheel=(0.36, 0.42), cowl=(0.24, 0.28),
+                   rake=(0.07, 0.10), roof_end=(0.48, 0.60), tail=(0.015, 0.03),
+                   belt=(0.58, 0.63), nose=(0.50, 0.56), roof=(0.78, 0.84)),
+    "sports": dict(length=(4.1, 4.6), width=(1.80, 1.98), height=(1.14, 1.30),
+                   clearance=(0.10, 0.14), wheel=(0.31, 0.35), cowl=(0.33, 0.40),
+                   rake=(0.14, 0.18), roof_end=(0.62, 0.68), tail=(0.20, 0.27),
+                   belt=(0.62, 0.68), nose=(0.42, 0.48), roof=(0.68, 0.75)),
+}  # fmt: skip
+SHARES = {"sedan": 0.22, "hatchback": 0.19, "wagon": 0.11, "suv": 0.17, "van": 0.1,
+          "pickup": 0.1, "sports": 0.11}  # fmt: skip
+
+
+class Plan(NamedTuple):
+    """Measures of one car; x and z in metres, half widths in metres."""
+
+    style: str
+    length: float
+    half: float
+    height: float
+    floor: float
+    wheel: float
+    axles: tuple
+    cowl: float
+    roof_front: float
+    roof_rear: float
+    tail: float
+    belt: float
+    nose: float
+    roof_half: float
+    paint: tuple
+
+
+def draw_plan(rng):
+    """Draws a body style and its measures."""
+    style = str(rng.choice(list(SHARES), p=list(SHARES.values())))
+    m = {key: rng.uniform(*span) for key, span in STYLES[style].items()}
+    length, height = m["length"], m["height"]
+
+    def place(share):
+        return length * (0.5 - share)
+
+    roof_front = m["cowl"] + m["rake"]
+    front_axle = rng.uniform(0.165, 0.2) if style != "van" else rng.uniform(0.15, 0.19)
+    rear_axle = (
+        rng.uniform(0.79, 0.83) if style != "pickup" else rng.uniform(0.74, 0.79)
+    )
+    return Plan(
+        style=style,
+        length=length,
+        half=m["width"] / 2,
+        height=height,
+        floor=m["clearance"],
+        wheel=m["wheel"],
+        axles=(place(front_axle), place(rear_axle)),
+        cowl=place(m["cowl"]),
+        roof_front=place(roof_front),
+        roof_rear=place(m["roof_end"]),
+        tail=place(m["roof_end"] + m["tail"]),
+        belt=m["belt"] * height,
+        nose=m["nose"] * height,
+        roof_half=m["roof"] * m["width"] / 2,
+        paint=_draw_paint(rng),
+    )
+
+
+def _draw_paint(rng):
+    """Half of all cars are white, silver, grey or black, as on the road."""
+    if rng.uniform() < 0.5:
+        grey = rng.choice([45, 75, 120, 165, 195, 220])
+        return tuple(int(c) for c in np.clip(grey + rng.integers(-8, 9, 3), 0, 255))
+    return parts.draw_color(rng, saturation=(0.55, 1.0), value=(0.4, 0.95))

@@ -1,0 +1,28 @@
+"""Bringing a mesh to its place and size: box centre at the origin, box diagonal 1."""
+
+import numpy as np
+import trimesh
+
+
+def normalize(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Copy of a mesh, centred on its bounding box and scaled to a box diagonal of 1.
+
+    Raises:
+      ValueError: if the mesh has no extent.
+    """
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    diagonal = float(np.linalg.norm(high - low))
+    if not diagonal > 0:
+        raise ValueError(
+            f"expected a mesh with an extent, got a box diagonal of {diagonal}; "
+            "skip it."
+        )
+    return replace_vertices(mesh, (vertices - (low + high) / 2) / diagonal)
+
+
+def replace_vertices(mesh: trimesh.Trimesh, vertices: np.ndarray) -> trimesh.Trimesh:
+    """Copy of a mesh with other vertices [n, 3]; faces and their colours stay."""
+    return trimesh.Trimesh(
+        vertices, mesh.faces, face_colors=mesh.visual.face_colors, process=False
+    )
