@@ -1,52 +1,68 @@
 """Shape and pose from silhouettes with differentiable point clouds, in JAX.
 
 `dpc_jax.project` renders a point cloud; the networks, losses and metrics stand alone
-too. Metrics load scipy when first used.
+too. Every name is loaded when it is first used, so that a program pays only for what it
+calls: rendering needs jax, networks flax, metrics scipy, and the data tools none of
+them.
 """
 
 import importlib
-import importlib.metadata
+from typing import TYPE_CHECKING
 
-from dpc_jax.render import Camera as Camera
-from dpc_jax.render import MemoryEstimate as MemoryEstimate
-from dpc_jax.render import Projection as Projection
-from dpc_jax.render import VoxelGrid as VoxelGrid
-from dpc_jax.render import compensate_widening as compensate_widening
-from dpc_jax.render import estimate_memory as estimate_memory
-from dpc_jax.render import mass_of_peak as mass_of_peak
-from dpc_jax.render import opacity as opacity
-from dpc_jax.render import project as project
-from dpc_jax.render import quaternion as quaternion
-from dpc_jax.render import smooth as smooth
-from dpc_jax.render import splat as splat
-from dpc_jax.render import termination_probabilities as termination_probabilities
-from dpc_jax.render import voxelize as voxelize
+if TYPE_CHECKING:
+    from dpc_jax.evaluation import align as align
+    from dpc_jax.evaluation import chamfer_distance as chamfer_distance
+    from dpc_jax.evaluation import pose_summary as pose_summary
+    from dpc_jax.evaluation import rotation_angle_deg as rotation_angle_deg
+    from dpc_jax.learning.hindsight import choose_candidate as choose_candidate
+    from dpc_jax.learning.losses import reprojection_loss as reprojection_loss
+    from dpc_jax.learning.losses import student_loss as student_loss
+    from dpc_jax.networks import ImageEncoder as ImageEncoder
+    from dpc_jax.networks import PoseEnsemble as PoseEnsemble
+    from dpc_jax.networks import PoseStudent as PoseStudent
+    from dpc_jax.networks import ShapeHead as ShapeHead
+    from dpc_jax.networks import ShapePoseNetwork as ShapePoseNetwork
+    from dpc_jax.render import Camera as Camera
+    from dpc_jax.render import MemoryEstimate as MemoryEstimate
+    from dpc_jax.render import Projection as Projection
+    from dpc_jax.render import VoxelGrid as VoxelGrid
+    from dpc_jax.render import compensate_widening as compensate_widening
+    from dpc_jax.render import estimate_memory as estimate_memory
+    from dpc_jax.render import mass_of_peak as mass_of_peak
+    from dpc_jax.render import opacity as opacity
+    from dpc_jax.render import project as project
+    from dpc_jax.render import quaternion as quaternion
+    from dpc_jax.render import smooth as smooth
+    from dpc_jax.render import splat as splat
+    from dpc_jax.render import termination_probabilities as termination_probabilities
+    from dpc_jax.render import voxelize as voxelize
 
-# Name to module, loaded when first asked for: flax, optax and scipy cost import time
-# that a caller of `project` need not pay.
-_LATER = {
-    "ImageEncoder": "dpc_jax.networks",
-    "PoseEnsemble": "dpc_jax.networks",
-    "PoseStudent": "dpc_jax.networks",
-    "ShapeHead": "dpc_jax.networks",
-    "ShapePoseNetwork": "dpc_jax.networks",
+_RENDER = (
+    "Camera MemoryEstimate Projection VoxelGrid compensate_widening estimate_memory "
+    "mass_of_peak opacity project quaternion smooth splat termination_probabilities "
+    "voxelize"
+)
+_NETWORKS = "ImageEncoder PoseEnsemble PoseStudent ShapeHead ShapePoseNetwork"
+_NAMES = {  # public name: the module that it is loaded from
+    "choose_candidate": "dpc_jax.learning.hindsight",
     "reprojection_loss": "dpc_jax.learning.losses",
     "student_loss": "dpc_jax.learning.losses",
-    "choose_candidate": "dpc_jax.learning.hindsight",
-    "align": "dpc_jax.evaluation",
-    "chamfer_distance": "dpc_jax.evaluation",
-    "pose_summary": "dpc_jax.evaluation",
-    "rotation_angle_deg": "dpc_jax.evaluation",
+    **dict.fromkeys(_RENDER.split(), "dpc_jax.render"),
+    **dict.fromkeys(_NETWORKS.split(), "dpc_jax.networks"),
+    **dict.fromkeys(
+        ("align", "chamfer_distance", "pose_summary", "rotation_angle_deg"),
+        "dpc_jax.evaluation",
+    ),
 }
-
-__version__ = importlib.metadata.version("dpc_jax")
 
 
 def __getattr__(name: str):
-    if name in _LATER:
-        return getattr(importlib.import_module(_LATER[name]), name)
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("dpc_jax")
+    if name in _NAMES:
+        return getattr(importlib.import_module(_NAMES[name]), name)
     raise AttributeError(f"module 'dpc_jax' has no attribute {name!r}")
 
 
 def __dir__():
-    return sorted([*globals(), *_LATER])
+    return sorted([*globals(), *_NAMES, "__version__"])

@@ -1,5 +1,6 @@
 """Files that are either the old ones or the new ones whole, never a torn half."""
 
+import hashlib
 import json
 import math
 import os
@@ -24,14 +25,25 @@ def write_bytes(path: str | os.PathLike, data: bytes) -> Path:
 
 
 def write_text(path: str | os.PathLike, text: str) -> Path:
-    """``write_bytes`` of text in UTF-8."""
+    """`write_bytes` of text in UTF-8."""
     return write_bytes(path, text.encode("utf-8"))
 
 
 def write_json(path: str | os.PathLike, data: Any) -> Path:
-    """``write_text`` of JSON; a number that is not finite becomes null."""
+    """`write_text` of JSON; a number that is not finite becomes null."""
     text = json.dumps(_make_plain(data), indent=1, ensure_ascii=False)
     return write_text(path, text + "\n")
+
+
+def digest_file(path: str | os.PathLike) -> str:
+    """SHA-256 of a file's content, in hexadecimal digits."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def digest_text(text: str) -> str:
+    """SHA-256 of a text in UTF-8, in hexadecimal digits."""
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _make_plain(value):

@@ -90,7 +90,7 @@ def test_both_versions_give_the_same_views(tmp_path):
 
 def test_a_front_of_ones_own_is_obeyed(tmp_path):
     write_tree(tmp_path, "model.obj", NAMES[:3])
-    options = dict(split="test", fractions=(0, 0, 1), front="+z")
+    options = dict(split="test", fractions=(0, 0, 1), shapenet_front="+z")
     size = np.ptp(load(tmp_path, tmp_path / "cache", **options).surfaces[0], axis=0)
     assert size[1] > 2 * size[0]
 

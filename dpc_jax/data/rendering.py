@@ -1,9 +1,8 @@
 """Preparing the shards of a data set, in one process or several.
 
 Workers are plain Python processes that write whole shards; they are told which on their
-input and report on a pipe, one JSON line per model. They are started with a bare parent
-package, because importing the whole package would load jax in each of them, and they
-are not forked, because jax runs threads.
+input and report on a pipe, one JSON line per model. They are not forked, because jax
+runs threads.
 """
 
 import json
@@ -20,12 +19,9 @@ from dpc_jax.data import shards
 from dpc_jax.data.spec import SPLITS, DataSpec, Source
 
 BOOT = """
-import sys, types
-package = types.ModuleType("dpc_jax")
-package.__path__ = [sys.argv[1]]
-sys.modules["dpc_jax"] = package
+import sys
 from dpc_jax.data import rendering
-rendering.work(sys.argv[2], part=int(sys.argv[3]))
+rendering.work(sys.argv[1], part=int(sys.argv[2]))
 """
 INLINE = 16  # so few models are done before a worker has imported what it needs
 SHARD_MODELS = (4, 64)  # fewest and most in a shard
@@ -81,11 +77,13 @@ def make_model(spec, source):
         return procedural.make_shape(spec.category, source.seed)
     mesh = meshes.read_mesh(source.path)
     if spec.kind == "shapenet":
-        mesh.vertices = mesh.vertices @ shapenet.find_turn(source.path, spec.front).T
+        mesh.vertices = (
+            mesh.vertices @ shapenet.find_turn(source.path, spec.shapenet_front).T
+        )
     if source.copy:
         # normalised first, so that the factors meet comparable sides
         seed = [spec.seed, source.copy, int(source.digest[:8], 16)]
-        mesh = meshes.scale_randomly(mesh, seed=seed, amount=spec.scale_amount)
+        mesh = meshes.scale_randomly(mesh, seed=seed, amount=spec.stretch)
     return normalize(mesh)
 
 
@@ -226,7 +224,6 @@ def render_in_processes(folder, spec, sources, numbers, *, processes):
       OSError: if a shard cannot be written.
       RuntimeError: if a worker dies; the message holds the end of its error output.
     """
-    package = str(Path(__file__).resolve().parent.parent)
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     plan = {"spec": vars(spec), "sources": [list(source) for source in sources]}
     waiting = list(reversed(numbers))
@@ -237,7 +234,7 @@ def render_in_processes(folder, spec, sources, numbers, *, processes):
             logs.append(tempfile.TemporaryFile())
             workers.append(
                 subprocess.Popen(
-                    [sys.executable, "-c", BOOT, package, str(folder), str(part)],
+                    [sys.executable, "-c", BOOT, str(folder), str(part)],
                     stdin=subprocess.PIPE,
                     stdout=writer,
                     stderr=logs[-1],

@@ -33,7 +33,7 @@ class DataSpec:
     fractions: tuple = (0.8, 0.1, 0.1)  # of a folder's files; (0, 0, 1): all to test
     models: int | None = None  # how many; None: all files of the folder's split
     copies: int = 1  # per file; the first is the original, the others are stretched
-    scale_amount: float = 0.15  # of the stretched copies
+    stretch: float = 0.15  # of the stretched copies
     seed: int = 0  # of the split, the shapes, the views and the lights
     views: int = 5  # per model (paper, section Experiments)
     elevation: tuple = (-20.0, 40.0)  # degrees, uniform; azimuth is uniform in 360
@@ -47,7 +47,9 @@ class DataSpec:
     surface_visible: bool = False  # only points that can be seen from outside
     kind: str = "meshes"  # of the folder
     split_file: str | None = None  # official split; None: looked for in the folder
-    front: str = ""  # axis that ShapeNet's models face; "": as its version says
+    shapenet_front: str = (
+        ""  # axis that ShapeNet's models face; "": as its version says
+    )
     ground_truth: str | None = None  # folder of the published ground truth
     crop: str = "object"  # of own images: one scale per "object", "view", or "none"
     fill: float = 0.85  # share of the frame that an own image's object takes
@@ -62,7 +64,11 @@ class DataSpec:
             raise ValueError(
                 f"split must be one of {', '.join(SPLITS)}, got {self.split!r}."
             )
-        for name, known in (("kind", KINDS), ("crop", CROPS), ("front", FRONTS)):
+        for name, known in (
+            ("kind", KINDS),
+            ("crop", CROPS),
+            ("shapenet_front", FRONTS),
+        ):
             if getattr(self, name) not in known:
                 raise ValueError(
                     f"{name} must be one of {known}, got {getattr(self, name)!r}."

@@ -220,13 +220,13 @@ def make_data_specs(config: ml_collections.ConfigDict) -> dict[str, DataSpec]:
     else:
         tested = d.own_test if d.test_meshes else 0.1
         fractions = (0.9 - tested, 0.1, tested)
-        stretch = {"copies": d.copies, "scale_amount": d.stretch}
+        stretch = {"copies": d.copies, "stretch": d.stretch}
         stretch = {} if kind in ("renders", "images") else stretch
         source = {
             "kind": kind,
             "folder": d[kind],
             "split_file": d.split_file or None,
-            "front": d.shapenet_front,
+            "shapenet_front": d.shapenet_front,
             "ground_truth": d.ground_truth or None,
             "crop": d.crop,
             "fill": d.fill,
