@@ -5,9 +5,9 @@ Cost: nine minutes and 1.9 GB on two cores. Reached on 100 test airplanes, seed
 is the paper's setting: a GPU and days, never run to the end.
 """
 
-from dpc_jax.config.defaults import apply_variant, default_config
+from dpc_jax.config import make_config
 
 
 def get_config(variant: str | None = None):
-    """The config, or a variant of it: "paper", "naive", "known_pose"."""
-    return apply_variant(default_config("airplane"), variant)
+    """The config, or variants of it: "paper", "naive", "known_pose"."""
+    return make_config("airplane", variant)

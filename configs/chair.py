@@ -5,9 +5,9 @@ November 2026: pose accuracy 0.814, median error 6.6 degrees, Chamfer 4.42. ":pa
 the paper's setting: a GPU and days, never run to the end.
 """
 
-from dpc_jax.config.defaults import apply_variant, default_config
+from dpc_jax.config import make_config
 
 
 def get_config(variant: str | None = None):
-    """The config, or a variant of it: "paper", "naive", "known_pose"."""
-    return apply_variant(default_config("chair"), variant)
+    """The config, or variants of it: "paper", "naive", "known_pose"."""
+    return make_config("chair", variant)

@@ -1,19 +1,24 @@
 """The whole pipeline in under a minute: for tests and first looks, not for results."""
 
-from dpc_jax.config.defaults import apply_variant, default_config
+from dpc_jax.config import make_config
+
+SMALL = {
+    "data": dict(
+        models=12, val_models=4, test_models=4, image_size=32, surface_points=10_000
+    ),
+    "network": dict(channels=4, hidden=32, shape_hidden=32),
+    "render": dict(grid=16, fine_grid=32, num_points=100, keep_levels=2),
+    "train": dict(steps=20, warmup_steps=4),
+    "log": dict(every=5, evaluate=10, checkpoint=10),
+}
 
 
 def get_config(variant: str | None = None):
     """Few, small cars and few steps; the variants of the other configs."""
-    c = apply_variant(default_config("car"), variant)
-    c.data.update(
-        models=12, val_models=4, test_models=4, image_size=32, surface_points=10_000
-    )
-    c.network.update(channels=4, hidden=32, shape_hidden=32)
-    c.render.update(grid=16, fine_grid=32, num_points=100, keep_levels=2)
-    if c.pose.choice_grid:
-        c.pose.update(choice_grid=8, choice_points=50, choice_top=4)
-    c.pose.candidates = min(c.pose.candidates, 2)
-    c.train.update(steps=20, warmup_steps=4)
-    c.log.update(every=5, evaluate=10, checkpoint=10)
-    return c
+    config = make_config("car", variant)
+    for section, fields in SMALL.items():
+        config[section].update(fields)
+    if config.pose.choice_grid:
+        config.pose.update(choice_grid=8, choice_points=50, choice_top=4)
+    config.pose.candidates = min(config.pose.candidates, 2)
+    return config

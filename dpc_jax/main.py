@@ -8,6 +8,7 @@ import sys
 from absl import app, flags
 from ml_collections import config_flags
 
+from dpc_jax.config import from_config_dict
 from dpc_jax.run import pipeline
 
 _CONFIG = config_flags.DEFINE_config_file(
@@ -21,7 +22,7 @@ _WORKDIR = flags.DEFINE_string(
 
 
 def _parse(argv):
-    """Parse the flags; what cannot be parsed is the user's to mend, in one sentence."""
+    """Parse the flags; what is wrong with them is said in one sentence."""
     try:
         rest = flags.FLAGS(argv)
         if len(rest) > 1:
@@ -57,12 +58,11 @@ def _explain(error: Exception) -> str:
     return last.partition(": ")[2] if "Traceback" in text else last
 
 
-def main(_):
+def main(_: list[str]):
     """Hand the parsed flags to the run."""
     path = config_flags.get_config_filename(flags.FLAGS["config"])
-    sys.exit(
-        pipeline.run_guarded(_CONFIG.value, config_path=path, workdir=_WORKDIR.value)
-    )
+    config = from_config_dict(_CONFIG.value)
+    sys.exit(pipeline.run_guarded(config, config_path=path, workdir=_WORKDIR.value))
 
 
 if __name__ == "__main__":

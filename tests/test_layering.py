@@ -32,7 +32,7 @@ ROOMS = {
         {"files", "learning", "render", "data", "networks", "evaluation"},
     ),
     "run": (
-        {"jax", "numpy", "ml_collections"},
+        {"jax", "flax", "numpy"},
         {
             "files",
             "config",

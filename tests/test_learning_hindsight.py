@@ -10,13 +10,13 @@ from tiny_runs import (
     draw_mask,
     make_batch,
     make_network,
-    make_settings,
     make_state,
     random_quaternions,
     rotation_matrix,
+    tiny_config,
 )
 
-from dpc_jax.learning import hindsight
+from dpc_jax.learning import half_turns, hindsight
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.objective import compute_loss
 from dpc_jax.learning.schedules import find_stage
@@ -138,11 +138,11 @@ def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():
     axes = rotation_matrix(random_quaternions(4))  # columns
     rng = np.random.default_rng(0)
     points = (rng.normal(size=(500, 3)) * [1, 2, 3]) @ axes.T + [5, 6, 7]
-    covariance = hindsight.compute_covariance(jnp.array(points, jnp.float32))
+    covariance = half_turns.compute_covariance(jnp.array(points, jnp.float32))
     np.testing.assert_allclose(
         covariance, np.cov(points.T, bias=True), rtol=1e-4, atol=1e-4
     )
-    turns = np.asarray(hindsight.find_half_turns(covariance))
+    turns = np.asarray(half_turns.find_half_turns(covariance))
     np.testing.assert_allclose(np.linalg.norm(turns, axis=-1), 1, atol=1e-6)
     np.testing.assert_array_equal(turns[0], [1, 0, 0, 0])
     _, principal = np.linalg.eigh(np.cov(points.T))
@@ -157,7 +157,7 @@ def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():
     "covariance", [np.zeros((3, 3)), np.eye(3), np.diag([1, 0, 0])]
 )
 def test_half_turns_of_a_cloud_without_distinct_axes_are_still_half_turns(covariance):
-    turns = np.asarray(hindsight.find_half_turns(jnp.array(covariance, jnp.float32)))
+    turns = np.asarray(half_turns.find_half_turns(jnp.array(covariance, jnp.float32)))
     assert np.all(turns[1:, 0] == 0)
     np.testing.assert_allclose(np.linalg.norm(turns, axis=-1), 1, atol=1e-6)
     for i in range(4):
@@ -167,7 +167,7 @@ def test_half_turns_of_a_cloud_without_distinct_axes_are_still_half_turns(covari
 
 def test_turned_candidate_i_is_head_i_mod_k_after_a_turn_of_the_object():
     candidates, turns = random_quaternions(1, 5), random_quaternions(2, 4)
-    turned = hindsight.turn_candidates(jnp.array(candidates), jnp.array(turns))
+    turned = half_turns.turn_candidates(jnp.array(candidates), jnp.array(turns))
     assert turned.shape == (20, 4)
     for i, q in enumerate(turned):
         expected = rotation_matrix(candidates[i % 5]) @ rotation_matrix(turns[i // 5])
@@ -177,20 +177,21 @@ def test_turned_candidate_i_is_head_i_mod_k_after_a_turn_of_the_object():
 # The training objective against the plain minimum.
 
 
-def plain_objective(params, batch, *, network, settings):
+def plain_objective(params, batch, *, network, config):
     """Mean over views of min over K, every candidate rendered with its gradient."""
+    render = config.render
     views = batch["images"].reshape(-1, *batch["images"].shape[2:])
     output = network.apply(params, views / 127.5 - 1.0)
     per_object = batch["images"].shape[1]
     # The shape comes from the object's first view.
     first = np.arange(len(views)) // per_object * per_object
     all_losses = jax.vmap(
-        functools.partial(render_losses, sigma=settings.sigma_end * settings.grid)
+        functools.partial(render_losses, sigma=render.sigma_end * render.grid)
     )(
         output["points"][first],
         output["scale"][first],
         output["candidates"],
-        downsample_images(batch["masks"].reshape(-1, 16, 16), settings.grid),
+        downsample_images(batch["masks"].reshape(-1, 16, 16), config.render.grid),
     )
     losses = jnp.min(all_losses, axis=1)
     winners = jnp.argmin(all_losses, axis=1)
@@ -200,15 +201,15 @@ def plain_objective(params, batch, *, network, settings):
     cosine = jnp.sum(output["student"] * teacher, -1) / (
         jnp.linalg.norm(output["student"], axis=-1) * jnp.linalg.norm(teacher, axis=-1)
     )
-    student = settings.student_weight * settings.grid**2 * (1 - jnp.abs(cosine))
+    student = config.pose.student_weight * render.grid**2 * (1 - jnp.abs(cosine))
     return jnp.mean(losses) + jnp.mean(student)
 
 
 @pytest.fixture(scope="module")
 def objective():
     """The objective and its gradient, without dropout; compiled once."""
-    settings = make_settings(sigma_start=0.1, sigma_end=0.1, keep_start=1.0)
-    network = make_network(settings)
+    config = tiny_config(sigma_start=0.1, sigma_end=0.1, keep_start=1.0)
+    network = make_network(config)
 
     @jax.jit
     def differentiate(params, batch):
@@ -219,20 +220,22 @@ def objective():
             jnp.asarray(0),
             jnp.zeros((3, 3)),
             network=network,
-            settings=settings,
-            stage=find_stage(0, settings),
+            render=config.render,
+            pose=config.pose,
+            train=config.train,
+            stage=find_stage(0, config.render, steps=config.train.steps),
         )
 
-    return differentiate, network, settings, make_state(network, settings).params
+    return differentiate, network, config, make_state(network, config).params
 
 
 def test_the_gradient_through_the_winner_alone_is_that_of_the_plain_minimum(objective):
-    differentiate, network, settings, params = objective
+    differentiate, network, config, params = objective
     batch = make_batch()
     (loss, _), gradient = differentiate(params, batch)
     expected_loss, expected = jax.jit(
         jax.value_and_grad(
-            lambda p: plain_objective(p, batch, network=network, settings=settings)
+            lambda p: plain_objective(p, batch, network=network, config=config)
         )
     )(params)
     assert float(loss) == pytest.approx(float(expected_loss), rel=1e-5)
@@ -247,7 +250,7 @@ def test_the_gradient_through_the_winner_alone_is_that_of_the_plain_minimum(obje
 
 
 def test_heads_that_never_win_get_no_gradient_and_those_that_win_get_one(objective):
-    differentiate, _, settings, params = objective
+    differentiate, _, config, params = objective
     for seed in range(3):
         (_, (metrics, _)), gradient = differentiate(params, make_batch(seed=seed))
         winners = np.asarray(metrics["winners"])
@@ -261,7 +264,7 @@ def test_equal_heads_tie_on_every_view_whatever_points_were_dropped(objective):
     # Candidates rendered with different subsets would differ: with one subset for all
     # of them the tie is exact, and the first head has the whole gradient.
     _, network, _, params = objective
-    settings = make_settings(keep_start=0.3, keep_levels=1, keep_end=0.3)
+    config = tiny_config(keep_start=0.3, keep_levels=1, keep_end=0.3)
     heads = params["params"]["pose"]["heads"]
     equal = jax.tree.map(lambda a: jnp.broadcast_to(a[:1], a.shape), heads)
     params = {
@@ -279,8 +282,10 @@ def test_equal_heads_tie_on_every_view_whatever_points_were_dropped(objective):
             jnp.asarray(0),
             jnp.zeros((3, 3)),
             network=network,
-            settings=settings,
-            stage=find_stage(0, settings),
+            render=config.render,
+            pose=config.pose,
+            train=config.train,
+            stage=find_stage(0, config.render, steps=config.train.steps),
         )
 
     for seed in range(3):

@@ -1,5 +1,6 @@
 """The loop: it ends where an unbroken run ends, whatever stops it on the way."""
 
+import dataclasses
 import functools
 import json
 
@@ -11,24 +12,33 @@ from tiny_runs import (
     assert_same_bits,
     make_dataset,
     make_network,
-    make_settings,
     make_state,
+    tiny_config,
 )
 
+from dpc_jax.config import Log
 from dpc_jax.learning import evaluator, loop
+from dpc_jax.learning import records as recording
 from dpc_jax.learning.checkpoints import Checkpoints
-from dpc_jax.learning.hindsight import compute_candidate_losses
 from dpc_jax.learning.log import MetricLog
 from dpc_jax.learning.losses import downsample_images
+from dpc_jax.learning.predictor import make_predictor, predict_all
+from dpc_jax.learning.records import NonFiniteError, check_finite, summarize
+from dpc_jax.learning.renders import compute_candidate_losses
 from dpc_jax.learning.schedules import compute_sigma
 from dpc_jax.render import Camera
 
-SETTINGS = make_settings(steps=8)  # two stages of four steps
-NETWORK = make_network(SETTINGS)
+CONFIG = tiny_config(steps=8)  # two stages of four steps
+NETWORK = make_network(CONFIG)
 DATASET = make_dataset()
 SCORES = {"pose_accuracy": 0.5, "pose_median_error_deg": 45.0, "chamfer": 7.0}
 
-compile_once = functools.lru_cache(loop.make_train_step)
+_compile = functools.lru_cache(loop.make_train_step)
+
+
+def compile_once(network, config, stage):
+    """The step of a stage; how often a run writes its log does not change it."""
+    return _compile(network, dataclasses.replace(config, log=Log()), stage)
 
 
 @pytest.fixture(autouse=True)
@@ -39,7 +49,7 @@ def share_compiled_steps(monkeypatch):
 
 @pytest.fixture(scope="module")
 def first_state():
-    return make_state(NETWORK, SETTINGS)
+    return make_state(NETWORK, CONFIG)
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +71,7 @@ def run_loop(folder, state, *, every=(1, 0, 2), **changes):
             copy_from_host(state),
             DATASET,
             network=NETWORK,
-            settings=SETTINGS,
-            intervals=loop.Intervals(*every),
+            config=dataclasses.replace(CONFIG, log=Log(*every)),
             checkpoints=checkpoints,
             log=MetricLog(folder / "metrics.jsonl"),
             **changes,
@@ -152,7 +161,7 @@ def test_the_time_of_a_validation_is_not_training_time(
 ):
     # A clock that only the validation moves.
     now = [0.0]
-    monkeypatch.setattr(loop.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(recording.time, "monotonic", lambda: now[0])
 
     def evaluate(state):
         now[0] += 500.0
@@ -185,7 +194,7 @@ def test_a_log_line_is_the_mean_over_its_steps(tmp_path, first_state):
 
 def test_turned_candidates_count_for_their_head():
     metrics = {"loss": 1.0, "winners": np.array([0, 3, 7, 11]), "gradient_norms": {}}
-    record = loop.summarize([metrics], SETTINGS)
+    record = summarize([metrics], heads=CONFIG.pose.heads)
     assert record["head_shares"] == [0.5, 0.25, 0.25]
 
 
@@ -199,8 +208,8 @@ def poison(step_at, *names):
         found = {key.key for key in path}
         return jnp.full_like(leaf, jnp.nan) if found.issuperset(names) else leaf
 
-    def make(network, settings, stage):
-        good = compile_once(network, settings, stage)
+    def make(network, config, stage):
+        good = compile_once(network, config, stage)
 
         def step(state, batch):
             if int(state.step) == step_at:
@@ -221,9 +230,7 @@ def test_the_first_loss_that_is_not_finite_stops_with_its_name_and_step(
     # The NaN is meant, so JAX_DEBUG_NANS must not stop it first; so below.
     with (
         jax.debug_nans(False),
-        pytest.raises(
-            loop.NonFiniteError, match="reprojection loss became nan at step 5"
-        ),
+        pytest.raises(NonFiniteError, match="reprojection loss became nan at step 5"),
     ):
         run_loop(tmp_path, first_state, every=every)
     restored, steps = restore(tmp_path, first_state)
@@ -238,7 +245,7 @@ def test_a_student_that_is_not_finite_is_named(tmp_path, first_state, monkeypatc
     monkeypatch.setattr(loop, "make_train_step", poison(2, "student"))
     with (
         jax.debug_nans(False),
-        pytest.raises(loop.NonFiniteError, match="student loss became nan at step 2"),
+        pytest.raises(NonFiniteError, match="student loss became nan at step 2"),
     ):
         run_loop(tmp_path, first_state)
 
@@ -246,11 +253,9 @@ def test_a_student_that_is_not_finite_is_named(tmp_path, first_state, monkeypatc
 @pytest.mark.parametrize("value", [np.inf, np.nan])
 def test_a_gradient_that_is_not_finite_is_named_though_the_loss_is(value):
     metrics = {"loss": 1.0, "gradient_norms": {"encoder": 1.0, "pose": value}}
-    with pytest.raises(
-        loop.NonFiniteError, match=r"gradient of the pose .* at step 12"
-    ):
-        loop.check_finite(metrics, 12)
-    loop.check_finite({"loss": 1.0, "gradient_norms": {"pose": 0.0}}, 12)
+    with pytest.raises(NonFiniteError, match=r"gradient of the pose .* at step 12"):
+        check_finite(metrics, 12)
+    check_finite({"loss": 1.0, "gradient_norms": {"pose": 0.0}}, 12)
 
 
 # Predictions for a whole data set.
@@ -258,9 +263,9 @@ def test_a_gradient_that_is_not_finite_is_named_though_the_loss_is(value):
 
 @pytest.fixture(scope="module")
 def predictions(unbroken):
-    predictor = evaluator.make_predictor(NETWORK, SETTINGS)
+    predictor = make_predictor(NETWORK, CONFIG)
     # Nine views, four at a time: the last batch has one and three to fill it up.
-    return evaluator.predict_all(predictor, unbroken, DATASET, views_at_once=4)
+    return predict_all(predictor, unbroken, DATASET, views_at_once=4)
 
 
 @pytest.fixture(scope="module")
@@ -285,9 +290,8 @@ def test_every_view_has_its_own_predictions_in_its_place(predictions, output):
 
 def test_the_best_candidate_is_the_one_whose_silhouette_fits_best(predictions, output):
     targets = downsample_images(DATASET.masks.reshape(9, 16, 16), 8)
-    compare = functools.partial(
-        compute_candidate_losses, sigma=compute_sigma(8, SETTINGS), camera=Camera()
-    )
+    sigma = compute_sigma(8, CONFIG.render, steps=8)
+    compare = functools.partial(compute_candidate_losses, sigma=sigma, camera=Camera())
     losses = jax.jit(jax.vmap(compare))(
         output["points"], output["scale"], output["candidates"], targets
     )
@@ -304,9 +308,7 @@ def test_scores_have_the_names_that_the_report_needs_and_shares_of_the_heads(
     predictions,
 ):
     alignment = evaluator.align(predictions, DATASET)
-    result, shares = evaluator.score(
-        predictions, DATASET, alignment=alignment, num_candidates=3
-    )
+    result, shares = evaluator.score(predictions, DATASET, alignment=alignment, heads=3)
     wanted = "pose_accuracy pose_median_error_deg chamfer precision coverage".split()
     assert set(wanted) <= result.metrics.keys()
     assert all(np.isfinite(v) for v in result.metrics.values())

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tiny_runs import make_settings
+from tiny_runs import tiny_config
 
 from dpc_jax.learning.schedules import (
     compute_sigma,
@@ -12,28 +12,40 @@ from dpc_jax.learning.schedules import (
 )
 
 
+def sigma_at(step, config):
+    return compute_sigma(step, config.render, steps=config.train.steps)
+
+
+def kept_at(step, config):
+    return count_kept_points(step, config.render, steps=config.train.steps)
+
+
+def stage_at(step, config):
+    return find_stage(step, config.render, steps=config.train.steps)
+
+
 @pytest.mark.parametrize("grid", [8, 32, 64, 128])
 @pytest.mark.parametrize("steps", [1, 10, 600_000])
 def test_sigma_goes_from_five_to_a_third_of_a_percent_of_the_volume(grid, steps):
-    settings = make_settings(grid=grid, steps=steps, sigma_start=0.05, sigma_end=0.003)
+    config = tiny_config(grid=grid, steps=steps, sigma_start=0.05, sigma_end=0.003)
     # float32, relative.
-    assert compute_sigma(0, settings) == pytest.approx(0.05 * grid, rel=1e-5)
-    assert compute_sigma(steps, settings) == pytest.approx(0.003 * grid, rel=1e-5)
-    middle = compute_sigma(steps / 2, settings)
+    assert sigma_at(0, config) == pytest.approx(0.05 * grid, rel=1e-5)
+    assert sigma_at(steps, config) == pytest.approx(0.003 * grid, rel=1e-5)
+    middle = sigma_at(steps / 2, config)
     assert middle == pytest.approx(0.0265 * grid, rel=1e-5)
 
 
 def test_sigma_stays_at_its_end_beyond_the_last_step():
-    settings = make_settings(steps=10)
-    assert compute_sigma(25, settings) == compute_sigma(10, settings)
+    config = tiny_config(steps=10)
+    assert sigma_at(25, config) == sigma_at(10, config)
 
 
 @pytest.mark.parametrize("levels", [1, 2, 5, 32])
 def test_the_number_of_kept_points_rises_in_stairs_to_its_end(levels):
-    settings = make_settings(
+    config = tiny_config(
         steps=1000, num_points=2000, keep_start=0.07, keep_end=1.0, keep_levels=levels
     )
-    kept = np.array([count_kept_points(s, settings) for s in range(1000)])
+    kept = np.array([kept_at(s, config) for s in range(1000)])
     assert np.all(np.diff(kept) >= 0)
     assert len(np.unique(kept)) == levels
     assert kept[-1] == 2000
@@ -44,22 +56,22 @@ def test_the_number_of_kept_points_rises_in_stairs_to_its_end(levels):
 
 
 def test_the_last_stair_keeps_the_end_value_and_at_least_one_point_is_left():
-    settings = make_settings(num_points=40, keep_start=0.1, keep_end=0.5, keep_levels=3)
-    assert count_kept_points(settings.steps - 1, settings) == 20
-    assert count_kept_points(settings.steps + 5, settings) == 20
-    few = make_settings(num_points=3, keep_start=1e-3, keep_end=1e-3, keep_levels=1)
-    assert count_kept_points(0, few) == 1
+    config = tiny_config(num_points=40, keep_start=0.1, keep_end=0.5, keep_levels=3)
+    assert kept_at(config.train.steps - 1, config) == 20
+    assert kept_at(config.train.steps + 5, config) == 20
+    few = tiny_config(num_points=3, keep_start=1e-3, keep_end=1e-3, keep_levels=1)
+    assert kept_at(0, few) == 1
 
 
 def test_a_run_shorter_than_its_stairs_ends_with_all_points():
-    settings = make_settings(steps=3, keep_levels=32)
-    assert count_kept_points(2, settings) <= settings.num_points
-    longer = make_settings(steps=32, keep_levels=32)
-    assert count_kept_points(31, longer) == longer.num_points
+    config = tiny_config(steps=3, keep_levels=32)
+    assert kept_at(2, config) <= config.render.num_points
+    longer = tiny_config(steps=32, keep_levels=32)
+    assert kept_at(31, longer) == longer.render.num_points
 
 
 def rates(*steps, **changes):
-    schedule = make_learning_rate(make_settings(**changes))
+    schedule = make_learning_rate(tiny_config(**changes).train)
     return [float(schedule(step)) for step in steps]
 
 
@@ -104,30 +116,30 @@ def test_a_run_that_is_all_warm_up_has_finite_rates():
 
 
 def test_the_finer_grid_comes_in_from_its_share_of_the_run():
-    settings = make_settings(steps=10, grid=8, fine_grid=16, fine_from=0.75)
-    stages = [find_stage(step, settings) for step in range(10)]
+    config = tiny_config(steps=10, grid=8, fine_grid=16, fine_from=0.75)
+    stages = [stage_at(step, config) for step in range(10)]
     assert [s.grid for s in stages] == 8 * [8] + 2 * [16]
     assert [s.kept_points for s in stages] == [
-        count_kept_points(step, settings) for step in range(10)
+        kept_at(step, config) for step in range(10)
     ]
 
 
 def test_without_a_finer_grid_a_run_has_a_stage_for_each_stair_only():
-    settings = make_settings(steps=10, keep_levels=3)
-    stages = {find_stage(step, settings) for step in range(10)}
+    config = tiny_config(steps=10, keep_levels=3)
+    stages = {stage_at(step, config) for step in range(10)}
     assert len(stages) == 3
     assert {s.grid for s in stages} == {8}
 
 
 @pytest.mark.parametrize("until", [0.5, 0.8])
 def test_size_and_dropout_reach_their_ends_before_the_run_does(until):
-    settings = make_settings(
+    config = tiny_config(
         steps=100, num_points=1000, keep_levels=4, keep_end=1.0, anneal_until=until
     )
     last = int(until * 100)
-    end = settings.sigma_end * settings.grid
-    assert compute_sigma(last, settings) == pytest.approx(end, rel=1e-6)
-    assert compute_sigma(99, settings) == pytest.approx(end, rel=1e-6)
-    assert compute_sigma(last // 2, settings) > 1.2 * end
-    assert count_kept_points(last, settings) == 1000
-    assert count_kept_points(last * 3 // 4 - 1, settings) < 1000
+    end = config.render.sigma_end * config.render.grid
+    assert sigma_at(last, config) == pytest.approx(end, rel=1e-6)
+    assert sigma_at(99, config) == pytest.approx(end, rel=1e-6)
+    assert sigma_at(last // 2, config) > 1.2 * end
+    assert kept_at(last, config) == 1000
+    assert kept_at(last * 3 // 4 - 1, config) < 1000

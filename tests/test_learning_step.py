@@ -13,20 +13,20 @@ from tiny_runs import (
     make_batch,
     make_dataset,
     make_network,
-    make_settings,
     make_state,
     make_step,
+    tiny_config,
 )
 
-from dpc_jax.learning.hindsight import map_renders
 from dpc_jax.learning.losses import selection_loss
-from dpc_jax.learning.objective import compute_mass, scale_images
+from dpc_jax.learning.predictions import compute_mass, scale_images
+from dpc_jax.learning.renders import map_renders
 
 
 class Run(NamedTuple):
     """A compiled step with its first state."""
 
-    settings: object
+    config: object
     network: object
     step: object
     state: object
@@ -41,11 +41,9 @@ class Run(NamedTuple):
 
 
 def make_run(**changes):
-    settings = make_settings(**changes)
-    network = make_network(settings)
-    return Run(
-        settings, network, make_step(network, settings), make_state(network, settings)
-    )
+    config = tiny_config(**changes)
+    network = make_network(config)
+    return Run(config, network, make_step(network, config), make_state(network, config))
 
 
 @pytest.fixture(scope="module")
@@ -138,8 +136,8 @@ def test_the_same_seed_gives_the_same_bits(plain):
 
 def test_another_seed_gives_other_parameters(plain):
     # The encoder's random numbers do not depend on the branches beside it.
-    settings = make_settings(seed=1, num_candidates=0, num_points=2)
-    other = make_state(make_network(settings), settings).params["params"]["encoder"]
+    config = tiny_config(seed=1, known=True, num_points=2)
+    other = make_state(make_network(config), config).params["params"]["encoder"]
     ours = plain.state.params["params"]["encoder"]["Conv_0"]["kernel"]
     assert not np.any(ours == other["Conv_0"]["kernel"])
 
@@ -219,7 +217,7 @@ def test_a_selecting_student_pays_the_cross_entropy_of_the_winner():
 @pytest.fixture(scope="module")
 def known():
     return make_run(
-        num_candidates=0,
+        known=True,
         color_weight=0.5,
         num_points=32,
         keep_start=1.0,
@@ -264,9 +262,7 @@ def test_a_cloud_of_known_pose_is_learned_from_its_silhouettes(known):
 
 @pytest.mark.parametrize("sigma", [0.0, 0.3, 2.0])
 def test_a_coefficient_of_one_fills_the_voxel_at_the_point_in_unit_peak(sigma):
-    mass = compute_mass(
-        jnp.array(1.0), jnp.array(sigma), make_settings(scale_unit="peak")
-    )
+    mass = compute_mass(jnp.array(1.0), jnp.array(sigma), scale_unit="peak")
     # The share of a Gaussian sampled at -20..20 that falls on the middle sample.
     samples = np.exp(-0.5 * (np.arange(-20, 21) / max(sigma, 1e-6)) ** 2)
     assert float(mass) == pytest.approx(samples.sum() ** 3, rel=1e-4)
@@ -274,7 +270,7 @@ def test_a_coefficient_of_one_fills_the_voxel_at_the_point_in_unit_peak(sigma):
 
 def test_in_unit_mass_the_coefficient_is_the_mass():
     scale = jnp.array([0.2, 0.7])
-    found = compute_mass(scale, jnp.array(3.0), make_settings(scale_unit="mass"))
+    found = compute_mass(scale, jnp.array(3.0), scale_unit="mass")
     np.testing.assert_array_equal(found, scale)
 
 

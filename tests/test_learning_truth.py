@@ -8,6 +8,7 @@ from dpc_jax.data import shards
 from dpc_jax.evaluation.alignment import align_by_poses, identity_alignment
 from dpc_jax.evaluation.scores import score
 from dpc_jax.learning import evaluator, loop
+from dpc_jax.learning.predictor import arrange_views, make_predictor, predict_all
 
 
 def rag(dataset, counts):
@@ -23,24 +24,24 @@ def rag(dataset, counts):
 
 @pytest.fixture(scope="module")
 def trained():
-    settings = tiny_runs.make_settings()
-    network = tiny_runs.make_network(settings)
-    state = tiny_runs.make_state(network, settings)
+    config = tiny_runs.tiny_config()
+    network = tiny_runs.make_network(config)
+    state = tiny_runs.make_state(network, config)
     with tiny_runs.compiling_quickly():
-        predictor = evaluator.make_predictor(network, settings)
+        predictor = make_predictor(network, config)
         dataset = tiny_runs.make_dataset(models=3, views=3)
-        whole = evaluator.predict_all(predictor, state, dataset, views_at_once=4)
+        whole = predict_all(predictor, state, dataset, views_at_once=4)
         yield (
             dataset,
             whole,
-            lambda d: evaluator.predict_all(predictor, state, d, views_at_once=4),
+            lambda d: predict_all(predictor, state, d, views_at_once=4),
         )
 
 
 def test_views_of_unequal_models_are_predicted_one_by_one(trained):
     dataset, whole, predict = trained
     few = predict(rag(dataset, [3, 1, 2]))
-    models, views = evaluator.arrange_views(rag(dataset, [3, 1, 2]))
+    models, views = arrange_views(rag(dataset, [3, 1, 2]))
     assert models.ravel().tolist() == [0, 0, 0, 1, 2, 2]
     assert views.ravel().tolist() == [0, 1, 2, 0, 0, 1] and models.shape == (6, 1)
     for row, (model, view) in enumerate(zip(models[:, 0], views[:, 0], strict=True)):
@@ -55,7 +56,7 @@ def test_views_of_unequal_models_are_predicted_one_by_one(trained):
 
 def test_scores_of_single_views_are_those_of_their_models(trained):
     dataset, whole, predict = trained
-    options = dict(alignment=identity_alignment(), num_candidates=3)
+    options = dict(alignment=identity_alignment(), heads=3)
     equal, _ = evaluator.score(whole, dataset, **options)
     ragged = rag(dataset, [3, 1, 2])
     single, _ = evaluator.score(predict(ragged), ragged, **options)
@@ -77,7 +78,7 @@ def test_without_shapes_chamfer_is_left_out_and_overlap_given(trained):
     alignment = evaluator.align(whole, dataset)
     assert np.isnan(alignment.chamfer)
     result, _ = evaluator.score(
-        whole, dataset, alignment=alignment, num_candidates=3, chamfer_views=1
+        whole, dataset, alignment=alignment, heads=3, chamfer_views=1
     )
     assert "pose_accuracy" in result.metrics and result.chamfers is None
     assert not {"chamfer", "precision", "coverage"} & result.metrics.keys()
@@ -95,7 +96,7 @@ def test_without_poses_only_the_overlap_is_left(trained):
         predictions,
         dataset,
         alignment=evaluator.align(predictions, dataset),
-        num_candidates=3,
+        heads=3,
     )
     assert list(result.metrics) == ["silhouette_iou"] and shares.sum() == pytest.approx(
         1

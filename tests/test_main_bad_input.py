@@ -5,16 +5,17 @@ import sys
 
 import pytest
 from absl import flags
-from test_main_configs import load
+from test_main_configs import load_editable
 
 from dpc_jax import main
-from dpc_jax.run import configuration, pipeline
-from dpc_jax.run.workdir import claim_workdir
+from dpc_jax.config import from_config_dict
+from dpc_jax.run import pipeline
+from dpc_jax.run.workdir import FREE_FIELDS, claim_workdir
 
 
 @pytest.fixture
 def config(tmp_path):
-    config = load("debug")
+    config = load_editable("debug")
     config.data.cache_dir = str(tmp_path / "cache")
     return config
 
@@ -22,7 +23,7 @@ def config(tmp_path):
 def refuse(config, workdir, capsys):
     """The one line on stderr of a run that is refused."""
     status = pipeline.run_guarded(
-        config, config_path="configs/debug.py", workdir=str(workdir)
+        from_config_dict(config), config_path="configs/debug.py", workdir=str(workdir)
     )
     error = capsys.readouterr().err
     assert status == 1
@@ -124,7 +125,7 @@ def test_a_workdir_that_cannot_be_written_is_refused(
 def test_a_workdir_of_another_config_is_refused_naming_what_differs(
     config, tmp_path, capsys
 ):
-    workdir = claim_workdir(tmp_path / "workdir", config)
+    workdir = claim_workdir(tmp_path / "workdir", from_config_dict(config))
     before = (workdir / "config.json").read_text()
     config.train.steps = 21
     config.pose.candidates = 3
@@ -133,15 +134,15 @@ def test_a_workdir_of_another_config_is_refused_naming_what_differs(
     assert (workdir / "config.json").read_text() == before
 
 
-@pytest.mark.parametrize("field", configuration.FREE_FIELDS)
+@pytest.mark.parametrize("field", FREE_FIELDS)
 def test_what_does_not_change_the_result_may_differ(config, tmp_path, field):
     values = {"log": {"log.every": 3, "log.checkpoint": 1}}
     changes = values.get(field, {field: 7})
-    workdir = claim_workdir(tmp_path / "workdir", config)
+    workdir = claim_workdir(tmp_path / "workdir", from_config_dict(config))
     if field == "data.cache_dir":
         changes = {field: "elsewhere"}
     config.update_from_flattened_dict(changes)
-    assert claim_workdir(workdir, config) == workdir
+    assert claim_workdir(workdir, from_config_dict(config)) == workdir
 
 
 # What the command line refuses before a config is there. ml_collections 1.1 loads a

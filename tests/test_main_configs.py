@@ -1,19 +1,42 @@
 """Every config builds in every variant; `paper` has the paper's numbers."""
 
+import dataclasses
 import importlib.util
+import json
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import pytest
 
-from dpc_jax.run import configuration
+from dpc_jax.config import (
+    VARIANTS,
+    Config,
+    check,
+    from_config_dict,
+    from_json,
+    to_config_dict,
+    to_json,
+)
+from dpc_jax.run.setup import make_data_specs, make_network
 
 FOLDER = Path(__file__).parents[1] / "configs"
 NAMES = sorted(path.stem for path in FOLDER.glob("*.py"))
 
 
 def load(name, variant=None):
+    """The frozen config of a file in configs/."""
+    return from_config_dict(load_editable(name, variant))
+
+
+def change(config, section, **fields):
+    """The config with other values in a section."""
+    record = dataclasses.replace(getattr(config, section), **fields)
+    return dataclasses.replace(config, **{section: record})
+
+
+def load_editable(name, variant=None):
+    """What the command line edits."""
     spec = importlib.util.spec_from_file_location(
         f"config_{name}", FOLDER / f"{name}.py"
     )
@@ -24,7 +47,7 @@ def load(name, variant=None):
 
 def parameter_shapes(config):
     """Shapes of the network's parameters by path; nothing is computed."""
-    network = configuration.make_network(config)
+    network = make_network(config)
     size = config.data.image_size
     images = jax.ShapeDtypeStruct((2, size, size, 3), jnp.float32)
     output, variables = jax.eval_shape(
@@ -38,64 +61,117 @@ def test_the_configs_of_the_three_categories_and_of_the_tests_are_there():
     assert {"car", "chair", "airplane", "debug"} <= set(NAMES)
 
 
-@pytest.mark.parametrize("variant", [None, "paper", "naive", "known_pose"])
+@pytest.mark.parametrize(
+    "variant", [None, *VARIANTS, "paper,known_pose", "paper,naive"]
+)
 @pytest.mark.parametrize("name", NAMES)
 def test_every_config_builds_in_every_variant(name, variant):
     config = load(name, variant)
-    configuration.validate(config)
-    settings = configuration.make_settings(config)
-    intervals = configuration.make_intervals(config)
-    specs = configuration.make_data_specs(config)
+    check(config)
+    specs = make_data_specs(config)
     output, _ = parameter_shapes(config)
 
-    assert output["points"].shape == (2, settings.num_points, 3)
-    if settings.num_candidates:
-        assert output["candidates"].shape == (2, settings.num_candidates, 4)
+    assert output["points"].shape == (2, config.render.num_points, 3)
+    if config.pose.heads:
+        assert output["candidates"].shape == (2, config.pose.heads, 4)
     assert set(specs) == {"train", "val", "test"}
     assert all(spec.image_size == config.data.image_size for spec in specs.values())
-    assert settings.views_per_batch <= specs["train"].views
-    assert intervals.log >= 1 and intervals.checkpoint >= 1
+    assert config.train.views_per_batch <= specs["train"].views
+    assert config.log.every >= 1 and config.log.checkpoint >= 1
     assert config.variant == (variant or "")
+
+
+def test_variants_combine_in_any_order():
+    config = load("car", "known_pose, paper")
+    assert config == load("car", "paper,known_pose")
+    assert config.pose.known and config.render.grid == 64
+    assert config.variant == "paper,known_pose"
+    assert load("car", "naive,paper").pose.candidates == 1
+
+
+def test_variants_that_exclude_each_other_are_refused():
+    with pytest.raises(ValueError, match="known_pose and naive exclude each other"):
+        load("car", "naive,known_pose")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_config_survives_the_command_line_and_the_workdir(name):
+    config = load(name, "paper")
+    assert from_config_dict(to_config_dict(config)) == config
+    assert from_json(to_json(config)) == config
+
+
+def test_a_workdir_from_before_a_field_has_its_default():
+    fields = json.loads(to_json(load("car")))
+    del fields["render"]["fine_from"], fields["log"]
+    assert from_json(json.dumps(fields)) == load("car")
+
+
+@pytest.mark.parametrize(
+    "change, says",
+    [
+        ({"render": {"gird": 32}}, "config.render .* but it has gird"),
+        ({"render": {"grid": "32"}}, "config.render.grid must be of type int"),
+        ({"render": {"grid": True}}, "config.render.grid must be of type int"),
+        ({"render": 32}, "config.render must be a section"),
+        ({"category": None}, "config.category must be of type str"),
+    ],
+)
+def test_a_workdir_with_fields_that_are_none_of_ours_is_refused(change, says):
+    with pytest.raises(ValueError, match=says):
+        from_json(json.dumps({"category": "car"} | change))
+
+
+def test_a_config_without_a_category_is_refused():
+    with pytest.raises(ValueError, match="must have the field category"):
+        from_json("{}")
+
+
+def test_whole_numbers_stand_for_real_ones():
+    assert from_json('{"category": "car", "train": {"final_rate": 1}}').train == (
+        dataclasses.replace(Config("car").train, final_rate=1.0)
+    )
 
 
 @pytest.mark.parametrize("name", ["car", "chair", "airplane"])
 def test_a_config_makes_the_shapes_of_its_name(name):
-    assert {s.category for s in configuration.make_data_specs(load(name)).values()} == {
-        name
-    }
+    assert {s.category for s in make_data_specs(load(name)).values()} == {name}
 
 
 @pytest.mark.parametrize("name", ["car", "chair", "airplane"])
 def test_the_paper_variant_has_the_papers_numbers(name):
     config = load(name, "paper")
-    settings = configuration.make_settings(config)
-    expected = dict(
-        steps=600_000,
-        models_per_batch=4,
-        views_per_batch=4,
-        grid=64,
-        fine_grid=0,
-        num_points=8000,
-        num_candidates=4,
-        flips=False,
-        selects=False,
-        choice_grid=0,
-        choice_points=0,
-        sigma_start=0.05,
-        sigma_end=0.003,
-        anneal_until=1.0,
-        learning_rate=1e-4,
-        warmup_steps=0,
-        final_rate=1.0,
-        weight_decay=0.0,
-        repulsion_weight=0.0,
-        containment_weight=0.0,
-        color_weight=0.0,
-        focal_length=1.875,
-        distance=2.0,
-    )
-    assert {n: getattr(settings, n) for n in expected} == expected
-    spec = configuration.make_data_specs(config)["train"]
+    expected = {
+        "train": dict(
+            steps=600_000,
+            models_per_batch=4,
+            views_per_batch=4,
+            learning_rate=1e-4,
+            warmup_steps=0,
+            final_rate=1.0,
+            weight_decay=0.0,
+            repulsion_weight=0.0,
+            containment_weight=0.0,
+            color_weight=0.0,
+        ),
+        "render": dict(
+            grid=64,
+            fine_grid=0,
+            num_points=8000,
+            sigma_start=0.05,
+            sigma_end=0.003,
+            anneal_until=1.0,
+            focal_length=1.875,
+            distance=2.0,
+        ),
+        "pose": dict(
+            candidates=4, flips=False, selects=False, choice_grid=0, choice_points=0
+        ),
+    }
+    for section, fields in expected.items():
+        record = getattr(config, section)
+        assert {name: getattr(record, name) for name in fields} == fields
+    spec = make_data_specs(config)["train"]
     assert (spec.image_size, spec.views, spec.elevation) == (64, 5, (-20.0, 40.0))
 
     _, shapes = parameter_shapes(config)
@@ -104,22 +180,21 @@ def test_the_paper_variant_has_the_papers_numbers(name):
     assert shapes["shape/points/kernel"] == (1024, 24_000)
     assert shapes["pose/heads/Dense_1/kernel"] == (4, 32, 32)
     assert shapes["student/head/Dense_2/kernel"] == (32, 4)
-    network = configuration.make_network(config)
+    network = make_network(config)
     assert not network.normalize and not network.spread_poses
 
 
 def test_the_naive_variant_is_one_regressor_without_a_student():
     config = load("car", "naive")
-    settings = configuration.make_settings(config)
-    assert settings.num_candidates == 1
-    assert not settings.flips and not settings.selects
+    assert config.pose.heads == 1
+    assert not config.pose.half_turns and not config.pose.choices
     _, shapes = parameter_shapes(config)
     assert not any(name.startswith("student") for name in shapes)
 
 
 def test_with_known_poses_there_is_no_pose_branch():
     config = load("car", "known_pose")
-    assert configuration.make_settings(config).num_candidates == 0
+    assert config.pose.heads == 0
     output, shapes = parameter_shapes(config)
     assert {name.split("/")[0] for name in shapes} == {"encoder", "shape"}
     assert set(output) == {"points", "scale"}
@@ -127,7 +202,7 @@ def test_with_known_poses_there_is_no_pose_branch():
 
 def test_colour_is_learned_where_its_loss_has_a_weight():
     config = load("debug")
-    config.train.color_weight = 0.1
+    config = change(config, "train", color_weight=0.1)
     output, _ = parameter_shapes(config)
     assert output["colors"].shape == output["points"].shape
 
@@ -139,27 +214,29 @@ def test_an_unknown_variant_is_refused_by_the_names_that_there_are():
 
 def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
     config = load("car")
-    config.data.meshes = "meshes"
-    specs = configuration.make_data_specs(config)
+    config = change(config, "data", meshes="meshes")
+    specs = make_data_specs(config)
     assert {s.folder for s in specs.values()} == {"meshes"}
     assert {s.fractions for s in specs.values()} == {(0.8, 0.1, 0.1)}
-    config.data.own_test = 0.2  # of no meaning without another folder
-    assert configuration.make_data_specs(config) == specs
-    config.data.own_test = 0.0
-    config.data.test_meshes = "others"
-    specs = configuration.make_data_specs(config)
+    config = change(
+        config, "data", own_test=0.2
+    )  # of no meaning without another folder
+    assert make_data_specs(config) == specs
+    config = change(config, "data", own_test=0.0)
+    config = change(config, "data", test_meshes="others")
+    specs = make_data_specs(config)
     assert [specs[s].folder for s in ("train", "val", "test")] == [
         "meshes",
         "meshes",
         "others",
     ]
     assert specs["test"].fractions == (0, 0, 1)
-    config.data.copies = 3
-    specs = configuration.make_data_specs(config)
+    config = change(config, "data", copies=3)
+    specs = make_data_specs(config)
     assert [specs[s].copies for s in ("train", "val", "test")] == [3, 1, 1]
     assert set(specs) == {"train", "val", "test"}
-    config.data.own_test = 0.1
-    specs = configuration.make_data_specs(config)
+    config = change(config, "data", own_test=0.1)
+    specs = make_data_specs(config)
     assert [specs[s].folder for s in ("own", "test")] == ["meshes", "others"]
     assert specs["own"].split == "test" and specs["own"].copies == 1
     assert specs["own"].fractions == specs["train"].fractions == (0.8, 0.1, 0.1)
@@ -168,9 +245,11 @@ def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
 @pytest.mark.parametrize("source", ["shapenet", "renders", "images"])
 def test_every_source_reaches_all_splits_with_what_belongs_to_it(source):
     config = load("car")
-    config.data[source] = "folder"
-    config.data.update(split_file="all.csv", crop="view", fill=0.7, surface_voxel=0.01)
-    specs = configuration.make_data_specs(config)
+    config = change(config, "data", **{source: "folder"})
+    config = change(
+        config, "data", split_file="all.csv", crop="view", fill=0.7, surface_voxel=0.01
+    )
+    specs = make_data_specs(config)
     assert set(specs) == {"train", "val", "test"}
     for split, spec in specs.items():
         assert (spec.kind, spec.folder, spec.split) == (source, "folder", split)
@@ -180,6 +259,6 @@ def test_every_source_reaches_all_splits_with_what_belongs_to_it(source):
 
 def test_two_sources_at_once_are_refused(tmp_path):
     config = load("car")
-    config.data.update(shapenet=str(tmp_path), images=str(tmp_path))
+    config = change(config, "data", shapenet=str(tmp_path), images=str(tmp_path))
     with pytest.raises(ValueError, match="data.images must be '' where data.shapenet"):
-        configuration.validate(config)
+        check(config)

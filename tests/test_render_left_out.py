@@ -6,7 +6,7 @@ import re
 import jax
 import jax.numpy as jnp
 import pytest
-from tiny_runs import make_batch, make_network, make_settings, make_state
+from tiny_runs import make_batch, make_network, make_state, tiny_config
 
 import dpc_jax
 from dpc_jax.learning.objective import compute_loss
@@ -133,14 +133,16 @@ def test_backward_keeps_no_stack_of_volumes(method):
 
 def lower_step(kept=24, **changes):
     """The program of a training step's gradient."""
-    settings = make_settings(**changes)
-    network = make_network(settings)
-    state = make_state(network, settings)
+    config = tiny_config(**changes)
+    network = make_network(config)
+    state = make_state(network, config)
     function = functools.partial(
         compute_loss,
         network=network,
-        settings=settings,
-        stage=Stage(kept_points=kept, grid=settings.grid),
+        render=config.render,
+        pose=config.pose,
+        train=config.train,
+        stage=Stage(kept_points=kept, grid=config.render.grid),
     )
     return jax.jit(jax.grad(function, has_aux=True)).lower(
         state.params, make_batch(), jax.random.key(0), 0, state.covariance
@@ -162,9 +164,9 @@ def count_splats(lowered):
 
 def test_candidates_of_a_known_pose_are_not_rendered():
     views = 4
-    assert count_splats(lower_step(num_candidates=0)) == views
+    assert count_splats(lower_step(known=True)) == views
     assert count_splats(lower_step(num_candidates=1)) == views
-    assert count_splats(lower_step(num_candidates=3)) == (3 + 1) * views
+    assert count_splats(lower_step(candidates=3)) == (3 + 1) * views
 
 
 def test_points_that_dropout_left_out_are_in_no_render():

@@ -10,6 +10,7 @@ from tiny_runs import compiling_quickly
 
 from dpc_jax.files import write_json
 from dpc_jax.learning import loop
+from dpc_jax.learning.records import NonFiniteError
 from dpc_jax.measure.stability import (
     error_growth,
     fast_training,
@@ -168,7 +169,9 @@ def test_training_ten_times_too_fast_ends_finite(tmp_path):
 
 def test_training_that_stops_is_shown_with_its_reason(tmp_path, monkeypatch):
     def stop(*_, **__):
-        raise loop.NonFiniteError("The loss became nan at step 3, where a number was.")
+        raise NonFiniteError(
+            "Expected a number, but the loss became nan at step 3; stop."
+        )
 
     monkeypatch.setattr(loop, "train", stop)
     with compiling_quickly():

@@ -1,4 +1,4 @@
-"""Tiny settings, networks, batches and data sets, shared by the tests of learning."""
+"""Tiny configs, networks, batches and data sets, shared by the tests of learning."""
 
 import contextlib
 import dataclasses
@@ -7,41 +7,47 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpc_jax.config import defaults
-from dpc_jax.config.settings import Settings
+from dpc_jax.config import Config
 from dpc_jax.data import DataSet
 from dpc_jax.learning.schedules import find_stage
 from dpc_jax.learning.step import init_state, make_train_step
 from dpc_jax.networks import ShapePoseNetwork
-from dpc_jax.run import configuration
+from dpc_jax.run.setup import make_network as make_network
 
 IMAGE_SIZE = 16  # pixels, the smallest that the encoder takes
 FOCAL_LENGTH, DISTANCE = 1.875, 2.0
 
 
-def make_settings(**changes) -> Settings:
-    """The plain method of the paper in miniature; every extra is off."""
-    values = dict(
-        steps=20,
-        models_per_batch=2,
-        views_per_batch=2,
+# The plain method of the paper in miniature; every extra is off.
+PLAIN = {
+    "data": dict(image_size=IMAGE_SIZE),
+    "render": dict(
         grid=8,
         fine_grid=0,
         num_points=24,
-        num_candidates=3,
-        flips=False,
-        selects=False,
-        choice_grid=0,
-        choice_points=0,
-        choice_top=0,
-        student_weight=0.01,
         sigma_start=0.1,
         sigma_end=0.05,
         anneal_until=1.0,
         keep_start=0.5,
         keep_end=1.0,
         keep_levels=2,
-        scale_unit="mass",
+        focal_length=FOCAL_LENGTH,
+        distance=DISTANCE,
+        renders_at_once=0,
+    ),
+    "pose": dict(
+        candidates=3,
+        flips=False,
+        selects=False,
+        choice_grid=0,
+        choice_points=0,
+        choice_top=0,
+        student_weight=0.01,
+    ),
+    "train": dict(
+        steps=20,
+        models_per_batch=2,
+        views_per_batch=2,
         learning_rate=1e-3,
         warmup_steps=0,
         final_rate=1.0,
@@ -50,30 +56,25 @@ def make_settings(**changes) -> Settings:
         repulsion_points=0,
         containment_weight=0.0,
         color_weight=0.0,
-        focal_length=FOCAL_LENGTH,
-        distance=DISTANCE,
-        renders_at_once=0,
-        seed=0,
-    )
-    # A field that is new and not above has its default.
-    default = configuration.make_settings(defaults.default_config("car"))
-    return dataclasses.replace(default, **values | changes)
+    ),
+    "network": dict(channels=2, hidden=12, shape_hidden=12, student_width=32)
+    | dict(normalize=False),
+}
 
 
-def make_network(settings: Settings, **changes) -> ShapePoseNetwork:
-    """A network that fits the settings, 12 units wide."""
-    classes = settings.num_candidates * (4 if settings.flips else 1)
-    values = dict(
-        num_points=settings.num_points,
-        num_candidates=settings.num_candidates,
-        channels=2,
-        hidden=12,
-        shape_hidden=12,
-        has_color=settings.color_weight > 0,
-        num_classes=classes if settings.selects else 0,
-        spread_poses="all",
-    )
-    return ShapePoseNetwork(**values | changes)
+def tiny_config(**changes) -> Config:
+    """The plain config with other values; a field is named without its section."""
+    config = Config("car", seed=changes.pop("seed", 0))
+    for section, plain in PLAIN.items():
+        record = getattr(config, section)
+        names = {field.name for field in dataclasses.fields(record)}
+        asked = {name: changes.pop(name) for name in names & changes.keys()}
+        record = dataclasses.replace(record, **plain | asked)
+        config = dataclasses.replace(config, **{section: record})
+    if "log" in changes:
+        config = dataclasses.replace(config, log=changes.pop("log"))
+    assert not changes, f"no such fields: {changes}"
+    return config
 
 
 @contextlib.contextmanager
@@ -86,15 +87,16 @@ def compiling_quickly():
         jax.config.update("jax_disable_most_optimizations", False)
 
 
-def make_state(network: ShapePoseNetwork, settings: Settings):
+def make_state(network: ShapePoseNetwork, config: Config):
     """The state at step 0."""
     with compiling_quickly():
-        return init_state(network, settings, image_size=IMAGE_SIZE)
+        return init_state(network, config)
 
 
-def make_step(network: ShapePoseNetwork, settings: Settings, *, step: int = 0):
+def make_step(network: ShapePoseNetwork, config: Config, *, step: int = 0):
     """The compiled step that the loop would take at a step."""
-    return make_train_step(network, settings, find_stage(step, settings))
+    stage = find_stage(step, config.render, steps=config.train.steps)
+    return make_train_step(network, config, stage)
 
 
 def copy(tree):

@@ -112,10 +112,9 @@ class Checkpoints:
             damaged.append(step)
         if damaged:
             raise ValueError(
-                f"None of the checkpoints in {self._folder} (steps "
-                f"{', '.join(map(str, damaged))}) could be read, though at least one "
-                "was expected to be whole; choose another workdir or remove that "
-                "folder to start anew."
+                f"Expected a whole checkpoint in {self._folder}, but none of them "
+                f"(steps {', '.join(map(str, damaged))}) could be read; choose another "
+                "workdir or remove that folder to start anew."
             )
         return None
 

@@ -4,89 +4,30 @@ The minimum over candidates has the gradient of its winner. So all candidates ar
 rendered without a gradient, and only the winner is rendered again with one.
 """
 
+from typing import NamedTuple
+
 import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.learning.losses import reprojection_loss
-from dpc_jax.render import Camera, VoxelGrid, checks, project, quaternion
+from dpc_jax.config import Pose, Render
+from dpc_jax.learning.coarse_choice import compute_coarse_losses
+from dpc_jax.learning.losses import downsample_images
+from dpc_jax.learning.predictions import Shapes
+from dpc_jax.learning.renders import compute_candidate_losses, map_renders
+from dpc_jax.render import Camera, checks
 
 
-def map_renders(function, inputs, *, at_once: int):
-    """`vmap` over the leading axis, `at_once` entries at a time (0: all).
+class Winners(NamedTuple):
+    """The candidates that explain the views of a batch best.
 
-    One volume at a time stays in a CPU's cache; a GPU wants all at once.
+    Attributes:
+      poses: [B, V, 4] quaternions.
+      indices: [B, V] int32; candidate i belongs to head i % K.
     """
-    if at_once == 0:
-        return jax.vmap(function)(inputs)
-    if at_once == 1:
-        return jax.lax.map(function, inputs)
-    return jax.lax.map(function, inputs, batch_size=at_once)
 
-
-def compute_covariance(points: chex.Array) -> chex.Array:
-    """Covariance [3, 3] of points [N, 3], without gradient."""
-    centred = jax.lax.stop_gradient(points - jnp.mean(points, axis=0))
-    return jnp.matmul(centred.T, centred, precision="highest") / points.shape[0]
-
-
-def find_half_turns(covariance: chex.Array) -> chex.Array:
-    """Half turns about the principal axes of a covariance [3, 3].
-
-    Returns:
-      [4, 4] quaternions: the identity, then 180° about each principal axis.
-    """
-    _, axes = jnp.linalg.eigh(covariance)
-    turns = jnp.concatenate([jnp.zeros((3, 1), axes.dtype), axes.T], axis=1)
-    return jnp.concatenate([jnp.array([quaternion.IDENTITY], axes.dtype), turns])
-
-
-def turn_candidates(candidates: chex.Array, turns: chex.Array) -> chex.Array:
-    """Each candidate after each turn of the object.
-
-    Args:
-      candidates: [K, 4] quaternions. turns: [T, 4].
-
-    Returns:
-      [T·K, 4]; candidate i of the result is head i % K.
-    """
-    turned = jax.vmap(
-        lambda turn: jax.vmap(lambda q: quaternion.multiply(q, turn))(candidates)
-    )(turns)
-    return turned.reshape(-1, 4)
-
-
-def compute_candidate_losses(
-    points: chex.Array,
-    mass: chex.Array,
-    candidates: chex.Array,
-    target: chex.Array,
-    *,
-    sigma: chex.Array,
-    camera: Camera,
-    at_once: int = 1,
-) -> chex.Array:
-    """Reprojection loss of each candidate, the inside of Eq. 2.
-
-    Args:
-      points: [N, 3]. mass: (), of each, in voxels.
-      candidates: [C, 4] quaternions.
-      target: [D, D] silhouette.
-      sigma: (), in voxels.
-      at_once: how many candidates are rendered side by side, see `map_renders`.
-
-    Returns:
-      [C].
-    """
-    grid = VoxelGrid(target.shape[0])
-
-    def compute_loss(candidate):
-        image = project(
-            points, candidate, sigma=sigma, scale=mass, camera=camera, grid=grid
-        )
-        return reprojection_loss(image.silhouette, target)
-
-    return map_renders(compute_loss, candidates, at_once=at_once)
+    poses: chex.Array
+    indices: chex.Array
 
 
 def choose_candidate(
@@ -102,7 +43,7 @@ def choose_candidate(
     top: int = 0,
     at_once: int = 1,
 ) -> chex.Array:
-    """Index of the candidate whose silhouette fits one view best (Eq. 2); ().
+    """Eq. 2 for one view: index of the candidate with the smallest loss; ().
 
     By default the exact minimum. With `first_grid` or `first_points`, candidates are
     first compared in a coarser volume and with fewer points, and of those only the best
@@ -134,36 +75,75 @@ def choose_candidate(
             f"target, but it got {len(points)} points, {len(candidates)} candidates "
             f"and a target of shape {list(target.shape)}; give some of each."
         )
-    if first_grid and side % first_grid:
-        raise ValueError(
-            f"first_grid must divide the target's side {side}, but it is {first_grid}; "
-            "give for example half of the side."
+    view = {"sigma": sigma, "camera": camera, "at_once": at_once}
+    has_all_points = min(first_points or len(points), len(points)) == len(points)
+    if first_grid in (0, side) and has_all_points:
+        return jnp.argmin(
+            compute_candidate_losses(points, mass, candidates, target, **view)
         )
-    coarse_side = first_grid or side
-    count = min(first_points or points.shape[0], points.shape[0])
-    ratio = coarse_side / side
-    factor = side // coarse_side
-    blocks = target.reshape(coarse_side, factor, coarse_side, factor)
-    losses = compute_candidate_losses(
-        points[:count],
-        mass * (points.shape[0] / count) * ratio**3,  # the same total mass
-        candidates,
-        jnp.mean(blocks, axis=(1, 3)),
-        sigma=sigma * ratio,
-        camera=camera,
-        at_once=at_once,
-    )
-    is_exact = coarse_side == side and count == points.shape[0]
-    if is_exact or top == 0:
-        return jnp.argmin(losses)
-    _, best = jax.lax.top_k(-losses, min(top, losses.shape[0]))
-    exact = compute_candidate_losses(
+    coarse = compute_coarse_losses(
         points,
         mass,
-        candidates[best],
+        candidates,
         target,
-        sigma=sigma,
-        camera=camera,
-        at_once=at_once,
+        first_grid=first_grid,
+        first_points=first_points,
+        **view,
     )
-    return best[jnp.argmin(exact)]
+    if top == 0:
+        return jnp.argmin(coarse)
+    _, best = jax.lax.top_k(-coarse, min(top, len(candidates)))
+    losses = compute_candidate_losses(points, mass, candidates[best], target, **view)
+    return best[jnp.argmin(losses)]
+
+
+def choose_poses(
+    shapes: Shapes,
+    candidates: chex.Array,
+    masks: chex.Array,
+    *,
+    camera: Camera,
+    render: Render,
+    pose: Pose,
+) -> Winners:
+    """Eq. 2 for all views of a batch, without gradient.
+
+    Args:
+      shapes: of B objects.
+      candidates: [B·V, C, 4] quaternions.
+      masks: uint8 [B, V, S, S].
+      camera: see `project`.
+      render: grid, and how many renders at once. pose: how candidates are compared.
+    """
+    batch_size, views = masks.shape[:2]
+    candidates = candidates.reshape(batch_size, views, -1, 4)
+    if candidates.shape[2] == 1:
+        return Winners(candidates[:, :, 0], jnp.zeros((batch_size, views), jnp.int32))
+
+    def choose(view):
+        points, mass, view_candidates, target = view
+        return choose_candidate(
+            points,
+            mass,
+            view_candidates,
+            target,
+            sigma=jax.lax.stop_gradient(shapes.sigma),
+            camera=camera,
+            first_grid=pose.choice_grid,
+            first_points=pose.choice_points,
+            top=pose.choice_top,
+            at_once=render.renders_at_once,
+        )
+
+    targets = downsample_images(masks, render.grid)
+    inputs = (
+        jnp.repeat(shapes.kept, views, axis=0),
+        jnp.repeat(shapes.mass, views, axis=0),
+        candidates.reshape(batch_size * views, -1, 4),
+        targets.reshape(batch_size * views, *targets.shape[2:]),
+    )
+    indices = map_renders(
+        choose, jax.lax.stop_gradient(inputs), at_once=render.renders_at_once
+    ).reshape(batch_size, views)
+    poses = jnp.take_along_axis(candidates, indices[..., None, None], axis=2)[:, :, 0]
+    return Winners(poses, indices)

@@ -4,6 +4,8 @@ import json
 import os
 from pathlib import Path
 
+from dpc_jax.files import write_text
+
 
 class MetricLog:
     """`metrics.jsonl` of a run; each record has at least `step` and `seconds`."""
@@ -32,8 +34,4 @@ class MetricLog:
         kept = [r for r in self.read() if r["step"] <= step]
         if not self._path.exists():
             return
-        partial = self._path.with_name(self._path.name + ".tmp")
-        partial.write_text(
-            "".join(json.dumps(r) + "\n" for r in kept), encoding="utf-8"
-        )
-        os.replace(partial, self._path)
+        write_text(self._path, "".join(json.dumps(r) + "\n" for r in kept))

@@ -3,12 +3,13 @@
 import chex
 import jax
 import jax.numpy as jnp
+import optax
 
 from dpc_jax.render import checks, quaternion
 
 
 def reprojection_loss(predicted: chex.Array, target: chex.Array) -> chex.Array:
-    """Sum of squared differences of two images of one view (Eq. 1); ().
+    """Sum of squared differences of two images of one view, the norm of Eq. 1; ().
 
     Raises:
       ValueError: for images of different shapes, or not of floating point numbers.
@@ -38,8 +39,8 @@ def selection_loss(logits: chex.Array, winners: chex.Array) -> chex.Array:
     Args:
       winners: [n] int32, the hindsight choice. No gradient reaches the candidates.
     """
-    chosen = jnp.take_along_axis(logits, winners[:, None], axis=-1)[:, 0]
-    return jnp.mean(jax.nn.logsumexp(logits, axis=-1) - chosen)
+    entropies = optax.losses.softmax_cross_entropy_with_integer_labels(logits, winners)
+    return jnp.mean(entropies)
 
 
 def repulsion_energy(points: chex.Array, *, softening: float = 0.02) -> chex.Array:
@@ -62,18 +63,18 @@ def repulsion_energy(points: chex.Array, *, softening: float = 0.02) -> chex.Arr
             f"repulsion_energy needs at least two points, but it got {count}; a single "
             "one has no energy."
         )
-    # An eighth of the distances, for those of points at either end of the floats are
-    # none themselves.
+    # An eighth of each distance: the distance between points near the two ends of the
+    # float range would itself overflow.
     away, softening = points[:, None] / 8 - points[None] / 8, softening / 8
-    # In units of each distance, so that no square overflows, nor the derivative's cube
-    # of a distance vanishes.
+    # In units of each distance: then no square overflows, and the cube of a distance
+    # in the derivative does not underflow.
     unit = jax.lax.stop_gradient(jnp.maximum(jnp.max(jnp.abs(away), -1), softening))
-    # Of more than that the inverse may be subnormal, which processors flush to zero.
+    # The inverse of a larger unit could be subnormal, which processors flush to zero.
     unit = jnp.minimum(unit, jnp.finfo(points.dtype).max / 16)
     square = jnp.sum((away / unit[..., None]) ** 2, axis=-1) + (softening / unit) ** 2
     energy = 1 / jnp.sqrt(square) / unit / 8
-    # Left out, not subtracted: 1/softening of a point with itself would drown what
-    # points far apart have.
+    # The energy of a point with itself, 1/softening, is left out of the sum and not
+    # subtracted from it: it would drown that of points far apart.
     is_pair = ~jnp.eye(count, dtype=bool)
     return jnp.sum(jnp.where(is_pair, energy, 0)) / (count * (count - 1))
 

@@ -1,45 +1,49 @@
-"""The objective of a batch: Eq. 1 with the hindsight choice, and the student's."""
+"""The objective of a batch: Eq. 1 with the hindsight choice, and the student's loss."""
+
+from typing import NamedTuple
 
 import chex
 import jax
 import jax.numpy as jnp
+import optax
 
-from dpc_jax.config.settings import Settings
-from dpc_jax.learning import hindsight, losses, schedules
+from dpc_jax.config import Pose, Render, Train
+from dpc_jax.learning import losses, schedules
+from dpc_jax.learning.half_turns import average_covariance
+from dpc_jax.learning.hindsight import Winners, choose_poses
+from dpc_jax.learning.predictions import (
+    Poses,
+    Shapes,
+    encode_views,
+    predict_poses,
+    predict_shapes,
+)
+from dpc_jax.learning.renders import map_renders
 from dpc_jax.networks import ShapePoseNetwork
-from dpc_jax.render import Camera, VoxelGrid, project
-from dpc_jax.render.kernels import sample_gaussian
+from dpc_jax.render import Camera, Projection, VoxelGrid, project
 
 
-def scale_images(images: chex.Array) -> chex.Array:
-    """Bytes 0..255 to the network's [-1, 1]."""
-    return images.astype(jnp.float32) / 127.5 - 1
+class Term(NamedTuple):
+    """One loss: its value and its weight in the sum."""
 
-
-def compute_mass(scale: chex.Array, sigma: chex.Array, settings: Settings):
-    """Mass of a point in voxels from the learned scaling coefficient in (0, 1).
-
-    With the unit "peak" a coefficient of one makes a point on a cell centre fill that
-    cell, whatever its size: the coefficient is the c of Eq. 4. With "mass" it is the
-    point's mass in voxels, as in the released code.
-    """
-    if settings.scale_unit == "mass":
-        return scale
-    return scale / sample_gaussian(jnp.zeros(()), sigma) ** 3
+    value: chex.Array
+    weight: chex.Numeric = 1.0
 
 
 def compute_loss(
-    params: chex.ArrayTree,
+    params: optax.Params,
     batch: dict[str, chex.Array],
     key: chex.PRNGKey,
     step: chex.Array,
     covariance: chex.Array,
     *,
     network: ShapePoseNetwork,
-    settings: Settings,
+    render: Render,
+    pose: Pose,
+    train: Train,
     stage: schedules.Stage,
 ) -> tuple[chex.Array, tuple[dict[str, chex.Array], chex.Array]]:
-    """The training objective of one batch: Eq. 1 with Eq. 2, and the student's loss.
+    """The training objective of one batch (§ Single-view Shape and Pose Estimation).
 
     The shape is predicted from each object's first view and compared with all its
     views; the pose of a view from that view.
@@ -51,183 +55,159 @@ def compute_loss(
       key: for the point dropout.
       step: ().
       covariance: [3, 3], see `TrainState`.
-      network, settings: static.
+      network, render, pose, train: static.
       stage: of the schedule, static.
 
     Returns:
       (() loss, (metrics, covariance)). Metrics: reprojection (mean sum of squares of a
       view), student's loss, scale, winners [B·V] int32, and what else is asked for.
     """
-    camera = Camera(settings.focal_length, settings.distance)
-    grid = VoxelGrid(stage.grid)
-    # Sigma and targets of the base grid, which candidates are compared in, and their
-    # like in the grid that the winners are rendered in.
-    ratio = stage.grid / settings.grid
-    sigma = schedules.compute_sigma(step, settings)
-    done = step / settings.steps
-    batch_size, views = batch["images"].shape[:2]
-
-    images = scale_images(batch["images"])
-    features = network.apply(
-        params, images.reshape(-1, *images.shape[2:]), method="encode"
+    camera = Camera(render.focal_length, render.distance)
+    sigma = schedules.compute_sigma(step, render, steps=train.steps)
+    features = encode_views(params, batch["images"], network=network)
+    shapes = predict_shapes(
+        params,
+        features[:, 0],
+        key,
+        sigma,
+        network=network,
+        kept_points=stage.kept_points,
+        scale_unit=render.scale_unit,
     )
-    by_object = features.reshape(batch_size, views, -1)
-    shape = network.apply(params, by_object[:, 0], method="predict_shape")
-    # One subset for all views and candidates of an object, so that the choice among
-    # candidates does not depend on the luck of their subsets.
-    subset = jax.vmap(
-        lambda k: jax.random.permutation(k, settings.num_points)[: stage.kept_points]
-    )(jax.random.split(key, batch_size))
-    kept = jax.tree.map(
-        lambda a: jnp.take_along_axis(a, subset[..., None], axis=1),
-        {k: v for k, v in shape.items() if k != "scale"},
-    )
-    mass = compute_mass(shape["scale"], sigma, settings)
-    targets = losses.downsample_images(batch["masks"], settings.grid)
-    fine_targets = losses.downsample_images(batch["masks"], stage.grid)
-    metrics = {"scale": jnp.mean(shape["scale"])}
-
-    if settings.num_candidates:
-        pose = network.apply(params, features, method="predict_pose")
-        if settings.flips:
-            # The plain mean at first, then one that forgets within a hundred batches.
-            weight = jnp.maximum(0.01, 1 / (step + 1))
-            current = hindsight.compute_covariance(kept["points"].reshape(-1, 3))
-            covariance = (1 - weight) * covariance + weight * current
-        pose = complete_poses(pose, covariance, settings)
-        poses, winners = _choose_poses(
-            pose["candidates"],
-            kept["points"],
-            mass,
-            targets,
-            sigma,
-            camera,
-            settings,
-        )
-        metrics["winners"] = winners.reshape(-1)
+    metrics = {"scale": jnp.mean(shapes.scale)}
+    if pose.known:
+        rotations, student = batch["quaternions"], {}
     else:
-        poses = batch["quaternions"]
+        if pose.half_turns:
+            covariance = average_covariance(covariance, shapes.kept, step)
+        poses = predict_poses(params, features, covariance, network=network, pose=pose)
+        winners = choose_poses(
+            shapes,
+            poses.candidates,
+            batch["masks"],
+            camera=camera,
+            render=render,
+            pose=pose,
+        )
+        metrics["winners"] = winners.indices.reshape(-1)
+        rotations = winners.poses
+        student = compare_student(poses, winners, render=render, pose=pose)
+    images = render_winners(
+        shapes, rotations, camera=camera, render=render, stage=stage
+    )
+    terms = (
+        compare_views(images, batch, render=render, train=train)
+        | compute_priors(shapes, step, train=train)
+        | student
+    )
+    metrics |= {name: term.value for name, term in terms.items()}
+    return sum_terms(terms), (metrics, covariance)
 
-    has_color = settings.color_weight > 0
-    signals = ("silhouette", "color") if has_color else ("silhouette",)
 
-    def render(view):
-        points, view_mass, rotation, colors = view
+def render_winners(
+    shapes: Shapes,
+    rotations: chex.Array,
+    *,
+    camera: Camera,
+    render: Render,
+    stage: schedules.Stage,
+) -> Projection:
+    """Each object's shape from the pose [B, V, 4] of each view, with gradients.
+
+    Returns:
+      Images [B·V, D, D] in the stage's grid: silhouettes, and colours of coloured
+      shapes.
+    """
+    views = rotations.shape[1]
+    ratio = stage.grid / render.grid
+    signals = ("silhouette",) if shapes.colors is None else ("silhouette", "color")
+
+    def render_view(view):
+        points, mass, rotation, colors = view
         return project(
             points,
             rotation,
-            sigma=sigma * ratio,
-            scale=view_mass,
+            sigma=shapes.sigma * ratio,
+            scale=mass,
             colors=colors,
             camera=camera,
-            grid=grid,
+            grid=VoxelGrid(stage.grid),
             signals=signals,
         )
 
-    def per_view(array):
-        return None if array is None else jnp.repeat(array, views, axis=0)
-
-    images_seen = hindsight.map_renders(
-        render,
-        (
-            per_view(kept["points"]),
-            per_view(mass * ratio**3),  # the same density in smaller voxels
-            poses.reshape(-1, 4),
-            per_view(kept.get("colors")),
-        ),
-        at_once=settings.renders_at_once,
+    points, mass, colors = jax.tree.map(
+        lambda array: jnp.repeat(array, views, axis=0),
+        (shapes.kept, shapes.mass * ratio**3, shapes.colors),
     )
-
-    def compare(predicted, target):
-        target = target.reshape(predicted.shape)
-        total = losses.reprojection_loss(predicted, target) / (batch_size * views)
-        return total / ratio**2  # per pixel of the base grid
-
-    loss = metrics["reprojection"] = compare(images_seen.silhouette, fine_targets)
-    if has_color:
-        channels = jnp.moveaxis(batch["images"], -1, 2)
-        colors = losses.downsample_images(channels, stage.grid)
-        metrics["color"] = compare(images_seen.color, jnp.moveaxis(colors, 2, -1))
-        loss = loss + settings.color_weight * metrics["color"]
-    if settings.containment_weight:
-        outside = jnp.mean(jax.vmap(losses.containment_loss)(shape["points"]))
-        metrics["containment"] = outside
-        loss = loss + settings.containment_weight * outside
-    if settings.repulsion_weight:
-        repelling = kept["points"][:, : settings.repulsion_points]
-        metrics["repulsion"] = jnp.mean(jax.vmap(losses.repulsion_energy)(repelling))
-        strength = (
-            settings.repulsion_weight
-            * settings.num_points
-            * jnp.maximum(0, 2 * done - 1)
-        )
-        loss = loss + strength * metrics["repulsion"]
-    if settings.num_candidates > 1:
-        if settings.selects:
-            student = losses.selection_loss(pose["logits"], winners.reshape(-1))
-        else:
-            student = jnp.mean(
-                jax.vmap(losses.student_loss)(pose["student"], poses.reshape(-1, 4))
-            )
-        metrics["student"] = student
-        loss = loss + settings.student_weight * settings.grid**2 * student
-    return loss, (metrics, covariance)
+    inputs = (points, mass, rotations.reshape(-1, 4), colors)
+    return map_renders(render_view, inputs, at_once=render.renders_at_once)
 
 
-def complete_poses(
-    pose: dict[str, chex.Array], covariance: chex.Array, settings: Settings
-) -> dict[str, chex.Array]:
-    """Add the turned candidates, and the pose of a student that selects.
+def compare_views(
+    rendered: Projection,
+    batch: dict[str, chex.Array],
+    *,
+    render: Render,
+    train: Train,
+) -> dict[str, Term]:
+    """Eq. 1: squared differences of rendered images and views, averaged over the views.
 
-    Args:
-      pose: of the network: candidates [n, K, 4], and student [n, 4] or logits [n, C].
-      covariance: [3, 3], see `TrainState`.
-
-    Returns:
-      The same with candidates [n, C, 4], of which i belongs to head i % K, and with
-      student [n, 4].
+    Sums over the pixels of the base grid: those of a finer image are counted in parts.
     """
-    candidates = pose["candidates"]
-    if settings.flips:
-        turns = hindsight.find_half_turns(covariance)
-        candidates = jax.vmap(hindsight.turn_candidates, (0, None))(candidates, turns)
-    student = pose.get("student")
-    if settings.selects:
-        chosen = jnp.argmax(pose["logits"], axis=-1)
-        student = jnp.take_along_axis(candidates, chosen[:, None, None], axis=1)[:, 0]
-    return pose | {"candidates": candidates, "student": student}
+    num_views, side = rendered.silhouette.shape[:2]
+    pixels_per_pixel = (side / render.grid) ** 2
+
+    def compare(image, target):
+        target = target.reshape(image.shape)
+        return losses.reprojection_loss(image, target) / num_views / pixels_per_pixel
+
+    targets = losses.downsample_images(batch["masks"], side)
+    terms = {"reprojection": Term(compare(rendered.silhouette, targets))}
+    if rendered.color is not None:
+        channels = jnp.moveaxis(batch["images"], -1, 2)
+        targets = jnp.moveaxis(losses.downsample_images(channels, side), 2, -1)
+        terms["color"] = Term(compare(rendered.color, targets), train.color_weight)
+    return terms
 
 
-def _choose_poses(candidates, points, mass, targets, sigma, camera, settings):
-    """Winning quaternion [B, V, 4] of each view, and its index [B, V]."""
-    batch_size, views = targets.shape[:2]
-    candidates = candidates.reshape(batch_size, views, -1, 4)
-    if candidates.shape[2] == 1:
-        return candidates[:, :, 0], jnp.zeros((batch_size, views), jnp.int32)
+def compute_priors(
+    shapes: Shapes, step: chex.Array, *, train: Train
+) -> dict[str, Term]:
+    """What is asked of a shape beside its views. Not in the paper."""
+    terms = {}
+    if train.containment_weight:
+        outside = jnp.mean(jax.vmap(losses.containment_loss)(shapes.points))
+        terms["containment"] = Term(outside, train.containment_weight)
+    if train.repulsion_weight:
+        repelling = shapes.kept[:, : train.repulsion_points]
+        energy = jnp.mean(jax.vmap(losses.repulsion_energy)(repelling))
+        # From the middle of the run on, when the shapes are there to be spread out.
+        ramp = jnp.maximum(0, 2 * (step / train.steps) - 1)
+        num_points = shapes.points.shape[1]
+        terms["repulsion"] = Term(energy, train.repulsion_weight * num_points * ramp)
+    return terms
 
-    def choose(view):
-        view_points, view_mass, view_candidates, target = view
-        return hindsight.choose_candidate(
-            view_points,
-            view_mass,
-            view_candidates,
-            target,
-            sigma=sigma,
-            camera=camera,
-            first_grid=settings.choice_grid,
-            first_points=settings.choice_points,
-            top=settings.choice_top,
-            at_once=settings.renders_at_once,
-        )
 
-    per_view = (
-        jnp.repeat(points, views, axis=0),
-        jnp.repeat(mass, views, axis=0),
-        candidates.reshape(batch_size * views, -1, 4),
-        targets.reshape(batch_size * views, *targets.shape[2:]),
-    )
-    winners = hindsight.map_renders(
-        choose, jax.lax.stop_gradient(per_view), at_once=settings.renders_at_once
-    ).reshape(batch_size, views)
-    chosen = jnp.take_along_axis(candidates, winners[..., None, None], axis=2)[:, :, 0]
-    return chosen, winners
+def compare_student(
+    poses: Poses, winners: Winners, *, render: Render, pose: Pose
+) -> dict[str, Term]:
+    """The student's loss with the hindsight winners as teachers (§ distilled ensemble).
+
+    A single regressor (K = 1) is its own student and has none.
+    """
+    if pose.heads < 2:
+        return {}
+    if poses.logits is not None:
+        loss = losses.selection_loss(poses.logits, winners.indices.reshape(-1))
+    else:
+        teachers = winners.poses.reshape(-1, 4)
+        loss = jnp.mean(jax.vmap(losses.student_loss)(poses.student, teachers))
+    return {"student": Term(loss, pose.student_weight * render.grid**2)}
+
+
+def sum_terms(terms: dict[str, Term]) -> chex.Array:
+    """The weighted sum; ()."""
+    total = jnp.zeros(())
+    for term in terms.values():
+        total = total + term.weight * term.value
+    return total

@@ -6,33 +6,33 @@ import chex
 import jax.numpy as jnp
 import optax
 
-from dpc_jax.config.settings import Settings
+from dpc_jax.config import Render, Train
 
 
-def compute_sigma(step: chex.Numeric, settings: Settings) -> chex.Array:
-    """Standard deviation of a point in voxels of `settings.grid`; linear in the step.
+def compute_sigma(step: chex.Numeric, render: Render, *, steps: int) -> chex.Array:
+    """Standard deviation of a point in voxels of `render.grid`; linear in the step.
 
     The paper goes from 5 % to 0.3 % of the volume, at every resolution.
     """
-    annealed = settings.anneal_until * settings.steps
+    annealed = render.anneal_until * steps
     done = jnp.clip(jnp.asarray(step, jnp.float32) / annealed, 0, 1)
-    share = settings.sigma_start + done * (settings.sigma_end - settings.sigma_start)
-    return share * settings.grid
+    share = render.sigma_start + done * (render.sigma_end - render.sigma_start)
+    return share * render.grid
 
 
-def count_kept_points(step: int, settings: Settings) -> int:
+def count_kept_points(step: int, render: Render, *, steps: int) -> int:
     """How many points a step renders; linear in the step, in `keep_levels` stairs.
 
     A Python number: points left out are not rendered at all, and each stair is a
     program of its own, compiled when first reached.
     """
-    levels = settings.keep_levels
-    annealed = settings.anneal_until * settings.steps
+    levels = render.keep_levels
+    annealed = render.anneal_until * steps
     level = min(int(step * levels / annealed), levels - 1)
     # The middle of the stair lies on the line; the last stair keeps the end value.
     done = 1.0 if level == levels - 1 else (level + 0.5) / levels
-    share = settings.keep_start + done * (settings.keep_end - settings.keep_start)
-    return max(1, round(share * settings.num_points))
+    share = render.keep_start + done * (render.keep_end - render.keep_start)
+    return max(1, round(share * render.num_points))
 
 
 class Stage(NamedTuple):
@@ -47,28 +47,22 @@ class Stage(NamedTuple):
     grid: int
 
 
-def find_stage(step: int, settings: Settings) -> Stage:
+def find_stage(step: int, render: Render, *, steps: int) -> Stage:
     """The stage that a step belongs to."""
+    is_fine = render.fine_grid and step >= render.fine_from * steps
     return Stage(
-        kept_points=count_kept_points(step, settings),
-        grid=settings.fine_grid
-        if settings.fine_grid and step >= settings.fine_from * settings.steps
-        else settings.grid,
+        kept_points=count_kept_points(step, render, steps=steps),
+        grid=render.fine_grid if is_fine else render.grid,
     )
 
 
-def make_learning_rate(settings: Settings) -> optax.Schedule:
+def make_learning_rate(train: Train) -> optax.Schedule:
     """Linear warm-up to the peak rate, then cosine decay to a share of it."""
-    decay = optax.cosine_decay_schedule(
-        settings.learning_rate,
-        max(1, settings.steps - settings.warmup_steps),
-        alpha=settings.final_rate,
+    peak, warmup = train.learning_rate, train.warmup_steps
+    return optax.warmup_cosine_decay_schedule(
+        init_value=peak / max(1, warmup),
+        peak_value=peak,
+        warmup_steps=warmup,
+        decay_steps=max(train.steps, warmup + 1),
+        end_value=peak * train.final_rate,
     )
-    if not settings.warmup_steps:
-        return decay
-    warmup = optax.linear_schedule(
-        settings.learning_rate / settings.warmup_steps,
-        settings.learning_rate,
-        settings.warmup_steps,
-    )
-    return optax.join_schedules([warmup, decay], [settings.warmup_steps])

@@ -1,5 +1,6 @@
 """The training step: a pure function of state and batch, compiled once per stage."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import chex
@@ -7,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from dpc_jax.config.settings import Settings
+from dpc_jax.config import Config, Train
 from dpc_jax.learning import schedules
 from dpc_jax.learning.objective import compute_loss
 from dpc_jax.networks import ShapePoseNetwork
@@ -25,32 +26,31 @@ class TrainState(NamedTuple):
     """
 
     step: chex.Array
-    params: chex.ArrayTree
-    optimizer: chex.ArrayTree
+    params: optax.Params
+    optimizer: optax.OptState
     covariance: chex.Array
 
 
-def make_optimizer(settings: Settings) -> optax.GradientTransformation:
+def make_optimizer(train: Train) -> optax.GradientTransformation:
     """Adam with the run's learning rate; AdamW where weight decay is asked for."""
-    rate = schedules.make_learning_rate(settings)
-    if settings.weight_decay:
-        return optax.adamw(rate, weight_decay=settings.weight_decay)
+    rate = schedules.make_learning_rate(train)
+    if train.weight_decay:
+        return optax.adamw(rate, weight_decay=train.weight_decay)
     return optax.adam(rate)
 
 
-def init_state(
-    network: ShapePoseNetwork, settings: Settings, *, image_size: int
-) -> TrainState:
+def init_state(network: ShapePoseNetwork, config: Config) -> TrainState:
     """Parameters and optimiser at step 0, from the seed alone."""
-    images = jnp.zeros((1, image_size, image_size, 3))
-    params = jax.jit(network.init)(jax.random.key(settings.seed), images)
-    optimizer = make_optimizer(settings).init(params)
+    size = config.data.image_size
+    images = jnp.zeros((1, size, size, 3))
+    params = jax.jit(network.init)(jax.random.key(config.seed), images)
+    optimizer = make_optimizer(config.train).init(params)
     return TrainState(jnp.asarray(0, jnp.int32), params, optimizer, jnp.zeros((3, 3)))
 
 
 def make_train_step(
-    network: ShapePoseNetwork, settings: Settings, stage: schedules.Stage
-):
+    network: ShapePoseNetwork, config: Config, stage: schedules.Stage
+) -> Callable:
     """The compiled step of a stage.
 
     Returns:
@@ -58,10 +58,10 @@ def make_train_step(
       to the new one. The dropout key is a function of seed and step, so any step can
       be replayed.
     """
-    optimizer = make_optimizer(settings)
+    optimizer = make_optimizer(config.train)
 
     def step(state: TrainState, batch):
-        key = jax.random.fold_in(jax.random.key(settings.seed), state.step)
+        key = jax.random.fold_in(jax.random.key(config.seed), state.step)
         (loss, (metrics, covariance)), grads = jax.value_and_grad(
             compute_loss, has_aux=True
         )(
@@ -71,7 +71,9 @@ def make_train_step(
             state.step,
             state.covariance,
             network=network,
-            settings=settings,
+            render=config.render,
+            pose=config.pose,
+            train=config.train,
             stage=stage,
         )
         updates, opt_state = optimizer.update(grads, state.optimizer, state.params)

@@ -1,12 +1,17 @@
 """What a finished run reports: scores of its test sets, figures, examples."""
 
 import resource
+from pathlib import Path
 
 import numpy as np
 
+from dpc_jax.config import Config, to_config_dict
+from dpc_jax.data import DataSet
 from dpc_jax.evaluation import candidates as candidate_use
-from dpc_jax.evaluation.alignment import align_points
+from dpc_jax.evaluation.alignment import Alignment, align_points
 from dpc_jax.learning import evaluator
+from dpc_jax.learning.loop import Outcome
+from dpc_jax.learning.predictor import Predictions, arrange_views
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.page import REQUIRED_METRICS, write_report
 from dpc_jax.run.workdir import write_alignment
@@ -15,85 +20,91 @@ EXAMPLES = 8  # test inputs shown in the report
 
 
 def report_run(
-    workdir,
-    config,
-    sets,
-    outcome,
+    workdir: Path,
+    config: Config,
+    sets: dict[str, DataSet],
+    outcome: Outcome,
     *,
-    predictions,
-    alignment,
-    records,
-    data_seconds,
-    num_candidates,
+    predictions: dict[str, Predictions],
+    alignment: Alignment,
+    records: list[dict],
+    data_seconds: float,
 ):
-    """Score the test sets and write WORKDIR/report.
+    """Score the test sets, write WORKDIR/report, and print what is in it.
 
     Args:
       sets: by name; "test", and "own" where objects of the training source are tested
         apart. predictions: of these two.
       outcome: of the training loop. records: of its log.
+      data_seconds: spent on preparing the data.
     """
-    test = sets["test"]
-    result, shares = evaluator.score(
-        predictions["test"], test, alignment=alignment, num_candidates=num_candidates
-    )
-    metrics = dict.fromkeys(REQUIRED_METRICS) | result.metrics
-    metrics |= {
-        "train_seconds": round(outcome.seconds, 1),
-        "data_seconds": round(data_seconds, 1),
-        # Linux gives kilobytes; render processes are not counted in.
-        "peak_memory_gb": round(
-            resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2
-        ),
-        "steps": int(outcome.state.step),
-        "train_models": len(sets["train"].names),
-        "test_models": len(test.names),
-        "candidates_alive": candidate_use.count_alive(shares),
-        "alignment_inlier_share": (
-            None if test.quaternions is None else alignment.inlier_share
-        ),
+    heads = config.pose.heads
+    scored = {
+        name: evaluator.score(found, sets[name], alignment=alignment, heads=heads)
+        for name, found in predictions.items()
     }
-    own = {}
-    if "own" in sets:
-        own = evaluator.score(
-            predictions["own"],
-            sets["own"],
-            alignment=alignment,
-            num_candidates=num_candidates,
-        )[0].metrics
+    result, shares = scored["test"]
+    metrics = dict.fromkeys(REQUIRED_METRICS) | result.metrics
+    metrics |= _count_costs(sets, outcome, data_seconds)
+    metrics["candidates_alive"] = candidate_use.count_alive(shares)
+    if sets["test"].quaternions is not None:
+        metrics["alignment_inlier_share"] = alignment.inlier_share
+    if "own" in scored:
+        own = scored["own"][0].metrics
         metrics |= {f"own_{name}": value for name, value in own.items()}
         metrics["own_test_models"] = len(sets["own"].names)
-    warnings = _name_left_out(test)
-    if num_candidates > 1:
-        warning = candidate_use.collapse_warning(shares)
-        warnings += [warning] if warning else []
-    skipped = [s for split in sets.values() for s in split.skipped]
-    if skipped:
-        named = "; ".join(f"{name}: {reason}" for name, reason in skipped[:10])
-        warnings.append(f"{len(skipped)} models were skipped ({named}).")
-    remarks = [r for split in sets.values() for r in split.remarks]
-    if remarks:
-        named = "; ".join(f"{name}: {remark}" for name, remark in remarks[:10])
-        warnings.append(f"{len(remarks)} remarks on the data ({named}).")
+    warnings = _list_warnings(sets, shares if heads > 1 else None)
     path = write_report(
         workdir / "report",
         title=f"dpc_jax: {workdir.name}",
         metrics=metrics,
         records=records,
-        examples=_make_examples(predictions["test"], test, alignment, result),
+        examples=_make_examples(predictions["test"], sets["test"], alignment, result),
         pose_errors=result.pose_errors_deg,  # None: no such figure
-        shares=shares if num_candidates > 1 else None,
+        shares=shares if heads > 1 else None,
         warnings=warnings,
-        config_text=str(config),
+        config_text=str(to_config_dict(config)),
     )
     if config.pose.known or sets["val"].quaternions is not None:
         write_alignment(workdir, alignment)
     for warning in warnings:
         print(f"Warning: {warning}")
     print(f"Test: {_describe(metrics)} after {outcome.seconds:.0f} s of training.")
-    if own:
+    if "own" in scored:
+        own = scored["own"][0].metrics
         print(f"Objects of the training source: {_describe(own)}.")
     print(f"Report: {path}")
+
+
+def _count_costs(sets, outcome, data_seconds) -> dict:
+    """What the run cost, and what it was made of."""
+    # Linux gives kilobytes; render processes are not counted in.
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return {
+        "train_seconds": round(outcome.seconds, 1),
+        "data_seconds": round(data_seconds, 1),
+        "peak_memory_gb": round(peak, 2),
+        "steps": int(outcome.state.step),
+        "train_models": len(sets["train"].names),
+        "test_models": len(sets["test"].names),
+        "alignment_inlier_share": None,
+    }
+
+
+def _list_warnings(sets, shares) -> list[str]:
+    """Sentences on what a reader of the figures has to know."""
+    warnings = _name_left_out(sets["test"])
+    if shares is not None:
+        warning = candidate_use.collapse_warning(shares)
+        warnings += [warning] if warning else []
+    for text, pairs in (
+        ("models were skipped", [s for data in sets.values() for s in data.skipped]),
+        ("remarks on the data", [r for data in sets.values() for r in data.remarks]),
+    ):
+        if pairs:
+            named = "; ".join(f"{name}: {reason}" for name, reason in pairs[:10])
+            warnings.append(f"{len(pairs)} {text} ({named}).")
+    return warnings
 
 
 def _describe(metrics) -> str:
@@ -124,7 +135,7 @@ def _name_left_out(dataset) -> list[str]:
 
 def _make_examples(predictions, dataset, alignment, result) -> list[Example]:
     """The first views of test models spread over the split."""
-    models, views = evaluator.arrange_views(dataset)
+    models, views = arrange_views(dataset)
     errors, colors = result.pose_errors_deg, predictions.colors
     examples = []
     for row in np.linspace(0, len(models) - 1, min(EXAMPLES, len(models))).astype(int):

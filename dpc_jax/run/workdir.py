@@ -1,21 +1,23 @@
 """The folder of a run: the config that it belongs to, and its canonical alignment."""
 
+import dataclasses
 import json
 import os
 from pathlib import Path
 
-import ml_collections
 import numpy as np
+from flax.traverse_util import flatten_dict
 
-from dpc_jax.config import defaults
+from dpc_jax.config import Config, from_json, to_json
 from dpc_jax.evaluation.alignment import Alignment
 from dpc_jax.files import write_text
-from dpc_jax.run import configuration
 
+# What may differ between a run and its continuation.
+FREE_FIELDS = ("data.cache_dir", "data.processes", "log", "render.renders_at_once")
 _ALIGNMENT = Path("report") / "alignment.json"
 
 
-def claim_workdir(workdir: Path, config: ml_collections.ConfigDict) -> Path:
+def claim_workdir(workdir: Path, config: Config) -> Path:
     """Make the workdir and write its config, or check that it is this config's.
 
     Raises:
@@ -26,36 +28,39 @@ def claim_workdir(workdir: Path, config: ml_collections.ConfigDict) -> Path:
         workdir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OSError(
-            f"The workdir {workdir} cannot be made ({error.strerror}); give a folder "
-            "that can be written with --workdir=DIR."
+            f"Expected to make the workdir {workdir}, but it cannot be made "
+            f"({error.strerror}); give a folder that can be written with "
+            "--workdir=DIR."
         ) from None
     if not os.access(workdir, os.W_OK):
         raise OSError(
-            f"The workdir {workdir} cannot be written; give another with --workdir=DIR."
+            f"Expected to write in the workdir {workdir}, but it cannot be written; "
+            "give another with --workdir=DIR."
         )
     path = workdir / "config.json"
-    fields = flatten_fields(json.loads(config.to_json()))
     if path.exists():
-        old = flatten_fields(json.loads(read_config(workdir).to_json()))
-        differing = sorted(
-            name
-            for name in fields.keys() | old.keys()
-            if fields.get(name) != old.get(name)
-            and not name.startswith(configuration.FREE_FIELDS)
-        )
-        if differing:
-            listed = ", ".join(
-                f"{n} ({old.get(n)!r} there, {fields.get(n)!r} now)" for n in differing
-            )
-            raise ValueError(
-                f"The workdir {workdir} was made by another config, which differs in "
-                f"{listed}; give another --workdir=DIR or the old values."
-            )
-    write_text(path, json.dumps(json.loads(config.to_json()), indent=2) + "\n")
+        _refuse_other(workdir, read_config(workdir), config)
+    write_text(path, to_json(config))
     return workdir
 
 
-def read_config(workdir: Path) -> ml_collections.ConfigDict:
+def _refuse_other(workdir, old, new):
+    """Refuse a config that would not go on with the run in the workdir."""
+    there, now = (flatten_dict(dataclasses.asdict(c), sep=".") for c in (old, new))
+    differing = [
+        f"{name} ({there[name]!r} there, {now[name]!r} now)"
+        for name in sorted(now)
+        if there[name] != now[name] and not name.startswith(FREE_FIELDS)
+    ]
+    if differing:
+        raise ValueError(
+            f"The workdir {workdir} must belong to this config, but it was made by "
+            f"another one, which differs in {', '.join(differing)}; give another "
+            "--workdir=DIR or the old values."
+        )
+
+
+def read_config(workdir: Path) -> Config:
     """The config of a run; fields that it did not know yet have their defaults.
 
     Raises:
@@ -63,15 +68,12 @@ def read_config(workdir: Path) -> ml_collections.ConfigDict:
     """
     path = workdir / "config.json"
     try:
-        fields = json.loads(path.read_text(encoding="utf-8"))
-        config = defaults.default_config(fields["category"]).unlock()
-        config.update(fields)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        return from_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise ValueError(
-            f"Expected the config of a run in {path}, which cannot be read "
-            f"({error}); give the --workdir of a run of dpc_jax.main."
+            f"Expected the config of a run in {path}, but it cannot be read ({error}); "
+            "give the --workdir of a run of dpc_jax.main."
         ) from None
-    return config
 
 
 def write_alignment(workdir: Path, alignment: Alignment) -> Path:
@@ -100,17 +102,6 @@ def read_alignment(workdir: Path) -> Alignment | None:
         return Alignment(**unknown | fields | {"rotation": rotation})
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(
-            f"Expected a rotation in {path}, which cannot be read ({error}); remove it "
-            "and start the run again, which writes it anew."
+            f"Expected a rotation in {path}, but it cannot be read ({error}); remove "
+            "it and start the run again, which writes it anew."
         ) from None
-
-
-def flatten_fields(tree: dict, prefix: str = "") -> dict:
-    """Nested dictionaries to one with dotted names."""
-    flat = {}
-    for name, value in tree.items():
-        if isinstance(value, dict):
-            flat |= flatten_fields(value, f"{prefix}{name}.")
-        else:
-            flat[prefix + name] = value
-    return flat

@@ -12,14 +12,15 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from dpc_jax.config.defaults import apply_variant, default_config
+from dpc_jax.config import Config, check, from_config_dict, make_config
 from dpc_jax.data import load_or_render
 from dpc_jax.learning import loop
 from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.log import MetricLog
+from dpc_jax.learning.records import NonFiniteError
 from dpc_jax.learning.step import init_state
 from dpc_jax.measure.stability.report_parts import Order, PartResult
-from dpc_jax.run import configuration
+from dpc_jax.run.setup import make_data_specs, make_network
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,9 +109,9 @@ def run(
     )
 
 
-def make_config(trial: Trial, *, seed: int):
+def make_trial_config(trial: Trial, *, seed: int) -> Config:
     """The default config in miniature: cars of 32 pixels, volumes of 8 to 16 cells."""
-    c = apply_variant(default_config("car"), trial.variant)
+    c = make_config("car", trial.variant)
     c.seed = seed
     c.data.update(models=12, image_size=32, surface_points=1000, views=5)
     c.network.update(channels=4, hidden=32, shape_hidden=32)
@@ -127,23 +128,22 @@ def make_config(trial: Trial, *, seed: int):
         views_per_batch=2,
     )
     c.log.update(every=max(1, trial.steps // 20), evaluate=0, checkpoint=0)
-    return c
+    return from_config_dict(c)
 
 
 def train(trial: Trial, folder: Path, name: str, *, seed: int) -> Ending:
     """Train one network with the loop that users train with."""
-    config = make_config(trial, seed=seed)
-    configuration.validate(config)
-    settings = configuration.make_settings(config)
-    network = configuration.make_network(config)
+    config = make_trial_config(trial, seed=seed)
+    check(config)
+    network = make_network(config)
     dataset = load_or_render(
-        configuration.make_data_specs(config)["train"],
+        make_data_specs(config)["train"],
         cache_dir=folder / "data",
         processes=1,
         progress=False,
     )
     start = time.perf_counter()
-    state = init_state(network, settings, image_size=config.data.image_size)
+    state = init_state(network, config)
     (folder / name).mkdir()
     log = MetricLog(folder / name / "metrics.jsonl")
     checkpoints = Checkpoints(folder / name / "checkpoints")
@@ -155,14 +155,13 @@ def train(trial: Trial, folder: Path, name: str, *, seed: int) -> Ending:
                 state,
                 dataset,
                 network=network,
-                settings=settings,
-                intervals=configuration.make_intervals(config),
+                config=config,
                 checkpoints=checkpoints,
                 log=log,
             )
         steps_done = int(outcome.state.step)
         is_finite = _is_finite(outcome.state)
-    except loop.NonFiniteError as caught:
+    except NonFiniteError as caught:
         error, is_finite = str(caught), False
     finally:
         checkpoints.close()
@@ -172,7 +171,7 @@ def train(trial: Trial, folder: Path, name: str, *, seed: int) -> Ending:
     losses = [r["loss"] for r in records]
     return Ending(
         **dataclasses.asdict(trial),
-        learning_rate=settings.learning_rate,
+        learning_rate=config.train.learning_rate,
         steps_done=steps_done,
         seconds=time.perf_counter() - start,
         first_loss=losses[0] if losses else None,
@@ -210,7 +209,7 @@ def _name(trial):
 def describe(ending: Ending) -> str:
     """How a run ended, in words."""
     if ending.error:
-        return "stopped: " + ending.error.split(", where")[0]
+        return "stopped: " + ending.error.split(";")[0]
     return "finite to the end" if ending.is_finite else "not finite, unnoticed"
 
 

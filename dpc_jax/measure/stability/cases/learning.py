@@ -1,12 +1,13 @@
 """Learning: ties between candidates, empty and full views, ends of schedules."""
 
 import functools
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from dpc_jax.config.settings import Settings
-from dpc_jax.learning import hindsight, losses, schedules
+from dpc_jax.config import Render, Train
+from dpc_jax.learning import half_turns, hindsight, losses, schedules
 from dpc_jax.measure.stability.cases import image_oracles
 from dpc_jax.measure.stability.cases.case import WIDE, Case
 from dpc_jax.render import Camera, VoxelGrid, project
@@ -35,7 +36,7 @@ def choose(points, candidates, target):
 
 def turn_about(covariance):
     """Half turns about principal axes, as q·qᵀ summed: the axes of a tie are free."""
-    turns = hindsight.find_half_turns(covariance)
+    turns = half_turns.find_half_turns(covariance)
     return jnp.einsum("ti,tj->ij", turns, turns)
 
 
@@ -121,86 +122,64 @@ def _list_fits():
         )
 
 
-def make_settings(**changes) -> Settings:
+class Schedules(NamedTuple):
+    """Sections of a config that hold its schedules."""
+
+    render: Render
+    train: Train
+
+
+def make_sections(**changes) -> Schedules:
     """A run in miniature, with every schedule in use."""
-    values = dict(
-        steps=1000,
-        models_per_batch=2,
-        views_per_batch=2,
-        grid=8,
-        fine_grid=0,
-        fine_from=0.5,
-        num_points=24,
-        num_candidates=3,
-        flips=False,
-        selects=False,
-        choice_grid=0,
-        choice_points=0,
-        choice_top=0,
-        student_weight=0.01,
-        sigma_start=0.1,
-        sigma_end=0.01,
-        anneal_until=0.8,
-        keep_start=0.5,
-        keep_end=1.0,
-        keep_levels=4,
-        scale_unit="mass",
-        learning_rate=1e-3,
-        warmup_steps=100,
-        final_rate=0.02,
-        weight_decay=0.0,
-        repulsion_weight=0.0,
-        repulsion_points=0,
-        containment_weight=0.0,
-        color_weight=0.0,
-        focal_length=1.875,
-        distance=2.0,
-        renders_at_once=0,
-        seed=0,
-    )
-    return Settings(**values | changes)
+    render = dict(grid=8, sigma_start=0.1, sigma_end=0.01, anneal_until=0.8)
+    train = dict(steps=1000, learning_rate=1e-3, warmup_steps=100, final_rate=0.02)
+    for name, value in changes.items():
+        (render if name in render else train)[name] = value
+    return Schedules(Render(**render), Train(**train))
 
 
 @functools.cache
-def make_schedules(settings: Settings):
-    """(sigma, learning rate, share of points) of a step."""
-    rate = schedules.make_learning_rate(settings)
+def make_schedules(sections: Schedules):
+    """(sigma, learning rate) of a step."""
+    rate = schedules.make_learning_rate(sections.train)
 
     def compute(step):
-        return schedules.compute_sigma(step, settings), rate(step)
+        steps = sections.train.steps
+        return schedules.compute_sigma(step, sections.render, steps=steps), rate(step)
 
     return compute
 
 
 def _list_schedules():
-    def expect(step, *, settings):
-        done = min(max(float(step) / (settings.anneal_until * settings.steps), 0), 1)
-        share = settings.sigma_start
-        share += done * (settings.sigma_end - settings.sigma_start)
-        warm = settings.warmup_steps
-        peak, last = settings.learning_rate, settings.final_rate
+    def expect(step, *, sections):
+        render, train = sections
+        done = min(max(float(step) / (render.anneal_until * train.steps), 0), 1)
+        share = render.sigma_start + done * (render.sigma_end - render.sigma_start)
+        warm = train.warmup_steps
+        peak, last = train.learning_rate, train.final_rate
         if step < warm:
             rate = peak / warm + (peak - peak / warm) * float(step) / warm
         else:
-            part = min((float(step) - warm) / (settings.steps - warm), 1)
+            part = min((float(step) - warm) / (train.steps - warm), 1)
             rate = peak * ((1 - last) * (1 + np.cos(np.pi * part)) / 2 + last)
-        return np.asarray(share * settings.grid), np.asarray(rate)
+        return np.asarray(share * render.grid), np.asarray(rate)
 
     kinds = {
-        "plain": make_settings(),
-        "one step": make_settings(steps=1, warmup_steps=0),
-        "no annealing, constant rate": make_settings(
+        "plain": make_sections(),
+        "one step": make_sections(steps=1, warmup_steps=0),
+        "no annealing, constant rate": make_sections(
             anneal_until=1.0, final_rate=1.0, warmup_steps=0
         ),
     }
-    for name, settings in kinds.items():
-        for step in sorted({0, 100, 800, settings.steps - 1, settings.steps, 10**6}):
+    for name, sections in kinds.items():
+        last = sections.train.steps
+        for step in sorted({0, 100, 800, last - 1, last, 10**6}):
             yield Case(
                 name=f"schedules: {name}, step {step}",
                 subject=SUBJECT,
-                function=make_schedules(settings),
+                function=make_schedules(sections),
                 inputs=(step,),
-                oracle=functools.partial(expect, settings=settings),
+                oracle=functools.partial(expect, sections=sections),
                 value_tolerance=256,
                 gradient_tolerance=None,
                 because="a cosine whose argument has the rounding of a step's share; "

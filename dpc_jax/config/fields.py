@@ -1,0 +1,55 @@
+"""Fields of the config sections: a default, and the values that are allowed."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+
+class Allowed(NamedTuple):
+    """Which values a field may have.
+
+    Attributes:
+      holds: whether a value is one of them.
+      text: what they are, to follow "must be".
+    """
+
+    holds: Callable[[Any], bool]
+    text: str
+
+
+ANY = Allowed(lambda value: True, "of the type of its default")
+POSITIVE = Allowed(lambda value: 0 < value < math.inf, "above 0")
+FOLDER = Allowed(
+    lambda value: not value or Path(value).is_dir(), "a folder that exists"
+)
+FILE = Allowed(lambda value: not value or Path(value).is_file(), "a file that exists")
+
+
+def at_least(low: int) -> Allowed:
+    """A number from `low` on."""
+    text = f"{low} or more" if low == 0 else f"at least {low}"
+    return Allowed(lambda value: low <= value < math.inf, text)
+
+
+def between(low: float, high: float) -> Allowed:
+    """A number from `low` to `high`, both allowed."""
+    return Allowed(lambda value: low <= value <= high, f"between {low} and {high}")
+
+
+def above(low: float, high: float = math.inf) -> Allowed:
+    """A finite number above `low` and at most `high`."""
+    text = f"above {low}" + (f" and at most {high}" if high < math.inf else "")
+    return Allowed(lambda value: low < value <= high and value < math.inf, text)
+
+
+def one_of(*values: str) -> Allowed:
+    """One of some words."""
+    shown = ", ".join(repr(value) for value in values[:-1])
+    return Allowed(lambda value: value in values, f"{shown} or {values[-1]!r}")
+
+
+def field(default: Any, allowed: Allowed = ANY) -> Any:
+    """A dataclass field with a default and the values that are allowed."""
+    return dataclasses.field(default=default, metadata={"allowed": allowed})

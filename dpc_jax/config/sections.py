@@ -1,0 +1,162 @@
+"""Every setting of a run: its default, its unit and the values that are allowed.
+
+The defaults are those of the quick default runs. `dpc_jax.config.variants` has the
+paper's values. A field has one name everywhere: `--config.pose.candidates=8` on the
+command line, `config.pose.candidates` in Python, `candidates` where a function takes
+it. Functions take the sections that they need.
+"""
+
+import dataclasses
+
+from dpc_jax.config.fields import (
+    FILE,
+    FOLDER,
+    POSITIVE,
+    Allowed,
+    above,
+    at_least,
+    between,
+    field,
+    one_of,
+)
+
+_IMAGE_SIZE = Allowed(
+    lambda size: size >= 16 and size & (size - 1) == 0,
+    "a power of two of at least 16 pixels, because the encoder halves it down to 4",
+)
+_DISTANCE = above(0.5)._replace(text="above 0.5, outside the object")
+_HEADS = at_least(1)._replace(text="at least 1 (K heads)")
+
+
+@dataclasses.dataclass(frozen=True)
+class Data:
+    """Which objects, and how they are seen."""
+
+    meshes: str = field("", FOLDER)  # of mesh files, z up, x front; "": procedural
+    shapenet: str = field("", FOLDER)  # of ShapeNet's synsets, version 1 or 2, or ""
+    renders: str = field("", FOLDER)  # of the renders published with the paper, or ""
+    images: str = field("", FOLDER)  # of your images, a folder of views per object
+    test_meshes: str = field("", FOLDER)  # to test on; "": a part of the same source
+    own_test: float = field(0.0, between(0, 0.5))  # share of the source tested apart
+    split_file: str = field("", FILE)  # official ShapeNet split; "": found in folder
+    shapenet_front: str = field("", one_of("", "+x", "-x", "+z", "-z"))  # models face
+    ground_truth: str = field("", FOLDER)  # of MODEL.mat for the renders; "": found
+    crop: str = field("object", one_of("object", "view", "none"))  # share one scale
+    fill: float = field(0.85, between(0.1, 1))  # share of the frame that images fill
+    models: int = field(1000, at_least(1))  # procedural models to train on
+    val_models: int = field(40, at_least(1))  # to validate on (20 of them align)
+    test_models: int = field(100, at_least(1))  # to test on
+    copies: int = field(1, at_least(1))  # of each mesh; all but the first stretched
+    stretch: float = field(0.15, between(0, 0.99))  # largest, as a share of a side
+    views: int = field(5, at_least(1))  # per model (§ Datasets)
+    image_size: int = field(64, _IMAGE_SIZE)  # pixels
+    surface_points: int = field(10_000, at_least(1))  # ground truth, before thinning
+    surface_voxel: float = field(0.0, between(0, 0.99))  # keeps one point each; 0: all
+    surface_visible: bool = field(False)  # ground truth seen from outside only
+    seed: int = field(0, at_least(0))  # of shapes, split, views and lights
+    cache_dir: str = field("data")  # folder where rendered sets are kept
+    processes: int = field(0, at_least(0))  # that render; 0: one per core
+
+
+@dataclasses.dataclass(frozen=True)
+class Network:
+    """Widths of the layers, in units."""
+
+    channels: int = field(16, at_least(1))  # of the first convolution (released code)
+    hidden: int = field(512, at_least(1))  # of encoder and pose branches
+    shape_hidden: int = field(512, at_least(1))  # of the shape branch's hidden layer
+    student_width: int = field(256, at_least(1))  # of its own layers (paper: 32)
+    normalize: bool = field(True)  # features of a sample after each encoder layer
+
+
+@dataclasses.dataclass(frozen=True)
+class Render:
+    """Volume, points and camera of the projection."""
+
+    grid: int = field(32, at_least(1))  # side of volume and target silhouettes, voxels
+    fine_grid: int = field(64, at_least(0))  # side for the late winners; 0: never
+    fine_from: float = field(0.6, between(0, 1))  # share of the run it is used from
+    num_points: int = field(2000, at_least(1))  # of a cloud (2000 at 32³ in the paper)
+    sigma_start: float = field(0.05, between(0, 1))  # of the volume's side (§ Training)
+    sigma_end: float = field(0.003, between(0, 1))  # of the volume's side
+    anneal_until: float = field(0.8, above(0, 1))  # share of the run; both schedules
+    keep_start: float = field(0.1, above(0, 1))  # share of points kept (§ Training)
+    keep_end: float = field(1.0, above(0, 1))  # share of points kept
+    keep_levels: int = field(4, at_least(1))  # stairs of that schedule; a program each
+    scale_unit: str = field("mass", one_of("peak", "mass"))  # of the learned scale
+    focal_length: float = field(1.875, POSITIVE)  # of an image 1 wide
+    distance: float = field(2.0, _DISTANCE)  # camera to object, box diagonals
+    renders_at_once: int = field(1, at_least(0))  # views side by side; 0: all (GPU)
+
+
+@dataclasses.dataclass(frozen=True)
+class Pose:
+    """The pose candidates, and the student that learns from their winners."""
+
+    known: bool = field(False)  # read the poses from the data, learn none
+    candidates: int = field(8, _HEADS)  # K heads (§ distilled ensemble)
+    spread: str = field("all", one_of("", "all", "upright"))  # where the heads start
+    flips: bool = field(True)  # also try each head after half turns of the object
+    selects: bool = field(True)  # student chooses a candidate; False: regresses a pose
+    choice_grid: int = field(16, at_least(0))  # volume of the first choice; 0: grid
+    choice_points: int = field(500, at_least(0))  # of the first choice; 0: all
+    choice_top: int = field(4, at_least(0))  # candidates compared exactly after it
+    student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
+
+    @property
+    def heads(self) -> int:
+        """K heads that are learned: none where poses are known."""
+        return 0 if self.known else self.candidates
+
+    @property
+    def half_turns(self) -> bool:
+        """Whether half turns of the heads are candidates too: of an ensemble only."""
+        return self.flips and self.heads > 1
+
+    @property
+    def choices(self) -> int:
+        """How many candidates a selecting student chooses among; 0: it regresses."""
+        if not self.selects or self.heads < 2:
+            return 0
+        return self.heads * (4 if self.half_turns else 1)
+
+
+@dataclasses.dataclass(frozen=True)
+class Train:
+    """Steps, batches, the optimiser and the weights of the losses."""
+
+    steps: int = field(6300, at_least(1))  # in all; the schedules end there
+    models_per_batch: int = field(4, at_least(1))  # (§ Training details)
+    views_per_batch: int = field(4, at_least(1))  # of each model
+    learning_rate: float = field(3e-4, POSITIVE)  # of Adam, at its peak
+    warmup_steps: int = field(200, at_least(0))  # linear
+    final_rate: float = field(0.02, between(0, 1))  # of the peak; 1: constant
+    weight_decay: float = field(0.0, at_least(0))  # decoupled (AdamW)
+    repulsion_weight: float = field(0.0, at_least(0))  # of the points, at the end
+    repulsion_points: int = field(500, at_least(0))  # that repel each other in a step
+    containment_weight: float = field(1.0, at_least(0))  # of points beyond radius 1/2
+    color_weight: float = field(0.0, at_least(0))  # per pixel; 0: no colours
+
+
+@dataclasses.dataclass(frozen=True)
+class Log:
+    """Steps between records; 0 is never."""
+
+    every: int = field(100, at_least(1))  # lines of metrics.jsonl
+    evaluate: int = field(1000, at_least(0))  # validations
+    checkpoint: int = field(1000, at_least(0))  # checkpoints
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """A run: what it learns from, what it learns, and how."""
+
+    category: str  # "car", "chair" or "airplane" of procedural shapes; else a label
+    variant: str = field("")  # the text after the colon of --config
+    seed: int = field(0, at_least(0))  # of everything random but the data
+    data: Data = Data()
+    network: Network = Network()
+    render: Render = Render()
+    pose: Pose = Pose()
+    train: Train = Train()
+    log: Log = Log()

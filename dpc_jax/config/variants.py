@@ -1,0 +1,112 @@
+"""The values of the paper, and other variants of a config.
+
+Differences of "paper" from the defaults, section by section of the paper; what is not
+listed agrees already.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import ml_collections
+
+from dpc_jax.config.face import to_config_dict
+from dpc_jax.config.sections import Config
+
+# Section: fields. Variants are applied in this order, whatever the order they are
+# asked for in.
+VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
+    # § Training details and § Network architecture, at 64 pixels.
+    "paper": {
+        "data": {
+            "models": 5247,
+            "val_models": 750,
+            "test_models": 1500,
+            "surface_points": 100_000,  # § Evaluation, as in the released code
+            "surface_voxel": 0.01,
+        },
+        "network": {
+            "hidden": 1024,
+            "shape_hidden": 1024,
+            "student_width": 32,
+            "normalize": False,
+        },
+        "render": {
+            "grid": 64,
+            "fine_grid": 0,
+            "num_points": 8000,
+            "anneal_until": 1.0,
+            "keep_levels": 32,
+        },
+        "pose": {
+            "candidates": 4,
+            "student_weight": 0.01,
+            "spread": "",
+            "flips": False,
+            "selects": False,
+            "choice_grid": 0,
+            "choice_points": 0,
+        },
+        "train": {
+            "steps": 600_000,
+            "learning_rate": 1e-4,
+            "warmup_steps": 0,
+            "final_rate": 1.0,
+            "repulsion_weight": 0.0,
+            "containment_weight": 0.0,
+        },
+        "log": {"every": 500, "evaluate": 20_000, "checkpoint": 5000},
+    },
+    # One pose regressor (§ Estimating pose with a distilled ensemble).
+    "naive": {"pose": {"candidates": 1, "spread": "", "flips": False}},
+    # § Estimating shape with known pose.
+    "known_pose": {"pose": {"known": True}},
+}
+EXCLUSIVE = ({"naive", "known_pose"},)  # with known poses there is nothing to regress
+
+
+def make_config(
+    category: str,
+    variant: str | None = None,
+    changes: Mapping[str, Mapping[str, Any]] | None = None,
+) -> ml_collections.ConfigDict:
+    """A config to hand to the command line; what a file in configs/ returns.
+
+    Args:
+      category: "car", "chair" or "airplane"; of other objects a label.
+      variant: the text after the colon of --config: names of `VARIANTS` with commas
+        between; None or "" for none.
+      changes: section: {field: value}, to differ from the defaults in. Variants come
+        after them.
+
+    Raises:
+      ValueError: for a variant that is not known, or two that exclude each other.
+    """
+    names = _split(variant or "")
+    config = Config(category=category, variant=",".join(names))
+    for values in (changes or {}, *(VARIANTS[name] for name in names)):
+        sections = {
+            section: dataclasses.replace(getattr(config, section), **fields)
+            for section, fields in values.items()
+        }
+        config = dataclasses.replace(config, **sections)
+    return to_config_dict(config)
+
+
+def _split(variant: str) -> list[str]:
+    """Names of variants in the order that they are applied in."""
+    asked = [name.strip() for name in variant.split(",")] if variant else []
+    unknown = [name for name in asked if name not in VARIANTS]
+    if unknown:
+        raise ValueError(
+            f"The variant after the colon of --config must be one of "
+            f"{', '.join(VARIANTS)}, or several with commas between, but it is "
+            f"{unknown[0]!r}; write for example configs/car.py:paper,known_pose."
+        )
+    for pair in EXCLUSIVE:
+        if pair <= set(asked):
+            raise ValueError(
+                "Expected variants that can be combined, but "
+                f"{' and '.join(sorted(pair))} exclude each other; give one of them."
+            )
+    return [name for name in VARIANTS if name in asked]

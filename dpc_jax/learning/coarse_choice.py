@@ -1,0 +1,53 @@
+"""A first, coarse choice among pose candidates. Not in the paper.
+
+Comparing all candidates in a smaller volume and with fewer points costs a fraction of
+the exact comparison, which is then made among the best few only.
+"""
+
+import chex
+import jax.numpy as jnp
+
+from dpc_jax.learning.renders import compute_candidate_losses
+from dpc_jax.render import Camera
+
+
+def compute_coarse_losses(
+    points: chex.Array,
+    mass: chex.Array,
+    candidates: chex.Array,
+    target: chex.Array,
+    *,
+    sigma: chex.Array,
+    camera: Camera,
+    first_grid: int,
+    first_points: int,
+    at_once: int,
+) -> chex.Array:
+    """Loss [C] of each candidate in a coarser volume and with fewer points.
+
+    Arguments as of `hindsight.choose_candidate`.
+
+    Raises:
+      ValueError: where the coarser volume does not divide the target.
+    """
+    side = target.shape[0]
+    if first_grid and side % first_grid:
+        raise ValueError(
+            f"first_grid must divide the target's side {side}, but it is {first_grid}; "
+            "give for example half of the side."
+        )
+    coarse_side = first_grid or side
+    count = min(first_points or points.shape[0], points.shape[0])
+    ratio = coarse_side / side
+    factor = side // coarse_side
+    blocks = target.reshape(coarse_side, factor, coarse_side, factor)
+    return compute_candidate_losses(
+        points[:count],
+        # Fewer points carry the mass of all.
+        mass * (points.shape[0] / count) * ratio**3,
+        candidates,
+        jnp.mean(blocks, axis=(1, 3)),
+        sigma=sigma * ratio,
+        camera=camera,
+        at_once=at_once,
+    )

@@ -1,0 +1,56 @@
+"""Half turns of the object as further pose candidates. Not in the paper.
+
+What an ensemble leaves wrong are mostly objects with front and back exchanged. So each
+head's pose is also tried after turning the object by 180° about each principal axis of
+the predicted points; the gradient reaches the head through the fixed turn.
+"""
+
+import chex
+import jax
+import jax.numpy as jnp
+
+from dpc_jax.render import quaternion
+
+
+def average_covariance(
+    covariance: chex.Array, points: chex.Array, step: chex.Array
+) -> chex.Array:
+    """The running covariance [3, 3] after one more batch of points [..., 3].
+
+    The plain mean at first, then one that forgets within a hundred batches.
+    """
+    weight = jnp.maximum(0.01, 1 / (step + 1))
+    current = compute_covariance(points.reshape(-1, 3))
+    return (1 - weight) * covariance + weight * current
+
+
+def compute_covariance(points: chex.Array) -> chex.Array:
+    """Covariance [3, 3] of points [N, 3], without gradient."""
+    centred = jax.lax.stop_gradient(points - jnp.mean(points, axis=0))
+    return jnp.matmul(centred.T, centred, precision="highest") / points.shape[0]
+
+
+def find_half_turns(covariance: chex.Array) -> chex.Array:
+    """Half turns about the principal axes of a covariance [3, 3].
+
+    Returns:
+      [4, 4] quaternions: the identity, then 180° about each principal axis.
+    """
+    _, axes = jnp.linalg.eigh(covariance)
+    turns = jnp.concatenate([jnp.zeros((3, 1), axes.dtype), axes.T], axis=1)
+    return jnp.concatenate([jnp.array([quaternion.IDENTITY], axes.dtype), turns])
+
+
+def turn_candidates(candidates: chex.Array, turns: chex.Array) -> chex.Array:
+    """Each candidate after each turn of the object.
+
+    Args:
+      candidates: [K, 4] quaternions. turns: [T, 4].
+
+    Returns:
+      [T·K, 4]; candidate i of the result is head i % K.
+    """
+    turned = jax.vmap(
+        lambda turn: jax.vmap(lambda q: quaternion.multiply(q, turn))(candidates)
+    )(turns)
+    return turned.reshape(-1, 4)

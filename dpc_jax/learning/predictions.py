@@ -1,0 +1,145 @@
+"""What the network predicts for a batch: shapes, pose candidates, masses."""
+
+from typing import NamedTuple
+
+import chex
+import jax
+import jax.numpy as jnp
+import optax
+
+from dpc_jax.config import Pose
+from dpc_jax.learning import half_turns
+from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.render.kernels import sample_gaussian
+
+
+class Shapes(NamedTuple):
+    """Predicted shapes of B objects, with the size of their points.
+
+    Attributes:
+      points: [B, N, 3], all of a cloud.
+      kept: [B, n, 3], those that the dropout leaves.
+      colors: [B, n, 3] of these, or None.
+      scale: [B] in (0, 1), the learned scaling coefficient.
+      mass: [B] of each point, voxels. sigma: () of each point, voxels.
+    """
+
+    points: chex.Array
+    kept: chex.Array
+    colors: chex.Array | None
+    scale: chex.Array
+    mass: chex.Array
+    sigma: chex.Array
+
+
+class Poses(NamedTuple):
+    """Predicted poses of n views.
+
+    Attributes:
+      candidates: [n, C, 4] quaternions; candidate i belongs to head i % K.
+      student: [n, 4], or None where there is none.
+      logits: [n, C] of a student that selects, or None.
+    """
+
+    candidates: chex.Array
+    student: chex.Array | None
+    logits: chex.Array | None
+
+
+def scale_images(images: chex.Array) -> chex.Array:
+    """Bytes 0..255 to the network's [-1, 1]."""
+    return images.astype(jnp.float32) / 127.5 - 1
+
+
+def encode_views(
+    params: optax.Params, images: chex.Array, *, network: ShapePoseNetwork
+) -> chex.Array:
+    """Features [B, V, F] of images uint8 [B, V, S, S, 3]."""
+    batch_size, views = images.shape[:2]
+    scaled = scale_images(images).reshape(-1, *images.shape[2:])
+    features = network.apply(params, scaled, method="encode")
+    assert isinstance(features, jax.Array)
+    return features.reshape(batch_size, views, -1)
+
+
+def predict_shapes(
+    params: optax.Params,
+    features: chex.Array,
+    key: chex.PRNGKey,
+    sigma: chex.Array,
+    *,
+    network: ShapePoseNetwork,
+    kept_points: int,
+    scale_unit: str,
+) -> Shapes:
+    """The shape of each object from its features [B, F], with point dropout.
+
+    One subset of points serves all views and candidates of an object, so that the
+    choice among candidates does not depend on the luck of their subsets.
+    """
+    shape = network.apply(params, features, method="predict_shape")
+    assert isinstance(shape, dict)
+    points, colors = shape["points"], shape.get("colors")
+    keys = jax.random.split(key, points.shape[0])
+    subset = jax.vmap(
+        lambda k: jax.random.permutation(k, points.shape[1])[:kept_points]
+    )(keys)
+    kept, colors = jax.tree.map(
+        lambda a: jnp.take_along_axis(a, subset[..., None], axis=1), (points, colors)
+    )
+    mass = compute_mass(shape["scale"], sigma, scale_unit=scale_unit)
+    return Shapes(points, kept, colors, shape["scale"], mass, sigma)
+
+
+def predict_poses(
+    params: optax.Params,
+    features: chex.Array,
+    covariance: chex.Array,
+    *,
+    network: ShapePoseNetwork,
+    pose: Pose,
+) -> Poses:
+    """Pose candidates of n views from their features [..., F].
+
+    Args:
+      covariance: [3, 3] of predicted points, whose axes the half turns are about.
+    """
+    features = features.reshape(-1, features.shape[-1])
+    output = network.apply(params, features, method="predict_pose")
+    assert isinstance(output, dict)
+    return complete_poses(output, covariance, pose=pose)
+
+
+def complete_poses(
+    output: dict[str, chex.Array], covariance: chex.Array, *, pose: Pose
+) -> Poses:
+    """Add the turned candidates, and the pose of a student that selects.
+
+    Args:
+      output: of the network: candidates [n, K, 4], and student [n, 4] or logits [n, C].
+      covariance: [3, 3], see `predict_poses`.
+    """
+    candidates, student = output["candidates"], output.get("student")
+    logits = output.get("logits")
+    if pose.half_turns:
+        turns = half_turns.find_half_turns(covariance)
+        turn = jax.vmap(half_turns.turn_candidates, (0, None))
+        candidates = turn(candidates, turns)
+    if logits is not None:
+        chosen = jnp.argmax(logits, axis=-1)
+        student = jnp.take_along_axis(candidates, chosen[:, None, None], axis=1)[:, 0]
+    return Poses(candidates, student, logits)
+
+
+def compute_mass(
+    scale: chex.Array, sigma: chex.Array, *, scale_unit: str
+) -> chex.Array:
+    """Mass of a point in voxels from the learned scaling coefficient in (0, 1).
+
+    With the unit "peak" a coefficient of one makes a point on a cell centre fill that
+    cell, whatever its size: the coefficient is the peak height c_i of a point's
+    density. With "mass" it is the point's mass in voxels, as in the released code.
+    """
+    if scale_unit == "mass":
+        return scale
+    return scale / sample_gaussian(jnp.zeros(()), sigma) ** 3

@@ -1,0 +1,169 @@
+"""Predictions for a whole data set."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpc_jax.config import Config
+from dpc_jax.data import DataSet
+from dpc_jax.learning import hindsight, schedules
+from dpc_jax.learning.losses import downsample_images
+from dpc_jax.learning.predictions import complete_poses, compute_mass, scale_images
+from dpc_jax.learning.renders import map_renders
+from dpc_jax.learning.step import TrainState
+from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.render import Camera, VoxelGrid, project
+
+
+class Predictions(NamedTuple):
+    """What the network says of M models with V views each, in its own frame.
+
+    Attributes:
+      points: [M, V, N, 3], the shape predicted from each view.
+      colors: [M, V, N, 3], or None.
+      poses: [M, V, 4], the student's quaternion; the given one where poses are known.
+      candidate_poses: [M, V, 4], the candidate, turned or not, that fits the view best.
+      winners: [M, V] its index; turned or not, it is head index % K's.
+      silhouettes: [M, V, D, D], the shape seen from the student's pose.
+    """
+
+    points: np.ndarray
+    colors: np.ndarray | None
+    poses: np.ndarray
+    candidate_poses: np.ndarray
+    winners: np.ndarray
+    silhouettes: np.ndarray
+
+
+def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
+    """The compiled function (state, images, masks, quaternions) -> dict.
+
+    For n views: images uint8 [n, S, S, 3], masks uint8 [n, S, S], quaternions [n, 4].
+    The dictionary has the fields of `Predictions`, with one leading axis [n].
+    """
+    render, pose = config.render, config.pose
+
+    def predict(state, images, masks, quaternions):
+        output = network.apply(state.params, scale_images(images))
+        assert isinstance(output, dict)
+        sigma = schedules.compute_sigma(state.step, render, steps=config.train.steps)
+        mass = compute_mass(output["scale"], sigma, scale_unit=render.scale_unit)
+        candidates, students = quaternions[:, None], quaternions
+        if not pose.known:
+            poses = complete_poses(output, state.covariance, pose=pose)
+            candidates, students = poses.candidates, poses.student
+        targets = downsample_images(masks, render.grid)
+        silhouettes, winners = map_renders(
+            lambda view: explain_view(*view, sigma=sigma, config=config),
+            (output["points"], mass, students, candidates, targets),
+            at_once=render.renders_at_once,
+        )
+        result = {
+            "points": output["points"],
+            "poses": students,
+            "candidate_poses": jax.vmap(lambda q, k: q[k])(candidates, winners),
+            "winners": winners,
+            "silhouettes": silhouettes,
+        }
+        if "colors" in output:
+            result["colors"] = output["colors"]
+        return result
+
+    return jax.jit(predict)
+
+
+def explain_view(
+    points: chex.Array,
+    mass: chex.Array,
+    student: chex.Array,
+    candidates: chex.Array,
+    target: chex.Array,
+    *,
+    sigma: chex.Array,
+    config: Config,
+) -> tuple[chex.Array, chex.Array]:
+    """Silhouette of a shape from the student's pose, and the best candidate's index.
+
+    Args:
+      points: [N, 3]. mass: (), sigma: (), in voxels of the base grid.
+      student: [4]. candidates: [C, 4]. target: [D, D] silhouette.
+
+    Returns:
+      ([D, D] in the finest grid that training renders in, ()).
+    """
+    render = config.render
+    camera = Camera(render.focal_length, render.distance)
+    side = render.fine_grid or render.grid
+    ratio = side / render.grid
+    image = project(
+        points,
+        student,
+        sigma=sigma * ratio,
+        scale=mass * ratio**3,
+        camera=camera,
+        grid=VoxelGrid(side),
+    )
+    winner = jnp.zeros((), jnp.int32)
+    if len(candidates) > 1:
+        winner = hindsight.choose_candidate(
+            points,
+            mass,
+            candidates,
+            target,
+            sigma=sigma,
+            camera=camera,
+            at_once=render.renders_at_once,
+        )
+    return image.silhouette, winner
+
+
+def arrange_views(dataset: DataSet) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (models, views) [n, V] of all views, in the layout of predictions.
+
+    Where models differ in their number of views each view stands alone: V is 1 and n
+    counts views.
+    """
+    counts = dataset.counts
+    models = np.repeat(np.arange(len(counts)), counts)
+    views = np.arange(len(models)) - np.repeat(np.cumsum(counts) - counts, counts)
+    width = counts[0] if (counts == counts[0]).all() else 1
+    return models.reshape(-1, width), views.reshape(-1, width)
+
+
+def predict_all(
+    predictor: Callable,
+    state: TrainState,
+    dataset: DataSet,
+    *,
+    views_at_once: int = 64,
+) -> Predictions:
+    """Run the predictor over a data set in equal batches (the last one is padded).
+
+    Views are read batch by batch: a set may be larger than the memory. The layout is
+    that of `arrange_views`; poses that are not given are the identity.
+    """
+    models, views = arrange_views(dataset)
+    total = models.size
+
+    parts = []
+    for start in range(0, total, views_at_once):
+        rows = np.minimum(np.arange(start, start + views_at_once), total - 1)
+        chosen = models.reshape(-1)[rows], views.reshape(-1)[rows]
+        if dataset.quaternions is None:
+            poses = np.tile(np.float32([1, 0, 0, 0]), (views_at_once, 1))
+        else:
+            poses = np.asarray(dataset.quaternions[chosen])
+        images, masks = dataset.images[chosen], dataset.masks[chosen]
+        output = predictor(state, np.asarray(images), np.asarray(masks), poses)
+        parts.append(jax.device_get(output))
+    merged = {
+        name: np.concatenate([p[name] for p in parts])[:total].reshape(
+            *models.shape, *parts[0][name].shape[1:]
+        )
+        for name in parts[0]
+    }
+    return Predictions(colors=merged.pop("colors", None), **merged)

@@ -1,0 +1,125 @@
+"""What a run records of its steps: means over a window, and whether all is finite."""
+
+import contextlib
+import time
+from collections.abc import Iterator
+
+import jax
+import numpy as np
+
+_NOT_LOSSES = ("winners", "gradient_norms")
+
+
+class NonFiniteError(RuntimeError):
+    """Training met a loss or gradient that is not finite."""
+
+
+class Stopwatch:
+    """Seconds of training, over all starts of a run; pauses do not count."""
+
+    def __init__(self, seconds: float = 0.0):
+        self._started = time.monotonic() - seconds
+
+    @property
+    def seconds(self) -> float:
+        """Seconds until now."""
+        return time.monotonic() - self._started
+
+    @contextlib.contextmanager
+    def paused(self) -> Iterator[None]:
+        """Stand still for as long as the context lasts."""
+        before = time.monotonic()
+        try:
+            yield
+        finally:
+            self._started += time.monotonic() - before
+
+
+class Window:
+    """The steps since the last record.
+
+    Args:
+      step: steps done before the first one. seconds: of training until then.
+      heads: K, whose shares of the winners are recorded; 0 where poses are known.
+    """
+
+    def __init__(self, step: int, seconds: float, *, heads: int):
+        self._heads = heads
+        self._open(step, seconds)
+
+    def _open(self, step, seconds):
+        self._step, self._seconds = step, seconds
+        self._metrics: list[dict] = []
+
+    def add(self, metrics: dict):
+        """Take the metrics of one more step, and check those of the step before.
+
+        That step has finished while this one runs: reading its metrics is free.
+
+        Raises:
+          NonFiniteError: where they are not finite.
+        """
+        self._metrics.append(metrics)
+        if len(self._metrics) > 1:
+            check_finite(self._metrics[-2], self._step + len(self._metrics) - 2)
+
+    def check(self):
+        """Check the last step too.
+
+        Raises:
+          NonFiniteError: where its loss or a gradient is not finite.
+        """
+        if self._metrics:
+            check_finite(self._metrics[-1], self._step + len(self._metrics) - 1)
+
+    def close(self, seconds: float) -> dict:
+        """The record of the window, which begins anew.
+
+        Args:
+          seconds: of training until now.
+
+        Raises:
+          NonFiniteError: where the last step is not finite.
+        """
+        self.check()
+        done = self._step + len(self._metrics)
+        rate = len(self._metrics) / max(seconds - self._seconds, 1e-9)
+        record = {"step": done, "seconds": round(seconds, 3)}
+        record |= summarize(self._metrics, heads=self._heads)
+        record["steps_per_second"] = round(rate, 3)
+        self._open(done, seconds)
+        return record
+
+
+def check_finite(metrics: dict, step: int):
+    """Raise where a step's loss or gradient is not finite, naming the first culprit.
+
+    Raises:
+      NonFiniteError: with the step (counted from 0) and the name.
+    """
+    losses = [name for name in metrics if name not in _NOT_LOSSES]
+    values = {f"{n} loss": metrics[n] for n in sorted(losses, key="loss".__eq__)}
+    for name, norm in metrics["gradient_norms"].items():
+        values[f"gradient of the {name} parameters"] = norm
+    for name, value in values.items():
+        if not np.isfinite(value):
+            raise NonFiniteError(
+                f"Expected finite losses and gradients, but the {name} became "
+                f"{float(value)} at step {step}; start a run in another workdir with a "
+                "lower train.learning_rate. The last checkpoint is kept."
+            )
+
+
+def summarize(window: list[dict], *, heads: int) -> dict:
+    """Means over the steps of a window, and how often each of K heads won."""
+    window = jax.device_get(window)
+    names = [name for name in window[0] if name not in _NOT_LOSSES]
+    record: dict = {n: float(np.mean([m[n] for m in window])) for n in names}
+    for name in window[0]["gradient_norms"]:
+        norms = [m["gradient_norms"][name] for m in window]
+        record[f"gradient_norm_{name}"] = float(np.mean(norms))
+    if heads > 1:
+        winners = np.concatenate([m["winners"] for m in window]) % heads
+        counts = np.bincount(winners, minlength=heads)
+        record["head_shares"] = [round(float(c), 4) for c in counts / counts.sum()]
+    return record

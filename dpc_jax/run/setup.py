@@ -1,0 +1,88 @@
+"""What a config stands for: the network, and the specifications of the data sets."""
+
+from dpc_jax.config import Config
+from dpc_jax.config.checks import SOURCES
+from dpc_jax.data import DataSpec
+from dpc_jax.networks import ShapePoseNetwork
+
+
+def make_network(config: Config) -> ShapePoseNetwork:
+    """The network; what is not learned has no parameters."""
+    return ShapePoseNetwork(
+        num_points=config.render.num_points,
+        num_candidates=config.pose.heads,
+        channels=config.network.channels,
+        hidden=config.network.hidden,
+        shape_hidden=config.network.shape_hidden,
+        normalize=config.network.normalize,
+        num_classes=config.pose.choices,
+        student_width=config.network.student_width,
+        has_color=config.train.color_weight > 0,
+        spread_poses=config.pose.spread,
+    )
+
+
+def make_data_specs(config: Config) -> dict[str, DataSpec]:
+    """Specifications of the splits "train", "val" and "test".
+
+    With `data.test_meshes`, objects of the training source may be tested apart: their
+    specification is "own".
+    """
+    data = config.data
+    shared = {
+        "category": config.category,
+        "seed": data.seed,
+        "views": data.views,
+        "image_size": data.image_size,
+        "focal_length": config.render.focal_length,
+        "distance": config.render.distance,
+        "surface_points": data.surface_points,
+        "surface_voxel": data.surface_voxel,
+        "surface_visible": data.surface_visible,
+    }
+    kind = next((name for name in SOURCES if getattr(data, name)), None)
+    if kind is None:
+        specs = _split_procedural(config, shared)
+    else:
+        specs = _split_folder(config, kind, shared)
+    if data.test_meshes:
+        if data.own_test and kind:
+            specs["own"] = specs["test"]
+        specs["test"] = DataSpec(
+            split="test", folder=data.test_meshes, fractions=(0, 0, 1), **shared
+        )
+    return specs
+
+
+def _split_procedural(config, shared):
+    data = config.data
+    counts = {"train": data.models, "val": data.val_models, "test": data.test_models}
+    return {
+        split: DataSpec(split=split, models=count, **shared)
+        for split, count in counts.items()
+    }
+
+
+def _split_folder(config, kind, shared):
+    """Tenths of a folder validate and, without another folder for that, test."""
+    data = config.data
+    tested = data.own_test if data.test_meshes else 0.1
+    source = {
+        "kind": kind,
+        "folder": getattr(data, kind),
+        "split_file": data.split_file or None,
+        "shapenet_front": data.shapenet_front,
+        "ground_truth": data.ground_truth or None,
+        "crop": data.crop,
+        "fill": data.fill,
+        "fractions": (0.9 - tested, 0.1, tested),
+    }
+    # Pictures cannot be stretched.
+    is_mesh = kind in ("meshes", "shapenet")
+    copies = {"copies": data.copies, "stretch": data.stretch} if is_mesh else {}
+    return {
+        split: DataSpec(
+            split=split, **source, **(copies if split == "train" else {}), **shared
+        )
+        for split in ("train", "val", "test")
+    }
