@@ -16,8 +16,7 @@ SMALL = {
 def get_config(variant: str | None = None):
     """Few, small cars and few steps; the variants of the other configs."""
     config = make_config("car", variant)
-    for section, fields in SMALL.items():
-        config[section].update(fields)
+    config.update(SMALL)
     if config.pose.choice_grid:
         config.pose.update(choice_grid=8, choice_points=50, choice_top=4)
     config.pose.candidates = min(config.pose.candidates, 2)

@@ -14,7 +14,7 @@ from dpc_jax.run.prediction import predict_images
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, predict, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Image to point cloud and pose.")
     parser.add_argument("--workdir", type=Path, required=True, help="of a trained run")
     parser.add_argument("--out", type=Path, help="folder; WORKDIR/predictions if none")
     parser.add_argument(

@@ -15,6 +15,7 @@ from dpc_jax.config import (
     check,
     from_config_dict,
     from_json,
+    replace_fields,
     to_config_dict,
     to_json,
 )
@@ -31,8 +32,7 @@ def load(name, variant=None):
 
 def change(config, section, **fields):
     """The config with other values in a section."""
-    record = dataclasses.replace(getattr(config, section), **fields)
-    return dataclasses.replace(config, **{section: record})
+    return replace_fields(config, {section: fields})
 
 
 def load_editable(name, variant=None):

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpc_jax.config import Config
+from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet
 from dpc_jax.learning.schedules import find_stage
 from dpc_jax.learning.step import init_state, make_train_step
@@ -62,17 +62,13 @@ PLAIN = {
 }
 
 
-def tiny_config(**changes) -> Config:
+def tiny_config(*, seed: int = 0, **changes) -> Config:
     """The plain config with other values; a field is named without its section."""
-    config = Config("car", seed=changes.pop("seed", 0))
-    for section, plain in PLAIN.items():
-        record = getattr(config, section)
-        names = {field.name for field in dataclasses.fields(record)}
+    config = replace_fields(Config("car", seed=seed), PLAIN)
+    for section in PLAIN:
+        names = {field.name for field in dataclasses.fields(getattr(config, section))}
         asked = {name: changes.pop(name) for name in names & changes.keys()}
-        record = dataclasses.replace(record, **plain | asked)
-        config = dataclasses.replace(config, **{section: record})
-    if "log" in changes:
-        config = dataclasses.replace(config, log=changes.pop("log"))
+        config = replace_fields(config, {section: asked})
     assert not changes, f"no such fields: {changes}"
     return config
 

@@ -18,4 +18,6 @@ from dpc_jax.config.sections import Pose as Pose
 from dpc_jax.config.sections import Render as Render
 from dpc_jax.config.sections import Train as Train
 from dpc_jax.config.variants import VARIANTS as VARIANTS
+from dpc_jax.config.variants import build_config as build_config
 from dpc_jax.config.variants import make_config as make_config
+from dpc_jax.config.variants import replace_fields as replace_fields

@@ -13,9 +13,11 @@ import ml_collections
 from dpc_jax.config.face import to_config_dict
 from dpc_jax.config.sections import Config
 
-# Section: fields. Variants are applied in this order, whatever the order they are
+Changes = Mapping[str, Mapping[str, Any]]  # section: {field: value}
+
+# Variants are applied in this order, whatever the order they are
 # asked for in.
-VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
+VARIANTS: dict[str, Changes] = {
     # § Training details and § Network architecture, at 64 pixels.
     "paper": {
         "data": {
@@ -66,11 +68,19 @@ EXCLUSIVE = ({"naive", "known_pose"},)  # with known poses there is nothing to r
 
 
 def make_config(
-    category: str,
-    variant: str | None = None,
-    changes: Mapping[str, Mapping[str, Any]] | None = None,
+    category: str, variant: str | None = None, changes: Changes | None = None
 ) -> ml_collections.ConfigDict:
-    """A config to hand to the command line; what a file in configs/ returns.
+    """A config for the command line to edit: what a file in configs/ returns.
+
+    Arguments and errors as of `build_config`.
+    """
+    return to_config_dict(build_config(category, variant, changes))
+
+
+def build_config(
+    category: str, variant: str | None = None, changes: Changes | None = None
+) -> Config:
+    """The config of a category in a variant.
 
     Args:
       category: "car", "chair" or "airplane"; of other objects a label.
@@ -85,12 +95,17 @@ def make_config(
     names = _split(variant or "")
     config = Config(category=category, variant=",".join(names))
     for values in (changes or {}, *(VARIANTS[name] for name in names)):
-        sections = {
-            section: dataclasses.replace(getattr(config, section), **fields)
-            for section, fields in values.items()
-        }
-        config = dataclasses.replace(config, **sections)
-    return to_config_dict(config)
+        config = replace_fields(config, values)
+    return config
+
+
+def replace_fields(config: Config, changes: Changes) -> Config:
+    """The config with other values: section: {field: value}."""
+    sections = {
+        section: dataclasses.replace(getattr(config, section), **fields)
+        for section, fields in changes.items()
+    }
+    return dataclasses.replace(config, **sections)
 
 
 def _split(variant: str) -> list[str]:

@@ -42,11 +42,13 @@ class Checkpoints:
         self._open()
 
     def _open(self):
-        policies = ocp.training
+        every_step = ocp.training.save_decision_policies.FixedIntervalPolicy(1)
+        newest = ocp.training.preservation_policies.LatestN(KEPT)
+        # Orbax's protocols ask for more than its own policies and pathlib have.
         self._checkpointer = ocp.training.Checkpointer(
-            self._folder,
-            save_decision_policy=policies.save_decision_policies.FixedIntervalPolicy(1),
-            preservation_policy=policies.preservation_policies.LatestN(KEPT),
+            self._folder,  # pyright: ignore[reportArgumentType]
+            save_decision_policy=every_step,  # pyright: ignore[reportArgumentType]
+            preservation_policy=newest,  # pyright: ignore[reportArgumentType]
         )
 
     def close(self):
@@ -123,5 +125,5 @@ def _checksum(state: TrainState) -> int:
     """CRC-32 of all leaves in their order."""
     value = 0
     for leaf in jax.tree.leaves(jax.device_get(state)):
-        value = zlib.crc32(np.ascontiguousarray(leaf).view(np.uint8), value)
+        value = zlib.crc32(np.ascontiguousarray(leaf).tobytes(), value)
     return value

@@ -4,7 +4,7 @@ Comparing all candidates in a smaller volume and with fewer points costs a fract
 the exact comparison, which is then made among the best few only.
 """
 
-import chex
+import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning.renders import compute_candidate_losses
@@ -12,17 +12,17 @@ from dpc_jax.render import Camera
 
 
 def compute_coarse_losses(
-    points: chex.Array,
-    mass: chex.Array,
-    candidates: chex.Array,
-    target: chex.Array,
+    points: jax.Array,
+    mass: jax.Array,
+    candidates: jax.Array,
+    target: jax.Array,
     *,
-    sigma: chex.Array,
+    sigma: jax.Array,
     camera: Camera,
     first_grid: int,
     first_points: int,
     at_once: int,
-) -> chex.Array:
+) -> jax.Array:
     """Loss [C] of each candidate in a coarser volume and with fewer points.
 
     Arguments as of `hindsight.choose_candidate`.

@@ -5,7 +5,6 @@ head's pose is also tried after turning the object by 180° about each principal
 the predicted points; the gradient reaches the head through the fixed turn.
 """
 
-import chex
 import jax
 import jax.numpy as jnp
 
@@ -13,8 +12,8 @@ from dpc_jax.render import quaternion
 
 
 def average_covariance(
-    covariance: chex.Array, points: chex.Array, step: chex.Array
-) -> chex.Array:
+    covariance: jax.Array, points: jax.Array, step: jax.Array
+) -> jax.Array:
     """The running covariance [3, 3] after one more batch of points [..., 3].
 
     The plain mean at first, then one that forgets within a hundred batches.
@@ -24,13 +23,13 @@ def average_covariance(
     return (1 - weight) * covariance + weight * current
 
 
-def compute_covariance(points: chex.Array) -> chex.Array:
+def compute_covariance(points: jax.Array) -> jax.Array:
     """Covariance [3, 3] of points [N, 3], without gradient."""
     centred = jax.lax.stop_gradient(points - jnp.mean(points, axis=0))
     return jnp.matmul(centred.T, centred, precision="highest") / points.shape[0]
 
 
-def find_half_turns(covariance: chex.Array) -> chex.Array:
+def find_half_turns(covariance: jax.Array) -> jax.Array:
     """Half turns about the principal axes of a covariance [3, 3].
 
     Returns:
@@ -41,7 +40,7 @@ def find_half_turns(covariance: chex.Array) -> chex.Array:
     return jnp.concatenate([jnp.array([quaternion.IDENTITY], axes.dtype), turns])
 
 
-def turn_candidates(candidates: chex.Array, turns: chex.Array) -> chex.Array:
+def turn_candidates(candidates: jax.Array, turns: jax.Array) -> jax.Array:
     """Each candidate after each turn of the object.
 
     Args:
@@ -50,7 +49,6 @@ def turn_candidates(candidates: chex.Array, turns: chex.Array) -> chex.Array:
     Returns:
       [T·K, 4]; candidate i of the result is head i % K.
     """
-    turned = jax.vmap(
-        lambda turn: jax.vmap(lambda q: quaternion.multiply(q, turn))(candidates)
-    )(turns)
+    over_candidates = jax.vmap(quaternion.multiply, in_axes=(0, None))
+    turned = jax.vmap(over_candidates, in_axes=(None, 0))(candidates, turns)
     return turned.reshape(-1, 4)

@@ -6,7 +6,6 @@ rendered without a gradient, and only the winner is rendered again with one.
 
 from typing import NamedTuple
 
-import chex
 import jax
 import jax.numpy as jnp
 
@@ -26,23 +25,23 @@ class Winners(NamedTuple):
       indices: [B, V] int32; candidate i belongs to head i % K.
     """
 
-    poses: chex.Array
-    indices: chex.Array
+    poses: jax.Array
+    indices: jax.Array
 
 
 def choose_candidate(
-    points: chex.Array,
-    mass: chex.Array,
-    candidates: chex.Array,
-    target: chex.Array,
+    points: jax.Array,
+    mass: jax.Array,
+    candidates: jax.Array,
+    target: jax.Array,
     *,
-    sigma: chex.Array,
+    sigma: jax.Array,
     camera: Camera,
     first_grid: int = 0,
     first_points: int = 0,
     top: int = 0,
     at_once: int = 1,
-) -> chex.Array:
+) -> jax.Array:
     """Eq. 2 for one view: index of the candidate with the smallest loss; ().
 
     By default the exact minimum. With `first_grid` or `first_points`, candidates are
@@ -99,8 +98,8 @@ def choose_candidate(
 
 def choose_poses(
     shapes: Shapes,
-    candidates: chex.Array,
-    masks: chex.Array,
+    candidates: jax.Array,
+    masks: jax.Array,
     *,
     camera: Camera,
     render: Render,

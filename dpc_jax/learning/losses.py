@@ -1,6 +1,5 @@
 """Losses: reprojection (Eq. 1), the student's (§ distilled ensemble), priors."""
 
-import chex
 import jax
 import jax.numpy as jnp
 import optax
@@ -8,7 +7,7 @@ import optax
 from dpc_jax.render import checks, quaternion
 
 
-def reprojection_loss(predicted: chex.Array, target: chex.Array) -> chex.Array:
+def reprojection_loss(predicted: jax.Array, target: jax.Array) -> jax.Array:
     """Sum of squared differences of two images of one view, the norm of Eq. 1; ().
 
     Raises:
@@ -20,7 +19,7 @@ def reprojection_loss(predicted: chex.Array, target: chex.Array) -> chex.Array:
     return jnp.sum((predicted - target) ** 2)
 
 
-def student_loss(student: chex.Array, teacher: chex.Array) -> chex.Array:
+def student_loss(student: jax.Array, teacher: jax.Array) -> jax.Array:
     """Angular difference 1 - |Re(q₁q₂⁻¹)| of two quaternions [4]; in [0, 1].
 
     Differs from the paper's 1 - Re(q₁q₂⁻¹) in taking the absolute value, because q and
@@ -33,7 +32,7 @@ def student_loss(student: chex.Array, teacher: chex.Array) -> chex.Array:
     return 1 - jnp.where(cosine >= 0, cosine, -cosine)
 
 
-def selection_loss(logits: chex.Array, winners: chex.Array) -> chex.Array:
+def selection_loss(logits: jax.Array, winners: jax.Array) -> jax.Array:
     """Mean cross entropy, in nats, of a student that selects; logits [n, C].
 
     Args:
@@ -43,7 +42,7 @@ def selection_loss(logits: chex.Array, winners: chex.Array) -> chex.Array:
     return jnp.mean(entropies)
 
 
-def repulsion_energy(points: chex.Array, *, softening: float = 0.02) -> chex.Array:
+def repulsion_energy(points: jax.Array, *, softening: float = 0.02) -> jax.Array:
     """Mean Coulomb energy 1/r of the pairs of a cloud; (). Not in the paper.
 
     Silhouettes cannot tell a solid from its shell. Charges in a bounded region settle
@@ -79,7 +78,7 @@ def repulsion_energy(points: chex.Array, *, softening: float = 0.02) -> chex.Arr
     return jnp.sum(jnp.where(is_pair, energy, 0)) / (count * (count - 1))
 
 
-def containment_loss(points: chex.Array, *, radius: float = 0.5) -> chex.Array:
+def containment_loss(points: jax.Array, *, radius: float = 0.5) -> jax.Array:
     """Squared distance of points [N, 3] beyond a sphere, summed; (). Not in the paper.
 
     An object of box diagonal 1 lies within radius 1/2. A point that has left the image
@@ -91,7 +90,7 @@ def containment_loss(points: chex.Array, *, radius: float = 0.5) -> chex.Array:
     return jnp.sum(jnp.where(is_beyond, (length - radius) ** 2, 0))
 
 
-def downsample_images(images: chex.Array, size: int) -> chex.Array:
+def downsample_images(images: jax.Array, size: int) -> jax.Array:
     """Average bytes [..., S, S] over blocks, to [..., size, size] in [0, 1]."""
     factor = images.shape[-1] // size
     blocks = images.astype(jnp.float32).reshape(

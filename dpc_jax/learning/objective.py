@@ -1,11 +1,11 @@
 """The objective of a batch: Eq. 1 with the hindsight choice, and the student's loss."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import chex
 import jax
 import jax.numpy as jnp
-import optax
 
 from dpc_jax.config import Pose, Render, Train
 from dpc_jax.learning import losses, schedules
@@ -26,23 +26,23 @@ from dpc_jax.render import Camera, Projection, VoxelGrid, project
 class Term(NamedTuple):
     """One loss: its value and its weight in the sum."""
 
-    value: chex.Array
+    value: jax.Array
     weight: chex.Numeric = 1.0
 
 
 def compute_loss(
-    params: optax.Params,
-    batch: dict[str, chex.Array],
-    key: chex.PRNGKey,
-    step: chex.Array,
-    covariance: chex.Array,
+    params: Mapping,
+    batch: dict[str, jax.Array],
+    key: jax.Array,
+    step: jax.Array,
+    covariance: jax.Array,
     *,
     network: ShapePoseNetwork,
     render: Render,
     pose: Pose,
     train: Train,
     stage: schedules.Stage,
-) -> tuple[chex.Array, tuple[dict[str, chex.Array], chex.Array]]:
+) -> tuple[jax.Array, tuple[dict[str, jax.Array], jax.Array]]:
     """The training objective of one batch (§ Single-view Shape and Pose Estimation).
 
     The shape is predicted from each object's first view and compared with all its
@@ -106,7 +106,7 @@ def compute_loss(
 
 def render_winners(
     shapes: Shapes,
-    rotations: chex.Array,
+    rotations: jax.Array,
     *,
     camera: Camera,
     render: Render,
@@ -145,7 +145,7 @@ def render_winners(
 
 def compare_views(
     rendered: Projection,
-    batch: dict[str, chex.Array],
+    batch: dict[str, jax.Array],
     *,
     render: Render,
     train: Train,
@@ -154,6 +154,7 @@ def compare_views(
 
     Sums over the pixels of the base grid: those of a finer image are counted in parts.
     """
+    assert rendered.silhouette is not None
     num_views, side = rendered.silhouette.shape[:2]
     pixels_per_pixel = (side / render.grid) ** 2
 
@@ -170,9 +171,7 @@ def compare_views(
     return terms
 
 
-def compute_priors(
-    shapes: Shapes, step: chex.Array, *, train: Train
-) -> dict[str, Term]:
+def compute_priors(shapes: Shapes, step: jax.Array, *, train: Train) -> dict[str, Term]:
     """What is asked of a shape beside its views. Not in the paper."""
     terms = {}
     if train.containment_weight:
@@ -200,12 +199,13 @@ def compare_student(
     if poses.logits is not None:
         loss = losses.selection_loss(poses.logits, winners.indices.reshape(-1))
     else:
+        assert poses.student is not None
         teachers = winners.poses.reshape(-1, 4)
         loss = jnp.mean(jax.vmap(losses.student_loss)(poses.student, teachers))
     return {"student": Term(loss, pose.student_weight * render.grid**2)}
 
 
-def sum_terms(terms: dict[str, Term]) -> chex.Array:
+def sum_terms(terms: dict[str, Term]) -> jax.Array:
     """The weighted sum; ()."""
     total = jnp.zeros(())
     for term in terms.values():

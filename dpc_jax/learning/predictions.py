@@ -1,11 +1,10 @@
 """What the network predicts for a batch: shapes, pose candidates, masses."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
-import chex
 import jax
 import jax.numpy as jnp
-import optax
 
 from dpc_jax.config import Pose
 from dpc_jax.learning import half_turns
@@ -24,12 +23,12 @@ class Shapes(NamedTuple):
       mass: [B] of each point, voxels. sigma: () of each point, voxels.
     """
 
-    points: chex.Array
-    kept: chex.Array
-    colors: chex.Array | None
-    scale: chex.Array
-    mass: chex.Array
-    sigma: chex.Array
+    points: jax.Array
+    kept: jax.Array
+    colors: jax.Array | None
+    scale: jax.Array
+    mass: jax.Array
+    sigma: jax.Array
 
 
 class Poses(NamedTuple):
@@ -41,19 +40,19 @@ class Poses(NamedTuple):
       logits: [n, C] of a student that selects, or None.
     """
 
-    candidates: chex.Array
-    student: chex.Array | None
-    logits: chex.Array | None
+    candidates: jax.Array
+    student: jax.Array | None
+    logits: jax.Array | None
 
 
-def scale_images(images: chex.Array) -> chex.Array:
+def scale_images(images: jax.Array) -> jax.Array:
     """Bytes 0..255 to the network's [-1, 1]."""
     return images.astype(jnp.float32) / 127.5 - 1
 
 
 def encode_views(
-    params: optax.Params, images: chex.Array, *, network: ShapePoseNetwork
-) -> chex.Array:
+    params: Mapping, images: jax.Array, *, network: ShapePoseNetwork
+) -> jax.Array:
     """Features [B, V, F] of images uint8 [B, V, S, S, 3]."""
     batch_size, views = images.shape[:2]
     scaled = scale_images(images).reshape(-1, *images.shape[2:])
@@ -63,10 +62,10 @@ def encode_views(
 
 
 def predict_shapes(
-    params: optax.Params,
-    features: chex.Array,
-    key: chex.PRNGKey,
-    sigma: chex.Array,
+    params: Mapping,
+    features: jax.Array,
+    key: jax.Array,
+    sigma: jax.Array,
     *,
     network: ShapePoseNetwork,
     kept_points: int,
@@ -92,9 +91,9 @@ def predict_shapes(
 
 
 def predict_poses(
-    params: optax.Params,
-    features: chex.Array,
-    covariance: chex.Array,
+    params: Mapping,
+    features: jax.Array,
+    covariance: jax.Array,
     *,
     network: ShapePoseNetwork,
     pose: Pose,
@@ -111,7 +110,7 @@ def predict_poses(
 
 
 def complete_poses(
-    output: dict[str, chex.Array], covariance: chex.Array, *, pose: Pose
+    output: dict[str, jax.Array], covariance: jax.Array, *, pose: Pose
 ) -> Poses:
     """Add the turned candidates, and the pose of a student that selects.
 
@@ -131,9 +130,7 @@ def complete_poses(
     return Poses(candidates, student, logits)
 
 
-def compute_mass(
-    scale: chex.Array, sigma: chex.Array, *, scale_unit: str
-) -> chex.Array:
+def compute_mass(scale: jax.Array, sigma: jax.Array, *, scale_unit: str) -> jax.Array:
     """Mass of a point in voxels from the learned scaling coefficient in (0, 1).
 
     With the unit "peak" a coefficient of one makes a point on a cell centre fill that

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -77,15 +76,15 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
 
 
 def explain_view(
-    points: chex.Array,
-    mass: chex.Array,
-    student: chex.Array,
-    candidates: chex.Array,
-    target: chex.Array,
+    points: jax.Array,
+    mass: jax.Array,
+    student: jax.Array,
+    candidates: jax.Array,
+    target: jax.Array,
     *,
-    sigma: chex.Array,
+    sigma: jax.Array,
     config: Config,
-) -> tuple[chex.Array, chex.Array]:
+) -> tuple[jax.Array, jax.Array]:
     """Silhouette of a shape from the student's pose, and the best candidate's index.
 
     Args:
@@ -107,6 +106,7 @@ def explain_view(
         camera=camera,
         grid=VoxelGrid(side),
     )
+    assert image.silhouette is not None
     winner = jnp.zeros((), jnp.int32)
     if len(candidates) > 1:
         winner = hindsight.choose_candidate(
@@ -154,7 +154,7 @@ def predict_all(
         rows = np.minimum(np.arange(start, start + views_at_once), total - 1)
         chosen = models.reshape(-1)[rows], views.reshape(-1)[rows]
         if dataset.quaternions is None:
-            poses = np.tile(np.float32([1, 0, 0, 0]), (views_at_once, 1))
+            poses = np.tile(np.array([1, 0, 0, 0], np.float32), (views_at_once, 1))
         else:
             poses = np.asarray(dataset.quaternions[chosen])
         images, masks = dataset.images[chosen], dataset.masks[chosen]

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-import chex
 import jax
 
 from dpc_jax.learning.losses import reprojection_loss
@@ -23,15 +22,15 @@ def map_renders(function: Callable, inputs: Any, *, at_once: int) -> Any:
 
 
 def compute_candidate_losses(
-    points: chex.Array,
-    mass: chex.Array,
-    candidates: chex.Array,
-    target: chex.Array,
+    points: jax.Array,
+    mass: jax.Array,
+    candidates: jax.Array,
+    target: jax.Array,
     *,
-    sigma: chex.Array,
+    sigma: jax.Array,
     camera: Camera,
     at_once: int = 1,
-) -> chex.Array:
+) -> jax.Array:
     """Reprojection loss of each pose candidate of one view.
 
     Args:
@@ -50,6 +49,7 @@ def compute_candidate_losses(
         image = project(
             points, candidate, sigma=sigma, scale=mass, camera=camera, grid=grid
         )
+        assert image.silhouette is not None
         return reprojection_loss(image.silhouette, target)
 
     return map_renders(compute_loss, candidates, at_once=at_once)

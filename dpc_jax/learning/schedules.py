@@ -3,13 +3,14 @@
 from typing import NamedTuple
 
 import chex
+import jax
 import jax.numpy as jnp
 import optax
 
 from dpc_jax.config import Render, Train
 
 
-def compute_sigma(step: chex.Numeric, render: Render, *, steps: int) -> chex.Array:
+def compute_sigma(step: chex.Numeric, render: Render, *, steps: int) -> jax.Array:
     """Standard deviation of a point in voxels of `render.grid`; linear in the step.
 
     The paper goes from 5 % to 0.3 % of the volume, at every resolution.

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-import chex
 import jax
 import jax.numpy as jnp
 import optax
@@ -25,10 +24,10 @@ class TrainState(NamedTuple):
         batches: its principal axes are those of the half turns.
     """
 
-    step: chex.Array
+    step: jax.Array
     params: optax.Params
     optimizer: optax.OptState
-    covariance: chex.Array
+    covariance: jax.Array
 
 
 def make_optimizer(train: Train) -> optax.GradientTransformation:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from dpc_jax.config import Config, check, from_config_dict, make_config
+from dpc_jax.config import Config, build_config, check, replace_fields
 from dpc_jax.data import load_or_render
 from dpc_jax.learning import loop
 from dpc_jax.learning.checkpoints import Checkpoints
@@ -111,24 +111,28 @@ def run(
 
 def make_trial_config(trial: Trial, *, seed: int) -> Config:
     """The default config in miniature: cars of 32 pixels, volumes of 8 to 16 cells."""
-    c = make_config("car", trial.variant)
-    c.seed = seed
-    c.data.update(models=12, image_size=32, surface_points=1000, views=5)
-    c.network.update(channels=4, hidden=32, shape_hidden=32)
-    # One stage: what is static changes the program, not what can break.
-    c.render.update(grid=16, fine_grid=0, num_points=100, keep_start=1.0, keep_levels=1)
-    c.pose.candidates = 2
-    if c.pose.choice_grid:
-        c.pose.update(choice_grid=8, choice_points=50, choice_top=4)
-    c.train.update(
-        steps=trial.steps,
-        warmup_steps=min(c.train.warmup_steps, trial.steps // 10),
-        learning_rate=c.train.learning_rate * trial.factor,
-        models_per_batch=2,
-        views_per_batch=2,
+    full = build_config("car", trial.variant)
+    coarse = dict(choice_grid=8, choice_points=50, choice_top=4)
+    config = replace_fields(
+        full,
+        {
+            "data": dict(models=12, image_size=32, surface_points=1000, views=5),
+            "network": dict(channels=4, hidden=32, shape_hidden=32),
+            # One stage: what is static changes the program, not what can break.
+            "render": dict(grid=16, fine_grid=0, num_points=100)
+            | dict(keep_start=1.0, keep_levels=1),
+            "pose": dict(candidates=2) | (coarse if full.pose.choice_grid else {}),
+            "train": dict(
+                steps=trial.steps,
+                warmup_steps=min(full.train.warmup_steps, trial.steps // 10),
+                learning_rate=full.train.learning_rate * trial.factor,
+                models_per_batch=2,
+                views_per_batch=2,
+            ),
+            "log": dict(every=max(1, trial.steps // 20), evaluate=0, checkpoint=0),
+        },
     )
-    c.log.update(every=max(1, trial.steps // 20), evaluate=0, checkpoint=0)
-    return from_config_dict(c)
+    return dataclasses.replace(config, seed=seed)
 
 
 def train(trial: Trial, folder: Path, name: str, *, seed: int) -> Ending:
