@@ -4,6 +4,10 @@ import os
 
 import hypothesis
 
+# Broadcasting over a missing axis is a mistake waiting to happen: say the axis. In the
+# environment, so that the processes which tests start have it too.
+os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
+
 # A first example compiles, so a deadline would measure the compiler.
 hypothesis.settings.register_profile("local", deadline=None)
 hypothesis.settings.register_profile("ci", deadline=None, derandomize=True)

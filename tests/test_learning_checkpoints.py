@@ -126,7 +126,7 @@ def test_where_no_checkpoint_can_be_read_a_sentence_says_so(opened, tmp_path):
     for step in "56":
         damage(tmp_path / "checkpoints" / step, how="truncated")
     with pytest.raises(
-        ValueError, match=r"None of .*checkpoints \(steps 6, 5\).*remove"
+        ValueError, match=r"checkpoints, but none of them \(steps 6, 5\).*remove"
     ):
         reopen(tmp_path)
 

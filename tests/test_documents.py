@@ -1,0 +1,92 @@
+"""What the documents name exists: files, functions, tests, pictures, links."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "dpc_jax"
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+
+
+def find_source(name):
+    """A file that a page names: from the package's folder or the repository's."""
+    for place in (PACKAGE / name, ROOT / name):
+        if place.exists():
+            return place
+    return None
+
+
+def list_functions():
+    """(file, name) of the functions that docs/equations.md names."""
+    text = (ROOT / "docs" / "equations.md").read_text(encoding="utf-8")
+    for row in re.findall(r"^\|(.*)\|$", text, flags=re.MULTILINE):
+        file = None
+        for quoted in re.findall(r"`([^`]+)`", row):
+            if match := re.fullmatch(r"([\w/]+\.py): (\w+)", quoted):
+                file = match[1]
+                yield file, match[2]
+            elif re.fullmatch(r"[\w/]+\.py", quoted):
+                file = quoted
+                yield file, None
+            elif file and re.fullmatch(r"[A-Za-z]\w+", quoted):
+                yield file, quoted  # further functions of the same file
+
+
+FUNCTIONS = sorted(set(list_functions()), key=str)
+
+
+def test_the_equations_name_functions_and_tests():
+    files = {file for file, _ in FUNCTIONS}
+    assert {"learning/objective.py", "render/termination.py"} <= files
+    assert sum(file.startswith("tests/") for file in files) >= 10
+
+
+@pytest.mark.parametrize("file, name", FUNCTIONS)
+def test_every_function_and_test_of_the_equations_exists(file, name):
+    path = find_source(file)
+    assert path is not None, f"there is no {file}"
+    if name is not None:
+        text = path.read_text(encoding="utf-8")
+        assert re.search(rf"^(def|class) {name}\b", text, flags=re.MULTILINE)
+
+
+@pytest.mark.parametrize("number", range(1, 7))
+def test_an_equation_is_found_by_its_number(number):
+    """As `grep -rn "Eq. 3" dpc_jax` finds it: in the docstring of a function."""
+    found = [
+        path
+        for path in PACKAGE.rglob("*.py")
+        if re.search(
+            rf'^def \w+\([^"]*"""[^"]*Eq\. {number}\b',
+            path.read_text(encoding="utf-8"),
+            flags=re.MULTILINE,
+        )
+    ]
+    assert found, f"no function carries Eq. {number}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_and_picture_of_a_page_exists(page):
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
+        if "://" not in target:
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_file_that_a_page_names_exists(page):
+    text = page.read_text(encoding="utf-8")
+    pattern = r"`((?:dpc_jax|configs|launch|tests|docs|render|learning|data|networks|"
+    pattern += r"evaluation|reporting|measure|shapes|config|run)/[\w/]+\.(?:py|sh|md))"
+    for name in re.findall(pattern, text):
+        assert find_source(name) is not None, f"{page.name} names {name}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_module_that_a_page_runs_exists(page):
+    text = page.read_text(encoding="utf-8")
+    for module in re.findall(r"-m (dpc_jax[\w.]*)", text):
+        path = ROOT / module.replace(".", "/")
+        assert path.with_suffix(".py").exists() or (path / "__main__.py").exists()
