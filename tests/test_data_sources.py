@@ -4,7 +4,8 @@ import pytest
 import trimesh
 
 from dpc_jax.data import DataSpec, split_files
-from dpc_jax.data.spec import SPLITS, list_sources
+from dpc_jax.data.sources import open_source
+from dpc_jax.data.splits import SPLITS
 
 
 def test_splits_hold_every_file_once_and_equal_files_together():
@@ -41,7 +42,7 @@ def test_procedural_splits_and_seeds_never_share_a_shape():
     for split in SPLITS:
         for seed in range(3):
             spec = DataSpec("car", models=50, split=split, seed=seed)
-            seeds |= {source.seed for source in list_sources(spec)}
+            seeds |= {source.seed for source in open_source(spec).list_models()}
     assert len(seeds) == 9 * 50
 
 
@@ -50,7 +51,7 @@ def test_an_empty_split_of_a_folder_is_named(tmp_path):
         trimesh.creation.box(extents=[1, 1, 1 + i]).export(tmp_path / f"{i}.ply")
     spec = DataSpec("car", folder=str(tmp_path), split="val", fractions=(1, 0, 1))
     with pytest.raises(ValueError, match="val split"):
-        list_sources(spec)
+        open_source(spec).list_models()
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dpc_jax.data import batches, dataset, rendering
-from dpc_jax.data.spec import DataSpec, list_sources
+from dpc_jax.data import batches, dataset, workers
+from dpc_jax.data.sources import open_source
+from dpc_jax.data.spec import DataSpec
 
 
 def measure(
@@ -83,16 +84,17 @@ def measure(
 
 def find_folder(spec, cache_dir):
     """The cache folder of a specification."""
-    return dataset.locate_cache(spec, list_sources(spec), cache_dir)
+    source = open_source(spec)
+    return dataset.locate_cache(source, source.list_models(), cache_dir)
 
 
 def _count_missing(spec, cache_dir):
-    sources, folder = list_sources(spec), find_folder(spec, cache_dir)
-    plan = rendering.plan_shards(spec, sources)
+    source, folder = open_source(spec), find_folder(spec, cache_dir)
+    plan = workers.plan_shards(source, source.list_models())
     return sum(
         len(models)
         for number, models in enumerate(plan)
-        if not (folder / rendering.name_shard(number)).is_file()
+        if not (folder / workers.name_shard(number)).is_file()
     )
 
 

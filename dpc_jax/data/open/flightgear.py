@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from dpc_jax.data.open import ac3d
-from dpc_jax.data.open.models import OpenModel
+from dpc_jax.data.open.package_models import OpenModel
 
 PACKAGE = "flightgear-data-ai"
 EXTRAS = ("refueling", "lights", "light", "Lights")  # folders of parts, not planes

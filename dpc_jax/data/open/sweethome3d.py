@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 
 from dpc_jax.data import meshes
-from dpc_jax.data.open.models import OpenModel
+from dpc_jax.data.open.package_models import OpenModel
 
 PACKAGE = "sweethome3d-furniture"
 CHAIRS = re.compile(r"chair|stool|seat|fotel", re.IGNORECASE)

@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 
 from dpc_jax.data.open import ac3d
-from dpc_jax.data.open.models import OpenModel
+from dpc_jax.data.open.package_models import OpenModel
 
 PACKAGE = "torcs-data"
 UNITS = {"m": 1.0, "": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}

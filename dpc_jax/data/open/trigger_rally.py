@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from dpc_jax.data import meshes
-from dpc_jax.data.open.models import OpenModel
+from dpc_jax.data.open.package_models import OpenModel
 from dpc_jax.data.open.torcs import join_meshes
 
 PACKAGE = "trigger-rally-data"

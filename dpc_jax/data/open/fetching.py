@@ -15,9 +15,10 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from dpc_jax.data import meshes, rendering
+from dpc_jax.data import meshes
 from dpc_jax.data.look import contact_sheet
 from dpc_jax.data.open import debian, flightgear, sweethome3d, torcs, trigger_rally
+from dpc_jax.data.progress import follow
 from dpc_jax.shapes.normalization import normalize
 
 RECIPES = {
@@ -119,7 +120,7 @@ def _make_folder(category, folder, packages, *, progress):
                 skipped[model.name] = str(error)
             yield model.name
 
-    for _ in rendering.follow(
+    for _ in follow(
         make_all(),
         count=len(models),
         label=f"Converting {category}",
