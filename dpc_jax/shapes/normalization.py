@@ -15,7 +15,7 @@ def normalize(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     diagonal = float(np.linalg.norm(high - low))
     if not diagonal > 0:
         raise ValueError(
-            f"expected a mesh with an extent, got a box diagonal of {diagonal}; "
+            f"Expected a mesh with an extent, but its box diagonal is {diagonal}; "
             "skip it."
         )
     return replace_vertices(mesh, (vertices - (low + high) / 2) / diagonal)
@@ -23,6 +23,5 @@ def normalize(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 def replace_vertices(mesh: trimesh.Trimesh, vertices: np.ndarray) -> trimesh.Trimesh:
     """Copy of a mesh with other vertices [n, 3]; faces and their colours stay."""
-    return trimesh.Trimesh(
-        vertices, mesh.faces, face_colors=mesh.visual.face_colors, process=False
-    )
+    colors = mesh.visual.face_colors  # pyright: ignore  # not of textures
+    return trimesh.Trimesh(vertices, mesh.faces, face_colors=colors, process=False)
