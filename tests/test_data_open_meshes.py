@@ -284,7 +284,7 @@ def test_an_unpacking_that_was_cut_starts_anew(tmp_path, monkeypatch):
         (
             ("apt-get", "dpkg-deb"),
             "E: You don't have enough free space\n",
-            ("enough free space", "mend that"),
+            ("enough free space", "fix that"),
         ),
     ],
 )
@@ -297,7 +297,7 @@ def test_what_is_missing_is_told_in_one_sentence(
         (store / "fails").write_text(said)
     assert fetch("chair", tmp_path) == 1
     error = capsys.readouterr().err
-    assert error.startswith("Error: expected") and error.count("\n") == 1
+    assert error.startswith("Error: Expected") and error.count("\n") == 1
     for word in words:
         assert word in error
     assert not (tmp_path / "open/chair").exists()

@@ -18,6 +18,7 @@ import numpy as np
 
 from dpc_jax import files
 from dpc_jax.data import shards, workers
+from dpc_jax.data.damage import Damage
 from dpc_jax.data.progress import follow
 from dpc_jax.data.sources import Model, Source, open_source
 from dpc_jax.data.spec import DataSpec as DataSpec
@@ -158,7 +159,7 @@ def _is_whole(folder, plan, number):
         record = shards.read_record(path)
         expected = workers.identify_shard(folder, plan[number])
         if {name: record.get(name) for name in expected} != expected:
-            raise ValueError("it belongs to another set or other models")
+            raise Damage("it belongs to another set or other models")
     except FileNotFoundError:
         return False
     except (OSError, ValueError) as error:

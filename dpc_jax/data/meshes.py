@@ -10,7 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from trimesh.resolvers import FilePathResolver
+from trimesh.visual.color import uv_to_color
 
+from dpc_jax.data.damage import Damage
+from dpc_jax.shapes.joining import join_pieces
 from dpc_jax.shapes.normalization import replace_vertices
 
 SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
@@ -66,7 +70,7 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
     path = Path(path)
     try:
         # ShapeNet keeps textures in the folder above that of the mesh
-        options = {"resolver": _Files(path, allow_anywhere=True), "process": False}
+        options = {"resolver": _Files(str(path), allow_anywhere=True), "process": False}
         if path.suffix.lower() == ".obj":
             text = _decode(path.read_bytes())
             _expect_whole_line(text)
@@ -88,11 +92,7 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
         raise ValueError(
             f"Expected a mesh with faces in {path}, but it has none; remove it."
         )
-    starts = np.cumsum([0, *(len(vertices) for vertices, _, _ in pieces)])
-    vertices = np.concatenate([vertices for vertices, _, _ in pieces])
-    faces = np.concatenate(
-        [faces + start for (_, faces, _), start in zip(pieces, starts, strict=False)]
-    )
+    vertices, faces, colors = join_pieces(pieces)
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise ValueError(
             f"Expected faces between {len(vertices)} vertices in {path}, but an index "
@@ -109,10 +109,10 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
             f"Expected a mesh with an extent in {path}, but all its vertices coincide; "
             "remove the file."
         )
-    return _keep_used(vertices, faces, np.concatenate([color for *_, color in pieces]))
+    return _keep_used(vertices, faces, colors)
 
 
-class _Files(trimesh.resolvers.FilePathResolver):
+class _Files(FilePathResolver):
     """Materials and textures of a mesh file, as systems of all kinds name them."""
 
     def get(self, name):
@@ -136,7 +136,7 @@ def _expect_whole_line(text):
     words = text[text.rfind("\n") + 1 :].split()
     least = {"v": 4, "vt": 3, "vn": 4, "f": 4}.get(words[0] if words else "", 0)
     if len(words) < least or (least and words[-1][-1] in "/-+eE"):
-        raise ValueError(f"it ends within a line, {' '.join(words)!r}")
+        raise Damage(f"it ends within a line, {' '.join(words)!r}")
 
 
 def _keep_used(vertices, faces, colors):
@@ -171,7 +171,7 @@ def _face_colors(part):
             middle = np.asarray(visual.uv)[part.faces].mean(axis=1)
             # a cut picture shows only when its pixels are asked for; plain colour then
             with contextlib.suppress(OSError, SyntaxError):
-                return trimesh.visual.color.uv_to_color(middle, texture)
+                return uv_to_color(middle, texture)
         return np.tile(np.asarray(material.main_color, dtype=np.uint8), (count, 1))
     return np.tile(PLAIN, (count, 1))
 

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dpc_jax import files
+from dpc_jax.data.damage import Damage
 
 RECORD = "record"  # member that says what the shard holds, as JSON
 KEPT_PAGES = 32 << 20  # bytes read before mapped pages are given back to the system
@@ -64,7 +65,7 @@ def read_record(path: str | os.PathLike) -> dict[str, Any]:
     try:
         with zipfile.ZipFile(path) as archive:
             if (damaged := archive.testzip()) is not None:
-                raise ValueError(f"the checksum of {damaged} differs")
+                raise Damage(f"the checksum of {damaged} differs")
             with archive.open(f"{RECORD}.npy") as file:
                 return json.loads(np.lib.format.read_array(file).tobytes())
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:

@@ -39,6 +39,7 @@ class Source(Protocol):
     every render process opens the source again.
     """
 
+    spec: DataSpec
     unit = "object"  # what its models are called in messages
     is_stretchable = False  # whether copies of its models can be stretched
 

@@ -35,5 +35,5 @@ def look_at_rotation(azimuth: float, elevation: float) -> np.ndarray:
 
 
 def matrix_to_quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Quaternion [4] (wxyz, w >= 0) of a rotation matrix [3, 3]."""
+    """Quaternions [..., 4] (wxyz, w >= 0) of rotation matrices [..., 3, 3]."""
     return Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)

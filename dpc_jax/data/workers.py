@@ -11,7 +11,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +60,7 @@ def identify_shard(folder: str | Path, models: range) -> dict[str, Any]:
 
 def write_shards(
     folder: str | Path, source: Source, models: Sequence[Model], numbers: Iterable[int]
-) -> Iterator[tuple[int, str | None]]:
+) -> Generator[tuple[int, str | None]]:
     """Prepare and write shards; yield (index, None or reason to skip) per model.
 
     Raises:
@@ -120,7 +120,7 @@ def write_shards_in_processes(
     numbers: Sequence[int],
     *,
     processes: int,
-) -> Iterator[tuple[int, str | None]]:
+) -> Generator[tuple[int, str | None]]:
     """`write_shards` by worker processes, in the order in which models finish.
 
     Raises:

@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
+from dpc_jax.shapes.joining import join_pieces
+
 Color = tuple[int, ...]  # r, g, b in 0..255
 
 BLACK = (18, 18, 20)
@@ -143,13 +145,11 @@ def mirror(parts: Sequence[Part]) -> list[Part]:
 
 def join(parts: Sequence[Part]) -> trimesh.Trimesh:
     """One mesh with face colours; triangles without area are left out."""
-    offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    vertices = np.concatenate([part.vertices for part in parts])
-    faces = np.concatenate(
-        [part.faces + start for part, start in zip(parts, offsets, strict=False)]
-    )
-    colors = np.concatenate(
-        [np.tile(np.array([*p.color, 255], np.uint8), (len(p.faces), 1)) for p in parts]
+    vertices, faces, colors = join_pieces(
+        [
+            (v, f, np.tile(np.array([*color, 255], np.uint8), (len(f), 1)))
+            for v, f, color in parts
+        ]
     )
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

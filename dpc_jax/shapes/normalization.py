@@ -1,5 +1,7 @@
 """Bringing a mesh to its place and size: box centre at the origin, box diagonal 1."""
 
+from typing import Any
+
 import numpy as np
 import trimesh
 
@@ -23,5 +25,12 @@ def normalize(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 def replace_vertices(mesh: trimesh.Trimesh, vertices: np.ndarray) -> trimesh.Trimesh:
     """Copy of a mesh with other vertices [n, 3]; faces and their colours stay."""
-    colors = mesh.visual.face_colors  # pyright: ignore  # not of textures
-    return trimesh.Trimesh(vertices, mesh.faces, face_colors=colors, process=False)
+    return trimesh.Trimesh(
+        vertices, mesh.faces, face_colors=face_colors(mesh), process=False
+    )
+
+
+def face_colors(mesh: trimesh.Trimesh) -> np.ndarray:
+    """Colours [F, 4] uint8 of a mesh without textures."""
+    visual: Any = mesh.visual  # checkers think of textures, which have none
+    return np.asarray(visual.face_colors)

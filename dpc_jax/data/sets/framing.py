@@ -53,7 +53,8 @@ def trace_outline(mask: np.ndarray) -> Outline:
     """`Outline` of a boolean mask [height, width] that is not empty."""
     height, width = mask.shape
     box = np.array(Image.fromarray(mask).getbbox(), dtype=np.float64)
-    rim = np.nonzero(mask & ~ndimage.binary_erosion(mask))
+    inner = np.asarray(ndimage.binary_erosion(mask), dtype=bool)
+    rim = np.nonzero(mask & ~inner)
     return Outline((height, width), box[:2], box[2:], np.stack(rim[::-1]) + 0.5)
 
 

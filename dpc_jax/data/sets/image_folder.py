@@ -182,7 +182,7 @@ def read_object(
     try:
         frames = framing.frame_views(
             outlines,
-            poses and [poses[path] for path in kept],
+            None if poses is None else [poses[path] for path in kept],
             crop=crop,
             fill=fill,
             focal_length=focal_length,
@@ -199,8 +199,9 @@ def read_object(
         "masks": np.stack([mask for _, mask in cut]),
     }
     if poses is not None:
-        quaternions = [viewpoints.matrix_to_quaternion(f.rotation) for f in frames]
-        arrays["quaternions"] = np.array(quaternions, dtype=np.float32)
+        rotations = np.array([frame.rotation for frame in frames])
+        quaternions = viewpoints.matrix_to_quaternion(rotations)
+        arrays["quaternions"] = quaternions.astype(np.float32)
     return arrays, notes
 
 

@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from dpc_jax.data.damage import Damage
+
 QUATERNIONS = "poses.json"
 TRANSFORMS = "transforms*.json"
 LENS = ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x")
@@ -65,7 +67,7 @@ def _read_quaternions(content, folder):
         quaternion = np.asarray(values, dtype=np.float64)
         length = np.linalg.norm(quaternion)
         if quaternion.shape != (4,) or not np.isfinite(length) or length < 1e-6:
-            raise ValueError(f"{name} has no quaternion of four numbers, but {values}")
+            raise Damage(f"{name} has no quaternion of four numbers, but {values}")
         rotation = Rotation.from_quat(quaternion, scalar_first=True)
         poses[folder / name] = Pose(rotation.as_matrix())
     return poses
@@ -79,15 +81,15 @@ def _read_transforms(content, folder):
     for frame in content["frames"]:
         matrix = np.asarray(frame["transform_matrix"], dtype=np.float64)
         if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
-            raise ValueError(
+            raise Damage(
                 f"{frame['file_path']} has no finite transform_matrix [4, 4], but "
                 f"{frame['transform_matrix']}"
             )
         turned = matrix[:3, :3] @ turn  # columns: the camera's axes in the world
         if not np.abs(turned.T @ turned - np.eye(3)).max() < 1e-2:
-            raise ValueError(f"{frame['file_path']} has no rigid transform_matrix")
+            raise Damage(f"{frame['file_path']} has no rigid transform_matrix")
         if np.linalg.det(turned) < 0:
-            raise ValueError(f"{frame['file_path']} has a mirrored transform_matrix")
+            raise Damage(f"{frame['file_path']} has a mirrored transform_matrix")
         # the nearest rotation: files carry a few digits only
         rotation = Rotation.from_matrix(turned.T).as_matrix()
         lens = shared | {name: frame[name] for name in LENS if name in frame}
@@ -100,12 +102,12 @@ def _read_transforms(content, folder):
 def _expect_lens(lens):
     for name, value in lens.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ValueError(f"{name} is {value!r} instead of a number")
+            raise Damage(f"{name} is {value!r} instead of a number")
         # only the centre may lie at 0 or beyond the image
         if not np.isfinite(value) or not (name in ("cx", "cy") or value > 0):
-            raise ValueError(f"{name} is {value}, which is impossible for a lens")
+            raise Damage(f"{name} is {value}, which is impossible for a lens")
     if lens.get("camera_angle_x", 1.0) >= np.pi:
-        raise ValueError(f"camera_angle_x is {lens['camera_angle_x']} radians")
+        raise Damage(f"camera_angle_x is {lens['camera_angle_x']} radians")
 
 
 def _find_image(path):

@@ -10,8 +10,10 @@ import csv
 import io
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 from dpc_jax import files
+from dpc_jax.data.damage import Damage
 from dpc_jax.data.splits import SPLITS
 
 SYNONYMS = {"validation": "val", "valid": "val", "training": "train", "testing": "test"}
@@ -119,17 +121,15 @@ def _read_table(path):
         if kind == "2":
             length, text = int(next(lines)), next(lines)
             if len(text) != length:
-                raise ValueError(f"{text!r} is not {length} characters long")
+                raise Damage(f"{text!r} is not {length} characters long")
             return text
         if kind == "3":
             _, count = next(lines), int(next(lines))
             return {read(): read() for _ in range(count)}
-        raise ValueError(f"a value of the unknown kind {kind!r}")
+        raise Damage(f"a value of the unknown kind {kind!r}")
 
     try:
-        table = read()
-        if not isinstance(table, dict):
-            raise ValueError(f"it holds {table!r}")
+        table: Any = read()
         return {
             split: [text for _, text in sorted(table.get(split, {}).items())]
             for split in SPLITS
