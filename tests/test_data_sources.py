@@ -4,7 +4,8 @@ import pytest
 import trimesh
 
 from dpc_jax.data import DataSpec, split_files
-from dpc_jax.data.sources import open_source
+from dpc_jax.data.sources import Source, find_kind, open_source
+from dpc_jax.data.spec import KINDS
 from dpc_jax.data.splits import SPLITS
 
 
@@ -66,3 +67,17 @@ def test_an_empty_split_of_a_folder_is_named(tmp_path):
 def test_impossible_values_are_named(field, value):
     with pytest.raises(ValueError, match=field):
         DataSpec(**{"category": "car", "models": 3, field: value})
+
+
+def test_every_kind_of_folder_has_a_source_that_answers_all_questions():
+    for kind in KINDS:
+        made = find_kind(kind)
+        for name in ("recognizes", "list_models", "make_arrays"):
+            assert getattr(made, name) is not getattr(Source, name), (kind, name)
+
+
+def test_copies_of_what_has_no_meshes_are_refused(tmp_path):
+    for kind in ("renders", "images"):
+        spec = DataSpec("car", folder=str(tmp_path), kind=kind, copies=2)
+        with pytest.raises(ValueError, match="copies must be 1 .* but it is 2"):
+            open_source(spec)

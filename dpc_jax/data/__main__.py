@@ -121,7 +121,7 @@ def _open(path, flags):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status; a failure is told in a sentence."""
+    """Run one command and return its exit status; print a failure as a sentence."""
     flags = parse_arguments(arguments)
     try:
         return {"fetch": fetch, "show": show, "check": check}[flags.command](flags)

@@ -187,7 +187,7 @@ def _finish(folder, source, models, record, *, progress):
             path.unlink()
         raise ValueError(
             f"Expected at least one usable {source.unit} in {source.spec.folder}, but "
-            f"none of {len(models)} is; mend the first: {skipped[0][1]}"
+            f"none of {len(models)} is; look at the first: {skipped[0][1]}"
         )
     record = {
         **record,

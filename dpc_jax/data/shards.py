@@ -121,7 +121,7 @@ class Pages:
         self._read = 0
 
     def count(self, size: int):
-        """Note that so many bytes were read."""
+        """Note that `size` bytes were read."""
         self._read += size
         if self._read > KEPT_PAGES and hasattr(mmap, "MADV_DONTNEED"):
             self._read = 0

@@ -23,7 +23,7 @@ COMPARED = 8  # views that they are compared in
 
 
 def divide_faces(mesh: trimesh.Trimesh, *, faces: int) -> trimesh.Trimesh:
-    """The same shape with so many faces (up to two more), if it had fewer."""
+    """The same shape with `faces` faces or up to two more, if it had fewer."""
     vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     colors = face_colors(mesh)
     while len(triangles) < faces:

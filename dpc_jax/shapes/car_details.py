@@ -74,7 +74,7 @@ def make_lamps(plan: Plan, rng: np.random.Generator) -> list[Part]:
 
 
 def make_extras(plan: Plan, rng: np.random.Generator) -> list[Part]:
-    """Mirrors, a pickup's bed, and now and then a spoiler or a roof rack."""
+    """Mirrors, a pickup's bed, and sometimes a spoiler or a roof rack."""
     painted = functools.partial(parts.box, color=plan.paint)
     x, z = plan.cowl - 0.18, plan.belt + 0.04
     reach = plan.half + rng.uniform(0.08, 0.16)

@@ -14,7 +14,7 @@ from dpc_jax.shapes.chair_plans import Plan
 
 
 def make_legs(plan: Plan, rng: np.random.Generator) -> list[Part]:
-    """Four legs, splayed or straight, now and then with stretchers."""
+    """Four legs, splayed or straight, sometimes with stretchers."""
     tube = functools.partial(any_tube, color=plan.frame_color)
     radius, splay = rng.uniform(0.012, 0.024), rng.uniform(0.0, 0.16)
     square = rng.uniform() < 0.4

@@ -1,4 +1,4 @@
-"""Checks of a rendered data set, before anybody trains on it."""
+"""Checks of a rendered data set, before training."""
 
 import numpy as np
 

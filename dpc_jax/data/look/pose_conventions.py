@@ -159,7 +159,7 @@ def shrink_masks(masks: np.ndarray, side: int) -> np.ndarray:
 
 
 def grow_masks(masks: np.ndarray, cells: int) -> np.ndarray:
-    """Boolean masks [V, S, S] grown by so many cells in all eight directions."""
+    """Boolean masks [V, S, S], grown by a number of cells in all eight directions."""
     width = 2 * cells + 1
     return ndimage.maximum_filter(masks, (1, width, width), mode="constant")
 

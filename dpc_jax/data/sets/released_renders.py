@@ -23,6 +23,7 @@ from dpc_jax import files
 from dpc_jax.data import viewpoints
 from dpc_jax.data.sets import pictures, shapenet
 from dpc_jax.data.sources import Model, view_arrays
+from dpc_jax.data.spec import DataSpec
 
 FARTHEST = 10.0  # depth that the largest value of a depth file stands for
 GROUND_TRUTH = "gt/downsampled"  # where the released scripts put it, beside the renders
@@ -69,16 +70,8 @@ class ReleasedRenders(shapenet.SynsetSource):
 
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
         """See `Source.make_arrays`."""
-        spec = self.spec
-        arrays = read_model(
-            Path(str(model.path)),
-            self.find_truth(model.name),
-            views=spec.views,
-            image_size=spec.image_size,
-            focal_length=spec.focal_length,
-            distance=spec.distance,
-        )
-        return arrays, []
+        truth = self.find_truth(model.name)
+        return read_model(Path(str(model.path)), truth, self.spec), []
 
 
 def list_models(place: Path) -> dict[str, Path]:
@@ -128,19 +121,13 @@ def find_ground_truth(
 
 
 def read_model(
-    place: Path,
-    truth: Path | None,
-    *,
-    views: int,
-    image_size: int,
-    focal_length: float,
-    distance: float,
+    place: Path, truth: Path | None, spec: DataSpec
 ) -> dict[str, np.ndarray]:
     """The first views of one model, at the size and with the camera of the data set.
 
     Args:
       place: the model's folder. truth: its ground truth file, or None.
-      views: how many. image_size, focal_length, distance: of the data set.
+      spec: of the data set, for the number of views, their size and the camera.
 
     Returns:
       Arrays by name: images, masks, depths, quaternions and, with truth, surfaces.
@@ -149,21 +136,16 @@ def read_model(
       ValueError: naming the file, if there are too few views, one of the files is
         missing or damaged, or the camera is not the data set's.
     """
-    numbers = list_renders(place)[:views]
-    if len(numbers) < views:
+    numbers = list_renders(place)[: spec.views]
+    if len(numbers) < spec.views:
         raise ValueError(
-            f"Expected {views} views render_N.png in {place}, but found "
+            f"Expected {spec.views} views render_N.png in {place}, but found "
             f"{len(numbers)}; set data.views lower or {AGAIN}."
         )
-    arrays = view_arrays(views, image_size)
+    arrays = view_arrays(spec.views, spec.image_size)
     for view, number in enumerate(numbers):
-        image, mask, depth, width = _read_pictures(place, number, image_size)
-        rotation = read_camera(
-            place / f"camera_{number}.mat",
-            width=width,
-            focal_length=focal_length,
-            distance=distance,
-        )
+        image, mask, depth, width = _read_pictures(place, number, spec.image_size)
+        rotation = read_camera(place / f"camera_{number}.mat", spec, width=width)
         arrays["images"][view] = image
         arrays["masks"][view] = mask
         arrays["depths"][view] = depth
@@ -211,10 +193,11 @@ def shrink(image: np.ndarray, size: int) -> np.ndarray:
     return np.asarray(source.resize((size, size), Image.Resampling.BOX))
 
 
-def read_camera(
-    path: Path, *, width: int, focal_length: float, distance: float
-) -> np.ndarray:
+def read_camera(path: Path, spec: DataSpec, *, width: int) -> np.ndarray:
     """Rotation [3, 3] from the canonical frame to the camera of a view.
+
+    Args:
+      path: of the camera's file. spec: of the data set. width: of the image, pixels.
 
     Raises:
       ValueError: naming the file, if it cannot be read or contradicts itself, or the
@@ -241,11 +224,11 @@ def read_camera(
             f"off by {max(flaws):.2g}; {AGAIN}."
         )
     found = lens[0, 0] / width, shift[2]
-    if max(abs(found[0] - focal_length), abs(found[1] - distance)) > 1e-2:
+    if np.abs(np.subtract(found, (spec.focal_length, spec.distance))).max() > 1e-2:
         raise ValueError(
-            f"Expected focal length {focal_length} and distance {distance} in {path}, "
-            f"but got {found[0]:.4g} and {found[1]:.4g}; set render.focal_length and "
-            "render.distance."
+            f"Expected focal length {spec.focal_length} and distance {spec.distance} "
+            f"in {path}, but got {found[0]:.4g} and {found[1]:.4g}; set "
+            "render.focal_length and render.distance."
         )
     return rotation
 
