@@ -121,15 +121,9 @@ class _Finder:
         for (level, kind), places in sorted(self._found.items()):
             if not places:
                 continue
-            unit, total = ("view", self._views)
+            what = f"{self._views} views with {kind}"
             if kind.startswith("have "):
-                unit, total = "object", len(self._data.names)
-            verb = "" if kind.startswith("have ") else " with"
-            findings.append(
-                Finding(
-                    level,
-                    f"{len(places)} of {total} {unit}s{verb} {kind}: "
-                    f"{name_places(places)}",
-                )
-            )
+                what = f"{len(self._data.names)} objects {kind}"
+            text = f"{len(places)} of {what}: {name_places(places)}"
+            findings.append(Finding(level, text))
         return findings

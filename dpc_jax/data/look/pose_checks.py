@@ -4,7 +4,7 @@ import numpy as np
 
 from dpc_jax.data.dataset import DataSet
 from dpc_jax.data.look import pose_conventions
-from dpc_jax.data.look.findings import Finding, name_places
+from dpc_jax.data.look.findings import Finding, error, name_places
 from dpc_jax.data.look.pose_conventions import Lens
 
 TRIED_VIEWS = 64  # number of views that conventions are tried on
@@ -47,36 +47,28 @@ def check_poses(data: DataSet, lens: Lens) -> list[Finding]:
         text = f"the poses follow another convention: {' or '.join(same)}"
         if best < enough:
             text = (
-                "the poses follow no convention that is known here; the nearest is "
-                f"{same[0]}"
+                f"the poses follow no convention known here; the nearest is {same[0]}"
             )
-        return [
-            Finding(
-                "error",
-                f"{text} ({measure} {best:.2f}); as stored, which should be "
-                f"{pose_conventions.STORED.name}, it is {stored:.2f}; convert the "
-                "poses.",
-            )
-        ]
+        text += (
+            f" ({measure} {best:.2f}); as stored, which should be "
+            f"{pose_conventions.STORED.name}, it is {stored:.2f}; convert the poses."
+        )
+        return [error(text)]
     strays = [] if data.surfaces is None else _find_strays(data, lens)
     if stored < enough and not 0 < len(strays) < np.sum(data.counts) / 2:
-        return [
-            Finding(
-                "error",
-                f"the poses do not fit the masks ({measure} {stored:.2f}, expected "
-                f"{enough} and more) under any convention that is known here; check "
-                "scale, centre and camera.",
-            )
-        ]
+        text = (
+            f"the poses do not fit the masks ({measure} {stored:.2f}, expected "
+            f"{enough} and more) under any convention known here; check scale, centre "
+            "and camera."
+        )
+        return [error(text)]
     findings = []
     if strays:
-        findings.append(
-            Finding(
-                "error",
-                f"{len(strays)} of {int(np.sum(data.counts))} views whose pose puts "
-                f"the object beside its mask: {name_places(strays)}",
-            )
+        text = (
+            f"{len(strays)} of {int(np.sum(data.counts))} views whose pose puts the "
+            f"object beside its mask: {name_places(strays)}"
         )
+        findings.append(error(text))
     if data.surfaces is not None and data.depths is not None:
         findings += _check_depths(data, chosen, lens)
     return findings
@@ -176,13 +168,8 @@ def _check_depths(data, chosen, lens):
         if not longer @ extra > RAY * (longer @ longer):
             return []
         reason = "it is the length of the ray"
-    return [
-        Finding(
-            "error",
-            "the depth is not the metric distance along the camera's axis: "
-            f"{reason}; convert the depth.",
-        )
-    ]
+    text = "the depth is not the metric distance along the camera's axis"
+    return [error(f"{text}: {reason}; convert the depth.")]
 
 
 def _pair_depths(data, model, lens):
