@@ -1,27 +1,65 @@
 """Files that are either the old ones or the new ones whole, never a torn half."""
 
+import contextlib
 import hashlib
 import json
 import math
 import os
+import socket
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+TEMPORARY = ".tmp"  # ends the names of files that are being written
 
-def write_bytes(path: str | os.PathLike, data: bytes) -> Path:
-    """Write a file under a temporary name beside it, then put it in place at once.
 
-    Folders on the way are made. A writer that is killed leaves the old file untouched.
+@contextlib.contextmanager
+def replacing(path: str | os.PathLike) -> Iterator[Path]:
+    """Yield a temporary path beside a file, which takes the file's place at the end.
+
+    Folders on the way are made. A writer that fails or is killed leaves the old file
+    untouched; what it wrote is removed, after a kill by `remove_leftovers`.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(
+        f".{path.name}.{socket.gethostname()}.{os.getpid()}{TEMPORARY}"
+    )
     try:
-        temporary.write_bytes(data)
+        yield temporary
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
-    return path
+
+
+def remove_leftovers(folder: str | os.PathLike):
+    """Remove temporary files of this process, and of killed ones on this machine.
+
+    The folder may be shared with other machines, whose processes nobody here can see.
+    """
+    for path in Path(folder).glob(f"*.{socket.gethostname()}.*{TEMPORARY}"):
+        process = path.name.split(".")[-2]
+        if process.isdigit() and not _is_another_at_work(int(process)):
+            path.unlink(missing_ok=True)
+
+
+def _is_another_at_work(process):
+    if process == os.getpid():
+        return False
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # it runs, but belongs to somebody else
+        return True
+    return True
+
+
+def write_bytes(path: str | os.PathLike, data: bytes) -> Path:
+    """Write a file so that it is either the old one or the new one whole."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
+    return Path(path)
 
 
 def write_text(path: str | os.PathLike, text: str) -> Path:
@@ -44,6 +82,11 @@ def digest_file(path: str | os.PathLike) -> str:
 def digest_text(text: str) -> str:
     """SHA-256 of a text in UTF-8, in hexadecimal digits."""
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def list_sizes(paths: Iterable[Path]) -> list[int]:
+    """Sizes of files in bytes, -1 for one that is not there."""
+    return [path.stat().st_size if path.is_file() else -1 for path in paths]
 
 
 def _make_plain(value):

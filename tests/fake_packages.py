@@ -207,7 +207,7 @@ def write_racing(store):
 
 
 def install_commands(tmp_path, monkeypatch, *, commands=("apt-get", "dpkg-deb")):
-    """Makes the fake commands the only ones that are found; the folder they serve."""
+    """Make the fake commands the only ones on the path; the folder they serve."""
     store, place = tmp_path / "store", tmp_path / "bin"
     store.mkdir(exist_ok=True)
     place.mkdir(exist_ok=True)

@@ -59,7 +59,7 @@ def test_a_caller_may_write_into_its_batch():
 
 @pytest.mark.parametrize("batch, views", [(11, 3), (0, 3), (4, 6), (4, 0)])
 def test_a_batch_larger_than_the_data_is_refused(batch, views):
-    with pytest.raises(ValueError, match="must lie in"):
+    with pytest.raises(ValueError, match="must be in"):
         choose(0, batch=batch, views_per_batch=views)
 
 

@@ -233,8 +233,8 @@ def test_the_meeting_point_of_lines_is_found():
     "harm, message",
     [
         ("cut", "readable image in .*view1.png"),
-        ("opaque", "view1.png, it covers the whole image"),
-        ("empty", "view1.png, it is empty"),
+        ("opaque", "view1.png, but it covers the whole image"),
+        ("empty", "view1.png, but it is empty"),
         ("bare", "view1.png or view1_mask.png beside it"),
         ("size", "view1_mask.png of the size of view1.png"),
     ],
@@ -276,14 +276,14 @@ def test_poses_for_some_objects_only_are_refused(tmp_path):
     for name in "abc":
         rotations = write_object(tmp_path / "set" / name)
     write_quaternions(tmp_path / "set" / "b", rotations)
-    with pytest.raises(ValueError, match="set/b has a pose file and .*set/a has not"):
+    with pytest.raises(ValueError, match="set/b has a pose file and .*set/a does not"):
         load(tmp_path / "set", tmp_path / "cache")
 
 
 @pytest.mark.parametrize(
     "name, text, message",
     [
-        ("poses.json", "{", "poses.json, they cannot be read"),
+        ("poses.json", "{", "poses.json, but they cannot be read"),
         ("poses.json", '{"view0.png": [1, 0, 0]}', "no quaternion of four numbers"),
         ("poses.json", '{"view0.png": [0, 0, 0, 0]}', "no quaternion of four numbers"),
         ("transforms.json", '{"frames": [{"file_path": "view0"}]}', "transform_matrix"),
@@ -303,10 +303,10 @@ def test_poses_for_some_objects_only_are_refused(tmp_path):
         ("transforms.json", '{"frames": []}', "none of 0"),
         ("transforms.json", json.dumps({"fl_x": "wide", "frames": [
             {"file_path": "view0", "transform_matrix": np.eye(4).tolist()}
-        ]}), "fl_x is no number but 'wide'"),
+        ]}), "fl_x is 'wide'"),
         ("transforms.json", json.dumps({"fl_x": 0, "frames": [
             {"file_path": "view0", "transform_matrix": np.eye(4).tolist()}
-        ]}), "fl_x is 0, which no lens has"),
+        ]}), "fl_x is 0, which is impossible"),
         ("transforms.json", json.dumps({"camera_angle_x": 40, "frames": [
             {"file_path": "view0", "transform_matrix": np.eye(4).tolist()}
         ]}), "camera_angle_x is 40 radians"),
@@ -397,7 +397,7 @@ def test_photographs_are_turned_as_their_camera_noted(tmp_path):
 
 
 def test_a_folder_without_images_is_named(tmp_path):
-    with pytest.raises(ValueError, match="nowhere is none"):
+    with pytest.raises(ValueError, match="nowhere is not a folder"):
         load(tmp_path / "nowhere", tmp_path / "cache")
     (tmp_path / "empty" / "a").mkdir(parents=True)
     with pytest.raises(ValueError, match="folders of images .* in .*empty"):

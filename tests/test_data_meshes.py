@@ -51,9 +51,9 @@ def test_files_are_found_at_any_depth_and_in_order(tmp_path):
 
 
 def test_a_folder_without_meshes_and_no_folder_are_named(tmp_path):
-    with pytest.raises(ValueError, match=f"expected mesh files .* in {tmp_path}"):
+    with pytest.raises(ValueError, match=f"Expected mesh files .* in {tmp_path}"):
         meshes.find_meshes(tmp_path)
-    with pytest.raises(ValueError, match="missing is none"):
+    with pytest.raises(ValueError, match="missing is not a folder"):
         meshes.find_meshes(tmp_path / "missing")
 
 
@@ -141,7 +141,7 @@ def test_names_in_an_old_encoding_and_with_backslashes_do_not_matter(tmp_path):
         ("half.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1/1 2/2 3/", "'f 1/1 2/2"),
         ("noise.obj", bytes(range(256)) * 9, "faces in"),
         ("long.stl", b"\xff" * 84 + b"\x81" * 50, "neither text nor whole"),
-        ("far.ply", (PLY.format(3) + "3 0 1 7\n").encode(), "index out of range"),
+        ("far.ply", (PLY.format(3) + "3 0 1 7\n").encode(), "index is out of range"),
     ],
 )
 def test_a_broken_file_is_refused_by_name(tmp_path, name, content, message):

@@ -86,5 +86,5 @@ def test_chairs_have_their_back_at_the_back_and_airplanes_their_fin():
 
 
 def test_an_unknown_category_is_named():
-    with pytest.raises(ValueError, match="car, chair, airplane, got 'boat'"):
+    with pytest.raises(ValueError, match="car, chair, airplane, but it is 'boat'"):
         procedural.make_shape("boat", 0)

@@ -69,7 +69,7 @@ def test_the_split_beside_the_renders_is_read(tmp_path):
         path.write_text("\n".join(lines) + "\n")
     assert load(folder, tmp_path / "cache").names == tuple(NAMES[:2])
     assert load(folder, tmp_path / "cache", split="val").names == (NAMES[2],)
-    with pytest.raises(ValueError, match="gone, found 0"):
+    with pytest.raises(ValueError, match="gone, but found 0"):
         load(folder, tmp_path / "cache", split="test")
 
 
@@ -107,7 +107,7 @@ def test_a_damaged_model_is_left_out_and_its_file_named(tmp_path, harm):
         (place / "render_1.png").unlink()
         (place / "render_2.png").unlink()
     else:
-        expected = f"{NAMES[1]}.mat, found none"
+        expected = f"{NAMES[1]}.mat, but it is missing"
         (tmp_path / "gt" / "downsampled" / "02958343" / f"{NAMES[1]}.mat").unlink()
     data = load(folder, tmp_path / "cache", split="test", fractions=(0, 0, 1))
     assert len(data.names) == 4

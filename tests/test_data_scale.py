@@ -20,4 +20,4 @@ def test_the_command_prints_a_table_and_refuses_in_a_sentence(tmp_path, capsys):
     assert data_growth.main([*arguments, f"--cache_dir={tmp_path}"]) == 0
     assert "| models per second |" in capsys.readouterr().out
     assert data_growth.main(["--models=0", f"--cache_dir={tmp_path}"]) == 1
-    assert "models must lie in" in capsys.readouterr().err
+    assert "models must be in" in capsys.readouterr().err

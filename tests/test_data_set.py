@@ -9,9 +9,10 @@ import sys
 import numpy as np
 import pytest
 import trimesh
+from data_trees import rotate, share_inside
 
-from dpc_jax.data import DataSpec, dataset, load_or_render, rendering, views
-from dpc_jax.data.spec import SPLITS
+from dpc_jax.data import DataSpec, dataset, load_or_render, views, workers
+from dpc_jax.data.splits import SPLITS
 
 SMALL = dict(
     category="car", models=3, views=2, image_size=16, supersample=2, surface_points=50
@@ -68,18 +69,10 @@ def test_a_set_holds_what_it_says(tmp_path):
 def test_stored_poses_project_the_surface_into_the_stored_masks(tmp_path):
     data = load(tmp_path, image_size=32, supersample=4)
     for model, view in np.ndindex(3, 2):
-        w, x, y, z = data.quaternions[model, view].astype(float)
-        rotation = np.array([
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ])  # fmt: skip
-        u, v, depth = rotation @ data.surfaces[model].T + [[0], [0], [2.0]]
-        cols, rows = (
-            np.floor((1.875 * a / depth + 0.5) * 32).astype(int) for a in (u, v)
-        )
+        pose, mask = data.quaternions[model, view], data.masks[model, view]
         # a point at the rim can fall between the samples of its pixel
-        assert (data.masks[model, view, rows, cols] > 0).mean() > 0.97
+        assert share_inside(data.surfaces[model], pose, mask) > 0.97
+        rotation = rotate(pose)
         elevation = np.rad2deg(np.arcsin(-rotation[2, 2]))
         assert -20.001 < elevation < 40.001 and abs(rotation[0, 2]) < 1e-6
 
@@ -95,9 +88,9 @@ def test_a_second_call_renders_nothing(tmp_path, count_renders):
 
 def test_any_number_of_processes_gives_the_same_bytes(tmp_path, monkeypatch):
     alone = load(tmp_path / "alone", models=9)  # in three shards
-    monkeypatch.setattr(rendering, "INLINE", 0)
+    monkeypatch.setattr(workers, "INLINE", 0)
     check = "\nassert 'jax' not in sys.modules, 'a worker loaded jax'"
-    monkeypatch.setattr(rendering, "BOOT", rendering.BOOT + check)
+    monkeypatch.setattr(workers, "BOOT", workers.BOOT + check)
     assert_same(alone, load(tmp_path / "two", processes=2, models=9))
     for path in (tmp_path / "alone").rglob("*.npz"):
         other = tmp_path / "two" / path.relative_to(tmp_path / "alone")
@@ -105,8 +98,8 @@ def test_any_number_of_processes_gives_the_same_bytes(tmp_path, monkeypatch):
 
 
 def test_a_worker_that_dies_is_reported_with_its_last_words(tmp_path, monkeypatch):
-    monkeypatch.setattr(rendering, "INLINE", 0)
-    monkeypatch.setattr(rendering, "BOOT", "import sys; sys.exit('out of luck')")
+    monkeypatch.setattr(workers, "INLINE", 0)
+    monkeypatch.setattr(workers, "BOOT", "import sys; sys.exit('out of luck')")
     with pytest.raises(RuntimeError, match="out of luck"):
         load(tmp_path, processes=2)
     assert list(tmp_path.iterdir()) == []
@@ -125,7 +118,7 @@ def test_an_interrupted_rendering_leaves_nothing_behind(tmp_path, monkeypatch):
 
 
 def test_ctrl_c_ends_the_workers(tmp_path, monkeypatch):
-    monkeypatch.setattr(rendering, "INLINE", 0)
+    monkeypatch.setattr(workers, "INLINE", 0)
     started = []
     original = subprocess.Popen
 
@@ -138,7 +131,7 @@ def test_ctrl_c_ends_the_workers(tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(subprocess, "Popen", record)
-    monkeypatch.setattr(rendering, "follow", interrupt)
+    monkeypatch.setattr(dataset, "follow", interrupt)
     with pytest.raises(KeyboardInterrupt):
         load(tmp_path, processes=2, models=400)
     assert len(started) == 2
@@ -232,7 +225,7 @@ def test_a_full_disk_is_a_sentence_with_the_file(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(np, "savez", fail)
-    with pytest.raises(OSError, match="shard-00000.npz cannot be written .No space"):
+    with pytest.raises(OSError, match="shard-00000.npz, but that failed .No space"):
         load(tmp_path)
     assert list(tmp_path.iterdir()) == []
     monkeypatch.setattr(
@@ -243,13 +236,11 @@ def test_a_full_disk_is_a_sentence_with_the_file(tmp_path, monkeypatch):
 
 
 def test_a_worker_that_cannot_write_tells_the_parent_why(tmp_path, monkeypatch):
-    monkeypatch.setattr(rendering, "INLINE", 0)
+    monkeypatch.setattr(workers, "INLINE", 0)
     fault = "import numpy\ndef fail(*a, **k): raise OSError(28, 'No space')\n"
-    boot = rendering.BOOT.replace(
-        "rendering.work", "numpy.savez = fail\nrendering.work"
-    )
-    monkeypatch.setattr(rendering, "BOOT", fault + boot)
-    with pytest.raises(OSError, match="shard-00000.npz cannot be written .No space"):
+    boot = workers.BOOT.replace("workers.work", "numpy.savez = fail\nworkers.work")
+    monkeypatch.setattr(workers, "BOOT", fault + boot)
+    with pytest.raises(OSError, match="shard-00000.npz, but that failed .No space"):
         load(tmp_path, processes=2)
     assert list(tmp_path.iterdir()) == []
 
@@ -348,11 +339,11 @@ def test_the_record_says_what_the_set_is_made_of(tmp_path):
 
 def test_choosing_batches_needs_no_trimesh():
     # alone, as a worker loads it: what the package above imports is another's matter
-    boot = rendering.BOOT[: rendering.BOOT.index("from dpc_jax")]
+    boot = workers.BOOT[: workers.BOOT.index("from dpc_jax")]
     code = boot + (
         "import dpc_jax.data\n"
         "heavy = {'trimesh', 'embreex', 'jax', 'rich', 'PIL'} & set(sys.modules)\n"
         "assert not heavy, heavy"
     )
-    package = os.path.dirname(os.path.dirname(os.path.abspath(rendering.__file__)))
+    package = os.path.dirname(os.path.dirname(os.path.abspath(workers.__file__)))
     subprocess.run([sys.executable, "-c", code, package], check=True)

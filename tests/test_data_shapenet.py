@@ -179,7 +179,7 @@ def test_three_forms_of_a_split_say_the_same(tmp_path):
          "a is there twice"),
         (f"{SYNSET}.file", "3\n1\n2\n2\n5\ntrain\n3\n2\n1\n1\n", "cannot be read"),
         ("all.csv", f"synsetId,modelId,split\n{SYNSET},,train\n", "line 2 has none"),
-        ("all.csv", b"\xff\xfe\x00", "expected text in"),
+        ("all.csv", b"\xff\xfe\x00", "Expected text in"),
         (f"{SYNSET}.file", b"\xff\xfe\x00", "cannot be read"),
         ("cars.txt", "a\n", "SYNSET_train.txt"),
         ("x_train.txt", "a\n", "x_val.txt beside"),
@@ -274,9 +274,9 @@ def test_folders_and_categories_that_fit_nothing_are_named(tmp_path):
     (tmp_path / SYNSET / "a").mkdir(parents=True)
     with pytest.raises(ValueError, match="model.obj or MODEL/models/model_normalized"):
         load(tmp_path, tmp_path / "cache")
-    with pytest.raises(ValueError, match="eight digits, got 'boat'"):
+    with pytest.raises(ValueError, match="eight digits, but it is 'boat'"):
         load(tmp_path, tmp_path / "cache", category="boat")
     write_tree(tmp_path)
     write_csv(tmp_path / "all.csv", [[0, SYNSET, "x", "other", "train"]])
-    with pytest.raises(ValueError, match="none of its 1 is there"):
+    with pytest.raises(ValueError, match="but none of its 1 is there"):
         load(tmp_path, tmp_path / "cache")

@@ -56,7 +56,7 @@ def test_models_of_a_ragged_stack_keep_their_rows(split):
     for models_, rows in (([6], [0]), ([-1], [0]), ([0], [-1])):
         with pytest.raises(IndexError):
             stack[np.array(models_), np.array(rows)]
-    with pytest.raises(ValueError, match="equal numbers of rows, they have 0 to 5"):
+    with pytest.raises(ValueError, match="equal numbers of rows, but they have 0 to 5"):
         np.asarray(stack)
     with pytest.raises(IndexError):
         stack[6]

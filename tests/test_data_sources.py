@@ -4,7 +4,9 @@ import pytest
 import trimesh
 
 from dpc_jax.data import DataSpec, split_files
-from dpc_jax.data.spec import SPLITS, list_sources
+from dpc_jax.data.sources import Source, find_kind, open_source
+from dpc_jax.data.spec import KINDS
+from dpc_jax.data.splits import SPLITS
 
 
 def test_splits_hold_every_file_once_and_equal_files_together():
@@ -41,7 +43,7 @@ def test_procedural_splits_and_seeds_never_share_a_shape():
     for split in SPLITS:
         for seed in range(3):
             spec = DataSpec("car", models=50, split=split, seed=seed)
-            seeds |= {source.seed for source in list_sources(spec)}
+            seeds |= {source.seed for source in open_source(spec).list_models()}
     assert len(seeds) == 9 * 50
 
 
@@ -50,7 +52,7 @@ def test_an_empty_split_of_a_folder_is_named(tmp_path):
         trimesh.creation.box(extents=[1, 1, 1 + i]).export(tmp_path / f"{i}.ply")
     spec = DataSpec("car", folder=str(tmp_path), split="val", fractions=(1, 0, 1))
     with pytest.raises(ValueError, match="val split"):
-        list_sources(spec)
+        open_source(spec).list_models()
 
 
 @pytest.mark.parametrize(
@@ -65,3 +67,17 @@ def test_an_empty_split_of_a_folder_is_named(tmp_path):
 def test_impossible_values_are_named(field, value):
     with pytest.raises(ValueError, match=field):
         DataSpec(**{"category": "car", "models": 3, field: value})
+
+
+def test_every_kind_of_folder_has_a_source_that_answers_all_questions():
+    for kind in KINDS:
+        made = find_kind(kind)
+        for name in ("recognizes", "list_models", "make_arrays"):
+            assert getattr(made, name) is not getattr(Source, name), (kind, name)
+
+
+def test_copies_of_what_has_no_meshes_are_refused(tmp_path):
+    for kind in ("renders", "images"):
+        spec = DataSpec("car", folder=str(tmp_path), kind=kind, copies=2)
+        with pytest.raises(ValueError, match="copies must be 1 .* but it is 2"):
+            open_source(spec)

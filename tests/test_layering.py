@@ -142,7 +142,7 @@ def test_type_checkers_know_the_names_that_are_loaded_when_used():
 
 def test_data_tools_and_render_processes_do_not_load_jax():
     code = (
-        "import sys, dpc_jax.data.__main__, dpc_jax.data.rendering; "
+        "import sys, dpc_jax.data.__main__, dpc_jax.data.workers; "
         "print([m for m in ('jax', 'flax') if m in sys.modules])"
     )
     result = subprocess.run(

@@ -1,7 +1,7 @@
-"""Data: procedural shapes, mesh files, rendered views, the cache, batches.
+"""Data: sources of models, rendered views, the cache on disk, batches.
 
-Only what training needs is exported here; `procedural`, `meshes` and `views` import
-trimesh and are imported by name where shapes are made or rendered.
+Only what training needs is exported here. `meshes`, `views` and the modules of `sets`
+load trimesh or Pillow; they are imported where models are listed or rendered.
 """
 
 from dpc_jax.data.batches import choose_batch as choose_batch
@@ -9,4 +9,4 @@ from dpc_jax.data.batches import read_batch as read_batch
 from dpc_jax.data.dataset import DataSet as DataSet
 from dpc_jax.data.dataset import load_or_render as load_or_render
 from dpc_jax.data.spec import DataSpec as DataSpec
-from dpc_jax.data.spec import split_files as split_files
+from dpc_jax.data.splits import split_files as split_files

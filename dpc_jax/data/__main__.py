@@ -6,16 +6,18 @@ python -m dpc_jax.data check FOLDER        what is wrong with a set
 """
 
 import argparse
-import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
+from dpc_jax import files
+from dpc_jax.data.spec import KINDS
+
 CATEGORIES = ("chair", "car", "airplane")
-KINDS = ("meshes", "shapenet", "renders", "images")
 
 
-def parse_arguments(arguments=None):
-    """The parsed command line."""
+def parse_arguments(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """Parse a command line, by default that of this process."""
     parser = argparse.ArgumentParser(
         prog="python -m dpc_jax.data", description="Get data and look at it."
     )
@@ -30,7 +32,7 @@ def parse_arguments(arguments=None):
             "folder", help="a rendered set, a folder of them, of meshes or of images"
         )
         command.add_argument(
-            "--kind", choices=KINDS, help="what the folder is; found out if left out"
+            "--kind", choices=tuple(KINDS), help="of the folder; guessed if left out"
         )
         command.add_argument(
             "--category",
@@ -46,16 +48,16 @@ def parse_arguments(arguments=None):
     return parser.parse_args(arguments)
 
 
-def fetch(flags):
-    """Fetches a category."""
-    from dpc_jax.data.open import categories
+def fetch(flags: argparse.Namespace) -> int:
+    """Fetch the open meshes of a category."""
+    from dpc_jax.data.open import fetching  # each command loads only what it needs
 
-    categories.fetch_category(flags.category, flags.out)
+    fetching.fetch_category(flags.category, flags.out)
     return 0
 
 
-def show(flags):
-    """Lists sets; draws the sheet where it is one."""
+def show(flags: argparse.Namespace) -> int:
+    """List sets; draw the sheet if there is only one."""
     from dpc_jax.data.look import overview
 
     caches = overview.list_caches(flags.folder)
@@ -66,22 +68,19 @@ def show(flags):
                 continue
             sheet = overview.draw_set(opened, models=flags.models)
         out = Path(flags.out or f"{Path(flags.folder).resolve().name}-sheet.png")
-        partial = out.with_name(f"{out.name}.{os.getpid()}.tmp")
         try:
-            sheet.save(partial, format="png")
-            os.replace(partial, out)
+            with files.replacing(out) as partial:
+                sheet.save(partial, format="png")
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(out)) from None
-        finally:
-            partial.unlink(missing_ok=True)
         print(f"  {out} shows some; red is the front, green the left, blue the top")
     if len(caches) > 1:
         print("Give one of them for a sheet of its pictures.")
     return 0
 
 
-def check(flags):
-    """Checks sets; status 1 where an error was found."""
+def check(flags: argparse.Namespace) -> int:
+    """Check sets; the status is 1 if an error was found."""
     from dpc_jax.data.look import overview
 
     caches = overview.list_caches(flags.folder)
@@ -92,13 +91,13 @@ def check(flags):
         except ValueError as error:
             if len(caches) < 2:
                 raise
-            print(f"{path.name}\n  error: {error}")  # the others may be whole
+            print(f"{path.name}\n  error: {error}")  # the others may be fine
             failed = True
     return int(failed)
 
 
 def _check_one(path, flags):
-    """Whether a set has an error; prints what is found."""
+    """Print what is wrong with a set; return whether that is an error."""
     from dpc_jax.data.look import inspection, overview
 
     with _open(path, flags) as opened:
@@ -121,12 +120,8 @@ def _open(path, flags):
     )
 
 
-def main(arguments=None):
-    """Runs one command; what went wrong is told in one sentence.
-
-    Returns:
-      Exit status.
-    """
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit status; print a failure as a sentence."""
     flags = parse_arguments(arguments)
     try:
         return {"fetch": fetch, "show": show, "check": check}[flags.command](flags)
@@ -134,7 +129,7 @@ def main(arguments=None):
         print(f"Error: {_explain(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("Stopped; the same command goes on.", file=sys.stderr)
+        print("Stopped; the same command continues.", file=sys.stderr)
         return 130
 
 

@@ -3,20 +3,29 @@
 import functools
 
 import numpy as np
+import numpy.typing as npt
+
+from dpc_jax.data.dataset import DataSet
 
 BATCH_ARRAYS = ("images", "masks", "quaternions")
 _MODELS, _VIEWS = 0, 1  # so that the two never share a random stream
 
 
 def choose_batch(
-    num_models, num_views, *, seed, step, models_per_batch, views_per_batch
-):
+    num_models: int,
+    num_views: npt.ArrayLike,
+    *,
+    seed: int,
+    step: int,
+    models_per_batch: int,
+    views_per_batch: int,
+) -> tuple[np.ndarray, np.ndarray]:
     """Which models and which of their views make the batch of a step.
 
-    The models are read from one endless sequence of seeded permutations, one per epoch,
+    Models are read from one endless sequence of seeded permutations, one per epoch,
     `models_per_batch` at a time: every model comes once per epoch, and a batch that
-    straddles two epochs holds no model twice. Views are drawn without replacement; a
-    model with fewer than the batch wants has all of them before one comes again.
+    straddles two epochs holds no model twice. Views are drawn without replacement; if a
+    model has fewer than the batch asks for, all of them come before any comes again.
 
     Args:
       num_models: of the data set.
@@ -33,15 +42,15 @@ def choose_batch(
     """
     if not 1 <= models_per_batch <= num_models:
         raise ValueError(
-            f"models_per_batch must lie in [1, {num_models}], the number of models, "
-            f"got {models_per_batch}; make the batch smaller or add models."
+            f"models_per_batch must be in [1, {num_models}], the number of models, but "
+            f"it is {models_per_batch}; make the batch smaller or add models."
         )
     counts = np.broadcast_to(np.asarray(num_views), num_models)
     most = int(counts.max())
     if views_per_batch < 1 or np.ndim(num_views) == 0 and views_per_batch > most:
         raise ValueError(
-            f"views_per_batch must lie in [1, {most}], the number of views per model, "
-            f"got {views_per_batch}; use fewer or add views."
+            f"views_per_batch must be in [1, {most}], the number of views per model, "
+            f"but it is {views_per_batch}; use fewer or add views."
         )
     epoch, place = divmod(step * models_per_batch, num_models)
     stop = place + models_per_batch
@@ -62,15 +71,15 @@ def choose_batch(
 def _epoch_order(num_models, batch, seed, epoch):
     """Order of the models in one epoch.
 
-    The last batch of an epoch reaches into the next one by some models; these are the
-    first in that epoch's permutation which the batch does not hold yet. So an order
-    depends on the one before, back to the last epoch that started with a fresh batch,
-    at most `batch` epochs ago.
+    The last batch of an epoch may reach into the next one. It then takes the first
+    models of that epoch's permutation that it does not hold yet. So an order depends on
+    the one before, back to the last epoch that started with a fresh batch, at most
+    `batch` epochs ago.
     """
     anchor = epoch
     while anchor * num_models % batch:
         anchor -= 1
-    order = None
+    order = np.empty(0, np.int64)
     for current in range(anchor, epoch + 1):
         drawn = np.random.default_rng([seed, _MODELS, current]).permutation(num_models)
         held = current * num_models % batch  # models of the previous epoch in the batch
@@ -81,15 +90,16 @@ def _epoch_order(num_models, batch, seed, epoch):
     return order
 
 
-def read_batch(dataset, models, views):
+def read_batch(
+    dataset: DataSet, models: npt.ArrayLike, views: npt.ArrayLike
+) -> dict[str, np.ndarray]:
     """The views of a batch, as stored; scaling to floats is left to the device.
 
     Args:
-      dataset: `DataSet`.
-      models: [B] indices. views: [B, V] indices.
+      dataset: the set. models: [B] indices. views: [B, V] indices.
 
     Returns:
-      dict of arrays in memory: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S]
+      Arrays in memory by name: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S]
       and, where the poses are known, quaternions float32 [B, V, 4] (wxyz, object to
       camera).
     """

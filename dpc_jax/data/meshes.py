@@ -5,40 +5,53 @@ Files are expected in the canonical frame: z up, front towards +x, left towards 
 
 import contextlib
 import io
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import trimesh
+from trimesh.resolvers import FilePathResolver
+from trimesh.visual.color import uv_to_color
 
+from dpc_jax.data.damage import Damage
+from dpc_jax.shapes.joining import join_pieces
 from dpc_jax.shapes.normalization import replace_vertices
 
 SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 PLAIN = np.array([170, 170, 170, 255], dtype=np.uint8)  # where a file has no colour
 
 
-def find_meshes(folder):
+def find_meshes(folder: Path) -> list[Path]:
     """Mesh files below a folder, at any depth, sorted by path.
 
     Raises:
       ValueError: if the folder does not exist or holds no mesh file.
     """
-    folder = Path(folder)
     if not folder.is_dir():
         raise ValueError(
-            f"expected a folder of mesh files, {folder} is none; check it."
+            f"Expected a folder of mesh files, but {folder} is not a folder; check it."
         )
-    found = (path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
-    paths = sorted(path for path in found if path.is_file())
+    paths = sorted(_iterate_meshes(folder))
     if not paths:
         raise ValueError(
-            f"expected mesh files ({', '.join(SUFFIXES)}) in {folder}, found none; "
+            f"Expected mesh files ({', '.join(SUFFIXES)}) in {folder}, but found none; "
             "give another folder or convert the files."
         )
     return paths
 
 
-def read_mesh(path):
-    """Reads one mesh file into a single mesh with one colour per face.
+def holds_meshes(folder: Path) -> bool:
+    """Whether there is a mesh file below a folder."""
+    return any(True for _ in _iterate_meshes(folder))
+
+
+def _iterate_meshes(folder):
+    found = (path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
+    return (path for path in found if path.is_file())
+
+
+def read_mesh(path: str | Path) -> trimesh.Trimesh:
+    """Read one mesh file into a single mesh with one colour per face.
 
     The parts of a scene are put in place by their transforms and concatenated. Colours
     come from face colours, vertex colours (mean of a face's corners), a texture (looked
@@ -48,7 +61,7 @@ def read_mesh(path):
       path: file with one of the endings `SUFFIXES`.
 
     Returns:
-      `trimesh.Trimesh` in the frame and units of the file.
+      The mesh in the frame and units of the file.
 
     Raises:
       ValueError: naming the file, if it cannot be read, has no faces, coordinates that
@@ -57,7 +70,7 @@ def read_mesh(path):
     path = Path(path)
     try:
         # ShapeNet keeps textures in the folder above that of the mesh
-        options = {"resolver": _Files(path, allow_anywhere=True), "process": False}
+        options = {"resolver": _Files(str(path), allow_anywhere=True), "process": False}
         if path.suffix.lower() == ".obj":
             text = _decode(path.read_bytes())
             _expect_whole_line(text)
@@ -72,36 +85,34 @@ def read_mesh(path):
         if getattr(error, "name", None) == "charset_normalizer":  # trimesh's last try
             reason = "it is neither text nor whole"
         raise ValueError(
-            f"expected a readable mesh in {path}, {reason}; repair or remove the file."
+            f"Expected a readable mesh in {path}, but {reason}; repair or remove it."
         ) from error
     pieces = [piece for piece in pieces if piece is not None]
     if not pieces:
-        raise ValueError(f"expected a mesh with faces in {path}, got none; remove it.")
-    starts = np.cumsum([0, *(len(vertices) for vertices, _, _ in pieces)])
-    vertices = np.concatenate([vertices for vertices, _, _ in pieces])
-    faces = np.concatenate(
-        [faces + start for (_, faces, _), start in zip(pieces, starts, strict=False)]
-    )
+        raise ValueError(
+            f"Expected a mesh with faces in {path}, but it has none; remove it."
+        )
+    vertices, faces, colors = join_pieces(pieces)
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise ValueError(
-            f"expected faces between {len(vertices)} vertices in {path}, got an index "
-            "out of range; repair or remove the file."
+            f"Expected faces between {len(vertices)} vertices in {path}, but an index "
+            "is out of range; repair or remove the file."
         )
     used = vertices[np.unique(faces)]
     if not np.isfinite(used).all():
         raise ValueError(
-            f"expected finite coordinates in {path}, got NaN or infinity; repair or "
-            "remove the file."
+            f"Expected finite coordinates in {path}, but there is NaN or infinity; "
+            "repair or remove the file."
         )
     if not np.ptp(used, axis=0).max() > 0:
         raise ValueError(
-            f"expected a mesh with an extent in {path}, all its vertices coincide; "
+            f"Expected a mesh with an extent in {path}, but all its vertices coincide; "
             "remove the file."
         )
-    return _keep_used(vertices, faces, np.concatenate([color for *_, color in pieces]))
+    return _keep_used(vertices, faces, colors)
 
 
-class _Files(trimesh.resolvers.FilePathResolver):
+class _Files(FilePathResolver):
     """Materials and textures of a mesh file, as systems of all kinds name them."""
 
     def get(self, name):
@@ -111,7 +122,7 @@ class _Files(trimesh.resolvers.FilePathResolver):
 
 
 def _decode(content):
-    """Text of a file; names in old encodings are read too, if wrongly spelt."""
+    """Text of a file; other encodings are read too, if with wrong letters."""
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError:
@@ -119,13 +130,13 @@ def _decode(content):
 
 
 def _expect_whole_line(text):
-    """Refuses an OBJ file that was cut within its last vertex or face."""
+    """Refuse an OBJ file that was cut within its last vertex or face."""
     if not text or text[-1] in "\r\n":
         return
     words = text[text.rfind("\n") + 1 :].split()
     least = {"v": 4, "vt": 3, "vn": 4, "f": 4}.get(words[0] if words else "", 0)
     if len(words) < least or (least and words[-1][-1] in "/-+eE"):
-        raise ValueError(f"it ends within a line, {' '.join(words)!r}")
+        raise Damage(f"it ends within a line, {' '.join(words)!r}")
 
 
 def _keep_used(vertices, faces, colors):
@@ -160,23 +171,26 @@ def _face_colors(part):
             middle = np.asarray(visual.uv)[part.faces].mean(axis=1)
             # a cut picture shows only when its pixels are asked for; plain colour then
             with contextlib.suppress(OSError, SyntaxError):
-                return trimesh.visual.color.uv_to_color(middle, texture)
+                return uv_to_color(middle, texture)
         return np.tile(np.asarray(material.main_color, dtype=np.uint8), (count, 1))
     return np.tile(PLAIN, (count, 1))
 
 
-def scale_randomly(mesh, *, seed, amount=0.15):
-    """Copy of a mesh, stretched along x, y and z by factors of its own.
+def scale_randomly(
+    mesh: trimesh.Trimesh, *, seed: int | Sequence[int], amount: float = 0.15
+) -> trimesh.Trimesh:
+    """Copy of a mesh, stretched along x, y and z by a random factor each.
 
-    An augmentation for small sets of files: proportions vary, the object stays one of
-    its category. Factors are uniform in [1 - amount, 1 + amount].
+    An augmentation for small sets of files: proportions vary, the category stays.
+    Factors are uniform in [1 - amount, 1 + amount].
 
     Raises:
       ValueError: if amount is not in [0, 1).
     """
     if not 0 <= amount < 1:
         raise ValueError(
-            f"amount must lie in [0, 1) for positive factors, got {amount}; use 0.15."
+            f"amount must be in [0, 1) for positive factors, but it is {amount}; use "
+            "0.15."
         )
     factors = np.random.default_rng(seed).uniform(1 - amount, 1 + amount, 3)
     return replace_vertices(mesh, np.asarray(mesh.vertices, dtype=np.float64) * factors)

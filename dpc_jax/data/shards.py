@@ -9,14 +9,17 @@ import io
 import json
 import mmap
 import os
-import socket
 import struct
 import zipfile
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+
+from dpc_jax import files
+from dpc_jax.data.damage import Damage
 
 RECORD = "record"  # member that says what the shard holds, as JSON
 KEPT_PAGES = 32 << 20  # bytes read before mapped pages are given back to the system
@@ -25,58 +28,54 @@ KEPT_PAGES = 32 << 20  # bytes read before mapped pages are given back to the sy
 class Shard(NamedTuple):
     """One mapped shard: arrays by name, read-only, and its record."""
 
-    arrays: dict
-    record: dict
+    arrays: dict[str, np.ndarray]
+    record: dict[str, Any]
     mapping: mmap.mmap
 
 
-def write_shard(path, arrays, record):
-    """Writes a shard under a temporary name and renames it when it is whole.
+def write_shard(path: Path, arrays: dict[str, np.ndarray], record: dict[str, Any]):
+    """Write a shard under a temporary name and rename it when it is whole.
 
     Args:
       path: of the shard.
-      arrays: arrays by name; all but those of `RECORD`.
-      record: what JSON can hold.
+      arrays: by name, which must not be `RECORD`.
+      record: anything that JSON can hold.
 
     Raises:
       OSError: naming the file, if it cannot be written.
     """
-    path = Path(path)
-    partial = path.with_name(f"{path.name}.{socket.gethostname()}.{os.getpid()}.tmp")
     text = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
     try:
-        with open(partial, "wb") as file:
-            np.savez(file, **arrays, **{RECORD: text})
-        os.replace(partial, path)
+        with files.replacing(path) as partial, open(partial, "wb") as file:
+            np.savez(file, **dict[str, Any](arrays | {RECORD: text}))
     except OSError as error:
         raise OSError(
-            f"The file {path} cannot be written ({error.strerror or error}); make room "
-            "or give another folder."
+            f"Expected to write {path}, but that failed ({error.strerror or error}); "
+            "make room or give another folder."
         ) from None
-    finally:
-        partial.unlink(missing_ok=True)
 
 
-def read_record(path):
+def read_record(path: str | os.PathLike) -> dict[str, Any]:
     """The record of a shard whose every array is as it was written.
 
     Raises:
-      ValueError: naming the file, if it is cut, changed or no shard.
-      OSError: if it is not there or cannot be read.
+      ValueError: naming the file, if it is cut, changed or not a shard.
+      OSError: if it is missing or cannot be read.
     """
     try:
         with zipfile.ZipFile(path) as archive:
             if (damaged := archive.testzip()) is not None:
-                raise ValueError(f"the checksum of {damaged} differs")
+                raise Damage(f"the checksum of {damaged} differs")
             with archive.open(f"{RECORD}.npy") as file:
                 return json.loads(np.lib.format.read_array(file).tobytes())
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(
-            f"expected {path} as it was written, it is damaged ({error})"
+            f"Expected {path} as it was written, but it is damaged ({error}); delete "
+            "it."
         ) from None
 
 
-def checksum(path):
+def checksum(path: str | os.PathLike) -> int:
     """CRC-32 of a file."""
     value = 0
     with open(path, "rb") as file:
@@ -85,8 +84,8 @@ def checksum(path):
     return value
 
 
-def map_shard(path):
-    """Maps the arrays of a shard; nothing is read yet but where they lie."""
+def map_shard(path: str | os.PathLike) -> Shard:
+    """Map the arrays of a shard; only their places in the file are read yet."""
     with open(path, "rb") as file:
         mapping = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     with zipfile.ZipFile(path) as archive:
@@ -113,17 +112,16 @@ def _map_array(mapping, offset):
 class Pages:
     """Gives mapped pages back once enough was read, so that memory stays small.
 
-    The system would keep them as long as it has room, and a process that has read
-    3 GB would look, and be counted, as large as that. A page that is wanted again comes
-    from the file cache.
+    The system would keep them as long as it has room, and would count a process that
+    has read 3 GB as 3 GB larger. A page that is wanted again comes from the file cache.
     """
 
-    def __init__(self, mappings):
+    def __init__(self, mappings: Sequence[mmap.mmap]):
         self._mappings = mappings
         self._read = 0
 
-    def count(self, size):
-        """Note that so many bytes were read."""
+    def count(self, size: int):
+        """Note that `size` bytes were read."""
         self._read += size
         if self._read > KEPT_PAGES and hasattr(mmap, "MADV_DONTNEED"):
             self._read = 0
@@ -141,7 +139,12 @@ class Stack(np.lib.mixins.NDArrayOperatorsMixin):
     array can do works too, by reading the whole into memory.
     """
 
-    def __init__(self, pieces, counts, pages=None):
+    def __init__(
+        self,
+        pieces: Sequence[np.ndarray],
+        counts: Sequence[int],
+        pages: Pages | None = None,
+    ):
         """pieces: the row arrays [R, ...] of the shards, in order; counts: [M]."""
         self.counts = np.asarray(counts, dtype=np.int64)
         self._pieces = pieces
@@ -153,11 +156,12 @@ class Stack(np.lib.mixins.NDArrayOperatorsMixin):
         self.dtype = pieces[0].dtype
 
     @property
-    def ndim(self):
+    def ndim(self) -> int:
+        """Number of axes."""
         return len(self.shape)
 
     @property
-    def is_ragged(self):
+    def is_ragged(self) -> bool:
         """Whether models differ in their number of rows."""
         return bool((self.counts != self.shape[1]).any())
 
@@ -182,7 +186,10 @@ class Stack(np.lib.mixins.NDArrayOperatorsMixin):
 
     def __array__(self, dtype=None, copy=None):
         if copy is False:
-            raise ValueError("The rows lie in several files; they can only be copied.")
+            raise ValueError(
+                "copy must be None or True for rows in several files, but it is False; "
+                "allow the copy."
+            )
         return np.asarray(self._join(range(len(self))), dtype=dtype)
 
     def __array_ufunc__(self, ufunc, method, *inputs, **options):
@@ -203,7 +210,7 @@ class Stack(np.lib.mixins.NDArrayOperatorsMixin):
     def _join(self, models):
         if self.is_ragged:
             raise ValueError(
-                f"expected models with equal numbers of rows, they have "
+                "Expected models with equal numbers of rows, but they have "
                 f"{self.counts.min()} to {self.counts.max()}; read them one by one."
             )
         out = np.empty((len(models), *self.shape[1:]), self.dtype)

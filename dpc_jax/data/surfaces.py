@@ -4,18 +4,22 @@ The paper's reference has 1e5 points on each mesh, thinned to one per voxel of 0
 """
 
 import numpy as np
+import trimesh
 
 from dpc_jax.data import views
+from dpc_jax.data.spec import DataSpec
 
 VIEWPOINTS = 128  # on the viewing sphere; more of them uncover next to nothing
 CLEARANCE = 1e-4  # of the box diagonal: how far before a point a hit may lie
 
 
-def make_ground_truth(mesh, spec, *, scene=None):
+def make_ground_truth(
+    mesh: trimesh.Trimesh, spec: DataSpec, *, scene: views.Scene | None = None
+) -> np.ndarray:
     """Points [P, 3] float32 that stand for the surface of a normalised mesh.
 
-    `spec.surface_points` are spread over it; with `spec.surface_visible` only those
-    that can be seen from outside stay, and with `spec.surface_voxel` one per voxel.
+    `spec.surface_points` are spread over it. With `spec.surface_visible` only those
+    that can be seen from outside are kept, with `spec.surface_voxel` one per voxel.
 
     Raises:
       ValueError: if the mesh has no area.
@@ -29,11 +33,11 @@ def make_ground_truth(mesh, spec, *, scene=None):
     return points
 
 
-def thin_points(points, *, voxel):
-    """One point for each occupied voxel: the mean of those in it.
+def thin_points(points: np.ndarray, *, voxel: float) -> np.ndarray:
+    """One point for each occupied voxel: the mean of the points in it.
 
-    Voxels are cubes of side `voxel` with a corner at the origin; the result is in
-    their order and does not depend on the order of the points beyond rounding.
+    Voxels are cubes of side `voxel` with a corner at the origin. The result is in the
+    order of the voxels; the order of the points changes it by rounding only.
 
     Args:
       points: [N, 3]. voxel: above 0, in the units of the points.
@@ -51,14 +55,20 @@ def thin_points(points, *, voxel):
     return (np.stack(sums, axis=1) / counts[:, None]).astype(np.float32)
 
 
-def find_visible(points, scene, *, distance, viewpoints=VIEWPOINTS):
+def find_visible(
+    points: np.ndarray,
+    scene: views.Scene,
+    *,
+    distance: float,
+    viewpoints: int = VIEWPOINTS,
+) -> np.ndarray:
     """Which points [N] a straight line reaches from some place of the viewing sphere.
 
-    The sphere is around the origin with radius `distance`. What only the inside of an
-    object could see, seats of a closed car for instance, is left out.
+    The sphere is around the origin with radius `distance`. What can be seen only from
+    inside an object, such as the seats of a closed car, is left out.
 
     Args:
-      points: [N, 3] on the surface. scene: `views.Scene` of the mesh.
+      points: [N, 3] on the surface. scene: of the mesh.
       distance: radius of the sphere, beyond the mesh.
       viewpoints: how many places on the sphere are tried, spread evenly.
     """
@@ -80,11 +90,10 @@ def find_visible(points, scene, *, distance, viewpoints=VIEWPOINTS):
     return seen
 
 
-def spread_directions(count):
+def spread_directions(count: int) -> np.ndarray:
     """Unit vectors [count, 3], spread evenly over the sphere (Fibonacci spiral).
 
-    They come in a shuffled order, so that a few of the first already look from all
-    around.
+    They are shuffled, so that even the first few look from all around.
     """
     place = np.arange(count) + 0.5
     height = 1.0 - 2.0 * place / count

@@ -1,9 +1,10 @@
 """Viewpoints: camera rotations from azimuth and elevation, and as quaternions."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 
-def look_at_rotation(azimuth, elevation):
+def look_at_rotation(azimuth: float, elevation: float) -> np.ndarray:
     """Rotation from the object to a camera that looks at the origin, image upright.
 
     The camera sits in the direction (cos el cos az, cos el sin az, sin el) of the
@@ -22,7 +23,8 @@ def look_at_rotation(azimuth, elevation):
     if not abs(elevation) < np.pi / 2 - 1e-9:
         raise ValueError(
             "elevation must lie strictly between -pi/2 and pi/2 because a camera at a "
-            f"pole has no upright direction, got {elevation}; move it off the pole."
+            f"pole has no upright direction, but it is {elevation}; move it off the "
+            "pole."
         )
     cos_a, sin_a = np.cos(azimuth), np.sin(azimuth)
     cos_e, sin_e = np.cos(elevation), np.sin(elevation)
@@ -32,26 +34,6 @@ def look_at_rotation(azimuth, elevation):
     return np.stack([right, down, forward])
 
 
-def matrix_to_quaternion(rotation):
-    """Quaternion [4] (wxyz, w >= 0) of a rotation matrix [3, 3].
-
-    Of the four possible formulas the one with the largest divisor is used, so that
-    no rotation (180 degrees included) loses digits.
-    """
-    r = np.asarray(rotation, dtype=np.float64)
-    trace = np.trace(r)
-    # four times the squares of w, x, y, z; at least one of them is >= 1
-    squares = 1.0 + np.array(
-        [trace, *(2.0 * r[i, i] - trace for i in range(3))], dtype=np.float64
-    )
-    products = np.array(
-        [
-            [squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], squares[1], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]],
-            [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], squares[2], r[1, 2] + r[2, 1]],
-            [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], squares[3]],
-        ]
-    )
-    quaternion = products[np.argmax(squares)]
-    quaternion = quaternion / np.linalg.norm(quaternion)
-    return -quaternion if quaternion[0] < 0 else quaternion
+def matrix_to_quaternion(rotation: np.ndarray) -> np.ndarray:
+    """Quaternions [..., 4] (wxyz, w >= 0) of rotation matrices [..., 3, 3]."""
+    return Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)

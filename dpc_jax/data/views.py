@@ -7,12 +7,14 @@ computed before any ray is cast, which makes it cost nothing per ray.
 """
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
+
+from dpc_jax.shapes.normalization import face_colors
 
 WHITE = 255.0
 
@@ -42,18 +44,18 @@ class Lights(NamedTuple):
 class Scene(NamedTuple):
     """A mesh made ready for ray casting, to be shared by all its views."""
 
-    embree: rtcore_scene.EmbreeScene
+    embree: Any  # rtcore_scene.EmbreeScene, a compiled class that checkers cannot see
     vertices: np.ndarray  # [N, 3]
     centroids: np.ndarray  # [F, 3]
     normals: np.ndarray  # [F, 3], unit length, 0 for a face without area
     colors: np.ndarray  # [F, 3], 0..255
 
 
-def draw_lights(rng):
-    """One to three random lights in the upper hemisphere of the object, and ambient.
+def draw_lights(rng: np.random.Generator) -> Lights:
+    """One to three random lights in the upper hemisphere, and ambient light.
 
-    Source: paper, "random light source positions"; strengths are ours, chosen such that
-    a face turned to a light keeps its colour and a face in shadow stays visible.
+    Source: paper, "random light source positions". The strengths are ours, chosen so
+    that a face turned to a light keeps its colour and one in shadow stays visible.
     """
     count = int(rng.integers(1, 4))
     azimuth = rng.uniform(0.0, 2.0 * np.pi, count)
@@ -65,30 +67,32 @@ def draw_lights(rng):
     return Lights(towards, 0.65 * strength / strength.sum(), ambient)
 
 
-def build_scene(mesh):
-    """Makes a `trimesh.Trimesh` ready for `render_view`; colours are its face colours.
+def build_scene(mesh: trimesh.Trimesh) -> Scene:
+    """Make a mesh ready for `render_view`; colours are its face colours.
 
     Raises:
       ValueError: if the mesh has no faces.
     """
     if len(mesh.faces) == 0:
-        raise ValueError("expected a mesh with faces to render, got none; skip it.")
+        raise ValueError(
+            "Expected a mesh with faces to render, but there are none; skip it."
+        )
     vertices = np.ascontiguousarray(mesh.vertices, dtype=np.float32)
     faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
-    embree = rtcore_scene.EmbreeScene()
+    embree = rtcore_scene.EmbreeScene()  # pyright: ignore[reportAttributeAccessIssue]
     TriangleMesh(embree, vertices, faces)
     corners = vertices[faces].astype(np.float64)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
-    colors = np.asarray(mesh.visual.face_colors)[:, :3].astype(np.float64)
+    colors = face_colors(mesh)[:, :3].astype(np.float64)
     return Scene(embree, vertices, corners.mean(axis=1), normals, colors)
 
 
-def shade_faces(scene, *, eye, lights):
+def shade_faces(scene: Scene, *, eye: np.ndarray, lights: Lights) -> np.ndarray:
     """Lambert shading, one colour per face [F, 3] in 0..255.
 
-    Normals are turned towards the camera first: files full of open shells have no
+    Normals are first turned towards the camera: files full of open shells have no
     reliable outside, and a face must not be black because its corners run clockwise.
     """
     facing = np.einsum("fc,fc->f", scene.normals, eye - scene.centroids)
@@ -128,23 +132,23 @@ def _crop_box(scene, rotation, image_size, focal_length, distance, extent):
 
 
 def render_view(
-    mesh,
-    rotation,
+    mesh: Scene | trimesh.Trimesh,
+    rotation: np.ndarray,
     *,
-    lights,
-    image_size,
-    focal_length=1.875,
-    distance=2.0,
-    extent=1.0,
-    supersample=4,
-):
-    """Renders one view of a mesh with a pinhole camera.
+    lights: Lights,
+    image_size: int,
+    focal_length: float = 1.875,
+    distance: float = 2.0,
+    extent: float = 1.0,
+    supersample: int = 4,
+) -> View:
+    """Render one view of a mesh with a pinhole camera.
 
     u = focal x / z and v = focal y / z with z = z_rotated + distance; the image spans
     [-extent/2, extent/2] in u and v, row 0 at the top.
 
     Args:
-      mesh: `Scene` (preferred: built once for many views) or `trimesh.Trimesh`.
+      mesh: preferably a `Scene`, which is built once for many views.
       rotation: [3, 3], object frame to camera frame.
       lights: `Lights`, for instance from `draw_lights`.
       image_size: S, pixels.
@@ -152,15 +156,12 @@ def render_view(
       distance: units of the mesh.
       supersample: rays per pixel along each image axis.
 
-    Returns:
-      `View`.
-
     Raises:
       ValueError: if the mesh has no faces, or a size is not positive.
     """
     if image_size < 1 or supersample < 1:
         raise ValueError(
-            "image_size and supersample must be at least 1, got "
+            "image_size and supersample must be at least 1, but they are "
             f"{image_size} and {supersample}; ask for more pixels or rays."
         )
     scene = build_scene(mesh) if isinstance(mesh, trimesh.Trimesh) else mesh
@@ -197,11 +198,13 @@ def render_view(
     return View(image, mask, depth)
 
 
-def sample_surface(mesh, *, count=10_000, seed=0):
+def sample_surface(
+    mesh: trimesh.Trimesh, *, count: int = 10_000, seed: int = 0
+) -> np.ndarray:
     """Points [count, 3] float32 spread over the surface, uniform by area.
 
-    These stand for the ground truth of the evaluation; the same mesh, count and seed
-    always give the same points. Open shells and interiors are part of the surface.
+    They are the ground truth of the evaluation; the same mesh, count and seed always
+    give the same points. Open shells and interiors are part of the surface.
 
     Raises:
       ValueError: if the mesh has no area.
@@ -211,7 +214,9 @@ def sample_surface(mesh, *, count=10_000, seed=0):
     edges = corners[:, 1:] - corners[:, :1]
     area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=-1)
     if not area.sum() > 0:
-        raise ValueError("expected a mesh with area to sample, got none; skip it.")
+        raise ValueError(
+            "Expected a mesh with area to sample, but it has none; skip it."
+        )
     # stratified along the running area: less clumping than independent draws
     levels = (np.arange(count) + rng.uniform(size=count)) / count * area.sum()
     face = np.minimum(np.searchsorted(np.cumsum(area), levels), len(area) - 1)

@@ -2,30 +2,38 @@
 
 python -m dpc_jax.measure.data_growth --models=7000 --image_size=128
 
-Prepares procedural models, reads them back as training does, damages a shard and has it
-made again; prints rate, memory and disk as a Markdown table. Stopped and started again
-it goes on, and then says how many models the rate is of.
+It prepares procedural models, reads them back as training does, damages a shard and has
+it made again; it prints rate, memory and disk as a Markdown table. After an
+interruption it continues; the rate is then that of the models still missing.
 """
 
 import argparse
 import resource
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from dpc_jax.data import batches, dataset, rendering
-from dpc_jax.data.spec import DataSpec, list_sources
+from dpc_jax.data import batches, dataset, workers
+from dpc_jax.data.sources import open_source
+from dpc_jax.data.spec import DataSpec
 
 
 def measure(
-    spec, *, cache_dir, processes=None, models_per_batch=4, views_per_batch=4, seed=0
-):
+    spec: DataSpec,
+    *,
+    cache_dir: Path,
+    processes: int | None = None,
+    models_per_batch: int = 4,
+    views_per_batch: int = 4,
+    seed: int = 0,
+) -> list[tuple[str, str]]:
     """Rows (what, value) on preparing and reading the data set of a specification.
 
     Args:
-      spec: `DataSpec`. cache_dir, processes: as for `load_or_render`.
+      spec, cache_dir, processes: as for `load_or_render`.
       models_per_batch, views_per_batch, seed: of the batches of one epoch.
     """
     rows = []
@@ -81,22 +89,23 @@ def measure(
     return rows
 
 
-def find_folder(spec, cache_dir):
+def find_folder(spec: DataSpec, cache_dir: Path) -> Path:
     """The cache folder of a specification."""
-    return dataset.locate_cache(spec, list_sources(spec), cache_dir)
+    source = open_source(spec)
+    return dataset.locate_cache(source, source.list_models(), cache_dir)
 
 
 def _count_missing(spec, cache_dir):
-    sources, folder = list_sources(spec), find_folder(spec, cache_dir)
-    plan = rendering.plan_shards(spec, sources)
+    source, folder = open_source(spec), find_folder(spec, cache_dir)
+    plan = workers.plan_shards(source, source.list_models())
     return sum(
         len(models)
         for number, models in enumerate(plan)
-        if not (folder / rendering.name_shard(number)).is_file()
+        if not (folder / workers.name_shard(number)).is_file()
     )
 
 
-def read_memory():
+def read_memory() -> float:
     """Resident memory of this process in MB, mapped files included; 0 if unknown."""
     status = Path("/proc/self/status")
     if not status.is_file():
@@ -104,9 +113,9 @@ def read_memory():
     return int(status.read_text().split("VmRSS:")[1].split()[0]) / 2**10
 
 
-def main(arguments=None):
+def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, measure, print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--category", default="car")
     parser.add_argument("--models", type=int, default=7000)
     parser.add_argument("--views", type=int, default=5)

@@ -1,29 +1,31 @@
 """What a view costs: python -m dpc_jax.measure.view_rates
 
-Renders views of procedural shapes, subdivided to a number of faces, in one process,
-and prints a Markdown table: views a second by faces and rays per pixel, and by how much
-the rim of the silhouette is off. Processor time counts where others share the core.
+It renders views of procedural shapes, subdivided to a number of faces, in one process,
+and prints a Markdown table: views per second by faces and rays per pixel, and the error
+at the rim of the silhouette. Judge by processor time if other programs run.
 """
 
 import argparse
 import statistics
 import sys
 import time
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import trimesh
 
 from dpc_jax.data import viewpoints, views
 from dpc_jax.shapes import procedural
+from dpc_jax.shapes.normalization import face_colors
 
 REFERENCE = 16  # rays per pixel and axis that rims are compared with
 COMPARED = 8  # views that they are compared in
 
 
-def divide_faces(mesh, *, faces):
-    """A mesh of the same shape with so many faces (up to two more), if it had fewer."""
+def divide_faces(mesh: trimesh.Trimesh, *, faces: int) -> trimesh.Trimesh:
+    """The same shape with `faces` faces or up to two more, if it had fewer."""
     vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    colors = np.asarray(mesh.visual.face_colors)
+    colors = face_colors(mesh)
     while len(triangles) < faces:
         corners = vertices[triangles]
         sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -43,7 +45,14 @@ def divide_faces(mesh, *, faces):
     return trimesh.Trimesh(vertices, triangles, face_colors=colors, process=False)
 
 
-def draw_views(mesh, *, count, image_size, supersample, seed=0):
+def draw_views(
+    mesh: trimesh.Trimesh | views.Scene,
+    *,
+    count: int,
+    image_size: int,
+    supersample: int,
+    seed: int = 0,
+) -> Iterator[views.View]:
     """Views of a mesh as a data set has them: any azimuth, elevation -20 to 40."""
     scene = mesh if isinstance(mesh, views.Scene) else views.build_scene(mesh)
     rng = np.random.default_rng(seed)
@@ -61,13 +70,20 @@ def draw_views(mesh, *, count, image_size, supersample, seed=0):
         )
 
 
-def measure(mesh, *, image_size, supersample, count, rounds):
-    """Views a second, of processor time and of time: two lists, one value a round.
+def measure(
+    mesh: trimesh.Trimesh,
+    *,
+    image_size: int,
+    supersample: int,
+    count: int,
+    rounds: int,
+) -> tuple[list[float], list[float]]:
+    """Views per second of processor time and by the clock, one value per round each.
 
     The scene is built in each round, as it is for each model of a set, but once for
     all views of the round.
     """
-    rates = [], []
+    rates: tuple[list[float], list[float]] = [], []
     for number in range(rounds):
         starts = time.process_time(), time.perf_counter()
         for _ in draw_views(
@@ -84,7 +100,7 @@ def measure(mesh, *, image_size, supersample, count, rounds):
     return rates
 
 
-def measure_rims(mesh, *, image_size, supersample):
+def measure_rims(mesh: trimesh.Trimesh, *, image_size: int, supersample: int) -> float:
     """Mean error of the coverage of pixels that are partly covered, from 0 to 1."""
     options = {"count": COMPARED, "image_size": image_size}
     ours = draw_views(mesh, supersample=supersample, **options)
@@ -96,8 +112,15 @@ def measure_rims(mesh, *, image_size, supersample):
     return float(np.concatenate(errors).mean())
 
 
-def make_table(*, faces, image_size, rays, count, rounds):
-    """Lines of the table (`list[str]`): every shape, number of faces and of rays."""
+def make_table(
+    *,
+    faces: Sequence[int],
+    image_size: int,
+    rays: Sequence[int],
+    count: int,
+    rounds: int,
+) -> list[str]:
+    """Lines of the table: every shape, number of faces and of rays."""
     lines = [
         "| shape | faces | rays per pixel | views/s | lowest–highest | "
         "by the clock | error of rims |",
@@ -118,9 +141,9 @@ def make_table(*, faces, image_size, rays, count, rounds):
     return lines
 
 
-def main(arguments=None):
+def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, measure, print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--faces", type=int, nargs="+", default=[10_000, 100_000])
     parser.add_argument("--rays", type=int, nargs="+", default=[2, 4, 8])
     parser.add_argument("--image_size", type=int, default=128)

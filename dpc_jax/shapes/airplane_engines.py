@@ -1,12 +1,26 @@
-"""Engines and gear of procedural airplanes."""
+"""Engines and gear of procedural airplanes, in fuselage lengths."""
+
+import functools
 
 import numpy as np
 
-from dpc_jax.shapes import building_blocks as parts
+from dpc_jax.shapes.airplane_plans import Plan
+from dpc_jax.shapes.building_blocks import (
+    BLACK,
+    Color,
+    Part,
+    bar,
+    box,
+    circle,
+    loft,
+    mirror,
+    panel,
+    tube,
+)
 
 
-def wing_lead(plan, share):
-    """Leading edge of the wing at a share of the half span."""
+def wing_lead(plan: Plan, share: float) -> np.ndarray:
+    """Leading edge [3] of the wing at a share of the half span."""
     return np.array(
         [
             0.5 - plan.place - share * plan.sweep * plan.span,
@@ -16,107 +30,91 @@ def wing_lead(plan, share):
     )
 
 
-def make_engines(plan, rng):
+def make_engines(plan: Plan, rng: np.random.Generator) -> list[Part]:
     """Under the wings, at the tail, a propeller, or one or two nozzles."""
+    makers = {
+        "airliner": _make_wing_engines,
+        "bizjet": _make_tail_engines,
+        "light": _make_propeller,
+        "fighter": _make_nozzles,
+    }
+    return makers[plan.kind](plan, rng)
+
+
+def _make_wing_engines(plan, rng):
+    shares = (0.32,) if rng.uniform() < 0.72 else (0.28, 0.56)
+    size = plan.radius * (rng.uniform(0.42, 0.6) if len(shares) == 1 else 0.38)
+    pieces = []
+    for share in shares:
+        lead = wing_lead(plan, share)
+        centre = lead - [0.0, 0.0, 1.25 * size]
+        pieces += make_nacelle(centre + [0.06, 0, 0], 0.12, size, plan.accent)
+        ends = centre + [0.0, 0, 0.4 * size], lead - [0.05, 0, 0]
+        pieces.append(bar(*ends, width=0.008, height=0.05, color=plan.body))
+    return mirror(pieces)
+
+
+def _make_tail_engines(plan, rng):
     r = plan.radius
-    if plan.kind == "airliner":
-        shares = (0.32,) if rng.uniform() < 0.72 else (0.28, 0.56)
-        size = rng.uniform(0.42, 0.6) * r if len(shares) == 1 else 0.38 * r
-        pieces = []
-        for share in shares:
-            lead = wing_lead(plan, share)
-            centre = lead - [0.0, 0.0, 1.25 * size]
-            pieces += make_nacelle(centre + [0.06, 0, 0], 0.12, size, plan.accent)
-            pieces.append(
-                parts.bar(
-                    centre + [0.0, 0, 0.4 * size],
-                    lead - [0.05, 0, 0],
-                    width=0.008,
-                    height=0.05,
-                    color=plan.body,
-                )
-            )
-        return parts.mirror(pieces)
-    if plan.kind == "bizjet":
-        centre = np.array([-0.2, 1.75 * r, 0.5 * r])
-        pod = make_nacelle(centre, 0.14, rng.uniform(0.42, 0.52) * r, plan.accent)
-        post = parts.bar(
-            centre - [0.05, r, 0],
-            centre - [0.05, 0, 0],
-            width=0.07,
-            height=0.012,
-            color=plan.body,
-        )
-        return parts.mirror([*pod, post])
-    if plan.kind == "light":
-        reach = rng.uniform(0.13, 0.17)
-        turn = rng.uniform(0, np.pi)
-        blade = reach * np.array([0.0, np.cos(turn), np.sin(turn)])
-        hub = np.array([0.515, 0, -0.1 * r])
-        spinner = parts.tube(
-            (0.5, 0, -0.1 * r),
-            (0.54, 0, -0.1 * r),
-            0.25 * r,
-            radius_stop=0.02 * r,
-            color=plan.accent,
-        )
-        blades = parts.bar(
-            hub - blade, hub + blade, width=0.02, height=0.008, color=parts.BLACK
-        )
-        return [spinner, blades]
+    centre = np.array([-0.2, 1.75 * r, 0.5 * r])
+    pod = make_nacelle(centre, 0.14, rng.uniform(0.42, 0.52) * r, plan.accent)
+    ends = centre - [0.05, r, 0], centre - [0.05, 0, 0]
+    return mirror([*pod, bar(*ends, width=0.07, height=0.012, color=plan.body)])
+
+
+def _make_propeller(plan, rng):
+    r, z = plan.radius, -0.1 * plan.radius
+    reach = rng.uniform(0.13, 0.17)
+    turn = rng.uniform(0, np.pi)
+    blade = reach * np.array([0.0, np.cos(turn), np.sin(turn)])
+    hub = np.array([0.515, 0, z])
+    ends, last = ((0.5, 0, z), (0.54, 0, z)), 0.02 * r
+    spinner = tube(*ends, 0.25 * r, radius_stop=last, color=plan.accent)
+    return [
+        spinner,
+        bar(hub - blade, hub + blade, width=0.02, height=0.008, color=BLACK),
+    ]
+
+
+def _make_nozzles(plan, rng):
+    r = plan.radius
     side = 0.0 if rng.uniform() < 0.4 else 0.6 * r
-    nozzle = parts.tube(
-        (-0.48, side, 0),
-        (-0.53, side, 0),
-        0.62 * r,
-        radius_stop=0.5 * r,
-        color=parts.BLACK,
-        sides=10,
-    )
-    intake = parts.box(
-        (-0.05, 1.0 * r, -0.5 * r), (0.16, 1.5 * r, 0.4 * r), color=plan.body
-    )
-    return [*(parts.mirror([nozzle]) if side else [nozzle]), *parts.mirror([intake])]
+    ends, last = ((-0.48, side, 0), (-0.53, side, 0)), 0.5 * r
+    nozzle = [tube(*ends, 0.62 * r, radius_stop=last, color=BLACK, sides=10)]
+    intake = box((-0.05, 1.0 * r, -0.5 * r), (0.16, 1.5 * r, 0.4 * r), color=plan.body)
+    return [*(mirror(nozzle) if side else nozzle), *mirror([intake])]
 
 
-def make_nacelle(front, length, radius, color):
+def make_nacelle(
+    front: np.ndarray, length: float, radius: float, color: Color
+) -> list[Part]:
     """Engine pod: its open front is a dark disc."""
     front = np.asarray(front, float)
-    ring = parts.circle(10)
+    ring = circle(10)
     rings = []
     for share, size in ((0.0, 0.85), (0.15, 1.0), (0.6, 0.95), (1.0, 0.55)):
         offset = np.column_stack([np.full(10, -share * length), radius * size * ring])
         rings.append(front + offset)
-    disc = parts.panel(
-        front + [0.001, 0, 0] + np.column_stack([np.zeros(10), 0.75 * radius * ring]),
-        color=parts.BLACK,
-    )
-    return [parts.loft(rings, color=color), disc]
+    disc = np.column_stack([np.zeros(10), 0.75 * radius * ring])
+    return [
+        loft(rings, color=color),
+        panel(front + [0.001, 0, 0] + disc, color=BLACK),
+    ]
 
 
-def make_gear(plan):
+def make_gear(plan: Plan) -> list[Part]:
     """Fixed gear of a light airplane: two main wheels and one at the nose."""
-    low = -plan.radius - 0.09
-    main = np.array([0.08, 0.15, low])
-    pieces = parts.mirror(
-        [
-            parts.tube(
-                (0.08, 0.4 * plan.radius, -0.8 * plan.radius),
-                main,
-                0.008,
-                color=plan.body,
-                sides=6,
-            ),
-            parts.tube(
-                main - [0, 0.012, 0], main + [0, 0.012, 0], 0.03, color=parts.BLACK
-            ),
-        ]
-    )
-    nose = np.array([0.38, 0.0, low])
-    strut = parts.tube(
-        (0.38, 0, -0.5 * plan.radius), nose, 0.008, color=plan.body, sides=6
-    )
-    wheel = parts.tube(
-        nose - [0, 0.01, 0], nose + [0, 0.01, 0], 0.026, color=parts.BLACK
-    )
-    return [*pieces, strut, wheel]
+    r, low = plan.radius, -plan.radius - 0.09
+    strut = functools.partial(tube, radius=0.008, color=plan.body, sides=6)
+    main, nose = np.array([0.08, 0.15, low]), np.array([0.38, 0.0, low])
+
+    def wheel(centre, half_width, radius):
+        side = np.array([0, half_width, 0])
+        return tube(centre - side, centre + side, radius, color=BLACK)
+
+    legs = [strut((0.08, 0.4 * r, -0.8 * r), main), wheel(main, 0.012, 0.03)]
+    return [
+        *mirror(legs),
+        strut((0.38, 0, -0.5 * r), nose),
+        wheel(nose, 0.01, 0.026),
+    ]

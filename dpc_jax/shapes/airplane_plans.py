@@ -22,12 +22,12 @@ class Plan(NamedTuple):
     dihedral: float  # rise per half span
     place: float  # leading edge at the root, share of the length from the nose
     height: float  # of the wing, in fuselage radii
-    body: tuple
-    accent: tuple
+    body: parts.Color
+    accent: parts.Color
 
 
-def draw_plan(rng):
-    """Draws the kind and the measures of an airplane."""
+def draw_plan(rng: np.random.Generator) -> Plan:
+    """Draw the kind and the measures of an airplane."""
     kind = str(rng.choice(KINDS, p=KIND_SHARES))
     ranges = {
         "airliner": dict(radius=(0.046, 0.066), span=(0.42, 0.54), root=(0.16, 0.22),

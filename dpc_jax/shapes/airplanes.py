@@ -1,14 +1,19 @@
 """Procedural airplanes of four kinds, one fuselage long, z up, nose towards +x."""
 
+import functools
+
 import numpy as np
+import trimesh
 
 from dpc_jax.shapes import building_blocks as parts
 from dpc_jax.shapes.airplane_engines import make_engines, make_gear, wing_lead
 from dpc_jax.shapes.airplane_plans import draw_plan
 
+UPPER = np.array([1.0, 0.5])  # chords of a fin, shares of the lower one
 
-def make_airplane(rng):
-    """Mesh of a random airplane (`trimesh.Trimesh`, one fuselage long)."""
+
+def make_airplane(rng: np.random.Generator) -> trimesh.Trimesh:
+    """Mesh of a random airplane, one fuselage long, not normalised."""
     plan = draw_plan(rng)
     pieces = [*_make_fuselage(plan, rng), *_make_wings(plan), *_make_tail(plan, rng)]
     pieces += make_engines(plan, rng)
@@ -54,23 +59,21 @@ def _make_fuselage(plan, rng):
 def _make_windows(plan):
     """A dark windscreen around the nose and a stripe of windows along each side."""
     r = plan.radius
+    scale = np.array([1, r, r])
     pane = [
-        (0.468, 0.16 * r, 0.44 * r),
-        (0.432, 0.66 * r, 0.44 * r),
-        (0.428, 0.50 * r, 0.80 * r),
-        (0.455, 0.14 * r, 0.68 * r),
+        (0.468, 0.16, 0.44),
+        (0.432, 0.66, 0.44),
+        (0.428, 0.5, 0.8),
+        (0.455, 0.14, 0.68),
     ]
-    low, high = 0.18 * r, 0.36 * r
-    reach = 1.005 * r
     stripe = [
-        (0.36, reach, low),
-        (-0.2, reach, low),
-        (-0.2, 0.985 * r, high),
-        (0.36, 0.985 * r, high),
+        (0.36, 1.005, 0.18),
+        (-0.2, 1.005, 0.18),
+        (-0.2, 0.985, 0.36),
+        (0.36, 0.985, 0.36),
     ]
-    return parts.mirror(
-        [parts.panel(pane, color=parts.GLASS), parts.panel(stripe, color=plan.accent)]
-    )
+    windscreen = parts.panel(pane * scale, color=parts.GLASS)
+    return parts.mirror([windscreen, parts.panel(stripe * scale, color=plan.accent)])
 
 
 def _make_canopy(plan):
@@ -82,22 +85,16 @@ def _make_canopy(plan):
     else:
         x, size, base = [0.26, 0.18, 0.02, -0.1], [0.3, 0.8, 0.85, 0.3], 0.35
         tall = 0.62 if plan.height > 0 else 0.9
-    ring = parts.circle(10)
+    y, z = parts.circle(10).T
     rings = [
-        np.column_stack(
-            [
-                np.full(len(ring), a),
-                s * r * ring[:, 0],
-                r * (base + tall * s * ring[:, 1]),
-            ]
-        )
+        np.column_stack([a + 0 * y, s * r * y, r * (base + tall * s * z)])
         for a, s in zip(x, size, strict=True)
     ]
     return parts.loft(rings, color=parts.GLASS)
 
 
 def _foil(lead, chord, *, color, thick=0.11, upright=False):
-    """Wing or fin: symmetric six-cornered sections with leading edges `lead` [S, 3]."""
+    """Wing or fin of symmetric sections with leading edges `lead` [S, 3]."""
     outline = np.array([[0, 0], [0.12, 0.4], [0.45, 0.5], [1, 0.02],
                         [1, -0.02], [0.45, -0.5], [0.12, -0.4]])  # fmt: skip
     rings = []
@@ -109,6 +106,9 @@ def _foil(lead, chord, *, color, thick=0.11, upright=False):
     return parts.loft(rings, color=color)
 
 
+_fin = functools.partial(_foil, thick=0.1, upright=True)
+
+
 def _make_wings(plan):
     thick = 0.05 if plan.kind == "fighter" else 0.12
     chords = np.array([1.0, plan.taper]) * plan.root
@@ -117,15 +117,7 @@ def _make_wings(plan):
     if plan.kind in ("airliner", "bizjet") and plan.taper > 0.28:  # winglet
         tip = lead[1]
         top = tip + [-0.045, 0.012, 0.05]
-        wing.append(
-            _foil(
-                [tip, top],
-                [chords[1], 0.5 * chords[1]],
-                color=plan.accent,
-                thick=0.1,
-                upright=True,
-            )
-        )
+        wing.append(_fin([tip, top], chords[1] * UPPER, color=plan.accent))
     if plan.kind == "light" and plan.height > 0:  # strut of a high wing
         start = wing_lead(plan, 0.45) - [0.35 * plan.root, 0, 0]
         foot = np.array([start[0], 0.7 * plan.radius, -0.7 * plan.radius])
@@ -146,24 +138,11 @@ def _make_tail(plan, rng):
     if twin:
         lean = rng.uniform(0.0, 0.35) * rise
         side = np.array([0.0, 0.85 * plan.radius, 0.0])
-        fin = _foil(
-            [start + side, tip + side + [0, lean, 0]],
-            [chord, 0.45 * chord],
-            color=plan.body,
-            thick=0.07,
-            upright=True,
-        )
+        lead = [start + side, tip + side + [0, lean, 0]]
+        fin = _fin(lead, [chord, 0.45 * chord], color=plan.body, thick=0.07)
         pieces = parts.mirror([fin])
     else:
-        pieces = [
-            _foil(
-                [start, tip],
-                [chord, 0.5 * chord],
-                color=plan.accent,
-                thick=0.1,
-                upright=True,
-            )
-        ]
+        pieces = [_fin([start, tip], chord * UPPER, color=plan.accent)]
     half = rng.uniform(0.14, 0.2)
     root = tip - [0.01, 0, 0.01] if tee else start + [-0.02, 0, 0.1 * plan.radius]
     if plan.kind == "fighter":

@@ -1,13 +1,19 @@
 """Building blocks of the procedural shapes: coloured lofts, boxes, panels.
 
-A part is a `Part(vertices, faces, color)`; a list of parts joins to one mesh. Nearly
-everything is a loft: rings of points along a path, skinned with triangles.
+A list of parts joins to one mesh. Nearly everything is a loft: rings of points along a
+path, skinned with triangles. Lengths are metres, z is up.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import trimesh
+
+from dpc_jax.shapes.joining import join_pieces
+
+Color = tuple[int, ...]  # r, g, b in 0..255
 
 BLACK = (18, 18, 20)
 GLASS = (32, 40, 52)
@@ -15,14 +21,14 @@ CHROME = (190, 195, 200)
 
 
 class Part(NamedTuple):
-    """vertices [N, 3] in metres, faces [F, 3], one colour (r, g, b) in 0..255."""
+    """A piece of one colour: vertices [N, 3], faces [F, 3]."""
 
     vertices: np.ndarray
     faces: np.ndarray
-    color: tuple
+    color: Color
 
 
-def loft(rings, *, color, caps=True):
+def loft(rings: npt.ArrayLike, *, color: Color, caps: bool = True) -> Part:
     """Skin over rings [S, R, 3] of R points each; with caps both ends are closed."""
     rings = np.asarray(rings, dtype=np.float64)
     stations, around, _ = rings.shape
@@ -40,13 +46,21 @@ def loft(rings, *, color, caps=True):
     return Part(vertices, np.concatenate(faces), color)
 
 
-def circle(count):
+def circle(count: int) -> np.ndarray:
     """Corners [count, 2] of a regular polygon in the unit circle."""
     angle = (np.arange(count) + 0.5) * 2.0 * np.pi / count
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
-def tube(start, stop, radius, *, color, radius_stop=None, sides=8, caps=True):
+def tube(
+    start: npt.ArrayLike,
+    stop: npt.ArrayLike,
+    radius: float,
+    *,
+    color: Color,
+    radius_stop: float | None = None,
+    sides: int = 8,
+) -> Part:
     """Cylinder, or cone where `radius_stop` differs, between two points."""
     start, stop = np.asarray(start, float), np.asarray(stop, float)
     axis = (stop - start) / np.linalg.norm(stop - start)
@@ -56,10 +70,10 @@ def tube(start, stop, radius, *, color, radius_stop=None, sides=8, caps=True):
     frame = np.stack([side, np.cross(axis, side)])
     ring = circle(sides) @ frame
     end = radius if radius_stop is None else radius_stop
-    return loft([start + radius * ring, stop + end * ring], color=color, caps=caps)
+    return loft([start + radius * ring, stop + end * ring], color=color)
 
 
-def box(low, high, *, color):
+def box(low: Sequence[float], high: Sequence[float], *, color: Color) -> Part:
     """Axis-aligned box between two corners."""
     (x0, y0, z0), (x1, y1, z1) = low, high
     square = np.array([[y0, z0], [y1, z0], [y1, z1], [y0, z1]])
@@ -67,7 +81,14 @@ def box(low, high, *, color):
     return loft(rings, color=color)
 
 
-def bar(start, stop, *, width, height, color):
+def bar(
+    start: npt.ArrayLike,
+    stop: npt.ArrayLike,
+    *,
+    width: float,
+    height: float,
+    color: Color,
+) -> Part:
     """Beam of rectangular section between two points; width along y where possible."""
     start, stop = np.asarray(start, float), np.asarray(stop, float)
     axis = (stop - start) / np.linalg.norm(stop - start)
@@ -80,7 +101,7 @@ def bar(start, stop, *, width, height, color):
     return loft([start + ring, stop + ring], color=color)
 
 
-def panel(corners, *, color):
+def panel(corners: npt.ArrayLike, *, color: Color) -> Part:
     """Flat convex polygon from its corners [K, 3]: a window, a lamp, a stripe."""
     corners = np.asarray(corners, dtype=np.float64)
     last = np.arange(2, len(corners))
@@ -88,7 +109,15 @@ def panel(corners, *, color):
     return Part(corners, faces, color)
 
 
-def inset(corners, *, left=0.0, right=0.0, bottom=0.0, top=0.0, lift=0.0):
+def inset(
+    corners: npt.ArrayLike,
+    *,
+    left: float = 0.0,
+    right: float = 0.0,
+    bottom: float = 0.0,
+    top: float = 0.0,
+    lift: float = 0.0,
+) -> np.ndarray:
     """Quad inside a quad [4, 3] (bottom left, bottom right, top right, top left).
 
     The margins are shares of the quad's sides; `lift` moves along its normal.
@@ -105,7 +134,7 @@ def inset(corners, *, left=0.0, right=0.0, bottom=0.0, top=0.0, lift=0.0):
     return np.array(quad) + lift * normal
 
 
-def mirror(parts):
+def mirror(parts: Sequence[Part]) -> list[Part]:
     """The parts and their mirror images at the xz plane (left and right)."""
     flipped = [
         Part(part.vertices * [1.0, -1.0, 1.0], part.faces[:, ::-1], part.color)
@@ -114,15 +143,13 @@ def mirror(parts):
     return [*parts, *flipped]
 
 
-def join(parts):
-    """One `trimesh.Trimesh` with face colours; triangles without area are left out."""
-    offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    vertices = np.concatenate([part.vertices for part in parts])
-    faces = np.concatenate(
-        [part.faces + start for part, start in zip(parts, offsets, strict=False)]
-    )
-    colors = np.concatenate(
-        [np.tile(np.array([*p.color, 255], np.uint8), (len(p.faces), 1)) for p in parts]
+def join(parts: Sequence[Part]) -> trimesh.Trimesh:
+    """One mesh with face colours; triangles without area are left out."""
+    vertices, faces, colors = join_pieces(
+        [
+            (v, f, np.tile(np.array([*color, 255], np.uint8), (len(f), 1)))
+            for v, f, color in parts
+        ]
     )
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -132,7 +159,12 @@ def join(parts):
     )
 
 
-def draw_color(rng, *, saturation, value):
+def draw_color(
+    rng: np.random.Generator,
+    *,
+    saturation: tuple[float, float],
+    value: tuple[float, float],
+) -> Color:
     """Random (r, g, b): any hue, saturation and value uniform in the given ranges."""
     hue = rng.uniform(0.0, 6.0)
     s, v = rng.uniform(*saturation), rng.uniform(*value)

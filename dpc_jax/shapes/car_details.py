@@ -1,49 +1,46 @@
 """Details of procedural cars: wheels, lamps, mirrors, beds, spoilers, racks."""
 
+import functools
+
 import numpy as np
 
 from dpc_jax.shapes import building_blocks as parts
+from dpc_jax.shapes.building_blocks import Part
+from dpc_jax.shapes.car_plans import Plan
 
 
-def half_width(plan, x):
+def half_width(plan: Plan, x: float) -> float:
     """Half width of the body at x: narrower at the nose than at the tail."""
     t = 2.0 * x / plan.length  # 1 at the front bumper, -1 at the rear
     front, rear = 0.20 * max(t, 0.0) ** 5, 0.10 * max(-t, 0.0) ** 7
     return plan.half * (1.0 - front - rear)
 
 
-def deck_height(plan):
+def deck_height(plan: Plan) -> float:
     """Height of the body behind the cabin: luggage deck, or floor of a pickup's bed."""
     if plan.style == "pickup":
         return plan.floor + 0.45 * (plan.belt - plan.floor)
     return plan.belt * (0.97 if plan.style == "sedan" else 0.95)
 
 
-def make_wheels(plan, rng):
-    """Tyres with rims of a plan's axles, both sides: a list of meshes, metres."""
+def make_wheels(plan: Plan, rng: np.random.Generator) -> list[Part]:
+    """Tyres with rims of a plan's axles, on both sides."""
     width = rng.uniform(0.19, 0.25)
     rim_color = parts.CHROME if rng.uniform() < 0.75 else (70, 70, 74)
     pieces = []
     for axle in plan.axles:
         outer = half_width(plan, axle) - 0.005
         centre = np.array([axle, 0.0, plan.wheel])
-        pieces.append(
-            parts.tube(
-                centre + [0, outer - width, 0],
-                centre + [0, outer, 0],
-                plan.wheel,
-                color=parts.BLACK,
-                sides=16,
-            )
-        )
+        ends = centre + [0, outer - width, 0], centre + [0, outer, 0]
+        pieces.append(parts.tube(*ends, plan.wheel, color=parts.BLACK, sides=16))
         hub = 0.62 * plan.wheel * parts.circle(12)
         disc = np.column_stack([hub[:, 0], np.full(12, outer + 0.008), hub[:, 1]])
         pieces.append(parts.panel(disc + centre, color=rim_color))
     return parts.mirror(pieces)
 
 
-def make_lamps(plan, rng):
-    """Head and tail lamps of a plan: a list of meshes, metres."""
+def make_lamps(plan: Plan, rng: np.random.Generator) -> list[Part]:
+    """Head and tail lamps, grille and number plate."""
     front, rear = plan.length / 2, -plan.length / 2
     yellow = (255, 244, 205) if rng.uniform() < 0.7 else (255, 215, 120)
     low = plan.floor + 0.55 * (plan.nose - plan.floor)
@@ -76,35 +73,24 @@ def make_lamps(plan, rng):
     return [*parts.mirror([head, tail]), grille, plate]
 
 
-def make_extras(plan, rng):
-    """Mirrors, a pickup's bed, and now and then a spoiler or a roof rack."""
-    pieces = []
+def make_extras(plan: Plan, rng: np.random.Generator) -> list[Part]:
+    """Mirrors, a pickup's bed, and sometimes a spoiler or a roof rack."""
+    painted = functools.partial(parts.box, color=plan.paint)
     x, z = plan.cowl - 0.18, plan.belt + 0.04
     reach = plan.half + rng.uniform(0.08, 0.16)
-    outside = parts.box(
-        (x - 0.1, 0.85 * plan.half, z), (x, reach, z + 0.13), color=plan.paint
+    pieces = parts.mirror(
+        [painted((x - 0.1, 0.85 * plan.half, z), (x, reach, z + 0.13))]
     )
-    pieces += parts.mirror([outside])
     rear = -plan.length / 2
     if plan.style == "pickup":
-        deck, wall = deck_height(plan), plan.belt * 0.98
+        deck, wall = deck_height(plan) - 0.05, plan.belt * 0.98
         half = 0.9 * half_width(plan, rear)
-        side = parts.box(
-            (rear, half - 0.07, deck - 0.05),
-            (plan.tail, half + 0.06, wall),
-            color=plan.paint,
-        )
-        gate = parts.box(
-            (rear, -half, deck - 0.05), (rear + 0.07, half, wall), color=plan.paint
-        )
+        side = painted((rear, half - 0.07, deck), (plan.tail, half + 0.06, wall))
+        gate = painted((rear, -half, deck), (rear + 0.07, half, wall))
         pieces += [*parts.mirror([side]), gate]
     if plan.style == "sports" and rng.uniform() < 0.6:
-        z = plan.belt + rng.uniform(0.12, 0.3)
-        wing = parts.box(
-            (rear, -0.85 * plan.half, z),
-            (rear + 0.28, 0.85 * plan.half, z + 0.04),
-            color=plan.paint,
-        )
+        z, half = plan.belt + rng.uniform(0.12, 0.3), 0.85 * plan.half
+        wing = painted((rear, -half, z), (rear + 0.28, half, z + 0.04))
         post = parts.box(
             (rear + 0.1, 0.5 * plan.half, plan.belt - 0.15),
             (rear + 0.18, 0.54 * plan.half, z),
@@ -112,24 +98,11 @@ def make_extras(plan, rng):
         )
         pieces += [wing, *parts.mirror([post])]
     if plan.style in ("hatchback", "suv") and rng.uniform() < 0.4:
-        z = plan.height - 0.09
-        x = plan.roof_rear
-        pieces.append(
-            parts.box(
-                (x - 0.22, -0.9 * plan.roof_half, z),
-                (x + 0.1, 0.9 * plan.roof_half, z + 0.035),
-                color=plan.paint,
-            )
-        )
+        x, z, half = plan.roof_rear, plan.height - 0.09, 0.9 * plan.roof_half
+        pieces.append(painted((x - 0.22, -half, z), (x + 0.1, half, z + 0.035)))
     if plan.style in ("wagon", "suv", "van") and rng.uniform() < 0.35:
-        y = 0.85 * plan.roof_half
-        z = plan.height + 0.05
-        rail = parts.bar(
-            (plan.roof_front - 0.15, y, z),
-            (plan.roof_rear + 0.1, y, z),
-            width=0.04,
-            height=0.11,
-            color=parts.BLACK,
-        )
+        y, z = 0.85 * plan.roof_half, plan.height + 0.05
+        ends = (plan.roof_front - 0.15, y, z), (plan.roof_rear + 0.1, y, z)
+        rail = parts.bar(*ends, width=0.04, height=0.11, color=parts.BLACK)
         pieces += parts.mirror([rail])
     return pieces

@@ -56,7 +56,7 @@ class Plan(NamedTuple):
     height: float
     floor: float
     wheel: float
-    axles: tuple
+    axles: tuple[float, float]
     cowl: float
     roof_front: float
     roof_rear: float
@@ -64,11 +64,11 @@ class Plan(NamedTuple):
     belt: float
     nose: float
     roof_half: float
-    paint: tuple
+    paint: parts.Color
 
 
-def draw_plan(rng):
-    """Draws a body style and its measures."""
+def draw_plan(rng: np.random.Generator) -> Plan:
+    """Draw a body style and its measures."""
     style = str(rng.choice(list(SHARES), p=list(SHARES.values())))
     m = {key: rng.uniform(*span) for key, span in STYLES[style].items()}
     length, height = m["length"], m["height"]
@@ -101,7 +101,7 @@ def draw_plan(rng):
 
 
 def _draw_paint(rng):
-    """Half of all cars are white, silver, grey or black, as on the road."""
+    """Draw white, silver, grey or black for half of all cars, as on the road."""
     if rng.uniform() < 0.5:
         grey = rng.choice([45, 75, 120, 165, 195, 220])
         return tuple(int(c) for c in np.clip(grey + rng.integers(-8, 9, 3), 0, 255))

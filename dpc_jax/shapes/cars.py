@@ -1,6 +1,9 @@
 """Procedural cars of seven body styles, in metres, z up, front towards +x."""
 
+import functools
+
 import numpy as np
+import trimesh
 
 from dpc_jax.shapes import building_blocks as parts
 from dpc_jax.shapes.car_details import (
@@ -13,8 +16,8 @@ from dpc_jax.shapes.car_details import (
 from dpc_jax.shapes.car_plans import draw_plan
 
 
-def make_car(rng):
-    """Mesh of a random car (`trimesh.Trimesh`, metres, not normalised)."""
+def make_car(rng: np.random.Generator) -> trimesh.Trimesh:
+    """Mesh of a random car, metres, not normalised."""
     plan = draw_plan(rng)
     pieces = [*_make_body(plan, rng), *_make_cabin(plan), *make_wheels(plan, rng)]
     pieces += make_lamps(plan, rng)
@@ -37,16 +40,8 @@ def _outline(plan):
     bumper = plan.floor + 0.10
     deck = deck_height(plan)
     rim = plan.floor + 0.86 * (deck - plan.floor)
-    top_x = [
-        rear,
-        rear + 0.025 * plan.length,
-        plan.tail - 0.05,
-        plan.tail,
-        plan.cowl,
-        front - 0.10 * plan.length,
-        front - 0.03 * plan.length,
-        front,
-    ]
+    top_x = [rear, rear + 0.025 * plan.length, plan.tail - 0.05, plan.tail]
+    top_x += [plan.cowl, front - 0.10 * plan.length, front - 0.03 * plan.length, front]
     nose_low = plan.floor + 0.72 * (plan.nose - plan.floor)
     lip = plan.nose + 0.35 * (plan.belt - plan.nose)
     top_z = [rim, deck, deck, plan.belt, plan.belt, lip, plan.nose, nose_low]
@@ -102,15 +97,8 @@ def _make_cabin(plan):
     base = plan.belt - 0.02
     belt_half = 0.89 * plan.half
     crown = 0.025 * plan.height
-    xs = np.array(
-        [
-            plan.cowl,
-            plan.roof_front,
-            0.5 * (plan.roof_front + plan.roof_rear),
-            plan.roof_rear,
-            plan.tail,
-        ]
-    )
+    middle = 0.5 * (plan.roof_front + plan.roof_rear)
+    xs = np.array([plan.cowl, plan.roof_front, middle, plan.roof_rear, plan.tail])
     tops = np.array([base, plan.height - crown, plan.height, plan.height - crown, base])
     if plan.style in ("hatchback", "suv", "wagon"):
         tops[3] -= 0.02 * plan.height  # the roof falls towards the rear
@@ -129,17 +117,13 @@ def _make_cabin(plan):
 
     front = np.array([rings[0, 3], rings[0, 0], rings[1, 1], rings[1, 2]])[[1, 0, 3, 2]]
     back = np.array([rings[4, 3], rings[4, 0], rings[3, 1], rings[3, 2]])
+    inset = functools.partial(parts.inset, lift=-0.012)
     glass = [
-        parts.panel(
-            parts.inset(
-                front, left=0.05, right=0.05, bottom=0.08, top=0.06, lift=-0.012
-            ),
-            color=parts.GLASS,
-        ),
-        parts.panel(
-            parts.inset(back, left=0.07, right=0.07, bottom=0.2, top=0.1, lift=-0.012),
-            color=parts.GLASS,
-        ),
+        parts.panel(corners, color=parts.GLASS)
+        for corners in (
+            inset(front, left=0.05, right=0.05, bottom=0.08, top=0.06),
+            inset(back, left=0.07, right=0.07, bottom=0.2, top=0.1),
+        )
     ]
     for window in _side_windows(plan, base, xs, tops):
         corners = [(x, half_at(z) + 0.012, z) for x, z in window]

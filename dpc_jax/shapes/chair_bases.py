@@ -1,12 +1,21 @@
-"""What a procedural chair stands on: legs, star, sled, pedestal, plinth."""
+"""What a procedural chair stands on: legs, star, sled, pedestal, plinth.
+
+Each function takes the plan of the chair and a random stream, and returns parts in
+metres.
+"""
+
+import functools
 
 import numpy as np
 
-from dpc_jax.shapes import building_blocks as parts
+from dpc_jax.shapes.building_blocks import BLACK, Part, bar, box, circle, loft, mirror
+from dpc_jax.shapes.building_blocks import tube as any_tube
+from dpc_jax.shapes.chair_plans import Plan
 
 
-def make_legs(plan, rng):
-    """Four legs, splayed or straight, now and then with stretchers."""
+def make_legs(plan: Plan, rng: np.random.Generator) -> list[Part]:
+    """Four legs, splayed or straight, sometimes with stretchers."""
+    tube = functools.partial(any_tube, color=plan.frame_color)
     radius, splay = rng.uniform(0.012, 0.024), rng.uniform(0.0, 0.16)
     square = rng.uniform() < 0.4
     x, y = 0.43 * plan.depth, 0.42 * plan.width
@@ -16,124 +25,76 @@ def make_legs(plan, rng):
         start = np.array([sign * x, y, top])
         foot = np.array([sign * (x + splay * 0.4), y + splay * 0.3, 0.0])
         if square:
-            leg = parts.bar(
-                start, foot, width=2 * radius, height=2 * radius, color=plan.frame_color
-            )
+            side = 2 * radius
+            leg = bar(start, foot, width=side, height=side, color=plan.frame_color)
         else:
-            leg = parts.tube(
-                start,
-                foot,
-                1.15 * radius,
-                radius_stop=0.75 * radius,
-                color=plan.frame_color,
-                sides=8,
-            )
+            leg = tube(start, foot, 1.15 * radius, radius_stop=0.75 * radius)
         pieces.append(leg)
     if rng.uniform() < 0.45 or top > 0.55:
         height = rng.uniform(0.25, 0.45)
         reach = splay * (1 - height)
-        z = top * height
-        side = y + 0.3 * reach
-        pieces.append(
-            parts.tube(
-                (x + 0.4 * reach, side, z),
-                (-x - 0.4 * reach, side, z),
-                0.7 * radius,
-                color=plan.frame_color,
-                sides=6,
-            )
-        )
+        z, side, end = top * height, y + 0.3 * reach, x + 0.4 * reach
+        stretcher = functools.partial(tube, radius=0.7 * radius, sides=6)
+        pieces.append(stretcher((end, side, z), (-end, side, z)))
         for sign in (1, -1):
-            end = sign * (x + 0.4 * reach)
-            pieces.append(
-                parts.tube(
-                    (end, -1e-3, z),
-                    (end, side, z),
-                    0.7 * radius,
-                    color=plan.frame_color,
-                    sides=6,
-                )
-            )
-    return parts.mirror(pieces)
+            pieces.append(stretcher((sign * end, -1e-3, z), (sign * end, side, z)))
+    return mirror(pieces)
 
 
-def make_star(plan, rng):
+def make_star(plan: Plan, rng: np.random.Generator) -> list[Part]:
     """Gas spring on a star of four or five feet with castors."""
+    tube = functools.partial(any_tube, color=plan.frame_color)
     count, reach = int(rng.choice([4, 5])), rng.uniform(0.26, 0.33)
-    top = plan.seat - plan.thick
-    pieces = [parts.tube((0, 0, 0.1), (0, 0, top), 0.028, color=plan.frame_color)]
+    pieces = [tube((0, 0, 0.1), (0, 0, plan.seat - plan.thick), 0.028)]
     turn = rng.uniform(0.0, 2 * np.pi)
     for angle in turn + 2 * np.pi * np.arange(count) / count:
         out = np.array([np.cos(angle), np.sin(angle), 0.0])
         foot = reach * out + [0, 0, 0.07]
-        pieces.append(
-            parts.tube(
-                (0, 0, 0.12),
-                foot,
-                0.028,
-                radius_stop=0.016,
-                color=plan.frame_color,
-                sides=6,
-            )
-        )
+        pieces.append(tube((0, 0, 0.12), foot, 0.028, radius_stop=0.016, sides=6))
         side = 0.02 * np.cross(out, [0, 0, 1])
         hub = reach * out + [0, 0, 0.032]
-        pieces.append(parts.tube(hub - side, hub + side, 0.032, color=parts.BLACK))
+        pieces.append(any_tube(hub - side, hub + side, 0.032, color=BLACK))
     return pieces
 
 
-def make_sled(plan, rng):
+def make_sled(plan: Plan, rng: np.random.Generator) -> list[Part]:
     """Bent tube on each side; the cantilever has no rear leg."""
     radius = rng.uniform(0.011, 0.016)
+    tube = functools.partial(any_tube, radius=radius, color=plan.frame_color)
     x, y, top = 0.46 * plan.depth, 0.46 * plan.width, plan.seat - plan.thick
     path = [(x, top), (x + rng.uniform(0, 0.05), radius), (-x, radius)]
     if rng.uniform() < 0.5:
         path.append((-x, top))
     pieces = [
-        parts.tube((a[0], y, a[1]), (b[0], y, b[1]), radius, color=plan.frame_color)
+        tube((a[0], y, a[1]), (b[0], y, b[1]))
         for a, b in zip(path[:-1], path[1:], strict=True)
     ]
-    pieces.append(
-        parts.tube(
-            (-x, -1e-3, radius),
-            (-x, y, radius),
-            radius,
-            color=plan.frame_color,
-            sides=6,
-        )
-    )
-    return parts.mirror(pieces)
+    pieces.append(tube((-x, -1e-3, radius), (-x, y, radius), sides=6))
+    return mirror(pieces)
 
 
-def make_pedestal(plan, rng):
+def make_pedestal(plan: Plan, rng: np.random.Generator) -> list[Part]:
     """One column on a round or trumpet-shaped foot."""
     radius, top = rng.uniform(0.17, 0.24), plan.seat - plan.thick
     neck = rng.uniform(0.02, 0.035)
     heights = np.array([0.0, 0.02, 0.05, 0.3 * top, top])
     radii = np.array([radius, radius, rng.uniform(0.3, 0.8) * radius, neck, neck])
-    ring = parts.circle(14)
+    ring = circle(14)
     rings = [
         np.column_stack([r * ring, np.full(len(ring), z)])
         for r, z in zip(radii, heights, strict=True)
     ]
-    return [parts.loft(rings, color=plan.frame_color)]
+    return [loft(rings, color=plan.frame_color)]
 
 
-def make_block(plan, rng):
+def make_block(plan: Plan, rng: np.random.Generator) -> list[Part]:
     """Upholstered plinth of an armchair, on short feet."""
     foot = rng.uniform(0.05, 0.14)
     x, y = 0.5 * plan.depth, 0.48 * plan.width
-    plinth = parts.box(
-        (-x, -y, foot), (0.96 * x, y, plan.seat - plan.thick), color=plan.seat_color
+    top = plan.seat - plan.thick
+    plinth = box((-x, -y, foot), (0.96 * x, y, top), color=plan.seat_color)
+    tube = functools.partial(
+        any_tube, radius=0.02, radius_stop=0.03, color=plan.frame_color
     )
-    feet = [
-        parts.tube(
-            (s * 0.85 * x, 0.85 * y, 0),
-            (s * 0.85 * x, 0.85 * y, foot),
-            0.02,
-            radius_stop=0.03,
-            color=plan.frame_color,
-        )
-        for s in (1, -1)
-    ]
-    return [plinth, *parts.mirror(feet)]
+    corners = [(s * 0.85 * x, 0.85 * y) for s in (1, -1)]
+    return [plinth, *mirror([tube((*xy, 0), (*xy, foot)) for xy in corners])]

@@ -1,77 +1,28 @@
 """Procedural chairs, in metres, z up; one sits looking to +x, the back is at -x."""
 
-from typing import NamedTuple
+import functools
 
 import numpy as np
+import trimesh
 
 from dpc_jax.shapes import building_blocks as parts
-from dpc_jax.shapes.chair_bases import (
-    make_block,
-    make_legs,
-    make_pedestal,
-    make_sled,
-    make_star,
-)
+from dpc_jax.shapes import chair_bases
+from dpc_jax.shapes.chair_plans import Plan, draw_plan
 
-BASES = ("legs", "legs", "legs", "star", "sled", "pedestal", "block")
-BACKS = ("solid", "slats", "rails", "curved", "frame")
-WOODS = ((92, 58, 34), (140, 96, 58), (186, 140, 92), (60, 42, 32), (214, 180, 132))
-
-
-class Plan(NamedTuple):
-    """Measures of one chair in metres; `lean` is the back's run per rise."""
-
-    base: str
-    back: str
-    seat: float
-    width: float
-    depth: float
-    thick: float
-    rise: float
-    lean: float
-    arms: bool
-    frame_color: tuple
-    seat_color: tuple
+BASE_MAKERS = {
+    "legs": chair_bases.make_legs,
+    "star": chair_bases.make_star,
+    "sled": chair_bases.make_sled,
+    "pedestal": chair_bases.make_pedestal,
+    "block": chair_bases.make_block,
+}
 
 
-def draw_plan(rng):
-    """Draws the kind of base and back and the measures of a chair."""
-    base = str(rng.choice(BASES))
-    stool = base in ("legs", "pedestal") and rng.uniform() < 0.18
-    seat = rng.uniform(0.62, 0.78) if stool else rng.uniform(0.40, 0.50)
-    width, depth = rng.uniform(0.38, 0.54), rng.uniform(0.38, 0.52)
-    thick = rng.uniform(0.025, 0.07)
-    if base == "block":  # an armchair: low, wide, upholstered
-        seat, thick = rng.uniform(0.34, 0.44), rng.uniform(0.12, 0.2)
-        width, depth = rng.uniform(0.52, 0.68), rng.uniform(0.50, 0.62)
-    if base in ("star", "sled", "pedestal") or rng.uniform() < 0.3:
-        frame_color = [parts.BLACK, parts.CHROME, (90, 92, 96)][rng.integers(3)]
-    else:
-        frame_color = WOODS[rng.integers(len(WOODS))]
-    fabric = parts.draw_color(rng, saturation=(0.3, 0.95), value=(0.3, 0.9))
-    back = "solid" if base == "block" else str(rng.choice(BACKS))
-    return Plan(
-        base=base,
-        back=back,
-        seat=seat,
-        width=width,
-        depth=depth,
-        thick=thick,
-        rise=rng.uniform(0.2, 0.34) if stool else rng.uniform(0.38, 0.62),
-        lean=rng.uniform(0.05, 0.3),
-        arms=base == "block" or (not stool and rng.uniform() < 0.4),
-        frame_color=frame_color,
-        seat_color=fabric if rng.uniform() < 0.75 else frame_color,
-    )
-
-
-def make_chair(rng):
-    """Mesh of a random chair (`trimesh.Trimesh`, metres, not normalised)."""
+def make_chair(rng: np.random.Generator) -> trimesh.Trimesh:
+    """Mesh of a random chair, metres, not normalised."""
     plan = draw_plan(rng)
-    makers = {"legs": make_legs, "star": make_star, "sled": make_sled,
-              "pedestal": make_pedestal, "block": make_block}  # fmt: skip
-    pieces = [_make_seat(plan, rng), *makers[plan.base](plan, rng)]
-    pieces += _make_back(plan, rng)
+    pieces = [_make_seat(plan, rng), *BASE_MAKERS[plan.base](plan, rng)]
+    pieces += _Back(plan, rng).make(rng)
     if plan.arms:
         pieces += _make_arms(plan, rng)
     return parts.join(pieces)
@@ -94,81 +45,74 @@ def _make_seat(plan, rng):
     return parts.loft(rings, color=plan.seat_color)
 
 
-def _make_back(plan, rng):
+class _Back:
     """Back rest, leaning towards -x, as one plate, slats, rails or a padded frame."""
-    rear, half = -plan.depth / 2, 0.5 * plan.width * rng.uniform(0.8, 0.98)
-    thick = rng.uniform(0.02, 0.04) if plan.base != "block" else rng.uniform(0.1, 0.16)
-    bottom = plan.seat - (0.02 if plan.back in ("solid", "slats") else -0.02)
-    top = plan.seat + plan.rise
 
-    def at(y, z):
-        return np.array([rear + 0.5 * thick - plan.lean * (z - plan.seat), y, z])
+    def __init__(self, plan: Plan, rng: np.random.Generator):
+        self._plan = plan
+        self._half = 0.5 * plan.width * rng.uniform(0.8, 0.98)
+        is_block = plan.base == "block"
+        self._thick = rng.uniform(0.1, 0.16) if is_block else rng.uniform(0.02, 0.04)
+        self._bottom = plan.seat + (-0.02 if plan.back in ("solid", "slats") else 0.02)
+        self._top = plan.seat + plan.rise
+        self._bar = functools.partial(parts.bar, color=plan.frame_color)
 
-    def plate(low, high, *, bow=0.0, color=plan.seat_color, half_top=half):
+    def make(self, rng):
+        plan, bottom, top = self._plan, self._bottom, self._top
+        taper = rng.uniform(0.75, 1.0) * self._half
+        if plan.back == "solid":
+            return [self._plate(bottom, top, half_top=taper)]
+        if plan.back == "curved":
+            return self._make_curved(rng)
+        pieces = self._make_posts(rng)
+        head = plan.rise * rng.uniform(0.12, 0.22)
+        if plan.back == "slats":
+            pieces.append(self._plate(top - head, top, color=plan.frame_color))
+            for y in np.linspace(-1, 1, int(rng.integers(5, 9)))[1:-1] * self._half:
+                ends = self._place(y, bottom), self._place(y, top - 0.5 * head)
+                pieces.append(self._bar(*ends, width=0.02, height=0.012))
+        elif plan.back == "rails":
+            count = int(rng.integers(2, 5))
+            for high in np.linspace(top, plan.seat + 0.35 * plan.rise, count):
+                pieces.append(self._plate(high - 0.6 * head, high))
+        else:
+            pieces.append(self._plate(bottom + 0.3 * plan.rise, top - 0.02))
+        return pieces
+
+    def _place(self, y, z):
+        """Point of the back's middle plane."""
+        low_x = -self._plan.depth / 2 + 0.5 * self._thick  # at the seat
+        return np.array([low_x - self._plan.lean * (z - self._plan.seat), y, z])
+
+    def _plate(self, low, high, *, bow=0.0, color=None, half_top=None):
         """Plate across the chair; its sides come forward by `bow`."""
+        half_top = self._half if half_top is None else half_top
         rings = []
         for t in np.linspace(-1, 1, 7 if bow else 2):
-            forward = [bow * t * t - 0.5 * thick, bow * t * t + 0.5 * thick]
-            a, b = at(t * half, low), at(t * half_top, high)
-            rings.append(
-                [
-                    a + [forward[0], 0, 0],
-                    a + [forward[1], 0, 0],
-                    b + [forward[1], 0, 0],
-                    b + [forward[0], 0, 0],
-                ]
-            )
-        return parts.loft(rings, color=color)
+            rear = np.array([bow * t * t - 0.5 * self._thick, 0, 0])
+            front = np.array([bow * t * t + 0.5 * self._thick, 0, 0])
+            a, b = self._place(t * self._half, low), self._place(t * half_top, high)
+            rings.append([a + rear, a + front, b + front, b + rear])
+        return parts.loft(rings, color=color or self._plan.seat_color)
 
-    taper = rng.uniform(0.75, 1.0) * half
-    if plan.back == "solid":
-        return [plate(bottom, top, half_top=taper)]
-    if plan.back == "curved":
-        gap = rng.uniform(0.0, 0.4) * plan.rise
-        pieces = [plate(bottom + gap, top, bow=rng.uniform(0.04, 0.12))]
+    def _make_curved(self, rng):
+        gap = rng.uniform(0.0, 0.4) * self._plan.rise
+        bottom, y = self._bottom, 0.5 * self._half
+        pieces = [self._plate(bottom + gap, self._top, bow=rng.uniform(0.04, 0.12))]
         if gap:
-            post = parts.bar(
-                at(0.5 * half, bottom - 0.03),
-                at(0.5 * half, bottom + gap),
-                width=0.03,
-                height=0.015,
-                color=plan.frame_color,
-            )
-            pieces += parts.mirror([post])
+            ends = self._place(y, bottom - 0.03), self._place(y, bottom + gap)
+            pieces += parts.mirror([self._bar(*ends, width=0.03, height=0.015)])
         return pieces
-    post_width = rng.uniform(0.02, 0.04)
-    post = parts.bar(
-        at(half - post_width / 2, plan.seat - plan.thick),
-        at(half - post_width / 2, top),
-        width=post_width,
-        height=0.03,
-        color=plan.frame_color,
-    )
-    pieces = parts.mirror([post])
-    head = plan.rise * rng.uniform(0.12, 0.22)
-    if plan.back == "slats":
-        pieces.append(plate(top - head, top, color=plan.frame_color))
-        for y in np.linspace(-1, 1, int(rng.integers(5, 9)))[1:-1] * half:
-            pieces.append(
-                parts.bar(
-                    at(y, bottom),
-                    at(y, top - 0.5 * head),
-                    width=0.02,
-                    height=0.012,
-                    color=plan.frame_color,
-                )
-            )
-    elif plan.back == "rails":
-        count = int(rng.integers(2, 5))
-        for high in np.linspace(top, plan.seat + 0.35 * plan.rise, count):
-            pieces.append(plate(high - 0.6 * head, high, color=plan.seat_color))
-    else:
-        pieces.append(plate(bottom + 0.3 * plan.rise, top - 0.02))
-    return pieces
+
+    def _make_posts(self, rng):
+        plan, width = self._plan, rng.uniform(0.02, 0.04)
+        y = self._half - width / 2
+        ends = self._place(y, plan.seat - plan.thick), self._place(y, self._top)
+        return parts.mirror([self._bar(*ends, width=width, height=0.03)])
 
 
 def _make_arms(plan, rng):
-    """Arm rests: padded walls for an armchair, else a rest on one or two posts."""
+    """Arm rests: padded walls for an armchair, else a rest on a post on each side."""
     rear, front = -plan.depth / 2, plan.depth / 2
     half = plan.width / 2
     if plan.base == "block":
@@ -179,23 +123,11 @@ def _make_arms(plan, rng):
             color=plan.seat_color,
         )
         return parts.mirror([wall])
+    bar = functools.partial(parts.bar, color=plan.frame_color)
     height = plan.seat + rng.uniform(0.17, 0.24)
     reach = rear + rng.uniform(0.6, 0.95) * plan.depth
     start = rear - plan.lean * (height - plan.seat) + 0.01
-    side = half + 0.02
-    rest = parts.bar(
-        (start, side, height),
-        (reach, side, height),
-        width=0.05,
-        height=0.03,
-        color=plan.frame_color,
-    )
-    x = reach - 0.05
-    post = parts.bar(
-        (x, side, plan.seat - plan.thick),
-        (x, side, height),
-        width=0.025,
-        height=0.025,
-        color=plan.frame_color,
-    )
+    side, x, low = half + 0.02, reach - 0.05, plan.seat - plan.thick
+    rest = bar((start, side, height), (reach, side, height), width=0.05, height=0.03)
+    post = bar((x, side, low), (x, side, height), width=0.025, height=0.025)
     return parts.mirror([rest, post])

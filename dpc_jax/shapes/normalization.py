@@ -1,5 +1,7 @@
 """Bringing a mesh to its place and size: box centre at the origin, box diagonal 1."""
 
+from typing import Any
+
 import numpy as np
 import trimesh
 
@@ -15,7 +17,7 @@ def normalize(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     diagonal = float(np.linalg.norm(high - low))
     if not diagonal > 0:
         raise ValueError(
-            f"expected a mesh with an extent, got a box diagonal of {diagonal}; "
+            f"Expected a mesh with an extent, but its box diagonal is {diagonal}; "
             "skip it."
         )
     return replace_vertices(mesh, (vertices - (low + high) / 2) / diagonal)
@@ -24,5 +26,11 @@ def normalize(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 def replace_vertices(mesh: trimesh.Trimesh, vertices: np.ndarray) -> trimesh.Trimesh:
     """Copy of a mesh with other vertices [n, 3]; faces and their colours stay."""
     return trimesh.Trimesh(
-        vertices, mesh.faces, face_colors=mesh.visual.face_colors, process=False
+        vertices, mesh.faces, face_colors=face_colors(mesh), process=False
     )
+
+
+def face_colors(mesh: trimesh.Trimesh) -> np.ndarray:
+    """Colours [F, 4] uint8 of a mesh without textures."""
+    visual: Any = mesh.visual  # checkers think of textures, which have none
+    return np.asarray(visual.face_colors)

@@ -1,6 +1,7 @@
 """Procedural shapes of a category: cars, chairs, airplanes without any download."""
 
 import numpy as np
+import trimesh
 
 from dpc_jax.shapes.airplanes import make_airplane
 from dpc_jax.shapes.cars import make_car
@@ -11,7 +12,7 @@ MAKERS = {"car": make_car, "chair": make_chair, "airplane": make_airplane}
 CATEGORIES = tuple(MAKERS)  # the position seeds a category: append, never reorder
 
 
-def make_shape(category, seed):
+def make_shape(category: str, seed: int) -> trimesh.Trimesh:
     """Mesh of a random object of a category.
 
     Args:
@@ -19,16 +20,16 @@ def make_shape(category, seed):
       seed: integer >= 0; the same seed always gives the same mesh.
 
     Returns:
-      `trimesh.Trimesh` with face colours, z up, front towards +x, left towards +y,
-      centred on its bounding box, box diagonal 1.
+      A mesh with face colours, z up, front towards +x, left towards +y, centred on its
+      bounding box, box diagonal 1.
 
     Raises:
       ValueError: for an unknown category.
     """
     if category not in MAKERS:
         raise ValueError(
-            f"category must be one of {', '.join(CATEGORIES)}, got {category!r}; "
-            "choose one of these or give a folder of meshes."
+            f"category must be one of {', '.join(CATEGORIES)}, but it is "
+            f"{category!r}; choose one of these or give a folder of meshes."
         )
     rng = np.random.default_rng([seed, CATEGORIES.index(category)])
     return normalize(MAKERS[category](rng))

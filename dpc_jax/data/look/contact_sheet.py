@@ -1,6 +1,9 @@
 """Contact sheets: pictures in a grid, with a line of text under each."""
 
+from collections.abc import Iterable, Sequence
+
 import numpy as np
+import trimesh
 from PIL import Image, ImageDraw
 
 from dpc_jax.data import viewpoints, views
@@ -9,16 +12,18 @@ VIEWS = ((35, 20), (90, 5), (180, 10), (-60, 45))  # azimuth, elevation, degrees
 LINE = 12  # pixels of a line of text
 
 
-def draw_models(meshes, texts, *, size=96, columns=3):
+def draw_models(
+    meshes: Iterable[trimesh.Trimesh],
+    texts: Sequence[str],
+    *,
+    size: int = 96,
+    columns: int = 3,
+) -> Image.Image:
     """Sheet of models, each from four sides: half front, left, rear, above the right.
 
     Args:
-      meshes: `trimesh.Trimesh`es in the canonical frame, normalised.
-      texts: one line each.
+      meshes: in the canonical frame, normalised. texts: one line each.
       size: of a view, pixels. columns: models in a row.
-
-    Returns:
-      `PIL.Image.Image`.
     """
     lights = views.Lights(
         np.array([[0.3, 0.4, 0.86], [0.6, -0.7, 0.4]]), np.array([0.45, 0.2]), 0.35
@@ -40,7 +45,9 @@ def draw_models(meshes, texts, *, size=96, columns=3):
     return arrange(strips, texts, columns=columns)
 
 
-def arrange(pictures, texts, *, columns):
+def arrange(
+    pictures: Sequence[np.ndarray], texts: Sequence[str], *, columns: int
+) -> Image.Image:
     """Pictures of one size in a grid, a line of text under each.
 
     Args:

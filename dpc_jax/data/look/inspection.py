@@ -1,9 +1,11 @@
-"""Checks of a rendered data set, before anybody trains on it."""
+"""Checks of a rendered data set, before training."""
 
 import numpy as np
 
+from dpc_jax.data.dataset import DataSet
 from dpc_jax.data.look import pose_checks
 from dpc_jax.data.look.findings import Finding, name_places
+from dpc_jax.data.look.pose_conventions import Lens
 
 SMALL = 0.005  # share of the image that the smallest useful mask covers
 FULL = 0.98  # and the largest
@@ -11,12 +13,11 @@ LENGTH_FLAW = 1e-3  # of a unit quaternion
 WHITE = 250  # darkest mean background that passes for white
 
 
-def check_set(data, lens):
-    """What is wrong with a data set (`list[Finding]`, empty where nothing is).
+def check_set(data: DataSet, lens: Lens) -> list[Finding]:
+    """What is wrong with a data set; an empty list if nothing is.
 
     Args:
-      data: `DataSet`.
-      lens: `conventions.Lens`, its camera.
+      data: the set. lens: its camera.
     """
     finder = _Finder(data, lens)
     for model in range(len(data.names)):
@@ -29,7 +30,7 @@ def check_set(data, lens):
 
 
 def _list_skipped(data):
-    """A finding that says what was asked for and is not in the set."""
+    """A finding on the objects that were left out of the set."""
     if not data.skipped:
         return []
     count, total = len(data.skipped), len(data.names) + len(data.skipped)
@@ -41,19 +42,20 @@ def _list_skipped(data):
 class _Finder:
     """Goes through the models once and gathers what is wrong by kind."""
 
-    def __init__(self, data, lens):
+    def __init__(self, data: DataSet, lens: Lens):
         self._data, self._lens = data, lens
         self._views = 0
         self._found = {}
 
     def _note(self, level, kind, model, views=None):
         name = self._data.names[model]
-        places = [f"{name} view {view}" for view in np.flatnonzero(views)]
-        self._found.setdefault((level, kind), []).extend(
-            [name] if views is None else places
-        )
+        places = [name]
+        if views is not None:
+            places = [f"{name} view {view}" for view in np.flatnonzero(views)]
+        self._found.setdefault((level, kind), []).extend(places)
 
-    def look_at(self, model):
+    def look_at(self, model: int):
+        """Check one model, by its index."""
         data = self._data
         masks = np.asarray(data.masks[model])[: data.counts[model]]
         self._views += len(masks)
@@ -76,7 +78,7 @@ class _Finder:
             self._look_at_depths(model, covered)
         if data.quaternions is not None:
             rows = np.asarray(data.quaternions[model])[: len(masks)].astype(np.float64)
-            broken = ~np.isfinite(rows).all(axis=1)
+            broken = ~np.all(np.isfinite(rows), axis=1)
             self._note("error", "a quaternion with NaN or infinity", model, broken)
             length = np.linalg.norm(np.where(broken[:, None], 0.5, rows), axis=1)
             bent = np.abs(length - 1.0) > LENGTH_FLAW
@@ -113,21 +115,15 @@ class _Finder:
         off = covered & (np.abs(depths - self._lens.distance) > 0.55) & (depths > 0)
         self._note("error", "depth beyond where the object is", model, off.any((1, 2)))
 
-    def report(self):
+    def report(self) -> list[Finding]:
         """The findings, errors first, with the first offenders by name."""
         findings = []
         for (level, kind), places in sorted(self._found.items()):
             if not places:
                 continue
-            unit, total = ("view", self._views)
+            what = f"{self._views} views with {kind}"
             if kind.startswith("have "):
-                unit, total = "object", len(self._data.names)
-            verb = "" if kind.startswith("have ") else " with"
-            findings.append(
-                Finding(
-                    level,
-                    f"{len(places)} of {total} {unit}s{verb} {kind}: "
-                    f"{name_places(places)}",
-                )
-            )
+                what = f"{len(self._data.names)} objects {kind}"
+            text = f"{len(places)} of {what}: {name_places(places)}"
+            findings.append(Finding(level, text))
         return findings

@@ -2,19 +2,18 @@
 
 import contextlib
 import json
-import re
 import tempfile
-from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw
 
-from dpc_jax.data import dataset, meshes
+from dpc_jax.data import dataset
 from dpc_jax.data.look import contact_sheet, pose_conventions
-from dpc_jax.data.sets import image_folder, released_renders, shapenet
-from dpc_jax.data.spec import DataSpec
+from dpc_jax.data.sources import find_kind
+from dpc_jax.data.spec import KINDS, DataSpec
 
 TILE = 128  # pixels of a picture on the sheet
 VIEWS = 4  # of an object on the sheet
@@ -26,60 +25,60 @@ LISTED = 5  # skipped models that are named
 class OpenSet(NamedTuple):
     """A data set to be looked at.
 
-    name: what it is called. data: `DataSet`. lens: its camera. record: what its
-    specification says. note: what else there is to be said, or "".
+    name: of its folder. data: the set itself. lens: its camera. record: what its
+    `spec.json` says. note: how it was prepared, if only to be looked at, or "".
     """
 
     name: str
     data: dataset.DataSet
     lens: pose_conventions.Lens
-    record: dict
+    record: dict[str, Any]
     note: str
 
 
-def list_caches(path):
-    """The finished caches that a path is or holds, sorted; none is fine."""
+def list_caches(path: str | Path) -> list[Path]:
+    """The finished caches that a path is or holds, sorted; there may be none."""
     path = Path(path)
-    if (path / "spec.json").is_file():
+    if (path / dataset.RECORD).is_file():
         return [path]
-    return sorted(p.parent for p in path.glob("*/spec.json"))
+    return sorted(p.parent for p in path.glob(f"*/{dataset.RECORD}"))
 
 
 @contextlib.contextmanager
-def open_set(path, *, kind=None, category=None, models=None):
-    """Opens a cache, or prepares the models of a folder for a moment.
+def open_set(
+    path: str | Path,
+    *,
+    kind: str | None = None,
+    category: str | None = None,
+    models: int | None = None,
+) -> Iterator[OpenSet]:
+    """Open a cache, or prepare the models of a folder for the time of looking.
 
     Args:
       path: a finished cache, or a folder of meshes, of own images, of ShapeNet, or of
         the published renders.
-      kind: what the folder is, of `sources.KINDS`; None to find out.
-      category: of ShapeNet and the renders; None where there is but one.
-      models: how many of a folder's to prepare; None for all.
-
-    Yields:
-      `OpenSet`.
+      kind: what the folder is, of `KINDS`; None to find out.
+      category: of ShapeNet and the renders; None where there is only one.
+      models: how many of a folder's models to prepare; None for all.
 
     Raises:
       ValueError: naming the file, if there is nothing to open or it is damaged.
     """
     path = Path(path)
-    if (path / "spec.json").is_file():
+    if (path / dataset.RECORD).is_file():
         yield _read_set(path, path.name, "")
         return
     if not path.is_dir():
         raise ValueError(
-            f"expected a folder with a data set, {path} is none; check it."
+            f"Expected a folder with a data set, but {path} is not a folder; check it."
         )
     kind = kind or guess_kind(path)
-    if kind in ("shapenet", "renders"):
-        category = category or _guess_category(path)
     spec = DataSpec(
-        category or "object",
+        **find_kind(kind).suggest_fields(path, category),
         folder=str(path),
         fractions=(1, 0, 0),
         kind=kind,
         models=models,
-        views=_count_renders(path, category) if kind == "renders" else 5,
         image_size=TILE,
     )
     with tempfile.TemporaryDirectory() as place:
@@ -95,73 +94,39 @@ def _read_set(cache, name, note):
     damages = (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError)
     try:
         data = dataset.read_cache(cache)
-        record = json.loads((cache / "spec.json").read_text(encoding="utf-8"))
+        record = json.loads((cache / dataset.RECORD).read_text(encoding="utf-8"))
         lens = pose_conventions.Lens(
             *(record[field] for field in pose_conventions.Lens._fields)
         )
     except damages as error:
         raise ValueError(
-            f"expected the record of a set in {cache / 'spec.json'}, it is damaged "
-            f"({type(error).__name__}: {error}); train again, which makes it anew."
+            f"Expected the record of a set in {cache / dataset.RECORD}, but it is "
+            f"damaged ({type(error).__name__}: {error}); train again to repair it."
         ) from None
     return OpenSet(name, data, lens, record, note)
 
 
-def guess_kind(path):
-    """What a folder holds, of `sources.KINDS`.
+def guess_kind(path: Path) -> str:
+    """What a folder holds, of `KINDS`.
 
     Raises:
       ValueError: if it is nothing that can be read.
     """
-    path = Path(path)
-    files = (p for p in path.rglob("*") if p.suffix.lower() in meshes.SUFFIXES)
-    found = next((p for p in files if p.is_file()), None)
-    if list_synsets(path):
-        return "shapenet" if found else "renders"
-    if found:
-        return "meshes"
-    if any(p.suffix.lower() in image_folder.SUFFIXES for p in path.rglob("*")):
-        return "images"
+    for kind in KINDS:
+        if find_kind(kind).recognizes(path):
+            return kind
     raise ValueError(
-        f"expected a data set, meshes or images in {path}, found none; give a "
+        f"Expected a data set, meshes or images in {path}, but found none; give a "
         "folder that holds spec.json, mesh files, or a folder of images per object."
     )
 
 
-def list_synsets(path):
-    """Names of the synsets that a folder is or holds, sorted."""
-    path = Path(path).resolve()
-    names = [path.name, *(p.name for p in path.iterdir() if p.is_dir())]
-    return sorted(name for name in names if re.fullmatch(r"\d{8}", name))
-
-
-def _guess_category(path):
-    """The one category of a tree of synsets."""
-    synsets = list_synsets(path)
-    if len(synsets) != 1:
-        raise ValueError(
-            f"expected one synset in {path}, found {len(synsets)}; add "
-            "--category=airplane, car or chair."
-        )
-    known = {synset: category for category, synset in shapenet.SYNSETS.items()}
-    return known.get(synsets[0], synsets[0])
-
-
-def _count_renders(path, category):
-    """How many views most models of a folder of renders have."""
-    _, place = shapenet.find_synset(path, category)
-    models = released_renders.list_models(place).values()
-    counts = Counter(len(released_renders.list_renders(model)) for model in models)
-    return max(1, counts.most_common(1)[0][0])
-
-
-def describe_set(opened):
-    """Lines that say what a set holds (`list[str]`)."""
+def describe_set(opened: OpenSet) -> list[str]:
+    """Lines that say what a set holds."""
     data, record = opened.data, opened.record
     counts = np.asarray(data.counts)
     size = data.images.shape[-2]
-    names = ("images", "masks", "depths", "quaternions", "surfaces")
-    present = [name for name in names if getattr(data, name) is not None]
+    present = [name for name in dataset.ARRAYS if getattr(data, name) is not None]
     lines = [
         f"{opened.name}: {len(data.names)} {record['category']} models, "
         f"{record['split']} split, {int(counts.sum())} views of {size} x {size} pixels",
@@ -196,29 +161,26 @@ def describe_set(opened):
     return lines
 
 
-def read_angles(quaternion):
+def read_angles(quaternion: np.ndarray) -> tuple[float, float, float]:
     """(azimuth, elevation, roll) in degrees of a camera; NaN for a broken pose.
 
-    Azimuth is counted from the object's front to its left, elevation upwards, roll is
-    what the image is turned by against upright, clockwise.
+    Azimuth is counted from the object's front to its left, elevation upwards, and roll
+    is by how much the image is turned clockwise from upright.
     """
     right, down, forward = pose_conventions.rotation_of(quaternion)
     azimuth = np.arctan2(-forward[1], -forward[0])
     elevation = np.arcsin(np.clip(-forward[2], -1.0, 1.0))
     roll = np.arctan2(right[2], -down[2])
-    return tuple(np.rad2deg([azimuth, elevation, roll]))
+    return np.rad2deg(azimuth), np.rad2deg(elevation), np.rad2deg(roll)
 
 
-def draw_set(opened, *, models=8):
+def draw_set(opened: OpenSet, *, models: int = 8) -> Image.Image:
     """Sheet of a set: images with the object's axes, masks and depths, and poses.
 
     Red is the object's front, green its left, blue its top.
 
     Args:
-      opened: `OpenSet`. models: how many, spread over the set.
-
-    Returns:
-      `PIL.Image.Image`.
+      opened: the set. models: how many, spread over the set.
     """
     data = opened.data
     count = min(models, len(data.names))

@@ -2,11 +2,13 @@
 
 import numpy as np
 
+from dpc_jax.data.dataset import DataSet
 from dpc_jax.data.look import pose_conventions
-from dpc_jax.data.look.findings import Finding, name_places
+from dpc_jax.data.look.findings import Finding, error, name_places
+from dpc_jax.data.look.pose_conventions import Lens
 
-TRIED_VIEWS = 64  # on which conventions are tried
-TRIED_POINTS = 10_000  # of a surface that take part
+TRIED_VIEWS = 64  # number of views that conventions are tried on
+TRIED_POINTS = 10_000  # of a surface that are used
 FIT = 0.85  # intersection over union of right poses: 0.92 and above on real meshes
 STRAY = 0.9  # share of a surface inside its own mask: above 0.99 for right poses
 FILLED = 0.95  # share of masks that hulls fill: 0.98 and above for right poses
@@ -15,12 +17,12 @@ CLEARER = 0.02  # by which another convention must fit better
 DEPTH_FLAW = 0.05  # of the object's box diagonal
 
 
-def check_poses(data, lens):
-    """Whether poses put objects where their masks are (`list[Finding]`).
+def check_poses(data: DataSet, lens: Lens) -> list[Finding]:
+    """Check whether poses put objects where their masks are.
 
-    Surface points under the stored poses are compared with the masks; where there are
-    none, the masks of an object's views with each other. If another convention fits
-    better, it is named; single poses that stray from their masks are too.
+    Surface points under the stored poses are compared with the masks; without surfaces,
+    the masks of an object's views are compared with each other. If another convention
+    fits better, it is named, and so are single poses that stray from their masks.
     """
     if data.quaternions is None or len(data.names) == 0:
         return []
@@ -45,43 +47,35 @@ def check_poses(data, lens):
         text = f"the poses follow another convention: {' or '.join(same)}"
         if best < enough:
             text = (
-                "the poses follow no convention that is known here; the nearest is "
-                f"{same[0]}"
+                f"the poses follow no convention known here; the nearest is {same[0]}"
             )
-        return [
-            Finding(
-                "error",
-                f"{text} ({measure} {best:.2f}); as stored, which should be "
-                f"{pose_conventions.STORED.name}, it is {stored:.2f}; convert the "
-                "poses.",
-            )
-        ]
+        text += (
+            f" ({measure} {best:.2f}); as stored, which should be "
+            f"{pose_conventions.STORED.name}, it is {stored:.2f}; convert the poses."
+        )
+        return [error(text)]
     strays = [] if data.surfaces is None else _find_strays(data, lens)
     if stored < enough and not 0 < len(strays) < np.sum(data.counts) / 2:
-        return [
-            Finding(
-                "error",
-                f"the poses do not fit the masks ({measure} {stored:.2f}, expected "
-                f"{enough} and more) under any convention that is known here; check "
-                "scale, centre and camera.",
-            )
-        ]
+        text = (
+            f"the poses do not fit the masks ({measure} {stored:.2f}, expected "
+            f"{enough} and more) under any convention known here; check scale, centre "
+            "and camera."
+        )
+        return [error(text)]
     findings = []
     if strays:
-        findings.append(
-            Finding(
-                "error",
-                f"{len(strays)} of {int(np.sum(data.counts))} views whose pose puts "
-                f"the object beside its mask: {name_places(strays)}",
-            )
+        text = (
+            f"{len(strays)} of {int(np.sum(data.counts))} views whose pose puts the "
+            f"object beside its mask: {name_places(strays)}"
         )
+        findings.append(error(text))
     if data.surfaces is not None and data.depths is not None:
         findings += _check_depths(data, chosen, lens)
     return findings
 
 
 def _choose_models(data):
-    """Models that conventions are tried on, spread over the set."""
+    """Models to try conventions on, spread over the set."""
     finite = [
         m
         for m in range(len(data.names))
@@ -98,7 +92,7 @@ def _choose_models(data):
 
 
 def _read_surface(data, model):
-    """Some of a model's surface points, or None where they are no use."""
+    """Some of a model's surface points, or None if they cannot be used."""
     points = np.asarray(data.surfaces[model])
     if len(points) == 0 or not np.isfinite(points).all():
         return None
@@ -106,7 +100,7 @@ def _read_surface(data, model):
 
 
 def _list_others(data):
-    """Conventions that can be told apart: without surfaces not by the object's axes."""
+    """Conventions that can be told apart; the object's axes only with surfaces."""
     if data.surfaces is not None:
         return pose_conventions.OTHERS
     return [c for c in pose_conventions.OTHERS if np.array_equal(c.object, np.eye(3))]
@@ -125,7 +119,7 @@ def _score(data, model, convention, lens):
 
 
 def _find_strays(data, lens):
-    """Views whose own pose puts the object elsewhere than their mask, as text."""
+    """Views whose pose puts the object beside their mask, as text."""
     strays = []
     for model, name in enumerate(data.names):
         count = data.counts[model]
@@ -136,18 +130,14 @@ def _find_strays(data, lens):
         masks = pose_conventions.grow_masks(
             np.asarray(data.masks[model])[:count] > 0, 1
         )
-        size = masks.shape[-1]
         places, _ = pose_conventions.project_points(
             surface[:: max(1, len(surface) // 1000)],
             pose_conventions.rotation_of(quaternions),
             lens,
         )
-        cells = np.floor(places * size)
-        cells = np.where(np.isfinite(cells), cells, -1).astype(int)
-        within = ((cells >= 0) & (cells < size)).all(axis=-1)
-        cells = np.clip(cells, 0, size - 1)
-        hits = masks[np.arange(count)[:, None], cells[..., 1], cells[..., 0]] & within
-        usable = masks.any(axis=(1, 2)) & np.isfinite(quaternions).all(axis=1)
+        (rows, columns), within = pose_conventions.find_cells(places, masks.shape[-1])
+        hits = masks[np.arange(count)[:, None], rows, columns] & within
+        usable = masks.any(axis=(1, 2)) & np.all(np.isfinite(quaternions), axis=1)
         strays += [
             f"{name} view {view} ({share:.0%} inside)"
             for view, share in enumerate(hits.mean(axis=1))
@@ -157,7 +147,7 @@ def _find_strays(data, lens):
 
 
 def _check_depths(data, chosen, lens):
-    """Whether depths are metric and along the camera's axis."""
+    """Check whether depths are metric and along the camera's axis."""
     given, expected, longer = (
         np.concatenate(parts)
         for parts in zip(*(_pair_depths(data, m, lens) for m in chosen), strict=True)
@@ -178,30 +168,27 @@ def _check_depths(data, chosen, lens):
         if not longer @ extra > RAY * (longer @ longer):
             return []
         reason = "it is the length of the ray"
-    return [
-        Finding(
-            "error",
-            "the depth is not the metric distance along the camera's axis: "
-            f"{reason}; convert the depth.",
-        )
-    ]
+    text = "the depth is not the metric distance along the camera's axis"
+    return [error(f"{text}: {reason}; convert the depth.")]
 
 
 def _pair_depths(data, model, lens):
-    """Depths of an object's pixels, those of the nearest points, and how much longer
-    than these the rays are (three arrays [n])."""
+    """Three arrays [n] over an object's pixels.
+
+    They are the stored depth, the depth of the nearest surface point, and how much
+    longer the ray to that point is.
+    """
     count = data.counts[model]
     rotations = pose_conventions.rotation_of(data.quaternions[model])[:count]
-    places, z = pose_conventions.project_points(
-        _read_surface(data, model), rotations, lens
-    )
+    surface = _read_surface(data, model)
+    assert surface is not None  # models without are not chosen
+    places, z = pose_conventions.project_points(surface, rotations, lens)
     masks = np.asarray(data.masks[model])[:count]
     depths = np.asarray(data.depths[model], dtype=np.float64)[:count]
     size = masks.shape[-1]
-    cells = np.clip(np.floor(places * size).astype(int), 0, size - 1)
+    (rows, columns), _ = pose_conventions.find_cells(places, size)
     nearest = np.full(masks.shape, np.inf)
-    view = np.broadcast_to(np.arange(count)[:, None], z.shape)
-    np.minimum.at(nearest, (view, cells[..., 1], cells[..., 0]), z)
+    np.minimum.at(nearest, (np.arange(count)[:, None], rows, columns), z)
     use = np.isfinite(nearest) & (masks == 255) & np.isfinite(depths)
     axis = ((np.arange(size) + 0.5) / size - 0.5) * lens.extent / lens.focal_length
     stretch = np.broadcast_to(

@@ -1,14 +1,16 @@
 """Which convention poses follow: tried out on silhouettes.
 
 A pose of a data set is a quaternion wxyz that rotates the object (z up, front +x, left
-+y) to the camera (x right, y down, z forward). Poses that were made for other
-conventions put the object's points elsewhere; undoing each of the usual mistakes tells
-which it was.
++y) to the camera (x right, y down, z forward). Poses made for another convention put
+the object's points elsewhere; undoing each of the usual mistakes in turn shows which
+one it was.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
+from scipy.spatial.transform import Rotation
 
 GRID = 64  # silhouettes are compared on at most this many cells a side
 POINTS = 5000  # of a surface that are compared
@@ -33,10 +35,11 @@ class Lens(NamedTuple):
 
 
 class Convention(NamedTuple):
-    """How a right rotation follows from stored numbers.
+    """How the right rotation follows from the stored numbers.
 
-    The quaternion is read as wxyz or xyzw, turned round where it is the inverse, and
-    multiplied by matrices [3, 3] on the camera's (left) and the object's side (right).
+    The quaternion is read as wxyz, or as xyzw if the real part comes last; it is
+    inverted if it is the inverse, and multiplied by matrices [3, 3] on the left for the
+    camera's axes and on the right for the object's.
     """
 
     name: str
@@ -86,29 +89,28 @@ OTHERS = (
 )
 
 
-def rotation_of(quaternions, convention=STORED):
+def rotation_of(quaternions: np.ndarray, convention: Convention = STORED) -> np.ndarray:
     """Rotation matrices [..., 3, 3] of stored quaternions [..., 4] of any length.
 
-    They are NaN where a quaternion is not finite.
+    They are NaN where a quaternion is not finite, and the identity where it is zero.
     """
     q = np.asarray(quaternions, dtype=np.float64)
-    q = np.where(np.isfinite(q).all(axis=-1, keepdims=True), q, np.nan)
-    q = q / np.maximum(np.linalg.norm(q, axis=-1, keepdims=True), 1e-30)
-    if convention.last:
-        q = np.roll(q, 1, axis=-1)
-    w, v = q[..., :1, None], q[..., 1:]
-    cross = np.cross(v[..., None, :], -np.eye(3))  # rows: the matrix of v x
-    turn = np.eye(3) + 2.0 * (w * cross + cross @ cross)
-    if convention.inverse:
-        turn = np.swapaxes(turn, -1, -2)
-    return convention.camera @ turn @ convention.object
+    finite = np.all(np.isfinite(q), axis=-1, keepdims=True)
+    identity = np.roll([1.0, 0, 0, 0], -1 if convention.last else 0)
+    q = np.where(finite & q.any(axis=-1, keepdims=True), q, identity)
+    turns = Rotation.from_quat(q, scalar_first=not convention.last)
+    turns = (turns.inv() if convention.inverse else turns).as_matrix()
+    turns = np.where(finite[..., None], turns, np.nan)
+    return convention.camera @ turns @ convention.object
 
 
-def project_points(points, rotations, lens):
+def project_points(
+    points: np.ndarray, rotations: np.ndarray, lens: Lens
+) -> tuple[np.ndarray, np.ndarray]:
     """Places of points in images.
 
     Args:
-      points: [P, 3] object frame. rotations: [V, 3, 3]. lens: `Lens`.
+      points: [P, 3] object frame. rotations: [V, 3, 3]. lens: of the data set.
 
     Returns:
       ([V, P, 2] x and y in shares of the image's side, [V, P] metric z); a point at or
@@ -122,18 +124,33 @@ def project_points(points, rotations, lens):
     return np.where((depth > 1e-6)[..., None], place, 9.0), depth
 
 
-def mark_points(places, side):
+def find_cells(places: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which cells of a grid of side x side points fall into.
+
+    Args:
+      places: [..., 2], x and y in shares of the image's side.
+
+    Returns:
+      ([2, ...] row and column, that of the nearest cell for a point outside of the
+      image, [...] whether the point is inside).
+    """
+    cells = np.floor(places * side)
+    inside = np.all((cells >= 0) & (cells < side), axis=-1)
+    cells = np.clip(np.nan_to_num(cells, nan=-1), 0, side - 1).astype(int)
+    return np.moveaxis(cells[..., ::-1], -1, 0), inside
+
+
+def mark_points(places: np.ndarray, side: int) -> np.ndarray:
     """Boolean images [V, side, side] of the cells that points [V, P, 2] fall into."""
-    cells = np.floor(places * side).astype(int)
-    inside = ((cells >= 0) & (cells < side)).all(axis=-1)
+    (rows, columns), inside = find_cells(places, side)
     view = np.broadcast_to(np.arange(len(places))[:, None], inside.shape)
     marks = np.zeros((len(places), side, side), dtype=bool)
-    marks[view[inside], cells[inside][:, 1], cells[inside][:, 0]] = True
+    marks[view[inside], rows[inside], columns[inside]] = True
     return marks
 
 
-def shrink_masks(masks, side):
-    """Boolean images [V, side, side]: cells that masks [V, S, S] touch."""
+def shrink_masks(masks: np.ndarray, side: int) -> np.ndarray:
+    """Boolean images [V, side, side] of the cells that masks [V, S, S] touch."""
     view, row, column = np.nonzero(masks)
     size = masks.shape[-1]
     small = np.zeros((len(masks), side, side), dtype=bool)
@@ -141,16 +158,15 @@ def shrink_masks(masks, side):
     return small
 
 
-def grow_masks(masks, cells):
-    """Boolean masks [V, S, S] grown by so many cells to all eight sides."""
-    for _ in range(cells):
-        padded = np.pad(masks, ((0, 0), (1, 1), (1, 1)))
-        masks = padded[:, :-2] | padded[:, 1:-1] | padded[:, 2:]
-        masks = masks[..., :-2] | masks[..., 1:-1] | masks[..., 2:]
-    return masks
+def grow_masks(masks: np.ndarray, cells: int) -> np.ndarray:
+    """Boolean masks [V, S, S], grown by a number of cells in all eight directions."""
+    width = 2 * cells + 1
+    return ndimage.maximum_filter(masks, (1, width, width), mode="constant")
 
 
-def compare_silhouettes(points, rotations, masks, lens):
+def compare_silhouettes(
+    points: np.ndarray, rotations: np.ndarray, masks: np.ndarray, lens: Lens
+) -> np.ndarray:
     """Intersection over union [V] of points' cells and the cells that masks touch.
 
     Args:
@@ -163,12 +179,12 @@ def compare_silhouettes(points, rotations, masks, lens):
     return both / np.maximum((ours | theirs).sum(axis=(1, 2)), 1)
 
 
-def carve_hull(rotations, masks, lens):
+def carve_hull(rotations: np.ndarray, masks: np.ndarray, lens: Lens) -> np.ndarray:
     """Points [P, 3] of a grid that all masks of an object cover (its visual hull).
 
-    Where poses are right that is a body a little larger than the object; where they
-    are wrong, the masks of different views leave little of it. Masks are grown by
-    a thirtieth of the image, because own images are centred only so well.
+    With right poses it is a body a little larger than the object; with wrong ones the
+    masks of different views leave little of it. Masks are grown by a thirtieth of the
+    image, because own images are not centred better than that.
     """
     side = masks.shape[-1]
     masks = grow_masks(masks > 127, max(1, side // 30))
@@ -176,19 +192,23 @@ def carve_hull(rotations, masks, lens):
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
     for rotation, mask in zip(rotations, masks, strict=True):
         places, _ = project_points(points, rotation[None], lens)
-        cells = np.floor(places[0] * side).astype(int)
-        inside = ((cells >= 0) & (cells < side)).all(axis=-1)
-        points, cells = points[inside], cells[inside]
-        points = points[mask[cells[:, 1], cells[:, 0]]]
+        (rows, columns), inside = find_cells(places[0], side)
+        points = points[inside & mask[rows, columns]]
     return points
 
 
-def score_convention(convention, quaternions, masks, surface, lens):
+def score_convention(
+    convention: Convention,
+    quaternions: np.ndarray,
+    masks: np.ndarray,
+    surface: np.ndarray | None,
+    lens: Lens,
+) -> float:
     """How well an object's poses fit its masks under a convention, from 0 to 1.
 
-    With a surface it is the mean intersection over union of the silhouettes. Without,
-    it is the share of the masks that the visual hull fills: 1 where views agree, also
-    where all of them are wrong in the same way.
+    With a surface it is the mean intersection over union of the silhouettes. Without
+    one it is the share of the masks that the visual hull fills: 1 if the views agree,
+    even if all of them are wrong in the same way.
 
     Args:
       quaternions: [V, 4] as stored. masks: uint8 [V, S, S].
@@ -198,7 +218,7 @@ def score_convention(convention, quaternions, masks, surface, lens):
     if surface is not None:
         return float(compare_silhouettes(surface, rotations, masks, lens).mean())
     hull = carve_hull(rotations, masks, lens)
-    side = HULL_CELLS // 2  # so coarse that points of the hull leave no gaps
+    side = HULL_CELLS // 2  # coarse enough for the hull's points to leave no gaps
     places, _ = project_points(hull, rotations, lens)
     ours, theirs = mark_points(places, side), shrink_masks(masks > 127, side)
     filled = (ours & theirs).sum(axis=(1, 2)) / np.maximum(theirs.sum(axis=(1, 2)), 1)

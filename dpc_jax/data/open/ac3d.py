@@ -5,6 +5,7 @@ vertices, texture and surfaces. The `.acc` of racing games adds normals, several
 coordinates per corner, and triangle strips. Lines have no surface and are left out.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +13,10 @@ import numpy as np
 import trimesh
 from PIL import Image
 
+from dpc_jax.data.damage import Damage
 from dpc_jax.data.open import polygons
+from dpc_jax.data.sets.pictures import FAULTS
+from dpc_jax.shapes.joining import join_pieces
 
 GREY = (0.667, 0.667, 0.667)  # of a surface without a material
 SAMPLES = (
@@ -22,7 +26,6 @@ SAMPLES = (
     / 12.0
 )
 POLYGON, STRIP = 0, 4  # kinds of surface; 1 and 2 are lines
-FAULTS = (OSError, ValueError, SyntaxError, Image.DecompressionBombError)  # of Pillow
 
 
 class Part(NamedTuple):
@@ -39,54 +42,39 @@ class Part(NamedTuple):
     colors: np.ndarray
 
 
-def read_parts(path, *, textures=None):
+def read_parts(path: Path, *, textures: Path | None = None) -> list[Part]:
     """The objects of an AC3D file that have surfaces.
 
     Args:
       path: the file.
-      textures: folder to look through for textures that are not where the file says;
-        the first of that name counts. None: they are left out.
-
-    Returns:
-      List of `Part`, in the order of the file.
+      textures: folder to search for textures that are not where the file says, by name.
+        None: they are left out.
 
     Raises:
       ValueError: naming the file, if it cannot be read or has no surfaces.
     """
-    path = Path(path)
     try:
         lines = path.read_text(encoding="latin-1").split("\n")
         if not lines[0].startswith("AC3D"):
-            raise ValueError("its first line is not AC3D")
+            raise Damage("its first line is not AC3D")
         parts = _Reader(lines, path.parent, textures).read_all()
     except (OSError, ValueError, IndexError, RecursionError) as error:
         raise ValueError(
-            f"expected an AC3D file in {path}, it cannot be read ({error}); repair or "
-            "remove it."
+            f"Expected an AC3D file in {path}, but it cannot be read ({error}); repair "
+            "or remove it."
         ) from error
     if not parts:
-        raise ValueError(f"expected surfaces in {path}, found none; remove it.")
+        raise ValueError(f"Expected surfaces in {path}, but found none; remove it.")
     return parts
 
 
-def join_parts(parts):
-    """One `trimesh.Trimesh` of several parts, with their colours, made opaque.
-
-    Raises:
-      ValueError: if there are none.
-    """
-    if not parts:
-        raise ValueError("expected parts with surfaces to join, got none.")
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])[:-1]
-    faces = [part.faces + start for part, start in zip(parts, starts, strict=True)]
-    colors = np.concatenate([part.colors for part in parts])
-    colors[:, 3] = 255
-    return trimesh.Trimesh(
-        np.concatenate([part.vertices for part in parts]),
-        np.concatenate(faces),
-        face_colors=colors,
-        process=False,
+def join_parts(parts: Sequence[Part]) -> trimesh.Trimesh:
+    """One mesh of several parts, with their colours, made opaque."""
+    vertices, faces, colors = join_pieces(
+        [(part.vertices, part.faces, part.colors) for part in parts]
     )
+    colors[:, 3] = 255
+    return trimesh.Trimesh(vertices, faces, face_colors=colors, process=False)
 
 
 class _Reader:
@@ -121,7 +109,7 @@ class _Reader:
                 return line
 
     def _read_object(self, place, turn):
-        """Reads one object and those below it, placed as their parents say."""
+        """Read one object and those below it, placed as their parents say."""
         name, texture = "", None
         repeat, offset = np.ones(2), np.zeros(2)
         vertices, surfaces = np.zeros((0, 3)), []
@@ -183,9 +171,7 @@ class _Reader:
         triangles, materials, quads, quad_materials = [], [], [], []
         for kind, material, corners in surfaces:
             if not all(0 <= corner[0] < len(vertices) for corner in corners):
-                raise ValueError(
-                    f"a surface of {name or 'an object'} has no such corner"
-                )
+                raise Damage(f"a surface of {name or 'an object'} lacks a corner")
             if kind == POLYGON and len(corners) == 4:
                 quads.append(corners)
                 quad_materials.append(material)
@@ -222,7 +208,7 @@ class _Reader:
         return Part(name, vertices, faces, colors)
 
     def _load_texture(self, name):
-        """Texture uint8 [H, W, 4], or None where there is none to be read."""
+        """Texture uint8 [H, W, 4], or None if there is none that can be read."""
         if name is None:
             return None
         if name not in self._images:
@@ -242,7 +228,7 @@ class _Reader:
 def _numbers(text, count):
     numbers = np.array(text.split(), dtype=np.float64)
     if len(numbers) != count:
-        raise ValueError(f"expected {count} numbers, got {text!r}")
+        raise Damage(f"{text!r} is not {count} numbers")
     return numbers
 
 

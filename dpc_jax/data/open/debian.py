@@ -8,16 +8,15 @@ from pathlib import Path
 NO_NETWORK = ("resolve", "connect", "Failed to fetch", "timed out", "unreachable")
 
 
-def fetch_package(name, folder):
-    """Path of a package's file in a folder, downloaded where it is not there yet.
+def fetch_package(name: str, folder: Path) -> Path:
+    """Path of a package's file in a folder; it is downloaded if it is not there yet.
 
-    A file NAME_VERSION.deb that somebody has put there is as good. What was downloaded
-    before an interruption is kept, and apt goes on from there.
+    A file NAME_VERSION.deb that somebody has put there is used as it is. What was
+    downloaded before an interruption is kept, and apt continues from there.
 
     Raises:
       RuntimeError: if there is no apt-get, no network or no such package.
     """
-    folder = Path(folder)
     if found := find_package(name, folder):
         return found
     hint = f"put the file {name}_VERSION.deb from any Debian mirror into {folder}"
@@ -34,9 +33,9 @@ def fetch_package(name, folder):
         elif any(word in result.stderr for word in NO_NETWORK):
             advice = f"connect to the network and run this again, or {hint}"
         else:
-            advice = f"mend that and run this again, or {hint}"
+            advice = f"fix that and run this again, or {hint}"
         raise RuntimeError(
-            f"expected apt-get to download {name}, it failed ({last}); {advice}."
+            f"Expected apt-get to download {name}, but it failed ({last}); {advice}."
         )
     path = folder / found.name
     os.replace(found, path)
@@ -44,19 +43,18 @@ def fetch_package(name, folder):
     return path
 
 
-def find_package(name, folder):
+def find_package(name: str, folder: Path) -> Path | None:
     """The file of a package in a folder, the last by name, or None."""
-    found = sorted(Path(folder).glob(f"{name}_*.deb"))
+    found = sorted(folder.glob(f"{name}_*.deb"))
     return found[-1] if found else None
 
 
-def unpack_package(path, folder):
-    """Unpacks a package's files into a folder, unless that is there already.
+def unpack_package(path: Path, folder: Path) -> Path:
+    """Unpack a package's files into a folder, unless that is there already.
 
     Raises:
       RuntimeError: naming the file, if there is no dpkg-deb or the file is damaged.
     """
-    path, folder = Path(path), Path(folder)
     if folder.is_dir():
         return folder
     _expect_command("dpkg-deb", "install the package dpkg, or use Debian or Ubuntu")
@@ -68,27 +66,27 @@ def unpack_package(path, folder):
     if result.returncode != 0:
         shutil.rmtree(partial, ignore_errors=True)
         raise RuntimeError(
-            f"expected a whole package in {path}, dpkg-deb cannot unpack it "
+            f"Expected a whole package in {path}, but dpkg-deb cannot unpack it "
             f"({_last_error(result.stderr)}); delete the file and run this again."
         )
     os.replace(partial, folder)
     return folder
 
 
-def read_version(path):
+def read_version(path: Path) -> str:
     """Version of a package, from the name of its file."""
-    return Path(path).stem.split("_")[1].replace("%3a", ":")
+    return path.stem.split("_")[1].replace("%3a", ":")
 
 
 def _expect_command(command, advice):
     if shutil.which(command) is None:
         raise RuntimeError(
-            f"expected the command {command}, it is not installed; {advice}."
+            f"Expected the command {command}, but it is not installed; {advice}."
         )
 
 
 def _run(command, **options):
-    """Runs a command with English messages; its errors are kept, not shown."""
+    """Run a command with English messages; its errors are kept, not shown."""
     return subprocess.run(
         command,
         stdin=subprocess.DEVNULL,

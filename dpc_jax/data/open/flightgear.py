@@ -4,13 +4,14 @@ import re
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
 from dpc_jax.data.open import ac3d
-from dpc_jax.data.open.models import OpenModel
+from dpc_jax.data.open.package_models import OpenModel
 
 PACKAGE = "flightgear-data-ai"
 EXTRAS = ("refueling", "lights", "light", "Lights")  # folders of parts, not planes
-LEFT_OUT = ("Ferry", "balloon", "SpaceShuttle", "bluebird")  # no airplanes
+LEFT_OUT = ("Ferry", "balloon", "SpaceShuttle", "bluebird")  # not airplanes
 MOTION = re.compile(  # parts that only stand for motion or light
     r"pro?p.*dis[ck]|blur|fastprop|prop.*(fast|slow)|halo|glow|flare|flame|"
     r"cond.*cone|light.?cone|^chute$|(?<!no)shadow|wake",
@@ -37,11 +38,11 @@ FAMILIES = {  # variants of one design, or of one drawn from another
 }
 
 
-def list_models(root, category="airplane"):
-    """The airplanes of the unpacked package, sorted by name (`list[OpenModel]`)."""
+def list_models(root: Path, category: str = "airplane") -> list[OpenModel]:
+    """The airplanes of the unpacked package, sorted by name."""
     families = {n: family for family, ns in FAMILIES.items() for n in ns.split()}
     models = []
-    for folder in Path(root).glob("usr/share/games/flightgear/AI/Aircraft/*"):
+    for folder in root.glob("usr/share/games/flightgear/AI/Aircraft/*"):
         files = [p for p in folder.rglob("*.ac") if p.parent.name not in EXTRAS]
         files = sorted(files, key=lambda p: (-p.stat().st_size, p))
         if folder.name in LEFT_OUT or not files:
@@ -58,7 +59,7 @@ def list_models(root, category="airplane"):
     return sorted(models)
 
 
-def make_mesh(model, folder):
+def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
     """The mesh of an airplane in the canonical frame, without discs and lights.
 
     Raises:
@@ -68,7 +69,8 @@ def make_mesh(model, folder):
     parts = [p for p in ac3d.read_parts(path, textures=textures) if not _is_motion(p)]
     if not parts:
         raise ValueError(
-            f"expected an airplane in {path}, found only discs and lights."
+            f"Expected an airplane in {path}, but found only discs and lights; "
+            "leave it out."
         )
     mesh = ac3d.join_parts(parts)
     # nose -x, y up
@@ -77,7 +79,7 @@ def make_mesh(model, folder):
 
 
 def _is_motion(part):
-    """Whether a part is a disc, a light or a trail that a solid model has not."""
+    """Whether a part is a disc, a light or a trail, which no solid airplane has."""
     clear = part.colors[:, 3].max() < 150  # of 255; propellers stand still or turn
     return bool(
         MOTION.search(part.name)

@@ -3,9 +3,12 @@
 import numpy as np
 
 
-def split_quads(quads, vertices):
-    """Two triangles for each of the quads [Q, 4, 3] (index, u, v), along the diagonal
-    that lies inside: most surfaces have four corners, so they are all done at once."""
+def split_quads(quads: np.ndarray, vertices: np.ndarray) -> list[np.ndarray]:
+    """Two triangles for each of the quads [Q, 4, 3] (index, u, v).
+
+    They are cut along the diagonal that lies inside, all at once because most surfaces
+    have four corners.
+    """
     a, b, c, d = np.moveaxis(vertices[quads[..., 0].astype(int)], 1, 0)
     first = np.cross(b - a, c - a), np.cross(c - a, d - a)
     bad = np.einsum("qc,qc->q", *first) < 0
@@ -14,11 +17,11 @@ def split_quads(quads, vertices):
     return list(corners.reshape(-1, 3, 3))
 
 
-def split_polygon(corners):
+def split_polygon(corners: np.ndarray) -> list[tuple[int, int, int]]:
     """Triangles of a polygon [K, 3] in space, as triples of indices.
 
-    A convex one is split into a fan. A dent would leave the fan outside the polygon, so
-    one that has any is cut ear by ear.
+    A convex one is split into a fan. One with dents is cut ear by ear, because a fan
+    would reach outside of it.
     """
     count = len(corners)
     if count < 4:
@@ -33,7 +36,7 @@ def split_polygon(corners):
 
 
 def _cut_ears(corners, normal):
-    axis = int(np.argmax(np.abs(normal)))  # seen along it the polygon keeps its form
+    axis = int(np.argmax(np.abs(normal)))  # along it the polygon is seen best
     flat = np.delete(corners, axis, axis=1)
     flat = flat * (np.sign(normal[axis]) * (-1 if axis == 1 else 1), 1)
 
@@ -41,7 +44,8 @@ def _cut_ears(corners, normal):
         (ax, ay), (bx, by), (cx, cy) = flat[a], flat[b], flat[c]
         return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
-    left, triangles = list(range(len(corners))), []
+    triangles: list[tuple[int, int, int]] = []
+    left = list(range(len(corners)))
     while len(left) > 3:
         for place in range(len(left)):
             ear = left[place - 1], left[place], left[(place + 1) % len(left)]
@@ -54,8 +58,8 @@ def _cut_ears(corners, normal):
             if side(*ear) > 0 and not any(inside):
                 break
         else:
-            place = 0  # it crosses itself: any cut will do
+            place = 0  # it crosses itself, so any cut will do
             ear = left[-1], left[0], left[1]
         triangles.append(ear)
         del left[place]
-    return [*triangles, tuple(left)]
+    return [*triangles, (left[0], left[1], left[2])]

@@ -12,7 +12,8 @@ import numpy as np
 import trimesh
 
 from dpc_jax.data import meshes
-from dpc_jax.data.open.models import OpenModel
+from dpc_jax.data.open.package_models import OpenModel
+from dpc_jax.shapes.normalization import replace_vertices
 
 PACKAGE = "sweethome3d-furniture"
 CHAIRS = re.compile(r"chair|stool|seat|fotel", re.IGNORECASE)
@@ -24,14 +25,14 @@ NO_CARS = re.compile(
     r"tricycle|skateboard|plane|sail|camper|tractor|wheelchair|yamaha",
     re.IGNORECASE,
 )
-LEFT_OUT = {  # looked at
+LEFT_OUT = {  # after a look at each
     "BlendSwap-CC-0-foldingChair": "no back",
     "BlendSwap-CC-0-stool2": "no back",
     "BlendSwap-CC-BY-green_stool": "no back",
     "BlendSwap-CC-0-relaxChair": "a lounger",
     "Scopia-beach_chair": "a lounger",
 }
-# looks like mammut_1 of the IKEA manuals, chairs that others test on
+# looks like mammut_1 of the IKEA manuals, on whose chairs others test
 RESERVED = ("BlendSwap-CC-BY-childChair",)
 FAMILIES = {  # variants of one design; every other model stands alone
     "BlendSwap-CC-0-designChair": "tulip-chair",
@@ -43,13 +44,13 @@ FAMILIES = {  # variants of one design; every other model stands alone
 }
 
 
-def list_models(root, category):
-    """The chairs or cars of the unpacked package, sorted by name (`list[OpenModel]`).
+def list_models(root: Path, category: str) -> list[OpenModel]:
+    """The chairs or cars of the unpacked package, sorted by name.
 
     The cars are reserved for testing.
     """
     models = []
-    for library in sorted(Path(root).rglob("*.sh3f")):
+    for library in sorted(root.rglob("*.sh3f")):
         general, items = read_catalogue(library)
         for item in items:
             name = f"{library.stem}-{Path(item['model']).stem}"
@@ -80,8 +81,8 @@ def _classify(label, item):
     return None
 
 
-def read_catalogue(library):
-    """(general properties, list of items' properties) of a library."""
+def read_catalogue(library: Path) -> tuple[dict[str, str], list[dict[str, str]]]:
+    """General properties of a library, and the properties of each item."""
     with zipfile.ZipFile(library) as archive:
         text = archive.read("PluginFurnitureCatalog.properties").decode("latin-1")
     general, items = {}, {}
@@ -104,7 +105,7 @@ def _name_licence(text):
     return text or "see the package's copyright file"
 
 
-def make_mesh(model, folder):
+def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
     """The mesh of a model in the canonical frame; its files go into `folder`.
 
     Raises:
@@ -116,14 +117,9 @@ def make_mesh(model, folder):
         beside = str(Path(member).parent) + "/"
         members = [n for n in archive.namelist() if n.startswith(beside)]
         archive.extractall(folder, members)
-    mesh = meshes.read_mesh(Path(folder) / member)
+    mesh = meshes.read_mesh(folder / member)
     turn = np.eye(3)
     if "modelRotation" in item:
         turn = np.array(item["modelRotation"].split(), dtype=np.float64).reshape(3, 3)
     vertices = np.asarray(mesh.vertices) @ turn.T
-    return trimesh.Trimesh(
-        vertices[:, [2, 0, 1]],  # y up, front +z
-        mesh.faces,
-        face_colors=mesh.visual.face_colors,
-        process=False,
-    )
+    return replace_vertices(mesh, vertices[:, [2, 0, 1]])  # from y up, front +z

@@ -1,7 +1,7 @@
 """Cars of the package torcs-data, a racing game: bodies with their wheels put on.
 
-A body has no wheels; the car's parameters say where they are and how large. Parameters
-that a car leaves out come from its category.
+A body has no wheels; the car's parameters say where they are and how large. What a car
+leaves out is in the parameters of its category.
 """
 
 import re
@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 
 from dpc_jax.data.open import ac3d
-from dpc_jax.data.open.models import OpenModel
+from dpc_jax.data.open.package_models import OpenModel, join_meshes
 
 PACKAGE = "torcs-data"
 UNITS = {"m": 1.0, "": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
@@ -21,9 +21,9 @@ GPL = ("155-DTM", "buggy", "p406")  # by the package's copyright file
 FAMILIES = {"car1-trb3": "torcs-car1-trb1"}  # the same body without its wing
 
 
-def list_models(root, category="car"):
-    """The cars of the unpacked package, sorted by name (`list[OpenModel]`)."""
-    game = Path(root) / "usr/share/games/torcs"
+def list_models(root: Path, category: str = "car") -> list[OpenModel]:
+    """The cars of the unpacked package, sorted by name."""
+    game = root / "usr/share/games/torcs"
     models = []
     for folder in game.glob("cars/*"):
         name, path = folder.name, folder / f"{folder.name}.acc"
@@ -53,7 +53,7 @@ def _read_authors(path):
     return "; ".join(line.strip() for line in lines) or "the TORCS team"
 
 
-def make_mesh(model, folder):
+def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
     """The mesh of a car with its wheels in the canonical frame.
 
     Raises:
@@ -76,7 +76,8 @@ def make_mesh(model, folder):
         ]
     except KeyError as error:
         raise ValueError(
-            f"expected {error} in {path.with_suffix('.xml')}, found none; repair it."
+            f"Expected {error} in {path.with_suffix('.xml')}, but it is missing; "
+            "repair the file."
         ) from error
     return join_meshes(pieces)
 
@@ -102,27 +103,17 @@ def _place_wheel(wheel, values, name, axle):
     return wheel
 
 
-def join_meshes(pieces):
-    """One mesh of several, with their face colours."""
-    starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])[:-1]
-    return trimesh.Trimesh(
-        np.concatenate([piece.vertices for piece in pieces]),
-        np.concatenate([p.faces + s for p, s in zip(pieces, starts, strict=True)]),
-        face_colors=np.concatenate([p.visual.face_colors for p in pieces]),
-        process=False,
-    )
-
-
 def _read_parameters(path):
     """{"Section/name": value} of a parameter file, lengths in metres."""
     try:
         tree = xml.etree.ElementTree.fromstring(
-            # an entity that only pulls in another file of the game is not needed here
+            # entities, which only include other files of the game, are not needed
             re.sub(rb"&[\w-]+;", b"", path.read_bytes())
         )
     except (OSError, xml.etree.ElementTree.ParseError) as error:
         raise ValueError(
-            f"expected parameters of a car in {path}, they cannot be read ({error})."
+            f"Expected parameters of a car in {path}, but they cannot be read "
+            f"({error}); repair it."
         ) from error
     values = {}
     for section in tree.iter("section"):
@@ -131,5 +122,5 @@ def _read_parameters(path):
             if item.tag == "attstr":
                 values[key] = item.get("val")
             elif item.tag == "attnum" and item.get("unit", "") in UNITS:
-                values[key] = float(item.get("val")) * UNITS[item.get("unit", "")]
+                values[key] = float(item.get("val", "")) * UNITS[item.get("unit", "")]
     return values

@@ -1,25 +1,26 @@
 """Cars of the package trigger-rally-data, a racing game: three bodies with wheels.
 
-The package paints each body three times; the one of the highest class is taken.
+The package has each body in three paints; the one of the highest class is taken.
 """
 
 import xml.etree.ElementTree
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import trimesh
 
 from dpc_jax.data import meshes
-from dpc_jax.data.open.models import OpenModel
-from dpc_jax.data.open.torcs import join_meshes
+from dpc_jax.data.open.package_models import OpenModel, join_meshes
 
 PACKAGE = "trigger-rally-data"
 PAINT = "_wrc"
 
 
-def list_models(root, category="car"):
-    """The cars of the unpacked package, sorted by name (`list[OpenModel]`)."""
-    archive = Path(root) / "usr/share/games/trigger-rally/data.zip"
+def list_models(root: Path, category: str = "car") -> list[OpenModel]:
+    """The cars of the unpacked package, sorted by name."""
+    archive = root / "usr/share/games/trigger-rally/data.zip"
     with zipfile.ZipFile(archive) as files:
         found = [n for n in files.namelist() if n.endswith(f"{PAINT}.vehicle")]
     models = []
@@ -36,7 +37,7 @@ def list_models(root, category="car"):
     return sorted(models)
 
 
-def make_mesh(model, folder):
+def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
     """The mesh of a car with its wheels in the canonical frame; unpacks to `folder`.
 
     Raises:
@@ -46,9 +47,9 @@ def make_mesh(model, folder):
     beside = f"{Path(member).parent}/"
     with zipfile.ZipFile(archive) as files:
         files.extractall(folder, [n for n in files.namelist() if n.startswith(beside)])
-    path = Path(folder) / member
+    path = folder / member
     try:
-        tree = xml.etree.ElementTree.parse(path)
+        tree: Any = xml.etree.ElementTree.parse(path)
         general, part = tree.find("genparams"), tree.find("part")
         body = _read_scaled(path.parent / part.get("model"), float(part.get("scale")))
         size = float(general.get("wheelscale"))
@@ -63,7 +64,7 @@ def make_mesh(model, folder):
             pieces.append(wheel)
     except (xml.etree.ElementTree.ParseError, AttributeError, TypeError) as error:
         raise ValueError(
-            f"expected a vehicle in {path}, it cannot be read ({error})."
+            f"Expected a vehicle in {path}, but it cannot be read ({error}); repair it."
         ) from error
     mesh = join_meshes(pieces)
     # y forward, z up

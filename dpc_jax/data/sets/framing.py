@@ -1,14 +1,19 @@
 """Framing a user's images: where the square of the data set's camera lies in each.
 
 The camera of a data set looks at the middle of an object whose box diagonal is 1 from
-a fixed distance. Photographs are brought to that: a square around the object is cut
-out, scaled so that the object fills a share of it, and where position and lens of the
-camera are known the image is turned as if the camera had looked straight at the object.
+a fixed distance. To match it, a square around the object is cut out of a photograph and
+scaled so that the object fills a share of it; where position and lens of the camera are
+known, the image is turned as if the camera had looked straight at the object.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from PIL import Image
+from scipy import ndimage
+
+from dpc_jax.data.sets.pose_files import Pose
 
 MOST_SAMPLES = 16  # per output pixel and axis
 
@@ -20,13 +25,14 @@ class Outline(NamedTuple):
     x before y, high exclusive. border: [2, n] centres (x, y) of the pixels at its rim.
     """
 
-    shape: tuple
+    shape: tuple[int, int]
     low: np.ndarray
     high: np.ndarray
     border: np.ndarray
 
     @property
-    def middle(self):
+    def middle(self) -> np.ndarray:
+        """[2] middle (x, y) of the box, pixels."""
         return (self.low + self.high) / 2.0
 
 
@@ -43,34 +49,33 @@ class Frame(NamedTuple):
     rotation: np.ndarray | None
 
 
-def trace_outline(mask):
+def trace_outline(mask: np.ndarray) -> Outline:
     """`Outline` of a boolean mask [height, width] that is not empty."""
-    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
-    padded = np.pad(mask, 1)
-    inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    height, width = mask.shape
+    box = np.array(Image.fromarray(mask).getbbox(), dtype=np.float64)
+    inner = np.asarray(ndimage.binary_erosion(mask), dtype=bool)
     rim = np.nonzero(mask & ~inner)
-    return Outline(
-        mask.shape,
-        np.array([columns[0], rows[0]], dtype=np.float64),
-        np.array([columns[-1] + 1, rows[-1] + 1], dtype=np.float64),
-        np.stack(rim[::-1]) + 0.5,
-    )
+    return Outline((height, width), box[:2], box[2:], np.stack(rim[::-1]) + 0.5)
 
 
-def frame_views(outlines, poses, *, crop, fill, focal_length, distance):
+def frame_views(
+    outlines: Sequence[Outline],
+    poses: Sequence[Pose] | None,
+    *,
+    crop: str,
+    fill: float,
+    focal_length: float,
+    distance: float,
+) -> list[Frame]:
     """Frames of all views of one object.
 
     Args:
-      outlines: one `Outline` per view.
-      poses: one `pose_files.Pose` per view, or None.
+      outlines: one per view. poses: one per view, or None.
       crop: "object" (one scale for all views of an object), "view" (each view its own)
         or "none" (the whole image, cut to its middle square). With positions and lenses
         the scale follows from them, and `crop` does not matter.
       fill: share of the frame's side that the object takes in its largest view.
       focal_length, distance: of the data set's camera.
-
-    Returns:
-      list of `Frame`.
 
     Raises:
       ValueError: if the positions of the cameras contradict each other.
@@ -118,8 +123,8 @@ def _frame_by_geometry(outlines, poses, *, fill, focal_length, distance):
         away = np.linalg.norm(towards)
         if not towards[2] > 1e-6 * max(away, 1e-30):
             raise ValueError(
-                "expected every camera to face the object, one looks away from where "
-                "the others see it; check the convention of the poses"
+                "Expected every camera to face the object, but one looks away from "
+                "where the others see it; check the convention of the poses."
             )
         turn = turn_to_axis(towards / away)
         rays = np.concatenate([outline.border, np.ones((1, outline.border.shape[1]))])
@@ -138,32 +143,32 @@ def _frame_by_geometry(outlines, poses, *, fill, focal_length, distance):
     return frames
 
 
-def read_lens(lens, shape):
+def read_lens(lens: dict | None, shape: tuple[int, int]) -> np.ndarray:
     """Matrix [3, 3] from camera rays to pixels, of an image of (height, width).
 
     Raises:
       ValueError: if neither fl_x nor camera_angle_x is given.
     """
     lens, (height, width) = lens or {}, shape
-    scale = width / lens.get("w", width)  # images are often scaled after calibration
+    # images are often scaled after calibration
+    wider, taller = width / lens.get("w", width), height / lens.get("h", height)
     if "fl_x" in lens:
-        focal_x = lens["fl_x"] * scale
-        focal_y = lens.get("fl_y", lens["fl_x"]) * height / lens.get("h", height)
+        focal_x = lens["fl_x"] * wider
+        focal_y = lens.get("fl_y", lens["fl_x"]) * taller
     elif "camera_angle_x" in lens:
         focal_x = focal_y = width / 2.0 / np.tan(lens["camera_angle_x"] / 2.0)
     else:
         raise ValueError(
-            "expected fl_x or camera_angle_x beside the frames, found neither; add one"
+            "Expected fl_x or camera_angle_x beside the frames, but found neither; add "
+            "one."
         )
-    center_x = lens["cx"] * scale if "cx" in lens else width / 2.0
-    center_y = (
-        lens["cy"] * height / lens.get("h", height) if "cy" in lens else height / 2.0
-    )
+    center_x = lens["cx"] * wider if "cx" in lens else width / 2.0
+    center_y = lens["cy"] * taller if "cy" in lens else height / 2.0
     return np.array([[focal_x, 0, center_x], [0, focal_y, center_y], [0, 0, 1.0]])
 
 
-def find_meeting_point(origins, directions):
-    """Point [3] nearest to lines by least squares; the origin where they are parallel.
+def find_meeting_point(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Point [3] nearest to lines by least squares; the origin if they are parallel.
 
     Args:
       origins, directions: [n, 3], directions of unit length.
@@ -175,7 +180,7 @@ def find_meeting_point(origins, directions):
     return np.linalg.solve(total, np.einsum("nij,nj->i", across, origins))
 
 
-def turn_to_axis(direction):
+def turn_to_axis(direction: np.ndarray) -> np.ndarray:
     """The smallest rotation [3, 3] that takes a unit vector to (0, 0, 1)."""
     axis = np.cross(direction, [0.0, 0.0, 1.0])
     cosine = direction[2]
@@ -183,12 +188,14 @@ def turn_to_axis(direction):
     return np.eye(3) + cross + cross @ cross / (1.0 + cosine)
 
 
-def cut_frame(image, mask, frame, *, image_size):
+def cut_frame(
+    image: np.ndarray, mask: np.ndarray, frame: Frame, *, image_size: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Image and mask as the camera of a frame sees them, by supersampling.
 
     Args:
       image: uint8 [height, width, 3]. mask: float32 [height, width], coverage 0 to 1.
-      frame: `Frame`. image_size: S.
+      frame: the square to cut out. image_size: S.
 
     Returns:
       (uint8 [S, S, 3] on white, uint8 [S, S] coverage times 255). What lies beyond the
@@ -226,10 +233,10 @@ def cut_frame(image, mask, frame, *, image_size):
 
 
 def _weigh_colors(image, mask, block):
-    """Means over blocks of pixels of colours times coverage, and coverage [h, w, 4].
+    """Colours times coverage, and coverage [h, w, 4], as means over blocks of pixels.
 
-    Weighted so that the colours of the background do not bleed in; in blocks, and a
-    few rows at a time, because a photograph in floats would fill the memory.
+    They are weighted so that the colours of the background do not bleed in, and summed
+    a few rows at a time because a photograph in floats would fill the memory.
     """
     height, width = (-(-side // block) for side in mask.shape)
     layers = np.zeros((height, width, 4), dtype=np.float32)
@@ -237,7 +244,7 @@ def _weigh_colors(image, mask, block):
         here = np.s_[row * block : (row + 1) * block]
         covered = mask[here].astype(np.float32)[..., None]
         band = np.concatenate([image[here] * covered, covered], axis=2)
-        # what a last block lacks is empty
+        # the last block may reach beyond the image, where it is empty
         short = width * block - band.shape[1]
         band = np.pad(band.sum(axis=0), ((0, short), (0, 0)))
         layers[row] = band.reshape(width, block, 4).sum(axis=1) / block**2
@@ -250,13 +257,11 @@ def _interpolate(layers, y, x):
     Pixel centres lie at halves; between the outermost centre and the edge of the image
     the outermost pixel continues.
     """
-    height, width = layers.shape[:2]
+    height, width, channels = layers.shape
     inside = (y >= 0) & (y <= height) & (x >= 0) & (x <= width)
-    rows, columns = np.clip(y - 0.5, 0, height - 1), np.clip(x - 0.5, 0, width - 1)
-    top, left = rows.astype(int), columns.astype(int)
-    bottom, right = np.minimum(top + 1, height - 1), np.minimum(left + 1, width - 1)
-    b = (rows - top)[..., None].astype(np.float32)
-    a = (columns - left)[..., None].astype(np.float32)
-    upper = layers[top, left] * (1 - a) + layers[top, right] * a
-    lower = layers[bottom, left] * (1 - a) + layers[bottom, right] * a
-    return (upper * (1 - b) + lower * b) * inside[..., None]
+    samples = np.empty((*y.shape, channels), np.float32)
+    for i in range(channels):
+        ndimage.map_coordinates(
+            layers[..., i], [y - 0.5, x - 0.5], samples[..., i], order=1, mode="nearest"
+        )
+    return samples * inside[..., None]

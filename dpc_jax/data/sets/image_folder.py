@@ -5,20 +5,87 @@ folder that holds images itself, and no folders of them, has one object per imag
 """
 
 import contextlib
-import hashlib
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import Image
 
-from dpc_jax.data import viewpoints
+from dpc_jax import files
+from dpc_jax.data import splits, viewpoints
 from dpc_jax.data.sets import framing, pose_files
+from dpc_jax.data.sets.pictures import SUFFIXES, read_picture
+from dpc_jax.data.sets.split_source import SplitSource
+from dpc_jax.data.sources import Model
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-FAULTS = (OSError, ValueError, SyntaxError, Image.DecompressionBombError)  # of Pillow
+FEWEST_OBJECTS = 3  # that can be split
 
 
-def list_objects(folder):
+class ImageFolder(SplitSource):
+    """A user's own images, cut out and scaled as if taken by the data set's camera."""
+
+    @classmethod
+    def recognizes(cls, folder: Path) -> bool:
+        """See `Source.recognizes`."""
+        return any(path.suffix.lower() in SUFFIXES for path in folder.rglob("*"))
+
+    def find_models(self) -> dict[str, Path]:
+        """See `SplitSource.find_models`; poses are given for all objects or none."""
+        models = list_objects(self.folder)
+        posed = [path for path in models.values() if has_poses(path)]
+        if posed and len(posed) < len(models):
+            lacking = next(path for path in models.values() if path not in posed)
+            raise ValueError(
+                f"Expected poses for all objects of {self.folder} or for none, but "
+                f"{posed[0]} has a pose file and {lacking} does not; add or remove one."
+            )
+        return models
+
+    def split_by_seed(self, names: list[str]) -> dict[str, list[str]]:
+        """See `SplitSource.split_by_seed`; all splits hold one or two objects."""
+        if len(names) < FEWEST_OBJECTS:
+            return dict.fromkeys(splits.SPLITS, names)
+        return super().split_by_seed(names)
+
+    def list_remarks(self) -> list[tuple[str, str]]:
+        """See `Source.list_remarks`."""
+        models, _, official = self.division
+        if official is None and len(models) < FEWEST_OBJECTS:
+            text = "has too few objects to split: all splits hold them all"
+            return [(str(self.folder), text)]
+        return super().list_remarks()
+
+    def identify_model(self, name: str, path: Path) -> tuple[int, str]:
+        """See `SplitSource.identify_model`; it changes with any file of the object."""
+        images = list_images(path)
+        masks = [mask for image in images if (mask := _find_mask(image)) is not None]
+        poses = pose_files.find_pose_files(path) if path.is_dir() else []
+        facts = []
+        for file in [*images, *masks, *poses]:
+            place = str(file.relative_to(path.parent)) if path.is_dir() else ""
+            status = file.stat() if file.is_file() else None
+            facts.append(
+                [place, status and status.st_size, status and status.st_mtime_ns]
+            )
+        return len(images), files.digest_text(str(facts))
+
+    def estimate_bytes(self, model: Model) -> int:
+        """See `Source.estimate_bytes`."""
+        return 4 * self.spec.image_size**2 * model.views
+
+    def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
+        """See `Source.make_arrays`."""
+        spec = self.spec
+        return read_object(
+            Path(str(model.path)),
+            image_size=spec.image_size,
+            crop=spec.crop,
+            fill=spec.fill,
+            focal_length=spec.focal_length,
+            distance=spec.distance,
+        )
+
+
+def list_objects(folder: Path) -> dict[str, Path]:
     """Places of the objects of a folder by name, sorted: `{name: path}`.
 
     A place is a folder of views, or an image where each image is an object.
@@ -26,9 +93,10 @@ def list_objects(folder):
     Raises:
       ValueError: naming the folder, if there are no images in it.
     """
-    folder = Path(folder)
     if not folder.is_dir():
-        raise ValueError(f"expected a folder of images, {folder} is none; check it.")
+        raise ValueError(
+            f"Expected a folder of images, but {folder} is not a folder; check it."
+        )
     if pose_files.find_pose_files(folder):
         return {folder.resolve().name: folder}
     places = [
@@ -40,23 +108,23 @@ def list_objects(folder):
         places = _find_images(folder)
     if not places:
         raise ValueError(
-            f"expected folders of images ({', '.join(SUFFIXES)}) in {folder}, found "
-            "none; give the folder that holds one folder per object."
+            f"Expected folders of images ({', '.join(SUFFIXES)}) in {folder}, but "
+            "found none; give the folder that holds one folder per object."
         )
     return {place.stem if place.is_file() else place.name: place for place in places}
 
 
-def list_images(place):
+def list_images(place: Path) -> list[Path]:
     """The images of an object, sorted; those of `transforms.json` where it has one.
 
-    A damaged `transforms.json` is told when the object is read, which is left out then.
+    A damaged `transforms.json` is reported when the object is read, and left out.
     """
     if place.is_file():
         return [place]
-    files = [p for p in pose_files.find_pose_files(place) if p.match("transforms*")]
+    listed = [p for p in pose_files.find_pose_files(place) if p.match("transforms*")]
     with contextlib.suppress(ValueError):
-        if files:
-            return sorted(pose_files.read_poses(files))
+        if listed:
+            return sorted(pose_files.read_poses(listed))
     return _find_images(place)
 
 
@@ -65,34 +133,27 @@ def _find_images(folder):
     return sorted(p for p in found if p.is_file() and not p.stem.endswith("_mask"))
 
 
-def has_poses(place):
+def has_poses(place: Path) -> bool:
     """Whether an object comes with poses."""
     return place.is_dir() and bool(pose_files.find_pose_files(place))
 
 
-def describe_object(place):
-    """(number of views, key) of an object; the key changes with any of its files."""
-    images = list_images(place)
-    files = list(images)
-    files += [mask for image in images if (mask := _find_mask(image)) is not None]
-    if place.is_dir():
-        files += pose_files.find_pose_files(place)
-    facts = []
-    for file in files:
-        status = file.stat() if file.is_file() else None
-        facts.append([str(file.relative_to(place.parent)) if place.is_dir() else ""])
-        facts[-1] += [status and status.st_size, status and status.st_mtime_ns]
-    return len(images), hashlib.sha256(str(facts).encode()).hexdigest()
-
-
-def read_object(place, *, image_size, crop, fill, focal_length, distance):
+def read_object(
+    place: Path,
+    *,
+    image_size: int,
+    crop: str,
+    fill: float,
+    focal_length: float,
+    distance: float,
+) -> tuple[dict[str, np.ndarray], list[str]]:
     """The views of one object, cut and scaled to the data set's camera.
 
     A view without a usable mask, or without a pose where others have one, is left out.
 
     Returns:
       (arrays, notes): images uint8 [V, S, S, 3], masks uint8 [V, S, S], and, where
-      there are poses, quaternions float32 [V, 4]; and what was left out, in phrases.
+      there are poses, quaternions float32 [V, 4]; and a sentence on each view left out.
 
     Raises:
       ValueError: naming a file, if no view can be used or a pose file is damaged.
@@ -105,43 +166,46 @@ def read_object(place, *, image_size, crop, fill, focal_length, distance):
     for path in images:
         try:
             if poses is not None and path not in poses:
-                raise ValueError(f"expected a pose of {path}, found none; add it")
+                raise ValueError(
+                    f"Expected a pose of {path}, but there is none; add it."
+                )
             _, mask = read_image(path)
             outlines.append(framing.trace_outline(mask > 0.5))
             kept.append(path)
         except ValueError as error:
-            notes.append(str(error))
+            notes.append(str(error).removesuffix("."))
     if not kept:
         raise ValueError(
-            f"expected at least one usable view in {place}, found none of "
-            f"{len(images)}; {notes[0] if notes else 'add images'}."
+            f"Expected at least one usable view in {place}, but none of {len(images)} "
+            f"is; {notes[0] if notes else 'add images'}."
         )
     try:
         frames = framing.frame_views(
             outlines,
-            poses and [poses[path] for path in kept],
+            None if poses is None else [poses[path] for path in kept],
             crop=crop,
             fill=fill,
             focal_length=focal_length,
             distance=distance,
         )
     except ValueError as error:
-        raise ValueError(f"The poses of {place} cannot be used: {error}.") from None
-    pictures = []
-    for path, frame in zip(kept, frames, strict=True):
-        image, mask = read_image(path)
-        pictures.append(framing.cut_frame(image, mask, frame, image_size=image_size))
+        raise ValueError(f"In the poses of {place}: {error}") from None
+    cut = [
+        framing.cut_frame(*read_image(path), frame, image_size=image_size)
+        for path, frame in zip(kept, frames, strict=True)
+    ]
     arrays = {
-        "images": np.stack([image for image, _ in pictures]),
-        "masks": np.stack([mask for _, mask in pictures]),
+        "images": np.stack([image for image, _ in cut]),
+        "masks": np.stack([mask for _, mask in cut]),
     }
     if poses is not None:
-        quaternions = [viewpoints.matrix_to_quaternion(f.rotation) for f in frames]
-        arrays["quaternions"] = np.array(quaternions, dtype=np.float32)
+        rotations = np.array([frame.rotation for frame in frames])
+        quaternions = viewpoints.matrix_to_quaternion(rotations)
+        arrays["quaternions"] = quaternions.astype(np.float32)
     return arrays, notes
 
 
-def read_image(path):
+def read_image(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Colours and mask of an image file, upright as its camera noted.
 
     Returns:
@@ -149,33 +213,33 @@ def read_image(path):
 
     Raises:
       ValueError: naming the file, if it or its mask cannot be read, there is no mask,
-        the mask has another size, or it is empty or covers the whole image.
+        the mask has another size, is empty or covers the whole image.
     """
-    image = _open(path)
+    image = read_picture(path)
     beside = _find_mask(path)
     if beside is not None:
-        mask = _open(beside)
+        mask = read_picture(beside)
         if mask.mode.startswith("I"):  # 16 bits, which Pillow would cut off at 255
             mask = Image.fromarray((np.asarray(mask) >> 8).astype(np.uint8))
         mask = np.asarray(mask.convert("L"))
         if mask.shape != image.size[::-1]:
             raise ValueError(
-                f"expected {beside} of the size of {path.name}, {image.size}, got "
-                f"{mask.shape[::-1]}; make it again"
+                f"Expected {beside} of the size of {path.name}, {image.size}, but it "
+                f"has {mask.shape[::-1]}; make it again."
             )
     elif image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info:
         mask = np.asarray(image.convert("RGBA"))[..., 3]
     else:
         raise ValueError(
-            f"expected an alpha channel in {path} or {path.stem}_mask.png beside it, "
-            "found neither; add a mask"
+            f"Expected an alpha channel in {path} or {path.stem}_mask.png beside it, "
+            "but found neither; add a mask."
         )
     covered = mask > 127
     if not covered.any() or covered.all():
         extent = "covers the whole image" if covered.any() else "is empty"
         raise ValueError(
-            f"expected a mask of the object in {beside or path}, it {extent}; make it "
-            "again"
+            f"Expected a mask of the object in {beside or path}, but it {extent}; make "
+            "it again."
         )
     colors = np.asarray(image.convert("RGBA").convert("RGB"))
     return colors, mask.astype(np.float32) / 255.0
@@ -187,13 +251,3 @@ def _find_mask(path):
         if mask.is_file():
             return mask
     return None
-
-
-def _open(path):
-    try:
-        with Image.open(path) as image:
-            return ImageOps.exif_transpose(image)
-    except FAULTS as error:
-        raise ValueError(
-            f"expected a readable image in {path}, got {type(error).__name__}: {error}"
-        ) from None

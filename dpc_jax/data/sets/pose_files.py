@@ -1,16 +1,20 @@
 """Camera poses that come with a user's own images.
 
-Two forms are read. `poses.json` maps an image's name to a quaternion wxyz from the
-object to a camera that looks straight at it. `transforms.json`, as NeRF tools write it,
-has a camera-to-world matrix for each image and the lens; its cameras look along -z with
-y up, unless the file says `"convention": "opencv"` (along +z, y down).
+Two forms are read. `poses.json` maps the name of an image to a quaternion wxyz, from
+the object to a camera that looks straight at it. `transforms.json`, as NeRF tools write
+it, has a camera-to-world matrix for each image and the lens; its cameras look along -z
+with y up, unless the file says `"convention": "opencv"` (along +z, y down).
 """
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+
+from dpc_jax.data.damage import Damage
 
 QUATERNIONS = "poses.json"
 TRANSFORMS = "transforms*.json"
@@ -22,7 +26,8 @@ class Pose(NamedTuple):
 
     rotation: [3, 3], world or object to camera (x right, y down, z forward).
     position: [3] of the camera in the world, or None where only the rotation is known.
-    lens: what the file says of focal length and centre in pixels, by the names `LENS`.
+    lens: focal length and centre in pixels as far as the file has them, named as in
+        `LENS`.
     """
 
     rotation: np.ndarray
@@ -30,14 +35,13 @@ class Pose(NamedTuple):
     lens: dict | None = None
 
 
-def find_pose_files(folder):
-    """The pose files of an object's folder, sorted; none is fine."""
-    folder = Path(folder)
+def find_pose_files(folder: Path) -> list[Path]:
+    """The pose files of an object's folder, sorted; there may be none."""
     found = [folder / QUATERNIONS] if (folder / QUATERNIONS).is_file() else []
     return found + sorted(p for p in folder.glob(TRANSFORMS) if p.is_file())
 
 
-def read_poses(files):
+def read_poses(files: Sequence[Path]) -> dict[Path, Pose]:
     """Poses by image path from the pose files of one object.
 
     Raises:
@@ -46,12 +50,12 @@ def read_poses(files):
     poses = {}
     for path in files:
         try:
-            content = json.loads(Path(path).read_text(encoding="utf-8"))
+            content = json.loads(path.read_text(encoding="utf-8"))
             read = _read_quaternions if path.name == QUATERNIONS else _read_transforms
-            poses |= read(content, Path(path).parent)
+            poses |= read(content, path.parent)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(
-                f"expected poses in {path}, they cannot be read "
+                f"Expected poses in {path}, but they cannot be read "
                 f"({type(error).__name__}: {error}); see docs/data.md for their form."
             ) from None
     return poses
@@ -63,16 +67,10 @@ def _read_quaternions(content, folder):
         quaternion = np.asarray(values, dtype=np.float64)
         length = np.linalg.norm(quaternion)
         if quaternion.shape != (4,) or not np.isfinite(length) or length < 1e-6:
-            raise ValueError(f"{name} has no quaternion of four numbers, but {values}")
-        poses[folder / name] = Pose(_rotation_of(quaternion / length))
+            raise Damage(f"{name} has no quaternion of four numbers, but {values}")
+        rotation = Rotation.from_quat(quaternion, scalar_first=True)
+        poses[folder / name] = Pose(rotation.as_matrix())
     return poses
-
-
-def _rotation_of(quaternion):
-    """Rotation matrix of a unit quaternion wxyz."""
-    w, v = quaternion[0], quaternion[1:]
-    cross = np.cross(v, np.eye(3)).T
-    return np.eye(3) + 2.0 * (w * cross + cross @ cross)
 
 
 def _read_transforms(content, folder):
@@ -83,33 +81,33 @@ def _read_transforms(content, folder):
     for frame in content["frames"]:
         matrix = np.asarray(frame["transform_matrix"], dtype=np.float64)
         if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
-            raise ValueError(
+            raise Damage(
                 f"{frame['file_path']} has no finite transform_matrix [4, 4], but "
                 f"{frame['transform_matrix']}"
             )
         turned = matrix[:3, :3] @ turn  # columns: the camera's axes in the world
         if not np.abs(turned.T @ turned - np.eye(3)).max() < 1e-2:
-            raise ValueError(f"{frame['file_path']} has no rigid transform_matrix")
+            raise Damage(f"{frame['file_path']} has no rigid transform_matrix")
+        if np.linalg.det(turned) < 0:
+            raise Damage(f"{frame['file_path']} has a mirrored transform_matrix")
         # the nearest rotation: files carry a few digits only
-        left, _, right = np.linalg.svd(turned.T)
-        if np.linalg.det(left @ right) < 0:
-            raise ValueError(f"{frame['file_path']} has a mirrored transform_matrix")
+        rotation = Rotation.from_matrix(turned.T).as_matrix()
         lens = shared | {name: frame[name] for name in LENS if name in frame}
         _expect_lens(lens)
         path = _find_image(folder / frame["file_path"])
-        poses[path] = Pose(left @ right, matrix[:3, 3], lens)
+        poses[path] = Pose(rotation, matrix[:3, 3], lens)
     return poses
 
 
 def _expect_lens(lens):
     for name, value in lens.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ValueError(f"{name} is no number but {value!r}")
+            raise Damage(f"{name} is {value!r} instead of a number")
         # only the centre may lie at 0 or beyond the image
         if not np.isfinite(value) or not (name in ("cx", "cy") or value > 0):
-            raise ValueError(f"{name} is {value}, which no lens has")
+            raise Damage(f"{name} is {value}, which is impossible for a lens")
     if lens.get("camera_angle_x", 1.0) >= np.pi:
-        raise ValueError(f"camera_angle_x is {lens['camera_angle_x']} radians")
+        raise Damage(f"camera_angle_x is {lens['camera_angle_x']} radians")
 
 
 def _find_image(path):

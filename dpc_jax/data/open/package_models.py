@@ -1,0 +1,34 @@
+"""Models of open packages, and the pieces that they are joined from."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import trimesh
+
+from dpc_jax.shapes.joining import join_pieces
+from dpc_jax.shapes.normalization import face_colors
+
+
+class OpenModel(NamedTuple):
+    """One model of a package, before its mesh is made.
+
+    name: unique in its category. family: models of one family are variants of one
+    design. side: "train", "test" or "reserved". origin: licence, author and file, for
+    the JSON file beside the model. package: that it comes in. source: what the
+    package's module needs to make it.
+    """
+
+    name: str
+    family: str
+    side: str
+    origin: dict
+    package: str
+    source: tuple
+
+
+def join_meshes(pieces: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """One mesh of several, with their face colours."""
+    vertices, faces, colors = join_pieces(
+        [(piece.vertices, piece.faces, face_colors(piece)) for piece in pieces]
+    )
+    return trimesh.Trimesh(vertices, faces, face_colors=colors, process=False)

@@ -1,0 +1,99 @@
+"""Mesh files as a source: as they are, and in stretched copies."""
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from dpc_jax import files
+from dpc_jax.data import meshes, splits
+from dpc_jax.data.rendering import RenderedSource
+from dpc_jax.data.sets import obj_materials
+from dpc_jax.data.sources import Model, add_copies
+from dpc_jax.shapes.normalization import normalize
+
+SIDECARS = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".webp")
+
+
+class MeshFiles(RenderedSource):
+    """A source whose models are mesh files, however they are listed."""
+
+    is_stretchable = True
+
+    def find_turn(self, path: str) -> np.ndarray | None:
+        """Rotation [3, 3] to the canonical frame; None if files are in it already."""
+        return None
+
+    def make_mesh(self, model: Model) -> trimesh.Trimesh:
+        """See `RenderedSource.make_mesh`."""
+        assert model.path is not None
+        mesh = meshes.read_mesh(model.path)
+        turn = self.find_turn(model.path)
+        if turn is not None:
+            mesh.vertices = mesh.vertices @ turn.T
+        if model.copy:
+            # normalised first, so that the factors meet sides of comparable length
+            seed = [self.spec.seed, model.copy, int(model.digest[:8], 16)]
+            mesh = meshes.scale_randomly(
+                normalize(mesh), seed=seed, amount=self.spec.stretch
+            )
+        return normalize(mesh)
+
+    def describe_flaws(self, model: Model) -> list[str]:
+        """See `RenderedSource.describe_flaws`."""
+        assert model.path is not None
+        if model.copy or not model.path.lower().endswith(".obj"):
+            return []
+        flaw = obj_materials.describe_flaw(model.path)
+        return [flaw] if flaw else []
+
+
+class MeshFolder(MeshFiles):
+    """Mesh files at any depth of a folder, in the canonical frame, split by seed."""
+
+    @classmethod
+    def recognizes(cls, folder: Path) -> bool:
+        """See `Source.recognizes`."""
+        return meshes.holds_meshes(folder)
+
+    def list_models(self) -> list[Model]:
+        """See `Source.list_models`."""
+        spec = self.spec
+        folder = Path(str(spec.folder))
+        paths = meshes.find_meshes(folder)
+        digests = [files.digest_file(path) for path in paths]
+        sides = splits.split_files(
+            list(zip(paths, digests, strict=True)),
+            fractions=spec.fractions,
+            seed=spec.seed,
+            groups=splits.group_variants(paths, digests),
+        )
+        chosen = sides[splits.SPLITS.index(spec.split)]
+        if not chosen:
+            raise ValueError(
+                f"Expected mesh files for the {spec.split} split of {folder}, but "
+                f"there are none ({len(paths)} files split by {spec.fractions}); add "
+                "files or change the fractions."
+            )
+        models = [
+            Model(path.relative_to(folder).as_posix(), str(path), 0, 0, key, spec.views)
+            for path, key in chosen
+        ]
+        return add_copies(models, spec)
+
+    def list_sidecars(self) -> list[tuple[str, str]]:
+        """See `Source.list_sidecars`."""
+        folder = Path(str(self.spec.folder))
+        paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in SIDECARS)
+        return [
+            (path.relative_to(folder).as_posix(), files.digest_file(path))
+            for path in paths
+            if path.is_file()
+        ]
+
+    def describe_flaws(self, model: Model) -> list[str]:
+        """See `RenderedSource.describe_flaws`."""
+        # an OBJ file without materials may have colours at its vertices
+        return [
+            flaw for flaw in super().describe_flaws(model) if flaw != obj_materials.BARE
+        ]

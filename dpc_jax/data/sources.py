@@ -1,0 +1,145 @@
+"""Sources of models: what every kind of data set answers about itself.
+
+A new kind is a module in `dpc_jax/data/sets` with a subclass of `Source`, and a line in
+`KINDS` of `dpc_jax/data/spec.py`.
+"""
+
+import importlib
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from dpc_jax.data.spec import KINDS, DataSpec
+
+PROCEDURAL = "procedural_shapes.ProceduralShapes"  # where a specification has no folder
+
+
+class Model(NamedTuple):
+    """One model of a data set, before its arrays are made.
+
+    name: unique in the data set. path: its file or folder, or None for a procedural
+    shape. seed: of a procedural shape. copy: 0 for the original, 1 and above for
+    stretched copies. digest: SHA-256 that changes when the model does, or "" where name
+    and seed say everything. views: the largest number of views it can have.
+    """
+
+    name: str
+    path: str | None
+    seed: int
+    copy: int
+    digest: str
+    views: int
+
+
+class Source(Protocol):
+    """A kind of data set, opened from its specification.
+
+    Opening is cheap: folders are read when something is asked that needs them, because
+    every render process opens the source again.
+    """
+
+    spec: DataSpec
+    unit = "object"  # what its models are called in messages
+    is_stretchable = False  # whether copies of its models can be stretched
+
+    def __init__(self, spec: DataSpec):
+        self.spec = spec
+
+    @classmethod
+    def recognizes(cls, folder: Path) -> bool:
+        """Whether a folder seems to hold this kind of data set."""
+        raise NotImplementedError
+
+    @classmethod
+    def suggest_fields(cls, folder: Path, category: str | None) -> dict:
+        """Fields of a `DataSpec` for somebody who only wants to look at a folder."""
+        return {"category": category or "object"}
+
+    def list_models(self) -> list[Model]:
+        """All models of the split, in order.
+
+        Raises:
+          ValueError: if there are none, naming the folder.
+        """
+        raise NotImplementedError
+
+    def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
+        """Arrays of one model by name, and remarks on what it lacks.
+
+        The arrays are images, masks, depths and quaternions with a row per view, and
+        surfaces with a row per point (see `DataSet`); some kinds lack some of them.
+
+        Args:
+          model: as listed. index: its place in the list, which seeds its views.
+
+        Raises:
+          ValueError: naming the file, if the model cannot be used.
+        """
+        raise NotImplementedError
+
+    def estimate_bytes(self, model: Model) -> int:
+        """Size of a model's arrays."""
+        spec = self.spec
+        points = spec.surface_points
+        if spec.surface_voxel > 0:  # surfaces are about as large as their boxes' sides
+            points = min(points, round(2 / spec.surface_voxel**2))
+        return 8 * spec.image_size**2 * model.views + 12 * points
+
+    def list_remarks(self) -> list[tuple[str, str]]:
+        """(file or folder, remark) pairs on the data set as a whole."""
+        return []
+
+    def list_sidecars(self) -> list[tuple[str, str]]:
+        """(relative path, SHA-256) of files that models share: materials, textures."""
+        return []
+
+    def write_split(self, cache: Path):
+        """Write a split of our own beside a cache folder, so that it can be reused."""
+
+
+def find_kind(kind: str) -> type[Source]:
+    """The `Source` class of a kind of data set in `KINDS`."""
+    return _load_class(KINDS[kind])
+
+
+def open_source(spec: DataSpec) -> Source:
+    """The source that a specification asks for.
+
+    Raises:
+      ValueError: if copies are wanted of what cannot be stretched.
+    """
+    made = _load_class(PROCEDURAL if spec.folder is None else KINDS[spec.kind])
+    if spec.copies > 1 and not made.is_stretchable:
+        raise ValueError(
+            "copies must be 1 where there are no mesh files to stretch, but it is "
+            f"{spec.copies}; set data.copies to 1."
+        )
+    return made(spec)
+
+
+def add_copies(models: list[Model], spec: DataSpec) -> list[Model]:
+    """The models, then their stretched copies; at most `spec.models` of them."""
+    copies = [
+        model._replace(name=f"{model.name}#{copy}", copy=copy)
+        for copy in range(1, spec.copies)
+        for model in models
+    ]
+    return [*models, *copies][: spec.models]
+
+
+def view_arrays(count: int, image_size: int) -> dict[str, np.ndarray]:
+    """Empty arrays for the views of one model, as `Source.make_arrays` gives them."""
+    shape = (count, image_size, image_size)
+    return {
+        "images": np.empty((*shape, 3), np.uint8),
+        "masks": np.empty(shape, np.uint8),
+        "depths": np.empty(shape, np.float32),
+        "quaternions": np.empty((count, 4), np.float32),
+    }
+
+
+def _load_class(place):
+    # modules are loaded when they are needed: some import trimesh, others Pillow
+    module, name = place.split(".")
+    return getattr(importlib.import_module(f"dpc_jax.data.sets.{module}"), name)

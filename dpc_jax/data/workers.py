@@ -1,0 +1,202 @@
+"""Preparing the shards of a data set, in one process or several.
+
+Workers are plain Python processes that write whole shards. They read on their input
+which ones, and report on a pipe, one JSON line per model. They are not forked, because
+jax runs threads.
+"""
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Generator, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpc_jax.data import shards
+from dpc_jax.data.sources import Model, Source, open_source
+from dpc_jax.data.spec import DataSpec
+
+BOOT = """
+import sys
+from dpc_jax.data import workers
+workers.work(sys.argv[1], part=int(sys.argv[2]))
+"""
+INLINE = 16  # so few models are done before a worker has imported what it needs
+SHARD_MODELS = (4, 64)  # fewest and most in a shard
+SHARD_BYTES = 64 << 20  # a worker holds one shard in memory
+
+
+def plan_shards(source: Source, models: Sequence[Model]) -> list[range]:
+    """Which models go into which shard: ranges of indices, in order.
+
+    The plan depends on the models alone, so that any number of processes, and a process
+    that continues where another has stopped, write the same files.
+    """
+    few, many = SHARD_MODELS
+    most = min(max(few, -(-len(models) // 16)), many)
+    plan, start, size = [], 0, 0
+    for index, model in enumerate(models):
+        size += source.estimate_bytes(model)
+        if index > start and (index - start == most or size > SHARD_BYTES):
+            plan.append(range(start, index))
+            start, size = index, source.estimate_bytes(model)
+    return [*plan, range(start, len(models))]
+
+
+def name_shard(number: int) -> str:
+    """File name of a shard."""
+    return f"shard-{number:05d}.npz"
+
+
+def identify_shard(folder: str | Path, models: range) -> dict[str, Any]:
+    """What tells a shard from those of other sets and other models."""
+    return {"set": Path(folder).name, "models": [models.start, models.stop]}
+
+
+def write_shards(
+    folder: str | Path, source: Source, models: Sequence[Model], numbers: Iterable[int]
+) -> Generator[tuple[int, str | None]]:
+    """Prepare and write shards; yield (index, None or reason to skip) per model.
+
+    Raises:
+      OSError: naming the file, if it cannot be written.
+    """
+    plan = plan_shards(source, models)
+    for number in numbers:
+        record = identify_shard(folder, plan[number])
+        record |= {"names": [], "counts": {}, "skipped": [], "remarks": []}
+        rows, reason = {}, None
+        for index in plan[number]:
+            name, reason = models[index].name, None
+            try:
+                arrays, remarks = source.make_arrays(models[index], index)
+            except ValueError as error:
+                reason = str(error)
+                record["skipped"].append([name, reason])
+            else:
+                record["names"].append(name)
+                record["remarks"] += [[name, remark] for remark in remarks]
+                for key, array in arrays.items():
+                    rows.setdefault(key, []).append(array)
+            if index < plan[number].stop - 1:
+                yield index, reason
+        record["counts"] = {key: [len(a) for a in part] for key, part in rows.items()}
+        joined = {key: np.concatenate(part) for key, part in rows.items()}
+        shards.write_shard(Path(folder) / name_shard(number), joined, record)
+        # the last model counts as done when it is safely on disk
+        yield plan[number].stop - 1, reason
+
+
+def work(folder: str, *, part: int):
+    """Body of a worker: write the shards asked for, with a line on stdout per model."""
+    plan = json.loads(sys.stdin.readline())
+    spec = {k: tuple(v) if isinstance(v, list) else v for k, v in plan["spec"].items()}
+    source = open_source(DataSpec(**dict[str, Any](spec)))
+    models = [Model(*model) for model in plan["models"]]
+
+    def tell(*message):
+        sys.stdout.write(json.dumps([part, *message]) + "\n")
+        sys.stdout.flush()
+
+    try:
+        tell("ready")
+        for line in sys.stdin:
+            for index, reason in write_shards(folder, source, models, [int(line)]):
+                tell("model", index, reason and reason[:1000])
+            tell("ready")
+    except OSError as error:
+        tell("failed", str(error)[:1000])
+
+
+def write_shards_in_processes(
+    folder: str | Path,
+    source: Source,
+    models: Sequence[Model],
+    numbers: Sequence[int],
+    *,
+    processes: int,
+) -> Generator[tuple[int, str | None]]:
+    """`write_shards` by worker processes, in the order in which models finish.
+
+    Raises:
+      OSError: if a shard cannot be written.
+      RuntimeError: if a worker dies; the message holds the end of its error output.
+    """
+    plan = {"spec": vars(source.spec), "models": [list(model) for model in models]}
+    waiting = list(reversed(numbers))
+    with _start_workers(folder, min(processes, len(numbers))) as (workers, logs, lines):
+        for worker in workers:
+            _send(worker, json.dumps(plan))
+        for line in lines:
+            part, kind, *message = json.loads(line)
+            if kind == "model":
+                yield message[0], message[1]
+            elif kind == "failed":
+                raise OSError(message[0])
+            elif waiting:
+                _send(workers[part], waiting.pop())
+            else:
+                _close(workers[part])
+        for worker, log in zip(workers, logs, strict=True):
+            if worker.wait() != 0:
+                log.seek(0)
+                tail = log.read().decode("utf-8", errors="replace")[-2000:].strip()
+                raise RuntimeError(
+                    "Expected a render process to end well, but it ended with status "
+                    f"{worker.returncode}; set data.processes to 1 to look closer. Its "
+                    f"last words:\n{tail}."
+                )
+
+
+@contextlib.contextmanager
+def _start_workers(folder, count):
+    """Worker processes, their error outputs, and the lines that they all write.
+
+    However the block is left, no worker outlives it.
+    """
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    reader, writer = os.pipe()
+    workers, logs = [], []
+    with contextlib.ExitStack() as stack:
+        lines = stack.enter_context(open(reader, encoding="utf-8"))
+        try:
+            for part in range(count):
+                logs.append(stack.enter_context(tempfile.TemporaryFile()))
+                worker = subprocess.Popen(
+                    [sys.executable, "-c", BOOT, str(folder), str(part)],
+                    stdin=subprocess.PIPE,
+                    stdout=writer,
+                    stderr=logs[-1],
+                    env={**os.environ, **threads},
+                    start_new_session=True,  # Ctrl-C reaches us; we end them
+                    text=True,
+                )
+                stack.callback(_end, worker)
+                workers.append(worker)
+        finally:
+            os.close(writer)  # so that the lines end with the last worker
+        yield workers, logs, lines
+
+
+def _end(worker):
+    if worker.poll() is None:
+        worker.terminate()
+    worker.wait()
+    _close(worker)
+
+
+def _send(worker, message):
+    # a worker that has died tells it by its status
+    with contextlib.suppress(BrokenPipeError):
+        worker.stdin.write(f"{message}\n")
+        worker.stdin.flush()
+
+
+def _close(worker):
+    with contextlib.suppress(BrokenPipeError):
+        worker.stdin.close()
