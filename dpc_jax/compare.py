@@ -12,20 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from dpc_jax.evaluation.metrics import COMPARED_METRICS
 from dpc_jax.learning.log import MetricLog
 from dpc_jax.reporting.figures import draw_curves
-from dpc_jax.reporting.tables import markdown_table
-
-COLUMNS = (
-    "pose_accuracy",
-    "pose_median_error_deg",
-    "chamfer",
-    "precision",
-    "coverage",
-    "best_candidate_pose_accuracy",
-    "train_seconds",
-    "peak_memory_gb",
-)
+from dpc_jax.reporting.tables import tabulate_runs
 
 
 def read_metrics(workdir: Path) -> dict[str, float]:
@@ -54,7 +44,7 @@ def add_means(runs: dict[str, dict]) -> dict[str, dict]:
         if len(names) > 1:
             rows[f"{group}, mean of {len(names)}"] = {
                 c: float(np.mean([runs[n][c] for n in names]))
-                for c in COLUMNS
+                for c in COMPARED_METRICS
                 if all(runs[n].get(c) is not None for n in names)
             }
     return rows
@@ -62,7 +52,7 @@ def add_means(runs: dict[str, dict]) -> dict[str, dict]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, print the table, draw the curves."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument(
         "workdirs", nargs="+", type=Path, help="folders of finished runs"
     )
@@ -73,7 +63,7 @@ def main(arguments: list[str] | None = None) -> int:
     except ValueError as error:
         print(f"Error: {error}", file=sys.stderr)
         return 1
-    print(markdown_table(add_means(runs), columns=COLUMNS))
+    print(tabulate_runs(add_means(runs), columns=COMPARED_METRICS))
     records = {
         folder.name: MetricLog(folder / "metrics.jsonl").read()
         for folder in options.workdirs

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.figures import INK, save_figure
+from dpc_jax.reporting.style import INK, make_figure, save_figure
 
 FRONT = (35.0, 25.0)  # azimuth, elevation in degrees: front and left, from above
 REAR = (-130.0, 20.0)  # back and right side
@@ -32,17 +32,17 @@ def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Pa
       ValueError: there are no examples.
     """
     if not examples:
-        raise ValueError("Expected at least one example to draw, got none; pass some.")
+        raise ValueError(
+            "examples must be at least one, but there are none; pass predictions."
+        )
     titles = ["input", "target", "predicted", "difference"]
     titles += ["shape, front", "shape, rear"]
     if any(example.surface is not None for example in examples):
         titles.append("true shape")
     size = 1.45
-    figure = Figure(
-        figsize=(size * len(titles) + 0.2, size * len(examples) * 1.12 + 0.35),
-        layout="constrained",
-    )
-    figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
+    figure = make_figure(size * len(titles) + 0.2, size * len(examples) * 1.12 + 0.35)
+    gaps = dict.fromkeys(("w_pad", "h_pad", "wspace", "hspace"), 0.02)
+    figure.set_layout_engine(ConstrainedLayoutEngine(**gaps))
     grid = figure.subplots(len(examples), len(titles), squeeze=False)
     for row, example in zip(grid, examples, strict=True):
         _draw_row(row, example)

@@ -6,9 +6,10 @@ import numpy as np
 
 from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation.alignment import align_points
+from dpc_jax.evaluation.metrics import REQUIRED_METRICS
 from dpc_jax.learning import evaluator
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.page import REQUIRED_METRICS, write_report
+from dpc_jax.reporting.page import write_report
 from dpc_jax.run.workdir import write_alignment
 
 EXAMPLES = 8  # test inputs shown in the report
