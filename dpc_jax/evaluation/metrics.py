@@ -9,7 +9,7 @@ digits.
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 MISSING = "–"
 _OWN = "own_"  # prefix of scores on the training source, where another one is tested
@@ -27,9 +27,9 @@ class Metric:
       higher_is_better: None where neither direction is better.
       hint: one phrase on its meaning.
       short: name within a line of text; empty if such lines leave the metric out.
-      is_required: every report must state it, if only as unknown.
-      is_headline: shown large at the top of the page.
-      is_compared: a column where runs are compared.
+      role: where the metric stands beside the list of all metrics. Each role includes
+        those before it: "compared", a column where runs are compared; "required", in
+        every report, if only as unknown; "headline", large at the top of the page.
     """
 
     name: str
@@ -39,9 +39,7 @@ class Metric:
     higher_is_better: bool | None = None
     hint: str = ""
     short: str = ""
-    is_required: bool = False
-    is_headline: bool = False
-    is_compared: bool = False
+    role: Literal["", "compared", "required", "headline"] = ""
 
     @property
     def factor(self) -> float:
@@ -54,39 +52,38 @@ class Metric:
         return f"{self.label} ({self.unit})" if self.unit else self.label
 
 
-_BASIC: dict[str, Any] = {"is_required": True, "is_compared": True}
-_HEADLINE = _BASIC | {"is_headline": True}
-
 # fmt: off
 METRICS = {metric.name: metric for metric in (
     Metric("pose_accuracy", "Pose accuracy", "%", ".1f", True,
-           "views posed within 30° of the truth", "pose accuracy", **_HEADLINE),
+           "views posed within 30° of the truth", "pose accuracy", role="headline"),
     Metric("pose_median_error_deg", "Median pose error", "°", ".1f", False,
-           "half of the views are closer to the truth", "median error", **_HEADLINE),
+           "half of the views are closer than this", "median error", role="headline"),
     Metric("chamfer", "Chamfer distance", "×100", ".2f", False,
-           "precision plus coverage", "Chamfer", **_HEADLINE),
+           "precision plus coverage", "Chamfer", role="headline"),
     Metric("precision", "Precision", "×100", ".2f", False,
-           "mean distance from prediction to truth", **_BASIC),
+           "mean distance from prediction to truth", role="required"),
     Metric("coverage", "Coverage", "×100", ".2f", False,
-           "mean distance from truth to prediction", **_BASIC),
+           "mean distance from truth to prediction", role="required"),
     Metric("flip_share", "Flipped views", "%", ".1f", False,
            "wrong by more than 150°: front and back exchanged"),
     Metric("best_candidate_pose_accuracy", "Pose accuracy, best candidate", "%", ".1f",
-           True, "the winner of the ensemble", is_compared=True),
+           True, "the winner of the ensemble", role="compared"),
     Metric("best_candidate_pose_median_error_deg", "Median pose error, best candidate",
            "°", ".1f", False, "the winner of the ensemble"),
     Metric("silhouette_iou", "Silhouette overlap", "%", ".1f", True,
            "intersection over union with the masks", "silhouette overlap"),
     Metric("train_seconds", "Training time", "s", ".0f", False,
-           "wall clock, including compilation", **_HEADLINE),
+           "wall clock, including compilation", role="headline"),
     Metric("peak_memory_gb", "Peak memory", "GB", ".1f", False,
-           "of the training process", is_compared=True),
+           "of the training process", role="compared"),
     Metric("loss", "Training loss", higher_is_better=False),
 )}
 # fmt: on
-REQUIRED_METRICS = tuple(name for name, m in METRICS.items() if m.is_required)
-HEADLINE_METRICS = tuple(name for name, m in METRICS.items() if m.is_headline)
-COMPARED_METRICS = tuple(name for name, m in METRICS.items() if m.is_compared)
+HEADLINE_METRICS = tuple(n for n, m in METRICS.items() if m.role == "headline")
+REQUIRED_METRICS = tuple(
+    n for n, m in METRICS.items() if m.role in ("headline", "required")
+)
+COMPARED_METRICS = tuple(name for name, m in METRICS.items() if m.role)
 SUMMARY_METRICS = tuple(name for name, m in METRICS.items() if m.short)
 
 

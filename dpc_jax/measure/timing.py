@@ -72,3 +72,17 @@ def describe_machine() -> dict[str, Any]:
         "device": jax.devices()[0].device_kind,
         "load_at_start": load,
     }
+
+
+def phrase_machine(machine: Mapping[str, Any]) -> str:
+    """A line of text about the machine.
+
+    Args:
+      machine: of `describe_machine`.
+    """
+    flags = ", ".join(machine["flags"]) or "no flags of note"
+    return (
+        f"{machine['processor']} ({flags}), {machine['cores']} of its cores, "
+        f"{machine['system']}; JAX {machine['jax']} on {machine['backend']}, Python "
+        f"{machine['python']}"
+    )

@@ -1,4 +1,4 @@
-"""Markdown tables: any rows, and the metrics of runs side by side."""
+"""Markdown: tables of any rows, the metrics of runs side by side, whole pages."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -53,6 +53,11 @@ def tabulate_runs(
             for run, metrics in runs.items()
         ],
     )
+
+
+def join_blocks(blocks: Iterable[str]) -> str:
+    """A page of paragraphs, tables and headings, with a blank line between them."""
+    return "\n\n".join(block.strip("\n") for block in blocks) + "\n"
 
 
 def _escape(cell: object) -> str:
