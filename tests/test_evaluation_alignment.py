@@ -199,12 +199,19 @@ def test_the_fitted_rotation_is_the_one_applied_and_never_a_reflection():
     source = rng.normal(size=(50, 3))
     for index in range(20):
         true = Rotation.random(random_state=index)
-        matrix = icp.best_rotation(source, true.apply(source))
-        np.testing.assert_allclose(matrix, true.as_matrix(), atol=1e-12)  # float64
-    mirrored = icp.best_rotation(source, source * [1.0, 1.0, -1.0])
+        fitted = icp.best_rotation(source, true.apply(source)).as_matrix()
+        np.testing.assert_allclose(fitted, true.as_matrix(), atol=1e-12)  # float64
+    mirrored = icp.best_rotation(source, source * [1.0, 1.0, -1.0]).as_matrix()
     assert np.linalg.det(mirrored) == pytest.approx(1.0)
     flat = icp.best_rotation(source * [1.0, 1.0, 0.0], source * [1.0, 1.0, 0.0])
-    np.testing.assert_allclose(flat, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(flat.as_matrix(), np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize("place", [0.0, 1.0])
+def test_a_cloud_shrunk_to_a_point_gives_a_rotation_without_a_warning(place):
+    target = np.random.default_rng(0).normal(size=(5, 3))
+    fitted = icp.best_rotation(np.full((5, 3), place), target).as_matrix()
+    np.testing.assert_allclose(fitted @ fitted.T, np.eye(3), atol=1e-12)  # float64
 
 
 def test_aligned_shape_and_pose_give_the_same_picture_as_before():

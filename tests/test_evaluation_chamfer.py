@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from dpc_jax.evaluation import chamfer_distance
 
@@ -57,7 +57,7 @@ def test_single_precision_far_from_the_origin_keeps_double_precision_distances()
 
 def test_a_tree_given_along_changes_nothing():
     predicted, truth = clouds()
-    with_tree = chamfer_distance(predicted, truth, tree=cKDTree(truth), workers=-1)
+    with_tree = chamfer_distance(predicted, truth, tree=KDTree(truth), workers=-1)
     assert with_tree == chamfer_distance(predicted, truth)
 
 
@@ -80,4 +80,4 @@ def test_clouds_unfit_for_a_distance_are_refused_in_a_sentence(predicted, truth,
 def test_the_tree_of_another_cloud_is_refused():
     predicted, truth = clouds()
     with pytest.raises(ValueError, match="tree of 60"):
-        chamfer_distance(predicted, truth, tree=cKDTree(predicted))
+        chamfer_distance(predicted, truth, tree=KDTree(predicted))

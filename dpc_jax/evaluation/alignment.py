@@ -81,7 +81,7 @@ def align(
     poses, truth, clouds, surfaces = _check(
         predicted_poses, true_poses, points, surfaces, max_models
     )
-    votes = rotations.multiply(rotations.conjugate(truth), poses)  # [n, V, 4]
+    votes = _vote(poses, truth)  # [n, V, 4]
     rng = np.random.default_rng(seed)
     pairs = [
         [icp.pair_clouds(_draw(cloud, subsample, rng), surface) for cloud in views]
@@ -132,9 +132,7 @@ def align_by_poses(
     Raises:
       ValueError: no view, or quaternions that are zero or not finite.
     """
-    poses = rotations.normalize(predicted_poses).reshape(-1, 4)[:max_votes]
-    truth = rotations.normalize(true_poses).reshape(-1, 4)[:max_votes]
-    votes = rotations.multiply(rotations.conjugate(truth), poses)
+    votes = _vote(predicted_poses, true_poses).reshape(-1, 4)[:max_votes]
     rotation = modes.find_modes(votes)[0].rotation
     return Alignment(
         rotation=rotations.canonical_sign(rotation),
@@ -143,6 +141,12 @@ def align_by_poses(
         chamfer=np.nan,
         icp_turn_deg=0.0,
     )
+
+
+def _vote(predicted_poses: ArrayLike, true_poses: ArrayLike) -> np.ndarray:
+    """The alignment [..., 4] that would make each predicted pose right."""
+    truth = rotations.to_rotation(true_poses)
+    return rotations.to_quaternion(truth.inv() * rotations.to_rotation(predicted_poses))
 
 
 def _measure_agreement(votes, rotation) -> dict[str, float]:
@@ -156,14 +160,13 @@ def _measure_agreement(votes, rotation) -> dict[str, float]:
 
 def align_points(alignment: Alignment, points: ArrayLike) -> np.ndarray:
     """Points [..., 3] of the network's frame, in the object frame: A p."""
-    return rotations.rotate(alignment.rotation, points)
+    return rotations.to_rotation(alignment.rotation).apply(points)
 
 
 def align_poses(alignment: Alignment, predicted_poses: ArrayLike) -> np.ndarray:
     """Poses [..., 4] from the network's frame, as object to camera: q_pred A^-1."""
-    return rotations.multiply(
-        rotations.normalize(predicted_poses), rotations.conjugate(alignment.rotation)
-    )
+    back = rotations.to_rotation(alignment.rotation).inv()
+    return rotations.to_quaternion(rotations.to_rotation(predicted_poses) * back)
 
 
 def identity_alignment() -> Alignment:
@@ -236,9 +239,4 @@ def _check(predicted_poses, true_poses, points, surfaces, max_models):
                 f"{int((~np.isfinite(array)).sum())} of {array.size}; the network has "
                 f"probably diverged."
             )
-    return (
-        rotations.normalize(poses[:max_models]),
-        rotations.normalize(truth[:max_models]),
-        clouds,
-        surfaces,
-    )
+    return poses[:max_models], truth[:max_models], clouds, surfaces

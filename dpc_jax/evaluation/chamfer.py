@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 PAPER_UNITS = 100.0
 """The paper's tables list distances times this, for shapes of box diagonal 1."""
@@ -39,7 +39,7 @@ def chamfer_distance(
     predicted: ArrayLike,
     ground_truth: ArrayLike,
     *,
-    tree: cKDTree | None = None,
+    tree: KDTree | None = None,
     workers: int = 1,
 ) -> Chamfer:
     """Chamfer distance with Euclidean (not squared) means; paper eq. d_Chamf.
@@ -58,14 +58,14 @@ def chamfer_distance(
     predicted = check_points(predicted, name="predicted")
     ground_truth = check_points(ground_truth, name="ground_truth")
     if tree is None:
-        tree = cKDTree(ground_truth)
+        tree = KDTree(ground_truth)
     elif tree.n != len(ground_truth):
         raise ValueError(
             f"Expected the tree of the {len(ground_truth)} ground truth points, got a "
             f"tree of {tree.n}; build it from the same array."
         )
     to_truth, _ = tree.query(predicted, workers=workers)
-    to_prediction, _ = cKDTree(predicted).query(ground_truth, workers=workers)
+    to_prediction, _ = KDTree(predicted).query(ground_truth, workers=workers)
     return Chamfer(float(np.mean(to_truth)), float(np.mean(to_prediction)))
 
 

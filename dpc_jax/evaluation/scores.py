@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
 from dpc_jax.evaluation.chamfer import PAPER_UNITS, chamfer_distance, check_points
@@ -101,7 +101,7 @@ def score(
     chamfers = np.empty((len(surfaces), count, 2))
     for model, surface in enumerate(surfaces):
         surface = check_points(surface, name=f"surface of model {model}")
-        tree = cKDTree(surface)
+        tree = KDTree(surface)
         for view in range(count):
             cloud = align_points(alignment, points[model][view])
             chamfers[model, view] = chamfer_distance(
