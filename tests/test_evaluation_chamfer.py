@@ -66,9 +66,9 @@ def test_a_tree_given_along_changes_nothing():
     [
         (np.zeros((0, 3)), np.zeros((1, 3)), "at least one point"),
         (np.zeros((1, 3)), np.zeros((0, 3)), "ground_truth"),
-        (np.zeros((4, 2)), np.zeros((1, 3)), r"got shape \(4, 2\)"),
+        (np.zeros((4, 2)), np.zeros((1, 3)), r"shape is \(4, 2\)"),
         (np.zeros((2, 4, 3)), np.zeros((1, 3)), "one cloud per call"),
-        (np.array([[0, 0, np.nan]]), np.zeros((1, 3)), "1 of 1 points with NaN"),
+        (np.array([[0, 0, np.nan]]), np.zeros((1, 3)), "1 of 1 points have NaN"),
         (np.zeros((1, 3)), np.array([[0, np.inf, 0]]), "NaN or infinity"),
     ],
 )
