@@ -1,7 +1,7 @@
 """Runs side by side: python -m dpc_jax.compare runs/car-seed0 runs/car-naive-seed0
 
-Prints a Markdown table of their test metrics, with the mean of runs that differ in the
-seed alone, and draws their error against run time into --out.
+Prints a Markdown table of their test metrics, with the mean of runs that differ only in
+the seed, and draws their error against run time into --out.
 """
 
 import argparse
@@ -21,8 +21,11 @@ from dpc_jax.reporting.tables import tabulate_runs
 def read_metrics(workdir: Path) -> dict[str, float]:
     """Test metrics of a finished run.
 
+    Args:
+      workdir: of the run.
+
     Raises:
-      ValueError: if there is no report in the folder.
+      ValueError: there is no report in the folder.
     """
     path = workdir / "report" / "metrics.json"
     if not path.is_file():
@@ -34,7 +37,7 @@ def read_metrics(workdir: Path) -> dict[str, float]:
 
 
 def add_means(runs: dict[str, dict]) -> dict[str, dict]:
-    """The runs, and after those that differ in the seed alone their mean."""
+    """The runs; those that differ only in the seed are followed by their mean."""
     groups: dict[str, list[str]] = {}
     for name in runs:
         groups.setdefault(re.sub(r"-seed\d+$", "", name), []).append(name)
@@ -51,8 +54,8 @@ def add_means(runs: dict[str, dict]) -> dict[str, dict]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Parse the command line, print the table, draw the curves."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    """Parse the command line, print the table, draw the curves; returns the status."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument(
         "workdirs", nargs="+", type=Path, help="folders of finished runs"
     )

@@ -143,7 +143,14 @@ def test_examples_of_one_name_keep_their_files_apart(folder):
 
 def test_a_name_of_an_example_cannot_leave_the_folder(tmp_path):
     names = ["../../evil", "a/b c", "é", "..", "a_b", "A_B"]
-    report(tmp_path / "report", examples=[example(name) for name in names])
+    examples = [example(name) for name in names]
+    report(
+        tmp_path / "report",
+        examples=examples,
+        records=(),
+        pose_errors=None,
+        shares=None,
+    )
     written = {path.stem for path in (tmp_path / "report" / "points").glob("*.ply")}
     # Names that differ by case alone would be one file on some systems.
     assert written == {"evil", "a_b_c", "example", "example_2", "a_b", "A_B_2"}

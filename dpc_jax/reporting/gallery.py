@@ -1,4 +1,4 @@
-"""Pictures of predictions: input, silhouettes, and the cloud from two other views."""
+"""Pictures of predictions: input, silhouettes, and the cloud from two directions."""
 
 import os
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from dpc_jax.reporting.style import INK, make_figure, save_figure
 
 FRONT = (35.0, 25.0)  # azimuth, elevation in degrees: front and left, from above
 REAR = (-130.0, 20.0)  # back and right side
-SHOWN_SURFACE_POINTS = 2000  # about as many as are predicted, for a fair look
+SHOWN_SURFACE_POINTS = 2000  # about as many as are predicted, to compare fairly
 
 
 def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Path:

@@ -5,7 +5,6 @@ Figures are made by hand (no pyplot), so nothing global changes and threads may 
 
 import io
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -13,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 from dpc_jax.files import write_bytes
 
@@ -58,9 +58,10 @@ def style_axes(
     axes.set_axisbelow(True)
 
 
-def set_ticks(axes: Axes, values: Sequence[float], spec: str = "g") -> None:
+def set_ticks(axes: Axes, values: ArrayLike, spec: str = "g") -> None:
     """Ticks of a logarithmic x axis at exactly these values."""
-    axes.set_xticks(np.asarray(values), [format(value, spec) for value in values])
+    places = np.asarray(values, np.float64)
+    axes.set_xticks(places, [format(place, spec) for place in places])
     axes.set_xticks([], minor=True)
 
 
