@@ -103,40 +103,27 @@ def write_glb(
 def _assemble_glb(parts) -> bytes:
     """One mesh from its position, normal, colour and index arrays, in this order."""
     views, accessors, offset = [], [], 0
-    for array, component, kind, target in parts:
-        views.append(
-            {
-                "buffer": 0,
-                "byteOffset": offset,
-                "byteLength": array.nbytes,
-                "target": target,
-            }
-        )
-        accessors.append(
-            {
-                "bufferView": len(accessors),
-                "componentType": component,
-                "count": len(array),
-                "type": kind,
-            }
-        )
-        offset += array.nbytes
+    for index, (array, component, kind, target) in enumerate(parts):
+        size, count = array.nbytes, len(array)
+        place = {"buffer": 0, "byteOffset": offset, "byteLength": size}
+        views.append(place | {"target": target})
+        content = {"componentType": component, "count": count, "type": kind}
+        accessors.append({"bufferView": index} | content)
+        offset += size
     accessors[0]["min"] = parts[0][0].min(axis=0).tolist()
     accessors[0]["max"] = parts[0][0].max(axis=0).tolist()
     accessors[2]["normalized"] = True
     attributes = {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}
+    primitive = {"attributes": attributes, "indices": 3, "material": 0}
+    # The default material is metal, which is black where nothing is reflected.
+    surface = {"metallicFactor": 0.0, "roughnessFactor": 0.8}
     scene = {
         "asset": {"version": "2.0", "generator": "dpc_jax"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": "points", "rotation": _UPRIGHT}],
-        "meshes": [
-            {"primitives": [{"attributes": attributes, "indices": 3, "material": 0}]}
-        ],
-        # The default material is metal, which is black where nothing is reflected.
-        "materials": [
-            {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8}}
-        ],
+        "meshes": [{"primitives": [primitive]}],
+        "materials": [{"pbrMetallicRoughness": surface}],
         "accessors": accessors,
         "bufferViews": views,
         "buffers": [{"byteLength": offset}],

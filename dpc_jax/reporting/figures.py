@@ -12,17 +12,7 @@ from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG, FLIP_THRESHOLD_DEG
-from dpc_jax.reporting.style import (
-    BLUE,
-    INK,
-    MUTED,
-    RED,
-    SERIES,
-    make_figure,
-    make_panels,
-    save_figure,
-    style_axes,
-)
+from dpc_jax.reporting import style
 
 # Metrics drawn over run time, with the text at their axis.
 CURVES = {
@@ -47,18 +37,18 @@ def draw_curves(
       path: of the PNG.
     """
     runs = records if isinstance(records, Mapping) else {"": records}
-    figure = make_figure(9.0, 6.0)
+    figure = style.make_figure(9.0, 6.0)
     for axes, (metric, y_label) in zip(
-        make_panels(figure, len(CURVES)), CURVES.items(), strict=True
+        style.make_panels(figure, len(CURVES)), CURVES.items(), strict=True
     ):
-        style_axes(
+        style.label_axes(
             axes,
             title=get_metric(metric).label,
             x_label="run time (s)",
             y_label=y_label,
         )
         _draw_runs(axes, runs, metric)
-    return save_figure(figure, path)
+    return style.save_figure(figure, path)
 
 
 def _draw_runs(axes: Axes, runs: Mapping[str, Records], metric: str) -> None:
@@ -68,13 +58,13 @@ def _draw_runs(axes: Axes, runs: Mapping[str, Records], metric: str) -> None:
         seconds, values = _series(lines, metric)
         if seconds.size == 0:
             continue
-        color = SERIES[index % len(SERIES)]
+        color = style.SERIES[index % len(style.SERIES)]
         if metric == "loss":
             _draw_loss(axes, seconds, values, color, name)
         else:
             axes.plot(seconds, factor * values, "o-", color=color, ms=3.5, label=name)
     if not axes.lines:
-        place = {"transform": axes.transAxes, "ha": "center", "color": MUTED}
+        place = {"transform": axes.transAxes, "ha": "center", "color": style.MUTED}
         axes.text(0.5, 0.5, "not recorded", **place)
         axes.set(xticks=[], yticks=[])
         return
@@ -130,18 +120,20 @@ def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
             f"{int((~np.isfinite(errors)).sum())} of {errors.size} are not; take them "
             f"from the evaluation."
         )
-    figure = make_figure(7.5, 3.6)
+    figure = style.make_figure(7.5, 3.6)
     axes = figure.subplots()
     _, edges, _ = axes.hist(errors, bins=36, range=(0.0, 180.0), rwidth=0.9)
     limit = ACCURACY_THRESHOLD_DEG
     for left, bar in zip(edges[:-1], axes.patches, strict=True):
-        bar.set_color(BLUE if left < limit else MUTED)
+        bar.set_color(style.BLUE if left < limit else style.MUTED)
     share, median = 100 * np.mean(errors <= limit), np.median(errors)
     flips = 100 * np.mean(errors > FLIP_THRESHOLD_DEG)
-    axes.axvline(limit, color=INK, lw=1.2, label=f"30°: {share:.0f} % are within")
-    axes.axvline(median, color=RED, lw=1.6, ls="--", label=f"median: {median:.1f}°")
+    axes.axvline(limit, color=style.INK, lw=1.2, label=f"30°: {share:.0f} % are within")
+    axes.axvline(
+        median, color=style.RED, lw=1.6, ls="--", label=f"median: {median:.1f}°"
+    )
     axes.plot([], [], " ", label=f"beyond 150° (front as back): {flips:.0f} %")
-    style_axes(
+    style.label_axes(
         axes,
         title=f"Pose errors of {errors.size} test views",
         x_label="angle between predicted and true pose (degrees)",
@@ -150,7 +142,7 @@ def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
     axes.set(xlim=(0.0, 180.0), xticks=range(0, 181, 30))
     axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
     axes.legend(frameon=False, fontsize=9, loc="upper right")
-    return save_figure(figure, path)
+    return style.save_figure(figure, path)
 
 
 def draw_candidates(shares: ArrayLike, path: str | os.PathLike) -> Path:
@@ -161,17 +153,19 @@ def draw_candidates(shares: ArrayLike, path: str | os.PathLike) -> Path:
       path: of the PNG.
     """
     percent = 100.0 * np.asarray(shares, np.float64).ravel()
-    figure = make_figure(7.5, 3.2)
+    figure = style.make_figure(7.5, 3.2)
     axes = figure.subplots()
-    colors = [BLUE if value >= 1.0 else MUTED for value in percent]
+    colors = [style.BLUE if value >= 1.0 else style.MUTED for value in percent]
     bars = axes.bar(np.arange(percent.size), percent, color=colors, width=0.75)
     if percent.size <= 16:  # labels of more bars would run into each other
         labels = [f"{value:.{int(0.0 < value < 1.0)}f}" for value in percent]
-        axes.bar_label(bars, labels, fontsize=8, color=INK, padding=1)
+        axes.bar_label(bars, labels, fontsize=8, color=style.INK, padding=1)
     even = 100.0 / max(percent.size, 1)
-    axes.axhline(even, color=RED, lw=1.2, ls="--", label=f"even share: {even:.0f} %")
+    axes.axhline(
+        even, color=style.RED, lw=1.2, ls="--", label=f"even share: {even:.0f} %"
+    )
     alive = int(np.sum(percent >= 1.0))
-    style_axes(
+    style.label_axes(
         axes,
         title=f"Winning pose candidates: {alive} of {percent.size} win at least 1 %",
         x_label="candidate",
@@ -180,4 +174,4 @@ def draw_candidates(shares: ArrayLike, path: str | os.PathLike) -> Path:
     axes.xaxis.set_major_locator(MaxNLocator("auto", integer=True))
     axes.set_ylim(0.0, max(1.15 * percent.max(initial=0.0), 1.0))
     axes.legend(frameon=False, fontsize=9)
-    return save_figure(figure, path)
+    return style.save_figure(figure, path)

@@ -58,9 +58,7 @@ def _draw_row(row, example: Example) -> None:
     row[0].imshow(example.image)
     row[1].imshow(example.target, cmap="gray", vmin=0.0, vmax=1.0)
     row[2].imshow(example.predicted, cmap="gray", vmin=0.0, vmax=1.0)
-    difference = silhouette_difference(
-        np.asarray(example.predicted), np.asarray(example.target)
-    )
+    difference = silhouette_difference(example.predicted, example.target)
     row[3].imshow(difference, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
     _draw_cloud(row[4], example.points, example.colors, FRONT)
     _draw_cloud(row[5], example.points, example.colors, REAR)
@@ -78,8 +76,7 @@ def _draw_row(row, example: Example) -> None:
 
 def silhouette_difference(predicted: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Predicted minus target, the coarser one repeated onto the finer one's pixels."""
-    rows = max(predicted.shape[0], target.shape[0])
-    cols = max(predicted.shape[1], target.shape[1])
+    rows, cols = np.maximum(predicted.shape, target.shape)
     stretched = []
     for image in (predicted, target):
         r = np.arange(rows) * image.shape[0] // rows
@@ -95,13 +92,8 @@ def view_points(points: np.ndarray, view_deg: tuple[float, float]) -> np.ndarray
     the front (from +x), 90 at the left (from +y).
     """
     azimuth, elevation = np.radians(view_deg)
-    toward = np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
+    level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    toward = np.cos(elevation) * level + np.sin(elevation) * np.array([0.0, 0.0, 1.0])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     up = np.cross(toward, right)
     return np.asarray(points, np.float64) @ np.stack([right, up, toward], axis=1)

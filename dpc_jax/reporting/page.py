@@ -13,14 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dpc_jax.evaluation.metrics import (
-    HEADLINE_METRICS,
-    MISSING,
-    REQUIRED_METRICS,
-    format_metric,
-    get_metric,
-    order_metrics,
-)
+from dpc_jax.evaluation import metrics as registry
 from dpc_jax.files import write_text
 from dpc_jax.reporting import export, figures, gallery
 from dpc_jax.reporting.examples import Example
@@ -135,10 +128,11 @@ def write_report(
 
 def _plain_metrics(metrics: Mapping[str, Any]) -> dict[str, Any]:
     """The metrics as JSON holds them, after a check that none is missing."""
-    missing = [name for name in REQUIRED_METRICS if name not in metrics]
+    required = registry.REQUIRED_METRICS
+    missing = [name for name in required if name not in metrics]
     if missing:
         raise ValueError(
-            f"metrics must hold {', '.join(REQUIRED_METRICS)}, but there is none for "
+            f"metrics must hold {', '.join(required)}, but there is none for "
             f"{', '.join(missing)}; pass None for one that does not apply."
         )
     plain = {}
@@ -159,11 +153,11 @@ def _plain_metrics(metrics: Mapping[str, Any]) -> dict[str, Any]:
 def _assemble(title, values, warnings, sections) -> str:
     """The page: warnings, the headline metrics as tiles, then the sections."""
     notes = "".join(f'<p class="warning">{html.escape(note)}</p>' for note in warnings)
-    tiles = "".join(
-        f'<div class="tile"><b>{html.escape(format_metric(name, values[name]))}</b>'
-        f"<span>{html.escape(get_metric(name).heading)}</span></div>"
-        for name in HEADLINE_METRICS
-    )
+    tiles = ""
+    for name in registry.HEADLINE_METRICS:
+        value = html.escape(registry.format_metric(name, values[name]))
+        heading = html.escape(registry.get_metric(name).heading)
+        tiles += f'<div class="tile"><b>{value}</b><span>{heading}</span></div>'
     title = html.escape(title)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -190,19 +184,14 @@ def _embed_figure(name: str, path: Path) -> str:
 def _list_metrics(values: Mapping[str, Any]) -> str:
     """A table of all metrics."""
     rows = []
-    for name in order_metrics(values):
-        metric = get_metric(name)
-        hint = html.escape(metric.hint)
-        if metric.hint and metric.higher_is_better is not None:
-            better = "higher" if metric.higher_is_better else "lower"
-            hint += f"; {better} is better"
-        rows.append(
-            (
-                html.escape(metric.heading),
-                html.escape(format_metric(name, values[name])),
-                f'<span class="hint">{hint}</span>',
-            )
-        )
+    for name in registry.order_metrics(values):
+        metric = registry.get_metric(name)
+        hint = metric.hint
+        if hint and metric.higher_is_better is not None:
+            hint += f"; {'higher' if metric.higher_is_better else 'lower'} is better"
+        value = registry.format_metric(name, values[name])
+        heading, value, hint = map(html.escape, (metric.heading, value, hint))
+        rows.append((heading, value, f'<span class="hint">{hint}</span>'))
     return (
         "<h2>All metrics</h2><p>Of the test split; the same numbers, unrounded and "
         'with shares from 0 to 1, are in <a href="metrics.json">metrics.json</a>.</p>'
@@ -221,7 +210,7 @@ def _write_clouds(examples: Sequence[Example], folder: Path) -> str:
         rows.append(
             (
                 html.escape(example.name),
-                MISSING if error is None else f"{error:.1f}°",
+                registry.MISSING if error is None else f"{error:.1f}°",
                 f'<a href="points/{stem}.glb">GLB</a>',
                 f'<a href="points/{stem}.ply">PLY</a>',
             )

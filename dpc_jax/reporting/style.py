@@ -40,7 +40,7 @@ def make_panels(
     return list(grid.flat[:count])
 
 
-def style_axes(
+def label_axes(
     axes: Axes,
     *,
     title: str = "",

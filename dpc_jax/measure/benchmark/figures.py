@@ -9,16 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
 from dpc_jax.measure.benchmark.accuracy import SOON
-from dpc_jax.reporting.style import (
-    INK,
-    MUTED,
-    SERIES,
-    make_figure,
-    make_panels,
-    save_figure,
-    set_ticks,
-    style_axes,
-)
+from dpc_jax.reporting import style
 
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _FLOOR = 1e-8  # smaller errors are drawn here
@@ -36,13 +27,13 @@ def draw_errors(
       suffix: "" or "_same_grid".
     """
     colors = dict(
-        zip(dict.fromkeys(r["family"] for r in records), SERIES, strict=False)
+        zip(dict.fromkeys(r["family"] for r in records), style.SERIES, strict=False)
     )
     markers = dict(zip(sorted({r["sigma"] for r in records}), _MARKERS, strict=False))
     scenes = list(dict.fromkeys(r["scene"] for r in records))
-    figure = make_figure(11.0, 8.0)
+    figure = style.make_figure(11.0, 8.0)
     for axes, scene in zip(
-        make_panels(figure, len(scenes), share=True), scenes, strict=True
+        style.make_panels(figure, len(scenes), share=True), scenes, strict=True
     ):
         for family, color in colors.items():
             for sigma, marker in markers.items():
@@ -54,9 +45,9 @@ def draw_errors(
                     for r in records
                     if (r["scene"], r["family"], r["sigma"]) == (scene, family, sigma)
                 ]
-                style = {"color": color, "marker": marker, "lw": 0.6, "ms": 5}
+                look = {"color": color, "marker": marker, "lw": 0.6, "ms": 5}
                 # Settings that differ in one number, the cheapest first.
-                axes.plot(*zip(*sorted(chosen), strict=True), alpha=0.8, **style)
+                axes.plot(*zip(*sorted(chosen), strict=True), alpha=0.8, **look)
         _style_errors(axes, scene)
     passes = "forward" if kind == "image" else "forward and backward"
     truth = "exact, same grid" if suffix else "float64 on a finer grid"
@@ -64,21 +55,23 @@ def draw_errors(
     figure.supylabel(f"relative error of the {kind} ({truth})", fontsize=10)
     keys = [Line2D([], [], color=c, lw=2, label=family) for family, c in colors.items()]
     keys += [
-        Line2D([], [], color=MUTED, marker=m, ls="", label=f"σ = {sigma:g} voxels")
+        Line2D(
+            [], [], color=style.MUTED, marker=m, ls="", label=f"σ = {sigma:g} voxels"
+        )
         for sigma, m in markers.items()
     ]
-    keys.append(Line2D([], [], color=INK, ls="--", label=f"{SOON:.0%}"))
+    keys.append(Line2D([], [], color=style.INK, ls="--", label=f"{SOON:.0%}"))
     figure.legend(handles=keys, loc="outside right center", fontsize=8, frameon=False)
-    return save_figure(figure, path)
+    return style.save_figure(figure, path)
 
 
 def _style_errors(axes: Axes, scene: str) -> None:
     """Logarithmic scales, and a dashed line at the error that is asked for."""
-    axes.axhline(SOON, color=INK, linestyle="--", linewidth=0.8)
+    axes.axhline(SOON, color=style.INK, linestyle="--", linewidth=0.8)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.xaxis.set_minor_formatter(NullFormatter())  # they would overlap
-    style_axes(axes, title=scene, grid="both")
+    style.label_axes(axes, title=scene, grid="both")
 
 
 def draw_scaling(results: list[dict[str, Any]], path: Path) -> Path:
@@ -88,25 +81,27 @@ def draw_scaling(results: list[dict[str, Any]], path: Path) -> Path:
       results: of `scaling.measure_axis`.
       path: of the PNG.
     """
-    figure = make_figure(9.0, 6.5)
-    for axes, result in zip(make_panels(figure, len(results)), results, strict=True):
+    figure = style.make_figure(9.0, 6.5)
+    for axes, result in zip(
+        style.make_panels(figure, len(results)), results, strict=True
+    ):
         values = np.array(result["values"], float)
         times = 1e3 * np.array(result["median_seconds"])
         order, name = result["order"], result["axis"]
         power = name if order == 1 else f"{name}$^{order}$"
         expected = times[-1] * (values / values[-1]) ** order
-        axes.loglog(values, times, "o-", color=SERIES[0], label="measured")
+        axes.loglog(values, times, "o-", color=style.SERIES[0], label="measured")
         axes.loglog(
-            values, expected, "--", color=MUTED, label=f"proportional to {power}"
+            values, expected, "--", color=style.MUTED, label=f"proportional to {power}"
         )
-        style_axes(
+        style.label_axes(
             axes, x_label=f"{name}, {result['subject']}", y_label="ms", grid="both"
         )
-        set_ticks(axes, values)
+        style.set_ticks(axes, values)
         axes.legend(fontsize=8, frameon=False)
     figure.suptitle(
         "Run time of forward and backward; all other numbers as in "
         f"{results[0]['base']}",
         fontsize=10,
     )
-    return save_figure(figure, path)
+    return style.save_figure(figure, path)
