@@ -204,7 +204,7 @@ def test_the_time_axis_follows_the_seconds_not_the_order_of_lines(tmp_path):
 def test_a_histogram_of_no_or_broken_errors_is_refused(tmp_path):
     with pytest.raises(ValueError, match="0 of 0"):
         figures.draw_pose_errors([], tmp_path / "a.png")
-    with pytest.raises(ValueError, match="1 of 2 are not"):
+    with pytest.raises(ValueError, match="1 of 2 are outside"):
         figures.draw_pose_errors([1.0, np.nan], tmp_path / "a.png")
 
 

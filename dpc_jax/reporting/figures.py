@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation.metrics import get_metric
-from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG, FLIP_THRESHOLD_DEG
+from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG, pose_summary
 from dpc_jax.reporting import style
 
 # Metrics drawn over run time, with the text at their axis.
@@ -111,31 +111,23 @@ def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
       path: of the PNG.
 
     Raises:
-      ValueError: there are no errors, or one is not finite.
+      ValueError: there are no errors, or one is not within 0 to 180 degrees.
     """
-    errors = np.asarray(errors_deg, np.float64).ravel()
-    if errors.size == 0 or not np.isfinite(errors).all():
-        raise ValueError(
-            f"Expected at least one pose error in degrees, all finite, but "
-            f"{int((~np.isfinite(errors)).sum())} of {errors.size} are not; take them "
-            f"from the evaluation."
-        )
+    accuracy, median, flips, counts, edges = pose_summary(errors_deg)
     figure = style.make_figure(7.5, 3.6)
     axes = figure.subplots()
-    _, edges, _ = axes.hist(errors, bins=36, range=(0.0, 180.0), rwidth=0.9)
+    axes.hist(edges[:-1], edges.tolist(), weights=counts, rwidth=0.9)
     limit = ACCURACY_THRESHOLD_DEG
     for left, bar in zip(edges[:-1], axes.patches, strict=True):
         bar.set_color(style.BLUE if left < limit else style.MUTED)
-    share, median = 100 * np.mean(errors <= limit), np.median(errors)
-    flips = 100 * np.mean(errors > FLIP_THRESHOLD_DEG)
-    axes.axvline(limit, color=style.INK, lw=1.2, label=f"30°: {share:.0f} % are within")
-    axes.axvline(
-        median, color=style.RED, lw=1.6, ls="--", label=f"median: {median:.1f}°"
-    )
-    axes.plot([], [], " ", label=f"beyond 150° (front as back): {flips:.0f} %")
+    label = f"{limit:.0f}°: {100 * accuracy:.0f} % are within"
+    axes.axvline(limit, color=style.INK, lw=1.2, label=label)
+    label = f"median: {median:.1f}°"
+    axes.axvline(median, color=style.RED, lw=1.6, ls="--", label=label)
+    axes.plot([], [], " ", label=f"beyond 150° (front as back): {100 * flips:.0f} %")
     style.label_axes(
         axes,
-        title=f"Pose errors of {errors.size} test views",
+        title=f"Pose errors of {np.size(errors_deg)} test views",
         x_label="angle between predicted and true pose (degrees)",
         y_label="views",
     )

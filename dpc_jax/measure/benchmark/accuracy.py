@@ -82,11 +82,7 @@ class Outcome(NamedTuple):
 
 
 def measure_scene(
-    scene: Scene,
-    sigma: float,
-    *,
-    plan: Plan,
-    settings: list[Setting],
+    scene: Scene, sigma: float, *, plan: Plan, settings: list[Setting]
 ) -> list[dict[str, Any]]:
     """Errors and run times of all settings on one scene.
 
@@ -124,12 +120,10 @@ def measure_scene(
             "family": setting.family,
             "setting": setting.label,
         }
+        references = {"": exact[side, side, side], "_same_grid": exact[setting.shape]}
         for kind in ("image", "gradient"):
-            for suffix, shape in (
-                ("", (side, side, side)),
-                ("_same_grid", setting.shape),
-            ):
-                error = _measure_error(outcome, exact[shape], kind)
+            for suffix, reference in references.items():
+                error = _measure_error(outcome, reference, kind)
                 record[f"{kind}_error{suffix}"] = error
             seconds = times[kind][setting.label]
             record[f"{kind}_seconds"] = float(np.median(seconds))

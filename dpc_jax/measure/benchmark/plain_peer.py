@@ -17,22 +17,19 @@ from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
 _CORNERS = tuple(itertools.product((0, 1), repeat=3))
 
 
-def render_plain(
-    points: chex.Array,
-    rotation: chex.Array,
-    mass: chex.Array,
-    sigma: chex.Array,
-    *,
-    side: int,
-) -> chex.Array:
+Sample = tuple[chex.Array, chex.Array, chex.Array]
+"""Points [N, 3], rotation [4] and mass () in voxels of one cloud."""
+
+
+def render_plain(sample: Sample, sigma: chex.Array, *, side: int) -> chex.Array:
     """Silhouette [side, side] of one cloud.
 
     Args:
-      points: [N, 3].
-      rotation: [4].
-      mass, sigma: (), in voxels.
+      sample: the cloud.
+      sigma: (), in voxels.
       side: of the grid and the image.
     """
+    points, rotation, mass = sample
     camera = Camera()
     moved = to_camera_frame(points, rotation, translation=None, camera=camera)
     coordinates, is_inside = to_grid(moved, camera=camera, grid=VoxelGrid(side))

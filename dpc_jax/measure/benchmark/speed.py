@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from dpc_jax.learning.hindsight import choose_candidate
 from dpc_jax.learning.losses import reprojection_loss
-from dpc_jax.measure.benchmark.plain_peer import render_plain
+from dpc_jax.measure.benchmark.plain_peer import Sample, render_plain
 from dpc_jax.measure.benchmark.plan import Case
 from dpc_jax.measure.timing import take_medians, time_interleaved
 from dpc_jax.render import Camera, VoxelGrid, project
@@ -49,23 +49,17 @@ def draw_candidates(case: Case, num_candidates: int, *, seed: int) -> Work:
 
 
 def render_ours(
-    points: chex.Array,
-    rotation: chex.Array,
-    mass: chex.Array,
-    sigma: chex.Array,
-    *,
-    side: int,
-    method: str = "auto",
+    sample: Sample, sigma: chex.Array, *, side: int, method: str = "auto"
 ) -> chex.Array:
     """Silhouette [side, side] of one cloud by `project`.
 
     Args:
-      points: [N, 3].
-      rotation: [4].
-      mass, sigma: () or [N], in voxels.
+      sample: the cloud.
+      sigma: () or [N], in voxels.
       side: of the grid and the image.
       method: of `project`.
     """
+    points, rotation, mass = sample
     grid = VoxelGrid(side)
     image = project(points, rotation, sigma=sigma, scale=mass, grid=grid, method=method)
     assert image.silhouette is not None  # it is the default signal
@@ -78,8 +72,8 @@ def make_jax_call(
     """A call that gives the gradients of points, quaternions and masses.
 
     Args:
-      render: a module's function that makes the silhouette of one sample from its
-        arrays, sigma and `static`. Samples are rendered one after the other.
+      render: a module's function that makes the silhouette of one sample, given sigma
+        and `static`. Samples are rendered one after the other.
       work: the arrays.
       sigma: () or [N], voxels.
       **static: further arguments of `render`, known at compilation.
@@ -99,9 +93,7 @@ def prepare_render(case: Case, *, seed: int, method: str = "auto") -> Callable[[
 @functools.lru_cache
 def _compile_gradient(render, static):
     def compute_loss(inputs, targets, sigma):
-        images = jax.lax.map(
-            lambda sample: render(*sample, sigma, **dict(static)), inputs
-        )
+        images = jax.lax.map(lambda one: render(one, sigma, **dict(static)), inputs)
         return jnp.sum((images - targets) ** 2)
 
     return jax.jit(jax.grad(compute_loss))
@@ -176,11 +168,12 @@ def make_choice_call(how: str, work: Work, sigma: float) -> Callable[[], Any]:
 
 @functools.lru_cache
 def _compile_choice(how):
-    def compute_loss(sample, sigma):
-        points, candidates, mass, target = sample
+    def compute_loss(arrays, sigma):
+        points, candidates, mass, target = arrays
 
         def compute_one(candidate):
-            image = render_ours(points, candidate, mass, sigma, side=target.shape[0])
+            sample = points, candidate, mass
+            image = render_ours(sample, sigma, side=target.shape[0])
             return reprojection_loss(image, target)
 
         if how == "min, one by one":
@@ -193,7 +186,7 @@ def _compile_choice(how):
 
     def compute_all(moving, fixed, sigma):
         samples = (*moving, *fixed)
-        losses = jax.lax.map(lambda sample: compute_loss(sample, sigma), samples)
+        losses = jax.lax.map(lambda one: compute_loss(one, sigma), samples)
         return jnp.sum(losses)
 
     return jax.jit(jax.grad(compute_all))
