@@ -1,7 +1,7 @@
 """Error against run time: python -m dpc_jax.benchmark [--quick] [--out=DIR]
 
 Measures speed beside peers, the error of every setting, growth and memory, and writes
-benchmark.md, benchmark.json and figures into DIR. A report, never a test.
+benchmark.md, benchmark.json and figures into DIR. It reports and judges nothing.
 """
 
 import argparse
@@ -15,14 +15,14 @@ from dpc_jax.run.process import keep_freed_memory
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Parse the command line, measure, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Parse the command line, measure, write the report; returns the exit status."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument(
-        "--quick", action="store_true", help="tiny sizes: a check that all works"
+        "--quick", action="store_true", help="tiny sizes, to check that all works"
     )
     parser.add_argument("--out", type=Path, default=Path("runs/benchmark"))
     parser.add_argument(
-        "--parts", default=",".join(PARTS), help="comma between; default: all of them"
+        "--parts", default=",".join(PARTS), help="separated by commas; default: all"
     )
     options = parser.parse_args(arguments)
     keep_freed_memory()
@@ -39,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"Error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print(f"Interrupted; whole parts are in {options.out}.", file=sys.stderr)
+        print(f"Interrupted; finished parts are in {options.out}.", file=sys.stderr)
         return 130
     print(f"Report: {path}")
     return 0

@@ -1,7 +1,7 @@
 """Runs side by side: python -m dpc_jax.compare runs/car-seed0 runs/car-naive-seed0
 
-Prints a Markdown table of their test metrics, with the mean of runs that differ in the
-seed alone, and draws their error against run time into --out.
+Prints a Markdown table of their test metrics, with the mean of runs that differ only in
+the seed, and draws their error against run time into --out.
 """
 
 import argparse
@@ -12,27 +12,20 @@ from pathlib import Path
 
 import numpy as np
 
+from dpc_jax.evaluation.metrics import COMPARED_METRICS
 from dpc_jax.learning.log import MetricLog
 from dpc_jax.reporting.figures import draw_curves
-from dpc_jax.reporting.tables import markdown_table
-
-COLUMNS = (
-    "pose_accuracy",
-    "pose_median_error_deg",
-    "chamfer",
-    "precision",
-    "coverage",
-    "best_candidate_pose_accuracy",
-    "train_seconds",
-    "peak_memory_gb",
-)
+from dpc_jax.reporting.tables import tabulate_runs
 
 
 def read_metrics(workdir: Path) -> dict[str, float]:
     """Test metrics of a finished run.
 
+    Args:
+      workdir: of the run.
+
     Raises:
-      ValueError: if there is no report in the folder.
+      ValueError: there is no report in the folder.
     """
     path = workdir / "report" / "metrics.json"
     if not path.is_file():
@@ -44,7 +37,7 @@ def read_metrics(workdir: Path) -> dict[str, float]:
 
 
 def add_means(runs: dict[str, dict]) -> dict[str, dict]:
-    """The runs, and after those that differ in the seed alone their mean."""
+    """The runs; those that differ only in the seed are followed by their mean."""
     groups: dict[str, list[str]] = {}
     for name in runs:
         groups.setdefault(re.sub(r"-seed\d+$", "", name), []).append(name)
@@ -54,15 +47,15 @@ def add_means(runs: dict[str, dict]) -> dict[str, dict]:
         if len(names) > 1:
             rows[f"{group}, mean of {len(names)}"] = {
                 c: float(np.mean([runs[n][c] for n in names]))
-                for c in COLUMNS
+                for c in COMPARED_METRICS
                 if all(runs[n].get(c) is not None for n in names)
             }
     return rows
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Parse the command line, print the table, draw the curves."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Parse the command line, print the table, draw the curves; returns the status."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument(
         "workdirs", nargs="+", type=Path, help="folders of finished runs"
     )
@@ -73,7 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
     except ValueError as error:
         print(f"Error: {error}", file=sys.stderr)
         return 1
-    print(markdown_table(add_means(runs), columns=COLUMNS))
+    print(tabulate_runs(add_means(runs), columns=COMPARED_METRICS))
     records = {
         folder.name: MetricLog(folder / "metrics.jsonl").read()
         for folder in options.workdirs

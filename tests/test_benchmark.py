@@ -90,7 +90,8 @@ def make_tiny_plan():
 
 def test_errors_of_an_exact_setting_vanish_and_of_a_rough_one_do_not():
     tiny = make_tiny_plan()
-    scene = scenes.make_scenes(num_points=30, num_sparse=30, seed=0)[0]
+    # As many points as in the next test, which then shares the programs.
+    scene = scenes.make_scenes(num_points=60, num_sparse=30, seed=0)[0]
     settings = [
         accuracy.Setting("f", "exact", "gaussian", (8,) * 3, dtype="float64"),
         accuracy.Setting("f", "rough", "trilinear", (8,) * 3),
@@ -205,14 +206,19 @@ def make_results():
     }
 
 
-def test_the_report_names_every_figure_it_shows_and_leaves_no_other_file(tmp_path):
-    path = report.write_report(tmp_path, make_results())
-    text = path.read_text(encoding="utf-8")
-    figures = {p.name for p in tmp_path.glob("*.png")}
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """The folder of a report."""
+    return report.write_report(tmp_path_factory.mktemp("out"), make_results()).parent
+
+
+def test_the_report_names_every_figure_it_shows_and_leaves_no_other_file(written):
+    text = (written / "benchmark.md").read_text(encoding="utf-8")
+    figures = {p.name for p in written.glob("*.png")}
     assert len(figures) == 5
     for name in figures:
         assert f"({name})" in text
-    assert {p.name for p in tmp_path.iterdir()} == figures | {
+    assert {p.name for p in written.iterdir()} == figures | {
         "benchmark.md",
         "benchmark.json",
     }
@@ -222,13 +228,11 @@ def test_the_report_names_every_figure_it_shows_and_leaves_no_other_file(tmp_pat
     assert "| 1.10 | 1.5 |" in text
 
 
-def test_the_json_is_strict_where_an_error_is_infinite(tmp_path):
-    report.write_report(tmp_path, make_results())
-
+def test_the_json_is_strict_where_an_error_is_infinite(written):
     def refuse(name):
         raise AssertionError(name)
 
-    text = (tmp_path / "benchmark.json").read_text(encoding="utf-8")
+    text = (written / "benchmark.json").read_text(encoding="utf-8")
     data = json.loads(text, parse_constant=refuse)
     assert data["error"][1]["image_error"] is None
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from dpc_jax.evaluation import chamfer_distance
 
@@ -57,7 +57,7 @@ def test_single_precision_far_from_the_origin_keeps_double_precision_distances()
 
 def test_a_tree_given_along_changes_nothing():
     predicted, truth = clouds()
-    with_tree = chamfer_distance(predicted, truth, tree=cKDTree(truth), workers=-1)
+    with_tree = chamfer_distance(predicted, truth, tree=KDTree(truth), workers=-1)
     assert with_tree == chamfer_distance(predicted, truth)
 
 
@@ -66,9 +66,9 @@ def test_a_tree_given_along_changes_nothing():
     [
         (np.zeros((0, 3)), np.zeros((1, 3)), "at least one point"),
         (np.zeros((1, 3)), np.zeros((0, 3)), "ground_truth"),
-        (np.zeros((4, 2)), np.zeros((1, 3)), r"got shape \(4, 2\)"),
+        (np.zeros((4, 2)), np.zeros((1, 3)), r"shape is \(4, 2\)"),
         (np.zeros((2, 4, 3)), np.zeros((1, 3)), "one cloud per call"),
-        (np.array([[0, 0, np.nan]]), np.zeros((1, 3)), "1 of 1 points with NaN"),
+        (np.array([[0, 0, np.nan]]), np.zeros((1, 3)), "1 of 1 points have NaN"),
         (np.zeros((1, 3)), np.array([[0, np.inf, 0]]), "NaN or infinity"),
     ],
 )
@@ -80,4 +80,4 @@ def test_clouds_unfit_for_a_distance_are_refused_in_a_sentence(predicted, truth,
 def test_the_tree_of_another_cloud_is_refused():
     predicted, truth = clouds()
     with pytest.raises(ValueError, match="tree of 60"):
-        chamfer_distance(predicted, truth, tree=cKDTree(predicted))
+        chamfer_distance(predicted, truth, tree=KDTree(predicted))

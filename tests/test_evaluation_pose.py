@@ -73,22 +73,27 @@ def test_a_matrix_is_not_taken_for_quaternions():
         rotation_angle_deg(np.eye(3), np.eye(3))
 
 
-def test_products_matrices_and_turned_points_equal_scipys():
-    a, b = random_pair()
-    product = rotations.multiply(wxyz(a), wxyz(b))
-    np.testing.assert_allclose(  # float64, a handful of operations
-        rotations.rotation_matrix(product), (a * b).as_matrix(), atol=1e-14
-    )
-    points = np.random.default_rng(0).normal(size=(5, 3))
+def test_quaternions_of_any_length_are_scipys_rotations_and_back():
+    a, _ = random_pair()
+    for scale in (-1.0, 7e180, 3e-200):
+        back = rotations.to_rotation(scale * wxyz(a))
+        # Scaling rounds each component once.
+        np.testing.assert_allclose(back.as_matrix(), a.as_matrix(), atol=1e-14)
+    canonical = rotations.to_quaternion(a)
+    assert np.all(canonical[:, 0] >= 0.0)
     np.testing.assert_allclose(
-        rotations.rotate(wxyz(a)[0], points), a[0].apply(points), atol=1e-14
+        rotations.canonical_sign(-canonical), canonical, atol=1e-15
+    )
+    np.testing.assert_array_equal(
+        rotations.canonical_sign([0.0, 0.0, -1.0, 0.0]), [0.0, 0.0, 1.0, 0.0]
     )
 
 
 @pytest.mark.parametrize("axis", np.eye(3).tolist() + [[1, 1, 0], [1, -2, 3]])
 def test_a_half_turn_survives_the_way_through_its_matrix(axis):
     q = np.concatenate([[0.0], np.array(axis) / np.linalg.norm(axis)])
-    back = rotations.from_matrix(rotations.rotation_matrix(q))
+    matrix = rotations.to_rotation(q).as_matrix()
+    back = rotations.to_quaternion(Rotation.from_matrix(matrix))
     assert rotation_angle_deg(back, q) < 1e-6  # a square root of 1e-16 at worst
 
 

@@ -102,9 +102,9 @@ def test_arguments_that_do_not_fit_together_are_refused_in_a_sentence():
     predicted, truth, points, surfaces, _ = scene()
     with pytest.raises(ValueError, match="2 surfaces"):
         score(predicted, truth, points, surfaces[:2], alignment=ALIGNMENT)
-    with pytest.raises(ValueError, match="chamfer_views between 1 and 4"):
+    with pytest.raises(ValueError, match="chamfer_views must be between 1 and 4"):
         score(predicted, truth, points, surfaces, alignment=ALIGNMENT, chamfer_views=5)
-    with pytest.raises(ValueError, match="best_candidate_poses of shape"):
+    with pytest.raises(ValueError, match="best_candidate_poses must have the shape"):
         score(
             predicted,
             truth,

@@ -117,7 +117,7 @@ def test_clouds_unfit_for_a_file_are_refused_and_leave_none(tmp_path, write):
     path = tmp_path / "a"
     with pytest.raises(ValueError, match="finite points"):
         write(path, [[0.0, np.nan, 0.0]])
-    with pytest.raises(ValueError, match=r"got shape \(3,\)"):
+    with pytest.raises(ValueError, match=r"the shape is \(3,\)"):
         write(path, np.zeros(3))
     with pytest.raises(ValueError, match="one RGB colour for each point"):
         write(path, np.zeros((2, 3)), np.zeros((1, 3)))

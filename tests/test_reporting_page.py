@@ -13,9 +13,10 @@ import pytest
 import trimesh
 from PIL import Image
 
+from dpc_jax.evaluation.metrics import REQUIRED_METRICS
 from dpc_jax.reporting import figures, gallery, tables
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.page import REQUIRED_METRICS, write_report
+from dpc_jax.reporting.page import write_report
 
 METRICS = {
     "pose_accuracy": np.float64(0.875),
@@ -142,7 +143,14 @@ def test_examples_of_one_name_keep_their_files_apart(folder):
 
 def test_a_name_of_an_example_cannot_leave_the_folder(tmp_path):
     names = ["../../evil", "a/b c", "é", "..", "a_b", "A_B"]
-    report(tmp_path / "report", examples=[example(name) for name in names])
+    examples = [example(name) for name in names]
+    report(
+        tmp_path / "report",
+        examples=examples,
+        records=(),
+        pose_errors=None,
+        shares=None,
+    )
     written = {path.stem for path in (tmp_path / "report" / "points").glob("*.ply")}
     # Names that differ by case alone would be one file on some systems.
     assert written == {"evil", "a_b_c", "example", "example_2", "a_b", "A_B_2"}
@@ -165,10 +173,10 @@ def test_the_same_run_gives_the_same_bytes(tmp_path, folder):
 
 def test_a_missing_metric_is_named_before_anything_is_written(tmp_path):
     few = {name: 1.0 for name in REQUIRED_METRICS if name != "chamfer"}
-    with pytest.raises(ValueError, match="got none for chamfer"):
+    with pytest.raises(ValueError, match="there is none for chamfer"):
         report(tmp_path / "report", metrics=few)
     with pytest.raises(
-        ValueError, match=r"'extra' to be a single value, got shape \(2,\)"
+        ValueError, match=r"'extra' must be a single value, but has shape \(2,\)"
     ):
         report(tmp_path / "report", metrics=METRICS | {"extra": [1.0, 2.0]})
     assert not (tmp_path / "report").exists()
@@ -194,9 +202,9 @@ def test_the_time_axis_follows_the_seconds_not_the_order_of_lines(tmp_path):
 
 
 def test_a_histogram_of_no_or_broken_errors_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="got 0 with"):
+    with pytest.raises(ValueError, match="0 of 0"):
         figures.draw_pose_errors([], tmp_path / "a.png")
-    with pytest.raises(ValueError, match="1 not finite"):
+    with pytest.raises(ValueError, match="1 of 2 are outside"):
         figures.draw_pose_errors([1.0, np.nan], tmp_path / "a.png")
 
 
@@ -219,7 +227,7 @@ def test_writing_points_does_not_load_matplotlib_or_trimesh():
 
 
 def test_predictions_without_examples_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="at least one example"):
+    with pytest.raises(ValueError, match="examples must be at least one"):
         gallery.draw_predictions([], tmp_path / "a.png")
 
 
@@ -250,12 +258,21 @@ def test_the_difference_is_positive_where_the_prediction_is_too_large():
 def test_a_markdown_table_has_a_line_per_run_and_units_in_its_head():
     runs = {"K=8": {"chamfer": 3.456, "pose_accuracy": 0.9, "zeta": 12345.678}}
     runs["a|b"] = {"pose_accuracy": None, "chamfer": float("nan")}
-    assert tables.markdown_table(runs).splitlines() == [
+    assert tables.tabulate_runs(runs).splitlines() == [
         "| Run | Pose accuracy (%) | Chamfer distance (×100) | zeta |",
         "| --- | ---: | ---: | ---: |",
         "| K=8 | 90.0 | 3.46 | 1.235e+04 |",
         "| a\\|b | – | – | – |",
     ]
-    assert "Chamfer" not in tables.markdown_table(runs, columns=["zeta"])
-    with pytest.raises(ValueError, match="at least one run"):
-        tables.markdown_table({})
+    assert "Chamfer" not in tables.tabulate_runs(runs, columns=["zeta"])
+    with pytest.raises(ValueError, match="runs must be at least one"):
+        tables.tabulate_runs({})
+
+
+def test_a_table_escapes_its_cells_and_refuses_a_row_of_another_length():
+    assert tables.format_table(["a", "b", "c"], [["x|y", 1, "two\nlines"]]) == (
+        "| a | b | c |\n| --- | ---: | ---: |\n| x\\|y | 1 | two lines |\n"
+    )
+    assert "| ---: | --- |" in tables.format_table(["a", "b"], [], align="rl")
+    with pytest.raises(TypeError, match="2 columns"):
+        tables.format_table(["a", "b"], [[1]])

@@ -14,12 +14,14 @@ view without correspondences best:
      and turns by no more than 30 degrees, the limit at which views count as agreeing.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation import icp, modes, rotations
+from dpc_jax.evaluation.chamfer import check_points
 
 ALIGNMENT_MODELS = 20  # paper: the first 20 validation models
 RIVAL_SHARE = 0.5  # modes with half of the best mode's votes are rivals (heuristic)
@@ -32,12 +34,12 @@ class Alignment(NamedTuple):
     Attributes:
       rotation: [4] unit quaternion wxyz, w >= 0.
       inlier_share: share of the validation views within 30 degrees of it, 0 to 1.
-      spread_deg: root mean square angle of those views about it, degrees; NaN never,
-        infinite where there are none.
+      spread_deg: root mean square angle of those views about it, degrees; infinite if
+        there are none.
       rms: root mean square distance of matched points under it, object units; infinite
-        where no point is within reach of another.
-      chamfer: Chamfer distance of the validation shapes under it, on subsampled points
-        and therefore above the true one; object units, not times 100.
+        if no point is within reach of another.
+      chamfer: Chamfer distance of the validation shapes under it, object units, not
+        times 100; on subsampled points, and therefore too large.
       icp_turn_deg: how far ICP turned the vote's rotation; 0 where it was not taken.
     """
 
@@ -53,7 +55,7 @@ def align(
     predicted_poses: ArrayLike,
     true_poses: ArrayLike,
     points: ArrayLike,
-    surfaces: ArrayLike,
+    surfaces: Sequence[ArrayLike] | np.ndarray,
     *,
     max_models: int = ALIGNMENT_MODELS,
     subsample: int = 400,
@@ -81,7 +83,7 @@ def align(
     poses, truth, clouds, surfaces = _check(
         predicted_poses, true_poses, points, surfaces, max_models
     )
-    votes = rotations.multiply(rotations.conjugate(truth), poses)  # [n, V, 4]
+    votes = _vote(poses, truth)  # [n, V, 4]
     rng = np.random.default_rng(seed)
     pairs = [
         [icp.pair_clouds(_draw(cloud, subsample, rng), surface) for cloud in views]
@@ -123,18 +125,16 @@ def align_by_poses(
 ) -> Alignment:
     """Canonical alignment where there are poses but no shapes: the mode of the votes.
 
-    ``rms`` and ``chamfer`` are NaN.
+    `rms` and `chamfer` are NaN.
 
     Args:
-      predicted_poses, true_poses: [n, V, 4] quaternions, as for ``align``.
+      predicted_poses, true_poses: [n, V, 4] quaternions, as for `align`.
       max_votes: only the first this many views vote.
 
     Raises:
       ValueError: no view, or quaternions that are zero or not finite.
     """
-    poses = rotations.normalize(predicted_poses).reshape(-1, 4)[:max_votes]
-    truth = rotations.normalize(true_poses).reshape(-1, 4)[:max_votes]
-    votes = rotations.multiply(rotations.conjugate(truth), poses)
+    votes = _vote(predicted_poses, true_poses).reshape(-1, 4)[:max_votes]
     rotation = modes.find_modes(votes)[0].rotation
     return Alignment(
         rotation=rotations.canonical_sign(rotation),
@@ -143,6 +143,12 @@ def align_by_poses(
         chamfer=np.nan,
         icp_turn_deg=0.0,
     )
+
+
+def _vote(predicted_poses: ArrayLike, true_poses: ArrayLike) -> np.ndarray:
+    """The alignment [..., 4] that would make each predicted pose right."""
+    truth = rotations.to_rotation(true_poses)
+    return rotations.to_quaternion(truth.inv() * rotations.to_rotation(predicted_poses))
 
 
 def _measure_agreement(votes, rotation) -> dict[str, float]:
@@ -156,20 +162,19 @@ def _measure_agreement(votes, rotation) -> dict[str, float]:
 
 def align_points(alignment: Alignment, points: ArrayLike) -> np.ndarray:
     """Points [..., 3] of the network's frame, in the object frame: A p."""
-    return rotations.rotate(alignment.rotation, points)
+    return rotations.to_rotation(alignment.rotation).apply(points)
 
 
 def align_poses(alignment: Alignment, predicted_poses: ArrayLike) -> np.ndarray:
     """Poses [..., 4] from the network's frame, as object to camera: q_pred A^-1."""
-    return rotations.multiply(
-        rotations.normalize(predicted_poses), rotations.conjugate(alignment.rotation)
-    )
+    back = rotations.to_rotation(alignment.rotation).inv()
+    return rotations.to_quaternion(rotations.to_rotation(predicted_poses) * back)
 
 
 def identity_alignment() -> Alignment:
     """No turn at all: for a network trained with known poses, in the object frame.
 
-    Nothing was measured, so ``rms`` and ``chamfer`` are NaN.
+    Nothing was measured, so `rms` and `chamfer` are NaN.
     """
     return Alignment(np.array([1.0, 0.0, 0.0, 0.0]), 1.0, 0.0, np.nan, np.nan, 0.0)
 
@@ -221,24 +226,12 @@ def _check(predicted_poses, true_poses, points, surfaces, max_models):
     if not fits:
         raise ValueError(
             f"Expected poses [n, V, 4] twice, points [n, V, N, 3] or [n, N, 3] and "
-            f"surfaces [n, P, 3] of at least one model, got {poses.shape}, "
-            f"{truth.shape}, {np.shape(points)}, {[s.shape for s in surfaces[:3]]} and "
-            f"max_models={max_models}; pass validation models, all with the same "
-            f"number of views."
+            f"surfaces [n, P, 3] of at least one model, but the shapes are "
+            f"{poses.shape}, {truth.shape}, {np.shape(points)}, "
+            f"{[s.shape for s in surfaces[:3]]} with max_models={max_models}; pass "
+            f"validation models, all with the same number of views."
         )
     clouds = clouds[:max_models].astype(np.float64)
-    surfaces = [surface.astype(np.float64) for surface in surfaces[:max_models]]
-    named = [("points", clouds), *(("surfaces", surface) for surface in surfaces)]
-    for name, array in named:
-        if not np.isfinite(array).all():
-            raise ValueError(
-                f"Expected finite coordinates in {name}, got NaN or infinity in "
-                f"{int((~np.isfinite(array)).sum())} of {array.size}; the network has "
-                f"probably diverged."
-            )
-    return (
-        rotations.normalize(poses[:max_models]),
-        rotations.normalize(truth[:max_models]),
-        clouds,
-        surfaces,
-    )
+    check_points(clouds.reshape(-1, 3), name="points")
+    surfaces = [check_points(s, name="surfaces") for s in surfaces[:max_models]]
+    return poses[:max_models], truth[:max_models], clouds, surfaces

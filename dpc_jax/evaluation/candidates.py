@@ -1,4 +1,4 @@
-"""Which members of the pose ensemble win, as a warning of its collapse."""
+"""Which members of the pose ensemble win, and whether it has collapsed."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,30 +18,30 @@ def winner_share(winners: ArrayLike, *, num_candidates: int) -> np.ndarray:
       [K] shares that sum to 1.
 
     Raises:
-      ValueError: there is no winner, they are not integers, or one is outside 0..K-1.
+      ValueError: there are no winners, they are not integers, or one is outside 0..K-1.
     """
     indices = np.asarray(winners).ravel()
     if indices.size == 0 or not np.issubdtype(indices.dtype, np.integer):
         raise ValueError(
-            f"Expected at least one integer index of a winning candidate, got "
-            f"{indices.size} of type {indices.dtype}; pass the argmin of the losses."
+            f"winners must be at least one integer index, but are {indices.size} of "
+            f"type {indices.dtype}; pass the argmin of the losses."
         )
     if indices.min() < 0 or indices.max() >= num_candidates:
         raise ValueError(
-            f"Expected winners between 0 and {num_candidates - 1}, got "
+            f"winners must be between 0 and {num_candidates - 1}, but are "
             f"{indices.min()} to {indices.max()}; pass num_candidates as large as the "
-            f"ensemble, turned copies included."
+            f"ensemble, including turned copies."
         )
     return np.bincount(indices, minlength=num_candidates) / indices.size
 
 
 def count_alive(shares: ArrayLike, *, threshold: float = ALIVE_THRESHOLD) -> int:
-    """How many candidates win at least a share of ``threshold`` of the views."""
+    """How many candidates win at least a share of `threshold` of the views."""
     return int(np.sum(np.asarray(shares, np.float64) >= threshold))
 
 
 def winner_entropy(shares: ArrayLike) -> float:
-    """Entropy of the shares in bits: 0 when one always wins, log2 K when all equally.
+    """Entropy of the shares in bits: 0 if one always wins, log2 K if all win equally.
 
     Two to this power is the effective number of candidates.
     """
@@ -53,7 +53,7 @@ def winner_entropy(shares: ArrayLike) -> float:
 def collapse_warning(
     shares: ArrayLike, *, threshold: float = ALIVE_THRESHOLD
 ) -> str | None:
-    """A sentence when the ensemble has collapsed onto one candidate, else None.
+    """A sentence if the ensemble has collapsed onto one candidate, else None.
 
     An ensemble of one (K = 1) has nothing to collapse.
     """
@@ -66,6 +66,7 @@ def collapse_warning(
     return (
         f"The pose ensemble has collapsed: candidate {leader} wins "
         f"{100 * p[leader]:.1f} % of the views and {alive} of {p.size} win at least "
-        f"{100 * threshold:g} %; poses are then learned as by a single regressor. More "
-        f"heads, initial quaternions spread further, or another seed usually help."
+        f"{100 * threshold:g} %; it learns poses no better than a single regressor. "
+        f"More heads, initial quaternions that are farther apart, or another seed "
+        f"usually help."
     )

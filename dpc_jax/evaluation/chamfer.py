@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 PAPER_UNITS = 100.0
 """The paper's tables list distances times this, for shapes of box diagonal 1."""
@@ -27,11 +27,10 @@ class Chamfer(NamedTuple):
         return self.precision + self.coverage
 
     def in_paper_units(self) -> dict[str, float]:
-        """``chamfer``, ``precision`` and ``coverage`` times 100, as in the tables."""
+        """`chamfer`, `precision` and `coverage` times 100, as in the tables."""
         return {
-            "chamfer": PAPER_UNITS * self.chamfer,
-            "precision": PAPER_UNITS * self.precision,
-            "coverage": PAPER_UNITS * self.coverage,
+            name: PAPER_UNITS * getattr(self, name)
+            for name in ("chamfer", "precision", "coverage")
         }
 
 
@@ -39,10 +38,10 @@ def chamfer_distance(
     predicted: ArrayLike,
     ground_truth: ArrayLike,
     *,
-    tree: cKDTree | None = None,
+    tree: KDTree | None = None,
     workers: int = 1,
 ) -> Chamfer:
-    """Chamfer distance with Euclidean (not squared) means; paper eq. d_Chamf.
+    """Chamfer distance d_Chamf with Euclidean (not squared) means (Eq. 6).
 
     Args:
       predicted: [N, 3] predicted points.
@@ -53,35 +52,43 @@ def chamfer_distance(
 
     Raises:
       ValueError: a cloud is empty, is not [., 3] or holds a non-finite coordinate, or
-        the tree holds another number of points than ``ground_truth``.
+        the tree holds another number of points than `ground_truth`.
     """
     predicted = check_points(predicted, name="predicted")
     ground_truth = check_points(ground_truth, name="ground_truth")
     if tree is None:
-        tree = cKDTree(ground_truth)
+        tree = KDTree(ground_truth)
     elif tree.n != len(ground_truth):
         raise ValueError(
-            f"Expected the tree of the {len(ground_truth)} ground truth points, got a "
+            f"tree must hold the {len(ground_truth)} ground truth points, but is a "
             f"tree of {tree.n}; build it from the same array."
         )
     to_truth, _ = tree.query(predicted, workers=workers)
-    to_prediction, _ = cKDTree(predicted).query(ground_truth, workers=workers)
+    to_prediction, _ = KDTree(predicted).query(ground_truth, workers=workers)
     return Chamfer(float(np.mean(to_truth)), float(np.mean(to_prediction)))
 
 
 def check_points(points: ArrayLike, *, name: str) -> np.ndarray:
-    """The points in float64, once they are known to be a finite cloud [N, 3], N > 0."""
+    """The points [N, 3] in float64, checked to be finite and at least one.
+
+    Args:
+      points: [N, 3].
+      name: of the points in the message.
+
+    Raises:
+      ValueError: they are not.
+    """
     array = np.asarray(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3 or len(array) == 0:
         raise ValueError(
-            f"Expected {name} to be a point cloud [N, 3] with at least one point, got "
-            f"shape {array.shape}; pass one cloud per call."
+            f"Expected {name} to be a point cloud [N, 3] with at least one point, but "
+            f"its shape is {array.shape}; pass one cloud per call."
         )
     finite = np.isfinite(array).all(axis=1)
     if not finite.all():
         raise ValueError(
-            f"Expected finite coordinates in {name}, got {int((~finite).sum())} of "
-            f"{len(array)} points with NaN or infinity; find where they arise before "
-            f"scoring."
+            f"Expected finite coordinates in {name}, but {int((~finite).sum())} of "
+            f"{len(array)} points have NaN or infinity; find where they arise: the "
+            f"network may have diverged."
         )
     return array

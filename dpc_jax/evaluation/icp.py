@@ -1,10 +1,12 @@
 """Point-to-point ICP for one rotation shared by many pairs of point clouds."""
 
+import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from dpc_jax.evaluation import rotations
 
@@ -16,8 +18,8 @@ class CloudPair(NamedTuple):
 
     predicted: np.ndarray  # [N, 3] network's frame
     surface: np.ndarray  # [P, 3] object frame
-    predicted_tree: cKDTree
-    surface_tree: cKDTree
+    predicted_tree: KDTree
+    surface_tree: KDTree
 
 
 class Matches(NamedTuple):
@@ -33,26 +35,27 @@ def pair_clouds(predicted: np.ndarray, surface: np.ndarray) -> CloudPair:
 
     Only the query points are turned during the search, so each tree is built once.
     """
-    return CloudPair(predicted, surface, cKDTree(predicted), cKDTree(surface))
+    return CloudPair(predicted, surface, KDTree(predicted), KDTree(surface))
 
 
 def best_rotation(
     source: np.ndarray, target: np.ndarray, *, weight: np.ndarray | None = None
-) -> np.ndarray:
-    """Rotation matrix [3, 3] that brings source [n, 3] nearest to target [n, 3].
+) -> Rotation:
+    """Rotation that brings source [n, 3] nearest to target [n, 3], n > 1.
 
     Weighted least squares without translation (Kabsch): both frames share their origin,
-    the centre of the box. A reflection is never returned.
+    the centre of the box. A reflection is never returned. Where the points lie on one
+    line any turn about it is as good, and one of them comes.
     """
-    weighted = source if weight is None else source * weight[:, None]
-    u, _, vt = np.linalg.svd(target.T @ weighted)
-    handedness = 1.0 if np.linalg.det(u @ vt) > 0.0 else -1.0
-    return u @ np.diag([1.0, 1.0, handedness]) @ vt
+    with warnings.catch_warnings():
+        # scipy warns of points on a line, as a collapsed network predicts them.
+        warnings.filterwarnings("ignore", "Optimal rotation is not uniquely")
+        return Rotation.align_vectors(target, source, weights=weight)[0]
 
 
 def shared_chamfer(pairs: Sequence[CloudPair], rotation: np.ndarray) -> float:
     """Mean Chamfer distance of the pairs once the predictions are turned."""
-    matrix = rotations.rotation_matrix(rotation)
+    matrix = rotations.to_rotation(rotation).as_matrix()
     total = 0.0
     for pair in pairs:
         precision, _ = pair.surface_tree.query(pair.predicted @ matrix.T)
@@ -69,22 +72,25 @@ def match(
     Both ways, as in the Chamfer distance: with the predictions alone as queries a cloud
     that covers only a part of the surface could slide along it.
     """
-    matrix = rotations.rotation_matrix(rotation)
+    matrix = rotations.to_rotation(rotation).as_matrix()
     found = []
     for pair in pairs:
-        gap, index = pair.surface_tree.query(
-            pair.predicted @ matrix.T, distance_upper_bound=reach
+        near, index, weight = _find_partners(
+            pair.surface_tree, pair.predicted @ matrix.T, reach
         )
-        near = np.isfinite(gap)
-        weight = np.full(near.sum(), 1.0 / near.size)
-        found.append((pair.predicted[near], pair.surface[index[near]], weight))
-        gap, index = pair.predicted_tree.query(
-            pair.surface @ matrix, distance_upper_bound=reach
+        found.append((pair.predicted[near], pair.surface[index], weight))
+        near, index, weight = _find_partners(
+            pair.predicted_tree, pair.surface @ matrix, reach
         )
-        near = np.isfinite(gap)
-        weight = np.full(near.sum(), 1.0 / near.size)
-        found.append((pair.predicted[index[near]], pair.surface[near], weight))
+        found.append((pair.predicted[index], pair.surface[near], weight))
     return Matches(*(np.concatenate(part) for part in zip(*found, strict=True)))
+
+
+def _find_partners(tree, points, reach) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which points have a partner in the tree, its index, and the weight of each."""
+    gap, index = tree.query(points, distance_upper_bound=reach)
+    near = np.isfinite(gap)
+    return near, index[near], np.full(near.sum(), 1.0 / near.size)
 
 
 def match_rms(matches: Matches, rotation: np.ndarray) -> float:
@@ -94,7 +100,7 @@ def match_rms(matches: Matches, rotation: np.ndarray) -> float:
     """
     if len(matches.weight) == 0:
         return float("inf")
-    gaps = matches.source @ rotations.rotation_matrix(rotation).T - matches.target
+    gaps = rotations.to_rotation(rotation).apply(matches.source) - matches.target
     return float(np.sqrt(np.average(np.sum(gaps**2, axis=1), weights=matches.weight)))
 
 
@@ -116,15 +122,16 @@ def fit_rotation(
       tolerance_deg: a turn smaller than this ends the search.
 
     Returns:
-      The rotation; the start itself where no point is within reach of another.
+      The rotation; the start itself where fewer than two points have a partner within
+      reach, which determines no rotation.
     """
     rotation = rotations.normalize(start)
     for _ in range(max_iterations):
         matches = match(pairs, rotation, reach=reach)
-        if len(matches.weight) == 0:
+        if len(matches.weight) < 2:
             break
-        matrix = best_rotation(matches.source, matches.target, weight=matches.weight)
-        refined = rotations.from_matrix(matrix)
+        best = best_rotation(matches.source, matches.target, weight=matches.weight)
+        refined = rotations.to_quaternion(best)
         turn = rotations.angle_deg(refined, rotation)
         rotation = refined
         if turn < tolerance_deg:

@@ -33,7 +33,7 @@ def robust_mean(
     be one of the votes or near some, as a median would be.
     """
     q = rotations.normalize(votes).reshape(-1, 4)
-    mean = rotations.canonical_sign(rotations.normalize(start))
+    mean = rotations.canonical_sign(start)
     for _ in range(max_iterations):
         ratio = rotations.angle_deg(q, mean) / kernel_deg
         refined = rotations.mean_rotation(q, weights=(1.0 + ratio**2) ** -2)
@@ -59,8 +59,8 @@ def find_modes(
     q = rotations.normalize(votes).reshape(-1, 4)
     if len(q) == 0:
         raise ValueError(
-            "Expected at least one rotation to average, got none; pass the validation "
-            "views."
+            "votes must be at least one, but there are none; pass the poses of the "
+            "validation views."
         )
     near = rotations.angle_deg(q[:, None], q[None]) <= inlier_deg
     left = np.ones(len(q), dtype=bool)

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 from dpc_jax.evaluation import rotations
 
 ACCURACY_THRESHOLD_DEG = 30.0  # paper, section Evaluation metrics
-FLIP_THRESHOLD_DEG = 150.0  # beyond it a view counts as turned round (front as back)
+FLIP_THRESHOLD_DEG = 150.0  # beyond it front and back count as exchanged
 
 
 class PoseSummary(NamedTuple):
-    """What the pose errors of a test set say.
+    """A summary of the pose errors of a test set.
 
     Attributes:
       accuracy: share of views within the threshold, 0 to 1.
@@ -47,8 +47,8 @@ def rotation_angle_deg(first: ArrayLike, second: ArrayLike) -> np.ndarray:
         np.broadcast_shapes(np.shape(first), np.shape(second))
     except ValueError as error:
         raise ValueError(
-            "Expected two arrays of quaternions that broadcast, got shapes "
-            f"{np.shape(first)} and {np.shape(second)}; give as many of each."
+            "Expected two arrays of quaternions that broadcast, but their shapes are "
+            f"{np.shape(first)} and {np.shape(second)}; pass as many of each."
         ) from error
     return rotations.angle_deg(first, second)
 
@@ -75,13 +75,13 @@ def pose_summary(
 
     Raises:
       ValueError: there is no error, or one is not within 0 to 180 degrees, or there
-        are no bins, or the threshold is no number.
+        are no bins, or the threshold is not a number.
     """
     errors = _check_errors(errors_deg)
     if not (isinstance(bins, numbers.Integral) and bins > 0 and threshold_deg >= 0):
         raise ValueError(
-            "Expected bins, a positive integer, and a threshold of at least 0 degrees, "
-            f"got {bins!r} and {threshold_deg!r}; leave them out for 36 and 30."
+            "bins must be a positive integer, and a threshold at least 0 degrees, but "
+            f"they are {bins!r} and {threshold_deg!r}; leave them out for 36 and 30."
         )
     counts, edges = np.histogram(errors, bins=bins, range=(0.0, 180.0))
     return PoseSummary(
@@ -99,8 +99,8 @@ def _check_errors(errors_deg: ArrayLike) -> np.ndarray:
     inside = (errors >= 0.0) & (errors <= 180.0 + 1e-9)
     if errors.size == 0 or not inside.all():
         raise ValueError(
-            f"Expected at least one pose error, each between 0 and 180 degrees, got "
-            f"{errors.size} of which {int((~inside).sum())} are outside; take them "
-            f"from rotation_angle_deg."
+            f"Pose errors must be at least one, each between 0 and 180 degrees, but "
+            f"{int((~inside).sum())} of {errors.size} are outside; take them from "
+            f"rotation_angle_deg."
         )
     return np.minimum(errors, 180.0)

@@ -1,13 +1,14 @@
 """All metrics of a test set at once: poses, and shapes in the paper's units."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
-from dpc_jax.evaluation.chamfer import PAPER_UNITS, chamfer_distance, check_points
+from dpc_jax.evaluation.chamfer import Chamfer, chamfer_distance, check_points
 from dpc_jax.evaluation.pose import (
     ACCURACY_THRESHOLD_DEG,
     pose_summary,
@@ -16,13 +17,13 @@ from dpc_jax.evaluation.pose import (
 
 
 class Scores(NamedTuple):
-    """What a test set says about a network.
+    """The scores of a network on a test set.
 
     Attributes:
-      metrics: plain floats by name: ``pose_accuracy`` (0 to 1),
-        ``pose_median_error_deg``, ``flip_share`` (0 to 1), ``chamfer``, ``precision``
-        and ``coverage`` (times 100), and with candidates
-        ``best_candidate_pose_accuracy`` and ``best_candidate_pose_median_error_deg``.
+      metrics: plain floats by name: `pose_accuracy` (0 to 1),
+        `pose_median_error_deg`, `flip_share` (0 to 1), `chamfer`, `precision`
+        and `coverage` (times 100), and with candidates
+        `best_candidate_pose_accuracy` and `best_candidate_pose_median_error_deg`.
       pose_errors_deg: [n, V] error of each view's predicted pose, or None without true
         poses.
       best_candidate_errors_deg: [n, V], or None without candidates or true poses.
@@ -40,7 +41,7 @@ def score(
     predicted_poses: ArrayLike,
     true_poses: ArrayLike | None,
     points: ArrayLike,
-    surfaces: ArrayLike | None,
+    surfaces: Sequence[ArrayLike] | np.ndarray | None,
     *,
     alignment: Alignment,
     best_candidate_poses: ArrayLike | None = None,
@@ -53,13 +54,13 @@ def score(
     Args:
       predicted_poses: [n, V, 4] the student's (or the only) pose of each view,
         network's frame to camera.
-      true_poses: [n, V, 4] object frame to camera. None where they are not known:
+      true_poses: [n, V, 4] object frame to camera. None where they are unknown:
         nothing can be scored then, because the alignment needs them.
       points: [n, V, N, 3] shape predicted from each view, in the network's frame.
-      surfaces: [n, P, 3] points of the true surfaces, object frame; too few
-        would raise precision by their own spacing. A list of [P_i, 3] will do. None
-        without ground truth: only poses are scored.
-      alignment: from ``align`` on validation models.
+      surfaces: [n, P, 3] points of the true surfaces, object frame, or a list of
+        [P_i, 3]. Few points far apart would raise precision. None without ground truth:
+        only poses are scored.
+      alignment: from `align` on validation models.
       best_candidate_poses: [n, V, 4] the ensemble's winner for each view, or None where
         there is no ensemble.
       threshold_deg: a pose error up to it counts as right.
@@ -70,7 +71,8 @@ def score(
       Scores. Distances are means over models and views.
 
     Raises:
-      ValueError: shapes that do not fit together; quaternions or points unfit for use.
+      ValueError: shapes that do not fit together; quaternions that are zero or not
+        finite; points that are not finite.
     """
     if true_poses is None:
         return Scores({}, None, None, None)
@@ -82,36 +84,34 @@ def score(
         "pose_median_error_deg": summary.median_error_deg,
         "flip_share": summary.flip_share,
     }
-    candidate_errors = None
+    best_errors = None
     if best_candidate_poses is not None:
         if np.shape(best_candidate_poses) != np.shape(true_poses):
             raise ValueError(
-                f"Expected best_candidate_poses of shape {np.shape(true_poses)}, got "
-                f"{np.shape(best_candidate_poses)}; pass one winner for each view."
+                f"best_candidate_poses must have the shape {np.shape(true_poses)} of "
+                f"true_poses, but has {np.shape(best_candidate_poses)}; pass one "
+                f"winner for each view."
             )
-        candidate_errors = rotation_angle_deg(
-            align_poses(alignment, best_candidate_poses), true_poses
-        )
-        best = pose_summary(candidate_errors, threshold_deg=threshold_deg)
+        best_poses = align_poses(alignment, best_candidate_poses)
+        best_errors = rotation_angle_deg(best_poses, true_poses)
+        best = pose_summary(best_errors, threshold_deg=threshold_deg)
         metrics["best_candidate_pose_accuracy"] = best.accuracy
         metrics["best_candidate_pose_median_error_deg"] = best.median_error_deg
 
     if surfaces is None:
-        return Scores(metrics, errors, candidate_errors, None)
+        return Scores(metrics, errors, best_errors, None)
+    clouds = np.asarray(points)
     chamfers = np.empty((len(surfaces), count, 2))
     for model, surface in enumerate(surfaces):
         surface = check_points(surface, name=f"surface of model {model}")
-        tree = cKDTree(surface)
+        tree = KDTree(surface)
         for view in range(count):
-            cloud = align_points(alignment, points[model][view])
+            cloud = align_points(alignment, clouds[model, view])
             chamfers[model, view] = chamfer_distance(
                 cloud, surface, tree=tree, workers=workers
             )
-    precision, coverage = PAPER_UNITS * chamfers.mean(axis=(0, 1))
-    metrics["chamfer"] = float(precision + coverage)
-    metrics["precision"] = float(precision)
-    metrics["coverage"] = float(coverage)
-    return Scores(metrics, errors, candidate_errors, chamfers)
+    mean = Chamfer(*chamfers.mean(axis=(0, 1)).tolist())
+    return Scores(metrics | mean.in_paper_units(), errors, best_errors, chamfers)
 
 
 def _check(predicted_poses, true_poses, points, surfaces, chamfer_views) -> int:
@@ -129,14 +129,15 @@ def _check(predicted_poses, true_poses, points, surfaces, chamfer_views) -> int:
     if not fits:
         raise ValueError(
             f"Expected poses [n, V, 4] twice, points [n, V, N, 3] and surfaces of n "
-            f"models, got {np.shape(predicted_poses)}, {pose_shape}, {cloud_shape} and "
-            f"{shapes} surfaces; pass test models with at least one view each."
+            f"models, but the shapes are {np.shape(predicted_poses)}, {pose_shape} and "
+            f"{cloud_shape} with {shapes} surfaces; pass test models with at least one "
+            f"view each."
         )
     if chamfer_views is None:
         return cloud_shape[1]
     if not 1 <= chamfer_views <= cloud_shape[1]:
         raise ValueError(
-            f"Expected chamfer_views between 1 and {cloud_shape[1]}, got "
-            f"{chamfer_views}; the points hold that many views."
+            f"chamfer_views must be between 1 and {cloud_shape[1]}, the number of "
+            f"views in points, but is {chamfer_views}; leave it out for all."
         )
     return chamfer_views

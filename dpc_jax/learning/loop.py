@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet, choose_batch, read_batch
+from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.learning import schedules
 from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.log import MetricLog
@@ -87,7 +88,8 @@ def train(
                 with watch.paused():
                     scores = evaluate(state)
                 log.write({"step": done, "seconds": elapsed, **scores})
-                progress.tell(_describe(done, scores))
+                found = describe_metrics(scores, share_digits=2)
+                progress.tell(f"Validation at step {done}: {found}")
             if _is_due(done, due.checkpoint) or is_last:
                 window.check()
                 checkpoints.save(state, seconds=watch.seconds)
@@ -127,15 +129,3 @@ def _make_batch(dataset, step, config):
 
 def _is_due(step: int, interval: int) -> bool:
     return interval > 0 and step % interval == 0
-
-
-def _describe(step: int, scores: dict[str, float]) -> str:
-    """One line of validation metrics, of those that could be measured."""
-    shown = (
-        ("pose_accuracy", "pose accuracy {:.2f}"),
-        ("pose_median_error_deg", "median error {:.1f}°"),
-        ("chamfer", "Chamfer {:.2f}"),
-        ("silhouette_iou", "silhouette overlap {:.2f}"),
-    )
-    parts = [text.format(scores[name]) for name, text in shown if name in scores]
-    return f"Validation at step {step}: {', '.join(parts)}"

@@ -1,5 +1,6 @@
-"""The fixed scenes: clouds that are easy and hard for a volume, made in code."""
+"""Fixed scenes, made in code: clouds that are easy and hard for a volume."""
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -34,8 +35,11 @@ def make_scenes(*, num_points: int, num_sparse: int, seed: int) -> list[Scene]:
     4 on 64² pixels) and a lone point of the last clearly visible.
 
     Args:
-      num_points: of each of the first three. num_sparse: of the last. seed: of all.
+      num_points: of each of the first three.
+      num_sparse: of the last.
+      seed: of all.
     """
+    sample = functools.partial(views.sample_surface, count=num_points, seed=seed)
     rng = np.random.default_rng(seed)
     car = procedural.make_shape("car", seed)
     block = rng.uniform(-0.5, 0.5, (num_points, 3)) * (0.6, 0.4, 0.3)
@@ -43,8 +47,8 @@ def make_scenes(*, num_points: int, num_sparse: int, seed: int) -> list[Scene]:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     cloud = 0.45 * directions * rng.uniform(0, 1, (num_sparse, 1)) ** (1 / 3)
     clouds = (
-        ("car", _sample(car, num_points, seed), 4000 / num_points),
-        ("chair", _sample(_make_chair(), num_points, seed), 3000 / num_points),
+        ("car", sample(car), 4000 / num_points),
+        ("chair", sample(_make_chair()), 3000 / num_points),
         ("block", block, 5000 / num_points),
         ("sparse", cloud, 3.0),
     )
@@ -63,21 +67,19 @@ def make_scenes(*, num_points: int, num_sparse: int, seed: int) -> list[Scene]:
     ]
 
 
-def _sample(mesh, count, seed):
-    return views.sample_surface(mesh, count=count, seed=seed)
-
-
-def _make_chair():
-    """Seat and back as thin plates; legs a fiftieth of the chair's size."""
-
-    def box(size, middle):
-        return trimesh.creation.box(
-            size, trimesh.transformations.translation_matrix(middle)
-        )
-
-    legs = [
-        box((0.02, 0.02, 0.45), (x, y, 0.225)) for x in (-0.2, 0.2) for y in (-0.2, 0.2)
+def _make_chair() -> trimesh.Trimesh:
+    """Seat and back as thin plates; legs as thin as a fiftieth of the chair."""
+    boxes = [
+        ((0.02, 0.02, 0.45), (x, y, 0.225)) for x in (-0.2, 0.2) for y in (-0.2, 0.2)
     ]
-    seat = box((0.44, 0.44, 0.03), (0, 0, 0.465))
-    back = box((0.02, 0.44, 0.45), (-0.21, 0, 0.70))
-    return normalize(trimesh.util.concatenate([*legs, seat, back]))
+    boxes += [
+        ((0.44, 0.44, 0.03), (0, 0, 0.465)),
+        ((0.02, 0.44, 0.45), (-0.21, 0, 0.7)),
+    ]
+    meshes = [
+        trimesh.creation.box(size, trimesh.transformations.translation_matrix(middle))
+        for size, middle in boxes
+    ]
+    chair = trimesh.util.concatenate(meshes)
+    assert isinstance(chair, trimesh.Trimesh)  # other geometry gives other classes
+    return normalize(chair)

@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-# Of the many flags of a processor, those that decide the speed of a matrix product.
+# Those flags of a processor that decide the speed of a matrix product.
 _FLAGS = ("avx2", "fma", "avx512f", "avx512_bf16", "amx_bf16", "asimd", "sve")
 
 
@@ -22,14 +22,14 @@ def time_interleaved(
 ) -> dict[str, list[float]]:
     """Seconds of each call, round by round, all calls in each round.
 
-    So a machine that is slow for a while is slow for all of them. One round more comes
-    first, which compiles and is not counted.
+    So a machine that is slow for a while is slow for all of them. An additional first
+    round, which compiles, is not counted.
 
     Args:
-      calls: by name; what they return is waited for.
+      calls: by name; each must return the arrays that it computes.
       rounds: of each call.
       budget_seconds: a call that took so long in all gets no further round; each gets
-        one.
+        at least one.
     """
     for call in calls.values():
         jax.block_until_ready(call())
@@ -50,7 +50,7 @@ def take_medians(seconds: Mapping[str, list[float]]) -> dict[str, float]:
 
 
 def describe_machine() -> dict[str, Any]:
-    """What a reader needs to know to compare times with those of another machine."""
+    """What a reader must know to compare times with those of another machine."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.is_file() else []
     fields = {}
@@ -72,3 +72,17 @@ def describe_machine() -> dict[str, Any]:
         "device": jax.devices()[0].device_kind,
         "load_at_start": load,
     }
+
+
+def phrase_machine(machine: Mapping[str, Any]) -> str:
+    """A line of text about the machine.
+
+    Args:
+      machine: of `describe_machine`.
+    """
+    flags = ", ".join(machine["flags"]) or "no flags of note"
+    return (
+        f"{machine['processor']} ({flags}), {machine['cores']} of its cores, "
+        f"{machine['system']}; JAX {machine['jax']} on {machine['backend']}, Python "
+        f"{machine['python']}"
+    )

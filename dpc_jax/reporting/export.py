@@ -1,4 +1,4 @@
-"""Point clouds as files that viewers open: PLY for tools, GLB for eyes."""
+"""Point clouds as files: PLY for point cloud tools, GLB for 3D viewers."""
 
 import json
 import os
@@ -37,19 +37,17 @@ def write_ply(
       ValueError: points or colours that are not finite or not [N, 3].
     """
     points, colors = _check_cloud(points, colors)
-    fields = [(axis, "<f4") for axis in "xyz"]
-    header = [f"property float {axis}" for axis in "xyz"]
+    columns = [(name, "float", "<f4") for name in "xyz"]
+    values = [*points.T]
     if colors is not None:
-        fields += [(channel, "u1") for channel in ("red", "green", "blue")]
-        header += [f"property uchar {channel}" for channel in ("red", "green", "blue")]
-    table = np.empty(len(points), dtype=fields)
-    for axis, values in zip("xyz", points.T, strict=True):
-        table[axis] = values
-    if colors is not None:
-        for channel, values in zip(("red", "green", "blue"), colors.T, strict=True):
-            table[channel] = _bytes(values)
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
-    text = "\n".join([*lines, *header, "end_header"]) + "\n"
+        columns += [(name, "uchar", "u1") for name in ("red", "green", "blue")]
+        values += [*_bytes(colors).T]
+    table = np.empty(len(points), dtype=[(name, code) for name, _, code in columns])
+    for (name, *_), column in zip(columns, values, strict=True):
+        table[name] = column
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+    header += [f"property {kind} {name}" for name, kind, _ in columns]
+    text = "\n".join([*header, "end_header"]) + "\n"
     return write_bytes(path, text.encode("ascii") + table.tobytes())
 
 
@@ -62,8 +60,8 @@ def write_glb(
 ) -> Path:
     """Write points [N, 3] as binary glTF, each a small octahedron shaded as a ball.
 
-    Viewers draw glTF's own points one pixel wide, which nobody sees. The vertices stay
-    in the object frame; the node's rotation stands the object upright.
+    Viewers draw glTF's own points one pixel wide, which is hard to see. The vertices
+    stay in the object frame; the node's rotation stands the object upright.
 
     Args:
       path: where to; replaced only once the new file is whole.
@@ -78,8 +76,9 @@ def write_glb(
     points, colors = _check_cloud(points, colors)
     if len(points) == 0 or not (np.isfinite(radius) and radius > 0.0):
         raise ValueError(
-            f"Expected at least one point and a positive radius, got {len(points)} "
-            f"points and radius {radius}; a GLB file cannot hold an empty mesh."
+            f"Expected at least one point and a positive radius, but there are "
+            f"{len(points)} points and the radius is {radius}; a GLB file cannot hold "
+            f"an empty mesh."
         )
     if colors is None:
         colors = np.broadcast_to(PLAIN_COLOR, points.shape)
@@ -104,40 +103,27 @@ def write_glb(
 def _assemble_glb(parts) -> bytes:
     """One mesh from its position, normal, colour and index arrays, in this order."""
     views, accessors, offset = [], [], 0
-    for array, component, kind, target in parts:
-        views.append(
-            {
-                "buffer": 0,
-                "byteOffset": offset,
-                "byteLength": array.nbytes,
-                "target": target,
-            }
-        )
-        accessors.append(
-            {
-                "bufferView": len(accessors),
-                "componentType": component,
-                "count": len(array),
-                "type": kind,
-            }
-        )
-        offset += array.nbytes
+    for index, (array, component, kind, target) in enumerate(parts):
+        size, count = array.nbytes, len(array)
+        place = {"buffer": 0, "byteOffset": offset, "byteLength": size}
+        views.append(place | {"target": target})
+        content = {"componentType": component, "count": count, "type": kind}
+        accessors.append({"bufferView": index} | content)
+        offset += size
     accessors[0]["min"] = parts[0][0].min(axis=0).tolist()
     accessors[0]["max"] = parts[0][0].max(axis=0).tolist()
     accessors[2]["normalized"] = True
     attributes = {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}
+    primitive = {"attributes": attributes, "indices": 3, "material": 0}
+    # The default material is metal, which is black where nothing is reflected.
+    surface = {"metallicFactor": 0.0, "roughnessFactor": 0.8}
     scene = {
         "asset": {"version": "2.0", "generator": "dpc_jax"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": "points", "rotation": _UPRIGHT}],
-        "meshes": [
-            {"primitives": [{"attributes": attributes, "indices": 3, "material": 0}]}
-        ],
-        # The default material is metal, which is black where nothing is reflected.
-        "materials": [
-            {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8}}
-        ],
+        "meshes": [{"primitives": [primitive]}],
+        "materials": [{"pbrMetallicRoughness": surface}],
         "accessors": accessors,
         "bufferViews": views,
         "buffers": [{"byteLength": offset}],
@@ -155,13 +141,13 @@ def _bytes(values: np.ndarray) -> np.ndarray:
 
 
 def _check_cloud(points, colors) -> tuple[np.ndarray, np.ndarray | None]:
-    """Points in float64 and colours as floats 0-1, once both are fit to be written."""
+    """Points in float64 and colours as floats 0-1, both checked."""
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise ValueError(
-            f"Expected finite points [N, 3], got shape {points.shape} with "
-            f"{int((~np.isfinite(points)).sum())} coordinates that are not finite; a "
-            f"file with them would not open."
+            f"Expected finite points [N, 3], but the shape is {points.shape} and "
+            f"{int((~np.isfinite(points)).sum())} coordinates are not finite; viewers "
+            f"could not open such a file."
         )
     if colors is None:
         return points, None
@@ -170,8 +156,8 @@ def _check_cloud(points, colors) -> tuple[np.ndarray, np.ndarray | None]:
     colors = colors.astype(np.float64) / scale
     if colors.shape != points.shape or not np.isfinite(colors).all():
         raise ValueError(
-            f"Expected finite colours of the points' shape {points.shape}, got "
-            f"{colors.shape}; pass one RGB colour for each point, bytes 0-255 or "
-            f"floats 0-1."
+            f"colors must be finite and of the points' shape {points.shape}, but they "
+            f"are not finite or of shape {colors.shape}; pass one RGB colour for each "
+            f"point, bytes 0-255 or floats 0-1."
         )
     return points, np.clip(colors, 0.0, 1.0)

@@ -1,18 +1,18 @@
-"""Pictures of predictions: input, silhouettes, and the cloud from two other views."""
+"""Pictures of predictions: input, silhouettes, and the cloud from two directions."""
 
 import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.figures import INK, save_figure
+from dpc_jax.reporting.style import INK, make_figure, save_figure
 
 FRONT = (35.0, 25.0)  # azimuth, elevation in degrees: front and left, from above
 REAR = (-130.0, 20.0)  # back and right side
-SHOWN_SURFACE_POINTS = 2000  # about as many as are predicted, for a fair look
+SHOWN_SURFACE_POINTS = 2000  # about as many as are predicted, to compare fairly
 
 
 def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Path:
@@ -32,17 +32,17 @@ def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Pa
       ValueError: there are no examples.
     """
     if not examples:
-        raise ValueError("Expected at least one example to draw, got none; pass some.")
+        raise ValueError(
+            "examples must be at least one, but there are none; pass predictions."
+        )
     titles = ["input", "target", "predicted", "difference"]
     titles += ["shape, front", "shape, rear"]
     if any(example.surface is not None for example in examples):
         titles.append("true shape")
     size = 1.45
-    figure = Figure(
-        figsize=(size * len(titles) + 0.2, size * len(examples) * 1.12 + 0.35),
-        layout="constrained",
-    )
-    figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
+    figure = make_figure(size * len(titles) + 0.2, size * len(examples) * 1.12 + 0.35)
+    gaps = dict.fromkeys(("w_pad", "h_pad", "wspace", "hspace"), 0.02)
+    figure.set_layout_engine(ConstrainedLayoutEngine(**gaps))
     grid = figure.subplots(len(examples), len(titles), squeeze=False)
     for row, example in zip(grid, examples, strict=True):
         _draw_row(row, example)
@@ -58,9 +58,7 @@ def _draw_row(row, example: Example) -> None:
     row[0].imshow(example.image)
     row[1].imshow(example.target, cmap="gray", vmin=0.0, vmax=1.0)
     row[2].imshow(example.predicted, cmap="gray", vmin=0.0, vmax=1.0)
-    difference = silhouette_difference(
-        np.asarray(example.predicted), np.asarray(example.target)
-    )
+    difference = silhouette_difference(example.predicted, example.target)
     row[3].imshow(difference, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
     _draw_cloud(row[4], example.points, example.colors, FRONT)
     _draw_cloud(row[5], example.points, example.colors, REAR)
@@ -78,8 +76,7 @@ def _draw_row(row, example: Example) -> None:
 
 def silhouette_difference(predicted: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Predicted minus target, the coarser one repeated onto the finer one's pixels."""
-    rows = max(predicted.shape[0], target.shape[0])
-    cols = max(predicted.shape[1], target.shape[1])
+    rows, cols = np.maximum(predicted.shape, target.shape)
     stretched = []
     for image in (predicted, target):
         r = np.arange(rows) * image.shape[0] // rows
@@ -95,13 +92,8 @@ def view_points(points: np.ndarray, view_deg: tuple[float, float]) -> np.ndarray
     the front (from +x), 90 at the left (from +y).
     """
     azimuth, elevation = np.radians(view_deg)
-    toward = np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
+    level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    toward = np.cos(elevation) * level + np.sin(elevation) * np.array([0.0, 0.0, 1.0])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     up = np.cross(toward, right)
     return np.asarray(points, np.float64) @ np.stack([right, up, toward], axis=1)

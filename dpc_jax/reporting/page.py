@@ -6,26 +6,18 @@ import json
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dpc_jax.evaluation import metrics as registry
 from dpc_jax.files import write_text
-from dpc_jax.reporting import export, figures, gallery, tables
+from dpc_jax.reporting import export, figures, gallery
 from dpc_jax.reporting.examples import Example
 
-REQUIRED_METRICS = (
-    "chamfer",
-    "coverage",
-    "pose_accuracy",
-    "pose_median_error_deg",
-    "precision",
-    "train_seconds",
-)
-HEADLINES = ("pose_accuracy", "pose_median_error_deg", "chamfer", "train_seconds")
 CAPTIONS = {
     "curves": (
         "Error against run time",
@@ -65,7 +57,7 @@ p{margin:.3rem 0 .8rem;max-width:46rem}.hint{color:#5f6c77;font-size:.9rem}
 .wide{overflow-x:auto}img{max-width:100%;height:auto}.large img{min-width:34rem}
 table{border-collapse:collapse;font-size:.92rem}
 td,th{padding:.25rem .8rem .25rem 0;text-align:left;border-bottom:1px solid #e6eaee}
-td.number{text-align:right;font-variant-numeric:tabular-nums}
+td:nth-child(2){text-align:right;font-variant-numeric:tabular-nums}
 pre{background:#f3f6f9;padding:.8rem;overflow-x:auto;font-size:.8rem}
 """
 
@@ -82,18 +74,18 @@ def write_report(
     warnings: Sequence[str] = (),
     config_text: str = "",
 ) -> Path:
-    """Write ``metrics.json``, figures, point clouds and ``index.html`` into a folder.
+    """Write `metrics.json`, figures, point clouds and `index.html` into a folder.
 
     The page holds its figures inside and needs no network; the point clouds lie in
-    ``points/`` and are linked. A section whose data are missing is left out. Files are
+    `points/` and are linked. A section whose data are missing is left out. Files are
     replaced one by one, each whole; files of other names are left alone.
 
     Args:
       folder: made where it does not exist.
       title: of the page.
-      metrics: numbers, words or None by name, at least those of ``REQUIRED_METRICS``
+      metrics: numbers, words or None by name, at least those of `REQUIRED_METRICS`
         (None where one does not apply). Distances times 100. NaN becomes null.
-      records: lines of ``metrics.jsonl``, or such lists by run name.
+      records: lines of `metrics.jsonl`, or such lists by run name.
       examples: predictions to show.
       pose_errors: errors of the test views in degrees, any shape.
       shares: [K] share of views that each candidate wins.
@@ -101,7 +93,7 @@ def write_report(
       config_text: the configuration, shown as it is.
 
     Returns:
-      The path of ``index.html``.
+      The path of `index.html`.
 
     Raises:
       ValueError: a required metric is missing, or a metric is not a single value.
@@ -111,39 +103,43 @@ def write_report(
     text = json.dumps(values, indent=2, sort_keys=True, allow_nan=False) + "\n"
     write_text(folder / "metrics.json", text)
 
+    drawings: list[tuple[str, Callable[..., Path], Any]] = [
+        ("curves", figures.draw_curves, records or None),
+        ("predictions", gallery.draw_predictions, examples or None),
+        ("pose_errors", figures.draw_pose_errors, pose_errors),
+        ("candidates", figures.draw_candidates, shares),
+    ]
     sections = []
-    if records:
-        path = figures.draw_curves(records, folder / "curves.png")
-        sections.append(_figure("curves", path))
-    if examples:
-        path = gallery.draw_predictions(examples, folder / "predictions.png")
-        sections.append(_figure("predictions", path))
-        sections.append(_clouds(examples, folder / "points"))
-    if pose_errors is not None:
-        path = figures.draw_pose_errors(pose_errors, folder / "pose_errors.png")
-        sections.append(_figure("pose_errors", path))
-    if shares is not None:
-        path = figures.draw_candidates(shares, folder / "candidates.png")
-        sections.append(_figure("candidates", path))
+    for name, draw, data in drawings:
+        if data is not None:
+            sections.append(_embed_figure(name, draw(data, folder / f"{name}.png")))
+            if name == "predictions":
+                sections.append(_write_clouds(examples, folder / "points"))
+    sections.append(_list_metrics(values))
+    if config_text:
+        sections.append(
+            "<h2>Configuration</h2><details><summary>Show the settings of this run"
+            f"</summary><pre>{html.escape(config_text)}</pre></details>"
+        )
     return write_text(
-        folder / "index.html",
-        _assemble(title, values, warnings, sections, config_text),
+        folder / "index.html", _assemble(title, values, warnings, sections)
     )
 
 
 def _plain_metrics(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """The metrics as JSON holds them, once the required ones are known to be there."""
-    missing = [name for name in REQUIRED_METRICS if name not in metrics]
+    """The metrics as JSON holds them, after a check that none is missing."""
+    required = registry.REQUIRED_METRICS
+    missing = [name for name in required if name not in metrics]
     if missing:
         raise ValueError(
-            f"Expected at least the metrics {', '.join(REQUIRED_METRICS)}, got none "
-            f"for {', '.join(missing)}; pass None for one that does not apply."
+            f"metrics must hold {', '.join(required)}, but there is none for "
+            f"{', '.join(missing)}; pass None for one that does not apply."
         )
     plain = {}
     for name, value in metrics.items():
         if np.ndim(value) != 0:
             raise ValueError(
-                f"Expected metric {name!r} to be a single value, got shape "
+                f"Metric {name!r} must be a single value, but has shape "
                 f"{np.shape(value)}; pass its mean, and arrays by their own arguments."
             )
         if hasattr(value, "item"):  # numpy and jax scalars
@@ -154,42 +150,25 @@ def _plain_metrics(metrics: Mapping[str, Any]) -> dict[str, Any]:
     return plain
 
 
-def _assemble(title, values, warnings, sections, config_text) -> str:
-    names = tables.order_metrics(list(values))
-    shown = {name: tables.format_metric(name, values[name]) for name in names}
-    tiles = "".join(
-        f'<div class="tile"><b>{html.escape(shown[name])}</b>'
-        f"<span>{html.escape(tables.describe(name).label)}</span></div>"
-        for name in HEADLINES
-    )
-    rows = "".join(
-        f"<tr><td>{html.escape(tables.describe(name).label)}</td>"
-        f'<td class="number">{html.escape(shown[name])}</td>'
-        f'<td class="hint">{html.escape(tables.describe(name).hint)}</td></tr>'
-        for name in names
-    )
+def _assemble(title, values, warnings, sections) -> str:
+    """The page: warnings, the headline metrics as tiles, then the sections."""
     notes = "".join(f'<p class="warning">{html.escape(note)}</p>' for note in warnings)
-    config = ""
-    if config_text:
-        config = (
-            "<h2>Configuration</h2><details><summary>Show the settings of this run"
-            f"</summary><pre>{html.escape(config_text)}</pre></details>"
-        )
-    heading = html.escape(title)
+    tiles = ""
+    for name in registry.HEADLINE_METRICS:
+        value = html.escape(registry.format_metric(name, values[name]))
+        heading = html.escape(registry.get_metric(name).heading)
+        tiles += f'<div class="tile"><b>{value}</b><span>{heading}</span></div>'
+    title = html.escape(title)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{heading}</title><style>{STYLE}</style></head>\n<body>"
-        f"<h1>{heading}</h1>\n{notes}"
-        f'<div class="tiles">{tiles}</div>\n{"".join(sections)}'
-        "<h2>All metrics</h2><p>Of the test split; the same numbers, unrounded and "
-        'with shares from 0 to 1, are in <a href="metrics.json">metrics.json</a>.</p>'
-        f'<div class="wide"><table>{rows}</table></div>\n{config}'
-        "</body></html>\n"
+        f"<title>{title}</title><style>{STYLE}</style></head>\n<body>"
+        f'<h1>{title}</h1>\n{notes}<div class="tiles">{tiles}</div>\n'
+        f"{''.join(sections)}</body></html>\n"
     )
 
 
-def _figure(name: str, path: Path) -> str:
+def _embed_figure(name: str, path: Path) -> str:
     """A figure inside the page, under its title and a sentence on how to read it."""
     title, caption = CAPTIONS[name]
     data = base64.b64encode(path.read_bytes()).decode("ascii")
@@ -202,7 +181,25 @@ def _figure(name: str, path: Path) -> str:
     )
 
 
-def _clouds(examples: Sequence[Example], folder: Path) -> str:
+def _list_metrics(values: Mapping[str, Any]) -> str:
+    """A table of all metrics."""
+    rows = []
+    for name in registry.order_metrics(values):
+        metric = registry.get_metric(name)
+        hint = metric.hint
+        if hint and metric.higher_is_better is not None:
+            hint += f"; {'higher' if metric.higher_is_better else 'lower'} is better"
+        value = registry.format_metric(name, values[name])
+        heading, value, hint = map(html.escape, (metric.heading, value, hint))
+        rows.append((heading, value, f'<span class="hint">{hint}</span>'))
+    return (
+        "<h2>All metrics</h2><p>Of the test split; the same numbers, unrounded and "
+        'with shares from 0 to 1, are in <a href="metrics.json">metrics.json</a>.</p>'
+        + _make_table(rows)
+    )
+
+
+def _write_clouds(examples: Sequence[Example], folder: Path) -> str:
     """Write the point clouds of the examples; a table of links to them."""
     rows, taken = [], set()
     for example in examples:
@@ -211,17 +208,26 @@ def _clouds(examples: Sequence[Example], folder: Path) -> str:
         export.write_glb(folder / f"{stem}.glb", example.points, example.colors)
         error = example.pose_error_deg
         rows.append(
-            f"<tr><td>{html.escape(example.name)}</td>"
-            f'<td class="number">{"–" if error is None else f"{error:.1f}°"}</td>'
-            f'<td><a href="points/{stem}.glb">GLB</a></td>'
-            f'<td><a href="points/{stem}.ply">PLY</a></td></tr>'
+            (
+                html.escape(example.name),
+                registry.MISSING if error is None else f"{error:.1f}°",
+                f'<a href="points/{stem}.glb">GLB</a>',
+                f'<a href="points/{stem}.ply">PLY</a>',
+            )
         )
     return (
         "<p>The same shapes as files: GLB opens in any 3D viewer, PLY in point cloud "
         "tools; both are in the object frame of the data set.</p>"
-        '<div class="wide"><table><tr><th>Example</th><th>Pose error</th><th></th>'
-        f"<th></th></tr>{''.join(rows)}</table></div>\n"
+        + _make_table(rows, heads=("Example", "Pose error", "", ""))
     )
+
+
+def _make_table(rows: Iterable[Sequence[str]], heads: Sequence[str] = ()) -> str:
+    """A table of cells that are HTML; the second column holds numbers."""
+    lines = ["".join(f"<th>{head}</th>" for head in heads)] if heads else []
+    lines += ["".join(f"<td>{cell}</td>" for cell in row) for row in rows]
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f'<div class="wide"><table>{body}</table></div>\n'
 
 
 def _file_name(name: str, taken: set[str]) -> str:

@@ -1,91 +1,36 @@
-"""Metrics as readers want to see them: named, rounded, with units."""
+"""Markdown: tables of any rows, the metrics of runs side by side, whole pages."""
 
-import math
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from dpc_jax.evaluation.metrics import format_metric, get_metric, order_metrics
 
 
-class Column(NamedTuple):
-    """How one metric is shown.
+def format_table(
+    heads: Sequence[str], rows: Iterable[Sequence[object]], *, align: str = ""
+) -> str:
+    """A Markdown table.
 
-    Attributes:
-      label: heading, with the unit.
-      spec: format of the scaled number, as for ``format``.
-      factor: the number is shown times this.
-      hint: one phrase on what it means.
+    Args:
+      heads: of the columns.
+      rows: cells by row, each as many as there are heads; shown by `str`.
+      align: one letter per column, "l" or "r"; by default the first column is aligned
+        left and the others, being numbers, right.
+
+    Returns:
+      The table, ending in a newline. Pipes in cells are escaped, line breaks become
+      spaces.
     """
-
-    label: str
-    spec: str = ".4g"
-    factor: float = 1.0
-    hint: str = ""
-
-
-COLUMNS = {
-    "pose_accuracy": Column(
-        "Pose accuracy (%)", ".1f", 100.0, "views posed within 30° of the truth"
-    ),
-    "pose_median_error_deg": Column(
-        "Median pose error (°)", ".1f", 1.0, "half of the views are nearer to the truth"
-    ),
-    "chamfer": Column(
-        "Chamfer distance (×100)", ".2f", 1.0, "precision plus coverage; low is good"
-    ),
-    "precision": Column(
-        "Precision (×100)", ".2f", 1.0, "mean distance, prediction to truth"
-    ),
-    "coverage": Column(
-        "Coverage (×100)", ".2f", 1.0, "mean distance, truth to prediction"
-    ),
-    "flip_share": Column(
-        "Flipped views (%)", ".1f", 100.0, "wrong by more than 150°, front as back"
-    ),
-    "best_candidate_pose_accuracy": Column(
-        "Pose accuracy, best candidate (%)", ".1f", 100.0, "the ensemble's winner"
-    ),
-    "best_candidate_pose_median_error_deg": Column(
-        "Median pose error, best candidate (°)", ".1f", 1.0, "same, for the winner"
-    ),
-    "silhouette_iou": Column(
-        "Silhouette overlap (%)", ".1f", 100.0, "intersection over union with the masks"
-    ),
-    "train_seconds": Column(
-        "Training time (s)", ".0f", 1.0, "wall clock, compilation included"
-    ),
-    "peak_memory_gb": Column("Peak memory (GB)", ".1f", 1.0, "of the training process"),
-}
-# Of metrics on objects of the training source, where another one is tested on.
-_OWN = "own_"
+    align = align or "l" + "r" * (len(heads) - 1)
+    rule = ["---:" if letter == "r" else "---" for letter in align]
+    lines = [heads, rule, *rows]
+    for line in lines:
+        if len(line) != len(heads):
+            raise TypeError(f"{len(heads)} columns, but cells {list(line)}")
+    return "".join(f"| {' | '.join(map(_escape, line))} |\n" for line in lines)
 
 
-def describe(name: str) -> Column:
-    """The column of a metric; an unknown one is shown by its name with 4 digits."""
-    plain = name.removeprefix(_OWN)
-    if plain != name and plain in COLUMNS:
-        column = COLUMNS[plain]
-        return column._replace(label=f"{column.label}, training source")
-    return COLUMNS.get(name, Column(name))
-
-
-def format_metric(name: str, value: Any) -> str:
-    """A metric in its unit and precision; an en dash where it is missing or NaN."""
-    if value is None:
-        return "–"
-    if isinstance(value, bool | str):
-        return str(value)
-    if not math.isfinite(value):
-        return "–"
-    column = describe(name)
-    return format(column.factor * float(value), column.spec)
-
-
-def order_metrics(names: Sequence[str]) -> list[str]:
-    """Names in the table's order: the known ones first, the others by the alphabet."""
-    known = [name for name in COLUMNS if name in names]
-    return known + sorted(set(names) - set(known))
-
-
-def markdown_table(
+def tabulate_runs(
     runs: Mapping[str, Mapping[str, Any]], *, columns: Sequence[str] | None = None
 ) -> str:
     """A Markdown table with a line per run and a column per metric.
@@ -94,23 +39,26 @@ def markdown_table(
       runs: the metrics of each run by its name; they need not hold the same ones.
       columns: names of the metrics to show, in this order; all of them if None.
 
-    Returns:
-      The table, ending in a newline. Pipes in names are escaped.
-
     Raises:
       ValueError: there are no runs.
     """
     if not runs:
-        raise ValueError("Expected at least one run to tabulate, got none; pass some.")
+        raise ValueError("runs must be at least one, but there are none; pass some.")
     if columns is None:
-        columns = order_metrics([name for metrics in runs.values() for name in metrics])
-    head = ["Run", *(describe(name).label for name in columns)]
-    lines = [head, ["---", *("---:" for _ in columns)]]
-    for run, metrics in runs.items():
-        cells = (format_metric(name, metrics.get(name)) for name in columns)
-        lines.append([run, *cells])
-    return "".join("| " + " | ".join(map(_escape, line)) + " |\n" for line in lines)
+        columns = order_metrics(name for metrics in runs.values() for name in metrics)
+    return format_table(
+        ["Run", *(get_metric(name).heading for name in columns)],
+        [
+            [run, *(format_metric(name, metrics.get(name)) for name in columns)]
+            for run, metrics in runs.items()
+        ],
+    )
 
 
-def _escape(text: str) -> str:
-    return " ".join(text.replace("|", "\\|").split())
+def join_blocks(blocks: Iterable[str]) -> str:
+    """A page of paragraphs, tables and headings, with a blank line between them."""
+    return "\n\n".join(block.strip("\n") for block in blocks) + "\n"
+
+
+def _escape(cell: object) -> str:
+    return " ".join(str(cell).replace("|", "\\|").split())

@@ -9,7 +9,8 @@ import numpy as np
 
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
-from dpc_jax.data.sets.image_folder import FAULTS, read_object
+from dpc_jax.data.sets.image_folder import read_object
+from dpc_jax.data.sets.pictures import FAULTS
 from dpc_jax.evaluation import rotations
 from dpc_jax.evaluation.alignment import align_points, align_poses
 from dpc_jax.files import write_text

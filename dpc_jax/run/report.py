@@ -9,11 +9,12 @@ from dpc_jax.config import Config, to_config_dict
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation.alignment import Alignment, align_points
+from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
 from dpc_jax.learning import evaluator
 from dpc_jax.learning.loop import Outcome
 from dpc_jax.learning.predictor import Predictions, arrange_views
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.page import REQUIRED_METRICS, write_report
+from dpc_jax.reporting.page import write_report
 from dpc_jax.run.workdir import write_alignment
 
 EXAMPLES = 8  # test inputs shown in the report
@@ -69,10 +70,12 @@ def report_run(
         write_alignment(workdir, alignment)
     for warning in warnings:
         print(f"Warning: {warning}")
-    print(f"Test: {_describe(metrics)} after {outcome.seconds:.0f} s of training.")
+    print(
+        f"Test: {describe_metrics(metrics)} after {outcome.seconds:.0f} s of training."
+    )
     if "own" in scored:
         own = scored["own"][0].metrics
-        print(f"Objects of the training source: {_describe(own)}.")
+        print(f"Objects of the training source: {describe_metrics(own)}.")
     print(f"Report: {path}")
 
 
@@ -105,17 +108,6 @@ def _list_warnings(sets, shares) -> list[str]:
             named = "; ".join(f"{name}: {reason}" for name, reason in pairs[:10])
             warnings.append(f"{len(pairs)} {text} ({named}).")
     return warnings
-
-
-def _describe(metrics) -> str:
-    shown = (
-        ("pose_accuracy", "pose accuracy {:.3f}"),
-        ("pose_median_error_deg", "median error {:.1f}°"),
-        ("chamfer", "Chamfer {:.2f}"),
-        ("silhouette_iou", "silhouette overlap {:.3f}"),
-    )
-    found = [t.format(metrics[n]) for n, t in shown if metrics.get(n) is not None]
-    return ", ".join(found)
 
 
 def _name_left_out(dataset) -> list[str]:

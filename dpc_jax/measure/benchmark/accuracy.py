@@ -1,9 +1,10 @@
 """Error against run time: settings of the projection beside a finer, exact one.
 
-What is compared is independent of the grid: the silhouette in blocks of the coarsest
-grid's pixels, and the gradient, to the points, of its squared difference from another
-pose's silhouette. On a grid r times finer a point has r times the sigma and r² times
-the mass, in voxels: what lies before a pixel stays the same, so that there is a limit.
+Results are compared in a form that does not depend on the grid: the silhouette in
+blocks of the coarsest grid's pixels, and the gradient, to the points, of its squared
+difference from another pose's silhouette. On a grid r times finer a point has r times
+the sigma and r² times the mass, in voxels: the optical depth along a ray stays the
+same, so that results converge.
 """
 
 import functools
@@ -21,16 +22,19 @@ from dpc_jax.measure.timing import time_interleaved
 from dpc_jax.render import VoxelGrid, compensate_widening, project
 
 MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
-SOON = 0.01  # the error of which a reader asks what reaches it soonest
+SOON = 0.01  # the report names the fastest settings with at most this error
 
 
 class Setting(NamedTuple):
     """One way to render.
 
     Attributes:
-      family: of settings that differ in one number; label: of this one.
-      method: of `project`. is_compensated: sigma of `compensate_widening`.
-      shape: (rows, cols, depth). share: one point in this many is kept.
+      family: name of the settings that differ from this one in one number.
+      label: name of this one.
+      method: of `project`.
+      shape: (rows, cols, depth).
+      is_compensated: whether sigma is that of `compensate_widening`.
+      share: one point in this many is kept.
       dtype: of all arrays.
     """
 
@@ -45,28 +49,27 @@ class Setting(NamedTuple):
 
 def list_settings(plan: Plan) -> list[Setting]:
     """All settings of a plan."""
-    base = (plan.base_side,) * 3
-    settings = []
-    for side in plan.sides:
-        cube = (side,) * 3
+    side = plan.base_side
+    base = (side, side, side)
+    settings = [
+        Setting(family, f"{family}, {n}³", method, (n, n, n), is_compensated)
+        for n in plan.sides
         for family, method, is_compensated in (
             ("trilinear", "trilinear", False),
             ("trilinear, compensated", "trilinear", True),
             ("gaussian", "gaussian", False),
-        ):
-            label = f"{family}, {side}³"
-            settings.append(Setting(family, label, method, cube, is_compensated))
+        )
+    ]
+    family = "trilinear, depth cells"
     for depth in plan.depths:
-        label = f"trilinear, {base[0]}²×{depth}"
-        shape = (*base[:2], depth)
-        settings.append(Setting("trilinear, depth cells", label, "trilinear", shape))
+        label = f"trilinear, {side}²×{depth}"
+        settings.append(Setting(family, label, "trilinear", (side, side, depth)))
+    family = "trilinear, fewer points"
     for share in plan.point_shares:
-        label = f"trilinear, {base[0]}³, 1 point in {share}"
-        family = "trilinear, fewer points"
+        label = f"trilinear, {side}³, 1 point in {share}"
         settings.append(Setting(family, label, "trilinear", base, share=share))
     for method, dtype in plan.dtypes:
-        label = f"{method}, {base[0]}³, {dtype}"
-        family = f"{method}, {dtype}"
+        family, label = f"{method}, {dtype}", f"{method}, {side}³, {dtype}"
         settings.append(Setting(family, label, method, base, dtype=dtype))
     return settings
 
@@ -79,63 +82,62 @@ class Outcome(NamedTuple):
 
 
 def measure_scene(
-    scene: Scene,
-    sigma: float,
-    *,
-    plan: Plan,
-    settings: list[Setting],
+    scene: Scene, sigma: float, *, plan: Plan, settings: list[Setting]
 ) -> list[dict[str, Any]]:
     """Errors and run times of all settings on one scene.
 
     Args:
-      scene: see `scenes`. sigma: in voxels of the plan's base grid.
+      scene: of `make_scenes`.
+      sigma: in voxels of the plan's base grid.
+      plan: sizes.
+      settings: to be compared, taking turns.
 
     Returns:
       A record per setting: errors against the fine reference and against the exact
       result on its own grid, seconds of the image and of image and gradient.
     """
-    fine = (plan.reference_side,) * 3
+    side = plan.reference_side
     target = _compute_target(scene, sigma, plan)
-    renders = {s.label: _prepare(scene, sigma, s, plan, target) for s in settings}
+    calls = {s.label: _prepare(scene, sigma, s, plan, target) for s in settings}
     times = {
         kind: time_interleaved(
-            {label: pair[i] for label, pair in renders.items()},
+            {label: pair[i] for label, pair in calls.items()},
             rounds=plan.rounds,
             budget_seconds=plan.budget_seconds,
         )
         for i, kind in enumerate(("image", "gradient"))
     }
-    reference = _compute_exact(scene, sigma, fine, plan, target)
-    own_grid = {
+    exact = {
         shape: _compute_exact(scene, sigma, shape, plan, target)
-        for shape in dict.fromkeys(s.shape for s in settings)
+        for shape in dict.fromkeys([(side, side, side), *(s.shape for s in settings)])
     }
     records = []
     for setting in settings:
-        call_image, call_gradient = renders[setting.label]
-        count = len(scene.points) // setting.share
-        gradient, _ = call_gradient()
-        outcome = Outcome(
-            np.asarray(call_image(), np.float64),
-            # A point that stands for `share` points has the gradient of them all.
-            np.asarray(gradient, np.float64) * count / len(scene.points),
-        )
-        record = {
+        outcome = _compute_outcome(*calls[setting.label], len(scene.points))
+        record: dict[str, Any] = {
             "scene": scene.name,
             "sigma": sigma,
             "family": setting.family,
             "setting": setting.label,
         }
+        references = {"": exact[side, side, side], "_same_grid": exact[setting.shape]}
         for kind in ("image", "gradient"):
-            record[f"{kind}_error"] = _measure_error(outcome, reference, kind)
-            record[f"{kind}_error_same_grid"] = _measure_error(
-                outcome, own_grid[setting.shape], kind
-            )
+            for suffix, reference in references.items():
+                error = _measure_error(outcome, reference, kind)
+                record[f"{kind}_error{suffix}"] = error
             seconds = times[kind][setting.label]
             record[f"{kind}_seconds"] = float(np.median(seconds))
             record[f"{kind}_rounds"] = len(seconds)
         records.append(record)
     return records
+
+
+def _compute_outcome(call_image, call_gradient, num_points) -> Outcome:
+    gradient, _ = call_gradient()
+    gradient = np.asarray(gradient, np.float64)
+    # A point that stands for several has the gradient of them all.
+    share = len(gradient) / num_points
+    return Outcome(np.asarray(call_image(), np.float64), gradient * share)
 
 
 def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
@@ -152,7 +154,7 @@ def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
         values = [jnp.asarray(value, setting.dtype) for value in values]
 
     def call(program, *values):
-        with jax.enable_x64(True):  # else float64 would be computed in float32
+        with jax.enable_x64(True):  # otherwise float64 is computed in float32
             return program(*values)
 
     return (
@@ -174,6 +176,7 @@ def _make_programs(method, shape, blocks):
             grid=VoxelGrid(shape),
             method=method,
         ).silhouette
+        assert image is not None  # it is the default signal
         tiles = image.reshape(blocks, shape[0] // blocks, blocks, shape[1] // blocks)
         return jnp.mean(tiles, axis=(1, 3))
 
@@ -196,9 +199,10 @@ def _compute_exact(scene, sigma, shape, plan, target) -> Outcome:
 
 
 def _compute_target(scene, sigma, plan) -> np.ndarray:
-    """An image from the other pose: any will do, so this is the cheapest."""
+    """An image from the other pose. Any would do, so this is the cheapest."""
     turned = scene._replace(pose=scene.target_pose)
-    setting = Setting("target", "target", "trilinear", (plan.base_side,) * 3)
+    side = plan.base_side
+    setting = Setting("target", "target", "trilinear", (side, side, side))
     image, _ = _prepare(turned, sigma, setting, plan, np.zeros(()))
     return np.asarray(image(), np.float64)
 
@@ -213,10 +217,12 @@ def find_soonest(
 ) -> list[dict]:
     """For each scene and sigma the fastest setting with at most that error.
 
-    Where none gets there it is the most accurate one; `reached` tells which.
+    If none is that accurate, it is the most accurate one and `reached` is False.
 
     Args:
-      records: of `measure_scene`. kind: "image" or "gradient".
+      records: of `measure_scene`.
+      kind: "image" or "gradient".
+      error: the largest that is accepted.
       suffix: "_same_grid" for the error against the exact result on the same grid.
     """
     name, clock = f"{kind}_error{suffix}", f"{kind}_seconds"
@@ -226,11 +232,7 @@ def find_soonest(
     rows = []
     for (scene, sigma), group in groups.items():
         good = [r for r in group if r[name] <= error]
-        best = (
-            min(good, key=lambda r: r[clock])
-            if good
-            else min(group, key=lambda r: r[name])
-        )
+        best = min(good or group, key=lambda r: r[clock if good else name])
         rows.append(
             {
                 "scene": scene,

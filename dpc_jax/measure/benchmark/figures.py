@@ -1,117 +1,107 @@
-"""The benchmark's figures, drawn without a display."""
+"""The benchmark's figures."""
 
-import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
-from dpc_jax.files import write_bytes
 from dpc_jax.measure.benchmark.accuracy import SOON
+from dpc_jax.reporting import style
 
-_COLORS = (
-    *("#2f7ebc", "#3a9d6e", "#d1495b", "#e0a030"),
-    *("#7b5ea7", "#5f6c77", "#56b4c9", "#8c5a3c"),
-)
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-_INK, _MUTED = "#22303c", "#8795a1"
 _FLOOR = 1e-8  # smaller errors are drawn here
 
 
 def draw_errors(
-    records: list[dict], path: Path, *, kind: str, suffix: str = ""
+    records: list[dict[str, Any]], path: Path, *, kind: str, suffix: str = ""
 ) -> Path:
     """Error against run time, a panel per scene; colour by setting, marker by sigma.
 
     Args:
-      records: of `accuracy.measure_scene`. path: of the PNG.
-      kind: "image" or "gradient". suffix: "" or "_same_grid".
+      records: of `accuracy.measure_scene`.
+      path: of the PNG.
+      kind: "image" or "gradient".
+      suffix: "" or "_same_grid".
     """
+    colors = dict(
+        zip(dict.fromkeys(r["family"] for r in records), style.SERIES, strict=False)
+    )
+    markers = dict(zip(sorted({r["sigma"] for r in records}), _MARKERS, strict=False))
     scenes = list(dict.fromkeys(r["scene"] for r in records))
-    families = list(dict.fromkeys(r["family"] for r in records))
-    sigmas = sorted({r["sigma"] for r in records})
-    figure = Figure(figsize=(11.0, 8.0), layout="constrained")
-    panels = figure.subplots(2, -(-len(scenes) // 2), sharex=True, sharey=True)
-    flat = np.atleast_1d(panels).ravel()
-    for axes, scene in zip(flat, scenes, strict=False):
-        for family, color in zip(families, _COLORS, strict=False):
-            for sigma, marker in zip(sigmas, _MARKERS, strict=False):
+    figure = style.make_figure(11.0, 8.0)
+    for axes, scene in zip(
+        style.make_panels(figure, len(scenes), share=True), scenes, strict=True
+    ):
+        for family, color in colors.items():
+            for sigma, marker in markers.items():
                 chosen = [
-                    r
+                    (
+                        1e3 * r[f"{kind}_seconds"],
+                        max(r[f"{kind}_error{suffix}"], _FLOOR),
+                    )
                     for r in records
                     if (r["scene"], r["family"], r["sigma"]) == (scene, family, sigma)
                 ]
-                seconds = [1e3 * r[f"{kind}_seconds"] for r in chosen]
-                errors = [max(r[f"{kind}_error{suffix}"], _FLOOR) for r in chosen]
-                # Settings that differ in one number: from cheap to dear.
-                order = np.argsort(seconds)
-                axes.plot(
-                    np.array(seconds)[order],
-                    np.array(errors)[order],
-                    marker=marker,
-                    color=color,
-                    linewidth=0.6,
-                    markersize=5,
-                    alpha=0.8,
-                )
-        axes.axhline(SOON, color=_INK, linestyle="--", linewidth=0.8)
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.xaxis.set_minor_formatter(NullFormatter())  # they would overlap
-        axes.set_title(scene, fontsize=10, color=_INK)
-        axes.grid(which="major", color="#e3e7ea", linewidth=0.6)
-    for axes in flat[len(scenes) :]:
-        axes.set_visible(False)
+                look = {"color": color, "marker": marker, "lw": 0.6, "ms": 5}
+                # Settings that differ in one number, the cheapest first.
+                axes.plot(*zip(*sorted(chosen), strict=True), alpha=0.8, **look)
+        _style_errors(axes, scene)
     passes = "forward" if kind == "image" else "forward and backward"
     truth = "exact, same grid" if suffix else "float64 on a finer grid"
-    figure.supxlabel(f"run time of {passes}, ms", fontsize=10)
+    figure.supxlabel(f"run time of {passes} (ms)", fontsize=10)
     figure.supylabel(f"relative error of the {kind} ({truth})", fontsize=10)
-    keys = [
-        Line2D([], [], color=color, linewidth=2, label=family)
-        for family, color in zip(families, _COLORS, strict=False)
-    ]
+    keys = [Line2D([], [], color=c, lw=2, label=family) for family, c in colors.items()]
     keys += [
-        Line2D([], [], color=_MUTED, marker=m, linestyle="", label=f"σ = {s:g} voxels")
-        for s, m in zip(sigmas, _MARKERS, strict=False)
+        Line2D(
+            [], [], color=style.MUTED, marker=m, ls="", label=f"σ = {sigma:g} voxels"
+        )
+        for sigma, m in markers.items()
     ]
-    keys.append(Line2D([], [], color=_INK, linestyle="--", label=f"{SOON:.0%}"))
+    keys.append(Line2D([], [], color=style.INK, ls="--", label=f"{SOON:.0%}"))
     figure.legend(handles=keys, loc="outside right center", fontsize=8, frameon=False)
-    return _save(figure, path)
+    return style.save_figure(figure, path)
 
 
-def draw_scaling(results: list[dict], path: Path) -> Path:
-    """A panel per number, with its expected order dashed through the largest value."""
-    figure = Figure(figsize=(9.0, 6.5), layout="constrained")
-    flat = figure.subplots(2, 2).ravel()
-    for axes, result in zip(flat, results, strict=False):
+def _style_errors(axes: Axes, scene: str) -> None:
+    """Logarithmic scales, and a dashed line at the error that is asked for."""
+    axes.axhline(SOON, color=style.INK, linestyle="--", linewidth=0.8)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.xaxis.set_minor_formatter(NullFormatter())  # they would overlap
+    style.label_axes(axes, title=scene, grid="both")
+
+
+def draw_scaling(results: list[dict[str, Any]], path: Path) -> Path:
+    """A panel per number, with its expected order dashed through the largest value.
+
+    Args:
+      results: of `scaling.measure_axis`.
+      path: of the PNG.
+    """
+    figure = style.make_figure(9.0, 6.5)
+    for axes, result in zip(
+        style.make_panels(figure, len(results)), results, strict=True
+    ):
         values = np.array(result["values"], float)
         times = 1e3 * np.array(result["median_seconds"])
-        order = result["order"]
-        name = result["axis"] if order == 1 else f"{result['axis']}$^{order}$"
+        order, name = result["order"], result["axis"]
+        power = name if order == 1 else f"{name}$^{order}$"
         expected = times[-1] * (values / values[-1]) ** order
-        axes.loglog(values, times, "o-", color=_COLORS[0], label="measured")
+        axes.loglog(values, times, "o-", color=style.SERIES[0], label="measured")
         axes.loglog(
-            values, expected, "--", color=_MUTED, label=f"proportional to {name}"
+            values, expected, "--", color=style.MUTED, label=f"proportional to {power}"
         )
-        axes.set_xlabel(f"{result['axis']}, {result['subject']}", fontsize=9)
-        axes.set_ylabel("ms", fontsize=9)
-        axes.set_xticks(values, [f"{v:g}" for v in values])
-        axes.set_xticks([], minor=True)
-        axes.grid(which="major", color="#e3e7ea", linewidth=0.6)
+        style.label_axes(
+            axes, x_label=f"{name}, {result['subject']}", y_label="ms", grid="both"
+        )
+        style.set_ticks(axes, values)
         axes.legend(fontsize=8, frameon=False)
-    for axes in flat[len(results) :]:
-        axes.set_visible(False)
     figure.suptitle(
-        f"Run time of forward and backward; else {results[0]['base']}", fontsize=10
+        "Run time of forward and backward; all other numbers as in "
+        f"{results[0]['base']}",
+        fontsize=10,
     )
-    return _save(figure, path)
-
-
-def _save(figure, path):
-    FigureCanvasAgg(figure)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=120)
-    return write_bytes(path, buffer.getvalue())
+    return style.save_figure(figure, path)

@@ -1,8 +1,8 @@
 """The peak memory of a whole process that runs one workload and nothing else.
 
 `python -m dpc_jax.measure.benchmark.peak '{"batch": 1, ...}'` is such a process; it
-prints its peak in bytes. `null` only imports JAX: what a workload is compared with. So
-this module imports what it needs where it needs it.
+prints its peak in bytes. `null` only imports JAX, as the baseline of a workload. So
+this module imports JAX and the engine only in the functions that need them.
 """
 
 import dataclasses
@@ -21,7 +21,18 @@ def measure_baseline() -> int:
 
 
 def measure_case(memory_case: MemoryCase, *, seed: int) -> dict[str, Any]:
-    """Peak of one workload, beside what `estimate_memory` says beforehand."""
+    """Peak of one workload, beside the estimate of `estimate_memory`.
+
+    Args:
+      memory_case: the workload.
+      seed: of its arrays.
+
+    Returns:
+      A record; sizes in bytes.
+
+    Raises:
+      RuntimeError: the process that runs the workload fails.
+    """
     import jax
 
     from dpc_jax.render import VoxelGrid, estimate_memory
@@ -54,7 +65,7 @@ def _run_child(request) -> int:
     """Start a process, wait for it, read its peak.
 
     Raises:
-      RuntimeError: with the last line of what it said, where it fails.
+      RuntimeError: with the last line that it printed, if it fails.
     """
     command = [
         sys.executable,
@@ -66,9 +77,9 @@ def _run_child(request) -> int:
     if done.returncode != 0:
         said = done.stderr.strip().splitlines() or ["nothing"]
         raise RuntimeError(
-            f"Expected the process of {request} to end well, but it ended with status "
-            f"{done.returncode} ({said[-1]}); free some memory or leave out --parts="
-            "memory."
+            f"Expected the process of {request} to succeed, but it ended with status "
+            f"{done.returncode} ({said[-1]}); free some memory, or leave memory out of "
+            "--parts."
         )
     return int(done.stdout.split()[-1])
 
@@ -87,17 +98,13 @@ def read_peak() -> int:
     return size if sys.platform == "darwin" else size * 1024
 
 
-def run_case(case: Case, *, method: str, seed: int):
+def run_case(case: Case, *, method: str, seed: int) -> None:
     """Gradients of one workload, samples one after the other."""
     import jax
 
     from dpc_jax.measure.benchmark import speed
 
-    work = speed.draw_work(case, seed=seed)
-    call = speed.make_jax_call(
-        speed.render_ours, *work, case.sigma, side=case.side, method=method
-    )
-    jax.block_until_ready(call())
+    jax.block_until_ready(speed.prepare_render(case, seed=seed, method=method)())
 
 
 def _main(text):

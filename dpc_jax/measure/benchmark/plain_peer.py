@@ -1,12 +1,14 @@
-"""The projection as one would write it in JAX at first.
+"""The projection as one would first write it in JAX.
 
-The same silhouettes by the same steps as the engine: points to their eight neighbours,
-a smoothing by products with the kernel's Toeplitz matrix, a product along the rays with
-a rule for its derivative. Of this package only the rotation and the camera are used.
+The same silhouettes by the same steps as the engine: each point adds to its eight
+neighbours, products with the kernel's Toeplitz matrix smooth the volume, and a product
+along each ray has its own derivative rule. Only the rotation and the camera are taken
+from the engine.
 """
 
 import itertools
 
+import chex
 import jax
 import jax.numpy as jnp
 
@@ -15,12 +17,19 @@ from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
 _CORNERS = tuple(itertools.product((0, 1), repeat=3))
 
 
-def render_plain(points, rotation, mass, sigma, *, side):
+Sample = tuple[chex.Array, chex.Array, chex.Array]
+"""Points [N, 3], rotation [4] and mass () in voxels of one cloud."""
+
+
+def render_plain(sample: Sample, sigma: chex.Array, *, side: int) -> chex.Array:
     """Silhouette [side, side] of one cloud.
 
     Args:
-      points: [N, 3]. rotation: [4]. mass, sigma: (), in voxels. side: static.
+      sample: the cloud.
+      sigma: (), in voxels.
+      side: of the grid and the image.
     """
+    points, rotation, mass = sample
     camera = Camera()
     moved = to_camera_frame(points, rotation, translation=None, camera=camera)
     coordinates, is_inside = to_grid(moved, camera=camera, grid=VoxelGrid(side))
@@ -57,7 +66,7 @@ def _end_rays_forward(occupancy):
 
 
 def _end_rays_backward(occupancy, cotangent):
-    """Product of all others: by division, but where one factor or more is zero."""
+    """Product of all other factors: by division, except where a factor is zero."""
     free = 1 - occupancy
     is_zero = free == 0
     zeros = jnp.sum(is_zero, axis=-1, keepdims=True)

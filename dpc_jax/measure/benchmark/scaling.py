@@ -3,14 +3,12 @@
 import dataclasses
 from typing import Any
 
-import numpy as np
-
 from dpc_jax.measure.benchmark import speed
 from dpc_jax.measure.benchmark.plan import Plan
 from dpc_jax.measure.timing import take_medians, time_interleaved
 
 # Axis: what it counts, and the power of it that the run time is expected to follow
-# once it dominates. A grid has D³ cells; dense smoothing, of wide kernels, takes D⁴.
+# once it dominates. A grid has D³ cells; smoothing by wide, dense kernels takes D⁴.
 AXES = {
     "N": ("points", 1),
     "D": ("cells a side", 3),
@@ -23,47 +21,32 @@ def measure_axis(axis: str, *, plan: Plan) -> dict[str, Any]:
     """Median seconds, forward and backward, for each value of one number.
 
     Args:
-      axis: of `AXES`; the other numbers are those of the plan's base case.
+      axis: one of `AXES`; the other numbers are those of the plan's base case.
+      plan: sizes.
     """
-    base = plan.scaling_base
-    values = {
-        "N": plan.scaling_points,
-        "D": plan.scaling_sides,
-        "B": plan.scaling_batches,
-        "K": plan.scaling_candidates,
-    }[axis]
-    calls = {}
-    for value in values:
-        if axis == "K":
-            calls[value] = _prepare_choice(base, value, seed=plan.seed)
-        else:
-            field = {"N": "points", "D": "side", "B": "batch"}[axis]
-            case = dataclasses.replace(base, **{field: value})
-            calls[value] = _prepare_render(case, seed=plan.seed)
-    seconds = time_interleaved(calls, rounds=plan.rounds)
-    medians = take_medians(seconds)
+    base, seed = plan.scaling_base, plan.seed
     subject, order = AXES[axis]
+    if axis == "K":
+        values = plan.scaling_candidates
+        works = [speed.draw_candidates(base, value, seed=seed) for value in values]
+        calls = [speed.make_choice_call("chosen", work, base.sigma) for work in works]
+    else:
+        field, values = {
+            "N": ("points", plan.scaling_points),
+            "D": ("side", plan.scaling_sides),
+            "B": ("batch", plan.scaling_batches),
+        }[axis]
+        cases = [dataclasses.replace(base, **{field: value}) for value in values]
+        calls = [speed.prepare_render(case, seed=seed) for case in cases]
+    names = [str(value) for value in values]
+    seconds = time_interleaved(dict(zip(names, calls, strict=True)), rounds=plan.rounds)
+    medians = take_medians(seconds)
     return {
         "axis": axis,
         "subject": subject,
         "order": order,
         "base": str(base),
         "values": list(values),
-        "median_seconds": [medians[value] for value in values],
-        "seconds": [seconds[value] for value in values],
+        "median_seconds": [medians[name] for name in names],
+        "seconds": [seconds[name] for name in names],
     }
-
-
-def _prepare_render(case, *, seed):
-    work = speed.draw_work(case, seed=seed)
-    return speed.make_jax_call(speed.render_ours, *work, case.sigma, side=case.side)
-
-
-def _prepare_choice(case, num_candidates, *, seed):
-    points, _, masses, targets = speed.draw_work(case, seed=seed)
-    rng = np.random.default_rng([seed, 1])
-    candidates = rng.normal(size=(case.batch, num_candidates, 4))
-    candidates = candidates.astype("f4")
-    return speed.make_choice_call(
-        "chosen", points, candidates, masses, targets, case.sigma
-    )

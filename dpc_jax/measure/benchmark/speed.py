@@ -1,74 +1,125 @@
-"""The engine beside its peers: the same work, the same run, and the same gradients."""
+"""The engine beside its peers: the same work in the same run, gradients compared."""
 
 import functools
 import importlib.util
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dpc_jax.learning.hindsight import choose_candidate
 from dpc_jax.learning.losses import reprojection_loss
-from dpc_jax.measure.benchmark import plain_peer
+from dpc_jax.measure.benchmark.plain_peer import Sample, render_plain
 from dpc_jax.measure.benchmark.plan import Case
 from dpc_jax.measure.timing import take_medians, time_interleaved
 from dpc_jax.render import Camera, VoxelGrid, project
 
+CHOICES = ("chosen", "min, one by one", "min, all at once")
 
-def draw_work(case: Case, *, seed: int):
-    """Points, quaternions, masses and targets of a case; numpy, float32."""
+
+class Work(NamedTuple):
+    """The arrays of a case, numpy float32; the first three get gradients."""
+
+    points: np.ndarray  # [B, N, 3]
+    quaternions: np.ndarray  # [B, 4]; [B, K, 4] where the best of K is chosen
+    masses: np.ndarray  # [B] voxels
+    targets: np.ndarray  # [B, D, D]
+
+
+def draw_work(case: Case, *, seed: int) -> Work:
+    """Random points, poses and targets of a case, the same for the same seed."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(-0.4, 0.4, (case.batch, case.points, 3))
     quaternions = rng.normal(size=(case.batch, 4))
-    # A mean occupancy of 0.03, some of the middle clipped.
+    # A mean occupancy of 0.03, so that some of the middle is clipped.
     masses = np.full(case.batch, 0.03 * case.side**3 / case.points)
     targets = rng.uniform(size=(case.batch, case.side, case.side))
-    return tuple(a.astype("f4") for a in (points, quaternions, masses, targets))
+    return Work(*(a.astype("f4") for a in (points, quaternions, masses, targets)))
 
 
-def render_ours(points, rotation, mass, sigma, *, side, method="auto"):
-    """Silhouette of one cloud by `project`."""
+def draw_candidates(case: Case, num_candidates: int, *, seed: int) -> Work:
+    """`draw_work` with `num_candidates` quaternions per sample, [B, K, 4]."""
+    rng = np.random.default_rng([seed, 1])
+    candidates = rng.normal(size=(case.batch, num_candidates, 4)).astype("f4")
+    return draw_work(case, seed=seed)._replace(quaternions=candidates)
+
+
+def render_ours(
+    sample: Sample, sigma: chex.Array, *, side: int, method: str = "auto"
+) -> chex.Array:
+    """Silhouette [side, side] of one cloud by `project`.
+
+    Args:
+      sample: the cloud.
+      sigma: () or [N], in voxels.
+      side: of the grid and the image.
+      method: of `project`.
+    """
+    points, rotation, mass = sample
     grid = VoxelGrid(side)
     image = project(points, rotation, sigma=sigma, scale=mass, grid=grid, method=method)
+    assert image.silhouette is not None  # it is the default signal
     return image.silhouette
 
 
-def make_jax_call(render, points, quaternions, masses, targets, sigma, **static):
+def make_jax_call(
+    render: Callable[..., chex.Array], work: Work, sigma: ArrayLike, **static: Any
+) -> Callable[[], Any]:
     """A call that gives the gradients of points, quaternions and masses.
 
     Args:
-      render: a module's function that makes the silhouette of one sample from its
-        arrays and `static`; samples go one after the other.
+      render: a module's function that makes the silhouette of one sample, given sigma
+        and `static`. Samples are rendered one after the other.
+      work: the arrays.
+      sigma: () or [N], voxels.
+      **static: further arguments of `render`, known at compilation.
     """
     gradient = _compile_gradient(render, tuple(sorted(static.items())))
-    inputs = tuple(jnp.asarray(a) for a in (points, quaternions, masses))
-    rest = jnp.asarray(targets), jnp.asarray(sigma, jnp.float32)
+    inputs = tuple(jnp.asarray(a) for a in work[:3])
+    rest = jnp.asarray(work.targets), jnp.asarray(sigma, jnp.float32)
     return lambda: gradient(inputs, *rest)
+
+
+def prepare_render(case: Case, *, seed: int, method: str = "auto") -> Callable[[], Any]:
+    """`make_jax_call` of our own render on the arrays of a case."""
+    work = draw_work(case, seed=seed)
+    return make_jax_call(render_ours, work, case.sigma, side=case.side, method=method)
 
 
 @functools.lru_cache
 def _compile_gradient(render, static):
     def compute_loss(inputs, targets, sigma):
-        images = jax.lax.map(lambda one: render(*one, sigma, **dict(static)), inputs)
+        images = jax.lax.map(lambda one: render(one, sigma, **dict(static)), inputs)
         return jnp.sum((images - targets) ** 2)
 
     return jax.jit(jax.grad(compute_loss))
 
 
 def compare_with_peers(case: Case, *, rounds: int, seed: int) -> dict[str, Any]:
-    """Silhouette, forward and backward, beside the plain ways to write it."""
+    """Silhouette, forward and backward, beside the plain ways to write it.
+
+    Args:
+      case: the workload.
+      rounds: of the clock.
+      seed: of the workload.
+
+    Returns:
+      A record: the case, seconds of each call with their medians and ratios to ours,
+      and the relative distances of the gradients from ours.
+    """
     work = draw_work(case, seed=seed)
     calls = {
-        "ours": make_jax_call(render_ours, *work, case.sigma, side=case.side),
-        "plain JAX": make_jax_call(
-            plain_peer.render_plain, *work, case.sigma, side=case.side
-        ),
+        name: make_jax_call(render, work, case.sigma, side=case.side)
+        for name, render in (("ours", render_ours), ("plain JAX", render_plain))
     }
     if has_torch():
         from dpc_jax.measure.benchmark import torch_peer
 
-        calls["PyTorch"] = torch_peer.make_call(*work, sigma=case.sigma)
+        calls["PyTorch"] = torch_peer.make_call(work, sigma=case.sigma)
     return _compare(str(case), calls, "ours", rounds)
 
 
@@ -83,61 +134,59 @@ def compare_sizes(case: Case, *, rounds: int, seed: int) -> dict[str, Any]:
     spread = np.random.default_rng([seed, 1]).uniform(0.5, 1.5, case.points)
     sigmas = case.sigma * spread
     calls = {
-        method: make_jax_call(render_ours, *work, sigma, side=case.side, method=method)
+        method: make_jax_call(render_ours, work, sigma, side=case.side, method=method)
         for method, sigma in (("trilinear", case.sigma), ("gaussian", sigmas))
     }
-    # Other sizes, other gradients: there is nothing to compare.
+    # With other sizes the gradients differ: there is nothing to compare.
     return _compare(str(case), calls, "trilinear", rounds, has_one_gradient=False)
 
 
 def compare_choices(
     case: Case, *, num_candidates: int, rounds: int, seed: int
 ) -> dict[str, Any]:
-    """The winner of K candidates, found without a gradient, beside min over all."""
-    points, _, masses, targets = draw_work(case, seed=seed)
-    rng = np.random.default_rng([seed, 1])
-    candidates = rng.normal(size=(case.batch, num_candidates, 4)).astype("f4")
-    arrays = (points, candidates, masses, targets, case.sigma)
-    calls = {
-        "chosen": make_choice_call("chosen", *arrays),
-        "min, one by one": make_choice_call("min, one by one", *arrays),
-        "min, all at once": make_choice_call("min, all at once", *arrays),
-    }
+    """The winner of K, found without a gradient, beside the minimum over all K."""
+    work = draw_candidates(case, num_candidates, seed=seed)
+    calls = {how: make_choice_call(how, work, case.sigma) for how in CHOICES}
     return _compare(f"{case}, K={num_candidates}", calls, "chosen", rounds)
 
 
-def make_choice_call(how, points, candidates, masses, targets, sigma):
+def make_choice_call(how: str, work: Work, sigma: float) -> Callable[[], Any]:
     """A call that gives the gradients of points and candidates.
 
     Args:
-      how: "chosen" (hindsight choice, then one render with a gradient), or the plain
-        minimum over renders with a gradient, "min, one by one" or "min, all at once".
-      points: [B, N, 3]. candidates: [B, K, 4]. masses: [B]. targets: [B, D, D].
+      how: one of `CHOICES`: "chosen" (hindsight choice, then one render with a
+        gradient), or the plain minimum over renders with a gradient, "min, one by one"
+        or "min, all at once".
+      work: of `draw_candidates`.
+      sigma: voxels.
     """
     gradient = _compile_choice(how)
-    samples = tuple(jnp.asarray(a) for a in (points, candidates, masses, targets))
-    sigma = jnp.asarray(sigma, jnp.float32)
-    return lambda: gradient(samples[:2], samples[2:], sigma)
+    arrays = tuple(jnp.asarray(a) for a in work)
+    rest = arrays[2:], jnp.asarray(sigma, jnp.float32)
+    return lambda: gradient(arrays[:2], *rest)
 
 
 @functools.lru_cache
 def _compile_choice(how):
-    def compute_loss(points, candidates, mass, target, sigma):
+    def compute_loss(arrays, sigma):
+        points, candidates, mass, target = arrays
+
         def compute_one(candidate):
-            image = render_ours(points, candidate, mass, sigma, side=target.shape[0])
+            sample = points, candidate, mass
+            image = render_ours(sample, sigma, side=target.shape[0])
             return reprojection_loss(image, target)
 
         if how == "min, one by one":
             return jnp.min(jax.lax.map(compute_one, candidates))
         if how == "min, all at once":
             return jnp.min(jax.vmap(compute_one)(candidates))
-        still = jax.lax.stop_gradient((points, mass, candidates))
-        best = choose_candidate(*still, target, sigma=sigma, camera=Camera())
+        p, m, c = jax.lax.stop_gradient((points, mass, candidates))
+        best = choose_candidate(p, m, c, target, sigma=sigma, camera=Camera())
         return compute_one(candidates[best])
 
     def compute_all(moving, fixed, sigma):
         samples = (*moving, *fixed)
-        losses = jax.lax.map(lambda one: compute_loss(*one, sigma), samples)
+        losses = jax.lax.map(lambda one: compute_loss(one, sigma), samples)
         return jnp.sum(losses)
 
     return jax.jit(jax.grad(compute_all))
@@ -171,7 +220,7 @@ def _compare(name, calls, ours, rounds, *, has_one_gradient=True):
 
 
 def measure_distance(value: np.ndarray, reference: np.ndarray) -> float:
-    """Relative L2 distance; 0 where both are zero, infinite where one is."""
+    """Relative L2 distance; 0 if both are zero, infinite if only the reference is."""
     distance = np.linalg.norm(np.asarray(value, np.float64) - reference)
     size = np.linalg.norm(reference)
     if size == 0:

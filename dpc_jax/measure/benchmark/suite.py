@@ -1,5 +1,6 @@
 """One run of the benchmark: its parts in turn, then the report."""
 
+import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 from dpc_jax.learning.progress import ProgressReport
 from dpc_jax.measure import scenes
 from dpc_jax.measure.benchmark import accuracy, peak, report, scaling, speed
-from dpc_jax.measure.benchmark.plan import PARTS, Plan
+from dpc_jax.measure.benchmark.plan import PARTS, Case, Plan
 from dpc_jax.measure.timing import describe_machine
 
 
@@ -17,17 +18,18 @@ def run_benchmark(
     """Measure the parts asked for and write OUT/benchmark.md, .json and figures.
 
     Args:
-      out: folder, made where it is missing.
-      plan: sizes. parts: any of `PARTS`. command: that repeats the run, for the report.
+      out: folder, made if it is missing.
+      plan: sizes.
+      parts: some of `PARTS`.
+      command: that repeats the run, for the report.
 
     Returns:
       The path of benchmark.md.
 
     Raises:
-      ValueError: for an unknown part, or none.
-      RuntimeError: where a process of the memory part fails; the parts before it are
-        written.
-      OSError: where the folder cannot be written.
+      ValueError: there is an unknown part, or no part.
+      RuntimeError: a process of the memory part fails; finished parts are written.
+      OSError: the folder cannot be written.
     """
     unknown = sorted(set(parts) - set(PARTS))
     if unknown or not parts:
@@ -36,84 +38,87 @@ def run_benchmark(
             f"{', '.join(unknown) or 'none'} came; write for example --parts=speed."
         )
     out.mkdir(parents=True, exist_ok=True)
-    tasks = [
-        (part, name, task)
-        for part in PARTS
-        if part in parts
-        for name, task in _TASKS[part](plan)
-    ]
-    results: dict[str, Any] = {"machine": describe_machine(), "command": command}
-    results |= {"has_torch": speed.has_torch(), "seed": plan.seed}
-    results |= {"reference_side": plan.reference_side, "base_side": plan.base_side}
+    results: dict[str, Any] = {
+        "machine": describe_machine(),
+        "command": command,
+        "has_torch": speed.has_torch(),
+        "seed": plan.seed,
+        "reference_side": plan.reference_side,
+        "base_side": plan.base_side,
+    }
     try:
-        with ProgressReport("Benchmark", total=len(tasks)) as progress:
-            for step, (part, name, task) in enumerate(tasks, start=1):
-                progress.tell(f"{step}/{len(tasks)} {part}: {name}")
-                results.setdefault(part, []).extend(task())
-                progress.advance(step)
+        _run_tasks(plan, parts, results)
     except BaseException:
-        # The parts before the one that failed, or was interrupted, took minutes.
-        results.pop(part, None)
-        if any(name in results for name in PARTS):
+        # The finished parts took minutes: keep them.
+        if any(part in results for part in PARTS):
             report.write_report(out, results)
         raise
     return report.write_report(out, results)
+
+
+def _run_tasks(plan: Plan, parts: Sequence[str], results: dict[str, Any]) -> None:
+    """Add the records of each part to the results once the whole part is measured."""
+    tasks = {part: _TASKS[part](plan) for part in PARTS if part in parts}
+    total, step = sum(map(len, tasks.values())), 0
+    with ProgressReport("Benchmark", total=total) as progress:
+        for part, list_of_part in tasks.items():
+            records = []
+            for name, task in list_of_part:
+                step += 1
+                progress.tell(f"{step}/{total} {part}: {name}")
+                records += task()
+                progress.advance(step)
+            results[part] = records
 
 
 Task = tuple[str, Callable[[], list[dict]]]
 
 
 def _list_speed(plan) -> list[Task]:
-    clock = {"rounds": plan.rounds, "seed": plan.seed}
+    """Each kind of comparison with its function, case and further arguments."""
+    wanted: list[tuple[str, Callable[..., dict], Case, dict[str, int]]]
+    wanted = [("peers", speed.compare_with_peers, case, {}) for case in plan.cases]
+    wanted.append(("sizes", speed.compare_sizes, plan.per_point, {}))
+    count = {"num_candidates": plan.num_candidates}
+    wanted.append(("choices", speed.compare_choices, plan.candidates, count))
 
-    def compare(kind, function, case, **options):
-        return f"{kind}, {case}", lambda: [
-            {"kind": kind} | function(case, **options, **clock)
-        ]
+    def compare(kind, function, case, options):
+        record = function(case, rounds=plan.rounds, seed=plan.seed, **options)
+        return [{"kind": kind} | record]
 
-    tasks = [compare("peers", speed.compare_with_peers, case) for case in plan.cases]
-    tasks.append(compare("sizes", speed.compare_sizes, plan.per_point))
-    tasks.append(
-        compare(
-            "choices",
-            speed.compare_choices,
-            plan.candidates,
-            num_candidates=plan.num_candidates,
-        )
-    )
-    return tasks
+    return [(f"{row[0]}, {row[2]}", functools.partial(compare, *row)) for row in wanted]
 
 
 def _list_error(plan) -> list[Task]:
-    settings = accuracy.list_settings(plan)
+    """Every scene at every sigma."""
+    measure = functools.partial(
+        accuracy.measure_scene, plan=plan, settings=accuracy.list_settings(plan)
+    )
     made = scenes.make_scenes(
         num_points=plan.scene_points, num_sparse=plan.sparse_points, seed=plan.seed
     )
-
-    def measure(scene, sigma):
-        return (
-            f"{scene.name}, σ={sigma:g}",
-            lambda: accuracy.measure_scene(scene, sigma, plan=plan, settings=settings),
-        )
-
-    return [measure(scene, sigma) for scene in made for sigma in plan.sigmas]
+    return [
+        (f"{scene.name}, σ={sigma:g}", functools.partial(measure, scene, sigma))
+        for scene in made
+        for sigma in plan.sigmas
+    ]
 
 
 def _list_scaling(plan) -> list[Task]:
-    def measure(axis):
-        return axis, lambda: [scaling.measure_axis(axis, plan=plan)]
-
-    return [measure(axis) for axis in scaling.AXES]
+    return [
+        (axis, lambda axis=axis: [scaling.measure_axis(axis, plan=plan)])
+        for axis in scaling.AXES
+    ]
 
 
 def _list_memory(plan) -> list[Task]:
-    def measure(case):
-        return (
+    return [
+        (
             f"{case.method}, {case.case}",
-            lambda: [peak.measure_case(case, seed=plan.seed)],
+            lambda case=case: [peak.measure_case(case, seed=plan.seed)],
         )
-
-    return [measure(case) for case in plan.memory]
+        for case in plan.memory
+    ]
 
 
 _TASKS = {

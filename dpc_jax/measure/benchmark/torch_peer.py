@@ -1,44 +1,45 @@
-"""The projection as one would write it in PyTorch at first, a batch at once.
+"""The projection as one would first write it in PyTorch, a batch at once.
 
-The steps are those of `plain_peer`; every derivative is PyTorch's own. A room of its
-own, because PyTorch (`pip install '.[bench]'`) is imported only where it is asked for.
+The steps are those of `plain_peer`; every derivative is PyTorch's own. This is a module
+of its own because PyTorch (`pip install '.[bench]'`) may not be installed.
 """
 
 import itertools
+from collections.abc import Callable
 
-import torch
+import numpy as np
+import torch  # pyright: ignore[reportMissingImports]  # optional
 
+from dpc_jax.measure.benchmark.speed import Work
 from dpc_jax.render.camera import Camera
 
 _CORNERS = tuple(itertools.product((0, 1), repeat=3))
 
 
-def make_call(points, quaternions, masses, targets, *, sigma):
+def make_call(work: Work, *, sigma: float) -> Callable[[], list[np.ndarray]]:
     """A call that gives the loss's gradient in PyTorch.
 
     Args:
-      points: [B, N, 3]. quaternions: [B, 4]. masses: [B]. targets: [B, D, D]; numpy.
+      work: the arrays.
       sigma: voxels.
 
     Returns:
       A function without arguments; gradients of points, quaternions and masses.
     """
-    side = targets.shape[-1]
-    target = torch.tensor(targets)
+    side = work.targets.shape[-1]
+    target = torch.tensor(work.targets)
 
     def call():
-        inputs = [
-            torch.tensor(value, requires_grad=True)
-            for value in (points, quaternions, masses)
-        ]
-        images = _render_in_torch(*inputs, sigma, side)
+        inputs = [torch.tensor(value, requires_grad=True) for value in work[:3]]
+        images = _render_in_torch(inputs, sigma, side)
         ((images - target) ** 2).sum().backward()
         return [value.grad.numpy() for value in inputs]
 
     return call
 
 
-def _render_in_torch(points, quaternions, masses, sigma, side):
+def _render_in_torch(inputs, sigma, side):
+    points, quaternions, masses = inputs
     camera = Camera()
     batch = points.shape[0]
     moved = torch.bmm(points, _turn_to_matrix(quaternions).transpose(1, 2))

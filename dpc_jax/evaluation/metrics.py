@@ -1,0 +1,136 @@
+"""The registry of metrics: how people read each number that a run reports.
+
+Every report takes its labels, units and roundings from here: the HTML page, the
+Markdown tables, the comparison of runs and the lines printed during a run. To add a
+metric, add its line to `METRICS`; a name without a line is shown as it is, with four
+digits.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+MISSING = "–"
+_OWN = "own_"  # prefix of scores on the training source, where another one is tested
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One metric.
+
+    Attributes:
+      name: key in `metrics.json`.
+      label: name for people, without the unit.
+      unit: of the number as shown. Shares from 0 to 1 are shown in "%", in tables.
+      format: format specification of the number as shown.
+      higher_is_better: None where neither direction is better.
+      hint: one phrase on its meaning.
+      short: name within a line of text; empty if such lines leave the metric out.
+      role: where the metric stands beside the list of all metrics. Each role includes
+        those before it: "compared", a column where runs are compared; "required", in
+        every report, if only as unknown; "headline", large at the top of the page.
+    """
+
+    name: str
+    label: str
+    unit: str = ""
+    format: str = ".4g"
+    higher_is_better: bool | None = None
+    hint: str = ""
+    short: str = ""
+    role: Literal["", "compared", "required", "headline"] = ""
+
+    @property
+    def factor(self) -> float:
+        """The number is shown times this."""
+        return 100.0 if self.unit == "%" else 1.0
+
+    @property
+    def heading(self) -> str:
+        """The label with its unit in brackets."""
+        return f"{self.label} ({self.unit})" if self.unit else self.label
+
+
+# fmt: off
+METRICS = {metric.name: metric for metric in (
+    Metric("pose_accuracy", "Pose accuracy", "%", ".1f", True,
+           "views posed within 30° of the truth", "pose accuracy", role="headline"),
+    Metric("pose_median_error_deg", "Median pose error", "°", ".1f", False,
+           "half of the views are closer than this", "median error", role="headline"),
+    Metric("chamfer", "Chamfer distance", "×100", ".2f", False,
+           "precision plus coverage", "Chamfer", role="headline"),
+    Metric("precision", "Precision", "×100", ".2f", False,
+           "mean distance from prediction to truth", role="required"),
+    Metric("coverage", "Coverage", "×100", ".2f", False,
+           "mean distance from truth to prediction", role="required"),
+    Metric("flip_share", "Flipped views", "%", ".1f", False,
+           "wrong by more than 150°: front and back exchanged"),
+    Metric("best_candidate_pose_accuracy", "Pose accuracy, best candidate", "%", ".1f",
+           True, "the winner of the ensemble", role="compared"),
+    Metric("best_candidate_pose_median_error_deg", "Median pose error, best candidate",
+           "°", ".1f", False, "the winner of the ensemble"),
+    Metric("silhouette_iou", "Silhouette overlap", "%", ".1f", True,
+           "intersection over union with the masks", "silhouette overlap"),
+    Metric("train_seconds", "Training time", "s", ".0f", False,
+           "wall clock, including compilation", role="headline"),
+    Metric("peak_memory_gb", "Peak memory", "GB", ".1f", False,
+           "of the training process", role="compared"),
+    Metric("loss", "Training loss", higher_is_better=False),
+)}
+# fmt: on
+HEADLINE_METRICS = tuple(n for n, m in METRICS.items() if m.role == "headline")
+REQUIRED_METRICS = tuple(
+    n for n, m in METRICS.items() if m.role in ("headline", "required")
+)
+COMPARED_METRICS = tuple(name for name, m in METRICS.items() if m.role)
+SUMMARY_METRICS = tuple(name for name, m in METRICS.items() if m.short)
+
+
+def get_metric(name: str) -> Metric:
+    """The metric of that name; an unknown one has its name as its label."""
+    plain = name.removeprefix(_OWN)
+    if plain != name and plain in METRICS:
+        metric = METRICS[plain]
+        return replace(metric, name=name, label=f"{metric.label}, training source")
+    return METRICS.get(name, Metric(name, name))
+
+
+def order_metrics(names: Iterable[str]) -> list[str]:
+    """Distinct names as a table lists them: in the registry's order, then the others
+    alphabetically."""
+    given = set(names)
+    return [n for n in METRICS if n in given] + sorted(given - METRICS.keys())
+
+
+def format_metric(name: str, value: Any) -> str:
+    """A metric's value in its unit and rounding; an en dash for None, NaN, infinity."""
+    if isinstance(value, bool | str):
+        return str(value)
+    if value is None or not math.isfinite(value):
+        return MISSING
+    metric = get_metric(name)
+    return format(metric.factor * float(value), metric.format)
+
+
+def describe_metrics(
+    metrics: Mapping[str, Any],
+    names: Iterable[str] = SUMMARY_METRICS,
+    *,
+    share_digits: int = 3,
+) -> str:
+    """One line of text: "pose accuracy 0.886, median error 2.5°, Chamfer 3.31".
+
+    Args:
+      metrics: values by name; what is missing or None is left out.
+      names: metrics to state, in this order.
+      share_digits: decimal places of shares, which are stated from 0 to 1.
+    """
+    parts = []
+    for name in names:
+        value, metric = metrics.get(name), get_metric(name)
+        if value is not None:
+            spec = f".{share_digits}f" if metric.unit == "%" else metric.format
+            sign = "°" if metric.unit == "°" else ""
+            parts.append(f"{metric.short or metric.label} {value:{spec}}{sign}")
+    return ", ".join(parts)

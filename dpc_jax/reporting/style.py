@@ -1,0 +1,73 @@
+"""One look for all figures, which are drawn without a display.
+
+Figures are made by hand (no pyplot), so nothing global changes and threads may draw.
+"""
+
+import io
+import os
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from dpc_jax.files import write_bytes
+
+INK, MUTED, GRID = "#22303c", "#8795a1", "#e6eaee"
+# Colours of series, in the order in which they are given out.
+BLUE, RED, GREEN, AMBER = "#2f7ebc", "#d1495b", "#3a9d6e", "#e0a030"
+SERIES = (BLUE, RED, GREEN, AMBER, "#7b5ea7", "#5f6c77", "#56b4c9", "#8c5a3c")
+
+
+def make_figure(width: float, height: float) -> Figure:
+    """An empty figure of that size in inches, laid out by its content."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def make_panels(
+    figure: Figure, count: int, *, columns: int = 2, share: bool = False
+) -> list[Axes]:
+    """`count` axes in rows of `columns`; `share`: with common scales."""
+    rows = -(-count // columns)
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=share, sharey=share)
+    for axes in grid.flat[count:]:
+        axes.set_visible(False)
+    return list(grid.flat[:count])
+
+
+def label_axes(
+    axes: Axes,
+    *,
+    title: str = "",
+    x_label: str = "",
+    y_label: str = "",
+    grid: Literal["x", "y", "both"] = "y",
+) -> None:
+    """Title, labels, ticks and grid of a panel. An empty text leaves out its line."""
+    axes.set_title(title, loc="left", fontsize=11, color=INK, fontweight="bold")
+    axes.set_xlabel(x_label, fontsize=9, color=INK)
+    axes.set_ylabel(y_label, fontsize=9, color=INK)
+    axes.tick_params(labelsize=8, colors=INK, which="both")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(axis=grid, color=GRID, lw=0.8)
+    axes.set_axisbelow(True)
+
+
+def set_ticks(axes: Axes, values: ArrayLike, spec: str = "g") -> None:
+    """Ticks of a logarithmic x axis at exactly these values."""
+    places = np.asarray(values, np.float64)
+    axes.set_xticks(places, [format(place, spec) for place in places])
+    axes.set_xticks([], minor=True)
+
+
+def save_figure(figure: Figure, path: str | os.PathLike, *, dpi: int = 130) -> Path:
+    """Write the figure as PNG, whole or not at all."""
+    buffer = io.BytesIO()
+    # Without the library's version in it, the same data give the same bytes.
+    figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
+    return write_bytes(path, buffer.getvalue())

@@ -1,0 +1,64 @@
+"""The registry of metrics: labels, roundings and the line printed during a run."""
+
+import numpy as np
+import pytest
+
+from dpc_jax.evaluation.metrics import (
+    METRICS,
+    describe_metrics,
+    format_metric,
+    get_metric,
+    order_metrics,
+)
+
+VALUES = {
+    "chamfer": 3.314,
+    "pose_accuracy": 0.8864,
+    "silhouette_iou": 0.75,
+    "pose_median_error_deg": 2.53,
+    "train_seconds": 701.0,
+}
+
+
+def test_a_line_of_text_states_shares_from_0_to_1_and_the_others_as_tables_do():
+    assert describe_metrics(VALUES) == (
+        "pose accuracy 0.886, median error 2.5°, Chamfer 3.31, silhouette overlap 0.750"
+    )
+    assert describe_metrics(VALUES, share_digits=2).startswith("pose accuracy 0.89, ")
+    assert describe_metrics(VALUES, ("train_seconds",)) == "Training time 701"
+
+
+def test_a_line_of_text_leaves_out_what_is_not_known():
+    assert describe_metrics({"chamfer": None, "pose_accuracy": 0.5}) == (
+        "pose accuracy 0.500"
+    )
+    assert describe_metrics({}) == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("pose_accuracy", np.float32(0.5), "50.0"),
+        ("chamfer", 3.456, "3.46"),
+        ("new_metric", 12345.678, "1.235e+04"),
+        ("chamfer", None, "–"),
+        ("chamfer", float("nan"), "–"),
+        ("is_known", True, "True"),
+        ("device", "cpu", "cpu"),
+    ],
+)
+def test_values_are_shown_in_their_unit_and_rounding(name, value, text):
+    assert format_metric(name, value) == text
+
+
+def test_scores_on_the_training_source_are_labelled_as_such():
+    metric = get_metric("own_pose_accuracy")
+    assert metric.heading == "Pose accuracy, training source (%)"
+    assert metric.factor == 100.0
+    assert get_metric("own_new").heading == "own_new"
+
+
+def test_known_metrics_come_in_the_registrys_order_and_the_others_after_them():
+    names = ["zeta", "chamfer", "alpha", "pose_accuracy", "chamfer"]
+    assert order_metrics(names) == ["pose_accuracy", "chamfer", "alpha", "zeta"]
+    assert order_metrics(METRICS) == list(METRICS)
