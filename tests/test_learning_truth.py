@@ -6,8 +6,9 @@ import tiny_runs
 
 from dpc_jax.data import shards
 from dpc_jax.evaluation.alignment import align_by_poses, identity_alignment
+from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.evaluation.scores import score
-from dpc_jax.learning import evaluator, loop
+from dpc_jax.learning import evaluator
 from dpc_jax.learning.predictor import arrange_views, make_predictor, predict_all
 
 
@@ -102,8 +103,8 @@ def test_without_poses_only_the_overlap_is_left(trained):
         1
     )
     assert result.pose_errors_deg is result.best_candidate_errors_deg is None
-    text = loop._describe(7, result.metrics)
-    assert text.startswith("Validation at step 7: silhouette overlap 0.")
+    text = describe_metrics(result.metrics, share_digits=2)
+    assert text.startswith("silhouette overlap 0.")
 
 
 def test_the_mode_of_the_votes_aligns_where_there_are_no_shapes():
