@@ -47,12 +47,13 @@ def render(
 
 def project_volumes(density, channels, shape, distance, background):
     """End the rays of densities Σ f and Σ y·f, and take depth and colour from them."""
-    probabilities, passed = oracles.terminate(oracles.clip(density))
+    occupancy = oracles.clip(density)
+    probabilities, passed = oracles.terminate(occupancy)
     cells = (np.arange(shape[2]) + oracles.REAL(0.5)) / shape[2] - oracles.REAL(0.5)
     far, behind = background
     depth = np.sum(probabilities * (cells + distance), axis=-1) + passed * far
     # r·y with y = Σ y_i f_i / Σ f_i; where Σ f is zero, its limit: o/Σ f is one.
-    before = _find_before(oracles.clip(density))
+    before = oracles.find_transparencies(occupancy)[..., :-1]
     is_over = np.real(density) > 1
     share = np.where(is_over, 1 / np.where(is_over, density, 1), 1)
     color = [
@@ -60,14 +61,6 @@ def project_volumes(density, channels, shape, distance, background):
         for channel in channels
     ]
     return np.sum(probabilities, axis=-1), depth, np.stack(color, axis=-1)
-
-
-def _find_before(occupancy):
-    passed, parts = np.ones(occupancy.shape[:-1]), []
-    for k in range(occupancy.shape[-1]):
-        parts.append(passed)
-        passed = passed * (1 - occupancy[..., k])
-    return np.stack(parts, axis=-1)
 
 
 def move_covariances(points, rotation, covariances, *, shape, focal, distance):

@@ -189,13 +189,16 @@ def clip(density):
     return np.where(real < 0, 0, np.where(real > 1, 1, density))
 
 
-def terminate(occupancy):
+def find_transparencies(occupancy: np.ndarray) -> np.ndarray:
+    """Π_{u<k}(1 - o_u) for every cell k along the last axis, and for the background."""
+    ones = np.ones((*occupancy.shape[:-1], 1))
+    return np.cumprod(np.concatenate([ones, 1 - occupancy], axis=-1), axis=-1)
+
+
+def terminate(occupancy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(o_k·Π_{u<k}(1 - o_u), Π(1 - o)) cell by cell along the last axis."""
-    passed, probabilities = np.ones(occupancy.shape[:-1]), []
-    for k in range(occupancy.shape[-1]):
-        probabilities.append(occupancy[..., k] * passed)
-        passed = passed * (1 - occupancy[..., k])
-    return np.stack(probabilities, axis=-1), passed
+    passed = find_transparencies(occupancy)
+    return occupancy * passed[..., :-1], passed[..., -1]
 
 
 def find_opacity(occupancy):
