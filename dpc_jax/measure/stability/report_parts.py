@@ -1,4 +1,4 @@
-"""Parts of the stress report: what each is given, and what it hands back."""
+"""Parts of the stress report: what each is asked for, and what it returns."""
 
 import dataclasses
 import importlib
@@ -8,46 +8,51 @@ from typing import Any
 
 
 @dataclasses.dataclass(frozen=True)
-class PartResult:
-    """What a part of the report found.
-
-    Attributes:
-      markdown: its section, beginning with a heading of the second level; figures that
-        it wrote into the folder are named relative to it.
-      data: what JSON can hold, numbers in full; one that is not finite becomes null.
-      passes: whether all of it is within its stated tolerances.
-      failures: a sentence for each thing that is not.
-    """
-
-    markdown: str
-    data: Any
-    passes: bool
-    failures: tuple[str, ...] = ()
-
-
-@dataclasses.dataclass(frozen=True)
-class Order:
+class PartRequest:
     """What a part is asked for.
 
     Attributes:
-      out: the report's folder; it exists.
-      seed: of all that is drawn.
-      tell: shows a line of text to who waits.
+      out: the report's folder, for figures and tables; it exists.
+      quick: whether to run a small version, in half a minute.
+      seed: of all random numbers.
+      tell: shows a line of text to whoever waits.
       subjects: chapters of the catalogue to run; None for all.
       dtypes: dtypes of the catalogue to run; None for all that a case names.
     """
 
     out: Path
+    quick: bool = False
     seed: int = 0
     tell: Callable[[str], None] = print
     subjects: tuple[str, ...] | None = None
     dtypes: tuple[str, ...] | None = None
 
 
-# Where the function `run_part(order) -> PartResult` of each part is; imported when it
-# is asked for.
+@dataclasses.dataclass(frozen=True)
+class PartResult:
+    """What a part of the report found.
+
+    Attributes:
+      markdown: its section, which begins with a heading of the second level and names
+        its figures relative to the report's folder.
+      data: lists, dicts, texts and numbers, for JSON.
+      failures: a sentence for everything outside its stated tolerance.
+    """
+
+    markdown: str
+    data: Any
+    failures: tuple[str, ...] = ()
+
+    @property
+    def passes(self) -> bool:
+        """Whether everything is within its stated tolerance."""
+        return not self.failures
+
+
+# The module of each part. It has a function `run_part(request) -> PartResult` and is
+# imported when the part runs.
 PARTS = {
-    "cases": "dpc_jax.measure.stability.cases.catalogue",
+    "cases": "dpc_jax.measure.stability.cases.case_report",
     "ordinary": "dpc_jax.measure.stability.precision_report",
     "stiff": "dpc_jax.measure.stability.stiff.stiff_report",
     "random": "dpc_jax.measure.stability.draws.random_draws",
@@ -55,15 +60,33 @@ PARTS = {
 }
 
 
-def run_part(name: str, order: Order) -> PartResult:
+def run_part(name: str, request: PartRequest) -> PartResult:
     """Run one of `PARTS`.
 
     Raises:
       ValueError: there is no such part.
     """
-    if name not in PARTS:
+    check_names("parts", (name,), tuple(PARTS))
+    return importlib.import_module(PARTS[name]).run_part(request)
+
+
+def check_names(
+    flag: str, names: tuple[str, ...] | None, known: tuple[str, ...]
+) -> None:
+    """Refuse unknown names, and an empty list of names.
+
+    Args:
+      flag: the command line's flag that they come from.
+      names: to check; None for all that are known.
+      known: the names that there are.
+
+    Raises:
+      ValueError: a name is not known, or there is none.
+    """
+    unknown = [name for name in names or () if name not in known]
+    if unknown or names == ():
         raise ValueError(
-            f"parts must be some of {', '.join(PARTS)}, but {name!r} came; write for "
-            "example --parts=cases."
+            f"--{flag} must be some of {', '.join(known)}, but "
+            f"{', '.join(unknown) or 'nothing'} came; write for example "
+            f"--{flag}={known[0]}."
         )
-    return importlib.import_module(PARTS[name]).run_part(order)

@@ -67,7 +67,7 @@ class Case:
 def make_cases(
     title: str,
     function: Callable,
-    oracle: Callable,
+    oracle: Callable | None,
     tolerances: tuple[float, float | None],
     rows: Iterable[tuple],
     **shared: Any,
@@ -76,7 +76,7 @@ def make_cases(
 
     Args:
       title: of the table; a case is called "title: name", or "title" without a name.
-      function, oracle: see `Case`.
+      function, oracle: see `Case`; no oracle if each row has its own.
       tolerances: of the value and of the gradient.
       rows: (name, input, input, ...). A dict at the end of a row holds the fields of
         `Case` in which this row differs from the rest of the table.

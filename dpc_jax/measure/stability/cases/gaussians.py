@@ -1,8 +1,10 @@
 """The basic method: sizes far apart, covariances singular and worse."""
 
 import functools
+from collections.abc import Sequence
 
 import chex
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -26,7 +28,7 @@ SIZES = (
 )
 
 
-def turn(variances: list[float]) -> np.ndarray:
+def turn(variances: Sequence[float]) -> np.ndarray:
     """A covariance with these variances along the axes of a fixed rotation."""
     axes = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     return axes @ np.diag(variances) @ axes.T
@@ -62,20 +64,22 @@ COVARIANCES = (
 
 
 def sum_isotropic(
-    coordinates: chex.Array, masses: chex.Array, sigma: chex.Array
+    coordinates: chex.Array, masses: jax.Array, sigma: chex.Array
 ) -> chex.Array:
     """The density of one Gaussian per point."""
-    return gaussians.sum_gaussians(coordinates, masses[:, None], sigma, shape=SHAPE)[0]
+    density = gaussians.sum_gaussians(coordinates, masses[:, None], sigma, shape=SHAPE)
+    return jnp.squeeze(density, 0)
 
 
 def sum_anisotropic(
-    coordinates: chex.Array, masses: chex.Array, covariance: chex.Array
+    coordinates: chex.Array, masses: jax.Array, covariance: chex.Array
 ) -> chex.Array:
     """The same with covariances, of which `project` reads the symmetric part."""
     covariance = (covariance + jnp.swapaxes(covariance, 1, 2)) / 2
-    return covariances.sum_covariances(
+    density = covariances.sum_covariances(
         coordinates, masses[:, None], covariance, shape=SHAPE
-    )[0]
+    )
+    return jnp.squeeze(density, 0)
 
 
 def list_cases() -> list[Case]:

@@ -3,6 +3,7 @@
 import functools
 
 import chex
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -81,12 +82,12 @@ TO_PLACES = {"gradient_floor": (3e-8, 3e-8, 1e-30, 1e-30, 1e-30)}
 def render(
     points: chex.Array,
     rotation: chex.Array,
-    sizes: chex.Array,
+    sizes: jax.Array,
     scale: chex.Array,
     colors: chex.Array,
     *,
     method: str,
-) -> tuple[chex.Array, ...]:
+) -> tuple[chex.Array | None, chex.Array | None, chex.Array | None]:
     """The three images of a cloud.
 
     Args:
@@ -115,9 +116,7 @@ def make_matrices(
 ) -> np.ndarray:
     """The covariances of `render` in the grid."""
     matrices = (sides * sides)[:, None, None] * (np.eye(3) + TILT)
-    return image_oracles.move_covariances(
-        points, rotation, matrices, shape=SHAPE, focal=1.875, distance=2.0
-    )
+    return image_oracles.move_covariances(points, rotation, matrices, shape=SHAPE)
 
 
 def list_cases() -> list[Case]:

@@ -95,7 +95,7 @@ def fit(points: chex.Array, rotation: chex.Array, target: chex.Array) -> chex.Ar
     image = project(
         points, rotation, sigma=0.7, scale=2.0, grid=VoxelGrid(FIT_SHAPE)
     ).silhouette
-    return losses.reprojection_loss(image, target)
+    return losses.reprojection_loss(image, target)  # pyright: ignore[reportArgumentType]
 
 
 def find_fit(

@@ -87,7 +87,7 @@ def find_selection_loss(logits: np.ndarray) -> np.ndarray:
     for row, winner in zip(logits, WINNERS, strict=True):
         top = max(row, key=np.real)
         total = total + top + np.log(np.sum(np.exp(row - top))) - row[winner]
-    return total / len(logits)
+    return np.asarray(total / len(logits))
 
 
 def find_repulsion(points: np.ndarray) -> np.ndarray:
@@ -96,12 +96,12 @@ def find_repulsion(points: np.ndarray) -> np.ndarray:
     for i, j in itertools.combinations(range(len(points)), 2):
         away = points[i] - points[j]
         energies.append(1 / np.sqrt(np.sum(away * away) + REAL(0.02) * REAL(0.02)))
-    return sum(energies) / len(energies)
+    return np.sum(energies) / len(energies)
 
 
 def find_containment(points: np.ndarray) -> np.ndarray:
     """Sum of squared distances outside the ball of radius a half."""
-    total = REAL(0)
+    total = np.zeros((), REAL)
     for point in points:
         if np.real(np.sum(point * point)) > 0.25:
             beyond = oracles.root_sum(point) - REAL(0.5)

@@ -47,8 +47,8 @@ BRANCHES = (
 
 def pass_through_matrix(q: chex.Array) -> chex.Array:
     """To a matrix and back, as q·qᵀ, which is the same for q and -q."""
-    back = quaternion.from_matrix(quaternion.to_matrix(q))
-    return back[:, None] * back[None, :]
+    back = jnp.asarray(quaternion.from_matrix(quaternion.to_matrix(q)))
+    return jnp.outer(back, back)
 
 
 def compose_many(step: chex.Array) -> chex.Array:
@@ -121,8 +121,10 @@ def list_cases() -> list[Case]:
     still = {"slope": lambda inputs, w: (np.zeros(4),), "limit": ZERO}
     moved = {"slope": lambda inputs, w: (w[0], np.zeros(4)), "limit": ZERO}
     lengths = [*LENGTHS, ("zero", [0] * 4, still)]
-    turned = [(name, points, q) for name, q in LENGTHS]
-    turned.append(("zero", points, [0] * 4, moved))
+    turned = [
+        *((name, points, q) for name, q in LENGTHS),
+        ("zero", points, [0] * 4, moved),
+    ]
     along = ROUNDING + "; the gradient of q cancels along q"
     return [
         *make("normalize", quaternion.normalize, oracles.normalize, (4, 16), lengths),
