@@ -9,16 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tiny_runs import compiling_quickly
 
 from dpc_jax import stability
 from dpc_jax.measure.stability import report_parts
 from dpc_jax.measure.stability.cases import case_report, catalogue
 from dpc_jax.measure.stability.cases.case import DTYPES, Case, differentiate_oracle
 from dpc_jax.measure.stability.cases.runner import compare, run_cases
-
-# An eighth of the programs of the command, which runs both ways in every dtype, and
-# compiled with less effort: that is what takes the time. The slow test runs all.
-SWIFTLY = case_report.QUICK_COMPILER
 
 
 def make_case(function, **changes):
@@ -47,15 +44,17 @@ def run(folder, *flags):
     return stability.main([f"--out={folder}", "--parts=cases", *flags])
 
 
+# An eighth of the programs of the command, which runs both ways in every dtype, and
+# compiled with less effort, because that takes the time. The slow test runs all.
 @pytest.mark.parametrize("subject", catalogue.SUBJECTS)
 def test_every_case_is_within_its_tolerance(subject):
     is_numpy = subject == "evaluation"  # which is float64 alone
-    rows = catalogue.run_subjects(
-        catalogue.list_cases((subject,)),
-        dtypes=("float64" if is_numpy else "float32",),
-        modes=("vmap",),
-        compiler_options=SWIFTLY,
-    )
+    with compiling_quickly():
+        rows = catalogue.run_subjects(
+            catalogue.list_cases((subject,)),
+            dtypes=("float64" if is_numpy else "float32",),
+            modes=("vmap",),
+        )
     assert rows
     failures = [case_report.describe_failure(row) for row in rows if not row.passes]
     assert not failures, "\n".join(failures)

@@ -280,9 +280,9 @@ def test_a_quaternion_near_the_largest_float_is_a_rotation(size):
     np.testing.assert_allclose(found, [0, 0, half, -half], rtol=5e-7)
 
 
-@jax.jit
-def project_with_gradient(covariance, rotation):
-    """The silhouette's sum, and its gradients to covariance and rotation."""
+@pytest.fixture(scope="module")
+def project_with_gradient():
+    """A function that gives the silhouette's sum, and both gradients of it."""
 
     def total(covariance, rotation):
         return project(
@@ -292,12 +292,14 @@ def project_with_gradient(covariance, rotation):
             grid=VoxelGrid(5),
         ).silhouette.sum()
 
-    return jax.value_and_grad(total, argnums=(0, 1))(
-        jnp.asarray(covariance, jnp.float32), jnp.asarray(rotation, jnp.float32)
-    )
+    shapes = (jax.ShapeDtypeStruct(s, jnp.float32) for s in ((3, 3), (4,)))
+    with compiling_quickly():
+        call = jax.jit(jax.value_and_grad(total, argnums=(0, 1)))
+        compiled = call.lower(*shapes).compile()
+    return lambda *inputs: compiled(*(jnp.asarray(x, jnp.float32) for x in inputs))
 
 
-def test_a_flat_covariance_turned_a_little_has_a_gradient():
+def test_a_flat_covariance_turned_a_little_has_a_gradient(project_with_gradient):
     # A line along x, turned so that its depth variance is 1e-19: the factors of an
     # order of axes that is not its own overflow.
     line = np.diag([1.0, 0, 0])
@@ -308,7 +310,7 @@ def test_a_flat_covariance_turned_a_little_has_a_gradient():
     assert np.all(np.isfinite(gradients[1]))
 
 
-def test_a_matrix_that_is_no_covariance_gives_finite_numbers():
+def test_a_matrix_that_is_no_covariance_gives_finite_numbers(project_with_gradient):
     # Variance 0 along x, yet "correlated" with y and z.
     matrix = -np.ones((3, 3)) + np.diag([1.0, 0, 0])
     value, gradients = project_with_gradient(matrix, np.array([0, -1, -5.7e19, 0]))

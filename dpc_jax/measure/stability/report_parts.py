@@ -1,10 +1,13 @@
 """Parts of the stress report: what each is asked for, and what it returns."""
 
+import contextlib
 import dataclasses
 import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import jax
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,7 +70,20 @@ def run_part(name: str, request: PartRequest) -> PartResult:
       ValueError: there is no such part.
     """
     check_names("parts", (name,), tuple(PARTS))
-    return importlib.import_module(PARTS[name]).run_part(request)
+    module = importlib.import_module(PARTS[name])
+    with _compile_quickly() if request.quick else contextlib.nullcontext():
+        return module.run_part(request)
+
+
+@contextlib.contextmanager
+def _compile_quickly():
+    """Compile without XLA's optimisations, which take most of a quick part's time."""
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", True)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_disable_most_optimizations", before)
 
 
 def check_names(

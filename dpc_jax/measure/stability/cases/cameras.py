@@ -6,7 +6,7 @@ import chex
 import numpy as np
 
 from dpc_jax.measure.stability.cases import oracles
-from dpc_jax.measure.stability.cases.case import WIDE, Case, make_cases
+from dpc_jax.measure.stability.cases.case import IN_WIDE, Case, make_cases
 from dpc_jax.render import camera as cameras
 
 SUBJECT = "camera"
@@ -36,7 +36,7 @@ EYE = np.array([[0, 0, 0.3], [0.01, 0.02, 0.2], [0, 0, 0]])
 STILL = (1, 0, 0, 0)
 CROSSING = PLAIN * [1, 1, 0] + [[0, 0, -2], [0, 0, 0], [0, 0, 0.1]]
 CLOSE = [[1e-6, -1e-6, 1e-5], [0, 0, 0.3], [0.1, 0, 0.2]]
-AT_EYE, AWAY, IN_WIDE = {"limit": BEHIND}, {"limit": OUTSIDE}, {"dtypes": WIDE}
+AT_EYE, AWAY = {"limit": BEHIND}, {"limit": OUTSIDE}
 # name, points, rotation, focal length, distance
 SCENES = (
     ("plain", PLAIN, TURN, 1.875, 2.0),

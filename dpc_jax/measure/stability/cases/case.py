@@ -8,6 +8,7 @@ import numpy as np
 
 DTYPES = ("float64", "float32", "bfloat16", "float16")
 WIDE = ("float64", "float32")
+IN_WIDE = {"dtypes": WIDE}  # the changes of a row that 16 bits cannot hold
 # The oracles compute in long double. On x86 it has 64 bits of fraction and 15 of
 # exponent, so the squares of 1e30 and 1e-30 are well within its range. On every machine
 # it is at least float64.

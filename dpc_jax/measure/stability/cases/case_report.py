@@ -12,21 +12,18 @@ from dpc_jax.measure.stability.sections import make_table, start_section
 
 TABLE = "cases.md"
 NONE = "–"
-# XLA's optimisations take most of the time, and these programs run once.
-QUICK_COMPILER = {"xla_backend_optimization_level": 0}
 
 
 def run_part(request: PartRequest) -> PartResult:
     """Run the catalogue, and write OUT/cases.md with a line for each case and dtype.
 
-    The quick form runs under `vmap` alone, and compiles with less effort.
+    The quick form runs under `vmap` alone.
     """
     rows = run_subjects(
         list_cases(request.subjects),
         dtypes=request.dtypes,
         modes=("vmap",) if request.quick else MODES,
         tell=request.tell,
-        compiler_options=QUICK_COMPILER if request.quick else None,
     )
     write_text(request.out / TABLE, write_rows(rows))
     failures = tuple(describe_failure(row) for row in rows if not row.passes)

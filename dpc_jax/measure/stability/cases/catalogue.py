@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 from dpc_jax.measure.stability.cases import (
     cameras,
@@ -65,14 +64,13 @@ def run_subjects(
     dtypes: tuple[str, ...] | None = None,
     modes: tuple[str, ...] = MODES,
     tell: Callable[[str], None] = print,
-    compiler_options: dict[str, Any] | None = None,
 ) -> list[Row]:
     """Rows of all cases, subject by subject.
 
     Args:
       catalogue: cases by subject.
       tell: shows a line of text for each subject that is done.
-      dtypes, modes, compiler_options: see `run_cases`.
+      dtypes, modes: see `run_cases`.
 
     Raises:
       ValueError: there is no such dtype.
@@ -81,8 +79,7 @@ def run_subjects(
     rows = []
     for subject, cases in catalogue.items():
         start = time.perf_counter()
-        options = {"dtypes": dtypes, "modes": modes}
-        found = list(run_cases(cases, **options, compiler_options=compiler_options))
+        found = list(run_cases(cases, dtypes=dtypes, modes=modes))
         num_failed = sum(not row.passes for row in found)
         tell(
             f"cases, {subject}: {len(cases)} cases, {len(found)} rows, "

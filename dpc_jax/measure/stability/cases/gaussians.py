@@ -9,14 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.measure.stability.cases import oracles
-from dpc_jax.measure.stability.cases.case import WIDE, Case, make_cases
+from dpc_jax.measure.stability.cases.case import IN_WIDE, WIDE, Case, make_cases
 from dpc_jax.render.exact import covariances, gaussians
 
 SUBJECT = "gaussian"
 SHAPE = (5, 4, 6)
 CENTERS = np.array([[1.3, 2.2, 2.7], [3.6, 0.4, 3.9], [2.1, 1.1, 0.2], [4.2, 2.9, 5.4]])
 MASSES = np.array([1.0, 0.5, 2.0, 0.25])
-IN_WIDE = {"dtypes": WIDE}
 # A point at the floor of sigma leaves 1e-106 on the neighbours of its cell.
 ON_CELL = {"gradient_floor": 1e-30}
 SIZES = (

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.measure.stability.cases import image_oracles
-from dpc_jax.measure.stability.cases.case import WIDE, Case, make_cases
+from dpc_jax.measure.stability.cases.case import IN_WIDE, Case, make_cases
 from dpc_jax.render import Camera, VoxelGrid, project
 
 SUBJECT = "colour and depth"
@@ -31,7 +31,6 @@ TILT = np.array([[0.5, 0.25, 0], [0.25, 0, -0.125], [0, -0.125, 0.25]])
 BACKGROUND = {"limit": "a ray without density shows the background"}
 FULL = {"limit": "above density 1 a cell is full: the slope of its mass is zero"}
 FLOOR = {"limit": "below 0.02 voxels sigma has zero gradient"}
-IN_WIDE = {"dtypes": WIDE}
 ROUNDINGS = "coordinates of a few cells carry 30 roundings, kernels multiply them by "
 ROUNDINGS += "their slope, rays by their length"
 # Scenes that multiply roundings by more than that.

@@ -9,10 +9,9 @@ import numpy as np
 
 from dpc_jax.learning import losses
 from dpc_jax.measure.stability.cases import oracles
-from dpc_jax.measure.stability.cases.case import REAL, WIDE, Case, make_cases
+from dpc_jax.measure.stability.cases.case import IN_WIDE, REAL, Case, make_cases
 
 SUBJECT = "losses"
-IN_WIDE = {"dtypes": WIDE}
 GREY = np.linspace(0, 1, 9).reshape(3, 3)
 EMPTY, FULL = 0 * GREY, 0 * GREY + 1
 IMAGES = (

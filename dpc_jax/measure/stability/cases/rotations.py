@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.measure.stability.cases import oracles
-from dpc_jax.measure.stability.cases.case import WIDE, Case, make_cases
+from dpc_jax.measure.stability.cases.case import IN_WIDE, WIDE, Case, make_cases
 from dpc_jax.render import quaternion
 
 SUBJECT = "rotation"
@@ -99,8 +99,8 @@ ANGLES = (
     ("1e30 and 1e-30", np.multiply(PLAIN, 1e30), (1e-30, 0, 1e-30, 0)),
     ("q and -q", (0.5, 0.5, -0.5, 0.5), (-0.5, -0.5, 0.5, -0.5), AT_ZERO),
     ("equal", IDENTITY, IDENTITY, AT_ZERO),
-    ("1e-25 apart", (1, 1e-25, 0, 0), IDENTITY, {"dtypes": WIDE}),
-    ("1e-7 apart", (1, 1e-7, 0, 0), (1, 0, 1e-7, 0), {"dtypes": WIDE}),
+    ("1e-25 apart", (1, 1e-25, 0, 0), IDENTITY, IN_WIDE),
+    ("1e-7 apart", (1, 1e-7, 0, 0), (1, 0, 1e-7, 0), IN_WIDE),
     ("half turn", IDENTITY, (0, 0, 1, 0), AT_HALF_TURN),
     ("1e-7 from a half turn", IDENTITY, (1e-7, 0, 1, 0)),
 )

@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -77,7 +76,6 @@ def run_cases(
     *,
     dtypes: tuple[str, ...] | None = None,
     modes: tuple[str, ...] = MODES,
-    compiler_options: dict[str, Any] | None = None,
 ) -> Iterator[Row]:
     """Rows of all cases. Cases that share a compiled program run one after another.
 
@@ -86,7 +84,6 @@ def run_cases(
       dtypes: to run; None for all that a case names.
       modes: some of "jit" (one case at a time) and "vmap" (all cases that share a
         program at once).
-      compiler_options: of XLA, as for `jax.jit`.
     """
     groups: dict[tuple, list[Case]] = {}
     for case in cases:
@@ -101,7 +98,7 @@ def run_cases(
         for dtype in dtypes or DTYPES:
             chosen = [c for c in group if dtype in c.dtypes and _fits(c, dtype)]
             if chosen:
-                yield from _run_group(chosen, dtype, modes, compiler_options)
+                yield from _run_group(chosen, dtype, modes)
 
 
 def _fits(case, dtype) -> bool:
@@ -110,19 +107,19 @@ def _fits(case, dtype) -> bool:
     return all(np.all(np.abs(x) <= largest) for x in case.inputs)
 
 
-def _run_group(group, dtype, modes, compiler_options):
+def _run_group(group, dtype, modes):
     is_wide = dtype == "float64"
     with jax.enable_x64(is_wide):
         inputs = [tuple(jnp.asarray(x, dtype) for x in c.inputs) for c in group]
         call = _make_call(group[0])
         results = [[] for _ in group]
         if "jit" in modes:
-            single = jax.jit(call, compiler_options=compiler_options)
+            single = jax.jit(call)
             for result, arrays in zip(results, inputs, strict=True):
                 result.append(_fetch(single(*arrays)))
         if "vmap" in modes:
             stacked = [jnp.stack(arrays) for arrays in zip(*inputs, strict=True)]
-            many = jax.jit(jax.vmap(call), compiler_options=compiler_options)
+            many = jax.jit(jax.vmap(call))
             together = _fetch(many(*stacked))
             for i, result in enumerate(results):
                 result.append(jax.tree.map(lambda a, i=i: a[i], together))

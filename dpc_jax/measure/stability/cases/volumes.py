@@ -8,13 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.measure.stability.cases import oracles
-from dpc_jax.measure.stability.cases.case import REAL, WIDE, Case, make_cases
+from dpc_jax.measure.stability.cases.case import IN_WIDE, REAL, WIDE, Case, make_cases
 from dpc_jax.render import compensate_widening, mass_of_peak, smooth, splat
 
 SUBJECT = "splat and smooth"
 SHAPE = (4, 3, 5)
 CROWD = 100_000
-IN_WIDE = {"dtypes": WIDE}
 KINK = {
     "limit": "linear between cell centres: at one, the slope towards the higher index"
 }

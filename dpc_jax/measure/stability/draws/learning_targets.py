@@ -27,47 +27,34 @@ def list_targets() -> list[Target]:
 
 
 def _list_losses():
-    image = Range((4, 5), -1e18, 1e18, (0, 1))
-    points = Range((5, 3), -1e18, 1e18)
+    image, points = Range((4, 5), -1e18, 1e18, (0, 1)), Range((5, 3), -1e18, 1e18)
     squared = "coordinates ≤ 1e18: distances are squared"
-    for name, function, inputs, holds, limit in (
-        (
-            "reprojection_loss",
-            losses.reprojection_loss,
-            (image, image),
-            _is_not_negative,
-            "values ≤ 1e18: the loss is their square",
-        ),
-        (
-            "student_loss",
-            losses.student_loss,
-            (_QUATERNION, _QUATERNION),
-            lambda loss, *_: {"in [0, 1]": (loss >= -_SLACK) & (loss <= 1)},
-            "components 0 or ≥ 1e-30 (the gradient grows as 1/|q|)",
-        ),
-        (
-            "losses.selection_loss",
-            lambda logits: losses.selection_loss(logits, jnp.array([0, 2])),
-            (Range((2, 3), -1e37, 1e37, (-3, 3)),),
-            lambda loss, *_: {"not negative": loss >= -_SLACK},
-            "logits ≤ 1e37: the loss is their difference",
-        ),
-        (
-            "losses.repulsion_energy",
-            losses.repulsion_energy,
-            (points,),
-            lambda *_: {},
-            squared,
-        ),
-        (
-            "losses.containment_loss",
-            losses.containment_loss,
-            (points,),
-            _is_not_negative,
-            squared,
-        ),
-    ):
-        yield Target(name, function, inputs, holds, limit)
+    yield Target(
+        "reprojection_loss",
+        losses.reprojection_loss,
+        (image, image),
+        _is_not_negative,
+        "values ≤ 1e18: the loss is their square",
+    )
+    yield Target(
+        "student_loss",
+        losses.student_loss,
+        (_QUATERNION, _QUATERNION),
+        lambda loss, *_: {"in [0, 1]": (loss >= -_SLACK) & (loss <= 1)},
+        "components 0 or ≥ 1e-30 (the gradient grows as 1/|q|)",
+    )
+    yield Target(
+        "losses.selection_loss",
+        lambda logits: losses.selection_loss(logits, jnp.array([0, 2])),
+        (Range((2, 3), -1e37, 1e37, (-3, 3)),),
+        lambda loss, *_: {"not negative": loss >= -_SLACK},
+        "logits ≤ 1e37: the loss is their difference",
+    )
+    energy, outside = losses.repulsion_energy, losses.containment_loss
+    yield Target("losses.repulsion_energy", energy, (points,), limit=squared)
+    yield Target(
+        "losses.containment_loss", outside, (points,), _is_not_negative, squared
+    )
 
 
 def _is_not_negative(loss, *_):
@@ -79,7 +66,7 @@ def _list_choices():
         "losses.downsample_images",
         lambda images: losses.downsample_images(images, 4),
         (Range((2, 8, 8), 0, 255, (0, 255), kind="byte"),),
-        holds=lambda images, *_: {"in [0, 1]": jnp.all((images >= 0) & (images <= 1))},
+        lambda images, *_: {"in [0, 1]": jnp.all((images >= 0) & (images <= 1))},
         has_gradient=False,
     )
     yield Target(
@@ -94,7 +81,7 @@ def _list_choices():
             Range((8, 8), 0, 1, (0, 1)),
             Range((), 0, LARGEST, (0, 3)),
         ),
-        holds=lambda index, *_: {"a candidate": (index >= 0) & (index < 3)},
+        lambda index, *_: {"a candidate": (index >= 0) & (index < 3)},
         has_gradient=False,
     )
 
@@ -128,49 +115,44 @@ def _list_networks():
 
 def _list_metrics():
     poses, cloud = Range((2, 2, 4), usual=(-1, 1)), Range((2, 5, 3))
-    for function, inputs, holds, limit in (
-        (
-            evaluation.rotation_angle_deg,
-            (poses, poses),
-            lambda angle, *_: {"in [0, 180]": np.all((angle >= 0) & (angle <= 180))},
-            "a zero quaternion is refused",
-        ),
-        (
-            evaluation.pose_summary,
-            (Range((7,), usual=(0, 180)),),
-            lambda found, *_: {"a share": 0 <= found.accuracy <= 1},
-            "errors outside 0 to 180 degrees are refused",
-        ),
-        (
-            evaluation.chamfer_distance,
-            (Range((6, 3)), Range((5, 3))),
-            lambda found, *_: {"not negative": min(found) >= 0},
-            "",
-        ),
-        (
-            align,
-            (poses, poses, cloud, cloud),
-            lambda found, *_: {
-                "unit rotation": abs(np.linalg.norm(found[0]) - 1) <= 1e-12,
-                "spread and rms are numbers": not np.any(found[-1]),
-            },
-            "a zero quaternion is refused; spread and rms are infinite if nothing is "
-            "near",
-        ),
-    ):
-        yield Target(
-            function.__name__,
-            function,
-            inputs,
-            holds,
-            limit,
-            is_traced=False,
-            has_gradient=False,
-            refusals=(ValueError,),
-        )
+    plain = {"is_traced": False, "has_gradient": False, "refusals": (ValueError,)}
+    yield Target(
+        "rotation_angle_deg",
+        evaluation.rotation_angle_deg,
+        (poses, poses),
+        lambda angle, *_: {"in [0, 180]": np.all((angle >= 0) & (angle <= 180))},
+        "a zero quaternion is refused",
+        **plain,
+    )
+    yield Target(
+        "pose_summary",
+        evaluation.pose_summary,
+        (Range((7,), usual=(0, 180)),),
+        lambda found, *_: {"a share": 0 <= found.accuracy <= 1},
+        "errors outside 0 to 180 degrees are refused",
+        **plain,
+    )
+    yield Target(
+        "chamfer_distance",
+        evaluation.chamfer_distance,
+        (Range((6, 3)), Range((5, 3))),
+        lambda found, *_: {"not negative": min(found) >= 0},
+        **plain,
+    )
+    yield Target(
+        "align",
+        _align,
+        (poses, poses, cloud, cloud),
+        lambda found, *_: {
+            "unit rotation": abs(np.linalg.norm(found[0]) - 1) <= 1e-12,
+            "spread and rms are numbers": not np.any(found[-1]),
+        },
+        "a zero quaternion is refused; spread and rms are infinite if nothing is near",
+        **plain,
+    )
 
 
-def align(*arrays: np.ndarray) -> tuple:
+def _align(*arrays):
     """The fields of an alignment that must be finite; then, of the others, any NaN."""
     found = evaluation.align(*arrays)
     may_be_infinite = [found.spread_deg, found.rms]

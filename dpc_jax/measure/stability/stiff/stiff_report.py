@@ -119,6 +119,27 @@ def list_bounds(summary: Summary) -> tuple[tuple[str, float, float], ...]:
     )
 
 
+# What the full number of iterations first showed.
+SHAPES_FOUND = (
+    "What the full number of iterations first showed: a fixed σ of 5 voxels drives "
+    "poses and points away from the truth, because no cloud so blurred has a sharp "
+    "silhouette; with a fixed 0.2 most points get no gradient; neither arrives. At "
+    "σ 1 gradient descent crawls: Adam reaches its end after a quarter of the "
+    "iterations. A σ that shrinks from two voxels to a half, with Adam, ends "
+    "nearest in pose, at the same run time. One that begins at 5 throws points and "
+    "poses away first: the chair needs half of the run to come back, and the car's "
+    "poses do not come back."
+)
+MASSES_FOUND = (
+    "What the full number of iterations first showed: gradient descent moves only "
+    "the heavy points. Divided by the mass it moves all of them, the light ones "
+    "slowly. Adam throws light points about while the heavy ones are wrong, whose "
+    "error dominates the gradient of the light ones; when the light ones start "
+    "only after the heavy ones have come to rest, with a shorter memory of the "
+    "mean square, it places them."
+)
+
+
 def write_section(
     summaries: Sequence[Summary],
     choices: Sequence[Choice],
@@ -154,14 +175,7 @@ def write_section(
         "",
         f"![error over iterations and run time]({SHAPE_FIGURE})",
         "",
-        "What the full number of iterations first showed: a fixed σ of 5 voxels drives "
-        "poses and points away from the truth, because no cloud so blurred has a sharp "
-        "silhouette; with a fixed 0.2 most points get no gradient; neither arrives. At "
-        "σ 1 gradient descent crawls: Adam reaches its end after a quarter of the "
-        "iterations. A σ that shrinks from two voxels to a half, with Adam, ends "
-        "nearest in pose, at the same run time. One that begins at 5 throws points and "
-        "poses away first: the chair needs half of the run to come back, and the car's "
-        "poses do not come back.",
+        SHAPES_FOUND,
         "",
         "### K starts",
         "",
@@ -180,12 +194,7 @@ def write_section(
         "",
         f"![masses and starts]({OTHER_FIGURE})",
         "",
-        "What the full number of iterations first showed: gradient descent moves only "
-        "the heavy points. Divided by the mass it moves all of them, the light ones "
-        "slowly. Adam throws light points about while the heavy ones are wrong, whose "
-        "error dominates the gradient of the light ones; when the light ones start "
-        "only after the heavy ones have come to rest, with a shorter memory of the "
-        "mean square, it places them.",
+        MASSES_FOUND,
     ]
     return "\n".join(lines) + "\n"
 
