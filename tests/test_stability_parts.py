@@ -23,7 +23,8 @@ from dpc_jax.measure.stability.draws import (
     render_targets,
 )
 from dpc_jax.measure.stability.draws.targets import LARGEST, Range, Target
-from dpc_jax.measure.stability.stiff import descent, stiff_report, studies, tables
+from dpc_jax.measure.stability.report_parts import PartRequest
+from dpc_jax.measure.stability.stiff import descent, stiff_report, studies, summaries
 from dpc_jax.render import VoxelGrid, project, quaternion
 
 # Compiled in a second or two each; the others are drawn for in the slow test.
@@ -43,6 +44,8 @@ CHEAP = (
     "align",
 )
 
+TRIAL = fast_training.Trial("naive", 10, 30)
+
 
 def assert_section(result, folder, *, title, figures=()):
     """A section with a heading of the second level, its figures, and plain data."""
@@ -56,7 +59,7 @@ def assert_section(result, folder, *, title, figures=()):
 
 def test_ordinary_scenes_are_within_tolerance_and_drawn(tmp_path):
     with compiling_quickly():
-        result = precision_report.run(tmp_path, quick=True)
+        result = precision_report.run_part(PartRequest(tmp_path, quick=True))
     title = "Ordinary scenes in float32"
     assert_section(result, tmp_path, title=title, figures=[precision_report.FIGURE])
     assert result.passes, result.failures
@@ -88,7 +91,9 @@ def test_random_draws_break_no_function(tmp_path):
         t for t in random_draws.list_targets() if any(c in t.name for c in CHEAP)
     ]
     with compiling_quickly():
-        result = random_draws.run(tmp_path, quick=True, targets=targets)
+        result = random_draws.run_part(
+            PartRequest(tmp_path, quick=True), targets=targets
+        )
     assert_section(result, tmp_path, title="Random draws")
     assert result.passes, result.failures
     assert all(row["draws"] >= random_draws.QUICK_DRAWS for row in result.data)
@@ -96,7 +101,7 @@ def test_random_draws_break_no_function(tmp_path):
 
 @pytest.mark.slow
 def test_random_draws_break_no_renderer_either(tmp_path):
-    result = random_draws.run(tmp_path, quick=True)
+    result = random_draws.run_part(PartRequest(tmp_path, quick=True))
     assert result.passes, result.failures
     names = [row["target"] for row in result.data]
     assert len(set(names)) == len(names)
@@ -122,7 +127,7 @@ def test_a_function_that_draws_break_is_named_with_the_draw(tmp_path):
             is_traced=False,
         ),
     ]
-    result = random_draws.run(tmp_path, quick=True, draws=200, targets=broken)
+    result = random_draws.run_part(PartRequest(tmp_path), draws=200, targets=broken)
     assert not result.passes
     overflow, slope, promise, exception = result.failures
     assert "finite" in overflow
@@ -151,16 +156,14 @@ def test_draws_reach_the_ends_of_the_float_range():
 
 def test_random_draws_say_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    result = random_draws.run(tmp_path, quick=True)
+    result = random_draws.run_part(PartRequest(tmp_path, quick=True))
     assert not result.passes
     assert "hypothesis" in result.failures[0] and "install" in result.failures[0]
 
 
 def test_training_ten_times_too_fast_ends_finite(tmp_path):
     with compiling_quickly():
-        result = fast_training.run(
-            tmp_path, quick=True, trials=[fast_training.Trial("naive", 10, 30)]
-        )
+        result = fast_training.run_part(PartRequest(tmp_path), trials=[TRIAL])
     assert_section(result, tmp_path, title="Training far too fast")
     assert result.passes, result.failures
     (ending,) = result.data
@@ -175,28 +178,28 @@ def test_training_that_stops_is_shown_with_its_reason(tmp_path, monkeypatch):
 
     monkeypatch.setattr(loop, "train", stop)
     with compiling_quickly():
-        result = fast_training.run(
-            tmp_path, quick=True, trials=[fast_training.Trial("naive", 10, 30)]
-        )
+        result = fast_training.run_part(PartRequest(tmp_path), trials=[TRIAL])
     assert result.passes, result.failures
     assert "stopped: The loss became nan at step 3 |" in result.markdown
 
 
 @pytest.mark.slow
 def test_training_the_default_ten_times_too_fast_ends_finite(tmp_path):
-    result = fast_training.run(tmp_path, quick=True)
+    result = fast_training.run_part(PartRequest(tmp_path, quick=True))
     assert result.passes and result.data[0]["is_finite"], result.failures
 
 
 def test_a_run_that_breaks_unnoticed_or_without_a_name_fails():
-    good = fast_training.Ending("", 10, 5, 1e-3, 5, 1.0, 2.0, 1.0, 3.0, True, "")
+    good = fast_training.Ending(
+        fast_training.Trial("", 10, 5), 1e-3, 5, 1.0, 2.0, 1.0, 3.0, True, ""
+    )
     named = "The student loss became nan at step 1, where a finite number was expected"
     stopped = good._replace(steps_done=None, is_finite=False, error=named)
     assert fast_training.judge(good) == fast_training.judge(stopped) == []
     for change, words in (
         ({"is_finite": False}, "unnoticed"),
         ({"steps_done": 3}, "3 of 5"),
-        ({"error": "Out of memory"}, "without a name"),
+        ({"error": "Out of memory"}, "without saying what"),
     ):
         (sentence,) = fast_training.judge(good._replace(**change))
         assert words in sentence
@@ -206,23 +209,23 @@ def test_a_run_that_breaks_unnoticed_or_without_a_name_fails():
 def quick_descents(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stiff")
     with compiling_quickly():
-        return stiff_report.run(folder, quick=True), folder
+        return stiff_report.run_part(PartRequest(folder, quick=True)), folder
 
 
 def test_stiff_descents_stay_finite_and_are_drawn(quick_descents):
     result, folder = quick_descents
-    figures = [tables.SHAPE_FIGURE, tables.OTHER_FIGURE]
+    figures = [stiff_report.SHAPE_FIGURE, stiff_report.OTHER_FIGURE]
     assert_section(result, folder, title="Stiff optimisation", figures=figures)
     assert result.passes, result.failures
     recipes = {row["recipe"] for row in result.data["summaries"]}
-    assert {stiff_report.BEST, stiff_report.STAGED} <= recipes
+    assert {studies.BEST, studies.STAGED} <= recipes
 
 
 def make_summary(**changes):
     values = dict(
         study="shape",
         scene="chair",
-        recipe=stiff_report.BEST,
+        recipe=studies.BEST,
         rate=None,
         seconds=1.0,
         iterations=[0, 10],
@@ -230,11 +233,11 @@ def make_summary(**changes):
         first_errors=[30.0, 1.0],
         second_errors=[12.0, 5.0],
     )
-    return tables.Summary(**values | changes)
+    return summaries.Summary(**values | changes)
 
 
 def test_the_best_recipe_is_held_to_its_bounds():
-    few = tables.Choice("chair", 1, 90.0, 0.1, 1.0)
+    few = summaries.Choice("chair", 1, 90.0, 0.1, 1.0)
     many = few._replace(starts=8, accuracy=0.7)
     fine = ([], [make_summary()], [few, many])
     assert stiff_report.judge(*fine, is_full=True) == []
@@ -242,7 +245,7 @@ def test_the_best_recipe_is_held_to_its_bounds():
         ({"losses": [1.0, 2.0]}, "did not fall"),
         ({"first_errors": [30.0, 20.0]}, "pose error"),
         ({"second_errors": [12.0, float("nan")]}, "Chamfer"),
-        ({"study": "masses", "recipe": stiff_report.STAGED}, "heavy points"),
+        ({"study": "masses", "recipe": studies.STAGED}, "heavy points"),
     ):
         sentences = stiff_report.judge([], [make_summary(**change)], [], is_full=True)
         assert any(words in sentence for sentence in sentences)
@@ -280,9 +283,9 @@ def test_a_quaternion_near_the_largest_float_is_a_rotation(size):
     np.testing.assert_allclose(found, [0, 0, half, -half], rtol=5e-7)
 
 
-@jax.jit
-def project_with_gradient(covariance, rotation):
-    """The silhouette's sum, and its gradients to covariance and rotation."""
+@pytest.fixture(scope="module")
+def project_with_gradient():
+    """A function that gives the silhouette's sum, and both gradients of it."""
 
     def total(covariance, rotation):
         return project(
@@ -292,12 +295,14 @@ def project_with_gradient(covariance, rotation):
             grid=VoxelGrid(5),
         ).silhouette.sum()
 
-    return jax.value_and_grad(total, argnums=(0, 1))(
-        jnp.asarray(covariance, jnp.float32), jnp.asarray(rotation, jnp.float32)
-    )
+    shapes = (jax.ShapeDtypeStruct(s, jnp.float32) for s in ((3, 3), (4,)))
+    with compiling_quickly():
+        call = jax.jit(jax.value_and_grad(total, argnums=(0, 1)))
+        compiled = call.lower(*shapes).compile()
+    return lambda *inputs: compiled(*(jnp.asarray(x, jnp.float32) for x in inputs))
 
 
-def test_a_flat_covariance_turned_a_little_has_a_gradient():
+def test_a_flat_covariance_turned_a_little_has_a_gradient(project_with_gradient):
     # A line along x, turned so that its depth variance is 1e-19: the factors of an
     # order of axes that is not its own overflow.
     line = np.diag([1.0, 0, 0])
@@ -308,7 +313,7 @@ def test_a_flat_covariance_turned_a_little_has_a_gradient():
     assert np.all(np.isfinite(gradients[1]))
 
 
-def test_a_matrix_that_is_no_covariance_gives_finite_numbers():
+def test_a_matrix_that_is_no_covariance_gives_finite_numbers(project_with_gradient):
     # Variance 0 along x, yet "correlated" with y and z.
     matrix = -np.ones((3, 3)) + np.diag([1.0, 0, 0])
     value, gradients = project_with_gradient(matrix, np.array([0, -1, -5.7e19, 0]))

@@ -1,11 +1,14 @@
-"""The part of the report on training far too fast: finite, or stopped with a name."""
+"""The part of the report on training far too fast.
+
+A run ends with finite numbers, or stops and names what broke.
+"""
 
 import contextlib
 import dataclasses
 import io
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,17 +22,18 @@ from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.log import MetricLog
 from dpc_jax.learning.records import NonFiniteError
 from dpc_jax.learning.step import init_state
-from dpc_jax.measure.stability.report_parts import Order, PartResult
+from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
+from dpc_jax.measure.stability.sections import make_table, start_section
 from dpc_jax.run.setup import make_data_specs, make_network
 
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """A run to be made.
+    """A run to try.
 
     Attributes:
       variant: of the config, "" for the default.
-      factor: the config's learning rate is multiplied by it.
+      factor: times the config's learning rate.
       steps: of training.
     """
 
@@ -38,7 +42,7 @@ class Trial:
     steps: int
 
 
-# The third cannot end well: it shows that a run stops.
+# The third must diverge: it shows that such a run stops.
 TRIALS = (Trial("", 10, 2000), Trial("paper", 10, 2000), Trial("", 1e36, 2000))
 QUICK_TRIALS = (Trial("", 10, 200),)
 
@@ -47,20 +51,18 @@ class Ending(NamedTuple):
     """How a run ended.
 
     Attributes:
-      variant, factor, steps: of the `Trial`.
+      trial: the run.
       learning_rate: the peak.
-      steps_done: until the end; None where it stopped.
+      steps_done: all steps; None if the run stopped.
       seconds: wall clock, compilation included.
       first_loss, last_loss: means over the first and last interval of the log; None
         without one.
       largest_gradient: norm, the largest of the log's means.
-      is_finite: the last state and every logged number; False where it stopped.
-      error: what stopped it, or "".
+      is_finite: the last state and every logged number; False if the run stopped.
+      error: the message that the run stopped with, or "".
     """
 
-    variant: str
-    factor: float
-    steps: int
+    trial: Trial
     learning_rate: float
     steps_done: int | None
     seconds: float
@@ -71,42 +73,29 @@ class Ending(NamedTuple):
     error: str
 
 
-def run_part(order: Order) -> PartResult:
-    """The part in full; see `parts.run_part`."""
-    return run(order.out, quick=False, seed=order.seed, tell=order.tell)
-
-
-def run(
-    out: Path,
-    *,
-    quick: bool,
-    seed: int = 0,
-    trials: Sequence[Trial] | None = None,
-    tell: Callable[[str], None] = lambda text: None,
+def run_part(
+    request: PartRequest, *, trials: Sequence[Trial] | None = None
 ) -> PartResult:
     """Train small networks at ten times the learning rate; writes no file.
 
     Args:
-      quick: 200 steps of the default, else 2,000 of it and of the paper's variant.
-      seed: of parameters and batches.
+      request: the quick form takes 200 steps of the default; the full one 2,000 of it,
+        of the paper's variant, and of a run that must stop.
       trials: other runs.
-      tell: shows a line of text for each run that is done.
     """
-    del out  # a table says it all
-    if trials is None:
-        trials = QUICK_TRIALS if quick else TRIALS
     endings = []
     with tempfile.TemporaryDirectory() as folder:
-        for place, trial in enumerate(trials):
-            endings.append(train(trial, Path(folder), f"trial-{place}", seed=seed))
-            tell(f"training, {_name(trial)}: {describe(endings[-1])}")
+        for place, trial in enumerate(
+            trials or (QUICK_TRIALS if request.quick else TRIALS)
+        ):
+            name = f"trial-{place}"
+            endings.append(train(trial, Path(folder), name, seed=request.seed))
+            request.tell(f"training, {_name(trial)}: {describe(endings[-1])}")
     failures = tuple(f for e in endings for f in judge(e))
-    return PartResult(
-        markdown=write_section(endings, failures),
-        data=[e._asdict() for e in endings],
-        passes=not failures,
-        failures=failures,
-    )
+    data = [dataclasses.asdict(e.trial) | e._asdict() for e in endings]
+    for row in data:
+        del row["trial"]
+    return PartResult(write_section(endings, failures), data, failures)
 
 
 def make_trial_config(trial: Trial, *, seed: int) -> Config:
@@ -174,7 +163,7 @@ def train(trial: Trial, folder: Path, name: str, *, seed: int) -> Ending:
     norms = [v for r in records for k, v in r.items() if k.startswith("gradient_norm")]
     losses = [r["loss"] for r in records]
     return Ending(
-        **dataclasses.asdict(trial),
+        trial,
         learning_rate=config.train.learning_rate,
         steps_done=steps_done,
         seconds=time.perf_counter() - start,
@@ -192,17 +181,18 @@ def _is_finite(state):
 
 
 def judge(ending: Ending) -> list[str]:
-    """A sentence where a run neither ended finite nor said what broke and when."""
-    label = f"training, {_name(ending)}"
+    """A sentence if a run neither ended finite nor said what broke and when."""
+    trial = ending.trial
+    label = f"training, {_name(trial)}"
     if ending.error:
-        says = "at step" in ending.error and (
-            "loss became" in ending.error or "gradient of the" in ending.error
-        )
-        return [] if says else [f"{label}: it stopped without a name: {ending.error}"]
+        has_name = "loss became" in ending.error or "gradient of the" in ending.error
+        is_complete = has_name and "at step" in ending.error
+        sentence = f"{label}: it stopped without saying what broke: {ending.error}"
+        return [] if is_complete else [sentence]
     if not ending.is_finite:
         return [f"{label}: it ended with numbers that are not finite, unnoticed."]
-    if ending.steps_done != ending.steps:
-        return [f"{label}: it ended after {ending.steps_done} of {ending.steps} steps."]
+    if ending.steps_done != trial.steps:
+        return [f"{label}: it ended after {ending.steps_done} of {trial.steps} steps."]
     return []
 
 
@@ -219,24 +209,27 @@ def describe(ending: Ending) -> str:
 
 def write_section(endings: Sequence[Ending], failures: Sequence[str]) -> str:
     """Section of the report: a row for each run."""
-    lines = ["## Training far too fast", ""]
-    if failures:
-        lines += ["**Outside tolerance:**", "", *(f"- {f}" for f in failures), ""]
-    lines += [
-        "The default config in miniature (12 cars of 32 pixels, a volume of 16³, 100 "
-        "points, two heads), trained with the loop that users train with. A run must "
-        "end finite, or stop with the name of what broke and the step.",
-        "",
-        "| config | learning rate | steps | seconds | first loss | last loss | largest "
-        "gradient norm | ended |",
-        "|---|---:|---:|---:|---:|---:|---:|---|",
-    ]
+    rows = []
     for e in endings:
         numbers = (e.first_loss, e.last_loss, e.largest_gradient)
         done = "–" if e.steps_done is None else e.steps_done
-        shown = " | ".join("–" if n is None else f"{n:.3g}" for n in numbers)
-        lines.append(
-            f"| {e.variant or 'default'} | {e.learning_rate:.2g} (×{e.factor:g}) | "
-            f"{done} of {e.steps} | {e.seconds:.0f} | {shown} | {describe(e)} |"
+        rows.append(
+            (
+                e.trial.variant or "default",
+                f"{e.learning_rate:.2g} (×{e.trial.factor:g})",
+                f"{done} of {e.trial.steps}",
+                f"{e.seconds:.0f}",
+                *("–" if n is None else f"{n:.3g}" for n in numbers),
+                describe(e),
+            )
         )
+    head = ("config", "learning rate", "steps", "seconds", "first loss", "last loss")
+    lines = [
+        *start_section("Training far too fast", failures),
+        "The default config in miniature (12 cars of 32 pixels, a volume of 16³, 100 "
+        "points, two heads), trained with the loop that users train with. A run must "
+        "end with finite numbers, or stop and say what broke and at which step.",
+        "",
+        *make_table((*head, "largest gradient norm", "ended"), rows),
+    ]
     return "\n".join(lines) + "\n"

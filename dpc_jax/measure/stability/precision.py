@@ -7,12 +7,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dpc_jax.measure.scenes import Scene
 from dpc_jax.render import Camera, VoxelGrid, project
 
 SIGNALS = ("silhouette", "depth", "color")
-GRID = VoxelGrid(32)
+SIDE = 32
 
 
 class Method(NamedTuple):
@@ -20,8 +21,9 @@ class Method(NamedTuple):
 
     Attributes:
       name: in the report.
-      method: as `project` takes it.
-      size: what a point's size is given by, "shared", "own" or "covariance".
+      method: the argument of `project`.
+      size: how a point's size is given, "shared" by all points, its "own", or a
+        "covariance".
     """
 
     name: str
@@ -41,9 +43,9 @@ class Comparison(NamedTuple):
     """The error of one array in float32, relative to its largest magnitude.
 
     Attributes:
-      method, scene, signal: which image.
-      quantity: "image", or the input that the gradient is of.
-      error: max |a - b| / max |b| with the same inputs in float64 as b.
+      method, scene, signal: of the image.
+      quantity: "image", or the input to which the gradient is taken.
+      error: max |a - b| / max |b| with a in float32 and b in float64.
     """
 
     method: str
@@ -56,10 +58,15 @@ class Comparison(NamedTuple):
 def compare_scenes(
     scenes: list[Scene], *, methods: tuple[Method, ...] = METHODS, count: int
 ) -> Iterator[Comparison]:
-    """Errors of each image and each gradient, of scenes of the same number of points.
+    """Errors of each image and each gradient.
 
-    The scalar that is differentiated is Σ w·image with weights between -1 and 1 that
+    The scalar that is differentiated is Σ w·image. Its weights are between -1 and 1 and
     are the same numbers in both dtypes.
+
+    Args:
+      scenes: with at least `count` points each.
+      methods: of rendering.
+      count: points that are taken of each scene, so that all share programs.
     """
     for method in methods:
         results = {}
@@ -77,14 +84,14 @@ def compare_scenes(
             error = measure_error(image[signal], true_image[signal])
             yield Comparison(method.name, scene.name, signal, "image", error)
             for name, gradient in gradients.items():
-                # Those that the image does not depend on have none.
+                # An input without influence on the image has no gradient to it.
                 if _reaches(name, signal):
                     error = measure_error(gradient, true_gradients[name])
                     yield Comparison(method.name, scene.name, signal, name, error)
 
 
-def measure_error(found, reference) -> float:
-    """Largest difference relative to the largest magnitude of the reference."""
+def measure_error(found: ArrayLike, reference: ArrayLike) -> float:
+    """Largest difference, relative to the largest magnitude of the reference."""
     reference = np.asarray(reference, np.float64)
     largest = np.max(np.abs(reference))
     difference = np.max(np.abs(np.asarray(found, np.float64) - reference))
@@ -92,7 +99,7 @@ def measure_error(found, reference) -> float:
 
 
 def _make_inputs(scene, method, count):
-    """Float64 numbers that float32 has too, so that both dtypes see the same scene."""
+    """Float64 numbers that float32 represents exactly, so both see the same scene."""
     rng = np.random.default_rng(count)
     inputs = {
         "points": scene.points[:count],
@@ -118,7 +125,7 @@ def _make_inputs(scene, method, count):
 def _make_call(method):
     """A function (inputs, weights by signal) -> (images, gradients of Σ w·image).
 
-    One program serves all signals: the weights of the others are zero.
+    One program serves all signals: for one of them, the others have zero weights.
     """
 
     def render(inputs):
@@ -128,7 +135,7 @@ def _make_call(method):
             inputs.pop("points"),
             inputs.pop("rotation"),
             camera=camera,
-            grid=GRID,
+            grid=VoxelGrid(SIDE),
             signals=SIGNALS,
             method=method.method,
             **inputs,
@@ -144,8 +151,8 @@ def _make_call(method):
 
 
 def _make_weights(signal):
-    """Weights by signal, [rows, cols] or [rows, cols, 3]; not zero for one of them."""
-    shapes = {s: GRID.shape[:2] for s in SIGNALS} | {"color": (*GRID.shape[:2], 3)}
+    """Weights by signal, [rows, cols] or [rows, cols, 3]; zero but for one signal."""
+    shapes = {s: (SIDE, SIDE) for s in SIGNALS} | {"color": (SIDE, SIDE, 3)}
     weights = {s: np.zeros(shape, np.float32) for s, shape in shapes.items()}
     rng = np.random.default_rng(SIGNALS.index(signal))
     weights[signal] = rng.uniform(-1, 1, shapes[signal]).astype(np.float32)

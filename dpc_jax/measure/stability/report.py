@@ -1,4 +1,4 @@
-"""stability.md and stability.json: what was run where, what failed, each part."""
+"""stability.md and stability.json: the run and its machine, failures, every part."""
 
 import importlib.metadata
 from collections.abc import Mapping
@@ -7,12 +7,13 @@ from typing import Any
 
 from dpc_jax.files import write_json, write_text
 from dpc_jax.measure.stability.report_parts import PartResult
+from dpc_jax.measure.stability.sections import make_table
 
 _LIBRARIES = ("dpc_jax", "jax", "jaxlib", "numpy", "flax", "optax")
 
 
 def list_versions() -> dict[str, str]:
-    """Versions of what the results depend on."""
+    """Versions of the libraries that the results depend on."""
     return {name: importlib.metadata.version(name) for name in _LIBRARIES}
 
 
@@ -28,9 +29,12 @@ def write_report(
     """Write OUT/stability.json and OUT/stability.md.
 
     Args:
-      results: of each part that ran.
-      machine: of `timing.describe_machine`. seconds: wall time of each part.
-      seed: of what was drawn. command: that repeats the run.
+      out: the report's folder.
+      results: of each part that ran, by name.
+      machine: from `timing.describe_machine`.
+      seconds: wall time of each part.
+      seed: of the random numbers.
+      command: which repeats the run.
 
     Returns:
       The path of stability.md.
@@ -60,6 +64,10 @@ def _describe_run(results, machine, versions, seconds, seed, command):
         else "Everything below is within its stated tolerance."
     )
     flags = ", ".join(machine["flags"]) or "no flags of note"
+    rows = [
+        (name, "yes" if result.passes else "**no**", f"{seconds[name]:.0f}")
+        for name, result in results.items()
+    ]
     lines = [
         "# Stability on stiff and extreme cases",
         "",
@@ -70,12 +78,8 @@ def _describe_run(results, machine, versions, seconds, seed, command):
         f"{', '.join(f'{name} {version}' for name, version in versions.items())}; seed "
         f"{seed}.",
         "",
-        f"Again: `{command}`",
+        f"To repeat it: `{command}`",
         "",
-        "| part | passes | wall time (s) |",
-        "|---|---|---:|",
+        *make_table(("part", "passes", "wall time (s)"), rows),
     ]
-    for name, result in results.items():
-        state = "yes" if result.passes else "**no**"
-        lines.append(f"| {name} | {state} | {seconds[name]:.0f} |")
     return "\n".join(lines) + "\n"

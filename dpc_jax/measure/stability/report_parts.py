@@ -1,10 +1,34 @@
-"""Parts of the stress report: what each is given, and what it hands back."""
+"""Parts of the stress report: what each is asked for, and what it returns."""
 
+import contextlib
 import dataclasses
 import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import jax
+
+
+@dataclasses.dataclass(frozen=True)
+class PartRequest:
+    """What a part is asked for.
+
+    Attributes:
+      out: the report's folder, for figures and tables; it exists.
+      quick: whether to run a small version, in half a minute.
+      seed: of all random numbers.
+      tell: shows a line of text to whoever waits.
+      subjects: chapters of the catalogue to run; None for all.
+      dtypes: dtypes of the catalogue to run; None for all that a case names.
+    """
+
+    out: Path
+    quick: bool = False
+    seed: int = 0
+    tell: Callable[[str], None] = print
+    subjects: tuple[str, ...] | None = None
+    dtypes: tuple[str, ...] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -12,42 +36,26 @@ class PartResult:
     """What a part of the report found.
 
     Attributes:
-      markdown: its section, beginning with a heading of the second level; figures that
-        it wrote into the folder are named relative to it.
-      data: what JSON can hold, numbers in full; one that is not finite becomes null.
-      passes: whether all of it is within its stated tolerances.
-      failures: a sentence for each thing that is not.
+      markdown: its section, which begins with a heading of the second level and names
+        its figures relative to the report's folder.
+      data: lists, dicts, texts and numbers, for JSON.
+      failures: a sentence for everything outside its stated tolerance.
     """
 
     markdown: str
     data: Any
-    passes: bool
     failures: tuple[str, ...] = ()
 
-
-@dataclasses.dataclass(frozen=True)
-class Order:
-    """What a part is asked for.
-
-    Attributes:
-      out: the report's folder; it exists.
-      seed: of all that is drawn.
-      tell: shows a line of text to who waits.
-      subjects: chapters of the catalogue to run; None for all.
-      dtypes: dtypes of the catalogue to run; None for all that a case names.
-    """
-
-    out: Path
-    seed: int = 0
-    tell: Callable[[str], None] = print
-    subjects: tuple[str, ...] | None = None
-    dtypes: tuple[str, ...] | None = None
+    @property
+    def passes(self) -> bool:
+        """Whether everything is within its stated tolerance."""
+        return not self.failures
 
 
-# Where the function `run_part(order) -> PartResult` of each part is; imported when it
-# is asked for.
+# The module of each part. It has a function `run_part(request) -> PartResult` and is
+# imported when the part runs.
 PARTS = {
-    "cases": "dpc_jax.measure.stability.cases.catalogue",
+    "cases": "dpc_jax.measure.stability.cases.case_report",
     "ordinary": "dpc_jax.measure.stability.precision_report",
     "stiff": "dpc_jax.measure.stability.stiff.stiff_report",
     "random": "dpc_jax.measure.stability.draws.random_draws",
@@ -55,15 +63,46 @@ PARTS = {
 }
 
 
-def run_part(name: str, order: Order) -> PartResult:
+def run_part(name: str, request: PartRequest) -> PartResult:
     """Run one of `PARTS`.
 
     Raises:
       ValueError: there is no such part.
     """
-    if name not in PARTS:
+    check_names("parts", (name,), tuple(PARTS))
+    module = importlib.import_module(PARTS[name])
+    with _compile_quickly() if request.quick else contextlib.nullcontext():
+        return module.run_part(request)
+
+
+@contextlib.contextmanager
+def _compile_quickly():
+    """Compile without XLA's optimisations, which take most of a quick part's time."""
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", True)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_disable_most_optimizations", before)
+
+
+def check_names(
+    flag: str, names: tuple[str, ...] | None, known: tuple[str, ...]
+) -> None:
+    """Refuse unknown names, and an empty list of names.
+
+    Args:
+      flag: the command line's flag that they come from.
+      names: to check; None for all that are known.
+      known: the names that there are.
+
+    Raises:
+      ValueError: a name is not known, or there is none.
+    """
+    unknown = [name for name in names or () if name not in known]
+    if unknown or names == ():
         raise ValueError(
-            f"parts must be some of {', '.join(PARTS)}, but {name!r} came; write for "
-            "example --parts=cases."
+            f"--{flag} must be some of {', '.join(known)}, but "
+            f"{', '.join(unknown) or 'nothing'} came; write for example "
+            f"--{flag}={known[0]}."
         )
-    return importlib.import_module(PARTS[name]).run_part(order)

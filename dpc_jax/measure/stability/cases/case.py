@@ -1,43 +1,47 @@
-"""What a case of the catalogue is, and the derivative of an oracle."""
+"""What a case of the catalogue is, tables of cases, and the derivative of an oracle."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 
 DTYPES = ("float64", "float32", "bfloat16", "float16")
 WIDE = ("float64", "float32")
-# The oracles' numbers: 64 bits of fraction and 15 of exponent on x86, so that squares
-# of 1e30 and 1e-30 are ordinary; never less than float64.
+IN_WIDE = {"dtypes": WIDE}  # the changes of a row that 16 bits cannot hold
+# The oracles compute in long double. On x86 it has 64 bits of fraction and 15 of
+# exponent, so the squares of 1e30 and 1e-30 are well within its range. On every machine
+# it is at least float64.
 REAL, COMPLEX = np.longdouble, np.clongdouble
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Case:
-    """One function at one place where it may break.
+    """One function at one input where it may break.
 
     Attributes:
-      name: what is extreme about it; unique within the subject.
+      name: what is extreme about the input; unique within the subject.
       subject: the chapter of the report.
-      function: of the inputs as arrays, giving an array or a tuple of arrays. Cases
-        that share it (the same object) and their shapes share compiled programs.
-      inputs: float64 arrays; they are rounded to each dtype, and the oracle sees them
-        rounded, so that an error is the function's own.
-      oracle: the same in numpy for real and complex long doubles, sharing no code with
-        the package.
+      function: maps the inputs as arrays to an array or a tuple of arrays. Cases with
+        the same function object and the same shapes share compiled programs.
+      inputs: float64 arrays. They are rounded to each dtype, and the oracle gets the
+        rounded numbers, so that an error is the function's own.
+      oracle: the same function in numpy, for real and complex long doubles. It shares
+        no code with the package.
       value_tolerance: largest error of the value, in units of the dtype's epsilon,
         relative to the largest magnitude in the oracle's output, or to `floor`.
-      gradient_tolerance: the same of the gradient of Σ w·output, for each input; None
-        where the function has none.
+      gradient_tolerance: the same for the gradient of Σ w·output to each input; None
+        where the function has no gradient.
       because: where the tolerances come from.
-      floor: magnitude of the value that errors are relative to at least; 0 for none.
-      gradient_floor: the same of the gradient; one for all inputs or one for each.
-      slope: gradients of Σ w·output, as a function (inputs, weights) -> tuple; None is
-        the oracle's by complex steps. Needed at kinks, for the side that is taken.
-      dtypes: in which the case is run.
-      half: "checked", or "finite" where 16 bits are asked only for finite numbers.
-      limit: what is documented about it, where the right answer is a limit.
-      is_traced: False for functions in numpy, without jit and gradient.
+      floor: errors of the value are relative to at least this magnitude.
+      gradient_floor: the same for the gradient; one number, or one for each input.
+      slope: (inputs, weights) -> the gradients of Σ w·output, one for each input. None
+        differentiates the oracle by complex steps. Kinks need it, to say which
+        one-sided derivative is right.
+      dtypes: the case runs in these.
+      half: "checked", or "finite" if results in 16 bits only have to be finite.
+      limit: the documented limit that the case shows, if any.
+      is_traced: False for numpy functions, which run without jit and gradient.
     """
 
     name: str
@@ -61,16 +65,48 @@ class Case:
         object.__setattr__(self, "inputs", inputs)
 
 
-def as_tuple(outputs) -> tuple:
-    """A tuple of outputs, also of a function that gives one array."""
+def make_cases(
+    title: str,
+    function: Callable,
+    oracle: Callable | None,
+    tolerances: tuple[float, float | None],
+    rows: Iterable[tuple],
+    **shared: Any,
+) -> list[Case]:
+    """The cases of one function from a table, one for each row.
+
+    Args:
+      title: of the table; a case is called "title: name", or "title" without a name.
+      function, oracle: see `Case`; no oracle if each row has its own.
+      tolerances: of the value and of the gradient.
+      rows: (name, input, input, ...). A dict at the end of a row holds the fields of
+        `Case` in which this row differs from the rest of the table.
+      **shared: other fields of `Case`, the same for all rows.
+    """
+    value, gradient = tolerances
+    shared |= {"function": function, "oracle": oracle}
+    shared |= {"value_tolerance": value, "gradient_tolerance": gradient}
+    cases = []
+    for name, *inputs in rows:
+        changes = inputs.pop() if isinstance(inputs[-1], dict) else {}
+        name = f"{title}: {name}" if name else title
+        cases.append(Case(name=name, inputs=tuple(inputs), **shared | changes))
+    return cases
+
+
+def as_tuple(outputs: Any) -> tuple:
+    """The outputs as a tuple, also those of a function that returns one array."""
     return tuple(outputs) if isinstance(outputs, tuple | list) else (outputs,)
 
 
-def make_weights(outputs) -> list[np.ndarray]:
-    """Fixed weights w of the sum Σ w·output whose gradient is compared.
+def make_weights(outputs: Iterable[Any]) -> list[np.ndarray]:
+    """Fixed weights w for the sum Σ w·output whose gradient is compared.
 
     They differ from entry to entry, so that errors of opposite sign do not cancel, and
-    are short in binary, so that every dtype has the same.
+    have few binary digits, so that every dtype represents them exactly.
+
+    Args:
+      outputs: arrays, or anything with their shapes.
     """
     weights, start = [], 0
     for output in outputs:
@@ -81,12 +117,16 @@ def make_weights(outputs) -> list[np.ndarray]:
     return weights
 
 
-def differentiate_oracle(oracle, inputs, weights) -> tuple[np.ndarray, ...]:
+def differentiate_oracle(
+    oracle: Callable, inputs: Iterable[np.ndarray], weights: Iterable[np.ndarray]
+) -> tuple[np.ndarray, ...]:
     """Gradient of Σ w·oracle(inputs) by complex steps, exact to long double.
 
-    f(x + ih) = f(x) + ih·f'(x) - O(h²): the imaginary part over h is the derivative
-    without any subtraction (Squire and Trapp, 1998). The oracles compare real parts.
+    f(x + ih) = f(x) + ih·f'(x) - O(h²), so the imaginary part over h is the derivative,
+    and nothing is subtracted that could cancel (Squire and Trapp, 1998). The oracles
+    make their comparisons on real parts.
     """
+    inputs = tuple(inputs)
     gradients = []
     for place, array in enumerate(inputs):
         gradient = np.zeros(array.shape, REAL)

@@ -1,33 +1,36 @@
-"""The whole projection in long double numpy, from the written equations."""
+"""The whole projection written out in long double numpy."""
+
+from collections.abc import Callable
 
 import numpy as np
 
 from dpc_jax.measure.stability.cases import oracles
 
+FOCAL, DISTANCE = 1.875, 2.0
+BACKGROUND = (10.0, 1.0)  # depth and colour, the defaults of `dpc_jax.project`
+
 
 def render(
-    points,
-    rotation,
-    sigma,
-    scale,
-    colors,
+    points: np.ndarray,
+    rotation: np.ndarray,
+    sigma: oracles.Number,
+    scale: oracles.Number,
+    colors: np.ndarray,
     *,
-    shape,
-    focal=1.875,
-    distance=2.0,
-    background=(10.0, 1.0),
-    covariance_of=None,
-    is_exact=False,
-):
-    """(silhouette, depth, color [rows, cols, C]) of one cloud.
+    shape: tuple[int, int, int],
+    is_exact: bool = False,
+    covariance_of: Callable | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(silhouette, depth, color [rows, cols, C]) of one cloud before the background.
 
     Args:
-      is_exact: every point its own Gaussian, else trilinear weights and one smoothing.
-      covariance_of: None, or a function (points, rotation, sigma) -> [N, 3, 3] in the
-        grid; then sigma is what it makes them from.
+      points, rotation, sigma, scale, colors, shape: see `dpc_jax.project`.
+      is_exact: a Gaussian for each point; else trilinear weights and one smoothing.
+      covariance_of: None, or a function (points, rotation, sigma) -> [N, 3, 3], the
+        covariances in the grid.
     """
     coordinates, is_inside = oracles.place(
-        points, rotation, focal=focal, distance=distance, shape=shape
+        points, rotation, focal=FOCAL, distance=DISTANCE, shape=shape
     )
     masses = np.where(is_inside, scale * np.ones(len(points)), 0)
 
@@ -42,17 +45,20 @@ def render(
 
     density = fill(masses)
     channels = [fill(masses * colors[:, c]) for c in range(colors.shape[1])]
-    return project_volumes(density, channels, shape, distance, background)
+    return _end_rays(density, channels)
 
 
-def project_volumes(density, channels, shape, distance, background):
-    """End the rays of densities Σ f and Σ y·f, and take depth and colour from them."""
-    probabilities, passed = oracles.terminate(oracles.clip(density))
-    cells = (np.arange(shape[2]) + oracles.REAL(0.5)) / shape[2] - oracles.REAL(0.5)
-    far, behind = background
-    depth = np.sum(probabilities * (cells + distance), axis=-1) + passed * far
-    # r·y with y = Σ y_i f_i / Σ f_i; where Σ f is zero, its limit: o/Σ f is one.
-    before = _find_before(oracles.clip(density))
+def _end_rays(density, channels):
+    """Silhouette, depth and colour from the densities Σ f and Σ y·f."""
+    occupancy = oracles.clip(density)
+    probabilities, passed = oracles.terminate(occupancy)
+    num_cells = density.shape[2]
+    cells = (np.arange(num_cells) + oracles.REAL(0.5)) / num_cells - oracles.REAL(0.5)
+    far, behind = BACKGROUND
+    depth = np.sum(probabilities * (cells + DISTANCE), axis=-1) + passed * far
+    # r·y with y = Σ y_i f_i / Σ f_i. Up to density 1 the factor o / Σ f is one, also in
+    # the limit of no density.
+    before = oracles.find_transparencies(occupancy)[..., :-1]
     is_over = np.real(density) > 1
     share = np.where(is_over, 1 / np.where(is_over, density, 1), 1)
     color = [
@@ -62,25 +68,23 @@ def project_volumes(density, channels, shape, distance, background):
     return np.sum(probabilities, axis=-1), depth, np.stack(color, axis=-1)
 
 
-def _find_before(occupancy):
-    passed, parts = np.ones(occupancy.shape[:-1]), []
-    for k in range(occupancy.shape[-1]):
-        parts.append(passed)
-        passed = passed * (1 - occupancy[..., k])
-    return np.stack(parts, axis=-1)
-
-
-def move_covariances(points, rotation, covariances, *, shape, focal, distance):
-    """S·J·R·Σ·Rᵀ·Jᵀ·S written out, with J of u = f·x/z, v = f·y/z and z."""
+def move_covariances(
+    points: np.ndarray,
+    rotation: np.ndarray,
+    covariances: np.ndarray,
+    *,
+    shape: tuple[int, int, int],
+) -> np.ndarray:
+    """S·J·R·Σ·Rᵀ·Jᵀ·S written out, where J is the Jacobian of (f·y/z, f·x/z, z)."""
     turned = oracles.rotate(points, rotation)
     axes = oracles.rotate(np.eye(3), rotation).T  # columns: where the axes go
     moved = []
     for (x, y, z), matrix in zip(turned, covariances, strict=True):
-        ahead = z + distance
+        ahead = z + DISTANCE
         slopes = np.array(
             [
-                [0 * ahead, focal / ahead, -focal * y / (ahead * ahead)],
-                [focal / ahead, 0 * ahead, -focal * x / (ahead * ahead)],
+                [0 * ahead, FOCAL / ahead, -FOCAL * y / (ahead * ahead)],
+                [FOCAL / ahead, 0 * ahead, -FOCAL * x / (ahead * ahead)],
                 [0 * ahead, 0 * ahead, 1 + 0 * ahead],
             ]
         )

@@ -1,173 +1,148 @@
 """Losses at ties, opposites, empty and full silhouettes, and far away."""
 
+import functools
+import itertools
+
+import chex
 import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.learning import losses
 from dpc_jax.measure.stability.cases import oracles
-from dpc_jax.measure.stability.cases.case import DTYPES, REAL, WIDE, Case
+from dpc_jax.measure.stability.cases.case import IN_WIDE, REAL, Case, make_cases
 
 SUBJECT = "losses"
-SUMS = "a few roundings for each of a few terms"
-
-
-def list_cases() -> list[Case]:
-    """The catalogue's cases on losses."""
-    return [
-        *_list_reprojections(),
-        *_list_students(),
-        *_list_selections(),
-        *_list_priors(),
-    ]
-
-
-def _list_reprojections():
-    grey = np.linspace(0, 1, 9).reshape(3, 3)
-    pairs = {
-        "plain": (grey, grey.T),
-        "equal": (grey, grey),
-        "both empty": (0 * grey, 0 * grey),
-        "both full": (0 * grey + 1, 0 * grey + 1),
-        "empty against full": (0 * grey, 0 * grey + 1),
-        "1e-7 apart": (grey, grey - 1e-7),
-        "colours 1e6": (grey * 1e6, grey.T * 1e6),
-    }
-    for name, pair in pairs.items():
-        yield Case(
-            name=f"reprojection: {name}",
-            subject=SUBJECT,
-            function=losses.reprojection_loss,
-            inputs=pair,
-            oracle=lambda a, b: np.asarray(np.sum((a - b) * (a - b))),
-            value_tolerance=16,
-            gradient_tolerance=4,
-            because=SUMS,
-            dtypes=WIDE if "e" in name and "1" in name else DTYPES,
-        )
-
-
-def find_student_loss(student, teacher):
-    """1 - |cos| of unit quaternions; at cos = 0 the slope towards +teacher."""
-    cosine = np.sum(oracles.normalize(student) * oracles.normalize(np.real(teacher)))
-    return np.asarray(1 - np.where(np.real(cosine) < 0, -cosine, cosine))
-
-
-def _list_students():
-    half_turn = "at 180°, a kink: the gradient towards +teacher"
-    plain = (0.5, -1.0, 2.0, 0.25)
-    pairs = {
-        "plain": (plain, (1, 2, 3, 4), ""),
-        "equal": ((0.5,) * 4, (0.5,) * 4, ""),
-        "q and -q": ((0.5,) * 4, (-0.5,) * 4, ""),
-        "opposite, 180°": ((1, 0, 0, 0), (0, 0, 1, 0), half_turn),
-        "opposite, 1e-7 beside": ((1, 0, 1e-7, 0), (0, 0, 1, 0), ""),
-        "opposite, 1e-7 beyond": ((1, 0, -1e-7, 0), (0, 0, 1, 0), ""),
-        "1e-30 and 1e30": (np.multiply(plain, 1e-30), (1e30, 2e30, 0, 0), ""),
-        "a student of 0": ((0,) * 4, (1, 2, 3, 4), "zero counts as the identity"),
-    }
-    for name, (student, teacher, limit) in pairs.items():
-        is_zero = "of 0" in name
-        yield Case(
-            name=f"student: {name}",
-            subject=SUBJECT,
-            function=losses.student_loss,
-            inputs=(student, teacher),
-            oracle=find_student_loss,
-            value_tolerance=8,
-            gradient_tolerance=16,
-            because="cosine and two norms; the gradient cancels along q",
-            floor=1.0,
-            gradient_floor=1.0,
-            slope=(lambda inputs, weights: (np.zeros(4),) * 2) if is_zero else None,
-            limit=limit,
-            dtypes=WIDE if "1e-" in name else DTYPES,
-        )
-
-
+GREY = np.linspace(0, 1, 9).reshape(3, 3)
+EMPTY, FULL = 0 * GREY, 0 * GREY + 1
+IMAGES = (
+    ("plain", GREY, GREY.T),
+    ("equal", GREY, GREY),
+    ("both empty", EMPTY, EMPTY),
+    ("both full", FULL, FULL),
+    ("empty against full", EMPTY, FULL),
+    ("1e-7 apart", GREY, GREY - 1e-7, IN_WIDE),
+    ("colours 1e6", GREY * 1e6, GREY.T * 1e6, IN_WIDE),
+)
+PLAIN = (0.5, -1.0, 2.0, 0.25)
+ACROSS = {"limit": "at 180°, a kink: the gradient towards +teacher"}
+STUDENT_OF_ZERO = {
+    "slope": lambda inputs, weights: (np.zeros(4),) * 2,
+    "limit": "zero counts as the identity",
+}
+STUDENTS = (
+    ("plain", PLAIN, (1, 2, 3, 4)),
+    ("equal", (0.5,) * 4, (0.5,) * 4),
+    ("q and -q", (0.5,) * 4, (-0.5,) * 4),
+    ("opposite, 180°", (1, 0, 0, 0), (0, 0, 1, 0), ACROSS),
+    ("opposite, 1e-7 beside", (1, 0, 1e-7, 0), (0, 0, 1, 0), IN_WIDE),
+    ("opposite, 1e-7 beyond", (1, 0, -1e-7, 0), (0, 0, 1, 0), IN_WIDE),
+    ("1e-30 and 1e30", np.multiply(PLAIN, 1e-30), (1e30, 2e30, 0, 0), IN_WIDE),
+    ("a student of 0", (0,) * 4, (1, 2, 3, 4), STUDENT_OF_ZERO),
+)
 WINNERS = np.array([0, 2])
+LOGITS = np.array([[1.0, -2, 0.5], [0.25, 3, -1]])
+SELECTIONS = (
+    ("plain", LOGITS),
+    ("exact ties", LOGITS * 0),
+    ("logits 1e4", LOGITS * 1e4, IN_WIDE),
+    ("logits 1e30", LOGITS * 1e30, IN_WIDE),
+    ("a sure winner", [[50.0, 0, 0], [0, 0, 80]]),
+)
+CLOUD = np.array([[0.1, -0.2, 0.3], [-0.3, 0.2, -0.1], [0.0, 0.4, 0.2]])
+SAME = np.repeat(CLOUD[:1], 3, axis=0)
+CLOUDS = (
+    ("plain", CLOUD, {"gradient_floor": 1.0}),
+    ("coincident points", SAME),
+    ("1e-20 apart", SAME * 0 + np.arange(3)[:, None] * 1e-20, IN_WIDE),
+    ("1e6 wide", CLOUD * 1e6, IN_WIDE),
+    ("1e15 wide", CLOUD * 1e15, IN_WIDE),
+    (
+        "exactly on the sphere",
+        [[0.5, 0, 0], [0, -0.5, 0], [0, 0, 0]],
+        {"gradient_floor": 1.0},
+    ),
+)
 
 
-def select(logits):
+def select(logits: chex.Array) -> chex.Array:
     """The selection loss with fixed winners."""
     return losses.selection_loss(logits, jnp.asarray(WINNERS))
 
 
-def _list_selections():
-    def find(logits):
-        total = 0
-        for row, winner in zip(logits, WINNERS, strict=True):
-            top = max(row, key=np.real)
-            total = total + top + np.log(np.sum(np.exp(row - top))) - row[winner]
-        return np.asarray(total / len(logits))
-
-    logits = np.array([[1.0, -2, 0.5], [0.25, 3, -1]])
-    for name, values in {
-        "plain": logits,
-        "exact ties": logits * 0,
-        "logits 1e4": logits * 1e4,
-        "logits 1e30": logits * 1e30,
-        "a sure winner": np.array([[50.0, 0, 0], [0, 0, 80]]),
-    }.items():
-        yield Case(
-            name=f"selection: {name}",
-            subject=SUBJECT,
-            function=select,
-            inputs=(values,),
-            oracle=find,
-            value_tolerance=16,
-            gradient_tolerance=16,
-            because=SUMS,
-            floor=1.0,
-            gradient_floor=1.0,
-            dtypes=WIDE if "1e" in name else DTYPES,
-        )
+def find_reprojection_loss(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Sum of squared differences."""
+    return np.sum((a - b) * (a - b))
 
 
-def _list_priors():
-    cloud = np.array([[0.1, -0.2, 0.3], [-0.3, 0.2, -0.1], [0.0, 0.4, 0.2]])
-    same = np.repeat(cloud[:1], 3, axis=0)
+def find_student_loss(student: np.ndarray, teacher: np.ndarray) -> np.ndarray:
+    """1 - |cos| of unit quaternions; at cos = 0 the slope towards +teacher."""
+    cosine = np.sum(oracles.normalize(student) * oracles.normalize(np.real(teacher)))
+    return 1 - oracles.flip_sign(cosine)
 
-    def repel(points):
-        pairs = [(i, j) for i in range(3) for j in range(3) if i != j]
-        soft = REAL(0.02)
-        total = 0
-        for i, j in pairs:
-            away = points[i] - points[j]
-            total = total + 1 / np.sqrt(np.sum(away * away) + soft * soft)
-        return np.asarray(total / len(pairs))
 
-    def contain(points):
-        total = REAL(0)
-        for point in points:
-            if np.real(np.sum(point * point)) > 0.25:
-                beyond = np.sqrt(np.sum(point * point)) - REAL(0.5)
-                total = total + beyond * beyond
-        return np.asarray(total)
+def find_selection_loss(logits: np.ndarray) -> np.ndarray:
+    """Mean cross-entropy of the winners."""
+    total = 0
+    for row, winner in zip(logits, WINNERS, strict=True):
+        top = max(row, key=np.real)
+        total = total + top + np.log(np.sum(np.exp(row - top))) - row[winner]
+    return np.asarray(total / len(logits))
 
-    scenes = {
-        "plain": cloud,
-        "coincident points": same,
-        "1e-20 apart": same * 0 + np.arange(3)[:, None] * 1e-20,
-        "1e6 wide": cloud * 1e6,
-        "1e15 wide": cloud * 1e15,
-        "exactly on the sphere": np.array([[0.5, 0, 0], [0, -0.5, 0], [0, 0, 0]]),
-    }
-    for name, points in scenes.items():
-        for title, function, oracle in (
-            ("repulsion", losses.repulsion_energy, repel),
-            ("containment", losses.containment_loss, contain),
-        ):
-            yield Case(
-                name=f"{title}: {name}",
-                subject=SUBJECT,
-                function=function,
-                inputs=(points,),
-                oracle=oracle,
-                value_tolerance=64,
-                gradient_tolerance=256,
-                because="differences of coordinates, squared and rooted; a softening "
-                "of 1/50 magnifies what is near",
-                half="finite",
-                gradient_floor=1.0 if "sphere" in name or "plain" in name else 0.0,
-                dtypes=WIDE if "1e" in name else DTYPES,
-            )
+
+def find_repulsion(points: np.ndarray) -> np.ndarray:
+    """Mean of 1/√(d² + 0.02²) over all pairs of points."""
+    energies = []
+    for i, j in itertools.combinations(range(len(points)), 2):
+        away = points[i] - points[j]
+        energies.append(1 / np.sqrt(np.sum(away * away) + REAL(0.02) * REAL(0.02)))
+    return np.sum(energies) / len(energies)
+
+
+def find_containment(points: np.ndarray) -> np.ndarray:
+    """Sum of squared distances outside the ball of radius a half."""
+    total = np.zeros((), REAL)
+    for point in points:
+        if np.real(np.sum(point * point)) > 0.25:
+            beyond = oracles.root_sum(point) - REAL(0.5)
+            total = total + beyond * beyond
+    return total
+
+
+def list_cases() -> list[Case]:
+    """The catalogue's cases on losses."""
+    make = functools.partial(make_cases, subject=SUBJECT)
+    sums = "a few roundings for each of a few terms"
+    near = "differences of coordinates, squared and rooted; a softening of 1/50 "
+    near += "magnifies what is near"
+    of_one = {"floor": 1.0, "gradient_floor": 1.0}
+    return [
+        *make(
+            "reprojection",
+            *(losses.reprojection_loss, find_reprojection_loss, (16, 4), IMAGES),
+            because=sums,
+        ),
+        *make(
+            "student",
+            *(losses.student_loss, find_student_loss, (8, 16), STUDENTS),
+            because="cosine and two norms; the gradient cancels along q",
+            **of_one,
+        ),
+        *make(
+            "selection",
+            *(select, find_selection_loss, (16, 16), SELECTIONS),
+            because=sums,
+            **of_one,
+        ),
+        *make(
+            "repulsion",
+            *(losses.repulsion_energy, find_repulsion, (64, 256), CLOUDS),
+            because=near,
+            half="finite",
+        ),
+        *make(
+            "containment",
+            *(losses.containment_loss, find_containment, (64, 256), CLOUDS),
+            because=near,
+            half="finite",
+        ),
+    ]

@@ -1,34 +1,35 @@
-"""The written equations in long double numpy; shares no code with what they judge.
+"""The equations written out in long double numpy; no code shared with the package.
 
-Every function takes real or complex arrays, and decides by real parts alone: an
-imaginary part of 1e-60 carries a derivative through it.
+Every function takes real or complex arrays and makes its decisions on real parts alone,
+because an imaginary part of 1e-60 carries a derivative through it.
 """
 
 import numpy as np
 
 from dpc_jax.measure.stability.cases.case import REAL
 
+Number = np.ndarray | np.number | float
 PI = REAL("3.14159265358979323846264338327950288")
 
 
-def root_sum(x):
-    """√Σx², without the conjugate that a norm would take."""
+def root_sum(x: np.ndarray) -> np.ndarray:
+    """√Σx², without the complex conjugate of a norm."""
     return np.sqrt(np.sum(x * x))
 
 
-def flip_sign(x):
-    """|x| for the derivative's sake; at 0 the slope is one."""
+def flip_sign(x: np.ndarray) -> np.ndarray:
+    """|x| with a derivative; at 0 the slope is one."""
     return np.where(np.real(x) < 0, -x, x)
 
 
-def normalize(q):
-    """q/‖q‖, and the identity with no slope for q = 0."""
+def normalize(q: np.ndarray) -> np.ndarray:
+    """q/‖q‖; for q = 0 the identity, with zero slope."""
     if np.all(np.real(q) == 0):
         return np.array([1, 0, 0, 0], REAL)
     return q / root_sum(q)
 
 
-def multiply(p, q):
+def multiply(p: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Hamilton product, as (w, v): (w₁w₂ - v₁·v₂, w₁v₂ + w₂v₁ + v₁×v₂)."""
     w, v, u, x = p[0], p[1:], q[0], q[1:]
     return np.concatenate(
@@ -36,8 +37,8 @@ def multiply(p, q):
     )
 
 
-def rotate(points, q):
-    """q·(0, p)·q⁻¹ for each point, or the matrix product."""
+def rotate(points: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """q·(0, p)·q⁻¹ for each point p; the matrix product if q is a matrix."""
     if q.shape == (3, 3):
         return np.sum(points[:, None, :] * q, axis=-1)
     q = normalize(q)
@@ -47,8 +48,8 @@ def rotate(points, q):
     return np.array(moved).reshape(-1, 3)
 
 
-def angle(p, q):
-    """2·atan(‖v‖/|w|) of p·q⁻¹; atan of the inverse beyond a quarter turn."""
+def angle(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """2·atan(‖v‖/|w|) of p·q⁻¹; π - 2·atan(|w|/‖v‖) where ‖v‖ is larger."""
     turn = multiply(normalize(p), normalize(q) * np.array([1, -1, -1, -1]))
     sine, cosine = root_sum(turn[1:]), flip_sign(turn[0])
     if np.real(sine) <= np.real(cosine):
@@ -56,26 +57,37 @@ def angle(p, q):
     return PI - 2 * np.arctan(cosine / sine)
 
 
-def place(points, q, *, focal, distance, shape, extent=1.0, orthographic=False):
+def place(
+    points: np.ndarray,
+    q: np.ndarray,
+    *,
+    focal: Number,
+    distance: Number,
+    shape: tuple[int, int, int],
+    orthographic: bool = False,
+) -> tuple[np.ndarray, np.ndarray]:
     """Continuous (row, col, depth) indices, 0 outside, and whether a point is inside.
 
-    A point nearer than a millionth of the extent has no image.
+    A point nearer to the camera than a millionth of the extent, which is one, has no
+    image.
     """
     x, y, z = rotate(points, q).T
     ahead = z + distance
     u, v, is_before = x, y, np.ones(len(points), bool)
     if not orthographic:
-        is_before = np.real(ahead) > 1e-6 * extent
+        is_before = np.real(ahead) > 1e-6
         safe = np.where(is_before, ahead, 1)
         u, v = focal * x / safe, focal * y / safe
-    shares = np.stack([v, u, z], axis=-1) / REAL(extent) + REAL(0.5)
+    shares = np.stack([v, u, z], axis=-1) + REAL(0.5)
     is_inside = is_before & np.all((np.real(shares) >= 0) & (np.real(shares) <= 1), 1)
     coordinates = shares * np.array(shape) - REAL(0.5)
     return np.where(is_inside[:, None], coordinates, 0), is_inside
 
 
-def splat(coordinates, values, shape):
-    """Trilinear weights, product of 1 - |x - i| along the axes."""
+def splat(
+    coordinates: np.ndarray, values: np.ndarray, shape: tuple[int, int, int]
+) -> np.ndarray:
+    """Trilinear weights, products of 1 - |x - i| along the axes."""
     volume = np.zeros(shape, np.result_type(coordinates, values))
     for point, value in zip(coordinates, values, strict=True):
         real = np.real(point)
@@ -84,7 +96,7 @@ def splat(coordinates, values, shape):
         block = np.asarray(value)
         for x, size in zip(point, shape, strict=True):
             away = x - np.arange(size)
-            # Of a kink, the side towards the higher index.
+            # At a kink, the side towards the higher index.
             is_near = (np.real(away) >= -1) & (np.real(away) < 1)
             tent = np.where(np.real(away) >= 0, 1 - away, 1 + away)
             block = np.multiply.outer(block, np.where(is_near, tent, 0))
@@ -92,7 +104,7 @@ def splat(coordinates, values, shape):
     return volume
 
 
-def weigh(cells, center, sigma):
+def weigh(cells: np.ndarray, center: Number, sigma: Number) -> np.ndarray:
     """exp(-(i - x)²/2σ²) over its sum on all integers; σ at least 0.02, as documented.
 
     Args:
@@ -109,13 +121,13 @@ def weigh(cells, center, sigma):
         reach = int(30 * float(np.real(sigma))) + 4
         wide = nearest + np.arange(-reach, reach + 1)
         total = np.sum(np.exp(-((wide - center) ** 2) / (2 * sigma * sigma)), axis=-1)
-    else:  # the integral; the next term of Poisson's sum is exp(-2π²σ²), 1e-137
+    else:  # the integral; the next term of Poisson's formula is exp(-2π²σ²), 1e-137
         total = np.sqrt(2 * PI) * sigma * np.ones(center.shape[:-1])
     weights = np.exp(-((np.asarray(cells) - center) ** 2) / (2 * sigma * sigma))
     return weights / total[..., None]
 
 
-def smooth(volume, sigma):
+def smooth(volume: np.ndarray, sigma: Number) -> np.ndarray:
     """Direct sums over all cells, axis by axis."""
     for axis, size in enumerate(volume.shape):
         cells = np.arange(size)
@@ -124,7 +136,12 @@ def smooth(volume, sigma):
     return volume
 
 
-def sum_gaussians(coordinates, masses, sigmas, shape):
+def sum_gaussians(
+    coordinates: np.ndarray,
+    masses: np.ndarray,
+    sigmas: np.ndarray,
+    shape: tuple[int, int, int],
+) -> np.ndarray:
     """Σ of separable Gaussians, point by point."""
     volume = np.zeros(shape)
     for point, mass, sigma in zip(coordinates, masses, sigmas, strict=True):
@@ -135,8 +152,13 @@ def sum_gaussians(coordinates, masses, sigmas, shape):
     return volume
 
 
-def sum_covariances(coordinates, masses, covariances, shape):
-    """Σ of Gaussians, sampled along the widest axis, then given it, and so on."""
+def sum_covariances(
+    coordinates: np.ndarray,
+    masses: np.ndarray,
+    covariances: np.ndarray,
+    shape: tuple[int, int, int],
+) -> np.ndarray:
+    """Σ of Gaussians: the widest axis first, then each axis given those before it."""
     volume = np.zeros(shape)
     for point, mass, matrix in zip(coordinates, masses, covariances, strict=True):
         matrix = (matrix + matrix.T) / 2
@@ -165,7 +187,7 @@ def sum_covariances(coordinates, masses, covariances, shape):
 def _regress(matrix, count):
     """Slopes of an axis on the `count` axes before it, and the variance they leave.
 
-    An axis without variance of its own says nothing, and gets no slope.
+    An axis without a variance of its own tells nothing and gets no slope.
     """
     known, cross = matrix[:count, :count], matrix[count, :count]
     gain = np.zeros(count, matrix.dtype)
@@ -183,21 +205,24 @@ def _find_minor(matrix):
     return matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
 
 
-def clip(density):
-    """To [0, 1]; at the two ends the slope of the inner side."""
+def clip(density: np.ndarray) -> np.ndarray:
+    """Clip to [0, 1]; at both ends the slope of the inner side."""
     real = np.real(density)
     return np.where(real < 0, 0, np.where(real > 1, 1, density))
 
 
-def terminate(occupancy):
+def find_transparencies(occupancy: np.ndarray) -> np.ndarray:
+    """Π_{u<k}(1 - o_u) for every cell k along the last axis, and for the background."""
+    ones = np.ones((*occupancy.shape[:-1], 1))
+    return np.cumprod(np.concatenate([ones, 1 - occupancy], axis=-1), axis=-1)
+
+
+def terminate(occupancy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(o_k·Π_{u<k}(1 - o_u), Π(1 - o)) cell by cell along the last axis."""
-    passed, probabilities = np.ones(occupancy.shape[:-1]), []
-    for k in range(occupancy.shape[-1]):
-        probabilities.append(occupancy[..., k] * passed)
-        passed = passed * (1 - occupancy[..., k])
-    return np.stack(probabilities, axis=-1), passed
+    passed = find_transparencies(occupancy)
+    return occupancy * passed[..., :-1], passed[..., -1]
 
 
-def find_opacity(occupancy):
-    """Σ_k r_k: no 1 - (1 - …), which would cancel."""
+def find_opacity(occupancy: np.ndarray) -> np.ndarray:
+    """Σ_k r_k, because 1 - Π(1 - o) would cancel."""
     return np.sum(terminate(occupancy)[0], axis=-1)

@@ -1,9 +1,9 @@
 """Runs cases in every dtype, under jit, vmap and grad, and compares."""
 
 import dataclasses
+import functools
 import math
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -26,12 +26,12 @@ class Row:
     """What became of a case in one dtype; errors are relative, tolerances too.
 
     Attributes:
-      subject, case, dtype: which.
-      value_error, gradient_error: the worst over jit and vmap; None without a gradient.
-      value_tolerance, gradient_tolerance: None where only finiteness is asked.
-      is_finite: values and gradients.
-      passes: finite, and within the tolerances.
-      limit: what is documented.
+      subject, case, dtype: which case and dtype.
+      value_error, gradient_error: the worst of all modes; None without a gradient.
+      value_tolerance, gradient_tolerance: None where the result only has to be finite.
+      is_finite: whether all values and gradients are.
+      passes: whether the results are finite and the errors within the tolerances.
+      limit: the documented limit that the case shows, if any.
       because: where the tolerances come from.
     """
 
@@ -47,21 +47,43 @@ class Row:
     limit: str
     because: str
 
+    @property
+    def value_ratio(self) -> float | None:
+        """Error over tolerance of the value; None without a tolerance."""
+        return _divide(self.value_error, self.value_tolerance)
+
+    @property
+    def gradient_ratio(self) -> float | None:
+        """Error over tolerance of the gradient; None without a tolerance."""
+        return _divide(self.gradient_error, self.gradient_tolerance)
+
+    @property
+    def worst_ratio(self) -> float:
+        """The larger of both ratios; 0 without any."""
+        return max(self.value_ratio or 0.0, self.gradient_ratio or 0.0)
+
+
+def _divide(error, tolerance):
+    if error is None or tolerance is None:
+        return None
+    if tolerance == 0:
+        return 0.0 if error == 0 else math.inf
+    return error / tolerance
+
 
 def run_cases(
     cases: Iterable[Case],
     *,
     dtypes: tuple[str, ...] | None = None,
     modes: tuple[str, ...] = MODES,
-    compiler_options: dict[str, Any] | None = None,
 ) -> Iterator[Row]:
-    """Rows of all cases, group by group of those that share compiled programs.
+    """Rows of all cases. Cases that share a compiled program run one after another.
 
     Args:
       cases: of the catalogue.
-      dtypes: those to run; None for all that a case names.
-      modes: of "jit" (one case at a time) and "vmap" (all of a group at once).
-      compiler_options: of XLA, as `jax.jit` takes them; None for its own.
+      dtypes: to run; None for all that a case names.
+      modes: some of "jit" (one case at a time) and "vmap" (all cases that share a
+        program at once).
     """
     groups: dict[tuple, list[Case]] = {}
     for case in cases:
@@ -76,7 +98,7 @@ def run_cases(
         for dtype in dtypes or DTYPES:
             chosen = [c for c in group if dtype in c.dtypes and _fits(c, dtype)]
             if chosen:
-                yield from _run_group(chosen, dtype, modes, compiler_options)
+                yield from _run_group(chosen, dtype, modes)
 
 
 def _fits(case, dtype) -> bool:
@@ -85,37 +107,35 @@ def _fits(case, dtype) -> bool:
     return all(np.all(np.abs(x) <= largest) for x in case.inputs)
 
 
-def _run_group(group, dtype, modes, compiler_options):
+def _run_group(group, dtype, modes):
     is_wide = dtype == "float64"
     with jax.enable_x64(is_wide):
         inputs = [tuple(jnp.asarray(x, dtype) for x in c.inputs) for c in group]
-        shapes = jax.eval_shape(group[0].function, *inputs[0])
-        weights = tuple(make_weights(as_tuple(shapes)))
-        call = _make_call(group[0], weights)
+        call = _make_call(group[0])
         results = [[] for _ in group]
         if "jit" in modes:
-            single = jax.jit(call, compiler_options=compiler_options)
+            single = jax.jit(call)
             for result, arrays in zip(results, inputs, strict=True):
                 result.append(_fetch(single(*arrays)))
         if "vmap" in modes:
             stacked = [jnp.stack(arrays) for arrays in zip(*inputs, strict=True)]
-            many = jax.jit(jax.vmap(call), compiler_options=compiler_options)
+            many = jax.jit(jax.vmap(call))
             together = _fetch(many(*stacked))
             for i, result in enumerate(results):
                 result.append(jax.tree.map(lambda a, i=i: a[i], together))
         rounded = [tuple(np.asarray(x, np.float64) for x in xs) for xs in inputs]
     for case, arrays, found in zip(group, rounded, results, strict=True):
-        yield judge(case, dtype, arrays, weights, found)
+        yield judge(case, dtype, arrays, found)
 
 
-def _make_call(case, weights):
+def _make_call(case):
     """(outputs, gradients of Σ w·output) of a case's function."""
 
     def total(*arrays):
         outputs = as_tuple(case.function(*arrays))
         parts = [
             jnp.sum(jnp.asarray(w, o.dtype) * o)
-            for w, o in zip(weights, outputs, strict=True)
+            for w, o in zip(make_weights(outputs), outputs, strict=True)
         ]
         return sum(parts), outputs
 
@@ -134,58 +154,68 @@ def _fetch(tree):
     return jax.tree.map(lambda a: np.asarray(a, np.float64), jax.device_get(tree))
 
 
-def judge(case: Case, dtype: str, inputs, weights, results) -> Row:
-    """Compare what was found in each mode with the oracle; a row of the report."""
+def judge(
+    case: Case,
+    dtype: str,
+    inputs: tuple[np.ndarray, ...],
+    results: list[tuple],
+) -> Row:
+    """Compare results with the oracle.
+
+    Args:
+      case, dtype: what was run.
+      inputs: as rounded to the dtype.
+      results: (values, gradients) of each mode; no gradients where there are none.
+    """
     epsilon = float(jnp.finfo(dtype).eps)
-    outputs = as_tuple(case.oracle(*(np.asarray(x, REAL) for x in inputs)))
-    has_gradient = case.gradient_tolerance is not None
-    if has_gradient and case.slope is not None:
-        slopes = case.slope(inputs, weights)
-    elif has_gradient:
-        slopes = differentiate_oracle(case.oracle, inputs, weights)
-    is_finite, value_error, gradient_error = True, 0.0, 0.0 if has_gradient else None
-    for values, gradients in results:
-        is_finite &= all(np.all(np.isfinite(a)) for a in (*values, *gradients))
-        value_error = max(
-            value_error, compare(values, outputs, dtype, floor=case.floor)
-        )
-        if has_gradient:
-            gradient_error = max(
-                gradient_error,
-                compare(gradients, slopes, dtype, floor=case.gradient_floor),
-            )
     only_finite = case.half == "finite" and dtype in ("bfloat16", "float16")
-    value_tolerance = None if only_finite else case.value_tolerance * epsilon
-    gradient_tolerance = (
-        case.gradient_tolerance * epsilon if has_gradient and not only_finite else None
+
+    def scale(tolerance):
+        return None if tolerance is None or only_finite else tolerance * epsilon
+
+    outputs = as_tuple(case.oracle(*(np.asarray(x, REAL) for x in inputs)))
+    value_error, gradient_error = 0.0, None
+    for values, _ in results:
+        error = compare(values, outputs, dtype, floor=case.floor)
+        value_error = max(value_error, error)
+    if case.gradient_tolerance is not None:
+        slope = case.slope or functools.partial(differentiate_oracle, case.oracle)
+        slopes = slope(inputs, make_weights(outputs))
+        gradient_error = max(
+            compare(gradients, slopes, dtype, floor=case.gradient_floor)
+            for _, gradients in results
+        )
+    row = Row(
+        subject=case.subject,
+        case=case.name,
+        dtype=dtype,
+        value_error=value_error,
+        value_tolerance=scale(case.value_tolerance),
+        gradient_error=gradient_error,
+        gradient_tolerance=scale(case.gradient_tolerance),
+        is_finite=all(np.all(np.isfinite(a)) for a in jax.tree.leaves(results)),
+        passes=True,
+        limit=case.limit,
+        because=case.because,
     )
-    passes = bool(is_finite)
-    if value_tolerance is not None:
-        passes &= value_error <= value_tolerance
-    if gradient_tolerance is not None:
-        passes &= gradient_error <= gradient_tolerance
-    return Row(
-        case.subject,
-        case.name,
-        dtype,
-        value_error,
-        value_tolerance,
-        gradient_error,
-        gradient_tolerance,
-        bool(is_finite),
-        bool(passes),
-        case.limit,
-        case.because,
-    )
+    return dataclasses.replace(row, passes=row.is_finite and row.worst_ratio <= 1)
 
 
 def compare(
-    found, expected, dtype: str, *, floor: float | tuple[float, ...] = 0.0
+    found: Sequence[np.ndarray],
+    expected: Sequence[np.ndarray],
+    dtype: str,
+    *,
+    floor: float | tuple[float, ...] = 0.0,
 ) -> float:
     """Largest error relative to the largest magnitude of its array, or to `floor`.
 
-    What is smaller than the dtype's smallest normal number counts as zero, as it does
-    on processors that flush such numbers. Infinity where something is not finite.
+    Errors below the dtype's smallest normal number count as zero, because processors
+    flush such numbers. An array of another shape, or with numbers that are not finite,
+    is infinitely wrong.
+
+    Raises:
+      FloatingPointError: the expected numbers are not finite.
     """
     tiny = float(jnp.finfo(dtype).tiny)
     worst = 0.0
@@ -200,7 +230,8 @@ def compare(
         b = np.real(b).astype(REAL)
         if not np.all(np.isfinite(b)):
             raise FloatingPointError(
-                "expected the oracle to be finite, but it is not; it judges nothing."
+                "Expected finite numbers of the oracle, but some are not finite; such "
+                "an oracle judges nothing, so correct it."
             )
         error = np.max(np.abs(np.asarray(a, REAL) - b))
         scale = max(np.max(np.abs(b)), lowest)
@@ -211,4 +242,4 @@ def compare(
 
 def _judge_plain(case: Case) -> Row:
     values = tuple(np.asarray(v, float) for v in as_tuple(case.function(*case.inputs)))
-    return judge(case, "float64", case.inputs, (), [(values, ())])
+    return judge(case, "float64", case.inputs, [(values, ())])

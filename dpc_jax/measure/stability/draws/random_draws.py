@@ -1,18 +1,27 @@
-"""The part of the report on random draws: the whole float range, every function."""
+"""The part of the report on random draws: every function over all float32 numbers.
+
+Only this part needs `hypothesis`, an extra of the package: it is imported where it is
+used, so that the rest of the package runs without it.
+"""
 
 import dataclasses
 import importlib.util
 import itertools
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
 
 from dpc_jax.measure.stability.draws import learning_targets, render_targets
 from dpc_jax.measure.stability.draws.targets import Range, Target, make_check
-from dpc_jax.measure.stability.report_parts import Order, PartResult
+from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
+from dpc_jax.measure.stability.sections import make_table, start_section
 
+TITLE = "Random draws"
 DRAWS, QUICK_DRAWS = 10_000, 30
+MISSING = (
+    "Random draws need the library hypothesis, but it is not installed; install it "
+    "with pip install 'dpc_jax[test]', or leave this part out."
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,10 +29,11 @@ class Outcome:
     """What became of a target.
 
     Attributes:
-      target: its name. limit: the range drawn from, where not all finite numbers.
+      target: its name.
+      limit: the range drawn from, if it is not all finite numbers.
       draws: how many were tried.
-      broken: properties that did not hold for the smallest draw that breaks one.
-      inputs: that draw, as text; both empty where all held.
+      broken: the properties that one draw broke; empty if all held.
+      inputs: that draw as text, made as simple as it can be while it still breaks them.
     """
 
     target: str
@@ -34,74 +44,55 @@ class Outcome:
 
 
 class _Broken(Exception):
-    """A draw broke a property; carries what an `Outcome` holds of it."""
+    """A draw broke a property; its arguments are the properties and the draw."""
 
 
-def run_part(order: Order) -> PartResult:
-    """The part in full; see `parts.run_part`."""
-    return run(order.out, quick=False, seed=order.seed, tell=order.tell)
-
-
-def run(
-    out: Path,
+def run_part(
+    request: PartRequest,
     *,
-    quick: bool,
-    seed: int = 0,
     draws: int | None = None,
     targets: Sequence[Target] | None = None,
-    tell: Callable[[str], None] = lambda text: None,
 ) -> PartResult:
     """Draw inputs for every function; writes no file.
 
     Args:
-      quick: 30 draws of each function, else 10,000.
-      seed: of all draws; the same seed draws the same.
+      request: the quick form makes 30 draws for each function, the full one 10,000. The
+        same seed makes the same draws.
       draws: another number of them.
-      targets: some functions; None for all.
-      tell: shows a line of text for each function that is done.
+      targets: the functions; None for all.
     """
-    del out  # a table says it all
     if importlib.util.find_spec("hypothesis") is None:
-        sentence = (
-            "random draws need hypothesis, which is not installed; install the extra "
-            "test (pip install 'dpc_jax[test]') or leave this part out."
-        )
-        return PartResult(
-            f"## Random draws\n\nNot run: {sentence}\n", None, False, (sentence,)
-        )
-    count = draws or (QUICK_DRAWS if quick else DRAWS)
+        section = [*start_section(TITLE), f"Not run. {MISSING}", ""]
+        return PartResult("\n".join(section), None, (MISSING,))
+    count = draws or (QUICK_DRAWS if request.quick else DRAWS)
     outcomes = []
     for target in list_targets() if targets is None else targets:
-        outcomes.append(draw_inputs(target, draws=count, seed=seed))
+        outcomes.append(draw_inputs(target, draws=count, seed=request.seed))
         state = "broken" if outcomes[-1].broken else "holds"
-        tell(f"random, {target.name}: {outcomes[-1].draws} draws, {state}")
+        request.tell(f"random, {target.name}: {outcomes[-1].draws} draws, {state}")
     failures = tuple(
         f"random draws, {o.target}: {', '.join(o.broken)} did not hold for {o.inputs}."
         for o in outcomes
         if o.broken
     )
-    return PartResult(
-        markdown=write_section(outcomes),
-        data=[dataclasses.asdict(o) for o in outcomes],
-        passes=not failures,
-        failures=failures,
-    )
+    data = [dataclasses.asdict(o) for o in outcomes]
+    return PartResult(write_section(outcomes), data, failures)
 
 
 def list_targets() -> list[Target]:
-    """All functions that draws are thrown at."""
+    """All functions that inputs are drawn for."""
     return [*render_targets.list_targets(), *learning_targets.list_targets()]
 
 
 def draw_inputs(target: Target, *, draws: int, seed: int) -> Outcome:
-    """Throw draws at a target until one breaks it, and make that one small."""
+    """Try draws on a target until one breaks it, and simplify that one."""
     import hypothesis
     from hypothesis import strategies
 
     check = make_check(target)
     counter = itertools.count()
 
-    # No data base and a fixed seed: the same draws at every run.
+    # No data base and a fixed seed: the same draws in every run.
     @hypothesis.seed(seed)
     @hypothesis.settings(
         max_examples=draws,
@@ -110,14 +101,14 @@ def draw_inputs(target: Target, *, draws: int, seed: int) -> Outcome:
         derandomize=False,
         report_multiple_bugs=False,
         verbosity=hypothesis.Verbosity.quiet,
-        suppress_health_check=list(hypothesis.HealthCheck),
+        suppress_health_check=list(hypothesis.HealthCheck),  # pyright: ignore
     )
     @hypothesis.given(strategies.tuples(*(_draw_array(r) for r in target.inputs)))
     def judge(arrays):
         next(counter)
         try:
             found = check(*arrays)
-        except Exception as error:  # an undocumented one is what is looked for
+        except Exception as error:  # any exception that is not documented is a find
             raise _Broken((f"{type(error).__name__}: {error}",), arrays) from error
         broken = tuple(name for name, holds in found.items() if not holds)
         if broken:
@@ -133,7 +124,7 @@ def draw_inputs(target: Target, *, draws: int, seed: int) -> Outcome:
 
 
 def _draw_array(wanted: Range):
-    """A strategy of arrays: of ordinary numbers, of any, or of both."""
+    """A strategy of arrays of ordinary numbers, alone or mixed with extreme ones."""
     from hypothesis import strategies
     from hypothesis.extra import numpy as arrays
 
@@ -158,10 +149,14 @@ def _draw_array(wanted: Range):
 
 def write_section(outcomes: Sequence[Outcome]) -> str:
     """Section of the report: what broke, then draws and ranges."""
-    lines = ["## Random draws", ""]
-    broken = [o for o in outcomes if o.broken]
-    for o in broken:
-        lines += [f"**{o.target}**: {', '.join(o.broken)} for `{o.inputs}`", ""]
+    lines = start_section(TITLE)
+    for o in outcomes:
+        if o.broken:
+            lines += [f"**{o.target}**: {', '.join(o.broken)} for `{o.inputs}`", ""]
+    rows = [
+        (o.target, o.draws, "**no**" if o.broken else "yes", o.limit or "none")
+        for o in outcomes
+    ]
     lines += [
         f"{sum(o.draws for o in outcomes)} draws of float32 numbers, subnormal ones, "
         "zeros of both signs and the largest among them, mixed with ordinary ones. For "
@@ -170,11 +165,6 @@ def write_section(outcomes: Sequence[Outcome]) -> str:
         "negative with sum 1, unit quaternions) must hold. A documented refusal "
         "counts as an answer.",
         "",
-        "| function | draws | holds | limits of what is drawn |",
-        "|---|---:|---|---|",
+        *make_table(("function", "draws", "holds", "limits of what is drawn"), rows),
     ]
-    for o in outcomes:
-        state = "**no**" if o.broken else "yes"
-        limit = o.limit.replace("|", "\\|") or "none"
-        lines.append(f"| {o.target} | {o.draws} | {state} | {limit} |")
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""What random draws are thrown at: a function, the range of its inputs, what holds."""
+"""Targets of random draws: a function, the ranges of its inputs, what must hold."""
 
 import dataclasses
 from collections.abc import Callable
@@ -17,10 +17,10 @@ class Range:
 
     Attributes:
       shape: fixed, so that a function is compiled once.
-      low, high: bounds; by default all finite numbers, subnormal ones too.
-      usual: bounds of the ordinary numbers that are mixed in, so that not every point
-        is out of sight.
-      smallest: magnitudes below it become zero.
+      low, high: bounds; by default all finite numbers, also subnormal ones.
+      usual: bounds of the ordinary numbers that are mixed in; without them, every point
+        would be out of sight.
+      smallest: smaller magnitudes become zero.
       kind: "float", or "byte" for uint8.
     """
 
@@ -38,12 +38,12 @@ class Target:
 
     Attributes:
       name: as a user writes it.
-      function: of the inputs as arrays; an array or a tree of them.
+      function: maps the inputs as arrays to an array or a tree of arrays.
       inputs: their ranges.
       holds: (outputs, *inputs) -> further properties by name, each a bool.
-      limit: the documented range where it is not all finite numbers, and why.
+      limit: the documented range if it is not all finite numbers, and why.
       has_gradient: whether every input must have a finite gradient.
-      is_traced: False for functions in numpy.
+      is_traced: False for numpy functions.
       refusals: exceptions that are documented answers.
     """
 
@@ -58,10 +58,10 @@ class Target:
 
 
 def make_check(target: Target) -> Callable[..., dict[str, bool]]:
-    """A function of drawn arrays that gives each property and whether it holds.
+    """A function of drawn arrays that tells for each property whether it holds.
 
-    For what is traced it is one compiled program: outputs are finite, gradients of
-    Σ ±output are, and what else the target promises.
+    For a traced function it is one compiled program. The properties are finite outputs,
+    finite gradients of Σ ±output, and what else the target promises.
     """
     if not target.is_traced:
         return lambda *arrays: _check_plain(target, arrays)
@@ -88,7 +88,7 @@ def _check_plain(target, arrays):
     try:
         outputs = target.function(*arrays)
     except target.refusals as error:
-        # A refusal is a sentence that says what was expected.
+        # A refusal must say what was expected.
         return {"refused in a sentence": "xpected" in str(error)}
     leaves = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(outputs)]
     found = {"finite": all(np.isfinite(leaf).all() for leaf in leaves)}

@@ -17,26 +17,26 @@ _MOMENTUM = 0.9  # Adam's decay of the mean gradient, its authors' value
 
 
 class Problem(NamedTuple):
-    """Silhouettes of one object, and what they were made from.
+    """Silhouettes of one object, and the truth behind them.
 
     Attributes:
-      targets: [V, 32, 32].
+      targets: [V, 32, 32] silhouettes.
       poses: [V, 4] true quaternions.
       surface: [M, 3] true points.
-      masses: [N] of the points sought, in voxels.
+      masses: [N] of the points to find, in voxels.
     """
 
-    targets: chex.Array
-    poses: chex.Array
-    surface: chex.Array
-    masses: chex.Array
+    targets: jax.Array
+    poses: jax.Array
+    surface: jax.Array
+    masses: jax.Array
 
 
 class Start(NamedTuple):
     """Where a descent starts: points [N, 3] and poses [V, 4]."""
 
-    points: chex.Array
-    poses: chex.Array
+    points: jax.Array
+    poses: jax.Array
 
 
 class Recipe(NamedTuple):
@@ -45,16 +45,16 @@ class Recipe(NamedTuple):
     Attributes:
       sigmas: [T] standard deviation of a point at each iteration, voxels.
       point_rates: [T, N] learning rate of each point, in object units.
-      pose_rates: [T, V] of each pose, in units of a quaternion.
-      is_adam: () whether the gradient is divided by its own root mean square.
-      memory: () Adam's decay of the mean square, 0.999 by default of its authors.
+      pose_rates: [T, V] learning rate of each pose, in units of a quaternion.
+      is_adam: () whether to take Adam's direction instead of the gradient.
+      memory: () Adam's decay of the mean square; its authors take 0.999.
     """
 
-    sigmas: chex.Array
-    point_rates: chex.Array
-    pose_rates: chex.Array
-    is_adam: chex.Array
-    memory: chex.Array
+    sigmas: jax.Array
+    point_rates: jax.Array
+    pose_rates: jax.Array
+    is_adam: jax.Array
+    memory: jax.Array
 
 
 class Trace(NamedTuple):
@@ -64,20 +64,22 @@ class Trace(NamedTuple):
       losses: [T + 1, V] reprojection loss of each view at sigma one.
       pose_errors: [T + 1, V] degrees.
       chamfer: [T + 1] in the paper's units (×100).
-      distances: [T + 1, N] of each point from where it was made; only where the surface
-        has as many points as are sought.
+      distances: [T + 1, N] of each point from its true place. They mean something only
+        if there are as many points as true points.
       end: the last points and poses.
     """
 
-    losses: chex.Array
-    pose_errors: chex.Array
-    chamfer: chex.Array
-    distances: chex.Array
+    losses: jax.Array
+    pose_errors: jax.Array
+    chamfer: jax.Array
+    distances: jax.Array
     end: Start
 
 
-def render_views(points, poses, *, masses, sigma) -> chex.Array:
-    """Silhouettes [V, 32, 32] of points [N, 3] from poses [V, 4]."""
+def render_views(
+    points: jax.Array, poses: jax.Array, *, masses: jax.Array, sigma: chex.Numeric
+) -> jax.Array:
+    """Silhouettes [V, 32, 32] of points [N, 3] with masses [N] from poses [V, 4]."""
 
     def render(pose):
         return project(
@@ -92,23 +94,17 @@ def descend(problem: Problem, start: Start, recipe: Recipe, *, every: int = 1) -
     """Follow a recipe from a start.
 
     Args:
-      problem: what is sought.
+      problem: what to recover.
       start: points and poses to begin with.
-      recipe: its T is a multiple of `every`.
+      recipe: with T a multiple of `every`.
       every: iterations between two measurements of the error; 1 measures each.
 
     Returns:
       The trace, with T / every + 1 entries.
     """
-
-    # One dtype for all: with x64, NumPy's float64 would enter with the rates.
+    # One dtype for all: with x64 the rates would bring in NumPy's float64.
     dtype = start.points.dtype
-    recipe = recipe._replace(
-        sigmas=recipe.sigmas.astype(dtype),
-        point_rates=recipe.point_rates.astype(dtype),
-        pose_rates=recipe.pose_rates.astype(dtype),
-        memory=recipe.memory.astype(dtype),
-    )
+    recipe = jax.tree.map(lambda a: a.astype(dtype), recipe)
 
     def compute_loss(params, sigma):
         images = render_views(
@@ -123,16 +119,15 @@ def descend(problem: Problem, start: Start, recipe: Recipe, *, every: int = 1) -
         count = count + 1
         mean = _average(mean, gradient, _MOMENTUM)
         square = _average(square, jax.tree.map(jnp.square, gradient), recipe.memory)
-        first = jax.tree.map(lambda m: m / (1 - _MOMENTUM**count), mean)
-        second = jax.tree.map(lambda s: s / (1 - recipe.memory**count), square)
-        direction = jax.tree.map(
-            lambda g, f, s: jnp.where(recipe.is_adam, _divide_by_root(f, s), g),
-            gradient,
-            first,
-            second,
-        )
         rates = Start(point_rates[:, None], pose_rates[:, None])
-        params = jax.tree.map(lambda p, r, d: p - r * d, params, rates, direction)
+
+        def move(param, rate, plain, m, s):
+            m, s = m / (1 - _MOMENTUM**count), s / (1 - recipe.memory**count)
+            # Adam without its epsilon, which would hold light points still.
+            scaled = jnp.where(s == 0, 0, m / jnp.sqrt(jnp.where(s == 0, 1, s)))
+            return param - rate * jnp.where(recipe.is_adam > 0, scaled, plain)
+
+        params = jax.tree.map(move, params, rates, gradient, mean, square)
         return (params, mean, square, count), None
 
     def measure(params):
@@ -166,16 +161,12 @@ def _average(old, new, decay):
     return jax.tree.map(lambda a, b: decay * a + (1 - decay) * b, old, new)
 
 
-def _divide_by_root(mean, square):
-    """Adam's direction, without the epsilon that would hold light points still."""
-    is_zero = square == 0
-    return jnp.where(is_zero, 0, mean / jnp.sqrt(jnp.where(is_zero, 1, square)))
-
-
-def turn_randomly(poses, degrees, rng) -> np.ndarray:
-    """Poses [V, 4] turned by an angle about axes of their own."""
+def turn_randomly(
+    poses: jax.Array, degrees: float, rng: np.random.Generator
+) -> jax.Array:
+    """Poses [V, 4] turned by an angle, each about a random axis."""
     axes = rng.normal(size=(len(poses), 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     turn = jax.vmap(quaternion.from_axis_angle, in_axes=(0, None))
     turns = turn(jnp.asarray(axes, jnp.float32), np.radians(degrees))
-    return jax.vmap(quaternion.multiply)(turns, jnp.asarray(poses, jnp.float32))
+    return jnp.asarray(jax.vmap(quaternion.multiply)(turns, poses))

@@ -1,8 +1,9 @@
-"""Three stiff problems, and the ways to descend that are compared on each."""
+"""Three stiff problems, and the recipes of descent that are compared on each."""
 
 import dataclasses
+import itertools
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
@@ -22,9 +23,12 @@ from dpc_jax.measure.stability.stiff.descent import (
 
 VIEWS = 6
 EVERY = 10  # iterations between two measurements of the error
+BEST, STAGED = "Adam, σ 2 → 0.5", "Adam, heavy points first"
 _OFF_DEG = 30.0  # of the first poses from the true ones
 _DENSE = 2000  # points that targets are rendered from
 _ADAM_RATE, _START_RATE = 0.01, 0.03  # of Adam; poses alone bear a larger one
+_MEMORY = 0.999  # Adam's decay of the mean square
+_FEW = 24  # points of the study of masses
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,11 +37,13 @@ class Plan:
 
     Attributes:
       steps: iterations, a multiple of `EVERY`.
-      points: sought. surface: true points that they are compared with.
-      seeds: of views, starts and surfaces. starts: K at most.
+      points: to find.
+      surface: true points that they are compared with.
+      seeds: of views, starts and surfaces.
+      starts: K at most.
       scenes: by name.
       sigmas: fixed ones, in voxels.
-      rates: of plain gradient descent, of which the best is shown.
+      rates: of plain gradient descent; the best of them is shown.
     """
 
     steps: int = 400
@@ -50,26 +56,18 @@ class Plan:
     rates: tuple[float, ...] = (1e-4, 4e-4)
 
 
-_FEW = 24  # points of the study of masses
 FULL = Plan()
-# As many points as in the study of masses: one program serves all.
-QUICK = Plan(
-    steps=40,
-    points=_FEW,
-    surface=_FEW,
-    seeds=1,
-    starts=2,
-    scenes=("chair",),
-    sigmas=(5.0, 0.2),
-    rates=(1e-4,),
-)
+# With as many points as in the study of masses, one program serves all studies.
+QUICK = Plan(40, _FEW, _FEW, 1, 2, ("chair",), sigmas=(5.0, 0.2), rates=(1e-4,))
 
 
 class Run(NamedTuple):
     """One descent.
 
     Attributes:
-      study: "shape", "starts" or "masses". scene: what is sought. recipe: in words.
+      study: "shape", "starts" or "masses".
+      scene: the object to recover.
+      recipe: in words.
       rate: of plain gradient descent, or None.
       seed: of the problem.
       seconds: wall clock, measurements included, compilation not.
@@ -86,77 +84,69 @@ class Run(NamedTuple):
 
 
 def run_shapes(plan: Plan) -> Iterator[Run]:
-    """Points and poses from six silhouettes, one pose known so that the frame is.
+    """Points and poses from six silhouettes; one known pose fixes the frame.
 
     Points start in a ball, poses 30° off. Targets are nearly sharp, as masks are.
     """
-    for scene in plan.scenes:
-        for seed in range(plan.seeds):
-            problem, start = make_shape(scene, plan, seed)
-            for sigma in plan.sigmas:
-                for rate in plan.rates:
-                    recipe = make_recipe(plan, (sigma, sigma), rate=rate)
-                    name = f"gradient, σ {sigma:g}"
-                    yield _time(
-                        "shape", scene, name, rate, seed, problem, start, recipe
-                    )
-                recipe = make_recipe(plan, (sigma, sigma))
-                name = f"Adam, σ {sigma:g}"
-                yield _time("shape", scene, name, None, seed, problem, start, recipe)
-            for rate in plan.rates:
-                recipe = make_recipe(plan, (2.0, 0.5), rate=rate)
-                name = "gradient, σ 2 → 0.5"
-                yield _time("shape", scene, name, rate, seed, problem, start, recipe)
-            for ends in ((5.0, 0.2), (2.0, 0.5)):
-                recipe = make_recipe(plan, ends)
-                name = f"Adam, σ {ends[0]:g} → {ends[1]:g}"
-                yield _time("shape", scene, name, None, seed, problem, start, recipe)
+    for scene, seed in itertools.product(plan.scenes, range(plan.seeds)):
+        problem, start = make_shape(scene, plan, seed)
+        for name, ends, rate in _list_recipes(plan):
+            recipe = make_recipe(plan, ends, rate=rate)
+            yield _time("shape", scene, name, rate, seed, problem, start, recipe)
+
+
+def _list_recipes(plan):
+    """(name, first and last sigma, rate or None for Adam)."""
+    for sigma in plan.sigmas:
+        for rate in plan.rates:
+            yield f"gradient, σ {sigma:g}", (sigma, sigma), rate
+        yield f"Adam, σ {sigma:g}", (sigma, sigma), None
+    for rate in plan.rates:
+        yield "gradient, σ 2 → 0.5", (2.0, 0.5), rate
+    yield "Adam, σ 5 → 0.2", (5.0, 0.2), None
+    yield BEST, (2.0, 0.5), None
 
 
 def run_starts(plan: Plan) -> Iterator[Run]:
     """Poses of six views of a known shape, from random rotations."""
-    for scene in plan.scenes:
-        for seed in range(plan.seeds):
-            problem, start = make_shape(scene, plan, seed)
-            recipe = make_recipe(plan, (2.0, 0.5))
-            poses = jnp.full((plan.steps, VIEWS), _START_RATE) * _cool(plan)[:, None]
-            recipe = recipe._replace(
-                point_rates=0 * recipe.point_rates, pose_rates=poses
-            )
-            for k in range(plan.starts):
-                rng = np.random.default_rng((seed, 1000 + k))  # not that of the views
-                poses = jnp.asarray(_draw_rotations(VIEWS, rng))
-                start = Start(problem.surface[: plan.points], poses)
-                name = "Adam, σ 2 → 0.5"
-                yield _time("starts", scene, name, None, seed, problem, start, recipe)
+    recipe = make_recipe(plan, (2.0, 0.5))
+    poses = jnp.full((plan.steps, VIEWS), _START_RATE) * _cool(plan)[:, None]
+    recipe = recipe._replace(point_rates=0 * recipe.point_rates, pose_rates=poses)
+    for scene, seed in itertools.product(plan.scenes, range(plan.seeds)):
+        problem, _ = make_shape(scene, plan, seed)
+        for k in range(plan.starts):
+            rng = np.random.default_rng((seed, 1000 + k))  # not the one of the views
+            poses = jnp.asarray(_draw_rotations(VIEWS, rng))
+            start = Start(problem.surface[: plan.points], poses)
+            yield _time("starts", scene, BEST, None, seed, problem, start, recipe)
 
 
 def run_masses(plan: Plan, *, points: int = _FEW) -> Iterator[Run]:
     """Points of masses 10 to 0.001 voxels, displaced by 0.02; poses are known."""
     masses = np.geomspace(10, 1e-3, points)
     order = np.arange(points) / points
-    steps, cool = np.arange(plan.steps)[:, None], _cool(plan)[:, None]
-    # Each point begins when the heavier ones have come to rest, and has its own decay.
+    steps = np.arange(plan.steps)[:, None]
+    # A point starts when the heavier ones have come to rest, with a decay of its own.
     done = (steps - 0.6 * plan.steps * order) / (0.4 * plan.steps)
     staged = np.where(done < 0, 0, 0.5 * (1 + np.cos(np.pi * np.clip(done, 0, 1))))
     flat = np.ones((plan.steps, points))
-    ways = [("gradient", r, flat * r, False, 0.999) for r in (1e-4, 3e-4, 1e-3)]
-    ways += [
-        ("gradient / mass", r, flat * r / masses, False, 0.999)
-        for r in (3e-4, 1e-3, 3e-3)
-    ]
-    ways += [
-        ("Adam", None, flat * cool * 0.003, True, 0.999),
-        ("Adam, heavy points first", None, staged * 0.003, True, 0.9),
+    recipes = [
+        *(("gradient", r, flat * r, _MEMORY) for r in (1e-4, 3e-4, 1e-3)),
+        *(
+            ("gradient / mass", r, flat * r / masses, _MEMORY)
+            for r in (3e-4, 1e-3, 3e-3)
+        ),
+        ("Adam", None, flat * _cool(plan)[:, None] * 0.003, _MEMORY),
+        (STAGED, None, staged * 0.003, 0.9),
     ]
     for seed in range(plan.seeds):
         problem, start = _make_cloud(masses, seed)
-        for name, rate, rates, is_adam, memory in ways:
+        for name, rate, rates, memory in recipes:
             recipe = Recipe(
                 jnp.ones(plan.steps),
                 jnp.asarray(rates, jnp.float32),
                 jnp.zeros((plan.steps, VIEWS)),
-                jnp.asarray(is_adam),
+                jnp.asarray(rate is None),
                 jnp.asarray(memory),
             )
             yield _time("masses", "sparse", name, rate, seed, problem, start, recipe)
@@ -172,7 +162,7 @@ def make_shape(scene: str, plan: Plan, seed: int) -> tuple[Problem, Start]:
     surface = jnp.asarray(scenes[scene].points, jnp.float32)
     masses = jnp.full(_DENSE, 2.0)
     targets = render_views(surface, poses, masses=masses, sigma=0.5)
-    # What the points weigh together does not depend on their number.
+    # The total mass does not depend on the number of points.
     problem = Problem(
         targets,
         poses,
@@ -196,17 +186,19 @@ def _make_cloud(masses, seed):
     return Problem(targets, poses, points, masses), Start(moved, poses)
 
 
-def make_recipe(plan: Plan, ends: Sequence[float], *, rate: float | None = None):
-    """Gradient descent at a rate, or Adam; sigma goes evenly in its logarithm."""
+def make_recipe(
+    plan: Plan, ends: tuple[float, float], *, rate: float | None = None
+) -> Recipe:
+    """Gradient descent at a rate, or Adam; log sigma goes evenly between its ends."""
     factors = np.ones(plan.steps) if rate else _cool(plan)
     rates = jnp.asarray((rate or _ADAM_RATE) * factors, jnp.float32)[:, None]
     return Recipe(
         jnp.asarray(np.geomspace(*ends, plan.steps), jnp.float32),
         jnp.broadcast_to(rates, (plan.steps, plan.points)),
-        # The first pose is known: it holds the frame.
+        # The first pose is known and fixes the frame.
         jnp.broadcast_to(rates, (plan.steps, VIEWS)).at[:, 0].set(0),
         jnp.asarray(rate is None),
-        jnp.asarray(0.999),
+        jnp.asarray(_MEMORY),
     )
 
 
