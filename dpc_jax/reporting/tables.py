@@ -1,9 +1,13 @@
 """Markdown: tables of any rows, the metrics of runs side by side, whole pages."""
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from dpc_jax.evaluation.metrics import format_metric, get_metric, order_metrics
+
+# What a column of numbers holds: digits first, but for bold print; or nothing.
+_NUMBER = re.compile(r"\**[-+]?(\d|inf|nan|–)|$")
 
 
 def format_table(
@@ -14,16 +18,21 @@ def format_table(
     Args:
       heads: of the columns.
       rows: cells by row, each as many as there are heads; shown by `str`.
-      align: one letter per column, "l" or "r"; by default the first column is aligned
-        left and the others, being numbers, right.
+      align: one letter per column, "l" or "r"; by default columns of numbers are
+        aligned right, others left.
 
     Returns:
       The table, ending in a newline. Pipes in cells are escaped, line breaks become
       spaces.
     """
-    align = align or "l" + "r" * (len(heads) - 1)
+    cells = [[str(cell) for cell in row] for row in rows]
+    columns = list(zip(*cells, strict=False)) or [("",)] * len(heads)
+    align = align or "".join(
+        "r" if all(map(_NUMBER.match, column)) and any(column) else "l"
+        for column in columns
+    )
     rule = ["---:" if letter == "r" else "---" for letter in align]
-    lines = [heads, rule, *rows]
+    lines = [heads, rule, *cells]
     for line in lines:
         if len(line) != len(heads):
             raise TypeError(f"{len(heads)} columns, but cells {list(line)}")

@@ -23,7 +23,8 @@ from dpc_jax.learning.log import MetricLog
 from dpc_jax.learning.records import NonFiniteError
 from dpc_jax.learning.step import init_state
 from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import make_table, start_section
+from dpc_jax.measure.stability.sections import start_section
+from dpc_jax.reporting.tables import format_table
 from dpc_jax.run.setup import make_data_specs, make_network
 
 
@@ -230,6 +231,6 @@ def write_section(endings: Sequence[Ending], failures: Sequence[str]) -> str:
         "points, two heads), trained with the loop that users train with. A run must "
         "end with finite numbers, or stop and say what broke and at which step.",
         "",
-        *make_table((*head, "largest gradient norm", "ended"), rows),
+        *format_table((*head, "largest gradient norm", "ended"), rows).splitlines(),
     ]
     return "\n".join(lines) + "\n"

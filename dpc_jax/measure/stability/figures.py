@@ -4,46 +4,45 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from dpc_jax.measure.stability.error_growth import Curve
 from dpc_jax.measure.stability.stiff.summaries import Choice, Summary
-from dpc_jax.reporting.figures import INK, MUTED, RUN_COLORS, save_figure
+from dpc_jax.reporting.style import (
+    INK,
+    MUTED,
+    SERIES,
+    label_axes,
+    make_figure,
+    make_panels,
+    save_figure,
+    set_ticks,
+)
 
-_DPI = 110
 _LEGEND = {"fontsize": 8, "frameon": False}
 
 
 def draw_growth(curves: Sequence[Curve], path: Path) -> Path:
     """A panel for each thing counted: error over n, and √n dashed above the worst."""
     subjects = list(dict.fromkeys(curve.subject for curve in curves))
-    rows = -(-len(subjects) // 2)
-    figure = Figure(figsize=(11.0, 3.6 * rows), layout="constrained")
-    panels = figure.subplots(rows, 2, sharey=True, squeeze=False).ravel()
-    for axes, subject in zip(panels, subjects, strict=False):
+    figure = make_figure(11.0, 3.6 * -(-len(subjects) // 2))
+    panels = make_panels(figure, len(subjects))
+    for axes, subject in zip(panels, subjects, strict=True):
         chosen = [curve for curve in curves if curve.subject == subject]
         for i, curve in enumerate(chosen):
             label = f"{curve.quantity}: n$^{{{curve.exponent:.2f}}}$"
-            color = RUN_COLORS[i % len(RUN_COLORS)]
-            line = "o-" if i < len(RUN_COLORS) else "o:"
+            color = SERIES[i % len(SERIES)]
+            line = "o-" if i < len(SERIES) else "o:"
             axes.loglog(curve.sizes, curve.errors, line, ms=4, color=color, label=label)
         sizes = np.array(chosen[0].sizes, float)
         root = 2 * max(c.errors[0] for c in chosen) * (sizes / sizes[0]) ** 0.5
         axes.loglog(sizes, root, "--", color=MUTED, label=r"$\sqrt{n}$")
-        axes.set_xticks(sizes, [f"{n:,.0f}" for n in sizes])
-        axes.set_xticks([], minor=True)
-        _label(axes, f"n {subject}", "")
+        if axes is not panels[0]:
+            axes.sharey(panels[0])
+        label_axes(axes, x_label=f"n {subject}", grid="both")
+        set_ticks(axes, sizes, ",.0f")
         axes.legend(loc="upper left", **_LEGEND)
-    for axes in panels[len(subjects) :]:
-        axes.set_visible(False)
     figure.supylabel("relative error of float32", fontsize=10)
-    return save_figure(figure, path, dpi=_DPI)
-
-
-def _label(axes, x, y):
-    axes.set_xlabel(x, fontsize=9)
-    axes.set_ylabel(y, fontsize=9)
-    axes.grid(which="major", color="#e3e7ea", linewidth=0.6)
+    return save_figure(figure, path)
 
 
 def draw_descents(summaries: Sequence[Summary], path: Path) -> Path:
@@ -56,7 +55,7 @@ def draw_descents(summaries: Sequence[Summary], path: Path) -> Path:
     chosen = [s for s in summaries if s.study == "shape"]
     scenes = list(dict.fromkeys(s.scene for s in chosen))
     recipes = list(dict.fromkeys(s.recipe for s in chosen))
-    figure = Figure(figsize=(5.5 * len(scenes) + 2.5, 9.0), layout="constrained")
+    figure = make_figure(5.5 * len(scenes) + 2.5, 9.0)
     panels = figure.subplots(3, len(scenes), squeeze=False, sharey="row")
     for (poses, chamfer, over_time), scene in zip(panels.T, scenes, strict=True):
         for s in (s for s in chosen if s.scene == scene):
@@ -66,19 +65,34 @@ def draw_descents(summaries: Sequence[Summary], path: Path) -> Path:
             chamfer.semilogy(s.iterations, s.second_errors, **style)
             over_time.semilogy(seconds, s.first_errors, **style)
         is_first = scene == scenes[0]
-        _label(poses, "iteration", "median pose error, °" * is_first)
-        _label(chamfer, "iteration", "Chamfer distance ×100" * is_first)
-        _label(over_time, "run time, s", "median pose error, °" * is_first)
-        poses.set_title(scene, fontsize=10, color=INK)
+        label_axes(
+            poses,
+            x_label="iteration",
+            y_label="median pose error, °" * is_first,
+            grid="both",
+            title=scene,
+        )
+        label_axes(
+            chamfer,
+            x_label="iteration",
+            y_label="Chamfer distance ×100" * is_first,
+            grid="both",
+        )
+        label_axes(
+            over_time,
+            x_label="run time, s",
+            y_label="median pose error, °" * is_first,
+            grid="both",
+        )
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right center", **_LEGEND)
-    return save_figure(figure, path, dpi=_DPI)
+    return save_figure(figure, path)
 
 
 def _choose_style(recipe, recipes):
     """A colour for each sigma; plain gradient descent is dashed."""
     kinds = list(dict.fromkeys(r.partition(", ")[2] for r in recipes))
-    palette = (*RUN_COLORS, INK)
+    palette = (*SERIES, INK)
     return {
         "color": palette[kinds.index(recipe.partition(", ")[2]) % len(palette)],
         "linestyle": "--" if recipe.startswith("gradient") else "-",
@@ -91,21 +105,29 @@ def draw_masses_and_starts(
 ) -> Path:
     """Heavy and light points over iterations; pose error over the number of starts."""
     chosen = [s for s in summaries if s.study == "masses"]
-    figure = Figure(figsize=(12.0, 3.8), layout="constrained")
+    figure = make_figure(12.0, 3.8)
     heavy, light, starts = figure.subplots(1, 3)
-    for s, color in zip(chosen, RUN_COLORS, strict=False):
+    for s, color in zip(chosen, SERIES, strict=False):
         heavy.semilogy(s.iterations, s.first_errors, color=color, label=s.recipe)
         light.semilogy(s.iterations, s.second_errors, color=color)
     scenes = list(dict.fromkeys(c.scene for c in choices))
-    for scene, color in zip(scenes, RUN_COLORS, strict=False):
+    for scene, color in zip(scenes, SERIES, strict=False):
         found = [(c.starts, c.median_error) for c in choices if c.scene == scene]
         starts.loglog(*zip(*found, strict=True), "o-", color=color, label=scene)
     counts = sorted({c.starts for c in choices})
-    starts.set_xticks(counts, [str(c) for c in counts])
-    starts.set_xticks([], minor=True)
-    _label(heavy, "iteration", "distance ×100, heaviest third")
-    _label(light, "iteration", "distance ×100, lightest third")
-    _label(starts, "K starts from random rotations", "median pose error of the best, °")
+    label_axes(
+        heavy, x_label="iteration", y_label="distance ×100, heaviest third", grid="both"
+    )
+    label_axes(
+        light, x_label="iteration", y_label="distance ×100, lightest third", grid="both"
+    )
+    label_axes(
+        starts,
+        x_label="K starts from random rotations",
+        y_label="median pose error of the best, °",
+        grid="both",
+    )
+    set_ticks(starts, counts)
     heavy.legend(**_LEGEND)
     starts.legend(**_LEGEND)
-    return save_figure(figure, path, dpi=_DPI)
+    return save_figure(figure, path)

@@ -10,7 +10,8 @@ from dpc_jax.measure.stability import error_growth, figures
 from dpc_jax.measure.stability.error_growth import EXPECTED, SLACK, Curve
 from dpc_jax.measure.stability.precision import METHODS, Comparison, compare_scenes
 from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import make_table, start_section
+from dpc_jax.measure.stability.sections import start_section
+from dpc_jax.reporting.tables import format_table
 
 FIGURE = "stability_growth.png"
 # Largest errors relative to the largest magnitude, in units of float32's epsilon. On
@@ -157,7 +158,9 @@ def _tabulate_errors(comparisons):
         worst = max(gradients, key=lambda c: c.error)
         of = f"{worst.quantity} ({worst.scene})"
         rows.append((*key, f"{image:.1e}", f"{worst.error:.1e}", of))
-    return make_table(("method", "signal", "image", "worst gradient", "of"), rows)
+    return format_table(
+        ("method", "signal", "image", "worst gradient", "of"), rows
+    ).splitlines()
 
 
 def _tabulate_growth(curves):
@@ -168,4 +171,4 @@ def _tabulate_growth(curves):
         ends = (c.sizes[0], c.sizes[-1])
         rows.append((c.subject, c.quantity, *ends, *errors, exponent))
     head = ("n", "quantity", "from n", "to n", "error at first", "at last", "exponent")
-    return make_table(head, rows)
+    return format_table(head, rows).splitlines()

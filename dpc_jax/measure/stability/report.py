@@ -7,7 +7,7 @@ from typing import Any
 
 from dpc_jax.files import write_json, write_text
 from dpc_jax.measure.stability.report_parts import PartResult
-from dpc_jax.measure.stability.sections import make_table
+from dpc_jax.reporting.tables import format_table
 
 _LIBRARIES = ("dpc_jax", "jax", "jaxlib", "numpy", "flax", "optax")
 
@@ -80,6 +80,6 @@ def _describe_run(results, machine, versions, seconds, seed, command):
         "",
         f"To repeat it: `{command}`",
         "",
-        *make_table(("part", "passes", "wall time (s)"), rows),
+        *format_table(("part", "passes", "wall time (s)"), rows).splitlines(),
     ]
     return "\n".join(lines) + "\n"

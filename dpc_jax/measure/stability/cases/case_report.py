@@ -8,7 +8,8 @@ from dpc_jax.measure.stability.cases.case import DTYPES
 from dpc_jax.measure.stability.cases.catalogue import list_cases, run_subjects
 from dpc_jax.measure.stability.cases.runner import MODES, Row
 from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import make_table, start_section
+from dpc_jax.measure.stability.sections import start_section
+from dpc_jax.reporting.tables import format_table
 
 TABLE = "cases.md"
 NONE = "–"
@@ -88,7 +89,9 @@ def _summarize(rows):
             )
         )
     head = ("subject", "dtype", "cases", "outside", "finite only", "worst value")
-    return make_table((*head, "worst gradient", "nearest to its limit"), lines)
+    return format_table(
+        (*head, "worst gradient", "nearest to its limit"), lines
+    ).splitlines()
 
 
 def _find_largest(ratios):
@@ -102,7 +105,11 @@ def _list_limits(rows):
         if row.limit:
             limits.setdefault((row.subject, row.limit), {})[row.case] = None
     lines = [(*key, "; ".join(cases)) for key, cases in limits.items()]
-    return make_table(("subject", "documented limit", "cases"), lines) if lines else []
+    return (
+        format_table(("subject", "documented limit", "cases"), lines).splitlines()
+        if lines
+        else []
+    )
 
 
 def write_rows(rows: Sequence[Row]) -> str:
@@ -124,7 +131,9 @@ def write_rows(rows: Sequence[Row]) -> str:
             for row in rows
             if row.subject == subject
         ]
-        table = make_table((*head, "limit", "where the tolerance comes from"), cells)
+        table = format_table(
+            (*head, "limit", "where the tolerance comes from"), cells
+        ).splitlines()
         lines += [f"## {subject[0].upper()}{subject[1:]}", "", *table, ""]
     return "\n".join(lines)
 

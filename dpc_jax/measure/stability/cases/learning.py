@@ -136,13 +136,23 @@ class Schedules(NamedTuple):
     train: Train
 
 
-def make_sections(**changes) -> Schedules:
+def make_sections(
+    *,
+    steps: int = 1000,
+    warmup_steps: int = 100,
+    final_rate: float = 0.02,
+    anneal_until: float = 0.8,
+) -> Schedules:
     """A run in miniature, with every schedule in use."""
-    render = dict(grid=8, sigma_start=0.1, sigma_end=0.01, anneal_until=0.8)
-    train = dict(steps=1000, learning_rate=1e-3, warmup_steps=100, final_rate=0.02)
-    for name, value in changes.items():
-        (render if name in render else train)[name] = value
-    return Schedules(Render(**render), Train(**train))
+    return Schedules(
+        Render(grid=8, sigma_start=0.1, sigma_end=0.01, anneal_until=anneal_until),
+        Train(
+            steps=steps,
+            learning_rate=1e-3,
+            warmup_steps=warmup_steps,
+            final_rate=final_rate,
+        ),
+    )
 
 
 @functools.cache

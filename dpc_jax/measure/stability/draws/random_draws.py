@@ -14,7 +14,8 @@ import numpy as np
 from dpc_jax.measure.stability.draws import learning_targets, render_targets
 from dpc_jax.measure.stability.draws.targets import Range, Target, make_check
 from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import make_table, start_section
+from dpc_jax.measure.stability.sections import start_section
+from dpc_jax.reporting.tables import format_table
 
 TITLE = "Random draws"
 DRAWS, QUICK_DRAWS = 10_000, 30
@@ -165,6 +166,8 @@ def write_section(outcomes: Sequence[Outcome]) -> str:
         "negative with sum 1, unit quaternions) must hold. A documented refusal "
         "counts as an answer.",
         "",
-        *make_table(("function", "draws", "holds", "limits of what is drawn"), rows),
+        *format_table(
+            ("function", "draws", "holds", "limits of what is drawn"), rows
+        ).splitlines(),
     ]
     return "\n".join(lines) + "\n"

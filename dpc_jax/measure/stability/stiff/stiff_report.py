@@ -7,7 +7,7 @@ import numpy as np
 
 from dpc_jax.measure.stability import figures
 from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import make_table, start_section
+from dpc_jax.measure.stability.sections import start_section
 from dpc_jax.measure.stability.stiff import studies
 from dpc_jax.measure.stability.stiff.studies import (
     BEST,
@@ -24,6 +24,7 @@ from dpc_jax.measure.stability.stiff.summaries import (
     choose_starts,
     summarize,
 )
+from dpc_jax.reporting.tables import format_table
 
 SHAPE_FIGURE, OTHER_FIGURE = "stability_stiff_shape.png", "stability_stiff_other.png"
 # Largest final errors of the best recipe, medians over seeds: a fifth above the worst
@@ -182,7 +183,7 @@ def write_section(
         "Poses of views of a known shape from random rotations; for each view the "
         "start with the lowest final loss is kept.",
         "",
-        *make_table(head, starts),
+        *format_table(head, starts).splitlines(),
         "",
         "### Masses 10⁴ : 1",
         "",
@@ -211,7 +212,8 @@ def _tabulate_shapes(summaries):
             )
         )
     head = ("scene", "recipe", "rate", "loss", "pose error at a quarter (°)")
-    return make_table((*head, "at the end (°)", "Chamfer ×100", "run time (s)"), rows)
+    heads = (*head, "at the end (°)", "Chamfer ×100", "run time (s)")
+    return format_table(heads, rows).splitlines()
 
 
 def _tabulate_masses(summaries):
@@ -225,7 +227,7 @@ def _tabulate_masses(summaries):
         last = (f"{values[-1]:.2g}" for values in e)
         rows.append((s.recipe, _show_rate(s.rate), *last, f"{s.seconds:.2f}"))
     head = ("recipe", "rate", "loss", "heaviest third ×100", "lightest third ×100")
-    return make_table((*head, "run time (s)"), rows)
+    return format_table((*head, "run time (s)"), rows).splitlines()
 
 
 def _show_rate(rate):
