@@ -10,7 +10,7 @@ import pytest
 
 import dpc_jax
 from dpc_jax.render import kernels
-from dpc_jax.render.exact import covariances, gaussians, tiles
+from dpc_jax.render.exact import covariances, factoring, gaussians, tiles
 
 SHAPE = (11, 20, 9)  # neither cubic nor a multiple of a tile's side
 
@@ -133,7 +133,7 @@ def test_what_is_no_covariance_has_a_finite_slope_under_a_large_cotangent():
     matrix = np.zeros((1, 3, 3), "f4")
     matrix[0, 0] = [1.9e-18, 1.6e-12, -7.1e-7]
     matrix[0, :, 0] = matrix[0, 0]
-    factors, pull_back = jax.vjp(covariances.factor_covariance, matrix)
+    factors, pull_back = jax.vjp(factoring.factor_covariance, matrix)
     (slopes,) = pull_back(jax.tree.map(lambda a: jnp.full_like(a, 1e30), factors))
     assert np.all(np.isfinite(slopes))
 
