@@ -65,13 +65,13 @@ def make_network(settings: Settings, **changes) -> ShapePoseNetwork:
     classes = settings.num_candidates * (4 if settings.flips else 1)
     values = dict(
         num_points=settings.num_points,
-        num_candidates=settings.num_candidates,
+        candidates=settings.num_candidates,
         channels=2,
         hidden=12,
         shape_hidden=12,
         has_color=settings.color_weight > 0,
         num_classes=classes if settings.selects else 0,
-        spread_poses="all",
+        spread="all",
     )
     return ShapePoseNetwork(**values | changes)
 

@@ -173,7 +173,7 @@ def make_network(config: ml_collections.ConfigDict) -> ShapePoseNetwork:
     """The network; what is not learned has no parameters."""
     return ShapePoseNetwork(
         num_points=config.render.num_points,
-        num_candidates=0 if config.pose.known else config.pose.candidates,
+        candidates=0 if config.pose.known else config.pose.candidates,
         channels=config.network.channels,
         hidden=config.network.hidden,
         shape_hidden=config.network.shape_hidden,
@@ -181,7 +181,7 @@ def make_network(config: ml_collections.ConfigDict) -> ShapePoseNetwork:
         num_classes=_count_classes(config),
         student_width=config.network.student_width,
         has_color=config.train.color_weight > 0,
-        spread_poses=config.pose.spread,
+        spread=config.pose.spread,
     )
 
 
