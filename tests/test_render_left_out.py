@@ -135,7 +135,7 @@ def lower_step(kept=24, **changes):
     """The program of a training step's gradient."""
     settings = make_settings(**changes)
     network = make_network(settings)
-    state = make_state(network, settings)
+    state = jax.eval_shape(lambda: make_state(network, settings))
     function = functools.partial(
         compute_loss,
         network=network,

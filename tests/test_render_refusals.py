@@ -1,5 +1,6 @@
 """What `project`, `Camera` and `VoxelGrid` refuse, each in a sentence."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -85,17 +86,19 @@ def test_a_grid_takes_integers_of_numpy_and_lists():
 
 
 def test_lists_of_numbers_are_taken_where_arrays_are():
-    lists = dpc_jax.project(
-        [[0.1, 0.0, 0.0], [0.0, 0.1, 0.2]],
-        [1.0, 0.0, 0.0, 0.0],
-        sigma=1.0,
-        scale=[1.0, 2.0],
-        translation=[0.0, 0.1, 0.0],
-        colors=[[0.5], [1.0]],
-        grid=dpc_jax.VoxelGrid(4),
-        signals=["color"],
-    )
-    assert lists.color.shape == (4, 4, 1)
+    def render():
+        return dpc_jax.project(
+            [[0.1, 0.0, 0.0], [0.0, 0.1, 0.2]],
+            [1.0, 0.0, 0.0, 0.0],
+            sigma=1.0,
+            scale=[1.0, 2.0],
+            translation=[0.0, 0.1, 0.0],
+            colors=[[0.5], [1.0]],
+            grid=dpc_jax.VoxelGrid(4),
+            signals=["color"],
+        )
+
+    assert jax.eval_shape(render).color.shape == (4, 4, 1)
 
 
 CLOUD, QUATERNION, IMAGE = (

@@ -26,7 +26,6 @@ def convert_points(points: ArrayLike) -> jax.Array:
 def convert_scene(
     points: jax.Array,
     rotation: ArrayLike,
-    *,
     sigma: ArrayLike | None,
     scale: ArrayLike,
     covariance: ArrayLike | None,

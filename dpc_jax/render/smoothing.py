@@ -51,15 +51,15 @@ def smooth(volume: chex.Array, sigma: chex.Array) -> jax.Array:
 def _smooth(volume, sigma):
     kernel = _sample_kernel(sigma, volume)
     size = max(volume.shape)
-    widths = [0]
+    widths, branches = [0], [lambda volume, kernel: volume]
     if min(volume.shape) >= _SMALLEST:
         medium = max((w for d, w in _MEDIUM.items() if d <= size), default=0)
-        widths += [w for w in (_NARROW, medium) if w]
-    branches = [
-        lambda volume, kernel: volume,
-        *(functools.partial(_smooth_shifted, half_width=w) for w in widths[1:]),
-        _smooth_dense,
-    ]
+        for width, axes in ((_NARROW, (0, 1, 2)), (medium, (1,))):
+            if width:
+                call = functools.partial(_smooth_axes, half_width=width, shifted=axes)
+                widths.append(width)
+                branches.append(call)
+    branches.append(_smooth_axes)
     # Half-width w is exact to rounding as long as cell w + 1 is out of reach.
     reach = kernels.find_half_width(jnp.asarray(sigma, volume.dtype), volume.dtype)
     level = jnp.sum(reach >= jnp.array([w + 1.0 for w in widths], volume.dtype))
@@ -80,7 +80,7 @@ def _smooth_backward(residuals, cotangent):
     sigma_grad = None
     if volume is not None:
         _, pull_back = jax.vjp(
-            lambda s: _smooth_dense(volume, _sample_kernel(s, volume)), sigma
+            lambda s: _smooth_axes(volume, _sample_kernel(s, volume)), sigma
         )
         (sigma_grad,) = pull_back(cotangent)
     return _smooth(cotangent, sigma), sigma_grad
@@ -94,36 +94,23 @@ def _sample_kernel(sigma, volume):
     return kernels.sample_gaussian(distances, jnp.asarray(sigma, volume.dtype))
 
 
-def _smooth_dense(volume, kernel):
-    """Toeplitz products along all axes."""
-    rows, cols, depth = (_make_toeplitz(kernel, size) for size in volume.shape)
-    volume = jnp.matmul(volume, depth, precision="highest")
-    volume = jnp.matmul(cols, volume, precision="highest")
-    return _smooth_rows(volume, rows)
-
-
-def _smooth_shifted(volume, kernel, *, half_width):
-    """Shifted sums along columns; along the others too where the kernel is narrow."""
-    is_narrow = half_width <= _NARROW
-    if is_narrow:
-        volume = _add_shifts(volume, kernel, axis=2, half_width=half_width)
-    else:
-        depth = _make_toeplitz(kernel, volume.shape[2])
-        volume = jnp.matmul(volume, depth, precision="highest")
-    volume = _add_shifts(volume, kernel, axis=1, half_width=half_width)
-    if is_narrow:
-        return _add_shifts(volume, kernel, axis=0, half_width=half_width)
-    return _smooth_rows(volume, _make_toeplitz(kernel, volume.shape[0]))
-
-
-def _make_toeplitz(kernel, size):
-    cells = jnp.arange(size)
-    return kernel[jnp.abs(cells[:, None] - cells[None, :])]
-
-
-def _smooth_rows(volume, rows):
-    flat = volume.reshape(volume.shape[0], -1)
-    return jnp.matmul(rows, flat, precision="highest").reshape(volume.shape)
+def _smooth_axes(volume, kernel, *, half_width=0, shifted=()):
+    """Smooth axis by axis: by sums of shifts where `shifted`, else as products."""
+    multiply = functools.partial(jnp.matmul, precision="highest")
+    for axis in (2, 1, 0):
+        if axis in shifted:
+            volume = _add_shifts(volume, kernel, axis=axis, half_width=half_width)
+            continue
+        cells = jnp.arange(volume.shape[axis])
+        toeplitz = kernel[jnp.abs(cells[:, None] - cells[None, :])]
+        if axis == 2:
+            volume = multiply(volume, toeplitz)
+        elif axis == 1:
+            volume = multiply(toeplitz, volume)
+        else:
+            flat = volume.reshape(volume.shape[0], -1)
+            volume = multiply(toeplitz, flat).reshape(volume.shape)
+    return volume
 
 
 def _add_shifts(volume, kernel, *, axis, half_width):

@@ -69,12 +69,7 @@ def place_points(
     """
     arguments.check_view(camera, grid)
     rotation, sigma, scale, covariance, translation = arguments.convert_scene(
-        points,
-        rotation,
-        sigma=sigma,
-        scale=scale,
-        covariance=covariance,
-        translation=translation,
+        points, rotation, sigma, scale, covariance, translation
     )
     method = arguments.choose_method(method, sigma, covariance)
     moved = to_camera_frame(points, rotation, translation=translation, camera=camera)

@@ -58,14 +58,19 @@ def sum_in_tiles(
       [V, rows, cols, depth].
     """
     points = _block(points, shape)
-    start = _find_density_shape(density, points, chunk)
+
+    def sum_chunk(index, corner):
+        return density(_take_points(points, index, corner), corner)
+
+    start = jax.eval_shape(
+        sum_chunk, jnp.zeros(chunk, jnp.int32), jnp.zeros(2, jnp.int32)
+    )
 
     def sum_tile(corner):
         order, count = find_points(is_reached(places, corner))
 
         def add_chunk(i, total):
-            index = _take_index(order, count, i, chunk)
-            return total + density(_take_points(points, index, corner), corner)
+            return total + sum_chunk(_take_index(order, count, i, chunk), corner)
 
         total = jnp.zeros(start.shape, start.dtype)
         return jax.lax.fori_loop(0, _count_chunks(count, chunk), add_chunk, total)
@@ -152,15 +157,6 @@ def _add_points(grads, part, index, corner):
         add(grads.by_row, part.by_row, row),
         add(grads.by_col, part.by_col, col),
     )
-
-
-def _find_density_shape(density, points, chunk):
-    def call(points):
-        index = jnp.zeros(chunk, jnp.int32)
-        corner = jnp.zeros(2, jnp.int32)
-        return density(_take_points(points, index, corner), corner)
-
-    return jax.eval_shape(call, points)
 
 
 def _count_tiles(shape):
