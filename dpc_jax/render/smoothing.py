@@ -97,20 +97,23 @@ def _sample_kernel(sigma, volume):
 def _smooth_axes(volume, kernel, *, half_width=0, shifted=()):
     """Smooth axis by axis: by sums of shifts where `shifted`, else as products."""
     multiply = functools.partial(jnp.matmul, precision="highest")
+    rows, cols, depth = (_make_toeplitz(kernel, size) for size in volume.shape)
     for axis in (2, 1, 0):
         if axis in shifted:
             volume = _add_shifts(volume, kernel, axis=axis, half_width=half_width)
-            continue
-        cells = jnp.arange(volume.shape[axis])
-        toeplitz = kernel[jnp.abs(cells[:, None] - cells[None, :])]
-        if axis == 2:
-            volume = multiply(volume, toeplitz)
+        elif axis == 2:
+            volume = multiply(volume, depth)
         elif axis == 1:
-            volume = multiply(toeplitz, volume)
+            volume = multiply(cols, volume)
         else:
             flat = volume.reshape(volume.shape[0], -1)
-            volume = multiply(toeplitz, flat).reshape(volume.shape)
+            volume = multiply(rows, flat).reshape(volume.shape)
     return volume
+
+
+def _make_toeplitz(kernel, size):
+    cells = jnp.arange(size)
+    return kernel[jnp.abs(cells[:, None] - cells[None, :])]
 
 
 def _add_shifts(volume, kernel, *, axis, half_width):
