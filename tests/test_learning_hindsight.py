@@ -271,7 +271,7 @@ def test_equal_heads_tie_on_every_view_whatever_points_were_dropped(objective):
         "params": params["params"]
         | {"pose": params["params"]["pose"] | {"heads": equal}}
     }
-    network = network.clone(spread_poses="")
+    network = network.clone(spread="")
 
     @jax.jit
     def differentiate(key):

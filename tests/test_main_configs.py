@@ -181,7 +181,7 @@ def test_the_paper_variant_has_the_papers_numbers(name):
     assert shapes["pose/heads/Dense_1/kernel"] == (4, 32, 32)
     assert shapes["student/head/Dense_2/kernel"] == (32, 4)
     network = make_network(config)
-    assert not network.normalize and not network.spread_poses
+    assert not network.normalize and not network.spread
 
 
 def test_the_naive_variant_is_one_regressor_without_a_student():

@@ -33,7 +33,7 @@ def image_shape(size):
 
 
 def network_shapes(**changes):
-    values = dict(num_points=10, num_candidates=4, channels=2, hidden=8, shape_hidden=8)
+    values = dict(num_points=10, candidates=4, channels=2, hidden=8, shape_hidden=8)
     return shapes_of(ShapePoseNetwork(**values | changes), image_shape(16))
 
 
@@ -79,7 +79,7 @@ def test_an_image_size_that_cannot_be_halved_to_four_is_refused_in_a_sentence(si
 
 
 def test_the_heads_are_one_module_with_a_leading_axis_of_k_and_layers_32_32_4():
-    shapes = network_shapes(num_candidates=5, hidden=48)
+    shapes = network_shapes(candidates=5, hidden=48)
     heads = {n: s for n, s in shapes.items() if n.startswith("pose/heads")}
     assert heads == {
         "pose/heads/Dense_0/kernel": (5, 48, 32),
@@ -92,7 +92,7 @@ def test_the_heads_are_one_module_with_a_leading_axis_of_k_and_layers_32_32_4():
 
 
 def test_each_head_starts_from_random_numbers_of_its_own():
-    ensemble = PoseEnsemble(num_candidates=3, hidden=8)
+    ensemble = PoseEnsemble(candidates=3, hidden=8)
     params = jax.jit(ensemble.init)(KEY, jnp.ones((1, 8)))
     kernels = params["params"]["heads"]["Dense_0"]["kernel"]
     for a, b in itertools.combinations(kernels, 2):
@@ -104,13 +104,13 @@ def branches(shapes):
 
 
 def test_known_poses_leave_no_pose_parameters():
-    assert branches(network_shapes(num_candidates=0)) == {"encoder", "shape"}
+    assert branches(network_shapes(candidates=0)) == {"encoder", "shape"}
 
 
 def test_a_single_regressor_has_no_student_and_is_its_own():
-    assert branches(network_shapes(num_candidates=1)) == {"encoder", "shape", "pose"}
+    assert branches(network_shapes(candidates=1)) == {"encoder", "shape", "pose"}
     network = ShapePoseNetwork(
-        num_points=4, num_candidates=1, channels=2, hidden=8, shape_hidden=8
+        num_points=4, candidates=1, channels=2, hidden=8, shape_hidden=8
     )
     output = run(network, jnp.ones((2, 16, 16, 3)))
     assert output["candidates"].shape == (2, 1, 4)
@@ -127,7 +127,7 @@ def test_an_ensemble_has_a_student_of_the_same_layers():
 def test_a_student_that_selects_has_one_logit_for_each_candidate():
     network = ShapePoseNetwork(
         num_points=4,
-        num_candidates=3,
+        candidates=3,
         num_classes=12,
         channels=2,
         hidden=8,
@@ -187,7 +187,7 @@ def test_one_rotation_is_the_identity():
 
 
 def test_heads_start_near_their_rotations_yet_depend_on_the_image():
-    ensemble = PoseEnsemble(num_candidates=4, hidden=64, spread="all")
+    ensemble = PoseEnsemble(candidates=4, hidden=64, spread="all")
     features = jax.random.normal(KEY, (20, 64))
     candidates = np.asarray(run(ensemble, features))
     assert candidates.shape == (20, 4, 4)
@@ -199,7 +199,7 @@ def test_heads_start_near_their_rotations_yet_depend_on_the_image():
 
 
 def test_heads_that_are_not_spread_start_from_zero():
-    ensemble = PoseEnsemble(num_candidates=4, hidden=64)
+    ensemble = PoseEnsemble(candidates=4, hidden=64)
     candidates = run(ensemble, jnp.zeros((1, 64)))
     # No bias at first: without features there is no quaternion either.
     np.testing.assert_array_equal(candidates, jnp.zeros((1, 4, 4)))

@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tiny_runs import compiling_quickly
 
 import dpc_jax
 from dpc_jax.render import kernels
-from dpc_jax.render.exact import covariances, gaussians, tiles
+from dpc_jax.render.exact import covariances, factoring, gaussians, tiles
 
 SHAPE = (11, 20, 9)  # neither cubic nor a multiple of a tile's side
 
@@ -112,18 +113,22 @@ def test_a_singular_covariance_keeps_mass_mean_and_extent(rank):
     assert np.abs(found - matrix).max() <= 0.25 + 0.02 * np.abs(matrix).max()
 
 
+@jax.jit
+@functools.partial(jax.value_and_grad, argnums=(0, 1))
+def differentiate_square(coordinates, covariance):
+    volume = fill_covariances(coordinates, jnp.ones((1, 1)), covariance)
+    return jnp.sum(volume**2)
+
+
 @pytest.mark.parametrize("smallest", [0.0, -1e-7, 1e-12])
 def test_a_covariance_at_the_edge_of_definite_has_finite_values_and_gradients(smallest):
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
     matrix = (turn * np.array([4.0, 1.0, smallest])) @ turn.T
 
-    def total(coordinates, covariance):
-        volume = fill_covariances(coordinates, jnp.ones((1, 1)), covariance)
-        return jnp.sum(volume**2)
-
-    value, slopes = jax.jit(jax.value_and_grad(total, (0, 1)))(
-        jnp.full((1, 3), 5.2), jnp.asarray(matrix[None], "f4")
-    )
+    with compiling_quickly():
+        value, slopes = differentiate_square(
+            jnp.full((1, 3), 5.2), jnp.asarray(matrix[None], "f4")
+        )
     assert np.isfinite(value) and value > 0
     assert all(np.all(np.isfinite(s)) for s in slopes)
 
@@ -133,7 +138,7 @@ def test_what_is_no_covariance_has_a_finite_slope_under_a_large_cotangent():
     matrix = np.zeros((1, 3, 3), "f4")
     matrix[0, 0] = [1.9e-18, 1.6e-12, -7.1e-7]
     matrix[0, :, 0] = matrix[0, 0]
-    factors, pull_back = jax.vjp(covariances.factor_covariance, matrix)
+    factors, pull_back = jax.vjp(factoring.factor_covariance, matrix)
     (slopes,) = pull_back(jax.tree.map(lambda a: jnp.full_like(a, 1e30), factors))
     assert np.all(np.isfinite(slopes))
 
@@ -241,22 +246,17 @@ def test_covariances_turn_with_the_object():
     matrices = half @ half.transpose(0, 2, 1) + np.eye(3)
     points = rng.uniform(-0.2, 0.2, (6, 3))
     quaternion = rng.normal(size=4)
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), compiling_quickly():
         turn = np.asarray(dpc_jax.quaternion.to_matrix(jnp.asarray(quaternion)))
         shared = {
-            "sigma": None,
             "scale": 3.0,
             "grid": dpc_jax.VoxelGrid(12),
             "camera": dpc_jax.Camera(1.8, 2.0),
         }
-        moved = dpc_jax.project(
-            jnp.asarray(points), quaternion, covariance=matrices, **shared
-        )
-        turned = dpc_jax.project(
-            jnp.asarray(points @ turn.T),
-            np.eye(3),
-            covariance=turn @ matrices @ turn.T,
-            **shared,
+        render = jax.jit(functools.partial(dpc_jax.project, **shared))
+        moved = render(jnp.asarray(points), quaternion, covariance=matrices)
+        turned = render(
+            jnp.asarray(points @ turn.T), np.eye(3), covariance=turn @ matrices @ turn.T
         )
     np.testing.assert_allclose(moved.silhouette, turned.silhouette, atol=1e-12)
 

@@ -135,7 +135,7 @@ def lower_step(kept=24, **changes):
     """The program of a training step's gradient."""
     config = tiny_config(**changes)
     network = make_network(config)
-    state = make_state(network, config)
+    state = jax.eval_shape(lambda: make_state(network, config))
     function = functools.partial(
         compute_loss,
         network=network,

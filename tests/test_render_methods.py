@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import oracles
 import pytest
+from tiny_runs import compiling_quickly
 
 import dpc_jax
 from dpc_jax.render.exact import covariances
@@ -125,7 +126,7 @@ def test_images_of_the_basic_method_equal_the_written_equations(size, channels):
                 where, np.asarray(what)[:, None], np.broadcast_to(sigmas, COUNT), SHAPE
             )[0]
 
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), compiling_quickly():
         image = render(to_x64(scene), **to_x64(arguments), method="gaussian")
     expected = compute_expected(scene, kind, fill)
     assert image.color.shape == (*SHAPE[:2], channels)
@@ -139,7 +140,7 @@ def test_images_of_the_basic_method_equal_the_written_equations(size, channels):
 @pytest.mark.parametrize("channels", [1, 7])
 def test_images_of_the_fast_method_equal_the_written_equations(channels):
     scene = make_scene(channels)
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), compiling_quickly():
         image = render(to_x64(scene), 1.3, method="trilinear")
 
     def fill(where, what):
@@ -158,7 +159,7 @@ def test_without_perspective_an_isotropic_covariance_is_that_sigma():
     variances = scene["sigmas"][:, None] ** 2 / sizes**2
     matrices = np.eye(3) * variances[:, None, :]
     options = {"kind": "orthographic", "method": "gaussian"}
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), compiling_quickly():
         scene = to_x64(scene)
         image = render(scene, covariance=to_x64(matrices), **options)
         expected = render(scene, scene["sigmas"], **options)
@@ -183,24 +184,27 @@ def test_auto_is_the_fast_method_for_one_sigma_and_the_basic_one_for_several():
     assert write("auto", **matrices) == write("gaussian", **matrices)
 
 
-@pytest.mark.parametrize("sigma", [1.0, 3.0])
-def test_compensated_widening_brings_the_fast_method_to_the_basic_one(sigma):
-    rng = np.random.default_rng(5)
-    points = rng.normal(size=(500, 3)) * 0.1
-    render = functools.partial(
-        dpc_jax.project,
-        rotation=jnp.array([0.9, 0.1, 0.3, -0.2]),
+@functools.partial(jax.jit, static_argnames="method")
+def render_cloud(points, sigma, method):
+    return dpc_jax.project(
+        points,
+        jnp.array([0.9, 0.1, 0.3, -0.2]),
+        sigma=sigma,
         scale=0.5,
         grid=dpc_jax.VoxelGrid(20),
-    )
-    with jax.enable_x64(True):
-        points = jnp.asarray(points)
-        exact = render(points, sigma=sigma, method="gaussian").silhouette
+        method=method,
+    ).silhouette
+
+
+@pytest.mark.parametrize("sigma", [1.0, 3.0])
+def test_compensated_widening_brings_the_fast_method_to_the_basic_one(sigma):
+    with jax.enable_x64(True), compiling_quickly():
+        points = jnp.asarray(np.random.default_rng(5).normal(size=(500, 3)) * 0.1)
+        sizes = jnp.asarray(sigma), dpc_jax.compensate_widening(sigma)
+        exact = np.asarray(render_cloud(points, sizes[0], "gaussian"))
         plain, compensated = (
-            render(points, sigma=s, method="trilinear").silhouette
-            for s in (sigma, dpc_jax.compensate_widening(sigma))
+            np.asarray(render_cloud(points, size, "trilinear")) for size in sizes
         )
-        exact, plain, compensated = map(np.asarray, (exact, plain, compensated))
     # Measured: 6 times at 1 voxel, 16 at 2, 23 at 3 (docs/projection.md).
     assert 4 * np.linalg.norm(compensated - exact) < np.linalg.norm(plain - exact)
 
@@ -208,8 +212,10 @@ def test_compensated_widening_brings_the_fast_method_to_the_basic_one(sigma):
 def test_compensated_sigmas_grow_without_jumps_or_infinite_slopes():
     with jax.enable_x64(True):
         sigma = jnp.concatenate([jnp.array([0.0, 1e-300]), jnp.linspace(0.4, 3, 261)])
-        found = dpc_jax.compensate_widening(sigma)
-        slope = jax.vmap(jax.grad(dpc_jax.compensate_widening))(sigma)
+        differentiate = jax.jit(
+            jax.vmap(jax.value_and_grad(dpc_jax.compensate_widening))
+        )
+        found, slope = differentiate(sigma)
         large = float(dpc_jax.compensate_widening(1e300))
         sigma, found, slope = (np.asarray(a) for a in (sigma, found, slope))
     assert np.all(np.diff(found) > 0) and np.max(np.diff(found[2:])) < 0.02
@@ -222,18 +228,19 @@ def test_compensated_sigmas_grow_without_jumps_or_infinite_slopes():
 
 def test_sizes_of_zero_among_others_have_no_slope_and_spoil_none():
     scene = make_scene()
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), compiling_quickly():
         scene = to_x64(scene)
         sigmas = scene.pop("sigmas")
 
         @jax.jit
-        def measure(sigmas):
+        @jax.value_and_grad
+        def differentiate(sigmas):
             image = render(scene, sigmas, signals=("silhouette",)).silhouette
             return jnp.sum(image * jnp.cos(jnp.arange(image.size)).reshape(image.shape))
 
-        slope = np.asarray(jax.grad(measure)(sigmas))
+        slope = np.asarray(differentiate(sigmas)[1])
         away = np.where(sigmas > 0.2, np.random.default_rng(1).normal(size=COUNT), 0)
-        sides = [float(measure(sigmas + s * 1e-6 * away)) for s in (1, -1)]
+        sides = [float(differentiate(sigmas + s * 1e-6 * away)[0]) for s in (1, -1)]
     is_nothing = np.asarray(sigmas) == 0
     assert is_nothing.any() and not is_nothing.all()
     assert np.all(slope[is_nothing] == 0)
@@ -245,7 +252,9 @@ def test_cells_with_an_equal_maximum_share_the_gradient():
     # Two points on the middles of two cells of one pixel, a third cell fainter.
     points = jnp.array([[0.125, 0.125, z] for z in (0.125, -0.125, 0.375)])
 
-    def measure(scale):
+    @jax.jit
+    @jax.value_and_grad
+    def differentiate(scale):
         return jnp.sum(
             dpc_jax.project(
                 points,
@@ -258,7 +267,8 @@ def test_cells_with_an_equal_maximum_share_the_gradient():
             ).silhouette
         )
 
-    value, slope = jax.value_and_grad(measure)(jnp.array([0.5, 0.5, 0.25]))
+    with compiling_quickly():
+        value, slope = differentiate(jnp.array([0.5, 0.5, 0.25]))
     assert value == 0.5
     np.testing.assert_array_equal(slope, [0.5, 0.5, 0.0])
 
@@ -274,16 +284,20 @@ CASES = (
 )
 
 
+@jax.jit
+def _carry_linear(matrices, centres):
+    return covariances.move_covariance(
+        matrices,
+        centres,
+        jnp.eye(3),
+        camera=dpc_jax.Camera(FOCAL, DISTANCE),
+        grid=dpc_jax.VoxelGrid(16),
+    )
+
+
 def carry_linear(matrix, centre):
     with jax.enable_x64(True):
-        moved = covariances.move_covariance(
-            jnp.asarray(matrix[None]),
-            jnp.asarray(centre[None]),
-            jnp.eye(3),
-            camera=dpc_jax.Camera(FOCAL, DISTANCE),
-            grid=dpc_jax.VoxelGrid(16),
-        )
-    return np.asarray(moved[0])
+        return np.asarray(_carry_linear(matrix[None], centre[None])[0])
 
 
 def measure_linear(ratio, case):
@@ -323,14 +337,15 @@ def test_a_volume_under_perspective_is_as_far_from_exact_as_its_linearisation():
     matrix = half @ half.T + np.eye(3)  # voxels², 1.0 to 3.1 of them wide
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     point = np.array([0.1, -0.15, 0.05])
-    with jax.enable_x64(True):
-        volume = dpc_jax.voxelize(
-            jnp.asarray(point[None]),
-            jnp.asarray(turn),
-            covariance=jnp.asarray(matrix[None]),
-            scale=scale,
-            camera=dpc_jax.Camera(FOCAL, DISTANCE),
-            grid=dpc_jax.VoxelGrid(side),
+    fill = functools.partial(
+        dpc_jax.voxelize,
+        scale=scale,
+        camera=dpc_jax.Camera(FOCAL, DISTANCE),
+        grid=dpc_jax.VoxelGrid(side),
+    )
+    with jax.enable_x64(True), compiling_quickly():
+        volume = jax.jit(fill)(
+            jnp.asarray(point[None]), jnp.asarray(turn), covariance=matrix[None]
         )
     centre = turn @ point + np.array([0, 0, DISTANCE])
     turned = turn @ matrix @ turn.T / side**2

@@ -8,6 +8,7 @@ import numpy as np
 import oracles
 import pytest
 from scipy.spatial.transform import Rotation
+from tiny_runs import compiling_quickly
 
 import dpc_jax
 
@@ -25,24 +26,25 @@ def make_scene(count=12, channels=2, seed=0, spread=0.3):
     }
 
 
+@functools.partial(jax.jit, static_argnames="kind")
+def render_all(scene, sigma, kind):
+    return dpc_jax.project(
+        **scene,
+        sigma=sigma,
+        camera=dpc_jax.Camera(1.7, 2.1, kind),
+        grid=dpc_jax.VoxelGrid((9, 12, 7), extent=1.1),
+        signals=ALL,
+        background_depth=5.0,
+        background_color=0.25,
+    )
+
+
 @pytest.mark.parametrize("kind", ["perspective", "orthographic"])
 @pytest.mark.parametrize("sigma", [0.0, 0.7, 1.9])
 def test_images_equal_the_written_equations_in_float64(kind, sigma):
     s = make_scene()
-    with jax.enable_x64(True):
-        image = dpc_jax.project(
-            jnp.asarray(s["points"]),
-            jnp.asarray(s["rotation"]),
-            sigma=sigma,
-            scale=s["scale"],
-            colors=s["colors"],
-            translation=s["translation"],
-            camera=dpc_jax.Camera(1.7, 2.1, kind),
-            grid=dpc_jax.VoxelGrid((9, 12, 7), extent=1.1),
-            signals=ALL,
-            background_depth=5.0,
-            background_color=0.25,
-        )
+    with jax.enable_x64(True), compiling_quickly():
+        image = render_all(s, sigma, kind)
     expected = oracles.project(
         **s,
         sigma=sigma,
@@ -141,7 +143,7 @@ def test_every_float_input_has_the_gradient_of_finite_differences(name):
     # Central differences: error step², and rounding 1e-16/step; no point is within
     # 1e-5 cells of a kink (the agreement shows it).
     step = 1e-6
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), compiling_quickly():
         _, gradient = differentiate()(weights, inputs)
         ends = [
             differentiate()(

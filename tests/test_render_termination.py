@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dpc_jax
-from dpc_jax.render.termination import clip_unit
+from dpc_jax.render.volume import clip_unit
 
 CELLS = st.one_of(st.sampled_from([0.0, 1.0, 1e-7]), st.floats(0, 1, width=32))
 RAYS = st.lists(CELLS, min_size=6, max_size=6)

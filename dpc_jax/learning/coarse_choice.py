@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from dpc_jax.learning.renders import compute_candidate_losses
 from dpc_jax.render import Camera
+from dpc_jax.render.resolution import scale_sizes
 
 
 def compute_coarse_losses(
@@ -40,14 +41,16 @@ def compute_coarse_losses(
     count = min(first_points or points.shape[0], points.shape[0])
     ratio = coarse_side / side
     factor = side // coarse_side
+    # Fewer points carry the mass of all.
+    shared = mass * (points.shape[0] / count)
+    coarse_sigma, coarse_mass = scale_sizes(sigma, shared, ratio)
     blocks = target.reshape(coarse_side, factor, coarse_side, factor)
     return compute_candidate_losses(
         points[:count],
-        # Fewer points carry the mass of all.
-        mass * (points.shape[0] / count) * ratio**3,
+        coarse_mass,
         candidates,
         jnp.mean(blocks, axis=(1, 3)),
-        sigma=sigma * ratio,
+        sigma=coarse_sigma,
         camera=camera,
         at_once=at_once,
     )

@@ -21,6 +21,7 @@ from dpc_jax.learning.predictions import (
 from dpc_jax.learning.renders import map_renders
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera, Projection, VoxelGrid, project
+from dpc_jax.render.resolution import scale_sizes
 
 
 class Term(NamedTuple):
@@ -119,27 +120,27 @@ def render_winners(
       shapes.
     """
     views = rotations.shape[1]
-    ratio = stage.grid / render.grid
+    sigma, mass = scale_sizes(shapes.sigma, shapes.mass, stage.grid / render.grid)
     signals = ("silhouette",) if shapes.colors is None else ("silhouette", "color")
 
     def render_view(view):
-        points, mass, rotation, colors = view
+        points, view_mass, rotation, colors = view
         return project(
             points,
             rotation,
-            sigma=shapes.sigma * ratio,
-            scale=mass,
+            sigma=sigma,
+            scale=view_mass,
             colors=colors,
             camera=camera,
             grid=VoxelGrid(stage.grid),
             signals=signals,
         )
 
-    points, mass, colors = jax.tree.map(
+    points, masses, colors = jax.tree.map(
         lambda array: jnp.repeat(array, views, axis=0),
-        (shapes.kept, shapes.mass * ratio**3, shapes.colors),
+        (shapes.kept, mass, shapes.colors),
     )
-    inputs = (points, mass, rotations.reshape(-1, 4), colors)
+    inputs = (points, masses, rotations.reshape(-1, 4), colors)
     return map_renders(render_view, inputs, at_once=render.renders_at_once)
 
 

@@ -16,6 +16,7 @@ from dpc_jax.learning.renders import map_renders
 from dpc_jax.learning.step import TrainState
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera, VoxelGrid, project
+from dpc_jax.render.resolution import scale_sizes
 
 
 class Predictions(NamedTuple):
@@ -97,12 +98,12 @@ def explain_view(
     render = config.render
     camera = Camera(render.focal_length, render.distance)
     side = render.fine_grid or render.grid
-    ratio = side / render.grid
+    fine_sigma, fine_mass = scale_sizes(sigma, mass, side / render.grid)
     image = project(
         points,
         student,
-        sigma=sigma * ratio,
-        scale=mass * ratio**3,
+        sigma=fine_sigma,
+        scale=fine_mass,
         camera=camera,
         grid=VoxelGrid(side),
     )

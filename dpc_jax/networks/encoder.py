@@ -7,9 +7,9 @@ import functools
 
 import chex
 import flax.linen as nn
-import jax.numpy as jnp
+import jax
 
-SMALLEST_IMAGE = 16  # pixels; one stride to 8, one block to 4
+SMALLEST_IMAGE = 16  # pixels: one stride to 8, one block to 4
 
 leaky_relu = functools.partial(nn.leaky_relu, negative_slope=0.2)
 # Keeps the variance through a leaky ReLU of slope 0.2 (He et al., 2015).
@@ -25,9 +25,9 @@ def count_blocks(image_size: int) -> int:
     is_power = image_size & (image_size - 1) == 0
     if image_size < SMALLEST_IMAGE or not is_power:
         raise ValueError(
-            "The image size must be a power of two of at least "
-            f"{SMALLEST_IMAGE} pixels, because the encoder halves it down to 4, but it "
-            f"is {image_size}; use for example 64."
+            f"The image size must be a power of two of at least {SMALLEST_IMAGE} "
+            "pixels, because the encoder halves it down to 4, but it is "
+            f"{image_size}; use for example 64."
         )
     return image_size.bit_length() - 1 - 3
 
@@ -39,9 +39,9 @@ class ImageEncoder(nn.Module):
     down to 4×4: at 64 pixels the paper's 7 convolutions, 4 of them strided.
 
     Attributes:
-      channels: of the first convolution; doubled by every block.
+      channels: number after the first convolution; every block doubles it.
       hidden: width of the two dense layers.
-      normalize: divide out mean and variance of all features of a sample after each
+      normalize: bring all features of a sample to mean 0 and variance 1 after each
         layer. Not in the paper.
     """
 
@@ -50,7 +50,7 @@ class ImageEncoder(nn.Module):
     normalize: bool = False
 
     @nn.compact
-    def __call__(self, images: chex.Array) -> chex.Array:
+    def __call__(self, images: jax.Array) -> jax.Array:
         """Images [B, S, S, 3] in [-1, 1] to features [B, hidden]."""
         chex.assert_shape(images, (None, None, images.shape[1], 3))
         conv = functools.partial(nn.Conv, kernel_init=conv_init)
@@ -67,9 +67,13 @@ class ImageEncoder(nn.Module):
 
     def _activate(self, x):
         if self.normalize:
-            axes = tuple(range(1, x.ndim))
-            mean = jnp.mean(x, axes, keepdims=True)
-            variance = jnp.mean((x - mean) ** 2, axes, keepdims=True)
-            # 1e-6 against activations of order one: only a constant layer feels it.
-            x = (x - mean) / jnp.sqrt(variance + 1e-6)
+            # The fast variance E[x²] - E[x]² would cancel where the mean is large.
+            # The epsilon matters for a constant layer only: activations are of order 1.
+            x = nn.LayerNorm(
+                reduction_axes=tuple(range(1, x.ndim)),
+                use_bias=False,
+                use_scale=False,
+                epsilon=1e-6,
+                use_fast_variance=False,
+            )(x)
         return leaky_relu(x)

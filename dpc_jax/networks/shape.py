@@ -1,7 +1,9 @@
 """The shape branch: features to a point cloud, its colours and its points' scale."""
 
-import chex
+import functools
+
 import flax.linen as nn
+import jax
 
 from dpc_jax.networks.encoder import conv_init, leaky_relu
 
@@ -14,7 +16,7 @@ class ShapeHead(nn.Module):
     Attributes:
       num_points: N.
       hidden: width of the hidden layer.
-      has_color: predict colours too; without, there are no parameters for them.
+      has_color: predict colours too; otherwise there are no parameters for them.
     """
 
     num_points: int
@@ -22,7 +24,7 @@ class ShapeHead(nn.Module):
     has_color: bool = False
 
     @nn.compact
-    def __call__(self, features: chex.Array) -> dict[str, chex.Array]:
+    def __call__(self, features: jax.Array) -> dict[str, jax.Array]:
         """Features [B, F] to points, occupancy scale and colours.
 
         Returns:
@@ -30,17 +32,15 @@ class ShapeHead(nn.Module):
           coefficient; colors [B, N, 3] in (0, 1) where asked for.
         """
         x = leaky_relu(nn.Dense(self.hidden, kernel_init=conv_init)(features))
-        batch = features.shape[0]
-        points = nn.Dense(3 * self.num_points, kernel_init=_OUTPUT_INIT, name="points")
+        output = functools.partial(nn.Dense, kernel_init=_OUTPUT_INIT)
+        size = (features.shape[0], self.num_points, 3)
+        points = output(3 * self.num_points, name="points")(x)
+        scale = output(1, name="scale")(x)
         shape = {
-            "points": nn.tanh(points(x)).reshape(batch, self.num_points, 3) / 2,
-            "scale": nn.sigmoid(nn.Dense(1, kernel_init=_OUTPUT_INIT, name="scale")(x))[
-                :, 0
-            ],
+            "points": nn.tanh(points).reshape(size) / 2,
+            "scale": nn.sigmoid(scale)[:, 0],
         }
         if self.has_color:
-            colors = nn.Dense(
-                3 * self.num_points, kernel_init=_OUTPUT_INIT, name="colors"
-            )
-            shape["colors"] = nn.sigmoid(colors(x)).reshape(batch, self.num_points, 3)
+            colors = output(3 * self.num_points, name="colors")(x)
+            shape["colors"] = nn.sigmoid(colors).reshape(size)
         return shape

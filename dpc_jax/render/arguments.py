@@ -1,7 +1,11 @@
-"""What the arguments of a projection must look like; each mistake in a sentence."""
+"""What the arguments of a projection must look like.
 
-import chex
-import jax.numpy as jnp
+Every function raises a ValueError that names the argument, what was expected, what came
+and what to do.
+"""
+
+import jax
+from jax.typing import ArrayLike
 
 from dpc_jax.render import checks
 from dpc_jax.render.camera import Camera, VoxelGrid
@@ -9,120 +13,89 @@ from dpc_jax.render.camera import Camera, VoxelGrid
 SIGNALS = ("silhouette", "depth", "color")
 METHODS = ("auto", "trilinear", "gaussian")
 RAY_RULES = ("termination", "maximum")
+_POSES = "use jax.vmap over several poses"
+_SIZES = "pass a scalar or one value per point"
 
 
-def convert_points(points) -> chex.Array:
-    """Points as an array [N, 3].
+def convert_points(points: ArrayLike) -> jax.Array:
+    """Convert points to an array [N, 3] of floats."""
+    hint = "use jax.vmap or jax.lax.map over a batch of clouds"
+    return checks.check_array("points", points, ("N", 3), hint=hint)
 
-    Raises:
-      ValueError: for anything else.
+
+def convert_scene(
+    points: jax.Array,
+    rotation: ArrayLike,
+    sigma: ArrayLike | None,
+    scale: ArrayLike,
+    covariance: ArrayLike | None,
+    translation: ArrayLike | None,
+) -> tuple[jax.Array, jax.Array | None, jax.Array, jax.Array | None, jax.Array | None]:
+    """Convert everything that places points [N, 3] and gives them a size.
+
+    Returns:
+      rotation, sigma, scale, covariance and translation in the dtype of the points;
+      None stays None.
     """
-    over = "use jax.vmap or jax.lax.map over a batch of clouds"
-    return checks.check_array("points", points, (None, 3), hint=over)
-
-
-def check_points(points, rotation, sigma, scale, covariance, translation):
-    """Refuse wrong shapes of what places the points.
-
-    Raises:
-      ValueError: naming the argument, what was expected and what came.
-    """
-    if rotation.shape not in ((4,), (3, 3)):
-        raise ValueError(
-            "rotation must be a quaternion [4] or a matrix [3, 3], but it has shape "
-            f"{list(rotation.shape)}; use jax.vmap over several poses."
-        )
-    count = points.shape[0]
     if covariance is None and sigma is None:
         raise ValueError(
-            "a point needs a size, but both sigma and covariance are None; pass sigma "
-            "in voxels, () or [N], or covariance [N, 3, 3] in voxels²."
+            "a point must have a size, but both sigma and covariance are None; pass "
+            "sigma in voxels, () or [N], or covariance [N, 3, 3] in voxels²."
         )
     if covariance is not None and sigma is not None:
         raise ValueError(
-            "a point has one size, but both sigma and covariance came; pass "
+            "a point must have one size, but both sigma and covariance came; pass "
             "sigma=None with a covariance."
         )
-    if covariance is not None and jnp.shape(covariance) != (count, 3, 3):
-        raise ValueError(
-            f"covariance must have shape [N, 3, 3] with N = {count}, but it has "
-            f"{list(jnp.shape(covariance))}; give one matrix per point."
-        )
-    for name, value in (
-        *(("rotation", rotation), ("sigma", sigma), ("scale", scale)),
-        *(("covariance", covariance), ("translation", translation)),
-    ):
-        if value is not None and jnp.iscomplexobj(value):
-            raise ValueError(
-                f"{name} must be real, but it is {value.dtype}; pass its real part."
-            )
-    for name, value in (("sigma", sigma), ("scale", scale)):
-        if value is not None and jnp.shape(value) not in ((), (count,)):
-            raise ValueError(
-                f"{name} must be one number or [N] = [{count}], but it has shape "
-                f"{list(jnp.shape(value))}; pass a scalar or one value per point."
-            )
-    if translation is not None and jnp.shape(translation) != (3,):
-        raise ValueError(
-            "translation must have shape [3], but it has "
-            f"{list(jnp.shape(translation))}; use jax.vmap over several poses."
-        )
-
-
-def check_scene(sigma, scale, camera, grid):
-    """Refuse what is wrong before any of it is an array.
-
-    Raises:
-      ValueError: naming the argument, what was expected and what came.
-    """
     checks.check_at_least_zero("sigma", sigma)
-    if scale is None:
-        raise ValueError(
-            "scale must be one number or [N], the mass of a point in voxels, but it is "
-            "None; leave it out for 1.0."
-        )
-    if not isinstance(camera, Camera):
-        raise ValueError(
-            f"camera must be a dpc_jax.Camera, but it is of type "
-            f"{type(camera).__name__}; write for example dpc_jax.Camera(1.875, 2.0)."
-        )
+    count = points.shape[0]
+
+    def convert(name, value, *shapes, hint):
+        array = checks.check_real(name, value, *shapes, hint=hint)
+        return array.astype(points.dtype)
+
+    rotation = convert("rotation", rotation, (4,), (3, 3), hint=_POSES)
+    scale = convert("scale", scale, (), (count,), hint=_SIZES)
+    if sigma is not None:
+        sigma = convert("sigma", sigma, (), (count,), hint=_SIZES)
+    if covariance is not None:
+        shape, hint = (count, 3, 3), "pass one matrix per point"
+        covariance = convert("covariance", covariance, shape, hint=hint)
+    if translation is not None:
+        translation = convert("translation", translation, (3,), hint=_POSES)
+    return rotation, sigma, scale, covariance, translation
+
+
+def check_view(camera: Camera, grid: VoxelGrid) -> None:
+    """Refuse what is not one camera and one grid."""
+    checks.check_type("camera", camera, Camera, "dpc_jax.Camera(1.875, 2.0)")
     checks.check_number("camera.focal_length", camera.focal_length)
     checks.check_number("camera.distance", camera.distance)
-    if not isinstance(grid, VoxelGrid):
-        raise ValueError(
-            f"grid must be a dpc_jax.VoxelGrid, but it is of type "
-            f"{type(grid).__name__}; write for example dpc_jax.VoxelGrid(64)."
-        )
+    checks.check_type("grid", grid, VoxelGrid, "dpc_jax.VoxelGrid(64)")
 
 
-def choose_method(method, sigma, covariance) -> str:
-    """The method that "auto" stands for; refuses one that cannot do what is asked.
-
-    Raises:
-      ValueError: for an unknown method, or "trilinear" with points of several sizes.
-    """
+def choose_method(
+    method: str, sigma: jax.Array | None, covariance: jax.Array | None
+) -> str:
+    """Resolve "auto", and refuse a method that cannot draw these sizes."""
     if method not in METHODS:
         raise ValueError(
             f"method must be one of {METHODS}, but it is {method!r}; 'auto' chooses "
             "from the arguments."
         )
-    is_shared = covariance is None and jnp.ndim(sigma) == 0
+    is_shared = sigma is not None and sigma.ndim == 0
     if method == "auto":
         return "trilinear" if is_shared else "gaussian"
     if method == "trilinear" and not is_shared:
         raise ValueError(
-            "the method 'trilinear' smooths all points with one sigma, but a size per "
-            "point came; pass method='gaussian' or 'auto'."
+            "sigma must be one number with the method 'trilinear', which smooths all "
+            "points alike, but a size per point came; pass method='gaussian' or 'auto'."
         )
     return method
 
 
-def check_signals(signals, ray_rule, points, colors):
-    """Refuse unknown signals, and colour without colours.
-
-    Raises:
-      ValueError: naming the argument, what was expected and what came.
-    """
+def check_signals(signals: tuple[str, ...], ray_rule: str, *, has_colors: bool) -> None:
+    """Refuse unknown signals, and colour without colours."""
     is_list = isinstance(signals, tuple | list | set | frozenset)
     if not is_list or not signals or any(s not in SIGNALS for s in signals):
         raise ValueError(
@@ -134,36 +107,34 @@ def check_signals(signals, ray_rule, points, colors):
             f"ray_rule must be one of {RAY_RULES}, but it is {ray_rule!r}; the paper's "
             "is 'termination'."
         )
-    if "color" in signals and colors is None:
+    if "color" in signals and not has_colors:
         raise ValueError(
-            "the signal 'color' needs colors of shape [N, C], but colors is None; pass "
-            "them or leave 'color' out of signals."
-        )
-    if colors is not None and (
-        jnp.ndim(colors) != 2
-        or jnp.shape(colors)[0] != points.shape[0]
-        or jnp.shape(colors)[1] == 0
-        or jnp.iscomplexobj(colors)
-    ):
-        raise ValueError(
-            f"colors must be real, of shape [N, C] with N = {points.shape[0]} and C >= "
-            f"1, but they are {colors.dtype} of shape {list(jnp.shape(colors))}; give "
-            "one row per point."
+            "the signal 'color' must have colors of shape [N, C], but colors is None; "
+            "pass them or leave 'color' out of signals."
         )
 
 
-def check_background(background_depth, background_color, colors):
-    """Refuse background values of a wrong shape.
+def convert_colors(colors: ArrayLike | None, count: int) -> jax.Array | None:
+    """Convert the colours of `count` points to an array [N, C]; None stays None."""
+    if colors is None:
+        return None
+    hint = "give one row per point"
+    colors = checks.check_real("colors", colors, (count, "C"), hint=hint)
+    if colors.shape[1] == 0:
+        raise ValueError(
+            "colors must have shape [N, C] with C >= 1, but they have "
+            f"{list(colors.shape)}; leave them out where there are none."
+        )
+    return colors
 
-    Raises:
-      ValueError: naming the argument, what was expected and what came.
-    """
+
+def check_background(
+    background_depth: ArrayLike,
+    background_color: ArrayLike,
+    colors: jax.Array | None,
+) -> None:
+    """Refuse background values of a wrong shape."""
     checks.check_number("background_depth", background_depth)
-    channels = () if colors is None else jnp.shape(colors)[1:]
-    background_color = checks.convert("background_color", background_color)
-    if background_color.shape not in ((), channels):
-        raise ValueError(
-            f"background_color must be one number or [C] = {list(channels)} like the "
-            f"colors, but it has shape {list(background_color.shape)}; pass one "
-            "value per channel."
-        )
+    shapes = [()] if colors is None else [(), colors.shape[1:]]
+    hint = "pass one number, or one per channel of the colors"
+    checks.check_real("background_color", background_color, *shapes, hint=hint)

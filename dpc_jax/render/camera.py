@@ -14,12 +14,13 @@ from typing import NamedTuple
 import chex
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 
 from dpc_jax.render import checks, quaternion
 
 PROJECTIONS = ("perspective", "orthographic")
-# Nearest depth with an image, in extents (heuristic): 1/z² of a nearer point would
-# overflow, and make the gradient of every other input NaN.
+# Smallest depth that has an image, in extents (heuristic). Of a nearer point 1/z² may
+# overflow, which would make the gradient of every other input NaN.
 _NEAR = 1e-6
 
 
@@ -51,41 +52,38 @@ class Camera:
             )
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, init=False)
 class VoxelGrid:
-    """The volume that points are rendered through; static.
+    """The volume through which points are rendered; static.
 
     Attributes:
-      shape: (rows, cols, depth), or one int for a cube.
+      shape: (rows, cols, depth); the constructor also takes one int for a cube.
       extent: width of the image plane and depth of the volume that the grid covers.
 
     Raises:
       ValueError: if a side is not a positive integer or the extent is not positive.
     """
 
-    shape: tuple[int, int, int] | int = 64
-    extent: float = 1.0
+    shape: tuple[int, int, int]
+    extent: float
 
-    def __post_init__(self):
-        shape = self.shape
-        is_one = isinstance(shape, numbers.Integral)
-        sides = (shape,) * 3 if is_one else shape
-        if not isinstance(sides, tuple | list) or not (
-            len(sides) == 3 and all(checks.is_count(s) and s > 0 for s in sides)
-        ):
+    def __init__(self, shape: tuple[int, int, int] | int = 64, extent: float = 1.0):
+        sides = (shape,) * 3 if checks.is_count(shape) else shape
+        if not checks.are_sides(sides):
             raise ValueError(
                 "VoxelGrid shape must be a positive int or three of them (rows, cols, "
-                f"depth), but it is {self.shape!r}; give for example VoxelGrid(64)."
+                f"depth), but it is {shape!r}; give for example VoxelGrid(64)."
             )
-        is_number = isinstance(self.extent, numbers.Real) and self.extent is not True
-        if not (is_number and 0 < self.extent < float("inf")):
+        is_number = isinstance(extent, numbers.Real) and extent is not True
+        if not (is_number and 0 < extent < float("inf")):
             raise ValueError(
                 "VoxelGrid extent must be a positive finite number, but it is "
-                f"{self.extent!r}; the unit cube has extent 1.0."
+                f"{extent!r}; the unit cube has extent 1.0."
             )
-        object.__setattr__(self, "shape", tuple(int(s) for s in sides))
+        object.__setattr__(self, "shape", tuple(int(side) for side in sides))
+        object.__setattr__(self, "extent", extent)
 
-    def depths(self, camera: Camera, dtype=jnp.float32) -> chex.Array:
+    def depths(self, camera: Camera, dtype: DTypeLike = jnp.float32) -> jax.Array:
         """Metric depth z_k of each cell along a ray, [depth], nearest first."""
         size = self.shape[2]
         offsets = ((jnp.arange(size, dtype=dtype) + 0.5) / size - 0.5) * self.extent
@@ -99,13 +97,13 @@ class CameraPoints(NamedTuple):
     """Points in the camera's axes.
 
     Attributes:
-      centered: [N, 3], from the middle of the volume. Depth is kept from there too:
-        from a far eye it would lose the digits that place a point in the volume.
-      ahead: [N] depth z from the eye.
+      centered: [N, 3], relative to the middle of the volume, in depth too: relative to
+        a distant eye, depth would lose the digits that place a point in the volume.
+      ahead: [N] depth z, relative to the eye.
     """
 
-    centered: chex.Array
-    ahead: chex.Array
+    centered: jax.Array
+    ahead: jax.Array
 
 
 class GridPoints(NamedTuple):
@@ -113,44 +111,46 @@ class GridPoints(NamedTuple):
 
     Attributes:
       coordinates: [N, 3] continuous (row, col, depth) index; cell centres are integers.
-      inside: [N] bool, whether the point lies in the volume and before the camera.
+      inside: [N] bool, whether the point lies in the volume and in front of the camera.
     """
 
-    coordinates: chex.Array
-    inside: chex.Array
+    coordinates: jax.Array
+    inside: jax.Array
 
 
 def to_camera_frame(
-    points: chex.Array,
-    rotation: chex.Array,
+    points: jax.Array,
+    rotation: jax.Array,
     *,
-    translation: chex.Array | None,
+    translation: jax.Array | None,
     camera: Camera,
 ) -> CameraPoints:
     """Move points [N, 3] from the object frame to the camera frame.
 
-    The transform T_c of section "Differentiable Point Clouds", before the division.
+    The first part of the transform T_c of section "Differentiable Point Clouds", before
+    the perspective division.
     """
     moved = quaternion.rotate(points, rotation)
     if translation is not None:
-        moved = moved + jnp.asarray(translation, points.dtype)
+        moved = moved + jnp.asarray(translation, points.dtype)[None]
     return CameraPoints(moved, moved[:, 2] + jnp.asarray(camera.distance, moved.dtype))
 
 
 def to_grid(points: CameraPoints, *, camera: Camera, grid: VoxelGrid) -> GridPoints:
     """Project points to grid indices; depth stays metric.
 
-    Points behind the camera plane or within a millionth of the extent before it have
-    no perspective image: they are marked outside. A point outside has zero gradient.
+    The rest of the transform T_c. Points behind the camera plane, or less than a
+    millionth of the extent in front of it, have no perspective image: they are marked
+    as outside. A point outside has zero gradient.
     """
     x, y, z = points.centered.T
     ahead = points.ahead
     is_inside = jnp.ones_like(z, bool)
     if camera.projection == "perspective":
         is_inside = ahead > _NEAR * grid.extent
-    # Twice: without gradient to see where a point is, then with gradient what is
-    # inside. Products with 3e38 overflow, and zero times infinity, in the derivative,
-    # would be everyone's NaN.
+    # In two passes. The first, without gradient, finds the points inside; the second
+    # differentiates those alone. The coordinates of a point far outside may overflow,
+    # and in the derivative infinity times zero would turn all gradients to NaN.
     for fraction in _find_fractions(
         *jax.lax.stop_gradient((x, y, z, jnp.where(is_inside, ahead, 1))), camera, grid
     ):

@@ -1,21 +1,32 @@
-"""What an array must look like; each mistake in a sentence."""
+"""Refusing wrong arguments, each mistake in one sentence.
+
+Every check raises a ValueError that names the argument, what was expected, what came
+and what to do.
+"""
 
 import numbers
+from collections.abc import Sequence
+from typing import Any, TypeGuard
 
-import chex
+import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 
-def check_array(name: str, value, *shapes, hint: str = "use jax.vmap over several"):
-    """The value as an array of floating point numbers in one of some shapes.
+def check_real(
+    name: str,
+    value: ArrayLike | None,
+    *shapes: tuple,
+    hint: str = "use jax.vmap over several",
+) -> jax.Array:
+    """Convert a value to an array of real numbers that has one of some shapes.
 
     Args:
-      name: of the argument. value: what came for it.
-      *shapes: tuples of sizes, None for any; a first `...` stands for any axes.
+      name: of the argument.
+      value: what came for it.
+      *shapes: tuples of sizes. None and a letter stand for any size, and `...` in the
+        first place for any number of axes.
       hint: what to do about another shape.
-
-    Raises:
-      ValueError: naming the argument, what was expected and what came.
     """
     array = convert(name, value)
     if not any(_fits(array.shape, shape) for shape in shapes):
@@ -23,6 +34,21 @@ def check_array(name: str, value, *shapes, hint: str = "use jax.vmap over severa
         raise ValueError(
             f"{name} must have shape {wanted}, but it has {list(array.shape)}; {hint}."
         )
+    if jnp.iscomplexobj(array):
+        raise ValueError(
+            f"{name} must be real, but it is {array.dtype}; pass its real part."
+        )
+    return array
+
+
+def check_array(
+    name: str,
+    value: ArrayLike | None,
+    *shapes: tuple,
+    hint: str = "use jax.vmap over several",
+) -> jax.Array:
+    """Convert as `check_real`, but refuse integers and truth values too."""
+    array = check_real(name, value, *shapes, hint=hint)
     if not jnp.issubdtype(array.dtype, jnp.floating):
         raise ValueError(
             f"{name} must be floating point numbers, but they are {array.dtype}; "
@@ -31,54 +57,31 @@ def check_array(name: str, value, *shapes, hint: str = "use jax.vmap over severa
     return array
 
 
-def check_number(name: str, value) -> chex.Array:
-    """The value as an array of shape (), real.
-
-    Raises:
-      ValueError: naming the argument, what was expected and what came.
-    """
-    array = convert(name, value)
-    if array.shape != () or jnp.iscomplexobj(array):
-        raise ValueError(
-            f"{name} must be one real number, but it has shape {list(array.shape)} and "
-            f"dtype {array.dtype}; use jax.vmap over several."
-        )
-    return array
+def check_number(name: str, value: ArrayLike | None) -> jax.Array:
+    """Convert one real number to an array of shape ()."""
+    return check_real(name, value, ())
 
 
-def check_at_least_zero(name: str, value):
-    """Refuse a plain number below zero, or none; what an array holds is not looked at.
-
-    Raises:
-      ValueError: naming the argument, what was expected and what came.
-    """
-    if isinstance(value, numbers.Real) and not value >= 0:
+def check_at_least_zero(name: str, value: Any) -> None:
+    """Refuse a plain number that is negative or NaN; arrays may be traced and pass."""
+    if isinstance(value, numbers.Real) and not float(value) >= 0:
         raise ValueError(
             f"{name} must be at least 0 voxels, but it is {value}; 0 leaves each point "
             "in its cell."
         )
 
 
-def check_sides(name: str, shape):
-    """Refuse what is not three positive integers.
-
-    Raises:
-      ValueError: naming the argument, what was expected and what came.
-    """
-    is_triple = isinstance(shape, tuple | list) and len(shape) == 3
-    if not (is_triple and all(is_count(side) and side > 0 for side in shape)):
+def check_sides(name: str, shape: Any) -> None:
+    """Refuse anything but three positive integers."""
+    if not are_sides(shape):
         raise ValueError(
             f"{name} must be three positive integers (rows, cols, depth), but it is "
             f"{shape!r}; give for example (64, 64, 64)."
         )
 
 
-def check_count(name: str, value):
-    """Refuse what is not an integer of at least zero.
-
-    Raises:
-      ValueError: naming the argument, what was expected and what came.
-    """
+def check_count(name: str, value: Any) -> None:
+    """Refuse anything but an integer of at least zero."""
     if not (is_count(value) and value >= 0):
         raise ValueError(
             f"{name} must be an integer of at least 0, but it is {value!r}; give 0 to "
@@ -86,17 +89,28 @@ def check_count(name: str, value):
         )
 
 
-def is_count(value) -> bool:
-    """Whether a static number is an integer, and no truth value."""
+def check_type(name: str, value: Any, kind: type, example: str) -> None:
+    """Refuse anything but an instance of a public class."""
+    if not isinstance(value, kind):
+        raise ValueError(
+            f"{name} must be a dpc_jax.{kind.__name__}, but it is of type "
+            f"{type(value).__name__}; write for example {example}."
+        )
+
+
+def is_count(value: Any) -> bool:
+    """Whether a static value is an integer; True and False are not."""
     return isinstance(value, numbers.Integral) and not isinstance(value, bool)
 
 
-def convert(name: str, value) -> chex.Array:
-    """The value as an array.
+def are_sides(shape: Any) -> TypeGuard[Sequence[int]]:
+    """Whether a static value is a triple of positive integers."""
+    is_triple = isinstance(shape, tuple | list) and len(shape) == 3
+    return is_triple and all(is_count(side) and side > 0 for side in shape)
 
-    Raises:
-      ValueError: where it is none, naming the argument and what came.
-    """
+
+def convert(name: str, value: ArrayLike | None) -> jax.Array:
+    """Convert a value to an array."""
     try:
         if value is None:
             raise TypeError
@@ -113,9 +127,13 @@ def _fits(found, wanted):
         wanted = wanted[1:]
         found = found[max(0, len(found) - len(wanted)) :]
     pairs = zip(found, wanted, strict=False)
-    return len(found) == len(wanted) and all(w in (None, f) for f, w in pairs)
+    return len(found) == len(wanted) and all(
+        w is None or isinstance(w, str) or w == f for f, w in pairs
+    )
 
 
 def _describe(shape):
+    if not shape:
+        return "()"
     words = {None: "N", ...: "..."}
     return "[" + ", ".join(words.get(size, str(size)) for size in shape) + "]"

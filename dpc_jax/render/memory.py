@@ -1,24 +1,25 @@
-"""How much memory a projection takes, known before it runs."""
+"""How much memory a projection takes, before it runs."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from dpc_jax.render.projection import project
 
-# What a compiled program is made for; all other arguments are its inputs.
+# Arguments that a program is compiled for; all others are its inputs.
 _STATIC = ("grid", "signals", "method", "ray_rule")
 
 
 class MemoryEstimate(NamedTuple):
-    """Bytes that one call holds at most, by what they are for.
+    """The most bytes that one call holds, by purpose.
 
     Attributes:
-      arguments: the inputs (with a gradient also the images' cotangents).
+      arguments: the inputs; with a gradient, the images' cotangents too.
       outputs: the images, and the gradients where asked for.
-      temporary: everything between, as the compiler has laid it out.
-      total: the three together, less what outputs share with inputs.
+      temporary: everything in between, as laid out by the compiler.
+      total: the sum of the three, less what outputs share with inputs.
     """
 
     arguments: int
@@ -28,19 +29,24 @@ class MemoryEstimate(NamedTuple):
 
 
 def estimate_memory(
-    points, rotation, *, gradient: bool = False, **arguments
+    points: ArrayLike | jax.ShapeDtypeStruct,
+    rotation: ArrayLike | jax.ShapeDtypeStruct,
+    *,
+    gradient: bool = False,
+    **arguments: Any,
 ) -> MemoryEstimate:
     """Memory of one call of `project`: compiled for this device, but not run.
 
-    Several samples in `jax.lax.map` need `temporary` once, in `jax.vmap` once each.
-    The program's own code and the compiler's work are not counted.
+    Several samples need `temporary` once in `jax.lax.map`, once each in `jax.vmap`.
+    The program's code and the memory of compiling it are not counted.
 
     Args:
-      points: [N, 3], and rotation: [4] or [3, 3], as for `project`. An array may be
-        given as `jax.ShapeDtypeStruct(shape, dtype)`, so that nothing is allocated.
-      gradient: with the backward pass, to points, rotation and every other argument
-        that is an array of floats or stands for one. Plain numbers, and the camera's,
-        are inputs without a gradient.
+      points: [N, 3], as for `project`. This and every other array may be given as
+        `jax.ShapeDtypeStruct(shape, dtype)`, so that nothing is allocated.
+      rotation: [4] or [3, 3].
+      gradient: include the backward pass, with respect to points, rotation and every
+        other array of floats. Plain numbers, and those of the camera, are inputs
+        without a gradient.
       **arguments: of `project`.
 
     Returns:
@@ -49,7 +55,7 @@ def estimate_memory(
     Raises:
       ValueError: as `project`.
       TypeError: for an argument that `project` does not have.
-      RuntimeError: where the device's compiler does not tell.
+      RuntimeError: if the device's compiler does not report memory.
     """
     static = {name: arguments.pop(name) for name in _STATIC if name in arguments}
     inputs = {"points": points, "rotation": rotation, **arguments}
@@ -77,7 +83,7 @@ def estimate_memory(
     analysis = lowered.compile().memory_analysis()
     if analysis is None:
         raise RuntimeError(
-            "Expected the compiler to tell the memory of a program, but that of "
+            "Expected the compiler to report the memory of a program, but the one for "
             f"{jax.default_backend()!r} does not; measure a run instead."
         )
     sizes = (

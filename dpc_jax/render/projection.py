@@ -1,15 +1,18 @@
 """Differentiable projection of a point cloud: silhouette, depth and colour.
 
-Section "Differentiable Point Clouds" of the paper: transform the points, fill a volume
-with their densities, clip to occupancies, end each ray, project. Only what `signals`
-names is computed.
+Section "Differentiable Point Clouds" of the paper, in its order: transform T_c
+(`place_points`), occupancy by Eq. 3 (`fill_volume`), ray termination by Eq. 4
+(`end_rays`), projection by Eq. 5 (`project_signals`). Only what `signals` names is
+computed.
 """
 
 import chex
+import jax
 import jax.numpy as jnp
 
-from dpc_jax.render import arguments, checks, termination, volume
+from dpc_jax.render import arguments, termination
 from dpc_jax.render.camera import Camera, VoxelGrid
+from dpc_jax.render.volume import Volume, fill_volume, place_points
 
 # Depth and colour of a ray that hits nothing (the released code's values).
 BACKGROUND_DEPTH = 10.0
@@ -26,20 +29,20 @@ class Projection:
       color: [rows, cols, C].
     """
 
-    silhouette: chex.Array | None = None
-    depth: chex.Array | None = None
-    color: chex.Array | None = None
+    silhouette: jax.Array | None = None
+    depth: jax.Array | None = None
+    color: jax.Array | None = None
 
 
 def project(
-    points: chex.Array,
-    rotation: chex.Array,
+    points: jax.Array,
+    rotation: jax.Array,
     *,
     sigma: chex.Numeric | None = None,
     scale: chex.Numeric = 1.0,
-    covariance: chex.Array | None = None,
-    colors: chex.Array | None = None,
-    translation: chex.Array | None = None,
+    covariance: jax.Array | None = None,
+    colors: jax.Array | None = None,
+    translation: jax.Array | None = None,
     camera: Camera = Camera(),
     grid: VoxelGrid = VoxelGrid(64),
     signals: tuple[str, ...] = ("silhouette",),
@@ -88,123 +91,108 @@ def project(
         asked without colours, and a method that cannot do what is asked.
     """
     points = arguments.convert_points(points)
-    colors = None if colors is None else jnp.asarray(colors)
-    arguments.check_signals(signals, ray_rule, points, colors)
+    arguments.check_signals(signals, ray_rule, has_colors=colors is not None)
+    colors = arguments.convert_colors(colors, points.shape[0])
     arguments.check_background(background_depth, background_color, colors)
-    has_color = "color" in signals
-    density, map_colors = _fill(
+    scene = place_points(
         points,
         rotation,
         sigma=sigma,
         scale=scale,
         covariance=covariance,
-        colors=colors if has_color else None,
         translation=translation,
         camera=camera,
         grid=grid,
         method=method,
     )
-    dtype = points.dtype
-    occupancy = termination.clip_unit(density)
-    silhouette = depth = color = None
+    colors = colors if "color" in signals else None
+    return project_signals(
+        fill_volume(scene, colors, grid.shape),
+        camera=camera,
+        grid=grid,
+        signals=signals,
+        ray_rule=ray_rule,
+        background_depth=background_depth,
+        background_color=background_color,
+    )
+
+
+def project_signals(
+    volume: Volume,
+    *,
+    camera: Camera,
+    grid: VoxelGrid,
+    signals: tuple[str, ...],
+    ray_rule: str,
+    background_depth: chex.Numeric,
+    background_color: chex.Numeric,
+) -> Projection:
+    """Eq. 5 of the paper: p = Σ_k r_k·y_k along each ray, the background included.
+
+    y_k is 1 for a silhouette (0 in the background), the depth z_k, or a colour.
+
+    Args:
+      volume: occupancies, with colours where "color" is among the signals.
+      camera, grid: where the cells of the volume are.
+      signals, ray_rule, background_depth, background_color: as of `project`.
+    """
+    occupancy = volume.occupancy
+    dtype = occupancy.dtype
+    images = {}
     if "silhouette" in signals:
         is_product = ray_rule == "termination"
-        silhouette = (
+        images["silhouette"] = (
             termination.opacity(occupancy) if is_product else jnp.max(occupancy, -1)
         )
     if set(signals) == {"silhouette"}:
-        return Projection(silhouette=silhouette)
+        return Projection(**images)
 
-    reached, background = termination.transmittance(occupancy)
+    rays = termination.end_rays(occupancy)
     if "depth" in signals:
         # Float32 throughout, also where a GPU would round to TF32.
-        depth = jnp.matmul(
-            occupancy * reached, grid.depths(camera, dtype), precision="highest"
-        ) + background * jnp.asarray(background_depth, dtype)
-    if has_color:
-        # Σ_k r_k·y_k with y = Σ y_i f_i / Σ f_i. With o = clip(Σ f_i), o·y is Σ y_i f_i
-        # below the clip and y above it: no division by a density that may be as small
-        # as floats go.
-        weight = reached / jnp.where(density > 1, density, 1)
-        channels = map_colors(lambda channel: jnp.sum(weight * channel, axis=-1))
-        behind = jnp.asarray(background_color, dtype)
-        color = jnp.moveaxis(channels, 0, -1) + background[..., None] * behind
-    return Projection(silhouette=silhouette, depth=depth, color=color)
+        images["depth"] = jnp.matmul(
+            rays.ends, grid.depths(camera, dtype), precision="highest"
+        ) + rays.background * jnp.asarray(background_depth, dtype)
+    if volume.sum_colors is not None:
+        behind = jnp.asarray(background_color, dtype).reshape(1, 1, -1)
+        colors = volume.sum_colors(rays.reached)
+        images["color"] = colors + rays.background[..., None] * behind
+    return Projection(**images)
 
 
 def voxelize(
-    points: chex.Array,
-    rotation: chex.Array,
+    points: jax.Array,
+    rotation: jax.Array,
     *,
     sigma: chex.Numeric | None = None,
     scale: chex.Numeric = 1.0,
-    covariance: chex.Array | None = None,
-    translation: chex.Array | None = None,
+    covariance: jax.Array | None = None,
+    translation: jax.Array | None = None,
     camera: Camera = Camera(),
     grid: VoxelGrid = VoxelGrid(64),
     method: str = "auto",
-) -> chex.Array:
-    """Occupancies [rows, cols, depth] in [0, 1] that `project` ends its rays in.
+) -> jax.Array:
+    """Occupancies [rows, cols, depth] in [0, 1] in which the rays of `project` end.
 
-    Arguments and errors as of `project`. `termination_probabilities` of the result are
-    what ray-consistency losses (DRC) compare.
+    Arguments and errors as of `project`. Ray-consistency losses (DRC) compare the
+    `termination_probabilities` of the result.
     """
-    density, _ = _fill(
+    scene = place_points(
         arguments.convert_points(points),
         rotation,
         sigma=sigma,
         scale=scale,
         covariance=covariance,
-        colors=None,
         translation=translation,
         camera=camera,
         grid=grid,
         method=method,
     )
-    return termination.clip_unit(density)
+    return fill_volume(scene, None, grid.shape).occupancy
 
 
-def _fill(
-    points,
-    rotation,
-    *,
-    sigma,
-    scale,
-    covariance,
-    colors,
-    translation,
-    camera,
-    grid,
-    method,
-):
-    """Check what places the points, and fill the volume in the points' dtype."""
-    arguments.check_scene(sigma, scale, camera, grid)
-    rotation = checks.convert("rotation", rotation)
-    sigma, scale, covariance, translation = (
-        None if value is None else jnp.asarray(value)
-        for value in (sigma, scale, covariance, translation)
-    )
-    arguments.check_points(points, rotation, sigma, scale, covariance, translation)
-    method = arguments.choose_method(method, sigma, covariance)
-
-    def cast(array):
-        return None if array is None else jnp.asarray(array, points.dtype)
-
-    scene = volume.place_points(
-        points,
-        cast(rotation),
-        sigma=cast(sigma),
-        scale=cast(scale),
-        covariance=cast(covariance),
-        translation=cast(translation),
-        camera=camera,
-        grid=grid,
-    )
-    return volume.fill_volume(scene, cast(colors), shape=grid.shape, method=method)
-
-
-def mass_of_peak(peak: chex.Numeric, sigma: chex.Numeric) -> chex.Array:
-    """Mass in voxels of an isotropic Gaussian with peak height c (Eq. 4's c_i).
+def mass_of_peak(peak: chex.Numeric, sigma: chex.Numeric) -> jax.Array:
+    """Mass in voxels of an isotropic Gaussian with peak height c (the c_i in Eq. 3).
 
     scale = c·(2π)^{3/2}·σ³, with sigma in voxels.
     """

@@ -1,12 +1,10 @@
 """Unit quaternions as rotations: wxyz order, object frame to camera frame.
 
-Every function takes one quaternion of shape [4] (`rotate` takes many points);
-callers `vmap`. q and -q are the same rotation. Norms are taken inside, so any
-non-zero quaternion stands for a rotation; the zero quaternion stands for none and is
-read as the identity.
+Every function takes one quaternion of shape [4] (`rotate` takes many points); callers
+`vmap`. q and -q are the same rotation. Quaternions are normalised inside, so any
+non-zero quaternion stands for a rotation; the zero quaternion is read as the identity.
 """
 
-import chex
 import jax
 import jax.numpy as jnp
 
@@ -15,15 +13,15 @@ from dpc_jax.render import checks
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
-def normalize(quaternion: chex.Array) -> chex.Array:
+def normalize(quaternion: jax.Array) -> jax.Array:
     """Scale a quaternion to length one.
 
     Args:
       quaternion: [4], wxyz, any length.
 
     Returns:
-      [4] of unit length. The zero quaternion gives the identity, with zero gradient:
-      the direction of a zero vector has no limit, so none is invented.
+      [4] of unit length. The zero quaternion gives the identity, with zero gradient,
+      because the direction of a vector has no limit at zero.
     """
     quaternion = checks.check_array("quaternion", quaternion, (4,))
     scaled, largest = _divide_by_largest(quaternion)
@@ -33,32 +31,34 @@ def normalize(quaternion: chex.Array) -> chex.Array:
 
 
 def _divide_by_largest(vector):
-    """A vector over its largest magnitude (up to 16 times that), and the magnitude.
+    """Divide a vector by about its largest magnitude; return that magnitude too.
 
-    It keeps the squares of 1e-30 and of 1e30 inside float32. What is done with the
-    quotient does not depend on the divisor, so neither does the gradient.
+    The largest component of the quotient is between 1 and 16, so that its square is
+    representable for vectors of 1e-30 and 1e30 too. Callers use the direction only, so
+    that the divisor needs no gradient.
     """
     limits = jnp.finfo(vector.dtype)
-    # Of a number below about 1/max the inverse overflows (a compiler multiplies by it).
-    # A power of two lifts such a one; float16 holds them. Not others: in the derivative
-    # the cotangent is divided by what has been lifted, and might vanish.
+    # Compilers divide by multiplying with the inverse. Below about 1/max the inverse
+    # overflows (float16 has such numbers), so a power of two lifts these. Larger ones
+    # stay: in the derivative the cotangent is divided by the lifted number, and could
+    # vanish.
     largest = jax.lax.stop_gradient(jnp.max(jnp.abs(vector)))
     lift = jnp.asarray(2.0 ** (-limits.minexp * 3 // 4), vector.dtype)
     factor = jnp.where(largest < limits.tiny, lift, 1)
-    # Of a number beyond max/16 the inverse may be subnormal, which processors flush to
-    # zero; up to 16 its square is safe in float16 too.
+    # Above max/16 the inverse may be subnormal, and processors flush that to zero. A
+    # quotient of up to 16 has a square that float16 can represent.
     divisor = jnp.minimum(largest * factor, limits.max / 16)
     divisor = jnp.where(largest == 0, 1, divisor)
     return vector * factor / divisor, largest
 
 
-def conjugate(quaternion: chex.Array) -> chex.Array:
+def conjugate(quaternion: jax.Array) -> jax.Array:
     """Reverse the rotation: the inverse of a unit quaternion [4]."""
     quaternion = checks.check_array("quaternion", quaternion, (4,))
     return quaternion * jnp.array([1, -1, -1, -1], quaternion.dtype)
 
 
-def multiply(left: chex.Array, right: chex.Array) -> chex.Array:
+def multiply(left: jax.Array, right: jax.Array) -> jax.Array:
     """Hamilton product of two quaternions [4]: rotate by `right`, then by `left`."""
     left = checks.check_array("left", left, (4,))
     right = checks.check_array("right", right, (4,))
@@ -74,77 +74,44 @@ def multiply(left: chex.Array, right: chex.Array) -> chex.Array:
     )
 
 
-def to_matrix(quaternion: chex.Array) -> chex.Array:
+def to_matrix(quaternion: jax.Array) -> jax.Array:
     """Rotation matrix [3, 3] of a quaternion [4] of any non-zero length."""
     w, x, y, z = normalize(quaternion)
-    return jnp.stack(
-        [
-            jnp.stack(
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
-            ),
-            jnp.stack(
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
-            ),
-            jnp.stack(
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
-            ),
-        ]
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
+    return jnp.stack([jnp.stack(row) for row in rows])
 
 
-def from_matrix(matrix: chex.Array) -> chex.Array:
+def from_matrix(matrix: jax.Array) -> jax.Array:
     """Quaternion [4] of a rotation matrix [3, 3].
 
-    Each of four formulas divides by one component; the one whose component is largest
-    (at least 1/2) is taken, so half turns are as accurate as any other rotation.
+    Four formulas each divide by one component of the quaternion. The one with the
+    largest component (at least 1/2) is taken, so that half turns are as accurate as any
+    other rotation.
     """
     m = checks.check_array("matrix", matrix, (3, 3))
+    x, y, z = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
     # Row i is 4·q_i·(w, x, y, z).
-    rows = jnp.stack(
-        [
-            jnp.stack(
-                [
-                    1 + m[0, 0] + m[1, 1] + m[2, 2],
-                    m[2, 1] - m[1, 2],
-                    m[0, 2] - m[2, 0],
-                    m[1, 0] - m[0, 1],
-                ]
-            ),
-            jnp.stack(
-                [
-                    m[2, 1] - m[1, 2],
-                    1 + m[0, 0] - m[1, 1] - m[2, 2],
-                    m[0, 1] + m[1, 0],
-                    m[0, 2] + m[2, 0],
-                ]
-            ),
-            jnp.stack(
-                [
-                    m[0, 2] - m[2, 0],
-                    m[0, 1] + m[1, 0],
-                    1 - m[0, 0] + m[1, 1] - m[2, 2],
-                    m[1, 2] + m[2, 1],
-                ]
-            ),
-            jnp.stack(
-                [
-                    m[1, 0] - m[0, 1],
-                    m[0, 2] + m[2, 0],
-                    m[1, 2] + m[2, 1],
-                    1 - m[0, 0] - m[1, 1] + m[2, 2],
-                ]
-            ),
-        ]
+    table = (
+        (1 + m[0, 0] + m[1, 1] + m[2, 2], x, y, z),
+        (x, 1 + m[0, 0] - m[1, 1] - m[2, 2], xy, xz),
+        (y, xy, 1 - m[0, 0] + m[1, 1] - m[2, 2], yz),
+        (z, xz, yz, 1 - m[0, 0] - m[1, 1] + m[2, 2]),
     )
+    rows = jnp.stack([jnp.stack(row) for row in table])
     return normalize(rows[jnp.argmax(jnp.diagonal(rows))])
 
 
-def rotate(points: chex.Array, rotation: chex.Array) -> chex.Array:
+def rotate(points: jax.Array, rotation: jax.Array) -> jax.Array:
     """Rotate points [N, 3] by a quaternion [4] or a rotation matrix [3, 3]."""
     points = checks.check_array("points", points, (None, 3))
     rotation = checks.check_array("rotation", rotation, (4,), (3, 3))
     matrix = to_matrix(rotation) if rotation.shape == (4,) else rotation
-    # Coordinate by coordinate: a matrix product of three columns is several times
+    # Coordinate by coordinate: a matrix product with three columns is several times
     # slower on a CPU, and a GPU might round it to TF32.
     coordinates = points.T
     moved = [
@@ -154,15 +121,15 @@ def rotate(points: chex.Array, rotation: chex.Array) -> chex.Array:
     return jnp.stack(moved, axis=-1)
 
 
-def angle_between(first: chex.Array, second: chex.Array) -> chex.Array:
+def angle_between(first: jax.Array, second: jax.Array) -> jax.Array:
     """Angle in radians, in [0, π], between two rotations given as quaternions [4].
 
-    2·atan2(‖v‖, |w|) of q₁q₂⁻¹ (appendix "Quantitative evaluation" has 2·acos, which
-    loses half the digits near 0). The angle has a kink at 0, where the gradient
-    is zero, and at π, where it is that of one side.
+    2·atan2(‖v‖, |w|) of q₁q₂⁻¹. (Appendix "Quantitative evaluation" has 2·acos, which
+    loses half the digits near 0.) The angle has kinks at 0, where the gradient is zero,
+    and at π, where it is that of one side.
     """
     product = multiply(normalize(first), conjugate(normalize(second)))
-    # The square of a turn by 1e-25 is nothing in float32.
+    # The square of an angle of 1e-25 underflows in float32.
     scaled, largest = _divide_by_largest(product[1:])
     is_zero = largest == 0
     square = jnp.sum(scaled**2)
@@ -170,7 +137,7 @@ def angle_between(first: chex.Array, second: chex.Array) -> chex.Array:
     return 2 * jnp.arctan2(sine, jnp.abs(product[0]))
 
 
-def from_axis_angle(axis: chex.Array, angle: chex.Array) -> chex.Array:
+def from_axis_angle(axis: jax.Array, angle: jax.Array) -> jax.Array:
     """Quaternion [4] that turns by `angle` radians about the unit vector `axis` [3]."""
     axis = checks.check_array("axis", axis, (3,))
     half = checks.check_number("angle", angle).astype(axis.dtype) / 2

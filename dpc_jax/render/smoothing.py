@@ -1,36 +1,38 @@
 """Separable Gaussian smoothing of a volume, the second step of the fast method.
 
-Along an axis of D cells it is a product with the D×D Toeplitz matrix of the kernel:
-nothing is truncated and sigma may be traced. A narrow kernel, of which the rest is
-below rounding, is applied as a short sum of shifted volumes instead; which of the two,
-sigma decides at run time. The result is the same to rounding.
+Smoothing along an axis of D cells is a product with the D×D Toeplitz matrix of the
+kernel: nothing is truncated, and sigma may be traced. A narrow kernel, whose tails are
+below rounding, is applied as a short sum of shifted volumes instead, with the same
+result to rounding. Which of the two is run depends on sigma, at run time.
 """
 
 import functools
 
-import chex
 import jax
 import jax.numpy as jnp
 
 from dpc_jax.render import checks, kernels
 
-# Half-widths of the short kernels (measured on two CPU cores, `dpc_jax.benchmark`):
-# up to the first, all three axes are sums of shifts; up to the second of a pair, the
-# columns are, for which a batch of small matrix products is slow.
+# Half-widths up to which sums of shifts are faster than matrix products (measured on
+# two CPU cores with `dpc_jax.benchmark`): up to _NARROW along all three axes, up to
+# _MEDIUM (by the volume's largest side) along the columns alone, where the alternative
+# is a batch of small matrix products.
 _NARROW = 4
 _MEDIUM = {32: 9, 64: 18, 128: 18}
-# Volumes this small are not worth a choice.
+# Below this side all kernels are applied as matrix products.
 _SMALLEST = 17
 
 
-def smooth(volume: chex.Array, sigma: chex.Array) -> chex.Array:
+def smooth(volume: jax.Array, sigma: jax.Array) -> jax.Array:
     """Convolve a volume with an isotropic Gaussian; cells outside count as empty.
+
+    Part of Eq. 3 by the fast method (appendix "Differentiable point cloud projection").
 
     Args:
       volume: [rows, cols, depth].
-      sigma: (), standard deviation in voxels, >= 0. Where the neighbour's share is
-        below rounding (0.17 voxels in float32, 0.12 in float64), the volume stays as
-        it is and nothing is computed.
+      sigma: (), standard deviation in voxels, >= 0. Below 0.17 voxels in float32 (0.12
+        in float64) a neighbour's share is less than rounding: the volume is returned as
+        it is, and nothing is computed.
 
     Returns:
       [rows, cols, depth].
@@ -48,36 +50,36 @@ def smooth(volume: chex.Array, sigma: chex.Array) -> chex.Array:
 def _smooth(volume, sigma):
     kernel = _sample_kernel(sigma, volume)
     size = max(volume.shape)
-    widths = [0]
+    widths, branches = [0], [lambda volume, kernel: volume]
     if min(volume.shape) >= _SMALLEST:
         medium = max((w for d, w in _MEDIUM.items() if d <= size), default=0)
-        widths += [w for w in (_NARROW, medium) if w]
-    branches = [
-        lambda volume, kernel: volume,
-        *(functools.partial(_smooth_shifted, half_width=w) for w in widths[1:]),
-        _smooth_dense,
-    ]
-    # A kernel of half-width w is exact to rounding where cell w + 1 is out of reach.
+        for width, axes in ((_NARROW, (0, 1, 2)), (medium, (1,))):
+            if width:
+                call = functools.partial(_smooth_axes, half_width=width, shifted=axes)
+                widths.append(width)
+                branches.append(call)
+    branches.append(_smooth_axes)
+    # Half-width w is exact to rounding as long as cell w + 1 is out of reach.
     reach = kernels.find_half_width(jnp.asarray(sigma, volume.dtype), volume.dtype)
     level = jnp.sum(reach >= jnp.array([w + 1.0 for w in widths], volume.dtype))
     return jax.lax.switch(level, branches, volume, kernel)
 
 
 def _smooth_forward(volume, sigma):
-    # Only a sigma that is differentiated needs the volume again.
+    # The backward pass needs the volume only for the gradient of sigma.
     kept = volume.value if sigma.perturbed else None
     return _smooth(volume.value, sigma.value), (kept, sigma.value)
 
 
 def _smooth_backward(residuals, cotangent):
-    """Smoothing is its own transpose, and as cheap as forward."""
+    """Smooth the cotangent: smoothing is its own transpose."""
     volume, sigma = residuals
     if isinstance(cotangent, jax.custom_derivatives.SymbolicZero):
-        cotangent = jnp.zeros(cotangent.shape, cotangent.dtype)
+        cotangent = jnp.zeros(cotangent.shape, sigma.dtype)
     sigma_grad = None
     if volume is not None:
         _, pull_back = jax.vjp(
-            lambda s: _smooth_dense(volume, _sample_kernel(s, volume)), sigma
+            lambda s: _smooth_axes(volume, _sample_kernel(s, volume)), sigma
         )
         (sigma_grad,) = pull_back(cotangent)
     return _smooth(cotangent, sigma), sigma_grad
@@ -91,36 +93,26 @@ def _sample_kernel(sigma, volume):
     return kernels.sample_gaussian(distances, jnp.asarray(sigma, volume.dtype))
 
 
-def _smooth_dense(volume, kernel):
-    """Toeplitz products along all axes."""
+def _smooth_axes(volume, kernel, *, half_width=0, shifted=()):
+    """Smooth axis by axis: by sums of shifts where `shifted`, else as products."""
+    multiply = functools.partial(jnp.matmul, precision="highest")
     rows, cols, depth = (_make_toeplitz(kernel, size) for size in volume.shape)
-    volume = jnp.matmul(volume, depth, precision="highest")
-    volume = jnp.matmul(cols, volume, precision="highest")
-    return _smooth_rows(volume, rows)
-
-
-def _smooth_shifted(volume, kernel, *, half_width):
-    """Shifted sums along columns; along the others too where the kernel is narrow."""
-    is_narrow = half_width <= _NARROW
-    if is_narrow:
-        volume = _add_shifts(volume, kernel, axis=2, half_width=half_width)
-    else:
-        depth = _make_toeplitz(kernel, volume.shape[2])
-        volume = jnp.matmul(volume, depth, precision="highest")
-    volume = _add_shifts(volume, kernel, axis=1, half_width=half_width)
-    if is_narrow:
-        return _add_shifts(volume, kernel, axis=0, half_width=half_width)
-    return _smooth_rows(volume, _make_toeplitz(kernel, volume.shape[0]))
+    for axis in (2, 1, 0):
+        if axis in shifted:
+            volume = _add_shifts(volume, kernel, axis=axis, half_width=half_width)
+        elif axis == 2:
+            volume = multiply(volume, depth)
+        elif axis == 1:
+            volume = multiply(cols, volume)
+        else:
+            flat = volume.reshape(volume.shape[0], -1)
+            volume = multiply(rows, flat).reshape(volume.shape)
+    return volume
 
 
 def _make_toeplitz(kernel, size):
     cells = jnp.arange(size)
     return kernel[jnp.abs(cells[:, None] - cells[None, :])]
-
-
-def _smooth_rows(volume, rows):
-    flat = volume.reshape(volume.shape[0], -1)
-    return jnp.matmul(rows, flat, precision="highest").reshape(volume.shape)
 
 
 def _add_shifts(volume, kernel, *, axis, half_width):
@@ -138,4 +130,4 @@ def _add_shifts(volume, kernel, *, axis, half_width):
         kernel[j] * (shift(-j) + shift(j))
         for j in range(1, min(half_width + 1, kernel.shape[0]))
     )
-    return sum(pairs, kernel[0] * volume)
+    return functools.reduce(jnp.add, pairs, kernel[0] * volume)

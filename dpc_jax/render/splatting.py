@@ -1,4 +1,4 @@
-"""Trilinear splatting: points to a volume, the fast method's first step."""
+"""Trilinear splatting, the first step of the fast method."""
 
 import functools
 
@@ -10,31 +10,31 @@ from dpc_jax.render import checks
 
 
 def splat(
-    coordinates: chex.Array,
-    values: chex.Array,
+    coordinates: jax.Array,
+    values: jax.Array,
     shape: tuple[int, int, int],
-) -> chex.Array:
+) -> jax.Array:
     """Spread each point's value over its eight neighbouring cells.
 
-    Appendix "Differentiable point cloud projection", the fast implementation.
+    Part of Eq. 3 by the fast method (appendix "Differentiable point cloud projection").
 
     Args:
       coordinates: [N, 3] continuous (row, col, depth) index, cell centres at integers.
-        A point outside the volume, beyond [-1/2, D - 1/2] along an axis, leaves no
-        trace; of a point inside, the share that falls on cells outside is lost.
+        A point outside the volume, beyond [-1/2, D - 1/2] along an axis, contributes
+        nothing; a point inside loses the share that falls on cells outside.
       values: [N], what each point adds in total.
       shape: (rows, cols, depth), static.
 
     Returns:
-      [rows, cols, depth]. Each axis is linear between cell centres, so the derivative
-      jumps at them; there the one towards the higher index is taken.
+      [rows, cols, depth]. The weights are linear between cell centres, so their
+      derivative jumps there; on a cell centre it is that towards the higher index.
 
     Raises:
       ValueError: for another shape or dtype.
     """
     checks.check_sides("shape", shape)
     coordinates = checks.check_array("coordinates", coordinates, (None, 3))
-    values = checks.check_array("values", values, (len(coordinates),))
+    values = checks.check_array("values", values, coordinates.shape[:1])
     return _splat(coordinates, values.astype(coordinates.dtype), tuple(shape))
 
 
@@ -44,8 +44,8 @@ def _splat(coordinates, values, shape):
     row, col, depth = weights
     block = row[:, :, None, None] * col[:, None, :, None] * depth[:, None, None, :]
     updates = jnp.where(is_inside, values, 0)[:, None, None, None] * block
-    # One cell of margin takes what falls outside, so no index is negative (it would
-    # wrap to the far side) and each point is one 2×2×2 window.
+    # A margin of one cell takes what falls outside. So no index is negative, which
+    # would wrap to the far side, and each point is one window of 2×2×2 cells.
     padded = jax.lax.scatter_add(
         jnp.zeros([s + 2 for s in shape], values.dtype),
         base + 1,
@@ -62,7 +62,7 @@ def _splat(coordinates, values, shape):
 
 def _find_neighbours(coordinates, shape):
     """Lower corner [N, 3] of each point's cell, its two weights along each axis."""
-    sizes = jnp.array(shape, coordinates.dtype)
+    sizes = jnp.array(shape, coordinates.dtype)[None]
     is_inside = jnp.all((coordinates >= -0.5) & (coordinates <= sizes - 0.5), axis=-1)
     safe = jnp.where(is_inside[:, None], coordinates, 0)
     base = jnp.floor(safe)
@@ -78,8 +78,8 @@ def _splat_forward(coordinates, values, shape):
 def _splat_backward(shape, residuals, cotangent):
     """Read the cotangent at the eight corners, as four pairs along the rays.
 
-    The transpose of the windowed scatter, a windowed gather, is several times slower
-    on a CPU; eight single reads take half as long again as four pairs.
+    On a CPU the plain transpose, a gather of 2×2×2 windows, is several times slower,
+    and eight single reads take half as long again as four pairs.
     """
     coordinates, values = residuals
     base, weights, is_inside = _find_neighbours(coordinates, shape)
@@ -98,7 +98,7 @@ def _splat_backward(shape, residuals, cotangent):
             mode="promise_in_bounds",
         )
 
-    # [row, col] of pairs; of the weights (1 - f, f) the derivatives are (-1, 1).
+    # pairs[row][col]; the weights (1 - f, f) have the derivatives (-1, 1).
     pairs = [[read(row, col) for col in (0, 1)] for row in (0, 1)]
     row, col, depth = weights
     along = [[jnp.sum(pair * depth, axis=-1) for pair in line] for line in pairs]
@@ -123,15 +123,15 @@ def _splat_backward(shape, residuals, cotangent):
 _splat.defvjp(_splat_forward, _splat_backward)
 
 
-def compensate_widening(sigma: chex.Numeric) -> chex.Array:
-    """The sigma that the fast method needs to draw points as wide as asked.
+def compensate_widening(sigma: chex.Numeric) -> jax.Array:
+    """The sigma with which the fast method draws points as wide as the basic one.
 
-    Trilinear weights are a density themselves: with the fractional offset r along an
-    axis their variance is r(1 - r), 1/6 voxel² in the mean, to which smoothing adds
-    σ². So √(σ² - 1/6) draws what the basic method draws with σ: at two voxels the
-    image is 16 times nearer to it, its gradient as near as before
-    (docs/projection.md). Below one voxel a point is no longer smooth on the grid, and
-    less is taken off, down to nothing at half a voxel. A heuristic there.
+    Trilinear weights have a width of their own: along an axis, with the fractional
+    offset r, their variance is r(1 - r), on average 1/6 voxel². Smoothing adds σ². So
+    √(σ² - 1/6) draws what the basic method draws with σ: at two voxels the difference
+    between the images is 16 times smaller, that between the gradients as before
+    (docs/projection.md). Below one voxel a point is not smooth on the grid, and less is
+    subtracted (a heuristic), down to nothing at half a voxel.
 
     Args:
       sigma: any shape, in voxels, >= 0.
@@ -141,7 +141,7 @@ def compensate_widening(sigma: chex.Numeric) -> chex.Array:
     """
     sigma = jnp.asarray(sigma)
     share = jnp.clip(2 * sigma - 1, 0, 1)
-    # From half a voxel on the difference is at least 1/4: no slope is infinite.
+    # From half a voxel on the root is taken of at least 1/4: no slope is infinite.
     is_wide = sigma > 0.5
     safe = jnp.where(is_wide, sigma, 1)
     return jnp.where(is_wide, safe * jnp.sqrt(1 - share / 6 / safe / safe), sigma)

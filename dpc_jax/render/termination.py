@@ -1,51 +1,35 @@
-"""Occlusion along a ray: where each ray ends (section "Differentiable Point Clouds").
+"""Occlusion along a ray: where each ray ends (Eq. 4).
 
-Products are taken as products: no logarithm, so a full cell is exactly full, an empty
-ray is exactly empty, and both have the right gradient.
+Products are computed as products, not as sums of logarithms. So a full cell is exactly
+full and an empty ray exactly empty, and both have the right gradient.
 """
 
-import chex
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 
 from dpc_jax.render import checks
 
 
-@jax.custom_jvp
-def clip_unit(density: chex.Array) -> chex.Array:
-    """Clip to [0, 1]: the occupancy o of the summed densities.
-
-    The derivative at the two kinks is one, that of the inner side: most cells are
-    exactly 0 and must be able to fill.
-    """
-    return jnp.clip(density, 0, 1)
-
-
-@clip_unit.defjvp
-def _clip_unit_jvp(primals, tangents):
-    (density,), (tangent,) = primals, tangents
-    passes = (density >= 0) & (density <= 1)
-    return clip_unit(density), jnp.where(passes, tangent, 0)
-
-
-def _union(first: chex.Array, second: chex.Array) -> chex.Array:
-    """1 - (1 - a)(1 - b) as a sum of non-negative terms: no cancellation near 0."""
+def _union(first: jax.Array, second: jax.Array) -> jax.Array:
+    """1 - (1 - a)(1 - b) as a sum of terms >= 0: no cancellation near 0."""
     return first + second * (1 - first)
 
 
-def opacity(occupancy: chex.Array) -> chex.Array:
-    """Probability that a ray ends in some cell, 1 - Π(1 - o_u): the silhouette.
+def opacity(occupancy: jax.Array) -> jax.Array:
+    """Probability that a ray ends in some cell, 1 - Π(1 - o_u).
 
-    Built as a tree of unions a + b(1 - a), so a ray of occupancies 1e-9 keeps its
-    digits in float32. Needs no termination probabilities.
+    This is the silhouette, the sum of Eq. 5 over all cells but the background, without
+    its terms. Built as a tree of unions a + b(1 - a), so that a ray of occupancies 1e-9
+    keeps its digits in float32.
 
     Args:
       occupancy: [..., D] in [0, 1], nearest cell first.
 
     Returns:
-      [...] in [0, 1]. The gradient with respect to o_k is Π_{u≠k}(1 - o_u), right also
-      where cells are exactly 0 or 1. Differentiated once more it is right where no cell
-      is exactly 1.
+      [...] in [0, 1]. The gradient with respect to o_k is Π_{u≠k}(1 - o_u), also where
+      cells are exactly 0 or 1. Second derivatives are right where no cell is exactly 1.
 
     Raises:
       ValueError: for rays without cells, or another dtype.
@@ -73,8 +57,8 @@ def _opacity_backward(occupancy, cotangent):
     num_full = jnp.sum(is_full, -1, keepdims=True)
     safe = jnp.where(is_full, 1, transparency)
     product = jnp.prod(safe, -1, keepdims=True)
-    # Π of the others: all others are open (divide), or this is the only full cell, or
-    # another cell is full.
+    # Π over the other cells: divide where no cell is full; where this is the only full
+    # cell, the product over the rest is already there; otherwise it is zero.
     others = jnp.where(num_full == 0, product / safe, 0)
     others = jnp.where(is_full & (num_full == 1), product, others)
     return (others * cotangent[..., None],)
@@ -93,37 +77,47 @@ def _check_rays(occupancy):
     return occupancy
 
 
-def transmittance(occupancy: chex.Array) -> tuple[chex.Array, chex.Array]:
-    """Probability that a ray reaches each cell, Π_{u<k}(1 - o_u).
+class Rays(NamedTuple):
+    """Where rays end.
+
+    Attributes:
+      ends: [..., D], r_k, the probability that a ray ends in cell k.
+      background: [...], r_{D+1}, that it passes all cells.
+      reached: [..., D], Π_{u<k}(1 - o_u), that it reaches cell k.
+    """
+
+    ends: jax.Array
+    background: jax.Array
+    reached: jax.Array
+
+
+def end_rays(occupancy: jax.Array) -> Rays:
+    """Eq. 4 of the paper: ray termination, r_k = o_k·Π_{u<k}(1 - o_u).
 
     Args:
       occupancy: [..., D] in [0, 1], nearest cell first.
-
-    Returns:
-      ([..., D], and [...] the probability that it passes them all, the background's).
 
     Raises:
       ValueError: as `opacity`.
     """
     occupancy = _check_rays(occupancy)
     passed = jnp.cumprod(1 - occupancy, axis=-1)
-    before = jnp.concatenate([jnp.ones_like(passed[..., :1]), passed[..., :-1]], -1)
-    return before, passed[..., -1]
+    reached = jnp.concatenate([jnp.ones_like(passed[..., :1]), passed[..., :-1]], -1)
+    return Rays(occupancy * reached, passed[..., -1], reached)
 
 
-def termination_probabilities(occupancy: chex.Array) -> tuple[chex.Array, chex.Array]:
-    """Probability that a ray ends in each cell, r_k = o_k·Π_{u<k}(1 - o_u).
+def termination_probabilities(occupancy: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Ray termination probabilities (Eq. 4, `end_rays`) as a pair.
 
     Args:
       occupancy: [..., D] in [0, 1], nearest cell first.
 
     Returns:
-      ([..., D] probabilities, [...] background Π(1 - o_u)); they are non-negative and
-      sum to one.
+      ([..., D] probabilities r_k, [...] background r_{D+1} = Π(1 - o_u)); they are
+      non-negative and sum to one.
 
     Raises:
       ValueError: as `opacity`.
     """
-    occupancy = _check_rays(occupancy)
-    before, background = transmittance(occupancy)
-    return occupancy * before, background
+    rays = end_rays(occupancy)
+    return rays.ends, rays.background

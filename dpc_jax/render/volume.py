@@ -1,46 +1,77 @@
-"""From points to the volume of their densities, by each method of the paper."""
+"""From points to the volume that rays go through: the transform T_c and Eq. 3."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
-import chex
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
-from dpc_jax.render import quaternion, smoothing, splatting
+from dpc_jax.render import arguments, quaternion, smoothing, splatting
 from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
 from dpc_jax.render.exact import covariances, gaussians
 
 
 class Scene(NamedTuple):
-    """Points in the grid, with what their densities depend on.
+    """Points in the grid, with everything that their densities depend on.
 
     Attributes:
       coordinates: [N, 3] continuous (row, col, depth) index.
       mass: [N] in voxels, zero for a point outside.
-      is_inside: [N] bool, which points are in the volume and before the camera.
+      is_inside: [N] bool, which points are in the volume and in front of the camera.
       sigma: () or [N] in voxels, or None with a covariance.
       covariance: [N, 3, 3] in the grid's axes, voxels², or None.
+      method: "trilinear" or "gaussian".
     """
 
-    coordinates: chex.Array
-    mass: chex.Array
-    is_inside: chex.Array
-    sigma: chex.Array | None
-    covariance: chex.Array | None
+    coordinates: jax.Array
+    mass: jax.Array
+    is_inside: jax.Array
+    sigma: jax.Array | None
+    covariance: jax.Array | None
+    method: str
+
+
+class Volume(NamedTuple):
+    """What the rays of one view go through.
+
+    Attributes:
+      occupancy: [rows, cols, depth] in [0, 1], the o of Eq. 3, nearest cell first.
+      sum_colors: None without colours. Otherwise a function that takes the probability
+        t_k of reaching each cell, [rows, cols, depth], and returns Σ_k t_k·o_k·y_k of
+        each ray, [rows, cols, C]. Being a function, it can fill one channel of the
+        colours y at a time instead of keeping a volume for each.
+    """
+
+    occupancy: jax.Array
+    sum_colors: Callable[[jax.Array], jax.Array] | None = None
 
 
 def place_points(
-    points: chex.Array,
-    rotation: chex.Array,
+    points: jax.Array,
+    rotation: ArrayLike,
     *,
-    sigma: chex.Array | None,
-    scale: chex.Array,
-    covariance: chex.Array | None,
-    translation: chex.Array | None,
+    sigma: ArrayLike | None,
+    scale: ArrayLike,
+    covariance: ArrayLike | None,
+    translation: ArrayLike | None,
     camera: Camera,
     grid: VoxelGrid,
+    method: str,
 ) -> Scene:
-    """Move points, and their covariances, into the grid; arguments as of `project`."""
+    """Apply the paper's transform T_c to points and to their covariances.
+
+    Arguments as of `project`. The result has the dtype of the points.
+
+    Raises:
+      ValueError: for arguments of a wrong type or shape, and for a method that is
+        unknown or cannot draw these sizes.
+    """
+    arguments.check_view(camera, grid)
+    rotation, sigma, scale, covariance, translation = arguments.convert_scene(
+        points, rotation, sigma, scale, covariance, translation
+    )
+    method = arguments.choose_method(method, sigma, covariance)
     moved = to_camera_frame(points, rotation, translation=translation, camera=camera)
     coordinates, is_inside = to_grid(moved, camera=camera, grid=grid)
     if covariance is not None:
@@ -53,51 +84,81 @@ def place_points(
             covariance, safe, matrix, camera=camera, grid=grid
         )
     mass = jnp.where(is_inside, scale, 0)
-    return Scene(coordinates, mass, is_inside, sigma, covariance)
+    return Scene(coordinates, mass, is_inside, sigma, covariance, method)
 
 
-def fill_volume(scene: Scene, colors: chex.Array | None, *, shape, method):
-    """Density Σ f_i, and colour densities Σ y_i f_i where colours are given.
+def fill_volume(
+    scene: Scene, colors: jax.Array | None, shape: tuple[int, int, int]
+) -> Volume:
+    """Eq. 3 of the paper: the occupancy o(x) = clip(Σ_i f_i(x), [0, 1]) on the grid.
+
+    With colours, also the signal y(x) = Σ_i y_i·f_i(x) / Σ_i f_i(x) that the paper
+    gives after Eq. 5.
 
     Args:
+      scene: the points in the grid.
       colors: [N, C] or None.
       shape: (rows, cols, depth), static.
-      method: "trilinear" or "gaussian", static.
+    """
+    colors = None if colors is None else colors.astype(scene.coordinates.dtype)
+    sum_densities = _sum_trilinear if scene.method == "trilinear" else _sum_exact
+    density, map_colors = sum_densities(scene, colors, shape)
+
+    def sum_colors(reached):
+        # o·y without a division by a density that may be as small as floats go: below
+        # the clip it is Σ y_i·f_i, above it Σ y_i·f_i / Σ f_i.
+        weight = reached / jnp.where(density > 1, density, 1)
+        channels = map_colors(lambda channel: jnp.sum(weight * channel, axis=-1))
+        return jnp.moveaxis(channels, 0, -1)
+
+    return Volume(clip_unit(density), None if colors is None else sum_colors)
+
+
+@jax.custom_jvp
+def clip_unit(density: jax.Array) -> jax.Array:
+    """Clip the summed densities to [0, 1] (part of Eq. 3).
+
+    The derivative at both kinks is one, that of the inner side: most cells are exactly
+    0 and must be able to fill.
+    """
+    return jnp.clip(density, 0, 1)
+
+
+@clip_unit.defjvp
+def _clip_unit_jvp(primals, tangents):
+    (density,), (tangent,) = primals, tangents
+    passes = (density >= 0) & (density <= 1)
+    return clip_unit(density), jnp.where(passes, tangent, 0)
+
+
+def _sum_trilinear(scene, colors, shape):
+    """Σ f_i by the fast method (part of Eq. 3), and its sums over colours.
 
     Returns:
       (density [rows, cols, depth], map_colors), where map_colors(function) gives
-      [C, ...] of function(Σ y_i f_i [rows, cols, depth]) for each channel. The fast
-      method fills one channel at a time and keeps none.
+      [C, ...], function(Σ y_i·f_i) of each channel. No channel's volume is kept.
     """
-    if method == "trilinear":
 
-        def fill(mass):
-            volume = splatting.splat(scene.coordinates, mass, shape)
-            return smoothing.smooth(volume, scene.sigma)
+    def fill(mass):
+        volume = splatting.splat(scene.coordinates, mass, shape)
+        return smoothing.smooth(volume, scene.sigma)
 
-        def map_colors(function):
-            call = jax.checkpoint(lambda c: function(fill(scene.mass * c)))
-            return jax.lax.map(call, colors.T)
+    def map_colors(function):
+        call = jax.checkpoint(lambda c: function(fill(scene.mass * c)))
+        return jax.lax.map(call, colors.T)
 
-        return fill(scene.mass), map_colors
+    return fill(scene.mass), map_colors
 
+
+def _sum_exact(scene, colors, shape):
+    """Σ f_i by the basic method (part of Eq. 3); returns as `_sum_trilinear`."""
     values = scene.mass[:, None]
     if colors is not None:
         values = jnp.concatenate([values, values * colors], axis=1)
-    if scene.covariance is not None:
-        volumes = covariances.sum_covariances(
-            scene.coordinates,
-            values,
-            scene.covariance,
-            shape=shape,
-            is_inside=scene.is_inside,
-        )
-    else:
-        volumes = gaussians.sum_gaussians(
-            scene.coordinates,
-            values,
-            scene.sigma,
-            shape=shape,
-            is_inside=scene.is_inside,
-        )
+    is_full = scene.covariance is not None
+    sum_points = covariances.sum_covariances if is_full else gaussians.sum_gaussians
+    size = scene.covariance if is_full else scene.sigma
+    volumes = sum_points(
+        scene.coordinates, values, size, shape=shape, is_inside=scene.is_inside
+    )
     return volumes[0], lambda function: jax.vmap(function)(volumes[1:])

@@ -10,7 +10,7 @@ def make_network(config: Config) -> ShapePoseNetwork:
     """The network; what is not learned has no parameters."""
     return ShapePoseNetwork(
         num_points=config.render.num_points,
-        num_candidates=config.pose.heads,
+        candidates=config.pose.heads,
         channels=config.network.channels,
         hidden=config.network.hidden,
         shape_hidden=config.network.shape_hidden,
@@ -18,7 +18,7 @@ def make_network(config: Config) -> ShapePoseNetwork:
         num_classes=config.pose.choices,
         student_width=config.network.student_width,
         has_color=config.train.color_weight > 0,
-        spread_poses=config.pose.spread,
+        spread=config.pose.spread,
     )
 
 

@@ -8,7 +8,6 @@ from the engine.
 
 import itertools
 
-import chex
 import jax
 import jax.numpy as jnp
 
@@ -17,11 +16,11 @@ from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
 _CORNERS = tuple(itertools.product((0, 1), repeat=3))
 
 
-Sample = tuple[chex.Array, chex.Array, chex.Array]
+Sample = tuple[jax.Array, jax.Array, jax.Array]
 """Points [N, 3], rotation [4] and mass () in voxels of one cloud."""
 
 
-def render_plain(sample: Sample, sigma: chex.Array, *, side: int) -> chex.Array:
+def render_plain(sample: Sample, sigma: jax.Array, *, side: int) -> jax.Array:
     """Silhouette [side, side] of one cloud.
 
     Args:

@@ -5,7 +5,6 @@ import importlib.util
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -49,8 +48,8 @@ def draw_candidates(case: Case, num_candidates: int, *, seed: int) -> Work:
 
 
 def render_ours(
-    sample: Sample, sigma: chex.Array, *, side: int, method: str = "auto"
-) -> chex.Array:
+    sample: Sample, sigma: jax.Array, *, side: int, method: str = "auto"
+) -> jax.Array:
     """Silhouette [side, side] of one cloud by `project`.
 
     Args:
@@ -67,7 +66,7 @@ def render_ours(
 
 
 def make_jax_call(
-    render: Callable[..., chex.Array], work: Work, sigma: ArrayLike, **static: Any
+    render: Callable[..., jax.Array], work: Work, sigma: ArrayLike, **static: Any
 ) -> Callable[[], Any]:
     """A call that gives the gradients of points, quaternions and masses.
 

@@ -1,16 +1,16 @@
-"""Sums over points in tiles of pixels: the exact methods' loop, in bounded memory.
+"""Sums over points in tiles of pixels: the loop of the basic method.
 
-A volume is the sum of the points' densities. It is built tile by tile (a square of
-pixels, all cells along the rays), each from the points that reach the tile, a chunk at
-a time. So the cost follows what the points cover, not N·D³, and memory holds one chunk.
-The derivative is taken the same way: nothing is kept from the forward pass.
+A volume is built tile by tile (a square of pixels with all cells along their rays),
+each from the points that reach the tile, a chunk at a time. So the cost grows with the
+cells that the points cover instead of N·D³, and memory holds one chunk. The derivative
+runs the same loop and keeps nothing from the forward pass.
 """
 
 import functools
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
-import chex
 import jax
 import jax.numpy as jnp
 
@@ -19,7 +19,7 @@ _BLOCK = 64  # points whose running count is one row of a matrix product
 
 
 class Points(NamedTuple):
-    """What the densities of N points depend on; any tree of floats in each field.
+    """Parameters of the densities of N points; each field is a tree of floats.
 
     Attributes:
       whole: leaves [N, ...], the same in every tile.
@@ -27,38 +27,50 @@ class Points(NamedTuple):
       by_col: leaves [N, cols, ...], likewise.
     """
 
-    whole: chex.ArrayTree
-    by_row: chex.ArrayTree
-    by_col: chex.ArrayTree
+    whole: Any
+    by_row: Any
+    by_col: Any
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(0, 1, 2, 3))
-def sum_in_tiles(density, is_reached, shape, chunk, points, places):
+def sum_in_tiles(
+    density: Callable,
+    is_reached: Callable,
+    shape: tuple[int, int, int],
+    chunk: int,
+    points: Points,
+    places: Any,
+) -> jax.Array:
     """Sum points' densities over a volume.
 
     Args:
       density: function (`Points` of one chunk and tile, first row and column [2]) ->
-        [V, SIDE, SIDE, depth], their summed density there; static. It must be zero for
-        a point of which all parameters are zero.
+        [V, SIDE, SIDE, depth], their summed density in the tile; static. A point whose
+        parameters are all zero must add nothing.
       is_reached: function (`places`, first row and column [2]) -> [N] bool, the points
-        whose density a tile needs; static.
+        that add to a tile; static.
       shape: (rows, cols, depth), static.
-      chunk: points at once, static.
-      points: the densities' parameters.
-      places: what `is_reached` looks at, a tree of floats; without gradient.
+      chunk: how many points are added at once, static.
+      points: parameters for `density`.
+      places: argument of `is_reached`, a tree of floats; without gradient.
 
     Returns:
       [V, rows, cols, depth].
     """
     points = _block(points, shape)
-    start = _find_density_shape(density, points, chunk)
+
+    def sum_chunk(index, corner):
+        return density(_take_points(points, index, corner), corner)
+
+    start = jax.eval_shape(
+        sum_chunk, jnp.zeros(chunk, jnp.int32), jnp.zeros(2, jnp.int32)
+    )
 
     def sum_tile(corner):
         order, count = find_points(is_reached(places, corner))
 
         def add_chunk(i, total):
-            index = _take_index(order, count, i, chunk)
-            return total + density(_take_points(points, index, corner), corner)
+            return total + sum_chunk(_take_index(order, count, i, chunk), corner)
 
         total = jnp.zeros(start.shape, start.dtype)
         return jax.lax.fori_loop(0, _count_chunks(count, chunk), add_chunk, total)
@@ -100,7 +112,7 @@ sum_in_tiles.defvjp(_sum_forward, _sum_backward)
 def _block(points, shape):
     """Split the axes of rows and columns into tiles: [N + 1, tiles, SIDE, ...].
 
-    The last point is all zeros, for the free places of a chunk.
+    The last point, all zeros, fills up chunks that are not full.
     """
 
     def split(leaf, count):
@@ -120,7 +132,7 @@ def _block(points, shape):
 
 
 def _take_points(points, index, corner):
-    """A chunk of points as a tile needs them."""
+    """A chunk of points, with the rows and columns of one tile."""
     row, col = corner[0] // SIDE, corner[1] // SIDE
     known = {"mode": "promise_in_bounds"}
     return Points(
@@ -131,7 +143,7 @@ def _take_points(points, index, corner):
 
 
 def _add_points(grads, part, index, corner):
-    """The transpose of `_take_points`, added to what is there."""
+    """Add the transpose of `_take_points` to the gradients."""
     row, col = corner[0] // SIDE, corner[1] // SIDE
     known = {"mode": "promise_in_bounds"}
 
@@ -145,15 +157,6 @@ def _add_points(grads, part, index, corner):
         add(grads.by_row, part.by_row, row),
         add(grads.by_col, part.by_col, col),
     )
-
-
-def _find_density_shape(density, points, chunk):
-    def call(points):
-        index = jnp.zeros(chunk, jnp.int32)
-        corner = jnp.zeros(2, jnp.int32)
-        return density(_take_points(points, index, corner), corner)
-
-    return jax.eval_shape(call, points)
 
 
 def _count_tiles(shape):
@@ -190,17 +193,25 @@ def _split_tiles(volume, shape):
     )
 
 
-def find_gap(centers, first):
-    """Distance of points [N] from a tile's cells along an axis, 0 between them."""
+def find_gap(centers: jax.Array, first: jax.Array) -> jax.Array:
+    """Distance along an axis of points [N] from a tile's cells; 0 for those inside."""
     last = first + SIDE - 1
     return jnp.maximum(jnp.maximum(first - centers, centers - last), 0)
 
 
-def find_points(reaches):
-    """Indices [N] of the points that reach a tile, first, and how many they are.
+def find_points(reaches: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """List the points that reach a tile.
 
-    As `jnp.nonzero`, at a quarter of its time on a CPU: the running count is summed in
-    blocks, by a product with a triangle of ones. It is exact in every precision.
+    As `jnp.nonzero` with a fixed size, in a quarter of its time on a CPU: the running
+    count is taken block by block, as a product with a triangle of ones. Counts that
+    small are exact in every precision.
+
+    Args:
+      reaches: [N] bool.
+
+    Returns:
+      ([N] int32, the indices of those points and then N in the free places; how many
+      they are).
     """
     count = len(reaches)
     blocks = jnp.pad(reaches, (0, -count % _BLOCK)).reshape(-1, _BLOCK)
@@ -219,7 +230,7 @@ def _count_chunks(count, chunk):
 
 
 def _take_index(order, count, i, chunk):
-    """Indices of the i-th chunk of a tile's points, N where it is not full."""
+    """Indices of the i-th chunk of a tile's points; N in its free places."""
     place = i * chunk + jnp.arange(chunk)
     total = order.shape[0]
     return jnp.where(place < count, order[jnp.minimum(place, total - 1)], total)

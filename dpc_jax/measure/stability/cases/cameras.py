@@ -2,7 +2,7 @@
 
 import functools
 
-import chex
+import jax
 import numpy as np
 
 from dpc_jax.measure.stability.cases import oracles
@@ -19,13 +19,13 @@ OUTSIDE = "a point outside the volume leaves no trace, and has zero gradient"
 
 
 def find_coordinates(
-    points: chex.Array,
-    rotation: chex.Array,
-    focal: chex.Array,
-    distance: chex.Array,
+    points: jax.Array,
+    rotation: jax.Array,
+    focal: jax.Array,
+    distance: jax.Array,
     *,
     projection: str,
-) -> chex.Array:
+) -> jax.Array:
     """Continuous indices of the points in the grid; zeros for points outside it."""
     camera = cameras.Camera(focal, distance, projection)
     moved = cameras.to_camera_frame(points, rotation, translation=None, camera=camera)

@@ -3,7 +3,6 @@
 import functools
 from collections.abc import Sequence
 
-import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -63,16 +62,16 @@ COVARIANCES = (
 
 
 def sum_isotropic(
-    coordinates: chex.Array, masses: jax.Array, sigma: chex.Array
-) -> chex.Array:
+    coordinates: jax.Array, masses: jax.Array, sigma: jax.Array
+) -> jax.Array:
     """The density of one Gaussian per point."""
     density = gaussians.sum_gaussians(coordinates, masses[:, None], sigma, shape=SHAPE)
     return jnp.squeeze(density, 0)
 
 
 def sum_anisotropic(
-    coordinates: chex.Array, masses: jax.Array, covariance: chex.Array
-) -> chex.Array:
+    coordinates: jax.Array, masses: jax.Array, covariance: jax.Array
+) -> jax.Array:
     """The same with covariances, of which `project` reads the symmetric part."""
     covariance = (covariance + jnp.swapaxes(covariance, 1, 2)) / 2
     density = covariances.sum_covariances(

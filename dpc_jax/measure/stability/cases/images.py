@@ -2,7 +2,6 @@
 
 import functools
 
-import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -79,14 +78,14 @@ TO_PLACES = {"gradient_floor": (3e-8, 3e-8, 1e-30, 1e-30, 1e-30)}
 
 
 def render(
-    points: chex.Array,
-    rotation: chex.Array,
+    points: jax.Array,
+    rotation: jax.Array,
     sizes: jax.Array,
-    scale: chex.Array,
-    colors: chex.Array,
+    scale: jax.Array,
+    colors: jax.Array,
     *,
     method: str,
-) -> tuple[chex.Array | None, chex.Array | None, chex.Array | None]:
+) -> tuple[jax.Array | None, jax.Array | None, jax.Array | None]:
     """The three images of a cloud.
 
     Args:

@@ -3,7 +3,7 @@
 import functools
 from typing import NamedTuple
 
-import chex
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -22,9 +22,7 @@ def list_cases() -> list[Case]:
     return [*_list_choices(), *_list_fits(), *_list_schedules()]
 
 
-def choose(
-    points: chex.Array, candidates: chex.Array, target: chex.Array
-) -> chex.Array:
+def choose(points: jax.Array, candidates: jax.Array, target: jax.Array) -> jax.Array:
     """The winner's index, as a float so that it is compared like other outputs."""
     index = hindsight.choose_candidate(
         points,
@@ -37,7 +35,7 @@ def choose(
     return index.astype(points.dtype)
 
 
-def sum_half_turns(covariance: chex.Array) -> chex.Array:
+def sum_half_turns(covariance: jax.Array) -> jax.Array:
     """Σ q·qᵀ of the half turns about the principal axes.
 
     The sum is the same for every choice of the axes, which are arbitrary in a tie.
@@ -91,11 +89,12 @@ def _list_choices():
     ]
 
 
-def fit(points: chex.Array, rotation: chex.Array, target: chex.Array) -> chex.Array:
+def fit(points: jax.Array, rotation: jax.Array, target: jax.Array) -> jax.Array:
     """Loss of one view of a cloud, whose gradient training takes."""
     image = project(
         points, rotation, sigma=0.7, scale=2.0, grid=VoxelGrid(FIT_SHAPE)
     ).silhouette
+    assert image is not None
     return losses.reprojection_loss(image, target)
 
 

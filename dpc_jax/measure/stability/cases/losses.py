@@ -3,7 +3,7 @@
 import functools
 import itertools
 
-import chex
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -64,7 +64,7 @@ CLOUDS = (
 )
 
 
-def select(logits: chex.Array) -> chex.Array:
+def select(logits: jax.Array) -> jax.Array:
     """The selection loss with fixed winners."""
     return losses.selection_loss(logits, jnp.asarray(WINNERS))
 

@@ -1,6 +1,5 @@
 """Rays: empty, full, nearly either, and long ones."""
 
-import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -92,7 +91,7 @@ def _make_cases(title, function, oracle, names=tuple(RAYS), changes=None, **shar
     return cases
 
 
-def add_probabilities(ray: chex.Array) -> tuple[chex.Array, chex.Array]:
+def add_probabilities(ray: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The sum, which must be one, and the least probability if it is negative, or 0."""
     cells, background = termination.termination_probabilities(ray)
     below = jnp.minimum(jnp.min(cells), 0)

@@ -2,7 +2,6 @@
 
 import functools
 
-import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -45,13 +44,13 @@ BRANCHES = (
 )
 
 
-def pass_through_matrix(q: chex.Array) -> chex.Array:
+def pass_through_matrix(q: jax.Array) -> jax.Array:
     """To a matrix and back, as q·qᵀ, which is the same for q and -q."""
     back = jnp.asarray(quaternion.from_matrix(quaternion.to_matrix(q)))
     return jnp.outer(back, back)
 
 
-def compose_many(step: chex.Array) -> chex.Array:
+def compose_many(step: jax.Array) -> jax.Array:
     """Product of 10⁵ equal rotations, normalised each time as training does."""
 
     def turn(_, q):

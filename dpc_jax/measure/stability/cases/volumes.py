@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Callable
 
-import chex
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -124,13 +124,13 @@ def make_splat(shape: tuple[int, int, int]) -> Callable:
     return lambda coordinates, values: splat(coordinates, values, shape)
 
 
-def crowd_mass(coordinate: chex.Array, value: chex.Array) -> chex.Array:
+def crowd_mass(coordinate: jax.Array, value: jax.Array) -> jax.Array:
     """Mass of a crowd of coincident points, all in the volume."""
     coordinates = jnp.broadcast_to(coordinate, (CROWD, 3))
     return jnp.sum(splat(coordinates, jnp.broadcast_to(value, (CROWD,)), SHAPE))
 
 
-def smoothed_mass(volume: chex.Array, sigma: chex.Array) -> chex.Array:
+def smoothed_mass(volume: jax.Array, sigma: jax.Array) -> jax.Array:
     """Mass of a smoothed volume."""
     return jnp.sum(smooth(volume, sigma))
 

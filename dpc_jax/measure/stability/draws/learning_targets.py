@@ -90,7 +90,7 @@ def _list_choices():
 def _make_network():
     """A small network with its parameters at the start of training."""
     network = ShapePoseNetwork(
-        num_points=6, num_candidates=2, channels=2, hidden=8, shape_hidden=8
+        num_points=6, candidates=2, channels=2, hidden=8, shape_hidden=8
     )
     images = jnp.zeros((1, 16, 16, 3))
     return network, jax.jit(network.init)(jax.random.key(0), images)
