@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+import chex
 import jax
 
 from dpc_jax.learning.losses import reprojection_loss
@@ -23,11 +24,11 @@ def map_renders(function: Callable, inputs: Any, *, at_once: int) -> Any:
 
 def compute_candidate_losses(
     points: jax.Array,
-    mass: jax.Array,
+    mass: chex.Numeric,
     candidates: jax.Array,
     target: jax.Array,
     *,
-    sigma: jax.Array,
+    sigma: chex.Numeric,
     camera: Camera,
     at_once: int = 1,
 ) -> jax.Array:

@@ -124,8 +124,8 @@ def _read_images(paths: list[Path], config, *, crop: str) -> DataSet:
         try:
             if not path.is_file():
                 raise ValueError(
-                    f"expected an image file, but there is no file {path}; check the "
-                    "path"
+                    f"Expected an image file, but there is no file {path}; check the "
+                    "path."
                 )
             arrays, _ = read_object(
                 path,
@@ -143,8 +143,8 @@ def _read_images(paths: list[Path], config, *, crop: str) -> DataSet:
         names.append(path.stem)
     if not names:
         raise ValueError(
-            "Expected at least one image that can be used, but there is none; the "
-            f"first is left out because {skipped[0][1]}."
+            f"Expected at least one image that can be used, but there is none; the "
+            f"fault of the first: {skipped[0][1]}."
         )
     return DataSet(
         images=np.stack(images),

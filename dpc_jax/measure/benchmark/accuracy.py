@@ -20,6 +20,7 @@ from dpc_jax.measure.benchmark.speed import measure_distance
 from dpc_jax.measure.scenes import Scene
 from dpc_jax.measure.timing import time_interleaved
 from dpc_jax.render import VoxelGrid, compensate_widening, project
+from dpc_jax.render.resolution import scale_sizes
 
 MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
 SOON = 0.01  # the report names the fastest settings with at most this error
@@ -143,10 +144,13 @@ def _compute_outcome(call_image, call_gradient, num_points) -> Outcome:
 def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
     """Calls that give the image, and the gradient with the image, of a setting."""
     image, gradient = _make_programs(setting.method, setting.shape, min(plan.sides))
-    rows, cols, _ = setting.shape
+    rows = setting.shape[0]
     count = len(scene.points) // setting.share
-    mass = scene.mass * rows * cols / MASS_SIDE**2 * len(scene.points) / count
-    sigma = sigma * rows / plan.base_side
+    # Exponent 2: grids are compared by how near they come to the same image, so the
+    # optical depth along a ray has to stay. Learning keeps the density instead.
+    _, mass = scale_sizes(sigma, scene.mass, rows / MASS_SIDE, exponent=2)
+    sigma, _ = scale_sizes(sigma, mass, rows / plan.base_side, exponent=2)
+    mass = mass * len(scene.points) / count
     if setting.is_compensated:
         sigma = float(compensate_widening(sigma))
     values = (scene.points[:count], scene.pose, mass, sigma, target)
