@@ -42,6 +42,10 @@ def list_messages(tree):
                 yield node.lineno, text
 
 
+def bases_of(node):
+    return node.bases if isinstance(node, ast.ClassDef) else []
+
+
 def list_public(tree):
     """Public functions and methods, and classes, of a module."""
     for node in tree.body:
@@ -49,7 +53,9 @@ def list_public(tree):
             continue
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             yield node
-        if isinstance(node, ast.ClassDef):
+        # The protocol of data sources says once what each of them answers.
+        is_source = any(ast.unparse(b).endswith("Source") for b in bases_of(node))
+        if isinstance(node, ast.ClassDef) and not is_source:
             for inner in node.body:
                 if isinstance(inner, ast.FunctionDef) and inner.name[0] != "_":
                     yield inner
