@@ -49,7 +49,7 @@ def render_losses(points, mass, candidates, target, *, sigma=SIGMA):
             ).silhouette
         )
     )(candidates)
-    return jnp.sum((images - target) ** 2, axis=(1, 2))
+    return jnp.sum((images - target[None]) ** 2, axis=(1, 2))
 
 
 @jax.jit

@@ -165,7 +165,7 @@ def count_splats(lowered):
 def test_candidates_of_a_known_pose_are_not_rendered():
     views = 4
     assert count_splats(lower_step(known=True)) == views
-    assert count_splats(lower_step(num_candidates=1)) == views
+    assert count_splats(lower_step(candidates=1)) == views
     assert count_splats(lower_step(candidates=3)) == (3 + 1) * views
 
 

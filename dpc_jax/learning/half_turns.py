@@ -25,7 +25,7 @@ def average_covariance(
 
 def compute_covariance(points: jax.Array) -> jax.Array:
     """Covariance [3, 3] of points [N, 3], without gradient."""
-    centred = jax.lax.stop_gradient(points - jnp.mean(points, axis=0))
+    centred = jax.lax.stop_gradient(points - jnp.mean(points, axis=0, keepdims=True))
     return jnp.matmul(centred.T, centred, precision="highest") / points.shape[0]
 
 
