@@ -77,6 +77,8 @@ class Checkpoints:
 
         A run that went on from an earlier one can then save at those steps again.
         """
+        if not (steps := tuple(steps)):
+            return
         self.close()
         for step in steps:
             target = self._folder.with_name(f"damaged-checkpoint-{step}")

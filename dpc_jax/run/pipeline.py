@@ -1,18 +1,20 @@
 """One run from config to report: data, training, evaluation, report."""
 
+import contextlib
 import os
 import signal
 import sys
+import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple, Self
 
 from dpc_jax import config as configs
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet, load_or_render
 from dpc_jax.evaluation.alignment import Alignment, identity_alignment
 from dpc_jax.learning import evaluator, loop
-from dpc_jax.learning.checkpoints import Checkpoints
+from dpc_jax.learning.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.log import MetricLog
 from dpc_jax.learning.predictor import Predictions, make_predictor, predict_all
 from dpc_jax.learning.records import NonFiniteError
@@ -155,30 +157,23 @@ class Model:
         return result.metrics
 
 
-class Start(NamedTuple):
-    """Where training begins: the state, and the seconds of training behind it."""
-
-    state: TrainState
-    seconds: float
-
-
-def restore_start(model: Model, checkpoints: Checkpoints, log: MetricLog) -> Start:
+def restore_run(model: Model, checkpoints: Checkpoints, log: MetricLog) -> Restored:
     """The newest checkpoint that can be read, or step 0; the log is cut to fit.
 
     Raises:
       ValueError: if there are checkpoints, yet none can be read.
     """
-    state, seconds = init_state(model.network, model.config), 0.0
-    restored = checkpoints.restore(state)
-    if restored is not None:
-        state, seconds = restored.state, restored.seconds
-        for step in restored.damaged:
-            print(f"The checkpoint of step {step} is damaged; the one before is used.")
-        if restored.damaged:
-            checkpoints.set_aside(restored.damaged)
-        print(f"Going on from the checkpoint of step {int(state.step)}.", flush=True)
-    log.cut_after(int(state.step))
-    return Start(state, seconds)
+    fresh = Restored(init_state(model.network, model.config), 0.0, ())
+    restored = checkpoints.restore(fresh.state)
+    for step in restored.damaged if restored else ():
+        print(f"The checkpoint of step {step} is damaged; the one before is used.")
+    if restored:
+        checkpoints.set_aside(restored.damaged)
+        step = int(restored.state.step)
+        print(f"Going on from the checkpoint of step {step}.", flush=True)
+    restored = restored or fresh
+    log.cut_after(int(restored.state.step))
+    return restored
 
 
 def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
@@ -189,12 +184,12 @@ def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
       NonFiniteError: where training breaks.
     """
     checkpoints = Checkpoints(workdir / "checkpoints")
-    state, seconds = restore_start(model, checkpoints, log)
-    outcome = loop.Outcome(state, seconds, True)
-    if int(state.step) < model.config.train.steps:
-        with _StopSignal() as stop:
+    start = restore_run(model, checkpoints, log)
+    outcome = loop.Outcome(start.state, start.seconds, True)
+    if int(start.state.step) < model.config.train.steps:
+        with _catch_sigterm() as stop:
             outcome = loop.train(
-                state,
+                start.state,
                 model.sets["train"],
                 network=model.network,
                 config=model.config,
@@ -202,28 +197,19 @@ def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
                 log=log,
                 evaluate=model.validate,
                 should_stop=stop.is_set,
-                seconds=seconds,
+                seconds=start.seconds,
                 title=f"Training {workdir.name}",
             )
     checkpoints.close()
     return outcome
 
 
-class _StopSignal:
-    """Turns SIGTERM into a flag, so that a run saves before it ends."""
-
-    def __init__(self):
-        self._is_set = False
-
-    def is_set(self) -> bool:
-        return self._is_set
-
-    def __enter__(self) -> Self:
-        def handle(*_):
-            self._is_set = True
-
-        self._before = signal.signal(signal.SIGTERM, handle)
-        return self
-
-    def __exit__(self, *_: object):
-        signal.signal(signal.SIGTERM, self._before)
+@contextlib.contextmanager
+def _catch_sigterm() -> Iterator[threading.Event]:
+    """An event that SIGTERM sets, so that a run saves before it ends."""
+    asked = threading.Event()
+    before = signal.signal(signal.SIGTERM, lambda *_: asked.set())
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGTERM, before)
