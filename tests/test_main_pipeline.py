@@ -354,4 +354,4 @@ def test_naive_and_known_poses_and_another_source_run_too(command):
             assert metrics["own_chamfer"] != metrics["chamfer"]
             assert "Objects of the training source: pose accuracy" in out
             page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
-            assert "Chamfer distance (×100), training source" in page
+            assert "Chamfer distance, training source (×100)" in page
