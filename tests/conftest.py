@@ -1,12 +1,18 @@
 """Settings shared by all tests."""
 
 import os
+import tempfile
 
 import hypothesis
 
 # Broadcasting over a missing axis is a mistake waiting to happen: say the axis. In the
 # environment, so that the processes which tests start have it too.
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
+
+# Commands keep compiled programs in the user's cache folder, but not those of tests.
+if "XDG_CACHE_HOME" not in os.environ:
+    _CACHE = tempfile.TemporaryDirectory(prefix="dpc_jax-tests-")
+    os.environ["XDG_CACHE_HOME"] = _CACHE.name
 
 # A first example compiles, so a deadline would measure the compiler.
 hypothesis.settings.register_profile("local", deadline=None)

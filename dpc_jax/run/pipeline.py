@@ -20,7 +20,7 @@ from dpc_jax.learning.predictor import Predictions, make_predictor, predict_all
 from dpc_jax.learning.records import NonFiniteError
 from dpc_jax.learning.step import TrainState, init_state
 from dpc_jax.networks import ShapePoseNetwork
-from dpc_jax.run.process import keep_freed_memory
+from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory
 from dpc_jax.run.report import report_run
 from dpc_jax.run.setup import make_data_specs, make_network
 from dpc_jax.run.workdir import claim_workdir
@@ -56,6 +56,7 @@ def run(config: Config, *, config_path: str, workdir: str | None):
     """
     configs.check(config)
     keep_freed_memory()
+    keep_compiled_programs()
     folder = claim_workdir(Path(workdir or _name_workdir(config, config_path)), config)
     print(f"Workdir: {folder}", flush=True)
 

@@ -1,0 +1,66 @@
+"""Compiled programs are kept between starts, where the user and the disk allow it."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+COMPILE = """
+import jax, jax.numpy as jnp, sys, warnings
+warnings.simplefilter("error")
+from dpc_jax.run.process import keep_compiled_programs
+print(keep_compiled_programs())
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+hits = []
+jax.monitoring.register_event_listener(lambda name, **_: hits.append(name))
+jax.jit(lambda x: jnp.sin(x) @ x.T)(jnp.ones((4, 3))).block_until_ready()
+print("hit" if "/jax/compilation_cache/cache_hits" in hits else "compiled")
+"""
+
+
+def start(home, **environment):
+    """(folder, what happened) of a process that compiles one program."""
+    cleared = {n: v for n, v in os.environ.items() if "COMPILATION_CACHE" not in n}
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILE],
+        capture_output=True,
+        text=True,
+        env=cleared | {"XDG_CACHE_HOME": str(home)} | environment,
+    )
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    return done.stdout.split()
+
+
+def test_a_second_start_compiles_nothing_again(tmp_path):
+    folder = str(tmp_path / "dpc_jax" / "programs")
+    assert start(tmp_path) == [folder, "compiled"]
+    assert start(tmp_path) == [folder, "hit"]
+
+
+def test_the_user_s_own_settings_come_first(tmp_path):
+    other = str(tmp_path / "mine")
+    assert start(tmp_path, JAX_COMPILATION_CACHE_DIR=other)[0] == other
+    off = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
+    assert start(tmp_path, **off) == ["None", "compiled"]
+    assert not (tmp_path / "dpc_jax").exists()
+
+
+def test_where_nothing_can_be_kept_everything_is_compiled(tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    assert start(tmp_path / "file") == ["None", "compiled"]
+
+
+@pytest.mark.parametrize("damage", [b"", b"not a program"])
+def test_a_damaged_program_is_compiled_again(tmp_path, damage):
+    start(tmp_path)
+    for path in (tmp_path / "dpc_jax" / "programs").glob("*-cache"):
+        path.write_bytes(damage)
+    cleared = {n: v for n, v in os.environ.items() if "COMPILATION_CACHE" not in n}
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILE.replace("error", "ignore")],
+        capture_output=True,
+        text=True,
+        env=cleared | {"XDG_CACHE_HOME": str(tmp_path)},
+    )
+    assert done.returncode == 0, done.stderr
