@@ -14,8 +14,10 @@ def check(config: Config):
       ValueError: for a value that cannot work, naming its field.
     """
     _check_alone(config, "config")
-    _check_sources(config)
-    _check_sizes(config)
+    for name, holds, expected in _list_rules(config):
+        section, field = name.split(".")
+        value = getattr(getattr(config, section), field)
+        _expect(holds, f"config.{name}", value, expected)
 
 
 def _check_alone(section, path):
@@ -28,7 +30,7 @@ def _check_alone(section, path):
             _expect(allowed.holds(value), name, value, allowed.text)
 
 
-def _expect(holds: bool, name: str, value, expected: str):
+def _expect(holds, name, value, expected):
     if not holds:
         raise ValueError(
             f"{name} must be {expected}, but it is {value!r}; set another with "
@@ -36,56 +38,39 @@ def _expect(holds: bool, name: str, value, expected: str):
         )
 
 
-def _check_sources(config):
-    data, train = config.data, config.train
+def _list_rules(config):
+    """(field, whether it fits the others, what is expected) of each rule."""
+    data, render, train = config.data, config.render, config.train
     given = [name for name in SOURCES if getattr(data, name)]
     if len(given) > 1:
-        _expect(
-            False,
-            f"config.data.{given[-1]}",
-            getattr(data, given[-1]),
-            f"'' where data.{given[0]} is given: one source at a time",
-        )
-    _expect(
+        expected = f"'' where data.{given[0]} is given: one source at a time"
+        yield f"data.{given[-1]}", False, expected
+    yield (
+        "train.views_per_batch",
         bool(data.images) or train.views_per_batch <= data.views,
-        "config.train.views_per_batch",
-        train.views_per_batch,
         f"at most data.views = {data.views}, the views of a model",
     )
-    _expect(
+    yield (
+        "train.models_per_batch",
         bool(given) or train.models_per_batch <= data.models,
-        "config.train.models_per_batch",
-        train.models_per_batch,
         f"at most data.models = {data.models}, the models to train on",
     )
-    _expect(
+    yield (
+        "train.warmup_steps",
         train.warmup_steps <= train.steps,
-        "config.train.warmup_steps",
-        train.warmup_steps,
         f"between 0 and train.steps = {train.steps}",
     )
-
-
-def _check_sizes(config):
-    render, size = config.render, config.data.image_size
-    _expect(
-        size % render.grid == 0,
-        "config.render.grid",
-        render.grid,
-        f"a divisor of data.image_size = {size}, so that masks can be averaged down "
-        "to it",
+    size, grid, fine = data.image_size, render.grid, render.fine_grid
+    whole = f"data.image_size = {size}, so that masks can be averaged down to it"
+    yield "render.grid", size % grid == 0, f"a divisor of {whole}"
+    yield (
+        "render.fine_grid",
+        not fine or size % fine == 0 and fine % grid == 0,
+        f"0, or a multiple of render.grid = {grid} that divides data.image_size = "
+        f"{size}",
     )
-    fine, choice = render.fine_grid, config.pose.choice_grid
-    _expect(
-        not fine or size % fine == 0 and fine % render.grid == 0,
-        "config.render.fine_grid",
-        fine,
-        f"0, or a multiple of render.grid = {render.grid} that divides "
-        f"data.image_size = {size}",
-    )
-    _expect(
-        not choice or render.grid % choice == 0,
-        "config.pose.choice_grid",
-        choice,
-        f"0 or a divisor of render.grid = {render.grid}",
+    yield (
+        "pose.choice_grid",
+        not config.pose.choice_grid or grid % config.pose.choice_grid == 0,
+        f"0 or a divisor of render.grid = {grid}",
     )
