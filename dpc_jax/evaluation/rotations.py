@@ -52,8 +52,7 @@ def to_quaternion(rotation: Rotation) -> np.ndarray:
 
 
 def canonical_sign(quaternion: ArrayLike) -> np.ndarray:
-    """Quaternions [..., 4], normalised, of which the first non-zero component is
-    positive."""
+    """Unit quaternions [..., 4], of which the first non-zero component is positive."""
     return to_quaternion(to_rotation(quaternion))
 
 

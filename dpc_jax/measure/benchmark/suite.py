@@ -12,19 +12,10 @@ from dpc_jax.measure.benchmark.plan import PARTS, Case, Plan
 from dpc_jax.measure.timing import describe_machine
 
 
-def run_benchmark(
-    out: Path, *, plan: Plan, parts: Sequence[str] = PARTS, command: str = ""
-) -> Path:
+def run_benchmark(out: Path, *, plan: Plan, parts: Sequence[str], command: str) -> Path:
     """Measure the parts asked for and write OUT/benchmark.md, .json and figures.
 
-    Args:
-      out: folder, made if it is missing.
-      plan: sizes.
-      parts: some of `PARTS`.
-      command: that repeats the run, for the report.
-
-    Returns:
-      The path of benchmark.md.
+    Returns the path of benchmark.md, which names the command that repeats the run.
 
     Raises:
       ValueError: there is an unknown part, or no part.
@@ -112,11 +103,11 @@ def _list_scaling(plan) -> list[Task]:
 
 
 def _list_memory(plan) -> list[Task]:
+    def measure(case):
+        return [peak.measure_case(case, seed=plan.seed)]
+
     return [
-        (
-            f"{case.method}, {case.case}",
-            lambda case=case: [peak.measure_case(case, seed=plan.seed)],
-        )
+        (f"{case.method}, {case.case}", functools.partial(measure, case))
         for case in plan.memory
     ]
 

@@ -17,15 +17,7 @@ _CORNERS = tuple(itertools.product((0, 1), repeat=3))
 
 
 def make_call(work: Work, *, sigma: float) -> Callable[[], list[np.ndarray]]:
-    """A call that gives the loss's gradient in PyTorch.
-
-    Args:
-      work: the arrays.
-      sigma: voxels.
-
-    Returns:
-      A function without arguments; gradients of points, quaternions and masses.
-    """
+    """A call that gives the gradients of points, quaternions and masses in PyTorch."""
     side = work.targets.shape[-1]
     target = torch.tensor(work.targets)
 
