@@ -44,9 +44,6 @@ def find_modes(votes: ArrayLike, *, max_modes: int = 6) -> list[Mode]:
     The vote with the most neighbours starts a robust mean; its neighbourhood is taken
     away and the rest searched again. Networks without pose labels typically have two
     modes, half a turn apart.
-
-    Raises:
-      ValueError: there are no votes, or one is zero or not finite.
     """
     q = rotations.normalize(votes).reshape(-1, 4)
     if len(q) == 0:

@@ -38,11 +38,7 @@ def normalize(quaternion: ArrayLike) -> np.ndarray:
 
 
 def to_rotation(quaternion: ArrayLike) -> Rotation:
-    """scipy's rotations of quaternions [..., 4] of any length but zero.
-
-    Raises:
-      ValueError: as for `normalize`.
-    """
+    """scipy's rotations of quaternions [..., 4], refused as by `normalize`."""
     return Rotation.from_quat(normalize(quaternion), scalar_first=True)
 
 

@@ -42,12 +42,11 @@ def score(
     Args:
       predicted_poses: [n, V, 4] the student's (or the only) pose of each view,
         network's frame to camera.
-      true_poses: [n, V, 4] object frame to camera. None where they are unknown:
-        nothing can be scored then, because the alignment needs them.
+      true_poses: [n, V, 4] object frame to camera. None: nothing is scored, because
+        the alignment needs them.
       points: [n, V, N, 3] shape predicted from each view, in the network's frame.
       surfaces: [n, P, 3] points of the true surfaces, object frame, or a list of
-        [P_i, 3]. Few points far apart would raise precision. None without ground truth:
-        only poses are scored.
+        [P_i, 3]. Few points far apart would raise precision. None: no shape is scored.
       alignment: from `align` on validation models.
       best_candidate_poses: [n, V, 4] the ensemble's winner for each view, or None where
         there is no ensemble.

@@ -47,9 +47,8 @@ def take_medians(seconds: Mapping[str, list[float]]) -> dict[str, float]:
 def describe_machine() -> dict[str, Any]:
     """What a reader must know to compare times with those of another machine."""
     info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.is_file() else []
     fields = {}
-    for line in lines:
+    for line in info.read_text().splitlines() if info.is_file() else []:
         name, _, value = line.partition(":")
         fields.setdefault(name.strip(), value.strip())
     flags = fields.get("flags", fields.get("Features", "")).split()

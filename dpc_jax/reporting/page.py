@@ -81,12 +81,9 @@ def write_report(
     replaced one by one, each whole; files of other names are left alone.
 
     Args:
-      folder: made where it does not exist.
-      title: of the page.
       metrics: numbers, words or None by name, at least those of `REQUIRED_METRICS`
         (None where one does not apply). Distances times 100. NaN becomes null.
       records: lines of `metrics.jsonl`, or such lists by run name.
-      examples: predictions to show.
       pose_errors: errors of the test views in degrees, any shape.
       shares: [K] share of views that each candidate wins.
       warnings: sentences for the top of the page.

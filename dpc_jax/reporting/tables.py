@@ -1,4 +1,4 @@
-"""Markdown: tables of any rows, the metrics of runs side by side, whole pages."""
+"""Markdown tables: of any rows, and of the metrics of runs side by side."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -58,11 +58,6 @@ def tabulate_runs(
             for run, metrics in runs.items()
         ],
     )
-
-
-def join_blocks(blocks: Iterable[str]) -> str:
-    """A page of paragraphs, tables and headings, with a blank line between them."""
-    return "\n\n".join(block.strip("\n") for block in blocks) + "\n"
 
 
 def _escape(cell: object) -> str:

@@ -16,13 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.measure.benchmark.plan import Plan
-from dpc_jax.measure.benchmark.speed import measure_distance
+from dpc_jax.measure.benchmark.speed import measure_distance, render_ours
 from dpc_jax.measure.scenes import Scene
 from dpc_jax.measure.timing import time_interleaved
-from dpc_jax.render import VoxelGrid, compensate_widening, project
+from dpc_jax.render import compensate_widening
 from dpc_jax.render.resolution import scale_sizes
 
-MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
+_MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
 SOON = 0.01  # the report names the fastest settings with at most this error
 
 
@@ -98,7 +98,12 @@ def measure_scene(
     }
     records = []
     for setting in settings:
-        outcome = _compute_outcome(*calls[setting.label], len(scene.points))
+        image, (gradient, _) = (call() for call in calls[setting.label])
+        # A point that stands for several has the gradient of them all.
+        share = len(gradient) / len(scene.points)
+        outcome = _Outcome(
+            np.asarray(image, np.float64), np.asarray(gradient, np.float64) * share
+        )
         record: dict[str, Any] = {"scene": scene.name, "sigma": sigma}
         record |= {"family": setting.family, "setting": setting.label}
         references = {"": exact[side, side, side], "_same_grid": exact[setting.shape]}
@@ -114,13 +119,6 @@ def measure_scene(
     return records
 
 
-def _compute_outcome(call_image, call_gradient, num_points) -> _Outcome:
-    gradient = np.asarray(call_gradient()[0], np.float64)
-    # A point that stands for several has the gradient of them all.
-    share = len(gradient) / num_points
-    return _Outcome(np.asarray(call_image(), np.float64), gradient * share)
-
-
 def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
     """Calls that give the image, and the gradient with the image, of a setting."""
     image, gradient = _make_programs(setting.method, setting.shape, min(plan.sides))
@@ -128,7 +126,7 @@ def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
     count = len(scene.points) // setting.share
     # Exponent 2: grids are compared by how near they come to the same image, so the
     # optical depth along a ray has to stay. Learning keeps the density instead.
-    _, mass = scale_sizes(sigma, scene.mass, rows / MASS_SIDE, exponent=2)
+    _, mass = scale_sizes(sigma, scene.mass, rows / _MASS_SIDE, exponent=2)
     sigma, _ = scale_sizes(sigma, mass, rows / plan.base_side, exponent=2)
     mass = mass * len(scene.points) / count
     if setting.is_compensated:
@@ -150,10 +148,7 @@ def _make_programs(method, shape, blocks):
     """Compiled once for all scenes: sigma, mass and target are inputs."""
 
     def render(points, pose, mass, sigma):
-        sizes = {"sigma": sigma, "scale": mass}
-        grid = VoxelGrid(shape)
-        image = project(points, pose, **sizes, grid=grid, method=method).silhouette
-        assert image is not None  # it is the default signal
+        image = render_ours((points, pose, mass), sigma, side=shape, method=method)
         tiles = image.reshape(blocks, shape[0] // blocks, blocks, shape[1] // blocks)
         return jnp.mean(tiles, axis=(1, 3))
 

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
@@ -40,7 +39,10 @@ def draw_errors(
                 look = {"color": color, "marker": marker, "lw": 0.6, "ms": 5}
                 # Settings that differ in one number, the cheapest first.
                 axes.plot(*zip(*sorted(chosen), strict=True), alpha=0.8, **look)
-        _style_errors(axes, scene)
+        axes.axhline(SOON, color=style.INK, linestyle="--", linewidth=0.8)
+        axes.set(xscale="log", yscale="log")
+        axes.xaxis.set_minor_formatter(NullFormatter())  # they would overlap
+        style.label_axes(axes, title=scene, grid="both")
     passes = "forward" if kind == "image" else "forward and backward"
     truth = "exact, same grid" if suffix else "float64 on a finer grid"
     figure.supxlabel(f"run time of {passes} (ms)", fontsize=10)
@@ -54,15 +56,6 @@ def draw_errors(
     keys.append(Line2D([], [], color=style.INK, ls="--", label=f"{SOON:.0%}"))
     figure.legend(handles=keys, loc="outside right center", fontsize=8, frameon=False)
     return style.save_figure(figure, path)
-
-
-def _style_errors(axes: Axes, scene: str) -> None:
-    """Logarithmic scales, and a dashed line at the error that is asked for."""
-    axes.axhline(SOON, color=style.INK, linestyle="--", linewidth=0.8)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.xaxis.set_minor_formatter(NullFormatter())  # they would overlap
-    style.label_axes(axes, title=scene, grid="both")
 
 
 def draw_scaling(results: list[dict[str, Any]], path: Path) -> Path:

@@ -15,11 +15,6 @@ from typing import Any
 from dpc_jax.measure.benchmark.plan import Case, MemoryCase
 
 
-def measure_baseline() -> int:
-    """Peak in bytes of a process that imports JAX and computes nothing."""
-    return _run_child(None)
-
-
 def measure_case(memory_case: MemoryCase, *, seed: int) -> dict[str, Any]:
     """Peak of one workload in bytes, beside the estimate of `estimate_memory`.
 
@@ -32,7 +27,7 @@ def measure_case(memory_case: MemoryCase, *, seed: int) -> dict[str, Any]:
 
     case = memory_case.case
     request = dataclasses.asdict(case) | {"method": memory_case.method, "seed": seed}
-    baseline, peak = measure_baseline(), _run_child(request)
+    baseline, peak = _run_child(None), _run_child(request)
     number = jax.ShapeDtypeStruct((), "float32")
     estimate = estimate_memory(
         jax.ShapeDtypeStruct((case.points, 3), "float32"),

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
 
-_CORNERS = tuple(itertools.product((0, 1), repeat=3))
+CORNERS = tuple(itertools.product((0, 1), repeat=3))
 
 Sample = tuple[jax.Array, jax.Array, jax.Array]
 """Points [N, 3], rotation [4] and mass () in voxels of one cloud."""
@@ -30,7 +30,7 @@ def render_plain(sample: Sample, sigma: jax.Array, *, side: int) -> jax.Array:
     first = first.astype(jnp.int32) + 1  # a border of one cell catches the outside
     padded = side + 2
     volume = jnp.zeros(padded**3)
-    for corner in _CORNERS:
+    for corner in CORNERS:
         weight = jnp.where(is_inside, mass, 0)
         for axis, is_upper in enumerate(corner):
             part = fraction[:, axis]

@@ -33,8 +33,7 @@ class Plan:
 
     rounds: int  # of each measurement; medians are reported
     seed: int
-    cases: tuple[Case, ...]  # of the speed table
-    per_point: Case  # gaussian against trilinear
+    cases: tuple[Case, ...]  # of the speed table; the first, gaussian and trilinear
     candidates: Case  # workload of the choice among `num_candidates`
     num_candidates: int
     scene_points: int  # of the dense scenes
@@ -63,7 +62,6 @@ FULL = Plan(
         Case(16, 2000, 32, 1.6),
         Case(4, 16000, 128, 3.0),
     ),
-    per_point=Case(16, 8000, 64, 3.0),
     candidates=Case(4, 8000, 64, 3.0),
     num_candidates=8,
     scene_points=8000,
@@ -97,7 +95,6 @@ QUICK = Plan(
     rounds=5,
     seed=0,
     cases=(Case(2, 500, 16, 1.5),),
-    per_point=Case(2, 500, 16, 1.5),
     candidates=Case(2, 500, 16, 1.5),
     num_candidates=4,
     scene_points=500,

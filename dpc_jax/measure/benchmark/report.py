@@ -10,7 +10,7 @@ from dpc_jax.evaluation.metrics import MISSING
 from dpc_jax.files import write_json, write_text
 from dpc_jax.measure.benchmark import accuracy, figures
 from dpc_jax.measure.timing import phrase_machine
-from dpc_jax.reporting.tables import format_table, join_blocks
+from dpc_jax.reporting.tables import format_table
 
 _KINDS = ("image", "gradient")
 # What errors are measured against, by the suffix of their names in the records.
@@ -28,19 +28,10 @@ _RELEASED = {
 
 
 def write_report(out: Path, results: dict[str, Any]) -> Path:
-    """Write the figures, benchmark.json and benchmark.md; returns the path of this."""
-    blocks = _describe_run(results)
-    for part, write in _SECTIONS.items():
-        if results.get(part):
-            blocks += write(out, results)
-    write_json(out / "benchmark.json", results)
-    return write_text(out / "benchmark.md", join_blocks(blocks))
-
-
-def _describe_run(results) -> list[str]:
+    """Write the figures, benchmark.json and benchmark.md; returns the last."""
     load = results["machine"]["load_at_start"]
     load = "" if load is None else f"; load {load:.1f} at the start"
-    return [
+    blocks = [
         "# Error against run time",
         f"{phrase_machine(results['machine'])}; seed {results['seed']}{load}.",
         "All times are medians of rounds in which the compared calls take turns. With "
@@ -49,6 +40,12 @@ def _describe_run(results) -> list[str]:
         "measured.",
         f"To repeat: `{results['command']}`",
     ]
+    for part, write in _SECTIONS.items():
+        if results.get(part):
+            blocks += write(out, results)
+    write_json(out / "benchmark.json", results)
+    page = "\n\n".join(block.strip("\n") for block in blocks) + "\n"
+    return write_text(out / "benchmark.md", page)
 
 
 def _write_speed(out, results) -> list[str]:

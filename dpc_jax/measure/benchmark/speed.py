@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dpc_jax.learning.hindsight import choose_candidate
 from dpc_jax.learning.losses import reprojection_loss
@@ -46,8 +47,10 @@ def draw_candidates(case: Case, num_candidates: int, *, seed: int) -> Work:
     return _draw_work(case, seed=seed)._replace(quaternions=candidates)
 
 
-def _render_ours(sample: Sample, sigma, *, side: int, method: str = "auto"):
-    """Silhouette [side, side] of one cloud by `project`; sigma () or [N], voxels."""
+def render_ours(
+    sample: Sample, sigma: ArrayLike, *, side: int | tuple, method: str = "auto"
+) -> jax.Array:
+    """Silhouette by `project`; sigma () or [N], voxels; side or (rows, cols, depth)."""
     points, rotation, mass = sample
     grid = VoxelGrid(side)
     image = project(points, rotation, sigma=sigma, scale=mass, grid=grid, method=method)
@@ -70,7 +73,7 @@ def _make_jax_call(render, work: Work, sigma, **static) -> Callable[[], Any]:
 def prepare_render(case: Case, *, seed: int, method: str = "auto") -> Callable[[], Any]:
     """A call that gives the gradients of our own render on the arrays of a case."""
     work = _draw_work(case, seed=seed)
-    return _make_jax_call(_render_ours, work, case.sigma, side=case.side, method=method)
+    return _make_jax_call(render_ours, work, case.sigma, side=case.side, method=method)
 
 
 @functools.lru_cache
@@ -92,7 +95,7 @@ def compare_with_peers(case: Case, *, rounds: int, seed: int) -> dict[str, Any]:
     work = _draw_work(case, seed=seed)
     calls = {
         name: _make_jax_call(render, work, case.sigma, side=case.side)
-        for name, render in (("ours", _render_ours), ("plain JAX", render_plain))
+        for name, render in (("ours", render_ours), ("plain JAX", render_plain))
     }
     if has_torch():
         from dpc_jax.measure.benchmark import torch_peer
@@ -112,7 +115,7 @@ def compare_sizes(case: Case, *, rounds: int, seed: int) -> dict[str, Any]:
     spread = np.random.default_rng([seed, 1]).uniform(0.5, 1.5, case.points)
     sigmas = {"trilinear": case.sigma, "gaussian": case.sigma * spread}
     calls = {
-        method: _make_jax_call(_render_ours, work, sigma, side=case.side, method=method)
+        method: _make_jax_call(render_ours, work, sigma, side=case.side, method=method)
         for method, sigma in sigmas.items()
     }
     # With other sizes the gradients differ: there is nothing to compare.
@@ -147,7 +150,7 @@ def _compile_choice(how):
 
         def compute_one(candidate):
             sample = points, candidate, mass
-            image = _render_ours(sample, sigma, side=target.shape[0])
+            image = render_ours(sample, sigma, side=target.shape[0])
             return reprojection_loss(image, target)
 
         if how == "min, one by one":

@@ -8,7 +8,7 @@ from typing import Any
 from dpc_jax.learning.progress import ProgressReport
 from dpc_jax.measure import scenes
 from dpc_jax.measure.benchmark import accuracy, peak, report, scaling, speed
-from dpc_jax.measure.benchmark.plan import PARTS, Case, Plan
+from dpc_jax.measure.benchmark.plan import PARTS, Plan
 from dpc_jax.measure.timing import describe_machine
 
 
@@ -67,11 +67,12 @@ Task = tuple[str, Callable[[], list[dict]]]
 
 def _list_speed(plan) -> list[Task]:
     """Each kind of comparison with its function, case and further arguments."""
-    wanted: list[tuple[str, Callable[..., dict], Case, dict[str, int]]]
-    wanted = [("peers", speed.compare_with_peers, case, {}) for case in plan.cases]
-    wanted.append(("sizes", speed.compare_sizes, plan.per_point, {}))
     count = {"num_candidates": plan.num_candidates}
-    wanted.append(("choices", speed.compare_choices, plan.candidates, count))
+    wanted = [
+        *(("peers", speed.compare_with_peers, case, {}) for case in plan.cases),
+        ("sizes", speed.compare_sizes, plan.cases[0], {}),
+        ("choices", speed.compare_choices, plan.candidates, count),
+    ]
 
     def compare(kind, function, case, options):
         record = function(case, rounds=plan.rounds, seed=plan.seed, **options)
