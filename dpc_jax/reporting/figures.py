@@ -37,14 +37,13 @@ def draw_curves(
     figure = style.make_figure(9.0, 6.0)
     panels = style.make_panels(figure, len(_CURVES))
     for axes, (metric, y_label) in zip(panels, _CURVES.items(), strict=True):
-        labels = {"title": get_metric(metric).label, "y_label": y_label}
-        style.label_axes(axes, x_label="run time (s)", **labels)
+        title = get_metric(metric).label
+        style.label_axes(axes, title=title, x_label="run time (s)", y_label=y_label)
         _draw_runs(axes, runs, metric)
     return style.save_figure(figure, path)
 
 
 def _draw_runs(axes: Axes, runs: Mapping[str, Records], metric: str) -> None:
-    """One metric of all runs over their run time."""
     factor = get_metric(metric).factor
     for index, (name, lines) in enumerate(runs.items()):
         seconds, values = _series(lines, metric)

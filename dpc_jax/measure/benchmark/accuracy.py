@@ -101,9 +101,8 @@ def measure_scene(
         image, (gradient, _) = (call() for call in calls[setting.label])
         # A point that stands for several has the gradient of them all.
         share = len(gradient) / len(scene.points)
-        outcome = _Outcome(
-            np.asarray(image, np.float64), np.asarray(gradient, np.float64) * share
-        )
+        gradient = np.asarray(gradient, np.float64) * share
+        outcome = _Outcome(np.asarray(image, np.float64), gradient)
         record: dict[str, Any] = {"scene": scene.name, "sigma": sigma}
         record |= {"family": setting.family, "setting": setting.label}
         references = {"": exact[side, side, side], "_same_grid": exact[setting.shape]}

@@ -48,10 +48,9 @@ def draw_errors(
     figure.supxlabel(f"run time of {passes} (ms)", fontsize=10)
     figure.supylabel(f"relative error of the {kind} ({truth})", fontsize=10)
     keys = [Line2D([], [], color=c, lw=2, label=family) for family, c in colors.items()]
-    gray = {"color": style.MUTED, "ls": ""}
     keys += [
-        Line2D([], [], **gray, marker=marker, label=f"σ = {sigma:g} voxels")
-        for sigma, marker in markers.items()
+        Line2D([], [], color=style.MUTED, marker=m, ls="", label=f"σ = {s:g} voxels")
+        for s, m in markers.items()
     ]
     keys.append(Line2D([], [], color=style.INK, ls="--", label=f"{SOON:.0%}"))
     figure.legend(handles=keys, loc="outside right center", fontsize=8, frameon=False)

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dpc_jax.learning.hindsight import choose_candidate
 from dpc_jax.learning.losses import reprojection_loss
@@ -48,7 +47,7 @@ def draw_candidates(case: Case, num_candidates: int, *, seed: int) -> Work:
 
 
 def render_ours(
-    sample: Sample, sigma: ArrayLike, *, side: int | tuple, method: str = "auto"
+    sample: Sample, sigma: jax.Array | float, *, side: int | tuple, method: str = "auto"
 ) -> jax.Array:
     """Silhouette by `project`; sigma () or [N], voxels; side or (rows, cols, depth)."""
     points, rotation, mass = sample

@@ -82,7 +82,6 @@ def _list_speed(plan) -> list[Task]:
 
 
 def _list_error(plan) -> list[Task]:
-    """Every scene at every sigma."""
     measure = functools.partial(
         accuracy.measure_scene, plan=plan, settings=accuracy.list_settings(plan)
     )
