@@ -21,9 +21,6 @@ from dpc_jax.reporting.tables import tabulate_runs
 def read_metrics(workdir: Path) -> dict[str, float]:
     """Test metrics of a finished run.
 
-    Args:
-      workdir: of the run.
-
     Raises:
       ValueError: there is no report in the folder.
     """

@@ -5,8 +5,13 @@ import pytest
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from dpc_jax.evaluation import align, align_points, align_poses, icp, modes
-from dpc_jax.evaluation.alignment import identity_alignment
+from dpc_jax.evaluation import icp, modes
+from dpc_jax.evaluation.alignment import (
+    align,
+    align_points,
+    align_poses,
+    identity_alignment,
+)
 
 HALF_TURN_Z = Rotation.from_rotvec([0.0, 0.0, np.pi])
 FRAMES = {

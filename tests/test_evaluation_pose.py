@@ -4,16 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dpc_jax.evaluation import (
+from dpc_jax.evaluation import rotations
+from dpc_jax.evaluation.candidates import (
     collapse_warning,
     count_alive,
-    pose_accuracy,
-    pose_summary,
-    rotation_angle_deg,
-    rotations,
     winner_entropy,
     winner_share,
 )
+from dpc_jax.evaluation.pose import pose_accuracy, pose_summary, rotation_angle_deg
 
 
 def wxyz(rotation):

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from dpc_jax.evaluation import score
 from dpc_jax.evaluation.alignment import identity_alignment
+from dpc_jax.evaluation.scores import score
 
 FRAME = Rotation.random(random_state=4)
 ALIGNMENT = identity_alignment()._replace(rotation=FRAME.as_quat(scalar_first=True))

@@ -271,7 +271,7 @@ def test_a_markdown_table_has_a_line_per_run_and_units_in_its_head():
 
 def test_a_table_escapes_its_cells_and_refuses_a_row_of_another_length():
     assert tables.format_table(["a", "b", "c"], [["x|y", 1, "two\nlines"]]) == (
-        "| a | b | c |\n| --- | ---: | ---: |\n| x\\|y | 1 | two lines |\n"
+        "| a | b | c |\n| --- | ---: | --- |\n| x\\|y | 1 | two lines |\n"
     )
     assert "| ---: | --- |" in tables.format_table(["a", "b"], [], align="rl")
     with pytest.raises(TypeError, match="2 columns"):

@@ -23,32 +23,25 @@ from numpy.typing import ArrayLike
 from dpc_jax.evaluation import icp, modes, rotations
 from dpc_jax.evaluation.chamfer import check_points
 
-ALIGNMENT_MODELS = 20  # paper: the first 20 validation models
-RIVAL_SHARE = 0.5  # modes with half of the best mode's votes are rivals (heuristic)
-RIVAL_GAIN = 0.05  # and win with a Chamfer distance lower by this share (heuristic)
+_MODELS = 20  # paper: the first 20 validation models
+_MAX_VOTES = 1000  # views that vote where there are no shapes
+_RIVAL_SHARE = 0.5  # modes with half of the best mode's votes are rivals (heuristic)
+_RIVAL_GAIN = 0.05  # and win with a Chamfer distance lower by this share (heuristic)
 
 
 class Alignment(NamedTuple):
-    """The rotation from the network's frame to the object frame.
+    """The rotation from the network's frame to the object frame; NaN: not measured."""
 
-    Attributes:
-      rotation: [4] unit quaternion wxyz, w >= 0.
-      inlier_share: share of the validation views within 30 degrees of it, 0 to 1.
-      spread_deg: root mean square angle of those views about it, degrees; infinite if
-        there are none.
-      rms: root mean square distance of matched points under it, object units; infinite
-        if no point is within reach of another.
-      chamfer: Chamfer distance of the validation shapes under it, object units, not
-        times 100; on subsampled points, and therefore too large.
-      icp_turn_deg: how far ICP turned the vote's rotation; 0 where it was not taken.
-    """
-
-    rotation: np.ndarray
-    inlier_share: float
-    spread_deg: float
+    rotation: np.ndarray  # [4] unit quaternion wxyz, w >= 0
+    inlier_share: float  # of the validation views within 30 degrees of it, 0 to 1
+    spread_deg: float  # root mean square angle of those views; infinite without any
+    # Root mean square distance of matched points under it, object units; infinite if no
+    # point is within reach of another.
     rms: float
+    # Of the validation shapes under it, object units, not times 100; on subsampled
+    # points, and therefore too large.
     chamfer: float
-    icp_turn_deg: float
+    icp_turn_deg: float  # how far ICP turned the vote's rotation; 0 where not taken
 
 
 def align(
@@ -57,7 +50,7 @@ def align(
     points: ArrayLike,
     surfaces: Sequence[ArrayLike] | np.ndarray,
     *,
-    max_models: int = ALIGNMENT_MODELS,
+    max_models: int = _MODELS,
     subsample: int = 400,
     surface_subsample: int = 1200,
     seed: int = 0,
@@ -72,8 +65,7 @@ def align(
       surfaces: [n, P, 3] points of the true surfaces, object frame; or a list of
         [P_i, 3].
       max_models: only the first this many models are used.
-      subsample: points drawn from each predicted cloud.
-      surface_subsample: points drawn from each surface.
+      subsample, surface_subsample: points drawn from each cloud and each surface.
       seed: of the draw; the same arguments give the same result.
 
     Raises:
@@ -85,17 +77,16 @@ def align(
     )
     votes = _vote(poses, truth)  # [n, V, 4]
     rng = np.random.default_rng(seed)
+    surfaces = [_draw(surface, surface_subsample, rng) for surface in surfaces]
     pairs = [
         [icp.pair_clouds(_draw(cloud, subsample, rng), surface) for cloud in views]
-        for views, surface in zip(
-            clouds, [_draw(s, surface_subsample, rng) for s in surfaces], strict=True
-        )
+        for views, surface in zip(clouds, surfaces, strict=True)
     ]
 
-    voted = _choose_mode(modes.find_modes(votes), pairs)
+    everyone = [pair for views in pairs for pair in views]
+    voted = _choose_mode(modes.find_modes(votes), everyone)
     # A view far from the vote may have turned its shape with its pose: leave it out.
     agree = rotations.angle_deg(votes, voted) <= modes.INLIER_DEG
-    everyone = [pair for views in pairs for pair in views]
     trusted = [
         pair
         for views, flags in zip(pairs, agree, strict=True)
@@ -112,33 +103,27 @@ def align(
         rotation, chamfer = refined, refined_chamfer
 
     return Alignment(
-        rotation=rotations.canonical_sign(rotation),
-        **_measure_agreement(votes, rotation),
+        rotations.canonical_sign(rotation),
+        *_measure_agreement(votes, rotation),
         rms=icp.match_rms(icp.match(trusted, rotation), rotation),
         chamfer=chamfer,
         icp_turn_deg=float(rotations.angle_deg(rotation, voted)),
     )
 
 
-def align_by_poses(
-    predicted_poses: ArrayLike, true_poses: ArrayLike, *, max_votes: int = 1000
-) -> Alignment:
+def align_by_poses(predicted_poses: ArrayLike, true_poses: ArrayLike) -> Alignment:
     """Canonical alignment where there are poses but no shapes: the mode of the votes.
 
-    `rms` and `chamfer` are NaN.
-
-    Args:
-      predicted_poses, true_poses: [n, V, 4] quaternions, as for `align`.
-      max_votes: only the first this many views vote.
+    The poses are as for `align`; `rms` and `chamfer` are NaN.
 
     Raises:
       ValueError: no view, or quaternions that are zero or not finite.
     """
-    votes = _vote(predicted_poses, true_poses).reshape(-1, 4)[:max_votes]
+    votes = _vote(predicted_poses, true_poses).reshape(-1, 4)[:_MAX_VOTES]
     rotation = modes.find_modes(votes)[0].rotation
     return Alignment(
-        rotation=rotations.canonical_sign(rotation),
-        **_measure_agreement(votes, rotation),
+        rotations.canonical_sign(rotation),
+        *_measure_agreement(votes, rotation),
         rms=np.nan,
         chamfer=np.nan,
         icp_turn_deg=0.0,
@@ -151,13 +136,12 @@ def _vote(predicted_poses: ArrayLike, true_poses: ArrayLike) -> np.ndarray:
     return rotations.to_quaternion(truth.inv() * rotations.to_rotation(predicted_poses))
 
 
-def _measure_agreement(votes, rotation) -> dict[str, float]:
+def _measure_agreement(votes, rotation) -> tuple[float, float]:
+    """Share and spread of the votes near a rotation."""
     angles = rotations.angle_deg(votes, rotation)
     inliers = angles[angles <= modes.INLIER_DEG]
-    return {
-        "inlier_share": float(inliers.size / angles.size),
-        "spread_deg": float(np.sqrt(np.mean(inliers**2))) if inliers.size else np.inf,
-    }
+    spread = float(np.sqrt(np.mean(inliers**2))) if inliers.size else np.inf
+    return inliers.size / angles.size, spread
 
 
 def align_points(alignment: Alignment, points: ArrayLike) -> np.ndarray:
@@ -172,30 +156,24 @@ def align_poses(alignment: Alignment, predicted_poses: ArrayLike) -> np.ndarray:
 
 
 def identity_alignment() -> Alignment:
-    """No turn at all: for a network trained with known poses, in the object frame.
-
-    Nothing was measured, so `rms` and `chamfer` are NaN.
-    """
+    """No turn at all: for a network trained with known poses, in the object frame."""
     return Alignment(np.array([1.0, 0.0, 0.0, 0.0]), 1.0, 0.0, np.nan, np.nan, 0.0)
 
 
-def _choose_mode(
-    found: list[modes.Mode], pairs: list[list[icp.CloudPair]]
-) -> np.ndarray:
+def _choose_mode(found: list[modes.Mode], everyone: list[icp.CloudPair]) -> np.ndarray:
     """The mode with most votes, unless a rival fits the shapes clearly better.
 
     With the votes split nearly evenly between two half turns, chance would decide. A
     rotation without votes is no rival, however well it fits: poses would then be wrong.
     """
-    rivals = [mode for mode in found if mode.share >= RIVAL_SHARE * found[0].share]
+    rivals = [mode for mode in found if mode.share >= _RIVAL_SHARE * found[0].share]
     best = rivals[0].rotation
     if len(rivals) == 1:
         return best
-    everyone = [pair for views in pairs for pair in views]
     lowest = icp.shared_chamfer(everyone, best)
     for rival in rivals[1:]:
         chamfer = icp.shared_chamfer(everyone, rival.rotation)
-        if chamfer < (1.0 - RIVAL_GAIN) * lowest:
+        if chamfer < (1.0 - _RIVAL_GAIN) * lowest:
             best, lowest = rival.rotation, chamfer
     return best
 

@@ -8,14 +8,7 @@ DOMINANT_SHARE = 0.95  # heuristic: beyond it the ensemble works like one regres
 
 
 def winner_share(winners: ArrayLike, *, num_candidates: int) -> np.ndarray:
-    """Share of views that each candidate wins.
-
-    Args:
-      winners: integer indices of the winning candidates, any shape, at least one.
-      num_candidates: K.
-
-    Returns:
-      [K] shares that sum to 1.
+    """Share [K] of views that each candidate wins, from the winners' indices.
 
     Raises:
       ValueError: there are no winners, they are not integers, or one is outside 0..K-1.
@@ -50,9 +43,7 @@ def winner_entropy(shares: ArrayLike) -> float:
     return float(max(0.0, -np.sum(p * np.log2(p))))
 
 
-def collapse_warning(
-    shares: ArrayLike, *, threshold: float = ALIVE_THRESHOLD
-) -> str | None:
+def collapse_warning(shares: ArrayLike) -> str | None:
     """A sentence if the ensemble has collapsed onto one candidate, else None.
 
     An ensemble of one (K = 1) has nothing to collapse.
@@ -60,13 +51,13 @@ def collapse_warning(
     p = np.asarray(shares, np.float64)
     if p.size <= 1:
         return None
-    alive, leader = count_alive(p, threshold=threshold), int(np.argmax(p))
+    alive, leader = count_alive(p), int(np.argmax(p))
     if alive >= 2 and p[leader] <= DOMINANT_SHARE:
         return None
     return (
         f"The pose ensemble has collapsed: candidate {leader} wins "
         f"{100 * p[leader]:.1f} % of the views and {alive} of {p.size} win at least "
-        f"{100 * threshold:g} %; it learns poses no better than a single regressor. "
-        f"More heads, initial quaternions that are farther apart, or another seed "
-        f"usually help."
+        f"{100 * ALIVE_THRESHOLD:g} %; it learns poses no better than a single "
+        f"regressor. More heads, initial quaternions that are farther apart, or "
+        f"another seed usually help."
     )

@@ -6,20 +6,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
-PAPER_UNITS = 100.0
-"""The paper's tables list distances times this, for shapes of box diagonal 1."""
+_PAPER_UNITS = 100.0  # the paper's tables list distances times this, for diagonal 1
 
 
 class Chamfer(NamedTuple):
-    """Mean nearest-neighbour distances, in the units of the points (not times 100).
+    """Mean nearest-neighbour distances, in the units of the points (not times 100)."""
 
-    Attributes:
-      precision: mean distance from a predicted point to the ground truth.
-      coverage: mean distance from a ground truth point to the prediction.
-    """
-
-    precision: float
-    coverage: float
+    precision: float  # from a predicted point to the ground truth
+    coverage: float  # from a ground truth point to the prediction
 
     @property
     def chamfer(self) -> float:
@@ -28,10 +22,8 @@ class Chamfer(NamedTuple):
 
     def in_paper_units(self) -> dict[str, float]:
         """`chamfer`, `precision` and `coverage` times 100, as in the tables."""
-        return {
-            name: PAPER_UNITS * getattr(self, name)
-            for name in ("chamfer", "precision", "coverage")
-        }
+        distances = {"chamfer": self.chamfer} | self._asdict()
+        return {name: _PAPER_UNITS * value for name, value in distances.items()}
 
 
 def chamfer_distance(
@@ -69,15 +61,7 @@ def chamfer_distance(
 
 
 def check_points(points: ArrayLike, *, name: str) -> np.ndarray:
-    """The points [N, 3] in float64, checked to be finite and at least one.
-
-    Args:
-      points: [N, 3].
-      name: of the points in the message.
-
-    Raises:
-      ValueError: they are not.
-    """
+    """The points [N, 3] in float64; ValueError if none came or one is not finite."""
     array = np.asarray(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3 or len(array) == 0:
         raise ValueError(

@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from dpc_jax.evaluation import rotations
 
-REACH = 0.2  # object units; points farther apart than this are no partners
+_REACH = 0.2  # object units; points farther apart than this are no partners
+_MAX_ITERATIONS = 30
+_TOLERANCE_DEG = 0.01  # a smaller turn ends the search
 
 
 class CloudPair(NamedTuple):
@@ -31,10 +33,7 @@ class Matches(NamedTuple):
 
 
 def pair_clouds(predicted: np.ndarray, surface: np.ndarray) -> CloudPair:
-    """A pair with both its trees.
-
-    Only the query points are turned during the search, so each tree is built once.
-    """
+    """A pair with both trees. Only query points are turned, so each is built once."""
     return CloudPair(predicted, surface, KDTree(predicted), KDTree(surface))
 
 
@@ -64,9 +63,7 @@ def shared_chamfer(pairs: Sequence[CloudPair], rotation: np.ndarray) -> float:
     return float(total / len(pairs))
 
 
-def match(
-    pairs: Sequence[CloudPair], rotation: np.ndarray, *, reach: float = REACH
-) -> Matches:
+def match(pairs: Sequence[CloudPair], rotation: np.ndarray) -> Matches:
     """Nearest neighbours within reach, from prediction to surface and back.
 
     Both ways, as in the Chamfer distance: with the predictions alone as queries a cloud
@@ -75,20 +72,18 @@ def match(
     matrix = rotations.to_rotation(rotation).as_matrix()
     found = []
     for pair in pairs:
-        near, index, weight = _find_partners(
-            pair.surface_tree, pair.predicted @ matrix.T, reach
-        )
+        turned = pair.predicted @ matrix.T
+        near, index, weight = _find_partners(pair.surface_tree, turned)
         found.append((pair.predicted[near], pair.surface[index], weight))
-        near, index, weight = _find_partners(
-            pair.predicted_tree, pair.surface @ matrix, reach
-        )
+        turned = pair.surface @ matrix
+        near, index, weight = _find_partners(pair.predicted_tree, turned)
         found.append((pair.predicted[index], pair.surface[near], weight))
     return Matches(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
 
-def _find_partners(tree, points, reach) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _find_partners(tree, points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which points have a partner in the tree, its index, and the weight of each."""
-    gap, index = tree.query(points, distance_upper_bound=reach)
+    gap, index = tree.query(points, distance_upper_bound=_REACH)
     near = np.isfinite(gap)
     return near, index[near], np.full(near.sum(), 1.0 / near.size)
 
@@ -104,36 +99,21 @@ def match_rms(matches: Matches, rotation: np.ndarray) -> float:
     return float(np.sqrt(np.average(np.sum(gaps**2, axis=1), weights=matches.weight)))
 
 
-def fit_rotation(
-    pairs: Sequence[CloudPair],
-    start: np.ndarray,
-    *,
-    reach: float = REACH,
-    max_iterations: int = 30,
-    tolerance_deg: float = 0.01,
-) -> np.ndarray:
-    """One rotation [4] for all pairs, by ICP from a start [4].
+def fit_rotation(pairs: Sequence[CloudPair], start: np.ndarray) -> np.ndarray:
+    """One rotation [4] for all pairs, at least one, by ICP from a start [4].
 
-    Args:
-      pairs: at least one.
-      start: quaternion, network's frame to object frame.
-      reach: partners farther apart than this (object units) are not matched.
-      max_iterations: matchings and fits at most.
-      tolerance_deg: a turn smaller than this ends the search.
-
-    Returns:
-      The rotation; the start itself where fewer than two points have a partner within
-      reach, which determines no rotation.
+    It turns the network's frame to the object frame, and is the start itself where
+    fewer than two points have a partner within reach, which determines no rotation.
     """
     rotation = rotations.normalize(start)
-    for _ in range(max_iterations):
-        matches = match(pairs, rotation, reach=reach)
+    for _ in range(_MAX_ITERATIONS):
+        matches = match(pairs, rotation)
         if len(matches.weight) < 2:
             break
         best = best_rotation(matches.source, matches.target, weight=matches.weight)
         refined = rotations.to_quaternion(best)
         turn = rotations.angle_deg(refined, rotation)
         rotation = refined
-        if turn < tolerance_deg:
+        if turn < _TOLERANCE_DEG:
             break
     return rotation

@@ -17,28 +17,18 @@ _OWN = "own_"  # prefix of scores on the training source, where another one is t
 
 @dataclass(frozen=True)
 class Metric:
-    """One metric.
+    """One metric and how it is shown."""
 
-    Attributes:
-      name: key in `metrics.json`.
-      label: name for people, without the unit.
-      unit: of the number as shown. Shares from 0 to 1 are shown in "%", in tables.
-      format: format specification of the number as shown.
-      higher_is_better: None where neither direction is better.
-      hint: one phrase on its meaning.
-      short: name within a line of text; empty if such lines leave the metric out.
-      role: where the metric stands beside the list of all metrics. Each role includes
-        those before it: "compared", a column where runs are compared; "required", in
-        every report, if only as unknown; "headline", large at the top of the page.
-    """
-
-    name: str
-    label: str
-    unit: str = ""
-    format: str = ".4g"
-    higher_is_better: bool | None = None
-    hint: str = ""
-    short: str = ""
+    name: str  # key in `metrics.json`
+    label: str  # name for people, without the unit
+    unit: str = ""  # of the number as shown; "%" of a share that is stored as 0 to 1
+    format: str = ".4g"  # format specification of the number as shown
+    higher_is_better: bool | None = None  # None where neither direction is better
+    hint: str = ""  # one phrase on its meaning
+    short: str = ""  # name within a line of text; empty: left out there
+    # Where the metric stands beside the list of all metrics. Each role includes those
+    # before it: "compared", a column where runs are compared; "required", in every
+    # report, if only as unknown; "headline", large at the top of the page.
     role: Literal["", "compared", "required", "headline"] = ""
 
     @property
@@ -97,8 +87,7 @@ def get_metric(name: str) -> Metric:
 
 
 def order_metrics(names: Iterable[str]) -> list[str]:
-    """Distinct names as a table lists them: in the registry's order, then the others
-    alphabetically."""
+    """Distinct names in the registry's order, then the others alphabetically."""
     given = set(names)
     return [n for n in METRICS if n in given] + sorted(given - METRICS.keys())
 
@@ -121,10 +110,8 @@ def describe_metrics(
 ) -> str:
     """One line of text: "pose accuracy 0.886, median error 2.5°, Chamfer 3.31".
 
-    Args:
-      metrics: values by name; what is missing or None is left out.
-      names: metrics to state, in this order.
-      share_digits: decimal places of shares, which are stated from 0 to 1.
+    What is missing or None is left out. Shares are stated from 0 to 1, with
+    `share_digits` decimal places.
     """
     parts = []
     for name in names:

@@ -9,25 +9,17 @@ from numpy.typing import ArrayLike
 from dpc_jax.evaluation import rotations
 
 ACCURACY_THRESHOLD_DEG = 30.0  # paper, section Evaluation metrics
-FLIP_THRESHOLD_DEG = 150.0  # beyond it front and back count as exchanged
+_FLIP_THRESHOLD_DEG = 150.0  # beyond it front and back count as exchanged
 
 
 class PoseSummary(NamedTuple):
-    """A summary of the pose errors of a test set.
+    """A summary of the pose errors of a test set."""
 
-    Attributes:
-      accuracy: share of views within the threshold, 0 to 1.
-      median_error_deg: median error in degrees.
-      flip_share: share of views wrong by more than 150 degrees, 0 to 1.
-      counts: [bins] views per bin of the histogram.
-      edges_deg: [bins + 1] edges of its bins, 0 to 180 degrees.
-    """
-
-    accuracy: float
+    accuracy: float  # share of views within the threshold, 0 to 1
     median_error_deg: float
-    flip_share: float
-    counts: np.ndarray
-    edges_deg: np.ndarray
+    flip_share: float  # share of views wrong by more than 150 degrees, 0 to 1
+    counts: np.ndarray  # [bins] views per bin of the histogram
+    edges_deg: np.ndarray  # [bins + 1] edges of its bins, 0 to 180 degrees
 
 
 def rotation_angle_deg(first: ArrayLike, second: ArrayLike) -> np.ndarray:
@@ -87,7 +79,7 @@ def pose_summary(
     return PoseSummary(
         accuracy=pose_accuracy(errors, threshold_deg=threshold_deg),
         median_error_deg=float(np.median(errors)),
-        flip_share=float(np.mean(errors > FLIP_THRESHOLD_DEG)),
+        flip_share=float(np.mean(errors > _FLIP_THRESHOLD_DEG)),
         counts=counts,
         edges_deg=edges,
     )

@@ -38,11 +38,7 @@ def normalize(quaternion: ArrayLike) -> np.ndarray:
 
 
 def to_rotation(quaternion: ArrayLike) -> Rotation:
-    """scipy's rotations of quaternions [..., 4] of any length but zero.
-
-    Raises:
-      ValueError: as for `normalize`.
-    """
+    """scipy's rotations of quaternions [..., 4], refused as by `normalize`."""
     return Rotation.from_quat(normalize(quaternion), scalar_first=True)
 
 
@@ -52,8 +48,7 @@ def to_quaternion(rotation: Rotation) -> np.ndarray:
 
 
 def canonical_sign(quaternion: ArrayLike) -> np.ndarray:
-    """Quaternions [..., 4], normalised, of which the first non-zero component is
-    positive."""
+    """Unit quaternions [..., 4], of which the first non-zero component is positive."""
     return to_quaternion(to_rotation(quaternion))
 
 

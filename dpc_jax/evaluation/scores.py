@@ -9,31 +9,21 @@ from scipy.spatial import KDTree
 
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
 from dpc_jax.evaluation.chamfer import Chamfer, chamfer_distance, check_points
-from dpc_jax.evaluation.pose import (
-    ACCURACY_THRESHOLD_DEG,
-    pose_summary,
-    rotation_angle_deg,
-)
+from dpc_jax.evaluation.pose import pose_summary, rotation_angle_deg
 
 
 class Scores(NamedTuple):
-    """The scores of a network on a test set.
+    """The scores of a network on a test set; None where the truth is not known.
 
-    Attributes:
-      metrics: plain floats by name: `pose_accuracy` (0 to 1),
-        `pose_median_error_deg`, `flip_share` (0 to 1), `chamfer`, `precision`
-        and `coverage` (times 100), and with candidates
-        `best_candidate_pose_accuracy` and `best_candidate_pose_median_error_deg`.
-      pose_errors_deg: [n, V] error of each view's predicted pose, or None without true
-        poses.
-      best_candidate_errors_deg: [n, V], or None without candidates or true poses.
-      chamfers: [n, views scored, 2] precision and coverage of each shape, in object
-        units (not times 100), or None without true shapes.
+    Metrics are plain floats: `pose_accuracy` (0 to 1), `pose_median_error_deg`,
+    `flip_share` (0 to 1), `chamfer`, `precision` and `coverage` (times 100); the first
+    two also of the best candidate, with the prefix `best_candidate_`.
     """
 
     metrics: dict[str, float]
-    pose_errors_deg: np.ndarray | None
-    best_candidate_errors_deg: np.ndarray | None
+    pose_errors_deg: np.ndarray | None  # [n, V] of each view's predicted pose
+    best_candidate_errors_deg: np.ndarray | None  # [n, V]; None without candidates, too
+    # [n, views scored, 2] precision and coverage, object units, not times 100
     chamfers: np.ndarray | None
 
 
@@ -45,27 +35,22 @@ def score(
     *,
     alignment: Alignment,
     best_candidate_poses: ArrayLike | None = None,
-    threshold_deg: float = ACCURACY_THRESHOLD_DEG,
     chamfer_views: int | None = None,
-    workers: int = 1,
 ) -> Scores:
     """Score predictions on a test set (paper, section Evaluation metrics).
 
     Args:
       predicted_poses: [n, V, 4] the student's (or the only) pose of each view,
         network's frame to camera.
-      true_poses: [n, V, 4] object frame to camera. None where they are unknown:
-        nothing can be scored then, because the alignment needs them.
+      true_poses: [n, V, 4] object frame to camera. None: nothing is scored, because
+        the alignment needs them.
       points: [n, V, N, 3] shape predicted from each view, in the network's frame.
       surfaces: [n, P, 3] points of the true surfaces, object frame, or a list of
-        [P_i, 3]. Few points far apart would raise precision. None without ground truth:
-        only poses are scored.
+        [P_i, 3]. Few points far apart would raise precision. None: no shape is scored.
       alignment: from `align` on validation models.
       best_candidate_poses: [n, V, 4] the ensemble's winner for each view, or None where
         there is no ensemble.
-      threshold_deg: a pose error up to it counts as right.
       chamfer_views: shapes of only the first this many views are compared; all if None.
-      workers: threads of the neighbour search, -1 for all cores.
 
     Returns:
       Scores. Distances are means over models and views.
@@ -78,7 +63,7 @@ def score(
         return Scores({}, None, None, None)
     count = _check(predicted_poses, true_poses, points, surfaces, chamfer_views)
     errors = rotation_angle_deg(align_poses(alignment, predicted_poses), true_poses)
-    summary = pose_summary(errors, threshold_deg=threshold_deg)
+    summary = pose_summary(errors)
     metrics = {
         "pose_accuracy": summary.accuracy,
         "pose_median_error_deg": summary.median_error_deg,
@@ -94,7 +79,7 @@ def score(
             )
         best_poses = align_poses(alignment, best_candidate_poses)
         best_errors = rotation_angle_deg(best_poses, true_poses)
-        best = pose_summary(best_errors, threshold_deg=threshold_deg)
+        best = pose_summary(best_errors)
         metrics["best_candidate_pose_accuracy"] = best.accuracy
         metrics["best_candidate_pose_median_error_deg"] = best.median_error_deg
 
@@ -107,9 +92,7 @@ def score(
         tree = KDTree(surface)
         for view in range(count):
             cloud = align_points(alignment, clouds[model, view])
-            chamfers[model, view] = chamfer_distance(
-                cloud, surface, tree=tree, workers=workers
-            )
+            chamfers[model, view] = chamfer_distance(cloud, surface, tree=tree)
     mean = Chamfer(*chamfers.mean(axis=(0, 1)).tolist())
     return Scores(metrics | mean.in_paper_units(), errors, best_errors, chamfers)
 

@@ -12,20 +12,13 @@ from dpc_jax.shapes.normalization import normalize
 
 
 class Scene(NamedTuple):
-    """A cloud and two poses, one to render and one to make the target from.
-
-    Attributes:
-      name: of the scene.
-      points: [N, 3] float64, in a ball of diameter 1.
-      mass: of a point, in voxels of a 64³ grid.
-      pose, target_pose: [4] quaternions, some degrees apart.
-    """
+    """A cloud and two poses, one to render and one to make the target from."""
 
     name: str
-    points: np.ndarray
-    mass: float
-    pose: np.ndarray
-    target_pose: np.ndarray
+    points: np.ndarray  # [N, 3] float64, in a ball of diameter 1
+    mass: float  # of a point, in voxels of a 64³ grid
+    pose: np.ndarray  # [4] quaternion
+    target_pose: np.ndarray  # [4], some degrees away
 
 
 def make_scenes(*, num_points: int, num_sparse: int, seed: int) -> list[Scene]:
@@ -33,11 +26,6 @@ def make_scenes(*, num_points: int, num_sparse: int, seed: int) -> list[Scene]:
 
     Masses make the middle of the first three nearly opaque (an optical depth of about
     4 on 64² pixels) and a lone point of the last clearly visible.
-
-    Args:
-      num_points: of each of the first three.
-      num_sparse: of the last.
-      seed: of all.
     """
     sample = functools.partial(views.sample_surface, count=num_points, seed=seed)
     rng = np.random.default_rng(seed)

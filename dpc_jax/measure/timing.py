@@ -23,13 +23,8 @@ def time_interleaved(
     """Seconds of each call, round by round, all calls in each round.
 
     So a machine that is slow for a while is slow for all of them. An additional first
-    round, which compiles, is not counted.
-
-    Args:
-      calls: by name; each must return the arrays that it computes.
-      rounds: of each call.
-      budget_seconds: a call that took so long in all gets no further round; each gets
-        at least one.
+    round, which compiles, is not counted. Each call must return the arrays that it
+    computes; after its first, one that took `budget_seconds` in all gets no other.
     """
     for call in calls.values():
         jax.block_until_ready(call())
@@ -52,9 +47,8 @@ def take_medians(seconds: Mapping[str, list[float]]) -> dict[str, float]:
 def describe_machine() -> dict[str, Any]:
     """What a reader must know to compare times with those of another machine."""
     info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.is_file() else []
     fields = {}
-    for line in lines:
+    for line in info.read_text().splitlines() if info.is_file() else []:
         name, _, value = line.partition(":")
         fields.setdefault(name.strip(), value.strip())
     flags = fields.get("flags", fields.get("Features", "")).split()
@@ -75,11 +69,7 @@ def describe_machine() -> dict[str, Any]:
 
 
 def phrase_machine(machine: Mapping[str, Any]) -> str:
-    """A line of text about the machine.
-
-    Args:
-      machine: of `describe_machine`.
-    """
+    """A line of text about the machine, from `describe_machine`."""
     flags = ", ".join(machine["flags"]) or "no flags of note"
     return (
         f"{machine['processor']} ({flags}), {machine['cores']} of its cores, "

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from dpc_jax.files import write_bytes
 
-POINT_RADIUS = 0.008  # object units; a third of the spacing of 2000 points on a car
-PLAIN_COLOR = (0.36, 0.53, 0.73)  # sRGB, for points that carry no colour
+_RADIUS = 0.008  # object units; a third of the spacing of 2000 points on a car
+_PLAIN_COLOR = (0.36, 0.53, 0.73)  # sRGB, for points that carry no colour
 
 _CORNERS = np.concatenate([np.eye(3), -np.eye(3)])  # octahedron: +x +y +z -x -y -z
 _FACES = np.array(  # counter-clockwise seen from outside
@@ -37,18 +37,14 @@ def write_ply(
       ValueError: points or colours that are not finite or not [N, 3].
     """
     points, colors = _check_cloud(points, colors)
-    columns = [(name, "float", "<f4") for name in "xyz"]
-    values = [*points.T]
-    if colors is not None:
-        columns += [(name, "uchar", "u1") for name in ("red", "green", "blue")]
-        values += [*_bytes(colors).T]
-    table = np.empty(len(points), dtype=[(name, code) for name, _, code in columns])
-    for (name, *_), column in zip(columns, values, strict=True):
-        table[name] = column
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
-    header += [f"property {kind} {name}" for name, kind, _ in columns]
+    header += [f"property float {axis}" for axis in "xyz"]
+    rows = points.astype("<f4").view("u1")  # a row of bytes for each point
+    if colors is not None:
+        header += [f"property uchar {name}" for name in ("red", "green", "blue")]
+        rows = np.hstack([rows, _bytes(colors)])
     text = "\n".join([*header, "end_header"]) + "\n"
-    return write_bytes(path, text.encode("ascii") + table.tobytes())
+    return write_bytes(path, text.encode("ascii") + rows.tobytes())
 
 
 def write_glb(
@@ -56,7 +52,7 @@ def write_glb(
     points: ArrayLike,
     colors: ArrayLike | None = None,
     *,
-    radius: float = POINT_RADIUS,
+    radius: float = _RADIUS,
 ) -> Path:
     """Write points [N, 3] as binary glTF, each a small octahedron shaded as a ball.
 
@@ -81,7 +77,7 @@ def write_glb(
             f"an empty mesh."
         )
     if colors is None:
-        colors = np.broadcast_to(PLAIN_COLOR, points.shape)
+        colors = np.broadcast_to(_PLAIN_COLOR, points.shape)
     corners = len(_CORNERS)
     position = (points[:, None] + radius * _CORNERS).reshape(-1, 3).astype("<f4")
     normal = np.tile(_CORNERS, (len(points), 1)).astype("<f4")
@@ -104,12 +100,11 @@ def _assemble_glb(parts) -> bytes:
     """One mesh from its position, normal, colour and index arrays, in this order."""
     views, accessors, offset = [], [], 0
     for index, (array, component, kind, target) in enumerate(parts):
-        size, count = array.nbytes, len(array)
-        place = {"buffer": 0, "byteOffset": offset, "byteLength": size}
+        place = {"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes}
         views.append(place | {"target": target})
-        content = {"componentType": component, "count": count, "type": kind}
+        content = {"componentType": component, "count": len(array), "type": kind}
         accessors.append({"bufferView": index} | content)
-        offset += size
+        offset += array.nbytes
     accessors[0]["min"] = parts[0][0].min(axis=0).tolist()
     accessors[0]["max"] = parts[0][0].max(axis=0).tolist()
     accessors[2]["normalized"] = True

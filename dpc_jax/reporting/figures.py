@@ -15,7 +15,7 @@ from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG, pose_summary
 from dpc_jax.reporting import style
 
 # Metrics drawn over run time, with the text at their axis.
-CURVES = {
+_CURVES = {
     "pose_accuracy": "views within 30° (%)",
     "pose_median_error_deg": "degrees",
     "chamfer": "mean distance × 100",
@@ -30,29 +30,20 @@ def draw_curves(
 ) -> Path:
     """Error against run time: pose accuracy, median error, Chamfer distance and loss.
 
-    Args:
-      records: lines of `metrics.jsonl` with `seconds` and any of `pose_accuracy`,
-        `pose_median_error_deg`, `chamfer` and `loss`; or a mapping from names to such
-        lists, to compare runs. Values that are missing or not finite are not drawn.
-      path: of the PNG.
+    The records are lines of `metrics.jsonl` with `seconds`, or a mapping from names to
+    such lists, to compare runs. Values that are missing or not finite are not drawn.
     """
     runs = records if isinstance(records, Mapping) else {"": records}
     figure = style.make_figure(9.0, 6.0)
-    for axes, (metric, y_label) in zip(
-        style.make_panels(figure, len(CURVES)), CURVES.items(), strict=True
-    ):
-        style.label_axes(
-            axes,
-            title=get_metric(metric).label,
-            x_label="run time (s)",
-            y_label=y_label,
-        )
+    panels = style.make_panels(figure, len(_CURVES))
+    for axes, (metric, y_label) in zip(panels, _CURVES.items(), strict=True):
+        title = get_metric(metric).label
+        style.label_axes(axes, title=title, x_label="run time (s)", y_label=y_label)
         _draw_runs(axes, runs, metric)
     return style.save_figure(figure, path)
 
 
 def _draw_runs(axes: Axes, runs: Mapping[str, Records], metric: str) -> None:
-    """One metric of all runs over their run time."""
     factor = get_metric(metric).factor
     for index, (name, lines) in enumerate(runs.items()):
         seconds, values = _series(lines, metric)
@@ -79,12 +70,8 @@ def _draw_runs(axes: Axes, runs: Mapping[str, Records], metric: str) -> None:
 
 def _series(lines: Records, key: str) -> tuple[np.ndarray, np.ndarray]:
     """Seconds and values of the records that hold a finite value, in order of time."""
-    pairs = [
-        (line["seconds"], line[key])
-        for line in lines
-        if line.get(key) is not None and line.get("seconds") is not None
-    ]
-    table = np.array(pairs, dtype=np.float64).reshape(-1, 2)
+    pairs = [(line.get("seconds"), line.get(key)) for line in lines]
+    table = np.array(pairs, dtype=np.float64).reshape(-1, 2)  # None becomes NaN
     table = table[np.isfinite(table).all(axis=1)]
     seconds, values = table[np.argsort(table[:, 0], kind="stable")].T
     return seconds, values
@@ -105,10 +92,6 @@ def _draw_loss(axes, seconds, values, color, name) -> None:
 
 def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
     """Histogram of pose errors from 0 to 180 degrees, with the 30° line and the median.
-
-    Args:
-      errors_deg: errors in degrees, any shape, at least one.
-      path: of the PNG.
 
     Raises:
       ValueError: there are no errors, or one is not within 0 to 180 degrees.
@@ -138,12 +121,7 @@ def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
 
 
 def draw_candidates(shares: ArrayLike, path: str | os.PathLike) -> Path:
-    """Bars of the share of views that each pose candidate wins.
-
-    Args:
-      shares: [K] shares, 0 to 1.
-      path: of the PNG.
-    """
+    """Bars of the share [K], 0 to 1, of views that each pose candidate wins."""
     percent = 100.0 * np.asarray(shares, np.float64).ravel()
     figure = style.make_figure(7.5, 3.2)
     axes = figure.subplots()
@@ -153,9 +131,8 @@ def draw_candidates(shares: ArrayLike, path: str | os.PathLike) -> Path:
         labels = [f"{value:.{int(0.0 < value < 1.0)}f}" for value in percent]
         axes.bar_label(bars, labels, fontsize=8, color=style.INK, padding=1)
     even = 100.0 / max(percent.size, 1)
-    axes.axhline(
-        even, color=style.RED, lw=1.2, ls="--", label=f"even share: {even:.0f} %"
-    )
+    label = f"even share: {even:.0f} %"
+    axes.axhline(even, color=style.RED, lw=1.2, ls="--", label=label)
     alive = int(np.sum(percent >= 1.0))
     style.label_axes(
         axes,

@@ -10,9 +10,9 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.style import INK, make_figure, save_figure
 
-FRONT = (35.0, 25.0)  # azimuth, elevation in degrees: front and left, from above
-REAR = (-130.0, 20.0)  # back and right side
-SHOWN_SURFACE_POINTS = 2000  # about as many as are predicted, to compare fairly
+_FRONT = (35.0, 25.0)  # azimuth, elevation in degrees: front and left, from above
+_REAR = (-130.0, 20.0)  # back and right side
+_SHOWN_SURFACE_POINTS = 2000  # about as many as are predicted, to compare fairly
 
 
 def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Path:
@@ -24,10 +24,6 @@ def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Pa
     has one. Clouds are orthographic, z up; near points are drawn over far ones and
     darker, or in their predicted colour, fading with distance.
 
-    Args:
-      examples: at least one.
-      path: of the PNG.
-
     Raises:
       ValueError: there are no examples.
     """
@@ -35,8 +31,7 @@ def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Pa
         raise ValueError(
             "examples must be at least one, but there are none; pass predictions."
         )
-    titles = ["input", "target", "predicted", "difference"]
-    titles += ["shape, front", "shape, rear"]
+    titles = "input|target|predicted|difference|shape, front|shape, rear".split("|")
     if any(example.surface is not None for example in examples):
         titles.append("true shape")
     size = 1.45
@@ -60,14 +55,14 @@ def _draw_row(row, example: Example) -> None:
     row[2].imshow(example.predicted, cmap="gray", vmin=0.0, vmax=1.0)
     difference = silhouette_difference(example.predicted, example.target)
     row[3].imshow(difference, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-    _draw_cloud(row[4], example.points, example.colors, FRONT)
-    _draw_cloud(row[5], example.points, example.colors, REAR)
+    _draw_cloud(row[4], example.points, example.colors, _FRONT)
+    _draw_cloud(row[5], example.points, example.colors, _REAR)
     if len(row) > 6:
         if example.surface is None:
             row[6].set_axis_off()
         else:
-            step = max(1, len(example.surface) // SHOWN_SURFACE_POINTS)
-            _draw_cloud(row[6], example.surface[::step], None, FRONT)
+            step = max(1, len(example.surface) // _SHOWN_SURFACE_POINTS)
+            _draw_cloud(row[6], example.surface[::step], None, _FRONT)
     label = example.name
     if example.pose_error_deg is not None:
         label += f"   pose error {example.pose_error_deg:.1f}°"
@@ -112,8 +107,7 @@ def _draw_cloud(axes, points, colors, view_deg) -> None:
         rgb = np.clip(colors / scale, 0.0, 1.0)
         shade = rgb + (1.0 - rgb) * 0.45 * (1.0 - near)
     size = np.clip(5000.0 / len(seen), 0.4, 6.0)
-    axes.scatter(
-        seen[order, 0], seen[order, 1], s=size, c=shade[order], linewidths=0, zorder=2
-    )
+    look = {"s": size, "c": shade[order], "linewidths": 0, "zorder": 2}
+    axes.scatter(seen[order, 0], seen[order, 1], **look)
     axes.set(xlim=(-0.55, 0.55), ylim=(-0.55, 0.55), aspect="equal")
     axes.set_facecolor("white")

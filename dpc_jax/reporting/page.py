@@ -18,7 +18,7 @@ from dpc_jax.files import write_text
 from dpc_jax.reporting import export, figures, gallery
 from dpc_jax.reporting.examples import Example
 
-CAPTIONS = {
+_CAPTIONS = {
     "curves": (
         "Error against run time",
         "Validation during training over seconds of wall clock. Accuracy should climb "
@@ -45,7 +45,7 @@ CAPTIONS = {
         "ensemble works like one regressor.",
     ),
 }
-STYLE = """
+_STYLE = """
 body{font:16px/1.5 system-ui,sans-serif;color:#22303c;background:#fff;margin:0 auto;
 max-width:62rem;padding:1rem}
 h1{font-size:1.6rem;margin:.5rem 0 1rem}h2{font-size:1.2rem;margin:2rem 0 .3rem}
@@ -74,26 +74,20 @@ def write_report(
     warnings: Sequence[str] = (),
     config_text: str = "",
 ) -> Path:
-    """Write `metrics.json`, figures, point clouds and `index.html` into a folder.
+    """Write `metrics.json`, figures, point clouds and `index.html`; returns its path.
 
     The page holds its figures inside and needs no network; the point clouds lie in
     `points/` and are linked. A section whose data are missing is left out. Files are
     replaced one by one, each whole; files of other names are left alone.
 
     Args:
-      folder: made where it does not exist.
-      title: of the page.
       metrics: numbers, words or None by name, at least those of `REQUIRED_METRICS`
         (None where one does not apply). Distances times 100. NaN becomes null.
       records: lines of `metrics.jsonl`, or such lists by run name.
-      examples: predictions to show.
       pose_errors: errors of the test views in degrees, any shape.
       shares: [K] share of views that each candidate wins.
       warnings: sentences for the top of the page.
       config_text: the configuration, shown as it is.
-
-    Returns:
-      The path of `index.html`.
 
     Raises:
       ValueError: a required metric is missing, or a metric is not a single value.
@@ -162,7 +156,7 @@ def _assemble(title, values, warnings, sections) -> str:
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{title}</title><style>{STYLE}</style></head>\n<body>"
+        f"<title>{title}</title><style>{_STYLE}</style></head>\n<body>"
         f'<h1>{title}</h1>\n{notes}<div class="tiles">{tiles}</div>\n'
         f"{''.join(sections)}</body></html>\n"
     )
@@ -170,7 +164,7 @@ def _assemble(title, values, warnings, sections) -> str:
 
 def _embed_figure(name: str, path: Path) -> str:
     """A figure inside the page, under its title and a sentence on how to read it."""
-    title, caption = CAPTIONS[name]
+    title, caption = _CAPTIONS[name]
     data = base64.b64encode(path.read_bytes()).decode("ascii")
     # Small print would be lost on a phone: the detailed figures scroll sideways there.
     kind = "wide large" if name in ("curves", "predictions") else "wide"
@@ -182,7 +176,6 @@ def _embed_figure(name: str, path: Path) -> str:
 
 
 def _list_metrics(values: Mapping[str, Any]) -> str:
-    """A table of all metrics."""
     rows = []
     for name in registry.order_metrics(values):
         metric = registry.get_metric(name)
@@ -207,14 +200,9 @@ def _write_clouds(examples: Sequence[Example], folder: Path) -> str:
         export.write_ply(folder / f"{stem}.ply", example.points, example.colors)
         export.write_glb(folder / f"{stem}.glb", example.points, example.colors)
         error = example.pose_error_deg
-        rows.append(
-            (
-                html.escape(example.name),
-                registry.MISSING if error is None else f"{error:.1f}°",
-                f'<a href="points/{stem}.glb">GLB</a>',
-                f'<a href="points/{stem}.ply">PLY</a>',
-            )
-        )
+        error_text = registry.MISSING if error is None else f"{error:.1f}°"
+        links = [f'<a href="points/{stem}.{k.lower()}">{k}</a>' for k in ("GLB", "PLY")]
+        rows.append((html.escape(example.name), error_text, *links))
     return (
         "<p>The same shapes as files: GLB opens in any 3D viewer, PLY in point cloud "
         "tools; both are in the object frame of the data set.</p>"

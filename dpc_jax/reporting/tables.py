@@ -1,4 +1,4 @@
-"""Markdown: tables of any rows, the metrics of runs side by side, whole pages."""
+"""Markdown tables: of any rows, and of the metrics of runs side by side."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,40 +13,36 @@ _NUMBER = re.compile(r"\**[-+]?(\d|inf|nan|–)|$")
 def format_table(
     heads: Sequence[str], rows: Iterable[Sequence[object]], *, align: str = ""
 ) -> str:
-    """A Markdown table.
+    """A Markdown table, ending in a newline.
 
     Args:
       heads: of the columns.
-      rows: cells by row, each as many as there are heads; shown by `str`.
+      rows: cells by row, each as many as there are heads; shown by `str`. Pipes are
+        escaped, line breaks become spaces.
       align: one letter per column, "l" or "r"; by default columns of numbers are
         aligned right, others left.
 
-    Returns:
-      The table, ending in a newline. Pipes in cells are escaped, line breaks become
-      spaces.
+    Raises:
+      TypeError: a row, or `align`, is of another length than the heads.
     """
-    cells = [[str(cell) for cell in row] for row in rows]
-    columns = list(zip(*cells, strict=False)) or [("",)] * len(heads)
-    align = align or "".join(
-        "r" if all(map(_NUMBER.match, column)) and any(column) else "l"
-        for column in columns
-    )
-    rule = ["---:" if letter == "r" else "---" for letter in align]
-    lines = [heads, rule, *cells]
-    for line in lines:
+    cells = [[_escape(cell) for cell in row] for row in rows]
+    for line in [*cells, align or heads]:
         if len(line) != len(heads):
             raise TypeError(f"{len(heads)} columns, but cells {list(line)}")
-    return "".join(f"| {' | '.join(map(_escape, line))} |\n" for line in lines)
+    columns = list(zip(*cells, strict=True)) or [("",)] * len(heads)
+    letters = align or [
+        "r" if all(map(_NUMBER.match, column)) and any(column) else "l"
+        for column in columns
+    ]
+    rule = ["---:" if letter == "r" else "---" for letter in letters]
+    lines = [map(_escape, heads), rule, *cells]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def tabulate_runs(
     runs: Mapping[str, Mapping[str, Any]], *, columns: Sequence[str] | None = None
 ) -> str:
-    """A Markdown table with a line per run and a column per metric.
-
-    Args:
-      runs: the metrics of each run by its name; they need not hold the same ones.
-      columns: names of the metrics to show, in this order; all of them if None.
+    """A Markdown table with a line per run and a column per metric; all if None.
 
     Raises:
       ValueError: there are no runs.
@@ -62,11 +58,6 @@ def tabulate_runs(
             for run, metrics in runs.items()
         ],
     )
-
-
-def join_blocks(blocks: Iterable[str]) -> str:
-    """A page of paragraphs, tables and headings, with a blank line between them."""
-    return "\n\n".join(block.strip("\n") for block in blocks) + "\n"
 
 
 def _escape(cell: object) -> str:

@@ -16,35 +16,25 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.measure.benchmark.plan import Plan
-from dpc_jax.measure.benchmark.speed import measure_distance
+from dpc_jax.measure.benchmark.speed import measure_distance, render_ours
 from dpc_jax.measure.scenes import Scene
 from dpc_jax.measure.timing import time_interleaved
-from dpc_jax.render import VoxelGrid, compensate_widening, project
+from dpc_jax.render import compensate_widening
 from dpc_jax.render.resolution import scale_sizes
 
-MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
+_MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
 SOON = 0.01  # the report names the fastest settings with at most this error
 
 
 class Setting(NamedTuple):
-    """One way to render.
+    """One way to render."""
 
-    Attributes:
-      family: name of the settings that differ from this one in one number.
-      label: name of this one.
-      method: of `project`.
-      shape: (rows, cols, depth).
-      is_compensated: whether sigma is that of `compensate_widening`.
-      share: one point in this many is kept.
-      dtype: of all arrays.
-    """
-
-    family: str
+    family: str  # name of the settings that differ from this one in one number
     label: str
-    method: str
-    shape: tuple[int, int, int]
-    is_compensated: bool = False
-    share: int = 1
+    method: str  # of `project`
+    shape: tuple[int, int, int]  # rows, cols, depth
+    is_compensated: bool = False  # whether sigma is that of `compensate_widening`
+    share: int = 1  # one point in this many is kept
     dtype: str = "float32"
 
 
@@ -75,7 +65,7 @@ def list_settings(plan: Plan) -> list[Setting]:
     return settings
 
 
-class Outcome(NamedTuple):
+class _Outcome(NamedTuple):
     """Silhouette [C, C] and gradient [N, 3], for all points together; float64."""
 
     image: np.ndarray
@@ -85,17 +75,11 @@ class Outcome(NamedTuple):
 def measure_scene(
     scene: Scene, sigma: float, *, plan: Plan, settings: list[Setting]
 ) -> list[dict[str, Any]]:
-    """Errors and run times of all settings on one scene.
+    """Errors and run times of all settings on one scene, which take turns.
 
-    Args:
-      scene: of `make_scenes`.
-      sigma: in voxels of the plan's base grid.
-      plan: sizes.
-      settings: to be compared, taking turns.
-
-    Returns:
-      A record per setting: errors against the fine reference and against the exact
-      result on its own grid, seconds of the image and of image and gradient.
+    Sigma is in voxels of the plan's base grid. The record of a setting holds its errors
+    against the fine reference and against the exact result on its own grid, and the
+    seconds of the image and of image and gradient.
     """
     side = plan.reference_side
     target = _compute_target(scene, sigma, plan)
@@ -114,31 +98,24 @@ def measure_scene(
     }
     records = []
     for setting in settings:
-        outcome = _compute_outcome(*calls[setting.label], len(scene.points))
-        record: dict[str, Any] = {
-            "scene": scene.name,
-            "sigma": sigma,
-            "family": setting.family,
-            "setting": setting.label,
-        }
+        image, (gradient, _) = (call() for call in calls[setting.label])
+        # A point that stands for several has the gradient of them all.
+        share = len(gradient) / len(scene.points)
+        gradient = np.asarray(gradient, np.float64) * share
+        outcome = _Outcome(np.asarray(image, np.float64), gradient)
+        record: dict[str, Any] = {"scene": scene.name, "sigma": sigma}
+        record |= {"family": setting.family, "setting": setting.label}
         references = {"": exact[side, side, side], "_same_grid": exact[setting.shape]}
         for kind in ("image", "gradient"):
             for suffix, reference in references.items():
-                error = _measure_error(outcome, reference, kind)
+                value, true = getattr(outcome, kind), getattr(reference, kind)
+                error = measure_distance(value, true[: len(value)])
                 record[f"{kind}_error{suffix}"] = error
             seconds = times[kind][setting.label]
             record[f"{kind}_seconds"] = float(np.median(seconds))
             record[f"{kind}_rounds"] = len(seconds)
         records.append(record)
     return records
-
-
-def _compute_outcome(call_image, call_gradient, num_points) -> Outcome:
-    gradient, _ = call_gradient()
-    gradient = np.asarray(gradient, np.float64)
-    # A point that stands for several has the gradient of them all.
-    share = len(gradient) / num_points
-    return Outcome(np.asarray(call_image(), np.float64), gradient * share)
 
 
 def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
@@ -148,7 +125,7 @@ def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
     count = len(scene.points) // setting.share
     # Exponent 2: grids are compared by how near they come to the same image, so the
     # optical depth along a ray has to stay. Learning keeps the density instead.
-    _, mass = scale_sizes(sigma, scene.mass, rows / MASS_SIDE, exponent=2)
+    _, mass = scale_sizes(sigma, scene.mass, rows / _MASS_SIDE, exponent=2)
     sigma, _ = scale_sizes(sigma, mass, rows / plan.base_side, exponent=2)
     mass = mass * len(scene.points) / count
     if setting.is_compensated:
@@ -161,10 +138,8 @@ def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
         with jax.enable_x64(True):  # otherwise float64 is computed in float32
             return program(*values)
 
-    return (
-        functools.partial(call, image, *values[:4]),
-        functools.partial(call, gradient, *values),
-    )
+    call_image = functools.partial(call, image, *values[:4])
+    return call_image, functools.partial(call, gradient, *values)
 
 
 @functools.lru_cache
@@ -172,15 +147,7 @@ def _make_programs(method, shape, blocks):
     """Compiled once for all scenes: sigma, mass and target are inputs."""
 
     def render(points, pose, mass, sigma):
-        image = project(
-            points,
-            pose,
-            sigma=sigma,
-            scale=mass,
-            grid=VoxelGrid(shape),
-            method=method,
-        ).silhouette
-        assert image is not None  # it is the default signal
+        image = render_ours((points, pose, mass), sigma, side=shape, method=method)
         tiles = image.reshape(blocks, shape[0] // blocks, blocks, shape[1] // blocks)
         return jnp.mean(tiles, axis=(1, 3))
 
@@ -188,18 +155,15 @@ def _make_programs(method, shape, blocks):
         image = render(points, pose, mass, sigma)
         return jnp.sum((image - target) ** 2), image
 
-    return (
-        jax.jit(render),
-        jax.jit(jax.grad(compute_loss, has_aux=True)),
-    )
+    return jax.jit(render), jax.jit(jax.grad(compute_loss, has_aux=True))
 
 
-def _compute_exact(scene, sigma, shape, plan, target) -> Outcome:
+def _compute_exact(scene, sigma, shape, plan, target) -> _Outcome:
     """The gaussian method in float64."""
     setting = Setting("exact", "exact", "gaussian", shape, dtype="float64")
     _, call = _prepare(scene, sigma, setting, plan, target)
     gradient, image = call()
-    return Outcome(np.asarray(image), np.asarray(gradient))
+    return _Outcome(np.asarray(image), np.asarray(gradient))
 
 
 def _compute_target(scene, sigma, plan) -> np.ndarray:
@@ -211,23 +175,12 @@ def _compute_target(scene, sigma, plan) -> np.ndarray:
     return np.asarray(image(), np.float64)
 
 
-def _measure_error(outcome, reference, kind):
-    value, true = getattr(outcome, kind), getattr(reference, kind)
-    return measure_distance(value, true[: len(value)])
+def find_soonest(records: list[dict], *, kind: str, suffix: str = "") -> list[dict]:
+    """For each scene and sigma the fastest setting with at most an error of `SOON`.
 
-
-def find_soonest(
-    records: list[dict], *, kind: str, error: float = SOON, suffix: str = ""
-) -> list[dict]:
-    """For each scene and sigma the fastest setting with at most that error.
-
-    If none is that accurate, it is the most accurate one and `reached` is False.
-
-    Args:
-      records: of `measure_scene`.
-      kind: "image" or "gradient".
-      error: the largest that is accepted.
-      suffix: "_same_grid" for the error against the exact result on the same grid.
+    If none is that accurate, it is the most accurate one and `reached` is False. The
+    kind is "image" or "gradient"; the suffix "_same_grid" takes the error against the
+    exact result on the same grid.
     """
     name, clock = f"{kind}_error{suffix}", f"{kind}_seconds"
     groups: dict[tuple, list[dict]] = {}
@@ -235,16 +188,9 @@ def find_soonest(
         groups.setdefault((record["scene"], record["sigma"]), []).append(record)
     rows = []
     for (scene, sigma), group in groups.items():
-        good = [r for r in group if r[name] <= error]
+        good = [r for r in group if r[name] <= SOON]
         best = min(good or group, key=lambda r: r[clock if good else name])
-        rows.append(
-            {
-                "scene": scene,
-                "sigma": sigma,
-                "setting": best["setting"],
-                "error": best[name],
-                "seconds": best[clock],
-                "reached": bool(good),
-            }
-        )
+        row = {"scene": scene, "sigma": sigma, "setting": best["setting"]}
+        row |= {"error": best[name], "seconds": best[clock], "reached": bool(good)}
+        rows.append(row)
     return rows

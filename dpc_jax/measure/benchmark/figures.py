@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
@@ -20,88 +19,61 @@ def draw_errors(
 ) -> Path:
     """Error against run time, a panel per scene; colour by setting, marker by sigma.
 
-    Args:
-      records: of `accuracy.measure_scene`.
-      path: of the PNG.
-      kind: "image" or "gradient".
-      suffix: "" or "_same_grid".
+    Kind and suffix are those of `accuracy.find_soonest`.
     """
-    colors = dict(
-        zip(dict.fromkeys(r["family"] for r in records), style.SERIES, strict=False)
-    )
+    families = dict.fromkeys(r["family"] for r in records)
+    colors = dict(zip(families, style.SERIES, strict=False))
     markers = dict(zip(sorted({r["sigma"] for r in records}), _MARKERS, strict=False))
     scenes = list(dict.fromkeys(r["scene"] for r in records))
     figure = style.make_figure(11.0, 8.0)
-    for axes, scene in zip(
-        style.make_panels(figure, len(scenes), share=True), scenes, strict=True
-    ):
+    panels = style.make_panels(figure, len(scenes), share=True)
+    for axes, scene in zip(panels, scenes, strict=True):
         for family, color in colors.items():
             for sigma, marker in markers.items():
+                error = f"{kind}_error{suffix}"
                 chosen = [
-                    (
-                        1e3 * r[f"{kind}_seconds"],
-                        max(r[f"{kind}_error{suffix}"], _FLOOR),
-                    )
+                    (1e3 * r[f"{kind}_seconds"], max(r[error], _FLOOR))
                     for r in records
                     if (r["scene"], r["family"], r["sigma"]) == (scene, family, sigma)
                 ]
                 look = {"color": color, "marker": marker, "lw": 0.6, "ms": 5}
                 # Settings that differ in one number, the cheapest first.
                 axes.plot(*zip(*sorted(chosen), strict=True), alpha=0.8, **look)
-        _style_errors(axes, scene)
+        axes.axhline(SOON, color=style.INK, linestyle="--", linewidth=0.8)
+        axes.set(xscale="log", yscale="log")
+        axes.xaxis.set_minor_formatter(NullFormatter())  # they would overlap
+        style.label_axes(axes, title=scene, grid="both")
     passes = "forward" if kind == "image" else "forward and backward"
     truth = "exact, same grid" if suffix else "float64 on a finer grid"
     figure.supxlabel(f"run time of {passes} (ms)", fontsize=10)
     figure.supylabel(f"relative error of the {kind} ({truth})", fontsize=10)
     keys = [Line2D([], [], color=c, lw=2, label=family) for family, c in colors.items()]
     keys += [
-        Line2D(
-            [], [], color=style.MUTED, marker=m, ls="", label=f"σ = {sigma:g} voxels"
-        )
-        for sigma, m in markers.items()
+        Line2D([], [], color=style.MUTED, marker=m, ls="", label=f"σ = {s:g} voxels")
+        for s, m in markers.items()
     ]
     keys.append(Line2D([], [], color=style.INK, ls="--", label=f"{SOON:.0%}"))
     figure.legend(handles=keys, loc="outside right center", fontsize=8, frameon=False)
     return style.save_figure(figure, path)
 
 
-def _style_errors(axes: Axes, scene: str) -> None:
-    """Logarithmic scales, and a dashed line at the error that is asked for."""
-    axes.axhline(SOON, color=style.INK, linestyle="--", linewidth=0.8)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.xaxis.set_minor_formatter(NullFormatter())  # they would overlap
-    style.label_axes(axes, title=scene, grid="both")
-
-
 def draw_scaling(results: list[dict[str, Any]], path: Path) -> Path:
-    """A panel per number, with its expected order dashed through the largest value.
-
-    Args:
-      results: of `scaling.measure_axis`.
-      path: of the PNG.
-    """
+    """A panel per number, with its expected order dashed through the largest value."""
     figure = style.make_figure(9.0, 6.5)
-    for axes, result in zip(
-        style.make_panels(figure, len(results)), results, strict=True
-    ):
+    panels = style.make_panels(figure, len(results))
+    for axes, result in zip(panels, results, strict=True):
         values = np.array(result["values"], float)
         times = 1e3 * np.array(result["median_seconds"])
         order, name = result["order"], result["axis"]
         power = name if order == 1 else f"{name}$^{order}$"
         expected = times[-1] * (values / values[-1]) ** order
         axes.loglog(values, times, "o-", color=style.SERIES[0], label="measured")
-        axes.loglog(
-            values, expected, "--", color=style.MUTED, label=f"proportional to {power}"
-        )
-        style.label_axes(
-            axes, x_label=f"{name}, {result['subject']}", y_label="ms", grid="both"
-        )
+        label = f"proportional to {power}"
+        axes.loglog(values, expected, "--", color=style.MUTED, label=label)
+        label = f"{name}, {result['subject']}"
+        style.label_axes(axes, x_label=label, y_label="ms", grid="both")
         style.set_ticks(axes, values)
         axes.legend(fontsize=8, frameon=False)
-    figure.suptitle(
-        "Run time of forward and backward; all other numbers as in "
-        f"{results[0]['base']}",
-        fontsize=10,
-    )
+    title = "Run time of forward and backward; all other numbers as in "
+    figure.suptitle(title + results[0]["base"], fontsize=10)
     return style.save_figure(figure, path)

@@ -15,20 +15,8 @@ from typing import Any
 from dpc_jax.measure.benchmark.plan import Case, MemoryCase
 
 
-def measure_baseline() -> int:
-    """Peak in bytes of a process that imports JAX and computes nothing."""
-    return _run_child(None)
-
-
 def measure_case(memory_case: MemoryCase, *, seed: int) -> dict[str, Any]:
-    """Peak of one workload, beside the estimate of `estimate_memory`.
-
-    Args:
-      memory_case: the workload.
-      seed: of its arrays.
-
-    Returns:
-      A record; sizes in bytes.
+    """Peak of one workload in bytes, beside the estimate of `estimate_memory`.
 
     Raises:
       RuntimeError: the process that runs the workload fails.
@@ -39,12 +27,13 @@ def measure_case(memory_case: MemoryCase, *, seed: int) -> dict[str, Any]:
 
     case = memory_case.case
     request = dataclasses.asdict(case) | {"method": memory_case.method, "seed": seed}
-    baseline, peak = measure_baseline(), _run_child(request)
+    baseline, peak = _run_child(None), _run_child(request)
+    number = jax.ShapeDtypeStruct((), "float32")
     estimate = estimate_memory(
         jax.ShapeDtypeStruct((case.points, 3), "float32"),
         jax.ShapeDtypeStruct((4,), "float32"),
-        sigma=jax.ShapeDtypeStruct((), "float32"),
-        scale=jax.ShapeDtypeStruct((), "float32"),
+        sigma=number,
+        scale=number,
         grid=VoxelGrid(case.side),
         method=memory_case.method,
         gradient=True,
@@ -62,17 +51,9 @@ def measure_case(memory_case: MemoryCase, *, seed: int) -> dict[str, Any]:
 
 
 def _run_child(request) -> int:
-    """Start a process, wait for it, read its peak.
-
-    Raises:
-      RuntimeError: with the last line that it printed, if it fails.
-    """
-    command = [
-        sys.executable,
-        "-m",
-        "dpc_jax.measure.benchmark.peak",
-        json.dumps(request),
-    ]
+    """The peak of a process of its own; an error has the last line that it printed."""
+    command = [sys.executable, "-m", "dpc_jax.measure.benchmark.peak"]
+    command.append(json.dumps(request))
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode != 0:
         said = done.stderr.strip().splitlines() or ["nothing"]
@@ -98,22 +79,15 @@ def read_peak() -> int:
     return size if sys.platform == "darwin" else size * 1024
 
 
-def run_case(case: Case, *, method: str, seed: int) -> None:
-    """Gradients of one workload, samples one after the other."""
+def _main(text):
     import jax
 
-    from dpc_jax.measure.benchmark import speed
-
-    jax.block_until_ready(speed.prepare_render(case, seed=seed, method=method)())
-
-
-def _main(text):
     request = json.loads(text)
-    if request is None:
-        import jax  # noqa: F401
-    else:
-        method, seed = request.pop("method"), request.pop("seed")
-        run_case(Case(**request), method=method, seed=seed)
+    if request is not None:
+        from dpc_jax.measure.benchmark import speed
+
+        options = {name: request.pop(name) for name in ("method", "seed")}
+        jax.block_until_ready(speed.prepare_render(Case(**request), **options)())
     print(read_peak())
 
 

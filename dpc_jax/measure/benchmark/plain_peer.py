@@ -13,21 +13,14 @@ import jax.numpy as jnp
 
 from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
 
-_CORNERS = tuple(itertools.product((0, 1), repeat=3))
-
+CORNERS = tuple(itertools.product((0, 1), repeat=3))
 
 Sample = tuple[jax.Array, jax.Array, jax.Array]
 """Points [N, 3], rotation [4] and mass () in voxels of one cloud."""
 
 
 def render_plain(sample: Sample, sigma: jax.Array, *, side: int) -> jax.Array:
-    """Silhouette [side, side] of one cloud.
-
-    Args:
-      sample: the cloud.
-      sigma: (), in voxels.
-      side: of the grid and the image.
-    """
+    """Silhouette [side, side] of one cloud; sigma in voxels."""
     points, rotation, mass = sample
     camera = Camera()
     moved = to_camera_frame(points, rotation, translation=None, camera=camera)
@@ -37,18 +30,18 @@ def render_plain(sample: Sample, sigma: jax.Array, *, side: int) -> jax.Array:
     first = first.astype(jnp.int32) + 1  # a border of one cell catches the outside
     padded = side + 2
     volume = jnp.zeros(padded**3)
-    for corner in _CORNERS:
+    for corner in CORNERS:
         weight = jnp.where(is_inside, mass, 0)
         for axis, is_upper in enumerate(corner):
             part = fraction[:, axis]
             weight = weight * (part if is_upper else 1 - part)
-        row, col, depth = (first + jnp.array(corner)).T
+        row, col, depth = (first + jnp.array([corner])).T
         volume = volume.at[(row * padded + col) * padded + depth].add(weight)
     volume = volume.reshape(padded, padded, padded)[1:-1, 1:-1, 1:-1]
 
     cells = jnp.arange(side)
     far = jnp.arange(-4 * side, 4 * side + 1)
-    kernel = jnp.exp(-0.5 * ((cells[:, None] - cells) / sigma) ** 2)
+    kernel = jnp.exp(-0.5 * ((cells[:, None] - cells[None]) / sigma) ** 2)
     kernel = kernel / jnp.sum(jnp.exp(-0.5 * (far / sigma) ** 2))
     volume = jnp.matmul(kernel, volume @ kernel)
     volume = (kernel @ volume.reshape(side, -1)).reshape(volume.shape)

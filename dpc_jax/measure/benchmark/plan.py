@@ -29,40 +29,24 @@ class MemoryCase:
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """Sizes of one run of the benchmark.
+    """Sizes of one run of the benchmark."""
 
-    Attributes:
-      rounds: of each measurement; medians are reported.
-      cases: of the speed table; per_point: gaussian against trilinear.
-      candidates: workload of the choice among `num_candidates`.
-      scene_points, sparse_points: points of the dense scenes and of the sparse one.
-      sigmas: voxels of a grid with `base_side` cells a side.
-      sides, depths: of cubic grids, and of the depth of grids with base_side² pixels.
-      point_shares: one point in this many is kept.
-      dtypes: pairs of method and dtype beside float32.
-      reference_side: of the float64 reference.
-      budget_seconds: after so much time a setting gets no further round.
-      scaling_*: values of one number, the others as in `scaling_base`.
-      memory: see `MemoryCase`.
-    """
-
-    rounds: int
+    rounds: int  # of each measurement; medians are reported
     seed: int
-    cases: tuple[Case, ...]
-    per_point: Case
-    candidates: Case
+    cases: tuple[Case, ...]  # of the speed table; the first, gaussian and trilinear
+    candidates: Case  # workload of the choice among `num_candidates`
     num_candidates: int
-    scene_points: int
-    sparse_points: int
-    sigmas: tuple[float, ...]
+    scene_points: int  # of the dense scenes
+    sparse_points: int  # of the sparse one
+    sigmas: tuple[float, ...]  # voxels of a grid with `base_side` cells a side
     base_side: int
-    sides: tuple[int, ...]
-    depths: tuple[int, ...]
-    point_shares: tuple[int, ...]
-    dtypes: tuple[tuple[str, str], ...]
-    reference_side: int
-    budget_seconds: float
-    scaling_base: Case
+    sides: tuple[int, ...]  # of cubic grids
+    depths: tuple[int, ...]  # of grids with base_side² pixels
+    point_shares: tuple[int, ...]  # one point in this many is kept
+    dtypes: tuple[tuple[str, str], ...]  # method and dtype, beside float32
+    reference_side: int  # of the float64 reference
+    budget_seconds: float  # after so much time a setting gets no further round
+    scaling_base: Case  # the scaling values change one number of this
     scaling_points: tuple[int, ...]
     scaling_sides: tuple[int, ...]
     scaling_batches: tuple[int, ...]
@@ -78,7 +62,6 @@ FULL = Plan(
         Case(16, 2000, 32, 1.6),
         Case(4, 16000, 128, 3.0),
     ),
-    per_point=Case(16, 8000, 64, 3.0),
     candidates=Case(4, 8000, 64, 3.0),
     num_candidates=8,
     scene_points=8000,
@@ -112,7 +95,6 @@ QUICK = Plan(
     rounds=5,
     seed=0,
     cases=(Case(2, 500, 16, 1.5),),
-    per_point=Case(2, 500, 16, 1.5),
     candidates=Case(2, 500, 16, 1.5),
     num_candidates=4,
     scene_points=500,

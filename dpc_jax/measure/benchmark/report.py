@@ -10,7 +10,7 @@ from dpc_jax.evaluation.metrics import MISSING
 from dpc_jax.files import write_json, write_text
 from dpc_jax.measure.benchmark import accuracy, figures
 from dpc_jax.measure.timing import phrase_machine
-from dpc_jax.reporting.tables import format_table, join_blocks
+from dpc_jax.reporting.tables import format_table
 
 _KINDS = ("image", "gradient")
 # What errors are measured against, by the suffix of their names in the records.
@@ -28,48 +28,31 @@ _RELEASED = {
 
 
 def write_report(out: Path, results: dict[str, Any]) -> Path:
-    """Write the figures, benchmark.json and benchmark.md of a run.
-
-    Args:
-      out: folder.
-      results: of `suite.run_benchmark`.
-
-    Returns:
-      The path of benchmark.md.
-    """
-    blocks = _describe_run(results)
-    for part, write in _SECTIONS.items():
-        if results.get(part):
-            blocks += write(out, results)
-    write_json(out / "benchmark.json", results)
-    return write_text(out / "benchmark.md", join_blocks(blocks))
-
-
-def _describe_run(results) -> list[str]:
+    """Write the figures, benchmark.json and benchmark.md; returns the last."""
     load = results["machine"]["load_at_start"]
+    load = "" if load is None else f"; load {load:.1f} at the start"
     blocks = [
         "# Error against run time",
-        f"{phrase_machine(results['machine'])}; seed {results['seed']}"
-        + ("" if load is None else f"; load {load:.1f} at the start")
-        + ".",
+        f"{phrase_machine(results['machine'])}; seed {results['seed']}{load}.",
         "All times are medians of rounds in which the compared calls take turns. With "
         "glibc, the process keeps freed memory for the next call, for all peers alike "
         "(`dpc_jax.run.process`); otherwise page faults would be much of what is "
         "measured.",
+        f"To repeat: `{results['command']}`",
     ]
-    if results.get("command"):
-        blocks.append(f"To repeat: `{results['command']}`")
-    return blocks
+    for part, write in _SECTIONS.items():
+        if results.get(part):
+            blocks += write(out, results)
+    write_json(out / "benchmark.json", results)
+    page = "\n\n".join(block.strip("\n") for block in blocks) + "\n"
+    return write_text(out / "benchmark.md", page)
 
 
 def _write_speed(out, results) -> list[str]:
-    """Our times beside those of the peers."""
     intro = "Silhouette, forward and backward, float32."
     if not results["has_torch"]:
-        intro += (
-            " PyTorch is not installed and was left out; "
-            "`pip install '.[bench]'` adds it."
-        )
+        intro += " PyTorch is not installed and was left out; "
+        intro += "`pip install '.[bench]'` adds it."
     rows = []
     for result in results["speed"]:
         medians, ours = result["median_seconds"], result["ours"]
@@ -100,7 +83,6 @@ def _write_speed(out, results) -> list[str]:
 
 
 def _write_error(out, results) -> list[str]:
-    """Error of every setting, figures first."""
     records = results["error"]
     fine = f"{results['reference_side']}³"
     variants = [(kind, suffix) for kind in _KINDS for suffix in _REFERENCES]
@@ -152,9 +134,8 @@ def _tabulate_soonest(records, kind, suffix) -> str:
     soonest = accuracy.find_soonest(records, kind=kind, suffix=suffix)
     sigmas = sorted({r["sigma"] for r in soonest})
     for row in sorted(soonest, key=lambda row: row["sigma"]):
-        cell = (
-            f"{row['setting']}: {_percent(row['error'])}, {1e3 * row['seconds']:.2f} ms"
-        )
+        error, ms = _percent(row["error"]), f"{1e3 * row['seconds']:.2f} ms"
+        cell = f"{row['setting']}: {error}, {ms}"
         cells = rows.setdefault(row["scene"], [row["scene"]])
         cells.append(cell if row["reached"] else f"({cell})")
     heads = ["scene", *(f"σ = {sigma:g}" for sigma in sigmas)]
@@ -162,19 +143,14 @@ def _tabulate_soonest(records, kind, suffix) -> str:
 
 
 def _write_scaling(out, results) -> list[str]:
-    """Run time over each number, beside its expected order."""
     figures.draw_scaling(results["scaling"], out / "scaling.png")
     rows = []
     for result in results["scaling"]:
         name, order = result["axis"], result["order"]
         pairs = zip(result["values"], result["median_seconds"], strict=True)
-        rows.append(
-            [
-                f"{name}, {result['subject']}",
-                name if order == 1 else f"{name}^{order}",
-                ", ".join(f"{value}: {1e3 * seconds:.2f}" for value, seconds in pairs),
-            ]
-        )
+        times = ", ".join(f"{value}: {1e3 * time:.2f}" for value, time in pairs)
+        power = name if order == 1 else f"{name}^{order}"
+        rows.append([f"{name}, {result['subject']}", power, times])
     return [
         "## Growth",
         "![Run time against N, D, B and K](scaling.png)",
@@ -187,20 +163,12 @@ def _write_scaling(out, results) -> list[str]:
 
 
 def _write_memory(out, results) -> list[str]:
-    """Peaks beside the estimate and the limits."""
+    specs = {"extra": ".2f", "limit": ".1f", "estimate": ".3f", "all_cells": ".4g"}
     rows = []
     for result in results["memory"]:
-        limit = result["limit_bytes"]
-        rows.append(
-            [
-                result["method"],
-                result["case"],
-                f"{result['extra_bytes'] / 1e9:.2f}",
-                MISSING if limit is None else f"{limit / 1e9:.1f}",
-                f"{result['estimate_bytes'] / 1e9:.3f}",
-                f"{result['all_cells_bytes'] / 1e9:.4g}",
-            ]
-        )
+        sizes = [(result[f"{name}_bytes"], spec) for name, spec in specs.items()]
+        cells = [MISSING if n is None else format(n / 1e9, spec) for n, spec in sizes]
+        rows.append([result["method"], result["case"], *cells])
     heads = ["method", "work", "extra peak (GB)", "limit (GB)", "estimate (GB)"]
     return [
         "## Memory",

@@ -18,11 +18,9 @@ AXES = {
 
 
 def measure_axis(axis: str, *, plan: Plan) -> dict[str, Any]:
-    """Median seconds, forward and backward, for each value of one number.
+    """Median seconds, forward and backward, for each value of one number of `AXES`.
 
-    Args:
-      axis: one of `AXES`; the other numbers are those of the plan's base case.
-      plan: sizes.
+    The other numbers are those of the plan's base case.
     """
     base, seed = plan.scaling_base, plan.seed
     subject, order = AXES[axis]

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dpc_jax.learning.hindsight import choose_candidate
 from dpc_jax.learning.losses import reprojection_loss
@@ -29,7 +28,7 @@ class Work(NamedTuple):
     targets: np.ndarray  # [B, D, D]
 
 
-def draw_work(case: Case, *, seed: int) -> Work:
+def _draw_work(case: Case, *, seed: int) -> Work:
     """Random points, poses and targets of a case, the same for the same seed."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(-0.4, 0.4, (case.batch, case.points, 3))
@@ -41,23 +40,16 @@ def draw_work(case: Case, *, seed: int) -> Work:
 
 
 def draw_candidates(case: Case, num_candidates: int, *, seed: int) -> Work:
-    """`draw_work` with `num_candidates` quaternions per sample, [B, K, 4]."""
+    """Arrays of a case with `num_candidates` quaternions per sample, [B, K, 4]."""
     rng = np.random.default_rng([seed, 1])
     candidates = rng.normal(size=(case.batch, num_candidates, 4)).astype("f4")
-    return draw_work(case, seed=seed)._replace(quaternions=candidates)
+    return _draw_work(case, seed=seed)._replace(quaternions=candidates)
 
 
 def render_ours(
-    sample: Sample, sigma: jax.Array, *, side: int, method: str = "auto"
+    sample: Sample, sigma: jax.Array | float, *, side: int | tuple, method: str = "auto"
 ) -> jax.Array:
-    """Silhouette [side, side] of one cloud by `project`.
-
-    Args:
-      sample: the cloud.
-      sigma: () or [N], in voxels.
-      side: of the grid and the image.
-      method: of `project`.
-    """
+    """Silhouette by `project`; sigma () or [N], voxels; side or (rows, cols, depth)."""
     points, rotation, mass = sample
     grid = VoxelGrid(side)
     image = project(points, rotation, sigma=sigma, scale=mass, grid=grid, method=method)
@@ -65,17 +57,11 @@ def render_ours(
     return image.silhouette
 
 
-def make_jax_call(
-    render: Callable[..., jax.Array], work: Work, sigma: ArrayLike, **static: Any
-) -> Callable[[], Any]:
+def _make_jax_call(render, work: Work, sigma, **static) -> Callable[[], Any]:
     """A call that gives the gradients of points, quaternions and masses.
 
-    Args:
-      render: a module's function that makes the silhouette of one sample, given sigma
-        and `static`. Samples are rendered one after the other.
-      work: the arrays.
-      sigma: () or [N], voxels.
-      **static: further arguments of `render`, known at compilation.
+    `render` gives the silhouette of one sample from sigma and the static arguments.
+    Samples are rendered one after the other.
     """
     gradient = _compile_gradient(render, tuple(sorted(static.items())))
     inputs = tuple(jnp.asarray(a) for a in work[:3])
@@ -84,9 +70,9 @@ def make_jax_call(
 
 
 def prepare_render(case: Case, *, seed: int, method: str = "auto") -> Callable[[], Any]:
-    """`make_jax_call` of our own render on the arrays of a case."""
-    work = draw_work(case, seed=seed)
-    return make_jax_call(render_ours, work, case.sigma, side=case.side, method=method)
+    """A call that gives the gradients of our own render on the arrays of a case."""
+    work = _draw_work(case, seed=seed)
+    return _make_jax_call(render_ours, work, case.sigma, side=case.side, method=method)
 
 
 @functools.lru_cache
@@ -101,18 +87,13 @@ def _compile_gradient(render, static):
 def compare_with_peers(case: Case, *, rounds: int, seed: int) -> dict[str, Any]:
     """Silhouette, forward and backward, beside the plain ways to write it.
 
-    Args:
-      case: the workload.
-      rounds: of the clock.
-      seed: of the workload.
-
     Returns:
       A record: the case, seconds of each call with their medians and ratios to ours,
       and the relative distances of the gradients from ours.
     """
-    work = draw_work(case, seed=seed)
+    work = _draw_work(case, seed=seed)
     calls = {
-        name: make_jax_call(render, work, case.sigma, side=case.side)
+        name: _make_jax_call(render, work, case.sigma, side=case.side)
         for name, render in (("ours", render_ours), ("plain JAX", render_plain))
     }
     if has_torch():
@@ -129,12 +110,12 @@ def has_torch() -> bool:
 
 def compare_sizes(case: Case, *, rounds: int, seed: int) -> dict[str, Any]:
     """A sigma for each point (`gaussian`) beside one for all (`trilinear`)."""
-    work = draw_work(case, seed=seed)
+    work = _draw_work(case, seed=seed)
     spread = np.random.default_rng([seed, 1]).uniform(0.5, 1.5, case.points)
-    sigmas = case.sigma * spread
+    sigmas = {"trilinear": case.sigma, "gaussian": case.sigma * spread}
     calls = {
-        method: make_jax_call(render_ours, work, sigma, side=case.side, method=method)
-        for method, sigma in (("trilinear", case.sigma), ("gaussian", sigmas))
+        method: _make_jax_call(render_ours, work, sigma, side=case.side, method=method)
+        for method, sigma in sigmas.items()
     }
     # With other sizes the gradients differ: there is nothing to compare.
     return _compare(str(case), calls, "trilinear", rounds, has_one_gradient=False)
@@ -152,12 +133,8 @@ def compare_choices(
 def make_choice_call(how: str, work: Work, sigma: float) -> Callable[[], Any]:
     """A call that gives the gradients of points and candidates.
 
-    Args:
-      how: one of `CHOICES`: "chosen" (hindsight choice, then one render with a
-        gradient), or the plain minimum over renders with a gradient, "min, one by one"
-        or "min, all at once".
-      work: of `draw_candidates`.
-      sigma: voxels.
+    `how` is one of `CHOICES`: "chosen" is the hindsight choice, then one render with a
+    gradient; the others take the plain minimum over K renders with a gradient.
     """
     gradient = _compile_choice(how)
     arrays = tuple(jnp.asarray(a) for a in work)
@@ -185,24 +162,19 @@ def _compile_choice(how):
 
     def compute_all(moving, fixed, sigma):
         samples = (*moving, *fixed)
-        losses = jax.lax.map(lambda one: compute_loss(one, sigma), samples)
-        return jnp.sum(losses)
+        return jnp.sum(jax.lax.map(lambda one: compute_loss(one, sigma), samples))
 
     return jax.jit(jax.grad(compute_all))
 
 
 def _compare(name, calls, ours, rounds, *, has_one_gradient=True):
     """Medians, ratios to ours, and how far each gradient is from ours."""
+    peers = [name for name in calls if name != ours]
     differences = {}
     if has_one_gradient:
-        own = calls[ours]()
+        own = [np.asarray(value, np.float64) for value in calls[ours]()]
         differences = {
-            peer: [
-                measure_distance(np.asarray(value), np.asarray(reference, np.float64))
-                for value, reference in zip(call(), own, strict=True)
-            ]
-            for peer, call in calls.items()
-            if peer != ours
+            peer: [*map(measure_distance, calls[peer](), own)] for peer in peers
         }
     seconds = time_interleaved(calls, rounds=rounds)
     medians = take_medians(seconds)
@@ -211,9 +183,7 @@ def _compare(name, calls, ours, rounds, *, has_one_gradient=True):
         "ours": ours,
         "median_seconds": medians,
         "seconds": seconds,
-        "ratio_to_ours": {
-            peer: medians[peer] / medians[ours] for peer in calls if peer != ours
-        },
+        "ratio_to_ours": {peer: medians[peer] / medians[ours] for peer in peers},
         "gradient_difference": differences,
     }
 

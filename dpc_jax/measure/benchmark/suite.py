@@ -8,23 +8,14 @@ from typing import Any
 from dpc_jax.learning.progress import ProgressReport
 from dpc_jax.measure import scenes
 from dpc_jax.measure.benchmark import accuracy, peak, report, scaling, speed
-from dpc_jax.measure.benchmark.plan import PARTS, Case, Plan
+from dpc_jax.measure.benchmark.plan import PARTS, Plan
 from dpc_jax.measure.timing import describe_machine
 
 
-def run_benchmark(
-    out: Path, *, plan: Plan, parts: Sequence[str] = PARTS, command: str = ""
-) -> Path:
+def run_benchmark(out: Path, *, plan: Plan, parts: Sequence[str], command: str) -> Path:
     """Measure the parts asked for and write OUT/benchmark.md, .json and figures.
 
-    Args:
-      out: folder, made if it is missing.
-      plan: sizes.
-      parts: some of `PARTS`.
-      command: that repeats the run, for the report.
-
-    Returns:
-      The path of benchmark.md.
+    Returns the path of benchmark.md, which names the command that repeats the run.
 
     Raises:
       ValueError: there is an unknown part, or no part.
@@ -76,11 +67,12 @@ Task = tuple[str, Callable[[], list[dict]]]
 
 def _list_speed(plan) -> list[Task]:
     """Each kind of comparison with its function, case and further arguments."""
-    wanted: list[tuple[str, Callable[..., dict], Case, dict[str, int]]]
-    wanted = [("peers", speed.compare_with_peers, case, {}) for case in plan.cases]
-    wanted.append(("sizes", speed.compare_sizes, plan.per_point, {}))
     count = {"num_candidates": plan.num_candidates}
-    wanted.append(("choices", speed.compare_choices, plan.candidates, count))
+    wanted = [
+        *(("peers", speed.compare_with_peers, case, {}) for case in plan.cases),
+        ("sizes", speed.compare_sizes, plan.cases[0], {}),
+        ("choices", speed.compare_choices, plan.candidates, count),
+    ]
 
     def compare(kind, function, case, options):
         record = function(case, rounds=plan.rounds, seed=plan.seed, **options)
@@ -90,7 +82,6 @@ def _list_speed(plan) -> list[Task]:
 
 
 def _list_error(plan) -> list[Task]:
-    """Every scene at every sigma."""
     measure = functools.partial(
         accuracy.measure_scene, plan=plan, settings=accuracy.list_settings(plan)
     )
@@ -112,11 +103,11 @@ def _list_scaling(plan) -> list[Task]:
 
 
 def _list_memory(plan) -> list[Task]:
+    def measure(case):
+        return [peak.measure_case(case, seed=plan.seed)]
+
     return [
-        (
-            f"{case.method}, {case.case}",
-            lambda case=case: [peak.measure_case(case, seed=plan.seed)],
-        )
+        (f"{case.method}, {case.case}", functools.partial(measure, case))
         for case in plan.memory
     ]
 

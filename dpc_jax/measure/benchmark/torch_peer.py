@@ -4,28 +4,18 @@ The steps are those of `plain_peer`; every derivative is PyTorch's own. This is 
 of its own because PyTorch (`pip install '.[bench]'`) may not be installed.
 """
 
-import itertools
 from collections.abc import Callable
 
 import numpy as np
 import torch  # pyright: ignore[reportMissingImports]  # optional
 
+from dpc_jax.measure.benchmark.plain_peer import CORNERS
 from dpc_jax.measure.benchmark.speed import Work
 from dpc_jax.render.camera import Camera
 
-_CORNERS = tuple(itertools.product((0, 1), repeat=3))
-
 
 def make_call(work: Work, *, sigma: float) -> Callable[[], list[np.ndarray]]:
-    """A call that gives the loss's gradient in PyTorch.
-
-    Args:
-      work: the arrays.
-      sigma: voxels.
-
-    Returns:
-      A function without arguments; gradients of points, quaternions and masses.
-    """
+    """A call that gives the gradients of points, quaternions and masses in PyTorch."""
     side = work.targets.shape[-1]
     target = torch.tensor(work.targets)
 
@@ -54,7 +44,7 @@ def _render_in_torch(inputs, sigma, side):
     mass = torch.where(is_inside, masses[:, None], torch.zeros(()))
     start = torch.arange(batch)[:, None] * padded**3
     indices, weights = [], []
-    for corner in _CORNERS:
+    for corner in CORNERS:
         weight = mass
         for axis, is_upper in enumerate(corner):
             part = fraction[..., axis]
