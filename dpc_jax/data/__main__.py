@@ -16,7 +16,7 @@ from dpc_jax.data.spec import KINDS
 CATEGORIES = ("chair", "car", "airplane")
 
 
-def parse_arguments(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+def _parse_arguments(arguments=None):
     """Parse a command line, by default that of this process."""
     parser = argparse.ArgumentParser(
         prog="python -m dpc_jax.data", description="Get data and look at it."
@@ -122,7 +122,7 @@ def _open(path, flags):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; print a failure as a sentence."""
-    flags = parse_arguments(arguments)
+    flags = _parse_arguments(arguments)
     try:
         return {"fetch": fetch, "show": show, "check": check}[flags.command](flags)
     except (ValueError, RuntimeError, OSError) as error:

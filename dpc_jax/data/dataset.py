@@ -72,7 +72,6 @@ def load_or_render(
     """The data set of a specification, from the cache or prepared now.
 
     Args:
-      spec: what the data set is made of.
       cache_dir: folder of the caches; created where missing.
       processes: how many render at once; None for one per core. The result does not
         depend on it.

@@ -51,17 +51,11 @@ def _iterate_meshes(folder):
 
 
 def read_mesh(path: str | Path) -> trimesh.Trimesh:
-    """Read one mesh file into a single mesh with one colour per face.
+    """Read a file with one of `SUFFIXES` into a single mesh with one colour per face.
 
     The parts of a scene are put in place by their transforms and concatenated. Colours
     come from face colours, vertex colours (mean of a face's corners), a texture (looked
     up at the middle of the face) or the material, in this order; grey without any.
-
-    Args:
-      path: file with one of the endings `SUFFIXES`.
-
-    Returns:
-      The mesh in the frame and units of the file.
 
     Raises:
       ValueError: naming the file, if it cannot be read, has no faces, coordinates that
@@ -179,10 +173,9 @@ def _face_colors(part):
 def scale_randomly(
     mesh: trimesh.Trimesh, *, seed: int | Sequence[int], amount: float = 0.15
 ) -> trimesh.Trimesh:
-    """Copy of a mesh, stretched along x, y and z by a random factor each.
+    """Copy of a mesh, stretched along x, y and z by factors in [1 - amount, 1 + amount].
 
     An augmentation for small sets of files: proportions vary, the category stays.
-    Factors are uniform in [1 - amount, 1 + amount].
 
     Raises:
       ValueError: if amount is not in [0, 1).

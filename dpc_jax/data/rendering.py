@@ -5,7 +5,6 @@ import trimesh
 
 from dpc_jax.data import surfaces, viewpoints, views
 from dpc_jax.data.sources import Model, Source, view_arrays
-from dpc_jax.data.spec import DataSpec
 from dpc_jax.data.splits import SPLITS
 
 
@@ -27,26 +26,12 @@ class RenderedSource(Source):
         return []
 
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
-        """See `Source.make_arrays`."""
-        arrays = render_mesh(self.make_mesh(model), self.spec, index)
+        arrays = _render_mesh(self.make_mesh(model), self.spec, index)
         return arrays, self.describe_flaws(model)
 
 
-def render_mesh(
-    mesh: trimesh.Trimesh, spec: DataSpec, index: int
-) -> dict[str, np.ndarray]:
-    """Rendered views and surface points of a normalised mesh.
-
-    Args:
-      mesh: in the canonical frame. spec: number of views, camera, ground truth.
-      index: of the model in its data set.
-
-    Returns:
-      images, masks, depths, quaternions and surfaces, as in `DataSet`.
-
-    Raises:
-      ValueError: if the mesh has no faces or no area.
-    """
+def _render_mesh(mesh, spec, index):
+    """Rendered views and surface points of a normalised mesh, the index-th of its set."""
     scene = views.build_scene(mesh)
     points = surfaces.make_ground_truth(mesh, spec, scene=scene)
     arrays = view_arrays(spec.views, spec.image_size)

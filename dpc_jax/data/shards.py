@@ -34,12 +34,7 @@ class Shard(NamedTuple):
 
 
 def write_shard(path: Path, arrays: dict[str, np.ndarray], record: dict[str, Any]):
-    """Write a shard under a temporary name and rename it when it is whole.
-
-    Args:
-      path: of the shard.
-      arrays: by name, which must not be `RECORD`.
-      record: anything that JSON can hold.
+    """Write named arrays and a JSON record under a temporary name; rename it when whole.
 
     Raises:
       OSError: naming the file, if it cannot be written.

@@ -5,17 +5,10 @@ from scipy.spatial.transform import Rotation
 
 
 def look_at_rotation(azimuth: float, elevation: float) -> np.ndarray:
-    """Rotation from the object to a camera that looks at the origin, image upright.
+    """Rotation [3, 3] from the object to a camera that looks at the origin, upright.
 
     The camera sits in the direction (cos el cos az, cos el sin az, sin el) of the
-    object frame (z up); its axes are x right, y down, z forward.
-
-    Args:
-      azimuth: radians, from +x towards +y.
-      elevation: radians above the xy plane, strictly between -pi/2 and pi/2.
-
-    Returns:
-      [3, 3] float64, rows are the camera axes in the object frame.
+    object frame (z up); its axes are x right, y down, z forward. Angles are radians.
 
     Raises:
       ValueError: for an elevation at a pole, where "upright" has no meaning.

@@ -89,7 +89,7 @@ def build_scene(mesh: trimesh.Trimesh) -> Scene:
     return Scene(embree, vertices, corners.mean(axis=1), normals, colors)
 
 
-def shade_faces(scene: Scene, *, eye: np.ndarray, lights: Lights) -> np.ndarray:
+def _shade_faces(scene, *, eye, lights):
     """Lambert shading, one colour per face [F, 3] in 0..255.
 
     Normals are first turned towards the camera: files full of open shells have no
@@ -150,9 +150,7 @@ def render_view(
     Args:
       mesh: preferably a `Scene`, which is built once for many views.
       rotation: [3, 3], object frame to camera frame.
-      lights: `Lights`, for instance from `draw_lights`.
       image_size: S, pixels.
-      focal_length, extent: units of the image plane.
       distance: units of the mesh.
       supersample: rays per pixel along each image axis.
 
@@ -185,7 +183,7 @@ def render_view(
     face = hits["primID"]
     # the last row stands for a miss (index -1): the white background
     colors = np.full((len(scene.colors) + 1, 3), WHITE, dtype=np.float32)
-    colors[:-1] = shade_faces(scene, eye=eye, lights=lights)
+    colors[:-1] = _shade_faces(scene, eye=eye, lights=lights)
     total = colors[face].reshape(*shape, 3).sum(axis=0)
     found = (face >= 0).reshape(shape)
     covered = found.sum(axis=0, dtype=np.float32)

@@ -21,21 +21,10 @@ from dpc_jax.data.sources import open_source
 from dpc_jax.data.spec import DataSpec
 
 
-def measure(
-    spec: DataSpec,
-    *,
-    cache_dir: Path,
-    processes: int | None = None,
-    models_per_batch: int = 4,
-    views_per_batch: int = 4,
-    seed: int = 0,
-) -> list[tuple[str, str]]:
-    """Rows (what, value) on preparing and reading the data set of a specification.
-
-    Args:
-      spec, cache_dir, processes: as for `load_or_render`.
-      models_per_batch, views_per_batch, seed: of the batches of one epoch.
-    """
+def _measure(
+    spec, *, cache_dir, processes=None, models_per_batch=4, views_per_batch=4, seed=0
+):
+    """Rows (what, value) on preparing and reading the data set of a specification."""
     rows = []
     missing = _count_missing(spec, cache_dir)
     start = time.monotonic()
@@ -47,7 +36,7 @@ def measure(
         rows.append(("views per second", f"{missing * spec.views / seconds:.1f}"))
         largest = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
         rows.append(("memory of the largest worker", f"{largest / 2**10:.0f} MB"))
-    folder = find_folder(spec, cache_dir)
+    folder = _find_folder(spec, cache_dir)
     size = sum(path.stat().st_size for path in folder.iterdir())
     rows.append(("disk", f"{size / 1e9:.2f} GB in {len(list(folder.iterdir()))} files"))
 
@@ -55,7 +44,7 @@ def measure(
     data = dataset.load_or_render(spec, cache_dir=cache_dir)
     rows.append(("checked and opened", f"{time.monotonic() - start:.1f} s"))
 
-    before, most = read_memory(), 0
+    before, most = _read_memory(), 0
     count = -(-len(data.names) // models_per_batch)
     start, processor = time.monotonic(), time.process_time()
     for step in range(count):
@@ -69,7 +58,7 @@ def measure(
         )
         batches.read_batch(data, *chosen)
         if step % 50 == 0:
-            most = max(most, read_memory() - before)
+            most = max(most, _read_memory() - before)
     seconds, busy = time.monotonic() - start, time.process_time() - processor
     rows.append(("a batch", f"{1e3 * seconds / count:.2f} ms, {count} in an epoch"))
     rows.append(("of which processor time", f"{1e3 * busy / count:.2f} ms"))
@@ -89,14 +78,13 @@ def measure(
     return rows
 
 
-def find_folder(spec: DataSpec, cache_dir: Path) -> Path:
-    """The cache folder of a specification."""
+def _find_folder(spec, cache_dir):
     source = open_source(spec)
     return dataset.locate_cache(source, source.list_models(), cache_dir)
 
 
 def _count_missing(spec, cache_dir):
-    source, folder = open_source(spec), find_folder(spec, cache_dir)
+    source, folder = open_source(spec), _find_folder(spec, cache_dir)
     plan = workers.plan_shards(source, source.list_models())
     return sum(
         len(models)
@@ -105,7 +93,7 @@ def _count_missing(spec, cache_dir):
     )
 
 
-def read_memory() -> float:
+def _read_memory():
     """Resident memory of this process in MB, mapped files included; 0 if unknown."""
     status = Path("/proc/self/status")
     if not status.is_file():
@@ -114,7 +102,7 @@ def read_memory() -> float:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Parse the command line, measure, print."""
+    """Parse the command line, _measure, print."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--category", default="car")
     parser.add_argument("--models", type=int, default=7000)
@@ -130,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             views=options.views,
             image_size=options.image_size,
         )
-        rows = measure(
+        rows = _measure(
             spec, cache_dir=options.cache_dir, processes=options.processes or None
         )
     except (ValueError, OSError) as error:

@@ -9,7 +9,7 @@ import argparse
 import statistics
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import trimesh
@@ -22,7 +22,7 @@ REFERENCE = 16  # rays per pixel and axis that rims are compared with
 COMPARED = 8  # views that they are compared in
 
 
-def divide_faces(mesh: trimesh.Trimesh, *, faces: int) -> trimesh.Trimesh:
+def _divide_faces(mesh, *, faces):
     """The same shape with `faces` faces or up to two more, if it had fewer."""
     vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     colors = face_colors(mesh)
@@ -45,14 +45,7 @@ def divide_faces(mesh: trimesh.Trimesh, *, faces: int) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, triangles, face_colors=colors, process=False)
 
 
-def draw_views(
-    mesh: trimesh.Trimesh | views.Scene,
-    *,
-    count: int,
-    image_size: int,
-    supersample: int,
-    seed: int = 0,
-) -> Iterator[views.View]:
+def _draw_views(mesh, *, count, image_size, supersample, seed=0):
     """Views of a mesh as a data set has them: any azimuth, elevation -20 to 40."""
     scene = mesh if isinstance(mesh, views.Scene) else views.build_scene(mesh)
     rng = np.random.default_rng(seed)
@@ -70,14 +63,7 @@ def draw_views(
         )
 
 
-def measure(
-    mesh: trimesh.Trimesh,
-    *,
-    image_size: int,
-    supersample: int,
-    count: int,
-    rounds: int,
-) -> tuple[list[float], list[float]]:
+def _measure(mesh, *, image_size, supersample, count, rounds):
     """Views per second of processor time and by the clock, one value per round each.
 
     The scene is built in each round, as it is for each model of a set, but once for
@@ -86,7 +72,7 @@ def measure(
     rates: tuple[list[float], list[float]] = [], []
     for number in range(rounds):
         starts = time.process_time(), time.perf_counter()
-        for _ in draw_views(
+        for _ in _draw_views(
             mesh,
             count=count,
             image_size=image_size,
@@ -100,11 +86,11 @@ def measure(
     return rates
 
 
-def measure_rims(mesh: trimesh.Trimesh, *, image_size: int, supersample: int) -> float:
+def _measure_rims(mesh, *, image_size, supersample):
     """Mean error of the coverage of pixels that are partly covered, from 0 to 1."""
     options = {"count": COMPARED, "image_size": image_size}
-    ours = draw_views(mesh, supersample=supersample, **options)
-    exact = draw_views(mesh, supersample=REFERENCE, **options)
+    ours = _draw_views(mesh, supersample=supersample, **options)
+    exact = _draw_views(mesh, supersample=REFERENCE, **options)
     errors = []
     for first, second in zip(ours, exact, strict=True):
         rim = (second.mask > 0) & (second.mask < 255)
@@ -112,14 +98,7 @@ def measure_rims(mesh: trimesh.Trimesh, *, image_size: int, supersample: int) ->
     return float(np.concatenate(errors).mean())
 
 
-def make_table(
-    *,
-    faces: Sequence[int],
-    image_size: int,
-    rays: Sequence[int],
-    count: int,
-    rounds: int,
-) -> list[str]:
+def _make_table(*, faces, image_size, rays, count, rounds):
     """Lines of the table: every shape, number of faces and of rays."""
     lines = [
         "| shape | faces | rays per pixel | views/s | lowest–highest | "
@@ -128,21 +107,21 @@ def make_table(
     ]
     for category in procedural.CATEGORIES:
         for wanted in faces:
-            mesh = divide_faces(procedural.make_shape(category, 0), faces=wanted)
+            mesh = _divide_faces(procedural.make_shape(category, 0), faces=wanted)
             for side in rays:
                 options = {"image_size": image_size, "supersample": side}
-                busy, passed = measure(mesh, count=count, rounds=rounds, **options)
+                busy, passed = _measure(mesh, count=count, rounds=rounds, **options)
                 lines.append(
                     f"| {category} | {len(mesh.faces):,} | {side}² | "
                     f"{statistics.median(busy):.0f} | {min(busy):.0f}–{max(busy):.0f} "
                     f"| {statistics.median(passed):.0f} | "
-                    f"{measure_rims(mesh, **options):.3f} |"
+                    f"{_measure_rims(mesh, **options):.3f} |"
                 )
     return lines
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Parse the command line, measure, print."""
+    """Parse the command line, _measure, print."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--faces", type=int, nargs="+", default=[10_000, 100_000])
     parser.add_argument("--rays", type=int, nargs="+", default=[2, 4, 8])
@@ -151,7 +130,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args(arguments)
     try:
-        lines = make_table(
+        lines = _make_table(
             faces=options.faces,
             image_size=options.image_size,
             rays=options.rays,

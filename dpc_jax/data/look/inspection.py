@@ -14,11 +14,7 @@ WHITE = 250  # darkest mean background that passes for white
 
 
 def check_set(data: DataSet, lens: Lens) -> list[Finding]:
-    """What is wrong with a data set; an empty list if nothing is.
-
-    Args:
-      data: the set. lens: its camera.
-    """
+    """What is wrong with a data set; an empty list if nothing is."""
     finder = _Finder(data, lens)
     for model in range(len(data.names)):
         finder.look_at(model)
@@ -42,7 +38,7 @@ def _list_skipped(data):
 class _Finder:
     """Goes through the models once and gathers what is wrong by kind."""
 
-    def __init__(self, data: DataSet, lens: Lens):
+    def __init__(self, data, lens):
         self._data, self._lens = data, lens
         self._views = 0
         self._found = {}
@@ -54,8 +50,7 @@ class _Finder:
             places = [f"{name} view {view}" for view in np.flatnonzero(views)]
         self._found.setdefault((level, kind), []).extend(places)
 
-    def look_at(self, model: int):
-        """Check one model, by its index."""
+    def look_at(self, model):
         data = self._data
         masks = np.asarray(data.masks[model])[: data.counts[model]]
         self._views += len(masks)
@@ -115,7 +110,7 @@ class _Finder:
         off = covered & (np.abs(depths - self._lens.distance) > 0.55) & (depths > 0)
         self._note("error", "depth beyond where the object is", model, off.any((1, 2)))
 
-    def report(self) -> list[Finding]:
+    def report(self):
         """The findings, errors first, with the first offenders by name."""
         findings = []
         for (level, kind), places in sorted(self._found.items()):

@@ -55,8 +55,6 @@ def open_set(
     """Open a cache, or prepare the models of a folder for the time of looking.
 
     Args:
-      path: a finished cache, or a folder of meshes, of own images, of ShapeNet, or of
-        the published renders.
       kind: what the folder is, of `KINDS`; None to find out.
       category: of ShapeNet and the renders; None where there is only one.
       models: how many of a folder's models to prepare; None for all.
@@ -72,7 +70,7 @@ def open_set(
         raise ValueError(
             f"Expected a folder with a data set, but {path} is not a folder; check it."
         )
-    kind = kind or guess_kind(path)
+    kind = kind or _guess_kind(path)
     spec = DataSpec(
         **find_kind(kind).suggest_fields(path, category),
         folder=str(path),
@@ -106,12 +104,7 @@ def _read_set(cache, name, note):
     return OpenSet(name, data, lens, record, note)
 
 
-def guess_kind(path: Path) -> str:
-    """What a folder holds, of `KINDS`.
-
-    Raises:
-      ValueError: if it is nothing that can be read.
-    """
+def _guess_kind(path):
     for kind in KINDS:
         if find_kind(kind).recognizes(path):
             return kind
@@ -142,7 +135,7 @@ def describe_set(opened: OpenSet) -> list[str]:
     if data.quaternions is not None:
         angles = np.array(
             [
-                read_angles(quaternion)
+                _read_angles(quaternion)
                 for model in range(len(data.names))
                 for quaternion in np.asarray(data.quaternions[model])[: counts[model]]
             ]
@@ -161,7 +154,7 @@ def describe_set(opened: OpenSet) -> list[str]:
     return lines
 
 
-def read_angles(quaternion: np.ndarray) -> tuple[float, float, float]:
+def _read_angles(quaternion):
     """(azimuth, elevation, roll) in degrees of a camera; NaN for a broken pose.
 
     Azimuth is counted from the object's front to its left, elevation upwards, and roll
@@ -175,12 +168,9 @@ def read_angles(quaternion: np.ndarray) -> tuple[float, float, float]:
 
 
 def draw_set(opened: OpenSet, *, models: int = 8) -> Image.Image:
-    """Sheet of a set: images with the object's axes, masks and depths, and poses.
+    """Sheet of some models, spread over the set: images, masks, depths and poses.
 
-    Red is the object's front, green its left, blue its top.
-
-    Args:
-      opened: the set. models: how many, spread over the set.
+    On the images are the object's axes: red the front, green the left, blue the top.
     """
     data = opened.data
     count = min(models, len(data.names))
@@ -202,7 +192,7 @@ def _name_view(data, model, view):
     name = f"{data.names[model][:20]} {view}"
     if data.quaternions is None:
         return name
-    azimuth, elevation, roll = read_angles(data.quaternions[model][view])
+    azimuth, elevation, roll = _read_angles(data.quaternions[model][view])
     text = f"{name}: az {azimuth:.0f} el {elevation:.0f}"
     return text if abs(roll) < 1 else f"{text} roll {roll:.0f}"
 

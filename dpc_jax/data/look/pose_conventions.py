@@ -1,9 +1,7 @@
 """Which convention poses follow: tried out on silhouettes.
 
-A pose of a data set is a quaternion wxyz that rotates the object (z up, front +x, left
-+y) to the camera (x right, y down, z forward). Poses made for another convention put
-the object's points elsewhere; undoing each of the usual mistakes in turn shows which
-one it was.
+Poses made for another convention than ours put the object's points elsewhere; undoing
+each of the usual mistakes in turn shows which one it was.
 """
 
 from typing import NamedTuple
@@ -107,10 +105,7 @@ def rotation_of(quaternions: np.ndarray, convention: Convention = STORED) -> np.
 def project_points(
     points: np.ndarray, rotations: np.ndarray, lens: Lens
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places of points in images.
-
-    Args:
-      points: [P, 3] object frame. rotations: [V, 3, 3]. lens: of the data set.
+    """Places of points [P, 3] in images by rotations [V, 3, 3].
 
     Returns:
       ([V, P, 2] x and y in shares of the image's side, [V, P] metric z); a point at or
@@ -140,7 +135,7 @@ def find_cells(places: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
     return np.moveaxis(cells[..., ::-1], -1, 0), inside
 
 
-def mark_points(places: np.ndarray, side: int) -> np.ndarray:
+def _mark_points(places, side):
     """Boolean images [V, side, side] of the cells that points [V, P, 2] fall into."""
     (rows, columns), inside = find_cells(places, side)
     view = np.broadcast_to(np.arange(len(places))[:, None], inside.shape)
@@ -149,7 +144,7 @@ def mark_points(places: np.ndarray, side: int) -> np.ndarray:
     return marks
 
 
-def shrink_masks(masks: np.ndarray, side: int) -> np.ndarray:
+def _shrink_masks(masks, side):
     """Boolean images [V, side, side] of the cells that masks [V, S, S] touch."""
     view, row, column = np.nonzero(masks)
     size = masks.shape[-1]
@@ -164,22 +159,16 @@ def grow_masks(masks: np.ndarray, cells: int) -> np.ndarray:
     return ndimage.maximum_filter(masks, (1, width, width), mode="constant")
 
 
-def compare_silhouettes(
-    points: np.ndarray, rotations: np.ndarray, masks: np.ndarray, lens: Lens
-) -> np.ndarray:
-    """Intersection over union [V] of points' cells and the cells that masks touch.
-
-    Args:
-      points: [P, 3], on the surface. rotations: [V, 3, 3]. masks: [V, S, S].
-    """
+def _compare_silhouettes(points, rotations, masks, lens):
+    """Intersection over union [V] of points' cells and the cells that masks touch."""
     side = min(masks.shape[-1], GRID if len(points) >= POINTS else GRID // 2)
     places, _ = project_points(points, rotations, lens)
-    ours, theirs = mark_points(places, side), shrink_masks(masks, side)
+    ours, theirs = _mark_points(places, side), _shrink_masks(masks, side)
     both = (ours & theirs).sum(axis=(1, 2))
     return both / np.maximum((ours | theirs).sum(axis=(1, 2)), 1)
 
 
-def carve_hull(rotations: np.ndarray, masks: np.ndarray, lens: Lens) -> np.ndarray:
+def _carve_hull(rotations, masks, lens):
     """Points [P, 3] of a grid that all masks of an object cover (its visual hull).
 
     With right poses it is a body a little larger than the object; with wrong ones the
@@ -204,22 +193,18 @@ def score_convention(
     surface: np.ndarray | None,
     lens: Lens,
 ) -> float:
-    """How well an object's poses fit its masks under a convention, from 0 to 1.
+    """How well an object's poses [V, 4] fit its masks under a convention, from 0 to 1.
 
-    With a surface it is the mean intersection over union of the silhouettes. Without
-    one it is the share of the masks that the visual hull fills: 1 if the views agree,
-    even if all of them are wrong in the same way.
-
-    Args:
-      quaternions: [V, 4] as stored. masks: uint8 [V, S, S].
-      surface: [P, 3] points on the surface, or None.
+    With a surface [P, 3] it is the mean intersection over union of the silhouettes.
+    Without one it is the share of the masks that the visual hull fills: 1 if the views
+    agree, even if all of them are wrong in the same way.
     """
     rotations = rotation_of(quaternions, convention)
     if surface is not None:
-        return float(compare_silhouettes(surface, rotations, masks, lens).mean())
-    hull = carve_hull(rotations, masks, lens)
+        return float(_compare_silhouettes(surface, rotations, masks, lens).mean())
+    hull = _carve_hull(rotations, masks, lens)
     side = HULL_CELLS // 2  # coarse enough for the hull's points to leave no gaps
     places, _ = project_points(hull, rotations, lens)
-    ours, theirs = mark_points(places, side), shrink_masks(masks > 127, side)
+    ours, theirs = _mark_points(places, side), _shrink_masks(masks > 127, side)
     filled = (ours & theirs).sum(axis=(1, 2)) / np.maximum(theirs.sum(axis=(1, 2)), 1)
     return float(filled.mean())

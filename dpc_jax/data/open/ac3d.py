@@ -45,10 +45,8 @@ class Part(NamedTuple):
 def read_parts(path: Path, *, textures: Path | None = None) -> list[Part]:
     """The objects of an AC3D file that have surfaces.
 
-    Args:
-      path: the file.
-      textures: folder to search for textures that are not where the file says, by name.
-        None: they are left out.
+    Textures that are not where the file says are searched by name in the folder
+    `textures`, if there is one.
 
     Raises:
       ValueError: naming the file, if it cannot be read or has no surfaces.

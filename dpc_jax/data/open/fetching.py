@@ -32,18 +32,10 @@ SCRATCH = ".making-"  # begins the names of temporary folders
 
 
 def fetch_category(category: str, out: str | Path, *, progress: bool = True) -> Path:
-    """Make the folder OUT/CATEGORY of open meshes, or complete it.
+    """Make the folder OUT/CATEGORY of open meshes, or complete it; return its path.
 
     A second call does nothing. Packages stay in OUT/packages; their unpacked files are
     removed again. A model that was changed in between is kept as NAME.ply.changed.
-
-    Args:
-      category: "chair", "car" or "airplane".
-      out: folder; created where missing.
-      progress: whether to say on stdout what is being done.
-
-    Returns:
-      Path of OUT/CATEGORY.
 
     Raises:
       ValueError: for another category, or if no model can be read.
@@ -63,12 +55,11 @@ def fetch_category(category: str, out: str | Path, *, progress: bool = True) -> 
         if not _is_complete(folder):
             _make_folder(category, folder, packages, progress=progress)
         if progress:
-            print(describe_folder(folder))
+            print(_describe_folder(folder))
     return folder
 
 
-def describe_folder(folder: Path) -> str:
-    """What a finished folder of a category holds, as text."""
+def _describe_folder(folder):
     record = json.loads((folder / "models.json").read_text(encoding="utf-8"))
     lines = []
     for side in ("train", "test", "reserved"):

@@ -51,7 +51,7 @@ def list_models(root: Path, category: str) -> list[OpenModel]:
     """
     models = []
     for library in sorted(root.rglob("*.sh3f")):
-        general, items = read_catalogue(library)
+        general, items = _read_catalogue(library)
         for item in items:
             name = f"{library.stem}-{Path(item['model']).stem}"
             label = f"{item.get('name', '')} {Path(item['model']).stem}"
@@ -81,7 +81,7 @@ def _classify(label, item):
     return None
 
 
-def read_catalogue(library: Path) -> tuple[dict[str, str], list[dict[str, str]]]:
+def _read_catalogue(library):
     """General properties of a library, and the properties of each item."""
     with zipfile.ZipFile(library) as archive:
         text = archive.read("PluginFurnitureCatalog.properties").decode("latin-1")

@@ -67,15 +67,10 @@ def frame_views(
     focal_length: float,
     distance: float,
 ) -> list[Frame]:
-    """Frames of all views of one object.
+    """Frames of all views of one object, as a specification asks for them.
 
-    Args:
-      outlines: one per view. poses: one per view, or None.
-      crop: "object" (one scale for all views of an object), "view" (each view its own)
-        or "none" (the whole image, cut to its middle square). With positions and lenses
-        the scale follows from them, and `crop` does not matter.
-      fill: share of the frame's side that the object takes in its largest view.
-      focal_length, distance: of the data set's camera.
+    With positions and lenses the scale follows from them, and `spec.crop` does not
+    matter.
 
     Raises:
       ValueError: if the positions of the cameras contradict each other.
@@ -107,7 +102,7 @@ def _frame_by_geometry(outlines, poses, *, fill, focal_length, distance):
     every view at its distance.
     """
     lenses = [
-        read_lens(pose.lens, outline.shape)
+        _read_lens(pose.lens, outline.shape)
         for pose, outline in zip(poses, outlines, strict=True)
     ]
     positions = np.array([pose.position for pose in poses])
@@ -115,7 +110,7 @@ def _frame_by_geometry(outlines, poses, *, fill, focal_length, distance):
     for outline, pose, lens in zip(outlines, poses, lenses, strict=True):
         ray = np.linalg.solve(lens, [*outline.middle, 1.0])
         lines.append(pose.rotation.T @ (ray / np.linalg.norm(ray)))
-    middle = find_meeting_point(positions, np.array(lines))
+    middle = _find_meeting_point(positions, np.array(lines))
 
     turns, reaches, ranges = [], [], []
     for outline, pose, lens in zip(outlines, poses, lenses, strict=True):
@@ -126,7 +121,7 @@ def _frame_by_geometry(outlines, poses, *, fill, focal_length, distance):
                 "Expected every camera to face the object, but one looks away from "
                 "where the others see it; check the convention of the poses."
             )
-        turn = turn_to_axis(towards / away)
+        turn = _turn_to_axis(towards / away)
         rays = np.concatenate([outline.border, np.ones((1, outline.border.shape[1]))])
         seen = turn @ np.linalg.solve(lens, rays)
         turns.append(turn)
@@ -143,12 +138,8 @@ def _frame_by_geometry(outlines, poses, *, fill, focal_length, distance):
     return frames
 
 
-def read_lens(lens: dict | None, shape: tuple[int, int]) -> np.ndarray:
-    """Matrix [3, 3] from camera rays to pixels, of an image of (height, width).
-
-    Raises:
-      ValueError: if neither fl_x nor camera_angle_x is given.
-    """
+def _read_lens(lens, shape):
+    """Matrix [3, 3] from camera rays to pixels, of an image of (height, width)."""
     lens, (height, width) = lens or {}, shape
     # images are often scaled after calibration
     wider, taller = width / lens.get("w", width), height / lens.get("h", height)
@@ -167,12 +158,8 @@ def read_lens(lens: dict | None, shape: tuple[int, int]) -> np.ndarray:
     return np.array([[focal_x, 0, center_x], [0, focal_y, center_y], [0, 0, 1.0]])
 
 
-def find_meeting_point(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Point [3] nearest to lines by least squares; the origin if they are parallel.
-
-    Args:
-      origins, directions: [n, 3], directions of unit length.
-    """
+def _find_meeting_point(origins, directions):
+    """Point [3] nearest to lines by least squares; the origin if they are parallel."""
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     total = across.sum(axis=0)
     if np.linalg.eigvalsh(total)[0] < 1e-3 * len(origins):
@@ -180,7 +167,7 @@ def find_meeting_point(origins: np.ndarray, directions: np.ndarray) -> np.ndarra
     return np.linalg.solve(total, np.einsum("nij,nj->i", across, origins))
 
 
-def turn_to_axis(direction: np.ndarray) -> np.ndarray:
+def _turn_to_axis(direction):
     """The smallest rotation [3, 3] that takes a unit vector to (0, 0, 1)."""
     axis = np.cross(direction, [0.0, 0.0, 1.0])
     cosine = direction[2]
@@ -194,8 +181,8 @@ def cut_frame(
     """Image and mask as the camera of a frame sees them, by supersampling.
 
     Args:
-      image: uint8 [height, width, 3]. mask: float32 [height, width], coverage 0 to 1.
-      frame: the square to cut out. image_size: S.
+      image: uint8 [height, width, 3].
+      mask: float32 [height, width], coverage 0 to 1.
 
     Returns:
       (uint8 [S, S, 3] on white, uint8 [S, S] coverage times 255). What lies beyond the

@@ -35,11 +35,10 @@ def find_split(folder: Path, synset: str) -> Path | None:
 
 
 def read_split(path: Path, synset: str) -> dict[str, list[str]]:
-    """Model ids of a synset by split, in the order of the file: `{"train": [...], ...}`
+    """Model ids of a synset by split, in the order of the file.
 
-    Args:
-      path: a CSV file, a `.file` table, or any one of the text files of the splits.
-      synset: eight digits; a CSV file may leave out leading zeros.
+    The path is that of a CSV file, which may leave out leading zeros of the synset, of a
+    `.file` table, or of any one of the text files.
 
     Raises:
       ValueError: naming the file, if it cannot be understood, names a model twice, or

@@ -86,7 +86,6 @@ class SplitSource(Source):
         return Division(models | missing, sides, official)
 
     def list_models(self) -> list[Model]:
-        """See `Source.list_models`."""
         division, spec = self.division, self.spec
         names = division.sides[spec.split]
         if not names:
@@ -103,7 +102,6 @@ class SplitSource(Source):
         return add_copies(models, spec)
 
     def list_remarks(self) -> list[tuple[str, str]]:
-        """See `Source.list_remarks`."""
         models, sides, official = self.division
         unlisted = len(models.keys() - set().union(*sides.values()))
         if official is None or not unlisted:
