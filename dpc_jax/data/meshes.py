@@ -173,7 +173,7 @@ def _face_colors(part):
 def scale_randomly(
     mesh: trimesh.Trimesh, *, seed: int | Sequence[int], amount: float = 0.15
 ) -> trimesh.Trimesh:
-    """Copy of a mesh, stretched along x, y and z by factors in [1 - amount, 1 + amount].
+    """Copy of a mesh, stretched along each axis by a factor in [1 - amount, 1 + amount].
 
     An augmentation for small sets of files: proportions vary, the category stays.
 

@@ -31,7 +31,7 @@ class RenderedSource(Source):
 
 
 def _render_mesh(mesh, spec, index):
-    """Rendered views and surface points of a normalised mesh, the index-th of its set."""
+    """The arrays of a normalised mesh, the index-th of its data set."""
     scene = views.build_scene(mesh)
     points = surfaces.make_ground_truth(mesh, spec, scene=scene)
     arrays = view_arrays(spec.views, spec.image_size)

@@ -34,7 +34,7 @@ class Shard(NamedTuple):
 
 
 def write_shard(path: Path, arrays: dict[str, np.ndarray], record: dict[str, Any]):
-    """Write named arrays and a JSON record under a temporary name; rename it when whole.
+    """Write arrays and a JSON record under a temporary name; rename it when whole.
 
     Raises:
       OSError: naming the file, if it cannot be written.

@@ -20,8 +20,8 @@ def split_files(
     """Seeded split of distinct paths or names into (train, val, test), each sorted.
 
     Files of one group (of equal content, say) stay on one side; by default each is a
-    group of its own. Every side with a positive fraction gets at least one group as long
-    as there are enough. Only the ratios of the fractions count.
+    group of its own. Every side with a positive fraction gets at least one group as
+    long as there are enough. Only the ratios of the fractions count.
 
     Raises:
       ValueError: if the fractions are not three shares with a positive sum.

@@ -102,7 +102,7 @@ def _read_memory():
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Parse the command line, _measure, print."""
+    """Parse the command line, measure, print."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--category", default="car")
     parser.add_argument("--models", type=int, default=7000)

@@ -121,7 +121,7 @@ def _make_table(*, faces, image_size, rays, count, rounds):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Parse the command line, _measure, print."""
+    """Parse the command line, measure, print."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--faces", type=int, nargs="+", default=[10_000, 100_000])
     parser.add_argument("--rays", type=int, nargs="+", default=[2, 4, 8])

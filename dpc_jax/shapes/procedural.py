@@ -15,8 +15,8 @@ CATEGORIES = tuple(MAKERS)  # the position seeds a category: append, never reord
 def make_shape(category: str, seed: int) -> trimesh.Trimesh:
     """Mesh of a random object of one of `CATEGORIES`; the seed decides all of it.
 
-    It has face colours, z up, front towards +x and left towards +y, and is centred on its
-    bounding box, whose diagonal is 1.
+    It has face colours, z up, front towards +x and left towards +y, and is centred on
+    its bounding box, whose diagonal is 1.
 
     Raises:
       ValueError: for an unknown category.

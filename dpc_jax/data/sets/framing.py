@@ -14,6 +14,7 @@ from PIL import Image
 from scipy import ndimage
 
 from dpc_jax.data.sets.pose_files import Pose
+from dpc_jax.data.spec import DataSpec
 
 MOST_SAMPLES = 16  # per output pixel and axis
 
@@ -59,13 +60,7 @@ def trace_outline(mask: np.ndarray) -> Outline:
 
 
 def frame_views(
-    outlines: Sequence[Outline],
-    poses: Sequence[Pose] | None,
-    *,
-    crop: str,
-    fill: float,
-    focal_length: float,
-    distance: float,
+    outlines: Sequence[Outline], poses: Sequence[Pose] | None, spec: DataSpec
 ) -> list[Frame]:
     """Frames of all views of one object, as a specification asks for them.
 
@@ -76,17 +71,15 @@ def frame_views(
       ValueError: if the positions of the cameras contradict each other.
     """
     if poses is not None and all(p.position is not None for p in poses):
-        return _frame_by_geometry(
-            outlines, poses, fill=fill, focal_length=focal_length, distance=distance
-        )
+        return _frame_by_geometry(outlines, poses, spec)
     rotations = [pose.rotation for pose in poses] if poses else [None] * len(outlines)
-    if crop == "none":
+    if spec.crop == "none":
         middles = [np.array(outline.shape[::-1]) / 2.0 for outline in outlines]
         sides = [float(min(outline.shape)) for outline in outlines]
     else:
         middles = [outline.middle for outline in outlines]
-        sides = [float((o.high - o.low).max()) / fill for o in outlines]
-        if crop == "object":
+        sides = [float((o.high - o.low).max()) / spec.fill for o in outlines]
+        if spec.crop == "object":
             sides = [max(sides)] * len(sides)
     return [
         Frame(np.array([[s, 0, m[0]], [0, s, m[1]], [0, 0, 1]]), rotation)
@@ -94,7 +87,7 @@ def frame_views(
     ]
 
 
-def _frame_by_geometry(outlines, poses, *, fill, focal_length, distance):
+def _frame_by_geometry(outlines, poses, spec):
     """Frames of cameras whose place and lens are known.
 
     The middle of the object is the point nearest to the lines through the middles of
@@ -105,15 +98,16 @@ def _frame_by_geometry(outlines, poses, *, fill, focal_length, distance):
         _read_lens(pose.lens, outline.shape)
         for pose, outline in zip(poses, outlines, strict=True)
     ]
-    positions = np.array([pose.position for pose in poses])
+    cameras = list(zip(outlines, poses, lenses, strict=True))
     lines = []
-    for outline, pose, lens in zip(outlines, poses, lenses, strict=True):
+    for outline, pose, lens in cameras:
         ray = np.linalg.solve(lens, [*outline.middle, 1.0])
         lines.append(pose.rotation.T @ (ray / np.linalg.norm(ray)))
+    positions = np.array([pose.position for pose in poses])
     middle = _find_meeting_point(positions, np.array(lines))
 
     turns, reaches, ranges = [], [], []
-    for outline, pose, lens in zip(outlines, poses, lenses, strict=True):
+    for outline, pose, lens in cameras:
         towards = pose.rotation @ (middle - pose.position)
         away = np.linalg.norm(towards)
         if not towards[2] > 1e-6 * max(away, 1e-30):
@@ -128,11 +122,11 @@ def _frame_by_geometry(outlines, poses, *, fill, focal_length, distance):
         ranges.append(away)
         reaches.append(np.abs(seen[:2] / seen[2]).max())
     # an object of size s at range r looks like one of size 1 at r / s
-    widths = 2.0 * np.array(reaches) * np.array(ranges) / fill
-    size = widths.max() * focal_length / distance
+    widths = 2.0 * np.array(reaches) * np.array(ranges) / spec.fill
+    size = widths.max() * spec.focal_length / spec.distance
     frames = []
     for pose, lens, turn, away in zip(poses, lenses, turns, ranges, strict=True):
-        side = size * distance / (focal_length * away)
+        side = size * spec.distance / (spec.focal_length * away)
         homography = lens @ turn.T @ np.diag([side, side, 1.0])
         frames.append(Frame(homography, turn @ pose.rotation))
     return frames

@@ -30,7 +30,7 @@ class ImageFolder(SplitSource):
     def find_models(self) -> dict[str, Path]:
         """See `SplitSource.find_models`; poses are given for all objects or none."""
         models = _list_objects(self.folder)
-        posed = [path for path in models.values() if _has_poses(path)]
+        posed = [path for path in models.values() if pose_files.find_pose_files(path)]
         if posed and len(posed) < len(models):
             lacking = next(path for path in models.values() if path not in posed)
             raise ValueError(
@@ -56,7 +56,7 @@ class ImageFolder(SplitSource):
         """See `SplitSource.identify_model`; it changes with any file of the object."""
         images = _list_images(path)
         masks = [mask for image in images if (mask := _find_mask(image)) is not None]
-        poses = pose_files.find_pose_files(path) if path.is_dir() else []
+        poses = pose_files.find_pose_files(path)
         facts = []
         for file in [*images, *masks, *poses]:
             place = str(file.relative_to(path.parent)) if path.is_dir() else ""
@@ -70,15 +70,7 @@ class ImageFolder(SplitSource):
         return 4 * self.spec.image_size**2 * model.views
 
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
-        spec = self.spec
-        return _read_object(
-            Path(str(model.path)),
-            image_size=spec.image_size,
-            crop=spec.crop,
-            fill=spec.fill,
-            focal_length=spec.focal_length,
-            distance=spec.distance,
-        )
+        return _read_object(Path(str(model.path)), self.spec)
 
 
 def _list_objects(folder):
@@ -89,13 +81,9 @@ def _list_objects(folder):
         )
     if pose_files.find_pose_files(folder):
         return {folder.resolve().name: folder}
-    places = [
-        place
-        for place in sorted(folder.iterdir())
-        if place.is_dir() and (_list_images(place) or _has_poses(place))
-    ]
-    if not places:
-        places = _find_images(folder)
+    folders = (place for place in sorted(folder.iterdir()) if place.is_dir())
+    places = [p for p in folders if _list_images(p) or pose_files.find_pose_files(p)]
+    places = places or _find_images(folder)
     if not places:
         raise ValueError(
             f"Expected folders of images ({', '.join(SUFFIXES)}) in {folder}, but "
@@ -123,20 +111,14 @@ def _find_images(folder):
     return sorted(p for p in found if p.is_file() and not p.stem.endswith("_mask"))
 
 
-def _has_poses(place):
-    return place.is_dir() and bool(pose_files.find_pose_files(place))
-
-
-def _read_object(place, *, image_size, crop, fill, focal_length, distance):
+def _read_object(place, spec):
     """The views of one object, and a sentence on each that is left out.
 
     A view without a usable mask, or without a pose where others have one, is left out.
     """
-    images, notes = _list_images(place), []
-    poses = None
-    if _has_poses(place):
-        poses = pose_files.read_poses(pose_files.find_pose_files(place))
-    outlines, kept = [], []
+    images, notes, outlines, poses = _list_images(place), [], {}, None
+    if found := pose_files.find_pose_files(place):
+        poses = pose_files.read_poses(found)
     for path in images:
         try:
             if poses is not None and path not in poses:
@@ -144,34 +126,25 @@ def _read_object(place, *, image_size, crop, fill, focal_length, distance):
                     f"Expected a pose of {path}, but there is none; add it."
                 )
             _, mask = _read_image(path)
-            outlines.append(framing.trace_outline(mask > 0.5))
-            kept.append(path)
+            outlines[path] = framing.trace_outline(mask > 0.5)
         except ValueError as error:
             notes.append(str(error).removesuffix("."))
-    if not kept:
+    if not outlines:
         raise ValueError(
             f"Expected at least one usable view in {place}, but none of {len(images)} "
             f"is; {notes[0] if notes else 'add images'}."
         )
+    given = None if poses is None else [poses[path] for path in outlines]
     try:
-        frames = framing.frame_views(
-            outlines,
-            None if poses is None else [poses[path] for path in kept],
-            crop=crop,
-            fill=fill,
-            focal_length=focal_length,
-            distance=distance,
-        )
+        frames = framing.frame_views(list(outlines.values()), given, spec)
     except ValueError as error:
         raise ValueError(f"In the poses of {place}: {error}") from None
     cut = [
-        framing.cut_frame(*_read_image(path), frame, image_size=image_size)
-        for path, frame in zip(kept, frames, strict=True)
+        framing.cut_frame(*_read_image(path), frame, image_size=spec.image_size)
+        for path, frame in zip(outlines, frames, strict=True)
     ]
-    arrays = {
-        "images": np.stack([image for image, _ in cut]),
-        "masks": np.stack([mask for _, mask in cut]),
-    }
+    pictures, masks = map(np.stack, zip(*cut, strict=True))
+    arrays = {"images": pictures, "masks": masks}
     if poses is not None:
         rotations = np.array([frame.rotation for frame in frames])
         quaternions = viewpoints.matrix_to_quaternion(rotations)

@@ -37,17 +37,28 @@ class ReleasedRenders(shapenet.SynsetSource):
     def suggest_fields(cls, folder: Path, category: str | None) -> dict:
         """See `Source.suggest_fields`; as many views as most models have."""
         fields = super().suggest_fields(folder, category)
-        models = list_models(shapenet.find_synset(folder, fields["category"])).values()
+        models = _list_models(shapenet.find_synset(folder, fields["category"])).values()
         counts = Counter(len(_list_renders(model)) for model in models)
         return fields | {"views": max(1, counts.most_common(1)[0][0])}
 
     def find_models(self) -> dict[str, Path]:
-        return list_models(self.place)
+        return _list_models(self.place)
 
     @functools.cached_property
     def truths(self) -> Path | None:
-        """Folder of the ground truth, if there is one."""
-        return _find_ground_truth(self.folder, self.synset, self.spec.ground_truth)
+        """Folder of the ground truth, as given or where the scripts leave it."""
+        given = self.spec.ground_truth
+        if given:
+            for place in (Path(given) / self.synset, Path(given)):
+                if place.is_dir() and any(place.glob("*.mat")):
+                    return place
+            raise ValueError(
+                f"Expected MODEL.mat in {given} or its folder {self.synset}, but there "
+                "is none; give the folder of the published ground truth."
+            )
+        above = (self.folder, self.folder.parent)
+        places = (folder / GROUND_TRUTH / self.synset for folder in above)
+        return next((place for place in places if place.is_dir()), None)
 
     def find_truth(self, name: str) -> Path | None:
         """Ground truth file of a model; models to train on need none."""
@@ -66,11 +77,28 @@ class ReleasedRenders(shapenet.SynsetSource):
         return self.spec.views, files.digest_text(f"{path.name} {sizes}")
 
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
+        spec, place = self.spec, Path(str(model.path))
+        numbers = _list_renders(place)[: spec.views]
+        if len(numbers) < spec.views:
+            raise ValueError(
+                f"Expected {spec.views} views render_N.png in {place}, but found "
+                f"{len(numbers)}; set data.views lower or {AGAIN}."
+            )
+        arrays = view_arrays(spec.views, spec.image_size)
+        for view, number in enumerate(numbers):
+            image, mask, depth, width = _read_pictures(place, number, spec.image_size)
+            rotation = _read_camera(place / f"camera_{number}.mat", spec, width=width)
+            arrays["images"][view] = image
+            arrays["masks"][view] = mask
+            arrays["depths"][view] = depth
+            arrays["quaternions"][view] = viewpoints.matrix_to_quaternion(rotation)
         truth = self.find_truth(model.name)
-        return _read_model(Path(str(model.path)), truth, self.spec), []
+        if truth is not None:
+            arrays["surfaces"] = _read_ground_truth(truth)
+        return arrays, []
 
 
-def list_models(place: Path) -> dict[str, Path]:
+def _list_models(place):
     """Folders of models by id, sorted, of which at least one has a render."""
     names = sorted(entry.name for entry in os.scandir(place) if entry.is_dir())
     if not any(_list_renders(place / name) for name in names):
@@ -89,48 +117,10 @@ def _list_renders(place):
     return sorted(int(match[1]) for match in found if match)
 
 
-def _find_ground_truth(folder, synset, given=None):
-    """Folder of a synset's ground truth, as given or where the scripts leave it."""
-    if given:
-        for place in (Path(given) / synset, Path(given)):
-            if place.is_dir() and any(place.glob("*.mat")):
-                return place
-        raise ValueError(
-            f"Expected MODEL.mat in {given} or its folder {synset}, but there is none; "
-            "give the folder of the published ground truth."
-        )
-    for above in (folder, folder.parent):
-        place = above / GROUND_TRUTH / synset
-        if place.is_dir():
-            return place
-    return None
-
-
-def _read_model(place, truth, spec):
-    """The first views of one model, at the size and with the camera of the data set."""
-    numbers = _list_renders(place)[: spec.views]
-    if len(numbers) < spec.views:
-        raise ValueError(
-            f"Expected {spec.views} views render_N.png in {place}, but found "
-            f"{len(numbers)}; set data.views lower or {AGAIN}."
-        )
-    arrays = view_arrays(spec.views, spec.image_size)
-    for view, number in enumerate(numbers):
-        image, mask, depth, width = _read_pictures(place, number, spec.image_size)
-        rotation = _read_camera(place / f"camera_{number}.mat", spec, width=width)
-        arrays["images"][view] = image
-        arrays["masks"][view] = mask
-        arrays["depths"][view] = depth
-        arrays["quaternions"][view] = viewpoints.matrix_to_quaternion(rotation)
-    if truth is not None:
-        arrays["surfaces"] = _read_ground_truth(truth)
-    return arrays
-
-
 def _read_pictures(place, number, image_size):
     """(image, mask, depth, width of the file) of a view.
 
-    Pictures _shrink by area means, so that nothing is shifted.
+    Pictures shrink by area means, so that nothing is shifted.
     """
     path = place / f"render_{number}.png"
     picture = pictures.read_picture(path)

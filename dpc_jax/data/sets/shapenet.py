@@ -77,7 +77,19 @@ class ShapeNet(SynsetSource, MeshSource):
         return super().recognizes(folder) and meshes.holds_meshes(folder)
 
     def find_models(self) -> dict[str, Path]:
-        return list_models(self.place)
+        place, models, whole = self.place, {}, 0
+        for name in sorted(entry.name for entry in os.scandir(place) if entry.is_dir()):
+            paths = [place / name / layout for layout in LAYOUTS.values()]
+            found = [path for path in paths if path.is_file()]
+            whole += bool(found)
+            # without a file it is listed too, and counted among the damaged ones
+            models[name] = found[-1] if found else paths[0]
+        if not whole:
+            raise ValueError(
+                f"Expected MODEL/{' or MODEL/'.join(LAYOUTS.values())} in {place}, but "
+                "there is none; give the folder of ShapeNet version 1 or 2."
+            )
+        return models
 
     def expect_model(self, name: str) -> Path:
         return self.place / name / LAYOUTS[1]
@@ -89,7 +101,9 @@ class ShapeNet(SynsetSource, MeshSource):
         return self.spec.views, files.digest_text(text)
 
     def find_turn(self, path: str) -> np.ndarray:
-        return find_turn(path, self.spec.shapenet_front)
+        version = 2 if Path(path).as_posix().endswith(LAYOUTS[2]) else 1
+        front = self.spec.shapenet_front or FRONTS[version]
+        return np.array(TURNS[front], dtype=np.float64)
 
 
 def find_synset(folder: str | Path, category: str) -> Path:
@@ -122,34 +136,3 @@ def _list_synsets(folder):
     folder = Path(folder).resolve()
     names = [folder.name, *(p.name for p in folder.iterdir() if p.is_dir())]
     return sorted(name for name in names if re.fullmatch(r"\d{8}", name))
-
-
-def list_models(place: Path) -> dict[str, Path]:
-    """Mesh files of a synset's folder by model id, sorted.
-
-    A model that has a folder but no mesh file is listed with the path expected of it,
-    so that it is counted among the damaged ones.
-    """
-    names = sorted(entry.name for entry in os.scandir(place) if entry.is_dir())
-    models, whole = {}, 0
-    for name in names:
-        paths = [place / name / layout for layout in LAYOUTS.values()]
-        found = [path for path in paths if path.is_file()]
-        whole += bool(found)
-        models[name] = found[-1] if found else paths[0]
-    if not whole:
-        raise ValueError(
-            f"Expected MODEL/{' or MODEL/'.join(LAYOUTS.values())} in {place}, but "
-            "there is none; give the folder of ShapeNet version 1 or 2."
-        )
-    return models
-
-
-def find_turn(path: str | Path, front: str = "") -> np.ndarray:
-    """Rotation [3, 3] from the axes of a model's file to the canonical frame.
-
-    The model faces the axis `front`; "" stands for the one that the read-me of the
-    version names, which the file's name tells.
-    """
-    version = 2 if Path(path).as_posix().endswith(LAYOUTS[2]) else 1
-    return np.array(TURNS[front or FRONTS[version]], dtype=np.float64)

@@ -37,8 +37,8 @@ def find_split(folder: Path, synset: str) -> Path | None:
 def read_split(path: Path, synset: str) -> dict[str, list[str]]:
     """Model ids of a synset by split, in the order of the file.
 
-    The path is that of a CSV file, which may leave out leading zeros of the synset, of a
-    `.file` table, or of any one of the text files.
+    The path is that of a CSV file, which may leave out leading zeros of the synset, of
+    a `.file` table, or of any one of the text files.
 
     Raises:
       ValueError: naming the file, if it cannot be understood, names a model twice, or
