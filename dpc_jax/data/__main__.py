@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dpc_jax import files
+from dpc_jax.data.look import inspection, overview
+from dpc_jax.data.open import fetching
 from dpc_jax.data.spec import KINDS
-
-CATEGORIES = ("chair", "car", "airplane")
 
 
 def _parse_arguments(arguments=None):
@@ -23,7 +23,7 @@ def _parse_arguments(arguments=None):
     )
     commands = parser.add_subparsers(dest="command", required=True)
     fetch = commands.add_parser("fetch", help="open meshes, from Debian packages")
-    fetch.add_argument("category", choices=CATEGORIES)
+    fetch.add_argument("category", choices=tuple(fetching.RECIPES))
     fetch.add_argument("--out", default="data/open", help="folder (%(default)s)")
     show = commands.add_parser("show", help="what is in a set, with a sheet of it")
     check = commands.add_parser("check", help="what is wrong with a set")
@@ -50,16 +50,12 @@ def _parse_arguments(arguments=None):
 
 def fetch(flags: argparse.Namespace) -> int:
     """Fetch the open meshes of a category."""
-    from dpc_jax.data.open import fetching  # each command loads only what it needs
-
     fetching.fetch_category(flags.category, flags.out)
     return 0
 
 
 def show(flags: argparse.Namespace) -> int:
     """List sets; draw the sheet if there is only one."""
-    from dpc_jax.data.look import overview
-
     caches = overview.list_caches(flags.folder)
     for path in caches or [flags.folder]:
         with _open(path, flags) as opened:
@@ -81,8 +77,6 @@ def show(flags: argparse.Namespace) -> int:
 
 def check(flags: argparse.Namespace) -> int:
     """Check sets; the status is 1 if an error was found."""
-    from dpc_jax.data.look import overview
-
     caches = overview.list_caches(flags.folder)
     failed = False
     for path in caches or [flags.folder]:
@@ -98,8 +92,6 @@ def check(flags: argparse.Namespace) -> int:
 
 def _check_one(path, flags):
     """Print what is wrong with a set; return whether that is an error."""
-    from dpc_jax.data.look import inspection, overview
-
     with _open(path, flags) as opened:
         data = opened.data
         print(overview.describe_set(opened)[0])
@@ -113,8 +105,6 @@ def _check_one(path, flags):
 
 
 def _open(path, flags):
-    from dpc_jax.data.look import overview
-
     return overview.open_set(
         path, kind=flags.kind, category=flags.category, models=flags.models
     )

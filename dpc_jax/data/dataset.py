@@ -61,6 +61,10 @@ class DataSet(NamedTuple):
         counts = getattr(self.masks, "counts", None)
         return np.full(*self.masks.shape[:2]) if counts is None else counts
 
+    def rows(self, name: str, model: int) -> np.ndarray:
+        """What an array with a row per view has of one model."""
+        return np.asarray(getattr(self, name)[model])[: self.counts[model]]
+
 
 def load_or_render(
     spec: DataSpec,
@@ -123,9 +127,7 @@ def _describe(source, models):
 def _prepare(folder, source, models, *, processes, progress):
     """Write the shards that are missing or damaged."""
     plan = workers.plan_shards(source, models)
-    missing = [
-        number for number in range(len(plan)) if not _is_whole(folder, plan, number)
-    ]
+    missing = [n for n in range(len(plan)) if not _is_whole(folder, plan, n)]
     if not missing:
         return
     count = sum(len(plan[number]) for number in missing)
@@ -188,15 +190,9 @@ def _finish(folder, source, models, record, *, progress):
             f"Expected at least one usable {source.unit} in {source.spec.folder}, but "
             f"none of {len(models)} is; look at the first: {skipped[0][1]}"
         )
-    record = {
-        **record,
-        "folder": source.spec.folder,
-        "names": names,
-        "skipped": skipped,
-        "remarks": remarks,
-        "shards": [[p.name, p.stat().st_size, shards.checksum(p)] for p in paths],
-    }
-    files.write_json(folder / RECORD, record)
+    listed = [[p.name, p.stat().st_size, shards.checksum(p)] for p in paths]
+    record |= {"folder": source.spec.folder, "names": names, "skipped": skipped}
+    files.write_json(folder / RECORD, record | {"remarks": remarks, "shards": listed})
 
 
 def _tell(title, pairs, count):

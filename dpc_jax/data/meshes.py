@@ -22,11 +22,7 @@ PLAIN = np.array([170, 170, 170, 255], dtype=np.uint8)  # where a file has no co
 
 
 def find_meshes(folder: Path) -> list[Path]:
-    """Mesh files below a folder, at any depth, sorted by path.
-
-    Raises:
-      ValueError: if the folder does not exist or holds no mesh file.
-    """
+    """Mesh files below a folder, at any depth, sorted by path."""
     if not folder.is_dir():
         raise ValueError(
             f"Expected a folder of mesh files, but {folder} is not a folder; check it."
@@ -66,7 +62,7 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
         # ShapeNet keeps textures in the folder above that of the mesh
         options = {"resolver": _Files(str(path), allow_anywhere=True), "process": False}
         if path.suffix.lower() == ".obj":
-            text = _decode(path.read_bytes())
+            text = decode_text(path.read_bytes())
             _expect_whole_line(text)
             scene = trimesh.load_scene(io.StringIO(text), file_type="obj", **options)
         else:
@@ -112,10 +108,10 @@ class _Files(FilePathResolver):
     def get(self, name):
         content = super().get(name.replace("\\", "/"))
         is_text = name.lower().endswith(".mtl")
-        return _decode(content).encode() if is_text else content
+        return decode_text(content).encode() if is_text else content
 
 
-def _decode(content):
+def decode_text(content: bytes) -> str:
     """Text of a file; other encodings are read too, if with wrong letters."""
     try:
         return content.decode("utf-8")
@@ -173,12 +169,9 @@ def _face_colors(part):
 def scale_randomly(
     mesh: trimesh.Trimesh, *, seed: int | Sequence[int], amount: float = 0.15
 ) -> trimesh.Trimesh:
-    """Copy of a mesh, stretched along each axis by a factor in [1 - amount, 1 + amount].
+    """Copy of a mesh, each axis stretched by a factor in [1 - amount, 1 + amount].
 
     An augmentation for small sets of files: proportions vary, the category stays.
-
-    Raises:
-      ValueError: if amount is not in [0, 1).
     """
     if not 0 <= amount < 1:
         raise ValueError(

@@ -14,11 +14,7 @@ class RenderedSource(Source):
     unit = "mesh"
 
     def make_mesh(self, model: Model) -> trimesh.Trimesh:
-        """The normalised mesh of a model.
-
-        Raises:
-          ValueError: naming the file, if it cannot be used.
-        """
+        """The normalised mesh of a model."""
         raise NotImplementedError
 
     def describe_flaws(self, model: Model) -> list[str]:

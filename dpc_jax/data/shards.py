@@ -34,11 +34,7 @@ class Shard(NamedTuple):
 
 
 def write_shard(path: Path, arrays: dict[str, np.ndarray], record: dict[str, Any]):
-    """Write arrays and a JSON record under a temporary name; rename it when whole.
-
-    Raises:
-      OSError: naming the file, if it cannot be written.
-    """
+    """Write arrays and a JSON record under a temporary name; rename it when whole."""
     text = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
     try:
         with files.replacing(path) as partial, open(partial, "wb") as file:
@@ -51,12 +47,7 @@ def write_shard(path: Path, arrays: dict[str, np.ndarray], record: dict[str, Any
 
 
 def read_record(path: str | os.PathLike) -> dict[str, Any]:
-    """The record of a shard whose every array is as it was written.
-
-    Raises:
-      ValueError: naming the file, if it is cut, changed or not a shard.
-      OSError: if it is missing or cannot be read.
-    """
+    """The record of a shard whose every array is as it was written."""
     try:
         with zipfile.ZipFile(path) as archive:
             if (damaged := archive.testzip()) is not None:

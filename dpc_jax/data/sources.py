@@ -68,10 +68,8 @@ class Source(Protocol):
         """Arrays of one model by name, and remarks on what it lacks.
 
         The arrays are images, masks, depths and quaternions with a row per view, and
-        surfaces with a row per point (see `DataSet`); some kinds lack some of them.
-
-        Args:
-          model: as listed. index: its place in the list, which seeds its views.
+        surfaces with a row per point (see `DataSet`); some kinds lack some of them. The
+        index of the model in the list seeds its views.
 
         Raises:
           ValueError: naming the file, if the model cannot be used.
@@ -98,9 +96,11 @@ class Source(Protocol):
         """Write a split of our own beside a cache folder, so that it can be reused."""
 
 
-def find_kind(kind: str) -> type[Source]:
-    """The `Source` class of a kind of data set in `KINDS`."""
-    return _load_class(KINDS[kind])
+def find_kind(kind: str | None) -> type[Source]:
+    """The `Source` class of a kind in `KINDS`, or of procedural shapes for None."""
+    # modules are loaded when they are needed: some import trimesh, others Pillow
+    module, name = (PROCEDURAL if kind is None else KINDS[kind]).split(".")
+    return getattr(importlib.import_module(f"dpc_jax.data.sets.{module}"), name)
 
 
 def open_source(spec: DataSpec) -> Source:
@@ -109,7 +109,7 @@ def open_source(spec: DataSpec) -> Source:
     Raises:
       ValueError: if copies are wanted of what cannot be stretched.
     """
-    made = _load_class(PROCEDURAL if spec.folder is None else KINDS[spec.kind])
+    made = find_kind(None if spec.folder is None else spec.kind)
     if spec.copies > 1 and not made.is_stretchable:
         raise ValueError(
             "copies must be 1 where there are no mesh files to stretch, but it is "
@@ -137,9 +137,3 @@ def view_arrays(count: int, image_size: int) -> dict[str, np.ndarray]:
         "depths": np.empty(shape, np.float32),
         "quaternions": np.empty((count, 4), np.float32),
     }
-
-
-def _load_class(place):
-    # modules are loaded when they are needed: some import trimesh, others Pillow
-    module, name = place.split(".")
-    return getattr(importlib.import_module(f"dpc_jax.data.sets.{module}"), name)

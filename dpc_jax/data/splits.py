@@ -55,9 +55,6 @@ def group_variants(paths: Sequence[Path], digests: Sequence[str]) -> list[str]:
 
     Families are read from `families.json` in a file's folder, which maps file names to
     families. Without it, only equal files belong together.
-
-    Raises:
-      ValueError: naming the file, if a `families.json` cannot be understood.
     """
     named = {}
     for place in {path.parent for path in paths}:

@@ -20,9 +20,6 @@ def make_ground_truth(
 
     `spec.surface_points` are spread over it. With `spec.surface_visible` only those
     that can be seen from outside are kept, with `spec.surface_voxel` one per voxel.
-
-    Raises:
-      ValueError: if the mesh has no area.
     """
     points = views.sample_surface(mesh, count=spec.surface_points, seed=spec.seed)
     if spec.surface_visible:

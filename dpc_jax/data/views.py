@@ -142,17 +142,12 @@ def render_view(
     extent: float = 1.0,
     supersample: int = 4,
 ) -> View:
-    """Render one view of a mesh with a pinhole camera.
+    """Render one view of a mesh, preferably made a `Scene` once for many views.
 
-    u = focal x / z and v = focal y / z with z = z_rotated + distance; the image spans
-    [-extent/2, extent/2] in u and v, row 0 at the top.
-
-    Args:
-      mesh: preferably a `Scene`, which is built once for many views.
-      rotation: [3, 3], object frame to camera frame.
-      image_size: S, pixels.
-      distance: units of the mesh.
-      supersample: rays per pixel along each image axis.
+    u = focal x / z and v = focal y / z with z = z_rotated + distance; the image of
+    `image_size` pixels a side spans [-extent/2, extent/2] in u and v, row 0 at the top.
+    `rotation` [3, 3] takes the object frame to the camera frame; `distance` is in the
+    units of the mesh; `supersample` rays per pixel are cast along each image axis.
 
     Raises:
       ValueError: if the mesh has no faces, or a size is not positive.
@@ -201,8 +196,7 @@ def sample_surface(
 ) -> np.ndarray:
     """Points [count, 3] float32 spread over the surface, uniform by area.
 
-    They are the ground truth of the evaluation; the same mesh, count and seed always
-    give the same points. Open shells and interiors are part of the surface.
+    Open shells and interiors are part of the surface.
 
     Raises:
       ValueError: if the mesh has no area.

@@ -21,12 +21,10 @@ from dpc_jax.data.sources import open_source
 from dpc_jax.data.spec import DataSpec
 
 
-def _measure(
-    spec, *, cache_dir, processes=None, models_per_batch=4, views_per_batch=4, seed=0
-):
+def _measure(spec, *, cache_dir, processes=None):
     """Rows (what, value) on preparing and reading the data set of a specification."""
     rows = []
-    missing = _count_missing(spec, cache_dir)
+    folder, missing = _locate(spec, cache_dir)
     start = time.monotonic()
     data = dataset.load_or_render(spec, cache_dir=cache_dir, processes=processes)
     seconds = time.monotonic() - start
@@ -36,7 +34,6 @@ def _measure(
         rows.append(("views per second", f"{missing * spec.views / seconds:.1f}"))
         largest = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
         rows.append(("memory of the largest worker", f"{largest / 2**10:.0f} MB"))
-    folder = _find_folder(spec, cache_dir)
     size = sum(path.stat().st_size for path in folder.iterdir())
     rows.append(("disk", f"{size / 1e9:.2f} GB in {len(list(folder.iterdir()))} files"))
 
@@ -45,16 +42,12 @@ def _measure(
     rows.append(("checked and opened", f"{time.monotonic() - start:.1f} s"))
 
     before, most = _read_memory(), 0
-    count = -(-len(data.names) // models_per_batch)
+    size = {"models_per_batch": 4, "views_per_batch": 4}
+    count = -(-len(data.names) // size["models_per_batch"])
     start, processor = time.monotonic(), time.process_time()
     for step in range(count):
         chosen = batches.choose_batch(
-            len(data.names),
-            data.counts,
-            seed=seed,
-            step=step,
-            models_per_batch=models_per_batch,
-            views_per_batch=views_per_batch,
+            len(data.names), data.counts, seed=0, step=step, **size
         )
         batches.read_batch(data, *chosen)
         if step % 50 == 0:
@@ -78,19 +71,17 @@ def _measure(
     return rows
 
 
-def _find_folder(spec, cache_dir):
+def _locate(spec, cache_dir):
+    """The cache folder of a specification, and how many models it lacks."""
     source = open_source(spec)
-    return dataset.locate_cache(source, source.list_models(), cache_dir)
-
-
-def _count_missing(spec, cache_dir):
-    source, folder = open_source(spec), _find_folder(spec, cache_dir)
-    plan = workers.plan_shards(source, source.list_models())
-    return sum(
-        len(models)
-        for number, models in enumerate(plan)
+    models = source.list_models()
+    folder = dataset.locate_cache(source, models, cache_dir)
+    missing = sum(
+        len(part)
+        for number, part in enumerate(workers.plan_shards(source, models))
         if not (folder / workers.name_shard(number)).is_file()
     )
+    return folder, missing
 
 
 def _read_memory():

@@ -54,10 +54,9 @@ def open_set(
 ) -> Iterator[OpenSet]:
     """Open a cache, or prepare the models of a folder for the time of looking.
 
-    Args:
-      kind: what the folder is, of `KINDS`; None to find out.
-      category: of ShapeNet and the renders; None where there is only one.
-      models: how many of a folder's models to prepare; None for all.
+    `kind` is what the folder is, of `KINDS`, None to find out; `category` is that of
+    ShapeNet and the renders, None where there is only one; `models` limits how many of
+    a folder's models are prepared.
 
     Raises:
       ValueError: naming the file, if there is nothing to open or it is damaged.
@@ -118,14 +117,13 @@ def describe_set(opened: OpenSet) -> list[str]:
     """Lines that say what a set holds."""
     data, record = opened.data, opened.record
     counts = np.asarray(data.counts)
+    low, high = counts.min(), counts.max()
     size = data.images.shape[-2]
     present = [name for name in dataset.ARRAYS if getattr(data, name) is not None]
     lines = [
         f"{opened.name}: {len(data.names)} {record['category']} models, "
         f"{record['split']} split, {int(counts.sum())} views of {size} x {size} pixels",
-        f"  views per model: {counts.min()} to {counts.max()}"
-        if counts.min() < counts.max()
-        else f"  views per model: {counts.min()}",
+        "  views per model: " + " to ".join(map(str, sorted({low, high}))),
         f"  arrays: {', '.join(present)}",
     ]
     if opened.note:
@@ -133,13 +131,9 @@ def describe_set(opened: OpenSet) -> list[str]:
     elif record.get("folder"):
         lines.append(f"  made from: {record['folder']}")
     if data.quaternions is not None:
-        angles = np.array(
-            [
-                _read_angles(quaternion)
-                for model in range(len(data.names))
-                for quaternion in np.asarray(data.quaternions[model])[: counts[model]]
-            ]
-        )
+        models = range(len(data.names))
+        rows = np.concatenate([data.rows("quaternions", model) for model in models])
+        angles = np.stack(_read_angles(rows), axis=1)
         angles = angles[np.isfinite(angles).all(axis=1)]
         if len(angles):
             low, high = angles[:, 1].min(), angles[:, 1].max()
@@ -154,13 +148,14 @@ def describe_set(opened: OpenSet) -> list[str]:
     return lines
 
 
-def _read_angles(quaternion):
+def _read_angles(quaternions):
     """(azimuth, elevation, roll) in degrees of a camera; NaN for a broken pose.
 
     Azimuth is counted from the object's front to its left, elevation upwards, and roll
     is by how much the image is turned clockwise from upright.
     """
-    right, down, forward = pose_conventions.rotation_of(quaternion)
+    rotation = pose_conventions.rotation_of(quaternions)
+    right, down, forward = np.moveaxis(rotation, (-2, -1), (0, 1))
     azimuth = np.arctan2(-forward[1], -forward[0])
     elevation = np.arcsin(np.clip(-forward[2], -1.0, 1.0))
     roll = np.arctan2(right[2], -down[2])

@@ -68,15 +68,10 @@ OTHERS = (
         camera=DEPTH_UP_RIGHT,
     ),
     *(
-        Convention(f"objects with y up and front {front}", object=turn)
-        for front, turn in Y_UP.items()
-    ),
-    *(
         Convention(
-            f"objects with y up and front {front}, y up and z backward (OpenGL)",
-            camera=FLIP,
-            object=turn,
+            f"objects with y up and front {front}{more}", camera=flip, object=turn
         )
+        for more, flip in (("", np.eye(3)), (", y up and z backward (OpenGL)", FLIP))
         for front, turn in Y_UP.items()
     ),
     Convention("objects with their front at -x", object=np.diag([-1.0, -1, 1])),
@@ -105,11 +100,10 @@ def rotation_of(quaternions: np.ndarray, convention: Convention = STORED) -> np.
 def project_points(
     points: np.ndarray, rotations: np.ndarray, lens: Lens
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places of points [P, 3] in images by rotations [V, 3, 3].
+    """Places of points [P, 3] in images by rotations [V, 3, 3], and their depths.
 
-    Returns:
-      ([V, P, 2] x and y in shares of the image's side, [V, P] metric z); a point at or
-      behind the camera is far outside.
+    Places [V, P, 2] are x and y in shares of the image's side, depths [V, P] metric z;
+    a point at or behind the camera is far outside.
     """
     back = np.ascontiguousarray(np.swapaxes(rotations, -1, -2))  # ten times as fast
     seen = np.asarray(points, dtype=np.float64) @ back
@@ -120,14 +114,10 @@ def project_points(
 
 
 def find_cells(places: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which cells of a grid of side x side points fall into.
+    """Row and column [2, ...] of the cells that places [..., 2] of a grid fall into.
 
-    Args:
-      places: [..., 2], x and y in shares of the image's side.
-
-    Returns:
-      ([2, ...] row and column, that of the nearest cell for a point outside of the
-      image, [...] whether the point is inside).
+    Places are x and y in shares of the image's side; a point outside of the image gets
+    the nearest cell. The second array tells whether a point is inside.
     """
     cells = np.floor(places * side)
     inside = np.all((cells >= 0) & (cells < side), axis=-1)

@@ -13,9 +13,6 @@ def fetch_package(name: str, folder: Path) -> Path:
 
     A file NAME_VERSION.deb that somebody has put there is used as it is. What was
     downloaded before an interruption is kept, and apt continues from there.
-
-    Raises:
-      RuntimeError: if there is no apt-get, no network or no such package.
     """
     if found := _find_package(name, folder):
         return found
@@ -50,11 +47,7 @@ def _find_package(name, folder):
 
 
 def unpack_package(path: Path, folder: Path) -> Path:
-    """Unpack a package's files into a folder, unless that is there already.
-
-    Raises:
-      RuntimeError: naming the file, if there is no dpkg-deb or the file is damaged.
-    """
+    """Unpack a package's files into a folder, unless that is there already."""
     if folder.is_dir():
         return folder
     _expect_command("dpkg-deb", "install the package dpkg, or use Debian or Ubuntu")

@@ -90,33 +90,30 @@ def _lock(packages):
 
 
 def _make_folder(category, folder, packages, *, progress):
-    models, versions, makers = [], {}, {}
+    models, versions = [], {}
     for module in RECIPES[category]:
         path = debian.fetch_package(module.PACKAGE, packages)
         root = debian.unpack_package(path, packages / module.PACKAGE)
         versions[module.PACKAGE] = debian.read_version(path)
-        makers[module.PACKAGE] = module.make_mesh
-        models += _list_models(module, root, category, path)
+        found = _list_models(module, root, category, path)
+        models += [(module, model) for model in found]
     folder.mkdir(exist_ok=True)
     for scratch in folder.glob(f"{SCRATCH}*"):  # of a run that was killed
         shutil.rmtree(scratch)
     skipped, records = {}, {}
 
     def make_all():
-        for model in models:
-            origin = {"package": f"{model.package} {versions[model.package]}"}
+        for module, model in models:
+            package = f"{module.PACKAGE} {versions[module.PACKAGE]}"
             try:
-                record = _make_model(model, folder, makers[model.package], origin)
+                record = _make_model(module, model, folder, package)
                 records[f"{model.side}/{model.name}.ply"] = record
             except ValueError as error:
                 skipped[model.name] = str(error)
             yield model.name
 
     for _ in follow(
-        make_all(),
-        count=len(models),
-        label=f"Converting {category}",
-        progress=progress,
+        make_all(), count=len(models), label=f"Converting {category}", progress=progress
     ):
         pass
     if not records:
@@ -133,15 +130,8 @@ def _make_folder(category, folder, packages, *, progress):
         }
         files.write_json(folder / side / "families.json", families)
     _draw_sheet(folder, records)
-    files.write_json(
-        folder / "models.json",
-        {
-            "version": VERSION,
-            "packages": versions,
-            "models": records,
-            "skipped": skipped,
-        },
-    )
+    made = {"version": VERSION, "packages": versions, "models": records}
+    files.write_json(folder / "models.json", made | {"skipped": skipped})
     for package in versions:
         shutil.rmtree(packages / package)
 
@@ -159,7 +149,7 @@ def _list_models(module, root, category, path):
     return found
 
 
-def _make_model(model, folder, make_mesh, origin):
+def _make_model(module, model, folder, package):
     """Write a model and the file beside it, unless they are there; its record."""
     path = folder / model.side / f"{model.name}.ply"
     path.parent.mkdir(exist_ok=True)
@@ -169,7 +159,7 @@ def _make_model(model, folder, make_mesh, origin):
     if path.exists() and beside.exists():
         path.replace(path.with_name(f"{path.name}.changed"))
     with tempfile.TemporaryDirectory(dir=folder, prefix=SCRATCH) as scratch:
-        mesh = normalize(make_mesh(model, Path(scratch)))
+        mesh = normalize(module.make_mesh(model, Path(scratch)))
         partial = Path(scratch) / "mesh.ply"
         mesh.export(partial)
         record = {
@@ -177,7 +167,7 @@ def _make_model(model, folder, make_mesh, origin):
             "family": model.family,
             "side": model.side,
             **model.origin,
-            **origin,
+            "package": package,
             "changes": "axes, place and size; one colour per face; parts joined",
             "faces": len(mesh.faces),
             "sha256": files.digest_file(partial),
@@ -191,12 +181,10 @@ def _read_record(path):
     """The record beside a model that is unchanged, or None."""
     try:
         record = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
-        same = record["version"] == VERSION and record["sha256"] == files.digest_file(
-            path
-        )
+        expected = VERSION, files.digest_file(path)
+        return record if (record["version"], record["sha256"]) == expected else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    return record if same else None
 
 
 def _is_complete(folder):

@@ -66,9 +66,6 @@ def frame_views(
 
     With positions and lenses the scale follows from them, and `spec.crop` does not
     matter.
-
-    Raises:
-      ValueError: if the positions of the cameras contradict each other.
     """
     if poses is not None and all(p.position is not None for p in poses):
         return _frame_by_geometry(outlines, poses, spec)
@@ -174,13 +171,8 @@ def cut_frame(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Image and mask as the camera of a frame sees them, by supersampling.
 
-    Args:
-      image: uint8 [height, width, 3].
-      mask: float32 [height, width], coverage 0 to 1.
-
-    Returns:
-      (uint8 [S, S, 3] on white, uint8 [S, S] coverage times 255). What lies beyond the
-      image is empty.
+    From uint8 [height, width, 3] and coverage float32 [height, width] of 0 to 1 to
+    uint8 [S, S, 3] on white and uint8 [S, S]. What lies beyond the image is empty.
     """
     corners = np.array([[-0.5, 0.5, 0.5, -0.5], [-0.5, -0.5, 0.5, 0.5], [1] * 4])
     outline = frame.homography @ corners

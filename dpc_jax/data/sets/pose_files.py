@@ -42,11 +42,7 @@ def find_pose_files(folder: Path) -> list[Path]:
 
 
 def read_poses(files: Sequence[Path]) -> dict[Path, Pose]:
-    """Poses by image path from the pose files of one object.
-
-    Raises:
-      ValueError: naming the file, if it cannot be understood.
-    """
+    """Poses by image path from the pose files of one object."""
     poses = {}
     for path in files:
         try:

@@ -38,11 +38,7 @@ class SynsetSource(SplitSource):
 
     @classmethod
     def suggest_fields(cls, folder: Path, category: str | None) -> dict:
-        """See `Source.suggest_fields`; the category must be clear.
-
-        Raises:
-          ValueError: if no category is given and the folder has several synsets.
-        """
+        """See `Source.suggest_fields`; the category must be clear."""
         synsets = _list_synsets(folder)
         if category is None and len(synsets) != 1:
             raise ValueError(
@@ -107,10 +103,7 @@ class ShapeNet(SynsetSource, MeshSource):
 
 
 def find_synset(folder: str | Path, category: str) -> Path:
-    """The folder of a category, given the tree of synsets or that folder itself.
-
-    Args:
-      category: "airplane", "car", "chair", or a synset of eight digits.
+    """The folder of a category or synset in the tree of synsets, or that folder itself.
 
     Raises:
       ValueError: naming the folder, if the synset is not there.

@@ -41,11 +41,7 @@ class SplitSource(Source):
         return ""
 
     def find_models(self) -> dict[str, Path]:
-        """Models that are there: `{name: path}`, in order.
-
-        Raises:
-          ValueError: naming the folder, if there are none.
-        """
+        """Models that are there: `{name: path}`, in order."""
         raise NotImplementedError
 
     def expect_model(self, name: str) -> Path:
