@@ -48,13 +48,12 @@ def _parse_arguments(arguments=None):
     return parser.parse_args(arguments)
 
 
-def fetch(flags: argparse.Namespace) -> int:
-    """Fetch the open meshes of a category."""
+def _fetch(flags):
     fetching.fetch_category(flags.category, flags.out)
     return 0
 
 
-def show(flags: argparse.Namespace) -> int:
+def _show(flags):
     """List sets; draw the sheet if there is only one."""
     caches = overview.list_caches(flags.folder)
     for path in caches or [flags.folder]:
@@ -75,7 +74,7 @@ def show(flags: argparse.Namespace) -> int:
     return 0
 
 
-def check(flags: argparse.Namespace) -> int:
+def _check(flags):
     """Check sets; the status is 1 if an error was found."""
     caches = overview.list_caches(flags.folder)
     failed = False
@@ -114,7 +113,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; print a failure as a sentence."""
     flags = _parse_arguments(arguments)
     try:
-        return {"fetch": fetch, "show": show, "check": check}[flags.command](flags)
+        commands = {"fetch": _fetch, "show": _show, "check": _check}
+        return commands[flags.command](flags)
     except (ValueError, RuntimeError, OSError) as error:
         print(f"Error: {_explain(error)}", file=sys.stderr)
         return 1

@@ -4,8 +4,10 @@ import numpy as np
 import trimesh
 
 from dpc_jax.data import surfaces, viewpoints, views
-from dpc_jax.data.sources import Model, Source, view_arrays
+from dpc_jax.data.sources import Model, Source
 from dpc_jax.data.splits import SPLITS
+
+CAMERA = ("image_size", "focal_length", "distance", "extent", "supersample")
 
 
 class RenderedSource(Source):
@@ -30,25 +32,15 @@ def _render_mesh(mesh, spec, index):
     """The arrays of a normalised mesh, the index-th of its data set."""
     scene = views.build_scene(mesh)
     points = surfaces.make_ground_truth(mesh, spec, scene=scene)
-    arrays = view_arrays(spec.views, spec.image_size)
+    camera = {name: getattr(spec, name) for name in CAMERA}
     # every model has its own stream: any number of processes gives the same views
     rng = np.random.default_rng([spec.seed, SPLITS.index(spec.split), index])
-    for view in range(spec.views):
+    pictures = []
+    for _ in range(spec.views):
         azimuth = rng.uniform(0.0, 2.0 * np.pi)
         elevation = np.deg2rad(rng.uniform(*spec.elevation))
         rotation = viewpoints.look_at_rotation(azimuth, elevation)
-        picture = views.render_view(
-            scene,
-            rotation,
-            lights=views.draw_lights(rng),
-            image_size=spec.image_size,
-            focal_length=spec.focal_length,
-            distance=spec.distance,
-            extent=spec.extent,
-            supersample=spec.supersample,
-        )
-        arrays["images"][view] = picture.image
-        arrays["masks"][view] = picture.mask
-        arrays["depths"][view] = picture.depth
-        arrays["quaternions"][view] = viewpoints.matrix_to_quaternion(rotation)
-    return arrays | {"surfaces": points}
+        lights = views.draw_lights(rng)
+        view = views.render_view(scene, rotation, lights=lights, **camera)
+        pictures.append((*view, rotation))
+    return viewpoints.stack_views(pictures) | {"surfaces": points}

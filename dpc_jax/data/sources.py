@@ -8,8 +8,6 @@ import importlib
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-import numpy as np
-
 from dpc_jax.data.spec import KINDS, DataSpec
 
 PROCEDURAL = "procedural_shapes.ProceduralShapes"  # where a specification has no folder
@@ -45,6 +43,11 @@ class Source(Protocol):
 
     def __init__(self, spec: DataSpec):
         self.spec = spec
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the specification."""
+        return Path(str(self.spec.folder))
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
@@ -126,14 +129,3 @@ def add_copies(models: list[Model], spec: DataSpec) -> list[Model]:
         for model in models
     ]
     return [*models, *copies][: spec.models]
-
-
-def view_arrays(count: int, image_size: int) -> dict[str, np.ndarray]:
-    """Empty arrays for the views of one model, as `Source.make_arrays` gives them."""
-    shape = (count, image_size, image_size)
-    return {
-        "images": np.empty((*shape, 3), np.uint8),
-        "masks": np.empty(shape, np.uint8),
-        "depths": np.empty(shape, np.float32),
-        "quaternions": np.empty((count, 4), np.float32),
-    }

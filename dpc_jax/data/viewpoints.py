@@ -1,5 +1,7 @@
 """Viewpoints: camera rotations from azimuth and elevation, and as quaternions."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -30,3 +32,14 @@ def look_at_rotation(azimuth: float, elevation: float) -> np.ndarray:
 def matrix_to_quaternion(rotation: np.ndarray) -> np.ndarray:
     """Quaternions [..., 4] (wxyz, w >= 0) of rotation matrices [..., 3, 3]."""
     return Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
+
+
+def stack_views(views: Iterable[tuple]) -> dict[str, np.ndarray]:
+    """Arrays of a model from (image, mask, depth, rotation [3, 3]) of its views."""
+    images, masks, depths, rotations = map(np.stack, zip(*views, strict=True))
+    return {
+        "images": images.astype(np.uint8),
+        "masks": masks.astype(np.uint8),
+        "depths": depths.astype(np.float32),
+        "quaternions": matrix_to_quaternion(rotations).astype(np.float32),
+    }

@@ -13,11 +13,6 @@ class Finding(NamedTuple):
     text: str
 
 
-def error(text: str) -> Finding:
-    """A finding that makes a set wrong."""
-    return Finding("error", text)
-
-
 def name_places(places: Sequence[str]) -> str:
     """The first of some places as text, and how many more there are."""
     more = len(places) - NAMED

@@ -4,7 +4,7 @@ import numpy as np
 
 from dpc_jax.data.dataset import DataSet
 from dpc_jax.data.look import pose_conventions
-from dpc_jax.data.look.findings import Finding, error, name_places
+from dpc_jax.data.look.findings import Finding, name_places
 from dpc_jax.data.look.pose_conventions import Lens
 
 TRIED_VIEWS = 64  # number of views that conventions are tried on
@@ -52,7 +52,7 @@ def check_poses(data: DataSet, lens: Lens) -> list[Finding]:
             f" ({measure} {best:.2f}); as stored, which should be "
             f"{pose_conventions.STORED.name}, it is {stored:.2f}; convert the poses."
         )
-        return [error(text)]
+        return [Finding("error", text)]
     strays = [] if data.surfaces is None else _find_strays(data, lens)
     if stored < enough and not 0 < len(strays) < np.sum(data.counts) / 2:
         text = (
@@ -60,14 +60,14 @@ def check_poses(data: DataSet, lens: Lens) -> list[Finding]:
             f"{enough} and more) under any convention known here; check scale, centre "
             "and camera."
         )
-        return [error(text)]
+        return [Finding("error", text)]
     findings = []
     if strays:
         text = (
             f"{len(strays)} of {int(np.sum(data.counts))} views whose pose puts the "
             f"object beside its mask: {name_places(strays)}"
         )
-        findings.append(error(text))
+        findings.append(Finding("error", text))
     if data.surfaces is not None and data.depths is not None:
         findings += _check_depths(data, chosen, lens)
     return findings
@@ -152,7 +152,7 @@ def _check_depths(data, chosen, lens):
             return []
         reason = "it is the length of the ray"
     text = "the depth is not the metric distance along the camera's axis"
-    return [error(f"{text}: {reason}; convert the depth.")]
+    return [Finding("error", f"{text}: {reason}; convert the depth.")]
 
 
 def _pair_depths(data, model, lens):

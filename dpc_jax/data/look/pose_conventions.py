@@ -4,7 +4,7 @@ Poses made for another convention than ours put the object's points elsewhere; u
 each of the usual mistakes in turn shows which one it was.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -47,22 +47,16 @@ class Convention(NamedTuple):
     object: np.ndarray = np.eye(3)
 
 
+NERF: dict[str, Any] = {"inverse": True, "camera": FLIP}
 STORED = Convention("wxyz, object to camera, x right, y down, z forward")
 OTHERS = (
     Convention("the inverse, camera to object", inverse=True),
     Convention("the order xyzw", last=True),
     Convention("the order xyzw of the inverse", last=True, inverse=True),
     Convention("cameras with y up and z backward (OpenGL)", camera=FLIP),
-    Convention(
-        "camera to object, y up and z backward (NeRF)", inverse=True, camera=FLIP
-    ),
+    Convention("camera to object, y up and z backward (NeRF)", **NERF),
     Convention("xyzw, y up and z backward (OpenGL)", last=True, camera=FLIP),
-    Convention(
-        "xyzw, camera to object, y up and z backward (NeRF)",
-        last=True,
-        inverse=True,
-        camera=FLIP,
-    ),
+    Convention("xyzw, camera to object, y up and z backward (NeRF)", last=True, **NERF),
     Convention(
         "cameras with the axes depth, up, right (the paper's code)",
         camera=DEPTH_UP_RIGHT,

@@ -54,8 +54,7 @@ class MeshFolder(MeshSource):
         return meshes.holds_meshes(folder)
 
     def list_models(self) -> list[Model]:
-        spec = self.spec
-        folder = Path(str(spec.folder))
+        spec, folder = self.spec, self.folder
         paths = meshes.find_meshes(folder)
         digests = [files.digest_file(path) for path in paths]
         sides = splits.split_files(
@@ -78,11 +77,10 @@ class MeshFolder(MeshSource):
         return add_copies(models, spec)
 
     def list_sidecars(self) -> list[tuple[str, str]]:
-        folder = Path(str(self.spec.folder))
-        paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in SIDECARS)
+        found = (p for p in self.folder.rglob("*") if p.suffix.lower() in SIDECARS)
         return [
-            (path.relative_to(folder).as_posix(), files.digest_file(path))
-            for path in paths
+            (path.relative_to(self.folder).as_posix(), files.digest_file(path))
+            for path in sorted(found)
             if path.is_file()
         ]
 

@@ -22,7 +22,7 @@ from PIL import Image
 from dpc_jax import files
 from dpc_jax.data import viewpoints
 from dpc_jax.data.sets import pictures, shapenet
-from dpc_jax.data.sources import Model, view_arrays
+from dpc_jax.data.sources import Model
 
 FARTHEST = 10.0  # depth that the largest value of a depth file stands for
 GROUND_TRUTH = "gt/downsampled"  # where the released scripts put it, beside the renders
@@ -84,14 +84,12 @@ class ReleasedRenders(shapenet.SynsetSource):
                 f"Expected {spec.views} views render_N.png in {place}, but found "
                 f"{len(numbers)}; set data.views lower or {AGAIN}."
             )
-        arrays = view_arrays(spec.views, spec.image_size)
-        for view, number in enumerate(numbers):
-            image, mask, depth, width = _read_pictures(place, number, spec.image_size)
+        views = []
+        for number in numbers:
+            *view, width = _read_pictures(place, number, spec.image_size)
             rotation = _read_camera(place / f"camera_{number}.mat", spec, width=width)
-            arrays["images"][view] = image
-            arrays["masks"][view] = mask
-            arrays["depths"][view] = depth
-            arrays["quaternions"][view] = viewpoints.matrix_to_quaternion(rotation)
+            views.append((*view, rotation))
+        arrays = viewpoints.stack_views(views)
         truth = self.find_truth(model.name)
         if truth is not None:
             arrays["surfaces"] = _read_ground_truth(truth)

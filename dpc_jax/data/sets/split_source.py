@@ -31,11 +31,6 @@ class SplitSource(Source):
     """
 
     @property
-    def folder(self) -> Path:
-        """The folder of the specification."""
-        return Path(str(self.spec.folder))
-
-    @property
     def synset(self) -> str:
         """Eight digits of the category in official splits, or "" for none."""
         return ""
