@@ -17,7 +17,6 @@ from dpc_jax.data.spec import KINDS
 
 
 def _parse_arguments(arguments=None):
-    """Parse a command line, by default that of this process."""
     parser = argparse.ArgumentParser(
         prog="python -m dpc_jax.data", description="Get data and look at it."
     )

@@ -125,7 +125,6 @@ def _describe(source, models):
 
 
 def _prepare(folder, source, models, *, processes, progress):
-    """Write the shards that are missing or damaged."""
     plan = workers.plan_shards(source, models)
     missing = [n for n in range(len(plan)) if not _is_whole(folder, plan, n)]
     if not missing:
@@ -170,7 +169,6 @@ def _is_whole(folder, plan, number):
 
 
 def _finish(folder, source, models, record, *, progress):
-    """Write `spec.json` from the records of all shards."""
     plan = workers.plan_shards(source, models)
     paths = [folder / workers.name_shard(number) for number in range(len(plan))]
     parts = [shards.map_shard(path).record for path in paths]

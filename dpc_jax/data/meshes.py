@@ -52,10 +52,6 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
     The parts of a scene are put in place by their transforms and concatenated. Colours
     come from face colours, vertex colours (mean of a face's corners), a texture (looked
     up at the middle of the face) or the material, in this order; grey without any.
-
-    Raises:
-      ValueError: naming the file, if it cannot be read, has no faces, coordinates that
-        are not finite, or no extent.
     """
     path = Path(path)
     try:
@@ -67,9 +63,8 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
             scene = trimesh.load_scene(io.StringIO(text), file_type="obj", **options)
         else:
             scene = trimesh.load_scene(path, **options)
-        pieces = [
-            _place_part(scene, node) for node in sorted(scene.graph.nodes_geometry)
-        ]
+        nodes = sorted(scene.graph.nodes_geometry)
+        pieces = [_place_part(scene, node) for node in nodes]
     except Exception as error:  # readers raise anything at all on damaged files
         reason = f"got {type(error).__name__}: {error}"
         if getattr(error, "name", None) == "charset_normalizer":  # trimesh's last try
@@ -88,7 +83,9 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
             f"Expected faces between {len(vertices)} vertices in {path}, but an index "
             "is out of range; repair or remove the file."
         )
-    used = vertices[np.unique(faces)]
+    # only vertices that have a face: a stray one would spoil the box
+    index, faces = np.unique(faces, return_inverse=True)
+    used, faces = vertices[index], faces.reshape(-1, 3)
     if not np.isfinite(used).all():
         raise ValueError(
             f"Expected finite coordinates in {path}, but there is NaN or infinity; "
@@ -99,7 +96,7 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
             f"Expected a mesh with an extent in {path}, but all its vertices coincide; "
             "remove the file."
         )
-    return _keep_used(vertices, faces, colors)
+    return trimesh.Trimesh(used, faces, face_colors=colors, process=False)
 
 
 class _Files(FilePathResolver):
@@ -127,14 +124,6 @@ def _expect_whole_line(text):
     least = {"v": 4, "vt": 3, "vn": 4, "f": 4}.get(words[0] if words else "", 0)
     if len(words) < least or (least and words[-1][-1] in "/-+eE"):
         raise Damage(f"it ends within a line, {' '.join(words)!r}")
-
-
-def _keep_used(vertices, faces, colors):
-    """Mesh of the vertices that have a face: a stray vertex would spoil the box."""
-    index, faces = np.unique(faces, return_inverse=True)
-    return trimesh.Trimesh(
-        vertices[index], faces.reshape(-1, 3), face_colors=colors, process=False
-    )
 
 
 def _place_part(scene, node):

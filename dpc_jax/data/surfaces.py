@@ -46,7 +46,7 @@ def _thin_points(points, *, voxel):
     return (np.stack(sums, axis=1) / counts[:, None]).astype(np.float32)
 
 
-def _find_visible(points, scene, *, distance, viewpoints=VIEWPOINTS):
+def _find_visible(points, scene, *, distance):
     """Which points [N] a straight line reaches from some place of the viewing sphere.
 
     The sphere is around the origin with radius `distance`, beyond the mesh. What can be
@@ -54,7 +54,7 @@ def _find_visible(points, scene, *, distance, viewpoints=VIEWPOINTS):
     """
     points = np.asarray(points, dtype=np.float32)
     seen = np.zeros(len(points), dtype=bool)
-    for eye in distance * _spread_directions(viewpoints):
+    for eye in distance * _spread_directions(VIEWPOINTS):
         left = np.flatnonzero(~seen)  # most points are seen by the first few
         if len(left) == 0:
             break

@@ -3,8 +3,7 @@
 python -m dpc_jax.measure.data_growth --models=7000 --image_size=128
 
 It prepares procedural models, reads them back as training does, damages a shard and has
-it made again; it prints rate, memory and disk as a Markdown table. After an
-interruption it continues; the rate is then that of the models still missing.
+it made again. After an interruption the rate is that of the models still missing.
 """
 
 import argparse
@@ -103,21 +102,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--processes", type=int, default=0, help="0: one per core")
     options = parser.parse_args(arguments)
     try:
-        spec = DataSpec(
-            options.category,
-            models=options.models,
-            views=options.views,
-            image_size=options.image_size,
-        )
-        rows = _measure(
-            spec, cache_dir=options.cache_dir, processes=options.processes or None
-        )
+        fields = ("category", "models", "views", "image_size")
+        spec = DataSpec(**{name: getattr(options, name) for name in fields})
+        processes = options.processes or None
+        rows = _measure(spec, cache_dir=options.cache_dir, processes=processes)
     except (ValueError, OSError) as error:
         print(f"Error: {error}", file=sys.stderr)
         return 1
     print("\n| measured | value |\n| --- | ---: |")
-    for row in rows:
-        print(f"| {row[0]} | {row[1]} |")
+    for what, value in rows:
+        print(f"| {what} | {value} |")
     return 0
 
 

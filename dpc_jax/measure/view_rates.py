@@ -88,7 +88,6 @@ def _measure_rims(mesh, **size):
 
 
 def _make_rows(flags):
-    """Rows of the table: every shape, number of faces and of rays."""
     for category, faces in itertools.product(procedural.CATEGORIES, flags.faces):
         mesh = _divide_faces(procedural.make_shape(category, 0), faces=faces)
         for side in flags.rays:

@@ -13,13 +13,9 @@ LINE = 12  # pixels of a line of text
 
 
 def draw_models(
-    meshes: Iterable[trimesh.Trimesh],
-    texts: Sequence[str],
-    *,
-    size: int = 96,
-    columns: int = 3,
+    meshes: Iterable[trimesh.Trimesh], texts: Sequence[str], *, size: int
 ) -> Image.Image:
-    """Sheet of normalised models, `columns` in a row, with a line of text under each.
+    """Sheet of normalised models, three in a row, with a line of text under each.
 
     Each is seen from four sides: half front, left, rear, above the right.
     """
@@ -40,7 +36,7 @@ def draw_models(
             for azimuth, elevation in VIEWS
         ]
         strips.append(np.concatenate(pictures, axis=1))
-    return arrange(strips, texts, columns=columns)
+    return arrange(strips, texts, columns=3)
 
 
 def arrange(

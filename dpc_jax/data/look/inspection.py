@@ -4,7 +4,7 @@ import numpy as np
 
 from dpc_jax.data.dataset import DataSet
 from dpc_jax.data.look import pose_checks
-from dpc_jax.data.look.findings import Finding, name_places
+from dpc_jax.data.look.pose_checks import Finding, name_places
 from dpc_jax.data.look.pose_conventions import Lens
 
 SMALL = 0.005  # share of the image that the smallest useful mask covers

@@ -23,11 +23,7 @@ LISTED = 5  # skipped models that are named
 
 
 class OpenSet(NamedTuple):
-    """A data set to be looked at.
-
-    name: of its folder. data: the set itself. lens: its camera. record: what its
-    `spec.json` says. note: how it was prepared, if only to be looked at, or "".
-    """
+    """A data set to be looked at; `note` says how it was prepared, if only for that."""
 
     name: str
     data: dataset.DataSet
@@ -57,9 +53,6 @@ def open_set(
     `kind` is what the folder is, of `KINDS`, None to find out; `category` is that of
     ShapeNet and the renders, None where there is only one; `models` limits how many of
     a folder's models are prepared.
-
-    Raises:
-      ValueError: naming the file, if there is nothing to open or it is damaged.
     """
     path = Path(path)
     if (path / dataset.RECORD).is_file():

@@ -1,10 +1,12 @@
 """Checks of poses and depths: do they put the object where its mask is?"""
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 
 from dpc_jax.data.dataset import DataSet
 from dpc_jax.data.look import pose_conventions
-from dpc_jax.data.look.findings import Finding, name_places
 from dpc_jax.data.look.pose_conventions import Lens
 
 TRIED_VIEWS = 64  # number of views that conventions are tried on
@@ -15,6 +17,20 @@ FILLED = 0.95  # share of masks that hulls fill: 0.98 and above for right poses
 RAY = 0.4  # between 0, depth along the axis, and 1, along the ray
 CLEARER = 0.02  # by which another convention must fit better
 DEPTH_FLAW = 0.05  # of the object's box diagonal
+NAMED = 5  # offenders that a finding names
+
+
+class Finding(NamedTuple):
+    """One fault of a set. level: "error", or "warning" if it may be intended."""
+
+    level: str
+    text: str
+
+
+def name_places(places: Sequence[str]) -> str:
+    """The first of some places as text, and how many more there are."""
+    more = len(places) - NAMED
+    return ", ".join(places[:NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def check_poses(data: DataSet, lens: Lens) -> list[Finding]:
@@ -39,11 +55,8 @@ def check_poses(data: DataSet, lens: Lens) -> list[Finding]:
     if data.surfaces is None:
         measure, enough = "share of the masks that agrees", FILLED
     if best > stored + CLEARER:
-        same = [
-            convention.name
-            for convention, score in zip(others, scores, strict=True)
-            if score > best - CLEARER / 4
-        ]
+        near = np.flatnonzero(np.greater(scores, best - CLEARER / 4))
+        same = [others[place].name for place in near]
         text = f"the poses follow another convention: {' or '.join(same)}"
         if best < enough:
             text = "the poses follow no convention known here; the nearest is "
@@ -107,7 +120,6 @@ def _score(data, model, convention, lens):
 
 
 def _find_strays(data, lens):
-    """Views whose pose puts the object beside their mask, as text."""
     strays = []
     for model, name in enumerate(data.names):
         surface = _read_surface(data, model)
@@ -130,7 +142,6 @@ def _find_strays(data, lens):
 
 
 def _check_depths(data, chosen, lens):
-    """Check whether depths are metric and along the camera's axis."""
     given, expected, longer = (
         np.concatenate(parts)
         for parts in zip(*(_pair_depths(data, m, lens) for m in chosen), strict=True)
@@ -156,11 +167,7 @@ def _check_depths(data, chosen, lens):
 
 
 def _pair_depths(data, model, lens):
-    """Three arrays [n] over an object's pixels.
-
-    They are the stored depth, the depth of the nearest surface point, and how much
-    longer the ray to that point is.
-    """
+    """Stored depths, depths of the nearest points, and by how much rays are longer."""
     rotations = pose_conventions.rotation_of(data.rows("quaternions", model))
     surface = _read_surface(data, model)
     assert surface is not None  # models without are not chosen

@@ -143,13 +143,12 @@ def grow_masks(masks: np.ndarray, cells: int) -> np.ndarray:
     return ndimage.maximum_filter(masks, (1, width, width), mode="constant")
 
 
-def _compare_silhouettes(points, rotations, masks, lens):
-    """Intersection over union [V] of points' cells and the cells that masks touch."""
-    side = min(masks.shape[-1], GRID if len(points) >= POINTS else GRID // 2)
+def _compare_cells(points, rotations, masks, lens, *, side):
+    """Cells [V] that points and masks share, that masks touch, and that either does."""
     places, _ = project_points(points, rotations, lens)
     ours, theirs = _mark_points(places, side), _shrink_masks(masks, side)
-    both = (ours & theirs).sum(axis=(1, 2))
-    return both / np.maximum((ours | theirs).sum(axis=(1, 2)), 1)
+    both, either = ours & theirs, ours | theirs
+    return [cells.sum(axis=(1, 2)) for cells in (both, theirs, either)]
 
 
 def _carve_hull(rotations, masks, lens):
@@ -185,10 +184,10 @@ def score_convention(
     """
     rotations = rotation_of(quaternions, convention)
     if surface is not None:
-        return float(_compare_silhouettes(surface, rotations, masks, lens).mean())
+        side = min(masks.shape[-1], GRID if len(surface) >= POINTS else GRID // 2)
+        both, _, either = _compare_cells(surface, rotations, masks, lens, side=side)
+        return float((both / np.maximum(either, 1)).mean())
     hull = _carve_hull(rotations, masks, lens)
     side = HULL_CELLS // 2  # coarse enough for the hull's points to leave no gaps
-    places, _ = project_points(hull, rotations, lens)
-    ours, theirs = _mark_points(places, side), _shrink_masks(masks > 127, side)
-    filled = (ours & theirs).sum(axis=(1, 2)) / np.maximum(theirs.sum(axis=(1, 2)), 1)
-    return float(filled.mean())
+    both, theirs, _ = _compare_cells(hull, rotations, masks > 127, lens, side=side)
+    return float((both / np.maximum(theirs, 1)).mean())

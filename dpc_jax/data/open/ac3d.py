@@ -19,11 +19,9 @@ from dpc_jax.data.sets.pictures import FAULTS
 from dpc_jax.shapes.joining import join_pieces
 
 GREY = (0.667, 0.667, 0.667)  # of a surface without a material
-SAMPLES = (
-    np.array(  # of a triangle, barycentric: its middle and six around it
-        [(4, 4, 4), (8, 2, 2), (2, 8, 2), (2, 2, 8), (5, 5, 2), (5, 2, 5), (2, 5, 5)]
-    )
-    / 12.0
+# of a triangle, barycentric: its middle and six around it
+SAMPLES = np.divide(
+    [(4, 4, 4), (8, 2, 2), (2, 8, 2), (2, 2, 8), (5, 5, 2), (5, 2, 5), (2, 5, 5)], 12.0
 )
 POLYGON, STRIP = 0, 4  # kinds of surface; 1 and 2 are lines
 

@@ -202,7 +202,6 @@ def _is_complete(folder):
 
 
 def _draw_sheet(folder, records):
-    """Write the contact sheet of the models, families side by side."""
     names = sorted(records, key=lambda n: (records[n]["side"], records[n]["family"], n))
     texts = []
     for name in names:

@@ -74,7 +74,7 @@ class ImageFolder(SplitSource):
 
 
 def _list_objects(folder):
-    """Places of the objects by name: folders of views, or images."""
+    """Folders of views, or images, by name."""
     if not folder.is_dir():
         raise ValueError(
             f"Expected a folder of images, but {folder} is not a folder; check it."

@@ -97,7 +97,6 @@ class ReleasedRenders(shapenet.SynsetSource):
 
 
 def _list_models(place):
-    """Folders of models by id, sorted, of which at least one has a render."""
     names = sorted(entry.name for entry in os.scandir(place) if entry.is_dir())
     if not any(_list_renders(place / name) for name in names):
         raise ValueError(
@@ -186,7 +185,6 @@ def _read_camera(path, spec, *, width):
 
 
 def _read_ground_truth(path):
-    """Points [P, 3] float32 in the canonical frame."""
     points = _read_mat(path, ("points",))["points"]
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise ValueError(

@@ -103,11 +103,7 @@ class ShapeNet(SynsetSource, MeshSource):
 
 
 def find_synset(folder: str | Path, category: str) -> Path:
-    """The folder of a category or synset in the tree of synsets, or that folder itself.
-
-    Raises:
-      ValueError: naming the folder, if the synset is not there.
-    """
+    """The folder of a category or synset in the tree of synsets, or given itself."""
     synset = SYNSETS.get(category, category)
     if not re.fullmatch(r"\d{8}", synset):
         raise ValueError(

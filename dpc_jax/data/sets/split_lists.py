@@ -39,11 +39,6 @@ def read_split(path: Path, synset: str) -> dict[str, list[str]]:
 
     The path is that of a CSV file, which may leave out leading zeros of the synset, of
     a `.file` table, or of any one of the text files.
-
-    Raises:
-      ValueError: naming the file, if it cannot be understood, names a model twice, or
-        has no model of the synset.
-      OSError: if it cannot be read.
     """
     readers = {".csv": lambda path: _read_csv(path, synset), ".file": _read_table}
     try:
@@ -90,7 +85,6 @@ def _read_csv(path, synset):
 
 
 def _read_texts(path):
-    """The text files of all splits, from the path of one of them."""
     stem = next((s for s in SPLITS if path.stem.endswith(s)), None)
     if stem is None:
         raise ValueError(
