@@ -206,7 +206,7 @@ def test_a_camera_turned_towards_the_object_sees_it_undistorted():
     rotation = look_at(position, target=(0.3, -0.4, 0.2))
     points = rng.uniform(-0.2, 0.2, (3, 200))
     lens = np.array([[100.0, 0, 60], [0, 100.0, 45], [0, 0, 1]])
-    turn = framing.turn_to_axis(-rotation @ position / np.linalg.norm(position))
+    turn = framing._turn_to_axis(-rotation @ position / np.linalg.norm(position))
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
     homography = lens @ turn.T @ np.diag([0.4, 0.4, 1.0])
     seen = turn @ rotation @ (points - position[:, None])
@@ -223,9 +223,9 @@ def test_the_meeting_point_of_lines_is_found():
     origins = rng.normal(size=(5, 3)) * 4
     directions = target - origins
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    found = framing.find_meeting_point(origins, directions)
+    found = framing._find_meeting_point(origins, directions)
     np.testing.assert_allclose(found, target, atol=1e-9)
-    parallel = framing.find_meeting_point(origins, np.tile(directions[:1], (5, 1)))
+    parallel = framing._find_meeting_point(origins, np.tile(directions[:1], (5, 1)))
     np.testing.assert_array_equal(parallel, 0)
 
 
@@ -391,7 +391,7 @@ def test_photographs_are_turned_as_their_camera_noted(tmp_path):
     mask = np.zeros((30, 20), np.uint8)
     mask[:5] = 255
     Image.fromarray(mask).save(tmp_path / "a_mask.png")
-    colors, covered = image_folder.read_image(tmp_path / "a.jpg")
+    colors, covered = image_folder._read_image(tmp_path / "a.jpg")
     assert colors.shape == (30, 20, 3) and covered.shape == (30, 20)
     assert colors[covered > 0.5].min() > 200 and colors[8:].max() < 50
 

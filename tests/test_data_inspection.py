@@ -254,7 +254,7 @@ def test_angles_are_those_of_the_camera():
         rotation = viewpoints.look_at_rotation(*np.deg2rad((azimuth, elevation)))
         # the camera turned to the left sees the object turned clockwise
         rotation = Rotation.from_euler("z", roll, degrees=True).as_matrix() @ rotation
-        angles = overview.read_angles(viewpoints.matrix_to_quaternion(rotation))
+        angles = overview._read_angles(viewpoints.matrix_to_quaternion(rotation))
         np.testing.assert_allclose(angles, (azimuth, elevation, roll), atol=1e-9)
 
 
@@ -346,10 +346,10 @@ def test_meshes_and_images_are_prepared_to_be_looked_at(tmp_path, capsys, monkey
 
 def test_what_a_folder_is_shows_from_what_it_holds(tmp_path):
     (tmp_path / "02958343/abc").mkdir(parents=True)
-    assert overview.guess_kind(tmp_path) == "renders"
+    assert overview._guess_kind(tmp_path) == "renders"
     (tmp_path / "02958343/abc/model.obj").write_text("")
-    assert overview.guess_kind(tmp_path) == "shapenet"
-    assert overview.guess_kind(tmp_path / "02958343/abc") == "meshes"
+    assert overview._guess_kind(tmp_path) == "shapenet"
+    assert overview._guess_kind(tmp_path / "02958343/abc") == "meshes"
 
 
 def test_a_folder_with_nothing_to_see_is_named(tmp_path, capsys):

@@ -6,12 +6,12 @@ from dpc_jax.measure import data_growth
 
 def test_it_measures_every_stage_and_mends_what_it_broke(tmp_path, capsys):
     spec = DataSpec("car", models=9, views=4, image_size=16, supersample=2)
-    rows = dict(data_growth.measure(spec, cache_dir=tmp_path, processes=1))
+    rows = dict(data_growth._measure(spec, cache_dir=tmp_path, processes=1))
     assert rows["models prepared"].startswith("9 in")
     assert "equal: True" in rows["a damaged shard made again"]
     assert "in 4 files" in rows["disk"] and "3 in an epoch" in rows["a batch"]
     assert "shard-00000.npz" in capsys.readouterr().out
-    again = dict(data_growth.measure(spec, cache_dir=tmp_path, processes=1))
+    again = dict(data_growth._measure(spec, cache_dir=tmp_path, processes=1))
     assert "models prepared" not in again and "disk" in again
 
 

@@ -20,14 +20,14 @@ def make_ball(radius=0.4):
 def test_thinning_keeps_the_mean_of_each_voxel():
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.5, 0.5, (5000, 3))
-    thin = surfaces.thin_points(points, voxel=0.1)
+    thin = surfaces._thin_points(points, voxel=0.1)
     means = {}
     for point in points:
         means.setdefault(tuple(np.floor(point / 0.1)), []).append(point)
     expected = [np.mean(means[key], axis=0) for key in sorted(means)]
     np.testing.assert_allclose(thin, expected, atol=1e-6)  # float32
     assert thin.dtype == np.float32
-    shuffled = surfaces.thin_points(rng.permutation(points), voxel=0.1)
+    shuffled = surfaces._thin_points(rng.permutation(points), voxel=0.1)
     np.testing.assert_allclose(shuffled, thin, atol=1e-6)
 
 
@@ -61,16 +61,16 @@ def test_a_point_is_seen_if_a_ray_over_the_rim_reaches_it():
     box.update_faces(~lid)
     points = np.array([[0.0, 0, -0.2], [0.19, 0, -0.1], [0, 0.2, 0]])
     scene = views.build_scene(box)
-    assert surfaces.find_visible(points, scene, distance=2.0).all()
+    assert surfaces._find_visible(points, scene, distance=2.0).all()
     closed = trimesh.creation.box(extents=[0.4, 0.4, 0.4])
     hidden = np.array([[0.0, 0, 0.05], [0.1, 0.1, 0.1]])
-    assert not surfaces.find_visible(
+    assert not surfaces._find_visible(
         hidden, views.build_scene(closed), distance=2.0
     ).any()
 
 
 def test_directions_are_spread_over_the_sphere():
-    directions = surfaces.spread_directions(128)
+    directions = surfaces._spread_directions(128)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
     assert np.abs(directions.mean(axis=0)).max() < 0.01
     nearest = np.sort(directions @ directions.T, axis=1)[:, -2]

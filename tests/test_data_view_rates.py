@@ -10,13 +10,13 @@ from dpc_jax.shapes import procedural
 def test_divided_faces_cover_the_same_surface_in_the_same_colours():
     mesh = procedural.make_shape("chair", 3)
     count = 2 * len(mesh.faces) + 7
-    divided = view_rates.divide_faces(mesh, faces=count)
+    divided = view_rates._divide_faces(mesh, faces=count)
     assert 0 <= len(divided.faces) - count <= 2
     assert divided.area == pytest.approx(mesh.area)
     options = dict(count=2, image_size=24, supersample=2)
     pairs = zip(
-        view_rates.draw_views(mesh, **options),
-        view_rates.draw_views(divided, **options),
+        view_rates._draw_views(mesh, **options),
+        view_rates._draw_views(divided, **options),
         strict=True,
     )
     for first, second in pairs:
@@ -29,7 +29,7 @@ def test_divided_faces_cover_the_same_surface_in_the_same_colours():
 def test_more_rays_make_better_rims():
     mesh = procedural.make_shape("car", 0)
     errors = [
-        view_rates.measure_rims(mesh, image_size=32, supersample=side)
+        view_rates._measure_rims(mesh, image_size=32, supersample=side)
         for side in (1, 2, 4, 16)
     ]
     assert errors == sorted(errors, reverse=True)

@@ -230,7 +230,7 @@ def test_colours_of_a_file_arrive_in_the_image(tmp_path, kind):
 def test_viewpoints_are_drawn_as_in_the_paper():
     """Azimuth uniform in 360 degrees, elevation in [-20, 40]."""
     spec = DataSpec("car", models=1, views=400, image_size=2, supersample=1)
-    arrays = rendering.render_mesh(procedural.make_shape("car", 0), spec, 0)
+    arrays = rendering._render_mesh(procedural.make_shape("car", 0), spec, 0)
     turns = Rotation.from_quat(arrays["quaternions"], scalar_first=True).as_matrix()
     away = -turns[:, 2]  # the camera's place, z forward
     azimuth = np.rad2deg(np.arctan2(away[:, 1], away[:, 0])) % 360

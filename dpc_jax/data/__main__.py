@@ -11,19 +11,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dpc_jax import files
+from dpc_jax.data.look import inspection, overview
+from dpc_jax.data.open import fetching
 from dpc_jax.data.spec import KINDS
 
-CATEGORIES = ("chair", "car", "airplane")
 
-
-def parse_arguments(arguments: Sequence[str] | None = None) -> argparse.Namespace:
-    """Parse a command line, by default that of this process."""
+def _parse_arguments(arguments=None):
     parser = argparse.ArgumentParser(
         prog="python -m dpc_jax.data", description="Get data and look at it."
     )
     commands = parser.add_subparsers(dest="command", required=True)
     fetch = commands.add_parser("fetch", help="open meshes, from Debian packages")
-    fetch.add_argument("category", choices=CATEGORIES)
+    fetch.add_argument("category", choices=tuple(fetching.RECIPES))
     fetch.add_argument("--out", default="data/open", help="folder (%(default)s)")
     show = commands.add_parser("show", help="what is in a set, with a sheet of it")
     check = commands.add_parser("check", help="what is wrong with a set")
@@ -48,18 +47,13 @@ def parse_arguments(arguments: Sequence[str] | None = None) -> argparse.Namespac
     return parser.parse_args(arguments)
 
 
-def fetch(flags: argparse.Namespace) -> int:
-    """Fetch the open meshes of a category."""
-    from dpc_jax.data.open import fetching  # each command loads only what it needs
-
+def _fetch(flags):
     fetching.fetch_category(flags.category, flags.out)
     return 0
 
 
-def show(flags: argparse.Namespace) -> int:
+def _show(flags):
     """List sets; draw the sheet if there is only one."""
-    from dpc_jax.data.look import overview
-
     caches = overview.list_caches(flags.folder)
     for path in caches or [flags.folder]:
         with _open(path, flags) as opened:
@@ -79,10 +73,8 @@ def show(flags: argparse.Namespace) -> int:
     return 0
 
 
-def check(flags: argparse.Namespace) -> int:
+def _check(flags):
     """Check sets; the status is 1 if an error was found."""
-    from dpc_jax.data.look import overview
-
     caches = overview.list_caches(flags.folder)
     failed = False
     for path in caches or [flags.folder]:
@@ -98,8 +90,6 @@ def check(flags: argparse.Namespace) -> int:
 
 def _check_one(path, flags):
     """Print what is wrong with a set; return whether that is an error."""
-    from dpc_jax.data.look import inspection, overview
-
     with _open(path, flags) as opened:
         data = opened.data
         print(overview.describe_set(opened)[0])
@@ -113,8 +103,6 @@ def _check_one(path, flags):
 
 
 def _open(path, flags):
-    from dpc_jax.data.look import overview
-
     return overview.open_set(
         path, kind=flags.kind, category=flags.category, models=flags.models
     )
@@ -122,9 +110,10 @@ def _open(path, flags):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; print a failure as a sentence."""
-    flags = parse_arguments(arguments)
+    flags = _parse_arguments(arguments)
     try:
-        return {"fetch": fetch, "show": show, "check": check}[flags.command](flags)
+        commands = {"fetch": _fetch, "show": _show, "check": _check}
+        return commands[flags.command](flags)
     except (ValueError, RuntimeError, OSError) as error:
         print(f"Error: {_explain(error)}", file=sys.stderr)
         return 1

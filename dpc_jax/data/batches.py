@@ -20,21 +20,13 @@ def choose_batch(
     models_per_batch: int,
     views_per_batch: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which models and which of their views make the batch of a step.
+    """Which models [B] and which of their views [B, V] make the batch of a step.
 
     Models are read from one endless sequence of seeded permutations, one per epoch,
     `models_per_batch` at a time: every model comes once per epoch, and a batch that
     straddles two epochs holds no model twice. Views are drawn without replacement; if a
     model has fewer than the batch asks for, all of them come before any comes again.
-
-    Args:
-      num_models: of the data set.
-      num_views: of each model; one number, or [num_models] where they differ.
-      seed, step: integers >= 0.
-      models_per_batch: B. views_per_batch: V.
-
-    Returns:
-      (models [B], views [B, V]), int64 indices.
+    `num_views` is one number, or [num_models] where models differ.
 
     Raises:
       ValueError: if the batch wants more models than there are, or more views than
@@ -93,10 +85,7 @@ def _epoch_order(num_models, batch, seed, epoch):
 def read_batch(
     dataset: DataSet, models: npt.ArrayLike, views: npt.ArrayLike
 ) -> dict[str, np.ndarray]:
-    """The views of a batch, as stored; scaling to floats is left to the device.
-
-    Args:
-      dataset: the set. models: [B] indices. views: [B, V] indices.
+    """The views [B, V] of models [B], as stored; the device scales them to floats.
 
     Returns:
       Arrays in memory by name: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S]

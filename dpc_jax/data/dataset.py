@@ -61,6 +61,10 @@ class DataSet(NamedTuple):
         counts = getattr(self.masks, "counts", None)
         return np.full(*self.masks.shape[:2]) if counts is None else counts
 
+    def rows(self, name: str, model: int) -> np.ndarray:
+        """What an array with a row per view has of one model."""
+        return np.asarray(getattr(self, name)[model])[: self.counts[model]]
+
 
 def load_or_render(
     spec: DataSpec,
@@ -72,7 +76,6 @@ def load_or_render(
     """The data set of a specification, from the cache or prepared now.
 
     Args:
-      spec: what the data set is made of.
       cache_dir: folder of the caches; created where missing.
       processes: how many render at once; None for one per core. The result does not
         depend on it.
@@ -122,11 +125,8 @@ def _describe(source, models):
 
 
 def _prepare(folder, source, models, *, processes, progress):
-    """Write the shards that are missing or damaged."""
     plan = workers.plan_shards(source, models)
-    missing = [
-        number for number in range(len(plan)) if not _is_whole(folder, plan, number)
-    ]
+    missing = [n for n in range(len(plan)) if not _is_whole(folder, plan, n)]
     if not missing:
         return
     count = sum(len(plan[number]) for number in missing)
@@ -169,7 +169,6 @@ def _is_whole(folder, plan, number):
 
 
 def _finish(folder, source, models, record, *, progress):
-    """Write `spec.json` from the records of all shards."""
     plan = workers.plan_shards(source, models)
     paths = [folder / workers.name_shard(number) for number in range(len(plan))]
     parts = [shards.map_shard(path).record for path in paths]
@@ -189,15 +188,9 @@ def _finish(folder, source, models, record, *, progress):
             f"Expected at least one usable {source.unit} in {source.spec.folder}, but "
             f"none of {len(models)} is; look at the first: {skipped[0][1]}"
         )
-    record = {
-        **record,
-        "folder": source.spec.folder,
-        "names": names,
-        "skipped": skipped,
-        "remarks": remarks,
-        "shards": [[p.name, p.stat().st_size, shards.checksum(p)] for p in paths],
-    }
-    files.write_json(folder / RECORD, record)
+    listed = [[p.name, p.stat().st_size, shards.checksum(p)] for p in paths]
+    record |= {"folder": source.spec.folder, "names": names, "skipped": skipped}
+    files.write_json(folder / RECORD, record | {"remarks": remarks, "shards": listed})
 
 
 def _tell(title, pairs, count):

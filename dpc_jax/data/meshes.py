@@ -22,11 +22,7 @@ PLAIN = np.array([170, 170, 170, 255], dtype=np.uint8)  # where a file has no co
 
 
 def find_meshes(folder: Path) -> list[Path]:
-    """Mesh files below a folder, at any depth, sorted by path.
-
-    Raises:
-      ValueError: if the folder does not exist or holds no mesh file.
-    """
+    """Mesh files below a folder, at any depth, sorted by path."""
     if not folder.is_dir():
         raise ValueError(
             f"Expected a folder of mesh files, but {folder} is not a folder; check it."
@@ -51,35 +47,24 @@ def _iterate_meshes(folder):
 
 
 def read_mesh(path: str | Path) -> trimesh.Trimesh:
-    """Read one mesh file into a single mesh with one colour per face.
+    """Read a file with one of `SUFFIXES` into a single mesh with one colour per face.
 
     The parts of a scene are put in place by their transforms and concatenated. Colours
     come from face colours, vertex colours (mean of a face's corners), a texture (looked
     up at the middle of the face) or the material, in this order; grey without any.
-
-    Args:
-      path: file with one of the endings `SUFFIXES`.
-
-    Returns:
-      The mesh in the frame and units of the file.
-
-    Raises:
-      ValueError: naming the file, if it cannot be read, has no faces, coordinates that
-        are not finite, or no extent.
     """
     path = Path(path)
     try:
         # ShapeNet keeps textures in the folder above that of the mesh
         options = {"resolver": _Files(str(path), allow_anywhere=True), "process": False}
         if path.suffix.lower() == ".obj":
-            text = _decode(path.read_bytes())
+            text = decode_text(path.read_bytes())
             _expect_whole_line(text)
             scene = trimesh.load_scene(io.StringIO(text), file_type="obj", **options)
         else:
             scene = trimesh.load_scene(path, **options)
-        pieces = [
-            _place_part(scene, node) for node in sorted(scene.graph.nodes_geometry)
-        ]
+        nodes = sorted(scene.graph.nodes_geometry)
+        pieces = [_place_part(scene, node) for node in nodes]
     except Exception as error:  # readers raise anything at all on damaged files
         reason = f"got {type(error).__name__}: {error}"
         if getattr(error, "name", None) == "charset_normalizer":  # trimesh's last try
@@ -98,7 +83,9 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
             f"Expected faces between {len(vertices)} vertices in {path}, but an index "
             "is out of range; repair or remove the file."
         )
-    used = vertices[np.unique(faces)]
+    # only vertices that have a face: a stray one would spoil the box
+    index, faces = np.unique(faces, return_inverse=True)
+    used, faces = vertices[index], faces.reshape(-1, 3)
     if not np.isfinite(used).all():
         raise ValueError(
             f"Expected finite coordinates in {path}, but there is NaN or infinity; "
@@ -109,7 +96,7 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
             f"Expected a mesh with an extent in {path}, but all its vertices coincide; "
             "remove the file."
         )
-    return _keep_used(vertices, faces, colors)
+    return trimesh.Trimesh(used, faces, face_colors=colors, process=False)
 
 
 class _Files(FilePathResolver):
@@ -118,10 +105,10 @@ class _Files(FilePathResolver):
     def get(self, name):
         content = super().get(name.replace("\\", "/"))
         is_text = name.lower().endswith(".mtl")
-        return _decode(content).encode() if is_text else content
+        return decode_text(content).encode() if is_text else content
 
 
-def _decode(content):
+def decode_text(content: bytes) -> str:
     """Text of a file; other encodings are read too, if with wrong letters."""
     try:
         return content.decode("utf-8")
@@ -137,14 +124,6 @@ def _expect_whole_line(text):
     least = {"v": 4, "vt": 3, "vn": 4, "f": 4}.get(words[0] if words else "", 0)
     if len(words) < least or (least and words[-1][-1] in "/-+eE"):
         raise Damage(f"it ends within a line, {' '.join(words)!r}")
-
-
-def _keep_used(vertices, faces, colors):
-    """Mesh of the vertices that have a face: a stray vertex would spoil the box."""
-    index, faces = np.unique(faces, return_inverse=True)
-    return trimesh.Trimesh(
-        vertices[index], faces.reshape(-1, 3), face_colors=colors, process=False
-    )
 
 
 def _place_part(scene, node):
@@ -179,13 +158,9 @@ def _face_colors(part):
 def scale_randomly(
     mesh: trimesh.Trimesh, *, seed: int | Sequence[int], amount: float = 0.15
 ) -> trimesh.Trimesh:
-    """Copy of a mesh, stretched along x, y and z by a random factor each.
+    """Copy of a mesh, each axis stretched by a factor in [1 - amount, 1 + amount].
 
     An augmentation for small sets of files: proportions vary, the category stays.
-    Factors are uniform in [1 - amount, 1 + amount].
-
-    Raises:
-      ValueError: if amount is not in [0, 1).
     """
     if not 0 <= amount < 1:
         raise ValueError(

@@ -4,9 +4,10 @@ import numpy as np
 import trimesh
 
 from dpc_jax.data import surfaces, viewpoints, views
-from dpc_jax.data.sources import Model, Source, view_arrays
-from dpc_jax.data.spec import DataSpec
+from dpc_jax.data.sources import Model, Source
 from dpc_jax.data.splits import SPLITS
+
+CAMERA = ("image_size", "focal_length", "distance", "extent", "supersample")
 
 
 class RenderedSource(Source):
@@ -15,11 +16,7 @@ class RenderedSource(Source):
     unit = "mesh"
 
     def make_mesh(self, model: Model) -> trimesh.Trimesh:
-        """The normalised mesh of a model.
-
-        Raises:
-          ValueError: naming the file, if it cannot be used.
-        """
+        """The normalised mesh of a model."""
         raise NotImplementedError
 
     def describe_flaws(self, model: Model) -> list[str]:
@@ -27,47 +24,23 @@ class RenderedSource(Source):
         return []
 
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
-        """See `Source.make_arrays`."""
-        arrays = render_mesh(self.make_mesh(model), self.spec, index)
+        arrays = _render_mesh(self.make_mesh(model), self.spec, index)
         return arrays, self.describe_flaws(model)
 
 
-def render_mesh(
-    mesh: trimesh.Trimesh, spec: DataSpec, index: int
-) -> dict[str, np.ndarray]:
-    """Rendered views and surface points of a normalised mesh.
-
-    Args:
-      mesh: in the canonical frame. spec: number of views, camera, ground truth.
-      index: of the model in its data set.
-
-    Returns:
-      images, masks, depths, quaternions and surfaces, as in `DataSet`.
-
-    Raises:
-      ValueError: if the mesh has no faces or no area.
-    """
+def _render_mesh(mesh, spec, index):
+    """The arrays of a normalised mesh, the index-th of its data set."""
     scene = views.build_scene(mesh)
     points = surfaces.make_ground_truth(mesh, spec, scene=scene)
-    arrays = view_arrays(spec.views, spec.image_size)
+    camera = {name: getattr(spec, name) for name in CAMERA}
     # every model has its own stream: any number of processes gives the same views
     rng = np.random.default_rng([spec.seed, SPLITS.index(spec.split), index])
-    for view in range(spec.views):
+    pictures = []
+    for _ in range(spec.views):
         azimuth = rng.uniform(0.0, 2.0 * np.pi)
         elevation = np.deg2rad(rng.uniform(*spec.elevation))
         rotation = viewpoints.look_at_rotation(azimuth, elevation)
-        picture = views.render_view(
-            scene,
-            rotation,
-            lights=views.draw_lights(rng),
-            image_size=spec.image_size,
-            focal_length=spec.focal_length,
-            distance=spec.distance,
-            extent=spec.extent,
-            supersample=spec.supersample,
-        )
-        arrays["images"][view] = picture.image
-        arrays["masks"][view] = picture.mask
-        arrays["depths"][view] = picture.depth
-        arrays["quaternions"][view] = viewpoints.matrix_to_quaternion(rotation)
-    return arrays | {"surfaces": points}
+        lights = views.draw_lights(rng)
+        view = views.render_view(scene, rotation, lights=lights, **camera)
+        pictures.append((*view, rotation))
+    return viewpoints.stack_views(pictures) | {"surfaces": points}

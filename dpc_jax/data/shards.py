@@ -34,16 +34,7 @@ class Shard(NamedTuple):
 
 
 def write_shard(path: Path, arrays: dict[str, np.ndarray], record: dict[str, Any]):
-    """Write a shard under a temporary name and rename it when it is whole.
-
-    Args:
-      path: of the shard.
-      arrays: by name, which must not be `RECORD`.
-      record: anything that JSON can hold.
-
-    Raises:
-      OSError: naming the file, if it cannot be written.
-    """
+    """Write arrays and a JSON record under a temporary name; rename it when whole."""
     text = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
     try:
         with files.replacing(path) as partial, open(partial, "wb") as file:
@@ -56,12 +47,7 @@ def write_shard(path: Path, arrays: dict[str, np.ndarray], record: dict[str, Any
 
 
 def read_record(path: str | os.PathLike) -> dict[str, Any]:
-    """The record of a shard whose every array is as it was written.
-
-    Raises:
-      ValueError: naming the file, if it is cut, changed or not a shard.
-      OSError: if it is missing or cannot be read.
-    """
+    """The record of a shard whose every array is as it was written."""
     try:
         with zipfile.ZipFile(path) as archive:
             if (damaged := archive.testzip()) is not None:
@@ -89,18 +75,17 @@ def map_shard(path: str | os.PathLike) -> Shard:
     with open(path, "rb") as file:
         mapping = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     with zipfile.ZipFile(path) as archive:
-        places = {m.filename: m.header_offset for m in archive.infolist()}
-    arrays = {
-        name.removesuffix(".npy"): _map_array(mapping, offset)
-        for name, offset in places.items()
-    }
+        arrays = {
+            member.filename.removesuffix(".npy"): _map_array(mapping, member)
+            for member in archive.infolist()
+        }
     record = json.loads(arrays.pop(RECORD).tobytes())
     return Shard(arrays, record, mapping)
 
 
-def _map_array(mapping, offset):
-    """The array whose archive member starts at an offset of a mapping."""
+def _map_array(mapping, member):
     # a member is a header of 30 bytes, its name, an extra field, and the .npy file
+    offset = member.header_offset
     name_length, extra_length = struct.unpack_from("<HH", mapping, offset + 26)
     start = offset + 30 + name_length + extra_length
     head = io.BytesIO(mapping[start : start + 1024])
@@ -172,10 +157,9 @@ class Stack(np.lib.mixins.NDArrayOperatorsMixin):
         return (self[model] for model in range(len(self)))
 
     def __getitem__(self, key):
-        if isinstance(key, int | np.integer):
-            return self._read_model(key)
-        if isinstance(key, tuple) and isinstance(key[0], int | np.integer):
-            return self._read_model(key[0])[key[1:]]
+        model, *rest = key if isinstance(key, tuple) else (key,)
+        if isinstance(model, int | np.integer):
+            return self._read_model(model)[tuple(rest)]
         if isinstance(key, slice):
             return self._join(range(len(self))[key])
         if isinstance(key, tuple) and len(key) == 2:
@@ -220,10 +204,7 @@ class Stack(np.lib.mixins.NDArrayOperatorsMixin):
 
     def _gather(self, models, rows):
         models, rows = np.broadcast_arrays(models, rows)
-        if (
-            models.size
-            and not ((models >= 0) & (models < len(self)) & (rows >= 0)).all()
-        ):
+        if not ((models >= 0) & (models < len(self)) & (rows >= 0)).all():
             raise IndexError(f"models of {len(self)} and rows counted from 0")
         if (rows >= self.counts[models]).any():
             raise IndexError("a row beyond the last of its model")
@@ -232,9 +213,7 @@ class Stack(np.lib.mixins.NDArrayOperatorsMixin):
         out = np.empty((*models.shape, *self.shape[2:]), self.dtype)
         flat = out.reshape(-1, *self.shape[2:])
         rows = places - self._edges[shards]
-        for i, (shard, row) in enumerate(
-            zip(shards.tolist(), rows.tolist(), strict=True)
-        ):
+        for i, (shard, row) in enumerate(np.stack([shards, rows], 1).tolist()):
             flat[i] = self._pieces[shard][row]
         self._pages.count(out.nbytes)
         return out

@@ -8,8 +8,6 @@ import importlib
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-import numpy as np
-
 from dpc_jax.data.spec import KINDS, DataSpec
 
 PROCEDURAL = "procedural_shapes.ProceduralShapes"  # where a specification has no folder
@@ -46,6 +44,11 @@ class Source(Protocol):
     def __init__(self, spec: DataSpec):
         self.spec = spec
 
+    @property
+    def folder(self) -> Path:
+        """The folder of the specification."""
+        return Path(str(self.spec.folder))
+
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
         """Whether a folder seems to hold this kind of data set."""
@@ -68,10 +71,8 @@ class Source(Protocol):
         """Arrays of one model by name, and remarks on what it lacks.
 
         The arrays are images, masks, depths and quaternions with a row per view, and
-        surfaces with a row per point (see `DataSet`); some kinds lack some of them.
-
-        Args:
-          model: as listed. index: its place in the list, which seeds its views.
+        surfaces with a row per point (see `DataSet`); some kinds lack some of them. The
+        index of the model in the list seeds its views.
 
         Raises:
           ValueError: naming the file, if the model cannot be used.
@@ -98,9 +99,11 @@ class Source(Protocol):
         """Write a split of our own beside a cache folder, so that it can be reused."""
 
 
-def find_kind(kind: str) -> type[Source]:
-    """The `Source` class of a kind of data set in `KINDS`."""
-    return _load_class(KINDS[kind])
+def find_kind(kind: str | None) -> type[Source]:
+    """The `Source` class of a kind in `KINDS`, or of procedural shapes for None."""
+    # modules are loaded when they are needed: some import trimesh, others Pillow
+    module, name = (PROCEDURAL if kind is None else KINDS[kind]).split(".")
+    return getattr(importlib.import_module(f"dpc_jax.data.sets.{module}"), name)
 
 
 def open_source(spec: DataSpec) -> Source:
@@ -109,7 +112,7 @@ def open_source(spec: DataSpec) -> Source:
     Raises:
       ValueError: if copies are wanted of what cannot be stretched.
     """
-    made = _load_class(PROCEDURAL if spec.folder is None else KINDS[spec.kind])
+    made = find_kind(None if spec.folder is None else spec.kind)
     if spec.copies > 1 and not made.is_stretchable:
         raise ValueError(
             "copies must be 1 where there are no mesh files to stretch, but it is "
@@ -126,20 +129,3 @@ def add_copies(models: list[Model], spec: DataSpec) -> list[Model]:
         for model in models
     ]
     return [*models, *copies][: spec.models]
-
-
-def view_arrays(count: int, image_size: int) -> dict[str, np.ndarray]:
-    """Empty arrays for the views of one model, as `Source.make_arrays` gives them."""
-    shape = (count, image_size, image_size)
-    return {
-        "images": np.empty((*shape, 3), np.uint8),
-        "masks": np.empty(shape, np.uint8),
-        "depths": np.empty(shape, np.float32),
-        "quaternions": np.empty((count, 4), np.float32),
-    }
-
-
-def _load_class(place):
-    # modules are loaded when they are needed: some import trimesh, others Pillow
-    module, name = place.split(".")
-    return getattr(importlib.import_module(f"dpc_jax.data.sets.{module}"), name)

@@ -52,12 +52,8 @@ class DataSpec:
     fill: float = 0.85  # share of the frame that an own image's object takes
 
     def __post_init__(self):
-        for name, known in (
-            ("split", SPLITS),
-            ("kind", KINDS),
-            ("crop", CROPS),
-            ("shapenet_front", FRONTS),
-        ):
+        allowed = {"split": SPLITS, "kind": KINDS, "crop": CROPS}
+        for name, known in (allowed | {"shapenet_front": FRONTS}).items():
             if getattr(self, name) not in known:
                 raise ValueError(
                     f"{name} must be one of {', '.join(map(repr, known))}, but it is "
@@ -76,6 +72,8 @@ class DataSpec:
 
     def _check_ranges(self):
         low, high = self.elevation
+        angles = "(low, high) with -90 < low <= high < 90 degrees"
+        models = 1 if self.models is None else self.models  # None stands for all
         counts = ("views", "image_size", "supersample", "surface_points", "copies")
         ranges = [(name, getattr(self, name) >= 1, "at least 1") for name in counts]
         ranges += [
@@ -86,16 +84,8 @@ class DataSpec:
             ("extent", self.extent > 0, "above 0"),
             # the object reaches 0.5 from its centre
             ("distance", self.distance > 0.5, "above 0.5, outside of the object"),
-            (
-                "elevation",
-                -90 < low <= high < 90,
-                "(low, high) with -90 < low <= high < 90 degrees",
-            ),
-            (
-                "models",
-                self.models is None or 1 <= self.models <= SEEDS_PER_SPLIT,
-                f"in [1, {SEEDS_PER_SPLIT}]",
-            ),
+            ("elevation", -90 < low <= high < 90, angles),
+            ("models", 1 <= models <= SEEDS_PER_SPLIT, f"in [1, {SEEDS_PER_SPLIT}]"),
         ]
         for name, is_right, expected in ranges:
             if not is_right:

@@ -17,19 +17,11 @@ def split_files(
     seed: int,
     groups: Sequence[Hashable] | None = None,
 ) -> tuple[list, list, list]:
-    """Seeded split of files into (train, val, test), each sorted.
+    """Seeded split of distinct paths or names into (train, val, test), each sorted.
 
-    Files of one group (of equal content, say) stay on one side. Every side with a
-    positive fraction gets at least one group as long as there are enough.
-
-    Args:
-      paths: distinct paths or names.
-      fractions: three shares >= 0 with a positive sum; only their ratios count.
-      seed: integer >= 0.
-      groups: one key per path; by default each path is a group of its own.
-
-    Returns:
-      Three lists of paths; together they hold every path once.
+    Files of one group (of equal content, say) stay on one side; by default each is a
+    group of its own. Every side with a positive fraction gets at least one group as
+    long as there are enough. Only the ratios of the fractions count.
 
     Raises:
       ValueError: if the fractions are not three shares with a positive sum.
@@ -63,9 +55,6 @@ def group_variants(paths: Sequence[Path], digests: Sequence[str]) -> list[str]:
 
     Families are read from `families.json` in a file's folder, which maps file names to
     families. Without it, only equal files belong together.
-
-    Raises:
-      ValueError: naming the file, if a `families.json` cannot be understood.
     """
     named = {}
     for place in {path.parent for path in paths}:

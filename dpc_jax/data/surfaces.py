@@ -20,30 +20,21 @@ def make_ground_truth(
 
     `spec.surface_points` are spread over it. With `spec.surface_visible` only those
     that can be seen from outside are kept, with `spec.surface_voxel` one per voxel.
-
-    Raises:
-      ValueError: if the mesh has no area.
     """
     points = views.sample_surface(mesh, count=spec.surface_points, seed=spec.seed)
     if spec.surface_visible:
         scene = scene or views.build_scene(mesh)
-        points = points[find_visible(points, scene, distance=spec.distance)]
+        points = points[_find_visible(points, scene, distance=spec.distance)]
     if spec.surface_voxel > 0:
-        points = thin_points(points, voxel=spec.surface_voxel)
+        points = _thin_points(points, voxel=spec.surface_voxel)
     return points
 
 
-def thin_points(points: np.ndarray, *, voxel: float) -> np.ndarray:
-    """One point for each occupied voxel: the mean of the points in it.
+def _thin_points(points, *, voxel):
+    """One point for each occupied voxel: the mean of the points in it, [P, 3] float32.
 
     Voxels are cubes of side `voxel` with a corner at the origin. The result is in the
     order of the voxels; the order of the points changes it by rounding only.
-
-    Args:
-      points: [N, 3]. voxel: above 0, in the units of the points.
-
-    Returns:
-      [P, 3] float32, P <= N.
     """
     points = np.asarray(points, dtype=np.float64)
     cells = np.floor(points / voxel).astype(np.int64)
@@ -55,26 +46,15 @@ def thin_points(points: np.ndarray, *, voxel: float) -> np.ndarray:
     return (np.stack(sums, axis=1) / counts[:, None]).astype(np.float32)
 
 
-def find_visible(
-    points: np.ndarray,
-    scene: views.Scene,
-    *,
-    distance: float,
-    viewpoints: int = VIEWPOINTS,
-) -> np.ndarray:
+def _find_visible(points, scene, *, distance):
     """Which points [N] a straight line reaches from some place of the viewing sphere.
 
-    The sphere is around the origin with radius `distance`. What can be seen only from
-    inside an object, such as the seats of a closed car, is left out.
-
-    Args:
-      points: [N, 3] on the surface. scene: of the mesh.
-      distance: radius of the sphere, beyond the mesh.
-      viewpoints: how many places on the sphere are tried, spread evenly.
+    The sphere is around the origin with radius `distance`, beyond the mesh. What can be
+    seen only from inside an object, such as the seats of a closed car, is left out.
     """
     points = np.asarray(points, dtype=np.float32)
     seen = np.zeros(len(points), dtype=bool)
-    for eye in distance * spread_directions(viewpoints):
+    for eye in distance * _spread_directions(VIEWPOINTS):
         left = np.flatnonzero(~seen)  # most points are seen by the first few
         if len(left) == 0:
             break
@@ -90,7 +70,7 @@ def find_visible(
     return seen
 
 
-def spread_directions(count: int) -> np.ndarray:
+def _spread_directions(count):
     """Unit vectors [count, 3], spread evenly over the sphere (Fibonacci spiral).
 
     They are shuffled, so that even the first few look from all around.

@@ -1,21 +1,16 @@
 """Viewpoints: camera rotations from azimuth and elevation, and as quaternions."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 
 def look_at_rotation(azimuth: float, elevation: float) -> np.ndarray:
-    """Rotation from the object to a camera that looks at the origin, image upright.
+    """Rotation [3, 3] from the object to a camera that looks at the origin, upright.
 
     The camera sits in the direction (cos el cos az, cos el sin az, sin el) of the
-    object frame (z up); its axes are x right, y down, z forward.
-
-    Args:
-      azimuth: radians, from +x towards +y.
-      elevation: radians above the xy plane, strictly between -pi/2 and pi/2.
-
-    Returns:
-      [3, 3] float64, rows are the camera axes in the object frame.
+    object frame (z up); its axes are x right, y down, z forward. Angles are radians.
 
     Raises:
       ValueError: for an elevation at a pole, where "upright" has no meaning.
@@ -37,3 +32,14 @@ def look_at_rotation(azimuth: float, elevation: float) -> np.ndarray:
 def matrix_to_quaternion(rotation: np.ndarray) -> np.ndarray:
     """Quaternions [..., 4] (wxyz, w >= 0) of rotation matrices [..., 3, 3]."""
     return Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
+
+
+def stack_views(views: Iterable[tuple]) -> dict[str, np.ndarray]:
+    """Arrays of a model from (image, mask, depth, rotation [3, 3]) of its views."""
+    images, masks, depths, rotations = map(np.stack, zip(*views, strict=True))
+    return {
+        "images": images.astype(np.uint8),
+        "masks": masks.astype(np.uint8),
+        "depths": depths.astype(np.float32),
+        "quaternions": matrix_to_quaternion(rotations).astype(np.float32),
+    }

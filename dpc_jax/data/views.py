@@ -89,7 +89,7 @@ def build_scene(mesh: trimesh.Trimesh) -> Scene:
     return Scene(embree, vertices, corners.mean(axis=1), normals, colors)
 
 
-def shade_faces(scene: Scene, *, eye: np.ndarray, lights: Lights) -> np.ndarray:
+def _shade_faces(scene, *, eye, lights):
     """Lambert shading, one colour per face [F, 3] in 0..255.
 
     Normals are first turned towards the camera: files full of open shells have no
@@ -142,19 +142,12 @@ def render_view(
     extent: float = 1.0,
     supersample: int = 4,
 ) -> View:
-    """Render one view of a mesh with a pinhole camera.
+    """Render one view of a mesh, preferably made a `Scene` once for many views.
 
-    u = focal x / z and v = focal y / z with z = z_rotated + distance; the image spans
-    [-extent/2, extent/2] in u and v, row 0 at the top.
-
-    Args:
-      mesh: preferably a `Scene`, which is built once for many views.
-      rotation: [3, 3], object frame to camera frame.
-      lights: `Lights`, for instance from `draw_lights`.
-      image_size: S, pixels.
-      focal_length, extent: units of the image plane.
-      distance: units of the mesh.
-      supersample: rays per pixel along each image axis.
+    u = focal x / z and v = focal y / z with z = z_rotated + distance; the image of
+    `image_size` pixels a side spans [-extent/2, extent/2] in u and v, row 0 at the top.
+    `rotation` [3, 3] takes the object frame to the camera frame; `distance` is in the
+    units of the mesh; `supersample` rays per pixel are cast along each image axis.
 
     Raises:
       ValueError: if the mesh has no faces, or a size is not positive.
@@ -185,7 +178,7 @@ def render_view(
     face = hits["primID"]
     # the last row stands for a miss (index -1): the white background
     colors = np.full((len(scene.colors) + 1, 3), WHITE, dtype=np.float32)
-    colors[:-1] = shade_faces(scene, eye=eye, lights=lights)
+    colors[:-1] = _shade_faces(scene, eye=eye, lights=lights)
     total = colors[face].reshape(*shape, 3).sum(axis=0)
     found = (face >= 0).reshape(shape)
     covered = found.sum(axis=0, dtype=np.float32)
@@ -203,8 +196,7 @@ def sample_surface(
 ) -> np.ndarray:
     """Points [count, 3] float32 spread over the surface, uniform by area.
 
-    They are the ground truth of the evaluation; the same mesh, count and seed always
-    give the same points. Open shells and interiors are part of the surface.
+    Open shells and interiors are part of the surface.
 
     Raises:
       ValueError: if the mesh has no area.

@@ -61,11 +61,7 @@ def identify_shard(folder: str | Path, models: range) -> dict[str, Any]:
 def write_shards(
     folder: str | Path, source: Source, models: Sequence[Model], numbers: Iterable[int]
 ) -> Generator[tuple[int, str | None]]:
-    """Prepare and write shards; yield (index, None or reason to skip) per model.
-
-    Raises:
-      OSError: naming the file, if it cannot be written.
-    """
+    """Prepare and write shards; yield (index, None or reason to skip) per model."""
     plan = plan_shards(source, models)
     for number in numbers:
         record = identify_shard(folder, plan[number])
@@ -121,12 +117,7 @@ def write_shards_in_processes(
     *,
     processes: int,
 ) -> Generator[tuple[int, str | None]]:
-    """`write_shards` by worker processes, in the order in which models finish.
-
-    Raises:
-      OSError: if a shard cannot be written.
-      RuntimeError: if a worker dies; the message holds the end of its error output.
-    """
+    """`write_shards` by worker processes, in the order in which models finish."""
     plan = {"spec": vars(source.spec), "models": [list(model) for model in models]}
     waiting = list(reversed(numbers))
     with _start_workers(folder, min(processes, len(numbers))) as (workers, logs, lines):
@@ -184,8 +175,7 @@ def _start_workers(folder, count):
 
 
 def _end(worker):
-    if worker.poll() is None:
-        worker.terminate()
+    worker.terminate()  # does nothing to one that has ended
     worker.wait()
     _close(worker)
 

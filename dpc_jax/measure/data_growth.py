@@ -3,8 +3,7 @@
 python -m dpc_jax.measure.data_growth --models=7000 --image_size=128
 
 It prepares procedural models, reads them back as training does, damages a shard and has
-it made again; it prints rate, memory and disk as a Markdown table. After an
-interruption it continues; the rate is then that of the models still missing.
+it made again. After an interruption the rate is that of the models still missing.
 """
 
 import argparse
@@ -21,23 +20,10 @@ from dpc_jax.data.sources import open_source
 from dpc_jax.data.spec import DataSpec
 
 
-def measure(
-    spec: DataSpec,
-    *,
-    cache_dir: Path,
-    processes: int | None = None,
-    models_per_batch: int = 4,
-    views_per_batch: int = 4,
-    seed: int = 0,
-) -> list[tuple[str, str]]:
-    """Rows (what, value) on preparing and reading the data set of a specification.
-
-    Args:
-      spec, cache_dir, processes: as for `load_or_render`.
-      models_per_batch, views_per_batch, seed: of the batches of one epoch.
-    """
+def _measure(spec, *, cache_dir, processes=None):
+    """Rows (what, value) on preparing and reading the data set of a specification."""
     rows = []
-    missing = _count_missing(spec, cache_dir)
+    folder, missing = _locate(spec, cache_dir)
     start = time.monotonic()
     data = dataset.load_or_render(spec, cache_dir=cache_dir, processes=processes)
     seconds = time.monotonic() - start
@@ -47,7 +33,6 @@ def measure(
         rows.append(("views per second", f"{missing * spec.views / seconds:.1f}"))
         largest = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
         rows.append(("memory of the largest worker", f"{largest / 2**10:.0f} MB"))
-    folder = find_folder(spec, cache_dir)
     size = sum(path.stat().st_size for path in folder.iterdir())
     rows.append(("disk", f"{size / 1e9:.2f} GB in {len(list(folder.iterdir()))} files"))
 
@@ -55,21 +40,17 @@ def measure(
     data = dataset.load_or_render(spec, cache_dir=cache_dir)
     rows.append(("checked and opened", f"{time.monotonic() - start:.1f} s"))
 
-    before, most = read_memory(), 0
-    count = -(-len(data.names) // models_per_batch)
+    before, most = _read_memory(), 0
+    size = {"models_per_batch": 4, "views_per_batch": 4}
+    count = -(-len(data.names) // size["models_per_batch"])
     start, processor = time.monotonic(), time.process_time()
     for step in range(count):
         chosen = batches.choose_batch(
-            len(data.names),
-            data.counts,
-            seed=seed,
-            step=step,
-            models_per_batch=models_per_batch,
-            views_per_batch=views_per_batch,
+            len(data.names), data.counts, seed=0, step=step, **size
         )
         batches.read_batch(data, *chosen)
         if step % 50 == 0:
-            most = max(most, read_memory() - before)
+            most = max(most, _read_memory() - before)
     seconds, busy = time.monotonic() - start, time.process_time() - processor
     rows.append(("a batch", f"{1e3 * seconds / count:.2f} ms, {count} in an epoch"))
     rows.append(("of which processor time", f"{1e3 * busy / count:.2f} ms"))
@@ -89,23 +70,20 @@ def measure(
     return rows
 
 
-def find_folder(spec: DataSpec, cache_dir: Path) -> Path:
-    """The cache folder of a specification."""
+def _locate(spec, cache_dir):
+    """The cache folder of a specification, and how many models it lacks."""
     source = open_source(spec)
-    return dataset.locate_cache(source, source.list_models(), cache_dir)
-
-
-def _count_missing(spec, cache_dir):
-    source, folder = open_source(spec), find_folder(spec, cache_dir)
-    plan = workers.plan_shards(source, source.list_models())
-    return sum(
-        len(models)
-        for number, models in enumerate(plan)
+    models = source.list_models()
+    folder = dataset.locate_cache(source, models, cache_dir)
+    missing = sum(
+        len(part)
+        for number, part in enumerate(workers.plan_shards(source, models))
         if not (folder / workers.name_shard(number)).is_file()
     )
+    return folder, missing
 
 
-def read_memory() -> float:
+def _read_memory():
     """Resident memory of this process in MB, mapped files included; 0 if unknown."""
     status = Path("/proc/self/status")
     if not status.is_file():
@@ -124,21 +102,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--processes", type=int, default=0, help="0: one per core")
     options = parser.parse_args(arguments)
     try:
-        spec = DataSpec(
-            options.category,
-            models=options.models,
-            views=options.views,
-            image_size=options.image_size,
-        )
-        rows = measure(
-            spec, cache_dir=options.cache_dir, processes=options.processes or None
-        )
+        fields = ("category", "models", "views", "image_size")
+        spec = DataSpec(**{name: getattr(options, name) for name in fields})
+        processes = options.processes or None
+        rows = _measure(spec, cache_dir=options.cache_dir, processes=processes)
     except (ValueError, OSError) as error:
         print(f"Error: {error}", file=sys.stderr)
         return 1
     print("\n| measured | value |\n| --- | ---: |")
-    for row in rows:
-        print(f"| {row[0]} | {row[1]} |")
+    for what, value in rows:
+        print(f"| {what} | {value} |")
     return 0
 
 

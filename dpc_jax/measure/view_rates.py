@@ -6,10 +6,11 @@ at the rim of the silhouette. Judge by processor time if other programs run.
 """
 
 import argparse
+import itertools
 import statistics
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import trimesh
@@ -20,9 +21,13 @@ from dpc_jax.shapes.normalization import face_colors
 
 REFERENCE = 16  # rays per pixel and axis that rims are compared with
 COMPARED = 8  # views that they are compared in
+HEAD = (
+    "| shape | faces | rays per pixel | views/s | lowest–highest | by the clock | "
+    "error of rims |\n| --- | ---: | ---: | ---: | ---: | ---: | ---: |"
+)
 
 
-def divide_faces(mesh: trimesh.Trimesh, *, faces: int) -> trimesh.Trimesh:
+def _divide_faces(mesh, *, faces):
     """The same shape with `faces` faces or up to two more, if it had fewer."""
     vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     colors = face_colors(mesh)
@@ -45,39 +50,16 @@ def divide_faces(mesh: trimesh.Trimesh, *, faces: int) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, triangles, face_colors=colors, process=False)
 
 
-def draw_views(
-    mesh: trimesh.Trimesh | views.Scene,
-    *,
-    count: int,
-    image_size: int,
-    supersample: int,
-    seed: int = 0,
-) -> Iterator[views.View]:
+def _draw_views(mesh, *, count, seed=0, **size):
     """Views of a mesh as a data set has them: any azimuth, elevation -20 to 40."""
-    scene = mesh if isinstance(mesh, views.Scene) else views.build_scene(mesh)
-    rng = np.random.default_rng(seed)
+    scene, rng = views.build_scene(mesh), np.random.default_rng(seed)
     for _ in range(count):
-        azimuth = rng.uniform(0.0, 2.0 * np.pi)
-        rotation = viewpoints.look_at_rotation(
-            azimuth, np.deg2rad(rng.uniform(-20.0, 40.0))
-        )
-        yield views.render_view(
-            scene,
-            rotation,
-            lights=views.draw_lights(rng),
-            image_size=image_size,
-            supersample=supersample,
-        )
+        azimuth, elevation = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-20.0, 40.0)
+        rotation = viewpoints.look_at_rotation(azimuth, np.deg2rad(elevation))
+        yield views.render_view(scene, rotation, lights=views.draw_lights(rng), **size)
 
 
-def measure(
-    mesh: trimesh.Trimesh,
-    *,
-    image_size: int,
-    supersample: int,
-    count: int,
-    rounds: int,
-) -> tuple[list[float], list[float]]:
+def _measure(mesh, *, count, rounds, **size):
     """Views per second of processor time and by the clock, one value per round each.
 
     The scene is built in each round, as it is for each model of a set, but once for
@@ -86,13 +68,7 @@ def measure(
     rates: tuple[list[float], list[float]] = [], []
     for number in range(rounds):
         starts = time.process_time(), time.perf_counter()
-        for _ in draw_views(
-            mesh,
-            count=count,
-            image_size=image_size,
-            supersample=supersample,
-            seed=number,
-        ):
+        for _ in _draw_views(mesh, count=count, seed=number, **size):
             pass
         stops = time.process_time(), time.perf_counter()
         for kind, start, stop in zip(rates, starts, stops, strict=True):
@@ -100,11 +76,10 @@ def measure(
     return rates
 
 
-def measure_rims(mesh: trimesh.Trimesh, *, image_size: int, supersample: int) -> float:
+def _measure_rims(mesh, **size):
     """Mean error of the coverage of pixels that are partly covered, from 0 to 1."""
-    options = {"count": COMPARED, "image_size": image_size}
-    ours = draw_views(mesh, supersample=supersample, **options)
-    exact = draw_views(mesh, supersample=REFERENCE, **options)
+    ours = _draw_views(mesh, count=COMPARED, **size)
+    exact = _draw_views(mesh, count=COMPARED, **size | {"supersample": REFERENCE})
     errors = []
     for first, second in zip(ours, exact, strict=True):
         rim = (second.mask > 0) & (second.mask < 255)
@@ -112,33 +87,19 @@ def measure_rims(mesh: trimesh.Trimesh, *, image_size: int, supersample: int) ->
     return float(np.concatenate(errors).mean())
 
 
-def make_table(
-    *,
-    faces: Sequence[int],
-    image_size: int,
-    rays: Sequence[int],
-    count: int,
-    rounds: int,
-) -> list[str]:
-    """Lines of the table: every shape, number of faces and of rays."""
-    lines = [
-        "| shape | faces | rays per pixel | views/s | lowest–highest | "
-        "by the clock | error of rims |",
-        "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
-    ]
-    for category in procedural.CATEGORIES:
-        for wanted in faces:
-            mesh = divide_faces(procedural.make_shape(category, 0), faces=wanted)
-            for side in rays:
-                options = {"image_size": image_size, "supersample": side}
-                busy, passed = measure(mesh, count=count, rounds=rounds, **options)
-                lines.append(
-                    f"| {category} | {len(mesh.faces):,} | {side}² | "
-                    f"{statistics.median(busy):.0f} | {min(busy):.0f}–{max(busy):.0f} "
-                    f"| {statistics.median(passed):.0f} | "
-                    f"{measure_rims(mesh, **options):.3f} |"
-                )
-    return lines
+def _make_rows(flags):
+    for category, faces in itertools.product(procedural.CATEGORIES, flags.faces):
+        mesh = _divide_faces(procedural.make_shape(category, 0), faces=faces)
+        for side in flags.rays:
+            size = {"image_size": flags.image_size, "supersample": side}
+            count, rounds = max(1, flags.views), max(1, flags.rounds)
+            busy, passed = _measure(mesh, count=count, rounds=rounds, **size)
+            yield (
+                f"| {category} | {len(mesh.faces):,} | {side}² | "
+                f"{statistics.median(busy):.0f} | {min(busy):.0f}–{max(busy):.0f} "
+                f"| {statistics.median(passed):.0f} | "
+                f"{_measure_rims(mesh, **size):.3f} |"
+            )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -149,19 +110,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--image_size", type=int, default=128)
     parser.add_argument("--views", type=int, default=40, help="in a round")
     parser.add_argument("--rounds", type=int, default=5)
-    options = parser.parse_args(arguments)
     try:
-        lines = make_table(
-            faces=options.faces,
-            image_size=options.image_size,
-            rays=options.rays,
-            count=max(1, options.views),
-            rounds=max(1, options.rounds),
-        )
+        rows = list(_make_rows(parser.parse_args(arguments)))
     except ValueError as error:
         print(f"Error: {error}", file=sys.stderr)
         return 1
-    print("\n".join(lines))
+    print("\n".join([HEAD, *rows]))
     return 0
 
 

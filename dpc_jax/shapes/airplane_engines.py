@@ -7,7 +7,6 @@ import numpy as np
 from dpc_jax.shapes.airplane_plans import Plan
 from dpc_jax.shapes.building_blocks import (
     BLACK,
-    Color,
     Part,
     bar,
     box,
@@ -48,7 +47,7 @@ def _make_wing_engines(plan, rng):
     for share in shares:
         lead = wing_lead(plan, share)
         centre = lead - [0.0, 0.0, 1.25 * size]
-        pieces += make_nacelle(centre + [0.06, 0, 0], 0.12, size, plan.accent)
+        pieces += _make_nacelle(centre + [0.06, 0, 0], 0.12, size, plan.accent)
         ends = centre + [0.0, 0, 0.4 * size], lead - [0.05, 0, 0]
         pieces.append(bar(*ends, width=0.008, height=0.05, color=plan.body))
     return mirror(pieces)
@@ -57,7 +56,7 @@ def _make_wing_engines(plan, rng):
 def _make_tail_engines(plan, rng):
     r = plan.radius
     centre = np.array([-0.2, 1.75 * r, 0.5 * r])
-    pod = make_nacelle(centre, 0.14, rng.uniform(0.42, 0.52) * r, plan.accent)
+    pod = _make_nacelle(centre, 0.14, rng.uniform(0.42, 0.52) * r, plan.accent)
     ends = centre - [0.05, r, 0], centre - [0.05, 0, 0]
     return mirror([*pod, bar(*ends, width=0.07, height=0.012, color=plan.body)])
 
@@ -85,9 +84,7 @@ def _make_nozzles(plan, rng):
     return [*(mirror(nozzle) if side else nozzle), *mirror([intake])]
 
 
-def make_nacelle(
-    front: np.ndarray, length: float, radius: float, color: Color
-) -> list[Part]:
+def _make_nacelle(front, length, radius, color):
     """Engine pod: its open front is a dark disc."""
     front = np.asarray(front, float)
     ring = circle(10)

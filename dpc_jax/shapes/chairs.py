@@ -7,7 +7,7 @@ import trimesh
 
 from dpc_jax.shapes import building_blocks as parts
 from dpc_jax.shapes import chair_bases
-from dpc_jax.shapes.chair_plans import Plan, draw_plan
+from dpc_jax.shapes.chair_plans import draw_plan
 
 BASE_MAKERS = {
     "legs": chair_bases.make_legs,
@@ -48,7 +48,7 @@ def _make_seat(plan, rng):
 class _Back:
     """Back rest, leaning towards -x, as one plate, slats, rails or a padded frame."""
 
-    def __init__(self, plan: Plan, rng: np.random.Generator):
+    def __init__(self, plan, rng):
         self._plan = plan
         self._half = 0.5 * plan.width * rng.uniform(0.8, 0.98)
         is_block = plan.base == "block"

@@ -13,15 +13,10 @@ CATEGORIES = tuple(MAKERS)  # the position seeds a category: append, never reord
 
 
 def make_shape(category: str, seed: int) -> trimesh.Trimesh:
-    """Mesh of a random object of a category.
+    """Mesh of a random object of one of `CATEGORIES`; the seed decides all of it.
 
-    Args:
-      category: one of `CATEGORIES`.
-      seed: integer >= 0; the same seed always gives the same mesh.
-
-    Returns:
-      A mesh with face colours, z up, front towards +x, left towards +y, centred on its
-      bounding box, box diagonal 1.
+    It has face colours, z up, front towards +x and left towards +y, and is centred on
+    its bounding box, whose diagonal is 1.
 
     Raises:
       ValueError: for an unknown category.

@@ -13,17 +13,11 @@ LINE = 12  # pixels of a line of text
 
 
 def draw_models(
-    meshes: Iterable[trimesh.Trimesh],
-    texts: Sequence[str],
-    *,
-    size: int = 96,
-    columns: int = 3,
+    meshes: Iterable[trimesh.Trimesh], texts: Sequence[str], *, size: int
 ) -> Image.Image:
-    """Sheet of models, each from four sides: half front, left, rear, above the right.
+    """Sheet of normalised models, three in a row, with a line of text under each.
 
-    Args:
-      meshes: in the canonical frame, normalised. texts: one line each.
-      size: of a view, pixels. columns: models in a row.
+    Each is seen from four sides: half front, left, rear, above the right.
     """
     lights = views.Lights(
         np.array([[0.3, 0.4, 0.86], [0.6, -0.7, 0.4]]), np.array([0.45, 0.2]), 0.35
@@ -42,17 +36,13 @@ def draw_models(
             for azimuth, elevation in VIEWS
         ]
         strips.append(np.concatenate(pictures, axis=1))
-    return arrange(strips, texts, columns=columns)
+    return arrange(strips, texts, columns=3)
 
 
 def arrange(
     pictures: Sequence[np.ndarray], texts: Sequence[str], *, columns: int
 ) -> Image.Image:
-    """Pictures of one size in a grid, a line of text under each.
-
-    Args:
-      pictures: uint8 [H, W, 3] each. texts: one line each.
-    """
+    """Pictures uint8 [H, W, 3] of one size in a grid, a line of text under each."""
     height, width = pictures[0].shape[:2]
     rows = -(-len(pictures) // columns)
     gap = 6

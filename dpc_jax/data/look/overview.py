@@ -23,11 +23,7 @@ LISTED = 5  # skipped models that are named
 
 
 class OpenSet(NamedTuple):
-    """A data set to be looked at.
-
-    name: of its folder. data: the set itself. lens: its camera. record: what its
-    `spec.json` says. note: how it was prepared, if only to be looked at, or "".
-    """
+    """A data set to be looked at; `note` says how it was prepared, if only for that."""
 
     name: str
     data: dataset.DataSet
@@ -54,15 +50,9 @@ def open_set(
 ) -> Iterator[OpenSet]:
     """Open a cache, or prepare the models of a folder for the time of looking.
 
-    Args:
-      path: a finished cache, or a folder of meshes, of own images, of ShapeNet, or of
-        the published renders.
-      kind: what the folder is, of `KINDS`; None to find out.
-      category: of ShapeNet and the renders; None where there is only one.
-      models: how many of a folder's models to prepare; None for all.
-
-    Raises:
-      ValueError: naming the file, if there is nothing to open or it is damaged.
+    `kind` is what the folder is, of `KINDS`, None to find out; `category` is that of
+    ShapeNet and the renders, None where there is only one; `models` limits how many of
+    a folder's models are prepared.
     """
     path = Path(path)
     if (path / dataset.RECORD).is_file():
@@ -72,7 +62,7 @@ def open_set(
         raise ValueError(
             f"Expected a folder with a data set, but {path} is not a folder; check it."
         )
-    kind = kind or guess_kind(path)
+    kind = kind or _guess_kind(path)
     spec = DataSpec(
         **find_kind(kind).suggest_fields(path, category),
         folder=str(path),
@@ -106,12 +96,7 @@ def _read_set(cache, name, note):
     return OpenSet(name, data, lens, record, note)
 
 
-def guess_kind(path: Path) -> str:
-    """What a folder holds, of `KINDS`.
-
-    Raises:
-      ValueError: if it is nothing that can be read.
-    """
+def _guess_kind(path):
     for kind in KINDS:
         if find_kind(kind).recognizes(path):
             return kind
@@ -125,14 +110,13 @@ def describe_set(opened: OpenSet) -> list[str]:
     """Lines that say what a set holds."""
     data, record = opened.data, opened.record
     counts = np.asarray(data.counts)
+    low, high = counts.min(), counts.max()
     size = data.images.shape[-2]
     present = [name for name in dataset.ARRAYS if getattr(data, name) is not None]
     lines = [
         f"{opened.name}: {len(data.names)} {record['category']} models, "
         f"{record['split']} split, {int(counts.sum())} views of {size} x {size} pixels",
-        f"  views per model: {counts.min()} to {counts.max()}"
-        if counts.min() < counts.max()
-        else f"  views per model: {counts.min()}",
+        "  views per model: " + " to ".join(map(str, sorted({low, high}))),
         f"  arrays: {', '.join(present)}",
     ]
     if opened.note:
@@ -140,13 +124,9 @@ def describe_set(opened: OpenSet) -> list[str]:
     elif record.get("folder"):
         lines.append(f"  made from: {record['folder']}")
     if data.quaternions is not None:
-        angles = np.array(
-            [
-                read_angles(quaternion)
-                for model in range(len(data.names))
-                for quaternion in np.asarray(data.quaternions[model])[: counts[model]]
-            ]
-        )
+        models = range(len(data.names))
+        rows = np.concatenate([data.rows("quaternions", model) for model in models])
+        angles = np.stack(_read_angles(rows), axis=1)
         angles = angles[np.isfinite(angles).all(axis=1)]
         if len(angles):
             low, high = angles[:, 1].min(), angles[:, 1].max()
@@ -161,13 +141,14 @@ def describe_set(opened: OpenSet) -> list[str]:
     return lines
 
 
-def read_angles(quaternion: np.ndarray) -> tuple[float, float, float]:
+def _read_angles(quaternions):
     """(azimuth, elevation, roll) in degrees of a camera; NaN for a broken pose.
 
     Azimuth is counted from the object's front to its left, elevation upwards, and roll
     is by how much the image is turned clockwise from upright.
     """
-    right, down, forward = pose_conventions.rotation_of(quaternion)
+    rotation = pose_conventions.rotation_of(quaternions)
+    right, down, forward = np.moveaxis(rotation, (-2, -1), (0, 1))
     azimuth = np.arctan2(-forward[1], -forward[0])
     elevation = np.arcsin(np.clip(-forward[2], -1.0, 1.0))
     roll = np.arctan2(right[2], -down[2])
@@ -175,12 +156,9 @@ def read_angles(quaternion: np.ndarray) -> tuple[float, float, float]:
 
 
 def draw_set(opened: OpenSet, *, models: int = 8) -> Image.Image:
-    """Sheet of a set: images with the object's axes, masks and depths, and poses.
+    """Sheet of some models, spread over the set: images, masks, depths and poses.
 
-    Red is the object's front, green its left, blue its top.
-
-    Args:
-      opened: the set. models: how many, spread over the set.
+    On the images are the object's axes: red the front, green the left, blue the top.
     """
     data = opened.data
     count = min(models, len(data.names))
@@ -202,7 +180,7 @@ def _name_view(data, model, view):
     name = f"{data.names[model][:20]} {view}"
     if data.quaternions is None:
         return name
-    azimuth, elevation, roll = read_angles(data.quaternions[model][view])
+    azimuth, elevation, roll = _read_angles(data.quaternions[model][view])
     text = f"{name}: az {azimuth:.0f} el {elevation:.0f}"
     return text if abs(roll) < 1 else f"{text} roll {roll:.0f}"
 

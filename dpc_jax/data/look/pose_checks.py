@@ -1,10 +1,12 @@
 """Checks of poses and depths: do they put the object where its mask is?"""
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 
 from dpc_jax.data.dataset import DataSet
 from dpc_jax.data.look import pose_conventions
-from dpc_jax.data.look.findings import Finding, error, name_places
 from dpc_jax.data.look.pose_conventions import Lens
 
 TRIED_VIEWS = 64  # number of views that conventions are tried on
@@ -15,6 +17,20 @@ FILLED = 0.95  # share of masks that hulls fill: 0.98 and above for right poses
 RAY = 0.4  # between 0, depth along the axis, and 1, along the ray
 CLEARER = 0.02  # by which another convention must fit better
 DEPTH_FLAW = 0.05  # of the object's box diagonal
+NAMED = 5  # offenders that a finding names
+
+
+class Finding(NamedTuple):
+    """One fault of a set. level: "error", or "warning" if it may be intended."""
+
+    level: str
+    text: str
+
+
+def name_places(places: Sequence[str]) -> str:
+    """The first of some places as text, and how many more there are."""
+    more = len(places) - NAMED
+    return ", ".join(places[:NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def check_poses(data: DataSet, lens: Lens) -> list[Finding]:
@@ -24,12 +40,12 @@ def check_poses(data: DataSet, lens: Lens) -> list[Finding]:
     the masks of an object's views are compared with each other. If another convention
     fits better, it is named, and so are single poses that stray from their masks.
     """
-    if data.quaternions is None or len(data.names) == 0:
-        return []
-    chosen = _choose_models(data)
+    chosen = [] if data.quaternions is None else _choose_models(data)
     if not chosen:
         return []
-    others = _list_others(data)
+    others = pose_conventions.OTHERS
+    if data.surfaces is None:  # then the object's axes cannot be told apart
+        others = [c for c in others if np.array_equal(c.object, np.eye(3))]
     stored, *scores = (
         np.mean([_score(data, m, convention, lens) for m in chosen])
         for convention in (pose_conventions.STORED, *others)
@@ -39,21 +55,17 @@ def check_poses(data: DataSet, lens: Lens) -> list[Finding]:
     if data.surfaces is None:
         measure, enough = "share of the masks that agrees", FILLED
     if best > stored + CLEARER:
-        same = [
-            convention.name
-            for convention, score in zip(others, scores, strict=True)
-            if score > best - CLEARER / 4
-        ]
+        near = np.flatnonzero(np.greater(scores, best - CLEARER / 4))
+        same = [others[place].name for place in near]
         text = f"the poses follow another convention: {' or '.join(same)}"
         if best < enough:
-            text = (
-                f"the poses follow no convention known here; the nearest is {same[0]}"
-            )
+            text = "the poses follow no convention known here; the nearest is "
+            text += same[0]
         text += (
             f" ({measure} {best:.2f}); as stored, which should be "
             f"{pose_conventions.STORED.name}, it is {stored:.2f}; convert the poses."
         )
-        return [error(text)]
+        return [Finding("error", text)]
     strays = [] if data.surfaces is None else _find_strays(data, lens)
     if stored < enough and not 0 < len(strays) < np.sum(data.counts) / 2:
         text = (
@@ -61,14 +73,14 @@ def check_poses(data: DataSet, lens: Lens) -> list[Finding]:
             f"{enough} and more) under any convention known here; check scale, centre "
             "and camera."
         )
-        return [error(text)]
+        return [Finding("error", text)]
     findings = []
     if strays:
         text = (
             f"{len(strays)} of {int(np.sum(data.counts))} views whose pose puts the "
             f"object beside its mask: {name_places(strays)}"
         )
-        findings.append(error(text))
+        findings.append(Finding("error", text))
     if data.surfaces is not None and data.depths is not None:
         findings += _check_depths(data, chosen, lens)
     return findings
@@ -99,44 +111,27 @@ def _read_surface(data, model):
     return points[:: max(1, len(points) // TRIED_POINTS)]
 
 
-def _list_others(data):
-    """Conventions that can be told apart; the object's axes only with surfaces."""
-    if data.surfaces is not None:
-        return pose_conventions.OTHERS
-    return [c for c in pose_conventions.OTHERS if np.array_equal(c.object, np.eye(3))]
-
-
 def _score(data, model, convention, lens):
     surface = None if data.surfaces is None else _read_surface(data, model)
-    count = data.counts[model]
+    quaternions, masks = data.rows("quaternions", model), data.rows("masks", model)
     return pose_conventions.score_convention(
-        convention,
-        np.asarray(data.quaternions[model])[:count],
-        np.asarray(data.masks[model])[:count],
-        surface,
-        lens,
+        convention, quaternions, masks, surface, lens
     )
 
 
 def _find_strays(data, lens):
-    """Views whose pose puts the object beside their mask, as text."""
     strays = []
     for model, name in enumerate(data.names):
-        count = data.counts[model]
-        quaternions = np.asarray(data.quaternions[model])[:count]
         surface = _read_surface(data, model)
         if surface is None:
             continue
-        masks = pose_conventions.grow_masks(
-            np.asarray(data.masks[model])[:count] > 0, 1
-        )
-        places, _ = pose_conventions.project_points(
-            surface[:: max(1, len(surface) // 1000)],
-            pose_conventions.rotation_of(quaternions),
-            lens,
-        )
+        surface = surface[:: max(1, len(surface) // 1000)]
+        masks = pose_conventions.grow_masks(data.rows("masks", model) > 0, 1)
+        quaternions = data.rows("quaternions", model)
+        rotations = pose_conventions.rotation_of(quaternions)
+        places, _ = pose_conventions.project_points(surface, rotations, lens)
         (rows, columns), within = pose_conventions.find_cells(places, masks.shape[-1])
-        hits = masks[np.arange(count)[:, None], rows, columns] & within
+        hits = masks[np.arange(len(masks))[:, None], rows, columns] & within
         usable = masks.any(axis=(1, 2)) & np.all(np.isfinite(quaternions), axis=1)
         strays += [
             f"{name} view {view} ({share:.0%} inside)"
@@ -147,7 +142,6 @@ def _find_strays(data, lens):
 
 
 def _check_depths(data, chosen, lens):
-    """Check whether depths are metric and along the camera's axis."""
     given, expected, longer = (
         np.concatenate(parts)
         for parts in zip(*(_pair_depths(data, m, lens) for m in chosen), strict=True)
@@ -169,30 +163,23 @@ def _check_depths(data, chosen, lens):
             return []
         reason = "it is the length of the ray"
     text = "the depth is not the metric distance along the camera's axis"
-    return [error(f"{text}: {reason}; convert the depth.")]
+    return [Finding("error", f"{text}: {reason}; convert the depth.")]
 
 
 def _pair_depths(data, model, lens):
-    """Three arrays [n] over an object's pixels.
-
-    They are the stored depth, the depth of the nearest surface point, and how much
-    longer the ray to that point is.
-    """
-    count = data.counts[model]
-    rotations = pose_conventions.rotation_of(data.quaternions[model])[:count]
+    """Stored depths, depths of the nearest points, and by how much rays are longer."""
+    rotations = pose_conventions.rotation_of(data.rows("quaternions", model))
     surface = _read_surface(data, model)
     assert surface is not None  # models without are not chosen
     places, z = pose_conventions.project_points(surface, rotations, lens)
-    masks = np.asarray(data.masks[model])[:count]
-    depths = np.asarray(data.depths[model], dtype=np.float64)[:count]
+    masks = data.rows("masks", model)
+    depths = data.rows("depths", model).astype(np.float64)
     size = masks.shape[-1]
     (rows, columns), _ = pose_conventions.find_cells(places, size)
     nearest = np.full(masks.shape, np.inf)
-    np.minimum.at(nearest, (np.arange(count)[:, None], rows, columns), z)
+    np.minimum.at(nearest, (np.arange(len(masks))[:, None], rows, columns), z)
     use = np.isfinite(nearest) & (masks == 255) & np.isfinite(depths)
     axis = ((np.arange(size) + 0.5) / size - 0.5) * lens.extent / lens.focal_length
-    stretch = np.broadcast_to(
-        np.sqrt(1.0 + axis**2 + axis[:, None] ** 2) - 1.0, masks.shape
-    )
-    expected = nearest[use]
+    stretch = np.sqrt(1.0 + axis**2 + axis[:, None] ** 2) - 1.0
+    stretch, expected = np.broadcast_to(stretch, masks.shape), nearest[use]
     return depths[use], expected, expected * stretch[use]

@@ -1,12 +1,10 @@
 """Which convention poses follow: tried out on silhouettes.
 
-A pose of a data set is a quaternion wxyz that rotates the object (z up, front +x, left
-+y) to the camera (x right, y down, z forward). Poses made for another convention put
-the object's points elsewhere; undoing each of the usual mistakes in turn shows which
-one it was.
+Poses made for another convention than ours put the object's points elsewhere; undoing
+each of the usual mistakes in turn shows which one it was.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -49,36 +47,25 @@ class Convention(NamedTuple):
     object: np.ndarray = np.eye(3)
 
 
+NERF: dict[str, Any] = {"inverse": True, "camera": FLIP}
 STORED = Convention("wxyz, object to camera, x right, y down, z forward")
 OTHERS = (
     Convention("the inverse, camera to object", inverse=True),
     Convention("the order xyzw", last=True),
     Convention("the order xyzw of the inverse", last=True, inverse=True),
     Convention("cameras with y up and z backward (OpenGL)", camera=FLIP),
-    Convention(
-        "camera to object, y up and z backward (NeRF)", inverse=True, camera=FLIP
-    ),
+    Convention("camera to object, y up and z backward (NeRF)", **NERF),
     Convention("xyzw, y up and z backward (OpenGL)", last=True, camera=FLIP),
-    Convention(
-        "xyzw, camera to object, y up and z backward (NeRF)",
-        last=True,
-        inverse=True,
-        camera=FLIP,
-    ),
+    Convention("xyzw, camera to object, y up and z backward (NeRF)", last=True, **NERF),
     Convention(
         "cameras with the axes depth, up, right (the paper's code)",
         camera=DEPTH_UP_RIGHT,
     ),
     *(
-        Convention(f"objects with y up and front {front}", object=turn)
-        for front, turn in Y_UP.items()
-    ),
-    *(
         Convention(
-            f"objects with y up and front {front}, y up and z backward (OpenGL)",
-            camera=FLIP,
-            object=turn,
+            f"objects with y up and front {front}{more}", camera=flip, object=turn
         )
+        for more, flip in (("", np.eye(3)), (", y up and z backward (OpenGL)", FLIP))
         for front, turn in Y_UP.items()
     ),
     Convention("objects with their front at -x", object=np.diag([-1.0, -1, 1])),
@@ -107,14 +94,10 @@ def rotation_of(quaternions: np.ndarray, convention: Convention = STORED) -> np.
 def project_points(
     points: np.ndarray, rotations: np.ndarray, lens: Lens
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places of points in images.
+    """Places of points [P, 3] in images by rotations [V, 3, 3], and their depths.
 
-    Args:
-      points: [P, 3] object frame. rotations: [V, 3, 3]. lens: of the data set.
-
-    Returns:
-      ([V, P, 2] x and y in shares of the image's side, [V, P] metric z); a point at or
-      behind the camera is far outside.
+    Places [V, P, 2] are x and y in shares of the image's side, depths [V, P] metric z;
+    a point at or behind the camera is far outside.
     """
     back = np.ascontiguousarray(np.swapaxes(rotations, -1, -2))  # ten times as fast
     seen = np.asarray(points, dtype=np.float64) @ back
@@ -125,14 +108,10 @@ def project_points(
 
 
 def find_cells(places: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which cells of a grid of side x side points fall into.
+    """Row and column [2, ...] of the cells that places [..., 2] of a grid fall into.
 
-    Args:
-      places: [..., 2], x and y in shares of the image's side.
-
-    Returns:
-      ([2, ...] row and column, that of the nearest cell for a point outside of the
-      image, [...] whether the point is inside).
+    Places are x and y in shares of the image's side; a point outside of the image gets
+    the nearest cell. The second array tells whether a point is inside.
     """
     cells = np.floor(places * side)
     inside = np.all((cells >= 0) & (cells < side), axis=-1)
@@ -140,7 +119,7 @@ def find_cells(places: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
     return np.moveaxis(cells[..., ::-1], -1, 0), inside
 
 
-def mark_points(places: np.ndarray, side: int) -> np.ndarray:
+def _mark_points(places, side):
     """Boolean images [V, side, side] of the cells that points [V, P, 2] fall into."""
     (rows, columns), inside = find_cells(places, side)
     view = np.broadcast_to(np.arange(len(places))[:, None], inside.shape)
@@ -149,7 +128,7 @@ def mark_points(places: np.ndarray, side: int) -> np.ndarray:
     return marks
 
 
-def shrink_masks(masks: np.ndarray, side: int) -> np.ndarray:
+def _shrink_masks(masks, side):
     """Boolean images [V, side, side] of the cells that masks [V, S, S] touch."""
     view, row, column = np.nonzero(masks)
     size = masks.shape[-1]
@@ -164,22 +143,15 @@ def grow_masks(masks: np.ndarray, cells: int) -> np.ndarray:
     return ndimage.maximum_filter(masks, (1, width, width), mode="constant")
 
 
-def compare_silhouettes(
-    points: np.ndarray, rotations: np.ndarray, masks: np.ndarray, lens: Lens
-) -> np.ndarray:
-    """Intersection over union [V] of points' cells and the cells that masks touch.
-
-    Args:
-      points: [P, 3], on the surface. rotations: [V, 3, 3]. masks: [V, S, S].
-    """
-    side = min(masks.shape[-1], GRID if len(points) >= POINTS else GRID // 2)
+def _compare_cells(points, rotations, masks, lens, *, side):
+    """Cells [V] that points and masks share, that masks touch, and that either does."""
     places, _ = project_points(points, rotations, lens)
-    ours, theirs = mark_points(places, side), shrink_masks(masks, side)
-    both = (ours & theirs).sum(axis=(1, 2))
-    return both / np.maximum((ours | theirs).sum(axis=(1, 2)), 1)
+    ours, theirs = _mark_points(places, side), _shrink_masks(masks, side)
+    both, either = ours & theirs, ours | theirs
+    return [cells.sum(axis=(1, 2)) for cells in (both, theirs, either)]
 
 
-def carve_hull(rotations: np.ndarray, masks: np.ndarray, lens: Lens) -> np.ndarray:
+def _carve_hull(rotations, masks, lens):
     """Points [P, 3] of a grid that all masks of an object cover (its visual hull).
 
     With right poses it is a body a little larger than the object; with wrong ones the
@@ -204,22 +176,18 @@ def score_convention(
     surface: np.ndarray | None,
     lens: Lens,
 ) -> float:
-    """How well an object's poses fit its masks under a convention, from 0 to 1.
+    """How well an object's poses [V, 4] fit its masks under a convention, from 0 to 1.
 
-    With a surface it is the mean intersection over union of the silhouettes. Without
-    one it is the share of the masks that the visual hull fills: 1 if the views agree,
-    even if all of them are wrong in the same way.
-
-    Args:
-      quaternions: [V, 4] as stored. masks: uint8 [V, S, S].
-      surface: [P, 3] points on the surface, or None.
+    With a surface [P, 3] it is the mean intersection over union of the silhouettes.
+    Without one it is the share of the masks that the visual hull fills: 1 if the views
+    agree, even if all of them are wrong in the same way.
     """
     rotations = rotation_of(quaternions, convention)
     if surface is not None:
-        return float(compare_silhouettes(surface, rotations, masks, lens).mean())
-    hull = carve_hull(rotations, masks, lens)
+        side = min(masks.shape[-1], GRID if len(surface) >= POINTS else GRID // 2)
+        both, _, either = _compare_cells(surface, rotations, masks, lens, side=side)
+        return float((both / np.maximum(either, 1)).mean())
+    hull = _carve_hull(rotations, masks, lens)
     side = HULL_CELLS // 2  # coarse enough for the hull's points to leave no gaps
-    places, _ = project_points(hull, rotations, lens)
-    ours, theirs = mark_points(places, side), shrink_masks(masks > 127, side)
-    filled = (ours & theirs).sum(axis=(1, 2)) / np.maximum(theirs.sum(axis=(1, 2)), 1)
-    return float(filled.mean())
+    both, theirs, _ = _compare_cells(hull, rotations, masks > 127, lens, side=side)
+    return float((both / np.maximum(theirs, 1)).mean())

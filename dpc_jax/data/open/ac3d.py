@@ -19,19 +19,16 @@ from dpc_jax.data.sets.pictures import FAULTS
 from dpc_jax.shapes.joining import join_pieces
 
 GREY = (0.667, 0.667, 0.667)  # of a surface without a material
-SAMPLES = (
-    np.array(  # of a triangle, barycentric: its middle and six around it
-        [(4, 4, 4), (8, 2, 2), (2, 8, 2), (2, 2, 8), (5, 5, 2), (5, 2, 5), (2, 5, 5)]
-    )
-    / 12.0
+# of a triangle, barycentric: its middle and six around it
+SAMPLES = np.divide(
+    [(4, 4, 4), (8, 2, 2), (2, 8, 2), (2, 2, 8), (5, 5, 2), (5, 2, 5), (2, 5, 5)], 12.0
 )
 POLYGON, STRIP = 0, 4  # kinds of surface; 1 and 2 are lines
 
 
 class Part(NamedTuple):
-    """One object of a file.
+    """One object of a file: vertices float64 [N, 3] in its frame, faces int [F, 3].
 
-    vertices: float64 [N, 3], in the frame of the file. faces: int [F, 3].
     colors: uint8 [F, 4], material times texture at the middle of the face; alpha is
         the mean over the face, 0 where nothing of it can be seen.
     """
@@ -45,13 +42,8 @@ class Part(NamedTuple):
 def read_parts(path: Path, *, textures: Path | None = None) -> list[Part]:
     """The objects of an AC3D file that have surfaces.
 
-    Args:
-      path: the file.
-      textures: folder to search for textures that are not where the file says, by name.
-        None: they are left out.
-
-    Raises:
-      ValueError: naming the file, if it cannot be read or has no surfaces.
+    Textures that are not where the file says are searched by name in the folder
+    `textures`, if there is one.
     """
     try:
         lines = path.read_text(encoding="latin-1").split("\n")
@@ -86,7 +78,7 @@ class _Reader:
         self._images, self._materials, self._parts = {}, [], []
 
     def read_all(self):
-        while not self._is_over():
+        while self._at < len(self._lines):
             self._at += 1
             key, _, rest = self._lines[self._at - 1].strip().partition(" ")
             if key == "MATERIAL":
@@ -97,9 +89,6 @@ class _Reader:
             elif key == "OBJECT":
                 self._read_object(np.zeros(3), np.eye(3))
         return self._parts
-
-    def _is_over(self):
-        return self._at >= len(self._lines)
 
     def _next(self):
         """The next line that is not blank."""
@@ -139,17 +128,14 @@ class _Reader:
                 surfaces = [self._read_surface() for _ in range(int(rest))]
             elif key == "kids":
                 break
-        part = self._make_part(
-            name, vertices @ turn + place, surfaces, texture, repeat, offset
-        )
-        if part is not None:
-            self._parts.append(part)
+        vertices = vertices @ turn + place
+        self._add_part(name, vertices, surfaces, texture, repeat, offset)
         for _ in range(int(rest)):
-            while not self._is_over() and not self._lines[self._at].startswith("OBJ"):
-                self._at += 1
-            if self._is_over():
+            left = range(self._at, len(self._lines))
+            found = next((i for i in left if self._lines[i].startswith("OBJ")), None)
+            if found is None:
                 return  # some files count more objects than they have
-            self._at += 1
+            self._at = found + 1
             self._read_object(place, turn)
 
     def _read_surface(self):
@@ -167,7 +153,7 @@ class _Reader:
         corners = [(int(i), float(u), float(v)) for i, u, v in corners]
         return kind, material, corners
 
-    def _make_part(self, name, vertices, surfaces, texture, repeat, offset):
+    def _add_part(self, name, vertices, surfaces, texture, repeat, offset):
         triangles, materials, quads, quad_materials = [], [], [], []
         for kind, material, corners in surfaces:
             if not all(0 <= corner[0] < len(vertices) for corner in corners):
@@ -177,9 +163,8 @@ class _Reader:
                 quad_materials.append(material)
                 continue
             if kind == POLYGON:
-                found = polygons.split_polygon(
-                    vertices[[corner[0] for corner in corners]]
-                )
+                places = vertices[[corner[0] for corner in corners]]
+                found = polygons.split_polygon(places)
             elif kind == STRIP:
                 found = [(i, i + 1, i + 2) for i in range(len(corners) - 2)]
             else:
@@ -190,7 +175,7 @@ class _Reader:
             triangles += polygons.split_quads(np.array(quads), vertices)
             materials += np.repeat(quad_materials, 2).tolist()
         if not triangles:
-            return None
+            return
         corners = np.array(triangles)  # [F, 3, 3]: index, u, v
         faces = corners[..., 0].astype(int)
         # strips turn corners by triangles without area, which repeat an index
@@ -200,12 +185,12 @@ class _Reader:
         corners, faces = corners[whole], faces[whole]
         colors = np.array(known)[materials][whole]
         if len(faces) == 0:
-            return None
+            return
         image = self._load_texture(texture)
         if image is not None:
             colors = colors * _look_up(image, corners[..., 1:] * repeat + offset)
         colors = np.rint(np.clip(colors, 0.0, 1.0) * 255.0).astype(np.uint8)
-        return Part(name, vertices, faces, colors)
+        self._parts.append(Part(name, vertices, faces, colors))
 
     def _load_texture(self, name):
         """Texture uint8 [H, W, 4], or None if there is none that can be read."""

@@ -13,11 +13,8 @@ def fetch_package(name: str, folder: Path) -> Path:
 
     A file NAME_VERSION.deb that somebody has put there is used as it is. What was
     downloaded before an interruption is kept, and apt continues from there.
-
-    Raises:
-      RuntimeError: if there is no apt-get, no network or no such package.
     """
-    if found := find_package(name, folder):
+    if found := _find_package(name, folder):
         return found
     hint = f"put the file {name}_VERSION.deb from any Debian mirror into {folder}"
     _expect_command("apt-get", f"it comes with Debian and Ubuntu; elsewhere {hint}")
@@ -25,7 +22,7 @@ def fetch_package(name: str, folder: Path) -> Path:
     partial.mkdir(parents=True, exist_ok=True)
     print(f"Fetching the package {name} with apt-get", flush=True)
     result = _run(["apt-get", "download", name], cwd=partial)
-    found = find_package(name, partial)
+    found = _find_package(name, partial)
     if result.returncode != 0 or found is None:
         last = _last_error(result.stderr)
         if "Unable to locate" in result.stderr or "No packages found" in result.stderr:
@@ -43,18 +40,14 @@ def fetch_package(name: str, folder: Path) -> Path:
     return path
 
 
-def find_package(name: str, folder: Path) -> Path | None:
-    """The file of a package in a folder, the last by name, or None."""
+def _find_package(name, folder):
+    """The last by name, or None."""
     found = sorted(folder.glob(f"{name}_*.deb"))
     return found[-1] if found else None
 
 
 def unpack_package(path: Path, folder: Path) -> Path:
-    """Unpack a package's files into a folder, unless that is there already.
-
-    Raises:
-      RuntimeError: naming the file, if there is no dpkg-deb or the file is damaged.
-    """
+    """Unpack a package's files into a folder, unless that is there already."""
     if folder.is_dir():
         return folder
     _expect_command("dpkg-deb", "install the package dpkg, or use Debian or Ubuntu")

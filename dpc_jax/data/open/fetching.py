@@ -32,18 +32,10 @@ SCRATCH = ".making-"  # begins the names of temporary folders
 
 
 def fetch_category(category: str, out: str | Path, *, progress: bool = True) -> Path:
-    """Make the folder OUT/CATEGORY of open meshes, or complete it.
+    """Make the folder OUT/CATEGORY of open meshes, or complete it; return its path.
 
     A second call does nothing. Packages stay in OUT/packages; their unpacked files are
     removed again. A model that was changed in between is kept as NAME.ply.changed.
-
-    Args:
-      category: "chair", "car" or "airplane".
-      out: folder; created where missing.
-      progress: whether to say on stdout what is being done.
-
-    Returns:
-      Path of OUT/CATEGORY.
 
     Raises:
       ValueError: for another category, or if no model can be read.
@@ -63,12 +55,11 @@ def fetch_category(category: str, out: str | Path, *, progress: bool = True) -> 
         if not _is_complete(folder):
             _make_folder(category, folder, packages, progress=progress)
         if progress:
-            print(describe_folder(folder))
+            print(_describe_folder(folder))
     return folder
 
 
-def describe_folder(folder: Path) -> str:
-    """What a finished folder of a category holds, as text."""
+def _describe_folder(folder):
     record = json.loads((folder / "models.json").read_text(encoding="utf-8"))
     lines = []
     for side in ("train", "test", "reserved"):
@@ -99,33 +90,30 @@ def _lock(packages):
 
 
 def _make_folder(category, folder, packages, *, progress):
-    models, versions, makers = [], {}, {}
+    models, versions = [], {}
     for module in RECIPES[category]:
         path = debian.fetch_package(module.PACKAGE, packages)
         root = debian.unpack_package(path, packages / module.PACKAGE)
         versions[module.PACKAGE] = debian.read_version(path)
-        makers[module.PACKAGE] = module.make_mesh
-        models += _list_models(module, root, category, path)
+        found = _list_models(module, root, category, path)
+        models += [(module, model) for model in found]
     folder.mkdir(exist_ok=True)
     for scratch in folder.glob(f"{SCRATCH}*"):  # of a run that was killed
         shutil.rmtree(scratch)
     skipped, records = {}, {}
 
     def make_all():
-        for model in models:
-            origin = {"package": f"{model.package} {versions[model.package]}"}
+        for module, model in models:
+            package = f"{module.PACKAGE} {versions[module.PACKAGE]}"
             try:
-                record = _make_model(model, folder, makers[model.package], origin)
+                record = _make_model(module, model, folder, package)
                 records[f"{model.side}/{model.name}.ply"] = record
             except ValueError as error:
                 skipped[model.name] = str(error)
             yield model.name
 
     for _ in follow(
-        make_all(),
-        count=len(models),
-        label=f"Converting {category}",
-        progress=progress,
+        make_all(), count=len(models), label=f"Converting {category}", progress=progress
     ):
         pass
     if not records:
@@ -142,15 +130,8 @@ def _make_folder(category, folder, packages, *, progress):
         }
         files.write_json(folder / side / "families.json", families)
     _draw_sheet(folder, records)
-    files.write_json(
-        folder / "models.json",
-        {
-            "version": VERSION,
-            "packages": versions,
-            "models": records,
-            "skipped": skipped,
-        },
-    )
+    made = {"version": VERSION, "packages": versions, "models": records}
+    files.write_json(folder / "models.json", made | {"skipped": skipped})
     for package in versions:
         shutil.rmtree(packages / package)
 
@@ -168,7 +149,7 @@ def _list_models(module, root, category, path):
     return found
 
 
-def _make_model(model, folder, make_mesh, origin):
+def _make_model(module, model, folder, package):
     """Write a model and the file beside it, unless they are there; its record."""
     path = folder / model.side / f"{model.name}.ply"
     path.parent.mkdir(exist_ok=True)
@@ -178,7 +159,7 @@ def _make_model(model, folder, make_mesh, origin):
     if path.exists() and beside.exists():
         path.replace(path.with_name(f"{path.name}.changed"))
     with tempfile.TemporaryDirectory(dir=folder, prefix=SCRATCH) as scratch:
-        mesh = normalize(make_mesh(model, Path(scratch)))
+        mesh = normalize(module.make_mesh(model, Path(scratch)))
         partial = Path(scratch) / "mesh.ply"
         mesh.export(partial)
         record = {
@@ -186,7 +167,7 @@ def _make_model(model, folder, make_mesh, origin):
             "family": model.family,
             "side": model.side,
             **model.origin,
-            **origin,
+            "package": package,
             "changes": "axes, place and size; one colour per face; parts joined",
             "faces": len(mesh.faces),
             "sha256": files.digest_file(partial),
@@ -200,12 +181,10 @@ def _read_record(path):
     """The record beside a model that is unchanged, or None."""
     try:
         record = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
-        same = record["version"] == VERSION and record["sha256"] == files.digest_file(
-            path
-        )
+        expected = VERSION, files.digest_file(path)
+        return record if (record["version"], record["sha256"]) == expected else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    return record if same else None
 
 
 def _is_complete(folder):
@@ -223,7 +202,6 @@ def _is_complete(folder):
 
 
 def _draw_sheet(folder, records):
-    """Write the contact sheet of the models, families side by side."""
     names = sorted(records, key=lambda n: (records[n]["side"], records[n]["family"], n))
     texts = []
     for name in names:

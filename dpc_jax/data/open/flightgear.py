@@ -52,19 +52,14 @@ def list_models(root: Path, category: str = "airplane") -> list[OpenModel]:
             "author": "the FlightGear team",
             "original": str(files[0].relative_to(root)),
         }
-        family = families.get(folder.name, folder.name)
-        models.append(
-            OpenModel(folder.name, family, "train", origin, PACKAGE, (files[0], folder))
-        )
+        name, source = folder.name, (files[0], folder)
+        family = families.get(name, name)
+        models.append(OpenModel(name, family, "train", origin, source))
     return sorted(models)
 
 
 def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
-    """The mesh of an airplane in the canonical frame, without discs and lights.
-
-    Raises:
-      ValueError: naming the file, if it cannot be read.
-    """
+    """The mesh of an airplane in the canonical frame, without discs and lights."""
     path, textures = model.source
     parts = [p for p in ac3d.read_parts(path, textures=textures) if not _is_motion(p)]
     if not parts:

@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 
 from dpc_jax.data import meshes
-from dpc_jax.data.open.package_models import OpenModel
+from dpc_jax.data.open.package_models import OpenModel, extract_model
 from dpc_jax.shapes.normalization import replace_vertices
 
 PACKAGE = "sweethome3d-furniture"
@@ -51,7 +51,7 @@ def list_models(root: Path, category: str) -> list[OpenModel]:
     """
     models = []
     for library in sorted(root.rglob("*.sh3f")):
-        general, items = read_catalogue(library)
+        general, items = _read_catalogue(library)
         for item in items:
             name = f"{library.stem}-{Path(item['model']).stem}"
             label = f"{item.get('name', '')} {Path(item['model']).stem}"
@@ -67,9 +67,7 @@ def list_models(root: Path, category: str) -> list[OpenModel]:
             family = FAMILIES.get(name, name)
             side = "reserved" if name in RESERVED else "train"
             side = "test" if category == "car" else side
-            models.append(
-                OpenModel(name, family, side, origin, PACKAGE, (library, item))
-            )
+            models.append(OpenModel(name, family, side, origin, (library, item)))
     return sorted(models)
 
 
@@ -81,7 +79,7 @@ def _classify(label, item):
     return None
 
 
-def read_catalogue(library: Path) -> tuple[dict[str, str], list[dict[str, str]]]:
+def _read_catalogue(library):
     """General properties of a library, and the properties of each item."""
     with zipfile.ZipFile(library) as archive:
         text = archive.read("PluginFurnitureCatalog.properties").decode("latin-1")
@@ -106,18 +104,10 @@ def _name_licence(text):
 
 
 def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
-    """The mesh of a model in the canonical frame; its files go into `folder`.
-
-    Raises:
-      ValueError: naming the file, if it cannot be read.
-    """
+    """The mesh of a model in the canonical frame; its files go into `folder`."""
     library, item = model.source
     member = item["model"].lstrip("/")
-    with zipfile.ZipFile(library) as archive:
-        beside = str(Path(member).parent) + "/"
-        members = [n for n in archive.namelist() if n.startswith(beside)]
-        archive.extractall(folder, members)
-    mesh = meshes.read_mesh(folder / member)
+    mesh = meshes.read_mesh(extract_model(library, member, folder))
     turn = np.eye(3)
     if "modelRotation" in item:
         turn = np.array(item["modelRotation"].split(), dtype=np.float64).reshape(3, 3)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from dpc_jax.data import meshes
 from dpc_jax.data.open import ac3d
 from dpc_jax.data.open.package_models import OpenModel, join_meshes
 
@@ -36,29 +37,19 @@ def list_models(root: Path, category: str = "car") -> list[OpenModel]:
         }
         family = FAMILIES.get(name, f"torcs-{name}")
         source = (path, game)
-        models.append(
-            OpenModel(f"torcs-{name}", family, "train", origin, PACKAGE, source)
-        )
+        models.append(OpenModel(f"torcs-{name}", family, "train", origin, source))
     return sorted(models)
 
 
 def _read_authors(path):
     """The copyright lines of a readme, or the package's own."""
-    data = path.read_bytes() if path.is_file() else b""
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError:
-        text = data.decode("latin-1")
+    text = meshes.decode_text(path.read_bytes()) if path.is_file() else ""
     lines = re.findall(r"Copyright\s+(.*)", text)
     return "; ".join(line.strip() for line in lines) or "the TORCS team"
 
 
 def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
-    """The mesh of a car with its wheels in the canonical frame.
-
-    Raises:
-      ValueError: naming the file, if it or one it needs cannot be read.
-    """
+    """The mesh of a car with its wheels in the canonical frame."""
     path, game = model.source
     own = _read_parameters(path.with_suffix(".xml"))
     general = {}

@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 
 from dpc_jax.data import meshes
-from dpc_jax.data.open.package_models import OpenModel, join_meshes
+from dpc_jax.data.open.package_models import OpenModel, extract_model, join_meshes
 
 PACKAGE = "trigger-rally-data"
 PAINT = "_wrc"
@@ -31,23 +31,14 @@ def list_models(root: Path, category: str = "car") -> list[OpenModel]:
             "author": "Jasmine Langridge, Richard Langridge and contributors",
             "original": f"{archive.relative_to(root)}:{member}",
         }
-        models.append(
-            OpenModel(name, name, "train", origin, PACKAGE, (archive, member))
-        )
+        models.append(OpenModel(name, name, "train", origin, (archive, member)))
     return sorted(models)
 
 
 def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
-    """The mesh of a car with its wheels in the canonical frame; unpacks to `folder`.
-
-    Raises:
-      ValueError: naming the file, if it cannot be read.
-    """
+    """The mesh of a car with its wheels in the canonical frame; unpacks to `folder`."""
     archive, member = model.source
-    beside = f"{Path(member).parent}/"
-    with zipfile.ZipFile(archive) as files:
-        files.extractall(folder, [n for n in files.namelist() if n.startswith(beside)])
-    path = folder / member
+    path = extract_model(archive, member, folder)
     try:
         tree: Any = xml.etree.ElementTree.parse(path)
         general, part = tree.find("genparams"), tree.find("part")

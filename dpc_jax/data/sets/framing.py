@@ -14,6 +14,7 @@ from PIL import Image
 from scipy import ndimage
 
 from dpc_jax.data.sets.pose_files import Pose
+from dpc_jax.data.spec import DataSpec
 
 MOST_SAMPLES = 16  # per output pixel and axis
 
@@ -59,39 +60,23 @@ def trace_outline(mask: np.ndarray) -> Outline:
 
 
 def frame_views(
-    outlines: Sequence[Outline],
-    poses: Sequence[Pose] | None,
-    *,
-    crop: str,
-    fill: float,
-    focal_length: float,
-    distance: float,
+    outlines: Sequence[Outline], poses: Sequence[Pose] | None, spec: DataSpec
 ) -> list[Frame]:
-    """Frames of all views of one object.
+    """Frames of all views of one object, as a specification asks for them.
 
-    Args:
-      outlines: one per view. poses: one per view, or None.
-      crop: "object" (one scale for all views of an object), "view" (each view its own)
-        or "none" (the whole image, cut to its middle square). With positions and lenses
-        the scale follows from them, and `crop` does not matter.
-      fill: share of the frame's side that the object takes in its largest view.
-      focal_length, distance: of the data set's camera.
-
-    Raises:
-      ValueError: if the positions of the cameras contradict each other.
+    With positions and lenses the scale follows from them, and `spec.crop` does not
+    matter.
     """
     if poses is not None and all(p.position is not None for p in poses):
-        return _frame_by_geometry(
-            outlines, poses, fill=fill, focal_length=focal_length, distance=distance
-        )
+        return _frame_by_geometry(outlines, poses, spec)
     rotations = [pose.rotation for pose in poses] if poses else [None] * len(outlines)
-    if crop == "none":
+    if spec.crop == "none":
         middles = [np.array(outline.shape[::-1]) / 2.0 for outline in outlines]
         sides = [float(min(outline.shape)) for outline in outlines]
     else:
         middles = [outline.middle for outline in outlines]
-        sides = [float((o.high - o.low).max()) / fill for o in outlines]
-        if crop == "object":
+        sides = [float((o.high - o.low).max()) / spec.fill for o in outlines]
+        if spec.crop == "object":
             sides = [max(sides)] * len(sides)
     return [
         Frame(np.array([[s, 0, m[0]], [0, s, m[1]], [0, 0, 1]]), rotation)
@@ -99,7 +84,7 @@ def frame_views(
     ]
 
 
-def _frame_by_geometry(outlines, poses, *, fill, focal_length, distance):
+def _frame_by_geometry(outlines, poses, spec):
     """Frames of cameras whose place and lens are known.
 
     The middle of the object is the point nearest to the lines through the middles of
@@ -107,18 +92,19 @@ def _frame_by_geometry(outlines, poses, *, fill, focal_length, distance):
     every view at its distance.
     """
     lenses = [
-        read_lens(pose.lens, outline.shape)
+        _read_lens(pose.lens, outline.shape)
         for pose, outline in zip(poses, outlines, strict=True)
     ]
-    positions = np.array([pose.position for pose in poses])
+    cameras = list(zip(outlines, poses, lenses, strict=True))
     lines = []
-    for outline, pose, lens in zip(outlines, poses, lenses, strict=True):
+    for outline, pose, lens in cameras:
         ray = np.linalg.solve(lens, [*outline.middle, 1.0])
         lines.append(pose.rotation.T @ (ray / np.linalg.norm(ray)))
-    middle = find_meeting_point(positions, np.array(lines))
+    positions = np.array([pose.position for pose in poses])
+    middle = _find_meeting_point(positions, np.array(lines))
 
     turns, reaches, ranges = [], [], []
-    for outline, pose, lens in zip(outlines, poses, lenses, strict=True):
+    for outline, pose, lens in cameras:
         towards = pose.rotation @ (middle - pose.position)
         away = np.linalg.norm(towards)
         if not towards[2] > 1e-6 * max(away, 1e-30):
@@ -126,29 +112,25 @@ def _frame_by_geometry(outlines, poses, *, fill, focal_length, distance):
                 "Expected every camera to face the object, but one looks away from "
                 "where the others see it; check the convention of the poses."
             )
-        turn = turn_to_axis(towards / away)
+        turn = _turn_to_axis(towards / away)
         rays = np.concatenate([outline.border, np.ones((1, outline.border.shape[1]))])
         seen = turn @ np.linalg.solve(lens, rays)
         turns.append(turn)
         ranges.append(away)
         reaches.append(np.abs(seen[:2] / seen[2]).max())
     # an object of size s at range r looks like one of size 1 at r / s
-    widths = 2.0 * np.array(reaches) * np.array(ranges) / fill
-    size = widths.max() * focal_length / distance
+    widths = 2.0 * np.array(reaches) * np.array(ranges) / spec.fill
+    size = widths.max() * spec.focal_length / spec.distance
     frames = []
     for pose, lens, turn, away in zip(poses, lenses, turns, ranges, strict=True):
-        side = size * distance / (focal_length * away)
+        side = size * spec.distance / (spec.focal_length * away)
         homography = lens @ turn.T @ np.diag([side, side, 1.0])
         frames.append(Frame(homography, turn @ pose.rotation))
     return frames
 
 
-def read_lens(lens: dict | None, shape: tuple[int, int]) -> np.ndarray:
-    """Matrix [3, 3] from camera rays to pixels, of an image of (height, width).
-
-    Raises:
-      ValueError: if neither fl_x nor camera_angle_x is given.
-    """
+def _read_lens(lens, shape):
+    """Matrix [3, 3] from camera rays to pixels, of an image of (height, width)."""
     lens, (height, width) = lens or {}, shape
     # images are often scaled after calibration
     wider, taller = width / lens.get("w", width), height / lens.get("h", height)
@@ -167,12 +149,8 @@ def read_lens(lens: dict | None, shape: tuple[int, int]) -> np.ndarray:
     return np.array([[focal_x, 0, center_x], [0, focal_y, center_y], [0, 0, 1.0]])
 
 
-def find_meeting_point(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Point [3] nearest to lines by least squares; the origin if they are parallel.
-
-    Args:
-      origins, directions: [n, 3], directions of unit length.
-    """
+def _find_meeting_point(origins, directions):
+    """Point [3] nearest to lines by least squares; the origin if they are parallel."""
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     total = across.sum(axis=0)
     if np.linalg.eigvalsh(total)[0] < 1e-3 * len(origins):
@@ -180,7 +158,7 @@ def find_meeting_point(origins: np.ndarray, directions: np.ndarray) -> np.ndarra
     return np.linalg.solve(total, np.einsum("nij,nj->i", across, origins))
 
 
-def turn_to_axis(direction: np.ndarray) -> np.ndarray:
+def _turn_to_axis(direction):
     """The smallest rotation [3, 3] that takes a unit vector to (0, 0, 1)."""
     axis = np.cross(direction, [0.0, 0.0, 1.0])
     cosine = direction[2]
@@ -193,13 +171,8 @@ def cut_frame(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Image and mask as the camera of a frame sees them, by supersampling.
 
-    Args:
-      image: uint8 [height, width, 3]. mask: float32 [height, width], coverage 0 to 1.
-      frame: the square to cut out. image_size: S.
-
-    Returns:
-      (uint8 [S, S, 3] on white, uint8 [S, S] coverage times 255). What lies beyond the
-      image is empty.
+    From uint8 [height, width, 3] and coverage float32 [height, width] of 0 to 1 to
+    uint8 [S, S, 3] on white and uint8 [S, S]. What lies beyond the image is empty.
     """
     corners = np.array([[-0.5, 0.5, 0.5, -0.5], [-0.5, -0.5, 0.5, 0.5], [1] * 4])
     outline = frame.homography @ corners

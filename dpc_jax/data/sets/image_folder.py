@@ -25,13 +25,12 @@ class ImageFolder(SplitSource):
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        """See `Source.recognizes`."""
         return any(path.suffix.lower() in SUFFIXES for path in folder.rglob("*"))
 
     def find_models(self) -> dict[str, Path]:
         """See `SplitSource.find_models`; poses are given for all objects or none."""
-        models = list_objects(self.folder)
-        posed = [path for path in models.values() if has_poses(path)]
+        models = _list_objects(self.folder)
+        posed = [path for path in models.values() if pose_files.find_pose_files(path)]
         if posed and len(posed) < len(models):
             lacking = next(path for path in models.values() if path not in posed)
             raise ValueError(
@@ -47,7 +46,6 @@ class ImageFolder(SplitSource):
         return super().split_by_seed(names)
 
     def list_remarks(self) -> list[tuple[str, str]]:
-        """See `Source.list_remarks`."""
         models, _, official = self.division
         if official is None and len(models) < FEWEST_OBJECTS:
             text = "has too few objects to split: all splits hold them all"
@@ -56,9 +54,9 @@ class ImageFolder(SplitSource):
 
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
         """See `SplitSource.identify_model`; it changes with any file of the object."""
-        images = list_images(path)
+        images = _list_images(path)
         masks = [mask for image in images if (mask := _find_mask(image)) is not None]
-        poses = pose_files.find_pose_files(path) if path.is_dir() else []
+        poses = pose_files.find_pose_files(path)
         facts = []
         for file in [*images, *masks, *poses]:
             place = str(file.relative_to(path.parent)) if path.is_dir() else ""
@@ -69,43 +67,23 @@ class ImageFolder(SplitSource):
         return len(images), files.digest_text(str(facts))
 
     def estimate_bytes(self, model: Model) -> int:
-        """See `Source.estimate_bytes`."""
         return 4 * self.spec.image_size**2 * model.views
 
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
-        """See `Source.make_arrays`."""
-        spec = self.spec
-        return read_object(
-            Path(str(model.path)),
-            image_size=spec.image_size,
-            crop=spec.crop,
-            fill=spec.fill,
-            focal_length=spec.focal_length,
-            distance=spec.distance,
-        )
+        return _read_object(Path(str(model.path)), self.spec)
 
 
-def list_objects(folder: Path) -> dict[str, Path]:
-    """Places of the objects of a folder by name, sorted: `{name: path}`.
-
-    A place is a folder of views, or an image where each image is an object.
-
-    Raises:
-      ValueError: naming the folder, if there are no images in it.
-    """
+def _list_objects(folder):
+    """Folders of views, or images, by name."""
     if not folder.is_dir():
         raise ValueError(
             f"Expected a folder of images, but {folder} is not a folder; check it."
         )
     if pose_files.find_pose_files(folder):
         return {folder.resolve().name: folder}
-    places = [
-        place
-        for place in sorted(folder.iterdir())
-        if place.is_dir() and (list_images(place) or has_poses(place))
-    ]
-    if not places:
-        places = _find_images(folder)
+    folders = (place for place in sorted(folder.iterdir()) if place.is_dir())
+    places = [p for p in folders if _list_images(p) or pose_files.find_pose_files(p)]
+    places = places or _find_images(folder)
     if not places:
         raise ValueError(
             f"Expected folders of images ({', '.join(SUFFIXES)}) in {folder}, but "
@@ -114,7 +92,7 @@ def list_objects(folder: Path) -> dict[str, Path]:
     return {place.stem if place.is_file() else place.name: place for place in places}
 
 
-def list_images(place: Path) -> list[Path]:
+def _list_images(place):
     """The images of an object, sorted; those of `transforms.json` where it has one.
 
     A damaged `transforms.json` is reported when the object is read, and left out.
@@ -133,71 +111,40 @@ def _find_images(folder):
     return sorted(p for p in found if p.is_file() and not p.stem.endswith("_mask"))
 
 
-def has_poses(place: Path) -> bool:
-    """Whether an object comes with poses."""
-    return place.is_dir() and bool(pose_files.find_pose_files(place))
-
-
-def read_object(
-    place: Path,
-    *,
-    image_size: int,
-    crop: str,
-    fill: float,
-    focal_length: float,
-    distance: float,
-) -> tuple[dict[str, np.ndarray], list[str]]:
-    """The views of one object, cut and scaled to the data set's camera.
+def _read_object(place, spec):
+    """The views of one object, and a sentence on each that is left out.
 
     A view without a usable mask, or without a pose where others have one, is left out.
-
-    Returns:
-      (arrays, notes): images uint8 [V, S, S, 3], masks uint8 [V, S, S], and, where
-      there are poses, quaternions float32 [V, 4]; and a sentence on each view left out.
-
-    Raises:
-      ValueError: naming a file, if no view can be used or a pose file is damaged.
     """
-    images, notes = list_images(place), []
-    poses = None
-    if has_poses(place):
-        poses = pose_files.read_poses(pose_files.find_pose_files(place))
-    outlines, kept = [], []
+    images, notes, outlines, poses = _list_images(place), [], {}, None
+    if found := pose_files.find_pose_files(place):
+        poses = pose_files.read_poses(found)
     for path in images:
         try:
             if poses is not None and path not in poses:
                 raise ValueError(
                     f"Expected a pose of {path}, but there is none; add it."
                 )
-            _, mask = read_image(path)
-            outlines.append(framing.trace_outline(mask > 0.5))
-            kept.append(path)
+            _, mask = _read_image(path)
+            outlines[path] = framing.trace_outline(mask > 0.5)
         except ValueError as error:
             notes.append(str(error).removesuffix("."))
-    if not kept:
+    if not outlines:
         raise ValueError(
             f"Expected at least one usable view in {place}, but none of {len(images)} "
             f"is; {notes[0] if notes else 'add images'}."
         )
+    given = None if poses is None else [poses[path] for path in outlines]
     try:
-        frames = framing.frame_views(
-            outlines,
-            None if poses is None else [poses[path] for path in kept],
-            crop=crop,
-            fill=fill,
-            focal_length=focal_length,
-            distance=distance,
-        )
+        frames = framing.frame_views(list(outlines.values()), given, spec)
     except ValueError as error:
         raise ValueError(f"In the poses of {place}: {error}") from None
     cut = [
-        framing.cut_frame(*read_image(path), frame, image_size=image_size)
-        for path, frame in zip(kept, frames, strict=True)
+        framing.cut_frame(*_read_image(path), frame, image_size=spec.image_size)
+        for path, frame in zip(outlines, frames, strict=True)
     ]
-    arrays = {
-        "images": np.stack([image for image, _ in cut]),
-        "masks": np.stack([mask for _, mask in cut]),
-    }
+    pictures, masks = map(np.stack, zip(*cut, strict=True))
+    arrays = {"images": pictures, "masks": masks}
     if poses is not None:
         rotations = np.array([frame.rotation for frame in frames])
         quaternions = viewpoints.matrix_to_quaternion(rotations)
@@ -205,16 +152,8 @@ def read_object(
     return arrays, notes
 
 
-def read_image(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Colours and mask of an image file, upright as its camera noted.
-
-    Returns:
-      (uint8 [height, width, 3], float32 [height, width] from 0 to 1).
-
-    Raises:
-      ValueError: naming the file, if it or its mask cannot be read, there is no mask,
-        the mask has another size, is empty or covers the whole image.
-    """
+def _read_image(path):
+    """Colours uint8 and mask float32 (0 to 1) of an image file, upright."""
     image = read_picture(path)
     beside = _find_mask(path)
     if beside is not None:

@@ -15,7 +15,7 @@ from dpc_jax.shapes.normalization import normalize
 SIDECARS = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".webp")
 
 
-class MeshFiles(RenderedSource):
+class MeshSource(RenderedSource):
     """A source whose models are mesh files, however they are listed."""
 
     is_stretchable = True
@@ -25,7 +25,6 @@ class MeshFiles(RenderedSource):
         return None
 
     def make_mesh(self, model: Model) -> trimesh.Trimesh:
-        """See `RenderedSource.make_mesh`."""
         assert model.path is not None
         mesh = meshes.read_mesh(model.path)
         turn = self.find_turn(model.path)
@@ -40,7 +39,6 @@ class MeshFiles(RenderedSource):
         return normalize(mesh)
 
     def describe_flaws(self, model: Model) -> list[str]:
-        """See `RenderedSource.describe_flaws`."""
         assert model.path is not None
         if model.copy or not model.path.lower().endswith(".obj"):
             return []
@@ -48,18 +46,15 @@ class MeshFiles(RenderedSource):
         return [flaw] if flaw else []
 
 
-class MeshFolder(MeshFiles):
+class MeshFolder(MeshSource):
     """Mesh files at any depth of a folder, in the canonical frame, split by seed."""
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        """See `Source.recognizes`."""
         return meshes.holds_meshes(folder)
 
     def list_models(self) -> list[Model]:
-        """See `Source.list_models`."""
-        spec = self.spec
-        folder = Path(str(spec.folder))
+        spec, folder = self.spec, self.folder
         paths = meshes.find_meshes(folder)
         digests = [files.digest_file(path) for path in paths]
         sides = splits.split_files(
@@ -82,17 +77,14 @@ class MeshFolder(MeshFiles):
         return add_copies(models, spec)
 
     def list_sidecars(self) -> list[tuple[str, str]]:
-        """See `Source.list_sidecars`."""
-        folder = Path(str(self.spec.folder))
-        paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in SIDECARS)
+        found = (p for p in self.folder.rglob("*") if p.suffix.lower() in SIDECARS)
         return [
-            (path.relative_to(folder).as_posix(), files.digest_file(path))
-            for path in paths
+            (path.relative_to(self.folder).as_posix(), files.digest_file(path))
+            for path in sorted(found)
             if path.is_file()
         ]
 
     def describe_flaws(self, model: Model) -> list[str]:
-        """See `RenderedSource.describe_flaws`."""
         # an OBJ file without materials may have colours at its vertices
         return [
             flaw for flaw in super().describe_flaws(model) if flaw != obj_materials.BARE

@@ -9,11 +9,7 @@ FAULTS = (OSError, ValueError, SyntaxError, Image.DecompressionBombError)  # of 
 
 
 def read_picture(path: Path) -> Image.Image:
-    """The picture in a file, turned upright as its camera noted.
-
-    Raises:
-      ValueError: naming the file, if it cannot be read.
-    """
+    """The picture in a file, turned upright as its camera noted."""
     try:
         with Image.open(path) as image:
             return ImageOps.exif_transpose(image)

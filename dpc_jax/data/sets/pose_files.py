@@ -36,17 +36,13 @@ class Pose(NamedTuple):
 
 
 def find_pose_files(folder: Path) -> list[Path]:
-    """The pose files of an object's folder, sorted; there may be none."""
+    """The pose files in an object's folder, sorted; an object of one image has none."""
     found = [folder / QUATERNIONS] if (folder / QUATERNIONS).is_file() else []
     return found + sorted(p for p in folder.glob(TRANSFORMS) if p.is_file())
 
 
 def read_poses(files: Sequence[Path]) -> dict[Path, Pose]:
-    """Poses by image path from the pose files of one object.
-
-    Raises:
-      ValueError: naming the file, if it cannot be understood.
-    """
+    """Poses by image path from the pose files of one object."""
     poses = {}
     for path in files:
         try:

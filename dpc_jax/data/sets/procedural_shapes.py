@@ -13,7 +13,6 @@ class ProceduralShapes(RenderedSource):
     """Shapes of a category; no two splits or seeds share one."""
 
     def list_models(self) -> list[Model]:
-        """See `Source.list_models`."""
         spec = self.spec
         first = (spec.seed * len(SPLITS) + SPLITS.index(spec.split)) * SEEDS_PER_SPLIT
         return [
@@ -22,5 +21,4 @@ class ProceduralShapes(RenderedSource):
         ]
 
     def make_mesh(self, model: Model) -> trimesh.Trimesh:
-        """See `RenderedSource.make_mesh`."""
         return procedural.make_shape(self.spec.category, model.seed)

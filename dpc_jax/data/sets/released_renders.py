@@ -22,8 +22,7 @@ from PIL import Image
 from dpc_jax import files
 from dpc_jax.data import viewpoints
 from dpc_jax.data.sets import pictures, shapenet
-from dpc_jax.data.sources import Model, view_arrays
-from dpc_jax.data.spec import DataSpec
+from dpc_jax.data.sources import Model
 
 FARTHEST = 10.0  # depth that the largest value of a depth file stands for
 GROUND_TRUTH = "gt/downsampled"  # where the released scripts put it, beside the renders
@@ -38,18 +37,28 @@ class ReleasedRenders(shapenet.SynsetSource):
     def suggest_fields(cls, folder: Path, category: str | None) -> dict:
         """See `Source.suggest_fields`; as many views as most models have."""
         fields = super().suggest_fields(folder, category)
-        models = list_models(shapenet.find_synset(folder, fields["category"])).values()
-        counts = Counter(len(list_renders(model)) for model in models)
+        models = _list_models(shapenet.find_synset(folder, fields["category"])).values()
+        counts = Counter(len(_list_renders(model)) for model in models)
         return fields | {"views": max(1, counts.most_common(1)[0][0])}
 
     def find_models(self) -> dict[str, Path]:
-        """See `SplitSource.find_models`."""
-        return list_models(self.place)
+        return _list_models(self.place)
 
     @functools.cached_property
     def truths(self) -> Path | None:
-        """Folder of the ground truth, if there is one."""
-        return find_ground_truth(self.folder, self.synset, self.spec.ground_truth)
+        """Folder of the ground truth, as given or where the scripts leave it."""
+        given = self.spec.ground_truth
+        if given:
+            for place in (Path(given) / self.synset, Path(given)):
+                if place.is_dir() and any(place.glob("*.mat")):
+                    return place
+            raise ValueError(
+                f"Expected MODEL.mat in {given} or its folder {self.synset}, but there "
+                "is none; give the folder of the published ground truth."
+            )
+        above = (self.folder, self.folder.parent)
+        places = (folder / GROUND_TRUTH / self.synset for folder in above)
+        return next((place for place in places if place.is_dir()), None)
 
     def find_truth(self, name: str) -> Path | None:
         """Ground truth file of a model; models to train on need none."""
@@ -58,10 +67,9 @@ class ReleasedRenders(shapenet.SynsetSource):
         return self.truths / f"{name}.mat"
 
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
-        """See `SplitSource.identify_model`."""
         listed = [
             path / f"{kind}_{number}.{ending}"
-            for number in list_renders(path)[: self.spec.views]
+            for number in _list_renders(path)[: self.spec.views]
             for kind, ending in (("render", "png"), ("depth", "png"), ("camera", "mat"))
         ]
         truth = self.find_truth(name)
@@ -69,19 +77,28 @@ class ReleasedRenders(shapenet.SynsetSource):
         return self.spec.views, files.digest_text(f"{path.name} {sizes}")
 
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
-        """See `Source.make_arrays`."""
+        spec, place = self.spec, Path(str(model.path))
+        numbers = _list_renders(place)[: spec.views]
+        if len(numbers) < spec.views:
+            raise ValueError(
+                f"Expected {spec.views} views render_N.png in {place}, but found "
+                f"{len(numbers)}; set data.views lower or {AGAIN}."
+            )
+        views = []
+        for number in numbers:
+            *view, width = _read_pictures(place, number, spec.image_size)
+            rotation = _read_camera(place / f"camera_{number}.mat", spec, width=width)
+            views.append((*view, rotation))
+        arrays = viewpoints.stack_views(views)
         truth = self.find_truth(model.name)
-        return read_model(Path(str(model.path)), truth, self.spec), []
+        if truth is not None:
+            arrays["surfaces"] = _read_ground_truth(truth)
+        return arrays, []
 
 
-def list_models(place: Path) -> dict[str, Path]:
-    """Folders of models by id, sorted: `{id: path}`.
-
-    Raises:
-      ValueError: naming the folder, if no model in it has a render.
-    """
+def _list_models(place):
     names = sorted(entry.name for entry in os.scandir(place) if entry.is_dir())
-    if not any(list_renders(place / name) for name in names):
+    if not any(_list_renders(place / name) for name in names):
         raise ValueError(
             f"Expected MODEL/render_0.png and further views in {place}, but there are "
             "none; give the folder that the published renders are unpacked in."
@@ -89,70 +106,12 @@ def list_models(place: Path) -> dict[str, Path]:
     return {name: place / name for name in names}
 
 
-def list_renders(place: Path) -> list[int]:
+def _list_renders(place):
     """Numbers of the renders of a model, ascending; empty if there is no folder."""
     if not place.is_dir():
         return []
     found = (re.fullmatch(r"render_(\d+)\.png", name) for name in os.listdir(place))
     return sorted(int(match[1]) for match in found if match)
-
-
-def find_ground_truth(
-    folder: Path, synset: str, given: str | None = None
-) -> Path | None:
-    """Folder of a synset's ground truth, as given or where the scripts leave it.
-
-    Raises:
-      ValueError: if one is given that has no file.
-    """
-    if given:
-        for place in (Path(given) / synset, Path(given)):
-            if place.is_dir() and any(place.glob("*.mat")):
-                return place
-        raise ValueError(
-            f"Expected MODEL.mat in {given} or its folder {synset}, but there is none; "
-            "give the folder of the published ground truth."
-        )
-    for above in (folder, folder.parent):
-        place = above / GROUND_TRUTH / synset
-        if place.is_dir():
-            return place
-    return None
-
-
-def read_model(
-    place: Path, truth: Path | None, spec: DataSpec
-) -> dict[str, np.ndarray]:
-    """The first views of one model, at the size and with the camera of the data set.
-
-    Args:
-      place: the model's folder. truth: its ground truth file, or None.
-      spec: of the data set, for the number of views, their size and the camera.
-
-    Returns:
-      Arrays by name: images, masks, depths, quaternions and, with truth, surfaces.
-
-    Raises:
-      ValueError: naming the file, if there are too few views, one of the files is
-        missing or damaged, or the camera is not the data set's.
-    """
-    numbers = list_renders(place)[: spec.views]
-    if len(numbers) < spec.views:
-        raise ValueError(
-            f"Expected {spec.views} views render_N.png in {place}, but found "
-            f"{len(numbers)}; set data.views lower or {AGAIN}."
-        )
-    arrays = view_arrays(spec.views, spec.image_size)
-    for view, number in enumerate(numbers):
-        image, mask, depth, width = _read_pictures(place, number, spec.image_size)
-        rotation = read_camera(place / f"camera_{number}.mat", spec, width=width)
-        arrays["images"][view] = image
-        arrays["masks"][view] = mask
-        arrays["depths"][view] = depth
-        arrays["quaternions"][view] = viewpoints.matrix_to_quaternion(rotation)
-    if truth is not None:
-        arrays["surfaces"] = read_ground_truth(truth)
-    return arrays
 
 
 def _read_pictures(place, number, image_size):
@@ -179,30 +138,22 @@ def _read_pictures(place, number, image_size):
         )
     metric = raw.astype(np.float32) * (FARTHEST / 65535.0)
     valid = (covered > 0) & (raw < 65535)
-    weight = shrink(np.where(valid, covered, 0.0), image_size)
-    total = shrink(np.where(valid, covered * metric, 0.0), image_size)
+    weight = _shrink(np.where(valid, covered, 0.0), image_size)
+    total = _shrink(np.where(valid, covered * metric, 0.0), image_size)
     depth = np.divide(total, weight, out=np.zeros_like(total), where=weight > 1e-3)
-    image = np.stack([shrink(on_white[..., c], image_size) for c in range(3)], axis=-1)
-    mask = 255.0 * shrink(covered, image_size)
+    image = np.stack([_shrink(on_white[..., c], image_size) for c in range(3)], axis=-1)
+    mask = 255.0 * _shrink(covered, image_size)
     return np.rint(image), np.rint(mask), depth, picture.width
 
 
-def shrink(image: np.ndarray, size: int) -> np.ndarray:
+def _shrink(image, size):
     """Area mean of a square float image, also where new pixels cut old ones."""
     source = Image.fromarray(np.ascontiguousarray(image, dtype=np.float32))
     return np.asarray(source.resize((size, size), Image.Resampling.BOX))
 
 
-def read_camera(path: Path, spec: DataSpec, *, width: int) -> np.ndarray:
-    """Rotation [3, 3] from the canonical frame to the camera of a view.
-
-    Args:
-      path: of the camera's file. spec: of the data set. width: of the image, pixels.
-
-    Raises:
-      ValueError: naming the file, if it cannot be read or contradicts itself, or the
-        camera has another focal length or distance than the data set's.
-    """
+def _read_camera(path, spec, *, width):
+    """Rotation [3, 3] from the canonical frame to the camera of a view."""
     content = _read_mat(path, ("extrinsic", "pos", "K"))
     extrinsic, position, lens = (content[n] for n in ("extrinsic", "pos", "K"))
     position = position.ravel()
@@ -233,12 +184,7 @@ def read_camera(path: Path, spec: DataSpec, *, width: int) -> np.ndarray:
     return rotation
 
 
-def read_ground_truth(path: Path) -> np.ndarray:
-    """Points [P, 3] float32 in the canonical frame.
-
-    Raises:
-      ValueError: naming the file, if it cannot be read or holds no finite points.
-    """
+def _read_ground_truth(path):
     points = _read_mat(path, ("points",))["points"]
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise ValueError(

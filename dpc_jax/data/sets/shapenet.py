@@ -15,7 +15,7 @@ import numpy as np
 from dpc_jax import files
 from dpc_jax.data import meshes
 from dpc_jax.data.sets import split_lists
-from dpc_jax.data.sets.mesh_folder import MeshFiles
+from dpc_jax.data.sets.mesh_folder import MeshSource
 from dpc_jax.data.sets.split_source import SplitSource
 
 SYNSETS = {"airplane": "02691156", "car": "02958343", "chair": "03001627"}
@@ -34,17 +34,12 @@ class SynsetSource(SplitSource):
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        """See `Source.recognizes`."""
-        return bool(list_synsets(folder))
+        return bool(_list_synsets(folder))
 
     @classmethod
     def suggest_fields(cls, folder: Path, category: str | None) -> dict:
-        """See `Source.suggest_fields`; the category must be clear.
-
-        Raises:
-          ValueError: if no category is given and the folder has several synsets.
-        """
-        synsets = list_synsets(folder)
+        """See `Source.suggest_fields`; the category must be clear."""
+        synsets = _list_synsets(folder)
         if category is None and len(synsets) != 1:
             raise ValueError(
                 f"Expected one synset in {folder}, but found {len(synsets)}; add "
@@ -60,33 +55,39 @@ class SynsetSource(SplitSource):
 
     @property
     def synset(self) -> str:
-        """See `SplitSource.synset`."""
         return self.place.name
 
     def find_split_file(self) -> Path | None:
-        """See `SplitSource.find_split_file`."""
         given = super().find_split_file()
         return given or split_lists.find_split(self.folder, self.synset)
 
     def expect_model(self, name: str) -> Path:
-        """See `SplitSource.expect_model`."""
         return self.place / name
 
 
-class ShapeNet(SynsetSource, MeshFiles):
+class ShapeNet(SynsetSource, MeshSource):
     """ShapeNet's meshes, rendered."""
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        """See `Source.recognizes`."""
         return super().recognizes(folder) and meshes.holds_meshes(folder)
 
     def find_models(self) -> dict[str, Path]:
-        """See `SplitSource.find_models`."""
-        return list_models(self.place)
+        place, models, whole = self.place, {}, 0
+        for name in sorted(entry.name for entry in os.scandir(place) if entry.is_dir()):
+            paths = [place / name / layout for layout in LAYOUTS.values()]
+            found = [path for path in paths if path.is_file()]
+            whole += bool(found)
+            # without a file it is listed too, and counted among the damaged ones
+            models[name] = found[-1] if found else paths[0]
+        if not whole:
+            raise ValueError(
+                f"Expected MODEL/{' or MODEL/'.join(LAYOUTS.values())} in {place}, but "
+                "there is none; give the folder of ShapeNet version 1 or 2."
+            )
+        return models
 
     def expect_model(self, name: str) -> Path:
-        """See `SplitSource.expect_model`."""
         return self.place / name / LAYOUTS[1]
 
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
@@ -96,20 +97,13 @@ class ShapeNet(SynsetSource, MeshFiles):
         return self.spec.views, files.digest_text(text)
 
     def find_turn(self, path: str) -> np.ndarray:
-        """See `MeshFiles.find_turn`."""
-        return find_turn(path, self.spec.shapenet_front)
+        version = 2 if Path(path).as_posix().endswith(LAYOUTS[2]) else 1
+        front = self.spec.shapenet_front or FRONTS[version]
+        return np.array(TURNS[front], dtype=np.float64)
 
 
 def find_synset(folder: str | Path, category: str) -> Path:
-    """The folder of a category, given the tree of synsets or that folder itself.
-
-    Args:
-      folder: holds the folders of synsets, or is one of them.
-      category: "airplane", "car", "chair", or a synset of eight digits.
-
-    Raises:
-      ValueError: naming the folder, if the synset is not there.
-    """
+    """The folder of a category or synset in the tree of synsets, or given itself."""
     synset = SYNSETS.get(category, category)
     if not re.fullmatch(r"\d{8}", synset):
         raise ValueError(
@@ -126,44 +120,8 @@ def find_synset(folder: str | Path, category: str) -> Path:
     )
 
 
-def list_synsets(folder: str | Path) -> list[str]:
+def _list_synsets(folder):
     """Names of the synsets that a folder is or holds, sorted."""
     folder = Path(folder).resolve()
     names = [folder.name, *(p.name for p in folder.iterdir() if p.is_dir())]
     return sorted(name for name in names if re.fullmatch(r"\d{8}", name))
-
-
-def list_models(place: Path) -> dict[str, Path]:
-    """Mesh files of a synset's folder by model id, sorted: `{id: path}`.
-
-    A model that has a folder but no mesh file is listed with the path expected of it,
-    so that it is counted among the damaged ones.
-
-    Raises:
-      ValueError: naming the folder, if it holds no mesh file in a known layout.
-    """
-    names = sorted(entry.name for entry in os.scandir(place) if entry.is_dir())
-    models, whole = {}, 0
-    for name in names:
-        paths = [place / name / layout for layout in LAYOUTS.values()]
-        found = [path for path in paths if path.is_file()]
-        whole += bool(found)
-        models[name] = found[-1] if found else paths[0]
-    if not whole:
-        raise ValueError(
-            f"Expected MODEL/{' or MODEL/'.join(LAYOUTS.values())} in {place}, but "
-            "there is none; give the folder of ShapeNet version 1 or 2."
-        )
-    return models
-
-
-def find_turn(path: str | Path, front: str = "") -> np.ndarray:
-    """Rotation [3, 3] from the axes of a model's file to the canonical frame.
-
-    Args:
-      path: of the file; its name tells the version.
-      front: the axis that the model faces, "+x", "-x", "+z" or "-z"; "" for the axis
-        that the version's read-me names.
-    """
-    version = 2 if Path(path).as_posix().endswith(LAYOUTS[2]) else 1
-    return np.array(TURNS[front or FRONTS[version]], dtype=np.float64)

@@ -35,16 +35,10 @@ def find_split(folder: Path, synset: str) -> Path | None:
 
 
 def read_split(path: Path, synset: str) -> dict[str, list[str]]:
-    """Model ids of a synset by split, in the order of the file: `{"train": [...], ...}`
+    """Model ids of a synset by split, in the order of the file.
 
-    Args:
-      path: a CSV file, a `.file` table, or any one of the text files of the splits.
-      synset: eight digits; a CSV file may leave out leading zeros.
-
-    Raises:
-      ValueError: naming the file, if it cannot be understood, names a model twice, or
-        has no model of the synset.
-      OSError: if it cannot be read.
+    The path is that of a CSV file, which may leave out leading zeros of the synset, of
+    a `.file` table, or of any one of the text files.
     """
     readers = {".csv": lambda path: _read_csv(path, synset), ".file": _read_table}
     try:
@@ -91,7 +85,6 @@ def _read_csv(path, synset):
 
 
 def _read_texts(path):
-    """The text files of all splits, from the path of one of them."""
     stem = next((s for s in SPLITS if path.stem.endswith(s)), None)
     if stem is None:
         raise ValueError(

@@ -12,11 +12,7 @@ from dpc_jax.data.sources import Model, Source, add_copies
 
 
 class Division(NamedTuple):
-    """The models of a set and how they are split.
-
-    models: {name: path of its file or folder}. sides: {split: names}. official: the
-    split file that was read, or None for a seeded split.
-    """
+    """Models by name, names by split, and the split file if one was read."""
 
     models: dict[str, Path]
     sides: dict[str, list[str]]
@@ -24,16 +20,7 @@ class Division(NamedTuple):
 
 
 class SplitSource(Source):
-    """A folder of models that an official split may name.
-
-    Official splits are used where the user has one of their files; otherwise, and for
-    own images, the split is seeded.
-    """
-
-    @property
-    def folder(self) -> Path:
-        """The folder of the specification."""
-        return Path(str(self.spec.folder))
+    """A folder of models, split by an official list if there is one, or by seed."""
 
     @property
     def synset(self) -> str:
@@ -41,11 +28,7 @@ class SplitSource(Source):
         return ""
 
     def find_models(self) -> dict[str, Path]:
-        """Models that are there: `{name: path}`, in order.
-
-        Raises:
-          ValueError: naming the folder, if there are none.
-        """
+        """Models that are there: `{name: path}`, in order."""
         raise NotImplementedError
 
     def expect_model(self, name: str) -> Path:
@@ -62,9 +45,8 @@ class SplitSource(Source):
 
     def split_by_seed(self, names: list[str]) -> dict[str, list[str]]:
         """A split of our own: `{split: names}`."""
-        sides = splits.split_files(
-            names, fractions=self.spec.fractions, seed=self.spec.seed
-        )
+        fractions, seed = self.spec.fractions, self.spec.seed
+        sides = splits.split_files(names, fractions=fractions, seed=seed)
         return dict(zip(splits.SPLITS, sides, strict=True))
 
     @functools.cached_property
@@ -86,7 +68,6 @@ class SplitSource(Source):
         return Division(models | missing, sides, official)
 
     def list_models(self) -> list[Model]:
-        """See `Source.list_models`."""
         division, spec = self.division, self.spec
         names = division.sides[spec.split]
         if not names:
@@ -103,7 +84,6 @@ class SplitSource(Source):
         return add_copies(models, spec)
 
     def list_remarks(self) -> list[tuple[str, str]]:
-        """See `Source.list_remarks`."""
         models, sides, official = self.division
         unlisted = len(models.keys() - set().union(*sides.values()))
         if official is None or not unlisted:
