@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dpc_jax.config import Config
-from dpc_jax.data import DataSet
+from dpc_jax.data import DataSet, DataSpec
 from dpc_jax.data.sets.image_folder import read_object
 from dpc_jax.data.sets.pictures import FAULTS
 from dpc_jax.evaluation import rotations
@@ -120,6 +120,16 @@ def _restore_state(config: Config, workdir: Path) -> TrainState:
 
 def _read_images(paths: list[Path], config, *, crop: str) -> DataSet:
     """Every usable image as an object of one view, framed as in training."""
+    spec = DataSpec(
+        config.category,
+        kind="images",
+        folder=".",
+        image_size=config.data.image_size,
+        crop=crop,
+        fill=config.data.fill,
+        focal_length=config.render.focal_length,
+        distance=config.render.distance,
+    )
     images, masks, names, skipped = [], [], [], []
     for path in paths:
         try:
@@ -128,14 +138,7 @@ def _read_images(paths: list[Path], config, *, crop: str) -> DataSet:
                     f"Expected an image file, but there is no file {path}; check the "
                     "path."
                 )
-            arrays, _ = read_object(
-                path,
-                image_size=config.data.image_size,
-                crop=crop,
-                fill=config.data.fill,
-                focal_length=config.render.focal_length,
-                distance=config.render.distance,
-            )
+            arrays, _ = read_object(path, spec)
         except FAULTS as error:
             skipped.append((str(path), str(error).rstrip(".")))
             continue

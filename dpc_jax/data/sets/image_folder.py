@@ -70,7 +70,7 @@ class ImageFolder(SplitSource):
         return 4 * self.spec.image_size**2 * model.views
 
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
-        return _read_object(Path(str(model.path)), self.spec)
+        return read_object(Path(str(model.path)), self.spec)
 
 
 def _list_objects(folder):
@@ -111,7 +111,7 @@ def _find_images(folder):
     return sorted(p for p in found if p.is_file() and not p.stem.endswith("_mask"))
 
 
-def _read_object(place, spec):
+def read_object(place: Path, spec: DataSpec) -> tuple[dict[str, np.ndarray], list[str]]:
     """The views of one object, and a sentence on each that is left out.
 
     A view without a usable mask, or without a pose where others have one, is left out.
