@@ -16,6 +16,7 @@ from dpc_jax.data.sets import framing, pose_files
 from dpc_jax.data.sets.pictures import SUFFIXES, read_picture
 from dpc_jax.data.sets.split_source import SplitSource
 from dpc_jax.data.sources import Model
+from dpc_jax.data.spec import DataSpec
 
 FEWEST_OBJECTS = 3  # that can be split
 
