@@ -27,21 +27,14 @@ _SIDE = 16  # of the volume that many points are summed in
 
 
 class Curve(NamedTuple):
-    """The error of one quantity over n.
+    """The error of one quantity over n."""
 
-    Attributes:
-      subject: what n counts.
-      quantity: what is computed.
-      sizes: n, the numbers of terms in the sum.
-      errors: root mean square over seeds of ‖a - b‖/‖b‖, a in float32, b in float64.
-      exponent: of the power of n that fits the errors best.
-    """
-
-    subject: str
-    quantity: str
-    sizes: tuple[int, ...]
+    subject: str  # what n counts
+    quantity: str  # what is computed
+    sizes: tuple[int, ...]  # n, the numbers of terms in the sum
+    # Root mean square over seeds of ‖a - b‖/‖b‖, a in float32, b in float64
     errors: tuple[float, ...]
-    exponent: float
+    exponent: float  # of the power of n that fits the errors best
 
     @property
     def passes(self) -> bool:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from dpc_jax.config import Config, build_config, check, replace_fields
+from dpc_jax.config import build_config, check, replace_fields
 from dpc_jax.data import load_or_render
 from dpc_jax.learning import loop
 from dpc_jax.learning.checkpoints import Checkpoints
@@ -30,17 +30,11 @@ from dpc_jax.run.setup import make_data_specs, make_network
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """A run to try.
+    """A run to try."""
 
-    Attributes:
-      variant: of the config, "" for the default.
-      factor: times the config's learning rate.
-      steps: of training.
-    """
-
-    variant: str
-    factor: float
-    steps: int
+    variant: str  # of the config, "" for the default
+    factor: float  # times the config's learning rate
+    steps: int  # of training
 
 
 # The third must diverge: it shows that such a run stops.
@@ -49,29 +43,18 @@ QUICK_TRIALS = (Trial("", 10, 200),)
 
 
 class Ending(NamedTuple):
-    """How a run ended.
+    """How a run ended."""
 
-    Attributes:
-      trial: the run.
-      learning_rate: the peak.
-      steps_done: all steps; None if the run stopped.
-      seconds: wall clock, compilation included.
-      first_loss, last_loss: means over the first and last interval of the log; None
-        without one.
-      largest_gradient: norm, the largest of the log's means.
-      is_finite: the last state and every logged number; False if the run stopped.
-      error: the message that the run stopped with, or "".
-    """
-
-    trial: Trial
-    learning_rate: float
-    steps_done: int | None
-    seconds: float
+    trial: Trial  # the run
+    learning_rate: float  # the peak
+    steps_done: int | None  # all steps; None if the run stopped
+    seconds: float  # wall clock, compilation included
+    # Means over the first and last interval of the log; None without one.
     first_loss: float | None
     last_loss: float | None
-    largest_gradient: float | None
-    is_finite: bool
-    error: str
+    largest_gradient: float | None  # norm, the largest of the log's means
+    is_finite: bool  # the last state and every logged number; False if the run stopped
+    error: str  # the message that the run stopped with, or ""
 
 
 def run_part(
@@ -90,16 +73,16 @@ def run_part(
             trials or (QUICK_TRIALS if request.quick else TRIALS)
         ):
             name = f"trial-{place}"
-            endings.append(train(trial, Path(folder), name, seed=request.seed))
-            request.tell(f"training, {_name(trial)}: {describe(endings[-1])}")
+            endings.append(_train(trial, Path(folder), name, seed=request.seed))
+            request.tell(f"training, {_name(trial)}: {_describe(endings[-1])}")
     failures = tuple(f for e in endings for f in judge(e))
     data = [dataclasses.asdict(e.trial) | e._asdict() for e in endings]
     for row in data:
         del row["trial"]
-    return PartResult(write_section(endings, failures), data, failures)
+    return PartResult(_write_section(endings, failures), data, failures)
 
 
-def make_trial_config(trial: Trial, *, seed: int) -> Config:
+def _make_trial_config(trial, *, seed):
     """The default config in miniature: cars of 32 pixels, volumes of 8 to 16 cells."""
     full = build_config("car", trial.variant)
     coarse = dict(choice_grid=8, choice_points=50, choice_top=4)
@@ -125,9 +108,9 @@ def make_trial_config(trial: Trial, *, seed: int) -> Config:
     return dataclasses.replace(config, seed=seed)
 
 
-def train(trial: Trial, folder: Path, name: str, *, seed: int) -> Ending:
-    """Train one network with the loop that users train with."""
-    config = make_trial_config(trial, seed=seed)
+def _train(trial, folder, name, *, seed):
+    """Train one network with the loop that users _train with."""
+    config = _make_trial_config(trial, seed=seed)
     check(config)
     network = make_network(config)
     dataset = load_or_render(
@@ -201,14 +184,14 @@ def _name(trial):
     return f"{trial.variant or 'default'}, learning rate x{trial.factor:g}"
 
 
-def describe(ending: Ending) -> str:
+def _describe(ending):
     """How a run ended, in words."""
     if ending.error:
         return "stopped: " + ending.error.split(";")[0]
     return "finite to the end" if ending.is_finite else "not finite, unnoticed"
 
 
-def write_section(endings: Sequence[Ending], failures: Sequence[str]) -> str:
+def _write_section(endings, failures):
     """Section of the report: a row for each run."""
     rows = []
     for e in endings:
@@ -221,14 +204,14 @@ def write_section(endings: Sequence[Ending], failures: Sequence[str]) -> str:
                 f"{done} of {e.trial.steps}",
                 f"{e.seconds:.0f}",
                 *("–" if n is None else f"{n:.3g}" for n in numbers),
-                describe(e),
+                _describe(e),
             )
         )
     head = ("config", "learning rate", "steps", "seconds", "first loss", "last loss")
     lines = [
         *start_section("Training far too fast", failures),
         "The default config in miniature (12 cars of 32 pixels, a volume of 16³, 100 "
-        "points, two heads), trained with the loop that users train with. A run must "
+        "points, two heads), trained with the loop that users _train with. A run must "
         "end with finite numbers, or stop and say what broke and at which step.",
         "",
         *format_table((*head, "largest gradient norm", "ended"), rows).splitlines(),

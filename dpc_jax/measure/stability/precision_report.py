@@ -24,26 +24,18 @@ _EPSILON = float(jnp.finfo("float32").eps)
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """How much is measured.
+    """How much is measured."""
 
-    Attributes:
-      points: of each scene.
-      scenes, methods: how many scenes, and how many methods of rendering.
-      sizes: numbers of points in a sum, and of pixels.
-      summed: methods that sum the points.
-      sides: of volumes, in cells.
-      lengths: of rays, in cells.
-      seeds: of each sum.
-    """
-
-    points: int = 600
+    points: int = 600  # of each scene
+    # How many scenes, and how many methods of rendering
     scenes: int = 4
     methods: int = len(METHODS)
+    # Numbers of points in a sum, and of pixels
     sizes: tuple[int, ...] = (100, 1000, 10_000, 100_000)
-    summed: tuple[str, ...] = ("trilinear", "gaussian")
-    sides: tuple[int, ...] = (16, 32, 64, 128)
-    lengths: tuple[int, ...] = (16, 64, 256, 1024, 4096)
-    seeds: int = 8
+    summed: tuple[str, ...] = ("trilinear", "gaussian")  # methods that sum the points
+    sides: tuple[int, ...] = (16, 32, 64, 128)  # of volumes, in cells
+    lengths: tuple[int, ...] = (16, 64, 256, 1024, 4096)  # of rays, in cells
+    seeds: int = 8  # of each sum
 
 
 FULL = Plan()
@@ -62,11 +54,11 @@ def run_part(request: PartRequest) -> PartResult:
             scenes[: plan.scenes], methods=METHODS[: plan.methods], count=plan.points
         )
     )
-    curves = measure_growth(plan)
+    curves = _measure_growth(plan)
     figures.draw_growth(curves, request.out / FIGURE)
     failures = judge(comparisons, curves)
     return PartResult(
-        markdown=write_section(comparisons, curves, failures),
+        markdown=_write_section(comparisons, curves, failures),
         data={
             "comparisons": [c._asdict() for c in comparisons],
             "growth": [c._asdict() for c in curves],
@@ -75,8 +67,7 @@ def run_part(request: PartRequest) -> PartResult:
     )
 
 
-def measure_growth(plan: Plan) -> list[Curve]:
-    """The errors of all sums of a plan."""
+def _measure_growth(plan):
     curves = []
     if plan.sizes:
         curves += error_growth.measure_points(
@@ -108,9 +99,7 @@ def judge(comparisons: Sequence[Comparison], curves: Sequence[Curve]) -> list[st
     ]
 
 
-def write_section(
-    comparisons: Sequence[Comparison], curves: Sequence[Curve], failures: Sequence[str]
-) -> str:
+def _write_section(comparisons, curves, failures):
     """Section of the report: worst errors, then growth with its figure."""
     scenes = dict.fromkeys(c.scene for c in comparisons)
     lines = [

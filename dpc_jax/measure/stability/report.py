@@ -12,8 +12,7 @@ from dpc_jax.reporting.tables import format_table
 _LIBRARIES = ("dpc_jax", "jax", "jaxlib", "numpy", "flax", "optax")
 
 
-def list_versions() -> dict[str, str]:
-    """Versions of the libraries that the results depend on."""
+def _list_versions():
     return {name: importlib.metadata.version(name) for name in _LIBRARIES}
 
 
@@ -39,7 +38,7 @@ def write_report(
     Returns:
       The path of stability.md.
     """
-    versions = list_versions()
+    versions = _list_versions()
     data = {
         "passes": all(result.passes for result in results.values()),
         "command": command,

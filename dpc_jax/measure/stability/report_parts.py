@@ -12,38 +12,27 @@ import jax
 
 @dataclasses.dataclass(frozen=True)
 class PartRequest:
-    """What a part is asked for.
+    """What a part is asked for."""
 
-    Attributes:
-      out: the report's folder, for figures and tables; it exists.
-      quick: whether to run a small version, in half a minute.
-      seed: of all random numbers.
-      tell: shows a line of text to whoever waits.
-      subjects: chapters of the catalogue to run; None for all.
-      dtypes: dtypes of the catalogue to run; None for all that a case names.
-    """
-
-    out: Path
-    quick: bool = False
-    seed: int = 0
-    tell: Callable[[str], None] = print
+    out: Path  # the report's folder, for figures and tables; it exists
+    quick: bool = False  # whether to run a small version, in half a minute
+    seed: int = 0  # of all random numbers
+    tell: Callable[[str], None] = print  # shows a line of text to whoever waits
+    # Chapters of the catalogue to run; None for all
     subjects: tuple[str, ...] | None = None
+    # Dtypes of the catalogue to run; None for all that a case names
     dtypes: tuple[str, ...] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class PartResult:
-    """What a part of the report found.
+    """What a part of the report found."""
 
-    Attributes:
-      markdown: its section, which begins with a heading of the second level and names
-        its figures relative to the report's folder.
-      data: lists, dicts, texts and numbers, for JSON.
-      failures: a sentence for everything outside its stated tolerance.
-    """
-
+    # Its section, which begins with a heading of the second level and names its figures
+    # relative to the report's folder.
     markdown: str
-    data: Any
+    data: Any  # lists, dicts, texts and numbers, for JSON
+    # A sentence for everything outside its stated tolerance
     failures: tuple[str, ...] = ()
 
     @property

@@ -2,7 +2,6 @@
 
 import functools
 
-import jax
 import numpy as np
 
 from dpc_jax.measure.stability.cases import oracles
@@ -18,14 +17,7 @@ BEHIND = "a point behind, or within 1e-6 extents before the camera, leaves no tr
 OUTSIDE = "a point outside the volume leaves no trace, and has zero gradient"
 
 
-def find_coordinates(
-    points: jax.Array,
-    rotation: jax.Array,
-    focal: jax.Array,
-    distance: jax.Array,
-    *,
-    projection: str,
-) -> jax.Array:
+def _find_coordinates(points, rotation, focal, distance, *, projection):
     """Continuous indices of the points in the grid; zeros for points outside it."""
     camera = cameras.Camera(focal, distance, projection)
     moved = cameras.to_camera_frame(points, rotation, translation=None, camera=camera)
@@ -75,7 +67,7 @@ def list_cases() -> list[Case]:
     for projection, close in (("perspective", 64e3), ("orthographic", 64)):
         cases += make_cases(
             projection,
-            functools.partial(find_coordinates, projection=projection),
+            functools.partial(_find_coordinates, projection=projection),
             functools.partial(_place, is_flat=projection == "orthographic"),
             (32, 64),
             [*SCENES, (*AT_CLOSE, IN_WIDE | {"gradient_tolerance": close})],

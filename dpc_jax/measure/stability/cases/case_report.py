@@ -1,7 +1,6 @@
 """The part of the report on extreme cases: summary, limits, and every case."""
 
 import dataclasses
-from collections.abc import Sequence
 
 from dpc_jax.files import write_text
 from dpc_jax.measure.stability.cases.case import DTYPES
@@ -26,10 +25,10 @@ def run_part(request: PartRequest) -> PartResult:
         modes=("vmap",) if request.quick else MODES,
         tell=request.tell,
     )
-    write_text(request.out / TABLE, write_rows(rows))
+    write_text(request.out / TABLE, _write_rows(rows))
     failures = tuple(describe_failure(row) for row in rows if not row.passes)
     data = [dataclasses.asdict(row) for row in rows]
-    return PartResult(write_section(rows, failures), data, failures)
+    return PartResult(_write_section(rows, failures), data, failures)
 
 
 def describe_failure(row: Row) -> str:
@@ -46,7 +45,7 @@ def describe_failure(row: Row) -> str:
     return f"{row.subject}, {row.case}, {row.dtype}: {' and '.join(reasons)}."
 
 
-def write_section(rows: Sequence[Row], failures: Sequence[str]) -> str:
+def _write_section(rows, failures):
     """Section of the report: failures, then the summary, then documented limits."""
     num_within = sum(row.passes for row in rows)
     lines = [
@@ -112,7 +111,7 @@ def _list_limits(rows):
     )
 
 
-def write_rows(rows: Sequence[Row]) -> str:
+def _write_rows(rows):
     """All rows as Markdown, with a table for each subject."""
     lines = ["# Every case", "", "Errors are relative, tolerances in brackets.", ""]
     head = ("case", "dtype", "value error", "gradient error", "finite", "passes")

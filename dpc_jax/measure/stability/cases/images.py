@@ -2,7 +2,6 @@
 
 import functools
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -77,21 +76,8 @@ COVARIANCES = (
 TO_PLACES = {"gradient_floor": (3e-8, 3e-8, 1e-30, 1e-30, 1e-30)}
 
 
-def render(
-    points: jax.Array,
-    rotation: jax.Array,
-    sizes: jax.Array,
-    scale: jax.Array,
-    colors: jax.Array,
-    *,
-    method: str,
-) -> tuple[jax.Array | None, jax.Array | None, jax.Array | None]:
-    """The three images of a cloud.
-
-    Args:
-      sizes: sigma; with the method "covariance" the s of covariances s²·(I + `TILT`),
-        which turn and zoom with the object.
-    """
+def _render(points, rotation, sizes, scale, colors, *, method):
+    """The three images of a cloud."""
     tilted = jnp.array(np.eye(3) + TILT, points.dtype)
     is_tilted = method == "covariance"
     image = project(
@@ -109,10 +95,8 @@ def render(
     return image.silhouette, image.depth, image.color
 
 
-def make_matrices(
-    points: np.ndarray, rotation: np.ndarray, sides: np.ndarray
-) -> np.ndarray:
-    """The covariances of `render` in the grid."""
+def _make_matrices(points, rotation, sides):
+    """The covariances of `_render` in the grid."""
     matrices = (sides * sides)[:, None, None] * (np.eye(3) + TILT)
     return image_oracles.move_covariances(points, rotation, matrices, shape=SHAPE)
 
@@ -123,7 +107,7 @@ def list_cases() -> list[Case]:
     for method, scenes, kind in (
         ("trilinear", SCENES, {}),
         ("gaussian", SCENES, {"is_exact": True}),
-        ("covariance", COVARIANCES, {"covariance_of": make_matrices}),
+        ("covariance", COVARIANCES, {"covariance_of": _make_matrices}),
     ):
         rows = []
         for name, inputs, fields in scenes:
@@ -135,7 +119,7 @@ def list_cases() -> list[Case]:
             rows.append((name, *inputs.values(), fields))
         cases += make_cases(
             method,
-            functools.partial(render, method=method),
+            functools.partial(_render, method=method),
             functools.partial(image_oracles.render, shape=SHAPE, **kind),
             (128, 1024),
             rows,

@@ -3,7 +3,6 @@
 import functools
 import itertools
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -64,24 +63,21 @@ CLOUDS = (
 )
 
 
-def select(logits: jax.Array) -> jax.Array:
-    """The selection loss with fixed winners."""
+def _select(logits):
     return losses.selection_loss(logits, jnp.asarray(WINNERS))
 
 
-def find_reprojection_loss(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Sum of squared differences."""
+def _find_reprojection_loss(a, b):
     return np.sum((a - b) * (a - b))
 
 
-def find_student_loss(student: np.ndarray, teacher: np.ndarray) -> np.ndarray:
+def _find_student_loss(student, teacher):
     """1 - |cos| of unit quaternions; at cos = 0 the slope towards +teacher."""
     cosine = np.sum(oracles.normalize(student) * oracles.normalize(np.real(teacher)))
     return 1 - oracles.flip_sign(cosine)
 
 
-def find_selection_loss(logits: np.ndarray) -> np.ndarray:
-    """Mean cross-entropy of the winners."""
+def _find_selection_loss(logits):
     total = 0
     for row, winner in zip(logits, WINNERS, strict=True):
         top = max(row, key=np.real)
@@ -89,7 +85,7 @@ def find_selection_loss(logits: np.ndarray) -> np.ndarray:
     return np.asarray(total / len(logits))
 
 
-def find_repulsion(points: np.ndarray) -> np.ndarray:
+def _find_repulsion(points):
     """Mean of 1/√(d² + 0.02²) over all pairs of points."""
     energies = []
     for i, j in itertools.combinations(range(len(points)), 2):
@@ -98,7 +94,7 @@ def find_repulsion(points: np.ndarray) -> np.ndarray:
     return np.sum(energies) / len(energies)
 
 
-def find_containment(points: np.ndarray) -> np.ndarray:
+def _find_containment(points):
     """Sum of squared distances outside the ball of radius a half."""
     total = np.zeros((), REAL)
     for point in points:
@@ -118,30 +114,30 @@ def list_cases() -> list[Case]:
     return [
         *make(
             "reprojection",
-            *(losses.reprojection_loss, find_reprojection_loss, (16, 4), IMAGES),
+            *(losses.reprojection_loss, _find_reprojection_loss, (16, 4), IMAGES),
             because=sums,
         ),
         *make(
             "student",
-            *(losses.student_loss, find_student_loss, (8, 16), STUDENTS),
+            *(losses.student_loss, _find_student_loss, (8, 16), STUDENTS),
             because="cosine and two norms; the gradient cancels along q",
             **of_one,
         ),
         *make(
             "selection",
-            *(select, find_selection_loss, (16, 16), SELECTIONS),
+            *(_select, _find_selection_loss, (16, 16), SELECTIONS),
             because=sums,
             **of_one,
         ),
         *make(
             "repulsion",
-            *(losses.repulsion_energy, find_repulsion, (64, 256), CLOUDS),
+            *(losses.repulsion_energy, _find_repulsion, (64, 256), CLOUDS),
             because=near,
             half="finite",
         ),
         *make(
             "containment",
-            *(losses.containment_loss, find_containment, (64, 256), CLOUDS),
+            *(losses.containment_loss, _find_containment, (64, 256), CLOUDS),
             because=near,
             half="finite",
         ),

@@ -63,7 +63,7 @@ def list_cases() -> list[Case]:
         ),
         *_make_cases(
             "sum and least of probabilities",
-            add_probabilities,
+            _add_probabilities,
             # The sum is one for every ray, so its gradient is zero; it is a difference
             # of terms that are at most one.
             lambda ray: (1 + 0 * np.sum(ray), np.zeros(())),
@@ -91,7 +91,7 @@ def _make_cases(title, function, oracle, names=tuple(RAYS), changes=None, **shar
     return cases
 
 
-def add_probabilities(ray: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _add_probabilities(ray):
     """The sum, which must be one, and the least probability if it is negative, or 0."""
     cells, background = termination.termination_probabilities(ray)
     below = jnp.minimum(jnp.min(cells), 0)

@@ -44,13 +44,13 @@ BRANCHES = (
 )
 
 
-def pass_through_matrix(q: jax.Array) -> jax.Array:
+def _pass_through_matrix(q):
     """To a matrix and back, as q·qᵀ, which is the same for q and -q."""
     back = jnp.asarray(quaternion.from_matrix(quaternion.to_matrix(q)))
     return jnp.outer(back, back)
 
 
-def compose_many(step: jax.Array) -> jax.Array:
+def _compose_many(step):
     """Product of 10⁵ equal rotations, normalised each time as training does."""
 
     def turn(_, q):
@@ -60,7 +60,7 @@ def compose_many(step: jax.Array) -> jax.Array:
     return jax.lax.fori_loop(0, 100_000, turn, start)
 
 
-def compose_many_exactly(step: np.ndarray) -> np.ndarray:
+def _compose_many_exactly(step):
     """One rotation by 10⁵ times the angle."""
     step = oracles.normalize(step)
     sine = oracles.root_sum(step[1:])
@@ -131,7 +131,7 @@ def list_cases() -> list[Case]:
         *make(
             "rotate", quaternion.rotate, oracles.rotate, (16, 64), turned, because=along
         ),
-        *make("matrix and back", pass_through_matrix, _square, (8, 32), BRANCHES),
+        *make("matrix and back", _pass_through_matrix, _square, (8, 32), BRANCHES),
         *make("angle", quaternion.angle_between, oracles.angle, (16, 64), ANGLES),
         *make(
             "from axis and angle",
@@ -143,8 +143,8 @@ def list_cases() -> list[Case]:
         ),
         *make(
             "product of 1e5 rotations",
-            compose_many,
-            compose_many_exactly,
+            _compose_many,
+            _compose_many_exactly,
             (4e5, None),
             [("", STEP)],
             because="four roundings for each product, at worst all in one direction",

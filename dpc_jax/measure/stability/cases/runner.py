@@ -23,29 +23,22 @@ MODES = ("jit", "vmap")
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """What became of a case in one dtype; errors are relative, tolerances too.
+    """What became of a case in one dtype; errors are relative, tolerances too."""
 
-    Attributes:
-      subject, case, dtype: which case and dtype.
-      value_error, gradient_error: the worst of all modes; None without a gradient.
-      value_tolerance, gradient_tolerance: None where the result only has to be finite.
-      is_finite: whether all values and gradients are.
-      passes: whether the results are finite and the errors within the tolerances.
-      limit: the documented limit that the case shows, if any.
-      because: where the tolerances come from.
-    """
-
+    # Which case and dtype
     subject: str
     case: str
     dtype: str
+    # The worst of all modes; None without a gradient
     value_error: float
+    # None where the result only has to be finite
     value_tolerance: float | None
     gradient_error: float | None
     gradient_tolerance: float | None
-    is_finite: bool
-    passes: bool
-    limit: str
-    because: str
+    is_finite: bool  # whether all values and gradients are
+    passes: bool  # whether the results are finite and the errors within the tolerances
+    limit: str  # the documented limit that the case shows, if any
+    because: str  # where the tolerances come from
 
     @property
     def value_ratio(self) -> float | None:
@@ -125,7 +118,7 @@ def _run_group(group, dtype, modes):
                 result.append(jax.tree.map(lambda a, i=i: a[i], together))
         rounded = [tuple(np.asarray(x, np.float64) for x in xs) for xs in inputs]
     for case, arrays, found in zip(group, rounded, results, strict=True):
-        yield judge(case, dtype, arrays, found)
+        yield _judge(case, dtype, arrays, found)
 
 
 def _make_call(case):
@@ -154,19 +147,7 @@ def _fetch(tree):
     return jax.tree.map(lambda a: np.asarray(a, np.float64), jax.device_get(tree))
 
 
-def judge(
-    case: Case,
-    dtype: str,
-    inputs: tuple[np.ndarray, ...],
-    results: list[tuple],
-) -> Row:
-    """Compare results with the oracle.
-
-    Args:
-      case, dtype: what was run.
-      inputs: as rounded to the dtype.
-      results: (values, gradients) of each mode; no gradients where there are none.
-    """
+def _judge(case, dtype, inputs, results):
     epsilon = float(jnp.finfo(dtype).eps)
     only_finite = case.half == "finite" and dtype in ("bfloat16", "float16")
 
@@ -242,4 +223,4 @@ def compare(
 
 def _judge_plain(case: Case) -> Row:
     values = tuple(np.asarray(v, float) for v in as_tuple(case.function(*case.inputs)))
-    return judge(case, "float64", case.inputs, [(values, ())])
+    return _judge(case, "float64", case.inputs, [(values, ())])

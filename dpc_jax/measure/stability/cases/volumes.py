@@ -1,9 +1,7 @@
 """The fast method: points on borders, coincident, outside; kernels of every width."""
 
 import functools
-from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -119,28 +117,27 @@ COMPENSATED = (
 
 
 @functools.cache
-def make_splat(shape: tuple[int, int, int]) -> Callable:
+def _make_splat(shape):
     """`splat` into a shape; one function per shape, so that cases share programs."""
     return lambda coordinates, values: splat(coordinates, values, shape)
 
 
-def crowd_mass(coordinate: jax.Array, value: jax.Array) -> jax.Array:
+def _crowd_mass(coordinate, value):
     """Mass of a crowd of coincident points, all in the volume."""
     coordinates = jnp.broadcast_to(coordinate, (CROWD, 3))
     return jnp.sum(splat(coordinates, jnp.broadcast_to(value, (CROWD,)), SHAPE))
 
 
-def smoothed_mass(volume: jax.Array, sigma: jax.Array) -> jax.Array:
+def _smoothed_mass(volume, sigma):
     """Mass of a smoothed volume."""
     return jnp.sum(smooth(volume, sigma))
 
 
-def find_mass(peak: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """The oracle of `mass_of_peak`."""
+def _find_mass(peak, sigma):
     return peak * (2 * oracles.PI) ** REAL(1.5) * sigma * sigma * sigma
 
 
-def narrow(sigma: np.ndarray) -> np.ndarray:
+def _narrow(sigma):
     """The oracle of `compensate_widening`."""
     if np.real(sigma) <= 0.5:
         return sigma
@@ -155,12 +152,12 @@ def list_cases() -> list[Case]:
         *_list_smooths(),
         *make(
             "mass of a peak",
-            *(mass_of_peak, find_mass, (8, 16), PEAKS),
+            *(mass_of_peak, _find_mass, (8, 16), PEAKS),
             because="five products",
         ),
         *make(
             "compensated widening",
-            *(compensate_widening, narrow, (8, 64), COMPENSATED),
+            *(compensate_widening, _narrow, (8, 64), COMPENSATED),
             because="the root of a number between 1/2 and 1",
         ),
     ]
@@ -173,10 +170,10 @@ def _list_splats():
     tables += [(shape, [(name, place, [1, 2])]) for shape, name, place in GRIDS]
     for shape, rows in tables:
         oracle = functools.partial(oracles.splat, shape=shape)
-        yield from make(make_splat(shape), oracle, (8, 16), rows, because=because)
+        yield from make(_make_splat(shape), oracle, (8, 16), rows, because=because)
     for name, value in {"": 1.0, ", mass 1e-12": 1e-12, ", mass 1e30": 1e30}.items():
         yield from make(
-            crowd_mass,
+            _crowd_mass,
             lambda coordinate, value: CROWD * value + 0 * np.sum(coordinate),
             (CROWD / 4, CROWD / 4),
             [(f"1e5 coincident points{name}", [1.25, 1.5, 2.75], value)],
@@ -214,7 +211,7 @@ def _list_smooths():
         ),
         *make(
             "smooth",
-            *(smoothed_mass, lambda volume, _: np.sum(volume), (32, None), middle),
+            *(_smoothed_mass, lambda volume, _: np.sum(volume), (32, None), middle),
             because="nine cells away is twelve deviations, 1e-31 of the mass",
             dtypes=WIDE,
         ),

@@ -27,20 +27,14 @@ MISSING = (
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What became of a target.
+    """What became of a target."""
 
-    Attributes:
-      target: its name.
-      limit: the range drawn from, if it is not all finite numbers.
-      draws: how many were tried.
-      broken: the properties that one draw broke; empty if all held.
-      inputs: that draw as text, made as simple as it can be while it still breaks them.
-    """
-
-    target: str
-    limit: str
-    draws: int
+    target: str  # its name
+    limit: str  # the range drawn from, if it is not all finite numbers
+    draws: int  # how many were tried
+    # The properties that one draw broke; empty if all held
     broken: tuple[str, ...] = ()
+    # That draw as text, made as simple as it can be while it still breaks them
     inputs: str = ""
 
 
@@ -77,7 +71,7 @@ def run_part(
         if o.broken
     )
     data = [dataclasses.asdict(o) for o in outcomes]
-    return PartResult(write_section(outcomes), data, failures)
+    return PartResult(_write_section(outcomes), data, failures)
 
 
 def list_targets() -> list[Target]:
@@ -148,7 +142,7 @@ def _draw_array(wanted: Range):
     )
 
 
-def write_section(outcomes: Sequence[Outcome]) -> str:
+def _write_section(outcomes):
     """Section of the report: what broke, then draws and ranges."""
     lines = start_section(TITLE)
     for o in outcomes:

@@ -13,48 +13,32 @@ LARGEST = float(np.finfo(np.float32).max)
 
 @dataclasses.dataclass(frozen=True)
 class Range:
-    """Float32 arrays that are drawn for one input.
+    """Float32 arrays that are drawn for one input."""
 
-    Attributes:
-      shape: fixed, so that a function is compiled once.
-      low, high: bounds; by default all finite numbers, also subnormal ones.
-      usual: bounds of the ordinary numbers that are mixed in; without them, every point
-        would be out of sight.
-      smallest: smaller magnitudes become zero.
-      kind: "float", or "byte" for uint8.
-    """
-
-    shape: tuple[int, ...]
+    shape: tuple[int, ...]  # fixed, so that a function is compiled once
+    # Bounds; by default all finite numbers, also subnormal ones
     low: float = -LARGEST
     high: float = LARGEST
+    # Bounds of the ordinary numbers that are mixed in; without them, every point would
+    # be out of sight.
     usual: tuple[float, float] = (-0.5, 0.5)
-    smallest: float = 0.0
-    kind: str = "float"
+    smallest: float = 0.0  # smaller magnitudes become zero
+    kind: str = "float"  # "float", or "byte" for uint8
 
 
 @dataclasses.dataclass(frozen=True)
 class Target:
-    """A function, and what must hold for every draw.
+    """A function, and what must hold for every draw."""
 
-    Attributes:
-      name: as a user writes it.
-      function: maps the inputs as arrays to an array or a tree of arrays.
-      inputs: their ranges.
-      holds: (outputs, *inputs) -> further properties by name, each a bool.
-      limit: the documented range if it is not all finite numbers, and why.
-      has_gradient: whether every input must have a finite gradient.
-      is_traced: False for numpy functions.
-      refusals: exceptions that are documented answers.
-    """
-
-    name: str
-    function: Callable
-    inputs: tuple[Range, ...]
+    name: str  # as a user writes it
+    function: Callable  # maps the inputs as arrays to an array or a tree of arrays
+    inputs: tuple[Range, ...]  # their ranges
+    # (outputs, *inputs) -> further properties by name, each a bool
     holds: Callable[..., dict[str, Any]] = lambda outputs, *inputs: {}
-    limit: str = ""
-    has_gradient: bool = True
-    is_traced: bool = True
-    refusals: tuple[type[Exception], ...] = ()
+    limit: str = ""  # the documented range if it is not all finite numbers, and why
+    has_gradient: bool = True  # whether every input must have a finite gradient
+    is_traced: bool = True  # False for numpy functions
+    refusals: tuple[type[Exception], ...] = ()  # exceptions that are documented answers
 
 
 def make_check(target: Target) -> Callable[..., dict[str, bool]]:

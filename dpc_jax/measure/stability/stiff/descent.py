@@ -17,19 +17,12 @@ _MOMENTUM = 0.9  # Adam's decay of the mean gradient, its authors' value
 
 
 class Problem(NamedTuple):
-    """Silhouettes of one object, and the truth behind them.
+    """Silhouettes of one object, and the truth behind them."""
 
-    Attributes:
-      targets: [V, 32, 32] silhouettes.
-      poses: [V, 4] true quaternions.
-      surface: [M, 3] true points.
-      masses: [N] of the points to find, in voxels.
-    """
-
-    targets: jax.Array
-    poses: jax.Array
-    surface: jax.Array
-    masses: jax.Array
+    targets: jax.Array  # [V, 32, 32] silhouettes
+    poses: jax.Array  # [V, 4] true quaternions
+    surface: jax.Array  # [M, 3] true points
+    masses: jax.Array  # [N] of the points to find, in voxels
 
 
 class Start(NamedTuple):
@@ -40,40 +33,25 @@ class Start(NamedTuple):
 
 
 class Recipe(NamedTuple):
-    """How to descend; all of it traced, so that one program serves every recipe.
+    """How to descend; all of it traced, so that one program serves every recipe."""
 
-    Attributes:
-      sigmas: [T] standard deviation of a point at each iteration, voxels.
-      point_rates: [T, N] learning rate of each point, in object units.
-      pose_rates: [T, V] learning rate of each pose, in units of a quaternion.
-      is_adam: () whether to take Adam's direction instead of the gradient.
-      memory: () Adam's decay of the mean square; its authors take 0.999.
-    """
-
-    sigmas: jax.Array
-    point_rates: jax.Array
-    pose_rates: jax.Array
-    is_adam: jax.Array
-    memory: jax.Array
+    sigmas: jax.Array  # [T] standard deviation of a point at each iteration, voxels
+    point_rates: jax.Array  # [T, N] learning rate of each point, in object units
+    pose_rates: jax.Array  # [T, V] learning rate of each pose, in units of a quaternion
+    is_adam: jax.Array  # () whether to take Adam's direction instead of the gradient
+    memory: jax.Array  # () Adam's decay of the mean square; its authors take 0.999
 
 
 class Trace(NamedTuple):
-    """Errors before each iteration, and after the last.
+    """Errors before each iteration, and after the last."""
 
-    Attributes:
-      losses: [T + 1, V] reprojection loss of each view at sigma one.
-      pose_errors: [T + 1, V] degrees.
-      chamfer: [T + 1] in the paper's units (×100).
-      distances: [T + 1, N] of each point from its true place. They mean something only
-        if there are as many points as true points.
-      end: the last points and poses.
-    """
-
-    losses: jax.Array
-    pose_errors: jax.Array
-    chamfer: jax.Array
+    losses: jax.Array  # [T + 1, V] reprojection loss of each view at sigma one
+    pose_errors: jax.Array  # [T + 1, V] degrees
+    chamfer: jax.Array  # [T + 1] in the paper's units (×100)
+    # [T + 1, N] of each point from its true place. They mean something only if there
+    # are as many points as true points.
     distances: jax.Array
-    end: Start
+    end: Start  # the last points and poses
 
 
 def render_views(

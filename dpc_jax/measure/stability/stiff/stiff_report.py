@@ -15,7 +15,6 @@ from dpc_jax.measure.stability.stiff.studies import (
     QUICK,
     STAGED,
     VIEWS,
-    Plan,
     Run,
 )
 from dpc_jax.measure.stability.stiff.summaries import (
@@ -56,7 +55,7 @@ def run_part(request: PartRequest) -> PartResult:
     figures.draw_masses_and_starts(summaries, choices, request.out / OTHER_FIGURE)
     failures = judge(runs, summaries, choices, is_full=not request.quick)
     return PartResult(
-        markdown=write_section(summaries, choices, failures, plan),
+        markdown=_write_section(summaries, choices, failures, plan),
         data={
             "summaries": [s._asdict() for s in summaries],
             "starts": [c._asdict() for c in choices],
@@ -92,7 +91,7 @@ def judge(
         label = f"stiff, {s.study}, {s.scene}, {s.recipe}"
         if not s.losses[-1] < s.losses[0]:
             failures.append(f"{label}: the loss did not fall.")
-        for words, error, bound in list_bounds(s) if is_full else ():
+        for words, error, bound in _list_bounds(s) if is_full else ():
             if not error <= bound:
                 failures.append(f"{label}: {words} {error:.3g}, at most {bound:g}.")
     most = max((c.starts for c in choices), default=0)
@@ -106,7 +105,7 @@ def judge(
     return failures
 
 
-def list_bounds(summary: Summary) -> tuple[tuple[str, float, float], ...]:
+def _list_bounds(summary):
     """The bounds of the best recipe: a quantity in words, its last value, the bound."""
     first, second = summary.first_errors[-1], summary.second_errors[-1]
     if summary.study == "shape":
@@ -141,12 +140,7 @@ MASSES_FOUND = (
 )
 
 
-def write_section(
-    summaries: Sequence[Summary],
-    choices: Sequence[Choice],
-    failures: Sequence[str],
-    plan: Plan,
-) -> str:
+def _write_section(summaries, choices, failures, plan):
     """Section of the report: three problems, each with its table and curves."""
     starts = [
         (

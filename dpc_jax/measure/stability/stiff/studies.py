@@ -33,26 +33,16 @@ _FEW = 24  # points of the study of masses
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """How much is run.
+    """How much is run."""
 
-    Attributes:
-      steps: iterations, a multiple of `EVERY`.
-      points: to find.
-      surface: true points that they are compared with.
-      seeds: of views, starts and surfaces.
-      starts: K at most.
-      scenes: by name.
-      sigmas: fixed ones, in voxels.
-      rates: of plain gradient descent; the best of them is shown.
-    """
-
-    steps: int = 400
-    points: int = 600
-    surface: int = 600
-    seeds: int = 3
-    starts: int = 8
-    scenes: tuple[str, ...] = ("car", "chair")
-    sigmas: tuple[float, ...] = (5.0, 2.0, 1.0, 0.5, 0.2)
+    steps: int = 400  # iterations, a multiple of `EVERY`
+    points: int = 600  # to find
+    surface: int = 600  # true points that they are compared with
+    seeds: int = 3  # of views, starts and surfaces
+    starts: int = 8  # K at most
+    scenes: tuple[str, ...] = ("car", "chair")  # by name
+    sigmas: tuple[float, ...] = (5.0, 2.0, 1.0, 0.5, 0.2)  # fixed ones, in voxels
+    # Of plain gradient descent; the best of them is shown
     rates: tuple[float, ...] = (1e-4, 4e-4)
 
 
@@ -62,25 +52,15 @@ QUICK = Plan(40, _FEW, _FEW, 1, 2, ("chair",), sigmas=(5.0, 0.2), rates=(1e-4,))
 
 
 class Run(NamedTuple):
-    """One descent.
+    """One descent."""
 
-    Attributes:
-      study: "shape", "starts" or "masses".
-      scene: the object to recover.
-      recipe: in words.
-      rate: of plain gradient descent, or None.
-      seed: of the problem.
-      seconds: wall clock, measurements included, compilation not.
-      trace: errors.
-    """
-
-    study: str
-    scene: str
-    recipe: str
-    rate: float | None
-    seed: int
-    seconds: float
-    trace: Trace
+    study: str  # "shape", "starts" or "masses"
+    scene: str  # the object to recover
+    recipe: str  # in words
+    rate: float | None  # of plain gradient descent, or None
+    seed: int  # of the problem
+    seconds: float  # wall clock, measurements included, compilation not
+    trace: Trace  # errors
 
 
 def run_shapes(plan: Plan) -> Iterator[Run]:
@@ -89,9 +69,9 @@ def run_shapes(plan: Plan) -> Iterator[Run]:
     Points start in a ball, poses 30° off. Targets are nearly sharp, as masks are.
     """
     for scene, seed in itertools.product(plan.scenes, range(plan.seeds)):
-        problem, start = make_shape(scene, plan, seed)
+        problem, start = _make_shape(scene, plan, seed)
         for name, ends, rate in _list_recipes(plan):
-            recipe = make_recipe(plan, ends, rate=rate)
+            recipe = _make_recipe(plan, ends, rate=rate)
             yield _time("shape", scene, name, rate, seed, problem, start, recipe)
 
 
@@ -109,11 +89,11 @@ def _list_recipes(plan):
 
 def run_starts(plan: Plan) -> Iterator[Run]:
     """Poses of six views of a known shape, from random rotations."""
-    recipe = make_recipe(plan, (2.0, 0.5))
+    recipe = _make_recipe(plan, (2.0, 0.5))
     poses = jnp.full((plan.steps, VIEWS), _START_RATE) * _cool(plan)[:, None]
     recipe = recipe._replace(point_rates=0 * recipe.point_rates, pose_rates=poses)
     for scene, seed in itertools.product(plan.scenes, range(plan.seeds)):
-        problem, _ = make_shape(scene, plan, seed)
+        problem, _ = _make_shape(scene, plan, seed)
         for k in range(plan.starts):
             rng = np.random.default_rng((seed, 1000 + k))  # not the one of the views
             poses = jnp.asarray(_draw_rotations(VIEWS, rng))
@@ -152,7 +132,7 @@ def run_masses(plan: Plan, *, points: int = _FEW) -> Iterator[Run]:
             yield _time("masses", "sparse", name, rate, seed, problem, start, recipe)
 
 
-def make_shape(scene: str, plan: Plan, seed: int) -> tuple[Problem, Start]:
+def _make_shape(scene, plan, seed):
     """Nearly sharp targets of a scene, and where points and poses begin."""
     scenes = {
         s.name: s for s in make_scenes(num_points=_DENSE, num_sparse=64, seed=seed)
@@ -186,9 +166,7 @@ def _make_cloud(masses, seed):
     return Problem(targets, poses, points, masses), Start(moved, poses)
 
 
-def make_recipe(
-    plan: Plan, ends: tuple[float, float], *, rate: float | None = None
-) -> Recipe:
+def _make_recipe(plan, ends, *, rate=None):
     """Gradient descent at a rate, or Adam; log sigma goes evenly between its ends."""
     factors = np.ones(plan.steps) if rate else _cool(plan)
     rates = jnp.asarray((rate or _ADAM_RATE) * factors, jnp.float32)[:, None]
