@@ -22,8 +22,11 @@ from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.log import MetricLog
 from dpc_jax.learning.records import NonFiniteError
 from dpc_jax.learning.step import init_state
-from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import start_section
+from dpc_jax.measure.stability.report_parts import (
+    PartRequest,
+    PartResult,
+    start_section,
+)
 from dpc_jax.reporting.tables import format_table
 from dpc_jax.run.setup import make_data_specs, make_network
 
@@ -109,7 +112,7 @@ def _make_trial_config(trial, *, seed):
 
 
 def _train(trial, folder, name, *, seed):
-    """Train one network with the loop that users _train with."""
+    """Train one network with the loop that users train with."""
     config = _make_trial_config(trial, seed=seed)
     check(config)
     network = make_network(config)
@@ -187,7 +190,7 @@ def _name(trial):
 def _describe(ending):
     """How a run ended, in words."""
     if ending.error:
-        return "stopped: " + ending.error.split(";")[0]
+        return "stopped: " + ending.error.split(", but ")[-1].split(";")[0]
     return "finite to the end" if ending.is_finite else "not finite, unnoticed"
 
 
@@ -211,9 +214,9 @@ def _write_section(endings, failures):
     lines = [
         *start_section("Training far too fast", failures),
         "The default config in miniature (12 cars of 32 pixels, a volume of 16³, 100 "
-        "points, two heads), trained with the loop that users _train with. A run must "
+        "points, two heads), trained with the loop that users train with. A run must "
         "end with finite numbers, or stop and say what broke and at which step.",
         "",
-        *format_table((*head, "largest gradient norm", "ended"), rows).splitlines(),
+        format_table((*head, "largest gradient norm", "ended"), rows),
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)

@@ -9,8 +9,11 @@ from dpc_jax.measure.scenes import make_scenes
 from dpc_jax.measure.stability import error_growth, figures
 from dpc_jax.measure.stability.error_growth import EXPECTED, SLACK, Curve
 from dpc_jax.measure.stability.precision import METHODS, Comparison, compare_scenes
-from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import start_section
+from dpc_jax.measure.stability.report_parts import (
+    PartRequest,
+    PartResult,
+    start_section,
+)
 from dpc_jax.reporting.tables import format_table
 
 FIGURE = "stability_growth.png"
@@ -112,8 +115,7 @@ def _write_section(comparisons, curves, failures):
         "measurement). Each cell is the worst of all scenes; "
         "the worst gradient is named.",
         "",
-        *_tabulate_errors(comparisons),
-        "",
+        _tabulate_errors(comparisons),
         "### Growth with the number of terms",
         "",
         "Root mean square over seeds of ‖a − b‖/‖b‖, a in float32 and b in float64. "
@@ -123,17 +125,16 @@ def _write_section(comparisons, curves, failures):
         "",
         f"![error over n]({FIGURE})",
         "",
-        *_tabulate_growth(curves),
+        _tabulate_growth(curves),
     ]
     if any("trilinear" in curve.quantity for curve in curves):
         lines += [
-            "",
             "Trilinear weights have a derivative that jumps where a point passes a "
             "cell's centre. In some seeds one of 10⁵ points lies within rounding of a "
             "centre, and float32 puts it on the other side. This is the step in the "
             "error of the rotation's gradient; the sum is not its cause.",
         ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def _tabulate_errors(comparisons):
@@ -147,9 +148,7 @@ def _tabulate_errors(comparisons):
         worst = max(gradients, key=lambda c: c.error)
         of = f"{worst.quantity} ({worst.scene})"
         rows.append((*key, f"{image:.1e}", f"{worst.error:.1e}", of))
-    return format_table(
-        ("method", "signal", "image", "worst gradient", "of"), rows
-    ).splitlines()
+    return format_table(("method", "signal", "image", "worst gradient", "of"), rows)
 
 
 def _tabulate_growth(curves):
@@ -160,4 +159,4 @@ def _tabulate_growth(curves):
         ends = (c.sizes[0], c.sizes[-1])
         rows.append((c.subject, c.quantity, *ends, *errors, exponent))
     head = ("n", "quantity", "from n", "to n", "error at first", "at last", "exponent")
-    return format_table(head, rows).splitlines()
+    return format_table(head, rows)

@@ -67,6 +67,7 @@ def _describe_run(results, machine, versions, seconds, seed, command):
         (name, "yes" if result.passes else "**no**", f"{seconds[name]:.0f}")
         for name, result in results.items()
     ]
+    parts = format_table(("part", "passes", "wall time (s)"), rows)
     lines = [
         "# Stability on stiff and extreme cases",
         "",
@@ -79,6 +80,6 @@ def _describe_run(results, machine, versions, seconds, seed, command):
         "",
         f"To repeat it: `{command}`",
         "",
-        *format_table(("part", "passes", "wall time (s)"), rows).splitlines(),
+        parts,
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)

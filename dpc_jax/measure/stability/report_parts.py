@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,16 @@ PARTS = {
     "random": "dpc_jax.measure.stability.draws.random_draws",
     "training": "dpc_jax.measure.stability.fast_training",
 }
+
+
+def start_section(title: str, failures: Iterable[str] = ()) -> list[str]:
+    """The lines that a section begins with: its heading, then what failed, if anything.
+
+    Each failure is a sentence.
+    """
+    items = [f"- {failure}" for failure in failures]
+    head = ["**Outside tolerance:**", "", *items, ""] if items else []
+    return [f"## {title}", "", *head]
 
 
 def run_part(name: str, request: PartRequest) -> PartResult:

@@ -6,8 +6,11 @@ from dpc_jax.files import write_text
 from dpc_jax.measure.stability.cases.case import DTYPES
 from dpc_jax.measure.stability.cases.catalogue import list_cases, run_subjects
 from dpc_jax.measure.stability.cases.runner import MODES, Row
-from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import start_section
+from dpc_jax.measure.stability.report_parts import (
+    PartRequest,
+    PartResult,
+    start_section,
+)
 from dpc_jax.reporting.tables import format_table
 
 TABLE = "cases.md"
@@ -58,11 +61,10 @@ def _write_section(rows, failures):
         "tolerance: at most 1 passes. *Finite only* counts cases whose results in 16 "
         f"bits only have to be finite. Every case is in [{TABLE}]({TABLE}).",
         "",
-        *_summarize(rows),
-        "",
-        *_list_limits(rows),
+        _summarize(rows),
+        _list_limits(rows),
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def _summarize(rows):
@@ -88,9 +90,7 @@ def _summarize(rows):
             )
         )
     head = ("subject", "dtype", "cases", "outside", "finite only", "worst value")
-    return format_table(
-        (*head, "worst gradient", "nearest to its limit"), lines
-    ).splitlines()
+    return format_table((*head, "worst gradient", "nearest to its limit"), lines)
 
 
 def _find_largest(ratios):
@@ -104,11 +104,8 @@ def _list_limits(rows):
         if row.limit:
             limits.setdefault((row.subject, row.limit), {})[row.case] = None
     lines = [(*key, "; ".join(cases)) for key, cases in limits.items()]
-    return (
-        format_table(("subject", "documented limit", "cases"), lines).splitlines()
-        if lines
-        else []
-    )
+    heads = ("subject", "documented limit", "cases")
+    return format_table(heads, lines) if lines else ""
 
 
 def _write_rows(rows):
@@ -130,10 +127,9 @@ def _write_rows(rows):
             for row in rows
             if row.subject == subject
         ]
-        table = format_table(
-            (*head, "limit", "where the tolerance comes from"), cells
-        ).splitlines()
-        lines += [f"## {subject[0].upper()}{subject[1:]}", "", *table, ""]
+        heads = (*head, "limit", "where the tolerance comes from")
+        title = f"{subject[0].upper()}{subject[1:]}"
+        lines += [f"## {title}", "", format_table(heads, cells)]
     return "\n".join(lines)
 
 

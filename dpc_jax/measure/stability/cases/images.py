@@ -77,14 +77,18 @@ TO_PLACES = {"gradient_floor": (3e-8, 3e-8, 1e-30, 1e-30, 1e-30)}
 
 
 def _render(points, rotation, sizes, scale, colors, *, method):
-    """The three images of a cloud."""
+    """The three images of a cloud.
+
+    With the method "covariance", sizes are the s of covariances s²·(I + `TILT`), which
+    turn and zoom with the object; else they are sigma.
+    """
     tilted = jnp.array(np.eye(3) + TILT, points.dtype)
     is_tilted = method == "covariance"
     image = project(
         points,
         rotation,
         sigma=None if is_tilted else sizes,
-        covariance=sizes[:, None, None] ** 2 * tilted if is_tilted else None,
+        covariance=sizes[:, None, None] ** 2 * tilted[None] if is_tilted else None,
         scale=scale,
         colors=colors,
         camera=Camera(1.875, 2.0),

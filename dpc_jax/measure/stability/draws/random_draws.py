@@ -13,8 +13,11 @@ import numpy as np
 
 from dpc_jax.measure.stability.draws import learning_targets, render_targets
 from dpc_jax.measure.stability.draws.targets import Range, Target, make_check
-from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import start_section
+from dpc_jax.measure.stability.report_parts import (
+    PartRequest,
+    PartResult,
+    start_section,
+)
 from dpc_jax.reporting.tables import format_table
 
 TITLE = "Random draws"
@@ -160,8 +163,6 @@ def _write_section(outcomes):
         "negative with sum 1, unit quaternions) must hold. A documented refusal "
         "counts as an answer.",
         "",
-        *format_table(
-            ("function", "draws", "holds", "limits of what is drawn"), rows
-        ).splitlines(),
+        format_table(("function", "draws", "holds", "limits of what is drawn"), rows),
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)

@@ -72,8 +72,9 @@ def _check_plain(target, arrays):
     try:
         outputs = target.function(*arrays)
     except target.refusals as error:
-        # A refusal must say what was expected.
-        return {"refused in a sentence": "xpected" in str(error)}
+        # "<Subject> must be <expected>, but <what came>; <what to do>."
+        says_all = ", but " in str(error) and "; " in str(error)
+        return {"refused in a sentence": says_all}
     leaves = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(outputs)]
     found = {"finite": all(np.isfinite(leaf).all() for leaf in leaves)}
     return found | target.holds(outputs, *arrays)

@@ -6,8 +6,11 @@ import jax
 import numpy as np
 
 from dpc_jax.measure.stability import figures
-from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import start_section
+from dpc_jax.measure.stability.report_parts import (
+    PartRequest,
+    PartResult,
+    start_section,
+)
 from dpc_jax.measure.stability.stiff import studies
 from dpc_jax.measure.stability.stiff.studies import (
     BEST,
@@ -166,8 +169,7 @@ def _write_section(summaries, choices, failures, plan):
         "holds the frame). The chair's legs are a fiftieth of its size, less than a "
         "voxel.",
         "",
-        *_tabulate_shapes(summaries),
-        "",
+        _tabulate_shapes(summaries),
         f"![error over iterations and run time]({SHAPE_FIGURE})",
         "",
         SHAPES_FOUND,
@@ -177,21 +179,19 @@ def _write_section(summaries, choices, failures, plan):
         "Poses of views of a known shape from random rotations; for each view the "
         "start with the lowest final loss is kept.",
         "",
-        *format_table(head, starts).splitlines(),
-        "",
+        format_table(head, starts),
         "### Masses 10⁴ : 1",
         "",
         "24 points of masses from 10 to 0.001 voxels, displaced by 0.02 (root mean "
         "square of each coordinate), poses known. A point's curvature grows with the "
         "square of its mass, so the condition number is about 10⁸.",
         "",
-        *_tabulate_masses(summaries),
-        "",
+        _tabulate_masses(summaries),
         f"![masses and starts]({OTHER_FIGURE})",
         "",
         MASSES_FOUND,
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def _tabulate_shapes(summaries):
@@ -207,7 +207,7 @@ def _tabulate_shapes(summaries):
         )
     head = ("scene", "recipe", "rate", "loss", "pose error at a quarter (°)")
     heads = (*head, "at the end (°)", "Chamfer ×100", "run time (s)")
-    return format_table(heads, rows).splitlines()
+    return format_table(heads, rows)
 
 
 def _tabulate_masses(summaries):
@@ -221,7 +221,7 @@ def _tabulate_masses(summaries):
         last = (f"{values[-1]:.2g}" for values in e)
         rows.append((s.recipe, _show_rate(s.rate), *last, f"{s.seconds:.2f}"))
     head = ("recipe", "rate", "loss", "heaviest third ×100", "lightest third ×100")
-    return format_table((*head, "run time (s)"), rows).splitlines()
+    return format_table((*head, "run time (s)"), rows)
 
 
 def _show_rate(rate):
