@@ -20,7 +20,6 @@ class Case:
     """One function at one input where it may break."""
 
     name: str  # what is extreme about the input; unique within the subject
-    subject: str  # the chapter of the report
     # Maps the inputs as arrays to an array or a tuple of arrays. Cases with the same
     # function object and the same shapes share compiled programs.
     function: Callable
@@ -37,6 +36,7 @@ class Case:
     # no gradient.
     gradient_tolerance: float | None
     because: str  # where the tolerances come from
+    subject: str = ""  # the chapter of the report, which the catalogue adds
     floor: float = 0.0  # errors of the value are relative to at least this magnitude
     # The same for the gradient; one number, or one for each input
     gradient_floor: float | tuple[float, ...] = 0.0

@@ -1,5 +1,6 @@
 """All cases by subject."""
 
+import dataclasses
 import time
 from collections.abc import Callable
 
@@ -43,7 +44,10 @@ def list_cases(subjects: tuple[str, ...] | None = None) -> dict[str, list[Case]]
     """
     check_names("subjects", subjects, tuple(SUBJECTS))
     catalogue = {
-        subject: module.list_cases()
+        subject: [
+            dataclasses.replace(case, subject=module.SUBJECT)
+            for case in module.list_cases()
+        ]
         for subject, module in SUBJECTS.items()
         if subjects is None or subject in subjects
     }

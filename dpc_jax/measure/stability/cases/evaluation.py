@@ -89,7 +89,6 @@ def list_cases() -> list[Case]:
     """The catalogue's cases on evaluation, which is numpy in float64."""
     make = functools.partial(
         make_cases,
-        subject=SUBJECT,
         because="a few dozen roundings",
         is_traced=False,
     )

@@ -75,24 +75,23 @@ def _sum_anisotropic(coordinates, masses, covariance):
 
 def list_cases() -> list[Case]:
     """The catalogue's cases on the basic method."""
-    make = functools.partial(make_cases, subject=SUBJECT)
     own_sizes = functools.partial(oracles.sum_gaussians, shape=SHAPE)
     own_shapes = functools.partial(oracles.sum_covariances, shape=SHAPE)
     none = ("no point", np.zeros((0, 3)), np.zeros(0), np.zeros(0))
     matrices = [(name, CENTERS, MASSES, m, fields) for name, m, fields in COVARIANCES]
     return [
-        *make(
+        *make_cases(
             "sigma per point",
             *(_sum_isotropic, own_sizes, (64, 256), SIZES),
             because="three kernels of ten roundings, exponents up to 40 in size",
             half="finite",
         ),
-        *make(
+        *make_cases(
             "sigma per point",
             *(_sum_isotropic, own_sizes, (0, 0), [none]),
             because="nothing is computed",
         ),
-        *make(
+        *make_cases(
             "covariance",
             *(_sum_anisotropic, own_shapes, (256, 1024), matrices),
             because="a conditional variance cancels by its condition, three kernels "

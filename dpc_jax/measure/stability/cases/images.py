@@ -127,7 +127,6 @@ def list_cases() -> list[Case]:
             functools.partial(image_oracles.render, shape=SHAPE, **kind),
             (128, 1024),
             rows,
-            subject=SUBJECT,
             because=ROUNDINGS,
             half="finite",
             gradient_floor=(1e-30,) * 5,

@@ -69,7 +69,7 @@ COVARIANCES = (
 
 
 def _list_choices():
-    make = functools.partial(make_cases, subject=SUBJECT, dtypes=WIDE)
+    make = functools.partial(make_cases, dtypes=WIDE)
     rows = [
         (*row, {"oracle": lambda *inputs, winner=winner: np.asarray(winner)})
         for *row, winner in CHOICES
@@ -118,7 +118,6 @@ def _list_fits():
     return make_cases(
         "fit of a view",
         *(_fit, _find_fit, (128, 1024), rows),
-        subject=SUBJECT,
         because="coordinates of a few cells carry 30 roundings, the kernel multiplies "
         "them by its slope, and 16 pixels are summed",
         dtypes=WIDE,
@@ -188,7 +187,6 @@ def _list_schedules():
             functools.partial(_find_schedules, sections=sections),
             (256, None),
             [(f"{name}, step {step}", step) for step in sorted(steps)],
-            subject=SUBJECT,
             because="a cosine whose argument has the rounding of a step's share; the "
             "first rate is a hundredth of the difference it comes from",
             dtypes=("float32",),

@@ -1,6 +1,5 @@
 """Losses at ties, opposites, empty and full silhouettes, and far away."""
 
-import functools
 import itertools
 
 import jax.numpy as jnp
@@ -106,36 +105,35 @@ def _find_containment(points):
 
 def list_cases() -> list[Case]:
     """The catalogue's cases on losses."""
-    make = functools.partial(make_cases, subject=SUBJECT)
     sums = "a few roundings for each of a few terms"
     near = "differences of coordinates, squared and rooted; a softening of 1/50 "
     near += "magnifies what is near"
     of_one = {"floor": 1.0, "gradient_floor": 1.0}
     return [
-        *make(
+        *make_cases(
             "reprojection",
             *(losses.reprojection_loss, _find_reprojection_loss, (16, 4), IMAGES),
             because=sums,
         ),
-        *make(
+        *make_cases(
             "student",
             *(losses.student_loss, _find_student_loss, (8, 16), STUDENTS),
             because="cosine and two norms; the gradient cancels along q",
             **of_one,
         ),
-        *make(
+        *make_cases(
             "selection",
             *(_select, _find_selection_loss, (16, 16), SELECTIONS),
             because=sums,
             **of_one,
         ),
-        *make(
+        *make_cases(
             "repulsion",
             *(losses.repulsion_energy, _find_repulsion, (64, 256), CLOUDS),
             because=near,
             half="finite",
         ),
-        *make(
+        *make_cases(
             "containment",
             *(losses.containment_loss, _find_containment, (64, 256), CLOUDS),
             because=near,

@@ -23,45 +23,24 @@ FLOOR = {"limit": "below 0.02 voxels a point stays on its cell, with zero gradie
 NEGATIVE = {"limit": "below zero counts as zero; a plain number below zero is refused"}
 PLACE = [[0.3, 1.2, 2.7], [1.6, 0.4, 3.9], [2.1, 1.1, 0.2]]
 VALUES = np.array([1.0, -0.5, 2.0])
+ON_CENTRES = [[0, 1, 2], [3, 2, 4], [0, 0, 0]]
+BETWEEN = [[0.5, 1, 2], [0.5, 1.5, 2], [1.5, 0.5, 2.5]]
+FAR = [[-1e30, 0, 0], [1e30, 1, 1], [0, -20, 0]]
+BESIDE = [[1e-7, 1, 2], [3, 2 - 1e-7, 4], [0, 0, 1e-7]]
+AT_BORDERS = (
+    ("on the volume's border, low", [[-0.5, 1, 2], [-0.5, -0.5, 2], [-0.5] * 3]),
+    ("on the volume's border, high", [[3.5, 1, 2], [3.5, 2.5, 2], [3.5, 2.5, 4.5]]),
+    ("within the outer half cell", [[-0.25, 1, 2], [3.25, 1, 2], [1, 2.25, 4.25]]),
+    ("one cell outside", [[-1, 1, 2], [4, 1, 2], [1, 3, 5]]),
+)
 SPLATS = (
     ("plain", PLACE, VALUES),
-    ("on cell centres", [[0, 1, 2], [3, 2, 4], [0, 0, 0]], VALUES, KINK),
-    (
-        "on faces, edges and corners of cells",
-        [[0.5, 1, 2], [0.5, 1.5, 2], [1.5, 0.5, 2.5]],
-        VALUES,
-    ),
-    (
-        "on the volume's border, low",
-        [[-0.5, 1, 2], [-0.5, -0.5, 2], [-0.5] * 3],
-        VALUES,
-        OUTSIDE,
-    ),
-    (
-        "on the volume's border, high",
-        [[3.5, 1, 2], [3.5, 2.5, 2], [3.5, 2.5, 4.5]],
-        VALUES,
-        OUTSIDE,
-    ),
-    (
-        "within the outer half cell",
-        [[-0.25, 1, 2], [3.25, 1, 2], [1, 2.25, 4.25]],
-        VALUES,
-        OUTSIDE,
-    ),
-    ("one cell outside", [[-1, 1, 2], [4, 1, 2], [1, 3, 5]], VALUES, OUTSIDE),
-    (
-        "all outside, up to 1e30",
-        [[-1e30, 0, 0], [1e30, 1, 1], [0, -20, 0]],
-        VALUES,
-        OUTSIDE | IN_WIDE,
-    ),
-    (
-        "1e-7 beside a cell centre",
-        [[1e-7, 1, 2], [3, 2 - 1e-7, 4], [0, 0, 1e-7]],
-        VALUES,
-        IN_WIDE,  # 16 bits round to the centre
-    ),
+    ("on cell centres", ON_CENTRES, VALUES, KINK),
+    ("on faces, edges and corners of cells", BETWEEN, VALUES),
+    *((name, place, VALUES, OUTSIDE) for name, place in AT_BORDERS),
+    ("all outside, up to 1e30", FAR, VALUES, OUTSIDE | IN_WIDE),
+    # 16 bits round to the centre.
+    ("1e-7 beside a cell centre", BESIDE, VALUES, IN_WIDE),
     ("plain, of mass 0", PLACE, np.zeros(3)),
     ("plain, of mass 1e-12", PLACE, VALUES * 1e-12),
     ("plain, of mass 1e6", PLACE, VALUES * 1e6),
@@ -146,16 +125,15 @@ def _narrow(sigma):
 
 def list_cases() -> list[Case]:
     """The catalogue's cases on splatting, smoothing and masses."""
-    make = functools.partial(make_cases, subject=SUBJECT)
     return [
         *_list_splats(),
         *_list_smooths(),
-        *make(
+        *make_cases(
             "mass of a peak",
             *(mass_of_peak, _find_mass, (8, 16), PEAKS),
             because="five products",
         ),
-        *make(
+        *make_cases(
             "compensated widening",
             *(compensate_widening, _narrow, (8, 64), COMPENSATED),
             because="the root of a number between 1/2 and 1",
@@ -164,7 +142,7 @@ def list_cases() -> list[Case]:
 
 
 def _list_splats():
-    make = functools.partial(make_cases, "splat", subject=SUBJECT)
+    make = functools.partial(make_cases, "splat")
     because = "three weights of one rounding each, and their product"
     tables = [(SHAPE, SPLATS)]
     tables += [(shape, [(name, place, [1, 2])]) for shape, name, place in GRIDS]
@@ -201,15 +179,14 @@ def _list_smooths():
     lone = np.zeros((19, 19, 19))
     lone[9, 9, 9] = 1.0
     middle = [(f"mass in the middle, sigma {s}", lone, s) for s in (0.05, 0.2, 0.75)]
-    make = functools.partial(make_cases, subject=SUBJECT)
     return [
-        *make(
+        *make_cases(
             "smooth",
             *(smooth, oracles.smooth, (64, 256), [*WIDTHS, *grids]),
             because=because,
             half="finite",
         ),
-        *make(
+        *make_cases(
             "smooth",
             *(_smoothed_mass, lambda volume, _: np.sum(volume), (32, None), middle),
             because="nine cells away is twelve deviations, 1e-31 of the mass",
