@@ -41,6 +41,16 @@ class Target:
     refusals: tuple[type[Exception], ...] = ()  # exceptions that are documented answers
 
 
+def promise(name: str, test: Callable[[Any], Any]) -> Callable[..., dict[str, Any]]:
+    """For `Target.holds`: a property of the outputs alone."""
+    return lambda outputs, *_: {name: test(outputs)}
+
+
+def is_share(values: jax.Array) -> jax.Array:
+    """Whether all values are in [0, 1]."""
+    return jnp.all((values >= 0) & (values <= 1))
+
+
 def make_check(target: Target) -> Callable[..., dict[str, bool]]:
     """A function of drawn arrays that tells for each property whether it holds.
 
@@ -53,13 +63,12 @@ def make_check(target: Target) -> Callable[..., dict[str, bool]]:
     def check(*arrays):
         if target.has_gradient:
             outputs, pull_back = jax.vjp(target.function, *arrays)
-            found = {"finite": _are_finite(outputs)}
             gradients = pull_back(jax.tree.map(_alternate, outputs))
-            for place, gradient in enumerate(gradients):
-                found[f"gradient of input {place}"] = _are_finite(gradient)
         else:
-            outputs = target.function(*arrays)
-            found = {"finite": _are_finite(outputs)}
+            outputs, gradients = target.function(*arrays), ()
+        found = {"finite": _are_finite(outputs)}
+        for place, gradient in enumerate(gradients):
+            found[f"gradient of input {place}"] = _are_finite(gradient)
         return found | target.holds(outputs, *arrays)
 
     compiled = jax.jit(check)
