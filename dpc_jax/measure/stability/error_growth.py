@@ -1,7 +1,7 @@
 """How float32's error grows with the length of a sum: points, cells, rays."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -24,6 +24,7 @@ EXPECTED = 0.5
 # 0.05 (one standard deviation). This is twice that.
 SLACK = 0.1
 _SIDE = 16  # of the volume that many points are summed in
+_RAYS = 64
 
 
 class Curve(NamedTuple):
@@ -50,9 +51,7 @@ def fit_exponent(sizes: Sequence[float], errors: Sequence[float]) -> float:
     return float(np.polyfit(np.log(np.asarray(sizes, float)), np.log(found), 1)[0])
 
 
-def measure_points(
-    sizes: Sequence[int], *, methods: Sequence[str], seeds: int
-) -> list[Curve]:
+def measure_points(sizes: Sequence[int], *, seeds: int) -> list[Curve]:
     """Densities, and gradients that are sums over all points.
 
     A fixed mass, enough to fill an ellipsoid to a half, is shared by n points. The
@@ -66,7 +65,7 @@ def measure_points(
         return points * (0.42, 0.28, 0.16), rng.uniform(0, 1, (_SIDE, _SIDE))
 
     curves = []
-    for method in methods:
+    for method in ("trilinear", "gaussian"):
         call = functools.partial(_render_points, method=method)
         curves += [
             curve._replace(quantity=f"{curve.quantity}, {method}")
@@ -135,7 +134,7 @@ def measure_images(sizes: Sequence[int], *, seeds: int) -> list[Curve]:
     return _measure("pixels", sizes, call, draw, seeds)
 
 
-def measure_rays(sizes: Sequence[int], *, seeds: int, rays: int = 64) -> list[Curve]:
+def measure_rays(sizes: Sequence[int], *, seeds: int) -> list[Curve]:
     """Rays of n cells with a mean occupancy of 2/n, so that their sum stays at two."""
 
     def call(occupancy, weights):
@@ -152,14 +151,12 @@ def measure_rays(sizes: Sequence[int], *, seeds: int, rays: int = 64) -> list[Cu
         }
 
     def draw(rng, length):
-        return rng.uniform(0, [[[4 / length]], [[1]]], (2, rays, length))
+        return rng.uniform(0, [[[4 / length]], [[1]]], (2, _RAYS, length))
 
     return _measure("cells along a ray", sizes, call, draw, seeds)
 
 
-def _measure(
-    subject: str, sizes: Sequence[int], call: Callable, draw: Callable, seeds: int
-) -> list[Curve]:
+def _measure(subject, sizes, call, draw, seeds):
     """Curves of all that a call returns by name, in the order of the names."""
     squares: dict[str, list[float]] = {}
     for size in sizes:

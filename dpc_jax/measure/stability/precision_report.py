@@ -26,59 +26,48 @@ _EPSILON = float(jnp.finfo("float32").eps)
 
 
 @dataclasses.dataclass(frozen=True)
-class Plan:
+class _Plan:
     """How much is measured."""
 
     points: int = 600  # of each scene
-    # How many scenes, and how many methods of rendering
     scenes: int = 4
-    methods: int = len(METHODS)
-    # Numbers of points in a sum, and of pixels
-    sizes: tuple[int, ...] = (100, 1000, 10_000, 100_000)
-    summed: tuple[str, ...] = ("trilinear", "gaussian")  # methods that sum the points
+    methods: int = len(METHODS)  # of rendering
+    sizes: tuple[int, ...] = (100, 1000, 10_000, 100_000)  # sums of points, of pixels
     sides: tuple[int, ...] = (16, 32, 64, 128)  # of volumes, in cells
     lengths: tuple[int, ...] = (16, 64, 256, 1024, 4096)  # of rays, in cells
     seeds: int = 8  # of each sum
 
 
-FULL = Plan()
+_FULL = _Plan()
 # One method, no sum over points: half a dozen programs to compile. Exponents are rough.
-QUICK = Plan(200, 1, 1, sizes=(), summed=(), sides=(16, 48), lengths=(16, 256))
+_QUICK = _Plan(200, 1, 1, sizes=(), sides=(16, 48), lengths=(16, 256))
 
 
 def run_part(request: PartRequest) -> PartResult:
     """Compare float32 with float64 on ordinary scenes and in growing sums."""
-    plan = QUICK if request.quick else FULL
-    scenes = make_scenes(
-        num_points=plan.points, num_sparse=plan.points, seed=request.seed
-    )
-    comparisons = list(
-        compare_scenes(
-            scenes[: plan.scenes], methods=METHODS[: plan.methods], count=plan.points
-        )
-    )
+    plan = _QUICK if request.quick else _FULL
+    count, methods = plan.points, METHODS[: plan.methods]
+    scenes = make_scenes(num_points=count, num_sparse=count, seed=request.seed)
+    scenes = scenes[: plan.scenes]
+    comparisons = list(compare_scenes(scenes, methods=methods, count=count))
     curves = _measure_growth(plan)
     figures.draw_growth(curves, request.out / FIGURE)
     failures = judge(comparisons, curves)
-    return PartResult(
-        markdown=_write_section(comparisons, curves, failures),
-        data={
-            "comparisons": [c._asdict() for c in comparisons],
-            "growth": [c._asdict() for c in curves],
-        },
-        failures=tuple(failures),
-    )
+    data = {
+        "comparisons": [c._asdict() for c in comparisons],
+        "growth": [c._asdict() for c in curves],
+    }
+    section = _write_section(comparisons, curves, failures)
+    return PartResult(section, data, tuple(failures))
 
 
 def _measure_growth(plan):
-    curves = []
-    if plan.sizes:
-        curves += error_growth.measure_points(
-            plan.sizes, methods=plan.summed, seeds=plan.seeds
-        )
-        curves += error_growth.measure_images(plan.sizes, seeds=plan.seeds)
-    curves += error_growth.measure_cells(plan.sides, seeds=plan.seeds)
-    return curves + error_growth.measure_rays(plan.lengths, seeds=plan.seeds)
+    sizes, seeds, curves = plan.sizes, plan.seeds, []
+    if sizes:
+        curves += error_growth.measure_points(sizes, seeds=seeds)
+        curves += error_growth.measure_images(sizes, seeds=seeds)
+    curves += error_growth.measure_cells(plan.sides, seeds=seeds)
+    return curves + error_growth.measure_rays(plan.lengths, seeds=seeds)
 
 
 def judge(comparisons: Sequence[Comparison], curves: Sequence[Curve]) -> list[str]:

@@ -11,20 +11,15 @@ from dpc_jax.measure.stability.report_parts import (
     PartResult,
     start_section,
 )
-from dpc_jax.measure.stability.stiff import studies
+from dpc_jax.measure.stability.stiff import studies, summaries
 from dpc_jax.measure.stability.stiff.studies import (
     BEST,
-    FULL,
-    QUICK,
     STAGED,
-    VIEWS,
     Run,
 )
 from dpc_jax.measure.stability.stiff.summaries import (
     Choice,
     Summary,
-    choose_starts,
-    summarize,
 )
 from dpc_jax.reporting.tables import format_table
 
@@ -48,23 +43,33 @@ def run_part(request: PartRequest) -> PartResult:
     The quick form takes a tenth of the iterations on one scene and seed. Then numbers
     must be finite and losses must fall, and no more is asked for.
     """
-    plan = QUICK if request.quick else FULL
+    plan = studies.QUICK if request.quick else studies.FULL
     runs: list[Run] = []
     for study in (studies.run_shapes, studies.run_starts, studies.run_masses):
         runs += study(plan)
         request.tell(f"stiff, {runs[-1].study}: {len(runs)} descents so far")
-    summaries, choices = summarize(runs), choose_starts(runs)
-    figures.draw_descents(summaries, request.out / SHAPE_FIGURE)
-    figures.draw_masses_and_starts(summaries, choices, request.out / OTHER_FIGURE)
-    failures = judge(runs, summaries, choices, is_full=not request.quick)
-    return PartResult(
-        markdown=_write_section(summaries, choices, failures, plan),
-        data={
-            "summaries": [s._asdict() for s in summaries],
-            "starts": [c._asdict() for c in choices],
-        },
-        failures=tuple(failures),
-    )
+    found, choices = summaries.summarize(runs), summaries.choose_starts(runs)
+    figures.draw_descents(found, request.out / SHAPE_FIGURE)
+    figures.draw_masses_and_starts(found, choices, request.out / OTHER_FIGURE)
+    failures = judge(runs, found, choices, is_full=not request.quick)
+    data = {
+        "summaries": [s._asdict() for s in found],
+        "starts": [c._asdict() for c in choices],
+    }
+    section = _write_section(found, choices, failures, plan)
+    return PartResult(section, data, tuple(failures))
+
+
+_BOUNDS = {
+    "shape": (
+        ("pose error (degrees)", POSE_BOUND),
+        ("Chamfer distance (x100)", CHAMFER_BOUND),
+    ),
+    "masses": (
+        ("distance of heavy points (x100)", HEAVY_BOUND),
+        ("distance of light points (x100)", LIGHT_BOUND),
+    ),
+}
 
 
 def judge(
@@ -76,10 +81,8 @@ def judge(
 ) -> list[str]:
     """A sentence for each run that is not finite, and each best recipe that fails.
 
-    Args:
-      runs, summaries, choices: what was measured.
-      is_full: whether to apply the bounds, which belong to the full number of
-        iterations. The loss of the best recipes must fall in any case.
+    The bounds belong to the full number of iterations. The loss of the best recipes
+    must fall in any case.
     """
     failures = []
     for r in runs:
@@ -88,38 +91,22 @@ def judge(
                 f"stiff, {r.study}, {r.scene}, {r.recipe}, rate {r.rate}, seed "
                 f"{r.seed}: an error, a point or a pose is not finite."
             )
-    for s in summaries:
-        if s.recipe not in (BEST, STAGED):
-            continue
+    for s in (s for s in summaries if s.recipe in (BEST, STAGED)):
         label = f"stiff, {s.study}, {s.scene}, {s.recipe}"
         if not s.losses[-1] < s.losses[0]:
             failures.append(f"{label}: the loss did not fall.")
-        for words, error, bound in _list_bounds(s) if is_full else ():
-            if not error <= bound:
+        ends = (s.first_errors[-1], s.second_errors[-1])
+        for (words, bound), error in zip(_BOUNDS[s.study], ends, strict=True):
+            if is_full and not error <= bound:
                 failures.append(f"{label}: {words} {error:.3g}, at most {bound:g}.")
     most = max((c.starts for c in choices), default=0)
     for c in choices:
-        is_few = c.starts == most and not c.accuracy >= ACCURACY_BOUND
-        if is_full and is_few:
+        if is_full and c.starts == most and not c.accuracy >= ACCURACY_BOUND:
             failures.append(
                 f"stiff, starts, {c.scene}: {c.accuracy:.2f} of the views are within "
                 f"30° with {c.starts} starts, at least {ACCURACY_BOUND:g}."
             )
     return failures
-
-
-def _list_bounds(summary):
-    """The bounds of the best recipe: a quantity in words, its last value, the bound."""
-    first, second = summary.first_errors[-1], summary.second_errors[-1]
-    if summary.study == "shape":
-        return (
-            ("pose error (degrees)", first, POSE_BOUND),
-            ("Chamfer distance (x100)", second, CHAMFER_BOUND),
-        )
-    return (
-        ("distance of heavy points (x100)", first, HEAVY_BOUND),
-        ("distance of light points (x100)", second, LIGHT_BOUND),
-    )
 
 
 # What the full number of iterations first showed.
@@ -145,21 +132,15 @@ MASSES_FOUND = (
 
 def _write_section(summaries, choices, failures, plan):
     """Section of the report: three problems, each with its table and curves."""
-    starts = [
-        (
-            c.scene,
-            c.starts,
-            f"{c.median_error:.2f}",
-            f"{c.accuracy:.2f}",
-            f"{c.seconds:.2f}",
-        )
-        for c in choices
-    ]
+    starts = []
+    for c in choices:
+        numbers = (c.median_error, c.accuracy, c.seconds)
+        starts.append((c.scene, c.starts, *(f"{n:.2f}" for n in numbers)))
     head = ("scene", "K", "median pose error (°)", "within 30°", "run time (s)")
     lines = [
         *start_section("Stiff optimisation", failures),
         f"Medians over {plan.seeds} seeds; {plan.steps} iterations; volume 32³, "
-        f"{VIEWS} views, targets nearly sharp (σ 0.5). Plain gradient "
+        f"{studies.VIEWS} views, targets nearly sharp (σ 0.5). Plain gradient "
         f"descent is shown with the best of the rates tried, by its final loss. Losses "
         "are at σ 1 for every recipe.",
         "",

@@ -96,20 +96,19 @@ def run_starts(plan: Plan) -> Iterator[Run]:
         problem, _ = _make_shape(scene, plan, seed)
         for k in range(plan.starts):
             rng = np.random.default_rng((seed, 1000 + k))  # not the one of the views
-            poses = jnp.asarray(_draw_rotations(VIEWS, rng))
-            start = Start(problem.surface[: plan.points], poses)
+            start = Start(problem.surface[: plan.points], _draw_poses(rng))
             yield _time("starts", scene, BEST, None, seed, problem, start, recipe)
 
 
-def run_masses(plan: Plan, *, points: int = _FEW) -> Iterator[Run]:
+def run_masses(plan: Plan) -> Iterator[Run]:
     """Points of masses 10 to 0.001 voxels, displaced by 0.02; poses are known."""
-    masses = np.geomspace(10, 1e-3, points)
-    order = np.arange(points) / points
+    masses = np.geomspace(10, 1e-3, _FEW)
+    order = np.arange(_FEW) / _FEW
     steps = np.arange(plan.steps)[:, None]
     # A point starts when the heavier ones have come to rest, with a decay of its own.
     done = (steps - 0.6 * plan.steps * order) / (0.4 * plan.steps)
     staged = np.where(done < 0, 0, 0.5 * (1 + np.cos(np.pi * np.clip(done, 0, 1))))
-    flat = np.ones((plan.steps, points))
+    flat = np.ones((plan.steps, _FEW))
     recipes = [
         *(("gradient", r, flat * r, _MEMORY) for r in (1e-4, 3e-4, 1e-3)),
         *(
@@ -134,21 +133,16 @@ def run_masses(plan: Plan, *, points: int = _FEW) -> Iterator[Run]:
 
 def _make_shape(scene, plan, seed):
     """Nearly sharp targets of a scene, and where points and poses begin."""
-    scenes = {
-        s.name: s for s in make_scenes(num_points=_DENSE, num_sparse=64, seed=seed)
-    }
+    scenes = make_scenes(num_points=_DENSE, num_sparse=64, seed=seed)
+    (cloud,) = (s.points for s in scenes if s.name == scene)
     rng = np.random.default_rng(seed)
-    poses = jnp.asarray(_draw_rotations(VIEWS, rng))
-    surface = jnp.asarray(scenes[scene].points, jnp.float32)
-    masses = jnp.full(_DENSE, 2.0)
-    targets = render_views(surface, poses, masses=masses, sigma=0.5)
+    poses = _draw_poses(rng)
+    surface = jnp.asarray(cloud, jnp.float32)
+    dense = jnp.full(_DENSE, 2.0)
+    targets = render_views(surface, poses, masses=dense, sigma=0.5)
     # The total mass does not depend on the number of points.
-    problem = Problem(
-        targets,
-        poses,
-        surface[: plan.surface],
-        jnp.full(plan.points, 2400 / plan.points, jnp.float32),
-    )
+    masses = jnp.full(plan.points, 2400 / plan.points, jnp.float32)
+    problem = Problem(targets, poses, surface[: plan.surface], masses)
     directions = rng.normal(size=(plan.points, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     ball = 0.3 * directions * rng.uniform(0, 1, (plan.points, 1)) ** (1 / 3)
@@ -159,7 +153,7 @@ def _make_shape(scene, plan, seed):
 def _make_cloud(masses, seed):
     rng = np.random.default_rng(seed)
     *_, cloud = make_scenes(num_points=64, num_sparse=len(masses), seed=seed)
-    poses = jnp.asarray(_draw_rotations(VIEWS, rng))
+    poses = _draw_poses(rng)
     points, masses = (jnp.asarray(a, jnp.float32) for a in (cloud.points, masses))
     targets = render_views(points, poses, masses=masses, sigma=1.0)
     moved = points + jnp.asarray(rng.normal(size=points.shape) * 0.02, jnp.float32)
@@ -185,9 +179,9 @@ def _cool(plan):
     return 0.5 * (1 + np.cos(np.pi * np.arange(plan.steps) / plan.steps))
 
 
-def _draw_rotations(count, rng):
-    quaternions = rng.normal(size=(count, 4)).astype(np.float32)
-    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+def _draw_poses(rng):
+    poses = rng.normal(size=(VIEWS, 4)).astype(np.float32)
+    return jnp.asarray(poses / np.linalg.norm(poses, axis=1, keepdims=True))
 
 
 def _time(study, scene, name, rate, seed, problem, start, recipe):
