@@ -48,7 +48,7 @@ QUICK_TRIALS = (Trial("", 10, 200),)
 class Ending(NamedTuple):
     """How a run ended."""
 
-    trial: Trial  # the run
+    trial: Trial
     learning_rate: float  # the peak
     steps_done: int | None  # all steps; None if the run stopped
     seconds: float  # wall clock, compilation included
@@ -65,18 +65,15 @@ def run_part(
 ) -> PartResult:
     """Train small networks at ten times the learning rate; writes no file.
 
-    Args:
-      request: the quick form takes 200 steps of the default; the full one 2,000 of it,
-        of the paper's variant, and of a run that must stop.
-      trials: other runs.
+    The quick form takes 200 steps of the default; the full one 2,000 of it, of the
+    paper's variant, and of a run that must stop.
     """
     endings = []
+    trials = trials or (QUICK_TRIALS if request.quick else TRIALS)
     with tempfile.TemporaryDirectory() as folder:
-        for place, trial in enumerate(
-            trials or (QUICK_TRIALS if request.quick else TRIALS)
-        ):
-            name = f"trial-{place}"
-            endings.append(_train(trial, Path(folder), name, seed=request.seed))
+        for place, trial in enumerate(trials):
+            workdir = Path(folder, f"trial-{place}")
+            endings.append(_train(trial, workdir, seed=request.seed))
             request.tell(f"training, {_name(trial)}: {_describe(endings[-1])}")
     failures = tuple(f for e in endings for f in judge(e))
     data = [dataclasses.asdict(e.trial) | e._asdict() for e in endings]
@@ -111,36 +108,33 @@ def _make_trial_config(trial, *, seed):
     return dataclasses.replace(config, seed=seed)
 
 
-def _train(trial, folder, name, *, seed):
+def _train(trial, workdir, *, seed):
     """Train one network with the loop that users train with."""
     config = _make_trial_config(trial, seed=seed)
     check(config)
     network = make_network(config)
     dataset = load_or_render(
         make_data_specs(config)["train"],
-        cache_dir=folder / "data",
+        cache_dir=workdir.parent / "data",
         processes=1,
         progress=False,
     )
     start = time.perf_counter()
     state = init_state(network, config)
-    (folder / name).mkdir()
-    log = MetricLog(folder / name / "metrics.jsonl")
-    checkpoints = Checkpoints(folder / name / "checkpoints")
+    workdir.mkdir()
+    log = MetricLog(workdir / "metrics.jsonl")
+    checkpoints = Checkpoints(workdir / "checkpoints")
     error, steps_done, is_finite = "", None, True
     try:
         # The report has a progress bar of its own.
         with contextlib.redirect_stdout(io.StringIO()):
+            kinds = {"network": network, "config": config}
             outcome = loop.train(
-                state,
-                dataset,
-                network=network,
-                config=config,
-                checkpoints=checkpoints,
-                log=log,
+                state, dataset, **kinds, checkpoints=checkpoints, log=log
             )
         steps_done = int(outcome.state.step)
-        is_finite = _is_finite(outcome.state)
+        leaves = jax.tree.leaves(jax.device_get(outcome.state))
+        is_finite = all(bool(np.all(np.isfinite(leaf))) for leaf in leaves)
     except NonFiniteError as caught:
         error, is_finite = str(caught), False
     finally:
@@ -160,11 +154,6 @@ def _train(trial, folder, name, *, seed):
         is_finite=is_finite,
         error=error,
     )
-
-
-def _is_finite(state):
-    leaves = jax.tree.leaves(jax.device_get(state))
-    return all(bool(np.all(np.isfinite(leaf))) for leaf in leaves)
 
 
 def judge(ending: Ending) -> list[str]:

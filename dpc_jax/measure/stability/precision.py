@@ -35,7 +35,6 @@ METHODS = (
 class Comparison(NamedTuple):
     """The error of one array in float32, relative to its largest magnitude."""
 
-    # Of the image
     method: str
     scene: str
     signal: str
@@ -44,17 +43,13 @@ class Comparison(NamedTuple):
 
 
 def compare_scenes(
-    scenes: list[Scene], *, methods: tuple[Method, ...] = METHODS, count: int
+    scenes: list[Scene], *, methods: tuple[Method, ...], count: int
 ) -> Iterator[Comparison]:
     """Errors of each image and each gradient.
 
     The scalar that is differentiated is Σ w·image. Its weights are between -1 and 1 and
     are the same numbers in both dtypes.
-
-    Args:
-      scenes: with at least `count` points each.
-      methods: of rendering.
-      count: points that are taken of each scene, so that all share programs.
+    The first `count` points are taken of each scene, so that all share programs.
     """
     for method in methods:
         results = {}

@@ -12,10 +12,6 @@ from dpc_jax.reporting.tables import format_table
 _LIBRARIES = ("dpc_jax", "jax", "jaxlib", "numpy", "flax", "optax")
 
 
-def _list_versions():
-    return {name: importlib.metadata.version(name) for name in _LIBRARIES}
-
-
 def write_report(
     out: Path,
     results: Mapping[str, PartResult],
@@ -25,20 +21,11 @@ def write_report(
     seed: int,
     command: str,
 ) -> Path:
-    """Write OUT/stability.json and OUT/stability.md.
+    """Write OUT/stability.json and OUT/stability.md, and return the path of the latter.
 
-    Args:
-      out: the report's folder.
-      results: of each part that ran, by name.
-      machine: from `timing.describe_machine`.
-      seconds: wall time of each part.
-      seed: of the random numbers.
-      command: which repeats the run.
-
-    Returns:
-      The path of stability.md.
+    Results and wall times are by part; the command repeats the run.
     """
-    versions = _list_versions()
+    versions = {name: importlib.metadata.version(name) for name in _LIBRARIES}
     data = {
         "passes": all(result.passes for result in results.values()),
         "command": command,

@@ -18,10 +18,8 @@ class PartRequest:
     quick: bool = False  # whether to run a small version, in half a minute
     seed: int = 0  # of all random numbers
     tell: Callable[[str], None] = print  # shows a line of text to whoever waits
-    # Chapters of the catalogue to run; None for all
-    subjects: tuple[str, ...] | None = None
-    # Dtypes of the catalogue to run; None for all that a case names
-    dtypes: tuple[str, ...] | None = None
+    subjects: tuple[str, ...] | None = None  # chapters of the catalogue; None for all
+    dtypes: tuple[str, ...] | None = None  # of the catalogue; None for all
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,10 +51,7 @@ PARTS = {
 
 
 def start_section(title: str, failures: Iterable[str] = ()) -> list[str]:
-    """The lines that a section begins with: its heading, then what failed, if anything.
-
-    Each failure is a sentence.
-    """
+    """The lines that a section begins with: its heading, then what failed, if any."""
     items = [f"- {failure}" for failure in failures]
     head = ["**Outside tolerance:**", "", *items, ""] if items else []
     return [f"## {title}", "", *head]
@@ -88,12 +83,7 @@ def _compile_quickly():
 def check_names(
     flag: str, names: tuple[str, ...] | None, known: tuple[str, ...]
 ) -> None:
-    """Refuse unknown names, and an empty list of names.
-
-    Args:
-      flag: the command line's flag that they come from.
-      names: to check; None for all that are known.
-      known: the names that there are.
+    """Refuse unknown names, and an empty list of names; None stands for all.
 
     Raises:
       ValueError: a name is not known, or there is none.

@@ -1,6 +1,7 @@
 """The part of the report on extreme cases: summary, limits, and every case."""
 
 import dataclasses
+import itertools
 
 from dpc_jax.files import write_text
 from dpc_jax.measure.stability.cases.case import DTYPES
@@ -68,22 +69,18 @@ def _write_section(rows, failures):
 
 
 def _summarize(rows):
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row.subject, row.dtype), []).append(row)
-    subjects = list(dict.fromkeys(row.subject for row in rows))
+    subjects = dict.fromkeys(row.subject for row in rows)
     lines = []
-    for (subject, dtype), group in sorted(
-        groups.items(), key=lambda g: (subjects.index(g[0][0]), DTYPES.index(g[0][1]))
-    ):
+    for subject, dtype in itertools.product(subjects, DTYPES):
+        group = [row for row in rows if (row.subject, row.dtype) == (subject, dtype)]
+        if not group:
+            continue
         worst = max(group, key=lambda row: row.worst_ratio)
+        num_failed = sum(not row.passes for row in group)
+        num_finite_only = sum(row.value_tolerance is None for row in group)
         lines.append(
             (
-                subject,
-                dtype,
-                len(group),
-                sum(not row.passes for row in group),
-                sum(row.value_tolerance is None for row in group),
+                *(subject, dtype, len(group), num_failed, num_finite_only),
                 _find_largest(row.value_ratio for row in group),
                 _find_largest(row.gradient_ratio for row in group),
                 worst.case if worst.worst_ratio > 0 else NONE,

@@ -34,10 +34,7 @@ SUBJECTS = {
 
 
 def list_cases(subjects: tuple[str, ...] | None = None) -> dict[str, list[Case]]:
-    """Cases of each subject; names are unique within one.
-
-    Args:
-      subjects: some of `SUBJECTS`; None for all.
+    """Cases of some subjects, or of all; names are unique within one.
 
     Raises:
       ValueError: there is no such subject, or two cases have one name.
@@ -69,12 +66,7 @@ def run_subjects(
     modes: tuple[str, ...] = MODES,
     tell: Callable[[str], None] = print,
 ) -> list[Row]:
-    """Rows of all cases, subject by subject.
-
-    Args:
-      catalogue: cases by subject.
-      tell: shows a line of text for each subject that is done.
-      dtypes, modes: see `run_cases`.
+    """Rows of all cases (see `run_cases`), with a line of text for each subject.
 
     Raises:
       ValueError: there is no such dtype.

@@ -53,11 +53,8 @@ def run_part(
 ) -> PartResult:
     """Draw inputs for every function; writes no file.
 
-    Args:
-      request: the quick form makes 30 draws for each function, the full one 10,000. The
-        same seed makes the same draws.
-      draws: another number of them.
-      targets: the functions; None for all.
+    The quick form makes 30 draws for each function, the full one 10,000. The same seed
+    makes the same draws.
     """
     if importlib.util.find_spec("hypothesis") is None:
         section = [*start_section(TITLE), f"Not run. {MISSING}", ""]

@@ -68,17 +68,11 @@ def render_views(
 
 
 @functools.partial(jax.jit, static_argnames="every")
-def descend(problem: Problem, start: Start, recipe: Recipe, *, every: int = 1) -> Trace:
-    """Follow a recipe from a start.
+def descend(problem: Problem, start: Start, recipe: Recipe, *, every: int) -> Trace:
+    """Follow a recipe from a start; T is a multiple of `every`.
 
-    Args:
-      problem: what to recover.
-      start: points and poses to begin with.
-      recipe: with T a multiple of `every`.
-      every: iterations between two measurements of the error; 1 measures each.
-
-    Returns:
-      The trace, with T / every + 1 entries.
+    The error is measured after every so many iterations, so the trace has
+    T / every + 1 entries.
     """
     # One dtype for all: with x64 the rates would bring in NumPy's float64.
     dtype = start.points.dtype

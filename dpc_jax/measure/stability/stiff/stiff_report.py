@@ -12,15 +12,8 @@ from dpc_jax.measure.stability.report_parts import (
     start_section,
 )
 from dpc_jax.measure.stability.stiff import studies, summaries
-from dpc_jax.measure.stability.stiff.studies import (
-    BEST,
-    STAGED,
-    Run,
-)
-from dpc_jax.measure.stability.stiff.summaries import (
-    Choice,
-    Summary,
-)
+from dpc_jax.measure.stability.stiff.studies import BEST, STAGED, Run
+from dpc_jax.measure.stability.stiff.summaries import Choice, Summary
 from dpc_jax.reporting.tables import format_table
 
 SHAPE_FIGURE, OTHER_FIGURE = "stability_stiff_shape.png", "stability_stiff_other.png"

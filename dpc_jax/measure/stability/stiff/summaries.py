@@ -9,9 +9,8 @@ from dpc_jax.measure.stability.stiff.studies import EVERY, Run
 
 
 class Summary(NamedTuple):
-    """Medians over seeds of one recipe on one scene."""
+    """Medians over seeds of one recipe on one scene; names as in `Run`."""
 
-    # As in `Run`
     study: str
     scene: str
     recipe: str
@@ -30,7 +29,7 @@ class Summary(NamedTuple):
 class Choice(NamedTuple):
     """Pose errors over all views and seeds, of the best of K starts by its loss."""
 
-    scene: str  # as in `Run`
+    scene: str
     starts: int  # K
     median_error: float  # degrees
     accuracy: float  # share of views within 30°
