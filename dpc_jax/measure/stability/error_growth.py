@@ -158,7 +158,7 @@ def measure_rays(sizes: Sequence[int], *, seeds: int) -> list[Curve]:
 
 def _measure(subject, sizes, call, draw, seeds):
     """Curves of all that a call returns by name, in the order of the names."""
-    squares: dict[str, list[float]] = {}
+    errors: dict[str, list[float]] = {}
     for size in sizes:
         inputs = [
             # Numbers that float32 has too, so that both dtypes see the same.
@@ -172,13 +172,11 @@ def _measure(subject, sizes, call, draw, seeds):
                 / np.sum(np.asarray(b[name]) ** 2)
                 for a, b in zip(found, expected, strict=True)
             ]
-            squares.setdefault(name, []).append(float(np.mean(ratios)))
-    curves = []
-    for name, values in squares.items():
-        errors = tuple(float(np.sqrt(v)) for v in values)
-        exponent = fit_exponent(sizes, errors)
-        curves.append(Curve(subject, name, tuple(sizes), errors, exponent))
-    return curves
+            errors.setdefault(name, []).append(float(np.sqrt(np.mean(ratios))))
+    return [
+        Curve(subject, name, tuple(sizes), tuple(values), fit_exponent(sizes, values))
+        for name, values in errors.items()
+    ]
 
 
 def _run(call, inputs, dtype):

@@ -128,9 +128,13 @@ def _train(trial, workdir, *, seed):
     try:
         # The report has a progress bar of its own.
         with contextlib.redirect_stdout(io.StringIO()):
-            kinds = {"network": network, "config": config}
             outcome = loop.train(
-                state, dataset, **kinds, checkpoints=checkpoints, log=log
+                state,
+                dataset,
+                network=network,
+                config=config,
+                checkpoints=checkpoints,
+                log=log,
             )
         steps_done = int(outcome.state.step)
         leaves = jax.tree.leaves(jax.device_get(outcome.state))

@@ -66,13 +66,10 @@ def make_cases(
 ) -> list[Case]:
     """The cases of one function from a table, one for each row.
 
-    Args:
-      title: of the table; a case is called "title: name", or "title" without a name.
-      function, oracle: see `Case`; no oracle if each row has its own.
-      tolerances: of the value and of the gradient.
-      rows: (name, input, input, ...). A dict at the end of a row holds the fields of
-        `Case` in which this row differs from the rest of the table.
-      **shared: other fields of `Case`, the same for all rows.
+    A case is called "title: name", or "title" without a name. Tolerances are those of
+    the value and of the gradient. A row is (name, input, input, ...). A dict at its end
+    holds the fields of `Case` in which it differs from the others, for example an
+    oracle of its own; **shared are other fields that are the same for all.
     """
     value, gradient = tolerances
     shared |= {"function": function, "oracle": oracle}
@@ -95,9 +92,6 @@ def make_weights(outputs: Iterable[Any]) -> list[np.ndarray]:
 
     They differ from entry to entry, so that errors of opposite sign do not cancel, and
     have few binary digits, so that every dtype represents them exactly.
-
-    Args:
-      outputs: arrays, or anything with their shapes.
     """
     weights, start = [], 0
     for output in outputs:

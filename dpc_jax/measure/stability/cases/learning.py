@@ -1,7 +1,7 @@
 """Learning: ties between candidates, empty and full views, ends of schedules."""
 
+import dataclasses
 import functools
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -124,40 +124,27 @@ def _list_fits():
     )
 
 
-class Schedules(NamedTuple):
-    """Sections of a config that hold its schedules."""
-
-    render: Render
-    train: Train
-
-
-def _make_sections(*, steps=1000, warmup_steps=100, final_rate=0.02, anneal_until=0.8):
-    return Schedules(
-        Render(grid=8, sigma_start=0.1, sigma_end=0.01, anneal_until=anneal_until),
-        Train(
-            steps=steps,
-            learning_rate=1e-3,
-            warmup_steps=warmup_steps,
-            final_rate=final_rate,
-        ),
-    )
+_RENDER = Render(grid=8, sigma_start=0.1, sigma_end=0.01, anneal_until=0.8)
+_TRAIN = Train(steps=1000, learning_rate=1e-3, warmup_steps=100, final_rate=0.02)
+# Runs in miniature, with every schedule in use.
+SCHEDULES = {
+    "plain": (_RENDER, _TRAIN),
+    "one step": (_RENDER, dataclasses.replace(_TRAIN, steps=1, warmup_steps=0)),
+    "no annealing, constant rate": (
+        dataclasses.replace(_RENDER, anneal_until=1.0),
+        dataclasses.replace(_TRAIN, final_rate=1.0, warmup_steps=0),
+    ),
+}
 
 
-@functools.cache
-def _make_schedules(sections):
+def _compute_schedules(step, *, render, train):
     """(sigma, learning rate) of a step."""
-    rate = schedules.make_learning_rate(sections.train)
-
-    def compute(step):
-        steps = sections.train.steps
-        return schedules.compute_sigma(step, sections.render, steps=steps), rate(step)
-
-    return compute
+    rate = schedules.make_learning_rate(train)
+    return schedules.compute_sigma(step, render, steps=train.steps), rate(step)
 
 
-def _find_schedules(step, *, sections):
-    """The oracle of `_make_schedules`."""
-    render, train = sections
+def _find_schedules(step, *, render, train):
+    """The oracle of `_compute_schedules`."""
     done = min(max(float(step) / (render.anneal_until * train.steps), 0), 1)
     share = render.sigma_start + done * (render.sigma_end - render.sigma_start)
     warm = train.warmup_steps
@@ -171,20 +158,13 @@ def _find_schedules(step, *, sections):
 
 
 def _list_schedules():
-    kinds = {
-        "plain": _make_sections(),
-        "one step": _make_sections(steps=1, warmup_steps=0),
-        "no annealing, constant rate": _make_sections(
-            anneal_until=1.0, final_rate=1.0, warmup_steps=0
-        ),
-    }
-    for name, sections in kinds.items():
-        last = sections.train.steps
-        steps = {0, 100, 800, last - 1, last, 10**6}
+    for name, (render, train) in SCHEDULES.items():
+        steps = {0, 100, 800, train.steps - 1, train.steps, 10**6}
+        sections = {"render": render, "train": train}
         yield from make_cases(
             "schedules",
-            _make_schedules(sections),
-            functools.partial(_find_schedules, sections=sections),
+            functools.partial(_compute_schedules, **sections),
+            functools.partial(_find_schedules, **sections),
             (256, None),
             [(f"{name}, step {step}", step) for step in sorted(steps)],
             because="a cosine whose argument has the rounding of a step's share; the "
