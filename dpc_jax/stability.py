@@ -104,32 +104,22 @@ def _write_command(options):
 def _run_parts(options, results):
     """Run part by part; fills `results`, and returns the path of the report."""
     options.out.mkdir(parents=True, exist_ok=True)
-    machine, seconds, path = describe_machine(), {}, None
+    seconds, path = {}, None
+    about = {"seed": options.seed, "command": _write_command(options)}
+    about["machine"] = describe_machine()
     # In the order of the report, whatever the order of the flag.
     parts = [part for part in PARTS if part in (options.parts or PARTS)]
     with ProgressReport("Stability", total=len(parts)) as progress:
-        request = PartRequest(
-            out=options.out,
-            quick=options.quick,
-            seed=options.seed,
-            tell=progress.tell,
-            subjects=options.subjects,
-            dtypes=options.dtypes,
-        )
+        names = ("out", "quick", "seed", "subjects", "dtypes")
+        wanted = {name: getattr(options, name) for name in names}
+        request = PartRequest(**wanted, tell=progress.tell)
         for step, part in enumerate(parts, start=1):
             progress.tell(f"{step}/{len(parts)} {part}")
             start = time.perf_counter()
             results[part] = run_part(part, request)
             seconds[part] = time.perf_counter() - start
             # After each part, so that an interrupted run keeps those that are done.
-            path = write_report(
-                options.out,
-                results,
-                machine=machine,
-                seconds=seconds,
-                seed=options.seed,
-                command=_write_command(options),
-            )
+            path = write_report(options.out, results, seconds=seconds, **about)
             progress.advance(step)
     return path
 

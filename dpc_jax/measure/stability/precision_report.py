@@ -127,11 +127,9 @@ def _write_section(comparisons, curves, failures):
 
 
 def _tabulate_errors(comparisons):
-    groups: dict[tuple[str, str], list[Comparison]] = {}
-    for c in comparisons:
-        groups.setdefault((c.method, c.signal), []).append(c)
     rows = []
-    for key, group in groups.items():
+    for key in dict.fromkeys((c.method, c.signal) for c in comparisons):
+        group = [c for c in comparisons if (c.method, c.signal) == key]
         image = max(c.error for c in group if c.quantity == "image")
         gradients = [c for c in group if c.quantity != "image"]
         worst = max(gradients, key=lambda c: c.error)

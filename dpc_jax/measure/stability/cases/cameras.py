@@ -70,12 +70,5 @@ def list_cases() -> list[Case]:
     return cases
 
 
-def _place(points, rotation, focal, distance, *, is_flat):
-    return oracles.place(
-        points,
-        rotation,
-        focal=focal,
-        distance=distance,
-        shape=SHAPE,
-        orthographic=is_flat,
-    )[0]
+def _place(*inputs, is_flat):
+    return oracles.place(*inputs, shape=SHAPE, orthographic=is_flat)[0]

@@ -37,10 +37,8 @@ ALONG_AXES = [
 FLAT = np.array([[1.0, 1, 0], [1, 1, 0], [0, 0, 1]])
 NEEDLE = np.outer([1.0, 0.5, -0.25], [1, 0.5, -0.25])
 INDEFINITE = [np.diag([1, 1, -1e-12]), np.diag([-1e-9, 1, 1]), FLAT, PLAIN[0]]
-BELOW = {
-    "limit": "a variance below zero counts as zero: the nearest cell, with zero "
-    "gradient"
-}
+ZERO = "a variance below zero counts as zero: the nearest cell, with zero gradient"
+BELOW = {"limit": ZERO}
 THIN = {
     "value_tolerance": 1e4,
     "gradient_tolerance": 4e6,

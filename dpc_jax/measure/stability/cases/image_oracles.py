@@ -29,9 +29,8 @@ def render(
     covariances in the grid, `covariance_of(points, rotation, sigma)` [N, 3, 3]; else
     trilinear weights and one smoothing.
     """
-    coordinates, is_inside = oracles.place(
-        points, rotation, focal=FOCAL, distance=DISTANCE, shape=shape
-    )
+    scene = (points, rotation, FOCAL, DISTANCE)
+    coordinates, is_inside = oracles.place(*scene, shape=shape)
     masses = np.where(is_inside, scale * np.ones(len(points)), 0)
 
     def fill(values):

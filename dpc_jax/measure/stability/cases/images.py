@@ -16,14 +16,10 @@ POINTS = np.array(
     [[0.1, -0.2, 0.3], [-0.3, 0.25, -0.1], [0.05, 0.01, -0.35], [-0.1, -0.2, 0.13]]
 )
 COLORS = np.array([[0.1, 0.9], [0.5, 0.2], [0.0, 1.0], [0.7, 0.7]])
-PLAIN = {
-    "points": POINTS,
-    "rotation": TURN,
-    "sigma": 0.6,
-    "scale": [0.6] * 4,
-    "colors": COLORS,
-}
+PLAIN = {"points": POINTS, "rotation": TURN, "sigma": 0.6, "scale": [0.6] * 4}
+PLAIN["colors"] = COLORS
 ONE = np.array([1e-12, 0, 0, 0])
+MANY = (1e-12, 1e-6, 1, 1e6)
 TILT = np.array([[0.5, 0.25, 0], [0.25, 0, -0.125], [0, -0.125, 0.25]])
 
 BACKGROUND = {"limit": "a ray without density shows the background"}
@@ -48,11 +44,7 @@ SCENES = (
     ("one point of mass 1e-30", {"scale": ONE * 1e-18}, IN_WIDE),
     ("mass 0", {"scale": [0] * 4}, BACKGROUND),
     ("mass 1e6", {"scale": [1e6] * 4}, IN_WIDE | FULL | TAILS),
-    (
-        "masses from 1e-12 to 1e6",
-        {"scale": [1e-12, 1e-6, 1, 1e6]},
-        IN_WIDE | FULL | TAILS,
-    ),
+    ("masses from 1e-12 to 1e6", {"scale": MANY}, IN_WIDE | FULL | TAILS),
     ("colours 1e6", {"colors": COLORS * 1e6}, IN_WIDE),
     ("colours 1e30", {"colors": COLORS * 1e30}, IN_WIDE),
     ("colours 1e-30", {"colors": COLORS * 1e-30}, IN_WIDE),

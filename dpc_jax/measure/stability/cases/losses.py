@@ -47,18 +47,15 @@ SELECTIONS = (
     ("a sure winner", [[50.0, 0, 0], [0, 0, 80]]),
 )
 CLOUD = np.array([[0.1, -0.2, 0.3], [-0.3, 0.2, -0.1], [0.0, 0.4, 0.2]])
+OF_ONE = {"gradient_floor": 1.0}
 SAME = np.repeat(CLOUD[:1], 3, axis=0)
 CLOUDS = (
-    ("plain", CLOUD, {"gradient_floor": 1.0}),
+    ("plain", CLOUD, OF_ONE),
     ("coincident points", SAME),
     ("1e-20 apart", SAME * 0 + np.arange(3)[:, None] * 1e-20, IN_WIDE),
     ("1e6 wide", CLOUD * 1e6, IN_WIDE),
     ("1e15 wide", CLOUD * 1e15, IN_WIDE),
-    (
-        "exactly on the sphere",
-        [[0.5, 0, 0], [0, -0.5, 0], [0, 0, 0]],
-        {"gradient_floor": 1.0},
-    ),
+    ("exactly on the sphere", [[0.5, 0, 0], [0, -0.5, 0], [0, 0, 0]], OF_ONE),
 )
 
 

@@ -62,9 +62,9 @@ def angle(p: Array, q: Array) -> Array:
 def place(
     points: Array,
     q: Array,
-    *,
     focal: Number,
     distance: Number,
+    *,
     shape: Shape,
     orthographic: bool = False,
 ) -> tuple[Array, Array]:

@@ -12,9 +12,7 @@ from dpc_jax.render import compensate_widening, mass_of_peak, smooth, splat
 SUBJECT = "splat and smooth"
 SHAPE = (4, 3, 5)
 CROWD = 100_000
-KINK = {
-    "limit": "linear between cell centres: at one, the slope towards the higher index"
-}
+KINK = "linear between cell centres: at one, the slope towards the higher index"
 OUTSIDE = {
     "limit": "a point outside leaves no trace; of one inside, the share on cells "
     "outside is lost"
@@ -35,7 +33,7 @@ AT_BORDERS = (
 )
 SPLATS = (
     ("plain", PLACE, VALUES),
-    ("on cell centres", ON_CENTRES, VALUES, KINK),
+    ("on cell centres", ON_CENTRES, VALUES, {"limit": KINK}),
     ("on faces, edges and corners of cells", BETWEEN, VALUES),
     *((name, place, VALUES, OUTSIDE) for name, place in AT_BORDERS),
     ("all outside, up to 1e30", FAR, VALUES, OUTSIDE | IN_WIDE),

@@ -59,12 +59,8 @@ def render_views(
 ) -> jax.Array:
     """Silhouettes [V, 32, 32] of points [N, 3] with masses [N] from poses [V, 4]."""
 
-    def render(pose):
-        return project(
-            points, pose, sigma=sigma, scale=masses, camera=CAMERA, grid=GRID
-        ).silhouette
-
-    return jax.lax.map(render, poses)
+    looks = {"sigma": sigma, "scale": masses, "camera": CAMERA, "grid": GRID}
+    return jax.lax.map(lambda q: project(points, q, **looks).silhouette, poses)
 
 
 @functools.partial(jax.jit, static_argnames="every")
@@ -79,9 +75,7 @@ def descend(problem: Problem, start: Start, recipe: Recipe, *, every: int) -> Tr
     recipe = jax.tree.map(lambda a: a.astype(dtype), recipe)
 
     def compute_loss(params, sigma):
-        images = render_views(
-            params.points, params.poses, masses=problem.masses, sigma=sigma
-        )
+        images = render_views(*params, masses=problem.masses, sigma=sigma)
         return reprojection_loss(images, problem.targets)
 
     def step(carry, inputs):
@@ -103,9 +97,7 @@ def descend(problem: Problem, start: Start, recipe: Recipe, *, every: int) -> Tr
         return (params, mean, square, count), None
 
     def measure(params):
-        sharp = render_views(
-            params.points, params.poses, masses=problem.masses, sigma=1.0
-        )
+        sharp = render_views(*params, masses=problem.masses, sigma=1.0)
         losses = jnp.sum((sharp - problem.targets) ** 2, axis=(1, 2))
         angles = jax.vmap(quaternion.angle_between)(params.poses, problem.poses)
         gaps = jnp.linalg.norm(params.points[:, None] - problem.surface[None], axis=-1)

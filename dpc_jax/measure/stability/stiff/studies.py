@@ -55,7 +55,7 @@ class Run(NamedTuple):
     """One descent."""
 
     study: str  # "shape", "starts" or "masses"
-    scene: str  # the object to recover
+    scene: str
     recipe: str  # in words
     rate: float | None  # of plain gradient descent, or None
     seed: int  # of the problem
@@ -108,7 +108,7 @@ def run_masses(plan: Plan) -> Iterator[Run]:
     # A point starts when the heavier ones have come to rest, with a decay of its own.
     done = (steps - 0.6 * plan.steps * order) / (0.4 * plan.steps)
     staged = np.where(done < 0, 0, 0.5 * (1 + np.cos(np.pi * np.clip(done, 0, 1))))
-    flat = np.ones((plan.steps, _FEW))
+    flat, still = np.ones((plan.steps, _FEW)), jnp.zeros((plan.steps, VIEWS))
     recipes = [
         *(("gradient", r, flat * r, _MEMORY) for r in (1e-4, 3e-4, 1e-3)),
         *(
@@ -121,13 +121,9 @@ def run_masses(plan: Plan) -> Iterator[Run]:
     for seed in range(plan.seeds):
         problem, start = _make_cloud(masses, seed)
         for name, rate, rates, memory in recipes:
-            recipe = Recipe(
-                jnp.ones(plan.steps),
-                jnp.asarray(rates, jnp.float32),
-                jnp.zeros((plan.steps, VIEWS)),
-                jnp.asarray(rate is None),
-                jnp.asarray(memory),
-            )
+            point_rates = jnp.asarray(rates, jnp.float32)
+            flags = (jnp.asarray(rate is None), jnp.asarray(memory))
+            recipe = Recipe(jnp.ones(plan.steps), point_rates, still, *flags)
             yield _time("masses", "sparse", name, rate, seed, problem, start, recipe)
 
 
