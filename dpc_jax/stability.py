@@ -40,12 +40,9 @@ def main(arguments: list[str] | None = None) -> int:
         for flag, known in _list_known().items():
             check_names(flag, getattr(options, flag), known)
         path = _run_parts(options, results)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         print(f"Error: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"Error: {error}", file=sys.stderr)
-        return 1
+        return 2 if isinstance(error, ValueError) else 1
     except KeyboardInterrupt:
         done = ", ".join(results) or "none"
         print(f"Interrupted; parts in {options.out}: {done}.", file=sys.stderr)
@@ -53,9 +50,8 @@ def main(arguments: list[str] | None = None) -> int:
     failures = [f for result in results.values() for f in result.failures]
     for failure in failures:
         print(f"Outside tolerance: {failure}")
-    print(
-        f"{len(failures)} outside tolerance." if failures else "All within tolerance."
-    )
+    num_failed = len(failures)
+    print(f"{num_failed} outside tolerance." if failures else "All within tolerance.")
     print(f"Report: {path}")
     return 1 if failures else 0
 
@@ -77,11 +73,8 @@ def _parse(arguments):
         f"{','.join(QUICK_DTYPES)} unless --dtypes says otherwise",
     )
     for flag, known in _list_known().items():
-        parser.add_argument(
-            f"--{flag}",
-            type=_split,
-            help=f"some of {','.join(known)}; default: all",
-        )
+        words = f"some of {','.join(known)}; default: all"
+        parser.add_argument(f"--{flag}", type=_split, help=words)
     parser.add_argument("--seed", type=int, default=0, help="of the random numbers")
     options = parser.parse_args(arguments)
     if options.quick and options.dtypes is None:

@@ -8,14 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dpc_jax import render
 from dpc_jax.learning.losses import reprojection_loss
-from dpc_jax.render import (
-    VoxelGrid,
-    opacity,
-    project,
-    smooth,
-    termination_probabilities,
-)
 
 # Independent rounding errors of n terms add up as √n.
 EXPECTED = 0.5
@@ -75,19 +69,19 @@ def measure_points(sizes: Sequence[int], *, seeds: int) -> list[Curve]:
 
 
 def _render_points(points, weights, *, method):
-    def render(scale, rotation):
-        return project(
+    def show(scale, rotation):
+        return render.project(
             points,
             rotation,
             sigma=1.0,
             scale=scale / len(points),
-            grid=VoxelGrid(_SIDE),
+            grid=render.VoxelGrid(_SIDE),
             method=method,
         ).silhouette
 
     total = jnp.asarray(160, points.dtype)
     rotation = jnp.array([0.8, 0.4, 0, 0.4], points.dtype)
-    image, pull_back = jax.vjp(render, total, rotation)
+    image, pull_back = jax.vjp(show, total, rotation)
     by_scale, by_rotation = pull_back(weights)
     return {
         "silhouette": image,
@@ -105,7 +99,7 @@ def measure_cells(sides: Sequence[int], *, seeds: int) -> list[Curve]:
 
     def call(volume, weights):
         sigma = jnp.asarray(len(volume) / 8, volume.dtype)
-        smoothed, pull_back = jax.vjp(lambda s: smooth(volume, s), sigma)
+        smoothed, pull_back = jax.vjp(lambda s: render.smooth(volume, s), sigma)
         (by_sigma,) = pull_back(weights)
         return {"smoothed volume": smoothed, "gradient of sigma": by_sigma}
 
@@ -138,9 +132,9 @@ def measure_rays(sizes: Sequence[int], *, seeds: int) -> list[Curve]:
     """Rays of n cells with a mean occupancy of 2/n, so that their sum stays at two."""
 
     def call(occupancy, weights):
-        shown, pull_back = jax.vjp(opacity, occupancy)
+        shown, pull_back = jax.vjp(render.opacity, occupancy)
         (by_opacity,) = pull_back(weights[:, 0])
-        ended, pull_back = jax.vjp(termination_probabilities, occupancy)
+        ended, pull_back = jax.vjp(render.termination_probabilities, occupancy)
         (by_ends,) = pull_back((weights, weights[:, 0]))
         return {
             "opacity": shown,

@@ -113,12 +113,8 @@ def _train(trial, workdir, *, seed):
     config = _make_trial_config(trial, seed=seed)
     check(config)
     network = make_network(config)
-    dataset = load_or_render(
-        make_data_specs(config)["train"],
-        cache_dir=workdir.parent / "data",
-        processes=1,
-        progress=False,
-    )
+    specs, cache = make_data_specs(config)["train"], workdir.parent / "data"
+    dataset = load_or_render(specs, cache_dir=cache, processes=1, progress=False)
     start = time.perf_counter()
     state = init_state(network, config)
     workdir.mkdir()
@@ -193,16 +189,10 @@ def _write_section(endings, failures):
     for e in endings:
         numbers = (e.first_loss, e.last_loss, e.largest_gradient)
         done = "–" if e.steps_done is None else e.steps_done
-        rows.append(
-            (
-                e.trial.variant or "default",
-                f"{e.learning_rate:.2g} (×{e.trial.factor:g})",
-                f"{done} of {e.trial.steps}",
-                f"{e.seconds:.0f}",
-                *("–" if n is None else f"{n:.3g}" for n in numbers),
-                _describe(e),
-            )
-        )
+        rate = f"{e.learning_rate:.2g} (×{e.trial.factor:g})"
+        begun = (rate, f"{done} of {e.trial.steps}", f"{e.seconds:.0f}")
+        shown = ("–" if n is None else f"{n:.3g}" for n in numbers)
+        rows.append((e.trial.variant or "default", *begun, *shown, _describe(e)))
     head = ("config", "learning rate", "steps", "seconds", "first loss", "last loss")
     lines = [
         *start_section("Training far too fast", failures),

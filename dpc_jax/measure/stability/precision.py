@@ -48,8 +48,8 @@ def compare_scenes(
     """Errors of each image and each gradient.
 
     The scalar that is differentiated is Σ w·image. Its weights are between -1 and 1 and
-    are the same numbers in both dtypes.
-    The first `count` points are taken of each scene, so that all share programs.
+    are the same numbers in both dtypes. The first `count` points are taken of each
+    scene, so that all share programs.
     """
     for method in methods:
         results = {}

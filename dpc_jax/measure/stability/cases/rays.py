@@ -5,13 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.measure.stability.cases import oracles
-from dpc_jax.measure.stability.cases.case import (
-    DTYPES,
-    REAL,
-    WIDE,
-    Case,
-    make_cases,
-)
+from dpc_jax.measure.stability.cases.case import DTYPES, REAL, WIDE, Case, make_cases
 from dpc_jax.render import termination
 
 SUBJECT = "ray termination"
@@ -50,14 +44,12 @@ def list_cases() -> list[Case]:
     return [
         *_make_cases(
             "probabilities",
-            termination.termination_probabilities,
-            oracles.terminate,
+            *(termination.termination_probabilities, oracles.terminate),
             slope=_differentiate_termination,
         ),
         *_make_cases(
             "opacity",
-            termination.opacity,
-            oracles.find_opacity,
+            *(termination.opacity, oracles.find_opacity),
             changes=OPACITY_CHANGES,
             slope=_differentiate_opacity,
         ),
@@ -77,17 +69,14 @@ def list_cases() -> list[Case]:
 
 def _make_cases(title, function, oracle, names=tuple(RAYS), changes=None, **shared):
     """Cases on rays; tolerances grow with the length of the ray."""
-    because = "each cell rounds the product twice, at worst in one direction"
-    shared["because"] = because
+    shared["because"] = "each cell rounds the product twice, at worst in one direction"
     cases = []
     for name in names:
         ray, length = RAYS[name], len(RAYS[name])
         tolerances = 2 * length + 8, 8 * length + 16
         row = (name, ray, (changes or {}).get(name, {}))
-        dtypes = WIDE if length == LONG else DTYPES
-        cases += make_cases(
-            title, function, oracle, tolerances, [row], dtypes=dtypes, **shared
-        )
+        shared["dtypes"] = WIDE if length == LONG else DTYPES
+        cases += make_cases(title, function, oracle, tolerances, [row], **shared)
     return cases
 
 

@@ -114,9 +114,9 @@ def list_cases() -> list[Case]:
     points = np.array([[0.3, -0.4, 0.5], [1e-7, 1, 1e3], [0, 0, 0]])
     still = {"slope": lambda inputs, w: (np.zeros(4),), "limit": ZERO}
     moved = {"slope": lambda inputs, w: (w[0], np.zeros(4)), "limit": ZERO}
-    lengths = [*LENGTHS, ("zero", [0] * 4, still)]
-    turned = [(name, points, q) for name, q in LENGTHS]
-    turned.append(("zero", points, [0] * 4, moved))
+    lengths = (*LENGTHS, ("zero", [0] * 4, still))
+    zero = ("zero", points, [0] * 4, moved)
+    turned = [*((name, points, q) for name, q in LENGTHS), zero]
     along = ROUNDING + "; the gradient of q cancels along q"
     return [
         *make("normalize", quaternion.normalize, oracles.normalize, (4, 16), lengths),

@@ -105,11 +105,6 @@ def _crowd_mass(coordinate, value):
     return jnp.sum(splat(coordinates, jnp.broadcast_to(value, (CROWD,)), SHAPE))
 
 
-def _smoothed_mass(volume, sigma):
-    """Mass of a smoothed volume."""
-    return jnp.sum(smooth(volume, sigma))
-
-
 def _find_mass(peak, sigma):
     return peak * (2 * oracles.PI) ** REAL(1.5) * sigma * sigma * sigma
 
@@ -186,7 +181,8 @@ def _list_smooths():
         ),
         *make_cases(
             "smooth",
-            *(_smoothed_mass, lambda volume, _: np.sum(volume), (32, None), middle),
+            lambda volume, sigma: jnp.sum(smooth(volume, sigma)),
+            *(lambda volume, _: np.sum(volume), (32, None), middle),
             because="nine cells away is twelve deviations, 1e-31 of the mass",
             dtypes=WIDE,
         ),

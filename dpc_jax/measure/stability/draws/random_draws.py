@@ -35,10 +35,8 @@ class Outcome:
     target: str  # its name
     limit: str  # the range drawn from, if it is not all finite numbers
     draws: int  # how many were tried
-    # The properties that one draw broke; empty if all held
-    broken: tuple[str, ...] = ()
-    # That draw as text, made as simple as it can be while it still breaks them
-    inputs: str = ""
+    broken: tuple[str, ...] = ()  # the properties that one draw broke
+    inputs: str = ""  # that draw, made as simple as it can be while it breaks them
 
 
 class _Broken(Exception):

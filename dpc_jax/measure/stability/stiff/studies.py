@@ -156,7 +156,7 @@ def _make_cloud(masses, seed):
     return Problem(targets, poses, points, masses), Start(moved, poses)
 
 
-def _make_recipe(plan, ends, *, rate=None):
+def _make_recipe(plan, ends: tuple[float, float], *, rate=None):
     """Gradient descent at a rate, or Adam; log sigma goes evenly between its ends."""
     factors = np.ones(plan.steps) if rate else _cool(plan)
     rates = jnp.asarray((rate or _ADAM_RATE) * factors, jnp.float32)[:, None]

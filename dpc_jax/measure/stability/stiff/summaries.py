@@ -88,8 +88,6 @@ def choose_starts(runs: Sequence[Run]) -> list[Choice]:
                 errors.append(angles[np.argmin(losses, axis=0), range(angles.shape[1])])
                 seconds.append(sum(r.seconds for r in found[:count]))
             accuracy = float(np.mean(np.array(errors) < 30))
-            median = float(np.median(errors))
-            choices.append(
-                Choice(scene, count, median, accuracy, float(np.median(seconds)))
-            )
+            median, time = float(np.median(errors)), float(np.median(seconds))
+            choices.append(Choice(scene, count, median, accuracy, time))
     return choices
