@@ -69,15 +69,11 @@ def measure_points(sizes: Sequence[int], *, seeds: int) -> list[Curve]:
 
 
 def _render_points(points, weights, *, method):
+    look = {"sigma": 1.0, "grid": render.VoxelGrid(_SIDE), "method": method}
+
     def show(scale, rotation):
-        return render.project(
-            points,
-            rotation,
-            sigma=1.0,
-            scale=scale / len(points),
-            grid=render.VoxelGrid(_SIDE),
-            method=method,
-        ).silhouette
+        share = scale / len(points)
+        return render.project(points, rotation, scale=share, **look).silhouette
 
     total = jnp.asarray(160, points.dtype)
     rotation = jnp.array([0.8, 0.4, 0, 0.4], points.dtype)

@@ -177,14 +177,12 @@ def _name(trial):
 
 
 def _describe(ending):
-    """How a run ended, in words."""
     if ending.error:
         return "stopped: " + ending.error.split(", but ")[-1].split(";")[0]
     return "finite to the end" if ending.is_finite else "not finite, unnoticed"
 
 
 def _write_section(endings, failures):
-    """Section of the report: a row for each run."""
     rows = []
     for e in endings:
         numbers = (e.first_loss, e.last_loss, e.largest_gradient)

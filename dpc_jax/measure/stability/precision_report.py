@@ -92,7 +92,6 @@ def judge(comparisons: Sequence[Comparison], curves: Sequence[Curve]) -> list[st
 
 
 def _write_section(comparisons, curves, failures):
-    """Section of the report: worst errors, then growth with its figure."""
     scenes = dict.fromkeys(c.scene for c in comparisons)
     lines = [
         *start_section("Ordinary scenes in float32", failures),

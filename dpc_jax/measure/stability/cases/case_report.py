@@ -50,7 +50,6 @@ def describe_failure(row: Row) -> str:
 
 
 def _write_section(rows, failures):
-    """Section of the report: failures, then the summary, then documented limits."""
     num_within = sum(row.passes for row in rows)
     lines = [
         *start_section("Extreme cases", failures),
@@ -106,7 +105,6 @@ def _list_limits(rows):
 
 
 def _write_rows(rows):
-    """All rows as Markdown, with a table for each subject."""
     lines = ["# Every case", "", "Errors are relative, tolerances in brackets.", ""]
     head = ("case", "dtype", "value error", "gradient error", "finite", "passes")
     for subject in dict.fromkeys(row.subject for row in rows):

@@ -138,7 +138,6 @@ SCHEDULES = {
 
 
 def _compute_schedules(step, *, render, train):
-    """(sigma, learning rate) of a step."""
     rate = schedules.make_learning_rate(train)
     return schedules.compute_sigma(step, render, steps=train.steps), rate(step)
 

@@ -100,7 +100,6 @@ def _make_splat(shape):
 
 
 def _crowd_mass(coordinate, value):
-    """Mass of a crowd of coincident points, all in the volume."""
     coordinates = jnp.broadcast_to(coordinate, (CROWD, 3))
     return jnp.sum(splat(coordinates, jnp.broadcast_to(value, (CROWD,)), SHAPE))
 
@@ -135,15 +134,16 @@ def list_cases() -> list[Case]:
 
 
 def _list_splats():
-    make = functools.partial(make_cases, "splat")
     because = "three weights of one rounding each, and their product"
     tables = [(SHAPE, SPLATS)]
     tables += [(shape, [(name, place, [1, 2])]) for shape, name, place in GRIDS]
     for shape, rows in tables:
         oracle = functools.partial(oracles.splat, shape=shape)
-        yield from make(_make_splat(shape), oracle, (8, 16), rows, because=because)
+        function = _make_splat(shape)
+        yield from make_cases("splat", function, oracle, (8, 16), rows, because=because)
     for name, value in {"": 1.0, ", mass 1e-12": 1e-12, ", mass 1e30": 1e30}.items():
-        yield from make(
+        yield from make_cases(
+            "splat",
             _crowd_mass,
             lambda coordinate, value: CROWD * value + 0 * np.sum(coordinate),
             (CROWD / 4, CROWD / 4),

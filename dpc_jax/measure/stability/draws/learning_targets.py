@@ -33,28 +33,21 @@ def _list_losses():
     not_negative = promise("not negative", lambda loss: loss >= 0)
     nearly = promise("not negative", lambda loss: loss >= -_SLACK)
     share = promise("in [0, 1]", lambda loss: (loss >= -_SLACK) & (loss <= 1))
+    square = "values ≤ 1e18: the loss is their square"
+    apart = "logits ≤ 1e37: the loss is their difference"
     squared = "coordinates ≤ 1e18: distances are squared"
     steep = "components 0 or ≥ 1e-30 (the gradient grows as 1/|q|)"
+    reproject, contain = losses.reprojection_loss, losses.containment_loss
 
     def select(logits):
         return losses.selection_loss(logits, jnp.array([0, 2]))
 
     for name, function, inputs, limit, *holds in (
-        (
-            "reprojection_loss",
-            *(losses.reprojection_loss, (image, image)),
-            *("values ≤ 1e18: the loss is their square", not_negative),
-        ),
+        ("reprojection_loss", reproject, (image, image), square, not_negative),
         ("student_loss", losses.student_loss, (_QUATERNION,) * 2, steep, share),
-        (
-            "losses.selection_loss",
-            *(select, (logits,), "logits ≤ 1e37: the loss is their difference", nearly),
-        ),
+        ("losses.selection_loss", select, (logits,), apart, nearly),
         ("losses.repulsion_energy", losses.repulsion_energy, (points,), squared),
-        (
-            "losses.containment_loss",
-            *(losses.containment_loss, (points,), squared, not_negative),
-        ),
+        ("losses.containment_loss", contain, (points,), squared, not_negative),
     ):
         yield Target(name, function, inputs, *holds, limit=limit)
 

@@ -141,7 +141,6 @@ def _draw_array(wanted: Range):
 
 
 def _write_section(outcomes):
-    """Section of the report: what broke, then draws and ranges."""
     lines = start_section(TITLE)
     for o in outcomes:
         if o.broken:

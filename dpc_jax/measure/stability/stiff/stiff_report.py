@@ -117,7 +117,6 @@ MASSES_FOUND = (
 
 
 def _write_section(summaries, choices, failures, plan):
-    """Section of the report: three problems, each with its table and curves."""
     starts = []
     for c in choices:
         numbers = (c.median_error, c.accuracy, c.seconds)
