@@ -40,12 +40,9 @@ def main(arguments: list[str] | None = None) -> int:
         for flag, known in _list_known().items():
             check_names(flag, getattr(options, flag), known)
         path = _run_parts(options, results)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         print(f"Error: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"Error: {error}", file=sys.stderr)
-        return 1
+        return 2 if isinstance(error, ValueError) else 1
     except KeyboardInterrupt:
         done = ", ".join(results) or "none"
         print(f"Interrupted; parts in {options.out}: {done}.", file=sys.stderr)
@@ -53,9 +50,8 @@ def main(arguments: list[str] | None = None) -> int:
     failures = [f for result in results.values() for f in result.failures]
     for failure in failures:
         print(f"Outside tolerance: {failure}")
-    print(
-        f"{len(failures)} outside tolerance." if failures else "All within tolerance."
-    )
+    num_failed = len(failures)
+    print(f"{num_failed} outside tolerance." if failures else "All within tolerance.")
     print(f"Report: {path}")
     return 1 if failures else 0
 
@@ -77,11 +73,8 @@ def _parse(arguments):
         f"{','.join(QUICK_DTYPES)} unless --dtypes says otherwise",
     )
     for flag, known in _list_known().items():
-        parser.add_argument(
-            f"--{flag}",
-            type=_split,
-            help=f"some of {','.join(known)}; default: all",
-        )
+        words = f"some of {','.join(known)}; default: all"
+        parser.add_argument(f"--{flag}", type=_split, help=words)
     parser.add_argument("--seed", type=int, default=0, help="of the random numbers")
     options = parser.parse_args(arguments)
     if options.quick and options.dtypes is None:
@@ -104,32 +97,22 @@ def _write_command(options):
 def _run_parts(options, results):
     """Run part by part; fills `results`, and returns the path of the report."""
     options.out.mkdir(parents=True, exist_ok=True)
-    machine, seconds, path = describe_machine(), {}, None
+    seconds, path = {}, None
+    about = {"seed": options.seed, "command": _write_command(options)}
+    about["machine"] = describe_machine()
     # In the order of the report, whatever the order of the flag.
     parts = [part for part in PARTS if part in (options.parts or PARTS)]
     with ProgressReport("Stability", total=len(parts)) as progress:
-        request = PartRequest(
-            out=options.out,
-            quick=options.quick,
-            seed=options.seed,
-            tell=progress.tell,
-            subjects=options.subjects,
-            dtypes=options.dtypes,
-        )
+        names = ("out", "quick", "seed", "subjects", "dtypes")
+        wanted = {name: getattr(options, name) for name in names}
+        request = PartRequest(**wanted, tell=progress.tell)
         for step, part in enumerate(parts, start=1):
             progress.tell(f"{step}/{len(parts)} {part}")
             start = time.perf_counter()
             results[part] = run_part(part, request)
             seconds[part] = time.perf_counter() - start
             # After each part, so that an interrupted run keeps those that are done.
-            path = write_report(
-                options.out,
-                results,
-                machine=machine,
-                seconds=seconds,
-                seed=options.seed,
-                command=_write_command(options),
-            )
+            path = write_report(options.out, results, seconds=seconds, **about)
             progress.advance(step)
     return path
 

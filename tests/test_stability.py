@@ -35,7 +35,7 @@ def make_case(function, **changes):
 
 def install(monkeypatch, *cases):
     """Put these cases in place of the catalogue."""
-    room = types.SimpleNamespace(list_cases=lambda: list(cases))
+    room = types.SimpleNamespace(SUBJECT="made up", list_cases=lambda: cases)
     monkeypatch.setattr(catalogue, "SUBJECTS", {"made up": room})
     monkeypatch.setattr(stability, "SUBJECTS", {"made up": room})
 

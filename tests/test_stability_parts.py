@@ -173,14 +173,15 @@ def test_training_ten_times_too_fast_ends_finite(tmp_path):
 def test_training_that_stops_is_shown_with_its_reason(tmp_path, monkeypatch):
     def stop(*_, **__):
         raise NonFiniteError(
-            "Expected a number, but the loss became nan at step 3; stop."
+            "Expected finite losses and gradients, but the loss became nan at step 3; "
+            "start a run in another workdir."
         )
 
     monkeypatch.setattr(loop, "train", stop)
     with compiling_quickly():
         result = fast_training.run_part(PartRequest(tmp_path), trials=[TRIAL])
     assert result.passes, result.failures
-    assert "stopped: The loss became nan at step 3 |" in result.markdown
+    assert "stopped: the loss became nan at step 3 |" in result.markdown
 
 
 @pytest.mark.slow
@@ -193,7 +194,7 @@ def test_a_run_that_breaks_unnoticed_or_without_a_name_fails():
     good = fast_training.Ending(
         fast_training.Trial("", 10, 5), 1e-3, 5, 1.0, 2.0, 1.0, 3.0, True, ""
     )
-    named = "The student loss became nan at step 1, where a finite number was expected"
+    named = "Expected finite losses, but the student loss became nan at step 1; stop."
     stopped = good._replace(steps_done=None, is_finite=False, error=named)
     assert fast_training.judge(good) == fast_training.judge(stopped) == []
     for change, words in (

@@ -1,21 +1,15 @@
 """How float32's error grows with the length of a sum: points, cells, rays."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dpc_jax import render
 from dpc_jax.learning.losses import reprojection_loss
-from dpc_jax.render import (
-    VoxelGrid,
-    opacity,
-    project,
-    smooth,
-    termination_probabilities,
-)
 
 # Independent rounding errors of n terms add up as √n.
 EXPECTED = 0.5
@@ -24,24 +18,18 @@ EXPECTED = 0.5
 # 0.05 (one standard deviation). This is twice that.
 SLACK = 0.1
 _SIDE = 16  # of the volume that many points are summed in
+_RAYS = 64
 
 
 class Curve(NamedTuple):
-    """The error of one quantity over n.
+    """The error of one quantity over n."""
 
-    Attributes:
-      subject: what n counts.
-      quantity: what is computed.
-      sizes: n, the numbers of terms in the sum.
-      errors: root mean square over seeds of ‖a - b‖/‖b‖, a in float32, b in float64.
-      exponent: of the power of n that fits the errors best.
-    """
-
-    subject: str
-    quantity: str
-    sizes: tuple[int, ...]
+    subject: str  # what n counts
+    quantity: str  # what is computed
+    sizes: tuple[int, ...]  # n, the numbers of terms in the sum
+    # Root mean square over seeds of ‖a - b‖/‖b‖, a in float32, b in float64
     errors: tuple[float, ...]
-    exponent: float
+    exponent: float  # of the power of n that fits the errors best
 
     @property
     def passes(self) -> bool:
@@ -57,9 +45,7 @@ def fit_exponent(sizes: Sequence[float], errors: Sequence[float]) -> float:
     return float(np.polyfit(np.log(np.asarray(sizes, float)), np.log(found), 1)[0])
 
 
-def measure_points(
-    sizes: Sequence[int], *, methods: Sequence[str], seeds: int
-) -> list[Curve]:
+def measure_points(sizes: Sequence[int], *, seeds: int) -> list[Curve]:
     """Densities, and gradients that are sums over all points.
 
     A fixed mass, enough to fill an ellipsoid to a half, is shared by n points. The
@@ -73,7 +59,7 @@ def measure_points(
         return points * (0.42, 0.28, 0.16), rng.uniform(0, 1, (_SIDE, _SIDE))
 
     curves = []
-    for method in methods:
+    for method in ("trilinear", "gaussian"):
         call = functools.partial(_render_points, method=method)
         curves += [
             curve._replace(quantity=f"{curve.quantity}, {method}")
@@ -83,19 +69,15 @@ def measure_points(
 
 
 def _render_points(points, weights, *, method):
-    def render(scale, rotation):
-        return project(
-            points,
-            rotation,
-            sigma=1.0,
-            scale=scale / len(points),
-            grid=VoxelGrid(_SIDE),
-            method=method,
-        ).silhouette
+    look = {"sigma": 1.0, "grid": render.VoxelGrid(_SIDE), "method": method}
+
+    def show(scale, rotation):
+        share = scale / len(points)
+        return render.project(points, rotation, scale=share, **look).silhouette
 
     total = jnp.asarray(160, points.dtype)
     rotation = jnp.array([0.8, 0.4, 0, 0.4], points.dtype)
-    image, pull_back = jax.vjp(render, total, rotation)
+    image, pull_back = jax.vjp(show, total, rotation)
     by_scale, by_rotation = pull_back(weights)
     return {
         "silhouette": image,
@@ -113,7 +95,7 @@ def measure_cells(sides: Sequence[int], *, seeds: int) -> list[Curve]:
 
     def call(volume, weights):
         sigma = jnp.asarray(len(volume) / 8, volume.dtype)
-        smoothed, pull_back = jax.vjp(lambda s: smooth(volume, s), sigma)
+        smoothed, pull_back = jax.vjp(lambda s: render.smooth(volume, s), sigma)
         (by_sigma,) = pull_back(weights)
         return {"smoothed volume": smoothed, "gradient of sigma": by_sigma}
 
@@ -142,13 +124,13 @@ def measure_images(sizes: Sequence[int], *, seeds: int) -> list[Curve]:
     return _measure("pixels", sizes, call, draw, seeds)
 
 
-def measure_rays(sizes: Sequence[int], *, seeds: int, rays: int = 64) -> list[Curve]:
+def measure_rays(sizes: Sequence[int], *, seeds: int) -> list[Curve]:
     """Rays of n cells with a mean occupancy of 2/n, so that their sum stays at two."""
 
     def call(occupancy, weights):
-        shown, pull_back = jax.vjp(opacity, occupancy)
+        shown, pull_back = jax.vjp(render.opacity, occupancy)
         (by_opacity,) = pull_back(weights[:, 0])
-        ended, pull_back = jax.vjp(termination_probabilities, occupancy)
+        ended, pull_back = jax.vjp(render.termination_probabilities, occupancy)
         (by_ends,) = pull_back((weights, weights[:, 0]))
         return {
             "opacity": shown,
@@ -159,16 +141,14 @@ def measure_rays(sizes: Sequence[int], *, seeds: int, rays: int = 64) -> list[Cu
         }
 
     def draw(rng, length):
-        return rng.uniform(0, [[[4 / length]], [[1]]], (2, rays, length))
+        return rng.uniform(0, [[[4 / length]], [[1]]], (2, _RAYS, length))
 
     return _measure("cells along a ray", sizes, call, draw, seeds)
 
 
-def _measure(
-    subject: str, sizes: Sequence[int], call: Callable, draw: Callable, seeds: int
-) -> list[Curve]:
+def _measure(subject, sizes, call, draw, seeds):
     """Curves of all that a call returns by name, in the order of the names."""
-    squares: dict[str, list[float]] = {}
+    errors: dict[str, list[float]] = {}
     for size in sizes:
         inputs = [
             # Numbers that float32 has too, so that both dtypes see the same.
@@ -182,13 +162,11 @@ def _measure(
                 / np.sum(np.asarray(b[name]) ** 2)
                 for a, b in zip(found, expected, strict=True)
             ]
-            squares.setdefault(name, []).append(float(np.mean(ratios)))
-    curves = []
-    for name, values in squares.items():
-        errors = tuple(float(np.sqrt(v)) for v in values)
-        exponent = fit_exponent(sizes, errors)
-        curves.append(Curve(subject, name, tuple(sizes), errors, exponent))
-    return curves
+            errors.setdefault(name, []).append(float(np.sqrt(np.mean(ratios))))
+    return [
+        Curve(subject, name, tuple(sizes), tuple(values), fit_exponent(sizes, values))
+        for name, values in errors.items()
+    ]
 
 
 def _run(call, inputs, dtype):

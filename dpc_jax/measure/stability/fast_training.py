@@ -15,32 +15,29 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from dpc_jax.config import Config, build_config, check, replace_fields
+from dpc_jax.config import build_config, check, replace_fields
 from dpc_jax.data import load_or_render
 from dpc_jax.learning import loop
 from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.log import MetricLog
 from dpc_jax.learning.records import NonFiniteError
 from dpc_jax.learning.step import init_state
-from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import start_section
+from dpc_jax.measure.stability.report_parts import (
+    PartRequest,
+    PartResult,
+    start_section,
+)
 from dpc_jax.reporting.tables import format_table
 from dpc_jax.run.setup import make_data_specs, make_network
 
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """A run to try.
+    """A run to try."""
 
-    Attributes:
-      variant: of the config, "" for the default.
-      factor: times the config's learning rate.
-      steps: of training.
-    """
-
-    variant: str
-    factor: float
-    steps: int
+    variant: str  # of the config, "" for the default
+    factor: float  # times the config's learning rate
+    steps: int  # of training
 
 
 # The third must diverge: it shows that such a run stops.
@@ -49,29 +46,18 @@ QUICK_TRIALS = (Trial("", 10, 200),)
 
 
 class Ending(NamedTuple):
-    """How a run ended.
-
-    Attributes:
-      trial: the run.
-      learning_rate: the peak.
-      steps_done: all steps; None if the run stopped.
-      seconds: wall clock, compilation included.
-      first_loss, last_loss: means over the first and last interval of the log; None
-        without one.
-      largest_gradient: norm, the largest of the log's means.
-      is_finite: the last state and every logged number; False if the run stopped.
-      error: the message that the run stopped with, or "".
-    """
+    """How a run ended."""
 
     trial: Trial
-    learning_rate: float
-    steps_done: int | None
-    seconds: float
+    learning_rate: float  # the peak
+    steps_done: int | None  # all steps; None if the run stopped
+    seconds: float  # wall clock, compilation included
+    # Means over the first and last interval of the log; None without one.
     first_loss: float | None
     last_loss: float | None
-    largest_gradient: float | None
-    is_finite: bool
-    error: str
+    largest_gradient: float | None  # norm, the largest of the log's means
+    is_finite: bool  # the last state and every logged number; False if the run stopped
+    error: str  # the message that the run stopped with, or ""
 
 
 def run_part(
@@ -79,27 +65,24 @@ def run_part(
 ) -> PartResult:
     """Train small networks at ten times the learning rate; writes no file.
 
-    Args:
-      request: the quick form takes 200 steps of the default; the full one 2,000 of it,
-        of the paper's variant, and of a run that must stop.
-      trials: other runs.
+    The quick form takes 200 steps of the default; the full one 2,000 of it, of the
+    paper's variant, and of a run that must stop.
     """
     endings = []
+    trials = trials or (QUICK_TRIALS if request.quick else TRIALS)
     with tempfile.TemporaryDirectory() as folder:
-        for place, trial in enumerate(
-            trials or (QUICK_TRIALS if request.quick else TRIALS)
-        ):
-            name = f"trial-{place}"
-            endings.append(train(trial, Path(folder), name, seed=request.seed))
-            request.tell(f"training, {_name(trial)}: {describe(endings[-1])}")
+        for place, trial in enumerate(trials):
+            workdir = Path(folder, f"trial-{place}")
+            endings.append(_train(trial, workdir, seed=request.seed))
+            request.tell(f"training, {_name(trial)}: {_describe(endings[-1])}")
     failures = tuple(f for e in endings for f in judge(e))
     data = [dataclasses.asdict(e.trial) | e._asdict() for e in endings]
     for row in data:
         del row["trial"]
-    return PartResult(write_section(endings, failures), data, failures)
+    return PartResult(_write_section(endings, failures), data, failures)
 
 
-def make_trial_config(trial: Trial, *, seed: int) -> Config:
+def _make_trial_config(trial, *, seed):
     """The default config in miniature: cars of 32 pixels, volumes of 8 to 16 cells."""
     full = build_config("car", trial.variant)
     coarse = dict(choice_grid=8, choice_points=50, choice_top=4)
@@ -125,22 +108,18 @@ def make_trial_config(trial: Trial, *, seed: int) -> Config:
     return dataclasses.replace(config, seed=seed)
 
 
-def train(trial: Trial, folder: Path, name: str, *, seed: int) -> Ending:
+def _train(trial, workdir, *, seed):
     """Train one network with the loop that users train with."""
-    config = make_trial_config(trial, seed=seed)
+    config = _make_trial_config(trial, seed=seed)
     check(config)
     network = make_network(config)
-    dataset = load_or_render(
-        make_data_specs(config)["train"],
-        cache_dir=folder / "data",
-        processes=1,
-        progress=False,
-    )
+    specs, cache = make_data_specs(config)["train"], workdir.parent / "data"
+    dataset = load_or_render(specs, cache_dir=cache, processes=1, progress=False)
     start = time.perf_counter()
     state = init_state(network, config)
-    (folder / name).mkdir()
-    log = MetricLog(folder / name / "metrics.jsonl")
-    checkpoints = Checkpoints(folder / name / "checkpoints")
+    workdir.mkdir()
+    log = MetricLog(workdir / "metrics.jsonl")
+    checkpoints = Checkpoints(workdir / "checkpoints")
     error, steps_done, is_finite = "", None, True
     try:
         # The report has a progress bar of its own.
@@ -154,7 +133,8 @@ def train(trial: Trial, folder: Path, name: str, *, seed: int) -> Ending:
                 log=log,
             )
         steps_done = int(outcome.state.step)
-        is_finite = _is_finite(outcome.state)
+        leaves = jax.tree.leaves(jax.device_get(outcome.state))
+        is_finite = all(bool(np.all(np.isfinite(leaf))) for leaf in leaves)
     except NonFiniteError as caught:
         error, is_finite = str(caught), False
     finally:
@@ -174,11 +154,6 @@ def train(trial: Trial, folder: Path, name: str, *, seed: int) -> Ending:
         is_finite=is_finite,
         error=error,
     )
-
-
-def _is_finite(state):
-    leaves = jax.tree.leaves(jax.device_get(state))
-    return all(bool(np.all(np.isfinite(leaf))) for leaf in leaves)
 
 
 def judge(ending: Ending) -> list[str]:
@@ -201,29 +176,21 @@ def _name(trial):
     return f"{trial.variant or 'default'}, learning rate x{trial.factor:g}"
 
 
-def describe(ending: Ending) -> str:
-    """How a run ended, in words."""
+def _describe(ending):
     if ending.error:
-        return "stopped: " + ending.error.split(";")[0]
+        return "stopped: " + ending.error.split(", but ")[-1].split(";")[0]
     return "finite to the end" if ending.is_finite else "not finite, unnoticed"
 
 
-def write_section(endings: Sequence[Ending], failures: Sequence[str]) -> str:
-    """Section of the report: a row for each run."""
+def _write_section(endings, failures):
     rows = []
     for e in endings:
         numbers = (e.first_loss, e.last_loss, e.largest_gradient)
         done = "–" if e.steps_done is None else e.steps_done
-        rows.append(
-            (
-                e.trial.variant or "default",
-                f"{e.learning_rate:.2g} (×{e.trial.factor:g})",
-                f"{done} of {e.trial.steps}",
-                f"{e.seconds:.0f}",
-                *("–" if n is None else f"{n:.3g}" for n in numbers),
-                describe(e),
-            )
-        )
+        rate = f"{e.learning_rate:.2g} (×{e.trial.factor:g})"
+        begun = (rate, f"{done} of {e.trial.steps}", f"{e.seconds:.0f}")
+        shown = ("–" if n is None else f"{n:.3g}" for n in numbers)
+        rows.append((e.trial.variant or "default", *begun, *shown, _describe(e)))
     head = ("config", "learning rate", "steps", "seconds", "first loss", "last loss")
     lines = [
         *start_section("Training far too fast", failures),
@@ -231,6 +198,6 @@ def write_section(endings: Sequence[Ending], failures: Sequence[str]) -> str:
         "points, two heads), trained with the loop that users train with. A run must "
         "end with finite numbers, or stop and say what broke and at which step.",
         "",
-        *format_table((*head, "largest gradient norm", "ended"), rows).splitlines(),
+        format_table((*head, "largest gradient norm", "ended"), rows),
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)

@@ -46,12 +46,7 @@ def draw_growth(curves: Sequence[Curve], path: Path) -> Path:
 
 
 def draw_descents(summaries: Sequence[Summary], path: Path) -> Path:
-    """Pose error and Chamfer distance over iterations and seconds, a column a scene.
-
-    Args:
-      summaries: those of the study "shape" are drawn.
-      path: of the PNG.
-    """
+    """Study "shape": pose error and Chamfer distance over iterations and seconds."""
     chosen = [s for s in summaries if s.study == "shape"]
     scenes = list(dict.fromkeys(s.scene for s in chosen))
     recipes = list(dict.fromkeys(s.recipe for s in chosen))
@@ -64,26 +59,13 @@ def draw_descents(summaries: Sequence[Summary], path: Path) -> Path:
             poses.semilogy(s.iterations, s.first_errors, **style)
             chamfer.semilogy(s.iterations, s.second_errors, **style)
             over_time.semilogy(seconds, s.first_errors, **style)
-        is_first = scene == scenes[0]
-        label_axes(
-            poses,
-            x_label="iteration",
-            y_label="median pose error, °" * is_first,
-            grid="both",
-            title=scene,
-        )
-        label_axes(
-            chamfer,
-            x_label="iteration",
-            y_label="Chamfer distance ×100" * is_first,
-            grid="both",
-        )
-        label_axes(
-            over_time,
-            x_label="run time, s",
-            y_label="median pose error, °" * is_first,
-            grid="both",
-        )
+        for axes, x_label, y_label, title in (
+            (poses, "iteration", "median pose error, °", scene),
+            (chamfer, "iteration", "Chamfer distance ×100", ""),
+            (over_time, "run time, s", "median pose error, °", ""),
+        ):
+            y_label *= scene == scenes[0]
+            label_axes(axes, title=title, x_label=x_label, y_label=y_label, grid="both")
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right center", **_LEGEND)
     return save_figure(figure, path)
@@ -115,18 +97,12 @@ def draw_masses_and_starts(
         found = [(c.starts, c.median_error) for c in choices if c.scene == scene]
         starts.loglog(*zip(*found, strict=True), "o-", color=color, label=scene)
     counts = sorted({c.starts for c in choices})
-    label_axes(
-        heavy, x_label="iteration", y_label="distance ×100, heaviest third", grid="both"
-    )
-    label_axes(
-        light, x_label="iteration", y_label="distance ×100, lightest third", grid="both"
-    )
-    label_axes(
-        starts,
-        x_label="K starts from random rotations",
-        y_label="median pose error of the best, °",
-        grid="both",
-    )
+    for axes, x_label, y_label in (
+        (heavy, "iteration", "distance ×100, heaviest third"),
+        (light, "iteration", "distance ×100, lightest third"),
+        (starts, "K starts from random rotations", "median pose error of the best, °"),
+    ):
+        label_axes(axes, x_label=x_label, y_label=y_label, grid="both")
     set_ticks(starts, counts)
     heavy.legend(**_LEGEND)
     starts.legend(**_LEGEND)

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dpc_jax.measure.scenes import Scene
 from dpc_jax.render import Camera, VoxelGrid, project
@@ -17,17 +16,11 @@ SIDE = 32
 
 
 class Method(NamedTuple):
-    """A way to render.
+    """A way to render."""
 
-    Attributes:
-      name: in the report.
-      method: the argument of `project`.
-      size: how a point's size is given, "shared" by all points, its "own", or a
-        "covariance".
-    """
-
-    name: str
-    method: str
+    name: str  # in the report
+    method: str  # the argument of `project`
+    # How a point's size is given, "shared" by all points, its "own", or a "covariance".
     size: str
 
 
@@ -40,33 +33,23 @@ METHODS = (
 
 
 class Comparison(NamedTuple):
-    """The error of one array in float32, relative to its largest magnitude.
-
-    Attributes:
-      method, scene, signal: of the image.
-      quantity: "image", or the input to which the gradient is taken.
-      error: max |a - b| / max |b| with a in float32 and b in float64.
-    """
+    """The error of one array in float32, relative to its largest magnitude."""
 
     method: str
     scene: str
     signal: str
-    quantity: str
-    error: float
+    quantity: str  # "image", or the input to which the gradient is taken
+    error: float  # max |a - b| / max |b| with a in float32 and b in float64
 
 
 def compare_scenes(
-    scenes: list[Scene], *, methods: tuple[Method, ...] = METHODS, count: int
+    scenes: list[Scene], *, methods: tuple[Method, ...], count: int
 ) -> Iterator[Comparison]:
     """Errors of each image and each gradient.
 
     The scalar that is differentiated is Σ w·image. Its weights are between -1 and 1 and
-    are the same numbers in both dtypes.
-
-    Args:
-      scenes: with at least `count` points each.
-      methods: of rendering.
-      count: points that are taken of each scene, so that all share programs.
+    are the same numbers in both dtypes. The first `count` points are taken of each
+    scene, so that all share programs.
     """
     for method in methods:
         results = {}
@@ -81,16 +64,16 @@ def compare_scenes(
             (image, gradients), (true_image, true_gradients) = (
                 results[scene.name, signal, dtype] for dtype in ("float32", "float64")
             )
-            error = measure_error(image[signal], true_image[signal])
+            error = _measure_error(image[signal], true_image[signal])
             yield Comparison(method.name, scene.name, signal, "image", error)
             for name, gradient in gradients.items():
                 # An input without influence on the image has no gradient to it.
                 if _reaches(name, signal):
-                    error = measure_error(gradient, true_gradients[name])
+                    error = _measure_error(gradient, true_gradients[name])
                     yield Comparison(method.name, scene.name, signal, name, error)
 
 
-def measure_error(found: ArrayLike, reference: ArrayLike) -> float:
+def _measure_error(found, reference):
     """Largest difference, relative to the largest magnitude of the reference."""
     reference = np.asarray(reference, np.float64)
     largest = np.max(np.abs(reference))

@@ -9,8 +9,11 @@ from dpc_jax.measure.scenes import make_scenes
 from dpc_jax.measure.stability import error_growth, figures
 from dpc_jax.measure.stability.error_growth import EXPECTED, SLACK, Curve
 from dpc_jax.measure.stability.precision import METHODS, Comparison, compare_scenes
-from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import start_section
+from dpc_jax.measure.stability.report_parts import (
+    PartRequest,
+    PartResult,
+    start_section,
+)
 from dpc_jax.reporting.tables import format_table
 
 FIGURE = "stability_growth.png"
@@ -23,68 +26,48 @@ _EPSILON = float(jnp.finfo("float32").eps)
 
 
 @dataclasses.dataclass(frozen=True)
-class Plan:
-    """How much is measured.
+class _Plan:
+    """How much is measured."""
 
-    Attributes:
-      points: of each scene.
-      scenes, methods: how many scenes, and how many methods of rendering.
-      sizes: numbers of points in a sum, and of pixels.
-      summed: methods that sum the points.
-      sides: of volumes, in cells.
-      lengths: of rays, in cells.
-      seeds: of each sum.
-    """
-
-    points: int = 600
+    points: int = 600  # of each scene
     scenes: int = 4
-    methods: int = len(METHODS)
-    sizes: tuple[int, ...] = (100, 1000, 10_000, 100_000)
-    summed: tuple[str, ...] = ("trilinear", "gaussian")
-    sides: tuple[int, ...] = (16, 32, 64, 128)
-    lengths: tuple[int, ...] = (16, 64, 256, 1024, 4096)
-    seeds: int = 8
+    methods: int = len(METHODS)  # of rendering
+    sizes: tuple[int, ...] = (100, 1000, 10_000, 100_000)  # sums of points, of pixels
+    sides: tuple[int, ...] = (16, 32, 64, 128)  # of volumes, in cells
+    lengths: tuple[int, ...] = (16, 64, 256, 1024, 4096)  # of rays, in cells
+    seeds: int = 8  # of each sum
 
 
-FULL = Plan()
+_FULL = _Plan()
 # One method, no sum over points: half a dozen programs to compile. Exponents are rough.
-QUICK = Plan(200, 1, 1, sizes=(), summed=(), sides=(16, 48), lengths=(16, 256))
+_QUICK = _Plan(200, 1, 1, sizes=(), sides=(16, 48), lengths=(16, 256))
 
 
 def run_part(request: PartRequest) -> PartResult:
     """Compare float32 with float64 on ordinary scenes and in growing sums."""
-    plan = QUICK if request.quick else FULL
-    scenes = make_scenes(
-        num_points=plan.points, num_sparse=plan.points, seed=request.seed
-    )
-    comparisons = list(
-        compare_scenes(
-            scenes[: plan.scenes], methods=METHODS[: plan.methods], count=plan.points
-        )
-    )
-    curves = measure_growth(plan)
+    plan = _QUICK if request.quick else _FULL
+    count, methods = plan.points, METHODS[: plan.methods]
+    scenes = make_scenes(num_points=count, num_sparse=count, seed=request.seed)
+    scenes = scenes[: plan.scenes]
+    comparisons = list(compare_scenes(scenes, methods=methods, count=count))
+    curves = _measure_growth(plan)
     figures.draw_growth(curves, request.out / FIGURE)
     failures = judge(comparisons, curves)
-    return PartResult(
-        markdown=write_section(comparisons, curves, failures),
-        data={
-            "comparisons": [c._asdict() for c in comparisons],
-            "growth": [c._asdict() for c in curves],
-        },
-        failures=tuple(failures),
-    )
+    data = {
+        "comparisons": [c._asdict() for c in comparisons],
+        "growth": [c._asdict() for c in curves],
+    }
+    section = _write_section(comparisons, curves, failures)
+    return PartResult(section, data, tuple(failures))
 
 
-def measure_growth(plan: Plan) -> list[Curve]:
-    """The errors of all sums of a plan."""
-    curves = []
-    if plan.sizes:
-        curves += error_growth.measure_points(
-            plan.sizes, methods=plan.summed, seeds=plan.seeds
-        )
-        curves += error_growth.measure_images(plan.sizes, seeds=plan.seeds)
-    curves += error_growth.measure_cells(plan.sides, seeds=plan.seeds)
-    return curves + error_growth.measure_rays(plan.lengths, seeds=plan.seeds)
+def _measure_growth(plan):
+    sizes, seeds, curves = plan.sizes, plan.seeds, []
+    if sizes:
+        curves += error_growth.measure_points(sizes, seeds=seeds)
+        curves += error_growth.measure_images(sizes, seeds=seeds)
+    curves += error_growth.measure_cells(plan.sides, seeds=seeds)
+    return curves + error_growth.measure_rays(plan.lengths, seeds=seeds)
 
 
 def judge(comparisons: Sequence[Comparison], curves: Sequence[Curve]) -> list[str]:
@@ -108,10 +91,7 @@ def judge(comparisons: Sequence[Comparison], curves: Sequence[Curve]) -> list[st
     ]
 
 
-def write_section(
-    comparisons: Sequence[Comparison], curves: Sequence[Curve], failures: Sequence[str]
-) -> str:
-    """Section of the report: worst errors, then growth with its figure."""
+def _write_section(comparisons, curves, failures):
     scenes = dict.fromkeys(c.scene for c in comparisons)
     lines = [
         *start_section("Ordinary scenes in float32", failures),
@@ -123,8 +103,7 @@ def write_section(
         "measurement). Each cell is the worst of all scenes; "
         "the worst gradient is named.",
         "",
-        *_tabulate_errors(comparisons),
-        "",
+        _tabulate_errors(comparisons),
         "### Growth with the number of terms",
         "",
         "Root mean square over seeds of ‖a − b‖/‖b‖, a in float32 and b in float64. "
@@ -134,33 +113,28 @@ def write_section(
         "",
         f"![error over n]({FIGURE})",
         "",
-        *_tabulate_growth(curves),
+        _tabulate_growth(curves),
     ]
     if any("trilinear" in curve.quantity for curve in curves):
         lines += [
-            "",
             "Trilinear weights have a derivative that jumps where a point passes a "
             "cell's centre. In some seeds one of 10⁵ points lies within rounding of a "
             "centre, and float32 puts it on the other side. This is the step in the "
             "error of the rotation's gradient; the sum is not its cause.",
         ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def _tabulate_errors(comparisons):
-    groups: dict[tuple[str, str], list[Comparison]] = {}
-    for c in comparisons:
-        groups.setdefault((c.method, c.signal), []).append(c)
     rows = []
-    for key, group in groups.items():
+    for key in dict.fromkeys((c.method, c.signal) for c in comparisons):
+        group = [c for c in comparisons if (c.method, c.signal) == key]
         image = max(c.error for c in group if c.quantity == "image")
         gradients = [c for c in group if c.quantity != "image"]
         worst = max(gradients, key=lambda c: c.error)
         of = f"{worst.quantity} ({worst.scene})"
         rows.append((*key, f"{image:.1e}", f"{worst.error:.1e}", of))
-    return format_table(
-        ("method", "signal", "image", "worst gradient", "of"), rows
-    ).splitlines()
+    return format_table(("method", "signal", "image", "worst gradient", "of"), rows)
 
 
 def _tabulate_growth(curves):
@@ -171,4 +145,4 @@ def _tabulate_growth(curves):
         ends = (c.sizes[0], c.sizes[-1])
         rows.append((c.subject, c.quantity, *ends, *errors, exponent))
     head = ("n", "quantity", "from n", "to n", "error at first", "at last", "exponent")
-    return format_table(head, rows).splitlines()
+    return format_table(head, rows)

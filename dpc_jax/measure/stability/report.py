@@ -12,11 +12,6 @@ from dpc_jax.reporting.tables import format_table
 _LIBRARIES = ("dpc_jax", "jax", "jaxlib", "numpy", "flax", "optax")
 
 
-def list_versions() -> dict[str, str]:
-    """Versions of the libraries that the results depend on."""
-    return {name: importlib.metadata.version(name) for name in _LIBRARIES}
-
-
 def write_report(
     out: Path,
     results: Mapping[str, PartResult],
@@ -26,20 +21,11 @@ def write_report(
     seed: int,
     command: str,
 ) -> Path:
-    """Write OUT/stability.json and OUT/stability.md.
+    """Write OUT/stability.json and OUT/stability.md, and return the path of the latter.
 
-    Args:
-      out: the report's folder.
-      results: of each part that ran, by name.
-      machine: from `timing.describe_machine`.
-      seconds: wall time of each part.
-      seed: of the random numbers.
-      command: which repeats the run.
-
-    Returns:
-      The path of stability.md.
+    Results and wall times are by part; the command repeats the run.
     """
-    versions = list_versions()
+    versions = {name: importlib.metadata.version(name) for name in _LIBRARIES}
     data = {
         "passes": all(result.passes for result in results.values()),
         "command": command,
@@ -68,6 +54,7 @@ def _describe_run(results, machine, versions, seconds, seed, command):
         (name, "yes" if result.passes else "**no**", f"{seconds[name]:.0f}")
         for name, result in results.items()
     ]
+    parts = format_table(("part", "passes", "wall time (s)"), rows)
     lines = [
         "# Stability on stiff and extreme cases",
         "",
@@ -80,6 +67,6 @@ def _describe_run(results, machine, versions, seconds, seed, command):
         "",
         f"To repeat it: `{command}`",
         "",
-        *format_table(("part", "passes", "wall time (s)"), rows).splitlines(),
+        parts,
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)

@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,38 +12,25 @@ import jax
 
 @dataclasses.dataclass(frozen=True)
 class PartRequest:
-    """What a part is asked for.
+    """What a part is asked for."""
 
-    Attributes:
-      out: the report's folder, for figures and tables; it exists.
-      quick: whether to run a small version, in half a minute.
-      seed: of all random numbers.
-      tell: shows a line of text to whoever waits.
-      subjects: chapters of the catalogue to run; None for all.
-      dtypes: dtypes of the catalogue to run; None for all that a case names.
-    """
-
-    out: Path
-    quick: bool = False
-    seed: int = 0
-    tell: Callable[[str], None] = print
-    subjects: tuple[str, ...] | None = None
-    dtypes: tuple[str, ...] | None = None
+    out: Path  # the report's folder, for figures and tables; it exists
+    quick: bool = False  # whether to run a small version, in half a minute
+    seed: int = 0  # of all random numbers
+    tell: Callable[[str], None] = print  # shows a line of text to whoever waits
+    subjects: tuple[str, ...] | None = None  # chapters of the catalogue; None for all
+    dtypes: tuple[str, ...] | None = None  # of the catalogue; None for all
 
 
 @dataclasses.dataclass(frozen=True)
 class PartResult:
-    """What a part of the report found.
+    """What a part of the report found."""
 
-    Attributes:
-      markdown: its section, which begins with a heading of the second level and names
-        its figures relative to the report's folder.
-      data: lists, dicts, texts and numbers, for JSON.
-      failures: a sentence for everything outside its stated tolerance.
-    """
-
+    # Its section, which begins with a heading of the second level and names its figures
+    # relative to the report's folder.
     markdown: str
-    data: Any
+    data: Any  # lists, dicts, texts and numbers, for JSON
+    # A sentence for everything outside its stated tolerance
     failures: tuple[str, ...] = ()
 
     @property
@@ -61,6 +48,13 @@ PARTS = {
     "random": "dpc_jax.measure.stability.draws.random_draws",
     "training": "dpc_jax.measure.stability.fast_training",
 }
+
+
+def start_section(title: str, failures: Iterable[str] = ()) -> list[str]:
+    """The lines that a section begins with: its heading, then what failed, if any."""
+    items = [f"- {failure}" for failure in failures]
+    head = ["**Outside tolerance:**", "", *items, ""] if items else []
+    return [f"## {title}", "", *head]
 
 
 def run_part(name: str, request: PartRequest) -> PartResult:
@@ -89,12 +83,7 @@ def _compile_quickly():
 def check_names(
     flag: str, names: tuple[str, ...] | None, known: tuple[str, ...]
 ) -> None:
-    """Refuse unknown names, and an empty list of names.
-
-    Args:
-      flag: the command line's flag that they come from.
-      names: to check; None for all that are known.
-      known: the names that there are.
+    """Refuse unknown names, and an empty list of names; None stands for all.
 
     Raises:
       ValueError: a name is not known, or there is none.

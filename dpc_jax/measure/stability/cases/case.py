@@ -17,47 +17,38 @@ REAL, COMPLEX = np.longdouble, np.clongdouble
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Case:
-    """One function at one input where it may break.
+    """One function at one input where it may break."""
 
-    Attributes:
-      name: what is extreme about the input; unique within the subject.
-      subject: the chapter of the report.
-      function: maps the inputs as arrays to an array or a tuple of arrays. Cases with
-        the same function object and the same shapes share compiled programs.
-      inputs: float64 arrays. They are rounded to each dtype, and the oracle gets the
-        rounded numbers, so that an error is the function's own.
-      oracle: the same function in numpy, for real and complex long doubles. It shares
-        no code with the package.
-      value_tolerance: largest error of the value, in units of the dtype's epsilon,
-        relative to the largest magnitude in the oracle's output, or to `floor`.
-      gradient_tolerance: the same for the gradient of Σ w·output to each input; None
-        where the function has no gradient.
-      because: where the tolerances come from.
-      floor: errors of the value are relative to at least this magnitude.
-      gradient_floor: the same for the gradient; one number, or one for each input.
-      slope: (inputs, weights) -> the gradients of Σ w·output, one for each input. None
-        differentiates the oracle by complex steps. Kinks need it, to say which
-        one-sided derivative is right.
-      dtypes: the case runs in these.
-      half: "checked", or "finite" if results in 16 bits only have to be finite.
-      limit: the documented limit that the case shows, if any.
-      is_traced: False for numpy functions, which run without jit and gradient.
-    """
-
-    name: str
-    subject: str
+    name: str  # what is extreme about the input; unique within the subject
+    # Maps the inputs as arrays to an array or a tuple of arrays. Cases with the same
+    # function object and the same shapes share compiled programs.
     function: Callable
+    # Float64 arrays. They are rounded to each dtype, and the oracle gets the rounded
+    # numbers, so that an error is the function's own.
     inputs: tuple
+    # The same function in numpy, for real and complex long doubles. It shares no code
+    # with the package.
     oracle: Callable
+    # Largest error of the value, in units of the dtype's epsilon, relative to the
+    # largest magnitude in the oracle's output, or to `floor`.
     value_tolerance: float
+    # The same for the gradient of Σ w·output to each input; None where the function has
+    # no gradient.
     gradient_tolerance: float | None
-    because: str
-    floor: float = 0.0
+    because: str  # where the tolerances come from
+    subject: str = ""  # the chapter of the report, which the catalogue adds
+    floor: float = 0.0  # errors of the value are relative to at least this magnitude
+    # The same for the gradient; one number, or one for each input
     gradient_floor: float | tuple[float, ...] = 0.0
+    # (inputs, weights) -> the gradients of Σ w·output, one for each input. None
+    # differentiates the oracle by complex steps. Kinks need it, to say which one-sided
+    # derivative is right.
     slope: Callable | None = None
-    dtypes: tuple[str, ...] = DTYPES
+    dtypes: tuple[str, ...] = DTYPES  # the case runs in these
+    # "checked", or "finite" if results in 16 bits only have to be finite
     half: str = "checked"
-    limit: str = ""
+    limit: str = ""  # the documented limit that the case shows, if any
+    # False for numpy functions, which run without jit and gradient
     is_traced: bool = True
 
     def __post_init__(self):
@@ -75,13 +66,10 @@ def make_cases(
 ) -> list[Case]:
     """The cases of one function from a table, one for each row.
 
-    Args:
-      title: of the table; a case is called "title: name", or "title" without a name.
-      function, oracle: see `Case`; no oracle if each row has its own.
-      tolerances: of the value and of the gradient.
-      rows: (name, input, input, ...). A dict at the end of a row holds the fields of
-        `Case` in which this row differs from the rest of the table.
-      **shared: other fields of `Case`, the same for all rows.
+    A case is called "title: name", or "title" without a name. Tolerances are those of
+    the value and of the gradient. A row is (name, input, input, ...). A dict at its end
+    holds the fields of `Case` in which it differs from the others, for example an
+    oracle of its own; **shared are other fields that are the same for all.
     """
     value, gradient = tolerances
     shared |= {"function": function, "oracle": oracle}
@@ -104,9 +92,6 @@ def make_weights(outputs: Iterable[Any]) -> list[np.ndarray]:
 
     They differ from entry to entry, so that errors of opposite sign do not cancel, and
     have few binary digits, so that every dtype represents them exactly.
-
-    Args:
-      outputs: arrays, or anything with their shapes.
     """
     weights, start = [], 0
     for output in outputs:

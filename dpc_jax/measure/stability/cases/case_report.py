@@ -1,14 +1,17 @@
 """The part of the report on extreme cases: summary, limits, and every case."""
 
 import dataclasses
-from collections.abc import Sequence
+import itertools
 
 from dpc_jax.files import write_text
 from dpc_jax.measure.stability.cases.case import DTYPES
 from dpc_jax.measure.stability.cases.catalogue import list_cases, run_subjects
 from dpc_jax.measure.stability.cases.runner import MODES, Row
-from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import start_section
+from dpc_jax.measure.stability.report_parts import (
+    PartRequest,
+    PartResult,
+    start_section,
+)
 from dpc_jax.reporting.tables import format_table
 
 TABLE = "cases.md"
@@ -26,10 +29,10 @@ def run_part(request: PartRequest) -> PartResult:
         modes=("vmap",) if request.quick else MODES,
         tell=request.tell,
     )
-    write_text(request.out / TABLE, write_rows(rows))
+    write_text(request.out / TABLE, _write_rows(rows))
     failures = tuple(describe_failure(row) for row in rows if not row.passes)
     data = [dataclasses.asdict(row) for row in rows]
-    return PartResult(write_section(rows, failures), data, failures)
+    return PartResult(_write_section(rows, failures), data, failures)
 
 
 def describe_failure(row: Row) -> str:
@@ -46,8 +49,7 @@ def describe_failure(row: Row) -> str:
     return f"{row.subject}, {row.case}, {row.dtype}: {' and '.join(reasons)}."
 
 
-def write_section(rows: Sequence[Row], failures: Sequence[str]) -> str:
-    """Section of the report: failures, then the summary, then documented limits."""
+def _write_section(rows, failures):
     num_within = sum(row.passes for row in rows)
     lines = [
         *start_section("Extreme cases", failures),
@@ -59,39 +61,32 @@ def write_section(rows: Sequence[Row], failures: Sequence[str]) -> str:
         "tolerance: at most 1 passes. *Finite only* counts cases whose results in 16 "
         f"bits only have to be finite. Every case is in [{TABLE}]({TABLE}).",
         "",
-        *_summarize(rows),
-        "",
-        *_list_limits(rows),
+        _summarize(rows),
+        _list_limits(rows),
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def _summarize(rows):
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row.subject, row.dtype), []).append(row)
-    subjects = list(dict.fromkeys(row.subject for row in rows))
+    subjects = dict.fromkeys(row.subject for row in rows)
     lines = []
-    for (subject, dtype), group in sorted(
-        groups.items(), key=lambda g: (subjects.index(g[0][0]), DTYPES.index(g[0][1]))
-    ):
+    for subject, dtype in itertools.product(subjects, DTYPES):
+        group = [row for row in rows if (row.subject, row.dtype) == (subject, dtype)]
+        if not group:
+            continue
         worst = max(group, key=lambda row: row.worst_ratio)
+        num_failed = sum(not row.passes for row in group)
+        num_finite_only = sum(row.value_tolerance is None for row in group)
         lines.append(
             (
-                subject,
-                dtype,
-                len(group),
-                sum(not row.passes for row in group),
-                sum(row.value_tolerance is None for row in group),
+                *(subject, dtype, len(group), num_failed, num_finite_only),
                 _find_largest(row.value_ratio for row in group),
                 _find_largest(row.gradient_ratio for row in group),
                 worst.case if worst.worst_ratio > 0 else NONE,
             )
         )
     head = ("subject", "dtype", "cases", "outside", "finite only", "worst value")
-    return format_table(
-        (*head, "worst gradient", "nearest to its limit"), lines
-    ).splitlines()
+    return format_table((*head, "worst gradient", "nearest to its limit"), lines)
 
 
 def _find_largest(ratios):
@@ -105,15 +100,11 @@ def _list_limits(rows):
         if row.limit:
             limits.setdefault((row.subject, row.limit), {})[row.case] = None
     lines = [(*key, "; ".join(cases)) for key, cases in limits.items()]
-    return (
-        format_table(("subject", "documented limit", "cases"), lines).splitlines()
-        if lines
-        else []
-    )
+    heads = ("subject", "documented limit", "cases")
+    return format_table(heads, lines) if lines else ""
 
 
-def write_rows(rows: Sequence[Row]) -> str:
-    """All rows as Markdown, with a table for each subject."""
+def _write_rows(rows):
     lines = ["# Every case", "", "Errors are relative, tolerances in brackets.", ""]
     head = ("case", "dtype", "value error", "gradient error", "finite", "passes")
     for subject in dict.fromkeys(row.subject for row in rows):
@@ -131,10 +122,9 @@ def write_rows(rows: Sequence[Row]) -> str:
             for row in rows
             if row.subject == subject
         ]
-        table = format_table(
-            (*head, "limit", "where the tolerance comes from"), cells
-        ).splitlines()
-        lines += [f"## {subject[0].upper()}{subject[1:]}", "", *table, ""]
+        heads = (*head, "limit", "where the tolerance comes from")
+        title = f"{subject[0].upper()}{subject[1:]}"
+        lines += [f"## {title}", "", format_table(heads, cells)]
     return "\n".join(lines)
 
 

@@ -1,5 +1,6 @@
 """All cases by subject."""
 
+import dataclasses
 import time
 from collections.abc import Callable
 
@@ -33,17 +34,17 @@ SUBJECTS = {
 
 
 def list_cases(subjects: tuple[str, ...] | None = None) -> dict[str, list[Case]]:
-    """Cases of each subject; names are unique within one.
-
-    Args:
-      subjects: some of `SUBJECTS`; None for all.
+    """Cases of some subjects, or of all; names are unique within one.
 
     Raises:
       ValueError: there is no such subject, or two cases have one name.
     """
     check_names("subjects", subjects, tuple(SUBJECTS))
     catalogue = {
-        subject: module.list_cases()
+        subject: [
+            dataclasses.replace(case, subject=module.SUBJECT)
+            for case in module.list_cases()
+        ]
         for subject, module in SUBJECTS.items()
         if subjects is None or subject in subjects
     }
@@ -65,12 +66,7 @@ def run_subjects(
     modes: tuple[str, ...] = MODES,
     tell: Callable[[str], None] = print,
 ) -> list[Row]:
-    """Rows of all cases, subject by subject.
-
-    Args:
-      catalogue: cases by subject.
-      tell: shows a line of text for each subject that is done.
-      dtypes, modes: see `run_cases`.
+    """Rows of all cases (see `run_cases`), with a line of text for each subject.
 
     Raises:
       ValueError: there is no such dtype.

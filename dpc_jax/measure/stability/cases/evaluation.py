@@ -53,35 +53,32 @@ SUMMARIES = (
 )
 
 
-def average(quaternions: np.ndarray) -> np.ndarray:
+def _average(quaternions):
     """Mean rotation, as q·qᵀ."""
     mean = rotations.mean_rotation(quaternions)
     return np.outer(mean, mean)
 
 
-def average_opposites(quaternions: np.ndarray) -> np.ndarray:
+def _average_opposites(quaternions):
     """The mean's squared length, and its distance from the plane of the two."""
     mean = rotations.mean_rotation(quaternions)
     axes = np.linalg.qr(quaternions.T)[0]
     return np.array([mean @ mean, np.linalg.norm(mean - axes @ (axes.T @ mean))])
 
 
-def find_angle(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """The angle in degrees."""
+def _find_angle(p, q):
     return oracles.angle(p, q) * 180 / oracles.PI
 
 
-def measure(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Precision and coverage."""
+def _measure(predicted, truth):
     return np.array(chamfer_distance(predicted, truth))
 
 
-def summarize(errors: np.ndarray) -> np.ndarray:
-    """Accuracy, median and share of flips."""
+def _summarize(errors):
     return np.array(pose_summary(errors)[:3])
 
 
-def measure_exactly(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def _measure_exactly(predicted, truth):
     """Precision and coverage from all pairs, in long double."""
     away = predicted[:, None] - truth[None]
     distances = np.sqrt(np.sum(away * away, axis=-1))
@@ -92,7 +89,6 @@ def list_cases() -> list[Case]:
     """The catalogue's cases on evaluation, which is numpy in float64."""
     make = functools.partial(
         make_cases,
-        subject=SUBJECT,
         because="a few dozen roundings",
         is_traced=False,
     )
@@ -104,12 +100,12 @@ def list_cases() -> list[Case]:
     for name, quaternions, mean in MEANS:
         unit = oracles.normalize(np.asarray(mean, REAL))
         means.append((name, quaternions, knows(*np.outer(unit, unit))))
-    changes = {"function": average_opposites, "limit": AMBIGUOUS}
+    changes = {"function": _average_opposites, "limit": AMBIGUOUS}
     means.append(("half a turn apart", OPPOSITE, knows(1, 0) | changes))
     summaries = [(name, errors, knows(*found)) for name, errors, found in SUMMARIES]
     return [
-        *make("average", average, None, (64, None), means),
-        *make("angle in degrees", rotation_angle_deg, find_angle, (64, None), ANGLES),
-        *make("chamfer", measure, measure_exactly, (64, None), CLOUDS),
-        *make("pose summary", summarize, None, (64, None), summaries),
+        *make("average", _average, None, (64, None), means),
+        *make("angle in degrees", rotation_angle_deg, _find_angle, (64, None), ANGLES),
+        *make("chamfer", _measure, _measure_exactly, (64, None), CLOUDS),
+        *make("pose summary", _summarize, None, (64, None), summaries),
     ]

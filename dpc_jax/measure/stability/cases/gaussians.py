@@ -1,9 +1,7 @@
 """The basic method: sizes far apart, covariances singular and worse."""
 
 import functools
-from collections.abc import Sequence
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -26,23 +24,21 @@ SIZES = (
 )
 
 
-def turn(variances: Sequence[float]) -> np.ndarray:
+def _turn(variances):
     """A covariance with these variances along the axes of a fixed rotation."""
     axes = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     return axes @ np.diag(variances) @ axes.T
 
 
-PLAIN = [turn(v) for v in ([1, 2, 0.5], [0.3, 1, 2], [2, 1, 1], [0.7, 0.8, 1])]
+PLAIN = [_turn(v) for v in ([1, 2, 0.5], [0.3, 1, 2], [2, 1, 1], [0.7, 0.8, 1])]
 ALONG_AXES = [
     np.diag(v) for v in ([1e4, 1e-8, 1], [1, 1e4, 1e-8], [4, 1, 1e-4], [1] * 3)
 ]
 FLAT = np.array([[1.0, 1, 0], [1, 1, 0], [0, 0, 1]])
 NEEDLE = np.outer([1.0, 0.5, -0.25], [1, 0.5, -0.25])
 INDEFINITE = [np.diag([1, 1, -1e-12]), np.diag([-1e-9, 1, 1]), FLAT, PLAIN[0]]
-BELOW = {
-    "limit": "a variance below zero counts as zero: the nearest cell, with zero "
-    "gradient"
-}
+ZERO = "a variance below zero counts as zero: the nearest cell, with zero gradient"
+BELOW = {"limit": ZERO}
 THIN = {
     "value_tolerance": 1e4,
     "gradient_tolerance": 4e6,
@@ -52,7 +48,7 @@ THIN = {
 COVARIANCES = (
     ("plain", PLAIN, {}),
     ("condition 1e12 along the axes", ALONG_AXES, {}),
-    ("condition 1e12, turned", [turn([1e4, 1, 1e-8])] * 4, THIN),
+    ("condition 1e12, turned", [_turn([1e4, 1, 1e-8])] * 4, THIN),
     ("singular: a plane", [FLAT] * 4, BELOW),
     ("singular: a needle", [NEEDLE] * 4, BELOW),
     ("singular: a point", [np.zeros((3, 3))] * 4, BELOW | ON_CELL),
@@ -61,17 +57,12 @@ COVARIANCES = (
 )
 
 
-def sum_isotropic(
-    coordinates: jax.Array, masses: jax.Array, sigma: jax.Array
-) -> jax.Array:
-    """The density of one Gaussian per point."""
+def _sum_isotropic(coordinates, masses, sigma):
     density = gaussians.sum_gaussians(coordinates, masses[:, None], sigma, shape=SHAPE)
     return jnp.squeeze(density, 0)
 
 
-def sum_anisotropic(
-    coordinates: jax.Array, masses: jax.Array, covariance: jax.Array
-) -> jax.Array:
+def _sum_anisotropic(coordinates, masses, covariance):
     """The same with covariances, of which `project` reads the symmetric part."""
     covariance = (covariance + jnp.swapaxes(covariance, 1, 2)) / 2
     density = covariances.sum_covariances(
@@ -82,26 +73,25 @@ def sum_anisotropic(
 
 def list_cases() -> list[Case]:
     """The catalogue's cases on the basic method."""
-    make = functools.partial(make_cases, subject=SUBJECT)
     own_sizes = functools.partial(oracles.sum_gaussians, shape=SHAPE)
     own_shapes = functools.partial(oracles.sum_covariances, shape=SHAPE)
     none = ("no point", np.zeros((0, 3)), np.zeros(0), np.zeros(0))
     matrices = [(name, CENTERS, MASSES, m, fields) for name, m, fields in COVARIANCES]
     return [
-        *make(
+        *make_cases(
             "sigma per point",
-            *(sum_isotropic, own_sizes, (64, 256), SIZES),
+            *(_sum_isotropic, own_sizes, (64, 256), SIZES),
             because="three kernels of ten roundings, exponents up to 40 in size",
             half="finite",
         ),
-        *make(
+        *make_cases(
             "sigma per point",
-            *(sum_isotropic, own_sizes, (0, 0), [none]),
+            *(_sum_isotropic, own_sizes, (0, 0), [none]),
             because="nothing is computed",
         ),
-        *make(
+        *make_cases(
             "covariance",
-            *(sum_anisotropic, own_shapes, (256, 1024), matrices),
+            *(_sum_anisotropic, own_shapes, (256, 1024), matrices),
             because="a conditional variance cancels by its condition, three kernels "
             "follow",
             half="finite",

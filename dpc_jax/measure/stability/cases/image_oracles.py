@@ -5,33 +5,32 @@ from collections.abc import Callable
 import numpy as np
 
 from dpc_jax.measure.stability.cases import oracles
+from dpc_jax.measure.stability.cases.case import REAL
+from dpc_jax.measure.stability.cases.oracles import Array
 
 FOCAL, DISTANCE = 1.875, 2.0
 BACKGROUND = (10.0, 1.0)  # depth and colour, the defaults of `dpc_jax.project`
 
 
 def render(
-    points: np.ndarray,
-    rotation: np.ndarray,
+    points: Array,
+    rotation: Array,
     sigma: oracles.Number,
     scale: oracles.Number,
-    colors: np.ndarray,
+    colors: Array,
     *,
-    shape: tuple[int, int, int],
+    shape: oracles.Shape,
     is_exact: bool = False,
     covariance_of: Callable | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Array, Array, Array]:
     """(silhouette, depth, color [rows, cols, C]) of one cloud before the background.
 
-    Args:
-      points, rotation, sigma, scale, colors, shape: see `dpc_jax.project`.
-      is_exact: a Gaussian for each point; else trilinear weights and one smoothing.
-      covariance_of: None, or a function (points, rotation, sigma) -> [N, 3, 3], the
-        covariances in the grid.
+    See `dpc_jax.project`. There is a Gaussian for each point if `is_exact`, or with the
+    covariances in the grid, `covariance_of(points, rotation, sigma)` [N, 3, 3]; else
+    trilinear weights and one smoothing.
     """
-    coordinates, is_inside = oracles.place(
-        points, rotation, focal=FOCAL, distance=DISTANCE, shape=shape
-    )
+    scene = (points, rotation, FOCAL, DISTANCE)
+    coordinates, is_inside = oracles.place(*scene, shape=shape)
     masses = np.where(is_inside, scale * np.ones(len(points)), 0)
 
     def fill(values):
@@ -53,7 +52,7 @@ def _end_rays(density, channels):
     occupancy = oracles.clip(density)
     probabilities, passed = oracles.terminate(occupancy)
     num_cells = density.shape[2]
-    cells = (np.arange(num_cells) + oracles.REAL(0.5)) / num_cells - oracles.REAL(0.5)
+    cells = (np.arange(num_cells) + REAL(0.5)) / num_cells - REAL(0.5)
     far, behind = BACKGROUND
     depth = np.sum(probabilities * (cells + DISTANCE), axis=-1) + passed * far
     # r·y with y = Σ y_i f_i / Σ f_i. Up to density 1 the factor o / Σ f is one, also in
@@ -69,12 +68,8 @@ def _end_rays(density, channels):
 
 
 def move_covariances(
-    points: np.ndarray,
-    rotation: np.ndarray,
-    covariances: np.ndarray,
-    *,
-    shape: tuple[int, int, int],
-) -> np.ndarray:
+    points: Array, rotation: Array, covariances: Array, *, shape: oracles.Shape
+) -> Array:
     """S·J·R·Σ·Rᵀ·Jᵀ·S written out, where J is the Jacobian of (f·y/z, f·x/z, z)."""
     turned = oracles.rotate(points, rotation)
     axes = oracles.rotate(np.eye(3), rotation).T  # columns: where the axes go
@@ -88,9 +83,8 @@ def move_covariances(
                 [0 * ahead, 0 * ahead, 1 + 0 * ahead],
             ]
         )
-        linear = (np.array(shape)[:, None] / oracles.REAL(shape[0])) * _multiply(
-            slopes, axes
-        )
+        stretch = np.array(shape)[:, None] / REAL(shape[0])
+        linear = stretch * _multiply(slopes, axes)
         symmetric = (matrix + matrix.T) / 2
         moved.append(_multiply(_multiply(linear, symmetric), linear.T))
     return np.array(moved).reshape(-1, 3, 3)

@@ -2,7 +2,6 @@
 
 import functools
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,14 +16,10 @@ POINTS = np.array(
     [[0.1, -0.2, 0.3], [-0.3, 0.25, -0.1], [0.05, 0.01, -0.35], [-0.1, -0.2, 0.13]]
 )
 COLORS = np.array([[0.1, 0.9], [0.5, 0.2], [0.0, 1.0], [0.7, 0.7]])
-PLAIN = {
-    "points": POINTS,
-    "rotation": TURN,
-    "sigma": 0.6,
-    "scale": [0.6] * 4,
-    "colors": COLORS,
-}
+PLAIN = {"points": POINTS, "rotation": TURN, "sigma": 0.6, "scale": [0.6] * 4}
+PLAIN["colors"] = COLORS
 ONE = np.array([1e-12, 0, 0, 0])
+MANY = (1e-12, 1e-6, 1, 1e6)
 TILT = np.array([[0.5, 0.25, 0], [0.25, 0, -0.125], [0, -0.125, 0.25]])
 
 BACKGROUND = {"limit": "a ray without density shows the background"}
@@ -49,11 +44,7 @@ SCENES = (
     ("one point of mass 1e-30", {"scale": ONE * 1e-18}, IN_WIDE),
     ("mass 0", {"scale": [0] * 4}, BACKGROUND),
     ("mass 1e6", {"scale": [1e6] * 4}, IN_WIDE | FULL | TAILS),
-    (
-        "masses from 1e-12 to 1e6",
-        {"scale": [1e-12, 1e-6, 1, 1e6]},
-        IN_WIDE | FULL | TAILS,
-    ),
+    ("masses from 1e-12 to 1e6", {"scale": MANY}, IN_WIDE | FULL | TAILS),
     ("colours 1e6", {"colors": COLORS * 1e6}, IN_WIDE),
     ("colours 1e30", {"colors": COLORS * 1e30}, IN_WIDE),
     ("colours 1e-30", {"colors": COLORS * 1e-30}, IN_WIDE),
@@ -77,20 +68,11 @@ COVARIANCES = (
 TO_PLACES = {"gradient_floor": (3e-8, 3e-8, 1e-30, 1e-30, 1e-30)}
 
 
-def render(
-    points: jax.Array,
-    rotation: jax.Array,
-    sizes: jax.Array,
-    scale: jax.Array,
-    colors: jax.Array,
-    *,
-    method: str,
-) -> tuple[jax.Array | None, jax.Array | None, jax.Array | None]:
+def _render(points, rotation, sizes, scale, colors, *, method):
     """The three images of a cloud.
 
-    Args:
-      sizes: sigma; with the method "covariance" the s of covariances s²·(I + `TILT`),
-        which turn and zoom with the object.
+    With the method "covariance", sizes are the s of covariances s²·(I + `TILT`), which
+    turn and zoom with the object; else they are sigma.
     """
     tilted = jnp.array(np.eye(3) + TILT, points.dtype)
     is_tilted = method == "covariance"
@@ -98,7 +80,7 @@ def render(
         points,
         rotation,
         sigma=None if is_tilted else sizes,
-        covariance=sizes[:, None, None] ** 2 * tilted if is_tilted else None,
+        covariance=sizes[:, None, None] ** 2 * tilted[None] if is_tilted else None,
         scale=scale,
         colors=colors,
         camera=Camera(1.875, 2.0),
@@ -109,10 +91,8 @@ def render(
     return image.silhouette, image.depth, image.color
 
 
-def make_matrices(
-    points: np.ndarray, rotation: np.ndarray, sides: np.ndarray
-) -> np.ndarray:
-    """The covariances of `render` in the grid."""
+def _make_matrices(points, rotation, sides):
+    """The covariances of `_render` in the grid."""
     matrices = (sides * sides)[:, None, None] * (np.eye(3) + TILT)
     return image_oracles.move_covariances(points, rotation, matrices, shape=SHAPE)
 
@@ -123,7 +103,7 @@ def list_cases() -> list[Case]:
     for method, scenes, kind in (
         ("trilinear", SCENES, {}),
         ("gaussian", SCENES, {"is_exact": True}),
-        ("covariance", COVARIANCES, {"covariance_of": make_matrices}),
+        ("covariance", COVARIANCES, {"covariance_of": _make_matrices}),
     ):
         rows = []
         for name, inputs, fields in scenes:
@@ -135,11 +115,10 @@ def list_cases() -> list[Case]:
             rows.append((name, *inputs.values(), fields))
         cases += make_cases(
             method,
-            functools.partial(render, method=method),
+            functools.partial(_render, method=method),
             functools.partial(image_oracles.render, shape=SHAPE, **kind),
             (128, 1024),
             rows,
-            subject=SUBJECT,
             because=ROUNDINGS,
             half="finite",
             gradient_floor=(1e-30,) * 5,

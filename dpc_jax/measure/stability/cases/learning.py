@@ -1,9 +1,8 @@
 """Learning: ties between candidates, empty and full views, ends of schedules."""
 
+import dataclasses
 import functools
-from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -22,7 +21,7 @@ def list_cases() -> list[Case]:
     return [*_list_choices(), *_list_fits(), *_list_schedules()]
 
 
-def choose(points: jax.Array, candidates: jax.Array, target: jax.Array) -> jax.Array:
+def _choose(points, candidates, target):
     """The winner's index, as a float so that it is compared like other outputs."""
     index = hindsight.choose_candidate(
         points,
@@ -35,7 +34,7 @@ def choose(points: jax.Array, candidates: jax.Array, target: jax.Array) -> jax.A
     return index.astype(points.dtype)
 
 
-def sum_half_turns(covariance: jax.Array) -> jax.Array:
+def _sum_half_turns(covariance):
     """Σ q·qᵀ of the half turns about the principal axes.
 
     The sum is the same for every choice of the axes, which are arbitrary in a tie.
@@ -70,7 +69,7 @@ COVARIANCES = (
 
 
 def _list_choices():
-    make = functools.partial(make_cases, subject=SUBJECT, dtypes=WIDE)
+    make = functools.partial(make_cases, dtypes=WIDE)
     rows = [
         (*row, {"oracle": lambda *inputs, winner=winner: np.asarray(winner)})
         for *row, winner in CHOICES
@@ -78,18 +77,18 @@ def _list_choices():
     return [
         *make(
             "choice",
-            *(choose, None, (0, None), rows),
+            *(_choose, None, (0, None), rows),
             because="an index; of equal candidates the first",
         ),
         *make(
             "half turns",
-            *(sum_half_turns, lambda covariance: np.eye(4), (16, None), COVARIANCES),
+            *(_sum_half_turns, lambda covariance: np.eye(4), (16, None), COVARIANCES),
             because="orthonormal axes, to a few roundings",
         ),
     ]
 
 
-def fit(points: jax.Array, rotation: jax.Array, target: jax.Array) -> jax.Array:
+def _fit(points, rotation, target):
     """Loss of one view of a cloud, whose gradient training takes."""
     image = project(
         points, rotation, sigma=0.7, scale=2.0, grid=VoxelGrid(FIT_SHAPE)
@@ -98,10 +97,8 @@ def fit(points: jax.Array, rotation: jax.Array, target: jax.Array) -> jax.Array:
     return losses.reprojection_loss(image, target)
 
 
-def find_fit(
-    points: np.ndarray, rotation: np.ndarray, target: np.ndarray
-) -> np.ndarray:
-    """The oracle of `fit`."""
+def _find_fit(points, rotation, target):
+    """The oracle of `_fit`."""
     colors = np.zeros((len(points), 1))
     silhouette, _, _ = image_oracles.render(
         points, rotation, 0.7, 2.0, colors, shape=FIT_SHAPE
@@ -120,57 +117,33 @@ def _list_fits():
     )
     return make_cases(
         "fit of a view",
-        *(fit, find_fit, (128, 1024), rows),
-        subject=SUBJECT,
+        *(_fit, _find_fit, (128, 1024), rows),
         because="coordinates of a few cells carry 30 roundings, the kernel multiplies "
         "them by its slope, and 16 pixels are summed",
         dtypes=WIDE,
     )
 
 
-class Schedules(NamedTuple):
-    """Sections of a config that hold its schedules."""
-
-    render: Render
-    train: Train
-
-
-def make_sections(
-    *,
-    steps: int = 1000,
-    warmup_steps: int = 100,
-    final_rate: float = 0.02,
-    anneal_until: float = 0.8,
-) -> Schedules:
-    """A run in miniature, with every schedule in use."""
-    return Schedules(
-        Render(grid=8, sigma_start=0.1, sigma_end=0.01, anneal_until=anneal_until),
-        Train(
-            steps=steps,
-            learning_rate=1e-3,
-            warmup_steps=warmup_steps,
-            final_rate=final_rate,
-        ),
-    )
+_RENDER = Render(grid=8, sigma_start=0.1, sigma_end=0.01, anneal_until=0.8)
+_TRAIN = Train(steps=1000, learning_rate=1e-3, warmup_steps=100, final_rate=0.02)
+# Runs in miniature, with every schedule in use.
+SCHEDULES = {
+    "plain": (_RENDER, _TRAIN),
+    "one step": (_RENDER, dataclasses.replace(_TRAIN, steps=1, warmup_steps=0)),
+    "no annealing, constant rate": (
+        dataclasses.replace(_RENDER, anneal_until=1.0),
+        dataclasses.replace(_TRAIN, final_rate=1.0, warmup_steps=0),
+    ),
+}
 
 
-@functools.cache
-def make_schedules(sections: Schedules):
-    """(sigma, learning rate) of a step."""
-    rate = schedules.make_learning_rate(sections.train)
-
-    def compute(step):
-        steps = sections.train.steps
-        return schedules.compute_sigma(step, sections.render, steps=steps), rate(step)
-
-    return compute
+def _compute_schedules(step, *, render, train):
+    rate = schedules.make_learning_rate(train)
+    return schedules.compute_sigma(step, render, steps=train.steps), rate(step)
 
 
-def find_schedules(
-    step: np.ndarray, *, sections: Schedules
-) -> tuple[np.ndarray, np.ndarray]:
-    """The oracle of `make_schedules`."""
-    render, train = sections
+def _find_schedules(step, *, render, train):
+    """The oracle of `_compute_schedules`."""
     done = min(max(float(step) / (render.anneal_until * train.steps), 0), 1)
     share = render.sigma_start + done * (render.sigma_end - render.sigma_start)
     warm = train.warmup_steps
@@ -184,23 +157,15 @@ def find_schedules(
 
 
 def _list_schedules():
-    kinds = {
-        "plain": make_sections(),
-        "one step": make_sections(steps=1, warmup_steps=0),
-        "no annealing, constant rate": make_sections(
-            anneal_until=1.0, final_rate=1.0, warmup_steps=0
-        ),
-    }
-    for name, sections in kinds.items():
-        last = sections.train.steps
-        steps = {0, 100, 800, last - 1, last, 10**6}
+    for name, (render, train) in SCHEDULES.items():
+        steps = {0, 100, 800, train.steps - 1, train.steps, 10**6}
+        sections = {"render": render, "train": train}
         yield from make_cases(
             "schedules",
-            make_schedules(sections),
-            functools.partial(find_schedules, sections=sections),
+            functools.partial(_compute_schedules, **sections),
+            functools.partial(_find_schedules, **sections),
             (256, None),
             [(f"{name}, step {step}", step) for step in sorted(steps)],
-            subject=SUBJECT,
             because="a cosine whose argument has the rounding of a step's share; the "
             "first rate is a hundredth of the difference it comes from",
             dtypes=("float32",),

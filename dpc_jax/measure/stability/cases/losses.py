@@ -1,9 +1,7 @@
 """Losses at ties, opposites, empty and full silhouettes, and far away."""
 
-import functools
 import itertools
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -49,39 +47,33 @@ SELECTIONS = (
     ("a sure winner", [[50.0, 0, 0], [0, 0, 80]]),
 )
 CLOUD = np.array([[0.1, -0.2, 0.3], [-0.3, 0.2, -0.1], [0.0, 0.4, 0.2]])
+OF_ONE = {"gradient_floor": 1.0}
 SAME = np.repeat(CLOUD[:1], 3, axis=0)
 CLOUDS = (
-    ("plain", CLOUD, {"gradient_floor": 1.0}),
+    ("plain", CLOUD, OF_ONE),
     ("coincident points", SAME),
     ("1e-20 apart", SAME * 0 + np.arange(3)[:, None] * 1e-20, IN_WIDE),
     ("1e6 wide", CLOUD * 1e6, IN_WIDE),
     ("1e15 wide", CLOUD * 1e15, IN_WIDE),
-    (
-        "exactly on the sphere",
-        [[0.5, 0, 0], [0, -0.5, 0], [0, 0, 0]],
-        {"gradient_floor": 1.0},
-    ),
+    ("exactly on the sphere", [[0.5, 0, 0], [0, -0.5, 0], [0, 0, 0]], OF_ONE),
 )
 
 
-def select(logits: jax.Array) -> jax.Array:
-    """The selection loss with fixed winners."""
+def _select(logits):
     return losses.selection_loss(logits, jnp.asarray(WINNERS))
 
 
-def find_reprojection_loss(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Sum of squared differences."""
+def _find_reprojection_loss(a, b):
     return np.sum((a - b) * (a - b))
 
 
-def find_student_loss(student: np.ndarray, teacher: np.ndarray) -> np.ndarray:
+def _find_student_loss(student, teacher):
     """1 - |cos| of unit quaternions; at cos = 0 the slope towards +teacher."""
     cosine = np.sum(oracles.normalize(student) * oracles.normalize(np.real(teacher)))
     return 1 - oracles.flip_sign(cosine)
 
 
-def find_selection_loss(logits: np.ndarray) -> np.ndarray:
-    """Mean cross-entropy of the winners."""
+def _find_selection_loss(logits):
     total = 0
     for row, winner in zip(logits, WINNERS, strict=True):
         top = max(row, key=np.real)
@@ -89,7 +81,7 @@ def find_selection_loss(logits: np.ndarray) -> np.ndarray:
     return np.asarray(total / len(logits))
 
 
-def find_repulsion(points: np.ndarray) -> np.ndarray:
+def _find_repulsion(points):
     """Mean of 1/√(d² + 0.02²) over all pairs of points."""
     energies = []
     for i, j in itertools.combinations(range(len(points)), 2):
@@ -98,7 +90,7 @@ def find_repulsion(points: np.ndarray) -> np.ndarray:
     return np.sum(energies) / len(energies)
 
 
-def find_containment(points: np.ndarray) -> np.ndarray:
+def _find_containment(points):
     """Sum of squared distances outside the ball of radius a half."""
     total = np.zeros((), REAL)
     for point in points:
@@ -110,38 +102,37 @@ def find_containment(points: np.ndarray) -> np.ndarray:
 
 def list_cases() -> list[Case]:
     """The catalogue's cases on losses."""
-    make = functools.partial(make_cases, subject=SUBJECT)
     sums = "a few roundings for each of a few terms"
     near = "differences of coordinates, squared and rooted; a softening of 1/50 "
     near += "magnifies what is near"
     of_one = {"floor": 1.0, "gradient_floor": 1.0}
     return [
-        *make(
+        *make_cases(
             "reprojection",
-            *(losses.reprojection_loss, find_reprojection_loss, (16, 4), IMAGES),
+            *(losses.reprojection_loss, _find_reprojection_loss, (16, 4), IMAGES),
             because=sums,
         ),
-        *make(
+        *make_cases(
             "student",
-            *(losses.student_loss, find_student_loss, (8, 16), STUDENTS),
+            *(losses.student_loss, _find_student_loss, (8, 16), STUDENTS),
             because="cosine and two norms; the gradient cancels along q",
             **of_one,
         ),
-        *make(
+        *make_cases(
             "selection",
-            *(select, find_selection_loss, (16, 16), SELECTIONS),
+            *(_select, _find_selection_loss, (16, 16), SELECTIONS),
             because=sums,
             **of_one,
         ),
-        *make(
+        *make_cases(
             "repulsion",
-            *(losses.repulsion_energy, find_repulsion, (64, 256), CLOUDS),
+            *(losses.repulsion_energy, _find_repulsion, (64, 256), CLOUDS),
             because=near,
             half="finite",
         ),
-        *make(
+        *make_cases(
             "containment",
-            *(losses.containment_loss, find_containment, (64, 256), CLOUDS),
+            *(losses.containment_loss, _find_containment, (64, 256), CLOUDS),
             because=near,
             half="finite",
         ),

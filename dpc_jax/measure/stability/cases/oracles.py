@@ -8,28 +8,30 @@ import numpy as np
 
 from dpc_jax.measure.stability.cases.case import REAL
 
-Number = np.ndarray | np.number | float
+Array = np.ndarray
+Number = Array | np.number | float
+Shape = tuple[int, int, int]
 PI = REAL("3.14159265358979323846264338327950288")
 
 
-def root_sum(x: np.ndarray) -> np.ndarray:
+def root_sum(x: Array) -> Array:
     """√Σx², without the complex conjugate of a norm."""
     return np.sqrt(np.sum(x * x))
 
 
-def flip_sign(x: np.ndarray) -> np.ndarray:
+def flip_sign(x: Array) -> Array:
     """|x| with a derivative; at 0 the slope is one."""
     return np.where(np.real(x) < 0, -x, x)
 
 
-def normalize(q: np.ndarray) -> np.ndarray:
+def normalize(q: Array) -> Array:
     """q/‖q‖; for q = 0 the identity, with zero slope."""
     if np.all(np.real(q) == 0):
         return np.array([1, 0, 0, 0], REAL)
     return q / root_sum(q)
 
 
-def multiply(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+def multiply(p: Array, q: Array) -> Array:
     """Hamilton product, as (w, v): (w₁w₂ - v₁·v₂, w₁v₂ + w₂v₁ + v₁×v₂)."""
     w, v, u, x = p[0], p[1:], q[0], q[1:]
     return np.concatenate(
@@ -37,7 +39,7 @@ def multiply(p: np.ndarray, q: np.ndarray) -> np.ndarray:
     )
 
 
-def rotate(points: np.ndarray, q: np.ndarray) -> np.ndarray:
+def rotate(points: Array, q: Array) -> Array:
     """q·(0, p)·q⁻¹ for each point p; the matrix product if q is a matrix."""
     if q.shape == (3, 3):
         return np.sum(points[:, None, :] * q, axis=-1)
@@ -48,7 +50,7 @@ def rotate(points: np.ndarray, q: np.ndarray) -> np.ndarray:
     return np.array(moved).reshape(-1, 3)
 
 
-def angle(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+def angle(p: Array, q: Array) -> Array:
     """2·atan(‖v‖/|w|) of p·q⁻¹; π - 2·atan(|w|/‖v‖) where ‖v‖ is larger."""
     turn = multiply(normalize(p), normalize(q) * np.array([1, -1, -1, -1]))
     sine, cosine = root_sum(turn[1:]), flip_sign(turn[0])
@@ -58,14 +60,14 @@ def angle(p: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def place(
-    points: np.ndarray,
-    q: np.ndarray,
-    *,
+    points: Array,
+    q: Array,
     focal: Number,
     distance: Number,
-    shape: tuple[int, int, int],
+    *,
+    shape: Shape,
     orthographic: bool = False,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Array, Array]:
     """Continuous (row, col, depth) indices, 0 outside, and whether a point is inside.
 
     A point nearer to the camera than a millionth of the extent, which is one, has no
@@ -84,9 +86,7 @@ def place(
     return np.where(is_inside[:, None], coordinates, 0), is_inside
 
 
-def splat(
-    coordinates: np.ndarray, values: np.ndarray, shape: tuple[int, int, int]
-) -> np.ndarray:
+def splat(coordinates: Array, values: Array, shape: Shape) -> Array:
     """Trilinear weights, products of 1 - |x - i| along the axes."""
     volume = np.zeros(shape, np.result_type(coordinates, values))
     for point, value in zip(coordinates, values, strict=True):
@@ -104,14 +104,10 @@ def splat(
     return volume
 
 
-def weigh(cells: np.ndarray, center: Number, sigma: Number) -> np.ndarray:
+def weigh(cells: Array, center: Number, sigma: Number) -> Array:
     """exp(-(i - x)²/2σ²) over its sum on all integers; σ at least 0.02, as documented.
 
-    Args:
-      cells: [n]. center: any shape [...]. sigma: ().
-
-    Returns:
-      [..., n].
+    Cells are [n], centers have any shape [...]; the weights are [..., n].
     """
     center = np.asarray(center)[..., None]
     nearest = np.round(np.real(center))
@@ -127,7 +123,7 @@ def weigh(cells: np.ndarray, center: Number, sigma: Number) -> np.ndarray:
     return weights / total[..., None]
 
 
-def smooth(volume: np.ndarray, sigma: Number) -> np.ndarray:
+def smooth(volume: Array, sigma: Number) -> Array:
     """Direct sums over all cells, axis by axis."""
     for axis, size in enumerate(volume.shape):
         cells = np.arange(size)
@@ -137,11 +133,8 @@ def smooth(volume: np.ndarray, sigma: Number) -> np.ndarray:
 
 
 def sum_gaussians(
-    coordinates: np.ndarray,
-    masses: np.ndarray,
-    sigmas: np.ndarray,
-    shape: tuple[int, int, int],
-) -> np.ndarray:
+    coordinates: Array, masses: Array, sigmas: Array, shape: Shape
+) -> Array:
     """Σ of separable Gaussians, point by point."""
     volume = np.zeros(shape)
     for point, mass, sigma in zip(coordinates, masses, sigmas, strict=True):
@@ -153,11 +146,8 @@ def sum_gaussians(
 
 
 def sum_covariances(
-    coordinates: np.ndarray,
-    masses: np.ndarray,
-    covariances: np.ndarray,
-    shape: tuple[int, int, int],
-) -> np.ndarray:
+    coordinates: Array, masses: Array, covariances: Array, shape: Shape
+) -> Array:
     """Σ of Gaussians: the widest axis first, then each axis given those before it."""
     volume = np.zeros(shape)
     for point, mass, matrix in zip(coordinates, masses, covariances, strict=True):
@@ -205,24 +195,24 @@ def _find_minor(matrix):
     return matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
 
 
-def clip(density: np.ndarray) -> np.ndarray:
+def clip(density: Array) -> Array:
     """Clip to [0, 1]; at both ends the slope of the inner side."""
     real = np.real(density)
     return np.where(real < 0, 0, np.where(real > 1, 1, density))
 
 
-def find_transparencies(occupancy: np.ndarray) -> np.ndarray:
+def find_transparencies(occupancy: Array) -> Array:
     """Π_{u<k}(1 - o_u) for every cell k along the last axis, and for the background."""
     ones = np.ones((*occupancy.shape[:-1], 1))
     return np.cumprod(np.concatenate([ones, 1 - occupancy], axis=-1), axis=-1)
 
 
-def terminate(occupancy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def terminate(occupancy: Array) -> tuple[Array, Array]:
     """(o_k·Π_{u<k}(1 - o_u), Π(1 - o)) cell by cell along the last axis."""
     passed = find_transparencies(occupancy)
     return occupancy * passed[..., :-1], passed[..., -1]
 
 
-def find_opacity(occupancy: np.ndarray) -> np.ndarray:
+def find_opacity(occupancy: Array) -> Array:
     """Σ_k r_k, because 1 - Π(1 - o) would cancel."""
     return np.sum(terminate(occupancy)[0], axis=-1)

@@ -5,13 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.measure.stability.cases import oracles
-from dpc_jax.measure.stability.cases.case import (
-    DTYPES,
-    REAL,
-    WIDE,
-    Case,
-    make_cases,
-)
+from dpc_jax.measure.stability.cases.case import DTYPES, REAL, WIDE, Case, make_cases
 from dpc_jax.render import termination
 
 SUBJECT = "ray termination"
@@ -50,20 +44,18 @@ def list_cases() -> list[Case]:
     return [
         *_make_cases(
             "probabilities",
-            termination.termination_probabilities,
-            oracles.terminate,
+            *(termination.termination_probabilities, oracles.terminate),
             slope=_differentiate_termination,
         ),
         *_make_cases(
             "opacity",
-            termination.opacity,
-            oracles.find_opacity,
+            *(termination.opacity, oracles.find_opacity),
             changes=OPACITY_CHANGES,
             slope=_differentiate_opacity,
         ),
         *_make_cases(
             "sum and least of probabilities",
-            add_probabilities,
+            _add_probabilities,
             # The sum is one for every ray, so its gradient is zero; it is a difference
             # of terms that are at most one.
             lambda ray: (1 + 0 * np.sum(ray), np.zeros(())),
@@ -77,21 +69,18 @@ def list_cases() -> list[Case]:
 
 def _make_cases(title, function, oracle, names=tuple(RAYS), changes=None, **shared):
     """Cases on rays; tolerances grow with the length of the ray."""
-    because = "each cell rounds the product twice, at worst in one direction"
-    shared |= {"subject": SUBJECT, "because": because}
+    shared["because"] = "each cell rounds the product twice, at worst in one direction"
     cases = []
     for name in names:
         ray, length = RAYS[name], len(RAYS[name])
         tolerances = 2 * length + 8, 8 * length + 16
         row = (name, ray, (changes or {}).get(name, {}))
-        dtypes = WIDE if length == LONG else DTYPES
-        cases += make_cases(
-            title, function, oracle, tolerances, [row], dtypes=dtypes, **shared
-        )
+        shared["dtypes"] = WIDE if length == LONG else DTYPES
+        cases += make_cases(title, function, oracle, tolerances, [row], **shared)
     return cases
 
 
-def add_probabilities(ray: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _add_probabilities(ray):
     """The sum, which must be one, and the least probability if it is negative, or 0."""
     cells, background = termination.termination_probabilities(ray)
     below = jnp.minimum(jnp.min(cells), 0)

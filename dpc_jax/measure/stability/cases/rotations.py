@@ -44,13 +44,13 @@ BRANCHES = (
 )
 
 
-def pass_through_matrix(q: jax.Array) -> jax.Array:
+def _pass_through_matrix(q):
     """To a matrix and back, as q·qᵀ, which is the same for q and -q."""
     back = jnp.asarray(quaternion.from_matrix(quaternion.to_matrix(q)))
     return jnp.outer(back, back)
 
 
-def compose_many(step: jax.Array) -> jax.Array:
+def _compose_many(step):
     """Product of 10⁵ equal rotations, normalised each time as training does."""
 
     def turn(_, q):
@@ -60,7 +60,7 @@ def compose_many(step: jax.Array) -> jax.Array:
     return jax.lax.fori_loop(0, 100_000, turn, start)
 
 
-def compose_many_exactly(step: np.ndarray) -> np.ndarray:
+def _compose_many_exactly(step):
     """One rotation by 10⁵ times the angle."""
     step = oracles.normalize(step)
     sine = oracles.root_sum(step[1:])
@@ -76,10 +76,6 @@ def _turn_about(axis, angle):
     return np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * axis])
 
 
-def _slope_at_zero(inputs, weights):
-    return np.zeros(4), np.zeros(4)
-
-
 def _slope_at_half_turn(inputs, weights):
     # From (1, 0, 0, 0) to (0, 0, 1, 0) the angle is π - 2·|the component along the
     # other|. This is the slope on the side where that component is positive.
@@ -87,7 +83,10 @@ def _slope_at_half_turn(inputs, weights):
     return np.array([0, 0, -2 * w, 0]), np.array([-2 * w, 0, 0, 0])
 
 
-AT_ZERO = {"slope": _slope_at_zero, "limit": "kink at 0: zero gradient"}
+AT_ZERO = {
+    "slope": lambda inputs, weights: (np.zeros(4), np.zeros(4)),
+    "limit": "kink at 0: zero gradient",
+}
 AT_HALF_TURN = {
     "slope": _slope_at_half_turn,
     "limit": "kink at 180°: the gradient of one side",
@@ -104,26 +103,20 @@ ANGLES = (
     ("1e-7 from a half turn", IDENTITY, (1e-7, 0, 1, 0)),
 )
 AXIS = (0.0, -0.6, 0.8)
-TURNS = (
-    ("0", AXIS, 0.0),
-    ("1e-30", AXIS, 1e-30),
-    ("a half turn", AXIS, np.pi),
-    ("1e4", AXIS, 1e4),
-)
+ABOUT = {"0": 0.0, "1e-30": 1e-30, "a half turn": np.pi, "1e4": 1e4}
+TURNS = [(name, AXIS, angle) for name, angle in ABOUT.items()]
 STEP = (np.cos(0.05), 0, 0.6 * np.sin(0.05), 0.8 * np.sin(0.05))
 
 
 def list_cases() -> list[Case]:
     """The catalogue's cases on rotations."""
-    make = functools.partial(make_cases, subject=SUBJECT, because=ROUNDING)
+    make = functools.partial(make_cases, because=ROUNDING)
     points = np.array([[0.3, -0.4, 0.5], [1e-7, 1, 1e3], [0, 0, 0]])
     still = {"slope": lambda inputs, w: (np.zeros(4),), "limit": ZERO}
     moved = {"slope": lambda inputs, w: (w[0], np.zeros(4)), "limit": ZERO}
-    lengths = [*LENGTHS, ("zero", [0] * 4, still)]
-    turned = [
-        *((name, points, q) for name, q in LENGTHS),
-        ("zero", points, [0] * 4, moved),
-    ]
+    lengths = (*LENGTHS, ("zero", [0] * 4, still))
+    zero = ("zero", points, [0] * 4, moved)
+    turned = [*((name, points, q) for name, q in LENGTHS), zero]
     along = ROUNDING + "; the gradient of q cancels along q"
     return [
         *make("normalize", quaternion.normalize, oracles.normalize, (4, 16), lengths),
@@ -131,22 +124,16 @@ def list_cases() -> list[Case]:
         *make(
             "rotate", quaternion.rotate, oracles.rotate, (16, 64), turned, because=along
         ),
-        *make("matrix and back", pass_through_matrix, _square, (8, 32), BRANCHES),
+        *make("matrix and back", _pass_through_matrix, _square, (8, 32), BRANCHES),
         *make("angle", quaternion.angle_between, oracles.angle, (16, 64), ANGLES),
         *make(
             "from axis and angle",
-            quaternion.from_axis_angle,
-            _turn_about,
-            (4, 8),
-            TURNS,
+            *(quaternion.from_axis_angle, _turn_about, (4, 8), TURNS),
             dtypes=WIDE,
         ),
         *make(
             "product of 1e5 rotations",
-            compose_many,
-            compose_many_exactly,
-            (4e5, None),
-            [("", STEP)],
+            *(_compose_many, _compose_many_exactly, (4e5, None), [("", STEP)]),
             because="four roundings for each product, at worst all in one direction",
             dtypes=WIDE,
         ),

@@ -23,29 +23,19 @@ MODES = ("jit", "vmap")
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """What became of a case in one dtype; errors are relative, tolerances too.
-
-    Attributes:
-      subject, case, dtype: which case and dtype.
-      value_error, gradient_error: the worst of all modes; None without a gradient.
-      value_tolerance, gradient_tolerance: None where the result only has to be finite.
-      is_finite: whether all values and gradients are.
-      passes: whether the results are finite and the errors within the tolerances.
-      limit: the documented limit that the case shows, if any.
-      because: where the tolerances come from.
-    """
+    """What became of a case in one dtype; errors are relative, tolerances too."""
 
     subject: str
     case: str
     dtype: str
-    value_error: float
-    value_tolerance: float | None
-    gradient_error: float | None
+    value_error: float  # the worst of all modes
+    value_tolerance: float | None  # None where the result only has to be finite
+    gradient_error: float | None  # None without a gradient
     gradient_tolerance: float | None
-    is_finite: bool
-    passes: bool
-    limit: str
-    because: str
+    is_finite: bool  # whether all values and gradients are
+    passes: bool  # whether the results are finite and the errors within the tolerances
+    limit: str  # the documented limit that the case shows, if any
+    because: str  # where the tolerances come from
 
     @property
     def value_ratio(self) -> float | None:
@@ -77,13 +67,10 @@ def run_cases(
     dtypes: tuple[str, ...] | None = None,
     modes: tuple[str, ...] = MODES,
 ) -> Iterator[Row]:
-    """Rows of all cases. Cases that share a compiled program run one after another.
+    """Rows of all cases, in some dtypes or in all that a case names.
 
-    Args:
-      cases: of the catalogue.
-      dtypes: to run; None for all that a case names.
-      modes: some of "jit" (one case at a time) and "vmap" (all cases that share a
-        program at once).
+    Cases that share a compiled program run one after another in the mode "jit", and at
+    once in the mode "vmap".
     """
     groups: dict[tuple, list[Case]] = {}
     for case in cases:
@@ -93,7 +80,7 @@ def run_cases(
     for group in groups.values():
         if not group[0].is_traced:
             if dtypes is None or "float64" in dtypes:
-                yield from (_judge_plain(case) for case in group)
+                yield from map(_judge_plain, group)
             continue
         for dtype in dtypes or DTYPES:
             chosen = [c for c in group if dtype in c.dtypes and _fits(c, dtype)]
@@ -125,7 +112,7 @@ def _run_group(group, dtype, modes):
                 result.append(jax.tree.map(lambda a, i=i: a[i], together))
         rounded = [tuple(np.asarray(x, np.float64) for x in xs) for xs in inputs]
     for case, arrays, found in zip(group, rounded, results, strict=True):
-        yield judge(case, dtype, arrays, found)
+        yield _judge(case, dtype, arrays, found)
 
 
 def _make_call(case):
@@ -154,19 +141,7 @@ def _fetch(tree):
     return jax.tree.map(lambda a: np.asarray(a, np.float64), jax.device_get(tree))
 
 
-def judge(
-    case: Case,
-    dtype: str,
-    inputs: tuple[np.ndarray, ...],
-    results: list[tuple],
-) -> Row:
-    """Compare results with the oracle.
-
-    Args:
-      case, dtype: what was run.
-      inputs: as rounded to the dtype.
-      results: (values, gradients) of each mode; no gradients where there are none.
-    """
+def _judge(case, dtype, inputs, results):
     epsilon = float(jnp.finfo(dtype).eps)
     only_finite = case.half == "finite" and dtype in ("bfloat16", "float16")
 
@@ -174,16 +149,13 @@ def judge(
         return None if tolerance is None or only_finite else tolerance * epsilon
 
     outputs = as_tuple(case.oracle(*(np.asarray(x, REAL) for x in inputs)))
-    value_error, gradient_error = 0.0, None
-    for values, _ in results:
-        error = compare(values, outputs, dtype, floor=case.floor)
-        value_error = max(value_error, error)
+    value_error = max(compare(v, outputs, dtype, floor=case.floor) for v, _ in results)
+    gradient_error = None
     if case.gradient_tolerance is not None:
         slope = case.slope or functools.partial(differentiate_oracle, case.oracle)
         slopes = slope(inputs, make_weights(outputs))
         gradient_error = max(
-            compare(gradients, slopes, dtype, floor=case.gradient_floor)
-            for _, gradients in results
+            compare(g, slopes, dtype, floor=case.gradient_floor) for _, g in results
         )
     row = Row(
         subject=case.subject,
@@ -240,6 +212,6 @@ def compare(
     return worst
 
 
-def _judge_plain(case: Case) -> Row:
+def _judge_plain(case):
     values = tuple(np.asarray(v, float) for v in as_tuple(case.function(*case.inputs)))
-    return judge(case, "float64", case.inputs, [(values, ())])
+    return _judge(case, "float64", case.inputs, [(values, ())])

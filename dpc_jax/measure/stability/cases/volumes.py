@@ -1,9 +1,7 @@
 """The fast method: points on borders, coincident, outside; kernels of every width."""
 
 import functools
-from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -14,9 +12,7 @@ from dpc_jax.render import compensate_widening, mass_of_peak, smooth, splat
 SUBJECT = "splat and smooth"
 SHAPE = (4, 3, 5)
 CROWD = 100_000
-KINK = {
-    "limit": "linear between cell centres: at one, the slope towards the higher index"
-}
+KINK = "linear between cell centres: at one, the slope towards the higher index"
 OUTSIDE = {
     "limit": "a point outside leaves no trace; of one inside, the share on cells "
     "outside is lost"
@@ -25,45 +21,24 @@ FLOOR = {"limit": "below 0.02 voxels a point stays on its cell, with zero gradie
 NEGATIVE = {"limit": "below zero counts as zero; a plain number below zero is refused"}
 PLACE = [[0.3, 1.2, 2.7], [1.6, 0.4, 3.9], [2.1, 1.1, 0.2]]
 VALUES = np.array([1.0, -0.5, 2.0])
+ON_CENTRES = [[0, 1, 2], [3, 2, 4], [0, 0, 0]]
+BETWEEN = [[0.5, 1, 2], [0.5, 1.5, 2], [1.5, 0.5, 2.5]]
+FAR = [[-1e30, 0, 0], [1e30, 1, 1], [0, -20, 0]]
+BESIDE = [[1e-7, 1, 2], [3, 2 - 1e-7, 4], [0, 0, 1e-7]]
+AT_BORDERS = (
+    ("on the volume's border, low", [[-0.5, 1, 2], [-0.5, -0.5, 2], [-0.5] * 3]),
+    ("on the volume's border, high", [[3.5, 1, 2], [3.5, 2.5, 2], [3.5, 2.5, 4.5]]),
+    ("within the outer half cell", [[-0.25, 1, 2], [3.25, 1, 2], [1, 2.25, 4.25]]),
+    ("one cell outside", [[-1, 1, 2], [4, 1, 2], [1, 3, 5]]),
+)
 SPLATS = (
     ("plain", PLACE, VALUES),
-    ("on cell centres", [[0, 1, 2], [3, 2, 4], [0, 0, 0]], VALUES, KINK),
-    (
-        "on faces, edges and corners of cells",
-        [[0.5, 1, 2], [0.5, 1.5, 2], [1.5, 0.5, 2.5]],
-        VALUES,
-    ),
-    (
-        "on the volume's border, low",
-        [[-0.5, 1, 2], [-0.5, -0.5, 2], [-0.5] * 3],
-        VALUES,
-        OUTSIDE,
-    ),
-    (
-        "on the volume's border, high",
-        [[3.5, 1, 2], [3.5, 2.5, 2], [3.5, 2.5, 4.5]],
-        VALUES,
-        OUTSIDE,
-    ),
-    (
-        "within the outer half cell",
-        [[-0.25, 1, 2], [3.25, 1, 2], [1, 2.25, 4.25]],
-        VALUES,
-        OUTSIDE,
-    ),
-    ("one cell outside", [[-1, 1, 2], [4, 1, 2], [1, 3, 5]], VALUES, OUTSIDE),
-    (
-        "all outside, up to 1e30",
-        [[-1e30, 0, 0], [1e30, 1, 1], [0, -20, 0]],
-        VALUES,
-        OUTSIDE | IN_WIDE,
-    ),
-    (
-        "1e-7 beside a cell centre",
-        [[1e-7, 1, 2], [3, 2 - 1e-7, 4], [0, 0, 1e-7]],
-        VALUES,
-        IN_WIDE,  # 16 bits round to the centre
-    ),
+    ("on cell centres", ON_CENTRES, VALUES, {"limit": KINK}),
+    ("on faces, edges and corners of cells", BETWEEN, VALUES),
+    *((name, place, VALUES, OUTSIDE) for name, place in AT_BORDERS),
+    ("all outside, up to 1e30", FAR, VALUES, OUTSIDE | IN_WIDE),
+    # 16 bits round to the centre.
+    ("1e-7 beside a cell centre", BESIDE, VALUES, IN_WIDE),
     ("plain, of mass 0", PLACE, np.zeros(3)),
     ("plain, of mass 1e-12", PLACE, VALUES * 1e-12),
     ("plain, of mass 1e6", PLACE, VALUES * 1e6),
@@ -119,28 +94,21 @@ COMPENSATED = (
 
 
 @functools.cache
-def make_splat(shape: tuple[int, int, int]) -> Callable:
+def _make_splat(shape):
     """`splat` into a shape; one function per shape, so that cases share programs."""
     return lambda coordinates, values: splat(coordinates, values, shape)
 
 
-def crowd_mass(coordinate: jax.Array, value: jax.Array) -> jax.Array:
-    """Mass of a crowd of coincident points, all in the volume."""
+def _crowd_mass(coordinate, value):
     coordinates = jnp.broadcast_to(coordinate, (CROWD, 3))
     return jnp.sum(splat(coordinates, jnp.broadcast_to(value, (CROWD,)), SHAPE))
 
 
-def smoothed_mass(volume: jax.Array, sigma: jax.Array) -> jax.Array:
-    """Mass of a smoothed volume."""
-    return jnp.sum(smooth(volume, sigma))
-
-
-def find_mass(peak: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """The oracle of `mass_of_peak`."""
+def _find_mass(peak, sigma):
     return peak * (2 * oracles.PI) ** REAL(1.5) * sigma * sigma * sigma
 
 
-def narrow(sigma: np.ndarray) -> np.ndarray:
+def _narrow(sigma):
     """The oracle of `compensate_widening`."""
     if np.real(sigma) <= 0.5:
         return sigma
@@ -149,34 +117,34 @@ def narrow(sigma: np.ndarray) -> np.ndarray:
 
 def list_cases() -> list[Case]:
     """The catalogue's cases on splatting, smoothing and masses."""
-    make = functools.partial(make_cases, subject=SUBJECT)
     return [
         *_list_splats(),
         *_list_smooths(),
-        *make(
+        *make_cases(
             "mass of a peak",
-            *(mass_of_peak, find_mass, (8, 16), PEAKS),
+            *(mass_of_peak, _find_mass, (8, 16), PEAKS),
             because="five products",
         ),
-        *make(
+        *make_cases(
             "compensated widening",
-            *(compensate_widening, narrow, (8, 64), COMPENSATED),
+            *(compensate_widening, _narrow, (8, 64), COMPENSATED),
             because="the root of a number between 1/2 and 1",
         ),
     ]
 
 
 def _list_splats():
-    make = functools.partial(make_cases, "splat", subject=SUBJECT)
     because = "three weights of one rounding each, and their product"
     tables = [(SHAPE, SPLATS)]
     tables += [(shape, [(name, place, [1, 2])]) for shape, name, place in GRIDS]
     for shape, rows in tables:
         oracle = functools.partial(oracles.splat, shape=shape)
-        yield from make(make_splat(shape), oracle, (8, 16), rows, because=because)
+        function = _make_splat(shape)
+        yield from make_cases("splat", function, oracle, (8, 16), rows, because=because)
     for name, value in {"": 1.0, ", mass 1e-12": 1e-12, ", mass 1e30": 1e30}.items():
-        yield from make(
-            crowd_mass,
+        yield from make_cases(
+            "splat",
+            _crowd_mass,
             lambda coordinate, value: CROWD * value + 0 * np.sum(coordinate),
             (CROWD / 4, CROWD / 4),
             [(f"1e5 coincident points{name}", [1.25, 1.5, 2.75], value)],
@@ -204,17 +172,17 @@ def _list_smooths():
     lone = np.zeros((19, 19, 19))
     lone[9, 9, 9] = 1.0
     middle = [(f"mass in the middle, sigma {s}", lone, s) for s in (0.05, 0.2, 0.75)]
-    make = functools.partial(make_cases, subject=SUBJECT)
     return [
-        *make(
+        *make_cases(
             "smooth",
             *(smooth, oracles.smooth, (64, 256), [*WIDTHS, *grids]),
             because=because,
             half="finite",
         ),
-        *make(
+        *make_cases(
             "smooth",
-            *(smoothed_mass, lambda volume, _: np.sum(volume), (32, None), middle),
+            lambda volume, sigma: jnp.sum(smooth(volume, sigma)),
+            *(lambda volume, _: np.sum(volume), (32, None), middle),
             because="nine cells away is twelve deviations, 1e-31 of the mass",
             dtypes=WIDE,
         ),

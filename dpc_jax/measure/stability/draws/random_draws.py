@@ -13,8 +13,11 @@ import numpy as np
 
 from dpc_jax.measure.stability.draws import learning_targets, render_targets
 from dpc_jax.measure.stability.draws.targets import Range, Target, make_check
-from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import start_section
+from dpc_jax.measure.stability.report_parts import (
+    PartRequest,
+    PartResult,
+    start_section,
+)
 from dpc_jax.reporting.tables import format_table
 
 TITLE = "Random draws"
@@ -27,21 +30,13 @@ MISSING = (
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What became of a target.
+    """What became of a target."""
 
-    Attributes:
-      target: its name.
-      limit: the range drawn from, if it is not all finite numbers.
-      draws: how many were tried.
-      broken: the properties that one draw broke; empty if all held.
-      inputs: that draw as text, made as simple as it can be while it still breaks them.
-    """
-
-    target: str
-    limit: str
-    draws: int
-    broken: tuple[str, ...] = ()
-    inputs: str = ""
+    target: str  # its name
+    limit: str  # the range drawn from, if it is not all finite numbers
+    draws: int  # how many were tried
+    broken: tuple[str, ...] = ()  # the properties that one draw broke
+    inputs: str = ""  # that draw, made as simple as it can be while it breaks them
 
 
 class _Broken(Exception):
@@ -56,11 +51,8 @@ def run_part(
 ) -> PartResult:
     """Draw inputs for every function; writes no file.
 
-    Args:
-      request: the quick form makes 30 draws for each function, the full one 10,000. The
-        same seed makes the same draws.
-      draws: another number of them.
-      targets: the functions; None for all.
+    The quick form makes 30 draws for each function, the full one 10,000. The same seed
+    makes the same draws.
     """
     if importlib.util.find_spec("hypothesis") is None:
         section = [*start_section(TITLE), f"Not run. {MISSING}", ""]
@@ -77,7 +69,7 @@ def run_part(
         if o.broken
     )
     data = [dataclasses.asdict(o) for o in outcomes]
-    return PartResult(write_section(outcomes), data, failures)
+    return PartResult(_write_section(outcomes), data, failures)
 
 
 def list_targets() -> list[Target]:
@@ -148,8 +140,7 @@ def _draw_array(wanted: Range):
     )
 
 
-def write_section(outcomes: Sequence[Outcome]) -> str:
-    """Section of the report: what broke, then draws and ranges."""
+def _write_section(outcomes):
     lines = start_section(TITLE)
     for o in outcomes:
         if o.broken:
@@ -166,8 +157,6 @@ def write_section(outcomes: Sequence[Outcome]) -> str:
         "negative with sum 1, unit quaternions) must hold. A documented refusal "
         "counts as an answer.",
         "",
-        *format_table(
-            ("function", "draws", "holds", "limits of what is drawn"), rows
-        ).splitlines(),
+        format_table(("function", "draws", "holds", "limits of what is drawn"), rows),
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)

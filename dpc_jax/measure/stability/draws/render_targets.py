@@ -6,7 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax import render
-from dpc_jax.measure.stability.draws.targets import LARGEST, Range, Target
+from dpc_jax.measure.stability.draws.targets import (
+    LARGEST,
+    Range,
+    Target,
+    is_share,
+    promise,
+)
 from dpc_jax.render import quaternion
 
 _COUNT, _SHAPE, _CHANNELS = 5, (4, 5, 6), 2
@@ -32,17 +38,11 @@ _LIMIT = (
     "|q| 0 or ≥ 1e-6: a gradient is a product of all these (and of 1/|q|), and must be "
     "a float32; any points, translation and sigma ≥ 0"
 )
-_IN_DOMAIN = "occupancies in [0, 1], its domain"
 
 
 def list_targets() -> list[Target]:
     """Targets of `dpc_jax.render`."""
-    return [
-        *_list_projections(),
-        *_list_volumes(),
-        *_list_rays(),
-        *_list_quaternions(),
-    ]
+    return [*_list_projections(), *_list_volumes(), *_list_quaternions()]
 
 
 def _list_projections():
@@ -60,8 +60,8 @@ def _list_projections():
             f"project: {name}, {projection}, {rule}",
             functools.partial(_project, name, projection, rule),
             (_POINTS, _ROTATION, sizes, *_SCENE),
-            holds=lambda images, *_: {"silhouette in [0, 1]": _is_share(images[0])},
-            limit=_LIMIT + limit,
+            promise("silhouette in [0, 1]", lambda images: is_share(images[0])),
+            _LIMIT + limit,
         )
 
 
@@ -97,44 +97,49 @@ def _keeps_mass(volume, coordinates, values):
 
 
 def _list_volumes():
-    return [
-        Target(
-            "voxelize",
-            lambda points, rotation, sigma, scale: render.voxelize(
-                points, rotation, sigma=sigma, scale=scale, grid=_GRID
-            ),
-            (_POINTS, _ROTATION, _SIGMAS, _SCALE),
-            holds=lambda volume, *_: {"occupancy in [0, 1]": _is_share(volume)},
-            limit=_LIMIT,
+    yield Target(
+        "voxelize",
+        lambda points, rotation, sigma, scale: render.voxelize(
+            points, rotation, sigma=sigma, scale=scale, grid=_GRID
         ),
-        Target(
-            "splat",
-            lambda coordinates, values: render.splat(coordinates, values, _SHAPE),
-            (Range((_COUNT, 3), usual=(-1, 6)), Range((_COUNT,), -1e37, 1e37)),
-            holds=_keeps_mass,
-            limit="|values| ≤ 1e37: the sum of a cell must be a float32",
-        ),
-        Target(
-            "smooth",
-            render.smooth,
-            (Range(_SHAPE, -1e30, 1e30, (0, 1)), _SIGMA),
-            limit="|volume| ≤ 1e30: the gradient of sigma is a sum over all cells",
-        ),
-        Target(
-            "compensate_widening",
-            render.compensate_widening,
-            (Range((7,), 0, LARGEST, (0, 3)),),
-            holds=lambda found, given: {
-                "between 0 and sigma": jnp.all((found >= 0) & (found <= given))
-            },
-        ),
-        Target(
-            "mass_of_peak",
-            render.mass_of_peak,
-            (Range((7,), -1e6, 1e6), Range((7,), 0, 1e10, (0, 3))),
-            limit="|peak| ≤ 1e6 and sigma ≤ 1e10: the mass grows as σ³",
-        ),
-    ]
+        (_POINTS, _ROTATION, _SIGMAS, _SCALE),
+        promise("occupancy in [0, 1]", is_share),
+        _LIMIT,
+    )
+    yield Target(
+        "splat",
+        lambda coordinates, values: render.splat(coordinates, values, _SHAPE),
+        (Range((_COUNT, 3), usual=(-1, 6)), Range((_COUNT,), -1e37, 1e37)),
+        _keeps_mass,
+        "|values| ≤ 1e37: the sum of a cell must be a float32",
+    )
+    yield Target(
+        "smooth",
+        render.smooth,
+        (Range(_SHAPE, -1e30, 1e30, (0, 1)), _SIGMA),
+        limit="|volume| ≤ 1e30: the gradient of sigma is a sum over all cells",
+    )
+    yield Target(
+        "compensate_widening",
+        render.compensate_widening,
+        (Range((7,), 0, LARGEST, (0, 3)),),
+        lambda found, given: {
+            "between 0 and sigma": jnp.all((found >= 0) & (found <= given))
+        },
+    )
+    yield Target(
+        "mass_of_peak",
+        render.mass_of_peak,
+        (Range((7,), -1e6, 1e6), Range((7,), 0, 1e10, (0, 3))),
+        limit="|peak| ≤ 1e6 and sigma ≤ 1e10: the mass grows as σ³",
+    )
+    for function, holds in (
+        (render.opacity, promise("in [0, 1]", is_share)),
+        (render.termination_probabilities, _are_probabilities),
+    ):
+        inputs = (Range((3, 7), 0, 1, (0, 1)),)
+        limit = "occupancies in [0, 1], its domain"
+        yield Target(function.__name__, function, inputs, holds, limit)
 
 
 def _are_probabilities(found, _):
@@ -146,70 +151,36 @@ def _are_probabilities(found, _):
     }
 
 
-def _list_rays():
-    occupancy = Range((3, 7), 0, 1, (0, 1))
-    return [
-        Target(
-            "opacity",
-            render.opacity,
-            (occupancy,),
-            holds=lambda shown, *_: {"in [0, 1]": _is_share(shown)},
-            limit=_IN_DOMAIN,
-        ),
-        Target(
-            "termination_probabilities",
-            render.termination_probabilities,
-            (occupancy,),
-            holds=_are_probabilities,
-            limit=_IN_DOMAIN,
-        ),
-    ]
-
-
 def _list_quaternions():
     any_length = Range((4,), usual=(-1, 1))
     not_tiny = Range((4,), smallest=1e-30, usual=(-1, 1))
     factor = Range((4,), -1e18, 1e18, (-1, 1))
+    matrix = Range((3, 3), -1e37, 1e37, (-1, 1))
+    moved = (Range((_COUNT, 3), -1e30, 1e30), Range((4,), smallest=1e-6))
     steep = "components 0 or ≥ 1e-30 (the gradient grows as 1/|q|)"
+    large = "components ≤ 1e18: products of larger ones are not float32"
     far = "coordinates ≤ 1e30, |q| 0 or ≥ 1e-6: the gradient grows as their quotient"
-    for function, inputs, holds, limit in (
-        (quaternion.normalize, (not_tiny,), _has_unit_length, steep),
-        (quaternion.conjugate, (any_length,), _promises_nothing, ""),
-        (
-            quaternion.multiply,
-            (factor, factor),
-            _promises_nothing,
-            "components ≤ 1e18: products of larger ones are not float32",
-        ),
-        (quaternion.to_matrix, (not_tiny,), _is_orthogonal, steep),
-        (
-            quaternion.from_matrix,
-            (Range((3, 3), -1e37, 1e37, (-1, 1)),),
-            _has_unit_length,
-            "entries ≤ 1e37 (a rotation has entries up to 1)",
-        ),
-        (
-            quaternion.rotate,
-            (Range((_COUNT, 3), -1e30, 1e30), Range((4,), smallest=1e-6)),
-            _promises_nothing,
-            far,
-        ),
-        (quaternion.angle_between, (not_tiny, not_tiny), _is_angle, steep),
+    entries = "entries ≤ 1e37 (a rotation has entries up to 1)"
+    for function, inputs, limit, *holds in (
+        (quaternion.normalize, (not_tiny,), steep, _has_unit_length),
+        (quaternion.conjugate, (any_length,), ""),
+        (quaternion.multiply, (factor, factor), large),
+        (quaternion.to_matrix, (not_tiny,), steep, _is_orthogonal),
+        (quaternion.from_matrix, (matrix,), entries, _has_unit_length),
+        (quaternion.rotate, moved, far),
+        (quaternion.angle_between, (not_tiny, not_tiny), steep, _is_angle),
     ):
-        yield Target(f"quaternion.{function.__name__}", function, inputs, holds, limit)
+        name = f"quaternion.{function.__name__}"
+        yield Target(name, function, inputs, *holds, limit=limit)
     yield Target(
         "quaternion.from_axis_angle",
         lambda axis, angle: quaternion.from_axis_angle(
             jnp.squeeze(quaternion.rotate(jnp.eye(1, 3), axis)), angle
         ),
         (not_tiny, Range(())),
-        holds=_has_unit_length,
-        limit="unit axes (drawn as the turned x axis), any angle",
+        _has_unit_length,
+        "unit axes (drawn as the turned x axis), any angle",
     )
-
-
-def _promises_nothing(*_):
-    return {}
 
 
 def _has_unit_length(q, *_):
@@ -224,7 +195,3 @@ def _is_orthogonal(matrix, *_):
 def _is_angle(angle, *_):
     most = np.float32(np.pi) * (1 + _EPSILON)
     return {"in [0, π]": (angle >= 0) & (angle <= most)}
-
-
-def _is_share(values):
-    return jnp.all((values >= 0) & (values <= 1))

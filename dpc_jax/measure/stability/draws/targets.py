@@ -13,48 +13,42 @@ LARGEST = float(np.finfo(np.float32).max)
 
 @dataclasses.dataclass(frozen=True)
 class Range:
-    """Float32 arrays that are drawn for one input.
+    """Float32 arrays that are drawn for one input."""
 
-    Attributes:
-      shape: fixed, so that a function is compiled once.
-      low, high: bounds; by default all finite numbers, also subnormal ones.
-      usual: bounds of the ordinary numbers that are mixed in; without them, every point
-        would be out of sight.
-      smallest: smaller magnitudes become zero.
-      kind: "float", or "byte" for uint8.
-    """
-
-    shape: tuple[int, ...]
+    shape: tuple[int, ...]  # fixed, so that a function is compiled once
+    # Bounds; by default all finite numbers, also subnormal ones
     low: float = -LARGEST
     high: float = LARGEST
+    # Bounds of the ordinary numbers that are mixed in; without them, every point would
+    # be out of sight.
     usual: tuple[float, float] = (-0.5, 0.5)
-    smallest: float = 0.0
-    kind: str = "float"
+    smallest: float = 0.0  # smaller magnitudes become zero
+    kind: str = "float"  # "float", or "byte" for uint8
 
 
 @dataclasses.dataclass(frozen=True)
 class Target:
-    """A function, and what must hold for every draw.
+    """A function, and what must hold for every draw."""
 
-    Attributes:
-      name: as a user writes it.
-      function: maps the inputs as arrays to an array or a tree of arrays.
-      inputs: their ranges.
-      holds: (outputs, *inputs) -> further properties by name, each a bool.
-      limit: the documented range if it is not all finite numbers, and why.
-      has_gradient: whether every input must have a finite gradient.
-      is_traced: False for numpy functions.
-      refusals: exceptions that are documented answers.
-    """
-
-    name: str
-    function: Callable
-    inputs: tuple[Range, ...]
+    name: str  # as a user writes it
+    function: Callable  # maps the inputs as arrays to an array or a tree of arrays
+    inputs: tuple[Range, ...]  # their ranges
+    # (outputs, *inputs) -> further properties by name, each a bool
     holds: Callable[..., dict[str, Any]] = lambda outputs, *inputs: {}
-    limit: str = ""
-    has_gradient: bool = True
-    is_traced: bool = True
-    refusals: tuple[type[Exception], ...] = ()
+    limit: str = ""  # the documented range if it is not all finite numbers, and why
+    has_gradient: bool = True  # whether every input must have a finite gradient
+    is_traced: bool = True  # False for numpy functions
+    refusals: tuple[type[Exception], ...] = ()  # exceptions that are documented answers
+
+
+def promise(name: str, test: Callable[[Any], Any]) -> Callable[..., dict[str, Any]]:
+    """For `Target.holds`: a property of the outputs alone."""
+    return lambda outputs, *_: {name: test(outputs)}
+
+
+def is_share(values: jax.Array) -> jax.Array:
+    """Whether all values are in [0, 1]."""
+    return jnp.all((values >= 0) & (values <= 1))
 
 
 def make_check(target: Target) -> Callable[..., dict[str, bool]]:
@@ -69,13 +63,12 @@ def make_check(target: Target) -> Callable[..., dict[str, bool]]:
     def check(*arrays):
         if target.has_gradient:
             outputs, pull_back = jax.vjp(target.function, *arrays)
-            found = {"finite": _are_finite(outputs)}
             gradients = pull_back(jax.tree.map(_alternate, outputs))
-            for place, gradient in enumerate(gradients):
-                found[f"gradient of input {place}"] = _are_finite(gradient)
         else:
-            outputs = target.function(*arrays)
-            found = {"finite": _are_finite(outputs)}
+            outputs, gradients = target.function(*arrays), ()
+        found = {"finite": _are_finite(outputs)}
+        for place, gradient in enumerate(gradients):
+            found[f"gradient of input {place}"] = _are_finite(gradient)
         return found | target.holds(outputs, *arrays)
 
     compiled = jax.jit(check)
@@ -88,8 +81,9 @@ def _check_plain(target, arrays):
     try:
         outputs = target.function(*arrays)
     except target.refusals as error:
-        # A refusal must say what was expected.
-        return {"refused in a sentence": "xpected" in str(error)}
+        # "<Subject> must be <expected>, but <what came>; <what to do>."
+        says_all = ", but " in str(error) and "; " in str(error)
+        return {"refused in a sentence": says_all}
     leaves = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(outputs)]
     found = {"finite": all(np.isfinite(leaf).all() for leaf in leaves)}
     return found | target.holds(outputs, *arrays)

@@ -17,19 +17,12 @@ _MOMENTUM = 0.9  # Adam's decay of the mean gradient, its authors' value
 
 
 class Problem(NamedTuple):
-    """Silhouettes of one object, and the truth behind them.
+    """Silhouettes of one object, and the truth behind them."""
 
-    Attributes:
-      targets: [V, 32, 32] silhouettes.
-      poses: [V, 4] true quaternions.
-      surface: [M, 3] true points.
-      masses: [N] of the points to find, in voxels.
-    """
-
-    targets: jax.Array
-    poses: jax.Array
-    surface: jax.Array
-    masses: jax.Array
+    targets: jax.Array  # [V, 32, 32] silhouettes
+    poses: jax.Array  # [V, 4] true quaternions
+    surface: jax.Array  # [M, 3] true points
+    masses: jax.Array  # [N] of the points to find, in voxels
 
 
 class Start(NamedTuple):
@@ -40,40 +33,25 @@ class Start(NamedTuple):
 
 
 class Recipe(NamedTuple):
-    """How to descend; all of it traced, so that one program serves every recipe.
+    """How to descend; all of it traced, so that one program serves every recipe."""
 
-    Attributes:
-      sigmas: [T] standard deviation of a point at each iteration, voxels.
-      point_rates: [T, N] learning rate of each point, in object units.
-      pose_rates: [T, V] learning rate of each pose, in units of a quaternion.
-      is_adam: () whether to take Adam's direction instead of the gradient.
-      memory: () Adam's decay of the mean square; its authors take 0.999.
-    """
-
-    sigmas: jax.Array
-    point_rates: jax.Array
-    pose_rates: jax.Array
-    is_adam: jax.Array
-    memory: jax.Array
+    sigmas: jax.Array  # [T] standard deviation of a point at each iteration, voxels
+    point_rates: jax.Array  # [T, N] learning rate of each point, in object units
+    pose_rates: jax.Array  # [T, V] learning rate of each pose, in units of a quaternion
+    is_adam: jax.Array  # () whether to take Adam's direction instead of the gradient
+    memory: jax.Array  # () Adam's decay of the mean square; its authors take 0.999
 
 
 class Trace(NamedTuple):
-    """Errors before each iteration, and after the last.
+    """Errors before each iteration, and after the last."""
 
-    Attributes:
-      losses: [T + 1, V] reprojection loss of each view at sigma one.
-      pose_errors: [T + 1, V] degrees.
-      chamfer: [T + 1] in the paper's units (×100).
-      distances: [T + 1, N] of each point from its true place. They mean something only
-        if there are as many points as true points.
-      end: the last points and poses.
-    """
-
-    losses: jax.Array
-    pose_errors: jax.Array
-    chamfer: jax.Array
+    losses: jax.Array  # [T + 1, V] reprojection loss of each view at sigma one
+    pose_errors: jax.Array  # [T + 1, V] degrees
+    chamfer: jax.Array  # [T + 1] in the paper's units (×100)
+    # [T + 1, N] of each point from its true place. They mean something only if there
+    # are as many points as true points.
     distances: jax.Array
-    end: Start
+    end: Start  # the last points and poses
 
 
 def render_views(
@@ -81,35 +59,23 @@ def render_views(
 ) -> jax.Array:
     """Silhouettes [V, 32, 32] of points [N, 3] with masses [N] from poses [V, 4]."""
 
-    def render(pose):
-        return project(
-            points, pose, sigma=sigma, scale=masses, camera=CAMERA, grid=GRID
-        ).silhouette
-
-    return jax.lax.map(render, poses)
+    looks = {"sigma": sigma, "scale": masses, "camera": CAMERA, "grid": GRID}
+    return jax.lax.map(lambda q: project(points, q, **looks).silhouette, poses)
 
 
 @functools.partial(jax.jit, static_argnames="every")
-def descend(problem: Problem, start: Start, recipe: Recipe, *, every: int = 1) -> Trace:
-    """Follow a recipe from a start.
+def descend(problem: Problem, start: Start, recipe: Recipe, *, every: int) -> Trace:
+    """Follow a recipe from a start; T is a multiple of `every`.
 
-    Args:
-      problem: what to recover.
-      start: points and poses to begin with.
-      recipe: with T a multiple of `every`.
-      every: iterations between two measurements of the error; 1 measures each.
-
-    Returns:
-      The trace, with T / every + 1 entries.
+    The error is measured after every so many iterations, so the trace has
+    T / every + 1 entries.
     """
     # One dtype for all: with x64 the rates would bring in NumPy's float64.
     dtype = start.points.dtype
     recipe = jax.tree.map(lambda a: a.astype(dtype), recipe)
 
     def compute_loss(params, sigma):
-        images = render_views(
-            params.points, params.poses, masses=problem.masses, sigma=sigma
-        )
+        images = render_views(*params, masses=problem.masses, sigma=sigma)
         return reprojection_loss(images, problem.targets)
 
     def step(carry, inputs):
@@ -131,9 +97,7 @@ def descend(problem: Problem, start: Start, recipe: Recipe, *, every: int = 1) -
         return (params, mean, square, count), None
 
     def measure(params):
-        sharp = render_views(
-            params.points, params.poses, masses=problem.masses, sigma=1.0
-        )
+        sharp = render_views(*params, masses=problem.masses, sigma=1.0)
         losses = jnp.sum((sharp - problem.targets) ** 2, axis=(1, 2))
         angles = jax.vmap(quaternion.angle_between)(params.poses, problem.poses)
         gaps = jnp.linalg.norm(params.points[:, None] - problem.surface[None], axis=-1)

@@ -6,35 +6,30 @@ import jax
 import numpy as np
 
 from dpc_jax.measure.stability import figures
-from dpc_jax.measure.stability.report_parts import PartRequest, PartResult
-from dpc_jax.measure.stability.sections import start_section
-from dpc_jax.measure.stability.stiff import studies
-from dpc_jax.measure.stability.stiff.studies import (
-    BEST,
-    FULL,
-    QUICK,
-    STAGED,
-    VIEWS,
-    Plan,
-    Run,
+from dpc_jax.measure.stability.report_parts import (
+    PartRequest,
+    PartResult,
+    start_section,
 )
-from dpc_jax.measure.stability.stiff.summaries import (
-    Choice,
-    Summary,
-    choose_starts,
-    summarize,
-)
+from dpc_jax.measure.stability.stiff import studies, summaries
+from dpc_jax.measure.stability.stiff.studies import BEST, STAGED, Run
+from dpc_jax.measure.stability.stiff.summaries import Choice, Summary
 from dpc_jax.reporting.tables import format_table
 
 SHAPE_FIGURE, OTHER_FIGURE = "stability_stiff_shape.png", "stability_stiff_other.png"
-# Largest final errors of the best recipe, medians over seeds: a fifth above the worst
-# single seed of the first measurement (6.7°, 7.8), because descents are chaotic and
-# another processor rounds differently. They start at 30° and at 12 to 15.
-POSE_BOUND, CHAMFER_BOUND = 8.0, 9.5
-# Of the heaviest and lightest third, ×100: the worst seed came from 3.6 and 3.0 to
-# 0.0029 and 0.94. These are several times the first and half as much again as the
-# second.
-HEAVY_BOUND, LIGHT_BOUND = 0.02, 1.5
+# Final errors of the best recipe, first and second, and the most that they may be.
+_BOUNDS = {
+    # Medians over seeds: a fifth above the worst single seed of the first measurement
+    # (6.7°, 7.8), because descents are chaotic and another processor rounds
+    # differently. They start at 30° and at 12 to 15.
+    "shape": (("pose error (degrees)", 8.0), ("Chamfer distance (x100)", 9.5)),
+    # Of the heaviest and lightest third: the worst seed came from 3.6 and 3.0 to 0.0029
+    # and 0.94. These are several times the first and half as much again as the second.
+    "masses": (
+        ("distance of heavy points (x100)", 0.02),
+        ("distance of light points (x100)", 1.5),
+    ),
+}
 # Smallest share of views within 30° with all starts. Measured were 0.56 and 0.72 of 18
 # views, uncertain by 0.12 (binomial); a single start reaches a sixth.
 ACCURACY_BOUND = 0.4
@@ -46,23 +41,21 @@ def run_part(request: PartRequest) -> PartResult:
     The quick form takes a tenth of the iterations on one scene and seed. Then numbers
     must be finite and losses must fall, and no more is asked for.
     """
-    plan = QUICK if request.quick else FULL
+    plan = studies.QUICK if request.quick else studies.FULL
     runs: list[Run] = []
     for study in (studies.run_shapes, studies.run_starts, studies.run_masses):
         runs += study(plan)
         request.tell(f"stiff, {runs[-1].study}: {len(runs)} descents so far")
-    summaries, choices = summarize(runs), choose_starts(runs)
-    figures.draw_descents(summaries, request.out / SHAPE_FIGURE)
-    figures.draw_masses_and_starts(summaries, choices, request.out / OTHER_FIGURE)
-    failures = judge(runs, summaries, choices, is_full=not request.quick)
-    return PartResult(
-        markdown=write_section(summaries, choices, failures, plan),
-        data={
-            "summaries": [s._asdict() for s in summaries],
-            "starts": [c._asdict() for c in choices],
-        },
-        failures=tuple(failures),
-    )
+    found, choices = summaries.summarize(runs), summaries.choose_starts(runs)
+    figures.draw_descents(found, request.out / SHAPE_FIGURE)
+    figures.draw_masses_and_starts(found, choices, request.out / OTHER_FIGURE)
+    failures = judge(runs, found, choices, is_full=not request.quick)
+    data = {
+        "summaries": [s._asdict() for s in found],
+        "starts": [c._asdict() for c in choices],
+    }
+    section = _write_section(found, choices, failures, plan)
+    return PartResult(section, data, tuple(failures))
 
 
 def judge(
@@ -74,10 +67,8 @@ def judge(
 ) -> list[str]:
     """A sentence for each run that is not finite, and each best recipe that fails.
 
-    Args:
-      runs, summaries, choices: what was measured.
-      is_full: whether to apply the bounds, which belong to the full number of
-        iterations. The loss of the best recipes must fall in any case.
+    The bounds belong to the full number of iterations. The loss of the best recipes
+    must fall in any case.
     """
     failures = []
     for r in runs:
@@ -86,38 +77,22 @@ def judge(
                 f"stiff, {r.study}, {r.scene}, {r.recipe}, rate {r.rate}, seed "
                 f"{r.seed}: an error, a point or a pose is not finite."
             )
-    for s in summaries:
-        if s.recipe not in (BEST, STAGED):
-            continue
+    for s in (s for s in summaries if s.recipe in (BEST, STAGED)):
         label = f"stiff, {s.study}, {s.scene}, {s.recipe}"
         if not s.losses[-1] < s.losses[0]:
             failures.append(f"{label}: the loss did not fall.")
-        for words, error, bound in list_bounds(s) if is_full else ():
-            if not error <= bound:
+        ends = (s.first_errors[-1], s.second_errors[-1])
+        for (words, bound), error in zip(_BOUNDS[s.study], ends, strict=True):
+            if is_full and not error <= bound:
                 failures.append(f"{label}: {words} {error:.3g}, at most {bound:g}.")
     most = max((c.starts for c in choices), default=0)
     for c in choices:
-        is_few = c.starts == most and not c.accuracy >= ACCURACY_BOUND
-        if is_full and is_few:
+        if is_full and c.starts == most and not c.accuracy >= ACCURACY_BOUND:
             failures.append(
                 f"stiff, starts, {c.scene}: {c.accuracy:.2f} of the views are within "
                 f"30° with {c.starts} starts, at least {ACCURACY_BOUND:g}."
             )
     return failures
-
-
-def list_bounds(summary: Summary) -> tuple[tuple[str, float, float], ...]:
-    """The bounds of the best recipe: a quantity in words, its last value, the bound."""
-    first, second = summary.first_errors[-1], summary.second_errors[-1]
-    if summary.study == "shape":
-        return (
-            ("pose error (degrees)", first, POSE_BOUND),
-            ("Chamfer distance (x100)", second, CHAMFER_BOUND),
-        )
-    return (
-        ("distance of heavy points (x100)", first, HEAVY_BOUND),
-        ("distance of light points (x100)", second, LIGHT_BOUND),
-    )
 
 
 # What the full number of iterations first showed.
@@ -141,28 +116,16 @@ MASSES_FOUND = (
 )
 
 
-def write_section(
-    summaries: Sequence[Summary],
-    choices: Sequence[Choice],
-    failures: Sequence[str],
-    plan: Plan,
-) -> str:
-    """Section of the report: three problems, each with its table and curves."""
-    starts = [
-        (
-            c.scene,
-            c.starts,
-            f"{c.median_error:.2f}",
-            f"{c.accuracy:.2f}",
-            f"{c.seconds:.2f}",
-        )
-        for c in choices
-    ]
+def _write_section(summaries, choices, failures, plan):
+    starts = []
+    for c in choices:
+        numbers = (c.median_error, c.accuracy, c.seconds)
+        starts.append((c.scene, c.starts, *(f"{n:.2f}" for n in numbers)))
     head = ("scene", "K", "median pose error (°)", "within 30°", "run time (s)")
     lines = [
         *start_section("Stiff optimisation", failures),
         f"Medians over {plan.seeds} seeds; {plan.steps} iterations; volume 32³, "
-        f"{VIEWS} views, targets nearly sharp (σ 0.5). Plain gradient "
+        f"{studies.VIEWS} views, targets nearly sharp (σ 0.5). Plain gradient "
         f"descent is shown with the best of the rates tried, by its final loss. Losses "
         "are at σ 1 for every recipe.",
         "",
@@ -172,8 +135,7 @@ def write_section(
         "holds the frame). The chair's legs are a fiftieth of its size, less than a "
         "voxel.",
         "",
-        *_tabulate_shapes(summaries),
-        "",
+        _tabulate_shapes(summaries),
         f"![error over iterations and run time]({SHAPE_FIGURE})",
         "",
         SHAPES_FOUND,
@@ -183,21 +145,19 @@ def write_section(
         "Poses of views of a known shape from random rotations; for each view the "
         "start with the lowest final loss is kept.",
         "",
-        *format_table(head, starts).splitlines(),
-        "",
+        format_table(head, starts),
         "### Masses 10⁴ : 1",
         "",
         "24 points of masses from 10 to 0.001 voxels, displaced by 0.02 (root mean "
         "square of each coordinate), poses known. A point's curvature grows with the "
         "square of its mass, so the condition number is about 10⁸.",
         "",
-        *_tabulate_masses(summaries),
-        "",
+        _tabulate_masses(summaries),
         f"![masses and starts]({OTHER_FIGURE})",
         "",
         MASSES_FOUND,
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def _tabulate_shapes(summaries):
@@ -213,7 +173,7 @@ def _tabulate_shapes(summaries):
         )
     head = ("scene", "recipe", "rate", "loss", "pose error at a quarter (°)")
     heads = (*head, "at the end (°)", "Chamfer ×100", "run time (s)")
-    return format_table(heads, rows).splitlines()
+    return format_table(heads, rows)
 
 
 def _tabulate_masses(summaries):
@@ -227,7 +187,7 @@ def _tabulate_masses(summaries):
         last = (f"{values[-1]:.2g}" for values in e)
         rows.append((s.recipe, _show_rate(s.rate), *last, f"{s.seconds:.2f}"))
     head = ("recipe", "rate", "loss", "heaviest third ×100", "lightest third ×100")
-    return format_table((*head, "run time (s)"), rows).splitlines()
+    return format_table((*head, "run time (s)"), rows)
 
 
 def _show_rate(rate):

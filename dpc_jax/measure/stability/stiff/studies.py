@@ -33,26 +33,16 @@ _FEW = 24  # points of the study of masses
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """How much is run.
+    """How much is run."""
 
-    Attributes:
-      steps: iterations, a multiple of `EVERY`.
-      points: to find.
-      surface: true points that they are compared with.
-      seeds: of views, starts and surfaces.
-      starts: K at most.
-      scenes: by name.
-      sigmas: fixed ones, in voxels.
-      rates: of plain gradient descent; the best of them is shown.
-    """
-
-    steps: int = 400
-    points: int = 600
-    surface: int = 600
-    seeds: int = 3
-    starts: int = 8
-    scenes: tuple[str, ...] = ("car", "chair")
-    sigmas: tuple[float, ...] = (5.0, 2.0, 1.0, 0.5, 0.2)
+    steps: int = 400  # iterations, a multiple of `EVERY`
+    points: int = 600  # to find
+    surface: int = 600  # true points that they are compared with
+    seeds: int = 3  # of views, starts and surfaces
+    starts: int = 8  # K at most
+    scenes: tuple[str, ...] = ("car", "chair")  # by name
+    sigmas: tuple[float, ...] = (5.0, 2.0, 1.0, 0.5, 0.2)  # fixed ones, in voxels
+    # Of plain gradient descent; the best of them is shown
     rates: tuple[float, ...] = (1e-4, 4e-4)
 
 
@@ -62,25 +52,15 @@ QUICK = Plan(40, _FEW, _FEW, 1, 2, ("chair",), sigmas=(5.0, 0.2), rates=(1e-4,))
 
 
 class Run(NamedTuple):
-    """One descent.
+    """One descent."""
 
-    Attributes:
-      study: "shape", "starts" or "masses".
-      scene: the object to recover.
-      recipe: in words.
-      rate: of plain gradient descent, or None.
-      seed: of the problem.
-      seconds: wall clock, measurements included, compilation not.
-      trace: errors.
-    """
-
-    study: str
+    study: str  # "shape", "starts" or "masses"
     scene: str
-    recipe: str
-    rate: float | None
-    seed: int
-    seconds: float
-    trace: Trace
+    recipe: str  # in words
+    rate: float | None  # of plain gradient descent, or None
+    seed: int  # of the problem
+    seconds: float  # wall clock, measurements included, compilation not
+    trace: Trace  # errors
 
 
 def run_shapes(plan: Plan) -> Iterator[Run]:
@@ -89,9 +69,9 @@ def run_shapes(plan: Plan) -> Iterator[Run]:
     Points start in a ball, poses 30° off. Targets are nearly sharp, as masks are.
     """
     for scene, seed in itertools.product(plan.scenes, range(plan.seeds)):
-        problem, start = make_shape(scene, plan, seed)
+        problem, start = _make_shape(scene, plan, seed)
         for name, ends, rate in _list_recipes(plan):
-            recipe = make_recipe(plan, ends, rate=rate)
+            recipe = _make_recipe(plan, ends, rate=rate)
             yield _time("shape", scene, name, rate, seed, problem, start, recipe)
 
 
@@ -109,27 +89,26 @@ def _list_recipes(plan):
 
 def run_starts(plan: Plan) -> Iterator[Run]:
     """Poses of six views of a known shape, from random rotations."""
-    recipe = make_recipe(plan, (2.0, 0.5))
+    recipe = _make_recipe(plan, (2.0, 0.5))
     poses = jnp.full((plan.steps, VIEWS), _START_RATE) * _cool(plan)[:, None]
     recipe = recipe._replace(point_rates=0 * recipe.point_rates, pose_rates=poses)
     for scene, seed in itertools.product(plan.scenes, range(plan.seeds)):
-        problem, _ = make_shape(scene, plan, seed)
+        problem, _ = _make_shape(scene, plan, seed)
         for k in range(plan.starts):
             rng = np.random.default_rng((seed, 1000 + k))  # not the one of the views
-            poses = jnp.asarray(_draw_rotations(VIEWS, rng))
-            start = Start(problem.surface[: plan.points], poses)
+            start = Start(problem.surface[: plan.points], _draw_poses(rng))
             yield _time("starts", scene, BEST, None, seed, problem, start, recipe)
 
 
-def run_masses(plan: Plan, *, points: int = _FEW) -> Iterator[Run]:
+def run_masses(plan: Plan) -> Iterator[Run]:
     """Points of masses 10 to 0.001 voxels, displaced by 0.02; poses are known."""
-    masses = np.geomspace(10, 1e-3, points)
-    order = np.arange(points) / points
+    masses = np.geomspace(10, 1e-3, _FEW)
+    order = np.arange(_FEW) / _FEW
     steps = np.arange(plan.steps)[:, None]
     # A point starts when the heavier ones have come to rest, with a decay of its own.
     done = (steps - 0.6 * plan.steps * order) / (0.4 * plan.steps)
     staged = np.where(done < 0, 0, 0.5 * (1 + np.cos(np.pi * np.clip(done, 0, 1))))
-    flat = np.ones((plan.steps, points))
+    flat, still = np.ones((plan.steps, _FEW)), jnp.zeros((plan.steps, VIEWS))
     recipes = [
         *(("gradient", r, flat * r, _MEMORY) for r in (1e-4, 3e-4, 1e-3)),
         *(
@@ -142,33 +121,24 @@ def run_masses(plan: Plan, *, points: int = _FEW) -> Iterator[Run]:
     for seed in range(plan.seeds):
         problem, start = _make_cloud(masses, seed)
         for name, rate, rates, memory in recipes:
-            recipe = Recipe(
-                jnp.ones(plan.steps),
-                jnp.asarray(rates, jnp.float32),
-                jnp.zeros((plan.steps, VIEWS)),
-                jnp.asarray(rate is None),
-                jnp.asarray(memory),
-            )
+            point_rates = jnp.asarray(rates, jnp.float32)
+            flags = (jnp.asarray(rate is None), jnp.asarray(memory))
+            recipe = Recipe(jnp.ones(plan.steps), point_rates, still, *flags)
             yield _time("masses", "sparse", name, rate, seed, problem, start, recipe)
 
 
-def make_shape(scene: str, plan: Plan, seed: int) -> tuple[Problem, Start]:
+def _make_shape(scene, plan, seed):
     """Nearly sharp targets of a scene, and where points and poses begin."""
-    scenes = {
-        s.name: s for s in make_scenes(num_points=_DENSE, num_sparse=64, seed=seed)
-    }
+    scenes = make_scenes(num_points=_DENSE, num_sparse=64, seed=seed)
+    (cloud,) = (s.points for s in scenes if s.name == scene)
     rng = np.random.default_rng(seed)
-    poses = jnp.asarray(_draw_rotations(VIEWS, rng))
-    surface = jnp.asarray(scenes[scene].points, jnp.float32)
-    masses = jnp.full(_DENSE, 2.0)
-    targets = render_views(surface, poses, masses=masses, sigma=0.5)
+    poses = _draw_poses(rng)
+    surface = jnp.asarray(cloud, jnp.float32)
+    dense = jnp.full(_DENSE, 2.0)
+    targets = render_views(surface, poses, masses=dense, sigma=0.5)
     # The total mass does not depend on the number of points.
-    problem = Problem(
-        targets,
-        poses,
-        surface[: plan.surface],
-        jnp.full(plan.points, 2400 / plan.points, jnp.float32),
-    )
+    masses = jnp.full(plan.points, 2400 / plan.points, jnp.float32)
+    problem = Problem(targets, poses, surface[: plan.surface], masses)
     directions = rng.normal(size=(plan.points, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     ball = 0.3 * directions * rng.uniform(0, 1, (plan.points, 1)) ** (1 / 3)
@@ -179,16 +149,14 @@ def make_shape(scene: str, plan: Plan, seed: int) -> tuple[Problem, Start]:
 def _make_cloud(masses, seed):
     rng = np.random.default_rng(seed)
     *_, cloud = make_scenes(num_points=64, num_sparse=len(masses), seed=seed)
-    poses = jnp.asarray(_draw_rotations(VIEWS, rng))
+    poses = _draw_poses(rng)
     points, masses = (jnp.asarray(a, jnp.float32) for a in (cloud.points, masses))
     targets = render_views(points, poses, masses=masses, sigma=1.0)
     moved = points + jnp.asarray(rng.normal(size=points.shape) * 0.02, jnp.float32)
     return Problem(targets, poses, points, masses), Start(moved, poses)
 
 
-def make_recipe(
-    plan: Plan, ends: tuple[float, float], *, rate: float | None = None
-) -> Recipe:
+def _make_recipe(plan, ends: tuple[float, float], *, rate=None):
     """Gradient descent at a rate, or Adam; log sigma goes evenly between its ends."""
     factors = np.ones(plan.steps) if rate else _cool(plan)
     rates = jnp.asarray((rate or _ADAM_RATE) * factors, jnp.float32)[:, None]
@@ -207,9 +175,9 @@ def _cool(plan):
     return 0.5 * (1 + np.cos(np.pi * np.arange(plan.steps) / plan.steps))
 
 
-def _draw_rotations(count, rng):
-    quaternions = rng.normal(size=(count, 4)).astype(np.float32)
-    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+def _draw_poses(rng):
+    poses = rng.normal(size=(VIEWS, 4)).astype(np.float32)
+    return jnp.asarray(poses / np.linalg.norm(poses, axis=1, keepdims=True))
 
 
 def _time(study, scene, name, rate, seed, problem, start, recipe):

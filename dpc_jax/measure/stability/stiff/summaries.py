@@ -9,46 +9,31 @@ from dpc_jax.measure.stability.stiff.studies import EVERY, Run
 
 
 class Summary(NamedTuple):
-    """Medians over seeds of one recipe on one scene.
-
-    Attributes:
-      study, scene, recipe: as in `Run`.
-      rate: of plain gradient descent, the one with the lowest final loss; or None.
-      seconds: of the whole descent.
-      iterations: [n] at which errors were measured.
-      losses: [n] mean over views.
-      first_errors, second_errors: [n]. In "shape" the pose error in degrees and the
-        Chamfer distance ×100; in "masses" the root mean square distance ×100 of the
-        heaviest and of the lightest third of the points from their true places.
-    """
+    """Medians over seeds of one recipe on one scene; names as in `Run`."""
 
     study: str
     scene: str
     recipe: str
+    # Of plain gradient descent, the one with the lowest final loss; or None
     rate: float | None
-    seconds: float
-    iterations: list[int]
-    losses: list[float]
+    seconds: float  # of the whole descent
+    iterations: list[int]  # [n] at which errors were measured
+    losses: list[float]  # [n] mean over views
+    # [n]. In "shape" the pose error in degrees and the Chamfer distance ×100; in
+    # "masses" the root mean square distance ×100 of the heaviest and of the lightest
+    # third of the points from their true places.
     first_errors: list[float]
     second_errors: list[float]
 
 
 class Choice(NamedTuple):
-    """Pose errors over all views and seeds, of the best of K starts by its loss.
-
-    Attributes:
-      scene: as in `Run`.
-      starts: K.
-      median_error: degrees.
-      accuracy: share of views within 30°.
-      seconds: of all K descents of one view set.
-    """
+    """Pose errors over all views and seeds, of the best of K starts by its loss."""
 
     scene: str
-    starts: int
-    median_error: float
-    accuracy: float
-    seconds: float
+    starts: int  # K
+    median_error: float  # degrees
+    accuracy: float  # share of views within 30°
+    seconds: float  # of all K descents of one view set
 
 
 def summarize(runs: Sequence[Run]) -> list[Summary]:
@@ -103,8 +88,6 @@ def choose_starts(runs: Sequence[Run]) -> list[Choice]:
                 errors.append(angles[np.argmin(losses, axis=0), range(angles.shape[1])])
                 seconds.append(sum(r.seconds for r in found[:count]))
             accuracy = float(np.mean(np.array(errors) < 30))
-            median = float(np.median(errors))
-            choices.append(
-                Choice(scene, count, median, accuracy, float(np.median(seconds)))
-            )
+            median, time = float(np.median(errors)), float(np.median(seconds))
+            choices.append(Choice(scene, count, median, accuracy, time))
     return choices
