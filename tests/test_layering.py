@@ -21,15 +21,15 @@ ROOMS = {
         {"numpy", "trimesh", "embreex", "PIL", "rich", "scipy"},
         {"files", "shapes"},
     ),
-    "networks": ({"jax", "flax", "chex", "numpy"}, {"config", "render"}),
-    "evaluation": ({"numpy", "scipy"}, {"render"}),
+    "networks": ({"jax", "flax", "chex", "numpy"}, set()),
+    "evaluation": ({"numpy", "scipy"}, set()),
     "learning": (
         {"jax", "optax", "orbax", "chex", "numpy", "absl", "rich"},
         {"files", "config", "render", "data", "networks", "evaluation"},
     ),
     "reporting": (
         {"numpy", "matplotlib", "trimesh", "PIL"},
-        {"files", "learning", "render", "data", "networks", "evaluation"},
+        {"files", "evaluation"},
     ),
     "run": (
         {"jax", "flax", "numpy"},

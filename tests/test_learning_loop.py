@@ -20,10 +20,9 @@ from dpc_jax.config import Log
 from dpc_jax.learning import evaluator, loop
 from dpc_jax.learning import records as recording
 from dpc_jax.learning.checkpoints import Checkpoints
-from dpc_jax.learning.log import MetricLog
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictor import make_predictor, predict_all
-from dpc_jax.learning.records import NonFiniteError, check_finite, summarize
+from dpc_jax.learning.records import MetricLog, NonFiniteError, check_finite, summarize
 from dpc_jax.learning.renders import compute_candidate_losses
 from dpc_jax.learning.schedules import compute_sigma
 from dpc_jax.render import Camera

@@ -8,9 +8,8 @@ from dpc_jax.data import DataSet, choose_batch, read_batch
 from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.learning import schedules
 from dpc_jax.learning.checkpoints import Checkpoints
-from dpc_jax.learning.log import MetricLog
 from dpc_jax.learning.progress import ProgressReport
-from dpc_jax.learning.records import Stopwatch, Window
+from dpc_jax.learning.records import MetricLog, Stopwatch, Window
 from dpc_jax.learning.step import TrainState, make_train_step
 from dpc_jax.networks import ShapePoseNetwork
 

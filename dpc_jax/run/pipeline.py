@@ -15,9 +15,8 @@ from dpc_jax.data import DataSet, load_or_render
 from dpc_jax.evaluation.alignment import Alignment, identity_alignment
 from dpc_jax.learning import evaluator, loop
 from dpc_jax.learning.checkpoints import Checkpoints, Restored
-from dpc_jax.learning.log import MetricLog
 from dpc_jax.learning.predictor import Predictions, make_predictor, predict_all
-from dpc_jax.learning.records import NonFiniteError
+from dpc_jax.learning.records import MetricLog, NonFiniteError
 from dpc_jax.learning.step import TrainState, init_state
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory

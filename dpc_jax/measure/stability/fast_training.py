@@ -19,8 +19,7 @@ from dpc_jax.config import build_config, check, replace_fields
 from dpc_jax.data import load_or_render
 from dpc_jax.learning import loop
 from dpc_jax.learning.checkpoints import Checkpoints
-from dpc_jax.learning.log import MetricLog
-from dpc_jax.learning.records import NonFiniteError
+from dpc_jax.learning.records import MetricLog, NonFiniteError
 from dpc_jax.learning.step import init_state
 from dpc_jax.measure.stability.report_parts import (
     PartRequest,
