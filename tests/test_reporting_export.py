@@ -53,6 +53,14 @@ def test_colours_beyond_their_range_are_clipped_not_wrapped(tmp_path):
     assert trimesh.load(path).colors[0, :3].tolist() == [0, 128, 255]
 
 
+def test_the_order_of_an_array_in_memory_does_not_matter(tmp_path):
+    points, colors = cloud()
+    for write in (write_ply, write_glb):
+        plain = write(tmp_path / "plain", points, colors).read_bytes()
+        turned = np.asfortranarray(points), np.asfortranarray(colors)
+        assert write(tmp_path / "turned", *turned).read_bytes() == plain
+
+
 def test_an_empty_ply_is_a_whole_file(tmp_path):
     path = write_ply(tmp_path / "a.ply", np.zeros((0, 3)))
     assert b"element vertex 0\n" in path.read_bytes()

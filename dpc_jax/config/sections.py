@@ -2,8 +2,8 @@
 
 The defaults are those of the quick default runs. `dpc_jax.config.variants` has the
 paper's values. A field has one name everywhere: `--config.pose.candidates=8` on the
-command line, `config.pose.candidates` in Python, `candidates` where a function takes
-it. Functions take the sections that they need.
+command line, `config.pose.candidates` in Python. Functions take the sections that they
+need.
 """
 
 import dataclasses

@@ -33,7 +33,7 @@ def chamfer_distance(
     tree: KDTree | None = None,
     workers: int = 1,
 ) -> Chamfer:
-    """Chamfer distance d_Chamf with Euclidean (not squared) means (Eq. 6).
+    """Eq. 6: Chamfer distance d_Chamf, of mean Euclidean (not squared) distances.
 
     Args:
       predicted: [N, 3] predicted points.

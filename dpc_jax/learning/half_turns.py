@@ -1,8 +1,8 @@
-"""Half turns of the object as further pose candidates. Not in the paper.
+"""Rotations by 180° as further pose candidates. Not in the paper.
 
-What an ensemble leaves wrong are mostly objects with front and back exchanged. So each
-head's pose is also tried after turning the object by 180° about each principal axis of
-the predicted points; the gradient reaches the head through the fixed turn.
+Most of the remaining errors of an ensemble exchange front and back. So each head's pose
+is also tried after turning the object by 180° about each principal axis of the
+predicted points; the gradient reaches the head through the fixed turn.
 """
 
 import jax
@@ -16,7 +16,7 @@ def average_covariance(
 ) -> jax.Array:
     """The running covariance [3, 3] after one more batch of points [..., 3].
 
-    The plain mean at first, then one that forgets within a hundred batches.
+    The plain mean at first, then an exponential average over a hundred batches.
     """
     weight = jnp.maximum(0.01, 1 / (step + 1))
     current = compute_covariance(points.reshape(-1, 3))
@@ -47,7 +47,7 @@ def turn_candidates(candidates: jax.Array, turns: jax.Array) -> jax.Array:
       candidates: [K, 4] quaternions. turns: [T, 4].
 
     Returns:
-      [T·K, 4]; candidate i of the result is head i % K.
+      [T·K, 4]; candidate i of the result comes from head i % K.
     """
     over_candidates = jax.vmap(quaternion.multiply, in_axes=(0, None))
     turned = jax.vmap(over_candidates, in_axes=(None, 0))(candidates, turns)

@@ -1,7 +1,7 @@
 """The hindsight choice: which pose candidate explains a view best (Eq. 2).
 
 The minimum over candidates has the gradient of its winner. So all candidates are
-rendered without a gradient, and only the winner is rendered again with one.
+compared without gradient, and only the winner is rendered again with one.
 """
 
 from typing import NamedTuple
@@ -45,17 +45,17 @@ def choose_candidate(
     """Eq. 2 for one view: index of the candidate with the smallest loss; ().
 
     By default the exact minimum. With `first_grid` or `first_points`, candidates are
-    first compared in a coarser volume and with fewer points, and of those only the best
-    `top` exactly (0: the first comparison decides).
+    ranked in a coarser volume and with fewer points, then the best `top` are compared
+    at full resolution; with top 0 the coarse winner stands.
 
     Args:
-      points: [N, 3]. mass: (), of each, in voxels of the target's grid.
+      points: [N, 3]. mass: () of each point, in voxels of the target's grid.
       candidates: [C, 4] quaternions.
       target: [D, D] silhouette.
       sigma: (), in voxels of the target's grid. camera: see `project`.
       first_grid: side of the coarser volume, a divisor of D; 0 for D.
       first_points: largest number of points of the first comparison; 0 for all.
-      top: how many candidates are compared exactly after that.
+      top: how many candidates are then compared at full resolution.
       at_once: how many are rendered side by side: 1 on a CPU, 0 (all) on a GPU.
 
     Raises:
@@ -72,7 +72,7 @@ def choose_candidate(
         raise ValueError(
             "choose_candidate needs at least one point, one candidate and a square "
             f"target, but it got {len(points)} points, {len(candidates)} candidates "
-            f"and a target of shape {list(target.shape)}; give some of each."
+            f"and a target of shape {list(target.shape)}; give at least one of each."
         )
     view = {"sigma": sigma, "camera": camera, "at_once": at_once}
     has_all_points = min(first_points or len(points), len(points)) == len(points)
@@ -112,7 +112,8 @@ def choose_poses(
       candidates: [B·V, C, 4] quaternions.
       masks: uint8 [B, V, S, S].
       camera: see `project`.
-      render: grid, and how many renders at once. pose: how candidates are compared.
+      render: the grid, and how many renders run side by side. pose: how candidates
+        are compared.
     """
     batch_size, views = masks.shape[:2]
     candidates = candidates.reshape(batch_size, views, -1, 4)

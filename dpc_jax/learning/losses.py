@@ -8,7 +8,7 @@ from dpc_jax.render import checks, quaternion
 
 
 def reprojection_loss(predicted: jax.Array, target: jax.Array) -> jax.Array:
-    """Sum of squared differences of two images of one view, the norm of Eq. 1; ().
+    """Sum of squared differences of two images of one view, a term of Eq. 1; ().
 
     Raises:
       ValueError: for images of different shapes, or not of floating point numbers.

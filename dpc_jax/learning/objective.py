@@ -47,7 +47,7 @@ def compute_loss(
     """The training objective of one batch (§ Single-view Shape and Pose Estimation).
 
     The shape is predicted from each object's first view and compared with all its
-    views; the pose of a view from that view.
+    views. Each view's pose is predicted from that view itself.
 
     Args:
       params: of the network.
@@ -57,11 +57,11 @@ def compute_loss(
       step: ().
       covariance: [3, 3], see `TrainState`.
       network, render, pose, train: static.
-      stage: of the schedule, static.
+      stage: the current one of the schedule, static.
 
     Returns:
       (() loss, (metrics, covariance)). Metrics: reprojection (mean sum of squares of a
-      view), student's loss, scale, winners [B·V] int32, and what else is asked for.
+      view), student's loss, scale, winners [B·V] int32, and the other active losses.
     """
     camera = Camera(render.focal_length, render.distance)
     sigma = schedules.compute_sigma(step, render, steps=train.steps)
@@ -113,7 +113,7 @@ def render_winners(
     render: Render,
     stage: schedules.Stage,
 ) -> Projection:
-    """Each object's shape from the pose [B, V, 4] of each view, with gradients.
+    """Render each object's shape from the pose [B, V, 4] of each of its views.
 
     Returns:
       Images [B·V, D, D] in the stage's grid: silhouettes, and colours of coloured
@@ -153,15 +153,18 @@ def compare_views(
 ) -> dict[str, Term]:
     """Eq. 1: squared differences of rendered images and views, averaged over the views.
 
-    Sums over the pixels of the base grid: those of a finer image are counted in parts.
+    The sum of a finer image is divided by its pixels per pixel of the base grid, so
+    that losses are comparable over the whole run.
     """
     assert rendered.silhouette is not None
     num_views, side = rendered.silhouette.shape[:2]
-    pixels_per_pixel = (side / render.grid) ** 2
+    fine_pixels_per_pixel = (side / render.grid) ** 2
 
     def compare(image, target):
         target = target.reshape(image.shape)
-        return losses.reprojection_loss(image, target) / num_views / pixels_per_pixel
+        return (
+            losses.reprojection_loss(image, target) / num_views / fine_pixels_per_pixel
+        )
 
     targets = losses.downsample_images(batch["masks"], side)
     terms = {"reprojection": Term(compare(rendered.silhouette, targets))}
@@ -173,7 +176,7 @@ def compare_views(
 
 
 def compute_priors(shapes: Shapes, step: jax.Array, *, train: Train) -> dict[str, Term]:
-    """What is asked of a shape beside its views. Not in the paper."""
+    """Regularisers of the shape. Not in the paper."""
     terms = {}
     if train.containment_weight:
         outside = jnp.mean(jax.vmap(losses.containment_loss)(shapes.points))
@@ -181,7 +184,7 @@ def compute_priors(shapes: Shapes, step: jax.Array, *, train: Train) -> dict[str
     if train.repulsion_weight:
         repelling = shapes.kept[:, : train.repulsion_points]
         energy = jnp.mean(jax.vmap(losses.repulsion_energy)(repelling))
-        # From the middle of the run on, when the shapes are there to be spread out.
+        # Ramped up over the second half, once shapes have formed.
         ramp = jnp.maximum(0, 2 * (step / train.steps) - 1)
         num_points = shapes.points.shape[1]
         terms["repulsion"] = Term(energy, train.repulsion_weight * num_points * ramp)
@@ -193,7 +196,8 @@ def compare_student(
 ) -> dict[str, Term]:
     """The student's loss with the hindsight winners as teachers (§ distilled ensemble).
 
-    A single regressor (K = 1) is its own student and has none.
+    With logits it is the cross entropy of a student that selects (the default). A
+    single regressor (K = 1) needs no student.
     """
     if pose.heads < 2:
         return {}

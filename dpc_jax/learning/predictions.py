@@ -16,9 +16,9 @@ class Shapes(NamedTuple):
     """Predicted shapes of B objects, with the size of their points.
 
     Attributes:
-      points: [B, N, 3], all of a cloud.
-      kept: [B, n, 3], those that the dropout leaves.
-      colors: [B, n, 3] of these, or None.
+      points: [B, N, 3], all predicted points.
+      kept: [B, n, 3], those that point dropout keeps.
+      colors: [B, n, 3] of the kept points, or None.
       scale: [B] in (0, 1), the learned scaling coefficient.
       mass: [B] of each point, voxels. sigma: () of each point, voxels.
     """
@@ -37,7 +37,7 @@ class Poses(NamedTuple):
     Attributes:
       candidates: [n, C, 4] quaternions; candidate i belongs to head i % K.
       student: [n, 4], or None where there is none.
-      logits: [n, C] of a student that selects, or None.
+      logits: [n, C] of a student that selects a candidate, or None.
     """
 
     candidates: jax.Array
@@ -74,7 +74,7 @@ def predict_shapes(
     """The shape of each object from its features [B, F], with point dropout.
 
     One subset of points serves all views and candidates of an object, so that the
-    choice among candidates does not depend on the luck of their subsets.
+    choice among candidates does not depend on which points were drawn.
     """
     shape = network.apply(params, features, method="predict_shape")
     assert isinstance(shape, dict)
@@ -133,9 +133,9 @@ def complete_poses(
 def compute_mass(scale: jax.Array, sigma: jax.Array, *, scale_unit: str) -> jax.Array:
     """Mass of a point in voxels from the learned scaling coefficient in (0, 1).
 
-    With the unit "peak" a coefficient of one makes a point on a cell centre fill that
-    cell, whatever its size: the coefficient is the peak height c_i of a point's
-    density. With "mass" it is the point's mass in voxels, as in the released code.
+    With the unit "peak" the coefficient is the peak height c_i of Eq. 3, as sampled at
+    cell centres: at one, a point on a centre fills its cell, whatever its sigma. With
+    "mass" it is the integral of the point's density, as in the released code.
     """
     if scale_unit == "mass":
         return scale

@@ -39,7 +39,9 @@ def write_ply(
     points, colors = _check_cloud(points, colors)
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
     header += [f"property float {axis}" for axis in "xyz"]
-    rows = points.astype("<f4").view("u1")  # a row of bytes for each point
+    rows = np.ascontiguousarray(points, "<f4").view(
+        "u1"
+    )  # a row of bytes for each point
     if colors is not None:
         header += [f"property uchar {name}" for name in ("red", "green", "blue")]
         rows = np.hstack([rows, _bytes(colors)])
