@@ -12,11 +12,6 @@ import jax.numpy as jnp
 from dpc_jax.render import checks
 
 
-def _union(first: jax.Array, second: jax.Array) -> jax.Array:
-    """1 - (1 - a)(1 - b) as a sum of terms >= 0: no cancellation near 0."""
-    return first + second * (1 - first)
-
-
 def opacity(occupancy: jax.Array) -> jax.Array:
     """Probability that a ray ends in some cell, 1 - Π(1 - o_u).
 
@@ -41,7 +36,9 @@ def opacity(occupancy: jax.Array) -> jax.Array:
 def _opacity(occupancy):
     while (size := occupancy.shape[-1]) > 1:
         half = size // 2
-        pairs = _union(occupancy[..., :half], occupancy[..., half : 2 * half])
+        near, far = occupancy[..., :half], occupancy[..., half : 2 * half]
+        # 1 - (1 - a)(1 - b) as a sum of terms >= 0: no cancellation near 0.
+        pairs = near + far * (1 - near)
         rest = occupancy[..., 2 * half :]
         occupancy = jnp.concatenate([pairs, rest], -1) if rest.shape[-1] else pairs
     return occupancy[..., 0]
@@ -78,28 +75,15 @@ def _check_rays(occupancy):
 
 
 class Rays(NamedTuple):
-    """Where rays end.
+    """Probabilities of where rays end."""
 
-    Attributes:
-      ends: [..., D], r_k, the probability that a ray ends in cell k.
-      background: [...], r_{D+1}, that it passes all cells.
-      reached: [..., D], Π_{u<k}(1 - o_u), that it reaches cell k.
-    """
-
-    ends: jax.Array
-    background: jax.Array
-    reached: jax.Array
+    ends: jax.Array  # [..., D], r_k, that a ray ends in cell k
+    background: jax.Array  # [...], r_{D+1}, that it passes all cells
+    reached: jax.Array  # [..., D], Π_{u<k}(1 - o_u), that it reaches cell k
 
 
 def end_rays(occupancy: jax.Array) -> Rays:
-    """Eq. 4 of the paper: ray termination, r_k = o_k·Π_{u<k}(1 - o_u).
-
-    Args:
-      occupancy: [..., D] in [0, 1], nearest cell first.
-
-    Raises:
-      ValueError: as `opacity`.
-    """
+    """Eq. 4 of the paper: ray termination, r_k = o_k·Π_{u<k}(1 - o_u)."""
     occupancy = _check_rays(occupancy)
     passed = jnp.cumprod(1 - occupancy, axis=-1)
     reached = jnp.concatenate([jnp.ones_like(passed[..., :1]), passed[..., :-1]], -1)
@@ -107,7 +91,7 @@ def end_rays(occupancy: jax.Array) -> Rays:
 
 
 def termination_probabilities(occupancy: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Ray termination probabilities (Eq. 4, `end_rays`) as a pair.
+    """Ray termination probabilities, r_k = o_k·Π_{u<k}(1 - o_u) (Eq. 4).
 
     Args:
       occupancy: [..., D] in [0, 1], nearest cell first.
