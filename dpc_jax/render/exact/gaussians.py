@@ -5,10 +5,10 @@ rounding: no position is rounded to a cell, and every point may have its own siz
 """
 
 import functools
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from dpc_jax.render import kernels
 from dpc_jax.render.exact import tiles
@@ -22,7 +22,7 @@ def sum_gaussians(
     sigma: jax.Array,
     *,
     shape: tuple[int, int, int],
-    is_inside: jax.Array | None = None,
+    is_inside: ArrayLike = True,
 ) -> jax.Array:
     """Eq. 7 of the paper: isotropic Gaussians G_n at every cell, and their sum.
 
@@ -34,8 +34,8 @@ def sum_gaussians(
       values: [N, V], mass of a point, and mass times each colour channel.
       sigma: () or [N], standard deviation in voxels, >= 0.
       shape: (rows, cols, depth), static.
-      is_inside: [N] bool, the points to add; None for all. The others cost nothing. A
-        point of mass zero may not be left out, because its mass has a gradient.
+      is_inside: () or [N] bool, the points to add. The others cost nothing. A point of
+        mass zero may not be left out, because its mass has a gradient.
 
     Returns:
       [V, rows, cols, depth].
@@ -47,37 +47,28 @@ def sum_gaussians(
     # The backward pass samples the weights again. That is cheap, whereas keeping N·3D
     # of them for every sample of a batch would fill the memory.
     call = jax.checkpoint(functools.partial(_sum_sampled, shape=shape))
-    if is_inside is None:
-        is_inside = jnp.ones(count, bool)
     return call(coordinates, values, sigma, is_inside)
 
 
 def _sum_sampled(coordinates, values, sigma, is_inside, *, shape):
-    weights: list[jax.Array] = [
+    rows, cols, depth = (
         kernels.sample_axis(coordinates[:, axis], sigma, shape[axis])
         for axis in range(3)
-    ]
-    rows, cols, depth = weights
+    )
     reach = kernels.find_reach(sigma, coordinates.dtype)
-    places = _Places(coordinates[:, :2], jnp.where(is_inside, reach**2, -1))
+    # No circle has the squared radius -1.
+    places = coordinates[:, :2], jnp.where(is_inside, reach**2, -1)
     points = tiles.Points({"values": values, "depth": depth}, rows, cols)
-    call = functools.partial(tiles.sum_in_tiles, _sum_separable, _is_reached)
-    return call(shape, _CHUNK, points, places)
-
-
-class _Places(NamedTuple):
-    """Row and column of points [N, 2]; their squared reach [N], -1 where outside."""
-
-    centers: jax.Array
-    squared_reaches: jax.Array
+    return tiles.sum_in_tiles(
+        _sum_separable, _is_reached, shape, _CHUNK, points, places
+    )
 
 
 def _is_reached(places, corner):
     """Whether a tile meets the circle beyond which a point's density is negligible."""
-    down, across = (
-        tiles.find_gap(places.centers[:, axis], corner[axis]) for axis in range(2)
-    )
-    return down**2 + across**2 <= places.squared_reaches
+    centers, squared_reach = places
+    down, across = tiles.find_gaps(centers, corner)
+    return down**2 + across**2 <= squared_reach
 
 
 @jax.custom_vjp
@@ -111,10 +102,8 @@ def _sum_backward(residuals, cotangent):
         "depth": _multiply(_weigh_pixels(values, weights), cotangent),
     }
     of_row, of_col = _list_places(weights.dtype)
-    by_row, by_col = (
-        _multiply(slope * cols, of_row.T),
-        _multiply(slope * rows, of_col.T),
-    )
+    by_row = _multiply(slope * cols, of_row.T)
+    by_col = _multiply(slope * rows, of_col.T)
     return tiles.Points(whole, by_row, by_col), None
 
 
