@@ -1,8 +1,4 @@
-"""What the arguments of a projection must look like.
-
-Every function raises a ValueError that names the argument, what was expected, what came
-and what to do.
-"""
+"""What the arguments of a projection must look like; else a ValueError says it."""
 
 import jax
 from jax.typing import ArrayLike
@@ -18,7 +14,7 @@ _SIZES = "pass a scalar or one value per point"
 
 
 def convert_points(points: ArrayLike) -> jax.Array:
-    """Convert points to an array [N, 3] of floats."""
+    """Points as an array [N, 3] of floats."""
     hint = "use jax.vmap or jax.lax.map over a batch of clouds"
     return checks.check_array("points", points, ("N", 3), hint=hint)
 
@@ -31,12 +27,7 @@ def convert_scene(
     covariance: ArrayLike | None,
     translation: ArrayLike | None,
 ) -> tuple[jax.Array, jax.Array | None, jax.Array, jax.Array | None, jax.Array | None]:
-    """Convert everything that places points [N, 3] and gives them a size.
-
-    Returns:
-      rotation, sigma, scale, covariance and translation in the dtype of the points;
-      None stays None.
-    """
+    """Convert to the dtype of the points [N, 3] what places them; None stays None."""
     if covariance is None and sigma is None:
         raise ValueError(
             "a point must have a size, but both sigma and covariance are None; pass "
@@ -114,27 +105,25 @@ def check_signals(signals: tuple[str, ...], ray_rule: str, *, has_colors: bool) 
         )
 
 
-def convert_colors(colors: ArrayLike | None, count: int) -> jax.Array | None:
-    """Convert the colours of `count` points to an array [N, C]; None stays None."""
-    if colors is None:
-        return None
-    hint = "give one row per point"
-    colors = checks.check_real("colors", colors, (count, "C"), hint=hint)
-    if colors.shape[1] == 0:
-        raise ValueError(
-            "colors must have shape [N, C] with C >= 1, but they have "
-            f"{list(colors.shape)}; leave them out where there are none."
-        )
-    return colors
+def convert_colors(
+    colors: ArrayLike | None, count: int, background: tuple[ArrayLike, ArrayLike]
+) -> jax.Array | None:
+    """Convert the colours of `count` points to an array [N, C]; None stays None.
 
-
-def check_background(
-    background_depth: ArrayLike,
-    background_color: ArrayLike,
-    colors: jax.Array | None,
-) -> None:
-    """Refuse background values of a wrong shape."""
+    Also refuse a depth and a colour of the background that have a wrong shape.
+    """
+    shapes = [()]
+    if colors is not None:
+        hint = "give one row per point"
+        colors = checks.check_real("colors", colors, (count, "C"), hint=hint)
+        if colors.shape[1] == 0:
+            raise ValueError(
+                "colors must have shape [N, C] with C >= 1, but they have "
+                f"{list(colors.shape)}; leave them out where there are none."
+            )
+        shapes.append(colors.shape[1:])
+    background_depth, background_color = background
     checks.check_number("background_depth", background_depth)
-    shapes = [()] if colors is None else [(), colors.shape[1:]]
     hint = "pass one number, or one per channel of the colors"
     checks.check_real("background_color", background_color, *shapes, hint=hint)
+    return colors

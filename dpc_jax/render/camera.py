@@ -7,7 +7,6 @@ centres: cell i of D has coordinate ((i + 1/2)/D - 1/2)·extent.
 """
 
 import dataclasses
-import functools
 import numbers
 from typing import NamedTuple
 
@@ -22,13 +21,10 @@ _PROJECTIONS = ("perspective", "orthographic")
 # Smallest depth that has an image, in extents (heuristic). Of a nearer point 1/z² may
 # overflow, which would make the gradient of every other input NaN.
 _NEAR = 1e-6
+_STATIC = {"static": True}  # known to `register_dataclass`
 
 
-@functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=("focal_length", "distance"),
-    meta_fields=("projection",),
-)
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Camera:
     """A camera that looks at the object's origin.
@@ -42,7 +38,7 @@ class Camera:
 
     focal_length: chex.Numeric = 1.875
     distance: chex.Numeric = 2.0
-    projection: str = "perspective"
+    projection: str = dataclasses.field(default="perspective", metadata=_STATIC)
 
     def __post_init__(self):
         if self.projection not in _PROJECTIONS:

@@ -21,14 +21,10 @@ def check_real(
 ) -> jax.Array:
     """Convert a value to an array of real numbers that has one of some shapes.
 
-    Args:
-      name: of the argument.
-      value: what came for it.
-      *shapes: tuples of sizes. None and a letter stand for any size, and `...` in the
-        first place for any number of axes.
-      hint: what to do about another shape.
+    In a shape None and a letter stand for any size, and `...` in the first place for
+    any number of axes. The hint says what to do about another shape.
     """
-    array = convert(name, value)
+    array = _convert(name, value)
     if not any(_fits(array.shape, shape) for shape in shapes):
         wanted = " or ".join(_describe(shape) for shape in shapes)
         raise ValueError(
@@ -109,8 +105,7 @@ def are_sides(shape: Any) -> TypeGuard[Sequence[int]]:
     return is_triple and all(is_count(side) and side > 0 for side in shape)
 
 
-def convert(name: str, value: ArrayLike | None) -> jax.Array:
-    """Convert a value to an array."""
+def _convert(name, value):
     try:
         if value is None:
             raise TypeError

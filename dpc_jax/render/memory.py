@@ -49,9 +49,6 @@ def estimate_memory(
         without a gradient.
       **arguments: of `project`.
 
-    Returns:
-      A `MemoryEstimate`, in bytes.
-
     Raises:
       ValueError: as `project`.
       TypeError: for an argument that `project` does not have.
@@ -68,9 +65,8 @@ def estimate_memory(
         return project(**inputs, **static)
 
     if gradient:
-        moving = {name for name, value in inputs.items() if _is_float_array(value)}
-        fixed = {name: inputs[name] for name in inputs if name not in moving}
-        moving = {name: inputs[name] for name in moving}
+        moving = {name: v for name, v in inputs.items() if _is_float_array(v)}
+        fixed = {name: v for name, v in inputs.items() if name not in moving}
 
         def render_both_ways(moving, fixed, cotangents):
             images, pull_back = jax.vjp(lambda m: render(m | fixed), moving)
@@ -94,5 +90,5 @@ def estimate_memory(
     return MemoryEstimate(*sizes, sum(sizes) - analysis.alias_size_in_bytes)
 
 
-def _is_float_array(value) -> bool:
+def _is_float_array(value):
     return hasattr(value, "shape") and jnp.issubdtype(value.dtype, jnp.floating)

@@ -29,13 +29,10 @@ def smooth(volume: jax.Array, sigma: jax.Array) -> jax.Array:
     Part of Eq. 3 by the fast method (appendix "Differentiable point cloud projection").
 
     Args:
-      volume: [rows, cols, depth].
+      volume: [rows, cols, depth], as the result.
       sigma: (), standard deviation in voxels, >= 0. Below 0.17 voxels in float32 (0.12
         in float64) a neighbour's share is less than rounding: the volume is returned as
         it is, and nothing is computed.
-
-    Returns:
-      [rows, cols, depth].
 
     Raises:
       ValueError: for another shape or dtype, and a plain number sigma below zero.

@@ -93,15 +93,11 @@ def end_rays(occupancy: jax.Array) -> Rays:
 def termination_probabilities(occupancy: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Ray termination probabilities, r_k = o_k·Π_{u<k}(1 - o_u) (Eq. 4).
 
-    Args:
-      occupancy: [..., D] in [0, 1], nearest cell first.
+    Arguments and errors as of `opacity`.
 
     Returns:
       ([..., D] probabilities r_k, [...] background r_{D+1} = Π(1 - o_u)); they are
       non-negative and sum to one.
-
-    Raises:
-      ValueError: as `opacity`.
     """
     rays = end_rays(occupancy)
     return rays.ends, rays.background

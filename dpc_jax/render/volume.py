@@ -37,7 +37,6 @@ class Volume(NamedTuple):
 def place_points(
     points: jax.Array,
     rotation: ArrayLike,
-    *,
     sigma: ArrayLike | None,
     scale: ArrayLike,
     covariance: ArrayLike | None,
