@@ -49,11 +49,11 @@ class ShapePoseNetwork(nn.Module):
             self.pose = PoseEnsemble(
                 candidates=self.candidates, hidden=self.hidden, spread=self.spread
             )
-        widths = {"hidden": self.hidden, "width": self.student_width}
-        if self.candidates > 1 and self.num_classes:
-            self.student = PoseSelector(num_classes=self.num_classes, **widths)
+        classes, hidden, width = self.num_classes, self.hidden, self.student_width
+        if self.candidates > 1 and classes:
+            self.student = PoseSelector(num_classes=classes, hidden=hidden, width=width)
         elif self.candidates > 1:
-            self.student = PoseStudent(**widths)
+            self.student = PoseStudent(hidden=hidden, width=width)
 
     def encode(self, images: jax.Array) -> jax.Array:
         """Images [B, S, S, 3] in [-1, 1] to features [B, hidden]."""

@@ -69,11 +69,8 @@ def choose_method(
     method: str, sigma: jax.Array | None, covariance: jax.Array | None
 ) -> str:
     """Resolve "auto", and refuse a method that cannot draw these sizes."""
-    if method not in METHODS:
-        raise ValueError(
-            f"method must be one of {METHODS}, but it is {method!r}; 'auto' chooses "
-            "from the arguments."
-        )
+    hint = "'auto' chooses from the arguments"
+    checks.check_choice("method", method, METHODS, hint=hint)
     is_shared = sigma is not None and sigma.ndim == 0
     if method == "auto":
         return "trilinear" if is_shared else "gaussian"
@@ -93,11 +90,8 @@ def check_signals(signals: tuple[str, ...], ray_rule: str, *, has_colors: bool) 
             f"signals must be a non-empty tuple with any of {SIGNALS}, but it is "
             f"{signals!r}; write for example signals=('silhouette',)."
         )
-    if ray_rule not in RAY_RULES:
-        raise ValueError(
-            f"ray_rule must be one of {RAY_RULES}, but it is {ray_rule!r}; the paper's "
-            "is 'termination'."
-        )
+    hint = "the paper's is 'termination'"
+    checks.check_choice("ray_rule", ray_rule, RAY_RULES, hint=hint)
     if "color" in signals and not has_colors:
         raise ValueError(
             "the signal 'color' must have colors of shape [N, C], but colors is None; "
@@ -112,7 +106,7 @@ def convert_colors(
 
     Also refuse a depth and a colour of the background that have a wrong shape.
     """
-    shapes = [()]
+    shapes: list[tuple] = [()]
     if colors is not None:
         hint = "give one row per point"
         colors = checks.check_real("colors", colors, (count, "C"), hint=hint)

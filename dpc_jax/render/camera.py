@@ -41,11 +41,8 @@ class Camera:
     projection: str = dataclasses.field(default="perspective", metadata=_STATIC)
 
     def __post_init__(self):
-        if self.projection not in _PROJECTIONS:
-            raise ValueError(
-                f"Camera projection must be one of {_PROJECTIONS}, but it is "
-                f"{self.projection!r}; choose one of these."
-            )
+        name, hint = "Camera projection", "choose one of these"
+        checks.check_choice(name, self.projection, _PROJECTIONS, hint=hint)
 
 
 @dataclasses.dataclass(frozen=True, init=False)

@@ -138,9 +138,8 @@ def cut_negligible(
     A weight that is cut is below half a rounding unit of the nearest cell's: added to
     that one it would change nothing.
     """
-    return jnp.where(
-        jnp.abs(cells - center) <= find_reach(sigma, weights.dtype), weights, 0
-    )
+    is_near = jnp.abs(cells - center) <= find_reach(sigma, weights.dtype)
+    return jnp.where(is_near, weights, 0)
 
 
 def find_reach(sigma: jax.Array, dtype: DTypeLike) -> jax.Array:

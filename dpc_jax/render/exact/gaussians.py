@@ -14,6 +14,7 @@ from dpc_jax.render import kernels
 from dpc_jax.render.exact import tiles
 
 _CHUNK = 256
+_multiply = functools.partial(jnp.matmul, precision="highest")
 
 
 def sum_gaussians(
@@ -101,9 +102,11 @@ def _sum_backward(residuals, cotangent):
         "values": _multiply(slopes * weights[:, None], ones),
         "depth": _multiply(_weigh_pixels(values, weights), cotangent),
     }
-    of_row, of_col = _list_places(weights.dtype)
-    by_row = _multiply(slope * cols, of_row.T)
-    by_col = _multiply(slope * rows, of_col.T)
+    # Which pixels of a tile are in a row, and in a column; both [SIDE, SIDE²].
+    line = jnp.ones((1, tiles.SIDE), ones.dtype)
+    one = jnp.eye(tiles.SIDE, dtype=ones.dtype)
+    by_row = _multiply(slope * cols, jnp.kron(one, line).T)
+    by_col = _multiply(slope * rows, jnp.kron(line, one).T)
     return tiles.Points(whole, by_row, by_col), None
 
 
@@ -121,13 +124,3 @@ def _spread_weights(points):
     rows = jnp.broadcast_to(points.by_row[:, :, None], full)
     cols = jnp.broadcast_to(points.by_col[:, None, :], full)
     return rows.reshape(-1, tiles.SIDE**2), cols.reshape(-1, tiles.SIDE**2)
-
-
-def _list_places(dtype):
-    """Which pixels of a tile are in a row, and in a column; both [SIDE, SIDE²]."""
-    one, all_ones = jnp.eye(tiles.SIDE, dtype=dtype), jnp.ones((1, tiles.SIDE), dtype)
-    return jnp.kron(one, all_ones), jnp.kron(all_ones, one)
-
-
-def _multiply(left, right):
-    return jnp.matmul(left, right, precision="highest")
