@@ -109,10 +109,6 @@ class PoseSelector(nn.Module):
 
     Not in the paper. Between two candidates half a turn apart a regressor can only jump
     or average, whereas the candidate that a selector chooses keeps its accuracy.
-
-    Attributes:
-      num_classes: number of candidates, turned ones included.
-      hidden, width: widths of its two hidden layers.
     """
 
     num_classes: int

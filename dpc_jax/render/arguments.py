@@ -69,8 +69,7 @@ def choose_method(
     method: str, sigma: jax.Array | None, covariance: jax.Array | None
 ) -> str:
     """Resolve "auto", and refuse a method that cannot draw these sizes."""
-    hint = "'auto' chooses from the arguments"
-    checks.check_choice("method", method, METHODS, hint=hint)
+    checks.check_choice("method", method, METHODS, "'auto' chooses from the arguments")
     is_shared = sigma is not None and sigma.ndim == 0
     if method == "auto":
         return "trilinear" if is_shared else "gaussian"
@@ -90,8 +89,7 @@ def check_signals(signals: tuple[str, ...], ray_rule: str, *, has_colors: bool) 
             f"signals must be a non-empty tuple with any of {SIGNALS}, but it is "
             f"{signals!r}; write for example signals=('silhouette',)."
         )
-    hint = "the paper's is 'termination'"
-    checks.check_choice("ray_rule", ray_rule, RAY_RULES, hint=hint)
+    checks.check_choice("ray_rule", ray_rule, RAY_RULES, "the paper's is 'termination'")
     if "color" in signals and not has_colors:
         raise ValueError(
             "the signal 'color' must have colors of shape [N, C], but colors is None; "

@@ -42,7 +42,7 @@ class Camera:
 
     def __post_init__(self):
         name, hint = "Camera projection", "choose one of these"
-        checks.check_choice(name, self.projection, _PROJECTIONS, hint=hint)
+        checks.check_choice(name, self.projection, _PROJECTIONS, hint)
 
 
 @dataclasses.dataclass(frozen=True, init=False)

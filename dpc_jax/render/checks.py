@@ -50,7 +50,7 @@ def check_number(name: str, value: ArrayLike | None) -> jax.Array:
     return check_real(name, value, ())
 
 
-def check_choice(name: str, value: str, choices: Sequence[str], *, hint: str) -> None:
+def check_choice(name: str, value: str, choices: Sequence[str], hint: str) -> None:
     """Refuse a word that is not among the choices."""
     if value not in choices:
         raise ValueError(

@@ -56,10 +56,9 @@ def estimate_memory(
     """
     static = {name: arguments.pop(name) for name in _STATIC if name in arguments}
     inputs = {"points": points, "rotation": rotation, **arguments}
-    inputs = {
-        name: jnp.asarray(value) if isinstance(value, list | tuple) else value
-        for name, value in inputs.items()
-    }
+    for name, value in inputs.items():
+        if isinstance(value, list | tuple):
+            inputs[name] = jnp.asarray(value)
 
     def render(inputs):
         return project(**inputs, **static)
@@ -82,12 +81,9 @@ def estimate_memory(
             "Expected the compiler to report the memory of a program, but the one for "
             f"{jax.default_backend()!r} does not; measure a run instead."
         )
-    sizes = (
-        analysis.argument_size_in_bytes,
-        analysis.output_size_in_bytes,
-        analysis.temp_size_in_bytes,
-    )
-    return MemoryEstimate(*sizes, sum(sizes) - analysis.alias_size_in_bytes)
+    purposes = ("argument", "output", "temp")
+    sizes = [getattr(analysis, f"{name}_size_in_bytes") for name in purposes]
+    return MemoryEstimate._make([*sizes, sum(sizes) - analysis.alias_size_in_bytes])
 
 
 def _is_float_array(value):

@@ -30,7 +30,5 @@ def scale_sizes(
     each of three seeds (accuracy 0.905 against 0.890, median 2.3° against 2.5°, Chamfer
     3.37 against 3.33), and on chairs the seeds decided (docs/results.md). A comparison
     of grids by the image that they approximate takes 2.
-
-    Sigma and mass may have any shape; the ratio may be below 1.
     """
     return sigma * ratio, mass * ratio**exponent

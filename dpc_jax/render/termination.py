@@ -16,8 +16,8 @@ def opacity(occupancy: jax.Array) -> jax.Array:
     """Probability that a ray ends in some cell, 1 - Π(1 - o_u).
 
     This is the silhouette, the sum of Eq. 5 over all cells but the background, without
-    its terms. Built as a tree of unions a + b(1 - a), so that a ray of occupancies 1e-9
-    keeps its digits in float32.
+    its terms. Built as a tree of unions 1 - (1 - a)(1 - b) = a + b(1 - a): with terms
+    >= 0 nothing cancels, and a ray of occupancies 1e-9 keeps its digits in float32.
 
     Args:
       occupancy: [..., D] in [0, 1], nearest cell first.
@@ -37,7 +37,6 @@ def _opacity(occupancy):
     while (size := occupancy.shape[-1]) > 1:
         half = size // 2
         near, far = occupancy[..., :half], occupancy[..., half : 2 * half]
-        # 1 - (1 - a)(1 - b) as a sum of terms >= 0: no cancellation near 0.
         pairs = near + far * (1 - near)
         rest = occupancy[..., 2 * half :]
         occupancy = jnp.concatenate([pairs, rest], -1) if rest.shape[-1] else pairs

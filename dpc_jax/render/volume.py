@@ -57,8 +57,7 @@ def place_points(
     moved = to_camera_frame(points, rotation, translation=translation, camera=camera)
     coordinates, is_inside = to_grid(moved, camera=camera, grid=grid)
     if covariance is not None:
-        is_matrix = rotation.shape == (3, 3)
-        matrix = rotation if is_matrix else quaternion.to_matrix(rotation)
+        matrix = quaternion.to_matrix(rotation) if rotation.shape == (4,) else rotation
         # A point outside may lie in the camera plane, where perspective has no slope.
         x, y, _ = jnp.where(is_inside[:, None], moved.centered, 0).T
         safe = jnp.stack([x, y, jnp.where(is_inside, moved.ahead, 1)], axis=-1)

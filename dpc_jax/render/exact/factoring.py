@@ -93,6 +93,5 @@ def _divide(numerator, denominator, threshold):
 def _take_root(variance):
     """Standard deviation, at least the kernels' floor; no infinite slope at zero."""
     is_wide = variance > kernels.SIGMA_FLOOR**2
-    return jnp.where(
-        is_wide, jnp.sqrt(jnp.where(is_wide, variance, 1)), kernels.SIGMA_FLOOR
-    )
+    root = jnp.sqrt(jnp.where(is_wide, variance, 1))
+    return jnp.where(is_wide, root, kernels.SIGMA_FLOOR)

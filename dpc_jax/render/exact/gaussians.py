@@ -82,8 +82,7 @@ def _sum_forward(points, corner):
     values, depth = points.whole["values"], points.whole["depth"]
     rows, cols = _spread_weights(points)
     summed = _multiply(_weigh_pixels(values, rows * cols).T, depth)
-    shape = values.shape[1], tiles.SIDE, tiles.SIDE, depth.shape[1]
-    return summed.reshape(shape), (points, corner)
+    return summed.reshape(-1, tiles.SIDE, tiles.SIDE, depth.shape[1]), (points, corner)
 
 
 def _sum_backward(residuals, cotangent):

@@ -164,10 +164,8 @@ def _count_tiles(shape):
 
 def _list_corners(shape):
     """First row and column of each tile, [T, 2] int32."""
-    down, across = _count_tiles(shape)
-    rows, cols = jnp.meshgrid(
-        jnp.arange(down) * SIDE, jnp.arange(across) * SIDE, indexing="ij"
-    )
+    firsts = (jnp.arange(count) * SIDE for count in _count_tiles(shape))
+    rows, cols = jnp.meshgrid(*firsts, indexing="ij")
     return jnp.stack([rows.ravel(), cols.ravel()], axis=-1)
 
 
