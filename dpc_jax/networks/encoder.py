@@ -9,23 +9,19 @@ import chex
 import flax.linen as nn
 import jax
 
-SMALLEST_IMAGE = 16  # pixels: one stride to 8, one block to 4
+_SMALLEST_IMAGE = 16  # pixels: one stride to 8, one block to 4
 
 leaky_relu = functools.partial(nn.leaky_relu, negative_slope=0.2)
 # Keeps the variance through a leaky ReLU of slope 0.2 (He et al., 2015).
 conv_init = nn.initializers.variance_scaling(2 / (1 + 0.2**2), "fan_in", "normal")
 
 
-def count_blocks(image_size: int) -> int:
-    """Number of two-convolution blocks that bring an image down to 4×4.
-
-    Raises:
-      ValueError: if the size is not a power of two from 16 on.
-    """
+def _count_blocks(image_size):
+    """Number of two-convolution blocks that bring an image down to 4×4."""
     is_power = image_size & (image_size - 1) == 0
-    if image_size < SMALLEST_IMAGE or not is_power:
+    if image_size < _SMALLEST_IMAGE or not is_power:
         raise ValueError(
-            f"The image size must be a power of two of at least {SMALLEST_IMAGE} "
+            f"The image size must be a power of two of at least {_SMALLEST_IMAGE} "
             "pixels, because the encoder halves it down to 4, but it is "
             f"{image_size}; use for example 64."
         )
@@ -36,7 +32,8 @@ class ImageEncoder(nn.Module):
     """Images to features.
 
     A strided 5×5 convolution, then blocks of a strided and a plain 3×3 convolution
-    down to 4×4: at 64 pixels the paper's 7 convolutions, 4 of them strided.
+    down to 4×4: at 64 pixels the paper's 7 convolutions, 4 of them strided. A call
+    raises a ValueError if the size S of the images is not a power of two from 16 on.
 
     Attributes:
       channels: number after the first convolution; every block doubles it.
@@ -54,9 +51,8 @@ class ImageEncoder(nn.Module):
         """Images [B, S, S, 3] in [-1, 1] to features [B, hidden]."""
         chex.assert_shape(images, (None, None, images.shape[1], 3))
         conv = functools.partial(nn.Conv, kernel_init=conv_init)
-        x = conv(self.channels, (5, 5), strides=2)(images)
-        x = self._activate(x)
-        for block in range(count_blocks(images.shape[1])):
+        x = self._activate(conv(self.channels, (5, 5), strides=2)(images))
+        for block in range(_count_blocks(images.shape[1])):
             width = self.channels * 2 ** (block + 1)
             x = self._activate(conv(width, (3, 3), strides=2)(x))
             x = self._activate(conv(width, (3, 3))(x))

@@ -15,11 +15,9 @@ class ShapePoseNetwork(nn.Module):
     (`candidates` 0), no student where K = 1, and no colours unless asked for.
 
     Attributes:
-      num_points: N.
+      num_points, shape_hidden, has_color: of the `ShapeHead`.
       candidates: K, the number of pose predictors; 0 where poses are known.
-      channels, hidden, normalize: of the encoder.
-      shape_hidden: width of the shape branch's hidden layer.
-      has_color: predict colours.
+      channels, hidden, normalize: of the `ImageEncoder`.
       num_classes: how many candidates the student selects from, turned ones included;
         0 for the paper's student, which regresses a pose.
       student_width: width of the student's own layers.
@@ -51,14 +49,11 @@ class ShapePoseNetwork(nn.Module):
             self.pose = PoseEnsemble(
                 candidates=self.candidates, hidden=self.hidden, spread=self.spread
             )
-        if self.candidates > 1 and self.num_classes:
-            self.student = PoseSelector(
-                num_classes=self.num_classes,
-                hidden=self.hidden,
-                width=self.student_width,
-            )
+        classes, hidden, width = self.num_classes, self.hidden, self.student_width
+        if self.candidates > 1 and classes:
+            self.student = PoseSelector(num_classes=classes, hidden=hidden, width=width)
         elif self.candidates > 1:
-            self.student = PoseStudent(hidden=self.hidden, width=self.student_width)
+            self.student = PoseStudent(hidden=hidden, width=width)
 
     def encode(self, images: jax.Array) -> jax.Array:
         """Images [B, S, S, 3] in [-1, 1] to features [B, hidden]."""

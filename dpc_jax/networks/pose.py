@@ -37,17 +37,13 @@ def surround_object(count: int) -> jax.Array:
     return jnp.asarray(turned, jnp.float32)
 
 
-class QuaternionHead(nn.Module):
-    """The layers of 32, 32 and 4 units that belong to one pose predictor alone.
-
-    Attributes:
-      width: width of the two hidden layers.
-    """
+class _QuaternionHead(nn.Module):
+    """The layers of 32, 32 and 4 units that belong to one pose predictor alone."""
 
     width: int = 32
 
     @nn.compact
-    def __call__(self, features: jax.Array, initial: jax.Array) -> jax.Array:
+    def __call__(self, features, initial):
         """Features [B, F] to quaternions [B, 4], near `initial` [4] before training."""
         x = leaky_relu(nn.Dense(self.width, kernel_init=conv_init)(features))
         x = leaky_relu(nn.Dense(self.width, kernel_init=conv_init)(x))
@@ -77,7 +73,7 @@ class PoseEnsemble(nn.Module):
         """Features [B, F] to quaternions [B, K, 4] of any length."""
         x = leaky_relu(nn.Dense(self.hidden, kernel_init=conv_init)(features))
         heads = nn.vmap(
-            QuaternionHead,
+            _QuaternionHead,
             variable_axes={"params": 0},
             split_rngs={"params": True},
             in_axes=(None, 0),  # pyright: ignore[reportArgumentType]
@@ -95,8 +91,7 @@ class PoseStudent(nn.Module):
     """One pose predictor of the same architecture, distilled from the ensemble.
 
     Attributes:
-      hidden: width of its first hidden layer.
-      width: width of the two layers after it; 32 in the paper, as in the ensemble.
+      hidden, width: of its first hidden layer, and of the two after it.
     """
 
     hidden: int = 1024
@@ -106,7 +101,7 @@ class PoseStudent(nn.Module):
     def __call__(self, features: jax.Array) -> jax.Array:
         """Features [B, F] to quaternions [B, 4] of any length."""
         x = leaky_relu(nn.Dense(self.hidden, kernel_init=conv_init)(features))
-        return QuaternionHead(width=self.width, name="head")(x, jnp.zeros(4))
+        return _QuaternionHead(width=self.width, name="head")(x, jnp.zeros(4))
 
 
 class PoseSelector(nn.Module):
@@ -114,10 +109,6 @@ class PoseSelector(nn.Module):
 
     Not in the paper. Between two candidates half a turn apart a regressor can only jump
     or average, whereas the candidate that a selector chooses keeps its accuracy.
-
-    Attributes:
-      num_classes: number of candidates, turned ones included.
-      hidden, width: widths of its two hidden layers.
     """
 
     num_classes: int

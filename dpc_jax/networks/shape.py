@@ -7,8 +7,6 @@ import jax
 
 from dpc_jax.networks.encoder import conv_init, leaky_relu
 
-_OUTPUT_INIT = nn.initializers.truncated_normal(0.025)
-
 
 class ShapeHead(nn.Module):
     """An MLP with one hidden layer (§ Network architecture).
@@ -32,7 +30,8 @@ class ShapeHead(nn.Module):
           coefficient; colors [B, N, 3] in (0, 1) where asked for.
         """
         x = leaky_relu(nn.Dense(self.hidden, kernel_init=conv_init)(features))
-        output = functools.partial(nn.Dense, kernel_init=_OUTPUT_INIT)
+        init = nn.initializers.truncated_normal(0.025)
+        output = functools.partial(nn.Dense, kernel_init=init)
         size = (features.shape[0], self.num_points, 3)
         points = output(3 * self.num_points, name="points")(x)
         scale = output(1, name="scale")(x)

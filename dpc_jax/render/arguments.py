@@ -1,8 +1,4 @@
-"""What the arguments of a projection must look like.
-
-Every function raises a ValueError that names the argument, what was expected, what came
-and what to do.
-"""
+"""What the arguments of a projection must look like; else a ValueError says it."""
 
 import jax
 from jax.typing import ArrayLike
@@ -18,7 +14,7 @@ _SIZES = "pass a scalar or one value per point"
 
 
 def convert_points(points: ArrayLike) -> jax.Array:
-    """Convert points to an array [N, 3] of floats."""
+    """Points as an array [N, 3] of floats."""
     hint = "use jax.vmap or jax.lax.map over a batch of clouds"
     return checks.check_array("points", points, ("N", 3), hint=hint)
 
@@ -31,12 +27,7 @@ def convert_scene(
     covariance: ArrayLike | None,
     translation: ArrayLike | None,
 ) -> tuple[jax.Array, jax.Array | None, jax.Array, jax.Array | None, jax.Array | None]:
-    """Convert everything that places points [N, 3] and gives them a size.
-
-    Returns:
-      rotation, sigma, scale, covariance and translation in the dtype of the points;
-      None stays None.
-    """
+    """Convert to the dtype of the points [N, 3] what places them; None stays None."""
     if covariance is None and sigma is None:
         raise ValueError(
             "a point must have a size, but both sigma and covariance are None; pass "
@@ -78,11 +69,7 @@ def choose_method(
     method: str, sigma: jax.Array | None, covariance: jax.Array | None
 ) -> str:
     """Resolve "auto", and refuse a method that cannot draw these sizes."""
-    if method not in METHODS:
-        raise ValueError(
-            f"method must be one of {METHODS}, but it is {method!r}; 'auto' chooses "
-            "from the arguments."
-        )
+    checks.check_choice("method", method, METHODS, "'auto' chooses from the arguments")
     is_shared = sigma is not None and sigma.ndim == 0
     if method == "auto":
         return "trilinear" if is_shared else "gaussian"
@@ -102,11 +89,7 @@ def check_signals(signals: tuple[str, ...], ray_rule: str, *, has_colors: bool) 
             f"signals must be a non-empty tuple with any of {SIGNALS}, but it is "
             f"{signals!r}; write for example signals=('silhouette',)."
         )
-    if ray_rule not in RAY_RULES:
-        raise ValueError(
-            f"ray_rule must be one of {RAY_RULES}, but it is {ray_rule!r}; the paper's "
-            "is 'termination'."
-        )
+    checks.check_choice("ray_rule", ray_rule, RAY_RULES, "the paper's is 'termination'")
     if "color" in signals and not has_colors:
         raise ValueError(
             "the signal 'color' must have colors of shape [N, C], but colors is None; "
@@ -114,27 +97,25 @@ def check_signals(signals: tuple[str, ...], ray_rule: str, *, has_colors: bool) 
         )
 
 
-def convert_colors(colors: ArrayLike | None, count: int) -> jax.Array | None:
-    """Convert the colours of `count` points to an array [N, C]; None stays None."""
-    if colors is None:
-        return None
-    hint = "give one row per point"
-    colors = checks.check_real("colors", colors, (count, "C"), hint=hint)
-    if colors.shape[1] == 0:
-        raise ValueError(
-            "colors must have shape [N, C] with C >= 1, but they have "
-            f"{list(colors.shape)}; leave them out where there are none."
-        )
-    return colors
+def convert_colors(
+    colors: ArrayLike | None, count: int, background: tuple[ArrayLike, ArrayLike]
+) -> jax.Array | None:
+    """Convert the colours of `count` points to an array [N, C]; None stays None.
 
-
-def check_background(
-    background_depth: ArrayLike,
-    background_color: ArrayLike,
-    colors: jax.Array | None,
-) -> None:
-    """Refuse background values of a wrong shape."""
+    Also refuse a depth and a colour of the background that have a wrong shape.
+    """
+    shapes: list[tuple] = [()]
+    if colors is not None:
+        hint = "give one row per point"
+        colors = checks.check_real("colors", colors, (count, "C"), hint=hint)
+        if colors.shape[1] == 0:
+            raise ValueError(
+                "colors must have shape [N, C] with C >= 1, but they have "
+                f"{list(colors.shape)}; leave them out where there are none."
+            )
+        shapes.append(colors.shape[1:])
+    background_depth, background_color = background
     checks.check_number("background_depth", background_depth)
-    shapes = [()] if colors is None else [(), colors.shape[1:]]
     hint = "pass one number, or one per channel of the colors"
     checks.check_real("background_color", background_color, *shapes, hint=hint)
+    return colors

@@ -7,7 +7,6 @@ centres: cell i of D has coordinate ((i + 1/2)/D - 1/2)·extent.
 """
 
 import dataclasses
-import functools
 import numbers
 from typing import NamedTuple
 
@@ -18,17 +17,14 @@ from jax.typing import DTypeLike
 
 from dpc_jax.render import checks, quaternion
 
-PROJECTIONS = ("perspective", "orthographic")
+_PROJECTIONS = ("perspective", "orthographic")
 # Smallest depth that has an image, in extents (heuristic). Of a nearer point 1/z² may
 # overflow, which would make the gradient of every other input NaN.
 _NEAR = 1e-6
+_STATIC = {"static": True}  # known to `register_dataclass`
 
 
-@functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=("focal_length", "distance"),
-    meta_fields=("projection",),
-)
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Camera:
     """A camera that looks at the object's origin.
@@ -42,14 +38,11 @@ class Camera:
 
     focal_length: chex.Numeric = 1.875
     distance: chex.Numeric = 2.0
-    projection: str = "perspective"
+    projection: str = dataclasses.field(default="perspective", metadata=_STATIC)
 
     def __post_init__(self):
-        if self.projection not in PROJECTIONS:
-            raise ValueError(
-                f"Camera projection must be one of {PROJECTIONS}, but it is "
-                f"{self.projection!r}; choose one of these."
-            )
+        name, hint = "Camera projection", "choose one of these"
+        checks.check_choice(name, self.projection, _PROJECTIONS, hint)
 
 
 @dataclasses.dataclass(frozen=True, init=False)
@@ -94,28 +87,19 @@ jax.tree_util.register_static(VoxelGrid)
 
 
 class CameraPoints(NamedTuple):
-    """Points in the camera's axes.
+    """Points in the camera's axes."""
 
-    Attributes:
-      centered: [N, 3], relative to the middle of the volume, in depth too: relative to
-        a distant eye, depth would lose the digits that place a point in the volume.
-      ahead: [N] depth z, relative to the eye.
-    """
-
+    # [N, 3], relative to the middle of the volume, in depth too: relative to a distant
+    # eye, depth would lose the digits that place a point in the volume.
     centered: jax.Array
-    ahead: jax.Array
+    ahead: jax.Array  # [N] depth z, relative to the eye
 
 
 class GridPoints(NamedTuple):
-    """Points in the grid's own coordinates.
+    """Points in the grid's own coordinates."""
 
-    Attributes:
-      coordinates: [N, 3] continuous (row, col, depth) index; cell centres are integers.
-      inside: [N] bool, whether the point lies in the volume and in front of the camera.
-    """
-
-    coordinates: jax.Array
-    inside: jax.Array
+    coordinates: jax.Array  # [N, 3] continuous (row, col, depth) index
+    inside: jax.Array  # [N] bool, in the volume and in front of the camera
 
 
 def to_camera_frame(
@@ -125,11 +109,7 @@ def to_camera_frame(
     translation: jax.Array | None,
     camera: Camera,
 ) -> CameraPoints:
-    """Move points [N, 3] from the object frame to the camera frame.
-
-    The first part of the transform T_c of section "Differentiable Point Clouds", before
-    the perspective division.
-    """
+    """Move points [N, 3] to the camera frame: T_c before the perspective division."""
     moved = quaternion.rotate(points, rotation)
     if translation is not None:
         moved = moved + jnp.asarray(translation, points.dtype)[None]
@@ -137,9 +117,9 @@ def to_camera_frame(
 
 
 def to_grid(points: CameraPoints, *, camera: Camera, grid: VoxelGrid) -> GridPoints:
-    """Project points to grid indices; depth stays metric.
+    """Project points to grid indices, the rest of T_c; depth stays metric.
 
-    The rest of the transform T_c. Points behind the camera plane, or less than a
+    Points behind the camera plane, or less than a
     millionth of the extent in front of it, have no perspective image: they are marked
     as outside. A point outside has zero gradient.
     """

@@ -1,8 +1,4 @@
-"""Refusing wrong arguments, each mistake in one sentence.
-
-Every check raises a ValueError that names the argument, what was expected, what came
-and what to do.
-"""
+"""Refusing wrong arguments: a ValueError says what was expected and what came."""
 
 import numbers
 from collections.abc import Sequence
@@ -12,23 +8,18 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
+_SEVERAL = "use jax.vmap over several"
+
 
 def check_real(
-    name: str,
-    value: ArrayLike | None,
-    *shapes: tuple,
-    hint: str = "use jax.vmap over several",
+    name: str, value: ArrayLike | None, *shapes: tuple, hint: str = _SEVERAL
 ) -> jax.Array:
     """Convert a value to an array of real numbers that has one of some shapes.
 
-    Args:
-      name: of the argument.
-      value: what came for it.
-      *shapes: tuples of sizes. None and a letter stand for any size, and `...` in the
-        first place for any number of axes.
-      hint: what to do about another shape.
+    In a shape None and a letter stand for any size, and `...` in the first place for
+    any number of axes. The hint says what to do about another shape.
     """
-    array = convert(name, value)
+    array = _convert(name, value)
     if not any(_fits(array.shape, shape) for shape in shapes):
         wanted = " or ".join(_describe(shape) for shape in shapes)
         raise ValueError(
@@ -42,10 +33,7 @@ def check_real(
 
 
 def check_array(
-    name: str,
-    value: ArrayLike | None,
-    *shapes: tuple,
-    hint: str = "use jax.vmap over several",
+    name: str, value: ArrayLike | None, *shapes: tuple, hint: str = _SEVERAL
 ) -> jax.Array:
     """Convert as `check_real`, but refuse integers and truth values too."""
     array = check_real(name, value, *shapes, hint=hint)
@@ -60,6 +48,14 @@ def check_array(
 def check_number(name: str, value: ArrayLike | None) -> jax.Array:
     """Convert one real number to an array of shape ()."""
     return check_real(name, value, ())
+
+
+def check_choice(name: str, value: str, choices: Sequence[str], hint: str) -> None:
+    """Refuse a word that is not among the choices."""
+    if value not in choices:
+        raise ValueError(
+            f"{name} must be one of {choices}, but it is {value!r}; {hint}."
+        )
 
 
 def check_at_least_zero(name: str, value: Any) -> None:
@@ -109,8 +105,7 @@ def are_sides(shape: Any) -> TypeGuard[Sequence[int]]:
     return is_triple and all(is_count(side) and side > 0 for side in shape)
 
 
-def convert(name: str, value: ArrayLike | None) -> jax.Array:
-    """Convert a value to an array."""
+def _convert(name, value):
     try:
         if value is None:
             raise TypeError

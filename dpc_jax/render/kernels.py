@@ -83,18 +83,10 @@ def _invert_sum(offset, sigma, inverse):
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
 def sample_axis(centers: jax.Array, sigma: jax.Array, size: int) -> jax.Array:
-    """Weights of points on one axis, zero beyond their reach.
+    """Weights [N, size] of points [N] on an axis, zero beyond their reach.
 
     The values are those of `sample_gaussian` after `cut_negligible`. This form, with a
     derivative of its own, is for many points.
-
-    Args:
-      centers: [N], continuous indices.
-      sigma: [N], standard deviations in voxels, >= 0.
-      size: cells of the axis, static.
-
-    Returns:
-      [N, size].
     """
     return _sample_axis_forward(centers, sigma, size)[0]
 
@@ -146,9 +138,8 @@ def cut_negligible(
     A weight that is cut is below half a rounding unit of the nearest cell's: added to
     that one it would change nothing.
     """
-    return jnp.where(
-        jnp.abs(cells - center) <= find_reach(sigma, weights.dtype), weights, 0
-    )
+    is_near = jnp.abs(cells - center) <= find_reach(sigma, weights.dtype)
+    return jnp.where(is_near, weights, 0)
 
 
 def find_reach(sigma: jax.Array, dtype: DTypeLike) -> jax.Array:

@@ -49,9 +49,6 @@ def estimate_memory(
         without a gradient.
       **arguments: of `project`.
 
-    Returns:
-      A `MemoryEstimate`, in bytes.
-
     Raises:
       ValueError: as `project`.
       TypeError: for an argument that `project` does not have.
@@ -59,18 +56,16 @@ def estimate_memory(
     """
     static = {name: arguments.pop(name) for name in _STATIC if name in arguments}
     inputs = {"points": points, "rotation": rotation, **arguments}
-    inputs = {
-        name: jnp.asarray(value) if isinstance(value, list | tuple) else value
-        for name, value in inputs.items()
-    }
+    for name, value in inputs.items():
+        if isinstance(value, list | tuple):
+            inputs[name] = jnp.asarray(value)
 
     def render(inputs):
         return project(**inputs, **static)
 
     if gradient:
-        moving = {name for name, value in inputs.items() if _is_float_array(value)}
-        fixed = {name: inputs[name] for name in inputs if name not in moving}
-        moving = {name: inputs[name] for name in moving}
+        moving = {name: v for name, v in inputs.items() if _is_float_array(v)}
+        fixed = {name: v for name, v in inputs.items() if name not in moving}
 
         def render_both_ways(moving, fixed, cotangents):
             images, pull_back = jax.vjp(lambda m: render(m | fixed), moving)
@@ -86,13 +81,10 @@ def estimate_memory(
             "Expected the compiler to report the memory of a program, but the one for "
             f"{jax.default_backend()!r} does not; measure a run instead."
         )
-    sizes = (
-        analysis.argument_size_in_bytes,
-        analysis.output_size_in_bytes,
-        analysis.temp_size_in_bytes,
-    )
-    return MemoryEstimate(*sizes, sum(sizes) - analysis.alias_size_in_bytes)
+    purposes = ("argument", "output", "temp")
+    sizes = [getattr(analysis, f"{name}_size_in_bytes") for name in purposes]
+    return MemoryEstimate._make([*sizes, sum(sizes) - analysis.alias_size_in_bytes])
 
 
-def _is_float_array(value) -> bool:
+def _is_float_array(value):
     return hasattr(value, "shape") and jnp.issubdtype(value.dtype, jnp.floating)

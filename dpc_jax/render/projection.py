@@ -14,10 +14,6 @@ from dpc_jax.render import arguments, termination
 from dpc_jax.render.camera import Camera, VoxelGrid
 from dpc_jax.render.volume import Volume, fill_volume, place_points
 
-# Depth and colour of a ray that hits nothing (the released code's values).
-BACKGROUND_DEPTH = 10.0
-BACKGROUND_COLOR = 1.0
-
 
 @chex.dataclass(frozen=True)
 class Projection:
@@ -48,8 +44,8 @@ def project(
     signals: tuple[str, ...] = ("silhouette",),
     method: str = "auto",
     ray_rule: str = "termination",
-    background_depth: chex.Numeric = BACKGROUND_DEPTH,
-    background_color: chex.Numeric = BACKGROUND_COLOR,
+    background_depth: chex.Numeric = 10.0,
+    background_color: chex.Numeric = 1.0,
 ) -> Projection:
     """Render one point cloud from one pose.
 
@@ -80,11 +76,8 @@ def project(
       ray_rule: the silhouette of a ray, static: "termination" (1 - Π(1 - o), the
         paper's) or "maximum" (of its occupancies: Perspective Transformer Nets; equal
         maxima share the gradient). Depth and colour always end rays.
-      background_depth: () depth of a ray that hits nothing.
-      background_color: () or [C] colour of a ray that hits nothing.
-
-    Returns:
-      A `Projection` with the signals asked for.
+      background_depth, background_color: () depth and () or [C] colour of a ray that
+        hits nothing; the defaults are the released code's.
 
     Raises:
       ValueError: for a wrong shape or dtype, an unknown signal, method or rule, colour
@@ -92,50 +85,30 @@ def project(
     """
     points = arguments.convert_points(points)
     arguments.check_signals(signals, ray_rule, has_colors=colors is not None)
-    colors = arguments.convert_colors(colors, points.shape[0])
-    arguments.check_background(background_depth, background_color, colors)
+    background = background_depth, background_color
+    colors = arguments.convert_colors(colors, points.shape[0], background)
     scene = place_points(
-        points,
-        rotation,
-        sigma=sigma,
-        scale=scale,
-        covariance=covariance,
-        translation=translation,
-        camera=camera,
-        grid=grid,
-        method=method,
+        points, rotation, sigma, scale, covariance, translation, camera, grid, method
     )
     colors = colors if "color" in signals else None
-    return project_signals(
-        fill_volume(scene, colors, grid.shape),
-        camera=camera,
-        grid=grid,
-        signals=signals,
-        ray_rule=ray_rule,
-        background_depth=background_depth,
-        background_color=background_color,
-    )
+    volume = fill_volume(scene, colors, grid.shape)
+    return project_signals(volume, camera, grid, signals, ray_rule, background)
 
 
 def project_signals(
     volume: Volume,
-    *,
     camera: Camera,
     grid: VoxelGrid,
     signals: tuple[str, ...],
     ray_rule: str,
-    background_depth: chex.Numeric,
-    background_color: chex.Numeric,
+    background: tuple[chex.Numeric, chex.Numeric],
 ) -> Projection:
     """Eq. 5 of the paper: p = Σ_k r_k·y_k along each ray, the background included.
 
-    y_k is 1 for a silhouette (0 in the background), the depth z_k, or a colour.
-
-    Args:
-      volume: occupancies, with colours where "color" is among the signals.
-      camera, grid: where the cells of the volume are.
-      signals, ray_rule, background_depth, background_color: as of `project`.
+    y_k is 1 for a silhouette (0 in the background), the depth z_k, or a colour; the
+    background has a depth and a colour. Arguments as of `project`.
     """
+    background_depth, background_color = background
     occupancy = volume.occupancy
     dtype = occupancy.dtype
     images = {}
@@ -177,16 +150,9 @@ def voxelize(
     Arguments and errors as of `project`. Ray-consistency losses (DRC) compare the
     `termination_probabilities` of the result.
     """
+    points = arguments.convert_points(points)
     scene = place_points(
-        arguments.convert_points(points),
-        rotation,
-        sigma=sigma,
-        scale=scale,
-        covariance=covariance,
-        translation=translation,
-        camera=camera,
-        grid=grid,
-        method=method,
+        points, rotation, sigma, scale, covariance, translation, camera, grid, method
     )
     return fill_volume(scene, None, grid.shape).occupancy
 

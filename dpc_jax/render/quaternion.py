@@ -14,14 +14,10 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
 def normalize(quaternion: jax.Array) -> jax.Array:
-    """Scale a quaternion to length one.
+    """Scale a quaternion [4] of any length to length one.
 
-    Args:
-      quaternion: [4], wxyz, any length.
-
-    Returns:
-      [4] of unit length. The zero quaternion gives the identity, with zero gradient,
-      because the direction of a vector has no limit at zero.
+    The zero quaternion gives the identity, with zero gradient, because the direction of
+    a vector has no limit at zero.
     """
     quaternion = checks.check_array("quaternion", quaternion, (4,))
     scaled, largest = _divide_by_largest(quaternion)

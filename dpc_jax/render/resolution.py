@@ -30,14 +30,5 @@ def scale_sizes(
     each of three seeds (accuracy 0.905 against 0.890, median 2.3° against 2.5°, Chamfer
     3.37 against 3.33), and on chairs the seeds decided (docs/results.md). A comparison
     of grids by the image that they approximate takes 2.
-
-    Args:
-      sigma: any shape, standard deviation in voxels of the first grid.
-      mass: any shape, in voxels of the first grid.
-      ratio: cells per side of the second grid over those of the first; may be below 1.
-      exponent: 3 or 2, see above; static.
-
-    Returns:
-      (sigma, mass) in voxels of the second grid.
     """
     return sigma * ratio, mass * ratio**exponent

@@ -29,13 +29,10 @@ def smooth(volume: jax.Array, sigma: jax.Array) -> jax.Array:
     Part of Eq. 3 by the fast method (appendix "Differentiable point cloud projection").
 
     Args:
-      volume: [rows, cols, depth].
+      volume: [rows, cols, depth], as the result.
       sigma: (), standard deviation in voxels, >= 0. Below 0.17 voxels in float32 (0.12
         in float64) a neighbour's share is less than rounding: the volume is returned as
         it is, and nothing is computed.
-
-    Returns:
-      [rows, cols, depth].
 
     Raises:
       ValueError: for another shape or dtype, and a plain number sigma below zero.
@@ -52,12 +49,11 @@ def _smooth(volume, sigma):
     size = max(volume.shape)
     widths, branches = [0], [lambda volume, kernel: volume]
     if min(volume.shape) >= _SMALLEST:
-        medium = max((w for d, w in _MEDIUM.items() if d <= size), default=0)
-        for width, axes in ((_NARROW, (0, 1, 2)), (medium, (1,))):
-            if width:
-                call = functools.partial(_smooth_axes, half_width=width, shifted=axes)
-                widths.append(width)
-                branches.append(call)
+        medium = [(width, (1,)) for side, width in _MEDIUM.items() if side <= size]
+        for width, axes in [(_NARROW, (0, 1, 2)), *medium[-1:]]:
+            call = functools.partial(_smooth_axes, half_width=width, shifted=axes)
+            widths.append(width)
+            branches.append(call)
     branches.append(_smooth_axes)
     # Half-width w is exact to rounding as long as cell w + 1 is out of reach.
     reach = kernels.find_half_width(jnp.asarray(sigma, volume.dtype), volume.dtype)

@@ -131,13 +131,8 @@ def compensate_widening(sigma: chex.Numeric) -> jax.Array:
     √(σ² - 1/6) draws what the basic method draws with σ: at two voxels the difference
     between the images is 16 times smaller, that between the gradients as before
     (docs/projection.md). Below one voxel a point is not smooth on the grid, and less is
-    subtracted (a heuristic), down to nothing at half a voxel.
-
-    Args:
-      sigma: any shape, in voxels, >= 0.
-
-    Returns:
-      The same shape; continuous and increasing.
+    subtracted (a heuristic), down to nothing at half a voxel. Sigma may have any shape,
+    in voxels, >= 0; the result is continuous and increasing.
     """
     sigma = jnp.asarray(sigma)
     share = jnp.clip(2 * sigma - 1, 0, 1)

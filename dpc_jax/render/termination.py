@@ -12,17 +12,12 @@ import jax.numpy as jnp
 from dpc_jax.render import checks
 
 
-def _union(first: jax.Array, second: jax.Array) -> jax.Array:
-    """1 - (1 - a)(1 - b) as a sum of terms >= 0: no cancellation near 0."""
-    return first + second * (1 - first)
-
-
 def opacity(occupancy: jax.Array) -> jax.Array:
     """Probability that a ray ends in some cell, 1 - Π(1 - o_u).
 
     This is the silhouette, the sum of Eq. 5 over all cells but the background, without
-    its terms. Built as a tree of unions a + b(1 - a), so that a ray of occupancies 1e-9
-    keeps its digits in float32.
+    its terms. Built as a tree of unions 1 - (1 - a)(1 - b) = a + b(1 - a): with terms
+    >= 0 nothing cancels, and a ray of occupancies 1e-9 keeps its digits in float32.
 
     Args:
       occupancy: [..., D] in [0, 1], nearest cell first.
@@ -41,7 +36,8 @@ def opacity(occupancy: jax.Array) -> jax.Array:
 def _opacity(occupancy):
     while (size := occupancy.shape[-1]) > 1:
         half = size // 2
-        pairs = _union(occupancy[..., :half], occupancy[..., half : 2 * half])
+        near, far = occupancy[..., :half], occupancy[..., half : 2 * half]
+        pairs = near + far * (1 - near)
         rest = occupancy[..., 2 * half :]
         occupancy = jnp.concatenate([pairs, rest], -1) if rest.shape[-1] else pairs
     return occupancy[..., 0]
@@ -78,28 +74,15 @@ def _check_rays(occupancy):
 
 
 class Rays(NamedTuple):
-    """Where rays end.
+    """Probabilities of where rays end."""
 
-    Attributes:
-      ends: [..., D], r_k, the probability that a ray ends in cell k.
-      background: [...], r_{D+1}, that it passes all cells.
-      reached: [..., D], Π_{u<k}(1 - o_u), that it reaches cell k.
-    """
-
-    ends: jax.Array
-    background: jax.Array
-    reached: jax.Array
+    ends: jax.Array  # [..., D], r_k, that a ray ends in cell k
+    background: jax.Array  # [...], r_{D+1}, that it passes all cells
+    reached: jax.Array  # [..., D], Π_{u<k}(1 - o_u), that it reaches cell k
 
 
 def end_rays(occupancy: jax.Array) -> Rays:
-    """Eq. 4 of the paper: ray termination, r_k = o_k·Π_{u<k}(1 - o_u).
-
-    Args:
-      occupancy: [..., D] in [0, 1], nearest cell first.
-
-    Raises:
-      ValueError: as `opacity`.
-    """
+    """Eq. 4 of the paper: ray termination, r_k = o_k·Π_{u<k}(1 - o_u)."""
     occupancy = _check_rays(occupancy)
     passed = jnp.cumprod(1 - occupancy, axis=-1)
     reached = jnp.concatenate([jnp.ones_like(passed[..., :1]), passed[..., :-1]], -1)
@@ -107,17 +90,13 @@ def end_rays(occupancy: jax.Array) -> Rays:
 
 
 def termination_probabilities(occupancy: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Ray termination probabilities (Eq. 4, `end_rays`) as a pair.
+    """Ray termination probabilities, r_k = o_k·Π_{u<k}(1 - o_u) (Eq. 4).
 
-    Args:
-      occupancy: [..., D] in [0, 1], nearest cell first.
+    Arguments and errors as of `opacity`.
 
     Returns:
       ([..., D] probabilities r_k, [...] background r_{D+1} = Π(1 - o_u)); they are
       non-negative and sum to one.
-
-    Raises:
-      ValueError: as `opacity`.
     """
     rays = end_rays(occupancy)
     return rays.ends, rays.background

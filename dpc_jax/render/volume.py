@@ -13,44 +13,30 @@ from dpc_jax.render.exact import covariances, gaussians
 
 
 class Scene(NamedTuple):
-    """Points in the grid, with everything that their densities depend on.
+    """Points in the grid, with everything that their densities depend on."""
 
-    Attributes:
-      coordinates: [N, 3] continuous (row, col, depth) index.
-      mass: [N] in voxels, zero for a point outside.
-      is_inside: [N] bool, which points are in the volume and in front of the camera.
-      sigma: () or [N] in voxels, or None with a covariance.
-      covariance: [N, 3, 3] in the grid's axes, voxels², or None.
-      method: "trilinear" or "gaussian".
-    """
-
-    coordinates: jax.Array
-    mass: jax.Array
-    is_inside: jax.Array
-    sigma: jax.Array | None
-    covariance: jax.Array | None
-    method: str
+    coordinates: jax.Array  # [N, 3] continuous (row, col, depth) index
+    mass: jax.Array  # [N] in voxels, zero for a point outside
+    is_inside: jax.Array  # [N] bool, in the volume and in front of the camera
+    sigma: jax.Array | None  # () or [N] in voxels
+    covariance: jax.Array | None  # [N, 3, 3] in the grid's axes, voxels²
+    method: str  # "trilinear" or "gaussian"
 
 
 class Volume(NamedTuple):
-    """What the rays of one view go through.
+    """What the rays of one view go through."""
 
-    Attributes:
-      occupancy: [rows, cols, depth] in [0, 1], the o of Eq. 3, nearest cell first.
-      sum_colors: None without colours. Otherwise a function that takes the probability
-        t_k of reaching each cell, [rows, cols, depth], and returns Σ_k t_k·o_k·y_k of
-        each ray, [rows, cols, C]. Being a function, it can fill one channel of the
-        colours y at a time instead of keeping a volume for each.
-    """
-
+    # [rows, cols, depth] in [0, 1], the o of Eq. 3, nearest cell first.
     occupancy: jax.Array
+    # From the probability t_k of reaching each cell, [rows, cols, depth], to
+    # Σ_k t_k·o_k·y_k of each ray, [rows, cols, C]. Being a function, it can fill one
+    # channel of the colours y at a time instead of keeping a volume for each.
     sum_colors: Callable[[jax.Array], jax.Array] | None = None
 
 
 def place_points(
     points: jax.Array,
     rotation: ArrayLike,
-    *,
     sigma: ArrayLike | None,
     scale: ArrayLike,
     covariance: ArrayLike | None,
@@ -61,11 +47,7 @@ def place_points(
 ) -> Scene:
     """Apply the paper's transform T_c to points and to their covariances.
 
-    Arguments as of `project`. The result has the dtype of the points.
-
-    Raises:
-      ValueError: for arguments of a wrong type or shape, and for a method that is
-        unknown or cannot draw these sizes.
+    Arguments and errors as of `project`. The result has the dtype of the points.
     """
     arguments.check_view(camera, grid)
     rotation, sigma, scale, covariance, translation = arguments.convert_scene(
@@ -75,8 +57,7 @@ def place_points(
     moved = to_camera_frame(points, rotation, translation=translation, camera=camera)
     coordinates, is_inside = to_grid(moved, camera=camera, grid=grid)
     if covariance is not None:
-        is_matrix = rotation.shape == (3, 3)
-        matrix = rotation if is_matrix else quaternion.to_matrix(rotation)
+        matrix = quaternion.to_matrix(rotation) if rotation.shape == (4,) else rotation
         # A point outside may lie in the camera plane, where perspective has no slope.
         x, y, _ = jnp.where(is_inside[:, None], moved.centered, 0).T
         safe = jnp.stack([x, y, jnp.where(is_inside, moved.ahead, 1)], axis=-1)
@@ -93,12 +74,7 @@ def fill_volume(
     """Eq. 3 of the paper: the occupancy o(x) = clip(Σ_i f_i(x), [0, 1]) on the grid.
 
     With colours, also the signal y(x) = Σ_i y_i·f_i(x) / Σ_i f_i(x) that the paper
-    gives after Eq. 5.
-
-    Args:
-      scene: the points in the grid.
-      colors: [N, C] or None.
-      shape: (rows, cols, depth), static.
+    gives after Eq. 5. Colours are [N, C]; the shape is (rows, cols, depth).
     """
     colors = None if colors is None else colors.astype(scene.coordinates.dtype)
     sum_densities = _sum_trilinear if scene.method == "trilinear" else _sum_exact
@@ -132,11 +108,10 @@ def _clip_unit_jvp(primals, tangents):
 
 
 def _sum_trilinear(scene, colors, shape):
-    """Σ f_i by the fast method (part of Eq. 3), and its sums over colours.
+    """Σ f_i by the fast method, [rows, cols, depth], and its sums over colours.
 
-    Returns:
-      (density [rows, cols, depth], map_colors), where map_colors(function) gives
-      [C, ...], function(Σ y_i·f_i) of each channel. No channel's volume is kept.
+    The latter as map_colors(function), which gives [C, ...], function(Σ y_i·f_i) of
+    each channel. No channel's volume is kept.
     """
 
     def fill(mass):
@@ -151,7 +126,7 @@ def _sum_trilinear(scene, colors, shape):
 
 
 def _sum_exact(scene, colors, shape):
-    """Σ f_i by the basic method (part of Eq. 3); returns as `_sum_trilinear`."""
+    """Σ f_i by the basic method; returns as `_sum_trilinear`."""
     values = scene.mass[:, None]
     if colors is not None:
         values = jnp.concatenate([values, values * colors], axis=1)

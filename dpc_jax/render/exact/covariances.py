@@ -9,10 +9,10 @@ So the mass of a point is exact for every covariance, singular ones included.
 """
 
 import functools
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from dpc_jax.render import kernels
 from dpc_jax.render.camera import Camera, VoxelGrid
@@ -40,8 +40,7 @@ def move_covariance(
       covariance: [N, 3, 3], object frame, in squares of extent / rows.
       points: [N, 3], camera frame, all in front of the camera.
       matrix: [3, 3] rotation, object to camera.
-      camera: focal length and kind of projection.
-      grid: the volume, static.
+      camera, grid: of `project`.
 
     Returns:
       [N, 3, 3], axes (row, col, depth), voxels².
@@ -54,14 +53,9 @@ def move_covariance(
         down, across = -focal * (y / z) / z, -focal * (x / z) / z
     else:
         zoom, down, across = one, zero, zero
-    jacobian = jnp.stack(
-        [
-            jnp.stack([zero, zoom, down], axis=-1),  # row, from v
-            jnp.stack([zoom, zero, across], axis=-1),  # col, from u
-            jnp.stack([zero, zero, one], axis=-1),
-        ],
-        axis=-2,
-    )
+    # The row comes from v, the column from u.
+    lines = (zero, zoom, down), (zoom, zero, across), (zero, zero, one)
+    jacobian = jnp.stack([jnp.stack(line, axis=-1) for line in lines], axis=-2)
     sizes = jnp.array(grid.shape, z.dtype) / grid.shape[0]
     linear = sizes[None, :, None] * jnp.matmul(jacobian, matrix, precision="highest")
     symmetric = (covariance + jnp.swapaxes(covariance, 1, 2)) / 2
@@ -76,14 +70,12 @@ def sum_covariances(
     covariance: jax.Array,
     *,
     shape: tuple[int, int, int],
-    is_inside: jax.Array | None = None,
+    is_inside: ArrayLike = True,
 ) -> jax.Array:
     """Sum Gaussians with covariances [N, 3, 3]; otherwise as `sum_gaussians`."""
     if coordinates.shape[0] == 0:
         return jnp.zeros((values.shape[1], *shape), values.dtype)
     chosen = factoring.choose_order(jax.lax.stop_gradient(covariance))
-    if is_inside is None:
-        is_inside = jnp.ones(coordinates.shape[0], bool)
     side = max(shape)
     identity = jnp.eye(3, dtype=covariance.dtype)[None]
 
@@ -113,32 +105,17 @@ def _sum_in_order(centers, values, covariance, is_inside, side):
     factors = factoring.factor_covariance(covariance)
     reaches = kernels.find_reach(factors.sigmas, centers.dtype)
     along = reaches[:, 1] + jnp.abs(factors.slopes[:, 0]) * reaches[:, 0]
-    places = _Places(centers, reaches[:, 0], along, is_inside)
-    points = {"centers": centers, "values": values, "factors": factors}
-    return tiles.sum_in_tiles(
-        _make_density(side),
-        _is_reached,
-        (side, side, side),
-        _CHUNK,
-        tiles.Points(points, {}, {}),
-        places,
-    )
-
-
-class _Places(NamedTuple):
-    """Centres [N, 3], and how far points reach along the first and second axis, [N]."""
-
-    centers: jax.Array
-    first: jax.Array
-    second: jax.Array
-    is_inside: jax.Array
+    places = centers, reaches[:, 0], along, is_inside
+    parameters = {"centers": centers, "values": values, "factors": factors}
+    points, shape = tiles.Points(parameters, {}, {}), (side, side, side)
+    density = _make_density(side)
+    return tiles.sum_in_tiles(density, _is_reached, shape, _CHUNK, points, places)
 
 
 def _is_reached(places, corner):
-    first, second = (
-        tiles.find_gap(places.centers[:, axis], corner[axis]) for axis in range(2)
-    )
-    return places.is_inside & (first <= places.first) & (second <= places.second)
+    centers, reach_first, reach_second, is_inside = places
+    first, second = tiles.find_gaps(centers, corner)
+    return is_inside & (first <= reach_first) & (second <= reach_second)
 
 
 @functools.cache
@@ -147,9 +124,11 @@ def _make_density(size):
 
     def sum_density(points, corner):
         # Axes: points, cells along the first, second and third axis.
-        point = points.whole["centers"].T[..., None, None, None]
-        sigma = points.whole["factors"].sigmas.T[..., None, None, None]
-        slope = points.whole["factors"].slopes.T[..., None, None, None]
+        factors = points.whole["factors"]
+        point, sigma, slope = (
+            leaf.T[..., None, None, None]
+            for leaf in (points.whole["centers"], factors.sigmas, factors.slopes)
+        )
         square, dtype = jnp.arange(tiles.SIDE), point.dtype
         first = (corner[0] + square).astype(dtype).reshape(1, -1, 1, 1)
         second = (corner[1] + square).astype(dtype).reshape(1, 1, -1, 1)

@@ -12,15 +12,11 @@ ORDERS = tuple(itertools.permutations(range(3)))
 
 
 class Factors(NamedTuple):
-    """Gaussians as conditionals: x₁, then x₂ given x₁, then x₃ given x₁ and x₂.
+    """Gaussians as conditionals: x₁, then x₂ given x₁, then x₃ given x₁ and x₂."""
 
-    Attributes:
-      sigmas: [N, 3] standard deviations of these three, in voxels.
-      slopes: [N, 3] slopes of the conditional means: of x₂ over x₁, of x₃ over x₁, and
-        of x₃ over the deviation of x₂ from its mean given x₁.
-    """
-
-    sigmas: jax.Array
+    sigmas: jax.Array  # [N, 3] standard deviations of these three, in voxels
+    # [N, 3] slopes of the conditional means: of x₂ over x₁, of x₃ over x₁, and of x₃
+    # over the deviation of x₂ from its mean given x₁.
     slopes: jax.Array
 
 
@@ -97,6 +93,5 @@ def _divide(numerator, denominator, threshold):
 def _take_root(variance):
     """Standard deviation, at least the kernels' floor; no infinite slope at zero."""
     is_wide = variance > kernels.SIGMA_FLOOR**2
-    return jnp.where(
-        is_wide, jnp.sqrt(jnp.where(is_wide, variance, 1)), kernels.SIGMA_FLOOR
-    )
+    root = jnp.sqrt(jnp.where(is_wide, variance, 1))
+    return jnp.where(is_wide, root, kernels.SIGMA_FLOOR)

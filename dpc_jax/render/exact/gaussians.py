@@ -5,15 +5,16 @@ rounding: no position is rounded to a cell, and every point may have its own siz
 """
 
 import functools
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from dpc_jax.render import kernels
 from dpc_jax.render.exact import tiles
 
 _CHUNK = 256
+_multiply = functools.partial(jnp.matmul, precision="highest")
 
 
 def sum_gaussians(
@@ -22,7 +23,7 @@ def sum_gaussians(
     sigma: jax.Array,
     *,
     shape: tuple[int, int, int],
-    is_inside: jax.Array | None = None,
+    is_inside: ArrayLike = True,
 ) -> jax.Array:
     """Eq. 7 of the paper: isotropic Gaussians G_n at every cell, and their sum.
 
@@ -34,8 +35,8 @@ def sum_gaussians(
       values: [N, V], mass of a point, and mass times each colour channel.
       sigma: () or [N], standard deviation in voxels, >= 0.
       shape: (rows, cols, depth), static.
-      is_inside: [N] bool, the points to add; None for all. The others cost nothing. A
-        point of mass zero may not be left out, because its mass has a gradient.
+      is_inside: () or [N] bool, the points to add. The others cost nothing. A point of
+        mass zero may not be left out, because its mass has a gradient.
 
     Returns:
       [V, rows, cols, depth].
@@ -47,37 +48,28 @@ def sum_gaussians(
     # The backward pass samples the weights again. That is cheap, whereas keeping N·3D
     # of them for every sample of a batch would fill the memory.
     call = jax.checkpoint(functools.partial(_sum_sampled, shape=shape))
-    if is_inside is None:
-        is_inside = jnp.ones(count, bool)
     return call(coordinates, values, sigma, is_inside)
 
 
 def _sum_sampled(coordinates, values, sigma, is_inside, *, shape):
-    weights: list[jax.Array] = [
+    rows, cols, depth = (
         kernels.sample_axis(coordinates[:, axis], sigma, shape[axis])
         for axis in range(3)
-    ]
-    rows, cols, depth = weights
+    )
     reach = kernels.find_reach(sigma, coordinates.dtype)
-    places = _Places(coordinates[:, :2], jnp.where(is_inside, reach**2, -1))
+    # No circle has the squared radius -1.
+    places = coordinates[:, :2], jnp.where(is_inside, reach**2, -1)
     points = tiles.Points({"values": values, "depth": depth}, rows, cols)
-    call = functools.partial(tiles.sum_in_tiles, _sum_separable, _is_reached)
-    return call(shape, _CHUNK, points, places)
-
-
-class _Places(NamedTuple):
-    """Row and column of points [N, 2]; their squared reach [N], -1 where outside."""
-
-    centers: jax.Array
-    squared_reaches: jax.Array
+    return tiles.sum_in_tiles(
+        _sum_separable, _is_reached, shape, _CHUNK, points, places
+    )
 
 
 def _is_reached(places, corner):
     """Whether a tile meets the circle beyond which a point's density is negligible."""
-    down, across = (
-        tiles.find_gap(places.centers[:, axis], corner[axis]) for axis in range(2)
-    )
-    return down**2 + across**2 <= places.squared_reaches
+    centers, squared_reach = places
+    down, across = tiles.find_gaps(centers, corner)
+    return down**2 + across**2 <= squared_reach
 
 
 @jax.custom_vjp
@@ -90,8 +82,7 @@ def _sum_forward(points, corner):
     values, depth = points.whole["values"], points.whole["depth"]
     rows, cols = _spread_weights(points)
     summed = _multiply(_weigh_pixels(values, rows * cols).T, depth)
-    shape = values.shape[1], tiles.SIDE, tiles.SIDE, depth.shape[1]
-    return summed.reshape(shape), (points, corner)
+    return summed.reshape(-1, tiles.SIDE, tiles.SIDE, depth.shape[1]), (points, corner)
 
 
 def _sum_backward(residuals, cotangent):
@@ -110,11 +101,11 @@ def _sum_backward(residuals, cotangent):
         "values": _multiply(slopes * weights[:, None], ones),
         "depth": _multiply(_weigh_pixels(values, weights), cotangent),
     }
-    of_row, of_col = _list_places(weights.dtype)
-    by_row, by_col = (
-        _multiply(slope * cols, of_row.T),
-        _multiply(slope * rows, of_col.T),
-    )
+    # Which pixels of a tile are in a row, and in a column; both [SIDE, SIDE²].
+    line = jnp.ones((1, tiles.SIDE), ones.dtype)
+    one = jnp.eye(tiles.SIDE, dtype=ones.dtype)
+    by_row = _multiply(slope * cols, jnp.kron(one, line).T)
+    by_col = _multiply(slope * rows, jnp.kron(line, one).T)
     return tiles.Points(whole, by_row, by_col), None
 
 
@@ -132,13 +123,3 @@ def _spread_weights(points):
     rows = jnp.broadcast_to(points.by_row[:, :, None], full)
     cols = jnp.broadcast_to(points.by_col[:, None, :], full)
     return rows.reshape(-1, tiles.SIDE**2), cols.reshape(-1, tiles.SIDE**2)
-
-
-def _list_places(dtype):
-    """Which pixels of a tile are in a row, and in a column; both [SIDE, SIDE²]."""
-    one, all_ones = jnp.eye(tiles.SIDE, dtype=dtype), jnp.ones((1, tiles.SIDE), dtype)
-    return jnp.kron(one, all_ones), jnp.kron(all_ones, one)
-
-
-def _multiply(left, right):
-    return jnp.matmul(left, right, precision="highest")

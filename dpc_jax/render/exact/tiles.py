@@ -16,20 +16,15 @@ import jax.numpy as jnp
 
 SIDE = 8  # pixels of a tile along each axis (measured: 4 and 16 are slower)
 _BLOCK = 64  # points whose running count is one row of a matrix product
+_IN_BOUNDS = "promise_in_bounds"
 
 
 class Points(NamedTuple):
-    """Parameters of the densities of N points; each field is a tree of floats.
+    """Parameters of the densities of N points; each field is a tree of floats."""
 
-    Attributes:
-      whole: leaves [N, ...], the same in every tile.
-      by_row: leaves [N, rows, ...], of which a tile gets its own SIDE rows.
-      by_col: leaves [N, cols, ...], likewise.
-    """
-
-    whole: Any
-    by_row: Any
-    by_col: Any
+    whole: Any  # leaves [N, ...], the same in every tile
+    by_row: Any  # leaves [N, rows, ...], of which a tile gets its own SIDE rows
+    by_col: Any  # leaves [N, cols, ...], likewise
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(0, 1, 2, 3))
@@ -41,7 +36,7 @@ def sum_in_tiles(
     points: Points,
     places: Any,
 ) -> jax.Array:
-    """Sum points' densities over a volume.
+    """Sum points' densities over a volume of a shape (rows, cols, depth); [V, *shape].
 
     Args:
       density: function (`Points` of one chunk and tile, first row and column [2]) ->
@@ -49,13 +44,8 @@ def sum_in_tiles(
         parameters are all zero must add nothing.
       is_reached: function (`places`, first row and column [2]) -> [N] bool, the points
         that add to a tile; static.
-      shape: (rows, cols, depth), static.
-      chunk: how many points are added at once, static.
-      points: parameters for `density`.
-      places: argument of `is_reached`, a tree of floats; without gradient.
-
-    Returns:
-      [V, rows, cols, depth].
+      shape, chunk: the volume, and how many points are added at once; static.
+      points, places: what the two functions take; places get no gradient.
     """
     points = _block(points, shape)
 
@@ -67,13 +57,11 @@ def sum_in_tiles(
     )
 
     def sum_tile(corner):
-        order, count = find_points(is_reached(places, corner))
-
-        def add_chunk(i, total):
-            return total + sum_chunk(_take_index(order, count, i, chunk), corner)
+        def add_chunk(index, total):
+            return total + sum_chunk(index, corner)
 
         total = jnp.zeros(start.shape, start.dtype)
-        return jax.lax.fori_loop(0, _count_chunks(count, chunk), add_chunk, total)
+        return _fold_chunks(add_chunk, total, is_reached(places, corner), chunk)
 
     return _join_tiles(jax.lax.map(sum_tile, _list_corners(shape)), shape)
 
@@ -89,16 +77,13 @@ def _sum_backward(density, is_reached, shape, chunk, residuals, cotangent):
 
     def add_tile(grads, tile):
         corner, tile_cotangent = tile
-        order, count = find_points(is_reached(places, corner))
 
-        def add_chunk(i, grads):
-            index = _take_index(order, count, i, chunk)
+        def add_chunk(index, grads):
             part = _take_points(points, index, corner)
             _, pull_back = jax.vjp(lambda p: density(p, corner), part)
             return _add_points(grads, pull_back(tile_cotangent)[0], index, corner)
 
-        chunks = _count_chunks(count, chunk)
-        return jax.lax.fori_loop(0, chunks, add_chunk, grads), None
+        return _fold_chunks(add_chunk, grads, is_reached(places, corner), chunk), None
 
     zeros = jax.tree.map(jnp.zeros_like, points)
     tiles = _split_tiles(cotangent, shape)
@@ -107,6 +92,22 @@ def _sum_backward(density, is_reached, shape, chunk, residuals, cotangent):
 
 
 sum_in_tiles.defvjp(_sum_forward, _sum_backward)
+
+
+def _fold_chunks(function, carry, reaches, chunk):
+    """Apply function(index, carry) to the points that reach a tile, chunk by chunk.
+
+    The free places of the last chunk hold the index N.
+    """
+    order, count = find_points(reaches)
+    total = len(order)
+
+    def step(i, carry):
+        place = i * chunk + jnp.arange(chunk)
+        index = jnp.where(place < count, order[jnp.minimum(place, total - 1)], total)
+        return function(index, carry)
+
+    return jax.lax.fori_loop(0, (count + chunk - 1) // chunk, step, carry)
 
 
 def _block(points, shape):
@@ -131,32 +132,30 @@ def _block(points, shape):
     )
 
 
+def _locate(index, corner):
+    """Where a chunk of points of one tile is in the leaves of each field."""
+    row, col = corner[0] // SIDE, corner[1] // SIDE
+    return (index,), (index, row), (index, col)
+
+
 def _take_points(points, index, corner):
     """A chunk of points, with the rows and columns of one tile."""
-    row, col = corner[0] // SIDE, corner[1] // SIDE
-    known = {"mode": "promise_in_bounds"}
-    return Points(
-        jax.tree.map(lambda a: a.at[index].get(**known), points.whole),
-        jax.tree.map(lambda a: a.at[index, row].get(**known), points.by_row),
-        jax.tree.map(lambda a: a.at[index, col].get(**known), points.by_col),
-    )
+
+    def take(tree, place):
+        return jax.tree.map(lambda a: a.at[place].get(mode=_IN_BOUNDS), tree)
+
+    return Points(*map(take, points, _locate(index, corner)))
 
 
 def _add_points(grads, part, index, corner):
     """Add the transpose of `_take_points` to the gradients."""
-    row, col = corner[0] // SIDE, corner[1] // SIDE
-    known = {"mode": "promise_in_bounds"}
 
-    def add(grads, part, *place):
+    def add(grads, part, place):
         return jax.tree.map(
-            lambda g, p: g.at[(index, *place)].add(p, **known), grads, part
+            lambda g, p: g.at[place].add(p, mode=_IN_BOUNDS), grads, part
         )
 
-    return Points(
-        add(grads.whole, part.whole),
-        add(grads.by_row, part.by_row, row),
-        add(grads.by_col, part.by_col, col),
-    )
+    return Points(*map(add, grads, part, _locate(index, corner)))
 
 
 def _count_tiles(shape):
@@ -165,10 +164,8 @@ def _count_tiles(shape):
 
 def _list_corners(shape):
     """First row and column of each tile, [T, 2] int32."""
-    down, across = _count_tiles(shape)
-    rows, cols = jnp.meshgrid(
-        jnp.arange(down) * SIDE, jnp.arange(across) * SIDE, indexing="ij"
-    )
+    firsts = (jnp.arange(count) * SIDE for count in _count_tiles(shape))
+    rows, cols = jnp.meshgrid(*firsts, indexing="ij")
     return jnp.stack([rows.ravel(), cols.ravel()], axis=-1)
 
 
@@ -193,25 +190,23 @@ def _split_tiles(volume, shape):
     )
 
 
-def find_gap(centers: jax.Array, first: jax.Array) -> jax.Array:
-    """Distance along an axis of points [N] from a tile's cells; 0 for those inside."""
-    last = first + SIDE - 1
-    return jnp.maximum(jnp.maximum(first - centers, centers - last), 0)
+def find_gaps(centers: jax.Array, corner: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Distances [N] of points from a tile's rows and columns; 0 for those inside."""
+
+    def find_gap(axis):
+        place, first = centers[:, axis], corner[axis]
+        last = first + SIDE - 1
+        return jnp.maximum(jnp.maximum(first - place, place - last), 0)
+
+    return find_gap(0), find_gap(1)
 
 
 def find_points(reaches: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """List the points that reach a tile.
+    """Indices of the points [N] that reach a tile, then N up to [N]; their number.
 
     As `jnp.nonzero` with a fixed size, in a quarter of its time on a CPU: the running
     count is taken block by block, as a product with a triangle of ones. Counts that
     small are exact in every precision.
-
-    Args:
-      reaches: [N] bool.
-
-    Returns:
-      ([N] int32, the indices of those points and then N in the free places; how many
-      they are).
     """
     count = len(reaches)
     blocks = jnp.pad(reaches, (0, -count % _BLOCK)).reshape(-1, _BLOCK)
@@ -223,14 +218,3 @@ def find_points(reaches: jax.Array) -> tuple[jax.Array, jax.Array]:
     order = jnp.full(count, count, jnp.int32)
     order = order.at[jnp.where(reaches, ranks - 1, count)].set(index, mode="drop")
     return order, jnp.sum(sizes)
-
-
-def _count_chunks(count, chunk):
-    return (count + chunk - 1) // chunk
-
-
-def _take_index(order, count, i, chunk):
-    """Indices of the i-th chunk of a tile's points; N in its free places."""
-    place = i * chunk + jnp.arange(chunk)
-    total = order.shape[0]
-    return jnp.where(place < count, order[jnp.minimum(place, total - 1)], total)
