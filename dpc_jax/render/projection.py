@@ -47,7 +47,7 @@ def project(
     background_depth: chex.Numeric = 10.0,
     background_color: chex.Numeric = 1.0,
 ) -> Projection:
-    """Render one point cloud from one pose.
+    """Render one point cloud from one camera pose.
 
     Differentiable (in reverse mode) with respect to every array: points, rotation,
     sigma, scale, covariance, colors, translation, focal length, distance, background
@@ -63,7 +63,7 @@ def project(
       covariance: [N, 3, 3], of each point in the object frame, in voxels², where a
         voxel is extent / rows long. It turns with the object and perspective zooms it
         (`move_covariance` says what is approximated); sigma, in contrast, is in the
-        grid. The symmetric part counts.
+        grid. Only the symmetric part is used.
       colors: [N, C], needed for the signal "color"; any number of channels.
       translation: [3], object to camera, after the rotation.
       camera: focal length, distance and kind of projection.
@@ -75,7 +75,7 @@ def project(
         "gaussian" for a sigma per point or a covariance; static.
       ray_rule: the silhouette of a ray, static: "termination" (1 - Π(1 - o), the
         paper's) or "maximum" (of its occupancies: Perspective Transformer Nets; equal
-        maxima share the gradient). Depth and colour always end rays.
+        maxima share the gradient). Depth and colour always take Eq. 4.
       background_depth, background_color: () depth and () or [C] colour of a ray that
         hits nothing; the defaults are the released code's.
 
@@ -106,7 +106,7 @@ def project_signals(
     """Eq. 5 of the paper: p = Σ_k r_k·y_k along each ray, the background included.
 
     y_k is 1 for a silhouette (0 in the background), the depth z_k, or a colour; the
-    background has a depth and a colour. Arguments as of `project`.
+    background has a depth and a colour. Arguments as in `project`.
     """
     background_depth, background_color = background
     occupancy = volume.occupancy
@@ -122,7 +122,7 @@ def project_signals(
 
     rays = termination.end_rays(occupancy)
     if "depth" in signals:
-        # Float32 throughout, also where a GPU would round to TF32.
+        # In the points' dtype, also where a GPU would round float32 to TF32.
         images["depth"] = jnp.matmul(
             rays.ends, grid.depths(camera, dtype), precision="highest"
         ) + rays.background * jnp.asarray(background_depth, dtype)
@@ -145,9 +145,9 @@ def voxelize(
     grid: VoxelGrid = VoxelGrid(64),
     method: str = "auto",
 ) -> jax.Array:
-    """Occupancies [rows, cols, depth] in [0, 1] in which the rays of `project` end.
+    """The occupancy grid [rows, cols, depth], in [0, 1], that `project` traces.
 
-    Arguments and errors as of `project`. Ray-consistency losses (DRC) compare the
+    Arguments and errors as in `project`. Ray-consistency losses (DRC) compare the
     `termination_probabilities` of the result.
     """
     points = arguments.convert_points(points)

@@ -1,7 +1,8 @@
 """Occlusion along a ray: where each ray ends (Eq. 4).
 
-Products are computed as products, not as sums of logarithms. So a full cell is exactly
-full and an empty ray exactly empty, and both have the right gradient.
+Products are computed as products, not as sums of logarithms. So the transmittance is
+exactly zero behind an occupancy of one and exactly one along an empty ray, and both have
+the right gradient.
 """
 
 from typing import NamedTuple
@@ -15,16 +16,16 @@ from dpc_jax.render import checks
 def opacity(occupancy: jax.Array) -> jax.Array:
     """Probability that a ray ends in some cell, 1 - Π(1 - o_u).
 
-    This is the silhouette, the sum of Eq. 5 over all cells but the background, without
-    its terms. Built as a tree of unions 1 - (1 - a)(1 - b) = a + b(1 - a): with terms
-    >= 0 nothing cancels, and a ray of occupancies 1e-9 keeps its digits in float32.
+    This is the silhouette: Eq. 5 with y = 1 in the volume and 0 behind it, in closed
+    form. Built as a tree of unions 1 - (1 - a)(1 - b) = a + b(1 - a): with terms
+    >= 0 nothing cancels, and a ray of occupancies 1e-9 is accurate in float32.
 
     Args:
       occupancy: [..., D] in [0, 1], nearest cell first.
 
     Returns:
-      [...] in [0, 1]. The gradient with respect to o_k is Π_{u≠k}(1 - o_u), also where
-      cells are exactly 0 or 1. Second derivatives are right where no cell is exactly 1.
+      [...] in [0, 1]. The gradient with respect to o_k is Π_{u≠k}(1 - o_u), even where
+      cells are exactly 0 or 1. Second derivatives are correct where no cell is exactly 1.
 
     Raises:
       ValueError: for rays without cells, or another dtype.

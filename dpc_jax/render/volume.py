@@ -13,7 +13,7 @@ from dpc_jax.render.exact import covariances, gaussians
 
 
 class Scene(NamedTuple):
-    """Points in the grid, with everything that their densities depend on."""
+    """Points in the grid, with all parameters of their densities."""
 
     coordinates: jax.Array  # [N, 3] continuous (row, col, depth) index
     mass: jax.Array  # [N] in voxels, zero for a point outside
@@ -29,8 +29,8 @@ class Volume(NamedTuple):
     # [rows, cols, depth] in [0, 1], the o of Eq. 3, nearest cell first.
     occupancy: jax.Array
     # From the probability t_k of reaching each cell, [rows, cols, depth], to
-    # Σ_k t_k·o_k·y_k of each ray, [rows, cols, C]. Being a function, it can fill one
-    # channel of the colours y at a time instead of keeping a volume for each.
+    # Σ_k t_k·o_k·y_k of each ray, [rows, cols, C]. A function, so that it can take
+    # one channel of the colours y at a time instead of keeping a volume for each.
     sum_colors: Callable[[jax.Array], jax.Array] | None = None
 
 
@@ -58,7 +58,7 @@ def place_points(
     coordinates, is_inside = to_grid(moved, camera=camera, grid=grid)
     if covariance is not None:
         matrix = quaternion.to_matrix(rotation) if rotation.shape == (4,) else rotation
-        # A point outside may lie in the camera plane, where perspective has no slope.
+        # A point outside may lie in the camera plane: perspective has no derivative.
         x, y, _ = jnp.where(is_inside[:, None], moved.centered, 0).T
         safe = jnp.stack([x, y, jnp.where(is_inside, moved.ahead, 1)], axis=-1)
         covariance = covariances.move_covariance(
@@ -94,8 +94,8 @@ def fill_volume(
 def clip_unit(density: jax.Array) -> jax.Array:
     """Clip the summed densities to [0, 1] (part of Eq. 3).
 
-    The derivative at both kinks is one, that of the inner side: most cells are exactly
-    0 and must be able to fill.
+    The derivative at both kinks is one, the one-sided derivative from inside: most
+    cells are exactly 0 and have to receive a gradient.
     """
     return jnp.clip(density, 0, 1)
 
@@ -126,7 +126,7 @@ def _sum_trilinear(scene, colors, shape):
 
 
 def _sum_exact(scene, colors, shape):
-    """Σ f_i by the basic method; returns as `_sum_trilinear`."""
+    """Σ f_i by the basic method; same result as `_sum_trilinear`."""
     values = scene.mass[:, None]
     if colors is not None:
         values = jnp.concatenate([values, values * colors], axis=1)
