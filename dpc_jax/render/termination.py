@@ -1,7 +1,7 @@
 """Occlusion along a ray: where each ray ends (Eq. 4).
 
 Products are computed as products, not as sums of logarithms. So the transmittance is
-exactly zero behind an occupancy of one and exactly one along an empty ray, and both have
+exactly zero behind an occupancy of one, exactly one along an empty ray, and both have
 the right gradient.
 """
 
@@ -25,7 +25,7 @@ def opacity(occupancy: jax.Array) -> jax.Array:
 
     Returns:
       [...] in [0, 1]. The gradient with respect to o_k is Π_{u≠k}(1 - o_u), even where
-      cells are exactly 0 or 1. Second derivatives are correct where no cell is exactly 1.
+      cells are exactly 0 or 1. Second derivatives are right where no cell is exactly 1.
 
     Raises:
       ValueError: for rays without cells, or another dtype.
