@@ -22,7 +22,7 @@ from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory
 from dpc_jax.run.report import report_run
 from dpc_jax.run.setup import make_data_specs, make_network
-from dpc_jax.run.workdir import claim_workdir
+from dpc_jax.run.workdir import claim_workdir, hold_workdir
 
 
 def run_guarded(config: Config, *, config_path: str, workdir: str | None) -> int:
@@ -49,7 +49,8 @@ def run(config: Config, *, config_path: str, workdir: str | None):
       workdir: folder of the run; runs/NAME-seedN where None.
 
     Raises:
-      ValueError: for a config that cannot work, or a workdir made by another one.
+      ValueError: for a config that cannot work, a workdir made by another one, or one
+        that another process is using.
       OSError: where the workdir cannot be written.
       NonFiniteError: where training breaks.
     """
@@ -59,6 +60,11 @@ def run(config: Config, *, config_path: str, workdir: str | None):
     folder = claim_workdir(Path(workdir or _name_workdir(config, config_path)), config)
     print(f"Workdir: {folder}", flush=True)
 
+    with hold_workdir(folder):
+        _run_in(folder, config)
+
+
+def _run_in(folder, config):
     started = time.monotonic()
     sets = load_sets(config)
     data_seconds = time.monotonic() - started

@@ -1,8 +1,12 @@
 """The folder of a run: the config that it belongs to, and its canonical alignment."""
 
+import contextlib
 import dataclasses
+import fcntl
 import json
 import os
+import socket
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +46,37 @@ def claim_workdir(workdir: Path, config: Config) -> Path:
         _refuse_other(workdir, read_config(workdir), config)
     write_text(path, to_json(config))
     return workdir
+
+
+@contextlib.contextmanager
+def hold_workdir(workdir: Path) -> Iterator[None]:
+    """Keep other commands from training in a workdir for as long as the context lasts.
+
+    The lock is the kernel's: it ends with the process, also after kill -9. File systems
+    that know no locks are used without one.
+
+    Raises:
+      ValueError: where another process holds it, naming that process.
+    """
+    with open(workdir / ".in-use", "a+", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            raise ValueError(
+                f"The workdir {workdir} must be used by one command at a time, but "
+                f"process {file.read() or 'of another machine'} is using it; wait for "
+                "it to end, or give another --workdir=DIR."
+            ) from None
+        except OSError:
+            pass
+        file.truncate(0)
+        file.write(f"{os.getpid()} on {socket.gethostname()}")
+        file.flush()
+        try:
+            yield
+        finally:
+            file.truncate(0)
 
 
 def _refuse_other(workdir, old, new):
