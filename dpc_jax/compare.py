@@ -28,7 +28,7 @@ def read_metrics(workdir: Path) -> dict[str, float]:
     if not path.is_file():
         raise ValueError(
             f"Expected the report of a finished run at {path}, but there is none; "
-            f"train it to the end with python -m dpc_jax.main --workdir={workdir}."
+            "start the command that began the run again, which trains it to the end."
         )
     return json.loads(path.read_text(encoding="utf-8"))
 

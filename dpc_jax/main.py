@@ -27,12 +27,12 @@ def _parse(argv):
         rest = flags.FLAGS(argv)
         if len(rest) > 1:
             raise ValueError(
-                f"Expected only flags, but {' '.join(rest[1:])} came; write "
+                f"Expected only flags, but {' '.join(rest[1:])} was given; write "
                 "for example --config=configs/car.py."
             )
         if _CONFIG.value is None:
             raise ValueError(
-                "Expected a config, but none came; write for example "
+                "Expected a config, but none was given; write for example "
                 "--config=configs/car.py."
             )
         # A config that could not be loaded says so only when it is read.

@@ -58,7 +58,8 @@ def find_losses(points, mass, candidates, target, sigma=SIGMA):
 
 
 @functools.partial(
-    jax.jit, static_argnames=("first_grid", "first_points", "top", "at_once")
+    jax.jit,
+    static_argnames=("choice_grid", "choice_points", "choice_top", "renders_at_once"),
 )
 def compute_choice(arrays, **static):
     return hindsight.choose_candidate(**arrays, sigma=SIGMA, camera=CAMERA, **static)
@@ -78,10 +79,14 @@ def test_the_candidate_of_the_smallest_loss_wins(scene):
     assert choose(scene) == np.argmin(losses)
 
 
-@pytest.mark.parametrize("at_once", [0, 4])
-def test_the_choice_does_not_depend_on_how_many_are_rendered_at_once(scene, at_once):
-    for static in ({}, {"first_grid": 4, "first_points": 10, "top": 2}):
-        assert choose(scene, at_once=at_once, **static) == choose(scene, **static)
+@pytest.mark.parametrize("renders_at_once", [0, 4])
+def test_the_choice_does_not_depend_on_how_many_are_rendered_at_once(
+    scene, renders_at_once
+):
+    for static in ({}, {"choice_grid": 4, "choice_points": 10, "choice_top": 2}):
+        assert choose(scene, renders_at_once=renders_at_once, **static) == choose(
+            scene, **static
+        )
 
 
 def test_permuting_the_candidates_permutes_the_winner(scene):
@@ -104,7 +109,9 @@ def test_of_equal_candidates_the_first_wins(scene):
 
 def test_a_look_at_a_coarse_volume_agrees_with_the_exact_choice_if_all_pass_it(scene):
     for top in (6, 100):
-        assert choose(scene, first_grid=4, first_points=10, top=top) == choose(scene)
+        assert choose(scene, choice_grid=4, choice_points=10, choice_top=top) == choose(
+            scene
+        )
 
 
 @pytest.mark.parametrize("grid, count", [(4, 30), (8, 10), (2, 7)])
@@ -120,18 +127,18 @@ def test_without_an_exact_second_look_the_coarse_comparison_decides(scene, grid,
         sigma=SIGMA * grid / 8,
     )
     found = choose(
-        scene, candidates=jnp.array(near), first_grid=grid, first_points=count
+        scene, candidates=jnp.array(near), choice_grid=grid, choice_points=count
     )
     assert found == np.argmin(coarse)
 
 
 def test_only_the_candidates_that_pass_the_coarse_look_can_win(scene):
-    alone = choose(scene, first_grid=2, first_points=3, top=1)
-    assert alone == choose(scene, first_grid=2, first_points=3, top=0)
+    alone = choose(scene, choice_grid=2, choice_points=3, choice_top=1)
+    assert alone == choose(scene, choice_grid=2, choice_points=3, choice_top=0)
 
 
 def test_more_first_points_than_there_are_means_all_of_them(scene):
-    assert choose(scene, first_points=1000) == choose(scene)
+    assert choose(scene, choice_points=1000) == choose(scene)
 
 
 def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():

@@ -274,10 +274,14 @@ def test_in_unit_mass_the_coefficient_is_the_mass():
     np.testing.assert_array_equal(found, scale)
 
 
-@pytest.mark.parametrize("at_once", [0, 1, 2, 3, 100])
-def test_rendering_some_views_at_a_time_changes_nothing_but_the_order_of_work(at_once):
+@pytest.mark.parametrize("renders_at_once", [0, 1, 2, 3, 100])
+def test_rendering_some_views_at_a_time_changes_nothing_but_the_order_of_work(
+    renders_at_once,
+):
     inputs = (jnp.arange(5.0), {"b": jnp.arange(10.0).reshape(5, 2)})
-    found = map_renders(lambda v: v[0] + v[1]["b"].sum(), inputs, at_once=at_once)
+    found = map_renders(
+        lambda v: v[0] + v[1]["b"].sum(), inputs, renders_at_once=renders_at_once
+    )
     np.testing.assert_array_equal(found, [1.0, 6.0, 11.0, 16.0, 21.0])
 
 

@@ -100,7 +100,7 @@ def test_more_models_in_a_batch_than_usable_meshes_are_refused(
     )
     config.render.update(grid=8, fine_grid=0)
     error = refuse(config, tmp_path / "workdir", capsys)
-    assert "models_per_batch = 4 models was asked for, but 1 can be trained on" in error
+    assert "models_per_batch = 4 models to train on, but there are 1" in error
 
 
 def test_a_workdir_that_is_a_file_is_refused_and_the_file_is_left_alone(
@@ -126,12 +126,19 @@ def test_a_workdir_of_another_config_is_refused_naming_what_differs(
     config, tmp_path, capsys
 ):
     workdir = claim_workdir(tmp_path / "workdir", from_config_dict(config))
+    (workdir / "metrics.jsonl").write_text('{"step": 5, "seconds": 1}\n')
     before = (workdir / "config.json").read_text()
     config.train.steps = 21
     config.pose.candidates = 3
     error = refuse(config, workdir, capsys)
     assert "pose.candidates (2 there, 3 now), train.steps (20 there, 21 now)" in error
     assert (workdir / "config.json").read_text() == before
+
+
+def test_a_start_that_was_refused_leaves_its_workdir_to_a_better_one(config, tmp_path):
+    workdir = claim_workdir(tmp_path / "workdir", from_config_dict(config))
+    config.train.models_per_batch = 1
+    assert claim_workdir(workdir, from_config_dict(config)) == workdir
 
 
 @pytest.mark.parametrize("field", FREE_FIELDS)
@@ -203,7 +210,7 @@ def test_an_unknown_flag_is_refused(parse):
 
 @loads_config
 def test_a_stray_argument_is_refused(parse):
-    assert "Expected only flags, but car came" in parse(DEBUG, "car")
+    assert "Expected only flags, but car was given" in parse(DEBUG, "car")
 
 
 def test_a_missing_config_is_refused(parse):

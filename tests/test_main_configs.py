@@ -94,6 +94,20 @@ def test_variants_that_exclude_each_other_are_refused():
         load("car", "naive,known_pose")
 
 
+@pytest.mark.parametrize(
+    "variant, says",
+    [
+        ("paper,paper", "paper is given twice"),
+        (",", "it has an empty name"),
+        ("paper,", "it has an empty name"),
+        ("64", "it has 64"),
+    ],
+)
+def test_a_variant_is_given_once_and_by_name(variant, says):
+    with pytest.raises(ValueError, match=says):
+        load("car", variant)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_a_config_survives_the_command_line_and_the_workdir(name):
     config = load(name, "paper")
@@ -208,7 +222,7 @@ def test_colour_is_learned_where_its_loss_has_a_weight():
 
 
 def test_an_unknown_variant_is_refused_by_the_names_that_there_are():
-    with pytest.raises(ValueError, match="paper, naive, known_pose.*but it is 'fast'"):
+    with pytest.raises(ValueError, match="paper, naive, known_pose.*but it has fast"):
         load("car", "fast")
 
 

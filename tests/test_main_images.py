@@ -48,6 +48,6 @@ def test_without_poses_known_pose_training_is_refused(tmp_path):
     for i in range(6):
         write_photos(tmp_path / "set" / f"object{i}", views=2, seed=i)
     done = run(tmp_path, f"{ROOT}/configs/debug.py:known_pose")
-    assert done.returncode == 1 and "images come without" in done.stderr
+    assert done.returncode == 1 and "images have none" in done.stderr
     done = run(tmp_path, f"{ROOT}/configs/debug.py")
     assert done.returncode == 1 and "another --workdir" in done.stderr

@@ -174,8 +174,8 @@ def test_weights_of_many_points_have_the_derivative_of_each_alone(dtype):
         pairs = np.meshgrid(centers, sigma, indexing="ij")
         inputs = [jnp.asarray(a).astype(dtype) for a in map(np.ravel, pairs)]
         inputs.append(jnp.asarray(weights.reshape(-1, size)).astype(dtype))
-        at_once = functools.partial(kernels.sample_axis, size=size)
-        found = differentiate(at_once, *inputs)
+        renders_at_once = functools.partial(kernels.sample_axis, size=size)
+        found = differentiate(renders_at_once, *inputs)
         wide = [a.astype("float64") for a in inputs]
         expected = differentiate(jax.vmap(sample_each), *wide)
         found, expected = ([np.asarray(a, "f8") for a in b] for b in (found, expected))

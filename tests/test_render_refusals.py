@@ -180,10 +180,10 @@ def choose(**changes):
         ),
         (lambda: choose(candidates=np.ones((0, 4), "f4")), "one candidate.*0 cand"),
         (lambda: choose(target=np.zeros((8, 4), "f4")), r"square.*\[8, 4\]"),
-        (lambda: choose(first_grid=3), "first_grid.*8.*3"),
-        (lambda: choose(first_points=-1), "first_points.*-1"),
+        (lambda: choose(choice_grid=3), "choice_grid.*8.*3"),
+        (lambda: choose(choice_points=-1), "choice_points.*-1"),
         (lambda: choose(top=1.5), "top.*1.5"),
-        (lambda: choose(at_once=True), "at_once.*True"),
+        (lambda: choose(renders_at_once=True), "renders_at_once.*True"),
     ],
 )
 def test_every_public_function_refuses_what_it_can_see_is_wrong(call, words):

@@ -1,4 +1,4 @@
-"""Floor 0: the settings of a run, each stated once.
+"""The settings of a run, each stated once.
 
 `sections` has every field with its default, unit and allowed values; `variants` the
 paper's values and others; `face` turns them into the `ml_collections` config that the
@@ -10,6 +10,8 @@ from dpc_jax.config.face import from_config_dict as from_config_dict
 from dpc_jax.config.face import from_json as from_json
 from dpc_jax.config.face import to_config_dict as to_config_dict
 from dpc_jax.config.face import to_json as to_json
+from dpc_jax.config.sections import CROPS as CROPS
+from dpc_jax.config.sections import FRONTS as FRONTS
 from dpc_jax.config.sections import Config as Config
 from dpc_jax.config.sections import Data as Data
 from dpc_jax.config.sections import Log as Log

@@ -49,7 +49,7 @@ def _read(kind: type, values: Any, name: str) -> Any:
     if unknown := sorted(set(values) - set(fields)):
         raise ValueError(
             f"{name} must have no other fields than {', '.join(fields)}, but it has "
-            f"{', '.join(unknown)}; remove them."
+            f"{', '.join(unknown)}; remove {'it' if len(unknown) == 1 else 'them'}."
         )
     read = {}
     for field, value in values.items():

@@ -12,7 +12,7 @@ class Allowed(NamedTuple):
 
     Attributes:
       holds: whether a value is one of them.
-      text: what they are, to follow "must be".
+      text: a description that completes "must be …".
     """
 
     holds: Callable[[Any], bool]

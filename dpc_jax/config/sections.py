@@ -20,6 +20,8 @@ from dpc_jax.config.fields import (
     one_of,
 )
 
+CROPS = ("object", "view", "none")  # what shares one scale
+FRONTS = ("", "+x", "-x", "+z", "-z")
 _IMAGE_SIZE = Allowed(
     lambda size: size >= 16 and size & (size - 1) == 0,
     "a power of two of at least 16 pixels, because the encoder halves it down to 4",
@@ -39,9 +41,9 @@ class Data:
     test_meshes: str = field("", FOLDER)  # to test on; "": a part of the same source
     own_test: float = field(0.0, between(0, 0.5))  # share of the source tested apart
     split_file: str = field("", FILE)  # official ShapeNet split; "": found in folder
-    shapenet_front: str = field("", one_of("", "+x", "-x", "+z", "-z"))  # models face
+    shapenet_front: str = field("", one_of(*FRONTS))  # models face
     ground_truth: str = field("", FOLDER)  # of MODEL.mat for the renders; "": found
-    crop: str = field("object", one_of("object", "view", "none"))  # share one scale
+    crop: str = field("object", one_of(*CROPS))  # share one scale
     fill: float = field(0.85, between(0.1, 1))  # share of the frame that images fill
     models: int = field(1000, at_least(1))  # procedural models to train on
     val_models: int = field(40, at_least(1))  # to validate on (20 of them align)

@@ -15,8 +15,8 @@ from dpc_jax.config.sections import Config
 
 Changes = Mapping[str, Mapping[str, Any]]  # section: {field: value}
 
-# Variants are applied in this order, whatever the order they are
-# asked for in.
+# Variants are applied in this order, whatever order they are
+# given in.
 VARIANTS: dict[str, Changes] = {
     # § Training details and § Network architecture, at 64 pixels.
     "paper": {
@@ -111,12 +111,16 @@ def replace_fields(config: Config, changes: Changes) -> Config:
 def _split(variant: str) -> list[str]:
     """Names of variants in the order that they are applied in."""
     asked = [name.strip() for name in variant.split(",")] if variant else []
-    unknown = [name for name in asked if name not in VARIANTS]
+    unknown = [name or "an empty name" for name in asked if name not in VARIANTS]
     if unknown:
         raise ValueError(
             f"The variant after the colon of --config must be one of "
-            f"{', '.join(VARIANTS)}, or several with commas between, but it is "
-            f"{unknown[0]!r}; write for example configs/car.py:paper,known_pose."
+            f"{', '.join(VARIANTS)}, or several with commas between, but it has "
+            f"{unknown[0]}; write for example configs/car.py:paper,known_pose."
+        )
+    if twice := sorted({name for name in asked if asked.count(name) > 1}):
+        raise ValueError(
+            f"Expected each variant once, but {twice[0]} is given twice; remove one."
         )
     for pair in EXCLUSIVE:
         if pair <= set(asked):

@@ -2,7 +2,7 @@
 
 
 class Damage(ValueError):
-    """A phrase on what is wrong, for the error that names the file and says what to do.
+    """A phrase saying what is wrong, for the error that names the file.
 
     It never reaches the user by itself.
     """

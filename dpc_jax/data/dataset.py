@@ -25,7 +25,7 @@ from dpc_jax.data.spec import DataSpec as DataSpec
 
 SHOWN = 20  # skipped models that are printed
 VERSION = 3  # raise it when rendering, the procedural shapes or the shards change
-PLACES = ("folder", "split_file", "ground_truth")  # do not determine the bytes
+PLACES = ("folder", "split_file", "ground_truth")  # fields that do not affect the bytes
 ARRAYS = ("images", "masks", "depths", "quaternions", "surfaces")
 RECORD = "spec.json"  # the file that finishes a cache
 

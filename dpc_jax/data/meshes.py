@@ -156,16 +156,16 @@ def _face_colors(part):
 
 
 def scale_randomly(
-    mesh: trimesh.Trimesh, *, seed: int | Sequence[int], amount: float = 0.15
+    mesh: trimesh.Trimesh, *, seed: int | Sequence[int], stretch: float
 ) -> trimesh.Trimesh:
-    """Copy of a mesh, each axis stretched by a factor in [1 - amount, 1 + amount].
+    """Copy of a mesh, each axis stretched by a factor in [1 - stretch, 1 + stretch].
 
     An augmentation for small sets of files: proportions vary, the category stays.
     """
-    if not 0 <= amount < 1:
+    if not 0 <= stretch < 1:
         raise ValueError(
-            f"amount must be in [0, 1) for positive factors, but it is {amount}; use "
+            f"stretch must be in [0, 1) for positive factors, but it is {stretch}; use "
             "0.15."
         )
-    factors = np.random.default_rng(seed).uniform(1 - amount, 1 + amount, 3)
+    factors = np.random.default_rng(seed).uniform(1 - stretch, 1 + stretch, 3)
     return replace_vertices(mesh, np.asarray(mesh.vertices, dtype=np.float64) * factors)

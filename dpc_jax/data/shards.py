@@ -95,7 +95,7 @@ def _map_array(mapping, member):
 
 
 class Pages:
-    """Gives mapped pages back once enough was read, so that memory stays small.
+    """Releases mapped pages after enough has been read, so that memory stays small.
 
     The system would keep them as long as it has room, and would count a process that
     has read 3 GB as 3 GB larger. A page that is wanted again comes from the file cache.

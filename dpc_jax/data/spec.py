@@ -2,6 +2,7 @@
 
 import dataclasses
 
+from dpc_jax.config import CROPS, FRONTS, Data, Render
 from dpc_jax.data.splits import SPLITS
 
 KINDS = {  # of folders, and the class that reads each, in `dpc_jax.data.sets`
@@ -11,8 +12,6 @@ KINDS = {  # of folders, and the class that reads each, in `dpc_jax.data.sets`
     "meshes": "mesh_folder.MeshFolder",
     "images": "image_folder.ImageFolder",
 }
-CROPS = ("object", "view", "none")
-FRONTS = ("", "+x", "-x", "+z", "-z")
 SEEDS_PER_SPLIT = 1_000_000
 
 
@@ -31,25 +30,33 @@ class DataSpec:
     split: str = "train"  # "train", "val" or "test"
     fractions: tuple = (0.8, 0.1, 0.1)  # of a folder's files; (0, 0, 1): all to test
     models: int | None = None  # how many; None: all files of the folder's split
-    copies: int = 1  # per file; the first is the original, the others are stretched
-    stretch: float = 0.15  # of the stretched copies
-    seed: int = 0  # of the split, the shapes, the views and the lights
-    views: int = 5  # per model (paper, section Experiments)
+    copies: int = (
+        Data.copies
+    )  # per file; the first is the original, the others are stretched
+    stretch: float = Data.stretch  # of the stretched copies
+    seed: int = Data.seed  # of the split, the shapes, the views and the lights
+    views: int = Data.views  # per model (paper, section Experiments)
     elevation: tuple = (-20.0, 40.0)  # degrees, uniform; azimuth is uniform in 360
-    image_size: int = 64  # pixels
-    focal_length: float = 1.875
-    distance: float = 2.0  # camera to object, in box diagonals
+    image_size: int = Data.image_size  # pixels
+    focal_length: float = Render.focal_length
+    distance: float = Render.distance  # camera to object, in box diagonals
     extent: float = 1.0  # of the image plane
     supersample: int = 4  # rays per pixel along each axis
-    surface_points: int = 10_000  # ground truth per model, before thinning
-    surface_voxel: float = 0.0  # one point is kept per voxel of this side; 0 for all
-    surface_visible: bool = False  # only points that can be seen from outside
+    surface_points: int = Data.surface_points  # ground truth per model, before thinning
+    surface_voxel: float = (
+        Data.surface_voxel
+    )  # one point is kept per voxel of this side; 0 for all
+    surface_visible: bool = (
+        Data.surface_visible
+    )  # only points that can be seen from outside
     kind: str = "meshes"  # of the folder, one of `KINDS`
     split_file: str | None = None  # official split; None: looked for in the folder
-    shapenet_front: str = ""  # axis that the models face; "": as the version says
+    shapenet_front: str = (
+        Data.shapenet_front
+    )  # axis that the models face; "": as the version says
     ground_truth: str | None = None  # folder of the published ground truth
-    crop: str = "object"  # of own images: one scale per "object", "view", or "none"
-    fill: float = 0.85  # share of the frame that an own image's object takes
+    crop: str = Data.crop  # of own images: one scale per "object", "view", or "none"
+    fill: float = Data.fill  # share of the frame that an own image's object takes
 
     def __post_init__(self):
         allowed = {"split": SPLITS, "kind": KINDS, "crop": CROPS}

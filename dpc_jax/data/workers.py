@@ -164,7 +164,7 @@ def _start_workers(folder, count):
                     stdout=writer,
                     stderr=logs[-1],
                     env={**os.environ, **threads},
-                    start_new_session=True,  # Ctrl-C reaches us; we end them
+                    start_new_session=True,  # we handle Ctrl-C and stop them
                     text=True,
                 )
                 stack.callback(_end, worker)

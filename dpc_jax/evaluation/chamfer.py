@@ -61,7 +61,7 @@ def chamfer_distance(
 
 
 def check_points(points: ArrayLike, *, name: str) -> np.ndarray:
-    """The points [N, 3] in float64; ValueError if none came or one is not finite."""
+    """The points [N, 3] in float64; ValueError for none, or one that is not finite."""
     array = np.asarray(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3 or len(array) == 0:
         raise ValueError(

@@ -44,7 +44,7 @@ def best_rotation(
 
     Weighted least squares without translation (Kabsch): both frames share their origin,
     the centre of the box. A reflection is never returned. Where the points lie on one
-    line any turn about it is as good, and one of them comes.
+    line any turn about it is as good, and one of them is returned.
     """
     with warnings.catch_warnings():
         # scipy warns of points on a line, as a collapsed network predicts them.

@@ -20,9 +20,9 @@ def compute_coarse_losses(
     *,
     sigma: jax.Array,
     camera: Camera,
-    first_grid: int,
-    first_points: int,
-    at_once: int,
+    choice_grid: int,
+    choice_points: int,
+    renders_at_once: int,
 ) -> jax.Array:
     """Loss [C] of each candidate in a coarser volume and with fewer points.
 
@@ -32,13 +32,13 @@ def compute_coarse_losses(
       ValueError: where the coarser volume does not divide the target.
     """
     side = target.shape[0]
-    if first_grid and side % first_grid:
+    if choice_grid and side % choice_grid:
         raise ValueError(
-            f"first_grid must divide the target's side {side}, but it is {first_grid}; "
-            "give for example half of the side."
+            f"choice_grid must divide the target's side {side}, but it is "
+            f"{choice_grid}; give for example half of the side."
         )
-    coarse_side = first_grid or side
-    count = min(first_points or points.shape[0], points.shape[0])
+    coarse_side = choice_grid or side
+    count = min(choice_points or points.shape[0], points.shape[0])
     ratio = coarse_side / side
     factor = side // coarse_side
     # Fewer points carry the mass of all.
@@ -52,5 +52,5 @@ def compute_coarse_losses(
         jnp.mean(blocks, axis=(1, 3)),
         sigma=coarse_sigma,
         camera=camera,
-        at_once=at_once,
+        renders_at_once=renders_at_once,
     )

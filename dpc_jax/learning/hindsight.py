@@ -37,26 +37,26 @@ def choose_candidate(
     *,
     sigma: jax.Array,
     camera: Camera,
-    first_grid: int = 0,
-    first_points: int = 0,
-    top: int = 0,
-    at_once: int = 1,
+    choice_grid: int = 0,
+    choice_points: int = 0,
+    choice_top: int = 0,
+    renders_at_once: int = 1,
 ) -> jax.Array:
     """Eq. 2 for one view: index of the candidate with the smallest loss; ().
 
-    By default the exact minimum. With `first_grid` or `first_points`, candidates are
-    ranked in a coarser volume and with fewer points, then the best `top` are compared
-    at full resolution; with top 0 the coarse winner stands.
+    By default the exact minimum. With `choice_grid` or `choice_points`, candidates are
+    ranked in a coarser volume and with fewer points, then the best `choice_top` are
+    compared at full resolution; with 0 the coarse winner stands.
 
     Args:
       points: [N, 3]. mass: () of each point, in voxels of the target's grid.
       candidates: [C, 4] quaternions.
       target: [D, D] silhouette.
       sigma: (), in voxels of the target's grid. camera: see `project`.
-      first_grid: side of the coarser volume, a divisor of D; 0 for D.
-      first_points: largest number of points of the first comparison; 0 for all.
-      top: how many candidates are then compared at full resolution.
-      at_once: how many are rendered side by side: 1 on a CPU, 0 (all) on a GPU.
+      choice_grid: side of the coarser volume, a divisor of D; 0 for D.
+      choice_points: largest number of points of the first comparison; 0 for all.
+      choice_top: how many candidates are then compared at full resolution.
+      renders_at_once: how many are rendered side by side: 1 on a CPU, 0 (all) on a GPU.
 
     Raises:
       ValueError: for a wrong shape, dtype or number.
@@ -65,8 +65,12 @@ def choose_candidate(
     candidates = checks.check_array("candidates", candidates, (None, 4))
     target = checks.check_array("target", target, (None, None))
     side = target.shape[0]
-    counts = {"first_grid": first_grid, "first_points": first_points, "top": top}
-    for name, count in (counts | {"at_once": at_once}).items():
+    counts = {
+        "choice_grid": choice_grid,
+        "choice_points": choice_points,
+        "choice_top": choice_top,
+    }
+    for name, count in (counts | {"renders_at_once": renders_at_once}).items():
         checks.check_count(name, count)
     if not (len(points) and len(candidates) and side and target.shape == (side, side)):
         raise ValueError(
@@ -74,9 +78,9 @@ def choose_candidate(
             f"target, but it got {len(points)} points, {len(candidates)} candidates "
             f"and a target of shape {list(target.shape)}; give at least one of each."
         )
-    view = {"sigma": sigma, "camera": camera, "at_once": at_once}
-    has_all_points = min(first_points or len(points), len(points)) == len(points)
-    if first_grid in (0, side) and has_all_points:
+    view = {"sigma": sigma, "camera": camera, "renders_at_once": renders_at_once}
+    has_all_points = min(choice_points or len(points), len(points)) == len(points)
+    if choice_grid in (0, side) and has_all_points:
         return jnp.argmin(
             compute_candidate_losses(points, mass, candidates, target, **view)
         )
@@ -85,13 +89,13 @@ def choose_candidate(
         mass,
         candidates,
         target,
-        first_grid=first_grid,
-        first_points=first_points,
+        choice_grid=choice_grid,
+        choice_points=choice_points,
         **view,
     )
-    if top == 0:
+    if choice_top == 0:
         return jnp.argmin(coarse)
-    _, best = jax.lax.top_k(-coarse, min(top, len(candidates)))
+    _, best = jax.lax.top_k(-coarse, min(choice_top, len(candidates)))
     losses = compute_candidate_losses(points, mass, candidates[best], target, **view)
     return best[jnp.argmin(losses)]
 
@@ -129,10 +133,10 @@ def choose_poses(
             target,
             sigma=jax.lax.stop_gradient(shapes.sigma),
             camera=camera,
-            first_grid=pose.choice_grid,
-            first_points=pose.choice_points,
-            top=pose.choice_top,
-            at_once=render.renders_at_once,
+            choice_grid=pose.choice_grid,
+            choice_points=pose.choice_points,
+            choice_top=pose.choice_top,
+            renders_at_once=render.renders_at_once,
         )
 
     targets = downsample_images(masks, render.grid)
@@ -143,7 +147,7 @@ def choose_poses(
         targets.reshape(batch_size * views, *targets.shape[2:]),
     )
     indices = map_renders(
-        choose, jax.lax.stop_gradient(inputs), at_once=render.renders_at_once
+        choose, jax.lax.stop_gradient(inputs), renders_at_once=render.renders_at_once
     ).reshape(batch_size, views)
     poses = jnp.take_along_axis(candidates, indices[..., None, None], axis=2)[:, :, 0]
     return Winners(poses, indices)

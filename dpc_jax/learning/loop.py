@@ -47,7 +47,7 @@ def train(
     what a run without a break sees.
 
     Args:
-      state: the first state; its memory is given up.
+      state: the first state; its buffers are donated.
       dataset: training views.
       network, config: what is learned, and how; `config.log` says how often log,
         validation and checkpoints are due. The last step has all three.

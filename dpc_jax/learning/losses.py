@@ -73,7 +73,7 @@ def repulsion_energy(points: jax.Array, *, softening: float = 0.02) -> jax.Array
     square = jnp.sum((away / unit[..., None]) ** 2, axis=-1) + (softening / unit) ** 2
     energy = 1 / jnp.sqrt(square) / unit / 8
     # The energy of a point with itself, 1/softening, is left out of the sum and not
-    # subtracted from it: it would drown that of points far apart.
+    # subtracted from it: that would lose the small energies of distant points.
     is_pair = ~jnp.eye(count, dtype=bool)
     return jnp.sum(jnp.where(is_pair, energy, 0)) / (count * (count - 1))
 

@@ -141,7 +141,7 @@ def render_winners(
         (shapes.kept, mass, shapes.colors),
     )
     inputs = (points, masses, rotations.reshape(-1, 4), colors)
-    return map_renders(render_view, inputs, at_once=render.renders_at_once)
+    return map_renders(render_view, inputs, renders_at_once=render.renders_at_once)
 
 
 def compare_views(

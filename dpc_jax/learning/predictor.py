@@ -27,7 +27,7 @@ class Predictions(NamedTuple):
       colors: [M, V, N, 3], or None.
       poses: [M, V, 4], the student's quaternion; the given one where poses are known.
       candidate_poses: [M, V, 4], the candidate, turned or not, that fits the view best.
-      winners: [M, V] its index; turned or not, it is head index % K's.
+      winners: [M, V] its index; of head index % K, whether turned or not.
       silhouettes: [M, V, D, D], the shape seen from the student's pose.
     """
 
@@ -60,7 +60,7 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
         silhouettes, winners = map_renders(
             lambda view: explain_view(*view, sigma=sigma, config=config),
             (output["points"], mass, students, candidates, targets),
-            at_once=render.renders_at_once,
+            renders_at_once=render.renders_at_once,
         )
         result = {
             "points": output["points"],
@@ -117,7 +117,7 @@ def explain_view(
             target,
             sigma=sigma,
             camera=camera,
-            at_once=render.renders_at_once,
+            renders_at_once=render.renders_at_once,
         )
     return image.silhouette, winner
 

@@ -35,7 +35,7 @@ class ProgressReport:
             self._bar.stop()
 
     def advance(self, step: int):
-        """Move the bar; plain output has nothing to move."""
+        """Move the bar; plain output has no bar."""
         if self._bar is not None:
             self._bar.update(self._task, completed=step)
 

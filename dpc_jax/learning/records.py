@@ -32,7 +32,7 @@ class Stopwatch:
 
     @contextlib.contextmanager
     def paused(self) -> Iterator[None]:
-        """Stand still for as long as the context lasts."""
+        """Pause the clock inside the context."""
         before = time.monotonic()
         try:
             yield
@@ -78,7 +78,7 @@ class Window:
             check_finite(self._metrics[-1], self._step + len(self._metrics) - 1)
 
     def close(self, seconds: float) -> dict:
-        """The record of the window, which begins anew.
+        """The record of the window; a new window starts.
 
         Args:
           seconds: of training until now.

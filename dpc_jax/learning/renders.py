@@ -10,16 +10,16 @@ from dpc_jax.learning.losses import reprojection_loss
 from dpc_jax.render import Camera, VoxelGrid, project
 
 
-def map_renders(function: Callable, inputs: Any, *, at_once: int) -> Any:
-    """`vmap` over the leading axis, `at_once` entries at a time (0: all).
+def map_renders(function: Callable, inputs: Any, *, renders_at_once: int) -> Any:
+    """`vmap` over the leading axis, `renders_at_once` entries at a time (0: all).
 
     One volume at a time stays in a CPU's cache; a GPU wants all at once.
     """
-    if at_once == 0:
+    if renders_at_once == 0:
         return jax.vmap(function)(inputs)
-    if at_once == 1:
+    if renders_at_once == 1:
         return jax.lax.map(function, inputs)
-    return jax.lax.map(function, inputs, batch_size=at_once)
+    return jax.lax.map(function, inputs, batch_size=renders_at_once)
 
 
 def compute_candidate_losses(
@@ -30,7 +30,7 @@ def compute_candidate_losses(
     *,
     sigma: chex.Numeric,
     camera: Camera,
-    at_once: int = 1,
+    renders_at_once: int = 1,
 ) -> jax.Array:
     """Reprojection loss of each pose candidate of one view.
 
@@ -39,7 +39,7 @@ def compute_candidate_losses(
       candidates: [C, 4] quaternions.
       target: [D, D] silhouette.
       sigma: (), in voxels.
-      at_once: how many candidates are rendered side by side, see `map_renders`.
+      renders_at_once: how many candidates are rendered side by side, see `map_renders`.
 
     Returns:
       [C].
@@ -53,4 +53,4 @@ def compute_candidate_losses(
         assert image.silhouette is not None
         return reprojection_loss(image.silhouette, target)
 
-    return map_renders(compute_loss, candidates, at_once=at_once)
+    return map_renders(compute_loss, candidates, renders_at_once=renders_at_once)

@@ -18,6 +18,7 @@ import numpy as np
 from dpc_jax.data import batches, dataset, workers
 from dpc_jax.data.sources import open_source
 from dpc_jax.data.spec import DataSpec
+from dpc_jax.reporting.tables import format_table
 
 
 def _measure(spec, *, cache_dir, processes=None):
@@ -109,9 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(f"Error: {error}", file=sys.stderr)
         return 1
-    print("\n| measured | value |\n| --- | ---: |")
-    for what, value in rows:
-        print(f"| {what} | {value} |")
+    print("\n" + format_table(("measured", "value"), rows, align="lr"), end="")
     return 0
 
 

@@ -16,15 +16,14 @@ import numpy as np
 import trimesh
 
 from dpc_jax.data import viewpoints, views
+from dpc_jax.reporting.tables import format_table
 from dpc_jax.shapes import procedural
 from dpc_jax.shapes.normalization import face_colors
 
 REFERENCE = 16  # rays per pixel and axis that rims are compared with
 COMPARED = 8  # views that they are compared in
-HEAD = (
-    "| shape | faces | rays per pixel | views/s | lowest–highest | by the clock | "
-    "error of rims |\n| --- | ---: | ---: | ---: | ---: | ---: | ---: |"
-)
+HEADS = ("shape", "faces", "rays per pixel", "views/s", "lowest–highest")
+HEADS = (*HEADS, "by the clock", "error of rims")
 
 
 def _divide_faces(mesh, *, faces):
@@ -95,10 +94,13 @@ def _make_rows(flags):
             count, rounds = max(1, flags.views), max(1, flags.rounds)
             busy, passed = _measure(mesh, count=count, rounds=rounds, **size)
             yield (
-                f"| {category} | {len(mesh.faces):,} | {side}² | "
-                f"{statistics.median(busy):.0f} | {min(busy):.0f}–{max(busy):.0f} "
-                f"| {statistics.median(passed):.0f} | "
-                f"{_measure_rims(mesh, **size):.3f} |"
+                category,
+                f"{len(mesh.faces):,}",
+                f"{side}²",
+                f"{statistics.median(busy):.0f}",
+                f"{min(busy):.0f}–{max(busy):.0f}",
+                f"{statistics.median(passed):.0f}",
+                f"{_measure_rims(mesh, **size):.3f}",
             )
 
 
@@ -115,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ValueError as error:
         print(f"Error: {error}", file=sys.stderr)
         return 1
-    print("\n".join([HEAD, *rows]))
+    print(format_table(HEADS, rows, align="lrrrrrr"), end="")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Floor 1: the networks of the paper, in flax linen."""
+"""The networks of the paper, in flax linen."""
 
 from dpc_jax.networks.encoder import ImageEncoder as ImageEncoder
 from dpc_jax.networks.model import ShapePoseNetwork as ShapePoseNetwork

@@ -1,4 +1,4 @@
-"""Floor 0: the differentiable projection of point clouds."""
+"""The differentiable projection of point clouds."""
 
 from dpc_jax.render import quaternion as quaternion
 from dpc_jax.render.camera import Camera as Camera

@@ -118,15 +118,15 @@ def load_sets(config: Config) -> dict[str, DataSet]:
     wanted, found = config.train.models_per_batch, len(sets["train"].names)
     if wanted > found:
         raise ValueError(
-            f"A batch of train.models_per_batch = {wanted} models was asked for, but "
-            f"{found} can be trained on; set --config.train.models_per_batch lower or "
-            "add models."
+            f"Expected at least train.models_per_batch = {wanted} models to train on, "
+            f"but there are {found}; set --config.train.models_per_batch lower or add "
+            "models."
         )
     lacking = [name for name, data in sets.items() if data.quaternions is None]
     if config.pose.known and lacking:
         raise ValueError(
-            "Training with known poses was asked for, but the "
-            f"{' and '.join(lacking)} images come without; add poses.json or "
+            "Expected poses for every image, because config.pose.known is set, but the "
+            f"{' and '.join(lacking)} images have none; add poses.json or "
             "transforms.json to every object, or set --config.pose.known=False."
         )
     return sets
@@ -183,7 +183,7 @@ def restore_run(model: Model, checkpoints: Checkpoints, log: MetricLog) -> Resto
 
 
 def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
-    """Train to the last step, or until SIGTERM asks to save and stop.
+    """Train to the last step, or until SIGTERM or Ctrl-C asks to save and stop.
 
     Raises:
       ValueError: if there are checkpoints, yet none can be read.
@@ -192,8 +192,8 @@ def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
     checkpoints = Checkpoints(workdir / "checkpoints")
     start = restore_run(model, checkpoints, log)
     outcome = loop.Outcome(start.state, start.seconds, True)
-    if int(start.state.step) < model.config.train.steps:
-        with _catch_sigterm() as stop:
+    with contextlib.closing(checkpoints), _catch_signals() as stop:
+        if int(start.state.step) < model.config.train.steps:
             outcome = loop.train(
                 start.state,
                 model.sets["train"],
@@ -206,16 +206,32 @@ def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
                 seconds=start.seconds,
                 title=f"Training {workdir.name}",
             )
-    checkpoints.close()
     return outcome
 
 
 @contextlib.contextmanager
-def _catch_sigterm() -> Iterator[threading.Event]:
-    """An event that SIGTERM sets, so that a run saves before it ends."""
-    asked = threading.Event()
-    before = signal.signal(signal.SIGTERM, lambda *_: asked.set())
+def _catch_signals() -> Iterator[threading.Event]:
+    """An event that SIGTERM or Ctrl-C sets, so that a run saves before it ends.
+
+    A second Ctrl-C interrupts at once.
+
+    Raises:
+      KeyboardInterrupt: at the end, where Ctrl-C asked for it.
+    """
+    asked, interrupted = threading.Event(), threading.Event()
+    before = {kind: signal.getsignal(kind) for kind in (signal.SIGTERM, signal.SIGINT)}
+
+    def interrupt(*_):
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        interrupted.set()
+        asked.set()
+
+    signal.signal(signal.SIGTERM, lambda *_: asked.set())
+    signal.signal(signal.SIGINT, interrupt)
     try:
         yield asked
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
+    if interrupted.is_set():
+        raise KeyboardInterrupt

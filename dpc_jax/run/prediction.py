@@ -84,7 +84,7 @@ def predict_images(
     if alignment is None:
         print(
             f"Warning: {workdir} has no report/alignment.json, so points and poses are "
-            "in the frame that the network made up; finish the run first.",
+            "in the network's own frame; finish the run first.",
             file=sys.stderr,
         )
     print(f"{len(dataset.names)} of {len(images)} images: {out}")
@@ -112,8 +112,8 @@ def _restore_state(config: Config, workdir: Path) -> TrainState:
         checkpoints.close()
     if restored is None:
         raise ValueError(
-            f"Expected a checkpoint in {folder}, but there is none; train with "
-            f"python -m dpc_jax.main --workdir={workdir} first."
+            f"Expected a checkpoint in {folder}, but there is none; start the command "
+            "that began the run again."
         )
     return restored.state
 
@@ -146,9 +146,12 @@ def _read_images(paths: list[Path], config, *, crop: str) -> DataSet:
         masks.append(arrays["masks"])
         names.append(path.stem)
     if not names:
+        first = skipped[0][1]
+        if len(skipped) == 1:
+            raise ValueError(f"{first}.")
         raise ValueError(
-            f"Expected at least one image that can be used, but there is none; the "
-            f"fault of the first: {skipped[0][1]}."
+            "Expected at least one image that can be used, but none of "
+            f"{len(skipped)} can; of the first: {first}."
         )
     return DataSet(
         images=np.stack(images),

@@ -1,4 +1,4 @@
-"""Settings of the whole process, for doorways that compute for long."""
+"""Settings of the whole process, for long-running commands."""
 
 import contextlib
 import ctypes

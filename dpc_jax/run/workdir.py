@@ -42,10 +42,15 @@ def claim_workdir(workdir: Path, config: Config) -> Path:
             "give another with --workdir=DIR."
         )
     path = workdir / "config.json"
-    if path.exists():
+    if path.exists() and _has_begun(workdir):
         _refuse_other(workdir, read_config(workdir), config)
     write_text(path, to_json(config))
     return workdir
+
+
+def _has_begun(workdir):
+    """Whether there is anything that another config must not go on with."""
+    return (workdir / "checkpoints").exists() or (workdir / "metrics.jsonl").exists()
 
 
 @contextlib.contextmanager
@@ -106,8 +111,8 @@ def read_config(workdir: Path) -> Config:
         return from_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ValueError(
-            f"Expected the config of a run in {path}, but it cannot be read ({error}); "
-            "give the --workdir of a run of dpc_jax.main."
+            f"Expected the config of a run in {path}, but it cannot be used "
+            f"({str(error).rstrip('.')}); give the --workdir of a run of dpc_jax.main."
         ) from None
 
 

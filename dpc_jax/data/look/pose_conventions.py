@@ -85,6 +85,8 @@ def rotation_of(quaternions: np.ndarray, convention: Convention = STORED) -> np.
     finite = np.all(np.isfinite(q), axis=-1, keepdims=True)
     identity = np.roll([1.0, 0, 0, 0], -1 if convention.last else 0)
     q = np.where(finite & q.any(axis=-1, keepdims=True), q, identity)
+    # The squares of extreme components would overflow or vanish.
+    q = q / np.abs(q).max(axis=-1, keepdims=True)
     turns = Rotation.from_quat(q, scalar_first=not convention.last)
     turns = (turns.inv() if convention.inverse else turns).as_matrix()
     turns = np.where(finite[..., None], turns, np.nan)

@@ -130,6 +130,8 @@ def read_object(place: Path, spec: DataSpec) -> tuple[dict[str, np.ndarray], lis
             outlines[path] = framing.trace_outline(mask > 0.5)
         except ValueError as error:
             notes.append(str(error).removesuffix("."))
+    if not outlines and len(notes) == 1:
+        raise ValueError(f"{notes[0]}.")
     if not outlines:
         raise ValueError(
             f"Expected at least one usable view in {place}, but none of {len(images)} "

@@ -34,7 +34,7 @@ class MeshSource(RenderedSource):
             # normalised first, so that the factors meet sides of comparable length
             seed = [self.spec.seed, model.copy, int(model.digest[:8], 16)]
             mesh = meshes.scale_randomly(
-                normalize(mesh), seed=seed, amount=self.spec.stretch
+                normalize(mesh), seed=seed, stretch=self.spec.stretch
             )
         return normalize(mesh)
 

@@ -9,7 +9,7 @@ FAULTS = (OSError, ValueError, SyntaxError, Image.DecompressionBombError)  # of 
 
 
 def read_picture(path: Path) -> Image.Image:
-    """The picture in a file, turned upright as its camera noted."""
+    """The picture in a file, turned upright by its EXIF orientation."""
     try:
         with Image.open(path) as image:
             return ImageOps.exif_transpose(image)

@@ -52,9 +52,15 @@ def read_poses(files: Sequence[Path]) -> dict[Path, Pose]:
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(
                 f"Expected poses in {path}, but they cannot be read "
-                f"({type(error).__name__}: {error}); see docs/data.md for their form."
+                f"({_explain(error)}); see docs/data.md for their form."
             ) from None
     return poses
+
+
+def _explain(error):
+    """The error in words; that of a library says its kind too."""
+    known = isinstance(error, Damage)
+    return str(error) if known else f"{type(error).__name__}: {error}"
 
 
 def _read_quaternions(content, folder):
@@ -63,7 +69,9 @@ def _read_quaternions(content, folder):
         quaternion = np.asarray(values, dtype=np.float64)
         length = np.linalg.norm(quaternion)
         if quaternion.shape != (4,) or not np.isfinite(length) or length < 1e-6:
-            raise Damage(f"{name} has no quaternion of four numbers, but {values}")
+            raise Damage(
+                f"{name} needs four numbers that are not all 0, but has {values}"
+            )
         rotation = Rotation.from_quat(quaternion, scalar_first=True)
         poses[folder / name] = Pose(rotation.as_matrix())
     return poses

@@ -1,1 +1,1 @@
-"""Floor 3: extreme cases of every public function, and what became of them."""
+"""Extreme cases of every public function, each against an oracle."""
