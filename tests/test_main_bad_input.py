@@ -225,4 +225,4 @@ def test_a_config_file_that_is_not_there_is_refused_by_its_path(parse):
 @loads_config
 def test_an_unknown_variant_of_a_config_is_refused_with_those_there_are(parse):
     error = parse(f"{DEBUG}:fast")
-    assert "paper, naive, known_pose" in error and "'fast'" in error
+    assert "paper, naive, known_pose" in error and "but it has fast;" in error

@@ -182,7 +182,7 @@ def choose(**changes):
         (lambda: choose(target=np.zeros((8, 4), "f4")), r"square.*\[8, 4\]"),
         (lambda: choose(choice_grid=3), "choice_grid.*8.*3"),
         (lambda: choose(choice_points=-1), "choice_points.*-1"),
-        (lambda: choose(top=1.5), "top.*1.5"),
+        (lambda: choose(choice_top=1.5), "choice_top.*1.5"),
         (lambda: choose(renders_at_once=True), "renders_at_once.*True"),
     ],
 )
