@@ -46,7 +46,7 @@ def test_a_process_that_was_killed_holds_nothing(holder, tmp_path):
     os.kill(holder.pid, signal.SIGKILL)
     holder.wait()
     with hold_workdir(tmp_path):
-        pass
+        assert str(os.getpid()) in (tmp_path / ".in-use").read_text()
 
 
 def test_the_same_process_may_come_again(tmp_path):
