@@ -1,5 +1,7 @@
 """From a mesh to the arrays of a model: random viewpoints, lights, ground truth."""
 
+import abc
+
 import numpy as np
 import trimesh
 
@@ -15,9 +17,9 @@ class RenderedSource(Source):
 
     unit = "mesh"
 
+    @abc.abstractmethod
     def make_mesh(self, model: Model) -> trimesh.Trimesh:
         """The normalised mesh of a model."""
-        raise NotImplementedError
 
     def describe_flaws(self, model: Model) -> list[str]:
         """Remarks on what a model lacks, though it can be rendered."""

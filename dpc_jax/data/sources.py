@@ -4,6 +4,7 @@ A new kind is a module in `dpc_jax/data/sets` with a subclass of `Source`, and a
 `KINDS` of `dpc_jax/data/spec.py`.
 """
 
+import abc
 import importlib
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -52,21 +53,22 @@ class Source(Protocol):
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
         """Whether a folder seems to hold this kind of data set."""
-        raise NotImplementedError
+        return False
 
     @classmethod
     def suggest_fields(cls, folder: Path, category: str | None) -> dict:
         """Fields of a `DataSpec` for somebody who only wants to look at a folder."""
         return {"category": category or "object"}
 
+    @abc.abstractmethod
     def list_models(self) -> list[Model]:
         """All models of the split, in order.
 
         Raises:
           ValueError: if there are none, naming the folder.
         """
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
         """Arrays of one model by name, and remarks on what it lacks.
 
@@ -77,7 +79,6 @@ class Source(Protocol):
         Raises:
           ValueError: naming the file, if the model cannot be used.
         """
-        raise NotImplementedError
 
     def estimate_bytes(self, model: Model) -> int:
         """Size of a model's arrays."""

@@ -1,5 +1,6 @@
 """Sources whose models have names: split by a published list, or by seed."""
 
+import abc
 import functools
 import json
 from pathlib import Path
@@ -27,17 +28,17 @@ class SplitSource(Source):
         """Eight digits of the category in official splits, or "" for none."""
         return ""
 
+    @abc.abstractmethod
     def find_models(self) -> dict[str, Path]:
         """Models that are there: `{name: path}`, in order."""
-        raise NotImplementedError
 
     def expect_model(self, name: str) -> Path:
         """Where a model that an official split names should lie."""
         return self.folder / name
 
+    @abc.abstractmethod
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
         """(number of views, digest) of a model."""
-        raise NotImplementedError
 
     def find_split_file(self) -> Path | None:
         """The official split, given or found."""
