@@ -18,9 +18,9 @@ from dpc_jax.learning.predictions import (
     predict_poses,
     predict_shapes,
 )
-from dpc_jax.learning.renders import map_renders
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera, Projection, VoxelGrid, project
+from dpc_jax.render.batch import map_renders
 from dpc_jax.render.resolution import scale_sizes
 
 
