@@ -11,6 +11,7 @@ from pathlib import Path
 
 from dpc_jax.measure.benchmark.plan import FULL, PARTS, QUICK
 from dpc_jax.measure.benchmark.suite import run_benchmark
+from dpc_jax.run.gpu import set_gpu_flags
 from dpc_jax.run.process import keep_freed_memory
 
 
@@ -25,6 +26,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--parts", default=",".join(PARTS), help="separated by commas; default: all"
     )
     options = parser.parse_args(arguments)
+    set_gpu_flags()
     keep_freed_memory()
     words = ["python", "-m", "dpc_jax.benchmark", f"--parts={options.parts}"]
     words += ["--quick"] * options.quick
