@@ -78,7 +78,8 @@ def compare_winners(
         train.color_weight,
         render.renders_at_once,
     )
-    total, terms = _sum_views(static, learned, given)
+    result: Any = _sum_views(static, learned, given)
+    total, terms = result
     share = 1 / num_views / ratio**2
     return total * share, jax.tree.map(lambda value: value * share, terms)
 
@@ -106,9 +107,7 @@ def _compare_view(static, learned, given):
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
-def _sum_views(
-    static: _Static, learned: dict[str, Any], given: dict[str, Any]
-) -> tuple[jax.Array, dict[str, jax.Array]]:
+def _sum_views(static: _Static, learned: dict[str, Any], given: dict[str, Any]) -> Any:
     """Σ over views of `_compare_view`; its gradient is that of the first result."""
     call = functools.partial(_compare_view, static)
     return _sum_entries(
