@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Pose, Render, Train
 from dpc_jax.learning import losses, schedules
+from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import average_covariance
 from dpc_jax.learning.hindsight import Winners, choose_poses
 from dpc_jax.learning.predictions import (
@@ -18,10 +19,9 @@ from dpc_jax.learning.predictions import (
     predict_poses,
     predict_shapes,
 )
+from dpc_jax.learning.winners import compare_winners
 from dpc_jax.networks import ShapePoseNetwork
-from dpc_jax.render import Camera, Projection, VoxelGrid, project
-from dpc_jax.render.batch import map_renders
-from dpc_jax.render.resolution import scale_sizes
+from dpc_jax.render import Camera
 
 
 class Term(NamedTuple):
@@ -34,7 +34,7 @@ class Term(NamedTuple):
 def compute_loss(
     params: Mapping,
     batch: dict[str, jax.Array],
-    key: jax.Array,
+    keys: jax.Array,
     step: jax.Array,
     covariance: jax.Array,
     *,
@@ -47,13 +47,14 @@ def compute_loss(
     """The training objective of one batch (§ Single-view Shape and Pose Estimation).
 
     The shape is predicted from each object's first view and compared with all its
-    views. Each view's pose is predicted from that view itself.
+    views. Each view's pose is predicted from that view itself. To be called inside
+    `devices.share`, with a device's share of a batch of the run.
 
     Args:
       params: of the network.
       batch: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S], quaternions
         [B, V, 4] (read only where poses are known).
-      key: for the point dropout.
+      keys: [B], for the point dropout of each object.
       step: ().
       covariance: [3, 3], see `TrainState`.
       network, render, pose, train: static.
@@ -69,7 +70,7 @@ def compute_loss(
     shapes = predict_shapes(
         params,
         features[:, 0],
-        key,
+        keys,
         sigma,
         network=network,
         kept_points=stage.kept_points,
@@ -80,7 +81,7 @@ def compute_loss(
         rotations, student = batch["quaternions"], {}
     else:
         if pose.half_turns:
-            covariance = average_covariance(covariance, shapes.kept, step)
+            covariance = average_covariance(covariance, shapes.kept, step, axis=AXIS)
         poses = predict_poses(params, features, covariance, network=network, pose=pose)
         winners = choose_poses(
             shapes,
@@ -93,86 +94,12 @@ def compute_loss(
         metrics["winners"] = winners.indices.reshape(-1)
         rotations = winners.poses
         student = compare_student(poses, winners, render=render, pose=pose)
-    images = render_winners(
-        shapes, rotations, camera=camera, render=render, stage=stage
+    compared, parts = compare_winners(
+        shapes, rotations, batch, render=render, train=train, stage=stage
     )
-    terms = (
-        compare_views(images, batch, render=render, train=train)
-        | compute_priors(shapes, step, train=train)
-        | student
-    )
-    metrics |= {name: term.value for name, term in terms.items()}
-    return sum_terms(terms), (metrics, covariance)
-
-
-def render_winners(
-    shapes: Shapes,
-    rotations: jax.Array,
-    *,
-    camera: Camera,
-    render: Render,
-    stage: schedules.Stage,
-) -> Projection:
-    """Render each object's shape from the pose [B, V, 4] of each of its views.
-
-    Returns:
-      Images [B·V, D, D] in the stage's grid: silhouettes, and colours of coloured
-      shapes.
-    """
-    views = rotations.shape[1]
-    sigma, mass = scale_sizes(shapes.sigma, shapes.mass, stage.grid / render.grid)
-    signals = ("silhouette",) if shapes.colors is None else ("silhouette", "color")
-
-    def render_view(view):
-        points, view_mass, rotation, colors = view
-        return project(
-            points,
-            rotation,
-            sigma=sigma,
-            scale=view_mass,
-            colors=colors,
-            camera=camera,
-            grid=VoxelGrid(stage.grid),
-            signals=signals,
-        )
-
-    points, masses, colors = jax.tree.map(
-        lambda array: jnp.repeat(array, views, axis=0),
-        (shapes.kept, mass, shapes.colors),
-    )
-    inputs = (points, masses, rotations.reshape(-1, 4), colors)
-    return map_renders(render_view, inputs, renders_at_once=render.renders_at_once)
-
-
-def compare_views(
-    rendered: Projection,
-    batch: dict[str, jax.Array],
-    *,
-    render: Render,
-    train: Train,
-) -> dict[str, Term]:
-    """Eq. 1: squared differences of rendered images and views, averaged over the views.
-
-    The sum of a finer image is divided by its pixels per pixel of the base grid, so
-    that losses are comparable over the whole run.
-    """
-    assert rendered.silhouette is not None
-    num_views, side = rendered.silhouette.shape[:2]
-    fine_pixels_per_pixel = (side / render.grid) ** 2
-
-    def compare(image, target):
-        target = target.reshape(image.shape)
-        return (
-            losses.reprojection_loss(image, target) / num_views / fine_pixels_per_pixel
-        )
-
-    targets = losses.downsample_images(batch["masks"], side)
-    terms = {"reprojection": Term(compare(rendered.silhouette, targets))}
-    if rendered.color is not None:
-        channels = jnp.moveaxis(batch["images"], -1, 2)
-        targets = jnp.moveaxis(losses.downsample_images(channels, side), 2, -1)
-        terms["color"] = Term(compare(rendered.color, targets), train.color_weight)
-    return terms
+    terms = compute_priors(shapes, step, train=train) | student
+    metrics |= parts | {name: term.value for name, term in terms.items()}
+    return compared + sum_terms(terms), (metrics, covariance)
 
 
 def compute_priors(shapes: Shapes, step: jax.Array, *, train: Train) -> dict[str, Term]:

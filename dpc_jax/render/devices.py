@@ -1,6 +1,7 @@
 """Which devices a batch is rendered on, and how many renders at once suit them."""
 
 import os
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -21,7 +22,7 @@ def use_all_cores(count: int | None = None) -> int:
 
     Args:
       count: how many devices; None for the cores that this process may use, or what
-        the environment variable says. In a container with a smaller share of the
+        JAX's own settings say. In a container with a smaller share of the
         processor than it shows cores, give the number.
 
     Returns:
@@ -36,9 +37,8 @@ def use_all_cores(count: int | None = None) -> int:
             f"count must be a positive integer, but it is {count!r}; leave it out to "
             "use every core."
         )
-    set_before = jax.config.values["jax_num_cpu_devices"]
     if count is None:
-        count = set_before if set_before > 0 else count_cores()
+        count = _read_settings() or count_cores()
     try:
         jax.config.update("jax_num_cpu_devices", int(count))
     except RuntimeError as error:
@@ -52,6 +52,14 @@ def use_all_cores(count: int | None = None) -> int:
             ) from error
         return found
     return int(count)
+
+
+def _read_settings():
+    """How many CPU devices JAX's own settings ask for; 0 where they do not."""
+    flag = r"--xla_force_host_platform_device_count=(\d+)"
+    given = re.findall(flag, os.environ.get("XLA_FLAGS", ""))
+    count = jax.config.values["jax_num_cpu_devices"]
+    return count if count > 0 else int(given[-1]) if given else 0
 
 
 def count_cores() -> int:

@@ -103,9 +103,8 @@ def _find_peak(jaxpr, lent=frozenset()):
         made = {v: _measure(equation, v) for v in needed}
         new = sum(made.values())
         inner = max((_find_peak(part) for part in _list_parts(equation)), default=0)
-        # An operation without parts may write its result over an input that ends here.
-        reused = min(freed, new) if not inner else 0
-        peak = max(peak, live + max(new, inner) - reused)
+        # A result may be written over an input that ends here.
+        peak = max(peak, live + max(new, inner) - min(freed, new))
         live += new - freed
         sizes |= made
     return max(peak, 0)

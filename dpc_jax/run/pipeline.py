@@ -20,7 +20,7 @@ from dpc_jax.learning.records import MetricLog, NonFiniteError
 from dpc_jax.learning.step import TrainState, init_state
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.gpu import set_gpu_flags
-from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory
+from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
 from dpc_jax.run.report import report_run
 from dpc_jax.run.setup import make_data_specs, make_network
 from dpc_jax.run.workdir import claim_workdir, hold_workdir
@@ -57,6 +57,7 @@ def run(config: Config, *, config_path: str, workdir: str | None):
     """
     configs.check(config)
     set_gpu_flags()
+    split_cores(config.train.models_per_batch, config.run.devices)
     keep_freed_memory()
     keep_compiled_programs()
     folder = claim_workdir(Path(workdir or _name_workdir(config, config_path)), config)
