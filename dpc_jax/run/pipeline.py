@@ -20,6 +20,7 @@ from dpc_jax.learning.records import MetricLog, NonFiniteError
 from dpc_jax.learning.step import TrainState, init_state
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.gpu import set_gpu_flags
+from dpc_jax.run.memory import check_step_memory
 from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
 from dpc_jax.run.report import report_run
 from dpc_jax.run.setup import make_data_specs, make_network
@@ -189,7 +190,8 @@ def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
     """Train to the last step, or until SIGTERM or Ctrl-C asks to save and stop.
 
     Raises:
-      ValueError: if there are checkpoints, yet none can be read.
+      ValueError: if there are checkpoints, yet none can be read, or a step needs more
+        memory than the device has.
       NonFiniteError: where training breaks.
     """
     checkpoints = Checkpoints(workdir / "checkpoints")
@@ -197,6 +199,7 @@ def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
     outcome = loop.Outcome(start.state, start.seconds, True)
     with contextlib.closing(checkpoints), _catch_signals() as stop:
         if int(start.state.step) < model.config.train.steps:
+            check_step_memory(model.network, model.config)
             outcome = loop.train(
                 start.state,
                 model.sets["train"],
