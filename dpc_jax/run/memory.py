@@ -1,6 +1,6 @@
 """How much memory a training step needs, told before it is compiled."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import jax
@@ -93,7 +93,7 @@ def estimate_peak(function: Callable, *arguments: Any) -> int:
     return given + _find_peak(jaxpr, lent)
 
 
-def _find_peak(jaxpr, lent=frozenset()):
+def _find_peak(jaxpr, lent: Collection = ()):
     """The most bytes of results and temporaries; those of inputs `lent` come free."""
     last_use = {}
     for i, equation in enumerate(jaxpr.eqns):
