@@ -10,7 +10,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from dpc_jax.files import write_text
+from dpc_jax.files import explaining_full_disk, write_text
 
 _NOT_LOSSES = ("winners", "gradient_norms")
 
@@ -158,8 +158,15 @@ class MetricLog:
         self._path = Path(path)
 
     def write(self, record: dict):
-        """Append one record; it is on disk when this returns."""
-        with open(self._path, "a", encoding="utf-8") as file:
+        """Append one record; it is on disk when this returns.
+
+        Raises:
+          OSError: where the disk is full.
+        """
+        with (
+            explaining_full_disk(self._path.parent),
+            open(self._path, "a", encoding="utf-8") as file,
+        ):
             file.write(json.dumps(record) + "\n")
 
     def read(self) -> list[dict]:
