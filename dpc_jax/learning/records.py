@@ -111,8 +111,8 @@ class Window:
         record = {"step": done, "seconds": round(seconds, 3)}
         record |= summarize(self._metrics, heads=self._heads)
         record["steps_per_second"] = round(rate, 3)
-        if waited := round(self._waited, 3):
-            record["compile_seconds"] = waited
+        if self._waited > 0.01:  # less is the look at whether there is something to do
+            record["compile_seconds"] = round(self._waited, 3)
         self._open(done, seconds)
         return record
 
