@@ -13,6 +13,7 @@ from dpc_jax import config as configs
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet, load_or_render
 from dpc_jax.evaluation.alignment import Alignment, identity_alignment
+from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning import evaluator, loop
 from dpc_jax.learning.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.predictor import Predictions, make_predictor, predict_all
@@ -61,11 +62,12 @@ def run(config: Config, *, config_path: str, workdir: str | None):
     split_cores(config.train.models_per_batch, config.run.devices)
     keep_freed_memory()
     keep_compiled_programs()
-    folder = claim_workdir(Path(workdir or _name_workdir(config, config_path)), config)
-    print(f"Workdir: {folder}", flush=True)
-
-    with hold_workdir(folder):
-        _run_in(folder, config)
+    folder = Path(workdir or _name_workdir(config, config_path))
+    with explaining_full_disk(folder):
+        claim_workdir(folder, config)
+        print(f"Workdir: {folder}", flush=True)
+        with hold_workdir(folder):
+            _run_in(folder, config)
 
 
 def _run_in(folder, config):
@@ -111,14 +113,15 @@ def load_sets(config: Config) -> dict[str, DataSet]:
       ValueError: where a set cannot be used, or does not fit the config.
       OSError: where the cache cannot be written.
     """
-    sets = {
-        split: load_or_render(
-            spec,
-            cache_dir=config.data.cache_dir,
-            processes=config.data.processes or None,
-        )
-        for split, spec in make_data_specs(config).items()
-    }
+    with explaining_full_disk(config.data.cache_dir):
+        sets = {
+            split: load_or_render(
+                spec,
+                cache_dir=config.data.cache_dir,
+                processes=config.data.processes or None,
+            )
+            for split, spec in make_data_specs(config).items()
+        }
     wanted, found = config.train.models_per_batch, len(sets["train"].names)
     if wanted > found:
         raise ValueError(
