@@ -1,5 +1,7 @@
 """Losses: reprojection (Eq. 1), the student's (§ distilled ensemble), priors."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import optax
@@ -62,20 +64,54 @@ def repulsion_energy(points: jax.Array, *, softening: float = 0.02) -> jax.Array
             f"repulsion_energy needs at least two points, but it got {count}; a single "
             "one has no energy."
         )
+    return _sum_energies(points, jnp.asarray(softening, points.dtype))
+
+
+@jax.custom_vjp
+def _sum_energies(points, softening):
+    energies, _ = _repel_pairs(points, softening)
+    return _average_pairs(jnp.sum(energies), points)
+
+
+def _sum_energies_forward(points, softening):
+    """The forces beside the energies: both share the distances of all pairs."""
+    energies, forces = _repel_pairs(points, softening)
+    gradient = jnp.stack([-2 * jnp.sum(force, axis=1) for force in forces], axis=1)
+    mean = _average_pairs(jnp.sum(energies), points)
+    return mean, (_average_pairs(gradient, points), softening)
+
+
+def _sum_energies_backward(kept, cotangent):
+    gradient, softening = kept
+    return gradient * cotangent, jnp.zeros_like(softening)
+
+
+_sum_energies.defvjp(_sum_energies_forward, _sum_energies_backward)
+
+
+def _average_pairs(total, points):
+    return total / (points.shape[0] * (points.shape[0] - 1))
+
+
+def _repel_pairs(points, softening):
+    """Energies [N, N] of pairs, and their forces on the first point by coordinate."""
     # An eighth of each distance: the distance between points near the two ends of the
     # float range would itself overflow.
-    away, softening = points[:, None] / 8 - points[None] / 8, softening / 8
+    eighths, softening = points.T / 8, softening / 8
+    away = [axis[:, None] - axis[None] for axis in eighths]
     # In units of each distance: then no square overflows, and the cube of a distance
     # in the derivative does not underflow.
-    unit = jax.lax.stop_gradient(jnp.maximum(jnp.max(jnp.abs(away), -1), softening))
+    unit = functools.reduce(jnp.maximum, map(jnp.abs, away), softening)
     # The inverse of a larger unit could be subnormal, which processors flush to zero.
-    unit = jnp.minimum(unit, jnp.finfo(points.dtype).max / 16)
-    square = jnp.sum((away / unit[..., None]) ** 2, axis=-1) + (softening / unit) ** 2
-    energy = 1 / jnp.sqrt(square) / unit / 8
+    inverse = 1 / jnp.minimum(unit, jnp.finfo(points.dtype).max / 16)
+    away = [axis * inverse for axis in away]
+    root = jax.lax.rsqrt(sum(axis * axis for axis in away) + (softening * inverse) ** 2)
     # The energy of a point with itself, 1/softening, is left out of the sum and not
     # subtracted from it: that would lose the small energies of distant points.
-    is_pair = ~jnp.eye(count, dtype=bool)
-    return jnp.sum(jnp.where(is_pair, energy, 0)) / (count * (count - 1))
+    is_pair = ~jnp.eye(points.shape[0], dtype=bool)
+    energies = jnp.where(is_pair, root * inverse / 8, 0)
+    slope = energies * (root * root * inverse) / 8
+    return energies, [slope * axis for axis in away]
 
 
 def containment_loss(points: jax.Array, *, radius: float = 0.5) -> jax.Array:
