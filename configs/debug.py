@@ -17,7 +17,7 @@ def get_config(variant: str | None = None):
     """Few, small cars and few steps; the variants of the other configs."""
     config = make_config("car", variant)
     config.update(SMALL)
-    if config.pose.choice_grid:
+    if config.pose.choice_points:
         config.pose.update(choice_grid=8, choice_points=50, choice_top=4)
     config.pose.candidates = min(config.pose.candidates, 2)
     return config

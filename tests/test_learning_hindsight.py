@@ -17,8 +17,10 @@ from tiny_runs import (
 )
 
 from dpc_jax.learning import half_turns, hindsight
+from dpc_jax.learning.coarse_choice import compute_image_losses, place_candidates
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.objective import compute_loss
+from dpc_jax.learning.predictions import Shapes
 from dpc_jax.learning.schedules import find_stage
 from dpc_jax.render import Camera, VoxelGrid, project
 
@@ -59,7 +61,13 @@ def find_losses(points, mass, candidates, target, sigma=SIGMA):
 
 @functools.partial(
     jax.jit,
-    static_argnames=("choice_grid", "choice_points", "choice_top", "renders_at_once"),
+    static_argnames=(
+        "choice_grid",
+        "choice_points",
+        "choice_top",
+        "choice_rank",
+        "renders_at_once",
+    ),
 )
 def compute_choice(arrays, **static):
     return hindsight.choose_candidate(**arrays, sigma=SIGMA, camera=CAMERA, **static)
@@ -139,6 +147,118 @@ def test_only_the_candidates_that_pass_the_coarse_look_can_win(scene):
 
 def test_more_first_points_than_there_are_means_all_of_them(scene):
     assert choose(scene, choice_points=1000) == choose(scene)
+
+
+def splat_plainly(points, mass, candidate, *, side, sigma):
+    """Optical depth of each pixel in float64, point by point: [side, side]."""
+    points = np.asarray(points, float) @ rotation_matrix(np.asarray(candidate)).T
+    cells = np.arange(side)
+    kernel = np.exp(-0.5 * ((cells[:, None] - np.arange(-90, 91)) / sigma) ** 2)
+    depth = np.zeros((181, 181))
+    for x, y, z in points:
+        ahead = z + CAMERA.distance
+        places = [CAMERA.focal_length * v / ahead + 0.5 for v in (y, x)]
+        assert all(0 <= place <= 1 for place in places) and abs(z) <= 0.5
+        (row, r), (col, c) = (
+            (int(np.floor(v)), v - np.floor(v))
+            for v in (place * side - 0.5 for place in places)
+        )
+        weights = np.outer([1 - r, r], [1 - c, c])
+        depth[90 + row : 92 + row, 90 + col : 92 + col] += mass * weights
+    # Points at the rim lose what falls on pixels outside.
+    depth[:90], depth[90 + side :] = 0, 0
+    depth[:, :90], depth[:, 90 + side :] = 0, 0
+    kernel /= np.exp(-0.5 * (np.arange(-90, 91) / sigma) ** 2).sum()
+    return kernel @ depth @ kernel.T
+
+
+@pytest.mark.parametrize("grid, count", [(0, 30), (8, 10), (4, 30), (2, 7)])
+def test_an_image_ranks_by_the_optical_depth_of_splatted_points(scene, grid, count):
+    side = grid or 8
+    ratio = side / 8
+    places = place_candidates(
+        scene["points"][:30],
+        scene["candidates"],
+        side=side,
+        camera=CAMERA,
+        choice_points=count,
+    )
+    found = compute_image_losses(
+        places, scene["mass"], scene["target"], sigma=jnp.array(SIGMA), choice_grid=grid
+    )
+    blocks = np.asarray(scene["target"]).reshape(side, 8 // side, side, 8 // side)
+    for candidate, loss in zip(scene["candidates"], found, strict=True):
+        depth = splat_plainly(
+            scene["points"][:count],
+            float(scene["mass"]) * (30 / count) * ratio**2,
+            candidate,
+            side=side,
+            sigma=SIGMA * ratio,
+        )
+        expected = np.sum((1 - np.exp(-depth) - blocks.mean((1, 3))) ** 2)
+        # Rounding of float32 in some thirty points' places and weights.
+        assert float(loss) == pytest.approx(expected, rel=1e-4)
+
+
+def test_points_out_of_the_image_or_behind_the_camera_are_not_seen(scene):
+    far = jnp.array([[0.0, 0, -3], [2, 0, 0], [0, -2, 0], [0, 0, 0.8]])
+    turn = jnp.array([[1.0, 0, 0, 0]])
+    rank = functools.partial(place_candidates, side=8, camera=CAMERA, choice_points=0)
+    losses = [
+        compute_image_losses(
+            rank(points, turn)._replace(share=jnp.array(1.0)),
+            scene["mass"],
+            scene["target"],
+            sigma=jnp.array(SIGMA),
+            choice_grid=0,
+        )
+        for points in (
+            scene["points"][:20],
+            jnp.concatenate([scene["points"][:20], far]),
+        )
+    ]
+    np.testing.assert_array_equal(losses[0], losses[1])
+
+
+@pytest.mark.parametrize("renders_at_once", [0, 1, 4])
+def test_of_those_that_an_image_ranks_first_the_exact_best_wins(scene, renders_at_once):
+    image = {"choice_rank": "image", "renders_at_once": renders_at_once}
+    assert choose(scene, choice_top=6, **image) == choose(scene)
+    first = choose(scene, choice_top=0, **image)
+    assert first == choose(scene, choice_top=1, **image)
+    losses = np.asarray(find_losses(**scene))
+    assert losses[choose(scene, choice_top=3, **image)] <= losses[first]
+
+
+def test_the_choice_of_a_batch_is_that_of_each_view(scene):
+    rng = np.random.default_rng(2)
+    kept = jnp.array(rng.uniform(-0.4, 0.4, (2, 30, 3)), jnp.float32)
+    mass = jnp.array([0.7, 0.5])
+    shapes = Shapes(kept, kept, None, mass, mass, jnp.array(SIGMA))
+    candidates = jnp.array(random_quaternions(3, 4 * 6)).reshape(4, 6, 4)
+    masks = jnp.array(rng.integers(0, 256, (2, 2, 16, 16)), jnp.uint8)
+    for settings in (
+        {"choice_rank": "image", "choice_points": 12, "choice_top": 2},
+        {"choice_rank": "volume", "choice_grid": 4, "choice_top": 2},
+    ):
+        config = tiny_config(**settings, renders_at_once=1)
+        winners = jax.jit(
+            functools.partial(
+                hindsight.choose_poses,
+                camera=CAMERA,
+                render=config.render,
+                pose=config.pose,
+            )
+        )(shapes, candidates, masks)
+        targets = downsample_images(masks, 8).reshape(4, 8, 8)
+        for view in range(4):
+            alone = {
+                "points": kept[view // 2],
+                "mass": mass[view // 2],
+                "candidates": candidates[view],
+                "target": targets[view],
+            }
+            assert choose(alone, **settings) == winners.indices.reshape(-1)[view]
 
 
 def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():

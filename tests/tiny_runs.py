@@ -39,6 +39,7 @@ PLAIN = {
         candidates=3,
         flips=False,
         selects=False,
+        choice_rank="volume",
         choice_grid=0,
         choice_points=0,
         choice_top=0,

@@ -21,6 +21,7 @@ from dpc_jax.config.fields import (
 )
 
 CROPS = ("object", "view", "none")  # what shares one scale
+CHOICE_RANKS = ("volume", "image")  # what candidates are ranked in
 FRONTS = ("", "+x", "-x", "+z", "-z")
 _IMAGE_SIZE = Allowed(
     lambda size: size >= 16 and size & (size - 1) == 0,
@@ -100,9 +101,10 @@ class Pose:
     spread: str = field("all", one_of("", "all", "upright"))  # where the heads start
     flips: bool = field(True)  # also try each head after half turns of the object
     selects: bool = field(True)  # student chooses a candidate; False: regresses a pose
-    choice_grid: int = field(16, at_least(0))  # volume of the first choice; 0: grid
-    choice_points: int = field(500, at_least(0))  # of the first choice; 0: all
-    choice_top: int = field(4, at_least(0))  # candidates compared exactly after it
+    choice_rank: str = field("image", one_of(*CHOICE_RANKS))  # first choice made in
+    choice_grid: int = field(0, at_least(0))  # side in the first choice; 0: grid
+    choice_points: int = field(250, at_least(0))  # of the first choice; 0: all
+    choice_top: int = field(3, at_least(0))  # candidates compared exactly after it
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
 
     @property

@@ -46,6 +46,7 @@ VARIANTS: dict[str, Changes] = {
             "spread": "",
             "flips": False,
             "selects": False,
+            "choice_rank": "volume",
             "choice_grid": 0,
             "choice_points": 0,
         },

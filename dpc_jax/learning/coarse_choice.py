@@ -1,15 +1,35 @@
 """A first, coarse choice among pose candidates. Not in the paper.
 
-Comparing all candidates in a smaller volume and with fewer points costs a fraction of
-the exact comparison, which is then made among the best few only.
+Ranking all candidates by something cheap costs a fraction of the exact comparison,
+which is then made among the best few only. Cheap is a smaller volume with fewer points,
+or an image alone: all candidates of a view at once, without any volume.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning.renders import compute_candidate_losses
-from dpc_jax.render import Camera
+from dpc_jax.render import Camera, VoxelGrid
+from dpc_jax.render.camera import to_camera_frame, to_grid
+from dpc_jax.render.kernels import sample_gaussian
 from dpc_jax.render.resolution import scale_sizes
+
+_OUTSIDE = -2.0  # a place in the image from which no pixel is reached
+
+
+class ImagePoints(NamedTuple):
+    """Where the points of a view are in the image, for each candidate.
+
+    Attributes:
+      rows, cols: [C, n] continuous index.
+      share: () how many points each of these stands for.
+    """
+
+    rows: jax.Array
+    cols: jax.Array
+    share: jax.Array
 
 
 def compute_coarse_losses(
@@ -31,6 +51,107 @@ def compute_coarse_losses(
     Raises:
       ValueError: where the coarser volume does not divide the target.
     """
+    coarse = _shrink_target(target, choice_grid)
+    count = _count_points(points, choice_points)
+    # Fewer points carry the mass of all.
+    shared = mass * (points.shape[0] / count)
+    ratio = coarse.shape[0] / target.shape[0]
+    coarse_sigma, coarse_mass = scale_sizes(sigma, shared, ratio)
+    return compute_candidate_losses(
+        points[:count],
+        coarse_mass,
+        candidates,
+        coarse,
+        sigma=coarse_sigma,
+        camera=camera,
+        renders_at_once=renders_at_once,
+    )
+
+
+def place_candidates(
+    points: jax.Array,
+    candidates: jax.Array,
+    *,
+    side: int,
+    camera: Camera,
+    choice_points: int,
+) -> ImagePoints:
+    """Project the first `choice_points` points (0: all) from each candidate's pose.
+
+    Apart from `compute_image_losses`, so that a batch can project the points of all
+    views side by side and then take one view after the other: in a loop, XLA would
+    project each point again for every pixel of its row and column.
+
+    Args:
+      points: [N, 3]. candidates: [C, 4] quaternions.
+      side: of the image, in pixels. camera: see `project`.
+    """
+    count = _count_points(points, choice_points)
+
+    def place(candidate):
+        moved = to_camera_frame(
+            points[:count], candidate, translation=None, camera=camera
+        )
+        seen = to_grid(moved, camera=camera, grid=VoxelGrid(side))
+        rows, cols, _ = seen.coordinates.T
+        return [jnp.where(seen.inside, axis, _OUTSIDE) for axis in (rows, cols)]
+
+    rows, cols = jax.vmap(place)(candidates)
+    return ImagePoints(rows, cols, jnp.asarray(points.shape[0] / count, rows.dtype))
+
+
+def compute_image_losses(
+    places: ImagePoints,
+    mass: jax.Array,
+    target: jax.Array,
+    *,
+    sigma: jax.Array,
+    choice_grid: int,
+) -> jax.Array:
+    """Loss [C] of each candidate by the optical depth of its pixels alone.
+
+    A ray that crosses the densities o_k lets Π(1 - o_k) through (Eq. 4). For small
+    densities this is exp(-Σ o_k), and the sum over a ray of points that are splatted
+    and smoothed in a volume is what the same gives in the image. As weights along rows
+    and columns are separate, the image is a product of two matrices.
+
+    Args:
+      places: of the points, in an image of side `choice_grid`, or D where that is 0.
+      mass: () of each of all points, sigma: (), both in voxels of the target's grid.
+      target: [D, D] silhouette.
+
+    Raises:
+      ValueError: where the coarser image does not divide the target.
+    """
+    coarse = _shrink_target(target, choice_grid)
+    side = coarse.shape[0]
+    # The optical depth of a ray stays as it is in the finer grid.
+    coarse_sigma, coarse_mass = scale_sizes(
+        sigma, mass * places.share, side / target.shape[0], exponent=2
+    )
+    pixels = jnp.arange(side, dtype=target.dtype)
+
+    def weigh(centers):
+        away = jnp.abs(centers[:, None, :] - pixels[None, :, None])
+        return jnp.where(away < 1, 1 - away, 0)
+
+    multiply = jax.lax.dot_general
+    pairs = (((2,), (2,)), ((0,), (0,)))
+    depth = multiply(weigh(places.rows), weigh(places.cols), pairs)
+    distances = jnp.abs(pixels[:, None] - pixels[None])
+    kernel = sample_gaussian(distances, jnp.asarray(coarse_sigma))
+    for _ in range(2):
+        depth = jnp.swapaxes(jnp.matmul(depth, kernel), 1, 2)
+    silhouettes = 1 - jnp.exp(-jnp.asarray(coarse_mass) * depth)
+    return jnp.sum((silhouettes - coarse[None]) ** 2, axis=(1, 2))
+
+
+def _count_points(points, choice_points):
+    return min(choice_points or points.shape[0], points.shape[0])
+
+
+def _shrink_target(target, choice_grid):
+    """The target [D, D] as the coarser image [d, d] that it is compared in."""
     side = target.shape[0]
     if choice_grid and side % choice_grid:
         raise ValueError(
@@ -38,19 +159,6 @@ def compute_coarse_losses(
             f"{choice_grid}; give for example half of the side."
         )
     coarse_side = choice_grid or side
-    count = min(choice_points or points.shape[0], points.shape[0])
-    ratio = coarse_side / side
     factor = side // coarse_side
-    # Fewer points carry the mass of all.
-    shared = mass * (points.shape[0] / count)
-    coarse_sigma, coarse_mass = scale_sizes(sigma, shared, ratio)
     blocks = target.reshape(coarse_side, factor, coarse_side, factor)
-    return compute_candidate_losses(
-        points[:count],
-        coarse_mass,
-        candidates,
-        jnp.mean(blocks, axis=(1, 3)),
-        sigma=coarse_sigma,
-        camera=camera,
-        renders_at_once=renders_at_once,
-    )
+    return jnp.mean(blocks, axis=(1, 3))

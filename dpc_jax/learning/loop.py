@@ -45,6 +45,7 @@ def train(
     title: str = "Training",
     compile_ahead: bool = True,
     validations_after: float = 0.0,
+    prepare: Callable[[], object] | None = None,
 ) -> Outcome:
     """Train from a state to the last step of the config.
 
@@ -66,6 +67,8 @@ def train(
         the results are the same.
       validations_after: how many validations what follows training takes as long as,
         for the time left.
+      prepare: called in the background, once the programs of all stages are there: to
+        compile what validation needs.
 
     Raises:
       NonFiniteError: at the first loss or gradient that is not finite, named with its
@@ -88,6 +91,7 @@ def train(
         StagePrograms(make_step, spans, ahead=compile_ahead) as programs,
     ):
         log_steps = functools.partial(_log_steps, log, forecast, progress)
+        to_prepare = [prepare] if prepare and compile_ahead else []
         for done in range(start + 1, steps + 1):
             batch = _make_batch(dataset, done - 1, config)
             program = programs.find(done - 1) or _begin_stage(
@@ -98,6 +102,8 @@ def train(
                     log_steps(done - 1, window.close(watch.seconds))
                 checkpoints.save(state, seconds=watch.seconds)
                 return Outcome(state, watch.seconds, False)
+            if to_prepare:
+                programs.run_ahead(to_prepare.pop())
             state, metrics = program.call(state, batch)
             window.add(metrics)
             progress.advance(done)

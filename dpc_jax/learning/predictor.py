@@ -1,7 +1,7 @@
 """Predictions for a whole data set."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,8 @@ from dpc_jax.networks.columns import sharing_columns
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.render.batch import map_renders
 from dpc_jax.render.resolution import scale_sizes
+
+VIEWS_AT_ONCE = 64  # that are predicted: a batch of a data set
 
 
 class Predictions(NamedTuple):
@@ -152,12 +154,35 @@ def arrange_views(dataset: DataSet) -> tuple[np.ndarray, np.ndarray]:
     return models.reshape(-1, width), views.reshape(-1, width)
 
 
+def compile_predictor(predictor: Any, state: TrainState, config: Config):
+    """Compile the predictor for `predict_all`; the cache of programs has it then.
+
+    Args:
+      predictor: of `make_predictor`.
+      state: one of the same shapes and devices; its values are not read.
+    """
+
+    def describe(*shape, dtype):
+        return jax.ShapeDtypeStruct((VIEWS_AT_ONCE, *shape), dtype)
+
+    size = config.data.image_size
+    views = (
+        describe(size, size, 3, dtype=np.uint8),
+        describe(size, size, dtype=np.uint8),
+        describe(4, dtype=np.float32),
+    )
+    held = jax.tree.map(
+        lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=a.sharding), state
+    )
+    predictor.lower(held, *views).compile()
+
+
 def predict_all(
     predictor: Callable,
     state: TrainState,
     dataset: DataSet,
     *,
-    views_at_once: int = 64,
+    views_at_once: int = VIEWS_AT_ONCE,
 ) -> Predictions:
     """Run the predictor over a data set in equal batches (the last one is padded).
 

@@ -1,6 +1,7 @@
 """One run from config to report: data, training, evaluation, report."""
 
 import contextlib
+import functools
 import os
 import signal
 import sys
@@ -16,7 +17,12 @@ from dpc_jax.evaluation.alignment import Alignment, identity_alignment
 from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning import evaluator, loop
 from dpc_jax.learning.checkpoints import Checkpoints, Restored
-from dpc_jax.learning.predictor import Predictions, make_predictor, predict_all
+from dpc_jax.learning.predictor import (
+    Predictions,
+    compile_predictor,
+    make_predictor,
+    predict_all,
+)
 from dpc_jax.learning.records import MetricLog, NonFiniteError
 from dpc_jax.learning.step import TrainState, init_state
 from dpc_jax.networks import ShapePoseNetwork
@@ -147,6 +153,14 @@ class Model:
         self.network: ShapePoseNetwork = make_network(config)
         self._predictor = make_predictor(self.network, config)
 
+    def count_views(self, *splits: str) -> int:
+        """Views of splits, those that the run has."""
+        return sum(int(self.sets[s].counts.sum()) for s in splits if s in self.sets)
+
+    def compile_predictor(self, state: TrainState):
+        """Compile what `predict` needs, into the cache of compiled programs."""
+        compile_predictor(self._predictor, state, self.config)
+
     def predict(self, state: TrainState, split: str) -> Predictions:
         """Predictions for a split."""
         return predict_all(self._predictor, state, self.sets[split])
@@ -214,6 +228,9 @@ def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
                 should_stop=stop.is_set,
                 seconds=start.seconds,
                 title=f"Training {workdir.name}",
+                validations_after=model.count_views("test", "own", "val")
+                / model.count_views("val"),
+                prepare=functools.partial(model.compile_predictor, start.state),
             )
     return outcome
 

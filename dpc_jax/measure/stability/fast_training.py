@@ -93,7 +93,7 @@ def _make_trial_config(trial, *, seed):
             # One stage: what is static changes the program, not what can break.
             "render": dict(grid=16, fine_grid=0, num_points=100)
             | dict(keep_start=1.0, keep_levels=1),
-            "pose": dict(candidates=2) | (coarse if full.pose.choice_grid else {}),
+            "pose": dict(candidates=2) | (coarse if full.pose.choice_points else {}),
             "train": dict(
                 steps=trial.steps,
                 warmup_steps=min(full.train.warmup_steps, trial.steps // 10),
