@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import PartitionSpec
 
 from dpc_jax.learning.hindsight import choose_candidate
 from dpc_jax.learning.losses import reprojection_loss
@@ -15,6 +16,7 @@ from dpc_jax.measure.benchmark.plain_peer import Sample, render_plain
 from dpc_jax.measure.benchmark.plan import Case
 from dpc_jax.measure.timing import take_medians, time_interleaved
 from dpc_jax.render import Camera, VoxelGrid, project, project_batch
+from dpc_jax.render.devices import choose_mesh, place
 
 ALL_DEVICES, ONE_DEVICE = "ours, all devices", "ours, one device"
 CHOICES = ("chosen", "min, one by one", "min, all at once")
@@ -71,11 +73,16 @@ def _make_jax_call(render, work: Work, sigma, **static) -> Callable[[], Any]:
 
 
 def _make_batch_call(work: Work, sigma, *, side) -> Callable[[], Any]:
-    """As `_make_jax_call`, by `project_batch` on all devices."""
-    inputs = tuple(jnp.asarray(a) for a in work[:3])
-    rest = jnp.asarray(work.targets), jnp.asarray(sigma, jnp.float32)
+    """As `_make_jax_call`, by `project_batch` on all devices.
+
+    Arrays lie where the steps of a descent would leave them: shared out.
+    """
+    arrays = tuple(jnp.asarray(a) for a in work)
+    mesh = choose_mesh(None, batch_size=len(work.points))
+    if mesh is not None and len(work.points) % mesh.size == 0:
+        arrays = place(arrays, mesh, PartitionSpec(mesh.axis_names))
     gradient = _compile_batch_gradient(side)
-    return lambda: gradient(inputs, *rest)
+    return lambda: gradient(arrays[:3], arrays[3], jnp.asarray(sigma, jnp.float32))
 
 
 @functools.lru_cache
