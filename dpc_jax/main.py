@@ -9,7 +9,7 @@ from absl import app, flags
 from ml_collections import config_flags
 
 from dpc_jax.config import from_config_dict
-from dpc_jax.run import pipeline
+from dpc_jax.run import pipeline, process
 
 _CONFIG = config_flags.DEFINE_config_file(
     "config",
@@ -62,7 +62,8 @@ def main(_: list[str]):
     """Hand the parsed flags to the run."""
     path = config_flags.get_config_filename(flags.FLAGS["config"])
     config = from_config_dict(_CONFIG.value)
-    sys.exit(pipeline.run_guarded(config, config_path=path, workdir=_WORKDIR.value))
+    status = pipeline.run_guarded(config, config_path=path, workdir=_WORKDIR.value)
+    process.leave(status)
 
 
 if __name__ == "__main__":

@@ -89,7 +89,7 @@ class Render:
     scale_unit: str = field("mass", one_of("peak", "mass"))  # of the learned scale
     focal_length: float = field(1.875, POSITIVE)  # of an image 1 wide
     distance: float = field(2.0, _DISTANCE)  # camera to object, box diagonals
-    renders_at_once: int = field(1, at_least(0))  # views side by side; 0: all (GPU)
+    renders_at_once: int = field(-1, at_least(-1))  # 0: all; -1: 1 on CPU, 0 on GPU
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,6 +152,13 @@ class Log:
 
 
 @dataclasses.dataclass(frozen=True)
+class Run:
+    """What of the machine a run uses; results agree to rounding."""
+
+    devices: int = field(0, at_least(0))  # that share a batch's objects; 0: all
+
+
+@dataclasses.dataclass(frozen=True)
 class Config:
     """A run: what it learns from, what it learns, and how."""
 
@@ -164,3 +171,4 @@ class Config:
     pose: Pose = Pose()
     train: Train = Train()
     log: Log = Log()
+    run: Run = Run()

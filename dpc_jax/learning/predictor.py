@@ -1,7 +1,7 @@
 """Predictions for a whole data set."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,14 +9,17 @@ import numpy as np
 
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
-from dpc_jax.learning import hindsight, schedules
+from dpc_jax.learning import devices, hindsight, schedules
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import complete_poses, compute_mass, scale_images
-from dpc_jax.learning.renders import map_renders
-from dpc_jax.learning.step import TrainState
+from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.networks.columns import sharing_columns
 from dpc_jax.render import Camera, VoxelGrid, project
+from dpc_jax.render.batch import map_renders
 from dpc_jax.render.resolution import scale_sizes
+
+VIEWS_AT_ONCE = 64  # that are predicted: a batch of a data set
 
 
 class Predictions(NamedTuple):
@@ -40,7 +43,7 @@ class Predictions(NamedTuple):
 
 
 def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
-    """The compiled function (state, images, masks, quaternions) -> dict.
+    """The compiled function (state, images, masks, quaternions) -> dict, over devices.
 
     For n views: images uint8 [n, S, S, 3], masks uint8 [n, S, S], quaternions [n, 4].
     The dictionary has the fields of `Predictions`, with one leading axis [n].
@@ -48,7 +51,8 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
     render, pose = config.render, config.pose
 
     def predict(state, images, masks, quaternions):
-        output = network.apply(state.params, scale_images(images))
+        with sharing_columns(devices.AXIS):
+            output = network.apply(state.params, scale_images(images))
         assert isinstance(output, dict)
         sigma = schedules.compute_sigma(state.step, render, steps=config.train.steps)
         mass = compute_mass(output["scale"], sigma, scale_unit=render.scale_unit)
@@ -73,7 +77,22 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
             result["colors"] = output["colors"]
         return result
 
-    return jax.jit(predict)
+    mesh = devices.make_mesh(config)
+    shared = devices.share(
+        predict,
+        mesh,
+        in_specs=(find_parts(network, config, mesh), *[devices.OBJECTS] * 3),
+        out_specs=devices.OBJECTS,
+    )
+
+    def pad(state, *arrays):
+        """All devices have as many views; those that fill up are cut off again."""
+        count = len(arrays[0])
+        rows = jnp.minimum(jnp.arange(count + -count % mesh.size), count - 1)
+        output = shared(state, *(array[rows] for array in arrays))
+        return jax.tree.map(lambda array: array[:count], output)
+
+    return jax.jit(pad)
 
 
 def explain_view(
@@ -135,12 +154,35 @@ def arrange_views(dataset: DataSet) -> tuple[np.ndarray, np.ndarray]:
     return models.reshape(-1, width), views.reshape(-1, width)
 
 
+def compile_predictor(predictor: Any, state: TrainState, config: Config):
+    """Compile the predictor for `predict_all`; the cache of programs has it then.
+
+    Args:
+      predictor: of `make_predictor`.
+      state: one of the same shapes and devices; its values are not read.
+    """
+
+    def describe(*shape, dtype):
+        return jax.ShapeDtypeStruct((VIEWS_AT_ONCE, *shape), dtype)
+
+    size = config.data.image_size
+    views = (
+        describe(size, size, 3, dtype=np.uint8),
+        describe(size, size, dtype=np.uint8),
+        describe(4, dtype=np.float32),
+    )
+    held = jax.tree.map(
+        lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=a.sharding), state
+    )
+    predictor.lower(held, *views).compile()
+
+
 def predict_all(
     predictor: Callable,
     state: TrainState,
     dataset: DataSet,
     *,
-    views_at_once: int = 64,
+    views_at_once: int = VIEWS_AT_ONCE,
 ) -> Predictions:
     """Run the predictor over a data set in equal batches (the last one is padded).
 

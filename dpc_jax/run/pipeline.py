@@ -1,6 +1,7 @@
 """One run from config to report: data, training, evaluation, report."""
 
 import contextlib
+import functools
 import os
 import signal
 import sys
@@ -13,13 +14,21 @@ from dpc_jax import config as configs
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet, load_or_render
 from dpc_jax.evaluation.alignment import Alignment, identity_alignment
+from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning import evaluator, loop
 from dpc_jax.learning.checkpoints import Checkpoints, Restored
-from dpc_jax.learning.predictor import Predictions, make_predictor, predict_all
+from dpc_jax.learning.predictor import (
+    Predictions,
+    compile_predictor,
+    make_predictor,
+    predict_all,
+)
 from dpc_jax.learning.records import MetricLog, NonFiniteError
 from dpc_jax.learning.step import TrainState, init_state
 from dpc_jax.networks import ShapePoseNetwork
-from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory
+from dpc_jax.run.gpu import set_gpu_flags
+from dpc_jax.run.memory import check_step_memory
+from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
 from dpc_jax.run.report import report_run
 from dpc_jax.run.setup import make_data_specs, make_network
 from dpc_jax.run.workdir import claim_workdir, hold_workdir
@@ -55,13 +64,16 @@ def run(config: Config, *, config_path: str, workdir: str | None):
       NonFiniteError: where training breaks.
     """
     configs.check(config)
+    set_gpu_flags()
+    split_cores(config.train.models_per_batch, config.run.devices)
     keep_freed_memory()
     keep_compiled_programs()
-    folder = claim_workdir(Path(workdir or _name_workdir(config, config_path)), config)
-    print(f"Workdir: {folder}", flush=True)
-
-    with hold_workdir(folder):
-        _run_in(folder, config)
+    folder = Path(workdir or _name_workdir(config, config_path))
+    with explaining_full_disk(folder):
+        claim_workdir(folder, config)
+        print(f"Workdir: {folder}", flush=True)
+        with hold_workdir(folder):
+            _run_in(folder, config)
 
 
 def _run_in(folder, config):
@@ -107,14 +119,15 @@ def load_sets(config: Config) -> dict[str, DataSet]:
       ValueError: where a set cannot be used, or does not fit the config.
       OSError: where the cache cannot be written.
     """
-    sets = {
-        split: load_or_render(
-            spec,
-            cache_dir=config.data.cache_dir,
-            processes=config.data.processes or None,
-        )
-        for split, spec in make_data_specs(config).items()
-    }
+    with explaining_full_disk(config.data.cache_dir):
+        sets = {
+            split: load_or_render(
+                spec,
+                cache_dir=config.data.cache_dir,
+                processes=config.data.processes or None,
+            )
+            for split, spec in make_data_specs(config).items()
+        }
     wanted, found = config.train.models_per_batch, len(sets["train"].names)
     if wanted > found:
         raise ValueError(
@@ -139,6 +152,14 @@ class Model:
         self.config, self.sets = config, sets
         self.network: ShapePoseNetwork = make_network(config)
         self._predictor = make_predictor(self.network, config)
+
+    def count_views(self, *splits: str) -> int:
+        """Views of splits, those that the run has."""
+        return sum(int(self.sets[s].counts.sum()) for s in splits if s in self.sets)
+
+    def compile_predictor(self, state: TrainState):
+        """Compile what `predict` needs, into the cache of compiled programs."""
+        compile_predictor(self._predictor, state, self.config)
 
     def predict(self, state: TrainState, split: str) -> Predictions:
         """Predictions for a split."""
@@ -186,7 +207,8 @@ def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
     """Train to the last step, or until SIGTERM or Ctrl-C asks to save and stop.
 
     Raises:
-      ValueError: if there are checkpoints, yet none can be read.
+      ValueError: if there are checkpoints, yet none can be read, or a step needs more
+        memory than the device has.
       NonFiniteError: where training breaks.
     """
     checkpoints = Checkpoints(workdir / "checkpoints")
@@ -194,6 +216,7 @@ def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
     outcome = loop.Outcome(start.state, start.seconds, True)
     with contextlib.closing(checkpoints), _catch_signals() as stop:
         if int(start.state.step) < model.config.train.steps:
+            check_step_memory(model.network, model.config)
             outcome = loop.train(
                 start.state,
                 model.sets["train"],
@@ -205,6 +228,9 @@ def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
                 should_stop=stop.is_set,
                 seconds=start.seconds,
                 title=f"Training {workdir.name}",
+                validations_after=model.count_views("test", "own", "val")
+                / model.count_views("val"),
+                prepare=functools.partial(model.compile_predictor, start.state),
             )
     return outcome
 
