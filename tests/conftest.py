@@ -4,10 +4,14 @@ import os
 import tempfile
 
 import hypothesis
+import jax
 
 # Broadcasting over a missing axis is a mistake waiting to happen: say the axis. In the
 # environment, so that the processes which tests start have it too.
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
+
+# Runs over several devices are tested with CPU devices: tests/test_learning_devices.py.
+jax.config.update("jax_num_cpu_devices", 4)
 
 # Commands keep compiled programs in the user's cache folder, but not those of tests.
 if "XDG_CACHE_HOME" not in os.environ:

@@ -223,7 +223,7 @@ def objective():
         return jax.value_and_grad(compute_loss, has_aux=True)(
             params,
             batch,
-            jax.random.key(0),
+            jax.random.split(jax.random.key(0), 2),
             jnp.asarray(0),
             jnp.zeros((3, 3)),
             network=network,
@@ -285,7 +285,7 @@ def test_equal_heads_tie_on_every_view_whatever_points_were_dropped(objective):
         return jax.grad(compute_loss, has_aux=True)(
             params,
             make_batch(),
-            key,
+            jax.random.split(key, 2),
             jnp.asarray(0),
             jnp.zeros((3, 3)),
             network=network,

@@ -145,7 +145,11 @@ def lower_step(kept=24, **changes):
         stage=Stage(kept_points=kept, grid=config.render.grid),
     )
     return jax.jit(jax.grad(function, has_aux=True)).lower(
-        state.params, make_batch(), jax.random.key(0), 0, state.covariance
+        state.params,
+        make_batch(),
+        jax.random.split(jax.random.key(0), 2),
+        0,
+        state.covariance,
     )
 
 

@@ -60,6 +60,12 @@ def _list_rules(config):
         train.warmup_steps <= train.steps,
         f"between 0 and train.steps = {train.steps}",
     )
+    yield (
+        "run.devices",
+        not config.run.devices or train.models_per_batch % config.run.devices == 0,
+        "0, or a divisor of train.models_per_batch = "
+        f"{train.models_per_batch}, so that all devices have as many objects",
+    )
     size, grid, fine = data.image_size, render.grid, render.fine_grid
     whole = f"data.image_size = {size}, so that masks can be averaged down to it"
     yield "render.grid", size % grid == 0, f"a divisor of {whole}"

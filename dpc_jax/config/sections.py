@@ -150,6 +150,13 @@ class Log:
 
 
 @dataclasses.dataclass(frozen=True)
+class Run:
+    """What of the machine a run uses; results agree to rounding."""
+
+    devices: int = field(0, at_least(0))  # that share a batch's objects; 0: all
+
+
+@dataclasses.dataclass(frozen=True)
 class Config:
     """A run: what it learns from, what it learns, and how."""
 
@@ -162,3 +169,4 @@ class Config:
     pose: Pose = Pose()
     train: Train = Train()
     log: Log = Log()
+    run: Run = Run()

@@ -12,21 +12,33 @@ from dpc_jax.render import quaternion
 
 
 def average_covariance(
-    covariance: jax.Array, points: jax.Array, step: jax.Array
+    covariance: jax.Array,
+    points: jax.Array,
+    step: jax.Array,
+    *,
+    axis: str | None = None,
 ) -> jax.Array:
     """The running covariance [3, 3] after one more batch of points [..., 3].
 
     The plain mean at first, then an exponential average over a hundred batches.
+    Devices along a named axis, each with its share of the batch, get that of all.
     """
     weight = jnp.maximum(0.01, 1 / (step + 1))
-    current = compute_covariance(points.reshape(-1, 3))
+    current = compute_covariance(points.reshape(-1, 3), axis=axis)
     return (1 - weight) * covariance + weight * current
 
 
-def compute_covariance(points: jax.Array) -> jax.Array:
-    """Covariance [3, 3] of points [N, 3], without gradient."""
-    centred = jax.lax.stop_gradient(points - jnp.mean(points, axis=0, keepdims=True))
-    return jnp.matmul(centred.T, centred, precision="highest") / points.shape[0]
+def compute_covariance(points: jax.Array, *, axis: str | None = None) -> jax.Array:
+    """Covariance [3, 3] of points [N, 3], without gradient; axis as above."""
+    points = jax.lax.stop_gradient(points)
+    centre = _average(jnp.mean(points, axis=0, keepdims=True), axis)
+    away = points - centre
+    moments = jnp.matmul(away.T, away, precision="highest") / points.shape[0]
+    return _average(moments, axis)
+
+
+def _average(value, axis):
+    return value if axis is None else jax.lax.pmean(value, axis)
 
 
 def find_half_turns(covariance: jax.Array) -> jax.Array:

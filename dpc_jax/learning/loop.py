@@ -6,7 +6,7 @@ from typing import NamedTuple
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet, choose_batch, read_batch
 from dpc_jax.evaluation.metrics import describe_metrics
-from dpc_jax.learning import schedules
+from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.progress import ProgressReport
 from dpc_jax.learning.records import MetricLog, Stopwatch, Window
@@ -115,7 +115,7 @@ class _StagedStep:
 
 def _make_batch(dataset, step, config):
     counts = dataset.counts
-    chosen = choose_batch(
+    models, views = choose_batch(
         len(counts),
         counts,
         seed=config.seed,
@@ -123,7 +123,8 @@ def _make_batch(dataset, step, config):
         models_per_batch=config.train.models_per_batch,
         views_per_batch=config.train.views_per_batch,
     )
-    return read_batch(dataset, *chosen)
+    own = devices.find_own(len(models))
+    return devices.assemble(read_batch(dataset, models[own], views[own]), config)
 
 
 def _is_due(step: int, interval: int) -> bool:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Pose, Render, Train
 from dpc_jax.learning import losses, schedules
+from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import average_covariance
 from dpc_jax.learning.hindsight import Winners, choose_poses
 from dpc_jax.learning.predictions import (
@@ -34,7 +35,7 @@ class Term(NamedTuple):
 def compute_loss(
     params: Mapping,
     batch: dict[str, jax.Array],
-    key: jax.Array,
+    keys: jax.Array,
     step: jax.Array,
     covariance: jax.Array,
     *,
@@ -47,13 +48,14 @@ def compute_loss(
     """The training objective of one batch (§ Single-view Shape and Pose Estimation).
 
     The shape is predicted from each object's first view and compared with all its
-    views. Each view's pose is predicted from that view itself.
+    views. Each view's pose is predicted from that view itself. To be called inside
+    `devices.share`, with a device's share of a batch of the run.
 
     Args:
       params: of the network.
       batch: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S], quaternions
         [B, V, 4] (read only where poses are known).
-      key: for the point dropout.
+      keys: [B], for the point dropout of each object.
       step: ().
       covariance: [3, 3], see `TrainState`.
       network, render, pose, train: static.
@@ -69,7 +71,7 @@ def compute_loss(
     shapes = predict_shapes(
         params,
         features[:, 0],
-        key,
+        keys,
         sigma,
         network=network,
         kept_points=stage.kept_points,
@@ -80,7 +82,7 @@ def compute_loss(
         rotations, student = batch["quaternions"], {}
     else:
         if pose.half_turns:
-            covariance = average_covariance(covariance, shapes.kept, step)
+            covariance = average_covariance(covariance, shapes.kept, step, axis=AXIS)
         poses = predict_poses(params, features, covariance, network=network, pose=pose)
         winners = choose_poses(
             shapes,

@@ -64,7 +64,7 @@ def encode_views(
 def predict_shapes(
     params: Mapping,
     features: jax.Array,
-    key: jax.Array,
+    keys: jax.Array,
     sigma: jax.Array,
     *,
     network: ShapePoseNetwork,
@@ -74,12 +74,12 @@ def predict_shapes(
     """The shape of each object from its features [B, F], with point dropout.
 
     One subset of points serves all views and candidates of an object, so that the
-    choice among candidates does not depend on which points were drawn.
+    choice among candidates does not depend on which points were drawn. It is drawn with
+    the object's own key of keys [B].
     """
     shape = network.apply(params, features, method="predict_shape")
     assert isinstance(shape, dict)
     points, colors = shape["points"], shape.get("colors")
-    keys = jax.random.split(key, points.shape[0])
     subset = jax.vmap(
         lambda k: jax.random.permutation(k, points.shape[1])[:kept_points]
     )(keys)

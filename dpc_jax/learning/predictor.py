@@ -6,14 +6,15 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import NamedSharding
 
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
-from dpc_jax.learning import hindsight, schedules
+from dpc_jax.learning import devices, hindsight, schedules
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import complete_poses, compute_mass, scale_images
 from dpc_jax.learning.renders import map_renders
-from dpc_jax.learning.step import TrainState
+from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.render.resolution import scale_sizes
@@ -40,7 +41,7 @@ class Predictions(NamedTuple):
 
 
 def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
-    """The compiled function (state, images, masks, quaternions) -> dict.
+    """The compiled function (state, images, masks, quaternions) -> dict, over devices.
 
     For n views: images uint8 [n, S, S, 3], masks uint8 [n, S, S], quaternions [n, 4].
     The dictionary has the fields of `Predictions`, with one leading axis [n].
@@ -48,7 +49,8 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
     render, pose = config.render, config.pose
 
     def predict(state, images, masks, quaternions):
-        output = network.apply(state.params, scale_images(images))
+        with devices.sharing_columns():
+            output = network.apply(state.params, scale_images(images))
         assert isinstance(output, dict)
         sigma = schedules.compute_sigma(state.step, render, steps=config.train.steps)
         mass = compute_mass(output["scale"], sigma, scale_unit=render.scale_unit)
@@ -73,7 +75,24 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
             result["colors"] = output["colors"]
         return result
 
-    return jax.jit(predict)
+    mesh = devices.make_mesh(config)
+    shared = devices.share(
+        predict,
+        mesh,
+        in_specs=(find_parts(network, config, mesh), *[devices.OBJECTS] * 3),
+        out_specs=devices.OBJECTS,
+    )
+
+    def pad(state, *arrays):
+        """All devices have as many views; those that fill up are cut off again."""
+        count = len(arrays[0])
+        rows = jnp.minimum(jnp.arange(count + -count % mesh.size), count - 1)
+        output = shared(state, *(array[rows] for array in arrays))
+        return jax.tree.map(lambda array: array[:count], output)
+
+    # Every process of a job gets all of it.
+    whole = NamedSharding(mesh, devices.WHOLE) if jax.process_count() > 1 else None
+    return jax.jit(pad, out_shardings=whole)
 
 
 def explain_view(

@@ -6,9 +6,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
+from jax.sharding import Mesh
 
 from dpc_jax.config import Config, Train
-from dpc_jax.learning import schedules
+from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.objective import compute_loss
 from dpc_jax.networks import ShapePoseNetwork
 
@@ -39,7 +40,13 @@ def make_optimizer(train: Train) -> optax.GradientTransformation:
 
 
 def init_state(network: ShapePoseNetwork, config: Config) -> TrainState:
-    """Parameters and optimiser at step 0, from the seed alone."""
+    """Parameters and optimiser at step 0, from the seed alone, on the run's devices."""
+    state = _init_whole(network, config)
+    mesh = devices.make_mesh(config)
+    return devices.place(state, devices.choose_parts(state, mesh), mesh)
+
+
+def _init_whole(network, config):
     size = config.data.image_size
     images = jnp.zeros((1, size, size, 3))
     params = jax.jit(network.init)(jax.random.key(config.seed), images)
@@ -47,40 +54,74 @@ def init_state(network: ShapePoseNetwork, config: Config) -> TrainState:
     return TrainState(jnp.asarray(0, jnp.int32), params, optimizer, jnp.zeros((3, 3)))
 
 
+def find_parts(network: ShapePoseNetwork, config: Config, mesh: Mesh) -> TrainState:
+    """The partition of each array of a state."""
+    shapes = jax.eval_shape(lambda: _init_whole(network, config))
+    return devices.choose_parts(shapes, mesh)
+
+
 def make_train_step(
     network: ShapePoseNetwork, config: Config, stage: schedules.Stage
 ) -> Callable:
-    """The compiled step of a stage.
+    """The compiled step of a stage, over all devices of the run.
 
     Returns:
       A function (state, batch) -> (state, metrics) that gives the old state's memory
-      to the new one. The dropout key is a function of seed and step, so any step can
-      be replayed.
+      to the new one. The dropout key is a function of seed, step and place in the
+      batch, so any step can be replayed, on any number of devices.
     """
+    mesh = devices.make_mesh(config)
+    parts = find_parts(network, config, mesh)
+    update = _make_update(network, config, stage, parts, mesh.size)
+    shared = devices.share(
+        update,
+        mesh,
+        in_specs=(parts, devices.OBJECTS),
+        out_specs=(parts, devices.WHOLE),
+    )
+    return jax.jit(shared, donate_argnums=0)
+
+
+def _make_update(network, config, stage, parts, num_devices):
+    """The step of one device, with its share of the batch."""
     optimizer = make_optimizer(config.train)
 
-    def step(state: TrainState, batch):
+    def compute_share(params, batch, keys, state):
+        """This device's part of the loss, which is a mean over all objects."""
+        with devices.sharing_columns():
+            loss, aux = compute_loss(
+                params,
+                batch,
+                keys,
+                state.step,
+                state.covariance,
+                network=network,
+                render=config.render,
+                pose=config.pose,
+                train=config.train,
+                stage=stage,
+            )
+        return loss / num_devices, aux
+
+    def update(state, batch):
         key = jax.random.fold_in(jax.random.key(config.seed), state.step)
+        # An object has its own key, whichever device it is on.
+        keys = devices.take_own(jax.random.split(key, config.train.models_per_batch))
         (loss, (metrics, covariance)), grads = jax.value_and_grad(
-            compute_loss, has_aux=True
-        )(
-            state.params,
-            batch,
-            key,
-            state.step,
-            state.covariance,
-            network=network,
-            render=config.render,
-            pose=config.pose,
-            train=config.train,
-            stage=stage,
-        )
+            compute_share, has_aux=True
+        )(state.params, batch, keys, state)
+        grads = devices.sum_whole(grads, parts.params)
         updates, opt_state = optimizer.update(grads, state.optimizer, state.params)
         params = optax.apply_updates(state.params, updates)
-        metrics["loss"] = loss
+        winners = {k: metrics.pop(k) for k in ("winners",) if k in metrics}
+        metrics = jax.lax.pmean(metrics, devices.AXIS)
+        metrics |= jax.lax.all_gather(winners, devices.AXIS, tiled=True)
+        metrics["loss"] = jax.lax.psum(loss, devices.AXIS)
         metrics["gradient_norms"] = {
-            name: optax.tree.norm(part) for name, part in grads["params"].items()
+            name: devices.compute_norm(part, parts.params["params"][name])
+            for name, part in grads["params"].items()
         }
-        return TrainState(state.step + 1, params, opt_state, covariance), metrics
+        new = TrainState(state.step + 1, params, opt_state, covariance)
+        return new, metrics
 
-    return jax.jit(step, donate_argnums=0)
+    return update

@@ -21,7 +21,7 @@ from dpc_jax.learning.step import TrainState, init_state
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run import hosts
 from dpc_jax.run.agreement import Job
-from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory
+from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
 from dpc_jax.run.report import report_run
 from dpc_jax.run.setup import make_data_specs, make_network
 from dpc_jax.run.workdir import claim_workdir, hold_workdir
@@ -71,6 +71,9 @@ def run(
       NonFiniteError: where training breaks.
     """
     configs.check(config)
+    processes = place.processes if place else 1
+    objects = max(1, config.train.models_per_batch // processes)
+    split_cores(objects, config.run.devices // processes)
     keep_freed_memory()
     keep_compiled_programs()
     folder = Path(workdir or _name_workdir(config, config_path))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dpc_jax.config import Config
+from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet, DataSpec
 from dpc_jax.data.sets.image_folder import read_object
 from dpc_jax.data.sets.pictures import FAULTS
@@ -20,7 +20,7 @@ from dpc_jax.learning.step import TrainState, init_state
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.export import write_glb, write_ply
 from dpc_jax.reporting.gallery import draw_predictions
-from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory
+from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
 from dpc_jax.run.setup import make_network
 from dpc_jax.run.workdir import read_alignment, read_config
 
@@ -44,7 +44,8 @@ def predict_images(
         image can be used, or two images would write the same files.
       OSError: where files cannot be read or written.
     """
-    config = read_config(workdir)
+    # Another machine than that of the run may have fewer devices.
+    config = replace_fields(read_config(workdir), {"run": {"devices": 0}})
     names = [path.stem for path in images]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
@@ -101,6 +102,7 @@ def _write_prediction(out, example, pose, *, is_aligned):
 
 def _restore_state(config: Config, workdir: Path) -> TrainState:
     """The last state of a run."""
+    split_cores(config.train.models_per_batch)
     keep_freed_memory()
     keep_compiled_programs()
     state = init_state(make_network(config), config)

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import jax
 
+from dpc_jax.learning.devices import find_share
+
 
 def keep_freed_memory() -> None:
     """Have glibc keep what a step frees for the next one.
@@ -20,6 +22,26 @@ def keep_freed_memory() -> None:
         trim_threshold, mmap_max = -1, -4  # names in malloc.h
         libc.mallopt(mmap_max, 0)
         libc.mallopt(trim_threshold, 2**31 - 1)
+
+
+def split_cores(objects: int, devices: int = 0):
+    """Have jax take CPU cores as devices, as many as can share the objects of a batch.
+
+    To be called before jax is first used; afterwards, or where XLA_FLAGS or jax's own
+    setting say how many there are, nothing changes.
+
+    Args:
+      objects: that are shared.
+      devices: how many instead; 0 for as many cores as divide the objects.
+    """
+    is_set = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
+    if is_set or jax.config.values["jax_num_cpu_devices"] > 0:
+        return
+    count = devices or find_share(objects, len(os.sched_getaffinity(0)))
+    try:
+        jax.config.update("jax_num_cpu_devices", count)
+    except RuntimeError:  # jax has begun
+        return
 
 
 def keep_compiled_programs() -> Path | None:

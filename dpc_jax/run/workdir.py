@@ -17,7 +17,13 @@ from dpc_jax.evaluation.alignment import Alignment
 from dpc_jax.files import write_text
 
 # What may differ between a run and its continuation.
-FREE_FIELDS = ("data.cache_dir", "data.processes", "log", "render.renders_at_once")
+FREE_FIELDS = (
+    "data.cache_dir",
+    "data.processes",
+    "log",
+    "render.renders_at_once",
+    "run",
+)
 _ALIGNMENT = Path("report") / "alignment.json"
 
 

@@ -1,0 +1,152 @@
+"""One training step over several devices: what each of them holds and computes.
+
+The objects of a batch are shared out. So are the columns of the largest dense layers
+(tensor parallelism, Shoeybi et al., 2019): their weights are read and updated once in
+all and their gradients never leave a device; what travels are the few rows of a batch.
+All other parameters are whole on every device, and their gradients are summed.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from dpc_jax.config import Config
+
+AXIS = "objects"
+WHOLE, OBJECTS, COLUMNS = (PartitionSpec(*p) for p in ((), (AXIS,), (None, AXIS)))
+# Weights from this many on are shared: of the layer before the points, and of the first
+# dense one. For smaller ones the exchange takes longer than it saves.
+SHARED_WEIGHTS = 2**20
+
+
+def make_mesh(config: Config) -> Mesh:
+    """The devices of a run, in a line.
+
+    With `run.devices` 0 there are as many as divide the objects of a batch. All
+    processes of a job have the same number.
+
+    Raises:
+      ValueError: where there are fewer devices than asked for, or the processes cannot
+        share the objects alike.
+    """
+    asked, objects = config.run.devices, config.train.models_per_batch
+    processes = jax.process_count()
+    local = [jax.local_devices(process) for process in range(processes)]
+    there = min(len(found) for found in local)
+    if objects % processes or asked % processes:
+        raise ValueError(
+            f"Expected a number of processes that divides the {objects} objects of a "
+            f"batch and run.devices = {asked}, but there are {processes}; set "
+            "--config.train.models_per_batch to a multiple of it."
+        )
+    each = asked // processes or find_share(objects // processes, there)
+    if each > there:
+        raise ValueError(
+            f"config.run.devices must be at most {there * processes}, the devices that "
+            f"jax has, but it is {asked}; set --config.run.devices=0 for as many as "
+            "there are."
+        )
+    chosen = [device for found in local for device in found[:each]]
+    return Mesh(np.array(chosen), (AXIS,))
+
+
+def find_share(objects: int, devices: int) -> int:
+    """The largest number, at most `devices`, that divides the objects; at least 1."""
+    return max(n for n in range(1, max(devices, 1) + 1) if objects % n == 0)
+
+
+def find_own(objects: int) -> slice:
+    """Which of the objects of a batch this process reads, for its own devices."""
+    each = objects // jax.process_count()
+    return slice(each * jax.process_index(), each * (jax.process_index() + 1))
+
+
+def assemble(rows: dict[str, np.ndarray], config: Config) -> dict[str, Any]:
+    """The batch of which every process has read its own rows."""
+    if jax.process_count() == 1:
+        return dict(rows)
+    parts = NamedSharding(make_mesh(config), OBJECTS)
+    return {
+        name: jax.make_array_from_process_local_data(parts, array)
+        for name, array in rows.items()
+    }
+
+
+def choose_parts(tree: Any, mesh: Mesh) -> Any:
+    """The partition of each array: by columns where it is large, else whole."""
+
+    def choose(array):
+        shape = jnp.shape(array)
+        is_large = len(shape) == 2 and shape[0] * shape[1] >= SHARED_WEIGHTS
+        return COLUMNS if is_large and shape[1] % mesh.size == 0 else WHOLE
+
+    return jax.tree.map(choose, tree)
+
+
+def place(tree: Any, parts: Any, mesh: Mesh) -> Any:
+    """The arrays of a tree on the devices, by their partitions."""
+    return jax.tree.map(
+        lambda array, part: jax.device_put(array, NamedSharding(mesh, part)),
+        tree,
+        parts,
+    )
+
+
+def share(function: Callable, mesh: Mesh, in_specs: Any, out_specs: Any) -> Callable:
+    """The function that every device calls with its part of the arguments.
+
+    Inside, `AXIS` names the devices.
+    """
+    return jax.shard_map(
+        function, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False
+    )
+
+
+def sharing_columns():
+    """Inside `share`: a context in which shared dense layers compute their columns."""
+    return nn.intercept_methods(_share_columns)
+
+
+def _share_columns(call, args, kwargs, context):
+    """Columns of all rows, exchanged for all columns of the device's own rows."""
+    layer = context.module
+    if not isinstance(layer, nn.Dense) or context.method_name != "__call__":
+        return call(*args, **kwargs)
+    kernel = layer.get_variable("params", "kernel")
+    if kernel is None or kernel.shape[1] == layer.features:
+        return call(*args, **kwargs)
+    rows = jax.lax.all_gather(args[0], AXIS, tiled=True)
+    columns = jnp.matmul(rows, kernel)
+    own = jax.lax.all_to_all(columns, AXIS, split_axis=0, concat_axis=1, tiled=True)
+    return own + layer.get_variable("params", "bias")
+
+
+def take_own(array: jax.Array) -> jax.Array:
+    """Inside `share`: this device's share of the leading axis."""
+    size = array.shape[0] // jax.lax.axis_size(AXIS)
+    return jax.lax.dynamic_slice_in_dim(array, jax.lax.axis_index(AXIS) * size, size)
+
+
+def sum_whole(tree: Any, parts: Any) -> Any:
+    """Inside `share`: arrays of which every device has the whole, summed over them."""
+    return jax.tree.map(
+        lambda array, part: jax.lax.psum(array, AXIS) if part == WHOLE else array,
+        tree,
+        parts,
+    )
+
+
+def compute_norm(tree: Any, parts: Any) -> jax.Array:
+    """Inside `share`: root of the sum of all squares of partitioned arrays; ()."""
+
+    def sum_squares(array, part):
+        square = jnp.sum(jnp.square(array))
+        return square if part == WHOLE else jax.lax.psum(square, AXIS)
+
+    squares = jax.tree.map(sum_squares, tree, parts)
+    return jnp.sqrt(sum(jax.tree.leaves(squares)))

@@ -1,0 +1,185 @@
+"""The training step over several devices: the same learning, shared."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.sharding import PartitionSpec
+from tiny_runs import (
+    assert_same_bits,
+    make_batch,
+    make_dataset,
+    make_network,
+    make_state,
+    make_step,
+    tiny_config,
+)
+
+from dpc_jax.config import check, replace_fields
+from dpc_jax.learning import devices
+from dpc_jax.learning.checkpoints import Checkpoints
+from dpc_jax.learning.predictor import make_predictor, predict_all
+
+# Half turns, dropout, a selecting student and priors: all that objects could share.
+EVERYTHING = dict(
+    models_per_batch=4,
+    flips=True,
+    selects=True,
+    keep_levels=1,
+    repulsion_weight=0.004,
+    repulsion_points=6,
+    containment_weight=1.0,
+    learning_rate=3e-4,
+)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def shared_layers():
+    """Weights of the tiny network are shared as those of a large one are."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr(devices, "SHARED_WEIGHTS", 100)
+    yield
+    patch.undo()
+
+
+def configure(count, **changes):
+    config = tiny_config(**EVERYTHING | changes)
+    return replace_fields(config, {"run": {"devices": count}})
+
+
+@functools.cache
+def compile_step(config):
+    """The network's first state on the host, and the compiled step."""
+    network = make_network(config)
+    return make_state(network, config), make_step(network, config)
+
+
+def start(config):
+    state, step = compile_step(config)
+    return jax.tree.map(
+        lambda a: jax.device_put(np.asarray(a), a.sharding), state
+    ), step
+
+
+def train(config, *, steps=20):
+    """The losses of some steps, and the last state."""
+    state, step = start(config)
+    losses = []
+    for seed in range(steps):
+        state, metrics = step(state, make_batch(models=4, seed=seed))
+        losses.append(float(metrics["loss"]))
+    return np.array(losses), state, metrics
+
+
+@pytest.fixture(scope="module")
+def alone():
+    return train(configure(1))
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_any_number_of_devices_gives_the_loss_of_one(alone, count):
+    losses, _, metrics = train(configure(count))
+    # The sums are the same in another order: twenty steps of rounding in float32.
+    np.testing.assert_allclose(losses, alone[0], rtol=1e-5)
+    np.testing.assert_array_equal(metrics["winners"], alone[2]["winners"])
+    for name, norm in alone[2]["gradient_norms"].items():
+        found = float(metrics["gradient_norms"][name])
+        assert found == pytest.approx(float(norm), rel=1e-3)
+
+
+def test_one_step_has_the_parameters_of_one_device():
+    # One step of Adam moves every parameter by the learning rate, whatever the size of
+    # its gradient; where that is rounding alone, so is the sign.
+    _, one, _ = train(configure(1), steps=1)
+    _, four, _ = train(configure(4), steps=1)
+    for first, second in zip(jax.tree.leaves(one), jax.tree.leaves(four), strict=True):
+        differs = np.abs(np.asarray(first) - np.asarray(second)) > 1e-6
+        assert np.mean(differs) < 0.01
+
+
+def test_the_same_number_of_devices_gives_the_same_bits():
+    assert_same_bits(train(configure(2), steps=5)[1], train(configure(2), steps=5)[1])
+
+
+def test_large_layers_and_their_moments_are_shared_by_columns():
+    config = configure(4)
+    state = make_state(make_network(config), config)
+    kernel = state.params["params"]["shape"]["points"]["kernel"]
+    assert kernel.sharding.spec == PartitionSpec(None, "objects")
+    assert kernel.addressable_shards[0].data.shape == (12, kernel.shape[1] // 4)
+    moments = [
+        leaf for leaf in jax.tree.leaves(state.optimizer) if leaf.shape == kernel.shape
+    ]
+    assert len(moments) == 2
+    assert all(moment.sharding == kernel.sharding for moment in moments)
+
+
+def test_a_run_goes_on_with_another_number_of_devices(tmp_path):
+    losses, _, _ = train(configure(2), steps=6)
+    config = configure(2)
+    _, state, _ = train(config, steps=3)
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(state, seconds=1.0)
+    for count in (1, 2, 4):
+        other = configure(count)
+        first, step = start(other)
+        restored = checkpoints.restore(first)
+        assert restored is not None
+        resumed = restored.state
+        assert_same_bits(resumed, state)
+        for seed in (3, 4, 5):
+            resumed, metrics = step(resumed, make_batch(models=4, seed=seed))
+        tolerance = 0 if count == 2 else 1e-5
+        assert float(metrics["loss"]) == pytest.approx(losses[-1], rel=tolerance)
+    checkpoints.close()
+
+
+def test_views_are_predicted_on_all_devices_as_on_one(alone):
+    dataset = make_dataset(models=3, views=3)
+    found = []
+    for count in (1, 4):  # nine views, seven at once: neither fits four devices
+        config = configure(count)
+        network = make_network(config)
+        covariance = np.asarray(alone[1].covariance)
+        state = make_state(network, config)._replace(covariance=covariance)
+        predictor = make_predictor(network, config)
+        found.append(predict_all(predictor, state, dataset, views_at_once=7))
+    one, four = found
+    np.testing.assert_array_equal(one.winners, four.winners)
+    for name in ("points", "poses", "silhouettes"):
+        np.testing.assert_allclose(
+            getattr(one, name), getattr(four, name), atol=1e-5, err_msg=name
+        )
+
+
+@pytest.mark.parametrize("asked, sentence", [(3, "a divisor of"), (8, "a divisor of")])
+def test_devices_that_cannot_share_a_batch_alike_are_refused(asked, sentence):
+    config = dataclasses.replace(configure(asked), category="car")
+    with pytest.raises(
+        ValueError, match=f"config.run.devices must be 0, or {sentence}"
+    ):
+        check(config)
+
+
+def test_more_devices_than_there_are_is_a_sentence():
+    config = configure(8, models_per_batch=8)
+    with pytest.raises(ValueError, match="at most 4, the devices that jax has, but it"):
+        devices.make_mesh(config)
+
+
+@pytest.mark.parametrize(
+    "objects, cores, share", [(4, 2, 2), (4, 3, 2), (4, 64, 4), (5, 4, 1), (6, 4, 3)]
+)
+def test_by_default_as_many_devices_share_as_divide_the_objects(objects, cores, share):
+    assert devices.find_share(objects, cores) == share
+
+
+def test_whole_weights_stay_whole_where_columns_do_not_divide():
+    mesh = devices.make_mesh(configure(4))
+    tree = {"even": jnp.zeros((50, 8)), "odd": jnp.zeros((50, 7)), "bias": jnp.zeros(8)}
+    parts = devices.choose_parts(tree, mesh)
+    assert parts["even"] == devices.COLUMNS
+    assert parts["odd"] == parts["bias"] == devices.WHOLE
