@@ -9,7 +9,7 @@ from absl import app, flags
 from ml_collections import config_flags
 
 from dpc_jax.config import from_config_dict
-from dpc_jax.run import hosts, pipeline
+from dpc_jax.run import hosts, pipeline, process
 
 _CONFIG = config_flags.DEFINE_config_file(
     "config",
@@ -72,11 +72,10 @@ def main(_: list[str]):
     """Hand the parsed flags to the run."""
     path = config_flags.get_config_filename(flags.FLAGS["config"])
     config = from_config_dict(_CONFIG.value)
-    sys.exit(
-        pipeline.run_guarded(
-            config, config_path=path, workdir=_WORKDIR.value, place=_find_place()
-        )
+    status = pipeline.run_guarded(
+        config, config_path=path, workdir=_WORKDIR.value, place=_find_place()
     )
+    process.leave(status)
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ FUNCTIONS = sorted(set(list_functions()), key=str)
 
 def test_the_equations_name_functions_and_tests():
     files = {file for file, _ in FUNCTIONS}
-    assert {"learning/objective.py", "render/termination.py"} <= files
+    assert {"learning/winners.py", "render/termination.py"} <= files
     assert sum(file.startswith("tests/") for file in files) >= 10
 
 
@@ -54,7 +54,7 @@ def test_every_function_and_test_of_the_equations_exists(file, name):
 
 
 EQUATIONS = (
-    (1, "learning/objective.py", "compare_views"),
+    (1, "learning/winners.py", "compare_winners"),
     (2, "learning/hindsight.py", "choose_candidate"),
     (3, "render/volume.py", "fill_volume"),
     (4, "render/termination.py", "end_rays"),

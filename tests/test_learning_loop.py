@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import json
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +26,7 @@ from dpc_jax.learning.predictor import make_predictor, predict_all
 from dpc_jax.learning.records import MetricLog, NonFiniteError, check_finite, summarize
 from dpc_jax.learning.renders import compute_candidate_losses
 from dpc_jax.learning.schedules import compute_sigma
+from dpc_jax.learning.step import make_train_step
 from dpc_jax.render import Camera
 
 CONFIG = tiny_config(steps=8)  # two stages of four steps
@@ -55,7 +57,9 @@ def first_state():
 def unbroken(first_state, tmp_path_factory):
     """The last state of a run that nothing stopped."""
     folder = tmp_path_factory.mktemp("unbroken")
-    return run_loop(folder, first_state, every=(1, 0, 0)).state
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop, "make_train_step", compile_once)
+        return run_loop(folder, first_state, every=(1, 0, 0)).state
 
 
 def copy_from_host(state):
@@ -91,9 +95,16 @@ def read(folder):
     return MetricLog(folder / "metrics.jsonl").read()
 
 
-def stop_after(count):
-    calls = iter(range(1, 1000))
-    return lambda: next(calls) == count
+def stop_after(count, monkeypatch):
+    """Asks to stop from the end of the count-th step on."""
+    steps, add = [], loop.Window.add
+
+    def count_step(window, metrics):
+        steps.append(metrics)
+        add(window, metrics)
+
+    monkeypatch.setattr(loop.Window, "add", count_step)
+    return lambda: len(steps) >= count
 
 
 def test_the_loop_ends_at_the_last_step_with_a_checkpoint_of_it(
@@ -109,13 +120,22 @@ def test_the_loop_ends_at_the_last_step_with_a_checkpoint_of_it(
     assert_same_bits(restored.state, unbroken)
 
 
+def test_compiling_ahead_changes_no_bit(tmp_path, first_state, unbroken, monkeypatch):
+    # Programs of its own, not those that the other tests share.
+    monkeypatch.setattr(loop, "make_train_step", make_train_step)
+    outcome = run_loop(tmp_path, first_state, compile_ahead=False)
+    assert_same_bits(outcome.state, unbroken)
+    # Training waited for both stages, the second of which begins after step 4.
+    waited = [r["step"] for r in read(tmp_path) if "compile_seconds" in r]
+    assert waited == [1, 5]
+
+
 @pytest.mark.parametrize("count", [1, 3, 4, 7])
 def test_a_run_that_stops_saves_and_then_ends_as_one_that_did_not(
-    tmp_path, first_state, unbroken, count
+    tmp_path, first_state, unbroken, count, monkeypatch
 ):
-    outcome = run_loop(
-        tmp_path, first_state, every=(1, 0, 0), should_stop=stop_after(count)
-    )
+    stop = stop_after(count, monkeypatch)
+    outcome = run_loop(tmp_path, first_state, every=(1, 0, 0), should_stop=stop)
     assert not outcome.is_finished
     restored, steps = restore(tmp_path, first_state)
     assert steps == [count] and int(restored.state.step) == count
@@ -125,8 +145,11 @@ def test_a_run_that_stops_saves_and_then_ends_as_one_that_did_not(
     assert [r["step"] for r in read(tmp_path)] == list(range(1, 9))
 
 
-def test_a_run_asked_to_stop_at_its_last_step_is_finished(tmp_path, first_state):
-    outcome = run_loop(tmp_path, first_state, should_stop=stop_after(8))
+def test_a_run_asked_to_stop_at_its_last_step_is_finished(
+    tmp_path, first_state, monkeypatch
+):
+    stop = stop_after(8, monkeypatch)
+    outcome = run_loop(tmp_path, first_state, should_stop=stop)
     assert outcome.is_finished
 
 
@@ -208,15 +231,20 @@ def poison(step_at, *names):
         return jnp.full_like(leaf, jnp.nan) if found.issuperset(names) else leaf
 
     def make(network, config, stage):
-        good = compile_once(network, config, stage)
+        jitted = compile_once(network, config, stage)
 
-        def step(state, batch):
+        def lower(*structs):
+            good = jitted.lower(*structs).compile()
+            step = functools.partial(run, good)
+            return SimpleNamespace(compile=lambda: step)
+
+        def run(good, state, batch):
             if int(state.step) == step_at:
                 params = jax.tree_util.tree_map_with_path(spoil, state.params)
                 state = state._replace(params=params)
             return good(state, batch)
 
-        return step
+        return SimpleNamespace(lower=lower)
 
     return make
 

@@ -65,7 +65,7 @@ def test_smoothing_is_its_own_transpose():
 
 
 # Half-widths of the kernels that each size has a branch for; the first is none.
-WIDTHS = {16: (0,), 20: (0, 4), 33: (0, 4, 9), 64: (0, 4, 18)}
+WIDTHS = {16: (0,), 20: (0, 1, 4), 33: (0, 1, 4, 9), 64: (0, 1, 4, 18)}
 ROUNDING = {"float32": 2.0**-24, "float64": 2.0**-53}
 
 

@@ -9,7 +9,6 @@ All other parameters are whole on every device, and their gradients are summed.
 from collections.abc import Callable
 from typing import Any
 
-import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -105,25 +104,6 @@ def share(function: Callable, mesh: Mesh, in_specs: Any, out_specs: Any) -> Call
     return jax.shard_map(
         function, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False
     )
-
-
-def sharing_columns():
-    """Inside `share`: a context in which shared dense layers compute their columns."""
-    return nn.intercept_methods(_share_columns)
-
-
-def _share_columns(call, args, kwargs, context):
-    """Columns of all rows, exchanged for all columns of the device's own rows."""
-    layer = context.module
-    if not isinstance(layer, nn.Dense) or context.method_name != "__call__":
-        return call(*args, **kwargs)
-    kernel = layer.get_variable("params", "kernel")
-    if kernel is None or kernel.shape[1] == layer.features:
-        return call(*args, **kwargs)
-    rows = jax.lax.all_gather(args[0], AXIS, tiled=True)
-    columns = jnp.matmul(rows, kernel)
-    own = jax.lax.all_to_all(columns, AXIS, split_axis=0, concat_axis=1, tiled=True)
-    return own + layer.get_variable("params", "bias")
 
 
 def take_own(array: jax.Array) -> jax.Array:

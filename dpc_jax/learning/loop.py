@@ -1,5 +1,6 @@
 """The training loop: steps, log, validation, checkpoints, and a clean way out."""
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -8,6 +9,8 @@ from dpc_jax.data import DataSet, choose_batch, read_batch
 from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.checkpoints import Checkpoints
+from dpc_jax.learning.forecast import Forecast
+from dpc_jax.learning.programs import StagePrograms
 from dpc_jax.learning.progress import ProgressReport
 from dpc_jax.learning.records import MetricLog, Stopwatch, Window
 from dpc_jax.learning.step import TrainState, make_train_step
@@ -40,6 +43,9 @@ def train(
     should_stop: Callable[[], bool] = lambda: False,
     seconds: float = 0.0,
     title: str = "Training",
+    may_stop_waiting: bool = True,
+    compile_ahead: bool = True,
+    validations_after: float = 0.0,
 ) -> Outcome:
     """Train from a state to the last step of the config.
 
@@ -53,9 +59,16 @@ def train(
         validation and checkpoints are due. The last step has all three.
       checkpoints, log: where they are written.
       evaluate: gives the validation metrics of a state.
-      should_stop: asked after each step; True saves and returns.
+      should_stop: asked after each step, and while training waits for a program; True
+        saves and returns.
+      may_stop_waiting: False where it is asked after each step only, because several
+        processes have to stop after the same one.
       seconds: training time spent before this call.
       title: of the progress bar.
+      compile_ahead: whether the programs of later stages compile in the background;
+        the results are the same.
+      validations_after: how many validations what follows training takes as long as,
+        for the time left.
 
     Raises:
       NonFiniteError: at the first loss or gradient that is not finite, named with its
@@ -64,27 +77,42 @@ def train(
     start, steps, due = int(state.step), config.train.steps, config.log
     watch = Stopwatch(seconds)
     window = Window(start, seconds, heads=config.pose.heads)
-    train_step = _StagedStep(network, config)
-    with ProgressReport(title, total=steps, start=start) as progress:
+    spans = schedules.list_spans(config.render, steps=steps)
+    forecast = Forecast(
+        spans,
+        start=start,
+        validate_every=due.evaluate if evaluate else None,
+        validations_after=validations_after,
+        waits=not compile_ahead,
+    )
+    make_step = functools.partial(make_train_step, network, config)
+    stops_waiting = should_stop if may_stop_waiting else lambda: False
+    with (
+        ProgressReport(title, total=steps, start=start) as progress,
+        StagePrograms(make_step, spans, ahead=compile_ahead) as programs,
+    ):
+        log_steps = functools.partial(_log_steps, log, forecast, progress)
         for done in range(start + 1, steps + 1):
             batch = _make_batch(dataset, done - 1, config)
-            state, metrics = train_step(state, batch, done - 1)
+            program = programs.find(done - 1) or _begin_stage(
+                programs, (done - 1, state, batch), progress, window, stops_waiting
+            )
+            if program is None:  # asked to stop while it compiled
+                if not window.is_empty:
+                    log_steps(done - 1, window.close(watch.seconds))
+                checkpoints.save(state, seconds=watch.seconds)
+                return Outcome(state, watch.seconds, False)
+            state, metrics = program.call(state, batch)
             window.add(metrics)
             progress.advance(done)
             stops, is_finished = should_stop(), done == steps
             is_last = stops or is_finished
             if _is_due(done, due.every) or is_last:
-                record = window.close(watch.seconds)
-                log.write(record)
-                progress.report(
-                    done,
-                    loss=record["loss"],
-                    steps_per_second=record["steps_per_second"],
-                )
+                log_steps(done, window.close(watch.seconds))
             if evaluate and (_is_due(done, due.evaluate) or is_finished):
                 window.check()
                 elapsed = round(watch.seconds, 3)
-                with watch.paused():
+                with watch.paused(), forecast.timing_validation():
                     scores = evaluate(state)
                 log.write({"step": done, "seconds": elapsed, **scores})
                 found = describe_metrics(scores, share_digits=2)
@@ -94,23 +122,33 @@ def train(
                 checkpoints.save(state, seconds=watch.seconds)
             if stops and not is_finished:
                 return Outcome(state, watch.seconds, False)
+            with window.waiting():
+                forecast.add_costs(programs.compare(done, state, batch))
     return Outcome(state, watch.seconds, True)
 
 
-class _StagedStep:
-    """The training step of the stage at hand, compiled anew when the stage changes."""
+def _begin_stage(programs, step_state_batch, progress, window, should_stop):
+    """The program of the stage that begins; None where asked to stop meanwhile."""
+    if programs.is_ready(step_state_batch[0]):
+        return programs.begin(*step_state_batch)
+    with window.waiting(), progress.compiling() as finish:
+        program = programs.begin(*step_state_batch, should_stop=should_stop)
+        if program is not None:
+            finish(was_read=program.was_read)
+    return program
 
-    def __init__(self, network, config):
-        self._network, self._config = network, config
-        self._stage, self._step = None, None
 
-    def __call__(self, state, batch, step):
-        config = self._config
-        stage = schedules.find_stage(step, config.render, steps=config.train.steps)
-        if self._step is None or stage != self._stage:
-            self._stage = stage
-            self._step = make_train_step(self._network, config, stage)
-        return self._step(state, batch)
+def _log_steps(log, forecast, progress, done, record):
+    """Write a record, and show it with the time left."""
+    log.write(record)
+    forecast.add_rate(done, record["steps_per_second"])
+    forecast.add_wait(record.get("compile_seconds", 0.0))
+    progress.report(
+        done,
+        loss=record["loss"],
+        steps_per_second=record["steps_per_second"],
+        seconds_left=forecast.compute_left(done),
+    )
 
 
 def _make_batch(dataset, step, config):

@@ -19,10 +19,9 @@ from dpc_jax.learning.predictions import (
     predict_poses,
     predict_shapes,
 )
-from dpc_jax.learning.renders import map_renders
+from dpc_jax.learning.winners import compare_winners
 from dpc_jax.networks import ShapePoseNetwork
-from dpc_jax.render import Camera, Projection, VoxelGrid, project
-from dpc_jax.render.resolution import scale_sizes
+from dpc_jax.render import Camera
 
 
 class Term(NamedTuple):
@@ -95,86 +94,12 @@ def compute_loss(
         metrics["winners"] = winners.indices.reshape(-1)
         rotations = winners.poses
         student = compare_student(poses, winners, render=render, pose=pose)
-    images = render_winners(
-        shapes, rotations, camera=camera, render=render, stage=stage
+    compared, parts = compare_winners(
+        shapes, rotations, batch, render=render, train=train, stage=stage
     )
-    terms = (
-        compare_views(images, batch, render=render, train=train)
-        | compute_priors(shapes, step, train=train)
-        | student
-    )
-    metrics |= {name: term.value for name, term in terms.items()}
-    return sum_terms(terms), (metrics, covariance)
-
-
-def render_winners(
-    shapes: Shapes,
-    rotations: jax.Array,
-    *,
-    camera: Camera,
-    render: Render,
-    stage: schedules.Stage,
-) -> Projection:
-    """Render each object's shape from the pose [B, V, 4] of each of its views.
-
-    Returns:
-      Images [B·V, D, D] in the stage's grid: silhouettes, and colours of coloured
-      shapes.
-    """
-    views = rotations.shape[1]
-    sigma, mass = scale_sizes(shapes.sigma, shapes.mass, stage.grid / render.grid)
-    signals = ("silhouette",) if shapes.colors is None else ("silhouette", "color")
-
-    def render_view(view):
-        points, view_mass, rotation, colors = view
-        return project(
-            points,
-            rotation,
-            sigma=sigma,
-            scale=view_mass,
-            colors=colors,
-            camera=camera,
-            grid=VoxelGrid(stage.grid),
-            signals=signals,
-        )
-
-    points, masses, colors = jax.tree.map(
-        lambda array: jnp.repeat(array, views, axis=0),
-        (shapes.kept, mass, shapes.colors),
-    )
-    inputs = (points, masses, rotations.reshape(-1, 4), colors)
-    return map_renders(render_view, inputs, renders_at_once=render.renders_at_once)
-
-
-def compare_views(
-    rendered: Projection,
-    batch: dict[str, jax.Array],
-    *,
-    render: Render,
-    train: Train,
-) -> dict[str, Term]:
-    """Eq. 1: squared differences of rendered images and views, averaged over the views.
-
-    The sum of a finer image is divided by its pixels per pixel of the base grid, so
-    that losses are comparable over the whole run.
-    """
-    assert rendered.silhouette is not None
-    num_views, side = rendered.silhouette.shape[:2]
-    fine_pixels_per_pixel = (side / render.grid) ** 2
-
-    def compare(image, target):
-        target = target.reshape(image.shape)
-        return (
-            losses.reprojection_loss(image, target) / num_views / fine_pixels_per_pixel
-        )
-
-    targets = losses.downsample_images(batch["masks"], side)
-    terms = {"reprojection": Term(compare(rendered.silhouette, targets))}
-    if rendered.color is not None:
-        channels = jnp.moveaxis(batch["images"], -1, 2)
-        targets = jnp.moveaxis(losses.downsample_images(channels, side), 2, -1)
-        terms["color"] = Term(compare(rendered.color, targets), train.color_weight)
-    return terms
+    terms = compute_priors(shapes, step, train=train) | student
+    metrics |= parts | {name: term.value for name, term in terms.items()}
+    return compared + sum_terms(terms), (metrics, covariance)
 
 
 def compute_priors(shapes: Shapes, step: jax.Array, *, train: Train) -> dict[str, Term]:

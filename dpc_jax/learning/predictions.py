@@ -1,5 +1,6 @@
 """What the network predicts for a batch: shapes, pose candidates, masses."""
 
+import functools
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -80,14 +81,26 @@ def predict_shapes(
     shape = network.apply(params, features, method="predict_shape")
     assert isinstance(shape, dict)
     points, colors = shape["points"], shape.get("colors")
-    subset = jax.vmap(
-        lambda k: jax.random.permutation(k, points.shape[1])[:kept_points]
-    )(keys)
+    order = jax.vmap(functools.partial(draw_order, count=points.shape[1]))(keys)
+    subset = order[:, :kept_points]
     kept, colors = jax.tree.map(
         lambda a: jnp.take_along_axis(a, subset[..., None], axis=1), (points, colors)
     )
     mass = compute_mass(shape["scale"], sigma, scale_unit=scale_unit)
     return Shapes(points, kept, colors, shape["scale"], mass, sigma)
+
+
+def draw_order(key: jax.Array, *, count: int) -> jax.Array:
+    """The indices 0 to count - 1 in random order, [count] int32.
+
+    One sort of single numbers: random bits above, the index below. This is several
+    times faster than `jax.random.permutation`, which sorts pairs, twice. Two indices
+    whose random bits agree stay in their order: of 2000, about one pair in a draw.
+    """
+    index_bits = max(1, (count - 1).bit_length())
+    bits = jax.random.bits(key, (count,), jnp.uint32) >> index_bits << index_bits
+    packed = jnp.sort(bits | jnp.arange(count, dtype=jnp.uint32))
+    return (packed & (2**index_bits - 1)).astype(jnp.int32)
 
 
 def predict_poses(

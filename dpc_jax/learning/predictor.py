@@ -16,6 +16,7 @@ from dpc_jax.learning.predictions import complete_poses, compute_mass, scale_ima
 from dpc_jax.learning.renders import map_renders
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.networks.columns import sharing_columns
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.render.resolution import scale_sizes
 
@@ -49,7 +50,7 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
     render, pose = config.render, config.pose
 
     def predict(state, images, masks, quaternions):
-        with devices.sharing_columns():
+        with sharing_columns(devices.AXIS):
             output = network.apply(state.params, scale_images(images))
         assert isinstance(output, dict)
         sigma = schedules.compute_sigma(state.step, render, steps=config.train.steps)

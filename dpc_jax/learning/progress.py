@@ -1,9 +1,12 @@
 """What a person sees of a long run: a bar on a terminal, plain lines elsewhere."""
 
+import contextlib
 import sys
+import time
+from collections.abc import Callable, Iterator
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn
 
 
 class ProgressReport:
@@ -18,7 +21,6 @@ class ProgressReport:
                 BarColumn(),
                 TextColumn("{task.completed}/{task.total}"),
                 TextColumn("{task.fields[text]}"),
-                TimeRemainingColumn(),
                 console=Console(file=sys.stdout),
             )
             self._task = self._bar.add_task(
@@ -39,18 +41,46 @@ class ProgressReport:
         if self._bar is not None:
             self._bar.update(self._task, completed=step)
 
-    def report(self, step: int, *, loss: float, steps_per_second: float):
-        """Show loss, rate and time left."""
+    def report(
+        self,
+        step: int,
+        *,
+        loss: float,
+        steps_per_second: float,
+        seconds_left: float | None,
+    ):
+        """Show loss, rate and time left, which leaves out nothing that is still due."""
+        rate = f"{steps_per_second:.1f} steps/s"
+        left = "" if seconds_left is None else f"{seconds_left:.0f} s left"
         if self._bar is not None:
-            text = f"loss {loss:.2f}  {steps_per_second:.1f} steps/s"
+            text = f"loss {loss:.2f}  {rate}  {left}".rstrip()
             self._bar.update(self._task, completed=step, text=text)
             return
-        left = (self._total - step) / max(steps_per_second, 1e-9)
-        print(
-            f"{self._title}: step {step}/{self._total}, loss {loss:.2f}, "
-            f"{steps_per_second:.1f} steps/s, {left:.0f} s left",
-            flush=True,
-        )
+        parts = (f"step {step}/{self._total}", f"loss {loss:.2f}", rate, left)
+        print(f"{self._title}: {', '.join(filter(None, parts))}", flush=True)
+
+    @contextlib.contextmanager
+    def compiling(self) -> Iterator[Callable[..., None]]:
+        """Say "compiling" inside the context, and at its end how long it took.
+
+        Yields:
+          A function to call at the end, `finish(was_read=...)`: whether the program was
+          read from the cache.
+        """
+        started = time.monotonic()
+        if self._bar is not None:
+            self._bar.update(self._task, text="compiling")
+        else:
+            print(f"{self._title}: compiling", flush=True)
+
+        def finish(*, was_read: bool):
+            how = "read from the cache of compiled programs" if was_read else "compiled"
+            seconds = time.monotonic() - started
+            self.tell(f"{self._title}: {how} in {seconds:.1f} s")
+
+        yield finish
+        if self._bar is not None:
+            self._bar.update(self._task, text="")
 
     def tell(self, text: str):
         """Print a line of its own, above the bar where there is one."""

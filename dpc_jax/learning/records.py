@@ -53,8 +53,13 @@ class Window:
         self._open(step, seconds)
 
     def _open(self, step, seconds):
-        self._step, self._seconds = step, seconds
+        self._step, self._seconds, self._waited = step, seconds, 0.0
         self._metrics: list[dict] = []
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no step was added."""
+        return not self._metrics
 
     def add(self, metrics: dict):
         """Take the metrics of one more step, and check those of the step before.
@@ -68,6 +73,15 @@ class Window:
         if len(self._metrics) > 1:
             check_finite(self._metrics[-2], self._step + len(self._metrics) - 2)
 
+    @contextlib.contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Count the time inside the context as compilation, not as that of steps."""
+        started = time.monotonic()
+        try:
+            yield
+        finally:
+            self._waited += time.monotonic() - started
+
     def check(self):
         """Check the last step too.
 
@@ -80,6 +94,10 @@ class Window:
     def close(self, seconds: float) -> dict:
         """The record of the window; a new window starts.
 
+        Its `seconds` are all that training has taken so far; where some of the window
+        were waited for compilation they are its `compile_seconds`, and
+        `steps_per_second` does without them.
+
         Args:
           seconds: of training until now.
 
@@ -88,10 +106,13 @@ class Window:
         """
         self.check()
         done = self._step + len(self._metrics)
-        rate = len(self._metrics) / max(seconds - self._seconds, 1e-9)
+        stepping = seconds - self._seconds - self._waited
+        rate = len(self._metrics) / max(stepping, 1e-9)
         record = {"step": done, "seconds": round(seconds, 3)}
         record |= summarize(self._metrics, heads=self._heads)
         record["steps_per_second"] = round(rate, 3)
+        if waited := round(self._waited, 3):
+            record["compile_seconds"] = waited
         self._open(done, seconds)
         return record
 

@@ -1,5 +1,6 @@
 """Schedules over a run: point size, dropout, learning rate (§ Training details)."""
 
+import bisect
 from typing import NamedTuple
 
 import chex
@@ -55,6 +56,31 @@ def find_stage(step: int, render: Render, *, steps: int) -> Stage:
         kept_points=count_kept_points(step, render, steps=steps),
         grid=render.fine_grid if is_fine else render.grid,
     )
+
+
+class Span(NamedTuple):
+    """The steps of one stage, from `start` until just before `end`."""
+
+    start: int
+    end: int
+    stage: Stage
+
+
+def list_spans(render: Render, *, steps: int) -> tuple[Span, ...]:
+    """The stages of a run in their order; no stage comes twice."""
+
+    def find(step):
+        return find_stage(step, render, steps=steps)
+
+    spans: list[Span] = []
+    while not spans or spans[-1].end < steps:
+        start = spans[-1].end if spans else 0
+        stage = find(start)
+        later = bisect.bisect(
+            range(start, steps), False, key=lambda s: find(s) != stage
+        )
+        spans.append(Span(start, start + later, stage))
+    return tuple(spans)
 
 
 def make_learning_rate(train: Train) -> optax.Schedule:

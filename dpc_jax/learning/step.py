@@ -12,6 +12,7 @@ from dpc_jax.config import Config, Train
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.objective import compute_loss
 from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.networks.columns import sharing_columns
 
 
 class TrainState(NamedTuple):
@@ -88,7 +89,7 @@ def _make_update(network, config, stage, parts, num_devices):
 
     def compute_share(params, batch, keys, state):
         """This device's part of the loss, which is a mean over all objects."""
-        with devices.sharing_columns():
+        with sharing_columns(devices.AXIS):
             loss, aux = compute_loss(
                 params,
                 batch,

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 from dpc_jax.render import checks, kernels
 
 # Half-widths up to which sums of shifts are faster than matrix products (measured on
-# two CPU cores with `dpc_jax.benchmark`): up to _NARROW along all three axes, up to
+# two CPU cores with `dpc_jax.benchmark`): those of _NARROW along all three axes, up to
 # _MEDIUM (by the volume's largest side) along the columns alone, where the alternative
 # is a batch of small matrix products.
-_NARROW = 4
+_NARROW = (1, 4)
 _MEDIUM = {32: 9, 64: 18, 128: 18}
 # Below this side all kernels are applied as matrix products.
 _SMALLEST = 17
@@ -50,7 +50,8 @@ def _smooth(volume, sigma):
     widths, branches = [0], [lambda volume, kernel: volume]
     if min(volume.shape) >= _SMALLEST:
         medium = [(width, (1,)) for side, width in _MEDIUM.items() if side <= size]
-        for width, axes in [(_NARROW, (0, 1, 2)), *medium[-1:]]:
+        narrow = [(width, (0, 1, 2)) for width in _NARROW]
+        for width, axes in [*narrow, *medium[-1:]]:
             call = functools.partial(_smooth_axes, half_width=width, shifted=axes)
             widths.append(width)
             branches.append(call)

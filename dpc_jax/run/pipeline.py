@@ -240,6 +240,7 @@ def train_model(model: Model, workdir: Path, log: MetricLog, job: Job) -> loop.O
                 log=log,
                 evaluate=model.validate,
                 should_stop=job.agree_to_stop(stop.is_set),
+                may_stop_waiting=job.processes == 1,
                 seconds=start.seconds,
                 title=f"Training {workdir.name}",
             )

@@ -3,11 +3,15 @@
 import contextlib
 import ctypes
 import os
+import sys
+import threading
 from pathlib import Path
+from typing import NoReturn
 
 import jax
 
 from dpc_jax.learning.devices import find_share
+from dpc_jax.learning.programs import THREADS
 
 
 def keep_freed_memory() -> None:
@@ -71,3 +75,19 @@ def keep_compiled_programs() -> Path | None:
     # What compiles faster than this costs more to read than to compile.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
     return folder
+
+
+def leave(status: int) -> NoReturn:
+    """End the process now, also while programs compile in the background.
+
+    XLA cannot be interrupted: Python would wait for it to finish. What is written must
+    be closed before.
+    """
+    compiling = [t for t in threading.enumerate() if t.name.startswith(THREADS)]
+    for thread in compiling:
+        thread.join(timeout=0.2)  # one that waits for work ends at once
+    if any(thread.is_alive() for thread in compiling):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)

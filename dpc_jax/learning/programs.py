@@ -1,0 +1,230 @@
+"""The compiled training programs of a run's stages, made before they are needed.
+
+Each stage is a program of its own that takes XLA many seconds. While one stage trains,
+those of the next ones compile in a thread of low priority. The results are the same:
+a program does not depend on where or when it was compiled.
+"""
+
+import contextlib
+import os
+import statistics
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as NotDone
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dpc_jax.learning.schedules import Span, Stage
+
+THREADS = "compile"  # begins the names of the threads that compile
+_NICENESS = 5  # of a program that nobody waits for, beyond that of training
+_POLL_SECONDS = 0.2  # between two looks at whether the run shall stop
+_ROUNDS = 3  # of calls that are timed
+_CACHE_HIT = "/jax/compilation_cache/cache_hits"
+_hits = threading.local()
+
+
+class Program(NamedTuple):
+    """A compiled training step.
+
+    Attributes:
+      call: (state, batch) -> (state, metrics); the old state's memory goes to the new.
+      seconds: that it took to make.
+      was_read: from the persistent cache instead of compiled.
+    """
+
+    call: Callable
+    seconds: float
+    was_read: bool
+
+
+class StagePrograms:
+    """The programs of a run's stages; use as a context manager.
+
+    Args:
+      make_step: gives the jitted step of a stage, a function (state, batch) ->
+        (state, metrics) that donates the state and keeps its shardings.
+      spans: of the run's stages.
+      ahead: whether later stages compile in the background; False compiles each when
+        it is reached.
+    """
+
+    def __init__(
+        self,
+        make_step: Callable[[Stage], Any],
+        spans: Sequence[Span],
+        *,
+        ahead: bool = True,
+    ):
+        self._make_step, self._spans, self._ahead = make_step, tuple(spans), ahead
+        self._background = _start_thread(_lower_priority)
+        self._pending: dict[Stage, Future] = {}
+        self._stage: Stage | None = None
+        self._program: Program | None = None
+        self._is_compared = False
+        _listen()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def close(self):
+        """Give up what has not begun to compile, and wait for nothing."""
+        self._background.shutdown(wait=False, cancel_futures=True)
+
+    def find(self, step: int) -> Program | None:
+        """The program of a step, where it is that of the step before."""
+        return self._program if self._find_stage(step) == self._stage else None
+
+    def begin(
+        self,
+        step: int,
+        state: Any,
+        batch: Any,
+        *,
+        should_stop: Callable[[], bool] = lambda: False,
+    ) -> Program | None:
+        """Wait for the program of a stage's first step; those after it compile on.
+
+        Args:
+          step: the first one of a stage, or of a resumed run.
+          state, batch: of that step; their shapes, dtypes and shardings are compiled.
+          should_stop: asked while it waits.
+
+        Returns:
+          The program; None where it was asked to stop.
+
+        Raises:
+          Exception: whatever made the compilation fail.
+        """
+        stage = self._find_stage(step)
+        structs = jax.tree.map(_describe, (state, batch))
+        own = self._pending.pop(stage, None)
+        if own is None or own.cancel():  # not begun: nothing to wait behind
+            front = _start_thread()
+            own = front.submit(_compile, self._make_step, stage, structs)
+            front.shutdown(wait=False)
+        if self._ahead:
+            self._compile_ahead(step, structs)
+        while not should_stop():
+            with contextlib.suppress(NotDone):
+                self._program = own.result(timeout=_POLL_SECONDS)
+                self._stage = stage
+                return self._program
+        return None
+
+    def is_ready(self, step: int) -> bool:
+        """Whether the program of a step is compiled, so that nobody waits for it."""
+        pending = self._pending.get(self._find_stage(step))
+        return pending is not None and pending.done()
+
+    def run_ahead(self, function: Callable[[], Any]) -> Future:
+        """Have another function run in the background, after what waits there."""
+        return self._background.submit(function)
+
+    def compare(self, done: int, state: Any, batch: Any) -> dict[Stage, float]:
+        """Seconds of a step in each stage from the current one on, measured once.
+
+        That is when all of them are compiled, and where it takes under a hundredth of
+        the run. Each program is called on a copy of the state: training is not changed.
+
+        Args:
+          done: steps done. state, batch: of the step after them, or the one before.
+
+        Returns:
+          Medians over calls in turn, so that other load meets all programs alike; empty
+          where nothing is measured, as in a job of several processes, whose calls have
+          to come in one order.
+        """
+        pending = self._pending
+        calls = (len(pending) + 1) * (1 + _ROUNDS)
+        left = self._spans[-1].end - done
+        if self._is_compared or not all(future.done() for future in pending.values()):
+            return {}
+        self._is_compared = True
+        if not pending or left < 100 * calls or jax.process_count() > 1:
+            return {}
+        assert self._stage is not None and self._program is not None
+        programs = {self._stage: self._program.call}
+        for stage, future in pending.items():
+            if not future.exception():  # it comes to light where the stage begins
+                programs[stage] = future.result().call
+        seconds = {stage: [] for stage in programs}
+        for stage in [*programs] * (1 + _ROUNDS):
+            inputs = self._copy_into(state, stage), batch
+            started = time.monotonic()
+            jax.block_until_ready(programs[stage](*inputs))
+            seconds[stage].append(time.monotonic() - started)
+        # The first call of a program fills its memory.
+        return {stage: statistics.median(s[1:]) for stage, s in seconds.items()}
+
+    def _copy_into(self, state, stage):
+        """A copy of the state in the middle of a stage, as for the size of points."""
+        span = next(span for span in self._spans if span.stage == stage)
+        step = jnp.asarray((span.start + span.end) // 2, state.step.dtype)
+        step = jax.device_put(step, state.step.sharding)
+        copy = jax.tree.map(jnp.copy, state)
+        return jax.block_until_ready(copy._replace(step=step))
+
+    def _compile_ahead(self, step, structs):
+        for span in self._spans:
+            if span.start > step and span.stage not in self._pending:
+                self._pending[span.stage] = self._background.submit(
+                    _compile, self._make_step, span.stage, structs
+                )
+
+    def _find_stage(self, step):
+        return next(s.stage for s in self._spans if s.start <= step < s.end)
+
+
+def _compile(make_step, stage, structs) -> Program:
+    """Compile the program of a stage, or read it from the persistent cache."""
+    started, _hits.count = time.monotonic(), 0
+    call = make_step(stage).lower(*structs).compile()
+    return Program(call, time.monotonic() - started, _hits.count > 0)
+
+
+def _describe(leaf):
+    """Shape, dtype and sharding; that of an array bound to no device is left open."""
+    if not isinstance(leaf, jax.Array):
+        return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype)
+    return jax.ShapeDtypeStruct(
+        leaf.shape,
+        leaf.dtype,
+        sharding=leaf.sharding if leaf.committed else None,
+        weak_type=leaf.weak_type,
+    )
+
+
+def _start_thread(initializer=None):
+    """One thread. At its end Python waits for it, because XLA cannot be interrupted."""
+    return ThreadPoolExecutor(1, thread_name_prefix=THREADS, initializer=initializer)
+
+
+def _lower_priority():
+    """Let training go first; on Linux each thread has a priority of its own."""
+    with contextlib.suppress(OSError, AttributeError):
+        thread = threading.get_native_id()
+        own = os.getpriority(os.PRIO_PROCESS, thread)
+        os.setpriority(os.PRIO_PROCESS, thread, own + _NICENESS)
+
+
+_is_listening = threading.Event()
+
+
+def _listen():
+    """Have JAX tell each thread of the programs that it read from the cache."""
+    if not _is_listening.is_set():
+        _is_listening.set()
+        jax.monitoring.register_event_listener(_count_hit)
+
+
+def _count_hit(event: str, **_):
+    if event == _CACHE_HIT:
+        _hits.count = getattr(_hits, "count", 0) + 1

@@ -1,0 +1,232 @@
+"""Programs of later stages compile while the first one trains; nothing else changes."""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dpc_jax.learning.programs import StagePrograms
+from dpc_jax.learning.schedules import Span, Stage
+
+FIRST, SECOND, THIRD = (Stage(points, 8) for points in (10, 20, 30))
+SPANS = (Span(0, 1000, FIRST), Span(1000, 2000, SECOND), Span(2000, 9000, THIRD))
+BATCH = {"images": np.ones((4, 3), np.float32)}
+
+
+class State(NamedTuple):
+    step: jax.Array
+    value: jax.Array
+
+
+def make_state():
+    return State(jnp.asarray(0, jnp.int32), jnp.arange(3.0))
+
+
+def make_step(stage):
+    """A jitted step that says which stage it belongs to, and takes the old memory."""
+
+    def step(state, batch):
+        value = state.value + batch["images"].sum(axis=0)
+        return State(state.step + 1, value), {"points": stage.kept_points}
+
+    return jax.jit(step, donate_argnums=0)
+
+
+class Watched:
+    """Makes the steps of stages, and notes in which thread and in which order."""
+
+    def __init__(self, fails=(), waits_for=None):
+        self.fails, self.waits_for = fails, waits_for
+        self.threads: dict[Stage, int] = {}
+        self.niceness: dict[Stage, int] = {}
+
+    def __call__(self, stage):
+        self.threads[stage] = threading.get_ident()
+        self.niceness[stage] = os.getpriority(
+            os.PRIO_PROCESS, threading.get_native_id()
+        )
+        if self.waits_for and stage != FIRST:
+            self.waits_for.wait()
+        if stage in self.fails:
+            raise ValueError(f"{stage.kept_points} points")
+        return make_step(stage)
+
+
+def wait_until_ready(programs, *steps):
+    for step in steps:
+        while not programs.is_ready(step):
+            time.sleep(0.01)
+
+
+def begin(programs, step, state=None, batch=BATCH):
+    program = programs.begin(step, state or make_state(), batch)
+    assert program is not None
+    return program
+
+
+def test_later_stages_are_compiled_before_they_begin():
+    with StagePrograms(make_step, SPANS) as programs:
+        assert programs.find(0) is None
+        programs.begin(0, make_state(), BATCH)
+        wait_until_ready(programs, 1000, 2000)
+        for step, points in ((0, 10), (1000, 20), (2500, 30)):
+            program = programs.find(step) or begin(programs, step)
+            _, metrics = program.call(make_state(), BATCH)
+            assert int(metrics["points"]) == points
+            assert programs.find(step) is program
+
+
+def test_a_run_that_goes_on_compiles_no_stage_that_is_over():
+    make = Watched()
+    with StagePrograms(make, SPANS) as programs:
+        programs.begin(1500, make_state(), BATCH)
+        wait_until_ready(programs, 2000)
+    assert set(make.threads) == {SECOND, THIRD}
+
+
+def test_what_nobody_waits_for_compiles_in_threads_that_give_way():
+    make = Watched()
+    with StagePrograms(make, SPANS) as programs:
+        programs.begin(0, make_state(), BATCH)
+        wait_until_ready(programs, 1000, 2000)
+    assert make.threads[SECOND] == make.threads[THIRD] != make.threads[FIRST]
+    if sys.platform == "linux":
+        assert make.niceness[SECOND] > make.niceness[FIRST]
+        assert make.niceness[THIRD] == make.niceness[SECOND]
+
+
+def test_a_compiled_step_takes_the_memory_of_the_old_state():
+    with StagePrograms(make_step, SPANS) as programs:
+        begin(programs, 0, state := make_state()).call(state, BATCH)
+    assert state.value.is_deleted()
+
+
+def test_shardings_of_state_and_batch_are_kept():
+    mesh = jax.make_mesh((1,), ("objects",))
+    spec = jax.NamedSharding(mesh, jax.P())
+    state, batch = jax.device_put((make_state(), BATCH), spec)
+    with StagePrograms(make_step, SPANS) as programs:
+        state, _ = begin(programs, 0, state, batch).call(state, batch)
+        assert state.value.sharding.is_equivalent_to(spec, 1)
+        wait_until_ready(programs, 1000)
+        state, _ = begin(programs, 1000, state, batch).call(state, batch)
+    np.testing.assert_array_equal(state.value, [8.0, 9.0, 10.0])
+
+
+def test_an_error_in_the_background_comes_where_its_stage_begins():
+    with StagePrograms(Watched(fails=[SECOND]), SPANS) as programs:
+        programs.begin(0, make_state(), BATCH)
+        wait_until_ready(programs, 1000, 2000)
+        assert programs.compare(1, make_state(), BATCH).keys() == {FIRST, THIRD}
+        with pytest.raises(ValueError, match="20 points"):
+            programs.begin(1000, make_state(), BATCH)
+        assert programs.begin(2000, make_state(), BATCH) is not None
+
+
+def test_a_stage_that_has_to_wait_behind_another_is_compiled_at_once():
+    gate = threading.Event()
+    make = Watched(waits_for=gate)
+    with StagePrograms(make, SPANS) as programs:
+        programs.begin(0, make_state(), BATCH)
+        while SECOND not in make.threads:  # it compiles, and the third waits behind it
+            time.sleep(0.01)
+        opened = threading.Timer(0.5, gate.set)
+        opened.start()
+        programs.begin(2000, make_state(), BATCH)
+        opened.join()
+    assert make.threads[THIRD] != make.threads[SECOND]
+
+
+def test_being_asked_to_stop_ends_the_wait_for_a_program():
+    gate = threading.Event()
+    with StagePrograms(Watched(waits_for=gate), SPANS) as programs:
+        programs.begin(0, make_state(), BATCH)
+        answers = iter([False, False, True])
+        stopped = programs.begin(
+            1000, make_state(), BATCH, should_stop=lambda: next(answers)
+        )
+        assert stopped is None
+    gate.set()
+
+
+def test_stages_are_compared_once_and_on_copies():
+    state = make_state()
+    with StagePrograms(make_step, SPANS) as programs:
+        programs.begin(0, state, BATCH)
+        wait_until_ready(programs, 1000, 2000)
+        seconds = programs.compare(1, state, BATCH)
+        assert seconds.keys() == {FIRST, SECOND, THIRD}
+        assert all(value > 0 for value in seconds.values())
+        assert programs.compare(2, state, BATCH) == {}
+    np.testing.assert_array_equal(state.value, [0.0, 1.0, 2.0])
+
+
+def test_stages_are_not_compared_where_that_would_take_a_large_part_of_the_run():
+    with StagePrograms(make_step, SPANS) as programs:
+        programs.begin(0, make_state(), BATCH)
+        wait_until_ready(programs, 1000, 2000)
+        assert programs.compare(8900, make_state(), BATCH) == {}
+
+
+def test_nothing_is_compiled_ahead_where_that_is_not_wanted():
+    make = Watched()
+    with StagePrograms(make, SPANS, ahead=False) as programs:
+        programs.begin(0, make_state(), BATCH)
+        assert programs.compare(1, make_state(), BATCH) == {}
+        programs.begin(1000, make_state(), BATCH)
+    assert set(make.threads) == {FIRST, SECOND}
+
+
+LEAVE = """
+import sys, time
+import test_learning_programs as tests
+from tiny_runs import make_batch, make_network, make_state, make_step, tiny_config
+from dpc_jax.learning.programs import StagePrograms
+from dpc_jax.run.process import leave
+
+class Slow:
+    def __init__(self, stage): self.stage = stage
+    def lower(self, *structs): self.structs = structs; return self
+    def compile(self):
+        if self.stage == tests.FIRST: return None
+        config = tiny_config(steps=8)
+        network = make_network(config)
+        args = make_state(network, config), make_batch()
+        print("compiles", flush=True)
+        program = make_step(network, config).lower(*args).compile()
+        {after}
+
+programs = StagePrograms(Slow, tests.SPANS)
+with programs:
+    programs.begin(0, tests.make_state(), tests.BATCH)
+    time.sleep({seconds})
+{end}
+"""
+
+
+def run_script(end, *, seconds=0, after="pass"):
+    done = subprocess.run(
+        [sys.executable, "-c", LEAVE.format(end=end, seconds=seconds, after=after)],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parent,
+        timeout=120,
+    )
+    return done.returncode, done.stderr
+
+
+def test_a_process_that_ends_while_xla_compiles_ends_cleanly():
+    assert run_script("sys.exit(3)", seconds=2) == (3, "")
+
+
+def test_a_command_leaves_without_waiting_for_the_compiler():
+    # It would never end: this compilation lasts an hour.
+    assert run_script("leave(4)", after="time.sleep(3600)") == (4, "")
