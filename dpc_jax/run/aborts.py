@@ -18,7 +18,7 @@ from typing import IO
 _FATAL = "JAX distributed service detected fatal errors"
 # What C++ prints of a job's ordinary life and of its end.
 _NOISE = re.compile(
-    r"\[Gloo\]|coordination_service|distributed service|/xla\.|grpc", re.I
+    r"gloo|connected to \d+ peer|coordination|distributed service|grpc", re.I
 )
 _keeping = []  # so that the function that C calls lives on
 
