@@ -76,7 +76,7 @@ def make_calls(config: Config, step: int) -> dict[str, Callable[[], Any]]:
         shapes = predict_shapes(
             params,
             features[:, 0],
-            key,
+            jax.random.split(key, len(features)),
             sigma,
             network=network,
             kept_points=stage.kept_points,
