@@ -31,16 +31,18 @@ if TYPE_CHECKING:
     from dpc_jax.render import mass_of_peak as mass_of_peak
     from dpc_jax.render import opacity as opacity
     from dpc_jax.render import project as project
+    from dpc_jax.render import project_batch as project_batch
     from dpc_jax.render import quaternion as quaternion
     from dpc_jax.render import smooth as smooth
     from dpc_jax.render import splat as splat
     from dpc_jax.render import termination_probabilities as termination_probabilities
+    from dpc_jax.render import use_all_cores as use_all_cores
     from dpc_jax.render import voxelize as voxelize
 
 _RENDER = (
     "Camera MemoryEstimate Projection VoxelGrid compensate_widening estimate_memory "
-    "mass_of_peak opacity project quaternion smooth splat termination_probabilities "
-    "voxelize"
+    "mass_of_peak opacity project project_batch quaternion smooth splat "
+    "termination_probabilities use_all_cores voxelize"
 )
 _NETWORKS = "ImageEncoder PoseEnsemble PoseStudent ShapeHead ShapePoseNetwork"
 _NAMES = {  # public name: the module that it is loaded from

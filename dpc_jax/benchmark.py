@@ -5,12 +5,15 @@ benchmark.md, benchmark.json and figures into DIR. It reports and judges nothing
 """
 
 import argparse
+import contextlib
 import shlex
 import sys
 from pathlib import Path
 
 from dpc_jax.measure.benchmark.plan import FULL, PARTS, QUICK
 from dpc_jax.measure.benchmark.suite import run_benchmark
+from dpc_jax.render import use_all_cores
+from dpc_jax.run.gpu import set_gpu_flags
 from dpc_jax.run.process import keep_freed_memory
 
 
@@ -25,6 +28,9 @@ def main(arguments: list[str] | None = None) -> int:
         "--parts", default=",".join(PARTS), help="separated by commas; default: all"
     )
     options = parser.parse_args(arguments)
+    set_gpu_flags()
+    with contextlib.suppress(RuntimeError):  # a program of the caller's has begun
+        use_all_cores()
     keep_freed_memory()
     words = ["python", "-m", "dpc_jax.benchmark", f"--parts={options.parts}"]
     words += ["--quick"] * options.quick

@@ -1,6 +1,7 @@
 """Files that are either the old ones or the new ones whole, never a torn half."""
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import json
@@ -98,6 +99,43 @@ def _lock(path: Path) -> int | None:
             if os.stat(path).st_ino == os.fstat(file).st_ino:
                 return file
         os.close(file)
+
+
+@contextlib.contextmanager
+def explaining_full_disk(folder: str | os.PathLike) -> Iterator[None]:
+    """Say in a sentence where the disk of a folder is full, whatever failed for it.
+
+    Raises:
+      OSError: instead of the error, of whatever type, that the full disk caused.
+    """
+    try:
+        yield
+    except Exception as error:
+        if not is_disk_full(error):
+            raise
+        raise OSError(
+            f"The disk of {Path(folder).absolute()} must have room to write to, but "
+            "the disk is full; free some and give the same command again. It goes on "
+            "from what is there: nothing that was whole is lost."
+        ) from None
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Whether a full disk or a used-up quota caused an error, or one that it is from.
+
+    Libraries tell it by text, too: those written in C++ have no OSError.
+    """
+    numbers = (errno.ENOSPC, errno.EDQUOT)
+    texts = [os.strerror(number) for number in numbers]
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in numbers:
+            return True
+        if any(text in str(error) for text in texts):
+            return True
+        # An error that was put into other words stands for itself.
+        hidden = error.__suppress_context__ and error.__cause__ is None
+        error = None if hidden else error.__cause__ or error.__context__
+    return False
 
 
 def write_bytes(path: str | os.PathLike, data: bytes) -> Path:

@@ -36,7 +36,9 @@ def test_a_call_over_its_budget_is_measured_once():
 
 def test_every_peer_has_the_engines_gradients():
     result = speed.compare_with_peers(TINY, rounds=1, seed=0)
-    peers = {"plain JAX"} | ({"PyTorch"} if speed.has_torch() else set())
+    peers = {"plain JAX", speed.ONE_DEVICE} | (
+        {"PyTorch"} if speed.has_torch() else set()
+    )
     assert set(result["gradient_difference"]) == peers
     for differences in result["gradient_difference"].values():
         assert len(differences) == 3  # points, quaternions, masses

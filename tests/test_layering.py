@@ -210,6 +210,7 @@ def test_the_public_names_are_these():
         "opacity",
         "pose_summary",
         "project",
+        "project_batch",
         "quaternion",
         "reprojection_loss",
         "rotation_angle_deg",
@@ -217,6 +218,7 @@ def test_the_public_names_are_these():
         "splat",
         "student_loss",
         "termination_probabilities",
+        "use_all_cores",
         "voxelize",
     }
     for name in public:

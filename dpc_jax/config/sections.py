@@ -88,7 +88,7 @@ class Render:
     scale_unit: str = field("mass", one_of("peak", "mass"))  # of the learned scale
     focal_length: float = field(1.875, POSITIVE)  # of an image 1 wide
     distance: float = field(2.0, _DISTANCE)  # camera to object, box diagonals
-    renders_at_once: int = field(1, at_least(0))  # views side by side; 0: all (GPU)
+    renders_at_once: int = field(-1, at_least(-1))  # 0: all; -1: 1 on CPU, 0 on GPU
 
 
 @dataclasses.dataclass(frozen=True)

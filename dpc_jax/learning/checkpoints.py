@@ -15,6 +15,7 @@ from absl import logging
 from orbax.checkpoint import checkpoint_manager
 from orbax.checkpoint import v1 as ocp
 
+from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning.step import TrainState
 
 KEPT = 2  # the newest and, should that be damaged, the one before
@@ -39,13 +40,15 @@ class Checkpoints:
 
     def __init__(self, folder: str | os.PathLike):
         self._folder = Path(folder).absolute()
-        # Orbax reports every file that it touches; a user wants to hear of errors.
-        logging.set_verbosity(logging.ERROR)
+        # Orbax reports every file that it touches, and of an error the tracebacks of
+        # all its threads; it raises the error, too.
+        logging.set_verbosity(logging.FATAL)
         self._open()
 
     def _open(self):
         every_step = ocp.training.save_decision_policies.FixedIntervalPolicy(1)
         newest = ocp.training.preservation_policies.LatestN(KEPT)
+        self._has_failed = False
         with _standing_alone(self._folder) as context:
             # Orbax's protocols ask for more than its own policies and pathlib have.
             self._checkpointer = ocp.training.Checkpointer(
@@ -56,21 +59,38 @@ class Checkpoints:
             )
 
     def close(self):
-        """Wait for what is being written."""
-        self._checkpointer.close()
+        """Wait for what is being written.
+
+        Raises:
+          OSError: where the disk is full, unless `save` has said so.
+        """
+        with contextlib.ExitStack() as stack:
+            if self._has_failed:  # orbax raises the same error once more
+                stack.enter_context(contextlib.suppress(Exception))
+            stack.enter_context(explaining_full_disk(self._folder))
+            self._checkpointer.close()
 
     def save(self, state: TrainState, *, seconds: float):
-        """Write the state under its step; does nothing where that step is saved."""
+        """Write the state under its step; does nothing where that step is saved.
+
+        Raises:
+          OSError: where the disk is full; the checkpoints that are there stay whole.
+        """
         step = int(state.step)
         if step in self.steps():
             return
-        self._checkpointer.save_checkpointables(
-            step,
-            {
-                "state": state._asdict(),
-                "progress": {"seconds": seconds, "checksum": _checksum(state)},
-            },
-        )
+        saved = {
+            "state": state._asdict(),
+            "progress": {"seconds": seconds, "checksum": _checksum(state)},
+        }
+        try:
+            with explaining_full_disk(self._folder):
+                self._checkpointer.save_checkpointables(step, saved)
+        except Exception:
+            self._has_failed = True
+            for part in self._folder.glob(f"{step}.*"):  # of what is not whole
+                shutil.rmtree(part, ignore_errors=True)
+            raise
 
     def steps(self) -> list[int]:
         """Steps with a whole checkpoint, oldest first."""

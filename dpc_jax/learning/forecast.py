@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from dpc_jax.learning.schedules import Span, Stage
 
-MEMORY_SECONDS = 60.0  # after which what a step took counts 1/e: other load changes
-_OTHER_STAGE = 0.1  # what the steps of the stage before count in a new one
+MEMORY_SECONDS = 120.0  # after which what a step took counts 1/e: other load changes
+_OTHER_STAGE = 0.5  # what the steps of the stage before count in a new one
 
 
 class Forecast:
@@ -45,7 +45,7 @@ class Forecast:
         """Take the rate of the steps since the last call, of which `done` is last."""
         seconds = (done - self._done) / max(steps_per_second, 1e-9)
         kept = math.exp(-seconds / MEMORY_SECONDS)
-        if any(self._done < span.start < done for span in self._spans):
+        if any(self._done <= span.start < done for span in self._spans):
             kept *= _OTHER_STAGE if self._costs else 0.0
         self._seconds = kept * self._seconds + seconds
         self._work = kept * self._work + self._sum_work(self._done, done)

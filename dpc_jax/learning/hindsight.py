@@ -13,8 +13,10 @@ from dpc_jax.config import Pose, Render
 from dpc_jax.learning.coarse_choice import compute_coarse_losses
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import Shapes
-from dpc_jax.learning.renders import compute_candidate_losses, map_renders
+from dpc_jax.learning.renders import compute_candidate_losses
 from dpc_jax.render import Camera, checks
+from dpc_jax.render.batch import check_renders_at_once, map_renders
+from dpc_jax.render.devices import AUTOMATIC
 
 
 class Winners(NamedTuple):
@@ -40,7 +42,7 @@ def choose_candidate(
     choice_grid: int = 0,
     choice_points: int = 0,
     choice_top: int = 0,
-    renders_at_once: int = 1,
+    renders_at_once: int = AUTOMATIC,
 ) -> jax.Array:
     """Eq. 2 for one view: index of the candidate with the smallest loss; ().
 
@@ -56,7 +58,8 @@ def choose_candidate(
       choice_grid: side of the coarser volume, a divisor of D; 0 for D.
       choice_points: largest number of points of the first comparison; 0 for all.
       choice_top: how many candidates are then compared at full resolution.
-      renders_at_once: how many are rendered side by side: 1 on a CPU, 0 (all) on a GPU.
+      renders_at_once: how many are rendered side by side, 0 for all; -1 takes one on a
+        CPU and all on a GPU.
 
     Raises:
       ValueError: for a wrong shape, dtype or number.
@@ -70,8 +73,9 @@ def choose_candidate(
         "choice_points": choice_points,
         "choice_top": choice_top,
     }
-    for name, count in (counts | {"renders_at_once": renders_at_once}).items():
+    for name, count in counts.items():
         checks.check_count(name, count)
+    check_renders_at_once(renders_at_once)
     if not (len(points) and len(candidates) and side and target.shape == (side, side)):
         raise ValueError(
             "choose_candidate needs at least one point, one candidate and a square "

@@ -13,11 +13,11 @@ from dpc_jax.data import DataSet
 from dpc_jax.learning import devices, hindsight, schedules
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import complete_poses, compute_mass, scale_images
-from dpc_jax.learning.renders import map_renders
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.columns import sharing_columns
 from dpc_jax.render import Camera, VoxelGrid, project
+from dpc_jax.render.batch import map_renders
 from dpc_jax.render.resolution import scale_sizes
 
 

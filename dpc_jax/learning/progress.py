@@ -67,8 +67,9 @@ class ProgressReport:
           A function to call at the end, `finish(was_read=...)`: whether the program was
           read from the cache.
         """
-        started = time.monotonic()
+        started, before = time.monotonic(), ""
         if self._bar is not None:
+            before = self._bar.tasks[0].fields["text"]
             self._bar.update(self._task, text="compiling")
         else:
             print(f"{self._title}: compiling", flush=True)
@@ -80,7 +81,7 @@ class ProgressReport:
 
         yield finish
         if self._bar is not None:
-            self._bar.update(self._task, text="")
+            self._bar.update(self._task, text=before)
 
     def tell(self, text: str):
         """Print a line of its own, above the bar where there is one."""

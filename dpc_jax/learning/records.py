@@ -10,7 +10,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from dpc_jax.files import write_text
+from dpc_jax.files import explaining_full_disk, write_text
 
 _NOT_LOSSES = ("winners", "gradient_norms")
 
@@ -111,8 +111,8 @@ class Window:
         record = {"step": done, "seconds": round(seconds, 3)}
         record |= summarize(self._metrics, heads=self._heads)
         record["steps_per_second"] = round(rate, 3)
-        if waited := round(self._waited, 3):
-            record["compile_seconds"] = waited
+        if self._waited > 0.01:  # less is the look at whether there is something to do
+            record["compile_seconds"] = round(self._waited, 3)
         self._open(done, seconds)
         return record
 
@@ -158,8 +158,15 @@ class MetricLog:
         self._path = Path(path)
 
     def write(self, record: dict):
-        """Append one record; it is on disk when this returns."""
-        with open(self._path, "a", encoding="utf-8") as file:
+        """Append one record; it is on disk when this returns.
+
+        Raises:
+          OSError: where the disk is full.
+        """
+        with (
+            explaining_full_disk(self._path.parent),
+            open(self._path, "a", encoding="utf-8") as file,
+        ):
             file.write(json.dumps(record) + "\n")
 
     def read(self) -> list[dict]:

@@ -1,25 +1,12 @@
 """Many renders of one step: one after the other, or side by side."""
 
-from collections.abc import Callable
-from typing import Any
-
 import chex
 import jax
 
 from dpc_jax.learning.losses import reprojection_loss
 from dpc_jax.render import Camera, VoxelGrid, project
-
-
-def map_renders(function: Callable, inputs: Any, *, renders_at_once: int) -> Any:
-    """`vmap` over the leading axis, `renders_at_once` entries at a time (0: all).
-
-    One volume at a time stays in a CPU's cache; a GPU wants all at once.
-    """
-    if renders_at_once == 0:
-        return jax.vmap(function)(inputs)
-    if renders_at_once == 1:
-        return jax.lax.map(function, inputs)
-    return jax.lax.map(function, inputs, batch_size=renders_at_once)
+from dpc_jax.render.batch import map_renders
+from dpc_jax.render.devices import AUTOMATIC
 
 
 def compute_candidate_losses(
@@ -30,7 +17,7 @@ def compute_candidate_losses(
     *,
     sigma: chex.Numeric,
     camera: Camera,
-    renders_at_once: int = 1,
+    renders_at_once: int = AUTOMATIC,
 ) -> jax.Array:
     """Reprojection loss of each pose candidate of one view.
 

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 from dpc_jax.config import Render, Train
 from dpc_jax.learning import losses
 from dpc_jax.learning.predictions import Shapes
-from dpc_jax.learning.renders import map_renders
 from dpc_jax.learning.schedules import Stage
 from dpc_jax.render import Camera, VoxelGrid, project
+from dpc_jax.render.batch import map_renders
 from dpc_jax.render.resolution import scale_sizes
 
 

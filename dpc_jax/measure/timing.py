@@ -66,6 +66,7 @@ def describe_machine() -> dict[str, Any]:
         "jax": jax.__version__,
         "backend": jax.default_backend(),
         "device": jax.devices()[0].device_kind,
+        "devices": jax.local_device_count(),
         "load_at_start": load,
     }
 

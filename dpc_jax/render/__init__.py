@@ -1,8 +1,10 @@
 """The differentiable projection of point clouds."""
 
 from dpc_jax.render import quaternion as quaternion
+from dpc_jax.render.batch import project_batch as project_batch
 from dpc_jax.render.camera import Camera as Camera
 from dpc_jax.render.camera import VoxelGrid as VoxelGrid
+from dpc_jax.render.devices import use_all_cores as use_all_cores
 from dpc_jax.render.memory import MemoryEstimate as MemoryEstimate
 from dpc_jax.render.memory import estimate_memory as estimate_memory
 from dpc_jax.render.projection import Projection as Projection

@@ -22,7 +22,7 @@ from dpc_jax.run.aborts import speaking_for_jax
 from dpc_jax.run.agreement import Job
 
 # A process that says nothing for so long is lost: stopped, or its host is gone.
-HEARTBEAT_SECONDS = 30
+HEARTBEAT_SECONDS = 45
 JOIN_SECONDS = 300  # for all processes to come; DPC_JAX_JOIN_SECONDS sets another
 AGAIN = "start all of them again: training goes on from the last checkpoint"
 # Of the errors that a collective or a barrier raises, those that a lost process causes.

@@ -13,6 +13,7 @@ from dpc_jax import config as configs
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet, load_or_render
 from dpc_jax.evaluation.alignment import Alignment, identity_alignment
+from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning import evaluator, loop
 from dpc_jax.learning.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.predictor import Predictions, make_predictor, predict_all
@@ -21,6 +22,8 @@ from dpc_jax.learning.step import TrainState, init_state
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run import hosts
 from dpc_jax.run.agreement import Job
+from dpc_jax.run.gpu import set_gpu_flags
+from dpc_jax.run.memory import check_step_memory
 from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
 from dpc_jax.run.report import report_run
 from dpc_jax.run.setup import make_data_specs, make_network
@@ -71,13 +74,18 @@ def run(
       NonFiniteError: where training breaks.
     """
     configs.check(config)
+    set_gpu_flags()
     processes = place.processes if place else 1
     objects = max(1, config.train.models_per_batch // processes)
     split_cores(objects, config.run.devices // processes)
     keep_freed_memory()
     keep_compiled_programs()
     folder = Path(workdir or _name_workdir(config, config_path))
-    with hosts.joining(place) as job, contextlib.ExitStack() as held:
+    with (
+        explaining_full_disk(folder),
+        hosts.joining(place) as job,
+        contextlib.ExitStack() as held,
+    ):
         job.check_same(config)
 
         def take_workdir():
@@ -141,15 +149,16 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
       ValueError: where a set cannot be used, or does not fit the config.
       OSError: where the cache cannot be written.
     """
-    sets = {
-        split: load_or_render(
-            spec,
-            cache_dir=config.data.cache_dir,
-            processes=config.data.processes or None,
-            share=share,
-        )
-        for split, spec in make_data_specs(config).items()
-    }
+    with explaining_full_disk(config.data.cache_dir):
+        sets = {
+            split: load_or_render(
+                spec,
+                cache_dir=config.data.cache_dir,
+                processes=config.data.processes or None,
+                share=share,
+            )
+            for split, spec in make_data_specs(config).items()
+        }
     wanted, found = config.train.models_per_batch, len(sets["train"].names)
     if wanted > found:
         raise ValueError(
@@ -221,7 +230,8 @@ def train_model(model: Model, workdir: Path, log: MetricLog, job: Job) -> loop.O
     """Train to the last step, or until SIGTERM or Ctrl-C asks to save and stop.
 
     Raises:
-      ValueError: if there are checkpoints, yet none can be read.
+      ValueError: if there are checkpoints, yet none can be read, or a step needs more
+        memory than the device has.
       NonFiniteError: where training breaks.
     """
     folder = workdir / "checkpoints"
@@ -231,6 +241,7 @@ def train_model(model: Model, workdir: Path, log: MetricLog, job: Job) -> loop.O
     outcome = loop.Outcome(start.state, start.seconds, True)
     with contextlib.closing(checkpoints), _catch_signals() as stop:
         if int(start.state.step) < model.config.train.steps:
+            check_step_memory(model.network, model.config)
             outcome = loop.train(
                 start.state,
                 model.sets["train"],

@@ -20,6 +20,7 @@ from dpc_jax.learning.step import TrainState, init_state
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.export import write_glb, write_ply
 from dpc_jax.reporting.gallery import draw_predictions
+from dpc_jax.run.gpu import set_gpu_flags
 from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
 from dpc_jax.run.setup import make_network
 from dpc_jax.run.workdir import read_alignment, read_config
@@ -102,6 +103,7 @@ def _write_prediction(out, example, pose, *, is_aligned):
 
 def _restore_state(config: Config, workdir: Path) -> TrainState:
     """The last state of a run."""
+    set_gpu_flags()
     split_cores(config.train.models_per_batch)
     keep_freed_memory()
     keep_compiled_programs()

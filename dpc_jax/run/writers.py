@@ -14,6 +14,7 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import SingleDeviceSharding
 
+from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.records import MetricLog
 from dpc_jax.learning.step import TrainState
@@ -48,7 +49,12 @@ class SharedCheckpoints(Checkpoints):
         """
         whole = gather_arrays(state)
         save = super().save
-        self._job.do_first(self._name(), lambda: save(whole, seconds=seconds))
+
+        def save_whole():
+            with explaining_full_disk(self._folder):
+                save(whole, seconds=seconds)
+
+        self._job.do_first(self._name(), save_whole)
 
     def set_aside(self, steps: Iterable[int]):
         """Move checkpoints to damaged-checkpoint-STEP beside the folder."""

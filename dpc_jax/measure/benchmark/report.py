@@ -67,12 +67,16 @@ def _write_speed(out, results) -> list[str]:
             inferred = factor * medians["plain JAX"]
             times = [f"{1e3 * inferred:.0f}", f"{inferred / medians[ours]:.1f}"]
             rows.append([*own, "released code, inferred", *times, MISSING])
+    count = results["machine"]["devices"]
+    devices = f"{count} device" + "s" * (count != 1)
     heads = ["work", "ours (ms)", "peer", "peer (ms)", "peer / ours", "gradient"]
     return [
         "## Speed",
         intro,
         format_table(heads, rows, align="lrlrrr"),
         "*gradient*: largest relative L2 difference from ours among the gradients. "
+        f"*All devices*: `project_batch` on {devices}; *one device* has all of XLA's "
+        "threads. "
         "*Plain JAX* writes the same steps without the engine; *PyTorch* does a batch "
         "at once. *Inferred*: plain JAX's time, times what the released code took "
         "beside it (250:22, 33:4, 391:47). *trilinear* and *gaussian*: one σ for all "

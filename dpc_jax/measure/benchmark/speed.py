@@ -14,8 +14,9 @@ from dpc_jax.learning.losses import reprojection_loss
 from dpc_jax.measure.benchmark.plain_peer import Sample, render_plain
 from dpc_jax.measure.benchmark.plan import Case
 from dpc_jax.measure.timing import take_medians, time_interleaved
-from dpc_jax.render import Camera, VoxelGrid, project
+from dpc_jax.render import Camera, VoxelGrid, project, project_batch
 
+ALL_DEVICES, ONE_DEVICE = "ours, all devices", "ours, one device"
 CHOICES = ("chosen", "min, one by one", "min, all at once")
 
 
@@ -69,6 +70,27 @@ def _make_jax_call(render, work: Work, sigma, **static) -> Callable[[], Any]:
     return lambda: gradient(inputs, *rest)
 
 
+def _make_batch_call(work: Work, sigma, *, side) -> Callable[[], Any]:
+    """As `_make_jax_call`, by `project_batch` on all devices."""
+    inputs = tuple(jnp.asarray(a) for a in work[:3])
+    rest = jnp.asarray(work.targets), jnp.asarray(sigma, jnp.float32)
+    gradient = _compile_batch_gradient(side)
+    return lambda: gradient(inputs, *rest)
+
+
+@functools.lru_cache
+def _compile_batch_gradient(side):
+    def compute_loss(inputs, targets, sigma):
+        points, rotations, masses = inputs
+        grid = VoxelGrid(side)
+        images = project_batch(
+            points, rotations, sigma=sigma, scale=masses, grid=grid
+        ).silhouette
+        return jnp.sum((images - targets) ** 2)
+
+    return jax.jit(jax.grad(compute_loss))
+
+
 def prepare_render(case: Case, *, seed: int, method: str = "auto") -> Callable[[], Any]:
     """A call that gives the gradients of our own render on the arrays of a case."""
     work = _draw_work(case, seed=seed)
@@ -88,19 +110,20 @@ def compare_with_peers(case: Case, *, rounds: int, seed: int) -> dict[str, Any]:
     """Silhouette, forward and backward, beside the plain ways to write it.
 
     Returns:
-      A record: the case, seconds of each call with their medians and ratios to ours,
-      and the relative distances of the gradients from ours.
+      A record: the case, seconds of each call with their medians and ratios to ours on
+      all devices, and the relative distances of the gradients from ours.
     """
     work = _draw_work(case, seed=seed)
     calls = {
-        name: _make_jax_call(render, work, case.sigma, side=case.side)
-        for name, render in (("ours", render_ours), ("plain JAX", render_plain))
+        ALL_DEVICES: _make_batch_call(work, case.sigma, side=case.side),
+        ONE_DEVICE: _make_jax_call(render_ours, work, case.sigma, side=case.side),
+        "plain JAX": _make_jax_call(render_plain, work, case.sigma, side=case.side),
     }
     if has_torch():
         from dpc_jax.measure.benchmark import torch_peer
 
         calls["PyTorch"] = torch_peer.make_call(work, sigma=case.sigma)
-    return _compare(str(case), calls, "ours", rounds)
+    return _compare(str(case), calls, ALL_DEVICES, rounds)
 
 
 def has_torch() -> bool:

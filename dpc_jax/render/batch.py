@@ -1,0 +1,229 @@
+"""Many renders: a batch of examples on every core or device, equal to one at a time."""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import chex
+import jax
+import jax.numpy as jnp
+from jax.sharding import PartitionSpec
+
+from dpc_jax.render import arguments, checks
+from dpc_jax.render.camera import Camera, VoxelGrid
+from dpc_jax.render.devices import AUTOMATIC, choose_mesh, find_platform, place
+from dpc_jax.render.projection import Projection, project
+
+_SIZES = (
+    "give one number for all, [B] one for each example, [B, N] one for each point, or "
+    "[1, N] for points that all examples share"
+)
+_SHARED = "leave out the first axis of what all examples share"
+
+
+def project_batch(
+    points: jax.Array,
+    rotations: jax.Array,
+    *,
+    sigma: chex.Numeric | None = None,
+    scale: chex.Numeric = 1.0,
+    covariance: jax.Array | None = None,
+    colors: jax.Array | None = None,
+    translation: jax.Array | None = None,
+    camera: Camera = Camera(),
+    grid: VoxelGrid = VoxelGrid(64),
+    signals: tuple[str, ...] = ("silhouette",),
+    method: str = "auto",
+    ray_rule: str = "termination",
+    background_depth: chex.Numeric = 10.0,
+    background_color: chex.Numeric = 1.0,
+    renders_at_once: int = AUTOMATIC,
+    devices: Sequence[Any] | None = None,
+) -> Projection:
+    """Render B examples on every core or device; equal to `project` of each.
+
+    Differentiable, and usable inside `jax.jit`. Every device takes an equal share of
+    the examples, and B need not divide. CPU cores are devices after
+    `dpc_jax.use_all_cores()`; without it they are one.
+
+    The rank of an array says whether all examples share it. B is the rotations'.
+
+    Args:
+      points: [B, N, 3], or [N, 3] shared.
+      rotations: [B, 4] quaternions wxyz or [B, 3, 3] matrices; never shared.
+      sigma, scale: () shared, [B] one for each example, [B, N] one for each point, or
+        [1, N] one for each point and shared. So [N] is never for points.
+      covariance: [B, N, 3, 3], or [N, 3, 3] shared.
+      colors: [B, N, C], or [N, C] shared.
+      translation: [B, 3], or [3] shared.
+      camera: its focal length and distance are () shared or [B].
+      grid, signals, method, ray_rule, background_depth, background_color: shared, as
+        in `project`.
+      renders_at_once: how many renders a device makes side by side: 1 keeps a CPU's
+        cache, 0 (all) fills a GPU, -1 takes what suits the device; static.
+      devices: JAX's, to render on; static. None for all of this process, or the one
+        that `jax.default_device` names. Inside `jax.set_mesh` the mesh's devices are
+        used; inside `jax.shard_map` or `jax.pmap` a device renders its own share.
+
+    Returns:
+      Images with a leading axis B, divided among the devices; [0, rows, cols] where B
+      is 0.
+
+    Raises:
+      ValueError: as `project`, and for shapes that do not fit B.
+    """
+    arguments.check_signals(signals, ray_rule, has_colors=colors is not None)
+    checks.check_type("camera", camera, Camera, "dpc_jax.Camera(1.875, 2.0)")
+    checks.check_type("grid", grid, VoxelGrid, "dpc_jax.VoxelGrid(64)")
+    checks.check_at_least_zero("sigma", sigma)
+    check_renders_at_once(renders_at_once)
+    hint = "give one rotation for each example; dpc_jax.project takes a single one"
+    rotations = checks.check_real(
+        "rotations", rotations, ("B", 4), ("B", 3, 3), hint=hint
+    )
+    batch_size = rotations.shape[0]
+    values = {
+        "points": points,
+        "sigma": sigma,
+        "scale": scale,
+        "covariance": covariance,
+        "colors": colors,
+        "translation": translation,
+        "camera.focal_length": camera.focal_length,
+        "camera.distance": camera.distance,
+    }
+    shared, own = _sort_inputs(values, batch_size=batch_size)
+    own["rotation"] = rotations
+    shared["background_depth"] = background_depth
+    shared["background_color"] = background_color
+    mesh = choose_mesh(devices, batch_size=batch_size)
+    own = _pad_examples(own, mesh=mesh)
+    if mesh is not None and batch_size:
+        shared = place(shared, mesh, PartitionSpec())
+        own = place(own, mesh, PartitionSpec(mesh.axis_names))
+    return _render_batch(
+        shared,
+        own,
+        batch_size=batch_size,
+        mesh=mesh,
+        renders_at_once=renders_at_once,
+        projection=camera.projection,
+        grid=grid,
+        signals=tuple(signals),
+        method=method,
+        ray_rule=ray_rule,
+    )
+
+
+def map_renders(function: Callable, inputs: Any, *, renders_at_once: int) -> Any:
+    """`vmap` over the leading axis, `renders_at_once` entries at a time (0: all).
+
+    One volume at a time stays in a CPU's cache; a GPU wants all at once. -1 takes what
+    suits the device at hand: the one place where that is decided.
+    """
+    if renders_at_once == AUTOMATIC:
+        renders_at_once = 1 if find_platform() == "cpu" else 0
+    if renders_at_once == 0 or len(jax.tree.leaves(inputs)[0]) == 0:
+        return jax.vmap(function)(inputs)
+    if renders_at_once == 1:
+        return jax.lax.map(function, inputs)
+    return jax.lax.map(function, inputs, batch_size=renders_at_once)
+
+
+def check_renders_at_once(value: Any) -> None:
+    """Refuse anything but an integer of at least -1."""
+    if not (checks.is_count(value) and value >= AUTOMATIC):
+        raise ValueError(
+            f"renders_at_once must be an integer of at least -1, but it is {value!r}; "
+            "give 1 for one after the other, 0 for all side by side, or -1 for what "
+            "suits the device."
+        )
+
+
+def _sort_inputs(values, *, batch_size):
+    """(what all examples share, what each has of its own), by name; without None."""
+    b = batch_size
+    points = checks.check_array(
+        "points", values["points"], ("N", 3), (b, "N", 3), hint=_SHARED
+    )
+    n = points.shape[-2]
+    sizes = (), (b,), (b, n), (1, n)
+    shapes = {  # that of what is shared, then the others
+        "points": ((n, 3), (b, n, 3)),
+        "sigma": sizes,
+        "scale": sizes,
+        "covariance": ((n, 3, 3), (b, n, 3, 3)),
+        "colors": ((n, "C"), (b, n, "C")),
+        "translation": ((3,), (b, 3)),
+        "camera.focal_length": ((), (b,)),
+        "camera.distance": ((), (b,)),
+    }
+    shared, own = {}, {}
+    for name, value in values.items():
+        if value is None:
+            continue
+        allowed = shapes[name]
+        hint = _SIZES if allowed is sizes else _SHARED
+        array = checks.check_real(name, value, *allowed, hint=hint)
+        if array.ndim == len(allowed[0]):
+            shared[name] = value  # a Python number has the dtype of the points
+        elif allowed is sizes and array.shape[0] == 1 != b:
+            shared[name] = array[0]
+        else:
+            own[name] = array
+    return shared, own
+
+
+def _pad_examples(own, *, mesh):
+    """Repeat the last example until all devices have as many."""
+    count = own["rotation"].shape[0]
+    extra = -count % (mesh.size if mesh else 1)
+    if not count or not extra:
+        return own
+    own = place(own, mesh, PartitionSpec())
+    return jax.tree.map(
+        lambda a: jnp.pad(a, [(0, extra)] + [(0, 0)] * (a.ndim - 1), mode="edge"), own
+    )
+
+
+@functools.partial(
+    jax.jit,
+    static_argnames=(
+        "batch_size",
+        "mesh",
+        "renders_at_once",
+        "projection",
+        "grid",
+        "signals",
+        "method",
+        "ray_rule",
+    ),
+)
+def _render_batch(
+    shared, own, *, batch_size, mesh, renders_at_once, projection, **static
+):
+    def render_share(shared, own):
+        def render_one(one):
+            values = shared | one
+            focal_length = values.pop("camera.focal_length")
+            camera = Camera(focal_length, values.pop("camera.distance"), projection)
+            return project(**values, camera=camera, **static)
+
+        return map_renders(render_one, own, renders_at_once=renders_at_once)
+
+    if mesh is None or batch_size == 0:
+        return render_share(shared, own)
+    share = PartitionSpec(mesh.axis_names)
+    images = jax.shard_map(
+        render_share,
+        mesh=mesh,
+        in_specs=(PartitionSpec(), share),
+        out_specs=share,
+        # No device needs another's result, and the custom derivatives of a render do
+        # not say which of their arrays differ between devices.
+        check_vma=False,
+    )(shared, own)
+    if batch_size % mesh.size == 0:
+        return images
+    images = place(images, mesh, PartitionSpec())
+    return jax.tree.map(lambda image: image[:batch_size], images)

@@ -1,0 +1,145 @@
+"""A full disk: a sentence that says so, what was whole stays, and the run goes on."""
+
+import errno
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dpc_jax.files import explaining_full_disk, is_disk_full
+from dpc_jax.learning.checkpoints import Checkpoints
+from dpc_jax.learning.records import MetricLog
+from dpc_jax.learning.step import TrainState
+
+IN_CPP = "RESOURCE_EXHAUSTED: Failed writing: No space left on device [os_error_code]"
+
+
+def make_state(step):
+    values = np.random.default_rng(step).normal(size=(500, 400))
+    return TrainState(
+        step=jnp.asarray(step, jnp.int32),
+        params={"params": {"a": jnp.array(values, jnp.float32)}},
+        optimizer=(jnp.asarray(step, jnp.int32),),
+        covariance=jnp.eye(3),
+    )
+
+
+@pytest.mark.parametrize(
+    "error",
+    [OSError(errno.ENOSPC, "x"), OSError(errno.EDQUOT, "x"), ValueError(IN_CPP)],
+)
+def test_a_full_disk_is_named_with_its_folder_whatever_met_it(tmp_path, error):
+    with (
+        pytest.raises(OSError, match=f"disk of {tmp_path} .* the disk is full; free"),
+        explaining_full_disk(tmp_path),
+    ):
+        raise error
+
+
+def test_an_error_that_came_from_a_full_disk_is_one_too(tmp_path):
+    with pytest.raises(OSError, match="disk is full"), explaining_full_disk(tmp_path):
+        try:
+            raise OSError(errno.ENOSPC, "x")
+        except OSError as error:
+            raise RuntimeError("a thread failed") from error
+
+
+def test_other_errors_stay_what_they_are(tmp_path):
+    with pytest.raises(PermissionError), explaining_full_disk(tmp_path):
+        raise PermissionError(errno.EACCES, "x")
+    with pytest.raises(ValueError, match="wrong"), explaining_full_disk(tmp_path):
+        raise ValueError("wrong")
+
+
+def test_the_innermost_folder_is_the_one_that_is_named(tmp_path):
+    with (
+        pytest.raises(OSError, match="disk of /inner must"),
+        explaining_full_disk(tmp_path),
+        explaining_full_disk("/inner"),
+    ):
+        raise OSError(errno.ENOSPC, "x")
+    assert not is_disk_full(None)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux has /dev/full")
+def test_a_record_that_finds_no_room_says_so(tmp_path):
+    (tmp_path / "metrics.jsonl").symlink_to("/dev/full")
+    with pytest.raises(OSError, match=f"disk of {tmp_path} .* the disk is full"):
+        MetricLog(tmp_path / "metrics.jsonl").write({"step": 1, "seconds": 0.5})
+
+
+def test_a_checkpoint_that_finds_no_room_leaves_the_one_before(tmp_path, monkeypatch):
+    checkpoints = Checkpoints(tmp_path / "checkpoints")
+    checkpoints.save(make_state(1), seconds=1.0)
+
+    def fail(step, _):
+        (tmp_path / "checkpoints" / f"{step}.orbax-checkpoint-tmp").mkdir()
+        raise ValueError(IN_CPP)
+
+    monkeypatch.setattr(checkpoints._checkpointer, "save_checkpointables", fail)
+    with pytest.raises(OSError, match="checkpoints must have room .* disk is full"):
+        checkpoints.save(make_state(2), seconds=2.0)
+    checkpoints.close()
+    assert [path.name for path in (tmp_path / "checkpoints").iterdir()] == ["1"]
+
+
+FILL = """
+import sys
+from pathlib import Path
+from test_full_disk import Checkpoints, make_state
+
+folder = Path(sys.argv[1])
+checkpoints = Checkpoints(folder / "checkpoints")
+checkpoints.save(make_state(1), seconds=1.0)
+filler = folder / "filler"
+try:
+    with open(filler, "wb", buffering=0) as file:
+        while True:
+            file.write(bytes(4096))
+except OSError:
+    pass
+try:
+    checkpoints.save(make_state(2), seconds=2.0)
+except OSError as error:
+    print(error)
+checkpoints.close()
+filler.unlink()
+
+checkpoints = Checkpoints(folder / "checkpoints")
+restored = checkpoints.restore(make_state(0))
+print("restored", int(restored.state.step), restored.damaged)
+checkpoints.save(make_state(2), seconds=2.0)
+checkpoints.close()
+print("saved", Checkpoints(folder / "checkpoints").steps())
+"""
+SMALL_DISK = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c"]
+
+
+def can_mount(folder):
+    """Whether this user may mount a small disk in a namespace of its own."""
+    if not shutil.which("unshare"):
+        return False
+    command = [*SMALL_DISK, f"mount -t tmpfs -o size=4m tmpfs {folder}"]
+    return subprocess.run(command, capture_output=True).returncode == 0
+
+
+def test_on_a_disk_that_is_really_full_nothing_is_lost_and_saving_goes_on(tmp_path):
+    if not can_mount(tmp_path):
+        pytest.skip("namespaces are not allowed here")
+    mount = f'mount -t tmpfs -o size=4m tmpfs {tmp_path} && exec "$@"'
+    done = subprocess.run(
+        [*SMALL_DISK, mount, "sh", sys.executable, "-c", FILL, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parent,
+        env=os.environ | {"JAX_PLATFORMS": "cpu"},
+    )
+    sentence, *rest = done.stdout.splitlines() or [done.stderr]
+    assert "the disk is full; free some" in sentence
+    assert rest == ["restored 1 ()", "saved [1, 2]"]
+    assert done.stderr == ""  # no traceback of any thread

@@ -1,0 +1,148 @@
+"""What a GPU needs is chosen without one: the extra to install, and XLA's flag."""
+
+import importlib.metadata
+import importlib.util
+import os
+import stat
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from dpc_jax.run import gpu
+
+ROOT = Path(__file__).parents[1]
+OPTION = "--xla_backend_extra_options=-nvptx-allow-ftz-atomics"
+# In place of Python: notes how it is called; an environment gets a copy of it.
+PYTHON = """#!/bin/sh
+echo "$@" >> "$CALLS"
+if [ "$2" = venv ]; then mkdir -p "$3/bin"; cp "$0" "$3/bin/python"; fi
+"""
+
+
+def write_script(path, text):
+    path.write_text(text)
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return path
+
+
+@pytest.fixture
+def install(tmp_path):
+    """Runs launch/install.sh; gives the finished process and what pip was asked for."""
+
+    def run(shown, *, extras="", **environment):
+        folder = tmp_path / "bin"
+        folder.mkdir(exist_ok=True)
+        if shown is not None:
+            write_script(folder / "nvidia-smi", f"#!/bin/sh\n{shown}\n")
+        calls = tmp_path / "calls"
+        clean = {k: v for k, v in os.environ.items() if k != "CUDA"}
+        environment = (
+            clean
+            | environment
+            | {
+                "PATH": f"{folder}:/usr/bin:/bin",
+                "CALLS": str(calls),
+                "PYTHON": str(write_script(tmp_path / "python", PYTHON)),
+                "VENV": str(tmp_path / "venv"),
+            }
+        )
+        command = ["bash", "-euc", f'. launch/install.sh "{extras}"']
+        done = subprocess.run(
+            command, cwd=ROOT, env=environment, capture_output=True, text=True
+        )
+        lines = calls.read_text().splitlines() if calls.exists() else []
+        asked = [line.split()[-1] for line in lines if "pip install" in line]
+        return done, asked
+
+    return run
+
+
+@pytest.mark.parametrize(
+    "shown, extra",
+    [
+        ("580.65.06, 9.0", ".[cuda13]"),
+        ("580.65.06, 7.5", ".[cuda13]"),
+        ("595.10, 12.0", ".[cuda13]"),
+        ("580.65.06, 7.0", ".[cuda12]"),  # CUDA 13 dropped Volta
+        ("579.99, 9.0", ".[cuda12]"),
+        ("525.60.13, 5.2", ".[cuda12]"),
+        ("580.65.06, 9.0\\n580.65.06, 6.1", ".[cuda12]"),  # the older GPU decides
+    ],
+)
+def test_driver_and_gpu_decide_the_version_of_cuda(shown, extra, install):
+    done, asked = install(f"printf '{shown}\\n'")
+    assert (done.returncode, done.stderr, asked) == (0, "", [extra])
+
+
+@pytest.mark.parametrize(
+    "shown", [None, "exit 9", "echo 'No devices were found'", "echo; exit 0"]
+)
+def test_without_a_working_gpu_nothing_is_added(shown, install):
+    done, asked = install(shown)
+    assert (done.returncode, done.stderr, asked) == (0, "", ["."])
+
+
+def test_other_extras_are_kept_and_nothing_is_installed_twice(install):
+    shown = "echo '580.1, 9.0'"
+    for _ in range(2):
+        done, asked = install(shown, extras="[test,lint]")
+        assert done.returncode == 0
+    assert asked == [".[test,lint,cuda13]"]
+
+
+@pytest.mark.parametrize("word, extra", [("12", ".[cuda12]"), ("none", ".")])
+def test_a_variable_decides_instead_of_the_driver(word, extra, install):
+    _, asked = install("echo '580.1, 9.0'", CUDA=word)
+    assert asked == [extra]
+
+
+def test_another_value_of_the_variable_is_refused(install):
+    done, asked = install(None, CUDA="11")
+    assert done.returncode == 1 and not asked
+    assert "CUDA must be 12, 13 or none, but it is 11" in done.stderr
+
+
+@pytest.mark.parametrize("shown", ["470.199.02, 8.6", "535.1, 3.7"])
+def test_a_gpu_that_jax_cannot_use_is_left_out_in_a_sentence(shown, install):
+    done, asked = install(f"echo '{shown}'")
+    assert asked == ["."]
+    assert "JAX needs driver 525 and compute capability 5.2, but" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "version, needed",
+    [
+        ("0.10.1", False),
+        ("0.10.2", True),
+        ("0.10.2.dev20260601", True),
+        ("0.11.0", True),
+        ("0.11.1", False),
+        ("0.12.0", False),
+        ("unknown", False),
+    ],
+)
+def test_only_versions_with_the_slow_scatter_add_need_the_flag(version, needed):
+    assert gpu.needs_flag(version) == needed
+
+
+def test_the_flag_joins_those_that_are_given():
+    assert gpu.add_option("") == OPTION
+    assert gpu.add_option("--a=1") == f"--a=1 {OPTION}"
+    given = "--xla_backend_extra_options=-x --b=2"
+    joined = "--xla_backend_extra_options=-x,-nvptx-allow-ftz-atomics --b=2"
+    assert gpu.add_option(given) == joined
+    assert gpu.add_option(joined) == joined
+
+
+@pytest.mark.parametrize(
+    "plugin, version, is_set",
+    [(True, "0.10.2", True), (True, "0.11.1", False), (False, "0.10.2", False)],
+)
+def test_the_flag_is_set_for_gpus_alone(plugin, version, is_set, monkeypatch):
+    found = object() if plugin else None
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: found)
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: version)
+    environment = {}
+    assert gpu.set_gpu_flags(environment) == is_set
+    assert environment == ({"XLA_FLAGS": OPTION} if is_set else {})
