@@ -21,7 +21,8 @@ import jax
 from dpc_jax.run.aborts import speaking_for_jax
 from dpc_jax.run.agreement import Job
 
-# A process that says nothing for so long is lost: stopped, or its host is gone.
+# A process that says nothing for so long is lost: stopped, or its host is gone. Where
+# virtual machines stand still at times, DPC_JAX_HEARTBEAT_SECONDS sets a longer one.
 HEARTBEAT_SECONDS = 45
 JOIN_SECONDS = 300  # for all processes to come; DPC_JAX_JOIN_SECONDS sets another
 AGAIN = "start all of them again: training goes on from the last checkpoint"
@@ -104,7 +105,7 @@ def joining(place: Place | None) -> Iterator[Job]:
     if place is None:
         yield Job()
         return
-    seconds = int(os.environ.get("DPC_JAX_JOIN_SECONDS", JOIN_SECONDS))
+    seconds = _read_seconds("JOIN", JOIN_SECONDS)
     words = _Words(place, seconds)
     with speaking_for_jax(words.explain):
         try:
@@ -125,6 +126,10 @@ def joining(place: Place | None) -> Iterator[Job]:
             if words.has_joined:
                 _await_same_end(Job(place.processes, place.process), status)
             raise
+
+
+def _read_seconds(name, default):
+    return int(os.environ.get(f"DPC_JAX_{name}_SECONDS", default))
 
 
 def _leave(status):
@@ -156,7 +161,7 @@ def _connect(place, seconds):
             place.process,
             cluster_detection_method="deactivate",
             initialization_timeout=max(1, int(left)),
-            heartbeat_timeout_seconds=HEARTBEAT_SECONDS,
+            heartbeat_timeout_seconds=_read_seconds("HEARTBEAT", HEARTBEAT_SECONDS),
         )
     except jax.errors.JaxRuntimeError as error:
         raise OSError(
