@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import fcntl
 import hashlib
 import json
 import math
@@ -54,6 +55,50 @@ def _is_another_at_work(process):
     except OSError:  # it runs, but belongs to somebody else
         return True
     return True
+
+
+@contextlib.contextmanager
+def claiming(path: str | os.PathLike) -> Iterator[bool]:
+    """Yield whether this process alone may make a file, for as long as the context.
+
+    Whether the file is there is the caller's to look at, once the claim is held. A
+    claim is a lock of the kernel on a small file beside it: it ends with its process,
+    also after kill -9, so that another one can take over. Over NFS such locks hold
+    between hosts (Linux has the server keep them). Some parallel file systems keep them
+    within a host, or know none: two hosts may then make a file twice, which costs time
+    and nothing else as long as they make the same bytes and replace the file whole.
+    """
+    path = Path(path)
+    lock = path.with_name(f".{path.name}.claim")
+    file = _lock(lock)
+    if file is None:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        lock.unlink(missing_ok=True)
+        os.close(file)
+
+
+def _lock(path: Path) -> int | None:
+    """The open and locked file; None where another process holds the lock."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    while True:
+        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(file)
+            return None
+        except OSError:  # no locks here: everybody may
+            return file
+        # The holder before may have removed what was opened here: a lock on that
+        # keeps nobody out.
+        with contextlib.suppress(FileNotFoundError):
+            if os.stat(path).st_ino == os.fstat(file).st_ino:
+                return file
+        os.close(file)
 
 
 @contextlib.contextmanager

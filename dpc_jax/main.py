@@ -9,7 +9,7 @@ from absl import app, flags
 from ml_collections import config_flags
 
 from dpc_jax.config import from_config_dict
-from dpc_jax.run import pipeline, process
+from dpc_jax.run import hosts, pipeline, process
 
 _CONFIG = config_flags.DEFINE_config_file(
     "config",
@@ -19,6 +19,11 @@ _CONFIG = config_flags.DEFINE_config_file(
 _WORKDIR = flags.DEFINE_string(
     "workdir", None, "Folder of the run; runs/NAME-seedN where not given."
 )
+_COORDINATOR = flags.DEFINE_string(
+    "coordinator", None, "HOST:PORT of process 0, for a run of several processes."
+)
+_PROCESSES = flags.DEFINE_integer("processes", None, "How many processes the run has.")
+_PROCESS = flags.DEFINE_integer("process", None, "Which of them this one is, from 0.")
 
 
 def _parse(argv):
@@ -37,10 +42,15 @@ def _parse(argv):
             )
         # A config that could not be loaded says so only when it is read.
         getattr(_CONFIG.value, "seed", None)
+        _find_place()
         return rest
     except (flags.Error, AttributeError, KeyError, TypeError, ValueError, OSError) as e:
         print(f"Error: {_explain(e)}", file=sys.stderr)
         sys.exit(2)
+
+
+def _find_place() -> hosts.Place | None:
+    return hosts.find_place(_COORDINATOR.value, _PROCESSES.value, _PROCESS.value)
 
 
 def _explain(error: Exception) -> str:
@@ -62,7 +72,9 @@ def main(_: list[str]):
     """Hand the parsed flags to the run."""
     path = config_flags.get_config_filename(flags.FLAGS["config"])
     config = from_config_dict(_CONFIG.value)
-    status = pipeline.run_guarded(config, config_path=path, workdir=_WORKDIR.value)
+    status = pipeline.run_guarded(
+        config, config_path=path, workdir=_WORKDIR.value, place=_find_place()
+    )
     process.leave(status)
 
 

@@ -18,7 +18,6 @@ import numpy as np
 
 from dpc_jax import files
 from dpc_jax.data import shards, workers
-from dpc_jax.data.damage import Damage
 from dpc_jax.data.progress import follow
 from dpc_jax.data.sources import Model, Source, open_source
 from dpc_jax.data.spec import DataSpec as DataSpec
@@ -72,14 +71,20 @@ def load_or_render(
     cache_dir: str | Path,
     processes: int | None = None,
     progress: bool = True,
+    share: tuple[int, int] = (0, 1),
 ) -> DataSet:
     """The data set of a specification, from the cache or prepared now.
+
+    Any number of processes may prepare one set in a shared folder: each shard is made
+    by one of them, and all return when the set is whole.
 
     Args:
       cache_dir: folder of the caches; created where missing.
       processes: how many render at once; None for one per core. The result does not
         depend on it.
       progress: whether to show progress and what was skipped on stdout.
+      share: (i, n), where the i-th of n processes (from 0) begins among the shards, so
+        that they seldom meet.
 
     Raises:
       ValueError: if there is no folder, no model, or none that can be used.
@@ -97,11 +102,11 @@ def load_or_render(
     folder.mkdir(parents=True, exist_ok=True)
     try:
         files.remove_leftovers(folder)
-        _prepare(folder, source, models, processes=processes, progress=progress)
+        _prepare(folder, source, models, share, processes, progress=progress)
         _finish(folder, source, models, record, progress=progress)
     finally:
         files.remove_leftovers(folder)
-        if not any(folder.iterdir()):
+        with contextlib.suppress(OSError):  # it is not empty
             folder.rmdir()
     return read_cache(folder)
 
@@ -124,7 +129,7 @@ def _describe(source, models):
     return record
 
 
-def _prepare(folder, source, models, *, processes, progress):
+def _prepare(folder, source, models, share, processes, *, progress):
     plan = workers.plan_shards(source, models)
     missing = [n for n in range(len(plan)) if not _is_whole(folder, plan, n)]
     if not missing:
@@ -139,13 +144,15 @@ def _prepare(folder, source, models, *, processes, progress):
             f"Expected {needed / 1e9:.1f} GB free for {folder}, but there are "
             f"{free / 1e9:.1f}; free some or set another data.cache_dir."
         )
-    processes = processes or _count_cores()
-    if processes == 1 or count <= workers.INLINE:
-        results = workers.write_shards(folder, source, models, missing)
-    else:
-        results = workers.write_shards_in_processes(
-            folder, source, models, missing, processes=processes
-        )
+    part, parts = share
+    first = len(missing) * part // parts
+    results = workers.write_together(
+        folder,
+        source,
+        models,
+        missing[first:] + missing[:first],
+        processes=processes or _count_cores(),
+    )
     label = f"Rendering {source.spec.split} {source.spec.category}"
     with contextlib.closing(results):
         for _ in follow(results, count=count, label=label, progress=progress):
@@ -154,18 +161,11 @@ def _prepare(folder, source, models, *, processes, progress):
 
 def _is_whole(folder, plan, number):
     """Whether a shard is there, undamaged and of these models; tells what is wrong."""
-    path = folder / workers.name_shard(number)
-    try:
-        record = shards.read_record(path)
-        expected = workers.identify_shard(folder, plan[number])
-        if {name: record.get(name) for name in expected} != expected:
-            raise Damage("it belongs to another set or other models")
-    except FileNotFoundError:
-        return False
-    except (OSError, ValueError) as error:
-        print(f"The shard {path} is damaged ({error}) and will be made again.")
-        return False
-    return True
+    damage = workers.find_damage(folder, plan[number], number)
+    if damage:
+        path = folder / workers.name_shard(number)
+        print(f"The shard {path} is damaged ({damage}) and will be made again.")
+    return damage == ""
 
 
 def _finish(folder, source, models, record, *, progress):
@@ -183,7 +183,7 @@ def _finish(folder, source, models, record, *, progress):
         _tell("Remarks on", remarks, len(models))
     if not names:
         for path in paths:
-            path.unlink()
+            path.unlink(missing_ok=True)
         raise ValueError(
             f"Expected at least one usable {source.unit} in {source.spec.folder}, but "
             f"none of {len(models)} is; look at the first: {skipped[0][1]}"

@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Generator, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,10 @@ from typing import Any
 import numpy as np
 
 from dpc_jax.data import shards
+from dpc_jax.data.damage import Damage
 from dpc_jax.data.sources import Model, Source, open_source
 from dpc_jax.data.spec import DataSpec
+from dpc_jax.files import claiming
 
 BOOT = """
 import sys
@@ -58,34 +61,109 @@ def identify_shard(folder: str | Path, models: range) -> dict[str, Any]:
     return {"set": Path(folder).name, "models": [models.start, models.stop]}
 
 
+def find_damage(folder: str | Path, models: range, number: int) -> str | None:
+    """What is wrong with a shard that should hold these models; "" where nothing is.
+
+    None where there is no such file.
+    """
+    try:
+        record = shards.read_record(Path(folder) / name_shard(number))
+        expected = identify_shard(folder, models)
+        if {name: record.get(name) for name in expected} != expected:
+            raise Damage("it belongs to another set or other models")
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        return str(error)
+    return ""
+
+
 def write_shards(
     folder: str | Path, source: Source, models: Sequence[Model], numbers: Iterable[int]
 ) -> Generator[tuple[int, str | None]]:
-    """Prepare and write shards; yield (index, None or reason to skip) per model."""
+    """Prepare and write shards; yield (index, None or reason to skip) per model.
+
+    A shard that another process has finished meanwhile is passed on as done. Of one
+    that another process is at work on nothing is yielded.
+    """
     plan = plan_shards(source, models)
     for number in numbers:
-        record = identify_shard(folder, plan[number])
-        record |= {"names": [], "counts": {}, "skipped": [], "remarks": []}
-        rows, reason = {}, None
-        for index in plan[number]:
-            name, reason = models[index].name, None
-            try:
-                arrays, remarks = source.make_arrays(models[index], index)
-            except ValueError as error:
-                reason = str(error)
-                record["skipped"].append([name, reason])
+        with claiming(Path(folder) / name_shard(number)) as is_ours:
+            if not is_ours:
+                continue
+            if find_damage(folder, plan[number], number) == "":
+                yield from ((index, None) for index in plan[number])
             else:
-                record["names"].append(name)
-                record["remarks"] += [[name, remark] for remark in remarks]
-                for key, array in arrays.items():
-                    rows.setdefault(key, []).append(array)
-            if index < plan[number].stop - 1:
+                yield from _write_shard(folder, source, models, plan[number], number)
+
+
+def _write_shard(folder, source, models, indices, number):
+    record = identify_shard(folder, indices)
+    record |= {"names": [], "counts": {}, "skipped": [], "remarks": []}
+    rows, reason = {}, None
+    for index in indices:
+        name, reason = models[index].name, None
+        try:
+            arrays, remarks = source.make_arrays(models[index], index)
+        except ValueError as error:
+            reason = str(error)
+            record["skipped"].append([name, reason])
+        else:
+            record["names"].append(name)
+            record["remarks"] += [[name, remark] for remark in remarks]
+            for key, array in arrays.items():
+                rows.setdefault(key, []).append(array)
+        if index < indices.stop - 1:
+            yield index, reason
+    record["counts"] = {key: [len(a) for a in part] for key, part in rows.items()}
+    joined = {key: np.concatenate(part) for key, part in rows.items()}
+    shards.write_shard(Path(folder) / name_shard(number), joined, record)
+    # the last model counts as done when it is safely on disk
+    yield indices.stop - 1, reason
+
+
+def write_together(
+    folder: str | Path,
+    source: Source,
+    models: Sequence[Model],
+    numbers: Sequence[int],
+    *,
+    processes: int,
+) -> Generator[tuple[int, str | None]]:
+    """Write the shards that nobody else writes, then wait for those of the others.
+
+    A shard that another process has begun and given up is taken over. Yields as
+    `write_shards`, of every model.
+    """
+    missing = list(numbers)
+    plan = plan_shards(source, models)
+    place = {index: number for number in missing for index in plan[number]}
+    while missing:
+        count = sum(len(plan[number]) for number in missing)
+        if processes == 1 or count <= INLINE:
+            results = write_shards(folder, source, models, missing)
+        else:
+            results = write_shards_in_processes(
+                folder, source, models, missing, processes=processes
+            )
+        done = set()
+        with contextlib.closing(results):
+            for index, reason in results:
+                done.add(place[index])
                 yield index, reason
-        record["counts"] = {key: [len(a) for a in part] for key, part in rows.items()}
-        joined = {key: np.concatenate(part) for key, part in rows.items()}
-        shards.write_shard(Path(folder) / name_shard(number), joined, record)
-        # the last model counts as done when it is safely on disk
-        yield plan[number].stop - 1, reason
+        missing = [number for number in missing if number not in done]
+        if missing:
+            _await_any([Path(folder) / name_shard(number) for number in missing])
+
+
+def _await_any(paths):
+    """Return when one of the files that others make is there, or was given up."""
+    while True:
+        for path in paths:
+            with claiming(path) as is_free:
+                if is_free:
+                    return
+        time.sleep(0.2)
 
 
 def work(folder: str, *, part: int):

@@ -1,16 +1,18 @@
 """Checkpoints of a run: everything to go on from, whole or not at all (orbax)."""
 
 import contextlib
+import functools
 import os
 import shutil
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from absl import logging
+from orbax.checkpoint import checkpoint_manager
 from orbax.checkpoint import v1 as ocp
 
 from dpc_jax.files import explaining_full_disk
@@ -46,13 +48,15 @@ class Checkpoints:
     def _open(self):
         every_step = ocp.training.save_decision_policies.FixedIntervalPolicy(1)
         newest = ocp.training.preservation_policies.LatestN(KEPT)
-        # Orbax's protocols ask for more than its own policies and pathlib have.
         self._has_failed = False
-        self._checkpointer = ocp.training.Checkpointer(
-            self._folder,  # pyright: ignore[reportArgumentType]
-            save_decision_policy=every_step,  # pyright: ignore[reportArgumentType]
-            preservation_policy=newest,  # pyright: ignore[reportArgumentType]
-        )
+        with _standing_alone(self._folder) as context:
+            # Orbax's protocols ask for more than its own policies and pathlib have.
+            self._checkpointer = ocp.training.Checkpointer(
+                self._folder,  # pyright: ignore[reportArgumentType]
+                save_decision_policy=every_step,  # pyright: ignore[reportArgumentType]
+                preservation_policy=newest,  # pyright: ignore[reportArgumentType]
+                context=context,
+            )
 
     def close(self):
         """Wait for what is being written.
@@ -141,6 +145,28 @@ class Checkpoints:
                 "workdir or remove that folder to start anew."
             )
         return None
+
+
+@contextlib.contextmanager
+def _standing_alone(folder) -> Iterator[ocp.Context | None]:
+    """The context in which a process of a job uses orbax without waiting for others."""
+    if jax.process_count() == 1:
+        yield None
+        return
+    own = jax.process_index()
+    options = ocp.options.MultiprocessingOptions(
+        primary_host=own, active_processes={own}, barrier_sync_key_prefix=f"own-{own}"
+    )
+    # Orbax makes the folder for all processes or not at all, but its checkpointer has
+    # no argument that says so.
+    folder.mkdir(parents=True, exist_ok=True)
+    original = checkpoint_manager.CheckpointManagerOptions
+    making_none = functools.partial(original, create=False)
+    checkpoint_manager.CheckpointManagerOptions = making_none
+    try:
+        yield ocp.Context(multiprocessing_options=options)
+    finally:
+        checkpoint_manager.CheckpointManagerOptions = original
 
 
 def _checksum(state: TrainState) -> int:

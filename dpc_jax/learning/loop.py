@@ -7,7 +7,7 @@ from typing import NamedTuple
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet, choose_batch, read_batch
 from dpc_jax.evaluation.metrics import describe_metrics
-from dpc_jax.learning import schedules
+from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.forecast import Forecast
 from dpc_jax.learning.programs import StagePrograms
@@ -43,6 +43,7 @@ def train(
     should_stop: Callable[[], bool] = lambda: False,
     seconds: float = 0.0,
     title: str = "Training",
+    may_stop_waiting: bool = True,
     compile_ahead: bool = True,
     validations_after: float = 0.0,
     prepare: Callable[[], object] | None = None,
@@ -61,6 +62,8 @@ def train(
       evaluate: gives the validation metrics of a state.
       should_stop: asked after each step, and while training waits for a program; True
         saves and returns.
+      may_stop_waiting: False where it is asked after each step only, because several
+        processes have to stop after the same one.
       seconds: training time spent before this call.
       title: of the progress bar.
       compile_ahead: whether the programs of later stages compile in the background;
@@ -86,6 +89,7 @@ def train(
         waits=not compile_ahead,
     )
     make_step = functools.partial(make_train_step, network, config)
+    stops_waiting = should_stop if may_stop_waiting else lambda: False
     with (
         ProgressReport(title, total=steps, start=start) as progress,
         StagePrograms(make_step, spans, ahead=compile_ahead) as programs,
@@ -95,7 +99,7 @@ def train(
         for done in range(start + 1, steps + 1):
             batch = _make_batch(dataset, done - 1, config)
             program = programs.find(done - 1) or _begin_stage(
-                programs, (done - 1, state, batch), progress, window, should_stop
+                programs, (done - 1, state, batch), progress, window, stops_waiting
             )
             if program is None:  # asked to stop while it compiled
                 if not window.is_empty:
@@ -155,7 +159,7 @@ def _log_steps(log, forecast, progress, done, record):
 
 def _make_batch(dataset, step, config):
     counts = dataset.counts
-    chosen = choose_batch(
+    models, views = choose_batch(
         len(counts),
         counts,
         seed=config.seed,
@@ -163,7 +167,8 @@ def _make_batch(dataset, step, config):
         models_per_batch=config.train.models_per_batch,
         views_per_batch=config.train.views_per_batch,
     )
-    return read_batch(dataset, *chosen)
+    own = devices.find_own(len(models))
+    return devices.assemble(read_batch(dataset, models[own], views[own]), config)
 
 
 def _is_due(step: int, interval: int) -> bool:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import NamedSharding
 
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
@@ -92,7 +93,9 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
         output = shared(state, *(array[rows] for array in arrays))
         return jax.tree.map(lambda array: array[:count], output)
 
-    return jax.jit(pad)
+    # Every process of a job gets all of it.
+    whole = NamedSharding(mesh, devices.WHOLE) if jax.process_count() > 1 else None
+    return jax.jit(pad, out_shardings=whole)
 
 
 def explain_view(

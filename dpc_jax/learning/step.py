@@ -78,14 +78,9 @@ def make_train_step(
         update,
         mesh,
         in_specs=(parts, devices.OBJECTS),
-        out_specs=(parts, devices.WHOLE, devices.OBJECTS),
+        out_specs=(parts, devices.WHOLE),
     )
-
-    def step(state: TrainState, batch: dict[str, jax.Array]):
-        state, metrics, of_objects = shared(state, batch)
-        return state, metrics | of_objects
-
-    return jax.jit(step, donate_argnums=0)
+    return jax.jit(shared, donate_argnums=0)
 
 
 def _make_update(network, config, stage, parts, num_devices):
@@ -116,17 +111,19 @@ def _make_update(network, config, stage, parts, num_devices):
         (loss, (metrics, covariance)), grads = jax.value_and_grad(
             compute_share, has_aux=True
         )(state.params, batch, keys, state)
-        grads = devices.sum_whole(grads, parts.params)
+        winners = {k: metrics.pop(k) for k in ("winners",) if k in metrics}
+        metrics = {name: value / num_devices for name, value in metrics.items()}
+        metrics["loss"] = loss
+        grads, metrics = devices.sum_whole(
+            (grads, metrics), (parts.params, dict.fromkeys(metrics, devices.WHOLE))
+        )
         updates, opt_state = optimizer.update(grads, state.optimizer, state.params)
         params = optax.apply_updates(state.params, updates)
-        of_objects = {"winners": metrics.pop("winners")} if "winners" in metrics else {}
-        metrics = jax.lax.pmean(metrics, devices.AXIS)
-        metrics["loss"] = jax.lax.psum(loss, devices.AXIS)
-        metrics["gradient_norms"] = {
-            name: devices.compute_norm(part, parts.params["params"][name])
-            for name, part in grads["params"].items()
-        }
+        metrics |= jax.lax.all_gather(winners, devices.AXIS, tiled=True)
+        metrics["gradient_norms"] = devices.compute_norms(
+            grads["params"], parts.params["params"]
+        )
         new = TrainState(state.step + 1, params, opt_state, covariance)
-        return new, metrics, of_objects
+        return new, metrics
 
     return update

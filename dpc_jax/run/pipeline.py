@@ -26,18 +26,27 @@ from dpc_jax.learning.predictor import (
 from dpc_jax.learning.records import MetricLog, NonFiniteError
 from dpc_jax.learning.step import TrainState, init_state
 from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.run import hosts
+from dpc_jax.run.agreement import Job
 from dpc_jax.run.gpu import set_gpu_flags
 from dpc_jax.run.memory import check_step_memory
 from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
 from dpc_jax.run.report import report_run
 from dpc_jax.run.setup import make_data_specs, make_network
 from dpc_jax.run.workdir import claim_workdir, hold_workdir
+from dpc_jax.run.writers import SharedCheckpoints, SilentLog
 
 
-def run_guarded(config: Config, *, config_path: str, workdir: str | None) -> int:
+def run_guarded(
+    config: Config,
+    *,
+    config_path: str,
+    workdir: str | None,
+    place: hosts.Place | None = None,
+) -> int:
     """`run`, with expected failures as one sentence and an exit status."""
     try:
-        run(config, config_path=config_path, workdir=workdir)
+        run(config, config_path=config_path, workdir=workdir, place=place)
     except (ValueError, OSError, NonFiniteError) as error:
         if os.environ.get("DPC_JAX_TRACEBACK"):
             raise
@@ -49,13 +58,20 @@ def run_guarded(config: Config, *, config_path: str, workdir: str | None) -> int
     return 0
 
 
-def run(config: Config, *, config_path: str, workdir: str | None):
+def run(
+    config: Config,
+    *,
+    config_path: str,
+    workdir: str | None,
+    place: hosts.Place | None = None,
+):
     """Train where that is left to do, then evaluate on the test split and report.
 
     Args:
       config: of the run.
       config_path: file it came from, for the default workdir's name.
       workdir: folder of the run; runs/NAME-seedN where None.
+      place: of this process among those of a job; None where it is on its own.
 
     Raises:
       ValueError: for a config that cannot work, a workdir made by another one, or one
@@ -65,25 +81,36 @@ def run(config: Config, *, config_path: str, workdir: str | None):
     """
     configs.check(config)
     set_gpu_flags()
-    split_cores(config.train.models_per_batch, config.run.devices)
+    processes = place.processes if place else 1
+    objects = max(1, config.train.models_per_batch // processes)
+    split_cores(objects, config.run.devices // processes)
     keep_freed_memory()
     keep_compiled_programs()
     folder = Path(workdir or _name_workdir(config, config_path))
-    with explaining_full_disk(folder):
-        claim_workdir(folder, config)
+    with (
+        explaining_full_disk(folder),
+        hosts.joining(place) as job,
+        contextlib.ExitStack() as held,
+    ):
+        job.check_same(config)
+
+        def take_workdir():
+            claim_workdir(folder, config)
+            held.enter_context(hold_workdir(folder))
+
+        job.do_first("workdir", take_workdir)
         print(f"Workdir: {folder}", flush=True)
-        with hold_workdir(folder):
-            _run_in(folder, config)
+        _run_in(folder, config, job)
 
 
-def _run_in(folder, config):
+def _run_in(folder, config, job):
     started = time.monotonic()
-    sets = load_sets(config)
+    sets = load_sets(config, share=(job.process, job.processes))
     data_seconds = time.monotonic() - started
 
     model = Model(config, sets)
-    log = MetricLog(folder / "metrics.jsonl")
-    outcome = train_model(model, folder, log)
+    log = MetricLog(folder / "metrics.jsonl") if job.is_first else SilentLog()
+    outcome = train_model(model, folder, log, job)
     if not outcome.is_finished:
         print(
             f"Stopped and saved at step {int(outcome.state.step)}; start again in the "
@@ -91,15 +118,21 @@ def _run_in(folder, config):
         )
         return
     state = outcome.state
+    predictions = {
+        name: model.predict(state, name)
+        for name in ("val", "test", "own")
+        if name in sets
+    }
+    if not job.is_first:
+        return
+    alignment = model.align(predictions.pop("val"))
     report_run(
         folder,
         config,
         sets,
         outcome,
-        predictions={
-            name: model.predict(state, name) for name in ("test", "own") if name in sets
-        },
-        alignment=model.align(model.predict(state, "val")),
+        predictions=predictions,
+        alignment=alignment,
         records=log.read(),
         data_seconds=data_seconds,
     )
@@ -112,8 +145,11 @@ def _name_workdir(config, config_path):
     return Path("runs") / "-".join(part for part in parts if part)
 
 
-def load_sets(config: Config) -> dict[str, DataSet]:
+def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, DataSet]:
     """The data sets of a run: "train", "val", "test", and "own" where asked for.
+
+    Args:
+      share: (i, n) of the i-th of n processes that prepare them together.
 
     Raises:
       ValueError: where a set cannot be used, or does not fit the config.
@@ -125,6 +161,7 @@ def load_sets(config: Config) -> dict[str, DataSet]:
                 spec,
                 cache_dir=config.data.cache_dir,
                 processes=config.data.processes or None,
+                share=share,
             )
             for split, spec in make_data_specs(config).items()
         }
@@ -203,7 +240,7 @@ def restore_run(model: Model, checkpoints: Checkpoints, log: MetricLog) -> Resto
     return restored
 
 
-def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
+def train_model(model: Model, workdir: Path, log: MetricLog, job: Job) -> loop.Outcome:
     """Train to the last step, or until SIGTERM or Ctrl-C asks to save and stop.
 
     Raises:
@@ -211,7 +248,9 @@ def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
         memory than the device has.
       NonFiniteError: where training breaks.
     """
-    checkpoints = Checkpoints(workdir / "checkpoints")
+    folder = workdir / "checkpoints"
+    is_shared = job.processes > 1
+    checkpoints = SharedCheckpoints(folder, job) if is_shared else Checkpoints(folder)
     start = restore_run(model, checkpoints, log)
     outcome = loop.Outcome(start.state, start.seconds, True)
     with contextlib.closing(checkpoints), _catch_signals() as stop:
@@ -225,7 +264,8 @@ def train_model(model: Model, workdir: Path, log: MetricLog) -> loop.Outcome:
                 checkpoints=checkpoints,
                 log=log,
                 evaluate=model.validate,
-                should_stop=stop.is_set,
+                should_stop=job.agree_to_stop(stop.is_set),
+                may_stop_waiting=job.processes == 1,
                 seconds=start.seconds,
                 title=f"Training {workdir.name}",
                 validations_after=model.count_views("test", "own", "val")

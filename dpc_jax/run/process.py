@@ -91,8 +91,6 @@ def leave(status: int) -> NoReturn:
     for thread in compiling:
         thread.join(timeout=0.2)  # one that waits for work ends at once
     if any(thread.is_alive() for thread in compiling):
-        if jax.distributed.is_initialized():
-            jax.distributed.shutdown()
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)

@@ -1,0 +1,236 @@
+"""A job of several processes, on one host or many: who is where, start and end.
+
+Process 0 hosts jax's coordination service, and the others find it by its address. A
+process that is lost ends all of them, so that the job can be started again from its
+last checkpoint.
+"""
+
+import atexit
+import contextlib
+import logging
+import os
+import re
+import socket
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import jax
+
+from dpc_jax.run.aborts import speaking_for_jax
+from dpc_jax.run.agreement import Job
+
+# A process that says nothing for so long is lost: stopped, or its host is gone. Where
+# virtual machines stand still at times, DPC_JAX_HEARTBEAT_SECONDS sets a longer one.
+HEARTBEAT_SECONDS = 45
+JOIN_SECONDS = 300  # for all processes to come; DPC_JAX_JOIN_SECONDS sets another
+AGAIN = "start all of them again: training goes on from the last checkpoint"
+# Of the errors that a collective or a barrier raises, those that a lost process causes.
+_LOSS = re.compile(r"gloo|nccl|coordination|barrier|socket closed|connection", re.I)
+
+
+class Place(NamedTuple):
+    """The place of a process in its job.
+
+    Attributes:
+      coordinator: HOST:PORT at which process 0 is found.
+      processes: how many the job has, at least 2.
+      process: which of them this one is, from 0.
+    """
+
+    coordinator: str
+    processes: int
+    process: int
+
+
+def find_place(
+    coordinator: str | None, processes: int | None, process: int | None
+) -> Place | None:
+    """The place that flags or SLURM give a process; None for one on its own.
+
+    Raises:
+      ValueError: where the flags are not all given, or cannot be.
+    """
+    if coordinator is None and processes is None and process is None:
+        return find_in_slurm(os.environ)
+    if coordinator is None or processes is None or process is None:
+        raise ValueError(
+            "Expected --coordinator, --processes and --process together, but only some "
+            "are given; give all three, or none for a process on its own."
+        )
+    host, _, port = coordinator.rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise ValueError(
+            f"--coordinator must be HOST:PORT of process 0, but it is {coordinator!r}; "
+            "write for example --coordinator=node01:7777."
+        )
+    if processes < 1:
+        raise ValueError(
+            f"--processes must be at least 1, but it is {processes}; give the number "
+            "of processes of the job."
+        )
+    if not 0 <= process < processes:
+        raise ValueError(
+            f"--process must be between 0 and {processes - 1}, but it is {process}; "
+            f"number the {processes} processes from 0."
+        )
+    return Place(coordinator, processes, process) if processes > 1 else None
+
+
+def find_in_slurm(environment: Mapping[str, str]) -> Place | None:
+    """The place of a task that srun has started beside others."""
+    nodes = environment.get("SLURM_STEP_NODELIST")
+    count = environment.get("SLURM_STEP_NUM_TASKS") or environment.get("SLURM_NTASKS")
+    if not nodes or not count or int(count) < 2 or "SLURM_PROCID" not in environment:
+        return None
+    # Of node[07-09,12],other the first is node07.
+    first = re.match(r"([^,\[]+)(?:\[([^,\-\]]+))?", nodes)
+    host = "".join(part or "" for part in first.groups()) if first else nodes
+    # Above the ports that Linux hands out by itself, and one for each step of a job.
+    step = int(environment.get("SLURM_STEP_ID", 0))
+    port = 61440 + (int(environment["SLURM_JOB_ID"]) + 31 * step) % 4096
+    return Place(f"{host}:{port}", int(count), int(environment["SLURM_PROCID"]))
+
+
+@contextlib.contextmanager
+def joining(place: Place | None) -> Iterator[Job]:
+    """The job that this process works in, from its start to the end of all.
+
+    Only process 0 prints to stdout. It must be entered before jax touches a device.
+
+    Raises:
+      OSError: where the coordinator does not answer, or another process is lost.
+    """
+    if place is None:
+        yield Job()
+        return
+    seconds = _read_seconds("JOIN", JOIN_SECONDS)
+    words = _Words(place, seconds)
+    with speaking_for_jax(words.explain):
+        try:
+            _connect(place, seconds)
+            words.has_joined = True
+            if place.process:
+                sys.stdout = open(os.devnull, "w")
+            job = Job(place.processes, place.process)
+            yield job
+            job.wait("end")
+            jax.distributed.shutdown()
+        except BaseException as error:
+            # The others may never come to where jax would meet them at the end.
+            status = 130 if isinstance(error, KeyboardInterrupt) else 1
+            atexit.register(_leave, status)
+            if words.is_loss(error):
+                raise OSError(words.explain(str(error))) from None
+            if words.has_joined:
+                _await_same_end(Job(place.processes, place.process), status)
+            raise
+
+
+def _read_seconds(name, default):
+    return int(os.environ.get(f"DPC_JAX_{name}_SECONDS", default))
+
+
+def _leave(status):
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
+
+
+def _await_same_end(job, status):
+    """Let the others say what stops them too, before they see this process go."""
+    name = "end" if status == 130 else "failure"  # Ctrl-C ends what is saved
+    with contextlib.suppress(jax.errors.JaxRuntimeError, KeyboardInterrupt):
+        job.wait(name, seconds=5)
+
+
+def _connect(place, seconds):
+    """Start the service in process 0, wait for it in the others, and meet there."""
+    # jax would catch SIGTERM for itself, so that it did not end a process that renders.
+    jax.config.update("jax_enable_preemption_service", False)
+    logging.getLogger("jax._src.distributed").setLevel(logging.ERROR)
+    started = time.monotonic()
+    if place.process:
+        _await_coordinator(place.coordinator, seconds)
+    left = seconds - (time.monotonic() - started)
+    try:
+        jax.distributed.initialize(
+            place.coordinator,
+            place.processes,
+            place.process,
+            cluster_detection_method="deactivate",
+            initialization_timeout=max(1, int(left)),
+            heartbeat_timeout_seconds=_read_seconds("HEARTBEAT", HEARTBEAT_SECONDS),
+        )
+    except jax.errors.JaxRuntimeError as error:
+        raise OSError(
+            f"Expected process 0 to open {place.coordinator} to the other processes, "
+            f"but it cannot ({str(error).rstrip('.')}); choose another port."
+        ) from None
+
+
+def _await_coordinator(address, seconds):
+    """Return once somebody listens there."""
+    host, _, port = address.rpartition(":")
+    started = time.monotonic()
+    while True:
+        try:
+            with socket.create_connection((host.strip("[]"), int(port)), timeout=5):
+                return
+        except OSError as error:
+            waited = time.monotonic() - started
+            if waited >= seconds:
+                raise OSError(
+                    f"Expected the coordinator, process 0, at {address}, but it did "
+                    f"not answer within {waited:.0f} s ({error.strerror or error}); "
+                    "start process 0, or correct --coordinator."
+                ) from None
+        time.sleep(0.3)
+
+
+class _Words:
+    """Sentences for what jax says when the processes of a job do not come together."""
+
+    def __init__(self, place, seconds):
+        self._place, self._seconds = place, seconds
+        self.has_joined = False
+
+    def is_loss(self, error) -> bool:
+        """Whether an error tells that another process is lost."""
+        kinds = (ValueError, jax.errors.JaxRuntimeError)
+        text = str(error)
+        has_code = re.match(r"[A-Z_]+: ", text)  # as jax's errors begin
+        return bool(isinstance(error, kinds) and has_code and _LOSS.search(text))
+
+    def explain(self, text: str) -> str:
+        """The sentence for the words of jax's client or of a collective."""
+        _, processes, process = self._place
+        if not self.has_joined:
+            return self._explain_start(text)
+        silent = re.search(r"heartbeats\):\s*([\d, ]+)", text)
+        if silent:
+            lost = f"process {silent[1].strip()} has ended or says nothing"
+        elif process and "CoordinationService" in text:
+            lost = f"process 0, the coordinator at {self._place.coordinator}, has ended"
+        else:
+            lost = "another one has ended or cannot be reached"
+        return (
+            f"Process {process}: all {processes} processes of the job must go on, but "
+            f"{lost}; look at what it said last, and {AGAIN}."
+        )
+
+    def _explain_start(self, text):
+        address, processes, process = self._place
+        if "DEADLINE_EXCEEDED" not in text:
+            reason = re.search(r"absl::Status: (.*)", text)
+            found = f"that failed ({reason[1] if reason else text.strip()[-300:]})"
+        elif process:
+            found = f"it did not let this one in within {self._seconds} s"
+        else:
+            found = f"not all of them came within {self._seconds} s"
+        return (
+            f"Process {process}: the job at {address} must have {processes} processes, "
+            f"but {found}; start all of them with the same --coordinator and "
+            "--processes."
+        )

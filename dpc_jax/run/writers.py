@@ -1,0 +1,127 @@
+"""What process 0 of a job writes for all: checkpoints and the log.
+
+Each class has the face of the one that a process on its own uses, and every process
+calls it at the same steps. Only process 0 needs the workdir.
+"""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+from jax.sharding import SingleDeviceSharding
+
+from dpc_jax.files import explaining_full_disk
+from dpc_jax.learning.checkpoints import Checkpoints, Restored
+from dpc_jax.learning.records import MetricLog
+from dpc_jax.learning.step import TrainState
+from dpc_jax.run.agreement import Job
+
+
+class SharedCheckpoints(Checkpoints):
+    """Checkpoints of a job; the state may be spread over the devices of all processes.
+
+    Process 0 writes the whole arrays. So any number of processes can go on from them.
+    """
+
+    def __init__(self, folder: Path, job: Job):
+        self._job, self._calls = job, 0
+        if job.is_first:
+            super().__init__(folder)
+
+    def close(self):
+        """Wait for what is being written."""
+        if self._job.is_first:
+            super().close()
+
+    def steps(self) -> list[int]:
+        """Steps with a whole checkpoint, oldest first; of process 0 alone."""
+        return super().steps() if self._job.is_first else []
+
+    def save(self, state: TrainState, *, seconds: float):
+        """Write the state under its step; does nothing where that step is saved.
+
+        Raises:
+          ValueError: in the other processes, where process 0 cannot write.
+        """
+        whole = gather_arrays(state)
+        save = super().save
+
+        def save_whole():
+            with explaining_full_disk(self._folder):
+                save(whole, seconds=seconds)
+
+        self._job.do_first(self._name(), save_whole)
+
+    def set_aside(self, steps: Iterable[int]):
+        """Move checkpoints to damaged-checkpoint-STEP beside the folder."""
+        if self._job.is_first:
+            super().set_aside(steps)
+
+    def restore(self, like: TrainState) -> Restored | None:
+        """The newest checkpoint that process 0 can read, on the devices of all.
+
+        Raises:
+          ValueError: if there are checkpoints, yet none can be read.
+        """
+        own = SingleDeviceSharding(jax.local_devices()[0])
+        there = jax.tree.map(
+            lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=own), like
+        )
+        restore = super().restore
+        found = self._job.do_first(self._name(), lambda: restore(there))
+        facts = [found.seconds, found.damaged] if found else None
+        told = json.loads(self._job.gather(self._name(), json.dumps(facts))[0])
+        if told is None:
+            return None
+        seconds, damaged = told
+        read = jax.device_get(found.state) if found else _make_zeros(there)
+        state = jax.tree.map(spread_array, self._job.share(read), like)
+        return Restored(state, seconds, tuple(damaged))
+
+    def _name(self):
+        self._calls += 1
+        return f"checkpoints-{self._calls}"
+
+
+class SilentLog(MetricLog):
+    """The log of the other processes: nothing is written, nothing read."""
+
+    def __init__(self):
+        super().__init__("")
+
+    def write(self, record: dict):
+        """Do nothing."""
+
+    def read(self) -> list[dict]:
+        """No records."""
+        return []
+
+    def cut_after(self, step: int):
+        """Do nothing."""
+
+
+def gather_arrays(tree: Any) -> Any:
+    """Whole arrays in the memory of every process; all processes must call it."""
+
+    def gather(array):
+        if not isinstance(array, jax.Array) or array.is_fully_addressable:
+            return np.asarray(array)
+        if array.is_fully_replicated:
+            return np.asarray(array.addressable_data(0))
+        return np.asarray(multihost_utils.process_allgather(array, tiled=True))
+
+    return jax.tree.map(gather, tree)
+
+
+def spread_array(array: Any, like: jax.Array) -> jax.Array:
+    """An array that every process has, on the devices as another one is."""
+    host = np.asarray(array)
+    return jax.make_array_from_callback(host.shape, like.sharding, lambda i: host[i])
+
+
+def _make_zeros(like):
+    return jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), like)

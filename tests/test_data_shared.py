@@ -1,0 +1,189 @@
+"""One set, several processes that know nothing of each other, one shared folder."""
+
+import collections
+import subprocess
+import sys
+
+import pytest
+
+from dpc_jax.data import DataSpec, load_or_render, workers
+from dpc_jax.data.dataset import read_cache
+from dpc_jax.files import claiming
+
+MODELS = 40  # in ten shards
+SPEC = dict(
+    category="car", models=MODELS, views=1, image_size=16, supersample=1,
+    surface_points=20,
+)  # fmt: skip
+
+# Renders the set once a line comes; notes each shard in a file when it is on disk. With
+# a third argument it stops for ever in the middle of its second shard.
+RENDER = f"""
+import sys, time
+from dpc_jax.data import DataSpec, load_or_render, shards
+from dpc_jax.data.sets import procedural_shapes
+cache, notes, *stuck = sys.argv[1:]
+write, make = shards.write_shard, procedural_shapes.ProceduralShapes.make_arrays
+made = 0
+
+def write_and_note(path, *arrays):
+    write(path, *arrays)
+    with open(notes, "a") as file:
+        file.write(path.name + "\\n")
+
+def make_slowly(self, model, index):
+    global made
+    made += 1
+    if stuck and made == 6:
+        print("stuck", flush=True)
+        time.sleep(600)
+    time.sleep(0.02)
+    return make(self, model, index)
+
+shards.write_shard = write_and_note
+procedural_shapes.ProceduralShapes.make_arrays = make_slowly
+print("ready", flush=True)
+sys.stdin.readline()
+load_or_render(DataSpec(**{SPEC}), cache_dir=cache, processes=1, progress=False)
+print("whole", flush=True)
+"""
+
+
+class Renderer:
+    """Another process that renders the set."""
+
+    def __init__(self, cache, notes, *stuck):
+        self.notes = notes
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", RENDER, str(cache), str(notes), *stuck],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self.read() == "ready"
+
+    def begin(self):
+        self.process.stdin.write("\n")
+        self.process.stdin.flush()
+
+    def read(self):
+        return self.process.stdout.readline().strip()
+
+    def count(self):
+        """How often this process wrote each shard."""
+        if not self.notes.exists():
+            return collections.Counter()
+        return collections.Counter(self.notes.read_text().split())
+
+    def end(self):
+        self.process.kill()
+        self.process.communicate()
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Starts processes that share a folder; whatever happens, they end."""
+    started = []
+
+    def start(*stuck):
+        notes = tmp_path / f"notes-{len(started)}"
+        started.append(Renderer(tmp_path / "shared", notes, *stuck))
+        return started[-1]
+
+    yield start
+    for renderer in started:
+        renderer.end()
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """The set as one process makes it."""
+    cache = tmp_path_factory.mktemp("alone")
+    load_or_render(DataSpec(**SPEC), cache_dir=cache, processes=1, progress=False)
+    (folder,) = cache.iterdir()
+    return folder
+
+
+def assert_like_alone(cache, alone):
+    (folder,) = cache.iterdir()
+    assert sorted(p.name for p in folder.iterdir()) == sorted(
+        p.name for p in alone.iterdir()
+    )
+    for path in alone.iterdir():
+        assert (folder / path.name).read_bytes() == path.read_bytes(), path.name
+    assert len(read_cache(folder).names) == MODELS
+
+
+def test_two_processes_render_each_shard_once(start, alone, tmp_path):
+    renderers = [start(), start()]
+    for renderer in renderers:
+        renderer.begin()
+    assert [renderer.read() for renderer in renderers] == ["whole", "whole"]
+    counts = [renderer.count() for renderer in renderers]
+    assert all(counts), "one process did all the work"
+    assert sum(counts, collections.Counter()) == dict.fromkeys(
+        (path.name for path in alone.glob("shard-*.npz")), 1
+    )
+    assert_like_alone(tmp_path / "shared", alone)
+
+
+def test_the_shard_of_a_killed_process_is_taken_over(start, alone, tmp_path):
+    killed, other = start("stuck"), start()
+    killed.begin()
+    assert killed.read() == "stuck"
+    other.begin()
+    while sum(other.count().values()) < 8:  # all but what the first has and had
+        assert other.process.poll() is None
+    killed.end()
+    assert other.read() == "whole"
+    assert sum((killed.count() + other.count()).values()) == 10
+    assert sum(other.count().values()) == 9
+    assert_like_alone(tmp_path / "shared", alone)
+
+
+def test_a_set_that_a_killed_process_left_is_finished_by_the_next(start, alone):
+    killed = start("stuck")
+    killed.begin()
+    assert killed.read() == "stuck"
+    killed.end()
+    following = start()
+    following.begin()
+    assert following.read() == "whole"
+    assert sum(killed.count().values()) == 1 and sum(following.count().values()) == 9
+
+
+def test_processes_of_a_job_begin_at_different_shards(tmp_path, monkeypatch):
+    begun = []
+
+    def note(folder, source, models, numbers, **options):
+        begun.append(list(numbers))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(workers, "write_together", note)
+    for part in range(3):
+        with pytest.raises(KeyboardInterrupt):
+            load_or_render(
+                DataSpec(**SPEC), cache_dir=tmp_path, progress=False, share=(part, 3)
+            )
+    assert [numbers[0] for numbers in begun] == [0, 3, 6]
+    assert all(sorted(numbers) == list(range(10)) for numbers in begun)
+
+
+def test_where_the_disk_knows_no_locks_everything_is_still_made(
+    tmp_path, monkeypatch, alone
+):
+    def refuse(*_):
+        raise OSError(38, "Function not implemented")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    load_or_render(DataSpec(**SPEC), cache_dir=tmp_path, processes=1, progress=False)
+    assert_like_alone(tmp_path, alone)
+
+
+def test_a_claim_is_held_by_one_at_a_time(tmp_path):
+    path = tmp_path / "file"
+    with claiming(path) as first, claiming(path) as second, claiming(path) as third:
+        assert (first, second, third) == (True, False, False)
+    with claiming(path) as again:
+        assert again
+    assert list(tmp_path.iterdir()) == []

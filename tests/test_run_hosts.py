@@ -1,0 +1,178 @@
+"""Where a process stands in its job, and what it says where the job does not start."""
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dpc_jax.config import Config, replace_fields
+from dpc_jax.run.agreement import Job, StopVote, _list_versions, _name_differences
+from dpc_jax.run.hosts import Place, find_in_slurm, find_place
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_flags_give_a_place():
+    assert find_place("node01:7777", 4, 3) == Place("node01:7777", 4, 3)
+    assert find_place("[::1]:7777", 2, 0) == Place("[::1]:7777", 2, 0)
+
+
+def test_a_job_of_one_process_is_none(monkeypatch):
+    assert find_place("node01:7777", 1, 0) is None
+    monkeypatch.delenv("SLURM_STEP_NODELIST", raising=False)
+    assert find_place(None, None, None) is None
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (("node01:7777", None, 0), "--coordinator, --processes and --process together"),
+        ((None, 2, 0), "but only some are given"),
+        (("node01", 2, 0), "--coordinator must be HOST:PORT of process 0, but it is"),
+        ((":7777", 2, 0), "but it is ':7777'"),
+        (("node01:99999", 2, 0), "but it is 'node01:99999'"),
+        (("node01:7777", 0, 0), "--processes must be at least 1, but it is 0"),
+        (("node01:7777", 2, 2), "--process must be between 0 and 1, but it is 2"),
+        (("node01:7777", 2, -1), "--process must be between 0 and 1, but it is -1"),
+    ],
+)
+def test_flags_that_give_no_place_are_refused(flags, words):
+    with pytest.raises(ValueError, match=words):
+        find_place(*flags)
+
+
+@pytest.mark.parametrize(
+    ("nodes", "first"),
+    [
+        ("node01", "node01"),
+        ("node01,other", "node01"),
+        ("node[07-09,12],other", "node07"),
+        ("gpu-[3,5-6]", "gpu-3"),
+        ("a.cluster.org,b.cluster.org", "a.cluster.org"),
+    ],
+)
+def test_slurm_gives_the_first_node_of_the_step(nodes, first):
+    environment = {
+        "SLURM_JOB_ID": "5000",
+        "SLURM_STEP_ID": "0",
+        "SLURM_STEP_NODELIST": nodes,
+        "SLURM_STEP_NUM_TASKS": "3",
+        "SLURM_PROCID": "2",
+    }
+    place = find_in_slurm(environment)
+    assert place == Place(f"{first}:{61440 + 5000 % 4096}", 3, 2)
+    other = find_in_slurm(environment | {"SLURM_STEP_ID": "1"})
+    assert other is not None and other.coordinator != place.coordinator
+
+
+def test_a_slurm_task_without_others_is_on_its_own():
+    batch = {"SLURM_JOB_ID": "7", "SLURM_NTASKS": "4", "SLURM_PROCID": "0"}
+    assert find_in_slurm(batch) is None  # the batch script itself
+    assert (
+        find_in_slurm(batch | {"SLURM_STEP_NODELIST": "n1", "SLURM_NTASKS": "1"})
+        is None
+    )
+
+
+def test_what_processes_differ_in_is_named_and_what_may_differ_is_not():
+    config = Config("car")
+    changes = {"data": dict(cache_dir="/other"), "train": dict(steps=7)}
+    told = [_list_versions(config), _list_versions(replace_fields(config, changes))]
+    assert _name_differences(told) == (
+        "process 1 differs from process 0 in config.train.steps (6300 there, 7 here)"
+    )
+    assert _name_differences([told[0], told[0]]) == ""
+    old = told[0] | {"the version of jax": "0.1"}
+    assert "the version of jax" in _name_differences([told[0], told[0], old])
+
+
+def test_a_process_on_its_own_waits_for_nobody():
+    job = Job()
+    job.wait("end")
+    job.check_same(Config("car"))
+    assert job.is_first and job.gather("name", "text") == ["text"]
+    assert job.do_first("name", lambda: 3) == 3
+    question = iter([False, True]).__next__
+    stops = job.agree_to_stop(question)
+    assert [stops(), stops()] == [False, True]
+
+
+class Notes(dict):
+    """The coordination service, as far as a vote needs it."""
+
+    def key_value_set(self, key, value, allow_overwrite=False):
+        assert allow_overwrite or key not in self
+        self[key] = value
+
+
+@pytest.mark.parametrize("asked", [0, 1, 2])
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+def test_all_stop_at_one_step_whoever_is_asked(monkeypatch, asked, order):
+    """Processes as far apart as training lets them be: up to two steps."""
+    notes = Notes()
+    monkeypatch.setattr("dpc_jax.run.agreement._client", lambda: notes)
+    monkeypatch.setattr("dpc_jax.run.agreement._read", notes.get)
+    steps = [0, 0, 0]
+    votes = [
+        StopVote(Job(3, process), "stop", lambda p=process: p == asked and steps[p] > 4)
+        for process in range(3)
+    ]
+    stopped = {}
+    for _ in range(100):
+        for process in order:
+            while process not in stopped and steps[process] < min(steps) + 2:
+                steps[process] += 1
+                if votes[process]():
+                    stopped[process] = steps[process]
+    assert len(stopped) == 3 and len(set(stopped.values())) == 1, stopped
+    assert 5 <= stopped[0] <= 12
+
+
+def start(*flags, seconds=2):
+    """The main command as one process of a job; it has this long to find the others."""
+    return subprocess.run(
+        [sys.executable, "-m", "dpc_jax.main", f"--config={ROOT}/configs/debug.py"]
+        + list(flags),
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env=os.environ | {"JAX_PLATFORMS": "cpu", "DPC_JAX_JOIN_SECONDS": str(seconds)},
+    )
+
+
+def find_port():
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+def test_a_coordinator_that_does_not_answer_is_named_with_the_time_waited(tmp_path):
+    address = f"127.0.0.1:{find_port()}"
+    flags = [f"--coordinator={address}", "--processes=2", f"--workdir={tmp_path / 'w'}"]
+    done = start(*flags, "--process=1")
+    assert done.returncode == 1
+    assert f"process 0, at {address}, but it did not answer within 2 s" in done.stderr
+    assert done.stderr.count("\n") == 1 and not (tmp_path / "w").exists()
+
+
+def test_processes_that_do_not_come_are_waited_for_only_so_long(tmp_path):
+    address = f"127.0.0.1:{find_port()}"
+    flags = [f"--coordinator={address}", "--processes=2", f"--workdir={tmp_path / 'w'}"]
+    done = start(*flags, "--process=0", seconds=1)
+    assert done.returncode == 1
+    assert "must have 2 processes, but not all of them came within 1 s" in done.stderr
+    assert done.stderr.count("\n") == 1 and not (tmp_path / "w").exists()
+
+
+def test_a_port_that_is_taken_is_said_so(tmp_path):
+    with socket.socket(socket.AF_INET6) as taken:
+        taken.bind(("::", 0))
+        taken.listen()
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        done = start(f"--coordinator={address}", "--processes=2", "--process=0")
+    assert done.returncode == 1
+    assert f"Expected process 0 to open {address} to the other" in done.stderr
+    assert "Traceback" not in done.stderr
