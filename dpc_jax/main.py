@@ -5,7 +5,7 @@ Starting again in the same workdir goes on from its last checkpoint.
 
 import sys
 
-from absl import app, flags
+from absl import app, flags, logging
 from ml_collections import config_flags
 
 from dpc_jax.config import from_config_dict
@@ -70,6 +70,7 @@ def _explain(error: Exception) -> str:
 
 def main(_: list[str]):
     """Hand the parsed flags to the run."""
+    logging.set_verbosity(logging.ERROR)  # JAX tells of each accelerator not found
     path = config_flags.get_config_filename(flags.FLAGS["config"])
     config = from_config_dict(_CONFIG.value)
     status = pipeline.run_guarded(

@@ -10,7 +10,7 @@ import numpy as np
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet
 from dpc_jax.learning.schedules import find_stage
-from dpc_jax.learning.step import init_state, make_train_step
+from dpc_jax.learning.step import init_state, make_train_step, repeat_seed
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.setup import make_network as make_network
 
@@ -158,6 +158,7 @@ def make_batch(*, models: int = 2, views: int = 2, seed: int = 0) -> dict:
         "images": dataset.images,
         "masks": dataset.masks,
         "quaternions": dataset.quaternions,
+        "seeds": repeat_seed(0, models),
     }
 
 

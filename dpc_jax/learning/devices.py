@@ -19,9 +19,11 @@ from dpc_jax.config import Config
 
 AXIS = "objects"
 WHOLE, OBJECTS, COLUMNS = (PartitionSpec(*p) for p in ((), (AXIS,), (None, AXIS)))
-# Weights from this many on are shared: of the layer before the points, and of the first
-# dense one. For smaller ones the exchange takes longer than it saves.
-SHARED_WEIGHTS = 2**20
+# Layers with this many weights are shared. For smaller ones the exchange takes as long
+# as it saves (docs/devices.md).
+SHARED_WEIGHTS = 2**17
+# Between processes, where an exchange takes about a millisecond, fewer layers pay.
+SHARED_BETWEEN_PROCESSES = 2**20
 
 
 def make_mesh(config: Config) -> Mesh:
@@ -79,10 +81,12 @@ def assemble(rows: dict[str, np.ndarray], config: Config) -> dict[str, Any]:
 
 def choose_parts(tree: Any, mesh: Mesh) -> Any:
     """The partition of each array: by columns where it is large, else whole."""
+    is_alone = jax.process_count() == 1
+    least = SHARED_WEIGHTS if is_alone else SHARED_BETWEEN_PROCESSES
 
     def choose(array):
         shape = jnp.shape(array)
-        is_large = len(shape) == 2 and shape[0] * shape[1] >= SHARED_WEIGHTS
+        is_large = len(shape) == 2 and shape[0] * shape[1] >= least
         return COLUMNS if is_large and shape[1] % mesh.size == 0 else WHOLE
 
     return jax.tree.map(choose, tree)
@@ -127,9 +131,10 @@ def sum_together(tree: Any) -> Any:
     """Inside `share`: arrays summed over the devices, in one exchange.
 
     Between processes each exchange costs about a millisecond, whatever its size.
+    Within a process XLA makes one of them by itself.
     """
-    if jax.lax.axis_size(AXIS) == 1:
-        return tree
+    if jax.process_count() == 1:
+        return jax.lax.psum(tree, AXIS)
     flat, restore = ravel_pytree(tree)
     return restore(jax.lax.psum(flat, AXIS))
 

@@ -13,7 +13,7 @@ from dpc_jax.learning.forecast import Forecast
 from dpc_jax.learning.programs import StagePrograms
 from dpc_jax.learning.progress import ProgressReport
 from dpc_jax.learning.records import MetricLog, Stopwatch, Window
-from dpc_jax.learning.step import TrainState, make_train_step
+from dpc_jax.learning.step import TrainState, make_train_step, repeat_seed
 from dpc_jax.networks import ShapePoseNetwork
 
 
@@ -168,7 +168,9 @@ def _make_batch(dataset, step, config):
         views_per_batch=config.train.views_per_batch,
     )
     own = devices.find_own(len(models))
-    return devices.assemble(read_batch(dataset, models[own], views[own]), config)
+    rows = read_batch(dataset, models[own], views[own])
+    rows["seeds"] = repeat_seed(config.seed, len(models))[own]
+    return devices.assemble(rows, config)
 
 
 def _is_due(step: int, interval: int) -> bool:

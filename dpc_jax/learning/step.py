@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jax.sharding import Mesh
 
@@ -69,7 +70,9 @@ def make_train_step(
     Returns:
       A function (state, batch) -> (state, metrics) that gives the old state's memory
       to the new one. The dropout key is a function of seed, step and place in the
-      batch, so any step can be replayed, on any number of devices.
+      batch, so any step can be replayed, on any number of devices. The batch has
+      "seeds" [B] besides the arrays of `read_batch`, the run's seed for each object
+      (`repeat_seed`): as an input, so that runs with other seeds share the program.
     """
     mesh = devices.make_mesh(config)
     parts = find_parts(network, config, mesh)
@@ -81,6 +84,11 @@ def make_train_step(
         out_specs=(parts, devices.WHOLE),
     )
     return jax.jit(shared, donate_argnums=0)
+
+
+def repeat_seed(seed: int, objects: int) -> np.ndarray:
+    """The seed of a run, uint32 [B], for each object of a batch."""
+    return np.full(objects, seed % 2**32, np.uint32)
 
 
 def _make_update(network, config, stage, parts, num_devices):
@@ -105,7 +113,7 @@ def _make_update(network, config, stage, parts, num_devices):
         return loss / num_devices, aux
 
     def update(state, batch):
-        key = jax.random.fold_in(jax.random.key(config.seed), state.step)
+        key = jax.random.fold_in(jax.random.key(batch["seeds"][0]), state.step)
         # An object has its own key, whichever device it is on.
         keys = devices.take_own(jax.random.split(key, config.train.models_per_batch))
         (loss, (metrics, covariance)), grads = jax.value_and_grad(

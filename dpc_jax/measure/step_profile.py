@@ -30,7 +30,12 @@ from dpc_jax.learning.predictions import (
     predict_poses,
     predict_shapes,
 )
-from dpc_jax.learning.step import init_state, make_optimizer, make_train_step
+from dpc_jax.learning.step import (
+    init_state,
+    make_optimizer,
+    make_train_step,
+    repeat_seed,
+)
 from dpc_jax.learning.winners import compare_winners
 from dpc_jax.measure.timing import describe_machine, phrase_machine, time_interleaved
 from dpc_jax.render import Camera
@@ -56,6 +61,7 @@ def draw_batch(config: Config, *, seed: int = 0) -> dict[str, np.ndarray]:
             np.where(place < size / 3, 255, 0).astype(np.uint8), (*shape, size, size)
         ),
         "quaternions": poses / np.linalg.norm(poses, axis=-1, keepdims=True),
+        "seeds": repeat_seed(seed, shape[0]),
     }
 
 
@@ -209,7 +215,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=15)
     flags = parser.parse_args(arguments)
     keep_freed_memory()
-    config = build_config("car")
+    config = build_config("car", None, {"train": {"repulsion_weight": 0.004}})
     if flags.rounds < 1 or not all(0 <= s < config.train.steps for s in flags.steps):
         print(
             f"Error: Expected steps from 0 to {config.train.steps - 1} and at least "

@@ -12,6 +12,7 @@ import jax
 
 from dpc_jax.learning.devices import find_share
 from dpc_jax.learning.programs import THREADS
+from dpc_jax.render.devices import count_cores
 
 
 def keep_freed_memory() -> None:
@@ -45,7 +46,7 @@ def split_cores(objects: int, devices: int = 0):
     is_set = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
     if is_set or jax.config.values["jax_num_cpu_devices"] > 0:
         return
-    count = devices or find_share(objects, len(os.sched_getaffinity(0)))
+    count = devices or find_share(objects, count_cores())
     try:
         jax.config.update("jax_num_cpu_devices", count)
     except RuntimeError:  # jax has begun
