@@ -9,6 +9,7 @@ import os
 import sys
 from pathlib import Path
 
+from dpc_jax.files import explaining_full_disk
 from dpc_jax.run.prediction import predict_images
 
 
@@ -31,13 +32,12 @@ def main(arguments: list[str] | None = None) -> int:
         "in training where none",
     )
     options = parser.parse_args(arguments)
+    out = options.out or options.workdir / "predictions"
     try:
-        predict_images(
-            options.images,
-            workdir=options.workdir,
-            out=options.out or options.workdir / "predictions",
-            crop=options.crop,
-        )
+        with explaining_full_disk(out):
+            predict_images(
+                options.images, workdir=options.workdir, out=out, crop=options.crop
+            )
     except (ValueError, OSError) as error:
         if os.environ.get("DPC_JAX_TRACEBACK"):
             raise

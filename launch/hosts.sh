@@ -13,6 +13,10 @@ where="${1:?Give a number of processes or hosts, for example: launch/hosts.sh 2 
 shift
 . launch/install.sh ""
 port="${PORT:-7777}"
+if (exec 3<> "/dev/tcp/127.0.0.1/$port") 2> /dev/null; then
+    echo "Port $port must be free for a new run, but something listens there, perhaps the same command; wait for it to end, or set PORT to another." >&2
+    exit 1
+fi
 pids=()
 
 start_here() {  # process, processes, coordinator, cores, arguments of the run
@@ -24,11 +28,14 @@ start_here() {  # process, processes, coordinator, cores, arguments of the run
 }
 
 if [[ "$where" =~ ^[0-9]+$ ]]; then
-    share=$(( $(nproc) / where ))
+    [ "$where" -ge 1 ] || { echo "Expected at least one process, but $where was given; write for example launch/hosts.sh 2 --config=configs/car.py." >&2; exit 1; }
+    # The cores that this shell may use, one by one.
+    cores_here=($(python3 -c 'import os; print(*sorted(os.sched_getaffinity(0)))' 2> /dev/null || true))
+    share=$(( ${#cores_here[@]} / where ))
     for (( process = 0; process < where; process++ )); do
         first=$(( process * share ))
         cores=""
-        [ "$share" = 0 ] || cores="$first-$(( first + share - 1 ))"
+        [ "$share" = 0 ] || cores="$(IFS=,; echo "${cores_here[*]:first:share}")"
         start_here "$process" "$where" "127.0.0.1:$port" "$cores" "$@"
     done
 else

@@ -35,7 +35,11 @@ def from_json(text: str) -> Config:
     Raises:
       ValueError: as `from_config_dict`, and for what is not JSON.
     """
-    return _read(Config, json.loads(text), "config")
+    values = json.loads(text)
+    if isinstance(values, dict) and isinstance(values.get("pose"), dict):
+        # Before the field there was only this way.
+        values["pose"].setdefault("choice_rank", "volume")
+    return _read(Config, values, "config")
 
 
 def _read(kind: type, values: Any, name: str) -> Any:

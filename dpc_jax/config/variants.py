@@ -49,6 +49,7 @@ VARIANTS: dict[str, Changes] = {
             "choice_rank": "volume",
             "choice_grid": 0,
             "choice_points": 0,
+            "choice_top": 4,
         },
         "train": {
             "steps": 600_000,

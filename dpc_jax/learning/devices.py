@@ -40,11 +40,16 @@ def make_mesh(config: Config) -> Mesh:
     processes = jax.process_count()
     local = [jax.local_devices(process) for process in range(processes)]
     there = min(len(found) for found in local)
-    if objects % processes or asked % processes:
+    if objects % processes:
         raise ValueError(
-            f"Expected a number of processes that divides the {objects} objects of a "
-            f"batch and run.devices = {asked}, but there are {processes}; set "
-            "--config.train.models_per_batch to a multiple of it."
+            f"config.train.models_per_batch must be a multiple of the {processes} "
+            f"processes, but it is {objects}; set another with "
+            "--config.train.models_per_batch=VALUE."
+        )
+    if asked % processes:
+        raise ValueError(
+            f"config.run.devices must be 0 or a multiple of the {processes} processes, "
+            f"but it is {asked}; it counts the devices of all of them."
         )
     each = asked // processes or find_share(objects // processes, there)
     if each > there:

@@ -108,10 +108,15 @@ class _Choice(NamedTuple):
     top: int
     renders_at_once: int
 
+    @property
+    def is_exact(self):
+        """Whether all candidates are compared at full resolution at once."""
+        return self.grid == self.points == 0
+
 
 def _place_points(points, candidates, side, camera, how):
     """Points in the image of each candidate, where they are ranked by an image."""
-    if how.rank != "image":
+    if how.rank != "image" or how.is_exact:
         return None
     return place_candidates(
         points,
@@ -131,12 +136,13 @@ def _choose(points, mass, candidates, target, places, *, sigma, camera, how):
         "renders_at_once": how.renders_at_once,
     }
     has_all_points = min(how.points or len(points), len(points)) == len(points)
+    has_all_cells = how.grid in (0, target.shape[0])
+    if how.is_exact or how.rank == "volume" and has_all_cells and has_all_points:
+        return jnp.argmin(compute_candidate_losses(*arguments, **view))
     if places is not None:
         coarse = compute_image_losses(
             places, mass, target, sigma=sigma, choice_grid=how.grid
         )
-    elif how.grid in (0, target.shape[0]) and has_all_points:
-        return jnp.argmin(compute_candidate_losses(*arguments, **view))
     else:
         coarse = compute_coarse_losses(
             *arguments, choice_grid=how.grid, choice_points=how.points, **view

@@ -157,9 +157,12 @@ class StagePrograms:
                 programs[stage] = future.result().call
         seconds = {stage: [] for stage in programs}
         for stage in [*programs] * (1 + _ROUNDS):
-            inputs = self._copy_into(state, stage), batch
-            started = time.monotonic()
-            jax.block_until_ready(programs[stage](*inputs))
+            try:
+                inputs = self._copy_into(state, stage), batch
+                started = time.monotonic()
+                jax.block_until_ready(programs[stage](*inputs))
+            except jax.errors.JaxRuntimeError:  # no memory for a copy
+                return {}
             seconds[stage].append(time.monotonic() - started)
         # The first call of a program fills its memory.
         return {stage: statistics.median(s[1:]) for stage, s in seconds.items()}

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpc_jax.config import Config
+from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet, load_or_render
 from dpc_jax.data.batches import choose_batch, read_batch
 from dpc_jax.learning import schedules
@@ -143,7 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--cache_dir", help="of the data; by default the run's")
     flags = parser.parse_args(arguments)
     try:
-        config = read_config(flags.workdir)
+        config = replace_fields(read_config(flags.workdir), {"run": {"devices": 0}})
         state = _restore_state(config, flags.workdir)
         spec = make_data_specs(config)["train"]
         cache_dir = flags.cache_dir or config.data.cache_dir

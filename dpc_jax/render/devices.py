@@ -38,7 +38,7 @@ def use_all_cores(count: int | None = None) -> int:
             "use every core."
         )
     if count is None:
-        count = _read_settings() or count_cores()
+        count = read_settings() or count_cores()
     try:
         jax.config.update("jax_num_cpu_devices", int(count))
     except RuntimeError as error:
@@ -54,7 +54,7 @@ def use_all_cores(count: int | None = None) -> int:
     return int(count)
 
 
-def _read_settings():
+def read_settings() -> int:
     """How many CPU devices JAX's own settings ask for; 0 where they do not."""
     flag = r"--xla_force_host_platform_device_count=(\d+)"
     given = re.findall(flag, os.environ.get("XLA_FLAGS", ""))

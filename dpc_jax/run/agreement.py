@@ -88,8 +88,8 @@ class Job:
         try:
             if self.is_first:
                 return action()
-        except (ValueError, OSError) as error:
-            said = str(error)
+        except BaseException as error:
+            said = str(error) or type(error).__name__
             raise
         finally:
             if self.is_first:

@@ -129,7 +129,14 @@ def joining(place: Place | None) -> Iterator[Job]:
 
 
 def _read_seconds(name, default):
-    return int(os.environ.get(f"DPC_JAX_{name}_SECONDS", default))
+    variable = f"DPC_JAX_{name}_SECONDS"
+    given = os.environ.get(variable, str(default))
+    if not given.isdigit() or int(given) < 1:
+        raise ValueError(
+            f"{variable} must be a whole number of seconds, at least one, but it is "
+            f"{given!r}; set it to {default}, for instance."
+        )
+    return int(given)
 
 
 def _leave(status):
@@ -166,7 +173,8 @@ def _connect(place, seconds):
     except jax.errors.JaxRuntimeError as error:
         raise OSError(
             f"Expected process 0 to open {place.coordinator} to the other processes, "
-            f"but it cannot ({str(error).rstrip('.')}); choose another port."
+            f"but it cannot ({str(error).rstrip('.')}); choose another port, or end what "
+            "uses this one."
         ) from None
 
 

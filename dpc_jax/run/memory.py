@@ -65,6 +65,7 @@ def estimate_step_memory(network: ShapePoseNetwork, config: Config) -> int:
         "images": jax.ShapeDtypeStruct((*views, size, size, 3), "uint8"),
         "masks": jax.ShapeDtypeStruct((*views, size, size), "uint8"),
         "quaternions": jax.ShapeDtypeStruct((*views, 4), "float32"),
+        "seeds": jax.ShapeDtypeStruct(views[:1], "uint32"),
     }
     stage = schedules.find_stage(train.steps - 1, config.render, steps=train.steps)
     return estimate_peak(make_train_step(network, config, stage), state, batch)

@@ -17,6 +17,7 @@ from dpc_jax.evaluation.alignment import Alignment, identity_alignment
 from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning import evaluator, loop
 from dpc_jax.learning.checkpoints import Checkpoints, Restored
+from dpc_jax.learning.devices import make_mesh
 from dpc_jax.learning.predictor import (
     Predictions,
     compile_predictor,
@@ -33,7 +34,7 @@ from dpc_jax.run.memory import check_step_memory
 from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
 from dpc_jax.run.report import report_run
 from dpc_jax.run.setup import make_data_specs, make_network
-from dpc_jax.run.workdir import claim_workdir, hold_workdir
+from dpc_jax.run.workdir import claim_workdir, hold_workdir, make_workdir
 from dpc_jax.run.writers import SharedCheckpoints, SilentLog
 
 
@@ -95,8 +96,9 @@ def run(
         job.check_same(config)
 
         def take_workdir():
-            claim_workdir(folder, config)
+            make_workdir(folder)
             held.enter_context(hold_workdir(folder))
+            claim_workdir(folder, config)
 
         job.do_first("workdir", take_workdir)
         print(f"Workdir: {folder}", flush=True)
@@ -104,6 +106,7 @@ def run(
 
 
 def _run_in(folder, config, job):
+    make_mesh(config)  # refuses before anything is rendered
     started = time.monotonic()
     sets = load_sets(config, share=(job.process, job.processes))
     data_seconds = time.monotonic() - started

@@ -15,7 +15,7 @@ from dpc_jax.evaluation import rotations
 from dpc_jax.evaluation.alignment import align_points, align_poses
 from dpc_jax.files import write_text
 from dpc_jax.learning.checkpoints import Checkpoints
-from dpc_jax.learning.predictor import make_predictor, predict_all
+from dpc_jax.learning.predictor import VIEWS_AT_ONCE, make_predictor, predict_all
 from dpc_jax.learning.step import TrainState, init_state
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.export import write_glb, write_ply
@@ -45,8 +45,9 @@ def predict_images(
         image can be used, or two images would write the same files.
       OSError: where files cannot be read or written.
     """
-    # Another machine than that of the run may have fewer devices.
-    config = replace_fields(read_config(workdir), {"run": {"devices": 0}})
+    # All devices of this machine share the views.
+    shared = {"run": {"devices": 0}, "train": {"models_per_batch": VIEWS_AT_ONCE}}
+    config = replace_fields(read_config(workdir), shared)
     names = [path.stem for path in images]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:

@@ -5,6 +5,7 @@ import ctypes
 import os
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import NoReturn
 
@@ -12,7 +13,9 @@ import jax
 
 from dpc_jax.learning.devices import find_share
 from dpc_jax.learning.programs import THREADS
-from dpc_jax.render.devices import count_cores
+from dpc_jax.render.devices import count_cores, read_settings, use_all_cores
+
+_KEPT_DAYS = 30  # of a compiled program
 
 
 def keep_freed_memory() -> None:
@@ -43,14 +46,9 @@ def split_cores(objects: int, devices: int = 0):
       objects: that are shared.
       devices: how many instead; 0 for as many cores as divide the objects.
     """
-    is_set = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
-    if is_set or jax.config.values["jax_num_cpu_devices"] > 0:
-        return
-    count = devices or find_share(objects, count_cores())
-    try:
-        jax.config.update("jax_num_cpu_devices", count)
-    except RuntimeError:  # jax has begun
-        return
+    if not read_settings():
+        with contextlib.suppress(RuntimeError):  # jax has begun
+            use_all_cores(devices or find_share(objects, count_cores()))
 
 
 def keep_compiled_programs() -> Path | None:
@@ -76,10 +74,19 @@ def keep_compiled_programs() -> Path | None:
         return None
     if not os.access(folder, os.W_OK):
         return None
+    _drop_old_files(folder)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     # What compiles faster than this costs more to read than to compile.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
     return folder
+
+
+def _drop_old_files(folder):
+    """Keep the programs of the last weeks: each change of a config makes others."""
+    for path in folder.iterdir():
+        with contextlib.suppress(OSError):  # another command has dropped it
+            if time.time() - path.stat().st_mtime > _KEPT_DAYS * 24 * 3600:
+                path.unlink()
 
 
 def leave(status: int) -> NoReturn:

@@ -27,12 +27,11 @@ FREE_FIELDS = (
 _ALIGNMENT = Path("report") / "alignment.json"
 
 
-def claim_workdir(workdir: Path, config: Config) -> Path:
-    """Make the workdir and write its config, or check that it is this config's.
+def make_workdir(workdir: Path):
+    """Make the folder of a run where there is none.
 
     Raises:
-      ValueError: where another config made it.
-      OSError: where it cannot be written.
+      OSError: where it cannot be made or written.
     """
     try:
         workdir.mkdir(parents=True, exist_ok=True)
@@ -47,6 +46,18 @@ def claim_workdir(workdir: Path, config: Config) -> Path:
             f"Expected to write in the workdir {workdir}, but it cannot be written; "
             "give another with --workdir=DIR."
         )
+
+
+def claim_workdir(workdir: Path, config: Config) -> Path:
+    """Write the config into the workdir, or check that it is this config's.
+
+    To be called by the command that holds the workdir.
+
+    Raises:
+      ValueError: where another config made it.
+      OSError: where it cannot be written.
+    """
+    make_workdir(workdir)
     path = workdir / "config.json"
     if path.exists() and _has_begun(workdir):
         _refuse_other(workdir, read_config(workdir), config)
@@ -76,7 +87,7 @@ def hold_workdir(workdir: Path) -> Iterator[None]:
             file.seek(0)
             raise ValueError(
                 f"The workdir {workdir} must be used by one command at a time, but "
-                f"process {file.read() or 'of another machine'} is using it; wait for "
+                f"{_name_holder(file.read())} is using it; wait for "
                 "it to end, or give another --workdir=DIR."
             ) from None
         except OSError:
@@ -88,6 +99,10 @@ def hold_workdir(workdir: Path) -> Iterator[None]:
             yield
         finally:
             file.truncate(0)
+
+
+def _name_holder(written):
+    return f"process {written}" if written else "a process on another machine"
 
 
 def _refuse_other(workdir, old, new):
