@@ -276,3 +276,9 @@ def test_two_sources_at_once_are_refused(tmp_path):
     config = change(config, "data", shapenet=str(tmp_path), images=str(tmp_path))
     with pytest.raises(ValueError, match="data.images must be '' where data.shapenet"):
         check(config)
+
+
+def test_runs_from_before_the_ranking_had_a_name_ranked_in_a_volume():
+    old = json.loads(to_json(load("car")))
+    del old["pose"]["choice_rank"]
+    assert from_json(json.dumps(old)).pose.choice_rank == "volume"

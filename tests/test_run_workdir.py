@@ -6,8 +6,11 @@ import subprocess
 import sys
 
 import pytest
+from tiny_runs import tiny_config
 
-from dpc_jax.run.workdir import hold_workdir
+from dpc_jax.config import replace_fields
+from dpc_jax.run import pipeline
+from dpc_jax.run.workdir import claim_workdir, hold_workdir
 
 HOLD = """
 import sys
@@ -54,3 +57,16 @@ def test_the_same_process_may_come_again(tmp_path):
         with hold_workdir(tmp_path):
             assert str(os.getpid()) in (tmp_path / ".in-use").read_text()
     assert (tmp_path / ".in-use").read_text() == ""
+
+
+def test_a_command_that_is_refused_leaves_the_config_of_the_other_as_it_is(tmp_path):
+    config = tiny_config()
+    claim_workdir(tmp_path, config)
+    before = (tmp_path / "config.json").read_bytes()
+    with hold_workdir(tmp_path), pytest.raises(ValueError, match="one command at a"):
+        pipeline.run(
+            replace_fields(config, {"train": {"learning_rate": 0.5}}),
+            config_path="configs/car.py",
+            workdir=str(tmp_path),
+        )
+    assert (tmp_path / "config.json").read_bytes() == before

@@ -173,8 +173,8 @@ def _connect(place, seconds):
     except jax.errors.JaxRuntimeError as error:
         raise OSError(
             f"Expected process 0 to open {place.coordinator} to the other processes, "
-            f"but it cannot ({str(error).rstrip('.')}); choose another port, or end what "
-            "uses this one."
+            f"but it cannot ({str(error).rstrip('.')}); choose another port, or end "
+            "what uses this one."
         ) from None
 
 
