@@ -143,7 +143,10 @@ def test_a_start_that_was_refused_leaves_its_workdir_to_a_better_one(config, tmp
 
 @pytest.mark.parametrize("field", FREE_FIELDS)
 def test_what_does_not_change_the_result_may_differ(config, tmp_path, field):
-    values = {"log": {"log.every": 3, "log.checkpoint": 1}}
+    values = {
+        "log": {"log.every": 3, "log.checkpoint": 1},
+        "run": {"run.devices": 1},
+    }
     changes = values.get(field, {field: 7})
     workdir = claim_workdir(tmp_path / "workdir", from_config_dict(config))
     if field == "data.cache_dir":

@@ -7,6 +7,7 @@ last checkpoint.
 
 import atexit
 import contextlib
+import errno
 import logging
 import os
 import re
@@ -160,6 +161,8 @@ def _connect(place, seconds):
     started = time.monotonic()
     if place.process:
         _await_coordinator(place.coordinator, seconds)
+    else:
+        _check_port(place.coordinator)
     left = seconds - (time.monotonic() - started)
     try:
         jax.distributed.initialize(
@@ -175,6 +178,23 @@ def _connect(place, seconds):
             f"Expected process 0 to open {place.coordinator} to the other processes, "
             f"but it cannot ({str(error).rstrip('.')}); choose another port, or end "
             "what uses this one."
+        ) from None
+
+
+def _check_port(address):
+    """Refuse a port that is taken: jaxlib 0.10.2 crashes where it cannot have it."""
+    port = int(address.rpartition(":")[2])
+    try:
+        socket.create_server(
+            ("", port), family=socket.AF_INET6, dualstack_ipv6=True
+        ).close()
+    except OSError as error:
+        if error.errno != errno.EADDRINUSE:
+            return  # no IPv6 here: gRPC finds out
+        raise OSError(
+            f"Expected process 0 to open {address} to the other processes, but its "
+            "port is taken, perhaps by the same command; end what uses it, or choose "
+            "another port."
         ) from None
 
 
