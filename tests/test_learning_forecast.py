@@ -45,7 +45,7 @@ def replay(records, end, *, costs, validation=6.0, after=0.0):
     for record in records:
         done = record["step"]
         forecast.add_rate(done, record["steps_per_second"])
-        if record["seconds"] > 60:  # by then the programs are there
+        if record["seconds"] > 60 and not forecast._costs:  # the programs are there
             forecast.add_costs(costs)
         left = end + after * validation - record["seconds"]
         if done % 1000 == 0 or done == 6300:

@@ -58,6 +58,9 @@ class Forecast:
         before = self._cost_at(max(0, self._done - 1))
         self._costs = dict(costs)
         self._work *= self._cost_at(max(0, self._done - 1)) / before
+        # All programs are there: steps are no longer taken beside their compilation.
+        self._seconds *= _OTHER_STAGE
+        self._work *= _OTHER_STAGE
 
     def add_wait(self, seconds: float):
         """Take the seconds that training waited for programs since the last call."""
