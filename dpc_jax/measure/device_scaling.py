@@ -165,7 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "config": dataclasses.asdict(config),
     }
     write_json(flags.out / "device_scaling.json", facts)
-    print(f"Picture: {draw_scaling(measured, flags.out / 'device_scaling.svg')}")
+    print(f"Picture: {draw_scaling(measured, flags.out / 'device_scaling.png')}")
     return 0
 
 
