@@ -7,10 +7,6 @@ many devices the result lay. Everything is float64, so that differences are roun
 
 import functools
 import json
-import os
-
-os.environ["JAX_ENABLE_X64"] = "1"
-os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # each program runs once
 
 import jax
 import jax.numpy as jnp
