@@ -12,6 +12,8 @@ import re
 import signal
 import sys
 import tempfile
+import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import IO
 
@@ -20,6 +22,7 @@ _FATAL = "JAX distributed service detected fatal errors"
 _NOISE = re.compile(
     r"gloo|connected to \d+ peer|coordination|distributed service|grpc", re.I
 )
+_SECONDS_TO_END = 5
 _keeping = []  # so that the function that C calls lives on
 
 
@@ -35,7 +38,11 @@ def speaking_for_jax(explain: Callable[[str], str]) -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         kept, error = _keep_output_of_libraries(stack)
 
+        ended = threading.Event()
+
         def end(_):
+            if ended.is_set():  # the process is about to say itself why it ends
+                time.sleep(_SECONDS_TO_END)
             text = _read(kept)
             if _FATAL in text:
                 os.write(error, f"Error: {explain(text)}\n".encode())
@@ -50,6 +57,7 @@ def speaking_for_jax(explain: Callable[[str], str]) -> Iterator[None]:
             yield
         finally:
             # abort() may come until the process has ended: the handler stays.
+            ended.set()
             for line in _read(kept).splitlines():
                 if not _NOISE.search(line):
                     print(line, file=sys.stderr)
