@@ -21,7 +21,7 @@ from dpc_jax.config import Config, build_config, replace_fields
 from dpc_jax.files import write_json
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.step import init_state, make_train_step
-from dpc_jax.measure.step_profile import draw_batch
+from dpc_jax.measure.step_profile import CAR, can_measure, draw_batch
 from dpc_jax.measure.timing import (
     describe_machine,
     phrase_machine,
@@ -120,13 +120,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, nargs="+", default=[0, 3000, 3900, 5500])
     parser.add_argument("--rounds", type=int, default=21)
     flags = parser.parse_args(arguments)
-    config = build_config("car", flags.variant, {"train": {"repulsion_weight": 0.004}})
-    if flags.rounds < 1 or not all(0 <= s < config.train.steps for s in flags.steps):
-        print(
-            f"Error: Expected steps from 0 to {config.train.steps - 1} and at least "
-            f"one round, but {flags.steps} and {flags.rounds} came; give others.",
-            file=sys.stderr,
-        )
+    config = build_config("car", flags.variant, CAR)
+    if not can_measure(config, flags.steps, rounds=flags.rounds):
         return 1
     objects = config.train.models_per_batch
     split_cores(objects)

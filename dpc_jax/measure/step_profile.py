@@ -43,6 +43,7 @@ from dpc_jax.reporting.tables import format_table
 from dpc_jax.run.process import keep_freed_memory
 from dpc_jax.run.setup import make_network
 
+CAR = {"train": {"repulsion_weight": 0.004}}  # as in configs/car.py
 PARTS = ("whole step", "encoder", "other layers", "optimiser", "point dropout")
 PARTS = (*PARTS, "half turns", "ranking of candidates", "exact comparison", "winners")
 PARTS = (*PARTS, "priors", "targets")
@@ -208,6 +209,18 @@ def measure_step(config: Config, step: int, *, rounds: int) -> dict[str, float]:
     return parts
 
 
+def can_measure(config: Config, steps: Sequence[int], *, rounds: int) -> bool:
+    """Whether the run has these steps, and there is a round; says so where not."""
+    if rounds >= 1 and all(0 <= step < config.train.steps for step in steps):
+        return True
+    print(
+        f"Error: Expected steps from 0 to {config.train.steps - 1} and at least one "
+        f"round, but {list(steps)} and {rounds} came; give others.",
+        file=sys.stderr,
+    )
+    return False
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, measure, print."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
@@ -215,13 +228,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=15)
     flags = parser.parse_args(arguments)
     keep_freed_memory()
-    config = build_config("car", None, {"train": {"repulsion_weight": 0.004}})
-    if flags.rounds < 1 or not all(0 <= s < config.train.steps for s in flags.steps):
-        print(
-            f"Error: Expected steps from 0 to {config.train.steps - 1} and at least "
-            f"one round, but {flags.steps} and {flags.rounds} came; give others.",
-            file=sys.stderr,
-        )
+    config = build_config("car", None, CAR)
+    if not can_measure(config, flags.steps, rounds=flags.rounds):
         return 1
     columns = [measure_step(config, s, rounds=flags.rounds) for s in flags.steps]
     heads = ("ms", *(f"step {step}" for step in flags.steps))

@@ -3,16 +3,13 @@
 import contextlib
 import functools
 import os
-import signal
 import sys
-import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 from dpc_jax import config as configs
 from dpc_jax.config import Config
-from dpc_jax.data import DataSet, load_or_render
+from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, identity_alignment
 from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning import evaluator, loop
@@ -31,9 +28,14 @@ from dpc_jax.run import hosts
 from dpc_jax.run.agreement import Job
 from dpc_jax.run.gpu import set_gpu_flags
 from dpc_jax.run.memory import check_step_memory
-from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
+from dpc_jax.run.process import (
+    catch_signals,
+    keep_compiled_programs,
+    keep_freed_memory,
+    split_cores,
+)
 from dpc_jax.run.report import report_run
-from dpc_jax.run.setup import make_data_specs, make_network
+from dpc_jax.run.setup import load_sets, make_network
 from dpc_jax.run.workdir import claim_workdir, hold_workdir, make_workdir
 from dpc_jax.run.writers import SharedCheckpoints, SilentLog
 
@@ -148,43 +150,6 @@ def _name_workdir(config, config_path):
     return Path("runs") / "-".join(part for part in parts if part)
 
 
-def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, DataSet]:
-    """The data sets of a run: "train", "val", "test", and "own" where asked for.
-
-    Args:
-      share: (i, n) of the i-th of n processes that prepare them together.
-
-    Raises:
-      ValueError: where a set cannot be used, or does not fit the config.
-      OSError: where the cache cannot be written.
-    """
-    with explaining_full_disk(config.data.cache_dir):
-        sets = {
-            split: load_or_render(
-                spec,
-                cache_dir=config.data.cache_dir,
-                processes=config.data.processes or None,
-                share=share,
-            )
-            for split, spec in make_data_specs(config).items()
-        }
-    wanted, found = config.train.models_per_batch, len(sets["train"].names)
-    if wanted > found:
-        raise ValueError(
-            f"Expected at least train.models_per_batch = {wanted} models to train on, "
-            f"but there are {found}; set --config.train.models_per_batch lower or add "
-            "models."
-        )
-    lacking = [name for name, data in sets.items() if data.quaternions is None]
-    if config.pose.known and lacking:
-        raise ValueError(
-            "Expected poses for every image, because config.pose.known is set, but the "
-            f"{' and '.join(lacking)} images have none; add poses.json or "
-            "transforms.json to every object, or set --config.pose.known=False."
-        )
-    return sets
-
-
 class Model:
     """What a run learns, with its data sets: the network and how it is judged."""
 
@@ -256,7 +221,7 @@ def train_model(model: Model, workdir: Path, log: MetricLog, job: Job) -> loop.O
     checkpoints = SharedCheckpoints(folder, job) if is_shared else Checkpoints(folder)
     start = restore_run(model, checkpoints, log)
     outcome = loop.Outcome(start.state, start.seconds, True)
-    with contextlib.closing(checkpoints), _catch_signals() as stop:
+    with contextlib.closing(checkpoints), catch_signals() as stop:
         if int(start.state.step) < model.config.train.steps:
             check_step_memory(model.network, model.config)
             outcome = loop.train(
@@ -276,31 +241,3 @@ def train_model(model: Model, workdir: Path, log: MetricLog, job: Job) -> loop.O
                 prepare=functools.partial(model.compile_predictor, start.state),
             )
     return outcome
-
-
-@contextlib.contextmanager
-def _catch_signals() -> Iterator[threading.Event]:
-    """An event that SIGTERM or Ctrl-C sets, so that a run saves before it ends.
-
-    A second Ctrl-C interrupts at once.
-
-    Raises:
-      KeyboardInterrupt: at the end, where Ctrl-C asked for it.
-    """
-    asked, interrupted = threading.Event(), threading.Event()
-    before = {kind: signal.getsignal(kind) for kind in (signal.SIGTERM, signal.SIGINT)}
-
-    def interrupt(*_):
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        interrupted.set()
-        asked.set()
-
-    signal.signal(signal.SIGTERM, lambda *_: asked.set())
-    signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield asked
-    finally:
-        for kind, handler in before.items():
-            signal.signal(kind, handler)
-    if interrupted.is_set():
-        raise KeyboardInterrupt

@@ -3,9 +3,11 @@
 import contextlib
 import ctypes
 import os
+import signal
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn
 
@@ -103,3 +105,31 @@ def leave(status: int) -> NoReturn:
         sys.stderr.flush()
         os._exit(status)
     sys.exit(status)
+
+
+@contextlib.contextmanager
+def catch_signals() -> Iterator[threading.Event]:
+    """An event that SIGTERM or Ctrl-C sets, so that a run saves before it ends.
+
+    A second Ctrl-C interrupts at once.
+
+    Raises:
+      KeyboardInterrupt: at the end, where Ctrl-C asked for it.
+    """
+    asked, interrupted = threading.Event(), threading.Event()
+    before = {kind: signal.getsignal(kind) for kind in (signal.SIGTERM, signal.SIGINT)}
+
+    def interrupt(*_):
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        interrupted.set()
+        asked.set()
+
+    signal.signal(signal.SIGTERM, lambda *_: asked.set())
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield asked
+    finally:
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
+    if interrupted.is_set():
+        raise KeyboardInterrupt

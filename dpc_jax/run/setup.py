@@ -1,8 +1,9 @@
-"""What a config stands for: the network, and the specifications of the data sets."""
+"""What a config stands for: the network, and the data sets."""
 
 from dpc_jax.config import Config
 from dpc_jax.config.checks import SOURCES
-from dpc_jax.data import DataSpec
+from dpc_jax.data import DataSet, DataSpec, load_or_render
+from dpc_jax.files import explaining_full_disk
 from dpc_jax.networks import ShapePoseNetwork
 
 
@@ -52,6 +53,43 @@ def make_data_specs(config: Config) -> dict[str, DataSpec]:
             split="test", folder=data.test_meshes, fractions=(0, 0, 1), **shared
         )
     return specs
+
+
+def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, DataSet]:
+    """The data sets of a run: "train", "val", "test", and "own" where asked for.
+
+    Args:
+      share: (i, n) of the i-th of n processes that prepare them together.
+
+    Raises:
+      ValueError: where a set cannot be used, or does not fit the config.
+      OSError: where the cache cannot be written.
+    """
+    with explaining_full_disk(config.data.cache_dir):
+        sets = {
+            split: load_or_render(
+                spec,
+                cache_dir=config.data.cache_dir,
+                processes=config.data.processes or None,
+                share=share,
+            )
+            for split, spec in make_data_specs(config).items()
+        }
+    wanted, found = config.train.models_per_batch, len(sets["train"].names)
+    if wanted > found:
+        raise ValueError(
+            f"Expected at least train.models_per_batch = {wanted} models to train on, "
+            f"but there are {found}; set --config.train.models_per_batch lower or add "
+            "models."
+        )
+    lacking = [name for name, data in sets.items() if data.quaternions is None]
+    if config.pose.known and lacking:
+        raise ValueError(
+            "Expected poses for every image, because config.pose.known is set, but the "
+            f"{' and '.join(lacking)} images have none; add poses.json or "
+            "transforms.json to every object, or set --config.pose.known=False."
+        )
+    return sets
 
 
 def _split_procedural(config, shared):
