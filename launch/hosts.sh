@@ -30,7 +30,7 @@ start_here() {  # process, processes, coordinator, cores, arguments of the run
 if [[ "$where" =~ ^[0-9]+$ ]]; then
     [ "$where" -ge 1 ] || { echo "Expected at least one process, but $where was given; write for example launch/hosts.sh 2 --config=configs/car.py." >&2; exit 1; }
     # The cores that this shell may use, one by one.
-    cores_here=($(python3 -c 'import os; print(*sorted(os.sched_getaffinity(0)))' 2> /dev/null || true))
+    cores_here=($("$VENV/bin/python" -c 'import os; print(*sorted(os.sched_getaffinity(0)))' 2> /dev/null || true))
     share=$(( ${#cores_here[@]} / where ))
     for (( process = 0; process < where; process++ )); do
         first=$(( process * share ))
