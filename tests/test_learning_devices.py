@@ -104,6 +104,27 @@ def test_the_same_number_of_devices_gives_the_same_bits():
     assert_same_bits(train(configure(2), steps=5)[1], train(configure(2), steps=5)[1])
 
 
+@pytest.mark.parametrize("bad", [None, "kernel", "bias"])
+def test_gradients_are_measured_when_asked_and_else_looked_at(bad):
+    mesh = devices.make_mesh(configure(2))
+    trees = {"a": {"kernel": np.full((3, 4), 2.0), "bias": np.full(4, -1.0)}}
+    if bad:
+        trees["a"][bad].flat[1] = np.inf
+    parts = {"a": {"kernel": devices.COLUMNS, "bias": devices.WHOLE}}
+    norms = devices.share(
+        lambda trees, flag: devices.compute_norms(trees, parts, flag),
+        mesh,
+        in_specs=(parts, devices.WHOLE),
+        out_specs=devices.WHOLE,
+    )
+    measured = jax.jit(lambda flag: norms(trees, flag)["a"])
+    # 12 squares of 2 and 4 of 1
+    assert float(measured(True)) == pytest.approx(np.inf if bad else np.sqrt(52))
+    # Between the measured steps a layer's biases tell whether it is finite.
+    expected = np.nan if bad == "bias" else -1
+    assert float(measured(False)) == pytest.approx(expected, nan_ok=True)
+
+
 def test_large_layers_and_their_moments_are_shared_by_columns():
     config = configure(4)
     state = make_state(make_network(config), config)

@@ -38,8 +38,8 @@ _compile = functools.lru_cache(loop.make_train_step)
 
 
 def compile_once(network, config, stage):
-    """The step of a stage; how often a run writes its log does not change it."""
-    return _compile(network, dataclasses.replace(config, log=Log()), stage)
+    """The step of a stage, whose gradients are measured as for a log of every step."""
+    return _compile(network, dataclasses.replace(config, log=CONFIG.log), stage)
 
 
 @pytest.fixture(autouse=True)
@@ -220,6 +220,15 @@ def test_turned_candidates_count_for_their_head():
     assert record["head_shares"] == [0.5, 0.25, 0.25]
 
 
+def test_a_log_line_has_the_gradients_that_were_measured():
+    def take(*norms):
+        window = [{"loss": 1.0, "gradient_norms": {"shape": n}} for n in norms]
+        return summarize(window, heads=0).get("gradient_norm_shape")
+
+    assert take(-1.0, 3.0, -1.0, 5.0) == 4.0
+    assert take(-1.0, -1.0) is None
+
+
 # What is not finite.
 
 
@@ -282,7 +291,8 @@ def test_a_gradient_that_is_not_finite_is_named_though_the_loss_is(value):
     metrics = {"loss": 1.0, "gradient_norms": {"encoder": 1.0, "pose": value}}
     with pytest.raises(NonFiniteError, match=r"gradient of the pose .* at step 12"):
         check_finite(metrics, 12)
-    check_finite({"loss": 1.0, "gradient_norms": {"pose": 0.0}}, 12)
+    for finite in (0.0, -1.0):  # -1: not measured in this step
+        check_finite({"loss": 1.0, "gradient_norms": {"pose": finite}}, 12)
 
 
 # Predictions for a whole data set.

@@ -19,7 +19,8 @@ from tiny_runs import (
 )
 
 from dpc_jax.learning.losses import selection_loss
-from dpc_jax.learning.predictions import compute_mass, scale_images
+from dpc_jax.learning.objective import compute_priors
+from dpc_jax.learning.predictions import Shapes, compute_mass, scale_images
 from dpc_jax.learning.renders import map_renders
 
 
@@ -196,6 +197,25 @@ def test_a_step_with_turned_candidates_and_a_selecting_student(plain):
         numbers = [found[name] for name in names]
         assert np.all(np.isfinite([*numbers, *found["gradient_norms"].values()]))
         assert min(found["gradient_norms"].values()) > 0
+
+
+def test_repulsion_comes_in_over_the_second_half_and_is_0_before():
+    points = jnp.array([[[0.0, 0, 0], [0.5, 0, 0], [9, 9, 9]]])
+    shapes = Shapes(points, points, None, jnp.ones(1), jnp.ones(1), jnp.ones(()))
+    train = tiny_config(steps=20, repulsion_weight=0.1, repulsion_points=2).train
+
+    def find(points, step):
+        term = compute_priors(shapes._replace(kept=points), step, train=train)
+        return term["repulsion"].value, term["repulsion"].weight
+
+    for step, ramp in ((0, 0), (10, 0), (11, 0.1), (20, 1)):
+        value, weight = find(points, step)
+        # The inverse of the distance of the two points that repel each other, a little
+        # softened.
+        assert float(value) == pytest.approx(2 * (ramp > 0), rel=1e-2)
+        assert float(weight) == pytest.approx(0.1 * 3 * ramp, rel=1e-5)
+        slope = jax.grad(lambda p, s=step: find(p, s)[0])(points)[0]
+        assert float(slope[0, 0]) == pytest.approx(4 * (ramp > 0), rel=1e-2)
 
 
 def test_a_selecting_student_pays_the_cross_entropy_of_the_winner():

@@ -58,6 +58,7 @@ PLAIN = {
         containment_weight=0.0,
         color_weight=0.0,
     ),
+    "log": dict(every=1),
     "run": dict(devices=1),
     "network": dict(channels=2, hidden=12, shape_hidden=12, student_width=32)
     | dict(normalize=False),

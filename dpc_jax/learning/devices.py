@@ -135,27 +135,40 @@ def sum_whole(tree: Any, parts: Any) -> Any:
 def sum_together(tree: Any) -> Any:
     """Inside `share`: arrays summed over the devices, in one exchange.
 
-    Between processes each exchange costs about a millisecond, whatever its size.
-    Within a process XLA makes one of them by itself.
+    Joined to one array first: between processes each exchange costs about a
+    millisecond, and XLA's own exchange of many arrays takes four times as long as that
+    of one (docs/devices.md).
     """
-    if jax.process_count() == 1:
-        return jax.lax.psum(tree, AXIS)
     flat, restore = ravel_pytree(tree)
     return restore(jax.lax.psum(flat, AXIS))
 
 
-def compute_norms(trees: dict[str, Any], parts: dict[str, Any]) -> dict[str, jax.Array]:
-    """Inside `share`: roots of the sums of all squares of partitioned arrays; ()."""
+def compute_norms(
+    trees: dict[str, Any], parts: dict[str, Any], is_measured: jax.Array
+) -> dict[str, jax.Array]:
+    """Inside `share`: roots of the sums of all squares of partitioned arrays; ().
 
-    def sum_squares(name, is_whole):
+    Reading every gradient once more takes a tenth of a step (docs/profile.md). Where
+    `is_measured` () is false, the results are -1, or NaN where a vector among the
+    arrays (the gradient of a layer's biases) is not finite: a cheap sign that others
+    are not.
+    """
+
+    def select(name, is_chosen):
         arrays, structure = jax.tree.flatten(trees[name])
         pairs = zip(arrays, structure.flatten_up_to(parts[name]), strict=True)
-        squares = [
-            jnp.sum(jnp.square(array))
-            for array, part in pairs
-            if (part == WHOLE) == is_whole
-        ]
-        return sum(squares, jnp.zeros(()))
+        return [array for array, part in pairs if is_chosen(array, part)]
 
-    shared = sum_together({name: sum_squares(name, False) for name in trees})
-    return {name: jnp.sqrt(sum_squares(name, True) + shared[name]) for name in trees}
+    def sum_squares(name, is_whole):
+        chosen = select(name, lambda _, part: (part == WHOLE) == is_whole)
+        return sum((jnp.sum(jnp.square(array)) for array in chosen), jnp.zeros(()))
+
+    def measure():
+        shared = sum_together({name: sum_squares(name, False) for name in trees})
+        return {n: jnp.sqrt(sum_squares(n, True) + shared[n]) for n in trees}
+
+    def look():
+        vectors = {n: select(n, lambda array, _: array.ndim == 1) for n in trees}
+        return {n: 0 * sum(map(jnp.sum, found)) - 1.0 for n, found in vectors.items()}
+
+    return jax.lax.cond(is_measured, measure, look)

@@ -103,16 +103,20 @@ def compute_loss(
 
 
 def compute_priors(shapes: Shapes, step: jax.Array, *, train: Train) -> dict[str, Term]:
-    """Regularisers of the shape. Not in the paper."""
+    """Regularisers of the shape, 0 where they have no weight yet. Not in the paper."""
     terms = {}
     if train.containment_weight:
         outside = jnp.mean(jax.vmap(losses.containment_loss)(shapes.points))
         terms["containment"] = Term(outside, train.containment_weight)
     if train.repulsion_weight:
-        repelling = shapes.kept[:, : train.repulsion_points]
-        energy = jnp.mean(jax.vmap(losses.repulsion_energy)(repelling))
         # Ramped up over the second half, once shapes have formed.
         ramp = jnp.maximum(0, 2 * (step / train.steps) - 1)
+        energy = jax.lax.cond(
+            ramp > 0,
+            lambda points: jnp.mean(jax.vmap(losses.repulsion_energy)(points)),
+            lambda _: jnp.zeros(()),
+            shapes.kept[:, : train.repulsion_points],
+        )
         num_points = shapes.points.shape[1]
         terms["repulsion"] = Term(energy, train.repulsion_weight * num_points * ramp)
     return terms

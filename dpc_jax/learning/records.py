@@ -143,7 +143,9 @@ def summarize(window: list[dict], *, heads: int) -> dict:
     record: dict = {n: float(np.mean([m[n] for m in window])) for n in names}
     for name in window[0]["gradient_norms"]:
         norms = [m["gradient_norms"][name] for m in window]
-        record[f"gradient_norm_{name}"] = float(np.mean(norms))
+        measured = [norm for norm in norms if norm >= 0]
+        if measured:
+            record[f"gradient_norm_{name}"] = float(np.mean(measured))
     if heads > 1:
         winners = np.concatenate([m["winners"] for m in window]) % heads
         counts = np.bincount(winners, minlength=heads)

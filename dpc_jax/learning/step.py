@@ -1,5 +1,6 @@
 """The training step: a pure function of state and batch, compiled once per stage."""
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -73,6 +74,8 @@ def make_train_step(
       batch, so any step can be replayed, on any number of devices. The batch has
       "seeds" [B] besides the arrays of `read_batch`, the run's seed for each object
       (`repeat_seed`): as an input, so that runs with other seeds share the program.
+      The metrics are those of `compute_loss`, the loss, and "gradient_norms" {module:
+      ()}, measured at one step of ten (`devices.compute_norms`).
     """
     mesh = devices.make_mesh(config)
     parts = find_parts(network, config, mesh)
@@ -94,6 +97,8 @@ def repeat_seed(seed: int, objects: int) -> np.ndarray:
 def _make_update(network, config, stage, parts, num_devices):
     """The step of one device, with its share of the batch."""
     optimizer = make_optimizer(config.train)
+    # Some steps of every record, and its last.
+    cadence = math.gcd(10, config.log.every)
 
     def compute_share(params, batch, keys, state):
         """This device's part of the loss, which is a mean over all objects."""
@@ -129,7 +134,9 @@ def _make_update(network, config, stage, parts, num_devices):
         params = optax.apply_updates(state.params, updates)
         metrics |= jax.lax.all_gather(winners, devices.AXIS, tiled=True)
         metrics["gradient_norms"] = devices.compute_norms(
-            grads["params"], parts.params["params"]
+            grads["params"],
+            parts.params["params"],
+            (state.step + 1) % cadence == 0,
         )
         new = TrainState(state.step + 1, params, opt_state, covariance)
         return new, metrics
