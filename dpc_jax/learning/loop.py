@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet, choose_batch, read_batch
@@ -97,7 +97,7 @@ def train(
         log_steps = functools.partial(_log_steps, log, forecast, progress)
         to_prepare = [prepare] if prepare and compile_ahead else []
         for done in range(start + 1, steps + 1):
-            batch = _make_batch(dataset, done - 1, config)
+            batch = make_batch(dataset, done - 1, config)
             program = programs.find(done - 1) or _begin_stage(
                 programs, (done - 1, state, batch), progress, window, stops_waiting
             )
@@ -157,7 +157,8 @@ def _log_steps(log, forecast, progress, done, record):
     )
 
 
-def _make_batch(dataset, step, config):
+def make_batch(dataset: DataSet, step: int, config: Config) -> dict[str, Any]:
+    """The batch of a step, of which each process has read its own objects."""
     counts = dataset.counts
     models, views = choose_batch(
         len(counts),
