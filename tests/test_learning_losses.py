@@ -134,11 +134,16 @@ def test_at_half_a_turn_the_geodesic_gradient_leads_to_the_label_of_one_sign(off
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_at_no_turn_the_geodesic_gradient_is_zero(sign):
-    label = np.array([0.0, 0.6, 0.8, 0.0])
+def test_at_no_turn_the_geodesic_gradient_is_zero_and_no_longer_than_2_beside(sign):
+    label = np.array([0.5, -0.5, 0.5, 0.5])  # without rounding
     loss, (gradient, _) = differentiate_geodesic(sign * label, label)
     assert float(loss) == 0
     np.testing.assert_array_equal(gradient, np.zeros(4))
+    for offset in (1e-7, -1e-7, 1e-20):
+        beside = sign * label + [offset, 0, 0, 0]
+        loss, (gradient, _) = differentiate_geodesic(beside, label)
+        assert float(loss) <= 1e-6  # two ulps
+        assert np.linalg.norm(gradient) <= 2 * (1 + ROUNDING)
 
 
 def test_the_reprojection_loss_is_the_sum_of_squared_differences():
