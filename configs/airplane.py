@@ -9,5 +9,5 @@ from dpc_jax.config import make_config
 
 
 def get_config(variant: str | None = None):
-    """The config, or variants of it: "paper", "naive", "known_pose"."""
+    """The config, or variants of it (`dpc_jax.config.VARIANTS`), with commas."""
     return make_config("airplane", variant)

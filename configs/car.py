@@ -14,5 +14,5 @@ CHANGES = {"train": {"repulsion_weight": 0.004}}
 
 
 def get_config(variant: str | None = None):
-    """The config, or variants of it: "paper", "naive", "known_pose"."""
+    """The config, or variants of it (`dpc_jax.config.VARIANTS`), with commas."""
     return make_config("car", variant, CHANGES)

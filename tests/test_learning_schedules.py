@@ -8,6 +8,7 @@ from dpc_jax.learning.schedules import (
     compute_sigma,
     count_kept_points,
     find_stage,
+    list_spans,
     make_learning_rate,
 )
 
@@ -40,6 +41,14 @@ def test_sigma_stays_at_its_end_beyond_the_last_step():
     assert sigma_at(25, config) == sigma_at(10, config)
 
 
+@pytest.mark.parametrize("grid", [32, 64])
+def test_a_fixed_size_is_kept_from_the_first_step_to_the_last(grid):
+    config = tiny_config(grid=grid, steps=100, sigma_fixed=0.025)
+    # The ablation's 1.6 voxels at 64; float32.
+    for step in (0, 50, 100):
+        assert sigma_at(step, config) == pytest.approx(0.025 * grid, rel=1e-6)
+
+
 @pytest.mark.parametrize("levels", [1, 2, 5, 32])
 def test_the_number_of_kept_points_rises_in_stairs_to_its_end(levels):
     config = tiny_config(
@@ -53,6 +62,12 @@ def test_the_number_of_kept_points_rises_in_stairs_to_its_end(levels):
     line = 2000 * (0.07 + 0.93 * np.arange(1000) / 1000)
     inner = slice(0, 1000 * (levels - 1) // levels)
     assert np.all(np.abs(kept - line)[inner] <= 0.93 * 2000 / levels / 2 + 1)
+
+
+def test_without_dropout_all_points_are_rendered_by_one_program_per_grid():
+    config = tiny_config(steps=100, num_points=50, keep_start=1.0, keep_levels=32)
+    assert {kept_at(step, config) for step in range(100)} == {50}
+    assert len(list_spans(config.render, steps=100)) == 1
 
 
 def test_the_last_stair_keeps_the_end_value_and_at_least_one_point_is_left():

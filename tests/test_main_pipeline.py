@@ -330,13 +330,14 @@ def make_boxes(folder, count):
     return str(folder)
 
 
-def test_naive_and_known_poses_and_another_source_run_too(command):
-    # Known poses need no alignment, one regressor no ensemble: both paths report.
+def test_naive_known_and_labelled_poses_and_another_source_run_too(command):
+    # Known poses need no alignment, one regressor no ensemble: all paths report.
     short = {"train.steps": 2, "train.warmup_steps": 0, "render.keep_levels": 1}
     quick = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}  # compiling is most of the time
     for name, fields in {
         "naive": {"pose.candidates": 1},
         "known": {"pose.known": True, "train.color_weight": 0.1},
+        "labels": {"pose.labels": True, "pose.flips": False},
         "other": {
             "pose.candidates": 1,
             "data.meshes": make_boxes(command.folder / "boxes", 6),
@@ -350,7 +351,15 @@ def test_naive_and_known_poses_and_another_source_run_too(command):
         metrics = json.loads((workdir / "report" / "metrics.json").read_text())
         assert np.isfinite(metrics["chamfer"])
         if name == "known":
-            assert metrics["pose_accuracy"] == 1
+            pose_names = [n for n in metrics if "pose" in n or n == "flip_share"]
+            assert {"pose_accuracy", "pose_median_error_deg"} <= set(pose_names)
+            assert all(metrics[n] is None for n in pose_names)
+            page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
+            assert "pose accuracy and pose errors are absent" in page
+            assert "pose errors are absent" in out and "Test: Chamfer" in out
+        if name == "labels":
+            assert 0 <= metrics["pose_accuracy"] <= 1
+            assert metrics["alignment_inlier_share"] is None
         if name == "other":
             assert metrics["test_models"] == 2 and metrics["own_test_models"] == 1
             assert metrics["own_chamfer"] != metrics["chamfer"]

@@ -13,7 +13,8 @@ import pytest
 import trimesh
 from PIL import Image
 
-from dpc_jax.evaluation.metrics import REQUIRED_METRICS
+from dpc_jax import compare
+from dpc_jax.evaluation.metrics import COMPARED_METRICS, MISSING, REQUIRED_METRICS
 from dpc_jax.reporting import figures, gallery, tables
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.page import write_report
@@ -276,3 +277,12 @@ def test_a_table_escapes_its_cells_and_refuses_a_row_of_another_length():
     assert "| ---: | --- |" in tables.format_table(["a", "b"], [], align="rl")
     with pytest.raises(TypeError, match="2 columns"):
         tables.format_table(["a", "b"], [[1]])
+
+
+def test_a_comparison_says_which_figures_are_absent():
+    whole = dict.fromkeys(COMPARED_METRICS, 1.0)
+    runs = {"a": whole, "b": whole | {"pose_accuracy": None}}
+    assert compare.name_absent({"a": whole}) == ""
+    said = compare.name_absent(runs)
+    assert said.startswith(f"{MISSING} is absent: b had no truth")
+    assert "given the poses" in said

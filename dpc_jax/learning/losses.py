@@ -21,17 +21,39 @@ def reprojection_loss(predicted: jax.Array, target: jax.Array) -> jax.Array:
     return jnp.sum((predicted - target) ** 2)
 
 
-def student_loss(student: jax.Array, teacher: jax.Array) -> jax.Array:
+def student_loss(
+    student: jax.Array, teacher: jax.Array, *, form: str = "absolute"
+) -> jax.Array:
     """Angular difference 1 - |Re(q₁q₂⁻¹)| of two quaternions [4]; in [0, 1].
 
     Differs from the paper's 1 - Re(q₁q₂⁻¹) in taking the absolute value, because q and
     -q are one rotation, and from the released code's 1 - Re², whose gradient vanishes
     for opposite rotations. At exactly 180°, a kink, the gradient is that towards
     +teacher. The teacher gets no gradient.
+
+    Args:
+      student, teacher: quaternions of any length but zero.
+      form: "absolute" for that one; "signed" for the paper's, in [0, 2]; "squared" for
+        the released code's.
     """
     teacher = jax.lax.stop_gradient(quaternion.normalize(teacher))
     cosine = jnp.sum(quaternion.normalize(student) * teacher)
+    if form == "signed":
+        return 1 - cosine
+    if form == "squared":
+        return 1 - cosine**2
     return 1 - jnp.where(cosine >= 0, cosine, -cosine)
+
+
+def geodesic_loss(predicted: jax.Array, label: jax.Array) -> jax.Array:
+    """Angle in radians, 0 to π, between a predicted and a given rotation [4]; ().
+
+    The same for q and -q. The gradient has one length for all angles (2 over that of
+    the predicted quaternion), so that large errors shrink as fast as small ones; at
+    exactly 0 it is zero, and at 180°, a kink, that towards +label. The label gets none.
+    """
+    label = jax.lax.stop_gradient(label)
+    return quaternion.angle_between(predicted, label)
 
 
 def selection_loss(logits: jax.Array, winners: jax.Array) -> jax.Array:

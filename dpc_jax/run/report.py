@@ -15,6 +15,7 @@ from dpc_jax.learning.loop import Outcome
 from dpc_jax.learning.predictor import Predictions, arrange_views
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.page import write_report
+from dpc_jax.run.setup import collect_warnings
 from dpc_jax.run.workdir import write_alignment
 
 EXAMPLES = 8  # test inputs shown in the report
@@ -41,20 +42,26 @@ def report_run(
     """
     heads = config.pose.heads
     scored = {
-        name: evaluator.score(found, sets[name], alignment=alignment, heads=heads)
+        name: evaluator.score(
+            found,
+            sets[name],
+            alignment=alignment,
+            heads=heads,
+            poses_given=config.pose.known,
+        )
         for name, found in predictions.items()
     }
     result, shares = scored["test"]
     metrics = dict.fromkeys(REQUIRED_METRICS) | result.metrics
     metrics |= _count_costs(sets, outcome, data_seconds)
-    metrics["candidates_alive"] = candidate_use.count_alive(shares)
-    if sets["test"].quaternions is not None:
+    metrics["candidates_alive"] = candidate_use.count_alive(shares) if heads else None
+    if sets["test"].quaternions is not None and not config.pose.given:
         metrics["alignment_inlier_share"] = alignment.inlier_share
     if "own" in scored:
         own = scored["own"][0].metrics
         metrics |= {f"own_{name}": value for name, value in own.items()}
         metrics["own_test_models"] = len(sets["own"].names)
-    warnings = _list_warnings(sets, shares if heads > 1 else None)
+    warnings = list_warnings(config, sets, shares if heads > 1 else None)
     path = write_report(
         workdir / "report",
         title=f"dpc_jax: {workdir.name}",
@@ -66,7 +73,7 @@ def report_run(
         warnings=warnings,
         config_text=str(to_config_dict(config)),
     )
-    if config.pose.known or sets["val"].quaternions is not None:
+    if config.pose.given or sets["val"].quaternions is not None:
         write_alignment(workdir, alignment)
     for warning in warnings:
         print(f"Warning: {warning}")
@@ -94,9 +101,20 @@ def _count_costs(sets, outcome, data_seconds) -> dict:
     }
 
 
-def _list_warnings(sets, shares) -> list[str]:
-    """Sentences on what a reader of the figures has to know."""
-    warnings = _name_left_out(sets["test"])
+def list_warnings(
+    config: Config, sets: dict[str, DataSet], shares: np.ndarray | None
+) -> list[str]:
+    """Sentences on what a reader of the figures has to know.
+
+    Args:
+      sets: by name. shares: [K] of views that each head wins; None without an ensemble.
+    """
+    warnings = collect_warnings(sets) + _name_left_out(sets["test"])
+    if config.pose.known:
+        warnings.append(
+            "This run was given the poses and learned none: pose accuracy and pose "
+            "errors are absent."
+        )
     if shares is not None:
         warning = candidate_use.collapse_warning(shares)
         warnings += [warning] if warning else []
