@@ -97,6 +97,7 @@ class Pose:
     """The pose candidates, and the student that learns from their winners."""
 
     known: bool = field(False)  # read the poses from the data, learn none
+    labels: bool = field(False)  # learn poses from the data's, shapes with the data's
     candidates: int = field(8, _HEADS)  # K heads (§ distilled ensemble)
     spread: str = field("all", one_of("", "all", "upright"))  # where the heads start
     flips: bool = field(True)  # also try each head after half turns of the object
@@ -111,6 +112,11 @@ class Pose:
     def heads(self) -> int:
         """K heads that are learned: none where poses are known."""
         return 0 if self.known else self.candidates
+
+    @property
+    def given(self) -> bool:
+        """Whether shapes are learned with the poses of the data."""
+        return self.known or self.labels
 
     @property
     def half_turns(self) -> bool:

@@ -65,8 +65,26 @@ VARIANTS: dict[str, Changes] = {
     "naive": {"pose": {"candidates": 1, "spread": "", "flips": False}},
     # § Estimating shape with known pose.
     "known_pose": {"pose": {"known": True}},
+    # Table 2, "GT pose": poses from labels, no half turns of what is known.
+    "gt_pose": {"pose": {"labels": True, "flips": False}},
+    # § Training details: side of images and volume, and the number of points.
+    "32": {
+        "data": {"image_size": 32},
+        "render": {"grid": 32, "fine_grid": 0, "num_points": 2000},
+    },
+    "64": {
+        "data": {"image_size": 64},
+        "render": {"grid": 64, "fine_grid": 0, "num_points": 8000},
+    },
+    "128": {
+        "data": {"image_size": 128},
+        "render": {"grid": 128, "fine_grid": 0, "num_points": 16_000},
+    },
 }
-EXCLUSIVE = ({"naive", "known_pose"},)  # with known poses there is nothing to regress
+EXCLUSIVE = (
+    ("naive", "known_pose", "gt_pose"),  # how poses are learned
+    ("32", "64", "128"),
+)
 
 
 def make_config(
@@ -124,10 +142,10 @@ def _split(variant: str) -> list[str]:
         raise ValueError(
             f"Expected each variant once, but {twice[0]} is given twice; remove one."
         )
-    for pair in EXCLUSIVE:
-        if pair <= set(asked):
+    for group in EXCLUSIVE:
+        if len(rivals := sorted(set(group) & set(asked))) > 1:
             raise ValueError(
                 "Expected variants that can be combined, but "
-                f"{' and '.join(sorted(pair))} exclude each other; give one of them."
+                f"{' and '.join(rivals)} exclude each other; give one of them."
             )
     return [name for name in VARIANTS if name in asked]

@@ -28,7 +28,7 @@ class Scores(NamedTuple):
 
 
 def score(
-    predicted_poses: ArrayLike,
+    predicted_poses: ArrayLike | None,
     true_poses: ArrayLike | None,
     points: ArrayLike,
     surfaces: Sequence[ArrayLike] | np.ndarray | None,
@@ -41,7 +41,8 @@ def score(
 
     Args:
       predicted_poses: [n, V, 4] the student's (or the only) pose of each view,
-        network's frame to camera.
+        network's frame to camera. None where they were given and not predicted: poses
+        are not scored then.
       true_poses: [n, V, 4] object frame to camera. None: nothing is scored, because
         the alignment needs them.
       points: [n, V, N, 3] shape predicted from each view, in the network's frame.
@@ -61,24 +62,19 @@ def score(
     """
     if true_poses is None:
         return Scores({}, None, None, None)
-    count = _check(predicted_poses, true_poses, points, surfaces, chamfer_views)
-    errors = rotation_angle_deg(align_poses(alignment, predicted_poses), true_poses)
-    summary = pose_summary(errors)
-    metrics = {
-        "pose_accuracy": summary.accuracy,
-        "pose_median_error_deg": summary.median_error_deg,
-        "flip_share": summary.flip_share,
-    }
-    best_errors = None
+    given = true_poses if predicted_poses is None else predicted_poses
+    count = _check(given, true_poses, points, surfaces, chamfer_views)
+    metrics, errors, best_errors = {}, None, None
+    if predicted_poses is not None:
+        errors = rotation_angle_deg(align_poses(alignment, predicted_poses), true_poses)
+        summary = pose_summary(errors)
+        metrics = {
+            "pose_accuracy": summary.accuracy,
+            "pose_median_error_deg": summary.median_error_deg,
+            "flip_share": summary.flip_share,
+        }
     if best_candidate_poses is not None:
-        if np.shape(best_candidate_poses) != np.shape(true_poses):
-            raise ValueError(
-                f"best_candidate_poses must have the shape {np.shape(true_poses)} of "
-                f"true_poses, but has {np.shape(best_candidate_poses)}; pass one "
-                f"winner for each view."
-            )
-        best_poses = align_poses(alignment, best_candidate_poses)
-        best_errors = rotation_angle_deg(best_poses, true_poses)
+        best_errors = _score_candidates(best_candidate_poses, true_poses, alignment)
         best = pose_summary(best_errors)
         metrics["best_candidate_pose_accuracy"] = best.accuracy
         metrics["best_candidate_pose_median_error_deg"] = best.median_error_deg
@@ -95,6 +91,16 @@ def score(
             chamfers[model, view] = chamfer_distance(cloud, surface, tree=tree)
     mean = Chamfer(*chamfers.mean(axis=(0, 1)).tolist())
     return Scores(metrics | mean.in_paper_units(), errors, best_errors, chamfers)
+
+
+def _score_candidates(poses, true_poses, alignment) -> np.ndarray:
+    """Errors [n, V] of the best candidates."""
+    if np.shape(poses) != np.shape(true_poses):
+        raise ValueError(
+            f"best_candidate_poses must have the shape {np.shape(true_poses)} of "
+            f"true_poses, but has {np.shape(poses)}; pass one winner for each view."
+        )
+    return rotation_angle_deg(align_poses(alignment, poses), true_poses)
 
 
 def _check(predicted_poses, true_poses, points, surfaces, chamfer_views) -> int:

@@ -43,6 +43,7 @@ def score(
     *,
     alignment: alignments.Alignment,
     heads: int,
+    poses_given: bool = False,
     chamfer_views: int | None = None,
 ) -> tuple[scores.Scores, np.ndarray]:
     """Scores of predictions and the share of views that each head wins.
@@ -53,17 +54,19 @@ def score(
 
     Args:
       heads: K, of the ensemble; 0 where poses are known.
+      poses_given: whether the poses are those of the data, so that there is nothing
+        about them to score.
       chamfer_views: views of each model that the Chamfer distance is averaged over;
         None for all.
     """
     poses, surfaces = arrange_truth(dataset)
     result = scores.score(
-        predictions.poses,
+        None if poses_given else predictions.poses,
         poses,
         predictions.points,
         surfaces,
         alignment=alignment,
-        best_candidate_poses=predictions.candidate_poses,
+        best_candidate_poses=None if poses_given else predictions.candidate_poses,
         chamfer_views=chamfer_views,
     )
     if poses is None or surfaces is None:

@@ -53,7 +53,7 @@ def compute_loss(
     Args:
       params: of the network.
       batch: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S], quaternions
-        [B, V, 4] (read only where poses are known).
+        [B, V, 4] (read only where poses are given).
       keys: [B], for the point dropout of each object.
       step: ().
       covariance: [3, 3], see `TrainState`.
@@ -77,27 +77,31 @@ def compute_loss(
         scale_unit=render.scale_unit,
     )
     metrics = {"scale": jnp.mean(shapes.scale)}
-    if pose.known:
-        rotations, student = batch["quaternions"], {}
-    else:
+    rotations, learned = batch["quaternions"], {}
+    if not pose.known:
         if pose.half_turns:
             covariance = average_covariance(covariance, shapes.kept, step, axis=AXIS)
         poses = predict_poses(params, features, covariance, network=network, pose=pose)
-        winners = choose_poses(
-            shapes,
-            poses.candidates,
-            batch["masks"],
-            camera=camera,
-            render=render,
-            pose=pose,
-        )
+        if pose.labels:
+            winners, learned = compare_labels(
+                poses, rotations, render=render, pose=pose
+            )
+        else:
+            winners = choose_poses(
+                shapes,
+                poses.candidates,
+                batch["masks"],
+                camera=camera,
+                render=render,
+                pose=pose,
+            )
+            rotations = winners.poses
         metrics["winners"] = winners.indices.reshape(-1)
-        rotations = winners.poses
-        student = compare_student(poses, winners, render=render, pose=pose)
+        learned |= compare_student(poses, winners, render=render, pose=pose)
     compared, parts = compare_winners(
         shapes, rotations, batch, render=render, train=train, stage=stage
     )
-    terms = compute_priors(shapes, step, train=train) | student
+    terms = compute_priors(shapes, step, train=train) | learned
     metrics |= parts | {name: term.value for name, term in terms.items()}
     return compared + sum_terms(terms), (metrics, covariance)
 
@@ -120,6 +124,24 @@ def compute_priors(shapes: Shapes, step: jax.Array, *, train: Train) -> dict[str
         num_points = shapes.points.shape[1]
         terms["repulsion"] = Term(energy, train.repulsion_weight * num_points * ramp)
     return terms
+
+
+def compare_labels(
+    poses: Poses, labels: jax.Array, *, render: Render, pose: Pose
+) -> tuple[Winners, dict[str, Term]]:
+    """The candidates nearest to the labels [B, V, 4], and their loss.
+
+    The hindsight choice with labels in place of images: of each view's candidates the
+    nearest one learns, by the angle to its label.
+    """
+    targets = labels.reshape(-1, 4)
+    to_label = jax.vmap(losses.geodesic_loss, in_axes=(0, None))
+    angles = jax.vmap(to_label)(poses.candidates, targets)
+    nearest = jnp.argmin(angles, axis=1)
+    loss = jnp.mean(jnp.take_along_axis(angles, nearest[:, None], axis=1))
+    winners = Winners(labels, nearest.reshape(labels.shape[:2]))
+    weight = pose.student_weight * render.grid**2
+    return winners, {"labels": Term(loss, weight)}
 
 
 def compare_student(

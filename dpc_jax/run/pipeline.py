@@ -172,8 +172,8 @@ class Model:
 
     def align(self, predictions: Predictions) -> Alignment:
         """Canonical alignment, from predictions for the validation split."""
-        if self.config.pose.known:
-            return identity_alignment()
+        if self.config.pose.given:
+            return identity_alignment()  # learned in the data's own frame
         return evaluator.align(predictions, self.sets["val"])
 
     def validate(self, state: TrainState) -> dict[str, float]:
@@ -184,6 +184,7 @@ class Model:
             self.sets["val"],
             alignment=self.align(predictions),
             heads=self.config.pose.heads,
+            poses_given=self.config.pose.known,
             chamfer_views=1,
         )
         return result.metrics

@@ -41,14 +41,20 @@ def report_run(
     """
     heads = config.pose.heads
     scored = {
-        name: evaluator.score(found, sets[name], alignment=alignment, heads=heads)
+        name: evaluator.score(
+            found,
+            sets[name],
+            alignment=alignment,
+            heads=heads,
+            poses_given=config.pose.known,
+        )
         for name, found in predictions.items()
     }
     result, shares = scored["test"]
     metrics = dict.fromkeys(REQUIRED_METRICS) | result.metrics
     metrics |= _count_costs(sets, outcome, data_seconds)
     metrics["candidates_alive"] = candidate_use.count_alive(shares)
-    if sets["test"].quaternions is not None:
+    if sets["test"].quaternions is not None and not config.pose.given:
         metrics["alignment_inlier_share"] = alignment.inlier_share
     if "own" in scored:
         own = scored["own"][0].metrics
@@ -66,7 +72,7 @@ def report_run(
         warnings=warnings,
         config_text=str(to_config_dict(config)),
     )
-    if config.pose.known or sets["val"].quaternions is not None:
+    if config.pose.given or sets["val"].quaternions is not None:
         write_alignment(workdir, alignment)
     for warning in warnings:
         print(f"Warning: {warning}")

@@ -83,11 +83,12 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
             "models."
         )
     lacking = [name for name, data in sets.items() if data.quaternions is None]
-    if config.pose.known and lacking:
+    if config.pose.given and lacking:
+        name = "known" if config.pose.known else "labels"
         raise ValueError(
-            "Expected poses for every image, because config.pose.known is set, but the "
-            f"{' and '.join(lacking)} images have none; add poses.json or "
-            "transforms.json to every object, or set --config.pose.known=False."
+            f"Expected poses for every image, because config.pose.{name} is set, but "
+            f"the {' and '.join(lacking)} images have none; add poses.json or "
+            f"transforms.json to every object, or set --config.pose.{name}=False."
         )
     return sets
 
