@@ -30,7 +30,7 @@ class PublishedTable:
         return self.rows.get(method, {}).get(category, {}).get(metric)
 
 
-def _by_category(metrics, *lines):
+def _by_category(metrics: tuple[str, ...], *lines) -> dict[str, dict[str, float]]:
     """{category: {metric: value}} of three lines of numbers and that of their mean."""
     names = (*CATEGORIES, MEAN)
     return {

@@ -2,17 +2,16 @@
 
 import dataclasses
 import runpy
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import dpc_jax
 from dpc_jax import config as configs
 from dpc_jax.config import Config, from_config_dict
 from dpc_jax.experiments.catalogue import Experiment, Row, find_experiments
 from dpc_jax.experiments.sizes import RESOLUTIONS, SIZES, Size
 
-CONFIGS = Path(dpc_jax.__file__).parents[1] / "configs"
+CONFIGS = Path(configs.__file__).parents[2] / "configs"
 _POINTS = "render.num_points"
 # Of each mesh of the open sets, which are few (docs/results.md).
 _COPIES = {"car": 12, "chair": 6, "airplane": 4}
@@ -121,7 +120,7 @@ def declare_run(row: Row, category: str, seed: int, size: Size, source: Source) 
         )
     own = dict(row.changes)
     if _POINTS in own:
-        own[_POINTS] = max(own[_POINTS] // size.fewer_points, 1)
+        own[_POINTS] = max(own[_POINTS] // size.fewer_points, 4)
     resolution = find_resolution(row)
     shared = source.list_changes(category) | dict(size.changes)
     shared |= size.by_resolution[resolution]
@@ -190,29 +189,23 @@ def list_runs(requests: Iterable[Request]) -> list[Run]:
     """All runs of requests, each once; the first seeds of all come before the others.
 
     So that every table has its first numbers early.
+
+    Raises:
+      ValueError: where two rows name different runs alike.
     """
-    found: Mapping[str, Run] = {
-        run.name: run
+    declared = [
+        run
         for request in requests
         for experiment in request.list_experiments()
         for category in request.list_categories(experiment)
         for row in experiment.rows
         for run in request.list_row_runs(row, category)
-    }
-    return sorted(found.values(), key=lambda run: run.seed)
-
-
-def check_names(runs: Sequence[Run]) -> None:
-    """Check that runs of one name are of one config.
-
-    Raises:
-      ValueError: where two rows of one name differ.
-    """
-    seen: dict[str, Run] = {}
-    for run in runs:
-        first = seen.setdefault(run.name, run)
-        if first != run:
+    ]
+    by_name = {}
+    for run in declared:
+        if by_name.setdefault(run.name, run) != run:
             raise ValueError(
                 f"Runs of the name {run.name} must have one config, but two rows "
                 "differ in theirs; give one of them another tag."
             )
+    return sorted(by_name.values(), key=lambda run: run.seed)
