@@ -61,6 +61,11 @@ def _list_rules(config):
         f"between 0 and train.steps = {train.steps}",
     )
     yield (
+        "pose.labels",
+        not (config.pose.labels and config.pose.known),
+        "False where pose.known is set, because no pose is learned there",
+    )
+    yield (
         "run.devices",
         not config.run.devices or train.models_per_batch % config.run.devices == 0,
         "0, or a divisor of train.models_per_batch = "

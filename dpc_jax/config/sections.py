@@ -22,6 +22,7 @@ from dpc_jax.config.fields import (
 
 CROPS = ("object", "view", "none")  # what shares one scale
 CHOICE_RANKS = ("volume", "image")  # what candidates are ranked in
+STUDENT_LOSSES = ("absolute", "signed", "squared")  # forms of the angular difference
 FRONTS = ("", "+x", "-x", "+z", "-z")
 _IMAGE_SIZE = Allowed(
     lambda size: size >= 16 and size & (size - 1) == 0,
@@ -70,6 +71,9 @@ class Network:
     shape_hidden: int = field(512, at_least(1))  # of the shape branch's hidden layer
     student_width: int = field(256, at_least(1))  # of its own layers (paper: 32)
     normalize: bool = field(True)  # features of a sample after each encoder layer
+    encoder_blocks: int = field(0, at_least(0))  # 2 layers each; 0: down to 4×4 pixels
+    head_layers: int = field(2, at_least(0))  # hidden, of each pose head (naive: 0)
+    pose_slope: float = field(0.2, between(0, 1))  # leaky ReLU that pose heads share
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,11 +86,13 @@ class Render:
     num_points: int = field(2000, at_least(1))  # of a cloud (2000 at 32³ in the paper)
     sigma_start: float = field(0.05, between(0, 1))  # of the volume's side (§ Training)
     sigma_end: float = field(0.003, between(0, 1))  # of the volume's side
+    sigma_fixed: float = field(0.0, between(0, 1))  # of the side, all along; 0: falls
     anneal_until: float = field(0.8, above(0, 1))  # share of the run; both schedules
     keep_start: float = field(0.1, above(0, 1))  # share of points kept (§ Training)
     keep_end: float = field(1.0, above(0, 1))  # share of points kept
     keep_levels: int = field(4, at_least(1))  # stairs of that schedule; a program each
     scale_unit: str = field("mass", one_of("peak", "mass"))  # of the learned scale
+    scale_fixed: float = field(0.0, at_least(0))  # in that unit; 0: learned
     focal_length: float = field(1.875, POSITIVE)  # of an image 1 wide
     distance: float = field(2.0, _DISTANCE)  # camera to object, box diagonals
     renders_at_once: int = field(-1, at_least(-1))  # 0: all; -1: 1 on CPU, 0 on GPU
@@ -107,11 +113,17 @@ class Pose:
     choice_points: int = field(250, at_least(0))  # of the first choice; 0: all
     choice_top: int = field(3, at_least(0))  # candidates compared exactly after it
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
+    student_loss: str = field("absolute", one_of(*STUDENT_LOSSES))  # if it regresses
 
     @property
     def heads(self) -> int:
-        """K heads that are learned: none where poses are known."""
-        return 0 if self.known else self.candidates
+        """K heads that are learned: none where poses are known.
+
+        One where labels are learned without a student that selects.
+        """
+        if self.known:
+            return 0
+        return self.candidates if self.selects or not self.labels else 1
 
     @property
     def given(self) -> bool:
@@ -142,6 +154,7 @@ class Train:
     warmup_steps: int = field(200, at_least(0))  # linear
     final_rate: float = field(0.02, between(0, 1))  # of the peak; 1: constant
     weight_decay: float = field(0.0, at_least(0))  # decoupled (AdamW)
+    l2_weight: float = field(0.0, at_least(0))  # of half the squared weights, see docs
     repulsion_weight: float = field(0.0, at_least(0))  # of the points, at the end
     repulsion_points: int = field(500, at_least(0))  # that repel each other in a step
     containment_weight: float = field(1.0, at_least(0))  # of points beyond radius 1/2

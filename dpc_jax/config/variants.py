@@ -21,9 +21,6 @@ VARIANTS: dict[str, Changes] = {
     # § Training details and § Network architecture, at 64 pixels.
     "paper": {
         "data": {
-            "models": 5247,
-            "val_models": 750,
-            "test_models": 1500,
             "surface_points": 100_000,  # § Evaluation, as in the released code
             "surface_voxel": 0.01,
         },
@@ -32,6 +29,7 @@ VARIANTS: dict[str, Changes] = {
             "shape_hidden": 1024,
             "student_width": 32,
             "normalize": False,
+            "encoder_blocks": 3,  # 7 layers at every size
         },
         "render": {
             "grid": 64,
@@ -39,10 +37,11 @@ VARIANTS: dict[str, Changes] = {
             "num_points": 8000,
             "anneal_until": 1.0,
             "keep_levels": 32,
+            "scale_unit": "peak",  # c_i of Eq. 3
         },
         "pose": {
             "candidates": 4,
-            "student_weight": 0.01,
+            "student_weight": 0.01,  # released code: 20 beside half the squares
             "spread": "",
             "flips": False,
             "selects": False,
@@ -62,11 +61,28 @@ VARIANTS: dict[str, Changes] = {
         "log": {"every": 500, "evaluate": 20_000, "checkpoint": 5000},
     },
     # One pose regressor (§ Estimating pose with a distilled ensemble).
-    "naive": {"pose": {"candidates": 1, "spread": "", "flips": False}},
+    "naive": {
+        "network": {"head_layers": 0},  # from the branch's hidden layer (appendix)
+        "pose": {"candidates": 1, "spread": "", "flips": False},
+    },
     # § Estimating shape with known pose.
     "known_pose": {"pose": {"known": True}},
     # Table 2, "GT pose": poses from labels, no half turns of what is known.
     "gt_pose": {"pose": {"labels": True, "flips": False}},
+    # What the released code does differently, in the numbers of its experiments at 64
+    # (docs/equations.md); to be combined with "paper".
+    "released": {
+        "data": {"image_size": 128},  # of which the volume's targets are averaged
+        "network": {"encoder_blocks": 0, "pose_slope": 0.0},
+        "render": {
+            "sigma_start": 3 / 64,
+            "sigma_end": 0.2 / 64,
+            "keep_start": 0.07,
+            "scale_unit": "mass",
+        },
+        "pose": {"student_loss": "squared", "student_weight": 40 / 64**2},
+        "train": {"models_per_batch": 8, "l2_weight": 2e-3},
+    },
     # § Training details: side of images and volume, and the number of points.
     "32": {
         "data": {"image_size": 32},
@@ -80,6 +96,12 @@ VARIANTS: dict[str, Changes] = {
         "data": {"image_size": 128},
         "render": {"grid": 128, "fine_grid": 0, "num_points": 16_000},
     },
+}
+# Models of each category in the split of § Datasets, to train, validate and test on.
+PAPER_MODELS = {
+    "airplane": {"models": 2831, "val_models": 404, "test_models": 810},
+    "car": {"models": 5247, "val_models": 750, "test_models": 1500},
+    "chair": {"models": 4744, "val_models": 678, "test_models": 1356},
 }
 EXCLUSIVE = (
     ("naive", "known_pose", "gt_pose"),  # how poses are learned
@@ -116,6 +138,8 @@ def build_config(
     config = Config(category=category, variant=",".join(names))
     for values in (changes or {}, *(VARIANTS[name] for name in names)):
         config = replace_fields(config, values)
+    if "paper" in names and category in PAPER_MODELS:
+        config = replace_fields(config, {"data": PAPER_MODELS[category]})
     return config
 
 

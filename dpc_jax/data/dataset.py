@@ -43,6 +43,7 @@ class DataSet(NamedTuple):
         differ in P; None where there is no ground truth.
     names: M names. skipped: (name, reason) of models that could not be used.
     remarks: (name, remark) of models that were used but lack something.
+    warnings: sentences on the set as a whole that a reader of results has to know.
     """
 
     images: Any
@@ -53,6 +54,7 @@ class DataSet(NamedTuple):
     names: tuple[str, ...]
     skipped: tuple[tuple[str, str], ...]
     remarks: tuple[tuple[str, str], ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def counts(self) -> np.ndarray:
@@ -96,7 +98,7 @@ def load_or_render(
     folder = locate_cache(source, models, cache_dir)
     if (folder / RECORD).exists():
         try:
-            return read_cache(folder)
+            return _warn(read_cache(folder), source)
         except (OSError, ValueError, KeyError, TypeError) as error:
             print(f"The cache {folder} is damaged ({error}) and will be repaired.")
     folder.mkdir(parents=True, exist_ok=True)
@@ -108,7 +110,12 @@ def load_or_render(
         files.remove_leftovers(folder)
         with contextlib.suppress(OSError):  # it is not empty
             folder.rmdir()
-    return read_cache(folder)
+    return _warn(read_cache(folder), source)
+
+
+def _warn(data, source):
+    """Not of the cache: what a split is called must not depend on when it was read."""
+    return data._replace(warnings=tuple(source.list_warnings()))
 
 
 def locate_cache(

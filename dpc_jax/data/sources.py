@@ -92,6 +92,10 @@ class Source(Protocol):
         """(file or folder, remark) pairs on the data set as a whole."""
         return []
 
+    def list_warnings(self) -> list[str]:
+        """Sentences on the data set that a reader of results has to know."""
+        return []
+
     def list_sidecars(self) -> list[tuple[str, str]]:
         """(relative path, SHA-256) of files that models share: materials, textures."""
         return []

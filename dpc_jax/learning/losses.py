@@ -21,16 +21,27 @@ def reprojection_loss(predicted: jax.Array, target: jax.Array) -> jax.Array:
     return jnp.sum((predicted - target) ** 2)
 
 
-def student_loss(student: jax.Array, teacher: jax.Array) -> jax.Array:
+def student_loss(
+    student: jax.Array, teacher: jax.Array, *, form: str = "absolute"
+) -> jax.Array:
     """Angular difference 1 - |Re(q₁q₂⁻¹)| of two quaternions [4]; in [0, 1].
 
     Differs from the paper's 1 - Re(q₁q₂⁻¹) in taking the absolute value, because q and
     -q are one rotation, and from the released code's 1 - Re², whose gradient vanishes
     for opposite rotations. At exactly 180°, a kink, the gradient is that towards
     +teacher. The teacher gets no gradient.
+
+    Args:
+      student, teacher: quaternions of any length but zero.
+      form: "absolute" for that one; "signed" for the paper's, in [0, 2]; "squared" for
+        the released code's.
     """
     teacher = jax.lax.stop_gradient(quaternion.normalize(teacher))
     cosine = jnp.sum(quaternion.normalize(student) * teacher)
+    if form == "signed":
+        return 1 - cosine
+    if form == "squared":
+        return 1 - cosine**2
     return 1 - jnp.where(cosine >= 0, cosine, -cosine)
 
 

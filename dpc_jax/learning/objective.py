@@ -1,5 +1,6 @@
 """The objective of a batch: Eq. 1 with the hindsight choice, and the student's loss."""
 
+import functools
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -159,7 +160,8 @@ def compare_student(
     else:
         assert poses.student is not None
         teachers = winners.poses.reshape(-1, 4)
-        loss = jnp.mean(jax.vmap(losses.student_loss)(poses.student, teachers))
+        compare = functools.partial(losses.student_loss, form=pose.student_loss)
+        loss = jnp.mean(jax.vmap(compare)(poses.student, teachers))
     return {"student": Term(loss, pose.student_weight * render.grid**2)}
 
 

@@ -35,11 +35,29 @@ class TrainState(NamedTuple):
 
 
 def make_optimizer(train: Train) -> optax.GradientTransformation:
-    """Adam with the run's learning rate; AdamW where weight decay is asked for."""
+    """Adam with the run's learning rate; AdamW where weight decay is asked for.
+
+    With `l2_weight` the gradient of a penalty on weights is added before Adam, as in
+    the released code.
+    """
     rate = schedules.make_learning_rate(train)
+    adam = optax.adam(rate)
     if train.weight_decay:
-        return optax.adamw(rate, weight_decay=train.weight_decay)
-    return optax.adam(rate)
+        adam = optax.adamw(rate, weight_decay=train.weight_decay)
+    if train.l2_weight:
+        penalty = optax.add_decayed_weights(train.l2_weight, mask=find_penalized)
+        return optax.chain(penalty, adam)
+    return adam
+
+
+def find_penalized(params: optax.Params) -> optax.Params:
+    """Which parameters `l2_weight` is for: weights, no biases, of encoder and shape."""
+
+    def is_penalized(path, _):
+        keys = [entry.key for entry in path]
+        return keys[-1] == "kernel" and not {"encoder", "shape"}.isdisjoint(keys)
+
+    return jax.tree_util.tree_map_with_path(is_penalized, params)
 
 
 def init_state(network: ShapePoseNetwork, config: Config) -> TrainState:

@@ -17,7 +17,7 @@ conv_init = nn.initializers.variance_scaling(2 / (1 + 0.2**2), "fan_in", "normal
 
 
 def _count_blocks(image_size):
-    """Number of two-convolution blocks that bring an image down to 4×4."""
+    """Number of two-convolution blocks that bring an image down to 4×4 pixels."""
     is_power = image_size & (image_size - 1) == 0
     if image_size < _SMALLEST_IMAGE or not is_power:
         raise ValueError(
@@ -40,19 +40,23 @@ class ImageEncoder(nn.Module):
       hidden: width of the two dense layers.
       normalize: bring all features of a sample to mean 0 and variance 1 after each
         layer. Not in the paper.
+      blocks: number of blocks at every S, 3 for the paper's 7 convolutions; 0 for as
+        many as lead to 4×4 pixels (released code).
     """
 
     channels: int = 16
     hidden: int = 1024
     normalize: bool = False
+    blocks: int = 0
 
     @nn.compact
     def __call__(self, images: jax.Array) -> jax.Array:
         """Images [B, S, S, 3] in [-1, 1] to features [B, hidden]."""
         chex.assert_shape(images, (None, None, images.shape[1], 3))
+        needed = _count_blocks(images.shape[1])
         conv = functools.partial(nn.Conv, kernel_init=conv_init)
         x = self._activate(conv(self.channels, (5, 5), strides=2)(images))
-        for block in range(_count_blocks(images.shape[1])):
+        for block in range(self.blocks or needed):
             width = self.channels * 2 ** (block + 1)
             x = self._activate(conv(width, (3, 3), strides=2)(x))
             x = self._activate(conv(width, (3, 3))(x))

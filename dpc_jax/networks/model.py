@@ -1,5 +1,7 @@
 """The whole network: image to point cloud and camera pose (§ Network architecture)."""
 
+from typing import Any
+
 import flax.linen as nn
 import jax
 
@@ -15,13 +17,13 @@ class ShapePoseNetwork(nn.Module):
     (`candidates` 0), no student where K = 1, and no colours unless asked for.
 
     Attributes:
-      num_points, shape_hidden, has_color: of the `ShapeHead`.
+      num_points, shape_hidden, has_color, scale_fixed: of the `ShapeHead`.
       candidates: K, the number of pose predictors; 0 where poses are known.
-      channels, hidden, normalize: of the `ImageEncoder`.
+      channels, hidden, normalize, blocks: of the `ImageEncoder`.
       num_classes: how many candidates the student selects from, turned ones included;
         0 for the paper's student, which regresses a pose.
       student_width: width of the student's own layers.
-      spread: where the heads start, see `PoseEnsemble`.
+      spread, head_layers, pose_slope: see `PoseEnsemble`.
     """
 
     num_points: int
@@ -34,26 +36,42 @@ class ShapePoseNetwork(nn.Module):
     num_classes: int = 0
     student_width: int = 32
     spread: str = ""
+    blocks: int = 0
+    head_layers: int = 2
+    pose_slope: float = 0.2
+    scale_fixed: float = 0.0
 
     def setup(self) -> None:
         """Make the branches that this run learns."""
         self.encoder = ImageEncoder(
-            channels=self.channels, hidden=self.hidden, normalize=self.normalize
+            channels=self.channels,
+            hidden=self.hidden,
+            normalize=self.normalize,
+            blocks=self.blocks,
         )
         self.shape = ShapeHead(
             num_points=self.num_points,
             hidden=self.shape_hidden,
             has_color=self.has_color,
+            scale_fixed=self.scale_fixed,
         )
         if self.candidates:
             self.pose = PoseEnsemble(
-                candidates=self.candidates, hidden=self.hidden, spread=self.spread
+                candidates=self.candidates,
+                hidden=self.hidden,
+                spread=self.spread,
+                layers=self.head_layers,
+                slope=self.pose_slope,
             )
-        classes, hidden, width = self.num_classes, self.hidden, self.student_width
-        if self.candidates > 1 and classes:
-            self.student = PoseSelector(num_classes=classes, hidden=hidden, width=width)
+        student: dict[str, Any] = {
+            "hidden": self.hidden,
+            "width": self.student_width,
+            "slope": self.pose_slope,
+        }
+        if self.candidates > 1 and self.num_classes:
+            self.student = PoseSelector(num_classes=self.num_classes, **student)
         elif self.candidates > 1:
-            self.student = PoseStudent(hidden=hidden, width=width)
+            self.student = PoseStudent(**student)
 
     def encode(self, images: jax.Array) -> jax.Array:
         """Images [B, S, S, 3] in [-1, 1] to features [B, hidden]."""

@@ -38,15 +38,21 @@ def surround_object(count: int) -> jax.Array:
 
 
 class _QuaternionHead(nn.Module):
-    """The layers of 32, 32 and 4 units that belong to one pose predictor alone."""
+    """The layers that belong to one pose predictor alone: by default 32, 32, 4 units.
+
+    Without hidden layers of its own (the paper's naive variant), the pose is predicted
+    from the shared layer.
+    """
 
     width: int = 32
+    layers: int = 2
 
     @nn.compact
     def __call__(self, features, initial):
         """Features [B, F] to quaternions [B, 4], near `initial` [4] before training."""
-        x = leaky_relu(nn.Dense(self.width, kernel_init=conv_init)(features))
-        x = leaky_relu(nn.Dense(self.width, kernel_init=conv_init)(x))
+        x = features
+        for _ in range(self.layers):
+            x = leaky_relu(nn.Dense(self.width, kernel_init=conv_init)(x))
         # At first the output is small beside `initial`, yet depends on the image.
         out = nn.Dense(
             4, kernel_init=nn.initializers.variance_scaling(0.1, "fan_in", "normal")
@@ -62,16 +68,21 @@ class PoseEnsemble(nn.Module):
       hidden: width of the shared layer.
       spread: where the heads start. "": near zero, as in the paper; "all": at rotations
         spread over SO(3); "upright": at level cameras around the object.
+      layers: hidden layers of each head, of 32 units; 0 in the naive variant.
+      slope: of the leaky ReLU after the shared layer; 0 in the released code.
     """
 
     candidates: int
     hidden: int = 1024
     spread: str = ""
+    layers: int = 2
+    slope: float = 0.2
 
     @nn.compact
     def __call__(self, features: jax.Array) -> jax.Array:
         """Features [B, F] to quaternions [B, K, 4] of any length."""
-        x = leaky_relu(nn.Dense(self.hidden, kernel_init=conv_init)(features))
+        x = nn.Dense(self.hidden, kernel_init=conv_init)(features)
+        x = nn.leaky_relu(x, self.slope)
         heads = nn.vmap(
             _QuaternionHead,
             variable_axes={"params": 0},
@@ -84,7 +95,9 @@ class PoseEnsemble(nn.Module):
             "all": spread_rotations,
             "upright": surround_object,
         }
-        return heads(name="heads")(x, starts[self.spread](self.candidates))
+        return heads(layers=self.layers, name="heads")(
+            x, starts[self.spread](self.candidates)
+        )
 
 
 class PoseStudent(nn.Module):
@@ -92,15 +105,18 @@ class PoseStudent(nn.Module):
 
     Attributes:
       hidden, width: of its first hidden layer, and of the two after it.
+      slope: of the leaky ReLU after the first one; 0 in the released code.
     """
 
     hidden: int = 1024
     width: int = 32
+    slope: float = 0.2
 
     @nn.compact
     def __call__(self, features: jax.Array) -> jax.Array:
         """Features [B, F] to quaternions [B, 4] of any length."""
-        x = leaky_relu(nn.Dense(self.hidden, kernel_init=conv_init)(features))
+        x = nn.Dense(self.hidden, kernel_init=conv_init)(features)
+        x = nn.leaky_relu(x, self.slope)
         return _QuaternionHead(width=self.width, name="head")(x, jnp.zeros(4))
 
 
@@ -114,10 +130,12 @@ class PoseSelector(nn.Module):
     num_classes: int
     hidden: int = 1024
     width: int = 32
+    slope: float = 0.2
 
     @nn.compact
     def __call__(self, features: jax.Array) -> jax.Array:
         """Features [B, F] to logits [B, num_classes]."""
-        x = leaky_relu(nn.Dense(self.hidden, kernel_init=conv_init)(features))
+        x = nn.Dense(self.hidden, kernel_init=conv_init)(features)
+        x = nn.leaky_relu(x, self.slope)
         x = leaky_relu(nn.Dense(self.width, kernel_init=conv_init)(x))
         return nn.Dense(self.num_classes, kernel_init=conv_init)(x)

@@ -15,6 +15,7 @@ from dpc_jax.learning.loop import Outcome
 from dpc_jax.learning.predictor import Predictions, arrange_views
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.page import write_report
+from dpc_jax.run.setup import list_warnings
 from dpc_jax.run.workdir import write_alignment
 
 EXAMPLES = 8  # test inputs shown in the report
@@ -53,14 +54,14 @@ def report_run(
     result, shares = scored["test"]
     metrics = dict.fromkeys(REQUIRED_METRICS) | result.metrics
     metrics |= _count_costs(sets, outcome, data_seconds)
-    metrics["candidates_alive"] = candidate_use.count_alive(shares)
+    metrics["candidates_alive"] = candidate_use.count_alive(shares) if heads else None
     if sets["test"].quaternions is not None and not config.pose.given:
         metrics["alignment_inlier_share"] = alignment.inlier_share
     if "own" in scored:
         own = scored["own"][0].metrics
         metrics |= {f"own_{name}": value for name, value in own.items()}
         metrics["own_test_models"] = len(sets["own"].names)
-    warnings = _list_warnings(sets, shares if heads > 1 else None)
+    warnings = _list_warnings(config, sets, shares if heads > 1 else None)
     path = write_report(
         workdir / "report",
         title=f"dpc_jax: {workdir.name}",
@@ -100,9 +101,14 @@ def _count_costs(sets, outcome, data_seconds) -> dict:
     }
 
 
-def _list_warnings(sets, shares) -> list[str]:
+def _list_warnings(config, sets, shares) -> list[str]:
     """Sentences on what a reader of the figures has to know."""
-    warnings = _name_left_out(sets["test"])
+    warnings = list_warnings(sets) + _name_left_out(sets["test"])
+    if config.pose.known:
+        warnings.append(
+            "This run was given the poses and learned none: pose accuracy and pose "
+            "errors are absent."
+        )
     if shares is not None:
         warning = candidate_use.collapse_warning(shares)
         warnings += [warning] if warning else []

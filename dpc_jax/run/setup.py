@@ -20,6 +20,10 @@ def make_network(config: Config) -> ShapePoseNetwork:
         student_width=config.network.student_width,
         has_color=config.train.color_weight > 0,
         spread=config.pose.spread,
+        blocks=config.network.encoder_blocks,
+        head_layers=config.network.head_layers,
+        pose_slope=config.network.pose_slope,
+        scale_fixed=config.render.scale_fixed,
     )
 
 
@@ -75,6 +79,9 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
             )
             for split, spec in make_data_specs(config).items()
         }
+    if share[0] == 0:
+        for warning in list_warnings(sets):
+            print(f"Warning: {warning}", flush=True)
     wanted, found = config.train.models_per_batch, len(sets["train"].names)
     if wanted > found:
         raise ValueError(
@@ -91,6 +98,11 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
             f"transforms.json to every object, or set --config.pose.{name}=False."
         )
     return sets
+
+
+def list_warnings(sets: dict[str, DataSet]) -> list[str]:
+    """What data sets warn of, each sentence once."""
+    return list(dict.fromkeys(text for data in sets.values() for text in data.warnings))
 
 
 def _split_procedural(config, shared):
