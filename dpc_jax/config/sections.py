@@ -23,6 +23,7 @@ from dpc_jax.config.fields import (
 CROPS = ("object", "view", "none")  # what shares one scale
 CHOICE_RANKS = ("volume", "image")  # what candidates are ranked in
 FRONTS = ("", "+x", "-x", "+z", "-z")
+POINT_SIZES = ("", "sigma", "covariance")  # what is learned of each point's size
 _IMAGE_SIZE = Allowed(
     lambda size: size >= 16 and size & (size - 1) == 0,
     "a power of two of at least 16 pixels, because the encoder halves it down to 4",
@@ -70,6 +71,7 @@ class Network:
     shape_hidden: int = field(512, at_least(1))  # of the shape branch's hidden layer
     student_width: int = field(256, at_least(1))  # of its own layers (paper: 32)
     normalize: bool = field(True)  # features of a sample after each encoder layer
+    point_size: str = field("", one_of(*POINT_SIZES))  # learned of each point; "": none
 
 
 @dataclasses.dataclass(frozen=True)

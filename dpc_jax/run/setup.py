@@ -20,6 +20,8 @@ def make_network(config: Config) -> ShapePoseNetwork:
         student_width=config.network.student_width,
         has_color=config.train.color_weight > 0,
         spread=config.pose.spread,
+        point_size=config.network.point_size,
+        first_size=config.render.sigma_start,
     )
 
 
