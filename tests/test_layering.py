@@ -61,6 +61,21 @@ ROOMS = {
             "run",
         },
     ),
+    "experiments": (
+        {"jax", "numpy", "matplotlib", "PIL", "rich"},
+        {
+            "files",
+            "config",
+            "render",
+            "shapes",
+            "data",
+            "networks",
+            "evaluation",
+            "learning",
+            "reporting",
+            "run",
+        },
+    ),
 }
 DOORWAYS = {  # and the third-party imports allowed
     "main": {"absl", "ml_collections"},
