@@ -55,7 +55,7 @@ def predict_images(
             f"Expected images of different names, but {', '.join(repeated)} came more "
             "than once; predict them one by one with an --out of their own."
         )
-    state = _restore_state(config, workdir)
+    state = restore_state(config, workdir)
     if crop is None:
         is_cut = config.data.images and config.data.crop != "none"
         crop = "view" if is_cut else "none"
@@ -102,8 +102,12 @@ def _write_prediction(out, example, pose, *, is_aligned):
     write_text(out / f"{example.name}.json", json.dumps(facts, indent=2) + "\n")
 
 
-def _restore_state(config: Config, workdir: Path) -> TrainState:
-    """The last state of a run."""
+def restore_state(config: Config, workdir: Path) -> TrainState:
+    """The last state of a run.
+
+    Raises:
+      ValueError: where the workdir holds no checkpoint.
+    """
     set_gpu_flags()
     split_cores(config.train.models_per_batch)
     keep_freed_memory()
