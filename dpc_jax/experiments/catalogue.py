@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dpc_jax.experiments import published
+from dpc_jax.experiments.point_sizes import list_changes
 from dpc_jax.experiments.published import CATEGORIES, PublishedTable
 
 POSES = ("pose_accuracy", "pose_median_error_deg")
@@ -67,7 +68,7 @@ def _learn_points(kind: str, count: int) -> Row:
     return Row(
         f"{KINDS[kind]}, {count} points",
         variant="known_pose",
-        changes={"network.point_size": kind, "render.num_points": count},
+        changes=list_changes(kind, count),
         tag=f"{kind or 'fixed'}{count}",
     )
 
@@ -156,7 +157,7 @@ EXPERIMENTS = (
         "Error against number of points",
         "How many points does a shape need when their sizes are learned?",
         published.POINTS,
-        ("silhouette_iou", "chamfer"),
+        ("projection_error", "silhouette_iou", "chamfer"),
         _list_points((20, 60, 200, 2000)),
         categories=("chair",),
         analysis="point_sizes:draw",
@@ -167,7 +168,7 @@ EXPERIMENTS = (
         "Shapes of twenty Gaussians",
         "What do learned covariances look like where there are few points?",
         published.POINTS,
-        ("silhouette_iou", "chamfer"),
+        ("projection_error", "silhouette_iou", "chamfer"),
         _list_points((20,)),
         categories=("chair",),
         analysis="point_sizes:draw",

@@ -46,10 +46,9 @@ class ShapeHead(nn.Module):
         Returns:
           points [B, N, 3] in [-1/2, 1/2]; scale [B], the scaling coefficient, in
           (0, 1) where it is learned; colors [B, N, 3] in (0, 1) where asked for. With
-          the point size
-          "sigma" sizes [B, N, 1], with "covariance" sizes [B, N, 3] along the axes of
-          each point and turns [B, N, 4], the quaternion of any length that turns these
-          axes to the object's.
+          the point size "sigma" sizes [B, N, 1], with "covariance" sizes [B, N, 3]
+          along the axes of each point and turns [B, N, 4], the quaternion of any length
+          that turns these axes to the object's.
         """
         x = leaky_relu(nn.Dense(self.hidden, kernel_init=conv_init)(features))
         init = nn.initializers.truncated_normal(0.025)

@@ -1,8 +1,8 @@
-"""How a run's process begins: -m dpc_jax.experiments.jobs.child PARENT CORE FLAGS...
+"""How a run's process begins: -m dpc_jax.experiments.jobs.child PARENT CORE PROGRAM
 
-Binds itself to a core and to its parent's life, then becomes `dpc_jax.main` with the
-rest of the arguments. It is a module of its own because Python code between fork and
-exec is not safe in a process that has threads.
+Binds itself to a core and to its parent's life, then becomes the program: Python with
+the rest of the arguments. It is a module of its own because Python code between fork
+and exec is not safe in a process that has threads.
 """
 
 import contextlib
@@ -33,12 +33,12 @@ def bind_to_core(core: int) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Bind, then become the run; a core below 0 is none."""
+    """Bind, then become the program; a core below 0 is none."""
     parent, core, *rest = arguments
     bind_to_parent(int(parent))
     if int(core) >= 0:
         bind_to_core(int(core))
-    os.execv(sys.executable, [sys.executable, "-m", "dpc_jax.main", *rest])
+    os.execv(sys.executable, [sys.executable, *rest])
 
 
 if __name__ == "__main__":

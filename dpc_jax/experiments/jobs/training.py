@@ -20,6 +20,7 @@ from dpc_jax.run.workdir import list_differences, read_config
 
 _POLL_SECONDS = 0.5
 _REPORT_SECONDS = 60.0  # between lines on what is running
+PROGRAM = ("-m", "dpc_jax.main")  # that trains a run, for Python
 _GB_PER_RUN = 3.0  # the default run takes 2.8 while its programs compile
 
 
@@ -74,6 +75,7 @@ def train_missing(
     progress: JobProgress,
     stop: threading.Event,
     on_end: Callable[[Job], object] = lambda job: None,
+    program: Sequence[str] = PROGRAM,
 ) -> dict[str, str]:
     """Train jobs side by side until all are finished or have failed, or `stop` is set.
 
@@ -83,6 +85,7 @@ def train_missing(
       progress: told of every begin and end.
       stop: asks all runs to save and end.
       on_end: called after each job that ended.
+      program: arguments of Python before the flags of a run.
 
     Returns:
       Why jobs failed, by name of the run.
@@ -93,7 +96,7 @@ def train_missing(
     try:
         while (waiting or running) and not stop.is_set():
             while waiting and free:
-                child = _start(waiting.pop(0), free.pop(0))
+                child = _start(waiting.pop(0), free.pop(0), program)
                 running.append(child)
                 progress.begin(child.job)
             stop.wait(_POLL_SECONDS)
@@ -117,7 +120,7 @@ def train_missing(
     return failures
 
 
-def _start(job, core):
+def _start(job, core, program):
     """Start a run in a session of its own: Ctrl-C reaches it through this command."""
     job.log.parent.mkdir(parents=True, exist_ok=True)
     flags = [*job.run.list_flags(), f"--workdir={job.workdir}"]
@@ -128,7 +131,7 @@ def _start(job, core):
     with open(job.log, "ab") as log:
         log_start = log.tell()
         process = subprocess.Popen(
-            [*words, str(core), *flags],
+            [*words, str(core), *program, *flags],
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
