@@ -12,6 +12,7 @@ from dpc_jax.experiments.report.blocks import Block
 from dpc_jax.experiments.report.page import make_blocks, publish, write_page
 from dpc_jax.experiments.results import Outcome, Results, read_metrics
 from dpc_jax.experiments.runs import Request, Run, Source, list_runs
+from dpc_jax.experiments.sizes import SIZES
 from dpc_jax.files import explaining_full_disk, write_json
 from dpc_jax.run.process import catch_signals
 from dpc_jax.run.workdir import hold_workdir, make_workdir
@@ -91,6 +92,7 @@ class _Suite:
             dataclasses.replace(config, data=data),
             self.place.locate(run),
             self.place.folder / "logs" / f"{run.name}.txt",
+            SIZES[self.requests[0].size].environment,
         )
 
     def train(self, runs: Iterable[Run], at_once: int, stop):

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from dpc_jax.config import Config
@@ -33,12 +33,14 @@ class Job:
       config: that its flags stand for.
       workdir: its folder.
       log: file that its output is appended to.
+      environment: variables of its process, beside those of this one.
     """
 
     run: Run
     config: Config
     workdir: Path
     log: Path
+    environment: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def is_finished(self) -> bool:
         """Whether there is a report, of this config."""
@@ -135,6 +137,7 @@ def _start(job, core, program):
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
+            env={**os.environ, **job.environment},
             start_new_session=True,
         )
     now = time.monotonic()
