@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dpc_jax.evaluation.metrics import COMPARED_METRICS
+from dpc_jax.evaluation.metrics import COMPARED_METRICS, MISSING
 from dpc_jax.learning.records import MetricLog
 from dpc_jax.reporting.figures import draw_curves
 from dpc_jax.reporting.tables import tabulate_runs
@@ -50,6 +50,21 @@ def add_means(runs: dict[str, dict]) -> dict[str, dict]:
     return rows
 
 
+def name_absent(rows: dict[str, dict]) -> str:
+    """What a dash in the table of these runs means; "" where there is none."""
+    lacking = [
+        run
+        for run, metrics in rows.items()
+        if any(metrics.get(name) is None for name in COMPARED_METRICS)
+    ]
+    if not lacking:
+        return ""
+    return (
+        f"{MISSING} is absent: {', '.join(lacking)} had no truth to compare with, or "
+        "was given the poses and predicted none."
+    )
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, print the table, draw the curves; returns the status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -63,7 +78,10 @@ def main(arguments: list[str] | None = None) -> int:
     except ValueError as error:
         print(f"Error: {error}", file=sys.stderr)
         return 1
-    print(tabulate_runs(add_means(runs), columns=COMPARED_METRICS))
+    rows = add_means(runs)
+    print(tabulate_runs(rows, columns=COMPARED_METRICS))
+    if absent := name_absent(rows):
+        print(absent)
     records = {
         folder.name: MetricLog(folder / "metrics.jsonl").read()
         for folder in options.workdirs

@@ -108,6 +108,44 @@ def write_csv(path, rows):
         )
 
 
+def write_sides(root, *, train, val, test):
+    """An all.csv that gives so many of the models to each split."""
+    sides = ["train"] * train + ["val"] * val + ["test"] * test
+    rows = [
+        [i, SYNSET, "x", *pair]
+        for i, pair in enumerate(zip(NAMES, sides, strict=False))
+    ]
+    write_csv(root / "all.csv", rows)
+
+
+def test_a_split_that_is_not_the_official_one_is_said_whatever_the_cache(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setitem(shapenet.OFFICIAL, SYNSET, ((3, 1, 2),))
+    write_tree(tmp_path)
+    for _ in range(2):  # rendered, then read from the cache
+        (warning,) = load(tmp_path, tmp_path / "cache").warnings
+        assert "split by seed 0 (train, val, test: 5, 1 and 1 models)" in warning
+        assert "not by the official list (3, 1, 2)" in warning
+        assert "cannot be compared with published ones" in warning
+    write_sides(tmp_path, train=3, val=2, test=2)
+    (warning,) = load(tmp_path, tmp_path / "cache").warnings
+    assert "all.csv (train, val, test: 3, 2 and 2 models)" in warning
+    write_sides(tmp_path, train=3, val=1, test=2)
+    assert load(tmp_path, tmp_path / "cache").warnings == ()
+
+
+def test_a_category_without_a_published_split_is_warned_of_only_without_a_list(
+    tmp_path, monkeypatch
+):
+    monkeypatch.delitem(shapenet.OFFICIAL, SYNSET)
+    write_tree(tmp_path)
+    (warning,) = load(tmp_path, tmp_path / "cache").warnings
+    assert "not by an official list" in warning
+    write_sides(tmp_path, train=3, val=1, test=2)
+    assert load(tmp_path, tmp_path / "cache").warnings == ()
+
+
 def test_the_official_split_is_read_and_what_it_misses_is_counted(tmp_path, capsys):
     write_tree(tmp_path)
     sides = dict(zip(NAMES[:6], ["train"] * 3 + ["val"] + ["test"] * 2, strict=True))

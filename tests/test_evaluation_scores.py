@@ -113,3 +113,12 @@ def test_arguments_that_do_not_fit_together_are_refused_in_a_sentence():
             alignment=ALIGNMENT,
             best_candidate_poses=predicted[:, :2],
         )
+
+
+def test_given_poses_are_not_scored_but_the_shapes_are():
+    predicted, truth, points, surfaces, _ = scene()
+    whole = score(predicted, truth, points, surfaces, alignment=ALIGNMENT)
+    given = score(None, truth, points, surfaces, alignment=ALIGNMENT)
+    assert set(given.metrics) == {"chamfer", "precision", "coverage"}
+    assert given.metrics["chamfer"] == whole.metrics["chamfer"]
+    assert given.pose_errors_deg is None and given.best_candidate_errors_deg is None

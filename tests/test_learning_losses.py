@@ -9,6 +9,7 @@ from tiny_runs import random_quaternions
 from dpc_jax.learning.losses import (
     containment_loss,
     downsample_images,
+    geodesic_loss,
     reprojection_loss,
     repulsion_energy,
     student_loss,
@@ -89,6 +90,55 @@ def test_at_zero_degrees_loss_and_gradient_vanish(offset):
 def test_a_zero_quaternion_gives_a_finite_loss_and_gradient():
     loss, gradients = differentiate(np.zeros(4), TEACHER)
     assert np.isfinite(loss) and np.all(np.isfinite(gradients[0]))
+
+
+@pytest.mark.parametrize("angle", [0.0, 60.0, 120.0, 180.0])
+def test_the_papers_and_the_released_codes_forms_of_the_student_loss(angle):
+    cosine = np.cos(np.radians(angle) / 2)
+    student = turn(TEACHER, [0.6, 0.0, 0.8], angle)
+    forms = {"absolute": 1 - cosine, "signed": 1 - cosine, "squared": 1 - cosine**2}
+    for form, expected in forms.items():
+        loss = student_loss(jnp.asarray(student), jnp.asarray(TEACHER), form=form)
+        assert float(loss) == pytest.approx(expected, abs=ROUNDING)
+    # Only the form of the text punishes the other sign of the same rotation.
+    loss = student_loss(jnp.asarray(-student), jnp.asarray(TEACHER), form="signed")
+    assert float(loss) == pytest.approx(1 + cosine, abs=ROUNDING)
+
+
+differentiate_geodesic = jax.jit(jax.value_and_grad(geodesic_loss, argnums=(0, 1)))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("angle", [0.0, 1e-3, 1.0, 90.0, 179.0, 180.0])
+def test_the_geodesic_loss_is_the_angle_whatever_the_signs(angle, sign):
+    predicted = turn(TEACHER, [0.6, 0.0, 0.8], angle)
+    loss, (gradient, to_label) = differentiate_geodesic(sign * predicted, TEACHER)
+    # float32 inputs: an angle of a few ulps near 0 and near 180 degrees.
+    assert float(loss) == pytest.approx(np.radians(angle), abs=3e-6)
+    assert np.all(np.isfinite(gradient))
+    np.testing.assert_array_equal(to_label, 0)
+    if 0.1 < angle:
+        # 2 over the length of the prediction, at every angle.
+        assert np.linalg.norm(gradient) == pytest.approx(2, rel=1e-3)
+        step = sign * predicted - 1e-3 * np.asarray(gradient)
+        assert differentiate_geodesic(step, TEACHER)[0] < loss
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-7, -1e-7])
+def test_at_half_a_turn_the_geodesic_gradient_leads_to_the_label_of_one_sign(offset):
+    predicted, label = np.array([offset, 1.0, 0, 0]), np.array([1.0, 0, 0, 0])
+    loss, (gradient, _) = differentiate_geodesic(predicted, label)
+    assert float(loss) == pytest.approx(np.pi, abs=ROUNDING)
+    sign = -1 if offset >= 0 else 1
+    np.testing.assert_allclose(gradient, 2 * sign * label, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_at_no_turn_the_geodesic_gradient_is_zero(sign):
+    label = np.array([0.0, 0.6, 0.8, 0.0])
+    loss, (gradient, _) = differentiate_geodesic(sign * label, label)
+    assert float(loss) == 0
+    np.testing.assert_array_equal(gradient, np.zeros(4))
 
 
 def test_the_reprojection_loss_is_the_sum_of_squared_differences():

@@ -40,6 +40,14 @@ def test_sigma_stays_at_its_end_beyond_the_last_step():
     assert sigma_at(25, config) == sigma_at(10, config)
 
 
+@pytest.mark.parametrize("grid", [32, 64])
+def test_a_fixed_size_is_kept_from_the_first_step_to_the_last(grid):
+    config = tiny_config(grid=grid, steps=100, sigma_fixed=0.025)
+    # The ablation's 1.6 voxels at 64; float32.
+    for step in (0, 50, 100):
+        assert sigma_at(step, config) == pytest.approx(0.025 * grid, rel=1e-6)
+
+
 @pytest.mark.parametrize("levels", [1, 2, 5, 32])
 def test_the_number_of_kept_points_rises_in_stairs_to_its_end(levels):
     config = tiny_config(

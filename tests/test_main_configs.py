@@ -1,13 +1,10 @@
-"""Every config builds in every variant; `paper` has the paper's numbers."""
+"""Every config builds in every variant, and in those that combine."""
 
 import dataclasses
-import importlib.util
 import json
-from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import pytest
+from config_files import NAMES, change, load, parameter_shapes
 
 from dpc_jax.config import (
     VARIANTS,
@@ -15,46 +12,10 @@ from dpc_jax.config import (
     check,
     from_config_dict,
     from_json,
-    replace_fields,
     to_config_dict,
     to_json,
 )
-from dpc_jax.run.setup import make_data_specs, make_network
-
-FOLDER = Path(__file__).parents[1] / "configs"
-NAMES = sorted(path.stem for path in FOLDER.glob("*.py"))
-
-
-def load(name, variant=None):
-    """The frozen config of a file in configs/."""
-    return from_config_dict(load_editable(name, variant))
-
-
-def change(config, section, **fields):
-    """The config with other values in a section."""
-    return replace_fields(config, {section: fields})
-
-
-def load_editable(name, variant=None):
-    """What the command line edits."""
-    spec = importlib.util.spec_from_file_location(
-        f"config_{name}", FOLDER / f"{name}.py"
-    )
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.get_config(variant) if variant is not None else module.get_config()
-
-
-def parameter_shapes(config):
-    """Shapes of the network's parameters by path; nothing is computed."""
-    network = make_network(config)
-    size = config.data.image_size
-    images = jax.ShapeDtypeStruct((2, size, size, 3), jnp.float32)
-    output, variables = jax.eval_shape(
-        lambda x: network.init_with_output(jax.random.key(0), x), images
-    )
-    leaves = jax.tree_util.tree_flatten_with_path(variables["params"])[0]
-    return output, {"/".join(k.key for k in path): leaf.shape for path, leaf in leaves}
+from dpc_jax.run.setup import make_data_specs
 
 
 def test_the_configs_of_the_three_categories_and_of_the_tests_are_there():
@@ -62,7 +23,8 @@ def test_the_configs_of_the_three_categories_and_of_the_tests_are_there():
 
 
 @pytest.mark.parametrize(
-    "variant", [None, *VARIANTS, "paper,known_pose", "paper,naive"]
+    "variant",
+    [None, *VARIANTS, *(f"paper,{name}" for name in VARIANTS if name != "paper")],
 )
 @pytest.mark.parametrize("name", NAMES)
 def test_every_config_builds_in_every_variant(name, variant):
@@ -89,9 +51,28 @@ def test_variants_combine_in_any_order():
     assert load("car", "naive,paper").pose.candidates == 1
 
 
-def test_variants_that_exclude_each_other_are_refused():
-    with pytest.raises(ValueError, match="known_pose and naive exclude each other"):
-        load("car", "naive,known_pose")
+@pytest.mark.parametrize(
+    "variant, says",
+    [
+        ("naive,known_pose", "known_pose and naive exclude each other"),
+        ("known_pose,gt_pose", "gt_pose and known_pose exclude each other"),
+        ("32,paper,128", "128 and 32 exclude each other"),
+    ],
+)
+def test_variants_that_exclude_each_other_are_refused(variant, says):
+    with pytest.raises(ValueError, match=says):
+        load("car", variant)
+
+
+@pytest.mark.parametrize("side, points", [(32, 2000), (64, 8000), (128, 16_000)])
+@pytest.mark.parametrize("others", ["", "paper,", "known_pose,", "paper,naive,"])
+def test_a_side_is_that_of_images_and_volume_with_its_number_of_points(
+    side, points, others
+):
+    config = load("chair", f"{others}{side}")
+    render = config.render
+    assert (config.data.image_size, render.grid, render.fine_grid) == (side, side, 0)
+    assert render.num_points == points
 
 
 @pytest.mark.parametrize(
@@ -100,7 +81,7 @@ def test_variants_that_exclude_each_other_are_refused():
         ("paper,paper", "paper is given twice"),
         (",", "it has an empty name"),
         ("paper,", "it has an empty name"),
-        ("64", "it has 64"),
+        ("96", "it has 96"),
     ],
 )
 def test_a_variant_is_given_once_and_by_name(variant, says):
@@ -152,58 +133,54 @@ def test_a_config_makes_the_shapes_of_its_name(name):
     assert {s.category for s in make_data_specs(load(name)).values()} == {name}
 
 
-@pytest.mark.parametrize("name", ["car", "chair", "airplane"])
-def test_the_paper_variant_has_the_papers_numbers(name):
-    config = load(name, "paper")
-    expected = {
-        "train": dict(
-            steps=600_000,
-            models_per_batch=4,
-            views_per_batch=4,
-            learning_rate=1e-4,
-            warmup_steps=0,
-            final_rate=1.0,
-            weight_decay=0.0,
-            repulsion_weight=0.0,
-            containment_weight=0.0,
-            color_weight=0.0,
-        ),
-        "render": dict(
-            grid=64,
-            fine_grid=0,
-            num_points=8000,
-            sigma_start=0.05,
-            sigma_end=0.003,
-            anneal_until=1.0,
-            focal_length=1.875,
-            distance=2.0,
-        ),
-        "pose": dict(
-            candidates=4, flips=False, selects=False, choice_grid=0, choice_points=0
-        ),
-    }
-    for section, fields in expected.items():
-        record = getattr(config, section)
-        assert {name: getattr(record, name) for name in fields} == fields
-    spec = make_data_specs(config)["train"]
-    assert (spec.image_size, spec.views, spec.elevation) == (64, 5, (-20.0, 40.0))
-
-    _, shapes = parameter_shapes(config)
-    assert sum(len(s) == 4 for s in shapes.values()) == 7  # convolutions
-    assert shapes["encoder/Dense_1/kernel"] == (1024, 1024)
-    assert shapes["shape/points/kernel"] == (1024, 24_000)
-    assert shapes["pose/heads/Dense_1/kernel"] == (4, 32, 32)
-    assert shapes["student/head/Dense_2/kernel"] == (32, 4)
-    network = make_network(config)
-    assert not network.normalize and not network.spread
-
-
 def test_the_naive_variant_is_one_regressor_without_a_student():
     config = load("car", "naive")
     assert config.pose.heads == 1
     assert not config.pose.half_turns and not config.pose.choices
     _, shapes = parameter_shapes(config)
     assert not any(name.startswith("student") for name in shapes)
+    heads = {name: s for name, s in shapes.items() if name.startswith("pose/heads")}
+    # Straight from the branch's hidden layer (appendix § Network architecture).
+    assert heads == {
+        "pose/heads/Dense_0/kernel": (1, 512, 4),
+        "pose/heads/Dense_0/bias": (1, 4),
+    }
+
+
+def test_labels_teach_an_ensemble_only_where_a_student_selects_from_it():
+    config = load("car", "gt_pose")
+    assert config.pose.heads == 8 and config.pose.choices == 8
+    assert config.pose.given and not config.pose.half_turns
+    paper = load("car", "paper,gt_pose")
+    assert paper.pose.heads == 1 and paper.pose.choices == 0
+    _, shapes = parameter_shapes(paper)
+    assert {name.split("/")[0] for name in shapes} == {"encoder", "shape", "pose"}
+    assert shapes["pose/heads/Dense_2/kernel"] == (1, 32, 4)
+
+
+def test_poses_that_are_known_cannot_be_learned_from_labels_too():
+    config = change(load("car", "gt_pose"), "pose", known=True)
+    with pytest.raises(ValueError, match="config.pose.labels must be False where"):
+        check(config)
+
+
+def test_a_fixed_scale_has_no_parameters():
+    config = load("car", "known_pose")
+    _, learned = parameter_shapes(config)
+    _, fixed = parameter_shapes(change(config, "render", scale_fixed=1.0))
+    assert set(learned) - set(fixed) == {"shape/scale/kernel", "shape/scale/bias"}
+
+
+def test_the_released_codes_choices_are_laid_over_the_papers():
+    config = load("chair", "released,paper")
+    assert (config.data.image_size, config.render.grid) == (128, 64)
+    assert config.render.num_points == 8000 and config.train.steps == 600_000
+    _, shapes = parameter_shapes(config)
+    assert sum(len(s) == 4 for s in shapes.values()) == 9  # convolutions, to 4×4
+    # 3.0 to 0.2 voxels, 20 beside half the squares summed over 64² pixels.
+    assert config.render.sigma_start * 64 == 3 and config.render.sigma_end * 64 == 0.2
+    assert config.pose.student_weight * 64**2 == 40
+    assert config.train.models_per_batch * config.train.views_per_batch == 32
 
 
 def test_with_known_poses_there_is_no_pose_branch():

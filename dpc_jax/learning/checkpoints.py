@@ -114,7 +114,7 @@ class Checkpoints:
         """The newest checkpoint that can be read, or None where there is none.
 
         Args:
-          like: a state of the same shapes and dtypes.
+          like: a state, or what `describe_state` says of it.
 
         Raises:
           ValueError: if there are checkpoints, yet none can be read.

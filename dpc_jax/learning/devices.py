@@ -97,15 +97,6 @@ def choose_parts(tree: Any, mesh: Mesh) -> Any:
     return jax.tree.map(choose, tree)
 
 
-def place(tree: Any, parts: Any, mesh: Mesh) -> Any:
-    """The arrays of a tree on the devices, by their partitions."""
-    return jax.tree.map(
-        lambda array, part: jax.device_put(array, NamedSharding(mesh, part)),
-        tree,
-        parts,
-    )
-
-
 def share(function: Callable, mesh: Mesh, in_specs: Any, out_specs: Any) -> Callable:
     """The function that every device calls with its part of the arguments.
 

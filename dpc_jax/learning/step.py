@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jax.sharding import Mesh
+from jax.sharding import Mesh, NamedSharding
 
 from dpc_jax.config import Config, Train
 from dpc_jax.learning import devices, schedules
@@ -62,22 +62,39 @@ def find_penalized(params: optax.Params) -> optax.Params:
 
 def init_state(network: ShapePoseNetwork, config: Config) -> TrainState:
     """Parameters and optimiser at step 0, from the seed alone, on the run's devices."""
-    state = _init_whole(network, config)
+    like = describe_state(network, config)
+    # One program, in which the seed is an input: runs with other seeds share it.
+    init = jax.jit(
+        lambda seed: _init_whole(network, config, seed),
+        out_shardings=jax.tree.map(lambda leaf: leaf.sharding, like),
+    )
+    return init(np.uint32(config.seed % 2**32))
+
+
+def describe_state(network: ShapePoseNetwork, config: Config) -> TrainState:
+    """Shapes, dtypes and places of a state's arrays, as `jax.ShapeDtypeStruct`."""
     mesh = devices.make_mesh(config)
-    return devices.place(state, devices.choose_parts(state, mesh), mesh)
+    shapes = jax.eval_shape(lambda: _init_whole(network, config, 0))
+    return jax.tree.map(
+        lambda leaf, part: jax.ShapeDtypeStruct(
+            leaf.shape, leaf.dtype, sharding=NamedSharding(mesh, part)
+        ),
+        shapes,
+        devices.choose_parts(shapes, mesh),
+    )
 
 
-def _init_whole(network, config):
+def _init_whole(network, config, seed):
     size = config.data.image_size
     images = jnp.zeros((1, size, size, 3))
-    params = jax.jit(network.init)(jax.random.key(config.seed), images)
+    params = network.init(jax.random.key(seed), images)
     optimizer = make_optimizer(config.train).init(params)
     return TrainState(jnp.asarray(0, jnp.int32), params, optimizer, jnp.zeros((3, 3)))
 
 
 def find_parts(network: ShapePoseNetwork, config: Config, mesh: Mesh) -> TrainState:
     """The partition of each array of a state."""
-    shapes = jax.eval_shape(lambda: _init_whole(network, config))
+    shapes = jax.eval_shape(lambda: _init_whole(network, config, 0))
     return devices.choose_parts(shapes, mesh)
 
 

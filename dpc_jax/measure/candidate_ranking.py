@@ -28,7 +28,7 @@ from dpc_jax.learning.coarse_choice import (
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import encode_views, predict_poses, predict_shapes
 from dpc_jax.learning.renders import compute_candidate_losses
-from dpc_jax.learning.step import TrainState, init_state
+from dpc_jax.learning.step import TrainState, describe_state
 from dpc_jax.render import Camera
 from dpc_jax.reporting.tables import format_table
 from dpc_jax.run.setup import make_data_specs, make_network
@@ -127,7 +127,7 @@ def measure_ranking(
 
 def _restore_state(config, workdir):
     checkpoints = Checkpoints(workdir / "checkpoints")
-    restored = checkpoints.restore(init_state(make_network(config), config))
+    restored = checkpoints.restore(describe_state(make_network(config), config))
     checkpoints.close()
     if restored is None:
         raise ValueError(

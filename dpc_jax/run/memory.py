@@ -7,7 +7,7 @@ import jax
 
 from dpc_jax.config import Config
 from dpc_jax.learning import schedules
-from dpc_jax.learning.step import init_state, make_train_step
+from dpc_jax.learning.step import describe_state, make_train_step
 from dpc_jax.networks import ShapePoseNetwork
 
 # Computed where they are used: the compiler never writes them to memory.
@@ -58,7 +58,7 @@ def estimate_step_memory(network: ShapePoseNetwork, config: Config) -> int:
 
     That is its last: no later stage has more points or a finer grid.
     """
-    state = jax.eval_shape(lambda: init_state(network, config))
+    state = describe_state(network, config)
     train, size = config.train, config.data.image_size
     views = (train.models_per_batch, train.views_per_batch)
     batch = {

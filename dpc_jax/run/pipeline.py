@@ -22,7 +22,7 @@ from dpc_jax.learning.predictor import (
     predict_all,
 )
 from dpc_jax.learning.records import MetricLog, NonFiniteError
-from dpc_jax.learning.step import TrainState, init_state
+from dpc_jax.learning.step import TrainState, describe_state, init_state
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run import hosts
 from dpc_jax.run.agreement import Job
@@ -196,15 +196,15 @@ def restore_run(model: Model, checkpoints: Checkpoints, log: MetricLog) -> Resto
     Raises:
       ValueError: if there are checkpoints, yet none can be read.
     """
-    fresh = Restored(init_state(model.network, model.config), 0.0, ())
-    restored = checkpoints.restore(fresh.state)
+    restored = checkpoints.restore(describe_state(model.network, model.config))
     for step in restored.damaged if restored else ():
         print(f"The checkpoint of step {step} is damaged; the one before is used.")
     if restored:
         checkpoints.set_aside(restored.damaged)
         step = int(restored.state.step)
         print(f"Going on from the checkpoint of step {step}.", flush=True)
-    restored = restored or fresh
+    else:
+        restored = Restored(init_state(model.network, model.config), 0.0, ())
     log.cut_after(int(restored.state.step))
     return restored
 

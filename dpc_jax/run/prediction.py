@@ -16,7 +16,7 @@ from dpc_jax.evaluation.alignment import align_points, align_poses
 from dpc_jax.files import write_text
 from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.predictor import VIEWS_AT_ONCE, make_predictor, predict_all
-from dpc_jax.learning.step import TrainState, init_state
+from dpc_jax.learning.step import TrainState, describe_state
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.export import write_glb, write_ply
 from dpc_jax.reporting.gallery import draw_predictions
@@ -112,12 +112,12 @@ def restore_state(config: Config, workdir: Path) -> TrainState:
     split_cores(config.train.models_per_batch)
     keep_freed_memory()
     keep_compiled_programs()
-    state = init_state(make_network(config), config)
+    like = describe_state(make_network(config), config)
     folder = workdir / "checkpoints"
     restored = None
     if folder.is_dir():
         checkpoints = Checkpoints(folder)
-        restored = checkpoints.restore(state)
+        restored = checkpoints.restore(like)
         checkpoints.close()
     if restored is None:
         raise ValueError(

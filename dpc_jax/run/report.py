@@ -15,7 +15,7 @@ from dpc_jax.learning.loop import Outcome
 from dpc_jax.learning.predictor import Predictions, arrange_views
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.page import write_report
-from dpc_jax.run.setup import list_warnings
+from dpc_jax.run.setup import collect_warnings
 from dpc_jax.run.workdir import write_alignment
 
 EXAMPLES = 8  # test inputs shown in the report
@@ -61,7 +61,7 @@ def report_run(
         own = scored["own"][0].metrics
         metrics |= {f"own_{name}": value for name, value in own.items()}
         metrics["own_test_models"] = len(sets["own"].names)
-    warnings = _list_warnings(config, sets, shares if heads > 1 else None)
+    warnings = list_warnings(config, sets, shares if heads > 1 else None)
     path = write_report(
         workdir / "report",
         title=f"dpc_jax: {workdir.name}",
@@ -101,9 +101,15 @@ def _count_costs(sets, outcome, data_seconds) -> dict:
     }
 
 
-def _list_warnings(config, sets, shares) -> list[str]:
-    """Sentences on what a reader of the figures has to know."""
-    warnings = list_warnings(sets) + _name_left_out(sets["test"])
+def list_warnings(
+    config: Config, sets: dict[str, DataSet], shares: np.ndarray | None
+) -> list[str]:
+    """Sentences on what a reader of the figures has to know.
+
+    Args:
+      sets: by name. shares: [K] of views that each head wins; None without an ensemble.
+    """
+    warnings = collect_warnings(sets) + _name_left_out(sets["test"])
     if config.pose.known:
         warnings.append(
             "This run was given the poses and learned none: pose accuracy and pose "

@@ -82,7 +82,7 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
             for split, spec in make_data_specs(config).items()
         }
     if share[0] == 0:
-        for warning in list_warnings(sets):
+        for warning in collect_warnings(sets):
             print(f"Warning: {warning}", flush=True)
     wanted, found = config.train.models_per_batch, len(sets["train"].names)
     if wanted > found:
@@ -102,7 +102,7 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
     return sets
 
 
-def list_warnings(sets: dict[str, DataSet]) -> list[str]:
+def collect_warnings(sets: dict[str, DataSet]) -> list[str]:
     """What data sets warn of, each sentence once."""
     return list(dict.fromkeys(text for data in sets.values() for text in data.warnings))
 
