@@ -45,6 +45,21 @@ ROOMS = {
             "reporting",
         },
     ),
+    "experiments": (
+        {"jax", "numpy", "scipy", "matplotlib"},
+        {
+            "files",
+            "config",
+            "render",
+            "shapes",
+            "data",
+            "networks",
+            "evaluation",
+            "learning",
+            "reporting",
+            "run",
+        },
+    ),
     "measure": (
         {"jax", "chex", "numpy", "matplotlib", "torch", "trimesh", "hypothesis"}
         | {"optax"},

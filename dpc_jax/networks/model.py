@@ -78,9 +78,12 @@ class ShapePoseNetwork(nn.Module):
         elif self.candidates > 1:
             self.student = PoseStudent(**student)
 
-    def encode(self, images: jax.Array) -> jax.Array:
-        """Images [B, S, S, 3] in [-1, 1] to features [B, hidden]."""
-        return self.encoder(images)
+    def encode(self, images: jax.Array, *, mix: jax.Array | None = None) -> jax.Array:
+        """Images [B, S, S, 3] in [-1, 1] to features [B, hidden].
+
+        `mix` is as of `ImageEncoder`: weights [M, B] of mixtures of the images.
+        """
+        return self.encoder(images, mix=mix)
 
     def predict_shape(self, features: jax.Array) -> dict[str, jax.Array]:
         """Features [B, F] to points [B, N, 3], scale [B], colours and sizes."""
