@@ -46,37 +46,6 @@ ROOMS = {
         },
     ),
     "experiments": (
-        {"jax", "numpy", "scipy", "matplotlib"},
-        {
-            "files",
-            "config",
-            "render",
-            "shapes",
-            "data",
-            "networks",
-            "evaluation",
-            "learning",
-            "reporting",
-            "run",
-        },
-    ),
-    "measure": (
-        {"jax", "chex", "numpy", "matplotlib", "torch", "trimesh", "hypothesis"}
-        | {"optax"},
-        {
-            "files",
-            "config",
-            "render",
-            "shapes",
-            "data",
-            "networks",
-            "evaluation",
-            "learning",
-            "reporting",
-            "run",
-        },
-    ),
-    "experiments": (
         {"jax", "numpy", "matplotlib", "PIL", "rich"},
         {
             "files",
