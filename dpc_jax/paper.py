@@ -56,6 +56,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--at-once", type=int, default=0, help="runs; default: cores and memory decide"
     )
+    parser.add_argument(
+        "--no-training", action="store_true", help="the page of what is there alone"
+    )
     return parser
 
 
@@ -135,7 +138,11 @@ def main(arguments: list[str] | None = None) -> int:
     command = shlex.join(["python", "-m", "dpc_jax.paper", *given])
     try:
         page, failed = run_suite(
-            request, place, command=command, at_once=options.at_once
+            request,
+            place,
+            command=command,
+            at_once=options.at_once,
+            is_training=not options.no_training,
         )
     except (ValueError, OSError) as error:
         print(f"Error: {error}", file=sys.stderr)

@@ -204,6 +204,16 @@ def test_a_folder_remembers_what_it_was_asked_for(tmp_path, capsys):
     assert "must have one size, but it was begun with quick" in capsys.readouterr().err
 
 
+def test_a_page_without_runs_has_the_paper_s_numbers(tmp_path, capsys):
+    flags = [f"--out={tmp_path}", "--experiment=ablation", "--no-training"]
+    assert paper.main(flags) == 0
+    text = (tmp_path / "paper.md").read_text()
+    assert "0 of 21 runs are finished." in text and "4.89" in text
+    assert text.count("not run yet") == 7 and "runs are missing" in text
+    assert "None of its runs is finished yet." in text
+    assert not (tmp_path / "runs").exists()
+
+
 def test_a_second_command_of_the_same_folder_is_refused(tmp_path, capsys):
     with hold_workdir(tmp_path):
         assert paper.main([f"--out={tmp_path}", "--size=quick"]) == 1

@@ -50,6 +50,7 @@ class Experiment:
       analysis: "module:function" under `dpc_jax.experiments`, run on the finished
         workdirs; it gives metrics and figures. "" for none.
       reads: what the analysis is given: "all" of the workdirs, or the "first".
+      picture: of each row's own report that the page shows; "" for none.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Experiment:
     categories: tuple[str, ...] = CATEGORIES
     analysis: str = ""
     reads: str = "first"
+    picture: str = ""
 
 
 def _learn_points(kind: str, count: int) -> Row:
@@ -118,6 +120,7 @@ EXPERIMENTS = (
             Row("Ours-naive", "Ours-naive", "naive"),
             Row("Ours", "Ours", ""),
         ),
+        picture="predictions.png",
     ),
     Experiment(
         "ablation",
@@ -193,6 +196,7 @@ EXPERIMENTS = (
             Row("Known pose, with colour", variant="known_pose,64,color"),
         ),
         categories=("car", "chair"),
+        picture="signals.png",
     ),
     Experiment(
         "depth",
@@ -218,6 +222,7 @@ EXPERIMENTS = (
             ),
         ),
         categories=("car", "chair"),
+        picture="signals.png",
     ),
     Experiment(
         "correspondences",

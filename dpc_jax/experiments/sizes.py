@@ -54,17 +54,18 @@ QUICK = Size(
         "render.keep_levels": 1,  # one stage, one program to compile
         "render.num_points": 200,
         "pose.choice_points": 0,
-        "train.steps": 20,  # enough to log, validate, save
-        "train.warmup_steps": 4,
+        "train.steps": 10,  # enough to log, validate, save
+        "train.warmup_steps": 2,
         "train.repulsion_points": 50,
         "log.every": 5,
         "log.evaluate": 0,  # the last step has one anyhow
     },
     by_resolution={
-        # Sides are a half of those named: the encoder takes 16 pixels or more.
-        "32": {"data.image_size": 16, "render.grid": 16},
-        "64": {"data.image_size": 32, "render.grid": 32},
-        "128": {"data.image_size": 64, "render.grid": 64},
+        # Images of half the side named, the least that the encoder takes, and volumes
+        # of a quarter.
+        "32": {"data.image_size": 16, "render.grid": 8},
+        "64": {"data.image_size": 32, "render.grid": 16},
+        "128": {"data.image_size": 64, "render.grid": 32},
         "": {"data.image_size": 32, "render.grid": 16, "render.fine_grid": 0},
     },
     fewer_points=20,

@@ -40,7 +40,12 @@ class Place:
 
 
 def run_suite(
-    request: Request, place: Place, *, command: str, at_once: int = 0
+    request: Request,
+    place: Place,
+    *,
+    command: str,
+    at_once: int = 0,
+    is_training: bool = True,
 ) -> tuple[Path, int]:
     """Train what is missing of a request, then write the page of all that DIR has.
 
@@ -49,6 +54,7 @@ def run_suite(
       place: where it lies.
       command: that is named on the page.
       at_once: how many runs at most; 0 for as many as there are cores and memory.
+      is_training: False writes the page of what is there.
 
     Returns:
       The page, and how many runs failed.
@@ -64,7 +70,8 @@ def run_suite(
         requests = _remember(place.folder, request)
         with catch_signals() as stop:
             suite = _Suite(place, requests, command)
-            suite.train(list_runs([request]), at_once, stop)
+            if is_training:
+                suite.train(list_runs([request]), at_once, stop)
             path = suite.write(finally_=not stop.is_set())
     return path, len(suite.problems)
 

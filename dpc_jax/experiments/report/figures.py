@@ -182,6 +182,6 @@ def _plot_records(axes: Axes, lines: Sequence, metric: str):
         axes, title=known.label, x_label="minutes of training", y_label=known.heading
     )
     axes.set_xlim(left=0.0)
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(0.0, 100.0 if known.unit == "%" else None)
     if axes.lines:
         axes.legend(frameon=False, fontsize=7)

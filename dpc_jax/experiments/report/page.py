@@ -16,6 +16,7 @@ from dpc_jax.experiments.report.blocks import (
     write_markdown,
 )
 from dpc_jax.experiments.report.figures import draw_figures
+from dpc_jax.experiments.report.pictures import copy_pictures
 from dpc_jax.experiments.report.tables import Table, make_table
 from dpc_jax.experiments.report.targets import Target, check_targets
 from dpc_jax.experiments.results import Results
@@ -83,7 +84,10 @@ def _describe(results, experiment, analyses, figures) -> Iterator[Block]:
     yield Paragraph(say_difference(results, experiment))
     if experiment.table.remarks:
         yield Items(experiment.table.remarks)
-    for path, caption in draw_figures(results, experiment, figures):
+    drawn = draw_figures(results, experiment, figures)
+    if experiment.picture:
+        drawn += copy_pictures(results, experiment, figures)
+    for path, caption in drawn:
         yield Figure(path, caption)
     analysis = analyses.get(experiment.name)
     if analysis:
