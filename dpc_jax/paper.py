@@ -5,7 +5,6 @@ beside ours. The same command goes on where it was stopped.
 """
 
 import argparse
-import shlex
 import sys
 from pathlib import Path
 
@@ -127,20 +126,17 @@ def _split(text: str) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, train, write the page; returns the exit status."""
-    given = sys.argv[1:] if arguments is None else arguments
     try:
-        options = make_parser().parse_args(given)
+        options = make_parser().parse_args(arguments)
         request = make_request(options)
     except ValueError as error:
         print(f"Error: {error}", file=sys.stderr)
         return 2
     place = Place(options.out, options.data, options.page)
-    command = shlex.join(["python", "-m", "dpc_jax.paper", *given])
     try:
         page, failed = run_suite(
             request,
             place,
-            command=command,
             at_once=options.at_once,
             is_training=not options.no_training,
         )

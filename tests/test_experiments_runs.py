@@ -69,8 +69,8 @@ def test_the_flags_of_a_run_say_its_config():
 
 
 def test_what_a_row_says_comes_before_what_the_size_says():
-    row = Row("", variant="known_pose", changes={"train.steps": 7}, tag="short")
-    assert declare_run(row, "car", 0, CPU, Source()).load_config().train.steps == 7
+    row = Row("", variant="known_pose", changes={"train.steps": 700}, tag="short")
+    assert declare_run(row, "car", 0, CPU, Source()).load_config().train.steps == 700
 
 
 def test_two_rows_of_one_name_must_be_one_config(monkeypatch):
@@ -83,7 +83,10 @@ def test_two_rows_of_one_name_must_be_one_config(monkeypatch):
 
 def test_a_field_that_configs_do_not_have_is_refused_in_a_sentence():
     row = Row("", variant="", changes={"render.colour": 1}, tag="wrong")
-    with pytest.raises(ValueError, match="fields that configs have, but"):
+    with pytest.raises(ValueError, match="must have no other fields than"):
+        declare_run(row, "car", 0, CPU, Source()).load_config()
+    row = Row("", variant="", changes={"train.steps": "many"}, tag="wrong")
+    with pytest.raises(ValueError, match="values of their types, but"):
         declare_run(row, "car", 0, CPU, Source()).load_config()
     with pytest.raises(ValueError, match="must name a variant"):
         declare_run(Row("other system"), "car", 0, CPU, Source())
@@ -100,9 +103,17 @@ def test_a_source_is_read_from_its_folder(tmp_path):
         source.list_changes("airplane")
     changes = Source("renders", str(tmp_path)).list_changes("car")
     assert changes == {"data.renders": str(tmp_path)}
-    row = Row("", variant="paper")
+    row = Row("", variant="naive")
     config = declare_run(row, "car", 0, FULL, source).load_config()
     assert config.data.meshes == str(tmp_path / "car/train")
+
+
+def test_a_request_says_its_command_without_paths():
+    request = Request("depth", "cpu", Source("open", "/somewhere"), ("car",), (0, 1))
+    assert request.write_command() == (
+        "python -m dpc_jax.paper --experiment=depth --size=cpu --source=open "
+        "--folder=DIR --category=car --seeds=0,1"
+    )
 
 
 def test_experiments_are_found_by_name():

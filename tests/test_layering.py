@@ -46,7 +46,23 @@ ROOMS = {
         },
     ),
     "experiments": (
-        {"jax", "numpy", "matplotlib", "PIL", "rich"},
+        {"jax", "numpy", "scipy", "matplotlib", "PIL", "rich"},
+        {
+            "files",
+            "config",
+            "render",
+            "shapes",
+            "data",
+            "networks",
+            "evaluation",
+            "learning",
+            "reporting",
+            "run",
+        },
+    ),
+    "measure": (
+        {"jax", "chex", "numpy", "matplotlib", "torch", "trimesh", "hypothesis"}
+        | {"optax"},
         {
             "files",
             "config",

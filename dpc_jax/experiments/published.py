@@ -5,7 +5,7 @@ shares within 30°, errors in degrees: the names and units of `metrics.json`.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 CATEGORIES = ("airplane", "car", "chair")
 MEAN = "mean"  # of the three categories, as the paper prints it
@@ -28,6 +28,16 @@ class PublishedTable:
     def find(self, method: str, category: str, metric: str) -> float | None:
         """A number; None where the paper has none."""
         return self.rows.get(method, {}).get(category, {}).get(metric)
+
+    def find_mean(
+        self, method: str, categories: Sequence[str], metric: str
+    ) -> float | None:
+        """The printed mean; of fewer than all categories the mean of theirs."""
+        if set(categories) == set(CATEGORIES):
+            return self.find(method, MEAN, metric)
+        values = [self.find(method, category, metric) for category in categories]
+        found = [value for value in values if value is not None]
+        return sum(found) / len(found) if found and None not in values else None
 
 
 def _by_category(metrics: tuple[str, ...], *lines) -> dict[str, dict[str, float]]:

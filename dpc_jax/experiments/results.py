@@ -151,6 +151,15 @@ class Results:
         mean = statistics.fmean(part.mean for part in found)
         return Summary(mean, spread, min(part.count for part in found))
 
+    def find_published(
+        self, experiment: Experiment, row: Row, category: str, metric: str
+    ) -> float | None:
+        """The paper's number of a row; the mean is of the same categories as ours."""
+        if category != MEAN:
+            return experiment.table.find(row.published, category, metric)
+        categories = self.list_categories(experiment)
+        return experiment.table.find_mean(row.published, categories, metric)
+
     def collect(
         self, experiment: Experiment, read: Callable[[Config], Any]
     ) -> list[Any]:

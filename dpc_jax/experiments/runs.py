@@ -96,10 +96,10 @@ class Run:
                 f"Expected the config {self.config_path}, but it cannot be read "
                 f"({error.strerror}); run the command from the repository's checkout."
             ) from None
-        except (KeyError, TypeError) as error:
+        except TypeError as error:
             raise ValueError(
-                f"The run {self.name} must set fields that configs have, but it does "
-                f"not ({str(error.args[0]).splitlines()[0]}); correct its row in "
+                f"The run {self.name} must set fields to values of their types, but it "
+                f"does not ({str(error.args[0]).splitlines()[0]}); correct its row in "
                 "dpc_jax/experiments/catalogue.py."
             ) from None
         config = from_config_dict(edited)
@@ -157,6 +157,16 @@ class Request:
     source: Source = Source()
     categories: tuple[str, ...] = ()
     seeds: tuple[int, ...] = ()
+
+    def write_command(self) -> str:
+        """The command line, without what says where things lie."""
+        flags = {"experiment": self.experiment, "size": self.size}
+        if self.source.kind != "procedural":
+            flags |= {"source": self.source.kind, "folder": "DIR"}
+        flags["category"] = ",".join(self.categories)
+        flags["seeds"] = ",".join(map(str, self.seeds))
+        words = [f"--{name}={value}" for name, value in flags.items() if value]
+        return " ".join(["python -m dpc_jax.paper", *words])
 
     def list_experiments(self) -> tuple[Experiment, ...]:
         """The experiments asked for, those that have no category asked for left out."""

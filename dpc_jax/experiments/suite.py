@@ -43,7 +43,6 @@ def run_suite(
     request: Request,
     place: Place,
     *,
-    command: str,
     at_once: int = 0,
     is_training: bool = True,
 ) -> tuple[Path, int]:
@@ -52,7 +51,6 @@ def run_suite(
     Args:
       request: what is asked for now; what DIR was asked for before stays on the page.
       place: where it lies.
-      command: that is named on the page.
       at_once: how many runs at most; 0 for as many as there are cores and memory.
       is_training: False writes the page of what is there.
 
@@ -69,18 +67,20 @@ def run_suite(
     with explaining_full_disk(place.folder), hold_workdir(place.folder):
         requests = _remember(place.folder, request)
         with catch_signals() as stop:
-            suite = _Suite(place, requests, command)
+            suite = _Suite(place, requests)
             if is_training:
                 suite.train(list_runs([request]), at_once, stop)
-            path = suite.write(finally_=not stop.is_set())
+            path = suite.write(is_last=not stop.is_set())
+            if stop.is_set():
+                print("Stopped: the runs have saved, and the same command goes on.")
     return path, len(suite.problems)
 
 
 class _Suite:
     """What the folder has, and the page of it."""
 
-    def __init__(self, place: Place, requests: list[Request], command: str):
-        self.place, self.requests, self.command = place, requests, command
+    def __init__(self, place: Place, requests: list[Request]):
+        self.place, self.requests = place, requests
         self.problems: dict[str, str] = {}
         self.jobs: dict[str, Job] = {}
         for run in list_runs(requests):
@@ -107,11 +107,12 @@ class _Suite:
         asked = [self.jobs[run.name] for run in runs if run.name in self.jobs]
         missing = [job for job in asked if not job.is_finished()]
         done = len(asked) - len(missing)
-        for name, sentence in self.problems.items():
-            print(f"{name} failed: {sentence}", flush=True)
+        for name in self.problems:
+            print(f"{name} failed: {self.problems[name]}", flush=True)
         if not missing:
             print(f"All {done} runs are finished.", flush=True)
             return
+        self.write()
         cores = choose_cores(at_once)
         print(
             f"{len(missing)} runs to train, {done} finished, {len(cores)} at once.",
@@ -126,18 +127,16 @@ class _Suite:
                 on_end=lambda job: self.write(),
             )
 
-    def write(self, *, finally_: bool = False) -> Path:
+    def write(self, *, is_last: bool = False) -> Path:
         """Write the page of all that is there; analyses only at the end."""
         outcomes = {run.name: self._read(run) for run in list_runs(self.requests)}
         results = Results(self.requests, outcomes)
         folder = self.place.folder
         analyses: Mapping[str, Analysis] = {}
-        if finally_:
+        if is_last:
             analyses = analyze(results, folder / "analyses")
-        blocks: list[Block] = make_blocks(
-            results, analyses, command=self.command, figures=folder / "figures"
-        )
-        if finally_ and self.place.page:
+        blocks: list[Block] = make_blocks(results, analyses, figures=folder / "figures")
+        if is_last and self.place.page:
             publish(self.place.page, blocks)
         return write_page(folder, blocks)
 

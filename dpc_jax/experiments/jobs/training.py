@@ -116,9 +116,8 @@ def train_missing(
             if time.monotonic() - reported > _REPORT_SECONDS:
                 reported = time.monotonic()
                 progress.report(left)
-        _ask_to_save(running, progress)
     finally:
-        _kill(running)  # those that did not end by themselves
+        _end(running, progress)
     return failures
 
 
@@ -179,21 +178,23 @@ def read_failure(log: Path, start: int, status: int) -> str:
     return f"It ended with status {status} ({last.rstrip('.')}); see {log}."
 
 
-def _ask_to_save(running, progress):
-    """Have the runs save and stop; wait until they have."""
+def _end(running, progress):
+    """Have the runs save and stop, and wait until they have.
+
+    Ctrl-C while they do so kills them.
+    """
     if running:
         progress.tell(f"Stopping {len(running)} runs, which save first.")
-    for child in running:
-        child.process.terminate()
-    for child in running:
-        child.process.wait()
-
-
-def _kill(running):
-    for child in running:
-        if child.process.poll() is None:
-            child.process.kill()
+    try:
+        for child in running:
+            child.process.terminate()
+        for child in running:
             child.process.wait()
+    finally:
+        for child in running:
+            if child.process.poll() is None:
+                child.process.kill()
+                child.process.wait()
 
 
 def choose_cores(limit: int = 0) -> list[int]:

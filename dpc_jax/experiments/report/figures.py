@@ -40,7 +40,7 @@ def _list_series(results, experiment, rows, category, metric="chamfer"):
         summary = results.summarize(experiment, row, category, metric)
         mean = summary.mean if summary else math.nan
         spread = (summary.spread or 0.0) if summary else 0.0
-        paper = experiment.table.find(row.published, category, metric)
+        paper = results.find_published(experiment, row, category, metric)
         yield position, mean, spread, math.nan if paper is None else paper
 
 

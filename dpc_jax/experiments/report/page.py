@@ -26,21 +26,18 @@ TITLE = "The paper's experiments"
 Analyses = Mapping[str, Analysis]  # by experiment
 
 
-def make_blocks(
-    results: Results, analyses: Analyses, *, command: str, figures: Path
-) -> list[Block]:
+def make_blocks(results: Results, analyses: Analyses, *, figures: Path) -> list[Block]:
     """The page as blocks; figures are drawn into a folder.
 
     Args:
       results: all that was asked for.
       analyses: what was made of finished runs.
-      command: that makes the page.
       figures: folder.
     """
     measured = {name: found.metrics for name, found in analyses.items()}
     targets = check_targets(results, measured)
     blocks: list[Block] = [Heading(TITLE, 1)]
-    blocks += _introduce(results, command)
+    blocks += _introduce(results)
     if targets:
         blocks += [Heading("Targets"), _list_targets(targets)]
     for experiment in results.list_experiments():
@@ -52,7 +49,7 @@ def make_blocks(
     return blocks
 
 
-def _introduce(results: Results, command: str) -> Iterator[Block]:
+def _introduce(results: Results) -> Iterator[Block]:
     yield Paragraph(
         "Insafutdinov and Dosovitskiy, Unsupervised Learning of Shape and Pose with "
         "Differentiable Point Clouds (NeurIPS 2018). The paper's numbers are of "
@@ -60,15 +57,22 @@ def _introduce(results: Results, command: str) -> Iterator[Block]:
         "says how these differ. So compare rows within a column, not the columns. "
         "Ours are mean ± standard deviation over n seeds; one run has no spread."
     )
-    yield Paragraph(f"Made by: `{command}`")
+    commands = [f"`{request.write_command()}`" for request in results.requests]
+    yield Paragraph(f"Made by {', '.join(commands)}.")
     outcomes = {
         o.run.name: o for e in results.list_experiments() for o in results.list_all(e)
     }
     done = [o for o in outcomes.values() if o.metrics is not None]
     yield Paragraph(f"{len(done)} of {len(outcomes)} runs are finished.")
-    failed = [o for o in outcomes.values() if o.problem]
-    if failed:
-        yield Items([f"{o.run.name} failed: {o.problem}" for o in failed])
+    names_by_problem: dict[str, list[str]] = {}
+    for outcome in outcomes.values():
+        if outcome.problem:
+            names = names_by_problem.setdefault(outcome.problem, [])
+            names.append(outcome.run.name)
+    if names_by_problem:
+        yield Items(
+            [f"{', '.join(n)} failed: {text}" for text, n in names_by_problem.items()]
+        )
 
 
 def _list_targets(targets: Sequence[Target]) -> Table:

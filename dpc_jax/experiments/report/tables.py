@@ -43,7 +43,7 @@ def _make_row(results, experiment, row, category, shown, published):
     cells = [category, row.label]
     for metric in shown:
         if metric in published:
-            value = experiment.table.find(row.published, category, metric)
+            value = results.find_published(experiment, row, category, metric)
             cells.append(format_value(metric, value))
         summary = results.summarize(experiment, row, category, metric)
         cells.append(format_summary(metric, summary))

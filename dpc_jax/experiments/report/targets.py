@@ -138,7 +138,9 @@ def _check_ablation(reader) -> Iterator[Target]:
         yield Target(
             name,
             f"{category}: rows in the order of the paper's Chamfer distances",
-            f"{len(swapped)} of {pairs} pairs the other way round"
+            "–"
+            if is_open
+            else f"{len(swapped)} of {pairs} pairs the other way round"
             + (f": {'; '.join(swapped)}" if swapped else ""),
             None if is_open else not swapped,
         )
