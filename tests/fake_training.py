@@ -22,6 +22,7 @@ def main():
     signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))
     log = workdir / "metrics.jsonl"
     begun = len(log.read_text().splitlines()) if log.exists() else 0
+    (workdir / "pid").write_text(str(os.getpid()))
     with open(workdir / "starts", "a") as file:
         file.write(f"{begun}\n")
     if "fails" in workdir.name:

@@ -1,5 +1,6 @@
 """The job list: what is missing is trained, what fails is named, what stops goes on."""
 
+import contextlib
 import dataclasses
 import os
 import signal
@@ -116,9 +117,13 @@ def test_runs_save_and_end_when_the_command_is_killed(tmp_path):
     os.kill(command.pid, signal.SIGKILL)
     command.wait()
     log, limit = tmp_path / "logs" / "slow.txt", time.monotonic() + 30
-    while "Stopped and saved" not in log.read_text():
-        assert time.monotonic() < limit
-        time.sleep(0.05)
+    try:
+        while "Stopped and saved" not in log.read_text():
+            assert time.monotonic() < limit
+            time.sleep(0.05)
+    finally:  # where the kernel did not do it
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(int((tmp_path / "slow" / "pid").read_text()), signal.SIGKILL)
 
 
 def test_a_report_of_another_config_does_not_count(tmp_path):
