@@ -45,6 +45,21 @@ ROOMS = {
             "reporting",
         },
     ),
+    "experiments": (
+        {"jax", "numpy", "scipy", "matplotlib", "PIL", "rich"},
+        {
+            "files",
+            "config",
+            "render",
+            "shapes",
+            "data",
+            "networks",
+            "evaluation",
+            "learning",
+            "reporting",
+            "run",
+        },
+    ),
     "measure": (
         {"jax", "chex", "numpy", "matplotlib", "torch", "trimesh", "hypothesis"}
         | {"optax"},
@@ -68,6 +83,7 @@ DOORWAYS = {  # and the third-party imports allowed
     "benchmark": set(),
     "stability": set(),
     "compare": {"numpy"},
+    "paper": set(),
     "__init__": set(),
 }
 

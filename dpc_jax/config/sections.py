@@ -24,6 +24,7 @@ CROPS = ("object", "view", "none")  # what shares one scale
 CHOICE_RANKS = ("volume", "image")  # what candidates are ranked in
 STUDENT_LOSSES = ("absolute", "signed", "squared")  # forms of the angular difference
 FRONTS = ("", "+x", "-x", "+z", "-z")
+POINT_SIZES = ("", "sigma", "covariance")  # what is learned of each point's size
 _IMAGE_SIZE = Allowed(
     lambda size: size >= 16 and size & (size - 1) == 0,
     "a power of two of at least 16 pixels, because the encoder halves it down to 4",
@@ -74,6 +75,7 @@ class Network:
     encoder_blocks: int = field(0, at_least(0))  # 2 layers each; 0: down to 4×4 pixels
     head_layers: int = field(2, at_least(0))  # hidden, of each pose head (naive: 0)
     pose_slope: float = field(0.2, between(0, 1))  # leaky ReLU that pose heads share
+    point_size: str = field("", one_of(*POINT_SIZES))  # learned of each point; "": none
 
 
 @dataclasses.dataclass(frozen=True)

@@ -201,6 +201,13 @@ def sample_surface(
     Raises:
       ValueError: if the mesh has no area.
     """
+    return sample_faces(mesh, count=count, seed=seed)[0]
+
+
+def sample_faces(
+    mesh: trimesh.Trimesh, *, count: int, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """The points of `sample_surface`, and the face [count] that each lies on."""
     rng = np.random.default_rng(seed)
     corners = np.asarray(mesh.vertices, dtype=np.float64)[np.asarray(mesh.faces)]
     edges = corners[:, 1:] - corners[:, :1]
@@ -216,4 +223,4 @@ def sample_surface(
     outside = a + b > 1  # the other half of the parallelogram, folded back
     a, b = np.where(outside, 1 - a, a), np.where(outside, 1 - b, b)
     points = corners[face, 0] + a * edges[face, 0] + b * edges[face, 1]
-    return points.astype(np.float32)
+    return points.astype(np.float32), face

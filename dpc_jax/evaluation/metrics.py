@@ -62,6 +62,8 @@ METRICS = {metric.name: metric for metric in (
            "°", ".1f", False, "the winner of the ensemble"),
     Metric("silhouette_iou", "Silhouette overlap", "%", ".1f", True,
            "intersection over union with the masks", "silhouette overlap"),
+    Metric("projection_error", "Projection error", "", ".4f", False,
+           "squared difference of silhouettes per pixel, at 32×32 pixels"),
     Metric("train_seconds", "Training time", "s", ".0f", False,
            "wall clock, including compilation", role="headline"),
     Metric("peak_memory_gb", "Peak memory", "GB", ".1f", False,

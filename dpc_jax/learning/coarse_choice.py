@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from dpc_jax.learning import point_sizes
 from dpc_jax.learning.renders import compute_candidate_losses
 from dpc_jax.render import Camera, VoxelGrid
 from dpc_jax.render.camera import to_camera_frame, to_grid
@@ -25,11 +26,14 @@ class ImagePoints(NamedTuple):
     Attributes:
       rows, cols: [C, n] continuous index.
       share: () how many points each of these stands for.
+      sigmas: standard deviations along rows and along columns, [C, n] each, in voxels
+        of the target's grid, where points have sizes of their own.
     """
 
     rows: jax.Array
     cols: jax.Array
     share: jax.Array
+    sigmas: tuple[jax.Array, jax.Array] | None = None
 
 
 def compute_coarse_losses(
@@ -56,7 +60,11 @@ def compute_coarse_losses(
     # Fewer points carry the mass of all.
     shared = mass * (points.shape[0] / count)
     ratio = coarse.shape[0] / target.shape[0]
-    coarse_sigma, coarse_mass = scale_sizes(sigma, shared, ratio)
+    coarse_sigma, coarse_mass = point_sizes.scale_point_sizes(
+        point_sizes.take_points(sigma, count),
+        point_sizes.take_points(shared, count),
+        ratio,
+    )
     return compute_candidate_losses(
         points[:count],
         coarse_mass,
@@ -75,6 +83,7 @@ def place_candidates(
     side: int,
     camera: Camera,
     choice_points: int,
+    size: jax.Array | None = None,
 ) -> ImagePoints:
     """Project the first `choice_points` points (0: all) from each candidate's pose.
 
@@ -85,8 +94,10 @@ def place_candidates(
     Args:
       points: [N, 3]. candidates: [C, 4] quaternions.
       side: of the image, in pixels. camera: see `project`.
+      size: of points that have sizes of their own, see `point_sizes`.
     """
     count = _count_points(points, choice_points)
+    has_sizes = size is not None and point_sizes.has_own_sizes(size)
 
     def place(candidate):
         moved = to_camera_frame(
@@ -94,10 +105,16 @@ def place_candidates(
         )
         seen = to_grid(moved, camera=camera, grid=VoxelGrid(side))
         rows, cols, _ = seen.coordinates.T
-        return [jnp.where(seen.inside, axis, _OUTSIDE) for axis in (rows, cols)]
+        places = [jnp.where(seen.inside, axis, _OUTSIDE) for axis in (rows, cols)]
+        if not has_sizes:
+            return *places, None
+        zoom = camera.focal_length / jnp.where(seen.inside, moved.ahead, 1)
+        own = point_sizes.take_points(size, count)
+        return *places, point_sizes.find_image_sigmas(own, candidate, zoom)
 
-    rows, cols = jax.vmap(place)(candidates)
-    return ImagePoints(rows, cols, jnp.asarray(points.shape[0] / count, rows.dtype))
+    rows, cols, sigmas = jax.vmap(place)(candidates)
+    share = jnp.asarray(points.shape[0] / count, rows.dtype)
+    return ImagePoints(rows, cols, share, sigmas)
 
 
 def compute_image_losses(
@@ -118,6 +135,7 @@ def compute_image_losses(
     Args:
       places: of the points, in an image of side `choice_grid`, or D where that is 0.
       mass: () of each of all points, sigma: (), both in voxels of the target's grid.
+        Points with sizes of their own have masses [N], and their places have the sizes.
       target: [D, D] silhouette.
 
     Raises:
@@ -125,6 +143,8 @@ def compute_image_losses(
     """
     coarse = _shrink_target(target, choice_grid)
     side = coarse.shape[0]
+    if places.sigmas is not None:
+        return _compare_depths(_sum_own_sizes(places, mass, target, side), coarse)
     # The optical depth of a ray stays as it is in the finer grid.
     coarse_sigma, coarse_mass = scale_sizes(
         sigma, mass * places.share, side / target.shape[0], exponent=2
@@ -142,8 +162,31 @@ def compute_image_losses(
     kernel = sample_gaussian(distances, jnp.asarray(coarse_sigma))
     for _ in range(2):
         depth = jnp.swapaxes(jnp.matmul(depth, kernel), 1, 2)
-    silhouettes = 1 - jnp.exp(-jnp.asarray(coarse_mass) * depth)
-    return jnp.sum((silhouettes - coarse[None]) ** 2, axis=(1, 2))
+    return _compare_depths(jnp.asarray(coarse_mass) * depth, coarse)
+
+
+def _compare_depths(depths, target):
+    """Loss [C] of the optical depths [C, d, d] of candidates."""
+    silhouettes = 1 - jnp.exp(-depths)
+    return jnp.sum((silhouettes - target[None]) ** 2, axis=(1, 2))
+
+
+def _sum_own_sizes(places, mass, target, side):
+    """Optical depths [C, d, d] of Gaussians with sizes of their own."""
+    assert places.sigmas is not None
+    ratio = side / target.shape[0]
+    mass = point_sizes.take_points(mass, places.rows.shape[1])
+    pixels = jnp.arange(side, dtype=target.dtype)[None, :, None]
+
+    def weigh(centers, sigmas):
+        weights = sample_gaussian(
+            pixels, ratio * sigmas[:, None, :], center=centers[:, None, :]
+        )
+        return jnp.where(centers[:, None, :] == _OUTSIDE, 0, weights)
+
+    rows, cols = map(weigh, (places.rows, places.cols), places.sigmas)
+    rows = rows * (mass * places.share * ratio**2)
+    return jnp.einsum("crn,csn->crs", rows, cols)
 
 
 def _count_points(points, choice_points):

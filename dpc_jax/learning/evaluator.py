@@ -6,6 +6,7 @@ from dpc_jax.data import DataSet
 from dpc_jax.evaluation import alignment as alignments
 from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation import scores
+from dpc_jax.evaluation.silhouettes import mean_squared_difference
 from dpc_jax.learning.predictor import Predictions, arrange_views
 
 
@@ -50,7 +51,8 @@ def score(
 
     Metrics that need a truth which the data set lacks are left out. Such a set gets
     `silhouette_iou` instead: the mean overlap of predicted silhouettes with the masks,
-    from 0 to 1.
+    from 0 to 1. Every set gets `projection_error`: the mean squared difference per
+    pixel of predicted silhouettes and masks, both averaged to 32×32 pixels.
 
     Args:
       heads: K, of the ensemble; 0 where poses are known.
@@ -72,9 +74,27 @@ def score(
     if poses is None or surfaces is None:
         overlap = measure_overlap(predictions, dataset)
         result = result._replace(metrics=result.metrics | {"silhouette_iou": overlap})
+    error = measure_projection_error(predictions, dataset)
+    result = result._replace(metrics=result.metrics | {"projection_error": error})
     winners = predictions.winners % max(1, heads)
     shares = candidate_use.winner_share(winners, num_candidates=max(1, heads))
     return result, shares
+
+
+def measure_projection_error(predictions: Predictions, dataset: DataSet) -> float:
+    """Mean squared difference per pixel of silhouettes, each from its predicted pose.
+
+    The figure of appendix "Towards part-based models" has it over the number of points.
+    """
+    models, views = arrange_views(dataset)
+    errors = [
+        mean_squared_difference(
+            predictions.silhouettes[index],
+            np.asarray(dataset.masks[models[index], views[index]]) / 255.0,
+        )
+        for index in np.ndindex(models.shape)
+    ]
+    return float(np.mean(errors))
 
 
 def measure_overlap(predictions: Predictions, dataset: DataSet) -> float:

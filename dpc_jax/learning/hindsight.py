@@ -16,6 +16,7 @@ from dpc_jax.learning.coarse_choice import (
     place_candidates,
 )
 from dpc_jax.learning.losses import downsample_images
+from dpc_jax.learning.point_sizes import has_own_sizes
 from dpc_jax.learning.predictions import Shapes
 from dpc_jax.learning.renders import compute_candidate_losses
 from dpc_jax.render import Camera, checks
@@ -59,10 +60,11 @@ def choose_candidate(
     (docs/profile.md).
 
     Args:
-      points: [N, 3]. mass: () of each point, in voxels of the target's grid.
+      points: [N, 3]. mass: () of each point, or [N], in voxels of the target's grid.
       candidates: [C, 4] quaternions.
       target: [D, D] silhouette.
-      sigma: (), in voxels of the target's grid. camera: see `project`.
+      sigma: (), or [N] of each point, in voxels of the target's grid, or covariances
+        [N, 3, 3] in voxels² (`project` has them as covariance). camera: see `project`.
       choice_grid: side of the coarser volume or image, a divisor of D; 0 for D.
       choice_points: largest number of points of the first comparison; 0 for all.
       choice_top: how many candidates are then compared at full resolution.
@@ -93,9 +95,9 @@ def choose_candidate(
         )
     checks.check_choice("choice_rank", choice_rank, CHOICE_RANKS, "choose one of these")
     how = _Choice(choice_rank, choice_grid, choice_points, choice_top, renders_at_once)
-    places = _place_points(points, candidates, side, camera, how)
+    places = _place_points(points, candidates, sigma, side, camera, how)
     return _choose(
-        points, mass, candidates, target, places, sigma=sigma, camera=camera, how=how
+        points, mass, candidates, target, places, sigma, camera=camera, how=how
     )
 
 
@@ -114,7 +116,7 @@ class _Choice(NamedTuple):
         return self.grid == self.points == 0
 
 
-def _place_points(points, candidates, side, camera, how):
+def _place_points(points, candidates, sigma, side, camera, how):
     """Points in the image of each candidate, where they are ranked by an image."""
     if how.rank != "image" or how.is_exact:
         return None
@@ -124,10 +126,11 @@ def _place_points(points, candidates, side, camera, how):
         side=how.grid or side,
         camera=camera,
         choice_points=how.points,
+        size=sigma,
     )
 
 
-def _choose(points, mass, candidates, target, places, *, sigma, camera, how):
+def _choose(points, mass, candidates, target, places, sigma, *, camera, how):
     """`choose_candidate` of checked arguments; places of `_place_points`."""
     arguments = points, mass, candidates, target
     view = {
@@ -188,11 +191,14 @@ def choose_poses(
     shapes, still = jax.lax.stop_gradient((shapes, candidates))
     points = jnp.repeat(shapes.kept, views, axis=0)
     flat = still.reshape(batch_size * views, -1, 4)
+    has_sizes = has_own_sizes(shapes.sigma)
+    sigma = jnp.repeat(shapes.sigma, views, axis=0) if has_sizes else shapes.sigma
     places = jax.vmap(
-        lambda points, candidates: _place_points(
-            points, candidates, render.grid, camera, how
-        )
-    )(points, flat)
+        lambda points, candidates, sigma: _place_points(
+            points, candidates, sigma, render.grid, camera, how
+        ),
+        (0, 0, 0 if has_sizes else None),
+    )(points, flat, sigma)
     targets = downsample_images(masks, render.grid)
     inputs = (
         points,
@@ -200,9 +206,12 @@ def choose_poses(
         flat,
         targets.reshape(batch_size * views, *targets.shape[2:]),
         places,
+        sigma if has_sizes else None,
     )
     indices = map_renders(
-        lambda view: _choose(*view, sigma=shapes.sigma, camera=camera, how=how),
+        lambda view: _choose(
+            *view[:-1], sigma if view[-1] is None else view[-1], camera=camera, how=how
+        ),
         inputs,
         renders_at_once=render.renders_at_once,
     ).reshape(batch_size, views)

@@ -76,6 +76,7 @@ def compute_loss(
         network=network,
         kept_points=stage.kept_points,
         scale_unit=render.scale_unit,
+        grid=render.grid,
     )
     metrics = {"scale": jnp.mean(shapes.scale)}
     rotations, learned = batch["quaternions"], {}

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Pose
-from dpc_jax.learning import half_turns
+from dpc_jax.learning import half_turns, point_sizes
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render.kernels import sample_gaussian
 
@@ -21,7 +21,9 @@ class Shapes(NamedTuple):
       kept: [B, n, 3], those that point dropout keeps.
       colors: [B, n, 3] of the kept points, or None.
       scale: [B] in (0, 1), the learned scaling coefficient.
-      mass: [B] of each point, voxels. sigma: () of each point, voxels.
+      mass: [B] of each point, voxels; [B, n] where sizes are learned.
+      sigma: () of each point, voxels; where sizes are learned, [B, n] of each kept
+        point, or the covariances [B, n, 3, 3] in voxels².
     """
 
     points: jax.Array
@@ -71,23 +73,43 @@ def predict_shapes(
     network: ShapePoseNetwork,
     kept_points: int,
     scale_unit: str,
+    grid: int,
 ) -> Shapes:
     """The shape of each object from its features [B, F], with point dropout.
 
     One subset of points serves all views and candidates of an object, so that the
     choice among candidates does not depend on which points were drawn. It is drawn with
-    the object's own key of keys [B].
+    the object's own key of keys [B]. Learned sizes take the place of sigma; they are in
+    voxels of a volume of side `grid`.
     """
     shape = network.apply(params, features, method="predict_shape")
     assert isinstance(shape, dict)
     points, colors = shape["points"], shape.get("colors")
+    size, mass = find_sizes(shape, sigma, scale_unit=scale_unit, grid=grid)
     order = jax.vmap(functools.partial(draw_order, count=points.shape[1]))(keys)
     subset = order[:, :kept_points]
     kept, colors = jax.tree.map(
         lambda a: jnp.take_along_axis(a, subset[..., None], axis=1), (points, colors)
     )
-    mass = compute_mass(shape["scale"], sigma, scale_unit=scale_unit)
-    return Shapes(points, kept, colors, shape["scale"], mass, sigma)
+    if "sizes" in shape:
+        size, mass = jax.tree.map(
+            jax.vmap(lambda array, rows: array[rows]), (size, mass), (subset, subset)
+        )
+    return Shapes(points, kept, colors, shape["scale"], mass, size)
+
+
+def find_sizes(
+    shape: Mapping[str, jax.Array], sigma: jax.Array, *, scale_unit: str, grid: int
+) -> tuple[jax.Array, jax.Array]:
+    """(sigma, mass) in voxels of the points of B objects, as `Shapes` has them.
+
+    Args:
+      shape: of `ShapeHead`; the sizes in it take the place of sigma () of the schedule.
+      grid: side of the volume, in voxels.
+    """
+    if "sizes" in shape:
+        return point_sizes.measure_points(shape, grid=grid)
+    return sigma, compute_mass(shape["scale"], sigma, scale_unit=scale_unit)
 
 
 def draw_order(key: jax.Array, *, count: int) -> jax.Array:

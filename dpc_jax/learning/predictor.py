@@ -12,13 +12,17 @@ from dpc_jax.config import Config
 from dpc_jax.data import DataSet
 from dpc_jax.learning import devices, hindsight, schedules
 from dpc_jax.learning.losses import downsample_images
-from dpc_jax.learning.predictions import complete_poses, compute_mass, scale_images
+from dpc_jax.learning.point_sizes import (
+    has_own_sizes,
+    name_size,
+    scale_point_sizes,
+)
+from dpc_jax.learning.predictions import complete_poses, find_sizes, scale_images
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.columns import sharing_columns
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.render.batch import map_renders
-from dpc_jax.render.resolution import scale_sizes
 
 VIEWS_AT_ONCE = 64  # that are predicted: a batch of a data set
 
@@ -33,6 +37,8 @@ class Predictions(NamedTuple):
       candidate_poses: [M, V, 4], the candidate, turned or not, that fits the view best.
       winners: [M, V] its index; of head index % K, whether turned or not.
       silhouettes: [M, V, D, D], the shape seen from the student's pose.
+      sizes: [M, V, N] sigmas in voxels of the base grid, or [M, V, N, 3, 3] covariances
+        in voxels², where they are learned; else None.
     """
 
     points: np.ndarray
@@ -41,13 +47,15 @@ class Predictions(NamedTuple):
     candidate_poses: np.ndarray
     winners: np.ndarray
     silhouettes: np.ndarray
+    sizes: np.ndarray | None = None
 
 
 def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
     """The compiled function (state, images, masks, quaternions) -> dict, over devices.
 
     For n views: images uint8 [n, S, S, 3], masks uint8 [n, S, S], quaternions [n, 4].
-    The dictionary has the fields of `Predictions`, with one leading axis [n].
+    The dictionary has the fields of `Predictions`, with one leading axis [n]; those
+    that a run does not have are left out.
     """
     render, pose = config.render, config.pose
 
@@ -56,15 +64,20 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
             output = network.apply(state.params, scale_images(images))
         assert isinstance(output, dict)
         sigma = schedules.compute_sigma(state.step, render, steps=config.train.steps)
-        mass = compute_mass(output["scale"], sigma, scale_unit=render.scale_unit)
+        sigma, mass = find_sizes(
+            output, sigma, scale_unit=render.scale_unit, grid=render.grid
+        )
+        own = sigma if has_own_sizes(sigma) else None
         candidates, students = quaternions[:, None], quaternions
         if not pose.known:
             poses = complete_poses(output, state.covariance, pose=pose)
             candidates, students = poses.candidates, poses.student
         targets = downsample_images(masks, render.grid)
         silhouettes, winners = map_renders(
-            lambda view: explain_view(*view, sigma=sigma, config=config),
-            (output["points"], mass, students, candidates, targets),
+            lambda view: explain_view(
+                *view[:-1], sigma=sigma if view[-1] is None else view[-1], config=config
+            ),
+            (output["points"], mass, students, candidates, targets, own),
             renders_at_once=render.renders_at_once,
         )
         result = {
@@ -76,6 +89,8 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
         }
         if "colors" in output:
             result["colors"] = output["colors"]
+        if own is not None:
+            result["sizes"] = own
         return result
 
     mesh = devices.make_mesh(config)
@@ -111,7 +126,8 @@ def explain_view(
     """Silhouette of a shape from the student's pose, and the best candidate's index.
 
     Args:
-      points: [N, 3]. mass: (), sigma: (), in voxels of the base grid.
+      points: [N, 3]. mass: (), sigma: (), in voxels of the base grid; of points with
+        sizes of their own as of `Shapes`.
       student: [4]. candidates: [C, 4]. target: [D, D] silhouette.
 
     Returns:
@@ -120,11 +136,11 @@ def explain_view(
     render = config.render
     camera = Camera(render.focal_length, render.distance)
     side = render.fine_grid or render.grid
-    fine_sigma, fine_mass = scale_sizes(sigma, mass, side / render.grid)
+    fine_sigma, fine_mass = scale_point_sizes(sigma, mass, side / render.grid)
     image = project(
         points,
         student,
-        sigma=fine_sigma,
+        **name_size(fine_sigma),
         scale=fine_mass,
         camera=camera,
         grid=VoxelGrid(side),

@@ -2,8 +2,10 @@
 
 import chex
 import jax
+import jax.numpy as jnp
 
 from dpc_jax.learning.losses import reprojection_loss
+from dpc_jax.learning.point_sizes import name_size
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.render.batch import map_renders
 from dpc_jax.render.devices import AUTOMATIC
@@ -22,21 +24,20 @@ def compute_candidate_losses(
     """Reprojection loss of each pose candidate of one view.
 
     Args:
-      points: [N, 3]. mass: (), of each, in voxels.
+      points: [N, 3]. mass: (), of each, in voxels; or [N].
       candidates: [C, 4] quaternions.
       target: [D, D] silhouette.
-      sigma: (), in voxels.
+      sigma: (), in voxels, or sizes of each point, see `point_sizes`.
       renders_at_once: how many candidates are rendered side by side, see `map_renders`.
 
     Returns:
       [C].
     """
     grid = VoxelGrid(target.shape[0])
+    size = name_size(jnp.asarray(sigma))
 
     def compute_loss(candidate):
-        image = project(
-            points, candidate, sigma=sigma, scale=mass, camera=camera, grid=grid
-        )
+        image = project(points, candidate, scale=mass, camera=camera, grid=grid, **size)
         assert image.silhouette is not None
         return reprojection_loss(image.silhouette, target)
 

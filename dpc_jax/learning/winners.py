@@ -11,12 +11,11 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Render, Train
-from dpc_jax.learning import losses
+from dpc_jax.learning import losses, point_sizes
 from dpc_jax.learning.predictions import Shapes
 from dpc_jax.learning.schedules import Stage
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.render.batch import map_renders
-from dpc_jax.render.resolution import scale_sizes
 
 
 class _Static(NamedTuple):
@@ -56,15 +55,18 @@ def compare_winners(
     """
     num_views = rotations.shape[0] * rotations.shape[1]
     ratio = stage.grid / render.grid
-    sigma, mass = scale_sizes(shapes.sigma, shapes.mass, ratio)
+    sigma, mass = point_sizes.scale_point_sizes(shapes.sigma, shapes.mass, ratio)
+    has_sizes = point_sizes.has_own_sizes(sigma)
+    own = {"sigma": sigma} if has_sizes else {}
     learned = jax.tree.map(
         lambda array: jnp.repeat(array, rotations.shape[1], axis=0),
-        {"points": shapes.kept, "mass": mass, "colors": shapes.colors},
+        {"points": shapes.kept, "mass": mass, "colors": shapes.colors} | own,
     ) | {"rotation": rotations.reshape(-1, 4)}
     given = {
-        "sigma": jnp.broadcast_to(jax.lax.stop_gradient(sigma), num_views),
         "mask": losses.downsample_images(batch["masks"], stage.grid),
     }
+    if not has_sizes:
+        given["sigma"] = jnp.broadcast_to(jax.lax.stop_gradient(sigma), num_views)
     if shapes.colors is not None:
         channels = jnp.moveaxis(batch["images"], -1, 2)
         targets = losses.downsample_images(channels, stage.grid)
@@ -90,7 +92,7 @@ def _compare_view(static, learned, given):
     image = project(
         learned["points"],
         learned["rotation"],
-        sigma=given["sigma"],
+        **point_sizes.name_size((given | learned)["sigma"]),
         scale=learned["mass"],
         colors=colors,
         camera=Camera(static.focal_length, static.distance),

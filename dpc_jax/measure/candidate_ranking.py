@@ -80,6 +80,7 @@ def make_ranker(config: Config, step: int) -> Callable:
             network=network,
             kept_points=stage.kept_points,
             scale_unit=render.scale_unit,
+            grid=render.grid,
         )
         poses = predict_poses(
             state.params, features, state.covariance, network=network, pose=config.pose

@@ -88,6 +88,7 @@ def make_calls(config: Config, step: int) -> dict[str, Callable[[], Any]]:
             network=network,
             kept_points=stage.kept_points,
             scale_unit=config.render.scale_unit,
+            grid=config.render.grid,
         )
         poses = predict_poses(
             params, features, jnp.eye(3), network=network, pose=config.pose

@@ -8,6 +8,7 @@ import functools
 import chex
 import flax.linen as nn
 import jax
+import jax.numpy as jnp
 
 _SMALLEST_IMAGE = 16  # pixels: one stride to 8, one block to 4
 
@@ -50,8 +51,13 @@ class ImageEncoder(nn.Module):
     blocks: int = 0
 
     @nn.compact
-    def __call__(self, images: jax.Array) -> jax.Array:
-        """Images [B, S, S, 3] in [-1, 1] to features [B, hidden]."""
+    def __call__(self, images: jax.Array, *, mix: jax.Array | None = None) -> jax.Array:
+        """Images [B, S, S, 3] in [-1, 1] to features [B, hidden].
+
+        With the weights `mix` [M, B] they are [M, hidden], of mixtures of the images:
+        row i sums the images' activations after the first dense layer by mix[i]. This
+        is the latent space in which § Interpolation of shapes goes from one to another.
+        """
         chex.assert_shape(images, (None, None, images.shape[1], 3))
         needed = _count_blocks(images.shape[1])
         conv = functools.partial(nn.Conv, kernel_init=conv_init)
@@ -61,9 +67,10 @@ class ImageEncoder(nn.Module):
             x = self._activate(conv(width, (3, 3), strides=2)(x))
             x = self._activate(conv(width, (3, 3))(x))
         x = x.reshape(x.shape[0], -1)
-        for _ in range(2):
-            x = self._activate(nn.Dense(self.hidden, kernel_init=conv_init)(x))
-        return x
+        x = self._activate(nn.Dense(self.hidden, kernel_init=conv_init)(x))
+        if mix is not None:
+            x = jnp.matmul(mix, x, precision="highest")
+        return self._activate(nn.Dense(self.hidden, kernel_init=conv_init)(x))
 
     def _activate(self, x):
         if self.normalize:

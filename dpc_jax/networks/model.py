@@ -17,7 +17,8 @@ class ShapePoseNetwork(nn.Module):
     (`candidates` 0), no student where K = 1, and no colours unless asked for.
 
     Attributes:
-      num_points, shape_hidden, has_color, scale_fixed: of the `ShapeHead`.
+      num_points, shape_hidden, has_color, scale_fixed, point_size, first_size: of the
+        `ShapeHead`.
       candidates: K, the number of pose predictors; 0 where poses are known.
       channels, hidden, normalize, blocks: of the `ImageEncoder`.
       num_classes: how many candidates the student selects from, turned ones included;
@@ -40,6 +41,8 @@ class ShapePoseNetwork(nn.Module):
     head_layers: int = 2
     pose_slope: float = 0.2
     scale_fixed: float = 0.0
+    point_size: str = ""
+    first_size: float = 0.05
 
     def setup(self) -> None:
         """Make the branches that this run learns."""
@@ -54,6 +57,8 @@ class ShapePoseNetwork(nn.Module):
             hidden=self.shape_hidden,
             has_color=self.has_color,
             scale_fixed=self.scale_fixed,
+            point_size=self.point_size,
+            first_size=self.first_size,
         )
         if self.candidates:
             self.pose = PoseEnsemble(
@@ -73,12 +78,15 @@ class ShapePoseNetwork(nn.Module):
         elif self.candidates > 1:
             self.student = PoseStudent(**student)
 
-    def encode(self, images: jax.Array) -> jax.Array:
-        """Images [B, S, S, 3] in [-1, 1] to features [B, hidden]."""
-        return self.encoder(images)
+    def encode(self, images: jax.Array, *, mix: jax.Array | None = None) -> jax.Array:
+        """Images [B, S, S, 3] in [-1, 1] to features [B, hidden].
+
+        `mix` is as of `ImageEncoder`: weights [M, B] of mixtures of the images.
+        """
+        return self.encoder(images, mix=mix)
 
     def predict_shape(self, features: jax.Array) -> dict[str, jax.Array]:
-        """Features [B, F] to points [B, N, 3], scale [B] and colors [B, N, 3]."""
+        """Features [B, F] to points [B, N, 3], scale [B], colours and sizes."""
         return self.shape(features)
 
     def predict_pose(self, features: jax.Array) -> dict[str, jax.Array]:

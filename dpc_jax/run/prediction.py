@@ -7,21 +7,18 @@ from pathlib import Path
 
 import numpy as np
 
-from dpc_jax.config import Config, replace_fields
+from dpc_jax.config import replace_fields
 from dpc_jax.data import DataSet, DataSpec
 from dpc_jax.data.sets.image_folder import read_object
 from dpc_jax.data.sets.pictures import FAULTS
 from dpc_jax.evaluation import rotations
 from dpc_jax.evaluation.alignment import align_points, align_poses
 from dpc_jax.files import write_text
-from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.predictor import VIEWS_AT_ONCE, make_predictor, predict_all
-from dpc_jax.learning.step import TrainState, describe_state
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.export import write_glb, write_ply
 from dpc_jax.reporting.gallery import draw_predictions
-from dpc_jax.run.gpu import set_gpu_flags
-from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
+from dpc_jax.run.finished import restore_state
 from dpc_jax.run.setup import make_network
 from dpc_jax.run.workdir import read_alignment, read_config
 
@@ -55,7 +52,7 @@ def predict_images(
             f"Expected images of different names, but {', '.join(repeated)} came more "
             "than once; predict them one by one with an --out of their own."
         )
-    state = _restore_state(config, workdir)
+    state = restore_state(config, workdir)
     if crop is None:
         is_cut = config.data.images and config.data.crop != "none"
         crop = "view" if is_cut else "none"
@@ -100,27 +97,6 @@ def _write_prediction(out, example, pose, *, is_aligned):
     write_glb(out / f"{example.name}.glb", example.points, example.colors)
     facts = _describe_pose(pose, is_aligned=is_aligned)
     write_text(out / f"{example.name}.json", json.dumps(facts, indent=2) + "\n")
-
-
-def _restore_state(config: Config, workdir: Path) -> TrainState:
-    """The last state of a run."""
-    set_gpu_flags()
-    split_cores(config.train.models_per_batch)
-    keep_freed_memory()
-    keep_compiled_programs()
-    like = describe_state(make_network(config), config)
-    folder = workdir / "checkpoints"
-    restored = None
-    if folder.is_dir():
-        checkpoints = Checkpoints(folder)
-        restored = checkpoints.restore(like)
-        checkpoints.close()
-    if restored is None:
-        raise ValueError(
-            f"Expected a checkpoint in {folder}, but there is none; start the command "
-            "that began the run again."
-        )
-    return restored.state
 
 
 def _read_images(paths: list[Path], config, *, crop: str) -> DataSet:

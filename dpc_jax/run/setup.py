@@ -24,6 +24,8 @@ def make_network(config: Config) -> ShapePoseNetwork:
         head_layers=config.network.head_layers,
         pose_slope=config.network.pose_slope,
         scale_fixed=config.render.scale_fixed,
+        point_size=config.network.point_size,
+        first_size=config.render.sigma_start,
     )
 
 

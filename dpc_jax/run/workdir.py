@@ -105,15 +105,22 @@ def _name_holder(written):
     return f"process {written}" if written else "a process on another machine"
 
 
-def _refuse_other(workdir, old, new):
-    """Refuse a config that would not go on with the run in the workdir."""
+def list_differences(old: Config, new: Config) -> list[str]:
+    """Fields that keep a config from going on with a run of another one.
+
+    Each with both values: "train.steps (20 there, 40 now)".
+    """
     there, now = (flatten_dict(dataclasses.asdict(c), sep=".") for c in (old, new))
-    differing = [
+    return [
         f"{name} ({there[name]!r} there, {now[name]!r} now)"
         for name in sorted(now)
         if there[name] != now[name] and not name.startswith(FREE_FIELDS)
     ]
-    if differing:
+
+
+def _refuse_other(workdir, old, new):
+    """Refuse a config that would not go on with the run in the workdir."""
+    if differing := list_differences(old, new):
         raise ValueError(
             f"The workdir {workdir} must belong to this config, but it was made by "
             f"another one, which differs in {', '.join(differing)}; give another "

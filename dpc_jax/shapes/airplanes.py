@@ -13,12 +13,17 @@ UPPER = np.array([1.0, 0.5])  # chords of a fin, shares of the lower one
 
 
 def make_airplane(rng: np.random.Generator) -> trimesh.Trimesh:
-    """Mesh of a random airplane, one fuselage long, not normalised."""
+    """Mesh of a random airplane, one fuselage long, not normalised.
+
+    Its labels are body, wing, tail, engine and gear.
+    """
     plan = draw_plan(rng)
-    pieces = [*_make_fuselage(plan, rng), *_make_wings(plan), *_make_tail(plan, rng)]
-    pieces += make_engines(plan, rng)
+    pieces = parts.label_parts("body", _make_fuselage(plan, rng))
+    pieces += parts.label_parts("wing", _make_wings(plan))
+    pieces += parts.label_parts("tail", _make_tail(plan, rng))
+    pieces += parts.label_parts("engine", make_engines(plan, rng))
     if plan.kind == "light":
-        pieces += make_gear(plan)
+        pieces += parts.label_parts("gear", make_gear(plan))
     return parts.join(pieces)
 
 

@@ -4,7 +4,7 @@ A list of parts joins to one mesh. Nearly everything is a loft: rings of points 
 path, skinned with triangles. Lengths are metres, z is up.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,11 +21,20 @@ CHROME = (190, 195, 200)
 
 
 class Part(NamedTuple):
-    """A piece of one colour: vertices [N, 3], faces [F, 3]."""
+    """A piece of one colour: vertices [N, 3], faces [F, 3].
+
+    The label says what of the object it belongs to: "leg", for instance.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
     color: Color
+    label: str = ""
+
+
+def label_parts(label: str, parts: Iterable[Part]) -> list[Part]:
+    """The parts under that label."""
+    return [part._replace(label=label) for part in parts]
 
 
 def loft(rings: npt.ArrayLike, *, color: Color, caps: bool = True) -> Part:
@@ -137,25 +146,35 @@ def inset(
 def mirror(parts: Sequence[Part]) -> list[Part]:
     """The parts and their mirror images at the xz plane (left and right)."""
     flipped = [
-        Part(part.vertices * [1.0, -1.0, 1.0], part.faces[:, ::-1], part.color)
+        part._replace(
+            vertices=part.vertices * [1.0, -1.0, 1.0], faces=part.faces[:, ::-1]
+        )
         for part in parts
     ]
     return [*parts, *flipped]
 
 
 def join(parts: Sequence[Part]) -> trimesh.Trimesh:
-    """One mesh with face colours; triangles without area are left out."""
+    """One mesh with face colours and labels; triangles without area are left out.
+
+    The labels [F] are its `face_attributes["label"]`.
+    """
     vertices, faces, colors = join_pieces(
         [
             (v, f, np.tile(np.array([*color, 255], np.uint8), (len(f), 1)))
-            for v, f, color in parts
+            for v, f, color, _ in parts
         ]
     )
+    labels = np.repeat([p.label for p in parts], [len(p.faces) for p in parts])
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     keep = np.linalg.norm(normal, axis=-1) > 1e-10
     return trimesh.Trimesh(
-        vertices, faces[keep], face_colors=colors[keep], process=False
+        vertices,
+        faces[keep],
+        face_colors=colors[keep],
+        face_attributes={"label": labels[keep]},
+        process=False,
     )
 
 

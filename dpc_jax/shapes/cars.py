@@ -17,11 +17,16 @@ from dpc_jax.shapes.car_plans import draw_plan
 
 
 def make_car(rng: np.random.Generator) -> trimesh.Trimesh:
-    """Mesh of a random car, metres, not normalised."""
+    """Mesh of a random car, metres, not normalised.
+
+    Its labels are body (with lamps and bumpers), cabin (with windows), wheel and extra.
+    """
     plan = draw_plan(rng)
-    pieces = [*_make_body(plan, rng), *_make_cabin(plan), *make_wheels(plan, rng)]
-    pieces += make_lamps(plan, rng)
-    pieces += make_extras(plan, rng)
+    pieces = parts.label_parts("body", _make_body(plan, rng))
+    pieces += parts.label_parts("cabin", _make_cabin(plan))
+    pieces += parts.label_parts("wheel", make_wheels(plan, rng))
+    pieces += parts.label_parts("body", make_lamps(plan, rng))
+    pieces += parts.label_parts("extra", make_extras(plan, rng))
     return parts.join(pieces)
 
 

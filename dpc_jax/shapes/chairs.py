@@ -19,12 +19,16 @@ BASE_MAKERS = {
 
 
 def make_chair(rng: np.random.Generator) -> trimesh.Trimesh:
-    """Mesh of a random chair, metres, not normalised."""
+    """Mesh of a random chair, metres, not normalised.
+
+    Its labels are seat, back, arm, and leg for whatever it stands on.
+    """
     plan = draw_plan(rng)
-    pieces = [_make_seat(plan, rng), *BASE_MAKERS[plan.base](plan, rng)]
-    pieces += _Back(plan, rng).make(rng)
+    pieces = parts.label_parts("seat", [_make_seat(plan, rng)])
+    pieces += parts.label_parts("leg", BASE_MAKERS[plan.base](plan, rng))
+    pieces += parts.label_parts("back", _Back(plan, rng).make(rng))
     if plan.arms:
-        pieces += _make_arms(plan, rng)
+        pieces += parts.label_parts("arm", _make_arms(plan, rng))
     return parts.join(pieces)
 
 

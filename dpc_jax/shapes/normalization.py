@@ -24,9 +24,16 @@ def normalize(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def replace_vertices(mesh: trimesh.Trimesh, vertices: np.ndarray) -> trimesh.Trimesh:
-    """Copy of a mesh with other vertices [n, 3]; faces and their colours stay."""
+    """Copy of a mesh with other vertices [n, 3]; the faces stay as they are.
+
+    So do their colours and what else they carry, such as labels.
+    """
     return trimesh.Trimesh(
-        vertices, mesh.faces, face_colors=face_colors(mesh), process=False
+        vertices,
+        mesh.faces,
+        face_colors=face_colors(mesh),
+        face_attributes=mesh.face_attributes,
+        process=False,
     )
 
 

@@ -16,7 +16,18 @@ def make_shape(category: str, seed: int) -> trimesh.Trimesh:
     """Mesh of a random object of one of `CATEGORIES`; the seed decides all of it.
 
     It has face colours, z up, front towards +x and left towards +y, and is centred on
-    its bounding box, whose diagonal is 1.
+    its bounding box, whose diagonal is 1. Its `face_attributes["label"]` says of each
+    face what it is a part of: the maker of the category lists the labels.
+
+    Raises:
+      ValueError: for an unknown category.
+    """
+    rng = seed_stream(category, seed)
+    return normalize(MAKERS[category](rng))
+
+
+def seed_stream(category: str, seed: int) -> np.random.Generator:
+    """The random stream that a shape is drawn from; its plan comes first.
 
     Raises:
       ValueError: for an unknown category.
@@ -26,5 +37,4 @@ def make_shape(category: str, seed: int) -> trimesh.Trimesh:
             f"category must be one of {', '.join(CATEGORIES)}, but it is "
             f"{category!r}; choose one of these or give a folder of meshes."
         )
-    rng = np.random.default_rng([seed, CATEGORIES.index(category)])
-    return normalize(MAKERS[category](rng))
+    return np.random.default_rng([seed, CATEGORIES.index(category)])

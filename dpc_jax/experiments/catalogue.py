@@ -1,0 +1,266 @@
+"""The experiments of the paper, each a list of rows; a further method is a further row.
+
+A row says which config is trained, by its variant and what differs beside it. Rows of
+several experiments that come to the same config are the same run.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dpc_jax.experiments import published
+from dpc_jax.experiments.point_sizes import list_changes
+from dpc_jax.experiments.published import CATEGORIES, PublishedTable
+
+POSES = ("pose_accuracy", "pose_median_error_deg")
+KINDS = {"": "hand-tuned σ", "sigma": "learned σ", "covariance": "learned covariance"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """A line of a table.
+
+    Attributes:
+      label: in our table.
+      published: name of the paper's row in the experiment's table; "" for none.
+      variant: the text after the colon of --config; None for another system that has
+        no config here, of which the paper's number alone is shown.
+      changes: "section.field": value, beside the variant.
+      tag: names the changes in the folder of the run; "" without changes.
+    """
+
+    label: str
+    published: str = ""
+    variant: str | None = None
+    changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    tag: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Experiment:
+    """One table or figure of the paper.
+
+    Attributes:
+      name: of --experiment.
+      title, question: of its section of the page.
+      table: the paper's numbers.
+      metrics: names of `metrics.json` that its table shows.
+      rows: what is trained.
+      categories: that it can be made of.
+      analysis: "module:function" under `dpc_jax.experiments`, run on the finished
+        workdirs; it gives metrics and figures. "" for none.
+      reads: what the analysis is given: "all" of the workdirs, or the "first".
+      picture: of each row's own report that the page shows; "" for none.
+    """
+
+    name: str
+    title: str
+    question: str
+    table: PublishedTable
+    metrics: tuple[str, ...]
+    rows: tuple[Row, ...]
+    categories: tuple[str, ...] = CATEGORIES
+    analysis: str = ""
+    reads: str = "first"
+    picture: str = ""
+
+
+def _learn_points(kind: str, count: int) -> Row:
+    """A row of points of one kind; hand-tuned ones are rendered the same way."""
+    return Row(
+        f"{KINDS[kind]}, {count} points",
+        variant="known_pose",
+        changes=list_changes(kind, count),
+        tag=f"{kind or 'fixed'}{count}",
+    )
+
+
+def _list_points(counts: Sequence[int]) -> tuple[Row, ...]:
+    return tuple(_learn_points(kind, count) for kind in KINDS for count in counts)
+
+
+def _count_points(count: int) -> Row:
+    return Row(
+        f"{count} points",
+        f"{count} pts.",
+        "known_pose,64",
+        {"render.num_points": count},
+        f"{count}-points",
+    )
+
+
+CHOOSE_BY_ALL = {"pose.choice_signals": "all"}
+EXPERIMENTS = (
+    Experiment(
+        "known_pose",
+        "Shape with known pose",
+        "How near do shapes come when poses are given, and does a finer image help?",
+        published.KNOWN_POSE,
+        ("chamfer", "precision", "coverage"),
+        (
+            Row("DRC, 32²", "DRC, 32"),
+            Row("PTN, 32²", "PTN, 32"),
+            Row("Ours-V, 32²", "Ours-V, 32"),
+            Row("Ours, 32²", "Ours, 32", "known_pose,32"),
+            Row("Ours-V, 64²", "Ours-V, 64"),
+            Row("Ours, 64²", "Ours, 64", "known_pose,64"),
+            Row("EPCG, 128²", "EPCG, 128"),
+            Row("Ours, 128²", "Ours, 128", "known_pose,128"),
+        ),
+    ),
+    Experiment(
+        "unknown_pose",
+        "Shape and pose from silhouettes alone",
+        "Does the ensemble find the poses that one regressor cannot?",
+        published.UNKNOWN_POSE,
+        ("chamfer", *POSES),
+        (
+            Row("GT pose", "GT pose", "gt_pose"),
+            Row("MVC", "MVC"),
+            Row("Ours-naive", "Ours-naive", "naive"),
+            Row("Ours", "Ours", ""),
+        ),
+        picture="predictions.png",
+    ),
+    Experiment(
+        "ablation",
+        "Ablation",
+        "What does each part of the method bring to the shape?",
+        published.ABLATION,
+        ("chamfer", "precision", "coverage"),
+        (
+            Row("Full, 8000 points", "Full", "known_pose,64"),
+            Row(
+                "No dropout",
+                "No drop.",
+                "known_pose,64",
+                {"render.keep_start": 1.0},
+                "no-dropout",
+            ),
+            Row(
+                "Fixed σ",
+                "Fixed σ",
+                "known_pose,64",
+                {"render.sigma_fixed": 0.025},  # 1.6 of 64 voxels
+                "fixed-sigma",
+            ),
+            Row(
+                "Fixed scale",
+                "Fixed scale",
+                "known_pose,64",
+                {"render.scale_fixed": 1.0},  # a voxel's mass; the paper gives none
+                "fixed-scale",
+            ),
+            *map(_count_points, (4000, 2000, 1000)),
+        ),
+        categories=("chair",),
+    ),
+    Experiment(
+        "points",
+        "Error against number of points",
+        "How many points does a shape need when their sizes are learned?",
+        published.POINTS,
+        ("projection_error", "silhouette_iou", "chamfer"),
+        _list_points((20, 60, 200, 2000)),
+        categories=("chair",),
+        analysis="point_sizes:draw",
+        reads="all",
+    ),
+    Experiment(
+        "covariance",
+        "Shapes of twenty Gaussians",
+        "What do learned covariances look like where there are few points?",
+        published.POINTS,
+        ("projection_error", "silhouette_iou", "chamfer"),
+        _list_points((20,)),
+        categories=("chair",),
+        analysis="point_sizes:draw",
+        reads="all",
+    ),
+    Experiment(
+        "color",
+        "Supervision by colour",
+        "Does colour tell the front from the back, and what does it cost the shape?",
+        published.SUPERVISION,
+        ("chamfer", *POSES, "flip_share", "color_psnr"),
+        (
+            Row("Silhouettes", variant=""),
+            Row("With colour, chosen by silhouettes", variant="color"),
+            Row(
+                "With colour, chosen by both",
+                variant="color",
+                changes=CHOOSE_BY_ALL,
+                tag="choose-by-all",
+            ),
+            Row("Known pose, silhouettes", variant="known_pose,64"),
+            Row("Known pose, with colour", variant="known_pose,64,color"),
+        ),
+        categories=("car", "chair"),
+        picture="signals.png",
+    ),
+    Experiment(
+        "depth",
+        "Supervision by depth",
+        "How much do depth maps bring over silhouettes?",
+        published.SUPERVISION,
+        ("chamfer", *POSES, "depth_error", "depth_error_percent"),
+        (
+            Row("Known pose, silhouettes", variant="known_pose,64"),
+            Row("Known pose, with depth", variant="known_pose,64,depth"),
+            Row(
+                "Known pose, depth alone",
+                variant="known_pose,64,depth",
+                changes={"train.silhouette_weight": 0.0},
+                tag="alone",
+            ),
+            Row("Silhouettes", variant=""),
+            Row(
+                "With depth, chosen by both",
+                variant="depth",
+                changes=CHOOSE_BY_ALL,
+                tag="choose-by-all",
+            ),
+        ),
+        categories=("car", "chair"),
+        picture="signals.png",
+    ),
+    Experiment(
+        "correspondences",
+        "Semantic correspondences",
+        "Do points of the same index lie on the same part of every chair?",
+        published.CORRESPONDENCES,
+        (),
+        (Row("Ours", variant=""),),
+        categories=("chair",),
+        analysis="correspondences:run",
+    ),
+    Experiment(
+        "interpolation",
+        "Interpolation between shapes",
+        "Does the way from one chair to another lead over chairs?",
+        published.INTERPOLATION,
+        (),
+        (Row("Ours", variant=""),),
+        categories=("chair",),
+        analysis="interpolation:run",
+    ),
+)
+NAMES = tuple(experiment.name for experiment in EXPERIMENTS)
+
+
+def find_experiments(name: str) -> tuple[Experiment, ...]:
+    """The experiments of --experiment: one, several with commas between, or "all".
+
+    Raises:
+      ValueError: for a name that is not known.
+    """
+    asked = [part.strip() for part in name.split(",")]
+    if asked == ["all"]:
+        return EXPERIMENTS
+    if unknown := [part for part in asked if part not in NAMES]:
+        raise ValueError(
+            f"--experiment must be all, or of {', '.join(NAMES)}, but it has "
+            f"{unknown[0] or 'an empty name'}; write for example "
+            "--experiment=known_pose,ablation."
+        )
+    return tuple(e for e in EXPERIMENTS if e.name in asked)

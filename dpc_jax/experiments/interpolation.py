@@ -1,0 +1,157 @@
+"""§ Interpolation of shapes in the latent space: from one test image to another.
+
+The latent space is, as in the paper, the first dense layer of the encoder, which shape
+and pose share: its activations are mixed, and the rest of the network makes a cloud of
+the mixture. The paper shows strips; here the way between is also measured.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpc_jax.data import DataSet
+from dpc_jax.evaluation.chamfer import chamfer_distance
+from dpc_jax.experiments.labelled_shapes import read_first_views
+from dpc_jax.files import write_json
+from dpc_jax.reporting import interpolation_figures
+from dpc_jax.run.finished import FinishedRun, load_split, predict_points, read_run
+
+PAIRS = 12  # of test images that are measured
+DRAWN = 6  # of them, as in the paper
+STEPS = 20  # from one image to the other
+COLUMNS = 5  # clouds of a drawn pair, its ends among them
+TOUR, TOUR_STEPS = 4, 12  # images of the animation, and its frames from one to the next
+CLOSEST = 5  # true shapes that are compared exactly
+SURFACE_POINTS = 2000  # of each true shape that clouds are compared with
+
+
+def run(out: Path | str, workdir: Path | str) -> tuple[dict[str, Any], list[Path]]:
+    """Interpolate between test images of a finished run, measure and draw it.
+
+    Writes interpolation.json, a strip and an animation into `out`.
+
+    Args:
+      out: folder, made where there is none.
+      workdir: of a finished run, with known poses or without.
+
+    Returns:
+      The measures, see `measure_ways`, and the paths of the figures.
+
+    Raises:
+      ValueError: where the workdir holds no finished run, or too few test images.
+      OSError: where files cannot be written.
+    """
+    out, finished = Path(out), read_run(Path(workdir))
+    dataset = load_split(finished, "test")
+    images = read_first_views(dataset)
+    pairs = draw_pairs(len(images))
+    ways = np.array([interpolate(finished, images[pair]) for pair in pairs])
+    metrics = measure_ways(ways) | measure_between(ways, pairs, dataset)
+    metrics |= {"pairs": len(pairs), "category": finished.config.category}
+    write_json(out / "interpolation.json", metrics)
+
+    shown, columns = pairs[:DRAWN], np.linspace(0, STEPS, COLUMNS).astype(int)
+    tour = pairs[:, 0][:TOUR]
+    figures = [
+        interpolation_figures.draw_strips(
+            images[shown[:, 0]],
+            ways[:DRAWN, columns],
+            images[shown[:, 1]],
+            out / "interpolation.png",
+        ),
+        interpolation_figures.animate_tour(
+            images[tour], _walk(finished, images[tour]), out / "interpolation.gif"
+        ),
+    ]
+    return metrics, figures
+
+
+def draw_pairs(count: int) -> np.ndarray:
+    """Pairs [P, 2] of different ones of `count` images, seed 0; none is in two pairs.
+
+    Raises:
+      ValueError: where there are fewer than two images.
+    """
+    if count < 2:
+        raise ValueError(
+            f"Expected at least two test images to go between, but there are {count}; "
+            "give a run with more --config.data.test_models."
+        )
+    order = np.random.default_rng(0).permutation(count)
+    return order[: 2 * min(PAIRS, count // 2)].reshape(-1, 2)
+
+
+def interpolate(run: FinishedRun, images: np.ndarray) -> np.ndarray:
+    """Clouds [STEPS + 1, N, 3] in the object frame, from one image [2, S, S, 3] on."""
+    share = np.linspace(0.0, 1.0, STEPS + 1)
+    return predict_points(run, images, mix=np.stack([1.0 - share, share], axis=1))
+
+
+def _walk(run, images) -> np.ndarray:
+    """Clouds [n, TOUR_STEPS, N, 3] around n images, each row up to the next image."""
+    count = len(images)
+    mix = np.zeros((count, TOUR_STEPS, count))
+    share = np.arange(TOUR_STEPS) / TOUR_STEPS
+    for i in range(count):
+        mix[i, :, i] += 1.0 - share
+        mix[i, :, (i + 1) % count] += share
+    points = predict_points(run, images, mix=mix.reshape(-1, count))
+    return points.reshape(count, TOUR_STEPS, *points.shape[1:])
+
+
+def measure_ways(ways: np.ndarray) -> dict[str, float]:
+    """How evenly the points move on their ways [P, F, N, 3], means over pairs.
+
+    Returns:
+      `largest_step`: the frame that moves the points most, over the mean frame; 1 is
+      steady, F - 1 a jump. `detour`: length of the ways over the distance between their
+      ends, means over points; 1 is straight. `distance`: of the ends, object units.
+    """
+    steps = np.linalg.norm(np.diff(ways, axis=1), axis=-1).mean(axis=-1)  # [P, F - 1]
+    direct = np.linalg.norm(ways[:, -1] - ways[:, 0], axis=-1).mean(axis=-1)
+    return {
+        "largest_step": float(np.mean(steps.max(axis=1) / steps.mean(axis=1))),
+        "detour": float(np.mean(steps.sum(axis=1) / direct)),
+        "distance": float(direct.mean()),
+    }
+
+
+def measure_between(
+    ways: np.ndarray, pairs: np.ndarray, dataset: DataSet
+) -> dict[str, float | None]:
+    """Whether what lies halfway is still a shape of the kind, means over pairs.
+
+    Returns:
+      Chamfer distance ×100 to the nearest true shape of the set, the two of the pair
+      left out: `nearest_ends` of the ends of the way, `nearest_halfway` of its middle,
+      `nearest_blended` of the mean of both ends' points, which needs no network. None
+      where the set has no true shapes.
+    """
+    names = ("nearest_ends", "nearest_halfway", "nearest_blended")
+    if dataset.surfaces is None or len(dataset.names) < 3:
+        return dict.fromkeys(names)
+    surfaces = [_thin(np.asarray(surface)) for surface in dataset.surfaces]
+    rows = []
+    for way, pair in zip(ways, pairs, strict=True):
+        others = [surface for i, surface in enumerate(surfaces) if i not in pair]
+        clouds = way[0], way[-1], way[len(way) // 2], (way[0] + way[-1]) / 2
+        first, last, halfway, blended = (_find_nearest(c, others) for c in clouds)
+        rows.append(((first + last) / 2, halfway, blended))
+    return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
+
+
+def _find_nearest(cloud, surfaces) -> float:
+    """Chamfer distance ×100 from a cloud to the nearest of the surfaces.
+
+    An eighth of the points finds the few that may be the nearest.
+    """
+    rough = [chamfer_distance(cloud[::8], s[::8]).chamfer for s in surfaces]
+    best = np.argsort(rough)[:CLOSEST]
+    return 100 * min(chamfer_distance(cloud, surfaces[i]).chamfer for i in best)
+
+
+def _thin(surface: np.ndarray) -> np.ndarray:
+    """Points spread over those of a surface."""
+    rows = np.linspace(0, len(surface) - 1, min(SURFACE_POINTS, len(surface)))
+    return surface[rows.astype(int)]

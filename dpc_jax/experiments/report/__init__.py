@@ -1,0 +1,1 @@
+"""The page: tables beside the paper's, figures, targets; as HTML and Markdown."""

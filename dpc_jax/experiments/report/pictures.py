@@ -1,0 +1,47 @@
+"""Pictures of runs on the page: test views of the first finished run of a row."""
+
+import io
+from pathlib import Path
+
+from PIL import Image
+
+from dpc_jax.experiments.catalogue import Experiment
+from dpc_jax.experiments.report.figures import Drawn
+from dpc_jax.experiments.results import Results
+from dpc_jax.files import write_bytes
+
+_WIDTH = 900  # pixels, of a page's column
+_COLORS = 128  # of a palette: a third of the bytes, no difference to the eye
+
+
+def copy_pictures(
+    results: Results, experiment: Experiment, folder: Path
+) -> list[Drawn]:
+    """Small copies of the pictures that the runs' own reports have, with captions.
+
+    Of the first category that has any: a picture per row, of its first seed.
+    """
+    for category in results.list_categories(experiment):
+        drawn = []
+        for row in experiment.rows:
+            for outcome in results.list_outcomes(experiment, row, category)[:1]:
+                path = outcome.workdir / "report" / experiment.picture
+                if outcome.metrics is not None and path.is_file():
+                    copy = folder / f"{outcome.run.name}_{path.name}"
+                    text = f"{row.label}: test views of the {category}s, first seed."
+                    drawn.append((_copy_small(path, copy), text))
+        if drawn:
+            return drawn
+    return []
+
+
+def _copy_small(path: Path, copy: Path) -> Path:
+    """The picture with few colours, at most a column wide."""
+    with Image.open(path) as opened:
+        image = opened.convert("RGB")
+    if image.width > _WIDTH:
+        height = round(image.height * _WIDTH / image.width)
+        image = image.resize((_WIDTH, height), Image.Resampling.LANCZOS)
+    buffer = io.BytesIO()
+    image.quantize(_COLORS).save(buffer, format="PNG", optimize=True)
+    return write_bytes(copy, buffer.getvalue())

@@ -1,0 +1,107 @@
+"""How large the runs of each --size are, and why.
+
+A value here replaces that of the config after its variant. Where a row says a value
+itself, that one counts.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+RESOLUTIONS = ("32", "64", "128")  # variants that set the side of images and volume
+
+
+@dataclasses.dataclass(frozen=True)
+class Size:
+    """A size of all experiments.
+
+    Attributes:
+      name: of --size.
+      variant: put before that of every row.
+      categories, seeds: unless others are asked for.
+      long_seeds: of the runs at 128, which take longest.
+      changes: "section.field": value, of every run.
+      by_resolution: the same for runs of a variant of `RESOLUTIONS`; "" for others.
+      fewer_points: numbers of points that rows say are divided by this.
+      environment: variables of the runs' processes.
+    """
+
+    name: str
+    variant: str
+    categories: tuple[str, ...]
+    seeds: tuple[int, ...]
+    long_seeds: tuple[int, ...]
+    changes: Mapping[str, Any]
+    by_resolution: Mapping[str, Mapping[str, Any]]
+    fewer_points: int = 1
+    environment: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+
+QUICK = Size(
+    "quick",
+    variant="",
+    categories=("chair",),  # programs do not depend on the category
+    seeds=(0,),  # shows that all runs, not how well
+    long_seeds=(0,),
+    changes={
+        "data.models": 12,  # rendered in seconds
+        "data.val_models": 4,
+        "data.test_models": 4,
+        "data.surface_points": 2000,  # Chamfer distances in milliseconds
+        "network.channels": 4,
+        "network.hidden": 32,
+        "network.shape_hidden": 32,
+        "render.keep_levels": 1,  # one stage, one program to compile
+        "render.num_points": 200,
+        "pose.choice_points": 0,
+        "train.steps": 10,  # enough to log, validate, save
+        "train.warmup_steps": 2,
+        "train.repulsion_points": 50,
+        "log.every": 5,
+        "log.evaluate": 0,  # the last step has one anyhow
+    },
+    by_resolution={
+        # Images of half the side named, the least that the encoder takes, and volumes
+        # of a quarter.
+        "32": {"data.image_size": 16, "render.grid": 8},
+        "64": {"data.image_size": 32, "render.grid": 16},
+        "128": {"data.image_size": 64, "render.grid": 32},
+        "": {"data.image_size": 32, "render.grid": 16, "render.fine_grid": 0},
+    },
+    fewer_points=20,
+    # Programs run for seconds: compiling them takes 11 s of a core instead of 23.
+    environment={"JAX_DISABLE_MOST_OPTIMIZATIONS": "true"},
+)
+
+CPU = Size(
+    "cpu",
+    variant="",
+    categories=("chair", "car"),  # the two whose silhouettes differ most
+    seeds=(0, 1, 2),  # a spread needs three
+    long_seeds=(0,),  # over ten minutes a run
+    changes={
+        "log.evaluate": 500,  # a curve of eight points at the least
+        "log.checkpoint": 500,  # half a minute is lost at the most
+    },
+    by_resolution={
+        # The same steps at every resolution: a column of Table 1 differs in nothing
+        # else.
+        "32": {"train.steps": 2000},
+        "64": {"train.steps": 2000},
+        "128": {"train.steps": 2000},
+        # Two thirds of the default run: its accuracy is within a few hundredths then.
+        "": {"train.steps": 4000},
+    },
+)
+
+FULL = Size(
+    "full",
+    variant="paper",
+    categories=("airplane", "car", "chair"),  # § Datasets
+    seeds=(0,),  # the paper names none; a run takes days
+    long_seeds=(0,),
+    changes={},
+    by_resolution={"32": {}, "64": {}, "128": {}, "": {}},
+)
+
+SIZES = {size.name: size for size in (QUICK, CPU, FULL)}

@@ -1,0 +1,158 @@
+"""The paper's experiments: python -m dpc_jax.paper --out=DIR --experiment=NAME
+
+Trains what is missing and writes DIR/index.html and DIR/paper.md, the paper's numbers
+beside ours. The same command goes on where it was stopped.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from dpc_jax.experiments.catalogue import NAMES
+from dpc_jax.experiments.published import CATEGORIES
+from dpc_jax.experiments.runs import Request, Source
+from dpc_jax.experiments.sizes import SIZES
+from dpc_jax.experiments.suite import Place, run_suite
+
+SOURCES = ("procedural", "open", "shapenet", "renders")
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong with flags in one sentence, without the list of all."""
+
+    def error(self, message):
+        raise ValueError(
+            f"Expected flags as --help lists them, but {message}; correct the command."
+        )
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The flags of the command."""
+    parser = _Parser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path("runs/paper"))
+    parser.add_argument(
+        "--experiment",
+        default="all",
+        help=f"all, or of {', '.join(NAMES)}, with commas between",
+    )
+    parser.add_argument("--size", default="cpu", choices=SIZES)
+    parser.add_argument(
+        "--category", default="", help="with commas between; default: of the size"
+    )
+    parser.add_argument(
+        "--seeds", default="", help="with commas between; default: of the size"
+    )
+    parser.add_argument("--source", default="procedural", choices=SOURCES)
+    parser.add_argument(
+        "--folder", default="", help="of the source: meshes, ShapeNet or renders"
+    )
+    parser.add_argument(
+        "--data", type=Path, default=Path("data"), help="keeps rendered data sets"
+    )
+    parser.add_argument(
+        "--page", type=Path, help="Markdown file to write too, figures beside it"
+    )
+    parser.add_argument(
+        "--at-once", type=int, default=0, help="runs; default: cores and memory decide"
+    )
+    parser.add_argument(
+        "--no-training", action="store_true", help="the page of what is there alone"
+    )
+    return parser
+
+
+def make_request(options: argparse.Namespace) -> Request:
+    """What the flags ask for.
+
+    Raises:
+      ValueError: for flags that do not fit together.
+    """
+    categories = _split(options.category)
+    if unknown := [name for name in categories if name not in CATEGORIES]:
+        raise ValueError(
+            f"--category must be of {', '.join(CATEGORIES)}, but it has "
+            f"{unknown[0]}; write for example --category=car,chair."
+        )
+    seeds = _split(options.seeds)
+    if wrong := [word for word in seeds if not word.isdecimal()]:
+        raise ValueError(
+            f"--seeds must be whole numbers from 0 on, but it has {wrong[0]}; write "
+            "for example --seeds=0,1,2."
+        )
+    request = Request(
+        options.experiment,
+        options.size,
+        make_source(options.source, options.folder),
+        tuple(categories),
+        tuple(sorted(set(map(int, seeds)))),
+    )
+    if not request.list_experiments():
+        raise ValueError(
+            f"--category must fit --experiment={options.experiment}, but that is not "
+            f"made of {options.category}; leave one of them out."
+        )
+    if options.at_once < 0:
+        raise ValueError(
+            f"--at-once must be at least 1, but it is {options.at_once}; leave it out "
+            "for as many as there are cores."
+        )
+    return request
+
+
+def make_source(kind: str, folder: str) -> Source:
+    """The source of objects.
+
+    Raises:
+      ValueError: where its folder is missing, or given without need.
+    """
+    if kind == "procedural":
+        if folder:
+            raise ValueError(
+                "--folder must be left out for procedural shapes, but it is "
+                f"{folder}; give --source=open, shapenet or renders with it."
+            )
+        return Source()
+    if not Path(folder).is_dir() or not folder:
+        raise ValueError(
+            f"--folder must be a folder that exists for --source={kind}, but it is "
+            f"{folder or 'not given'}; write for example --folder=data/{kind}."
+        )
+    return Source(kind, str(Path(folder).absolute()))
+
+
+def _split(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",")] if text else []
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Parse the command line, train, write the page; returns the exit status."""
+    try:
+        options = make_parser().parse_args(arguments)
+        request = make_request(options)
+    except ValueError as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return 2
+    place = Place(options.out, options.data, options.page)
+    try:
+        page, failed = run_suite(
+            request,
+            place,
+            at_once=options.at_once,
+            is_training=not options.no_training,
+        )
+    except (ValueError, OSError) as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(
+            f"Interrupted; the page in {options.out} shows what is there, and the same "
+            "command goes on.",
+            file=sys.stderr,
+        )
+        return 130
+    print(f"Page: {page}")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,78 @@
+"""Point clouds as pictures of small shaded spheres, drawn with NumPy alone."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dpc_jax.reporting.gallery import view_points
+
+_REACH = 0.54  # of the picture from its middle, object units: box diagonal 1 fits in
+_FINER = 2  # times finer than asked for, then averaged: smooth edges
+_LIGHT = np.array([-0.45, 0.6, 0.66])  # from the upper left, towards the viewer
+_DEPTH = 0.8  # from the farthest to the nearest that colours tell apart
+_FADE = 0.45  # how far the colour of what is farthest fades to white
+_NEAR, _FAR = np.array([0.10, 0.29, 0.55]), np.array([0.62, 0.75, 0.88])
+
+
+def shade_depth(points: ArrayLike, view_deg: tuple[float, float]) -> np.ndarray:
+    """Colours [N, 3] of 0 to 1 that tell how near points [N, 3] are: dark is near."""
+    near = _find_nearness(view_points(np.asarray(points), view_deg))
+    return _FAR + (_NEAR - _FAR) * near
+
+
+def draw_spheres(
+    points: ArrayLike,
+    colors: ArrayLike,
+    *,
+    view_deg: tuple[float, float],
+    radius: ArrayLike = 0.012,
+    size: int = 320,
+) -> np.ndarray:
+    """Picture uint8 [size, size, 3] of points as spheres, on white, orthographic.
+
+    Args:
+      points: [N, 3] in the object frame (z up). What lies outside is cut off.
+      colors: [N, 3] of 0 to 1.
+      view_deg: azimuth and elevation, as of `gallery.view_points`.
+      radius: of the spheres in object units, one or [N].
+      size: of the picture's side, pixels.
+    """
+    seen = view_points(np.asarray(points), view_deg)
+    order = np.argsort(seen[:, 2], kind="stable")  # painter's order: far first
+    seen = seen[order]
+    radii = np.broadcast_to(np.asarray(radius, float), len(seen))[order]
+    # The far ones fade, as in the other pictures of clouds.
+    fade = _FADE * (1.0 - _find_nearness(seen))
+    faded = np.asarray(colors, float)[order]
+    faded = faded + (1.0 - faded) * fade
+
+    side = _FINER * size
+    scale = side / (2 * _REACH)  # pixels in an object unit
+    pixels, shades = _cover_pixels(seen, faded, radii, scale, side)
+    picture = np.ones((side * side, 3), np.float32)
+    picture[pixels] = shades  # of several for one pixel the last one stays: the nearest
+    fine = picture.reshape(size, _FINER, size, _FINER, 3).mean(axis=(1, 3))
+    return np.rint(255 * fine).astype(np.uint8)
+
+
+def _find_nearness(seen):
+    """0 (far) to 1 (near) [N, 1] of seen points, on a fixed scale."""
+    return np.clip(seen[:, 2:] / _DEPTH + 0.5, 0.0, 1.0)
+
+
+def _cover_pixels(seen, colors, radii, scale, side):
+    """Pixel and colour of every place that the spheres cover, one after the other."""
+    reach = max(1, int(np.ceil(radii.max() * scale)))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, 1, -1)
+    pixel_radii = np.maximum(radii * scale, 1.0)[:, None]
+    square = (x**2 + y**2) / pixel_radii**2
+    cols = np.floor(seen[:, :1] * scale + side / 2).astype(int) + x
+    rows = np.floor(side / 2 - seen[:, 1:2] * scale).astype(int) + y
+    covered = (cols >= 0) & (cols < side) & (rows >= 0) & (rows < side) & (square <= 1)
+
+    which, place = np.nonzero(covered)
+    towards = np.sqrt(1.0 - square[covered])
+    across = np.stack([x[0, place], -y[0, place]]) / pixel_radii[which, 0]
+    light = _LIGHT / np.linalg.norm(_LIGHT)
+    lit = light[:2] @ across + light[2] * towards
+    shade = (0.55 + 0.45 * np.maximum(lit, 0.0))[:, None]
+    return (rows * side + cols)[covered], colors[which] * shade

@@ -1,0 +1,120 @@
+"""A finished run, read back from its workdir to ask its network for shapes."""
+
+import functools
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpc_jax.config import Config, replace_fields
+from dpc_jax.data import DataSet, load_or_render
+from dpc_jax.evaluation.alignment import Alignment, align_points
+from dpc_jax.learning.checkpoints import Checkpoints
+from dpc_jax.learning.predictions import scale_images
+from dpc_jax.learning.step import TrainState, describe_state
+from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.run.gpu import set_gpu_flags
+from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
+from dpc_jax.run.setup import make_data_specs, make_network
+from dpc_jax.run.workdir import read_alignment, read_config
+
+IMAGES_AT_ONCE = 64  # that are predicted
+
+
+class FinishedRun(NamedTuple):
+    """What a run has learned, on one device.
+
+    Attributes:
+      config, network, state: of the run, at its last checkpoint.
+      alignment: from the network's frame to the object frame.
+    """
+
+    config: Config
+    network: ShapePoseNetwork
+    state: TrainState
+    alignment: Alignment
+
+
+def read_run(workdir: Path) -> FinishedRun:
+    """The run of a workdir.
+
+    Raises:
+      ValueError: where the workdir holds no finished run, or it cannot be read.
+    """
+    config = replace_fields(read_config(workdir), {"run": {"devices": 1}})
+    alignment = read_alignment(workdir)
+    if alignment is None:
+        raise ValueError(
+            f"Expected a finished run in {workdir}, but it has no "
+            "report/alignment.json; start the command that began the run again."
+        )
+    state = restore_state(config, workdir)
+    return FinishedRun(config, make_network(config), state, alignment)
+
+
+def restore_state(config: Config, workdir: Path) -> TrainState:
+    """The last state of a run, after setting up the process as for training.
+
+    Raises:
+      ValueError: where there is no checkpoint, or none that can be read.
+    """
+    set_gpu_flags()
+    split_cores(config.train.models_per_batch)
+    keep_freed_memory()
+    keep_compiled_programs()
+    like = describe_state(make_network(config), config)
+    folder = workdir / "checkpoints"
+    restored = None
+    if folder.is_dir():
+        checkpoints = Checkpoints(folder)
+        restored = checkpoints.restore(like)
+        checkpoints.close()
+    if restored is None:
+        raise ValueError(
+            f"Expected a checkpoint in {folder}, but there is none; start the command "
+            "that began the run again."
+        )
+    return restored.state
+
+
+def load_split(run: FinishedRun, split: str) -> DataSet:
+    """The split "val" or "test" of a run's data, from its cache or prepared now.
+
+    Raises:
+      ValueError: where it cannot be used. OSError: where it cannot be written.
+    """
+    data = run.config.data
+    spec = make_data_specs(run.config)[split]
+    return load_or_render(
+        spec, cache_dir=data.cache_dir, processes=data.processes or None
+    )
+
+
+def predict_points(
+    run: FinishedRun, images: np.ndarray, *, mix: np.ndarray | None = None
+) -> np.ndarray:
+    """Clouds [n, N, 3] in the object frame of images uint8 [n, S, S, 3].
+
+    With the weights `mix` [M, n] they are the clouds [M, N, 3] of mixtures of the
+    images, see `ImageEncoder`; there should be few images then.
+    """
+    if mix is not None:
+        weights = jnp.asarray(mix, jnp.float32)
+        points = _decode(run.state.params, images, weights, network=run.network)
+        return align_points(run.alignment, np.asarray(points))
+    parts = []
+    for start in range(0, len(images), IMAGES_AT_ONCE):
+        # The last batch repeats its last image: one program serves all.
+        rows = np.minimum(np.arange(start, start + IMAGES_AT_ONCE), len(images) - 1)
+        points = _decode(run.state.params, images[rows], None, network=run.network)
+        parts.append(np.asarray(points))
+    points = np.concatenate(parts)[: len(images)]
+    return align_points(run.alignment, points)
+
+
+@functools.partial(jax.jit, static_argnames="network")
+def _decode(params, images, mix, *, network):
+    features = network.apply(params, scale_images(images), mix=mix, method="encode")
+    return network.apply(params, features, method="predict_shape")["points"]

@@ -1,0 +1,87 @@
+"""Keypoints of procedural shapes: corners and tips that every shape of a kind has.
+
+A keypoint is the vertex of one part that lies farthest in a direction, in the object
+frame (x front, y left, z up): the tip of the front left leg is where "leg" reaches
+farthest forward, left and, above all, down.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+
+from dpc_jax.shapes import chair_plans
+from dpc_jax.shapes.procedural import make_shape, seed_stream
+
+Direction = tuple[float, float, float]
+_LEFT, _FRONT = {"left": 1, "right": -1}, {"front": 1, "rear": -1}
+
+
+def _name_corners(text, label, depth, width, up):
+    """The four keypoints of a part that has a corner front and rear, left and right."""
+    return {
+        f"{f} {s} {text}": (label, (depth * _FRONT[f], width * _LEFT[s], up))
+        for f in _FRONT
+        for s in _LEFT
+    }
+
+
+def _name_sides(text, label, depth, up):
+    """The two keypoints of a part that has a left and a right end."""
+    return {f"{s} {text}": (label, (depth, _LEFT[s], up)) for s in _LEFT}
+
+
+KEYPOINTS: dict[str, dict[str, tuple[str, Direction]]] = {  # label, direction
+    "chair": {
+        **_name_corners("seat corner", "seat", 1, 1, 0.1),
+        **_name_corners("leg tip", "leg", 1, 1, -3),
+        **_name_sides("back corner", "back", 0, 1),
+    },
+    "car": {
+        **_name_corners("wheel", "wheel", 1, 1, -3),
+        **_name_corners("bumper corner", "body", 1, 1, 0),
+        **_name_corners("roof corner", "cabin", 1, 1, 3),
+    },
+    "airplane": {
+        "nose": ("body", (1, 0, 0)),
+        "rear end": ("body", (-1, 0, 0)),
+        "fin tip": ("tail", (-1, 0, 3)),
+        **_name_sides("wing tip", "wing", 0, 0),
+        **_name_sides("stabiliser tip", "tail", 0, 0),
+    },
+}
+# What a chair stands on at four places. A star or a round foot has no leg tips.
+FOUR_FOOTED = ("legs", "sled", "block")
+
+
+class Keypoint(NamedTuple):
+    """A keypoint of one shape: the label of its part, its position [3]."""
+
+    label: str
+    position: np.ndarray
+
+
+def find_keypoints(category: str, seed: int) -> dict[str, Keypoint]:
+    """Keypoints by name of the shape that `make_shape` makes of the same arguments.
+
+    What a shape does not have, such as the leg tips of a swivel chair, is left out.
+
+    Raises:
+      ValueError: for an unknown category.
+    """
+    mesh = make_shape(category, seed)
+    found = {
+        name: Keypoint(label, _find_extreme(mesh, label, direction))
+        for name, (label, direction) in KEYPOINTS[category].items()
+    }
+    if category == "chair":
+        base = chair_plans.draw_plan(seed_stream(category, seed)).base
+        if base not in FOUR_FOOTED:
+            found = {n: point for n, point in found.items() if point.label != "leg"}
+    return found
+
+
+def _find_extreme(mesh: trimesh.Trimesh, label, direction) -> np.ndarray:
+    faces = np.asarray(mesh.faces)[mesh.face_attributes["label"] == label]
+    vertices = np.asarray(mesh.vertices)[np.unique(faces)]
+    return vertices[np.argmax(vertices @ np.asarray(direction, float))]

@@ -1,0 +1,245 @@
+"""The page, from made-up finished runs: whose numbers stand where, what is missing."""
+
+import json
+import os
+import re
+
+import pytest
+
+from dpc_jax import paper
+from dpc_jax.config import to_json
+from dpc_jax.experiments.catalogue import EXPERIMENTS, Row
+from dpc_jax.experiments.report.tables import format_summary, make_table
+from dpc_jax.experiments.report.targets import check_targets
+from dpc_jax.experiments.results import Outcome, Results, Summary, summarize
+from dpc_jax.experiments.runs import Request, list_runs
+from dpc_jax.run.workdir import hold_workdir
+
+KNOWN, UNKNOWN, ABLATION = EXPERIMENTS[:3]
+CHAMFER = {"32": 5.0, "64": 4.0, "128": 3.0}
+
+
+def make_up(run):
+    """Metrics of a run: seed 1 is 0.2 worse than seed 0, cars 1 better than chairs."""
+    resolution = next((r for r in CHAMFER if f"-{r}-" in run.name), "64")
+    shift = 0.2 * run.seed - (run.category == "car")
+    naive = "naive" in run.name
+    return {
+        "chamfer": CHAMFER[resolution] + shift,
+        "precision": 1.5,
+        "coverage": CHAMFER[resolution] + shift - 1.5,
+        "pose_accuracy": 0.4 if naive else 0.9 if "gt_pose" in run.name else 0.8,
+        "pose_median_error_deg": 40.0 if naive else 5.0,
+        "train_seconds": 120.0,
+        "peak_memory_gb": 1.5,
+        "train_models": 12,
+        "test_models": 4,
+    }
+
+
+def make_results(*requests, without=()):
+    """Results of made-up metrics; runs with a word of `without` are missing."""
+    outcomes = {
+        run.name: Outcome(run, None, metrics=make_up(run))
+        if not any(word in run.name for word in without)
+        else Outcome(run, None)
+        for run in list_runs(requests)
+    }
+    return Results(requests, outcomes)
+
+
+def read_row(table, category, label):
+    """Cells of a row by their heads."""
+    (row,) = (r for r in table.rows if list(r[:2]) == [category, label])
+    return dict(zip(table.heads, row, strict=True))
+
+
+CARS_AND_CHAIRS = Request(
+    "known_pose,unknown_pose", "quick", categories=("car", "chair"), seeds=(0, 1)
+)
+
+
+def test_the_paper_s_number_stands_beside_the_mean_and_spread_of_ours():
+    table = make_table(make_results(CARS_AND_CHAIRS), KNOWN)
+    row = read_row(table, "chair", "Ours, 64²")
+    assert row["Chamfer distance (×100), paper"] == "4.15"
+    # 4.0 and 4.2: standard deviation 0.2 / √2.
+    assert row["Chamfer distance (×100), ours"] == "4.10 ± 0.14 (n = 2)"
+    assert (row["Runs"], row["Minutes"], row["Memory (GB)"]) == ("2", "2.0", "1.5")
+    mean = read_row(table, "mean", "Ours, 64²")
+    # The paper's cars and chairs, without its airplanes: (2.98 + 4.15) / 2.
+    assert mean["Chamfer distance (×100), paper"] == "3.57"
+    # Chairs 4.1, cars 3.1; the mean of two has 1/√2 of the spread of one.
+    assert mean["Chamfer distance (×100), ours"] == "3.60 ± 0.10 (n = 2)"
+
+
+def test_a_system_that_is_not_built_has_the_paper_s_numbers_alone():
+    row = read_row(make_table(make_results(CARS_AND_CHAIRS), UNKNOWN), "car", "MVC")
+    assert row["Pose accuracy (%), paper"] == "87.0"
+    assert row["Pose accuracy (%), ours"] == "–"
+    assert row["Runs"] == "not built here"
+
+
+def test_what_is_missing_says_so():
+    results = make_results(CARS_AND_CHAIRS, without=("naive", "128-seed1"))
+    naive = read_row(make_table(results, UNKNOWN), "car", "Ours-naive")
+    assert naive["Runs"] == "not run yet"
+    assert naive["Chamfer distance (×100), ours"] == "–"
+    assert naive["Chamfer distance (×100), paper"] == "4.14"
+    long = read_row(make_table(results, KNOWN), "car", "Ours, 128²")
+    assert long["Runs"] == "1 of 2"
+    assert long["Chamfer distance (×100), ours"] == "2.00 (n = 1)"
+
+
+def test_a_single_run_has_no_spread():
+    assert summarize([None, float("nan")]) is None
+    assert summarize([4.0, None]) == Summary(4.0, None, 1)
+    assert format_summary("chamfer", Summary(4.0, None, 1)) == "4.00 (n = 1)"
+    assert format_summary("pose_accuracy", summarize([0.5, 0.6])) == (
+        "55.0 ± 7.1 (n = 2)"
+    )
+
+
+def find_target(targets, words):
+    (target,) = (t for t in targets if all(word in t.text for word in words))
+    return target
+
+
+def test_targets_are_checked_from_the_figures(monkeypatch):
+    targets = check_targets(make_results(CARS_AND_CHAIRS), {})
+    falls = find_target(targets, ("car", "falls from 32"))
+    assert falls.met and falls.reached == "4.10, 3.10, 2.10"
+    assert find_target(targets, ("car", "above naive")).met
+    assert find_target(targets, ("chair", "upper bound")).met
+    # The same Chamfer with known and unknown pose is not below.
+    assert find_target(targets, ("chair", "below unknown")).met is False
+    monkeypatch.setitem(CHAMFER, "128", 4.5)
+    assert not find_target(
+        check_targets(make_results(CARS_AND_CHAIRS), {}), ("car", "falls from 32")
+    ).met
+
+
+def test_a_target_whose_runs_are_missing_is_neither_met_nor_missed():
+    targets = check_targets(make_results(CARS_AND_CHAIRS, without=("naive",)), {})
+    assert find_target(targets, ("car", "above naive")).met is None
+
+
+def test_the_order_of_the_ablation_names_the_pairs_that_differ():
+    request = Request("ablation", "quick")
+    (target,) = check_targets(make_results(request), {})
+    assert target.met  # equal rows are not the other way round
+    outcomes = {run.name: run for run in list_runs([request])}
+    worse = {"chair-known_pose-64-seed0": 9.0}
+    made = {
+        name: Outcome(run, None, metrics={"chamfer": worse.get(name, 4.0)})
+        for name, run in outcomes.items()
+    }
+    (target,) = check_targets(Results([request], made), {})
+    assert not target.met
+    assert target.reached.startswith("6 of 21 pairs")
+    assert "Full, 8000 points and No dropout" in target.reached
+
+
+def test_a_baseline_becomes_a_row_by_one_declaration():
+    """As PTN would, once there is a variant of that name."""
+    row = Row("PTN, 32²", "PTN, 32", "known_pose,32", {"train.steps": 9}, "ptn")
+    request = Request("known_pose", "quick")
+    (run,) = request.list_row_runs(row, "chair")
+    assert run.name == "chair-known_pose-32-ptn-seed0"
+    results = Results([request], {run.name: Outcome(run, None, metrics=make_up(run))})
+    found = results.summarize(KNOWN, row, "chair", "chamfer")
+    assert found == Summary(5.0, None, 1)
+    assert KNOWN.table.find(row.published, "chair", "chamfer") == 5.10
+
+
+# The whole command, on finished runs.
+
+
+def finish_runs(folder, *requests):
+    """Folders of finished runs, as `dpc_jax.main` leaves them."""
+    for run in list_runs(requests):
+        workdir = folder / "runs" / run.name
+        (workdir / "report").mkdir(parents=True)
+        (workdir / "config.json").write_text(to_json(run.load_config()))
+        (workdir / "report" / "metrics.json").write_text(json.dumps(make_up(run)))
+        (workdir / "report" / "index.html").write_text("report")
+        lines = [
+            {
+                "step": 10 * i,
+                "seconds": 30.0 * i,
+                "chamfer": 9 - i,
+                "pose_accuracy": 0.1,
+            }
+            for i in (1, 2, 3)
+        ]
+        text = "".join(json.dumps(line) + "\n" for line in lines)
+        (workdir / "metrics.jsonl").write_text(text)
+
+
+def test_the_command_writes_the_page_of_what_is_finished(tmp_path, capsys):
+    out, page = tmp_path / "out", tmp_path / "docs" / "paper.md"
+    finish_runs(out, Request("known_pose,unknown_pose", "quick"))
+    flags = [f"--out={out}", "--size=quick", "--experiment=known_pose,unknown_pose"]
+    assert paper.main([*flags, f"--page={page}"]) == 0
+    said = capsys.readouterr().out
+    assert "All 6 runs are finished." in said and f"Page: {out}/index.html" in said
+    html, text = (out / "index.html").read_text(), (out / "paper.md").read_text()
+    for words in ("Chamfer falls from 32", "not built here", "4.15", "12 models"):
+        assert words in html and words in text
+    assert "Not asked for here: ablation" in text
+    assert html.count("data:image/png") == text.count("![") == 3
+    for written in (out / "paper.md", page):
+        for link in re.findall(r"\]\((.+?\.png)\)", written.read_text()):
+            assert (written.parent / link).is_file(), link
+
+
+def test_a_folder_remembers_what_it_was_asked_for(tmp_path, capsys):
+    finish_runs(tmp_path, Request("known_pose,unknown_pose", "quick"))
+    flags = [f"--out={tmp_path}", "--size=quick"]
+    assert paper.main([*flags, "--experiment=known_pose"]) == 0
+    assert "Shape and pose" not in (tmp_path / "paper.md").read_text()
+    assert paper.main([*flags, "--experiment=unknown_pose"]) == 0
+    text = (tmp_path / "paper.md").read_text()
+    assert "## Shape with known pose" in text and "## Shape and pose" in text
+    assert paper.main([f"--out={tmp_path}", "--size=cpu"]) == 1
+    assert "must have one size, but it was begun with quick" in capsys.readouterr().err
+
+
+def test_a_page_without_runs_has_the_paper_s_numbers(tmp_path, capsys):
+    flags = [f"--out={tmp_path}", "--experiment=ablation", "--no-training"]
+    assert paper.main(flags) == 0
+    text = (tmp_path / "paper.md").read_text()
+    assert "0 of 21 runs are finished." in text and "4.89" in text
+    assert text.count("not run yet") == 7 and "runs are missing" in text
+    assert "None of its runs is finished yet." in text
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_second_command_of_the_same_folder_is_refused(tmp_path, capsys):
+    with hold_workdir(tmp_path):
+        assert paper.main([f"--out={tmp_path}", "--size=quick"]) == 1
+    error = capsys.readouterr().err
+    assert f"but process {os.getpid()} on" in error and error.count("\n") == 1
+    assert not (tmp_path / "requests.json").exists()
+
+
+@pytest.mark.parametrize(
+    "flags, words",
+    [
+        ("--experiment=shapes", "--experiment must be all, or of known_pose"),
+        ("--size=huge", "invalid choice: 'huge'"),
+        ("--category=boat", "--category must be of airplane, car, chair"),
+        ("--seeds=-1", "--seeds must be whole numbers"),
+        ("--source=shapenet", "--folder must be a folder that exists"),
+        ("--folder=here", "--folder must be left out"),
+        ("--experiment=ablation --category=car", "is not made of car"),
+        ("--at-once=-2", "--at-once must be at least 1"),
+        ("--steps=3", "unrecognized arguments: --steps=3"),
+    ],
+)
+def test_a_wrong_flag_is_said_in_one_sentence(flags, words, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert paper.main([f"--out={out}", *flags.split()]) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.startswith("Error: ") and error.count("\n") == 1
+    assert not out.exists()
