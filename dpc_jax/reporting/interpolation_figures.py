@@ -18,9 +18,9 @@ _FILLED, _EMPTY = (47, 126, 188), (222, 228, 234)
 
 
 def draw_strips(
-    starts: Sequence[np.ndarray],
-    clouds: Sequence[np.ndarray],
-    stops: Sequence[np.ndarray],
+    starts: Sequence[np.ndarray] | np.ndarray,
+    clouds: Sequence[np.ndarray] | np.ndarray,
+    stops: Sequence[np.ndarray] | np.ndarray,
     path: str | os.PathLike,
 ) -> Path:
     """A row for each pair: input A, clouds from A to B, input B (the paper's figure).
