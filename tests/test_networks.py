@@ -72,6 +72,41 @@ def test_the_first_kernel_is_5x5_the_others_3x3_and_two_dense_layers_have_1024_u
     assert len(dense) == 4  # two kernels, two biases
 
 
+def test_a_mixture_of_images_is_made_after_the_first_dense_layer():
+    encoder = ImageEncoder(channels=2, hidden=8, normalize=True)
+    images = jax.random.normal(KEY, (2, 16, 16, 3))
+    mix = jnp.array([[1.0, 0.0], [0.0, 1.0], [0.25, 0.75]])
+
+    def is_dense(module, _):
+        return isinstance(module, nn.Dense)
+
+    with compiling_quickly():
+        variables = encoder.init(KEY, images)
+        alone = encoder.apply(variables, images)
+        mixed, seen = encoder.apply(
+            variables, images, mix=mix, capture_intermediates=is_dense
+        )
+    # Weights of 0 and 1 leave each image's activations as they are.
+    np.testing.assert_array_equal(mixed[:2], alone)
+    first, second = (seen["intermediates"][f"Dense_{i}"]["__call__"] for i in (0, 1))
+    assert first[0].shape == (2, 8) and second[0].shape == (3, 8)
+    # Behind it only the second layer follows; its input is linear in the weights.
+    between = 0.25 * second[0][0] + 0.75 * second[0][1]
+    # Sums of 8 products in float32.
+    np.testing.assert_allclose(second[0][2], between, atol=1e-5)
+    assert np.abs(mixed[2] - (0.25 * alone[0] + 0.75 * alone[1])).max() > 1e-3
+
+
+def test_mixing_adds_no_parameters():
+    plain = shapes_of(ImageEncoder(channels=2, hidden=8), image_shape(16))
+    assert set(plain) == {
+        f"{layer}_{i}/{leaf}"
+        for layer, count in (("Conv", 3), ("Dense", 2))
+        for i in range(count)
+        for leaf in ("kernel", "bias")
+    }
+
+
 @pytest.mark.parametrize("size", [0, 1, 8, 48, 65])
 def test_an_image_size_that_cannot_be_halved_to_four_is_refused_in_a_sentence(size):
     with pytest.raises(ValueError, match=rf"power of two.*but it is {size}; use"):

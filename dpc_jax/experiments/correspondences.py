@@ -5,7 +5,7 @@ differ: keypoints are not marked by hand but follow from how the procedural shap
 made, and what the paper shows in pictures is also measured, over many template pairs.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +25,7 @@ from dpc_jax.run.finished import read_run
 RADIUS = 0.05  # of the box diagonal: what is near a keypoint (the paper: "small")
 LEAST = 5  # points of a keypoint
 PAIRS = 20  # of templates; the first is drawn
+TEMPLATES = (1, 2, 3, 5)  # how many agree on the indices: the paper has 2
 SHOWN = 16  # test shapes in the picture
 METHODS = {  # how the points of a keypoint are found in a shape, and what it is called
     "index": "same indices (the paper's way)",
@@ -44,7 +45,8 @@ def run(out: Path | str, workdir: Path | str) -> tuple[dict[str, Any], list[Path
       workdir: of a finished run on procedural shapes, with known poses or without.
 
     Returns:
-      The measures, see `measure_pairs`, and the paths of the figures.
+      The measures, see `measure_pairs`, with `by_templates`, the share on the right
+      part with other numbers of templates; and the paths of the figures.
 
     Raises:
       ValueError: where the workdir holds no such run, or too few of its validation
@@ -55,7 +57,20 @@ def run(out: Path | str, workdir: Path | str) -> tuple[dict[str, Any], list[Path
     templates = _keep_complete(read_shapes(finished, "val"))
     shapes = read_shapes(finished, "test")
     pairs = draw_pairs(len(templates.seeds))
-    metrics = measure_pairs(templates, shapes, pairs, labels=labels)
+    near = label_shapes(shapes)
+    metrics = measure_pairs(templates, shapes, pairs, labels=labels, point_labels=near)
+    metrics["by_templates"] = {
+        str(count): measure_pairs(
+            templates,
+            shapes,
+            draw_pairs(len(templates.seeds), size=count),
+            labels=labels,
+            point_labels=near,
+            methods=("index",),
+        )["right_part"]
+        for count in TEMPLATES
+        if count <= len(templates.seeds)
+    }
     write_json(out / "correspondences.json", metrics)
     bars = {
         f"{METHODS[method]}: {100 * values['right_part']:.0f} %": values[
@@ -105,6 +120,8 @@ def measure_pairs(
     pairs: np.ndarray,
     *,
     labels: Mapping[str, str],
+    point_labels: Sequence[np.ndarray],
+    methods: Sequence[str] = tuple(METHODS),
 ) -> dict[str, Any]:
     """Measures of the transfer from pairs of templates to all shapes, and of baselines.
 
@@ -112,6 +129,8 @@ def measure_pairs(
       templates: validation shapes that have all keypoints. shapes: test shapes.
       pairs: [P, T] rows of templates.
       labels: of the K keypoints, by name.
+      point_labels: of the test shapes' points, see `label_shapes`.
+      methods: of `METHODS`, "index" among them.
 
     Returns:
       Under "by" for each of `METHODS`: `right_part`, the share of points whose nearest
@@ -122,17 +141,14 @@ def measure_pairs(
     """
     rng = np.random.default_rng(0)
     made = [_make_pair(templates, rows, rng) for rows in pairs]
-    point_labels = [
-        label_cloud(cloud, shapes.category, seed)
-        for cloud, seed in zip(shapes.clouds, shapes.seeds, strict=True)
-    ]
     by = {}
-    for method in METHODS:
+    for method in methods:
         results = [
             _transfer(method, pair, shapes, point_labels, list(labels.values()))
             for pair in made
         ]
-        by[method] = _summarize(*map(np.array, zip(*results, strict=True)), labels)
+        right, distance, follows = map(np.array, zip(*results, strict=True))
+        by[method] = _summarize(right, distance, follows, labels)
     alone = {key: value for key, value in by["index"].items() if "_by_" not in key}
     return alone | {
         "points": float(np.mean([len(i) for pair in made for i in pair.found])),
@@ -142,6 +158,14 @@ def measure_pairs(
         "category": shapes.category,
         "by": by,
     }
+
+
+def label_shapes(shapes: LabelledShapes) -> list[np.ndarray]:
+    """For each shape the label [N] of the true part nearest to each predicted point."""
+    return [
+        label_cloud(cloud, shapes.category, seed)
+        for cloud, seed in zip(shapes.clouds, shapes.seeds, strict=True)
+    ]
 
 
 def _make_pair(templates, rows, rng) -> _Pair:

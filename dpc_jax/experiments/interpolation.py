@@ -21,7 +21,7 @@ PAIRS = 12  # of test images that are measured
 DRAWN = 6  # of them, as in the paper
 STEPS = 20  # from one image to the other
 COLUMNS = 5  # clouds of a drawn pair, its ends among them
-TOUR, TOUR_STEPS = 4, 12  # images of the animation, and its frames from one to the next
+TOUR, TOUR_STEPS = 4, 10  # images of the animation, and its frames from one to the next
 CLOSEST = 5  # true shapes that are compared exactly
 SURFACE_POINTS = 2000  # of each true shape that clouds are compared with
 

@@ -11,16 +11,16 @@ from dpc_jax.reporting.panels import draw_grid, write_animation
 from dpc_jax.reporting.spheres import draw_spheres, shade_depth
 
 _FRONT, _REAR = (35.0, 25.0), (-130.0, 20.0)  # azimuth, elevation in degrees
-_STRIP, _FRAME, _INSET = 256, 340, 84  # sides of pictures, pixels
+_STRIP, _FRAME, _INSET = 256, 300, 76  # sides of pictures, pixels
 _BAR = 8  # height of the bar that tells how far a frame is, pixels
 _REST, _MOVE = 600, 80  # how long a prediction and a frame between stay, milliseconds
 _FILLED, _EMPTY = (47, 126, 188), (222, 228, 234)
 
 
 def draw_strips(
-    starts: Sequence[np.ndarray],
-    clouds: Sequence[np.ndarray],
-    stops: Sequence[np.ndarray],
+    starts: Sequence[np.ndarray] | np.ndarray,
+    clouds: Sequence[np.ndarray] | np.ndarray,
+    stops: Sequence[np.ndarray] | np.ndarray,
     path: str | os.PathLike,
 ) -> Path:
     """A row for each pair: input A, clouds from A to B, input B (the paper's figure).

@@ -10,7 +10,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
 
 from dpc_jax.files import write_bytes
-from dpc_jax.reporting.style import INK, make_figure, save_figure
+from dpc_jax.reporting.style import INK, make_figure, make_panels, save_figure
 
 _SIDE = 1.9  # of a panel, inches
 
@@ -36,22 +36,23 @@ def draw_grid(
         raise ValueError(
             "rows must hold at least one picture, but there are none; pass pictures."
         )
+    columns = len(rows[0])
     height = 1.02 * _SIDE * len(rows) + (0.3 if titles else 0.05)
-    figure = make_figure(_SIDE * len(rows[0]), height)
+    figure = make_figure(_SIDE * columns, height)
     gaps = dict.fromkeys(("w_pad", "h_pad", "wspace", "hspace"), 0.02)
     figure.set_layout_engine(ConstrainedLayoutEngine(**gaps))
-    grid = figure.subplots(len(rows), len(rows[0]), squeeze=False)
-    for i, j in np.ndindex(grid.shape):
-        axes, picture = grid[i, j], rows[i][j]
+    panels = make_panels(figure, len(rows) * columns, columns=columns)
+    for place, axes in enumerate(panels):
+        picture = rows[place // columns][place % columns]
         if picture is None:
             axes.set_axis_off()
             continue
         axes.imshow(picture)
         axes.set(xticks=[], yticks=[])
-        is_framed = i == 0 and j < framed
-        axes.spines[:].set_color(INK if is_framed else "#d5dbe1")
-        axes.spines[:].set_linewidth(2.2 if is_framed else 0.8)
-    for axes, title in zip(grid[0], titles, strict=False):
+        for spine in axes.spines.values():
+            spine.set_color(INK if place < framed else "#d5dbe1")
+            spine.set_linewidth(2.2 if place < framed else 0.8)
+    for axes, title in zip(panels, titles, strict=False):
         axes.set_title(title, fontsize=10, color=INK)
     return _shrink(save_figure(figure, path))
 
@@ -60,7 +61,9 @@ def _shrink(path: Path) -> Path:
     """The picture with 256 colours: a third of the bytes, hardly a difference."""
     buffer = io.BytesIO()
     with Image.open(path) as picture:
-        picture.convert("RGB").quantize(256).save(buffer, format="PNG", optimize=True)
+        picture.convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE).save(
+            buffer, format="PNG", optimize=True
+        )
     return write_bytes(path, buffer.getvalue())
 
 
@@ -84,7 +87,8 @@ def write_animation(
         raise ValueError(
             "frames must be at least one, but there are none; pass pictures."
         )
-    sample = np.concatenate([frame[::2, ::2] for frame in frames[::4]])
+    spread = frames[:: 1 + len(frames) // 12]
+    sample = np.concatenate([frame[::2, ::2] for frame in spread])
     palette = Image.fromarray(sample).quantize(128, method=Image.Quantize.MAXCOVERAGE)
     pictures = [
         Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)

@@ -1,0 +1,114 @@
+"""Correspondences by point indices: what is selected, and what is said of it."""
+
+import numpy as np
+import pytest
+
+from dpc_jax.evaluation import correspondences
+
+KEYPOINTS = np.array([[0.4, 0.4, 0.4], [-0.4, -0.4, -0.4]])
+
+
+def make_cloud(seed=0, count=300):
+    return np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3))
+
+
+def stretch(points, factor):
+    return points * np.array([1.0, 1.0, factor])
+
+
+def measure(cloud, found, keypoints):
+    near = np.where(cloud[:, 2] > 0, "top", "bottom")
+    return correspondences.measure_transfer(
+        cloud, found, point_labels=near, labels=["top", "bottom"], keypoints=keypoints
+    )
+
+
+def test_an_index_is_taken_only_where_it_is_near_in_every_template():
+    first = make_cloud()
+    second = first.copy()
+    radius = 0.3
+    near = np.flatnonzero(np.linalg.norm(first - KEYPOINTS[0], axis=1) <= radius)
+    assert len(near) > 3
+    second[near[1]] += 1.0  # strays in the second template alone
+    found = correspondences.select_indices(
+        [first, second], [KEYPOINTS, KEYPOINTS], radius=radius
+    )
+    assert found[0].tolist() == [near[0], *near[2:]]
+
+
+def test_a_keypoint_without_enough_points_near_it_gets_the_nearest_ones():
+    cloud = make_cloud()
+    found = correspondences.select_indices([cloud], [KEYPOINTS], radius=1e-6, least=4)
+    away = np.linalg.norm(cloud - KEYPOINTS[1], axis=1)
+    assert sorted(found[1]) == sorted(np.argsort(away)[:4])
+
+
+def test_indices_follow_a_shape_that_is_stretched_and_places_do_not():
+    cloud = make_cloud(count=3000)
+    template, marks = stretch(cloud, 0.4), stretch(KEYPOINTS, 0.4)
+    found = correspondences.select_indices([template], [marks], radius=0.1)
+    start = measure(template, found, marks)
+    moved = measure(cloud, found, KEYPOINTS)
+    np.testing.assert_array_equal(moved.right, 1.0)
+    # What was within 0.1 of the keypoint is within 0.1 / 0.4 of it now.
+    assert (moved.distance < 0.25).all()
+    true_moves = KEYPOINTS - marks
+    follows = correspondences.measure_following(moved.centre - start.centre, true_moves)
+    # The centre of some dozen points within 0.1 is not quite at the keypoint.
+    assert follows == pytest.approx(1.0, abs=0.15)
+    stay = correspondences.select_nearest(cloud, marks, [len(i) for i in found])
+    stayed = measure(cloud, stay, KEYPOINTS)
+    assert (stayed.distance > moved.distance).all()
+    still = correspondences.measure_following(stayed.centre - start.centre, true_moves)
+    assert still == pytest.approx(0.0, abs=0.15)
+
+
+def test_following_is_one_for_points_that_move_as_far_and_zero_for_still_ones():
+    moves = np.random.default_rng(1).normal(size=(7, 2, 3))
+    assert correspondences.measure_following(moves, moves) == 1.0
+    assert correspondences.measure_following(0 * moves, moves) == 0.0
+    unknown = moves.copy()
+    unknown[0] = np.nan
+    assert correspondences.measure_following(moves / 2, unknown) == pytest.approx(0.5)
+    assert np.isnan(correspondences.measure_following(moves, 0 * moves))
+
+
+def test_shares_and_distances_are_those_of_a_case_done_by_hand():
+    cloud = np.array([[0, 0, 1.0], [0, 3.0, 1.0], [0, 0, -1.0]])
+    found = [np.array([0, 1]), np.array([1, 2])]
+    moved = measure(cloud, found, np.array([[0, 0, 1.0], [0, 0, -1.0]]))
+    assert moved.right.tolist() == [1.0, 0.5]
+    assert moved.distance[0] == 1.5  # 0 and 3
+    assert moved.distance[1] == pytest.approx(np.sqrt(13) / 2)  # √(9 + 4) and 0
+    assert moved.centre[0].tolist() == [0, 1.5, 1]
+
+
+def test_a_keypoint_that_a_shape_lacks_has_no_distance_and_no_nearest_points():
+    cloud = make_cloud()
+    own = np.array([KEYPOINTS[0], np.full(3, np.nan)])
+    found = correspondences.select_nearest(cloud, own, [3, 3])
+    assert [len(index) for index in found] == [3, 0]
+    moved = measure(cloud, [found[0], np.arange(3)], own)
+    assert np.isfinite(moved.distance[0]) and np.isnan(moved.distance[1])
+    assert np.isnan(measure(cloud, found, own).right[1])
+
+
+def test_a_point_has_the_label_of_the_nearest_surface():
+    surface = [[0, 0, 0], [1, 0, 0]]
+    points = [[0.4, 0, 0], [0.6, 0, 0], [5, 5, 5]]
+    labels = correspondences.label_points(points, surface, ["leg", "seat"])
+    assert labels.tolist() == ["leg", "seat", "seat"]
+
+
+@pytest.mark.parametrize(
+    "templates, least, message",
+    [
+        (np.zeros((2, 5, 3)), 1, "keypoints .T, K, 3., but the shapes are"),
+        (np.zeros((1, 5, 2)), 1, "keypoints .T, K, 3., but the shapes are"),
+        (np.zeros((1, 5, 3)), 6, "between 1 and 5"),
+        (np.zeros((1, 5, 3)), 0, "between 1 and 5"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(templates, least, message):
+    with pytest.raises(ValueError, match=message):
+        correspondences.select_indices(templates, [KEYPOINTS], radius=0.1, least=least)

@@ -1,0 +1,67 @@
+"""Pictures of clouds as spheres, grids of pictures, animations."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dpc_jax.reporting.panels import draw_grid, write_animation
+from dpc_jax.reporting.spheres import draw_spheres, shade_depth
+
+FRONT = (0.0, 0.0)
+RED, BLUE = [1.0, 0, 0], [0, 0, 1.0]
+
+
+def test_a_sphere_is_a_disc_of_its_size_at_its_place():
+    picture = draw_spheres(
+        [[0, 0.25, 0.25]], [RED], view_deg=FRONT, radius=0.1, size=108
+    )
+    rows, cols = np.nonzero((picture < 250).any(-1))
+    # The picture spans 1.08: 100 pixels an object unit. Seen from the front, +y is at
+    # the right, z is up.
+    assert abs(cols.mean() - (54 + 25)) < 1 and abs(rows.mean() - (54 - 25)) < 1
+    assert len(rows) == pytest.approx(np.pi * 10**2, rel=0.1)
+
+
+@pytest.mark.parametrize("order", [[0, 1], [1, 0]])
+def test_the_nearer_of_two_spheres_hides_the_other(order):
+    points, colors = np.array([[0.3, 0, 0], [-0.3, 0, 0]]), np.array([RED, BLUE])
+    picture = draw_spheres(
+        points[order], colors[order], view_deg=FRONT, radius=[0.1, 0.1], size=64
+    )
+    red, _, blue = picture[32, 32].astype(int)
+    assert red > blue + 50
+
+
+def test_far_points_are_paler_and_what_lies_outside_is_cut_off():
+    near, far = shade_depth([[0.4, 0, 0], [-0.4, 0, 0]], FRONT)
+    assert (near < far).all()
+    empty = draw_spheres([[0, 5.0, 0]], [RED], view_deg=FRONT, size=32)
+    assert (empty == 255).all()
+
+
+def test_a_grid_has_its_pictures_in_reading_order_and_leaves_holes_empty(tmp_path):
+    red, blue = (np.tile(np.uint8(255 * np.array(c)), (8, 8, 1)) for c in (RED, BLUE))
+    path = draw_grid([[red, blue], [blue, None]], tmp_path / "a.png", framed=1)
+    picture = np.array(Image.open(path).convert("RGB")).astype(int)
+    height, width = (side // 4 for side in picture.shape[:2])
+    middles = [[picture[i * height, j * width] for j in (1, 3)] for i in (1, 3)]
+    assert [np.argmax(c) for c in (*middles[0], middles[1][0])] == [0, 2, 2]
+    assert middles[1][1].min() > 250
+    with pytest.raises(ValueError, match="rows must hold at least one picture"):
+        draw_grid([], path)
+
+
+def test_an_animation_repeats_without_end_and_keeps_its_times(tmp_path):
+    frames = [np.full((16, 16, 3), shade, np.uint8) for shade in (0, 120, 240)]
+    path = write_animation(frames, tmp_path / "a.gif", milliseconds=[500, 80, 80])
+    with Image.open(path) as animation:
+        assert animation.n_frames == 3 and animation.info["loop"] == 0
+        times, shades = [], []
+        for i in range(3):
+            animation.seek(i)
+            times.append(animation.info["duration"])
+            shades.append(int(np.array(animation.convert("L"))[8, 8]))
+    assert times == [500, 80, 80]
+    np.testing.assert_allclose(shades, [0, 120, 240], atol=2)  # of 128 colours
+    with pytest.raises(ValueError, match="frames must be at least one"):
+        write_animation([], path)
