@@ -206,17 +206,17 @@ def choose_poses(
         flat,
         targets.reshape(batch_size * views, *targets.shape[2:]),
         places,
+        sigma if has_sizes else None,
     )
-    own = sigma if has_sizes else None
 
-    def choose(inputs):
-        view, own = inputs
-        size = shapes.sigma if own is None else own
-        return _choose(*view, size, camera=camera, how=how)
+    def choose(view):
+        *arrays, own = view
+        arrays.append(shapes.sigma if own is None else own)
+        return _choose(*arrays, camera=camera, how=how)
 
     indices = map_renders(
         choose,
-        (inputs, own),
+        inputs,
         renders_at_once=render.renders_at_once,
     ).reshape(batch_size, views)
     poses = jnp.take_along_axis(candidates, indices[..., None, None], axis=2)[:, :, 0]
