@@ -90,7 +90,7 @@ def test_a_sphere_is_drawn_round_and_hides_what_is_behind_it():
     red, blue = [1.0, 0, 0], [0.0, 0, 1]
     picture = draw_ellipsoids(
         points,
-        np.array([np.eye(3), np.diag([1, 4, 0])]) * sigma**2,
+        np.array([np.eye(3), np.diag([0, 4, 1])]) * sigma**2,
         [red, blue],
         view_deg=(0, 0),
         side=side,
