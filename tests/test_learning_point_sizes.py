@@ -150,7 +150,7 @@ def test_an_image_ranks_by_the_widths_of_gaussians_along_rows_and_columns(kind):
     squares = np.asarray(size, float)
     squares = squares**2 if kind == "sigma" else squares
     for candidate, loss in zip(candidates, found, strict=True):
-        depth = sum_depths(*map(np.asarray, (points, mass)), squares, candidate)
+        depth = sum_depths(np.asarray(points), np.asarray(mass), squares, candidate)
         expected = np.sum((1 - np.exp(-depth) - np.asarray(target, float)) ** 2)
         # Rounding of float32 in a few points' places and weights.
         assert float(loss) == pytest.approx(expected, rel=1e-4)
