@@ -11,6 +11,7 @@ from tiny_runs import compiling_quickly, rotation_matrix
 
 from dpc_jax.networks import ImageEncoder, ShapeHead, ShapePoseNetwork
 from dpc_jax.networks.pose import PoseEnsemble, spread_rotations, surround_object
+from dpc_jax.networks.shape import LARGEST_SIZE, SMALLEST_SIZE, bound_sizes
 
 KEY = jax.random.key(0)
 
@@ -303,3 +304,36 @@ def test_normalisation_looks_at_one_sample_alone():
     other = encode(images.at[1].set(0.5), normalize=True)
     # Rounding alone: the same sums, whatever stands beside them in the batch.
     np.testing.assert_allclose(first[0], other[0], rtol=1e-5, atol=1e-6)
+
+
+def test_a_point_size_that_is_not_learned_has_no_parameters():
+    plain = network_shapes()
+    assert network_shapes(point_size="") == plain
+    sizes = {"shape/sizes/bias": (10,), "shape/sizes/kernel": (8, 10)}
+    assert network_shapes(point_size="sigma") == plain | sizes
+    full = {"shape/sizes/bias": (30,), "shape/sizes/kernel": (8, 30)}
+    full |= {"shape/turns/bias": (40,), "shape/turns/kernel": (8, 40)}
+    assert network_shapes(point_size="covariance") == plain | full
+
+
+def test_learned_sizes_start_near_the_first_one_and_turns_near_the_identity():
+    head = ShapeHead(num_points=10, point_size="covariance", first_size=0.07)
+    shape = run(head, jax.random.normal(KEY, (4, 256)))
+    assert isinstance(shape, dict)
+    assert shape["sizes"].shape == (4, 10, 3) and shape["turns"].shape == (4, 10, 4)
+    # A tenth of the spread that points start with, times the slope of the logarithm.
+    np.testing.assert_allclose(jnp.log(shape["sizes"] / 0.07), 0, atol=0.6)
+    assert len(np.unique(np.asarray(shape["sizes"][0, 0]))) == 3
+    turns = shape["turns"] / jnp.linalg.norm(shape["turns"], axis=-1, keepdims=True)
+    assert float(jnp.min(turns[..., 0])) > 0.8
+
+
+@pytest.mark.parametrize("first", [0.0, 0.003, 0.05, 0.3, 1.0])
+def test_sizes_stay_between_their_bounds_and_have_finite_gradients(first):
+    outputs = jnp.array([-1e30, -50.0, 0, 50, 1e30])
+    sizes = bound_sizes(outputs, first=first)
+    assert np.all((sizes >= SMALLEST_SIZE * 0.999) & (sizes <= LARGEST_SIZE * 1.001))
+    slope = jax.vmap(jax.grad(lambda x: bound_sizes(x, first=first)))(outputs)
+    assert np.all(np.isfinite(slope)) and float(slope[2]) > 0
+    if 0.01 < first < 0.2:
+        assert float(sizes[2]) == pytest.approx(first, rel=1e-5)

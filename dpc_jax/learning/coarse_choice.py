@@ -97,7 +97,9 @@ def place_candidates(
       size: of points that have sizes of their own, see `point_sizes`.
     """
     count = _count_points(points, choice_points)
-    has_sizes = size is not None and point_sizes.has_own_sizes(size)
+    own = None
+    if size is not None and point_sizes.has_own_sizes(size):
+        own = point_sizes.take_points(size, count)
 
     def place(candidate):
         moved = to_camera_frame(
@@ -106,10 +108,10 @@ def place_candidates(
         seen = to_grid(moved, camera=camera, grid=VoxelGrid(side))
         rows, cols, _ = seen.coordinates.T
         places = [jnp.where(seen.inside, axis, _OUTSIDE) for axis in (rows, cols)]
-        if not has_sizes:
+        if own is None:
             return *places, None
-        zoom = camera.focal_length / jnp.where(seen.inside, moved.ahead, 1)
-        own = point_sizes.take_points(size, count)
+        ahead = jnp.where(seen.inside, moved.ahead, 1)
+        zoom = jnp.asarray(camera.focal_length) / ahead
         return *places, point_sizes.find_image_sigmas(own, candidate, zoom)
 
     rows, cols, sigmas = jax.vmap(place)(candidates)

@@ -208,10 +208,14 @@ def choose_poses(
         places,
         sigma if has_sizes else None,
     )
+
+    def choose(view):
+        *arrays, own = view
+        arrays.append(shapes.sigma if own is None else own)
+        return _choose(*arrays, camera=camera, how=how)
+
     indices = map_renders(
-        lambda view: _choose(
-            *view[:-1], sigma if view[-1] is None else view[-1], camera=camera, how=how
-        ),
+        choose,
         inputs,
         renders_at_once=render.renders_at_once,
     ).reshape(batch_size, views)

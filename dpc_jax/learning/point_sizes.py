@@ -52,9 +52,9 @@ def make_covariance(widths: jax.Array, turn: jax.Array) -> jax.Array:
     return jnp.sum(scaled[:, None] * scaled[None], axis=-1)
 
 
-def name_size(size: jax.Array) -> dict[str, jax.Array]:
-    """The size of points by the name that `project` has for it."""
-    return {"covariance" if jnp.ndim(size) == 3 else "sigma": size}
+def split_size(size: jax.Array) -> tuple[jax.Array | None, jax.Array | None]:
+    """(sigma, covariance) as `project` takes them: the one that it is not is None."""
+    return (None, size) if jnp.ndim(size) == 3 else (size, None)
 
 
 def scale_point_sizes(

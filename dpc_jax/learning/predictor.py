@@ -14,8 +14,8 @@ from dpc_jax.learning import devices, hindsight, schedules
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.point_sizes import (
     has_own_sizes,
-    name_size,
     scale_point_sizes,
+    split_size,
 )
 from dpc_jax.learning.predictions import complete_poses, find_sizes, scale_images
 from dpc_jax.learning.step import TrainState, find_parts
@@ -136,11 +136,13 @@ def explain_view(
     render = config.render
     camera = Camera(render.focal_length, render.distance)
     side = render.fine_grid or render.grid
-    fine_sigma, fine_mass = scale_point_sizes(sigma, mass, side / render.grid)
+    fine_size, fine_mass = scale_point_sizes(sigma, mass, side / render.grid)
+    fine_sigma, covariance = split_size(fine_size)
     image = project(
         points,
         student,
-        **name_size(fine_sigma),
+        sigma=fine_sigma,
+        covariance=covariance,
         scale=fine_mass,
         camera=camera,
         grid=VoxelGrid(side),

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning.losses import reprojection_loss
-from dpc_jax.learning.point_sizes import name_size
+from dpc_jax.learning.point_sizes import split_size
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.render.batch import map_renders
 from dpc_jax.render.devices import AUTOMATIC
@@ -34,10 +34,18 @@ def compute_candidate_losses(
       [C].
     """
     grid = VoxelGrid(target.shape[0])
-    size = name_size(jnp.asarray(sigma))
+    shared, covariance = split_size(jnp.asarray(sigma))
 
     def compute_loss(candidate):
-        image = project(points, candidate, scale=mass, camera=camera, grid=grid, **size)
+        image = project(
+            points,
+            candidate,
+            sigma=shared,
+            covariance=covariance,
+            scale=mass,
+            camera=camera,
+            grid=grid,
+        )
         assert image.silhouette is not None
         return reprojection_loss(image.silhouette, target)
 

@@ -89,10 +89,12 @@ def compare_winners(
 def _compare_view(static, learned, given):
     """The weighted sum of a view's losses, and each of them."""
     colors = learned["colors"]
+    sigma, covariance = point_sizes.split_size((given | learned)["sigma"])
     image = project(
         learned["points"],
         learned["rotation"],
-        **point_sizes.name_size((given | learned)["sigma"]),
+        sigma=sigma,
+        covariance=covariance,
         scale=learned["mass"],
         colors=colors,
         camera=Camera(static.focal_length, static.distance),

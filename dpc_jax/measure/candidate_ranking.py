@@ -50,13 +50,15 @@ def make_ranker(config: Config, step: int) -> Callable:
     camera = Camera(render.focal_length, render.distance)
 
     def compare(view):
-        points, mass, candidates, target = view
-        yield compute_candidate_losses(*view, sigma=sigma, camera=camera)
+        *drawn, own = view
+        points, mass, candidates, target = drawn
+        size = sigma if own is None else own
+        yield compute_candidate_losses(*drawn, sigma=size, camera=camera)
         for rank, side, count in WAYS:
             if rank == "volume":
                 yield compute_coarse_losses(
-                    *view,
-                    sigma=sigma,
+                    *drawn,
+                    sigma=size,
                     camera=camera,
                     choice_grid=side,
                     choice_points=count,
@@ -64,10 +66,15 @@ def make_ranker(config: Config, step: int) -> Callable:
                 )
             else:
                 places = place_candidates(
-                    points, candidates, side=side, camera=camera, choice_points=count
+                    points,
+                    candidates,
+                    side=side,
+                    camera=camera,
+                    choice_points=count,
+                    size=size,
                 )
                 yield compute_image_losses(
-                    places, mass, target, sigma=sigma, choice_grid=side
+                    places, mass, target, sigma=size, choice_grid=side
                 )
 
     def rank(state, batch, key):
@@ -92,6 +99,7 @@ def make_ranker(config: Config, step: int) -> Callable:
             jnp.repeat(shapes.mass, views, axis=0),
             poses.candidates,
             targets.reshape(-1, *targets.shape[2:]),
+            jnp.repeat(shapes.sigma, views, axis=0) if shapes.sigma.ndim else None,
         )
         losses = jax.lax.map(lambda view: jnp.stack(list(compare(view))), inputs)
         return jnp.swapaxes(losses, 0, 1)

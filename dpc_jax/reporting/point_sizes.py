@@ -111,13 +111,14 @@ def draw_projection_errors(
             axes.plot(dots, runs[count], ".", color=colors[kind], alpha=0.5)
     style.label_axes(
         axes,
-        title="More flexible points need fewer of them",
+        title="Projection error over the number of points",
         x_label="points",
         y_label="projection error per pixel",
         grid="both",
     )
     axes.set_xscale("log")
     style.set_ticks(axes, counts)
-    axes.set_ylim(bottom=0.0)
+    found = [e for runs in errors.values() for same in runs.values() for e in same]
+    axes.set_ylim(0.0, 1.1 * max(found))
     axes.legend(frameon=False, fontsize=9)
     return style.save_figure(figure, path)

@@ -18,7 +18,10 @@ from dpc_jax.render import kernels
 from dpc_jax.render.camera import Camera, VoxelGrid
 from dpc_jax.render.exact import factoring, tiles
 
-_CHUNK = 32
+# Points added at once. Tiles of few points would mostly add padding: on a CPU a render
+# with its gradient, at 32 voxels, takes 16 ms for 20 points where 32 at once take 62,
+# and 70 ms for 200 points where these take 86.
+_CHUNK = 8
 
 
 def move_covariance(
