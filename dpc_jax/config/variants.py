@@ -65,6 +65,10 @@ VARIANTS: dict[str, Changes] = {
     "naive": {"pose": {"candidates": 1, "spread": "", "flips": False}},
     # § Estimating shape with known pose.
     "known_pose": {"pose": {"known": True}},
+    # § Network architecture and § Colored point clouds: other signals beside
+    # silhouettes (docs/supervision.md has what each weight gave).
+    "depth": {"train": {"depth_weight": 3.0}},
+    "color": {"train": {"color_weight": 0.3}},
 }
 EXCLUSIVE = ({"naive", "known_pose"},)  # with known poses there is nothing to regress
 

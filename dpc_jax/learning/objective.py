@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Pose, Render, Train
 from dpc_jax.learning import losses, schedules
+from dpc_jax.learning.cameras import predict_cameras
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import average_covariance
 from dpc_jax.learning.hindsight import Winners, choose_poses
@@ -19,6 +20,7 @@ from dpc_jax.learning.predictions import (
     predict_poses,
     predict_shapes,
 )
+from dpc_jax.learning.signals import read_weights
 from dpc_jax.learning.winners import compare_winners
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera
@@ -53,7 +55,7 @@ def compute_loss(
     Args:
       params: of the network.
       batch: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S], quaternions
-        [B, V, 4] (read only where poses are known).
+        [B, V, 4] (read only where poses are known), and what `list_extras` names.
       keys: [B], for the point dropout of each object.
       step: ().
       covariance: [3, 3], see `TrainState`.
@@ -76,6 +78,7 @@ def compute_loss(
         kept_points=stage.kept_points,
         scale_unit=render.scale_unit,
     )
+    cameras = predict_cameras(params, features, batch, network=network, pose=pose)
     metrics = {"scale": jnp.mean(shapes.scale)}
     if pose.known:
         rotations, student = batch["quaternions"], {}
@@ -90,12 +93,21 @@ def compute_loss(
             camera=camera,
             render=render,
             pose=pose,
+            cameras=cameras,
+            views=batch,
+            weights=read_weights(train),
         )
         metrics["winners"] = winners.indices.reshape(-1)
         rotations = winners.poses
         student = compare_student(poses, winners, render=render, pose=pose)
     compared, parts = compare_winners(
-        shapes, rotations, batch, render=render, train=train, stage=stage
+        shapes,
+        rotations,
+        batch,
+        render=render,
+        train=train,
+        stage=stage,
+        cameras=cameras,
     )
     terms = compute_priors(shapes, step, train=train) | student
     metrics |= parts | {name: term.value for name, term in terms.items()}

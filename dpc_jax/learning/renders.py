@@ -1,9 +1,16 @@
 """Many renders of one step: one after the other, or side by side."""
 
+from collections.abc import Mapping
+
 import chex
 import jax
 
-from dpc_jax.learning.losses import reprojection_loss
+from dpc_jax.learning.signals import (
+    SILHOUETTES,
+    Weights,
+    compare_images,
+    find_background,
+)
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.render.batch import map_renders
 from dpc_jax.render.devices import AUTOMATIC
@@ -18,8 +25,12 @@ def compute_candidate_losses(
     sigma: chex.Numeric,
     camera: Camera,
     renders_at_once: int = AUTOMATIC,
+    translation: jax.Array | None = None,
+    colors: jax.Array | None = None,
+    others: Mapping[str, jax.Array] | None = None,
+    weights: Weights = SILHOUETTES,
 ) -> jax.Array:
-    """Reprojection loss of each pose candidate of one view.
+    """Loss of each pose candidate of one view, by its silhouette or by more signals.
 
     Args:
       points: [N, 3]. mass: (), of each, in voxels.
@@ -27,17 +38,31 @@ def compute_candidate_losses(
       target: [D, D] silhouette.
       sigma: (), in voxels.
       renders_at_once: how many candidates are rendered side by side, see `map_renders`.
+      translation: [3] of the object in the camera frame.
+      colors: [N, 3], others: targets of other signals by name (`make_targets`), as the
+        weights need them.
+      weights: of the signals.
 
     Returns:
       [C].
     """
     grid = VoxelGrid(target.shape[0])
 
+    targets = {"silhouette": target, **(others or {})}
+
     def compute_loss(candidate):
         image = project(
-            points, candidate, sigma=sigma, scale=mass, camera=camera, grid=grid
+            points,
+            candidate,
+            sigma=sigma,
+            scale=mass,
+            colors=colors,
+            translation=translation,
+            camera=camera,
+            grid=grid,
+            signals=weights.signals,
+            background_depth=find_background(camera.distance),
         )
-        assert image.silhouette is not None
-        return reprojection_loss(image.silhouette, target)
+        return compare_images(image, targets, weights=weights)[0]
 
     return map_renders(compute_loss, candidates, renders_at_once=renders_at_once)

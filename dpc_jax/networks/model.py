@@ -3,6 +3,7 @@
 import flax.linen as nn
 import jax
 
+from dpc_jax.networks.camera import FOCAL_RANGE, TRANSLATION_RANGE, BoundedHead
 from dpc_jax.networks.encoder import ImageEncoder
 from dpc_jax.networks.pose import PoseEnsemble, PoseSelector, PoseStudent
 from dpc_jax.networks.shape import ShapeHead
@@ -22,6 +23,8 @@ class ShapePoseNetwork(nn.Module):
         0 for the paper's student, which regresses a pose.
       student_width: width of the student's own layers.
       spread: where the heads start, see `PoseEnsemble`.
+      has_translation: predict where in the frame the object is.
+      focal_length: around which that of a view is predicted; 0: it is not.
     """
 
     num_points: int
@@ -34,6 +37,8 @@ class ShapePoseNetwork(nn.Module):
     num_classes: int = 0
     student_width: int = 32
     spread: str = ""
+    has_translation: bool = False
+    focal_length: float = 0.0
 
     def setup(self) -> None:
         """Make the branches that this run learns."""
@@ -54,6 +59,10 @@ class ShapePoseNetwork(nn.Module):
             self.student = PoseSelector(num_classes=classes, hidden=hidden, width=width)
         elif self.candidates > 1:
             self.student = PoseStudent(hidden=hidden, width=width)
+        if self.has_translation:
+            self.translation = BoundedHead(outputs=3, bound=TRANSLATION_RANGE)
+        if self.focal_length:
+            self.focal = BoundedHead(outputs=1, bound=FOCAL_RANGE)
 
     def encode(self, images: jax.Array) -> jax.Array:
         """Images [B, S, S, 3] in [-1, 1] to features [B, hidden]."""
@@ -78,7 +87,22 @@ class ShapePoseNetwork(nn.Module):
         output = "logits" if self.num_classes else "student"
         return {"candidates": poses, output: self.student(features)}
 
+    def predict_camera(self, features: jax.Array) -> dict[str, jax.Array]:
+        """Features [B, F] to "translations" [B, 3] and "focal_lengths" [B], if learned.
+
+        Translations are those of the object in the camera frame, in box diagonals.
+        """
+        output = {}
+        if self.has_translation:
+            output["translations"] = self.translation(features)
+        if self.focal_length:
+            output["focal_lengths"] = (
+                self.focal_length * (1 + self.focal(features))[:, 0]
+            )
+        return output
+
     def __call__(self, images: jax.Array) -> dict[str, jax.Array]:
         """All predictions for images [B, S, S, 3]; also initialises the parameters."""
         features = self.encode(images)
-        return self.predict_shape(features) | self.predict_pose(features)
+        poses = self.predict_pose(features) | self.predict_camera(features)
+        return self.predict_shape(features) | poses

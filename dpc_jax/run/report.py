@@ -13,6 +13,7 @@ from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
 from dpc_jax.learning import evaluator
 from dpc_jax.learning.loop import Outcome
 from dpc_jax.learning.predictor import Predictions, arrange_views
+from dpc_jax.learning.view_images import MEASURES, measure_cameras, measure_images
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.page import write_report
 from dpc_jax.run.workdir import write_alignment
@@ -45,13 +46,19 @@ def report_run(
         for name, found in predictions.items()
     }
     result, shares = scored["test"]
-    metrics = dict.fromkeys(REQUIRED_METRICS) | result.metrics
+    measured = {
+        name: measure_images(found, sets[name], distance=config.render.distance)
+        | measure_cameras(found, sets[name])
+        for name, found in predictions.items()
+    }
+    metrics = dict.fromkeys((*REQUIRED_METRICS, *MEASURES)) | result.metrics
+    metrics |= measured["test"]
     metrics |= _count_costs(sets, outcome, data_seconds)
     metrics["candidates_alive"] = candidate_use.count_alive(shares)
     if sets["test"].quaternions is not None:
         metrics["alignment_inlier_share"] = alignment.inlier_share
     if "own" in scored:
-        own = scored["own"][0].metrics
+        own = scored["own"][0].metrics | measured["own"]
         metrics |= {f"own_{name}": value for name, value in own.items()}
         metrics["own_test_models"] = len(sets["own"].names)
     warnings = _list_warnings(sets, shares if heads > 1 else None)

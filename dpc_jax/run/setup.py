@@ -20,6 +20,8 @@ def make_network(config: Config) -> ShapePoseNetwork:
         student_width=config.network.student_width,
         has_color=config.train.color_weight > 0,
         spread=config.pose.spread,
+        has_translation=config.pose.translation,
+        focal_length=config.render.focal_length * config.pose.focal_length,
     )
 
 
@@ -37,6 +39,8 @@ def make_data_specs(config: Config) -> dict[str, DataSpec]:
         "image_size": data.image_size,
         "focal_length": config.render.focal_length,
         "distance": config.render.distance,
+        "offset": data.offset,
+        "focal_spread": data.focal_spread,
         "surface_points": data.surface_points,
         "surface_voxel": data.surface_voxel,
         "surface_visible": data.surface_visible,
