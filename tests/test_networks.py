@@ -10,6 +10,7 @@ import pytest
 from tiny_runs import compiling_quickly, rotation_matrix
 
 from dpc_jax.networks import ImageEncoder, ShapeHead, ShapePoseNetwork
+from dpc_jax.networks.camera import BoundedHead
 from dpc_jax.networks.pose import PoseEnsemble, spread_rotations, surround_object
 
 KEY = jax.random.key(0)
@@ -268,3 +269,27 @@ def test_normalisation_looks_at_one_sample_alone():
     other = encode(images.at[1].set(0.5), normalize=True)
     # Rounding alone: the same sums, whatever stands beside them in the batch.
     np.testing.assert_allclose(first[0], other[0], rtol=1e-5, atol=1e-6)
+
+
+# Camera branches.
+
+
+def test_camera_heads_start_near_the_middle_and_stay_in_range():
+    head = BoundedHead(outputs=3, bound=0.15)
+    features = jax.random.normal(jax.random.key(1), (5, 8))
+    params = head.init(KEY, features)
+    first = np.asarray(head.apply(params, features))
+    assert first.shape == (5, 3)
+    assert np.abs(first).max() < 0.1 and np.std(first, axis=0).min() > 0
+    far = np.asarray(head.apply(params, 1e4 * features))
+    assert np.abs(far).max() <= 0.15
+
+
+def test_a_focal_length_is_predicted_around_that_of_the_config():
+    network = ShapePoseNetwork(
+        num_points=4, candidates=0, channels=2, hidden=8, focal_length=1.875
+    )
+    output = run(network, jax.random.normal(jax.random.key(1), (3, 16, 16, 3)))
+    assert set(output) == {"points", "scale", "focal_lengths"}
+    assert output["focal_lengths"].shape == (3,)
+    np.testing.assert_allclose(output["focal_lengths"], 1.875, rtol=0.3)

@@ -93,6 +93,12 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
             f"{' and '.join(lacking)} images have none; add poses.json or "
             "transforms.json to every object, or set --config.pose.known=False."
         )
+    if config.train.depth_weight and sets["train"].depths is None:
+        raise ValueError(
+            "Expected depths for every image, because config.train.depth_weight is "
+            f"{config.train.depth_weight}, but the train images have none; give "
+            "meshes or renders with depth, or set --config.train.depth_weight=0."
+        )
     return sets
 
 
