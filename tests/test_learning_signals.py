@@ -15,6 +15,7 @@ from tiny_runs import (
     tiny_config,
 )
 
+from dpc_jax.config import replace_fields
 from dpc_jax.learning import hindsight, signals
 from dpc_jax.learning.cameras import Cameras
 from dpc_jax.learning.predictions import Shapes
@@ -219,9 +220,10 @@ def learned():
         silhouette_weight=0.0,
         depth_weight=1.0,
         translation=True,
-        focal_length=True,
         choice_signals="all",
     )
+    # The camera has a field of that name too.
+    config = replace_fields(config, {"pose": {"focal_length": True}})
     network = make_network(config)
     return make_state(network, config), make_step(network, config)
 

@@ -9,10 +9,6 @@ COVERED = 0.5  # least share of a pixel for the pixel to count
 def depth_error(predicted: ArrayLike, true: ArrayLike, mask: ArrayLike) -> float | None:
     """Mean absolute difference of depths over the pixels that the mask covers.
 
-    Both images are mixed with one background by the share of each pixel that shows it,
-    so a pixel on the edge compares like with like, and one that the prediction misses
-    has the error of the background.
-
     Args:
       predicted, true: [..., D, D] metric z. mask: [..., D, D] in [0, 1].
 

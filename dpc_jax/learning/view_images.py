@@ -4,13 +4,16 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.images import color_psnr, depth_error, mean_of_known
+from dpc_jax.learning.losses import average_blocks
 from dpc_jax.learning.predictor import Predictions, arrange_views
-from dpc_jax.learning.signals import make_targets
+from dpc_jax.learning.signals import find_background, make_targets
 
+MISSED = 0.1  # least share of a pixel that is hit for it to have a depth
 # What `measure_images` and `measure_cameras` can find.
 MEASURES = (
     "depth_error",
@@ -22,9 +25,16 @@ MEASURES = (
 
 
 class ViewImages(NamedTuple):
-    """Images of one view by signal, [D, D] or [D, D, 3], at the size of the renders."""
+    """Images of one view by signal, [D, D] or [D, D, 3], at the size of the renders.
+
+    Depths are of what is hit, without the background that is mixed in where they are
+    compared in training: an opacity that is too low is an error of the silhouette, not
+    of depth. Where less than `MISSED` is hit they are the background's. The mask is the
+    share of each pixel that the object covers; of its depth, that was measured, too.
+    """
 
     mask: np.ndarray
+    measured: np.ndarray
     targets: dict[str, np.ndarray]
     rendered: dict[str, np.ndarray]
 
@@ -48,8 +58,31 @@ def read_view(
     }
     with jax.default_device(jax.local_devices(backend="cpu")[0]):
         made = make_targets(arrays, side, signals=tuple(rendered), distance=distance)
+        covered = jnp.where(arrays.get("depths", 0) > 0, arrays["masks"] / 255, 0)
+        measured = np.asarray(average_blocks(covered, side))
     targets = {name: np.asarray(image) for name, image in made.items()}
-    return ViewImages(targets["silhouette"], targets, rendered)
+    if "depth" in rendered:
+        background = find_background(distance)
+        for images, share in (
+            (targets, measured),
+            (rendered, rendered["silhouette"]),
+        ):
+            images["depth"] = remove_background(images["depth"], share, background)
+    return ViewImages(targets["silhouette"], measured, targets, rendered)
+
+
+def remove_background(
+    depth: np.ndarray, share: np.ndarray, background: float
+) -> np.ndarray:
+    """The depth of what is hit, from one mixed with that of the background.
+
+    Args:
+      depth: [D, D]. share: [D, D] of each pixel that is hit.
+    """
+    hit = np.maximum(share, MISSED)
+    return np.where(
+        share >= MISSED, background + (depth - background) / hit, background
+    )
 
 
 def measure_images(
@@ -58,7 +91,8 @@ def measure_images(
     """Mean over the views of depth error and colour PSNR, those that there are.
 
     Depths are seen from the predicted pose, so an error of the pose is one of depth;
-    `depth_error_percent` is in hundredths of the object's box diagonal, which is 1.
+    `depth_error_percent` is in hundredths of the object's box diagonal, which is 1. A
+    pixel that the prediction misses has the error of the background.
     """
     if predictions.depths is None and predictions.color_images is None:
         return {}
@@ -70,7 +104,8 @@ def measure_images(
         ):
             if signal in view.rendered:
                 pair = view.rendered[signal], view.targets[signal]
-                values.append(measure(*pair, _find_measured(view, signal, distance)))
+                mask = view.measured if signal == "depth" else view.mask
+                values.append(measure(*pair, mask))
     metrics = {
         "depth_error": mean_of_known(depths),
         "color_psnr": mean_of_known(colors),
@@ -79,13 +114,6 @@ def measure_images(
     if "depth_error" in found:
         found["depth_error_percent"] = 100 * found["depth_error"]
     return found
-
-
-def _find_measured(view, signal, distance):
-    """The mask of a signal; a covered pixel of background depth was not measured."""
-    if signal != "depth":
-        return view.mask
-    return np.where(view.targets["depth"] < distance + 0.5, view.mask, 0)
 
 
 def _list_views(predictions, dataset, distance) -> Iterator[ViewImages]:

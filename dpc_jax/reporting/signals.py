@@ -11,7 +11,6 @@ from matplotlib.colors import Normalize
 from dpc_jax.reporting.examples import Example, SignalImages
 from dpc_jax.reporting.style import INK, make_figure, save_figure
 
-# Where both images of a depth are this far behind the object, nothing is to be seen.
 _EMPTY = "#eef1f4"
 _DEPTH_DIFFERENCE = 0.25  # box diagonals at the ends of the scale
 _SIZE = 1.2  # inches, of an image
@@ -35,41 +34,49 @@ def draw_signals(examples: Sequence[Example], path: str | os.PathLike) -> Path:
             "examples must be at least one with images of signals, but there are none; "
             "pass predictions with their renders."
         )
-    columns = 1 + 3 * len(names)
-    figure = make_figure(_SIZE * columns, _SIZE * len(examples) * 1.08 + 1.0)
-    grid = figure.subplots(len(examples), columns, squeeze=False)
+    columns, rows = 1 + 3 * len(names), len(examples)
+    figure = make_figure(_SIZE * columns, _SIZE * rows * 1.1 + 0.8)
+    cells = figure.add_gridspec(rows + 1, columns, height_ratios=[1] * rows + [0.35])
     limits = _find_depths(examples)
-    drawn = {}
-    for row, example in zip(grid, examples, strict=True):
-        for axes in row:
-            axes.set(xticks=[], yticks=[])
-            axes.spines[:].set_color("#d5dbe1")
-        row[0].imshow(example.image)
-        row[0].set_xlabel(example.name, fontsize=7, color=INK, loc="left")
-        for place, name in enumerate(names):
-            cells = row[1 + 3 * place : 4 + 3 * place]
-            drawn |= _DRAWINGS[name](cells, example.signals[name], limits)
-    grid[0, 0].set_title("input", fontsize=8, color=INK)
-    for place, name in enumerate(names):
-        for axes, what in zip(
-            grid[0, 1 + 3 * place :], ("target", "rendered", "difference"), strict=False
-        ):
-            axes.set_title(f"{name},\n{what}", fontsize=8, color=INK)
-    for place, name in enumerate(names):
-        for offset, key in ((0, name), (2, f"{name} difference")):
-            if key in drawn:
-                first = 1 + 3 * place + offset
-                last = first + (2 if offset == 0 else 1)
-                bar = figure.colorbar(
-                    drawn[key],
-                    ax=list(grid[:, first:last].flat),
-                    location="bottom",
-                    fraction=0.08 / len(examples),
-                    aspect=18,
-                )
-                bar.ax.tick_params(labelsize=7, colors=INK)
-                bar.set_label(_UNITS[key], fontsize=7, color=INK)
+    scales = {}
+    for number, example in enumerate(examples):
+        row = [figure.add_subplot(cells[number, i]) for i in range(columns)]
+        scales |= _draw_row(row, example, names, limits)
+        if number == 0:
+            _name_columns(row, names)
+    for name, (image, first, last) in scales.items():
+        frame = figure.add_subplot(cells[rows, first:last])
+        frame.set_axis_off()
+        bar_axes = frame.inset_axes((0.05, 0.6, 0.9, 0.25))
+        bar = figure.colorbar(image, cax=bar_axes, orientation="horizontal")
+        bar.ax.tick_params(labelsize=7, colors=INK)
+        bar.set_label(_UNITS[name], fontsize=7, color=INK)
     return save_figure(figure, path)
+
+
+def _draw_row(row, example, names, limits):
+    """One example; returns {scale: (image, its first column, the one after)}."""
+    for axes in row:
+        axes.set(xticks=[], yticks=[])
+        axes.spines[:].set_color("#d5dbe1")
+    row[0].imshow(example.image)
+    row[0].set_xlabel(example.name, fontsize=7, color=INK, loc="left")
+    scales = {}
+    for place, name in enumerate(names):
+        first = 1 + 3 * place
+        drawn = _DRAWINGS[name](row[first : first + 3], example.signals[name], limits)
+        for scale, image in drawn.items():
+            part = (2, 3) if scale.endswith("difference") else (0, 2)
+            scales[scale] = (image, first + part[0], first + part[1])
+    return scales
+
+
+def _name_columns(row, names):
+    titles = ["input"]
+    for name in names:
+        titles += [f"{name}, {what}" for what in ("target", "rendered", "difference")]
+    for axes, title in zip(row, titles, strict=True):
+        axes.set_title(title, fontsize=7, color=INK)
 
 
 _UNITS = {
