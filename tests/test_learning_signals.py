@@ -21,7 +21,7 @@ from dpc_jax.learning.cameras import Cameras
 from dpc_jax.learning.predictions import Shapes
 from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.winners import compare_winners
-from dpc_jax.render import Camera, VoxelGrid, project
+from dpc_jax.render import Camera, Projection, VoxelGrid, project
 
 DISTANCE, SIGMA = 2.0, 0.6
 ALL = signals.Weights(0.5, 2.0, 0.3)
@@ -73,10 +73,34 @@ def compute_plainly(batch, row, place, weights, rendered):
     depth = batch["depths"][row, place]
     mixed = np.where(mask > 0, mask * depth + (1 - mask) * 2.5, 2.5)
     targets = (mask, mixed, batch["images"][row, place] / 255.0)
+    small = [average_plainly(target, 8) for target in targets]
+    images = [np.asarray(image, np.float64) for image in rendered]
+    pairs = list(zip(images, small, strict=True))
+    if weights[0]:  # beside silhouettes: of what is hit and covered alone
+        pairs[1] = ((images[1] - 2.5) * small[0], (small[1] - 2.5) * images[0])
     return sum(
-        weight * np.sum((np.asarray(image) - average_plainly(target, 8)) ** 2)
-        for weight, image, target in zip(weights, rendered, targets, strict=True)
+        weight * np.sum((image - target) ** 2)
+        for weight, (image, target) in zip(weights, pairs, strict=True)
     )
+
+
+def differentiate_plainly(batch, rendered):
+    """Derivatives of the mean of `compute_plainly` by the rendered images."""
+    silhouette, depth, color = (np.asarray(image, np.float64) for image in rendered)
+    mask = batch["masks"] / 255.0
+    mixed = mask * (batch["depths"] - 2.5)
+    shrink = np.vectorize(
+        lambda image: average_plainly(image, 8), signature="(s,s)->(d,d)"
+    )
+    mask, mixed = shrink(mask), shrink(mixed)
+    images = np.moveaxis(batch["images"] / 255.0, -1, 2)
+    away = (depth - 2.5) * mask - mixed * silhouette
+    slopes = (
+        ALL.silhouette * (silhouette - mask) - ALL.depth * away * mixed,
+        ALL.depth * away * mask,
+        ALL.color * (color - np.moveaxis(shrink(images), 2, -1)),
+    )
+    return tuple(jnp.asarray(2 / 4 * slope, jnp.float32) for slope in slopes)
 
 
 def render_plainly(points, mass, colors, rotation, translation, focal_length):
@@ -112,7 +136,40 @@ def test_a_target_depth_is_the_mean_over_all_samples_of_the_pixels():
     every = np.where(hit, sampled, 2.5).reshape(64, 64)
     # A mask of 8 bits is off by 0.002 at most, depth from the background by up to 1.
     np.testing.assert_allclose(found["depth"], average_plainly(every, 8), atol=2e-3)
-    assert set(found) == {"depth"}
+    np.testing.assert_allclose(
+        found["measured"], average_plainly(hit.reshape(64, 64), 8), atol=2e-3
+    )
+    assert set(found) == {"depth", "measured"}
+
+
+@pytest.mark.parametrize("share, covered", [(1.0, 1.0), (0.4, 1.0), (0.4, 0.7)])
+def test_beside_silhouettes_a_transparent_render_at_the_right_depth_costs_nothing(
+    share, covered
+):
+    """Whatever the share of the pixel that is hit: only its depth is compared."""
+
+    def compare(depth, weights):
+        image = Projection(
+            silhouette=jnp.full((2, 2), share),
+            depth=jnp.full((2, 2), share * depth + (1 - share) * 2.5),
+        )
+        targets = {
+            "silhouette": jnp.full((2, 2), covered),
+            "depth": jnp.full((2, 2), covered * 1.9 + (1 - covered) * 2.5),
+            "measured": jnp.full((2, 2), covered),
+        }
+        compared = signals.compare_images(
+            image, targets, weights=weights, background_depth=2.5
+        )
+        return float(compared[1]["depth"])
+
+    both, alone = signals.Weights(depth=1.0), signals.Weights(0.0, 1.0)
+    assert compare(1.9, both) == pytest.approx(0, abs=1e-12)
+    # Four pixels, a tenth too far.
+    expected = 4 * (share * covered * 0.1) ** 2
+    assert compare(2.0, both) == pytest.approx(expected, rel=1e-4)
+    # Alone, depth has to teach the outline.
+    assert (compare(1.9, alone) > 1e-3) == (share != covered)
 
 
 def test_a_depth_that_was_not_measured_counts_as_background():
@@ -161,15 +218,9 @@ def test_all_signals_and_own_cameras_have_the_loss_and_gradient_of_plain_renders
     weighted = zip(ALL, ("reprojection", "depth", "color"), strict=True)
     assert float(total) == pytest.approx(sum(w * float(terms[n]) for w, n in weighted))
 
-    targets = signals.make_targets(
-        batch, 8, signals=ALL.signals, distance=DISTANCE
-    ).values()
-    slopes = [
-        2 * w * (image - target) / 4
-        for w, image, target in zip(ALL, rendered, targets, strict=True)
-    ]
+    expected_slopes = differentiate_plainly(batch, rendered)
     for ours, theirs in zip(
-        jax.tree.leaves(found), jax.tree.leaves(pull(tuple(slopes))), strict=True
+        jax.tree.leaves(found), jax.tree.leaves(pull(expected_slopes)), strict=True
     ):
         # The same float32 sums in another order, against the largest entry.
         limit = 2e-5 * float(jnp.max(jnp.abs(theirs))) + 1e-7

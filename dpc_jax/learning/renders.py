@@ -49,6 +49,7 @@ def compute_candidate_losses(
     grid = VoxelGrid(target.shape[0])
 
     targets = {"silhouette": target, **(others or {})}
+    background = find_background(camera.distance)
 
     def compute_loss(candidate):
         image = project(
@@ -61,8 +62,10 @@ def compute_candidate_losses(
             camera=camera,
             grid=grid,
             signals=weights.signals,
-            background_depth=find_background(camera.distance),
+            background_depth=background,
         )
-        return compare_images(image, targets, weights=weights)[0]
+        return compare_images(
+            image, targets, weights=weights, background_depth=background
+        )[0]
 
     return map_renders(compute_loss, candidates, renders_at_once=renders_at_once)

@@ -6,6 +6,10 @@ that shows it: a view by its mask, a render by the probability that its ray ends
 pixel of the render's grid that covers several of the view. For depth the background is
 the far face of the volume, as in the paper, whose D₃+1-st cell lies right behind it: a
 missing point then costs no more than one that is half a diagonal too near.
+
+That is how depth is compared alone, for it has to teach the outline too. Beside
+silhouettes the background is left out of it: a render that is half transparent, as all
+are at first, would look too far away, and its points would come nearer to make up.
 """
 
 from collections.abc import Mapping
@@ -82,7 +86,7 @@ def make_targets(
 
     Returns:
       {signal: [..., D, D] or, of colours, [..., D, D, 3]}; colours and silhouettes in
-      [0, 1].
+      [0, 1]. Beside depths there is "measured" [..., D, D], the share that has one.
     """
     targets = {}
     if "silhouette" in signals:
@@ -92,6 +96,7 @@ def make_targets(
         covered = jnp.where(depths > 0, views["masks"].astype(jnp.float32) / 255, 0)
         nearer = average_blocks(covered * (depths - background), side)
         targets["depth"] = background + nearer
+        targets["measured"] = average_blocks(covered, side)
     if "color" in signals:
         channels = jnp.moveaxis(views["images"], -1, -3)
         targets["color"] = jnp.moveaxis(downsample_images(channels, side), -3, -1)
@@ -99,9 +104,17 @@ def make_targets(
 
 
 def compare_images(
-    image: Projection, targets: Mapping[str, jax.Array], *, weights: Weights
+    image: Projection,
+    targets: Mapping[str, jax.Array],
+    *,
+    weights: Weights,
+    background_depth: chex.Numeric,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """A term of Eq. 1: squared differences of a view's images, summed over pixels.
+
+    Args:
+      image: has the signals of the weights. targets: of `make_targets`.
+      background_depth: of both (`find_background`).
 
     Returns:
       (() the weighted sum, {name of the loss: ()}).
@@ -109,8 +122,26 @@ def compare_images(
     total, terms = jnp.zeros(()), {}
     for signal in weights.signals:
         weight, rendered = getattr(weights, signal), getattr(image, signal)
-        term = reprojection_loss(rendered, targets[signal])
+        if signal == "depth" and weights.silhouette:
+            term = compare_hit_depths(image, targets, background_depth)
+        else:
+            term = reprojection_loss(rendered, targets[signal])
         terms[LOSSES[signal]] = term
         part = term if weight == 1 else weight * term
         total = part if len(terms) == 1 else total + part
     return total, terms
+
+
+def compare_hit_depths(
+    image: Projection, targets: Mapping[str, jax.Array], background: chex.Numeric
+) -> jax.Array:
+    """Squared difference of the depths of what is hit and of what is covered; ().
+
+    Summed over pixels; where a share s of the rays is hit at a mean depth z, and a
+    share m is covered at d, it is (s·m·(z - d))². Neither depth has to be divided out
+    of its mixture with the background.
+    """
+    assert image.silhouette is not None and image.depth is not None
+    hit = (image.depth - background) * targets["measured"]
+    covered = (targets["depth"] - background) * image.silhouette
+    return reprojection_loss(hit, covered)

@@ -4,12 +4,10 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.images import color_psnr, depth_error, mean_of_known
-from dpc_jax.learning.losses import average_blocks
 from dpc_jax.learning.predictor import Predictions, arrange_views
 from dpc_jax.learning.signals import find_background, make_targets
 
@@ -58,9 +56,8 @@ def read_view(
     }
     with jax.default_device(jax.local_devices(backend="cpu")[0]):
         made = make_targets(arrays, side, signals=tuple(rendered), distance=distance)
-        covered = jnp.where(arrays.get("depths", 0) > 0, arrays["masks"] / 255, 0)
-        measured = np.asarray(average_blocks(covered, side))
     targets = {name: np.asarray(image) for name, image in made.items()}
+    measured = targets.pop("measured", targets["silhouette"])
     if "depth" in rendered:
         background = find_background(distance)
         for images, share in (

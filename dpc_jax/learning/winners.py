@@ -94,6 +94,7 @@ def _compare_view(static, learned, given):
     """The weighted sum of a view's losses, and each of them."""
     camera = place_camera(Camera(*static.camera), learned)
     signals = static.weights.signals
+    background = find_background(camera.distance)
     image = project(
         learned["points"],
         learned["rotation"],
@@ -104,9 +105,11 @@ def _compare_view(static, learned, given):
         camera=camera,
         grid=VoxelGrid(static.grid),
         signals=signals,
-        background_depth=find_background(camera.distance),
+        background_depth=background,
     )
-    return compare_images(image, given["targets"], weights=static.weights)
+    return compare_images(
+        image, given["targets"], weights=static.weights, background_depth=background
+    )
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
