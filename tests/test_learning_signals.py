@@ -149,10 +149,11 @@ def test_beside_silhouettes_a_transparent_render_at_the_right_depth_costs_nothin
     """Whatever the share of the pixel that is hit: only its depth is compared."""
 
     def compare(depth, weights):
-        image = Projection(
-            silhouette=jnp.full((2, 2), share),
-            depth=jnp.full((2, 2), share * depth + (1 - share) * 2.5),
-        )
+        images = {
+            "silhouette": jnp.full((2, 2), share),
+            "depth": jnp.full((2, 2), share * depth + (1 - share) * 2.5),
+        }
+        image = Projection(**images)
         targets = {
             "silhouette": jnp.full((2, 2), covered),
             "depth": jnp.full((2, 2), covered * 1.9 + (1 - covered) * 2.5),
@@ -208,8 +209,10 @@ def test_all_signals_and_own_cameras_have_the_loss_and_gradient_of_plain_renders
     rendered, pull = jax.vjp(jax.jit(render_all), *arguments)
     expected = np.mean(
         [
-            compute_plainly(batch, *view, ALL, [image[view] for image in rendered])
-            for view in np.ndindex(2, 2)
+            compute_plainly(
+                batch, row, place, ALL, [image[row, place] for image in rendered]
+            )
+            for row, place in np.ndindex(2, 2)
         ]
     )
     # float32 sums of 64 pixels.
@@ -230,11 +233,12 @@ def test_all_signals_and_own_cameras_have_the_loss_and_gradient_of_plain_renders
 
 @pytest.mark.parametrize("rank", [{"choice_rank": "volume"}, {"choice_points": 8}])
 def test_with_all_signals_the_candidate_of_the_smallest_weighted_loss_wins(rank):
+    mixed = signals.Weights(0.05, 2.0, 1.0)
     how = {"choice_top": 6, "renders_at_once": 1, **rank}
     shapes, batch, cameras = make_shapes(), make_views(), make_cameras()
     assert shapes.colors is not None
     assert cameras.translations is not None and cameras.focal_lengths is not None
-    candidates = jnp.array(random_quaternions(7, 4 * 6), jnp.float32).reshape(4, 6, 4)
+    candidates = jnp.array(random_quaternions(10, 4 * 6), jnp.float32).reshape(4, 6, 4)
     found = {}
     for choice in ("silhouette", "all"):
         config = tiny_config(choice_signals=choice, **how)
@@ -243,7 +247,7 @@ def test_with_all_signals_the_candidate_of_the_smallest_weighted_loss_wins(rank)
             camera=Camera(),
             render=config.render,
             pose=config.pose,
-            weights=ALL,
+            weights=mixed,
         )
         winners = jax.jit(choose)(
             shapes, candidates, batch["masks"], cameras=cameras, views=batch
@@ -255,7 +259,7 @@ def test_with_all_signals_the_candidate_of_the_smallest_weighted_loss_wins(rank)
         own = cameras.translations[row, place], cameras.focal_lengths[row, place]
         kept, mass, colors = shapes.kept[row], shapes.mass[row], shapes.colors[row]
         images = render(kept, mass, colors, candidates[2 * row + place], *own)
-        for choice, weights in (("silhouette", (1, 0, 0)), ("all", ALL)):
+        for choice, weights in (("silhouette", (1, 0, 0)), ("all", mixed)):
             losses = [
                 compute_plainly(batch, row, place, weights, [i[k] for i in images])
                 for k in range(6)

@@ -287,4 +287,4 @@ def predict_all(
         )
         for name in parts[0]
     }
-    return Predictions(**({"colors": None} | merged))
+    return Predictions(colors=merged.pop("colors", None), **merged)

@@ -13,7 +13,7 @@ are at first, would look too far away, and its points would come nearer to make 
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import chex
 import jax
@@ -63,13 +63,13 @@ def list_extras(config: Config) -> tuple[str, ...]:
     return tuple(name for name, holds in is_given.items() if holds)
 
 
-def find_background(distance: chex.Numeric) -> chex.Numeric:
-    """Depth of the background: the far face of the volume, `distance` + 1/2."""
+def find_background(distance: Any) -> Any:
+    """Depth of the background: the far face of the volume, `distance` + 1/2; ()."""
     return distance + 0.5
 
 
 def make_targets(
-    views: Mapping[str, jax.Array],
+    views: Mapping[str, Any],
     side: int,
     *,
     signals: tuple[str, ...],

@@ -11,7 +11,7 @@ from matplotlib.colors import Normalize
 from dpc_jax.reporting.examples import Example, SignalImages
 from dpc_jax.reporting.style import INK, make_figure, save_figure
 
-_EMPTY = "#eef1f4"
+_EMPTY = "#eef1f4"  # the background of depths
 _DEPTH_DIFFERENCE = 0.25  # box diagonals at the ends of the scale
 _SIZE = 1.2  # inches, of an image
 
@@ -103,8 +103,7 @@ def _draw_silhouette(cells, images: SignalImages, _):
 
 
 def _draw_depth(cells, images: SignalImages, limits):
-    colors = colormaps["viridis_r"].copy()
-    colors.set_bad(_EMPTY)
+    colors = colormaps["viridis_r"].with_extremes(bad=_EMPTY)
     scale = Normalize(*limits)
     shown = None
     for axes, image, share in (
@@ -114,8 +113,7 @@ def _draw_depth(cells, images: SignalImages, limits):
         seen = np.ma.masked_where(share < 0.5, image)
         shown = axes.imshow(seen, cmap=colors, norm=scale)
     away = np.ma.masked_where(images.mask < 0.5, images.predicted - images.target)
-    differences = colormaps["RdBu_r"].copy()
-    differences.set_bad(_EMPTY)
+    differences = colormaps["RdBu_r"].with_extremes(bad=_EMPTY)
     limit = _DEPTH_DIFFERENCE
     found = cells[2].imshow(away, cmap=differences, vmin=-limit, vmax=limit)
     return {"depth": shown, "depth difference": found}
