@@ -6,10 +6,11 @@ import sys
 import pytest
 from absl import flags
 from test_main_configs import load_editable
+from tiny_runs import make_dataset
 
 from dpc_jax import main
 from dpc_jax.config import from_config_dict
-from dpc_jax.run import pipeline
+from dpc_jax.run import pipeline, setup
 from dpc_jax.run.workdir import FREE_FIELDS, claim_workdir
 
 
@@ -68,6 +69,12 @@ def set_field(config, field, value):
         ("data.meshes", "/nowhere/at/all", "a folder that exists"),
         ("data.test_meshes", "/nowhere/at/all", "a folder that exists"),
         ("seed", -1, "0 or more"),
+        ("train.depth_weight", -0.1, "0 or more"),
+        ("train.silhouette_weight", -1.0, "0 or more"),
+        ("train.silhouette_weight", 0.0, "so that there is something to learn from"),
+        ("pose.choice_signals", "depth", "'silhouette' or 'all'"),
+        ("data.offset", 0.2, "between 0 and 0.12"),
+        ("data.focal_spread", -0.1, "between 0 and 0.25"),
     ],
 )
 def test_a_value_that_cannot_work_is_refused_by_name_before_anything_is_made(
@@ -77,6 +84,29 @@ def test_a_value_that_cannot_work_is_refused_by_name_before_anything_is_made(
     error = refuse(config, tmp_path / "workdir", capsys)
     assert f"config.{field} " in error and says in error
     assert not (tmp_path / "workdir").exists()
+
+
+def test_what_pictures_cannot_give_is_refused(config, tmp_path, capsys):
+    config.data.images = str(tmp_path)
+    config.train.depth_weight = 0.1
+    assert "0 with data.images" in refuse(config, tmp_path / "workdir", capsys)
+    config.train.depth_weight = 0.0
+    config.data.offset = 0.1
+    assert "rendered already" in refuse(config, tmp_path / "workdir", capsys)
+
+
+def test_a_choice_by_all_signals_needs_an_exact_comparison(config, tmp_path, capsys):
+    config.pose.update(choice_signals="all", choice_top=0)
+    error = refuse(config, tmp_path / "workdir", capsys)
+    assert "config.pose.choice_top " in error and "silhouettes alone" in error
+
+
+def test_depths_asked_of_a_set_without_are_refused(config, monkeypatch):
+    config.train.depth_weight = 0.1
+    made = make_dataset(models=4, views=5)._replace(depths=None)
+    monkeypatch.setattr(setup, "load_or_render", lambda *_, **__: made)
+    with pytest.raises(ValueError, match="Expected depths for every image"):
+        setup.load_sets(from_config_dict(config))
 
 
 def test_a_folder_without_meshes_is_refused(config, tmp_path, capsys):

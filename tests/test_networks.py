@@ -10,6 +10,7 @@ import pytest
 from tiny_runs import compiling_quickly, rotation_matrix
 
 from dpc_jax.networks import ImageEncoder, ShapeHead, ShapePoseNetwork
+from dpc_jax.networks.camera import BoundedHead
 from dpc_jax.networks.pose import PoseEnsemble, spread_rotations, surround_object
 from dpc_jax.networks.shape import LARGEST_SIZE, SMALLEST_SIZE, bound_sizes
 
@@ -337,3 +338,27 @@ def test_sizes_stay_between_their_bounds_and_have_finite_gradients(first):
     assert np.all(np.isfinite(slope)) and float(slope[2]) > 0
     if 0.01 < first < 0.2:
         assert float(sizes[2]) == pytest.approx(first, rel=1e-5)
+
+
+# Camera branches.
+
+
+def test_camera_heads_start_near_the_middle_and_stay_in_range():
+    head = BoundedHead(outputs=3, bound=0.15)
+    features = jax.random.normal(jax.random.key(1), (5, 8))
+    params = head.init(KEY, features)
+    first = np.asarray(head.apply(params, features))
+    assert first.shape == (5, 3)
+    assert np.abs(first).max() < 0.1 and np.std(first, axis=0).min() > 0
+    far = np.asarray(head.apply(params, 1e4 * features))
+    assert np.abs(far).max() <= 0.15
+
+
+def test_a_focal_length_is_predicted_around_that_of_the_config():
+    network = ShapePoseNetwork(
+        num_points=4, candidates=0, channels=2, hidden=8, focal_length=1.875
+    )
+    output = run(network, jax.random.normal(jax.random.key(1), (3, 16, 16, 3)))
+    assert set(output) == {"points", "scale", "focal_lengths"}
+    assert output["focal_lengths"].shape == (3,)
+    np.testing.assert_allclose(output["focal_lengths"], 1.875, rtol=0.3)

@@ -1,6 +1,7 @@
 """Figures, tables and the report: complete, self-contained, safe to open."""
 
 import base64
+import dataclasses
 import io
 import json
 import re
@@ -15,8 +16,8 @@ from PIL import Image
 
 from dpc_jax import compare
 from dpc_jax.evaluation.metrics import COMPARED_METRICS, MISSING, REQUIRED_METRICS
-from dpc_jax.reporting import figures, gallery, tables
-from dpc_jax.reporting.examples import Example
+from dpc_jax.reporting import figures, gallery, signals, tables
+from dpc_jax.reporting.examples import Example, SignalImages
 from dpc_jax.reporting.page import write_report
 
 METRICS = {
@@ -286,3 +287,28 @@ def test_a_comparison_says_which_figures_are_absent():
     said = compare.name_absent(runs)
     assert said.startswith(f"{MISSING} is absent: b had no truth")
     assert "given the poses" in said
+
+
+def add_signals(shown, names=("silhouette", "depth", "color")):
+    rng = np.random.default_rng(1)
+    images = {}
+    for name in names:
+        ends = (12, 12, 3) if name == "color" else (12, 12)
+        pair = rng.uniform(1.6, 2.4, (2, *ends)) - (0 if name == "depth" else 1.5)
+        share = np.pad(np.ones((8, 8)), 2)
+        images[name] = SignalImages(pair[0], pair[1], share, share.T)
+    return dataclasses.replace(shown, signals=images)
+
+
+def test_rendered_images_of_signals_are_a_figure_of_their_own(tmp_path):
+    report(tmp_path / "plain", examples=[add_signals(example(), ("silhouette",))])
+    assert not (tmp_path / "plain" / "signals.png").exists()
+    report(tmp_path / "all", examples=[add_signals(example()), add_signals(example())])
+    page = (tmp_path / "all" / "index.html").read_text(encoding="utf-8")
+    assert "<h2>Rendered images</h2>" in page
+    assert picture((tmp_path / "all" / "signals.png").read_bytes()).std() > 5.0
+
+
+def test_rendered_images_are_drawn_of_examples_that_have_some(tmp_path):
+    with pytest.raises(ValueError, match="at least one with images of signals"):
+        signals.draw_signals([example()], tmp_path / "none.png")

@@ -80,8 +80,40 @@ def _list_rules(config):
         f"0, or a multiple of render.grid = {grid} that divides data.image_size = "
         f"{size}",
     )
+    yield from _list_signal_rules(config)
     yield (
         "pose.choice_grid",
         not config.pose.choice_grid or grid % config.pose.choice_grid == 0,
         f"0 or a divisor of render.grid = {grid}",
     )
+
+
+def _list_signal_rules(config):
+    """Rules of the signals that are compared, and of what a view's camera is."""
+    data, pose, train = config.data, config.pose, config.train
+    others = train.depth_weight + train.color_weight
+    yield (
+        "train.silhouette_weight",
+        train.silhouette_weight + others > 0,
+        "above 0 where train.depth_weight and train.color_weight are 0, so that there "
+        "is something to learn from",
+    )
+    yield (
+        "train.depth_weight",
+        not (train.depth_weight and data.images),
+        "0 with data.images, which come without depths",
+    )
+    is_exact = pose.choice_top or not (pose.choice_grid or pose.choice_points)
+    yield (
+        "pose.choice_top",
+        is_exact or pose.choice_signals == "silhouette",
+        "above 0 with pose.choice_signals = 'all', because the first, coarse choice "
+        "sees silhouettes alone",
+    )
+    for name in ("offset", "focal_spread"):
+        is_rendered = not (data.images or data.renders)
+        yield (
+            f"data.{name}",
+            is_rendered or not getattr(data, name),
+            "0 with data.images or data.renders, which are rendered already",
+        )

@@ -54,6 +54,8 @@ class Data:
     copies: int = field(1, at_least(1))  # of each mesh; all but the first stretched
     stretch: float = field(0.15, between(0, 0.99))  # largest, as a share of a side
     views: int = field(5, at_least(1))  # per model (§ Datasets)
+    offset: float = field(0.0, between(0, 0.12))  # largest, of each axis; diagonals
+    focal_spread: float = field(0.0, between(0, 0.25))  # of a view's focal length
     image_size: int = field(64, _IMAGE_SIZE)  # pixels
     surface_points: int = field(10_000, at_least(1))  # ground truth, before thinning
     surface_voxel: float = field(0.0, between(0, 0.99))  # keeps one point each; 0: all
@@ -114,8 +116,11 @@ class Pose:
     choice_grid: int = field(0, at_least(0))  # side in the first choice; 0: grid
     choice_points: int = field(250, at_least(0))  # of the first choice; 0: all
     choice_top: int = field(3, at_least(0))  # candidates compared exactly after it
+    choice_signals: str = field("silhouette", one_of("silhouette", "all"))  # compared
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     student_loss: str = field("absolute", one_of(*STUDENT_LOSSES))  # if it regresses
+    translation: bool = field(False)  # of each view, learned (released code)
+    focal_length: bool = field(False)  # of each view, learned (released code)
 
     @property
     def heads(self) -> int:
@@ -160,6 +165,8 @@ class Train:
     repulsion_weight: float = field(0.0, at_least(0))  # of the points, at the end
     repulsion_points: int = field(500, at_least(0))  # that repel each other in a step
     containment_weight: float = field(1.0, at_least(0))  # of points beyond radius 1/2
+    silhouette_weight: float = field(1.0, at_least(0))  # per pixel; 0: not compared
+    depth_weight: float = field(0.0, at_least(0))  # per pixel, diagonals²; 0: no depths
     color_weight: float = field(0.0, at_least(0))  # per pixel; 0: no colours
 
 

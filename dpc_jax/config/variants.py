@@ -96,6 +96,10 @@ VARIANTS: dict[str, Changes] = {
         "data": {"image_size": 128},
         "render": {"grid": 128, "fine_grid": 0, "num_points": 16_000},
     },
+    # § Network architecture and § Colored point clouds: other signals beside
+    # silhouettes (docs/supervision.md has what each weight gave).
+    "depth": {"train": {"depth_weight": 3.0}},
+    "color": {"train": {"color_weight": 0.3}},
 }
 # Models of each category in the split of § Datasets, to train, validate and test on.
 PAPER_MODELS = {

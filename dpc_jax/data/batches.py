@@ -1,13 +1,14 @@
 """Batches as a pure function of (sizes, seed, step): any step can be replayed."""
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from dpc_jax.data.dataset import DataSet
 
-BATCH_ARRAYS = ("images", "masks", "quaternions")
+BATCH_ARRAYS = ("images", "masks", "quaternions")  # of every batch
 _MODELS, _VIEWS = 0, 1  # so that the two never share a random stream
 
 
@@ -83,15 +84,22 @@ def _epoch_order(num_models, batch, seed, epoch):
 
 
 def read_batch(
-    dataset: DataSet, models: npt.ArrayLike, views: npt.ArrayLike
+    dataset: DataSet,
+    models: npt.ArrayLike,
+    views: npt.ArrayLike,
+    *,
+    extras: Sequence[str] = (),
 ) -> dict[str, np.ndarray]:
     """The views [B, V] of models [B], as stored; the device scales them to floats.
+
+    Args:
+      extras: names of further arrays, those of `DataSet` with a row per view.
 
     Returns:
       Arrays in memory by name: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S]
       and, where the poses are known, quaternions float32 [B, V, 4] (wxyz, object to
-      camera).
+      camera); then the extras, those that the set has.
     """
     rows = np.asarray(models)[:, None]
-    arrays = {name: getattr(dataset, name) for name in BATCH_ARRAYS}
+    arrays = {name: getattr(dataset, name) for name in (*BATCH_ARRAYS, *extras)}
     return {n: np.asarray(a[rows, views]) for n, a in arrays.items() if a is not None}

@@ -25,7 +25,14 @@ from dpc_jax.data.spec import DataSpec as DataSpec
 SHOWN = 20  # skipped models that are printed
 VERSION = 3  # raise it when rendering, the procedural shapes or the shards change
 PLACES = ("folder", "split_file", "ground_truth")  # fields that do not affect the bytes
+# Fields that affect them where they are not 0. Otherwise they are left out of the key,
+# so that sets from before there were such fields keep theirs.
+EXTRAS = ("offset", "focal_spread")
 ARRAYS = ("images", "masks", "depths", "quaternions", "surfaces")
+CAMERAS = (
+    "translations",
+    "focal_lengths",
+)  # further arrays, where views have their own
 RECORD = "spec.json"  # the file that finishes a cache
 
 
@@ -41,6 +48,9 @@ class DataSet(NamedTuple):
     quaternions: float32 [M, V, 4], wxyz, object to camera; None where not given.
     surfaces: float32 [M, P, 3], points on the surface, for evaluation only; models may
         differ in P; None where there is no ground truth.
+    translations: float32 [M, V, 3], of the object in the camera frame, after the
+        rotation; None where it is not moved or not known.
+    focal_lengths: float32 [M, V]; None where all views have the camera's.
     names: M names. skipped: (name, reason) of models that could not be used.
     remarks: (name, remark) of models that were used but lack something.
     warnings: sentences on the set as a whole that a reader of results has to know.
@@ -55,6 +65,8 @@ class DataSet(NamedTuple):
     skipped: tuple[tuple[str, str], ...]
     remarks: tuple[tuple[str, str], ...] = ()
     warnings: tuple[str, ...] = ()
+    translations: Any = None
+    focal_lengths: Any = None
 
     @property
     def counts(self) -> np.ndarray:
@@ -129,7 +141,8 @@ def locate_cache(
 
 def _describe(source, models):
     """Everything that determines the bytes, as JSON; the folder's place does not."""
-    record = {k: v for k, v in vars(source.spec).items() if k not in PLACES}
+    fields = vars(source.spec).items()
+    record = {k: v for k, v in fields if k not in PLACES and (v or k not in EXTRAS)}
     record["version"] = VERSION
     record["sources"] = [[m.name, m.seed, m.copy, m.digest] for m in models]
     record["sidecars"] = source.list_sidecars()
@@ -247,7 +260,7 @@ def read_cache(folder: str | Path) -> DataSet:
         parts = [part for part in pool.map(check, record["shards"]) if part.arrays]
     pages = shards.Pages([part.mapping for part in parts])
     arrays = {}
-    for name in ARRAYS:
+    for name in (*ARRAYS, *CAMERAS):
         have = [name in part.arrays for part in parts]
         if any(have) != all(have):
             raise ValueError(

@@ -36,13 +36,33 @@ def _render_mesh(mesh, spec, index):
     points = surfaces.make_ground_truth(mesh, spec, scene=scene)
     camera = {name: getattr(spec, name) for name in CAMERA}
     # every model has its own stream: any number of processes gives the same views
-    rng = np.random.default_rng([spec.seed, SPLITS.index(spec.split), index])
+    stream = [spec.seed, SPLITS.index(spec.split), index]
+    rng = np.random.default_rng(stream)
+    cameras = _draw_cameras(spec, stream)
     pictures = []
-    for _ in range(spec.views):
+    for number in range(spec.views):
+        own = {name: rows[number] for name, rows in cameras.items()}
         azimuth = rng.uniform(0.0, 2.0 * np.pi)
         elevation = np.deg2rad(rng.uniform(*spec.elevation))
         rotation = viewpoints.look_at_rotation(azimuth, elevation)
         lights = views.draw_lights(rng)
-        view = views.render_view(scene, rotation, lights=lights, **camera)
+        view = views.render_view(scene, rotation, lights=lights, **(camera | own))
         pictures.append((*view, rotation))
-    return viewpoints.stack_views(pictures) | {"surfaces": points}
+    kept = {f"{name}s": rows.astype(np.float32) for name, rows in cameras.items()}
+    return viewpoints.stack_views(pictures) | {"surfaces": points} | kept
+
+
+def _draw_cameras(spec, stream):
+    """Translation and focal length of each view, where views differ in them.
+
+    Of a stream of their own: the same objects are seen from the same sides as without.
+    """
+    rng = np.random.default_rng([*stream, 1])
+    cameras = {}
+    if spec.offset:
+        low, high = -spec.offset, spec.offset
+        cameras["translation"] = rng.uniform(low, high, (spec.views, 3))
+    if spec.focal_spread:
+        shares = rng.uniform(-spec.focal_spread, spec.focal_spread, spec.views)
+        cameras["focal_length"] = spec.focal_length * (1 + shares)
+    return cameras

@@ -40,6 +40,8 @@ class DataSpec:
     image_size: int = Data.image_size  # pixels
     focal_length: float = Render.focal_length
     distance: float = Render.distance  # camera to object, in box diagonals
+    offset: float = Data.offset  # of the object from the axis of view, see `Data`
+    focal_spread: float = Data.focal_spread  # share that a view's focal length varies
     extent: float = 1.0  # of the image plane
     supersample: int = 4  # rays per pixel along each axis
     surface_points: int = Data.surface_points  # ground truth per model, before thinning
@@ -88,6 +90,8 @@ class DataSpec:
             ("fill", 0.1 <= self.fill <= 1, "in [0.1, 1]"),
             ("surface_voxel", 0 <= self.surface_voxel < 1, "in [0, 1)"),
             ("focal_length", self.focal_length > 0, "above 0"),
+            ("offset", 0 <= self.offset < 0.5, "in [0, 0.5)"),
+            ("focal_spread", 0 <= self.focal_spread < 1, "in [0, 1)"),
             ("extent", self.extent > 0, "above 0"),
             # the object reaches 0.5 from its centre
             ("distance", self.distance > 0.5, "above 0.5, outside of the object"),

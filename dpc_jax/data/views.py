@@ -7,6 +7,7 @@ computed before any ray is cast, which makes it cost nothing per ray.
 """
 
 import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -118,11 +119,11 @@ def _camera_rays(image_size, focal_length, extent, supersample):
     return rays.reshape(supersample**2, image_size, image_size, 3)
 
 
-def _crop_box(scene, rotation, image_size, focal_length, distance, extent):
+def _crop_box(scene, rotation, image_size, focal_length, shift, extent):
     """Rows and columns (start, stop) outside of which no ray can hit the mesh."""
-    seen = scene.vertices @ rotation.T
-    depth = seen[:, 2] + distance
-    if depth.min() <= 1e-3 * distance:
+    seen = scene.vertices @ rotation.T + shift
+    depth = seen[:, 2]
+    if depth.min() <= 1e-3 * shift[2]:
         return 0, image_size, 0, image_size  # behind the camera: no bound, cast all
     plane = seen[:, :2] * (focal_length / depth)[:, None]
     cells = (plane / extent + 0.5) * image_size
@@ -139,6 +140,7 @@ def render_view(
     image_size: int,
     focal_length: float = 1.875,
     distance: float = 2.0,
+    translation: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
     extent: float = 1.0,
     supersample: int = 4,
 ) -> View:
@@ -146,8 +148,9 @@ def render_view(
 
     u = focal x / z and v = focal y / z with z = z_rotated + distance; the image of
     `image_size` pixels a side spans [-extent/2, extent/2] in u and v, row 0 at the top.
-    `rotation` [3, 3] takes the object frame to the camera frame; `distance` is in the
-    units of the mesh; `supersample` rays per pixel are cast along each image axis.
+    `rotation` [3, 3] takes the object frame to the camera frame, where `translation`
+    [3] moves the object; that and `distance` are in the units of the mesh.
+    `supersample` rays per pixel are cast along each image axis.
 
     Raises:
       ValueError: if the mesh has no faces, or a size is not positive.
@@ -159,13 +162,14 @@ def render_view(
         )
     scene = build_scene(mesh) if isinstance(mesh, trimesh.Trimesh) else mesh
     rotation = np.asarray(rotation, dtype=np.float64)
-    eye = -distance * rotation[2]
+    shift = np.asarray(translation, dtype=np.float64) + [0.0, 0.0, distance]
+    eye = -shift @ rotation
     image = np.full((image_size, image_size, 3), 255, dtype=np.uint8)
     mask = np.zeros((image_size, image_size), dtype=np.uint8)
     depth = np.zeros((image_size, image_size), dtype=np.float32)
 
     top, bottom, left, right = _crop_box(
-        scene, rotation, image_size, focal_length, distance, extent
+        scene, rotation, image_size, focal_length, shift, extent
     )
     rays = _camera_rays(image_size, float(focal_length), float(extent), supersample)
     rays = rays[:, top:bottom, left:right]

@@ -47,6 +47,7 @@ def compute_coarse_losses(
     choice_grid: int,
     choice_points: int,
     renders_at_once: int,
+    translation: jax.Array | None = None,
 ) -> jax.Array:
     """Loss [C] of each candidate in a coarser volume and with fewer points.
 
@@ -73,6 +74,7 @@ def compute_coarse_losses(
         sigma=coarse_sigma,
         camera=camera,
         renders_at_once=renders_at_once,
+        translation=translation,
     )
 
 
@@ -83,6 +85,7 @@ def place_candidates(
     side: int,
     camera: Camera,
     choice_points: int,
+    translation: jax.Array | None = None,
     size: jax.Array | None = None,
 ) -> ImagePoints:
     """Project the first `choice_points` points (0: all) from each candidate's pose.
@@ -93,7 +96,7 @@ def place_candidates(
 
     Args:
       points: [N, 3]. candidates: [C, 4] quaternions.
-      side: of the image, in pixels. camera: see `project`.
+      side: of the image, in pixels. camera, translation: see `project`.
       size: of points that have sizes of their own, see `point_sizes`.
     """
     count = _count_points(points, choice_points)
@@ -103,7 +106,7 @@ def place_candidates(
 
     def place(candidate):
         moved = to_camera_frame(
-            points[:count], candidate, translation=None, camera=camera
+            points[:count], candidate, translation=translation, camera=camera
         )
         seen = to_grid(moved, camera=camera, grid=VoxelGrid(side))
         rows, cols, _ = seen.coordinates.T

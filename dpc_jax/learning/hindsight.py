@@ -4,12 +4,14 @@ The minimum over candidates has the gradient of its winner. So all candidates ar
 compared without gradient, and only the winner is rendered again with one.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import CHOICE_RANKS, Pose, Render
+from dpc_jax.learning.cameras import Cameras, list_own, place_camera
 from dpc_jax.learning.coarse_choice import (
     compute_coarse_losses,
     compute_image_losses,
@@ -19,6 +21,7 @@ from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.point_sizes import has_own_sizes
 from dpc_jax.learning.predictions import Shapes
 from dpc_jax.learning.renders import compute_candidate_losses
+from dpc_jax.learning.signals import SILHOUETTES, Weights, make_targets
 from dpc_jax.render import Camera, checks
 from dpc_jax.render.batch import check_renders_at_once, map_renders
 from dpc_jax.render.devices import AUTOMATIC
@@ -95,10 +98,10 @@ def choose_candidate(
         )
     checks.check_choice("choice_rank", choice_rank, CHOICE_RANKS, "choose one of these")
     how = _Choice(choice_rank, choice_grid, choice_points, choice_top, renders_at_once)
-    places = _place_points(points, candidates, sigma, side, camera, how)
-    return _choose(
-        points, mass, candidates, target, places, sigma, camera=camera, how=how
-    )
+    own = {"sigma": sigma} if has_own_sizes(sigma) else {}
+    places = _place_points(points, candidates, own, side, camera, how)
+    arguments = points, mass, candidates, target, places, own
+    return _choose(*arguments, sigma=sigma, camera=camera, how=how)
 
 
 class _Choice(NamedTuple):
@@ -109,6 +112,7 @@ class _Choice(NamedTuple):
     points: int
     top: int
     renders_at_once: int
+    weights: Weights = SILHOUETTES  # of the exact comparison
 
     @property
     def is_exact(self):
@@ -116,7 +120,7 @@ class _Choice(NamedTuple):
         return self.grid == self.points == 0
 
 
-def _place_points(points, candidates, sigma, side, camera, how):
+def _place_points(points, candidates, own, side, camera, how):
     """Points in the image of each candidate, where they are ranked by an image."""
     if how.rank != "image" or how.is_exact:
         return None
@@ -124,24 +128,34 @@ def _place_points(points, candidates, sigma, side, camera, how):
         points,
         candidates,
         side=how.grid or side,
-        camera=camera,
+        camera=place_camera(camera, own),
         choice_points=how.points,
-        size=sigma,
+        translation=own.get("translation"),
+        size=own.get("sigma"),
     )
 
 
-def _choose(points, mass, candidates, target, places, sigma, *, camera, how):
-    """`choose_candidate` of checked arguments; places of `_place_points`."""
+def _choose(points, mass, candidates, target, places, own, *, sigma, camera, how):
+    """`choose_candidate` of checked arguments; places of `_place_points`.
+
+    `own` is what the view has of its own: see `list_own`; the sizes of points, where
+    each has its own; and in an exact comparison of other signals than the silhouette
+    the points' colors and "others", their targets.
+    """
+    sigma = own.get("sigma", sigma)
     arguments = points, mass, candidates, target
     view = {
         "sigma": sigma,
-        "camera": camera,
+        "camera": place_camera(camera, own),
         "renders_at_once": how.renders_at_once,
+        "translation": own.get("translation"),
     }
+    exactly = view | {n: own[n] for n in ("colors", "others") if n in own}
+    exactly["weights"] = how.weights
     has_all_points = min(how.points or len(points), len(points)) == len(points)
     has_all_cells = how.grid in (0, target.shape[0])
     if how.is_exact or how.rank == "volume" and has_all_cells and has_all_points:
-        return jnp.argmin(compute_candidate_losses(*arguments, **view))
+        return jnp.argmin(compute_candidate_losses(*arguments, **exactly))
     if places is not None:
         coarse = compute_image_losses(
             places, mass, target, sigma=sigma, choice_grid=how.grid
@@ -153,7 +167,8 @@ def _choose(points, mass, candidates, target, places, sigma, *, camera, how):
     if how.top == 0:
         return jnp.argmin(coarse)
     _, best = jax.lax.top_k(-coarse, min(how.top, len(candidates)))
-    losses = compute_candidate_losses(points, mass, candidates[best], target, **view)
+    arguments = points, mass, candidates[best], target
+    losses = compute_candidate_losses(*arguments, **exactly)
     return best[jnp.argmin(losses)]
 
 
@@ -165,6 +180,9 @@ def choose_poses(
     camera: Camera,
     render: Render,
     pose: Pose,
+    cameras: Cameras = Cameras(),
+    views: Mapping[str, jax.Array] | None = None,
+    weights: Weights = SILHOUETTES,
 ) -> Winners:
     """Eq. 2 for all views of a batch, without gradient.
 
@@ -175,49 +193,65 @@ def choose_poses(
       camera: see `project`.
       render: the grid, and how many renders run side by side. pose: how candidates
         are compared.
+      cameras: [B, V, ...] of the views, where they have their own.
+      views: masks and, as the weights need them, images and depths: see `make_targets`.
+      weights: of the signals by which candidates are compared at full resolution, if
+        `pose.choice_signals` is "all"; the silhouette alone otherwise.
     """
-    batch_size, views = masks.shape[:2]
-    candidates = candidates.reshape(batch_size, views, -1, 4)
+    batch_size, per_object = masks.shape[:2]
+    total = batch_size * per_object
+    candidates = candidates.reshape(batch_size, per_object, -1, 4)
     if candidates.shape[2] == 1:
-        return Winners(candidates[:, :, 0], jnp.zeros((batch_size, views), jnp.int32))
+        indices = jnp.zeros((batch_size, per_object), jnp.int32)
+        return Winners(candidates[:, :, 0], indices)
 
+    if pose.choice_signals == "silhouette":
+        weights = SILHOUETTES
     how = _Choice(
         pose.choice_rank,
         pose.choice_grid,
         pose.choice_points,
         pose.choice_top,
         render.renders_at_once,
+        weights,
     )
-    shapes, still = jax.lax.stop_gradient((shapes, candidates))
-    points = jnp.repeat(shapes.kept, views, axis=0)
-    flat = still.reshape(batch_size * views, -1, 4)
-    has_sizes = has_own_sizes(shapes.sigma)
-    sigma = jnp.repeat(shapes.sigma, views, axis=0) if has_sizes else shapes.sigma
+    shapes, still, cameras = jax.lax.stop_gradient((shapes, candidates, cameras))
+    points = jnp.repeat(shapes.kept, per_object, axis=0)
+    flat = still.reshape(total, -1, 4)
+    own = list_own(cameras, total)
+    if has_own_sizes(shapes.sigma):
+        own["sigma"] = jnp.repeat(shapes.sigma, per_object, axis=0)
     places = jax.vmap(
-        lambda points, candidates, sigma: _place_points(
-            points, candidates, sigma, render.grid, camera, how
-        ),
-        (0, 0, 0 if has_sizes else None),
-    )(points, flat, sigma)
+        lambda points, candidates, own: _place_points(
+            points, candidates, own, render.grid, camera, how
+        )
+    )(points, flat, own)
     targets = downsample_images(masks, render.grid)
+    own |= _list_others(shapes, views or {}, render, weights, per_object)
     inputs = (
         points,
-        jnp.repeat(shapes.mass, views, axis=0),
+        jnp.repeat(shapes.mass, per_object, axis=0),
         flat,
-        targets.reshape(batch_size * views, *targets.shape[2:]),
+        targets.reshape(total, *targets.shape[2:]),
         places,
-        sigma if has_sizes else None,
+        own,
     )
-
-    def choose(view):
-        *arrays, own = view
-        arrays.append(shapes.sigma if own is None else own)
-        return _choose(*arrays, camera=camera, how=how)
-
     indices = map_renders(
-        choose,
+        lambda view: _choose(*view, sigma=shapes.sigma, camera=camera, how=how),
         inputs,
         renders_at_once=render.renders_at_once,
-    ).reshape(batch_size, views)
+    ).reshape(batch_size, per_object)
     poses = jnp.take_along_axis(candidates, indices[..., None, None], axis=2)[:, :, 0]
     return Winners(poses, indices)
+
+
+def _list_others(shapes, views, render, weights, per_object):
+    """Colours of the points, and targets of the signals besides silhouettes."""
+    names = tuple(name for name in weights.signals if name != "silhouette")
+    targets = make_targets(views, render.grid, signals=names, distance=render.distance)
+    found = {}
+    if "color" in names:
+        found["colors"] = jnp.repeat(shapes.colors, per_object, axis=0)
+    if names:
+        found["others"] = {n: a.reshape(-1, *a.shape[2:]) for n, a in targets.items()}
+    return found

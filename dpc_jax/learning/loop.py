@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet, choose_batch, read_batch
 from dpc_jax.evaluation.metrics import describe_metrics
-from dpc_jax.learning import devices, schedules
+from dpc_jax.learning import devices, schedules, signals
 from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.forecast import Forecast
 from dpc_jax.learning.programs import StagePrograms
@@ -169,7 +169,8 @@ def make_batch(dataset: DataSet, step: int, config: Config) -> dict[str, Any]:
         views_per_batch=config.train.views_per_batch,
     )
     own = devices.find_own(len(models))
-    rows = read_batch(dataset, models[own], views[own])
+    extras = signals.list_extras(config)
+    rows = read_batch(dataset, models[own], views[own], extras=extras)
     rows["seeds"] = repeat_seed(config.seed, len(models))[own]
     return devices.assemble(rows, config)
 

@@ -150,8 +150,11 @@ def containment_loss(points: jax.Array, *, radius: float = 0.5) -> jax.Array:
 
 def downsample_images(images: jax.Array, size: int) -> jax.Array:
     """Average bytes [..., S, S] over blocks, to [..., size, size] in [0, 1]."""
+    return average_blocks(images.astype(jnp.float32), size) / 255
+
+
+def average_blocks(images: jax.Array, size: int) -> jax.Array:
+    """Means of the square blocks of images [..., S, S], to [..., size, size]."""
     factor = images.shape[-1] // size
-    blocks = images.astype(jnp.float32).reshape(
-        *images.shape[:-2], size, factor, size, factor
-    )
-    return jnp.mean(blocks, axis=(-3, -1)) / 255
+    blocks = images.reshape(*images.shape[:-2], size, factor, size, factor)
+    return jnp.mean(blocks, axis=(-3, -1))

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Pose, Render, Train
 from dpc_jax.learning import losses, schedules
+from dpc_jax.learning.cameras import predict_cameras
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import average_covariance
 from dpc_jax.learning.hindsight import Winners, choose_poses
@@ -20,6 +21,7 @@ from dpc_jax.learning.predictions import (
     predict_poses,
     predict_shapes,
 )
+from dpc_jax.learning.signals import read_weights
 from dpc_jax.learning.winners import compare_winners
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera
@@ -54,7 +56,7 @@ def compute_loss(
     Args:
       params: of the network.
       batch: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S], quaternions
-        [B, V, 4] (read only where poses are given).
+        [B, V, 4] (read only where poses are given), and what `list_extras` names.
       keys: [B], for the point dropout of each object.
       step: ().
       covariance: [3, 3], see `TrainState`.
@@ -78,6 +80,7 @@ def compute_loss(
         scale_unit=render.scale_unit,
         grid=render.grid,
     )
+    cameras = predict_cameras(params, features, batch, network=network, pose=pose)
     metrics = {"scale": jnp.mean(shapes.scale)}
     rotations, learned = batch["quaternions"], {}
     if not pose.known:
@@ -96,12 +99,21 @@ def compute_loss(
                 camera=camera,
                 render=render,
                 pose=pose,
+                cameras=cameras,
+                views=batch,
+                weights=read_weights(train),
             )
             rotations = winners.poses
         metrics["winners"] = winners.indices.reshape(-1)
         learned |= compare_student(poses, winners, render=render, pose=pose)
     compared, parts = compare_winners(
-        shapes, rotations, batch, render=render, train=train, stage=stage
+        shapes,
+        rotations,
+        batch,
+        render=render,
+        train=train,
+        stage=stage,
+        cameras=cameras,
     )
     terms = compute_priors(shapes, step, train=train) | learned
     metrics |= parts | {name: term.value for name, term in terms.items()}

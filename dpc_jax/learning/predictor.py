@@ -1,6 +1,6 @@
 """Predictions for a whole data set."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -10,7 +10,8 @@ from jax.sharding import NamedSharding
 
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
-from dpc_jax.learning import devices, hindsight, schedules
+from dpc_jax.learning import devices, schedules
+from dpc_jax.learning.cameras import find_cameras, list_own, place_camera
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.point_sizes import (
     has_own_sizes,
@@ -18,6 +19,15 @@ from dpc_jax.learning.point_sizes import (
     split_size,
 )
 from dpc_jax.learning.predictions import complete_poses, find_sizes, scale_images
+from dpc_jax.learning.renders import compute_candidate_losses
+from dpc_jax.learning.signals import (
+    SILHOUETTES,
+    Weights,
+    find_background,
+    list_extras,
+    make_targets,
+    read_weights,
+)
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.columns import sharing_columns
@@ -25,6 +35,7 @@ from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.render.batch import map_renders
 
 VIEWS_AT_ONCE = 64  # that are predicted: a batch of a data set
+_SOURCES = {"depth": "depths", "color": "images"}  # arrays that signals are read from
 
 
 class Predictions(NamedTuple):
@@ -37,6 +48,10 @@ class Predictions(NamedTuple):
       candidate_poses: [M, V, 4], the candidate, turned or not, that fits the view best.
       winners: [M, V] its index; of head index % K, whether turned or not.
       silhouettes: [M, V, D, D], the shape seen from the student's pose.
+      depths: [M, V, D, D], color_images: [M, V, D, D, 3] of the same render; None for
+        data without depths, and where no colours are learned.
+      translations: [M, V, 3], focal_lengths: [M, V] as predicted; None where they are
+        not learned.
       sizes: [M, V, N] sigmas in voxels of the base grid, or [M, V, N, 3, 3] covariances
         in voxels², where they are learned; else None.
     """
@@ -47,19 +62,24 @@ class Predictions(NamedTuple):
     candidate_poses: np.ndarray
     winners: np.ndarray
     silhouettes: np.ndarray
+    depths: np.ndarray | None = None
+    color_images: np.ndarray | None = None
+    translations: np.ndarray | None = None
+    focal_lengths: np.ndarray | None = None
     sizes: np.ndarray | None = None
 
 
 def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
-    """The compiled function (state, images, masks, quaternions) -> dict, over devices.
+    """The compiled function (state, images, masks, quaternions, extras) -> dict.
 
-    For n views: images uint8 [n, S, S, 3], masks uint8 [n, S, S], quaternions [n, 4].
-    The dictionary has the fields of `Predictions`, with one leading axis [n]; those
-    that a run does not have are left out.
+    It runs over the devices. For n views: images uint8 [n, S, S, 3], masks uint8
+    [n, S, S], quaternions [n, 4], extras: arrays [n, ...] of `list_extras`, those there
+    are. The dictionary has the fields of `Predictions`, with one leading axis [n];
+    those that a run does not have are left out.
     """
     render, pose = config.render, config.pose
 
-    def predict(state, images, masks, quaternions):
+    def predict(state, images, masks, quaternions, extras):
         with sharing_columns(devices.AXIS):
             output = network.apply(state.params, scale_images(images))
         assert isinstance(output, dict)
@@ -67,16 +87,21 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
         sigma, mass = find_sizes(
             output, sigma, scale_unit=render.scale_unit, grid=render.grid
         )
-        own = sigma if has_own_sizes(sigma) else None
         candidates, students = quaternions[:, None], quaternions
         if not pose.known:
             poses = complete_poses(output, state.covariance, pose=pose)
             candidates, students = poses.candidates, poses.student
         targets = downsample_images(masks, render.grid)
-        silhouettes, winners = map_renders(
-            lambda view: explain_view(
-                *view[:-1], sigma=sigma if view[-1] is None else view[-1], config=config
-            ),
+        cameras = find_cameras(output, extras, pose=pose)
+        own = list_own(cameras, len(images)) | _list_compared(
+            {"images": images, "masks": masks, **extras}, config
+        )
+        if "colors" in output:
+            own["colors"] = output["colors"]
+        if has_own_sizes(sigma):
+            own["sigma"] = output["sizes"] = sigma
+        rendered, winners = map_renders(
+            lambda view: explain_view(*view, sigma=sigma, config=config),
             (output["points"], mass, students, candidates, targets, own),
             renders_at_once=render.renders_at_once,
         )
@@ -85,32 +110,38 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
             "poses": students,
             "candidate_poses": jax.vmap(lambda q, k: q[k])(candidates, winners),
             "winners": winners,
-            "silhouettes": silhouettes,
         }
-        if "colors" in output:
-            result["colors"] = output["colors"]
-        if own is not None:
-            result["sizes"] = own
-        return result
+        kept = ("colors", "sizes", "translations", "focal_lengths")
+        return result | rendered | {n: output[n] for n in kept if n in output}
 
     mesh = devices.make_mesh(config)
     shared = devices.share(
         predict,
         mesh,
-        in_specs=(find_parts(network, config, mesh), *[devices.OBJECTS] * 3),
+        in_specs=(find_parts(network, config, mesh), *[devices.OBJECTS] * 4),
         out_specs=devices.OBJECTS,
     )
 
-    def pad(state, *arrays):
+    def pad(state, *views):
         """All devices have as many views; those that fill up are cut off again."""
-        count = len(arrays[0])
+        count = len(views[0])
         rows = jnp.minimum(jnp.arange(count + -count % mesh.size), count - 1)
-        output = shared(state, *(array[rows] for array in arrays))
+        output = shared(state, *jax.tree.map(lambda array: array[rows], views))
         return jax.tree.map(lambda array: array[:count], output)
 
     # Every process of a job gets all of it.
     whole = NamedSharding(mesh, devices.WHOLE) if jax.process_count() > 1 else None
     return jax.jit(pad, out_shardings=whole)
+
+
+def _list_compared(views, config):
+    """Targets of the signals besides silhouettes that candidates are compared by."""
+    if config.pose.choice_signals == "silhouette" or config.pose.heads < 2:
+        return {}
+    names = [name for name in read_weights(config.train).signals if name in _SOURCES]
+    present = tuple(name for name in names if _SOURCES[name] in views)
+    grid, distance = config.render.grid, config.render.distance
+    return {"others": make_targets(views, grid, signals=present, distance=distance)}
 
 
 def explain_view(
@@ -119,47 +150,83 @@ def explain_view(
     student: jax.Array,
     candidates: jax.Array,
     target: jax.Array,
+    own: dict[str, Any],
     *,
     sigma: jax.Array,
     config: Config,
-) -> tuple[jax.Array, jax.Array]:
-    """Silhouette of a shape from the student's pose, and the best candidate's index.
+) -> tuple[dict[str, jax.Array], jax.Array]:
+    """Images of a shape from the student's pose, and the best candidate's index.
+
+    The best candidate is that of the exact comparison, by the signals that the choice
+    in training compares; of those, one that the data lack (the depths of own images) is
+    left out.
 
     Args:
       points: [N, 3]. mass: (), sigma: (), in voxels of the base grid; of points with
         sizes of their own as of `Shapes`.
       student: [4]. candidates: [C, 4]. target: [D, D] silhouette.
+      own: what the view has of its own: translation [3], focal_length (), colors
+        [N, 3], sigma of points with sizes of their own, others {signal: target}.
 
     Returns:
-      ([D, D] in the finest grid that training renders in, ()).
+      ({"silhouettes", "depths", "color_images"} in the finest grid that training
+      renders in; depths and colours where there are any; ()).
     """
     render = config.render
-    camera = Camera(render.focal_length, render.distance)
+    camera = place_camera(Camera(render.focal_length, render.distance), own)
     side = render.fine_grid or render.grid
+    sigma = own.get("sigma", sigma)
     fine_size, fine_mass = scale_point_sizes(sigma, mass, side / render.grid)
     fine_sigma, covariance = split_size(fine_size)
+    is_asked = {
+        "silhouette": True,
+        "depth": not config.data.images or bool(config.data.test_meshes),
+        "color": "colors" in own,
+    }
     image = project(
         points,
         student,
         sigma=fine_sigma,
         covariance=covariance,
         scale=fine_mass,
+        colors=own.get("colors"),
+        translation=own.get("translation"),
         camera=camera,
         grid=VoxelGrid(side),
+        signals=tuple(name for name, holds in is_asked.items() if holds),
+        background_depth=find_background(camera.distance),
     )
-    assert image.silhouette is not None
+    names = {"silhouettes": image.silhouette, "depths": image.depth}
+    images = names | {"color_images": image.color}
     winner = jnp.zeros((), jnp.int32)
     if len(candidates) > 1:
-        winner = hindsight.choose_candidate(
-            points,
-            mass,
-            candidates,
-            target,
-            sigma=sigma,
-            camera=camera,
-            renders_at_once=render.renders_at_once,
-        )
-    return image.silhouette, winner
+        winner = _choose_exactly(points, mass, candidates, target, own, sigma, config)
+    return {n: a for n, a in images.items() if a is not None}, winner
+
+
+def _choose_exactly(points, mass, candidates, target, own, sigma, config):
+    """Index of the candidate of the smallest loss at full resolution; ()."""
+    render, others = config.render, own.get("others", {})
+    weights = SILHOUETTES
+    if config.pose.choice_signals == "all":
+        wanted = read_weights(config.train)._asdict()
+        kept = {n: w for n, w in wanted.items() if n in others or n == "silhouette"}
+        weights = Weights(**(dict.fromkeys(wanted, 0.0) | kept))
+        weights = weights if weights.signals else SILHOUETTES
+    losses = compute_candidate_losses(
+        points,
+        mass,
+        candidates,
+        target,
+        sigma=sigma,
+        camera=place_camera(Camera(render.focal_length, render.distance), own),
+        renders_at_once=render.renders_at_once,
+        translation=own.get("translation"),
+        colors=own.get("colors") if weights.color else None,
+        others=others,
+        weights=weights,
+    )
+    return jnp.argmin(losses)
 
 
 def arrange_views(dataset: DataSet) -> tuple[np.ndarray, np.ndarray]:
@@ -187,10 +254,12 @@ def compile_predictor(predictor: Any, state: TrainState, config: Config):
         return jax.ShapeDtypeStruct((VIEWS_AT_ONCE, *shape), dtype)
 
     size = config.data.image_size
+    ends = {"depths": (size, size), "translations": (3,), "focal_lengths": ()}
     views = (
         describe(size, size, 3, dtype=np.uint8),
         describe(size, size, dtype=np.uint8),
         describe(4, dtype=np.float32),
+        {n: describe(*ends[n], dtype=np.float32) for n in list_extras(config)},
     )
     held = jax.tree.map(
         lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=a.sharding), state
@@ -204,11 +273,13 @@ def predict_all(
     dataset: DataSet,
     *,
     views_at_once: int = VIEWS_AT_ONCE,
+    extras: Sequence[str] = (),
 ) -> Predictions:
     """Run the predictor over a data set in equal batches (the last one is padded).
 
     Views are read batch by batch: a set may be larger than the memory. The layout is
-    that of `arrange_views`; poses that are not given are the identity.
+    that of `arrange_views`; poses that are not given are the identity. Of the extras,
+    arrays of the data set as of `list_extras`, those that it has are read.
     """
     models, views = arrange_views(dataset)
     total = models.size
@@ -222,7 +293,9 @@ def predict_all(
         else:
             poses = np.asarray(dataset.quaternions[chosen])
         images, masks = dataset.images[chosen], dataset.masks[chosen]
-        output = predictor(state, np.asarray(images), np.asarray(masks), poses)
+        found = {name: getattr(dataset, name) for name in extras}
+        more = {n: np.asarray(a[chosen]) for n, a in found.items() if a is not None}
+        output = predictor(state, np.asarray(images), np.asarray(masks), poses, more)
         parts.append(jax.device_get(output))
     merged = {
         name: np.concatenate([p[name] for p in parts])[:total].reshape(

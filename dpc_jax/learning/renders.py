@@ -1,11 +1,18 @@
 """Many renders of one step: one after the other, or side by side."""
 
+from collections.abc import Mapping
+
 import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.learning.losses import reprojection_loss
 from dpc_jax.learning.point_sizes import split_size
+from dpc_jax.learning.signals import (
+    SILHOUETTES,
+    Weights,
+    compare_images,
+    find_background,
+)
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.render.batch import map_renders
 from dpc_jax.render.devices import AUTOMATIC
@@ -20,8 +27,12 @@ def compute_candidate_losses(
     sigma: chex.Numeric,
     camera: Camera,
     renders_at_once: int = AUTOMATIC,
+    translation: jax.Array | None = None,
+    colors: jax.Array | None = None,
+    others: Mapping[str, jax.Array] | None = None,
+    weights: Weights = SILHOUETTES,
 ) -> jax.Array:
-    """Reprojection loss of each pose candidate of one view.
+    """Loss of each pose candidate of one view, by its silhouette or by more signals.
 
     Args:
       points: [N, 3]. mass: (), of each, in voxels; or [N].
@@ -29,12 +40,19 @@ def compute_candidate_losses(
       target: [D, D] silhouette.
       sigma: (), in voxels, or sizes of each point, see `point_sizes`.
       renders_at_once: how many candidates are rendered side by side, see `map_renders`.
+      translation: [3] of the object in the camera frame.
+      colors: [N, 3], others: targets of other signals by name (`make_targets`), as the
+        weights need them.
+      weights: of the signals.
 
     Returns:
       [C].
     """
     grid = VoxelGrid(target.shape[0])
     shared, covariance = split_size(jnp.asarray(sigma))
+
+    targets = {"silhouette": target, **(others or {})}
+    background = find_background(camera.distance)
 
     def compute_loss(candidate):
         image = project(
@@ -43,10 +61,15 @@ def compute_candidate_losses(
             sigma=shared,
             covariance=covariance,
             scale=mass,
+            colors=colors,
+            translation=translation,
             camera=camera,
             grid=grid,
+            signals=weights.signals,
+            background_depth=background,
         )
-        assert image.silhouette is not None
-        return reprojection_loss(image.silhouette, target)
+        return compare_images(
+            image, targets, weights=weights, background_depth=background
+        )[0]
 
     return map_renders(compute_loss, candidates, renders_at_once=renders_at_once)

@@ -11,9 +11,17 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Render, Train
-from dpc_jax.learning import losses, point_sizes
+from dpc_jax.learning import point_sizes
+from dpc_jax.learning.cameras import Cameras, list_own, place_camera
 from dpc_jax.learning.predictions import Shapes
 from dpc_jax.learning.schedules import Stage
+from dpc_jax.learning.signals import (
+    Weights,
+    compare_images,
+    find_background,
+    make_targets,
+    read_weights,
+)
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.render.batch import map_renders
 
@@ -21,10 +29,9 @@ from dpc_jax.render.batch import map_renders
 class _Static(NamedTuple):
     """What is static about a comparison."""
 
-    focal_length: float
-    distance: float
+    camera: tuple[float, float]  # focal length and distance
     grid: int
-    color_weight: float
+    weights: Weights
     renders_at_once: int
 
 
@@ -36,6 +43,7 @@ def compare_winners(
     render: Render,
     train: Train,
     stage: Stage,
+    cameras: Cameras = Cameras(),
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Eq. 1: squared differences of rendered images and views, averaged over the views.
 
@@ -45,10 +53,11 @@ def compare_winners(
     Args:
       shapes: of B objects.
       rotations: [B, V, 4] quaternions, the pose of each view.
-      batch: images uint8 [B, V, S, S, 3] (read only where shapes have colours) and
-        masks uint8 [B, V, S, S].
-      render, train: the base grid, the camera and the weight of colours. stage: the
-        grid of the winners.
+      batch: masks uint8 [B, V, S, S], images uint8 [B, V, S, S, 3] and depths
+        [B, V, S, S]: what the signals that have a weight need.
+      render, train: the base grid, the camera and the weights of the signals. stage:
+        the grid of the winners.
+      cameras: [B, V, ...] of the views, where they have their own.
 
     Returns:
       (() the weighted sum, which has the gradient; {name: ()} of its terms).
@@ -58,26 +67,24 @@ def compare_winners(
     sigma, mass = point_sizes.scale_point_sizes(shapes.sigma, shapes.mass, ratio)
     has_sizes = point_sizes.has_own_sizes(sigma)
     own = {"sigma": sigma} if has_sizes else {}
+    weights = read_weights(train)
     learned = jax.tree.map(
         lambda array: jnp.repeat(array, rotations.shape[1], axis=0),
         {"points": shapes.kept, "mass": mass, "colors": shapes.colors} | own,
     ) | {"rotation": rotations.reshape(-1, 4)}
+    learned |= list_own(cameras, num_views)
+    targets = make_targets(
+        batch, stage.grid, signals=weights.signals, distance=render.distance
+    )
     given = {
-        "mask": losses.downsample_images(batch["masks"], stage.grid),
+        "targets": jax.tree.map(lambda a: a.reshape(num_views, *a.shape[2:]), targets),
     }
     if not has_sizes:
         given["sigma"] = jnp.broadcast_to(jax.lax.stop_gradient(sigma), num_views)
-    if shapes.colors is not None:
-        channels = jnp.moveaxis(batch["images"], -1, 2)
-        targets = losses.downsample_images(channels, stage.grid)
-        given["image"] = jnp.moveaxis(targets, 2, -1)
-    for name in given.keys() & {"mask", "image"}:
-        given[name] = given[name].reshape(num_views, *given[name].shape[2:])
     static = _Static(
-        render.focal_length,
-        render.distance,
+        (render.focal_length, render.distance),
         stage.grid,
-        train.color_weight,
+        weights,
         render.renders_at_once,
     )
     result: Any = _sum_views(static, learned, given)
@@ -88,7 +95,9 @@ def compare_winners(
 
 def _compare_view(static, learned, given):
     """The weighted sum of a view's losses, and each of them."""
-    colors = learned["colors"]
+    camera = place_camera(Camera(*static.camera), learned)
+    signals = static.weights.signals
+    background = find_background(camera.distance)
     sigma, covariance = point_sizes.split_size((given | learned)["sigma"])
     image = project(
         learned["points"],
@@ -96,18 +105,16 @@ def _compare_view(static, learned, given):
         sigma=sigma,
         covariance=covariance,
         scale=learned["mass"],
-        colors=colors,
-        camera=Camera(static.focal_length, static.distance),
+        colors=learned["colors"] if "color" in signals else None,
+        translation=learned.get("translation"),
+        camera=camera,
         grid=VoxelGrid(static.grid),
-        signals=("silhouette",) if colors is None else ("silhouette", "color"),
+        signals=signals,
+        background_depth=background,
     )
-    assert image.silhouette is not None
-    terms = {"reprojection": losses.reprojection_loss(image.silhouette, given["mask"])}
-    total = terms["reprojection"]
-    if image.color is not None:
-        terms["color"] = losses.reprojection_loss(image.color, given["image"])
-        total = total + static.color_weight * terms["color"]
-    return total, terms
+    return compare_images(
+        image, given["targets"], weights=static.weights, background_depth=background
+    )
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(0,))

@@ -5,6 +5,7 @@ from typing import Any
 import flax.linen as nn
 import jax
 
+from dpc_jax.networks.camera import FOCAL_RANGE, TRANSLATION_RANGE, BoundedHead
 from dpc_jax.networks.encoder import ImageEncoder
 from dpc_jax.networks.pose import PoseEnsemble, PoseSelector, PoseStudent
 from dpc_jax.networks.shape import ShapeHead
@@ -25,6 +26,8 @@ class ShapePoseNetwork(nn.Module):
         0 for the paper's student, which regresses a pose.
       student_width: width of the student's own layers.
       spread, head_layers, pose_slope: see `PoseEnsemble`.
+      has_translation: predict where in the frame the object is.
+      focal_length: around which that of a view is predicted; 0: it is not.
     """
 
     num_points: int
@@ -43,6 +46,8 @@ class ShapePoseNetwork(nn.Module):
     scale_fixed: float = 0.0
     point_size: str = ""
     first_size: float = 0.05
+    has_translation: bool = False
+    focal_length: float = 0.0
 
     def setup(self) -> None:
         """Make the branches that this run learns."""
@@ -77,6 +82,10 @@ class ShapePoseNetwork(nn.Module):
             self.student = PoseSelector(num_classes=self.num_classes, **student)
         elif self.candidates > 1:
             self.student = PoseStudent(**student)
+        if self.has_translation:
+            self.translation = BoundedHead(outputs=3, bound=TRANSLATION_RANGE)
+        if self.focal_length:
+            self.focal = BoundedHead(outputs=1, bound=FOCAL_RANGE)
 
     def encode(self, images: jax.Array, *, mix: jax.Array | None = None) -> jax.Array:
         """Images [B, S, S, 3] in [-1, 1] to features [B, hidden].
@@ -104,7 +113,22 @@ class ShapePoseNetwork(nn.Module):
         output = "logits" if self.num_classes else "student"
         return {"candidates": poses, output: self.student(features)}
 
+    def predict_camera(self, features: jax.Array) -> dict[str, jax.Array]:
+        """Features [B, F] to "translations" [B, 3] and "focal_lengths" [B], if learned.
+
+        Translations are those of the object in the camera frame, in box diagonals.
+        """
+        output = {}
+        if self.has_translation:
+            output["translations"] = self.translation(features)
+        if self.focal_length:
+            output["focal_lengths"] = (
+                self.focal_length * (1 + self.focal(features))[:, 0]
+            )
+        return output
+
     def __call__(self, images: jax.Array) -> dict[str, jax.Array]:
         """All predictions for images [B, S, S, 3]; also initialises the parameters."""
         features = self.encode(images)
-        return self.predict_shape(features) | self.predict_pose(features)
+        poses = self.predict_pose(features) | self.predict_camera(features)
+        return self.predict_shape(features) | poses

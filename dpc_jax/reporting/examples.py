@@ -1,8 +1,22 @@
 """A test view with its prediction, as the report shows it."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
+
+
+@dataclass(frozen=True)
+class SignalImages:
+    """One signal of a view, as the data have it and as it is rendered.
+
+    Images are [D, D], of colours [D, D, 3] from 0 to 1, all at the render's size.
+    """
+
+    target: np.ndarray
+    predicted: np.ndarray
+    mask: np.ndarray  # [D, D] share of the pixel that the true object covers
+    opacity: np.ndarray  # [D, D] the same of the render: its silhouette
 
 
 @dataclass(frozen=True)
@@ -17,3 +31,5 @@ class Example:
     colors: np.ndarray | None  # [N, 3] predicted, bytes or floats 0 to 1
     pose_error_deg: float | None  # None where the true pose is unknown
     surface: np.ndarray | None = None  # [P, 3] points of the true shape, for comparison
+    # By name: "silhouette", "depth", "color".
+    signals: Mapping[str, SignalImages] = field(default_factory=dict)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation import metrics as registry
 from dpc_jax.files import write_text
-from dpc_jax.reporting import export, figures, gallery
+from dpc_jax.reporting import export, figures, gallery, signals
 from dpc_jax.reporting.examples import Example
 
 _CAPTIONS = {
@@ -31,6 +31,12 @@ _CAPTIONS = {
         "predicted but not there and blue is missing. The shape is turned to two fixed "
         "directions, whatever the input's; darker points, or stronger colours, are "
         "nearer.",
+    ),
+    "signals": (
+        "Rendered images",
+        "Each signal as the data have it, as the prediction looks from its predicted "
+        "pose, and the difference: red is too large or too far, blue too small or too "
+        "near, and for colours the brighter, the more they differ.",
     ),
     "pose_errors": (
         "Pose errors",
@@ -100,6 +106,7 @@ def write_report(
     drawings: list[tuple[str, Callable[..., Path], Any]] = [
         ("curves", figures.draw_curves, records or None),
         ("predictions", gallery.draw_predictions, examples or None),
+        ("signals", signals.draw_signals, _list_with_signals(examples)),
         ("pose_errors", figures.draw_pose_errors, pose_errors),
         ("candidates", figures.draw_candidates, shares),
     ]
@@ -118,6 +125,11 @@ def write_report(
     return write_text(
         folder / "index.html", _assemble(title, values, warnings, sections)
     )
+
+
+def _list_with_signals(examples: Sequence[Example]) -> list[Example] | None:
+    """Examples with renders of more than the silhouette; None if there are none."""
+    return [e for e in examples if set(e.signals) - {"silhouette"}] or None
 
 
 def _plain_metrics(metrics: Mapping[str, Any]) -> dict[str, Any]:
@@ -167,7 +179,7 @@ def _embed_figure(name: str, path: Path) -> str:
     title, caption = _CAPTIONS[name]
     data = base64.b64encode(path.read_bytes()).decode("ascii")
     # Small print would be lost on a phone: the detailed figures scroll sideways there.
-    kind = "wide large" if name in ("curves", "predictions") else "wide"
+    kind = "wide large" if name in ("curves", "predictions", "signals") else "wide"
     return (
         f"<h2>{html.escape(title)}</h2><p>{html.escape(caption)}</p>"
         f'<div class="{kind}"><img alt="{html.escape(title)}" '

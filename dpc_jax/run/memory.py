@@ -6,7 +6,7 @@ from typing import Any
 import jax
 
 from dpc_jax.config import Config
-from dpc_jax.learning import schedules
+from dpc_jax.learning import schedules, signals
 from dpc_jax.learning.step import describe_state, make_train_step
 from dpc_jax.networks import ShapePoseNetwork
 
@@ -67,6 +67,9 @@ def estimate_step_memory(network: ShapePoseNetwork, config: Config) -> int:
         "quaternions": jax.ShapeDtypeStruct((*views, 4), "float32"),
         "seeds": jax.ShapeDtypeStruct(views[:1], "uint32"),
     }
+    ends = {"depths": (size, size), "translations": (3,), "focal_lengths": ()}
+    for name in signals.list_extras(config):
+        batch[name] = jax.ShapeDtypeStruct((*views, *ends[name]), "float32")
     stage = schedules.find_stage(train.steps - 1, config.render, steps=train.steps)
     return estimate_peak(make_train_step(network, config, stage), state, batch)
 

@@ -22,6 +22,7 @@ from dpc_jax.learning.predictor import (
     predict_all,
 )
 from dpc_jax.learning.records import MetricLog, NonFiniteError
+from dpc_jax.learning.signals import list_extras
 from dpc_jax.learning.step import TrainState, describe_state, init_state
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run import hosts
@@ -168,7 +169,8 @@ class Model:
 
     def predict(self, state: TrainState, split: str) -> Predictions:
         """Predictions for a split."""
-        return predict_all(self._predictor, state, self.sets[split])
+        extras = list_extras(self.config)
+        return predict_all(self._predictor, state, self.sets[split], extras=extras)
 
     def align(self, predictions: Predictions) -> Alignment:
         """Canonical alignment, from predictions for the validation split."""

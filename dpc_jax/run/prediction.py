@@ -76,7 +76,8 @@ def predict_images(
             pose_error_deg=None,
         )
         pose = None if config.pose.known else poses[i]
-        _write_prediction(out, example, pose, is_aligned=alignment is not None)
+        facts = _describe_pose(pose, is_aligned=alignment is not None)
+        _write_prediction(out, example, facts | _describe_camera(predictions, i))
         examples.append(example)
     picture = draw_predictions(examples[:SHOWN], out / "predictions.png")
     for image, reason in dataset.skipped:
@@ -91,11 +92,10 @@ def predict_images(
     print(f"Picture: {picture}")
 
 
-def _write_prediction(out, example, pose, *, is_aligned):
+def _write_prediction(out, example, facts):
     """NAME.ply, NAME.glb and NAME.json of one image."""
     write_ply(out / f"{example.name}.ply", example.points, example.colors)
     write_glb(out / f"{example.name}.glb", example.points, example.colors)
-    facts = _describe_pose(pose, is_aligned=is_aligned)
     write_text(out / f"{example.name}.json", json.dumps(facts, indent=2) + "\n")
 
 
@@ -161,3 +161,13 @@ def _describe_pose(quaternion, *, is_aligned: bool) -> dict:
         "azimuth_deg": math.degrees(math.atan2(towards[1], towards[0])) % 360,
         "elevation_deg": math.degrees(math.asin(float(np.clip(towards[2], -1, 1)))),
     }
+
+
+def _describe_camera(predictions, index) -> dict:
+    """What NAME.json holds of the camera, where a run has learned it."""
+    facts = {}
+    if predictions.translations is not None:  # in the camera frame, box diagonals
+        facts["translation"] = predictions.translations[index, 0].tolist()
+    if predictions.focal_lengths is not None:  # of an image 1 wide
+        facts["focal_length"] = float(predictions.focal_lengths[index, 0])
+    return facts

@@ -13,7 +13,13 @@ from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
 from dpc_jax.learning import evaluator
 from dpc_jax.learning.loop import Outcome
 from dpc_jax.learning.predictor import Predictions, arrange_views
-from dpc_jax.reporting.examples import Example
+from dpc_jax.learning.view_images import (
+    MEASURES,
+    measure_cameras,
+    measure_images,
+    read_view,
+)
+from dpc_jax.reporting.examples import Example, SignalImages
 from dpc_jax.reporting.page import write_report
 from dpc_jax.run.setup import collect_warnings
 from dpc_jax.run.workdir import write_alignment
@@ -52,13 +58,19 @@ def report_run(
         for name, found in predictions.items()
     }
     result, shares = scored["test"]
-    metrics = dict.fromkeys(REQUIRED_METRICS) | result.metrics
+    measured = {
+        name: measure_images(found, sets[name], distance=config.render.distance)
+        | measure_cameras(found, sets[name])
+        for name, found in predictions.items()
+    }
+    metrics = dict.fromkeys((*REQUIRED_METRICS, *MEASURES)) | result.metrics
+    metrics |= measured["test"]
     metrics |= _count_costs(sets, outcome, data_seconds)
     metrics["candidates_alive"] = candidate_use.count_alive(shares) if heads else None
     if sets["test"].quaternions is not None and not config.pose.given:
         metrics["alignment_inlier_share"] = alignment.inlier_share
     if "own" in scored:
-        own = scored["own"][0].metrics
+        own = scored["own"][0].metrics | measured["own"]
         metrics |= {f"own_{name}": value for name, value in own.items()}
         metrics["own_test_models"] = len(sets["own"].names)
     warnings = list_warnings(config, sets, shares if heads > 1 else None)
@@ -67,7 +79,13 @@ def report_run(
         title=f"dpc_jax: {workdir.name}",
         metrics=metrics,
         records=records,
-        examples=_make_examples(predictions["test"], sets["test"], alignment, result),
+        examples=_make_examples(
+            predictions["test"],
+            sets["test"],
+            alignment,
+            result,
+            distance=config.render.distance,
+        ),
         pose_errors=result.pose_errors_deg,  # None: no such figure
         shares=shares if heads > 1 else None,
         warnings=warnings,
@@ -143,7 +161,9 @@ def _name_left_out(dataset) -> list[str]:
     return []
 
 
-def _make_examples(predictions, dataset, alignment, result) -> list[Example]:
+def _make_examples(
+    predictions, dataset, alignment, result, *, distance
+) -> list[Example]:
     """The first views of test models spread over the split."""
     models, views = arrange_views(dataset)
     errors, colors = result.pose_errors_deg, predictions.colors
@@ -151,6 +171,7 @@ def _make_examples(predictions, dataset, alignment, result) -> list[Example]:
     for row in np.linspace(0, len(models) - 1, min(EXAMPLES, len(models))).astype(int):
         model, view = models[row, 0], views[row, 0]
         surfaces = dataset.surfaces
+        seen = read_view(predictions, dataset, row, 0, distance=distance)
         examples.append(
             Example(
                 name=dataset.names[model],
@@ -161,6 +182,15 @@ def _make_examples(predictions, dataset, alignment, result) -> list[Example]:
                 colors=None if colors is None else colors[row, 0],
                 pose_error_deg=None if errors is None else float(errors[row, 0]),
                 surface=None if surfaces is None else np.asarray(surfaces[model]),
+                signals={
+                    name: SignalImages(
+                        seen.targets[name],
+                        image,
+                        seen.mask,
+                        seen.rendered["silhouette"],
+                    )
+                    for name, image in seen.rendered.items()
+                },
             )
         )
     return examples

@@ -26,6 +26,8 @@ def make_network(config: Config) -> ShapePoseNetwork:
         scale_fixed=config.render.scale_fixed,
         point_size=config.network.point_size,
         first_size=config.render.sigma_start,
+        has_translation=config.pose.translation,
+        focal_length=config.render.focal_length * config.pose.focal_length,
     )
 
 
@@ -43,6 +45,8 @@ def make_data_specs(config: Config) -> dict[str, DataSpec]:
         "image_size": data.image_size,
         "focal_length": config.render.focal_length,
         "distance": config.render.distance,
+        "offset": data.offset,
+        "focal_spread": data.focal_spread,
         "surface_points": data.surface_points,
         "surface_voxel": data.surface_voxel,
         "surface_visible": data.surface_visible,
@@ -98,6 +102,12 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
             f"Expected poses for every image, because config.pose.{name} is set, but "
             f"the {' and '.join(lacking)} images have none; add poses.json or "
             f"transforms.json to every object, or set --config.pose.{name}=False."
+        )
+    if config.train.depth_weight and sets["train"].depths is None:
+        raise ValueError(
+            "Expected depths for every image, because config.train.depth_weight is "
+            f"{config.train.depth_weight}, but the train images have none; give "
+            "meshes or renders with depth, or set --config.train.depth_weight=0."
         )
     return sets
 

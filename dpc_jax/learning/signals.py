@@ -1,0 +1,147 @@
+"""The signals that renders and views are compared in: silhouette, depth and colour.
+
+Both sides of a comparison are mixed with the same background, by the share of the pixel
+that shows it: a view by its mask, a render by the probability that its ray ends nowhere
+(Eq. 5). So a pixel on the edge of an object compares like with like, and so does a
+pixel of the render's grid that covers several of the view. For depth the background is
+the far face of the volume, as in the paper, whose D₃+1-st cell lies right behind it: a
+missing point then costs no more than one that is half a diagonal too near.
+
+That is how depth is compared alone, for it has to teach the outline too. Beside
+silhouettes the background is left out of it: a render that is half transparent, as all
+are at first, would look too far away, and its points would come nearer to make up.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import chex
+import jax
+import jax.numpy as jnp
+
+from dpc_jax.config import Config, Train
+from dpc_jax.learning.losses import average_blocks, downsample_images, reprojection_loss
+from dpc_jax.render import Projection
+
+# Signals, and the names of their losses.
+LOSSES = {"silhouette": "reprojection", "depth": "depth", "color": "color"}
+
+
+class Weights(NamedTuple):
+    """Weights of the losses of a view's signals, per pixel; static.
+
+    Depths are in box diagonals. A signal of weight 0 is neither rendered nor read.
+    """
+
+    silhouette: float = 1.0
+    depth: float = 0.0
+    color: float = 0.0
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The signals that have a weight."""
+        pairs = zip(self._fields, self, strict=True)
+        return tuple(name for name, weight in pairs if weight)
+
+
+SILHOUETTES = Weights()
+
+
+def read_weights(train: Train) -> Weights:
+    """The weights that a run trains with."""
+    return Weights(train.silhouette_weight, train.depth_weight, train.color_weight)
+
+
+def list_extras(config: Config) -> tuple[str, ...]:
+    """Arrays of a data set that batches of a run hold besides the usual ones."""
+    data, pose = config.data, config.pose
+    is_given = {
+        "depths": config.train.depth_weight,
+        "translations": pose.known and data.offset and not pose.translation,
+        "focal_lengths": pose.known and data.focal_spread and not pose.focal_length,
+    }
+    return tuple(name for name, holds in is_given.items() if holds)
+
+
+def find_background(distance: Any) -> Any:
+    """Depth of the background: the far face of the volume, `distance` + 1/2; ()."""
+    return distance + 0.5
+
+
+def make_targets(
+    views: Mapping[str, Any],
+    side: int,
+    *,
+    signals: tuple[str, ...],
+    distance: float,
+) -> dict[str, jax.Array]:
+    """What renders of a view should look like, averaged down to the render's grid.
+
+    Args:
+      views: of the arrays that the signals need: masks uint8 [..., S, S], images uint8
+        [..., S, S, 3] on white, depths [..., S, S], metric z of what the mask covers.
+        A depth of 0 was not measured: the pixel counts as background.
+      side: D of the grid, a divisor of S.
+      signals: any of `LOSSES`. distance: of the camera.
+
+    Returns:
+      {signal: [..., D, D] or, of colours, [..., D, D, 3]}; colours and silhouettes in
+      [0, 1]. Beside depths there is "measured" [..., D, D], the share that has one.
+    """
+    targets = {}
+    if "silhouette" in signals:
+        targets["silhouette"] = downsample_images(views["masks"], side)
+    if "depth" in signals:
+        background, depths = find_background(distance), views["depths"]
+        covered = jnp.where(depths > 0, views["masks"].astype(jnp.float32) / 255, 0)
+        nearer = average_blocks(covered * (depths - background), side)
+        targets["depth"] = background + nearer
+        targets["measured"] = average_blocks(covered, side)
+    if "color" in signals:
+        channels = jnp.moveaxis(views["images"], -1, -3)
+        targets["color"] = jnp.moveaxis(downsample_images(channels, side), -3, -1)
+    return targets
+
+
+def compare_images(
+    image: Projection,
+    targets: Mapping[str, jax.Array],
+    *,
+    weights: Weights,
+    background_depth: chex.Numeric,
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """A term of Eq. 1: squared differences of a view's images, summed over pixels.
+
+    Args:
+      image: has the signals of the weights. targets: of `make_targets`.
+      background_depth: of both (`find_background`).
+
+    Returns:
+      (() the weighted sum, {name of the loss: ()}).
+    """
+    total, terms = jnp.zeros(()), {}
+    for signal in weights.signals:
+        weight, rendered = getattr(weights, signal), getattr(image, signal)
+        if signal == "depth" and weights.silhouette:
+            term = compare_hit_depths(image, targets, background_depth)
+        else:
+            term = reprojection_loss(rendered, targets[signal])
+        terms[LOSSES[signal]] = term
+        part = term if weight == 1 else weight * term
+        total = part if len(terms) == 1 else total + part
+    return total, terms
+
+
+def compare_hit_depths(
+    image: Projection, targets: Mapping[str, jax.Array], background: chex.Numeric
+) -> jax.Array:
+    """Squared difference of the depths of what is hit and of what is covered; ().
+
+    Summed over pixels; where a share s of the rays is hit at a mean depth z, and a
+    share m is covered at d, it is (s·m·(z - d))². Neither depth has to be divided out
+    of its mixture with the background.
+    """
+    assert image.silhouette is not None and image.depth is not None
+    hit = (image.depth - background) * targets["measured"]
+    covered = (targets["depth"] - background) * image.silhouette
+    return reprojection_loss(hit, covered)
