@@ -203,7 +203,9 @@ def test_dropout_keeps_each_point_with_its_own_size_and_mass(kind):
     assert isinstance(shape, dict)
     sizes, masses = point_sizes.measure_points(shape, grid=SIDE)
     for i, j in np.ndindex(2, COUNT):
-        same = np.all(np.asarray(shape["points"][i]) == whole.kept[i, j], axis=1)
+        same = np.all(
+            np.asarray(shape["points"][i]) == np.asarray(whole.kept[i, j]), axis=1
+        )
         [k] = np.flatnonzero(same)
         np.testing.assert_array_equal(whole.sigma[i, j], sizes[i, k])
         np.testing.assert_array_equal(whole.mass[i, j], masses[i, k])

@@ -60,6 +60,7 @@ def test_a_fixed_scale_is_that_number_for_every_object():
         features,
         jax.random.split(jax.random.key(2), 2),
         jnp.array(1.0),
+        grid=8,
         network=network,
         kept_points=5,
         scale_unit="mass",

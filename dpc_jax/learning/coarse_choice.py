@@ -190,7 +190,7 @@ def _sum_own_sizes(places, mass, target, side):
         return jnp.where(centers[:, None, :] == _OUTSIDE, 0, weights)
 
     rows, cols = map(weigh, (places.rows, places.cols), places.sigmas)
-    rows = rows * (mass * places.share * ratio**2)
+    rows = rows * (mass * places.share * ratio**2)[None, None]
     return jnp.einsum("crn,csn->crs", rows, cols)
 
 

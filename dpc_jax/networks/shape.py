@@ -81,7 +81,7 @@ class ShapeHead(nn.Module):
         sizes = {"sizes": bound_sizes(widths, first=self.first_size).reshape(rows)}
         if is_full:
             turns = output(4 * self.num_points, name="turns")(x).reshape(rows)
-            sizes["turns"] = turns + jnp.array([1.0, 0, 0, 0])
+            sizes["turns"] = turns.at[..., 0].add(1)
         return sizes
 
 
