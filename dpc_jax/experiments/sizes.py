@@ -24,6 +24,8 @@ class Size:
       by_resolution: the same for runs of a variant of `RESOLUTIONS`; "" for others.
       fewer_points: numbers of points that rows say are divided by this.
       environment: variables of the runs' processes.
+      shows_quality: whether figures say how well something works, and not only that it
+        runs.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Size:
     by_resolution: Mapping[str, Mapping[str, Any]]
     fewer_points: int = 1
     environment: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    shows_quality: bool = True
 
 
 QUICK = Size(
@@ -71,6 +74,7 @@ QUICK = Size(
     fewer_points=20,
     # Programs run for seconds: compiling them takes 11 s of a core instead of 23.
     environment={"JAX_DISABLE_MOST_OPTIMIZATIONS": "true"},
+    shows_quality=False,
 )
 
 CPU = Size(

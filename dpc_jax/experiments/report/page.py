@@ -20,9 +20,15 @@ from dpc_jax.experiments.report.pictures import copy_pictures
 from dpc_jax.experiments.report.tables import Table, make_table
 from dpc_jax.experiments.report.targets import Target, check_targets
 from dpc_jax.experiments.results import Results
+from dpc_jax.experiments.sizes import SIZES
 from dpc_jax.files import replacing, write_text
 
 TITLE = "The paper's experiments"
+ONLY_RUNS = (
+    "These runs have a few steps and tiny networks. They show that every experiment "
+    "runs to its end; their figures say nothing about how well, and targets are left "
+    "out. --size=cpu and --size=full have figures that count."
+)
 Analyses = Mapping[str, Analysis]  # by experiment
 
 
@@ -35,10 +41,11 @@ def make_blocks(results: Results, analyses: Analyses, *, figures: Path) -> list[
       figures: folder.
     """
     measured = {name: found.metrics for name, found in analyses.items()}
-    targets = check_targets(results, measured)
     blocks: list[Block] = [Heading(TITLE, 1)]
     blocks += _introduce(results)
-    if targets:
+    if not all(SIZES[request.size].shows_quality for request in results.requests):
+        blocks.append(Paragraph(ONLY_RUNS))
+    elif targets := check_targets(results, measured):
         blocks += [Heading("Targets"), _list_targets(targets)]
     for experiment in results.list_experiments():
         blocks += _describe(results, experiment, analyses, figures)
