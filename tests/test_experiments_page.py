@@ -9,8 +9,6 @@ import pytest
 from dpc_jax import paper
 from dpc_jax.config import to_json
 from dpc_jax.experiments.catalogue import EXPERIMENTS, Row
-from dpc_jax.experiments.report.blocks import Heading
-from dpc_jax.experiments.report.page import make_blocks
 from dpc_jax.experiments.report.tables import format_summary, make_table
 from dpc_jax.experiments.report.targets import check_targets
 from dpc_jax.experiments.results import Outcome, Results, Summary, summarize
@@ -126,14 +124,6 @@ def test_a_target_whose_runs_are_missing_is_neither_met_nor_missed():
     assert find_target(targets, ("car", "above naive")).met is None
 
 
-def test_targets_are_shown_for_runs_whose_figures_count(tmp_path):
-    for size, shown in (("quick", False), ("cpu", True)):
-        results = make_results(Request("known_pose", size))
-        blocks = make_blocks(results, {}, figures=tmp_path)
-        heads = [block.text for block in blocks if isinstance(block, Heading)]
-        assert ("Targets" in heads) is shown
-
-
 def test_the_order_of_the_ablation_names_the_pairs_that_differ():
     request = Request("ablation", "quick")
     (target,) = check_targets(make_results(request), {})
@@ -196,12 +186,20 @@ def test_the_command_writes_the_page_of_what_is_finished(tmp_path, capsys):
     html, text = (out / "index.html").read_text(), (out / "paper.md").read_text()
     for words in ("nothing about how well", "not built here", "4.15", "12 models"):
         assert words in html and words in text
-    assert "Targets" not in text
+    assert "## Targets" not in text
     assert "Not asked for here: ablation" in text
     assert html.count("data:image/png") == text.count("![") == 3
     for written in (out / "paper.md", page):
         for link in re.findall(r"\]\((.+?\.png)\)", written.read_text()):
             assert (written.parent / link).is_file(), link
+
+
+def test_targets_are_shown_for_runs_whose_figures_count(tmp_path):
+    finish_runs(tmp_path, Request("known_pose", "cpu", categories=("chair",)))
+    flags = [f"--out={tmp_path}", "--size=cpu", "--experiment=known_pose"]
+    assert paper.main([*flags, "--category=chair", "--no-training"]) == 0
+    text = (tmp_path / "paper.md").read_text()
+    assert "## Targets" in text and "nothing about how well" not in text
 
 
 def test_a_folder_remembers_what_it_was_asked_for(tmp_path, capsys):

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 from absl import flags
-from test_main_configs import load_editable
+from config_files import load_editable
 from tiny_runs import make_dataset
 
 from dpc_jax import main

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dpc_jax.shapes import procedural
+from dpc_jax.shapes.building_blocks import read_labels
 from dpc_jax.shapes.keypoints import KEYPOINTS, find_keypoints
 
 SEEDS = range(12)
@@ -23,7 +24,7 @@ KNOWN = {
 
 def find_part(mesh, label):
     """Corners [F, 3, 3] of the faces of a part."""
-    return mesh.vertices[mesh.faces[mesh.face_attributes["label"] == label]]
+    return mesh.vertices[mesh.faces[read_labels(mesh) == label]]
 
 
 @pytest.mark.parametrize("category", procedural.CATEGORIES)
@@ -42,7 +43,7 @@ def test_shapes_are_those_that_data_sets_were_rendered_from(category):
 def test_every_face_belongs_to_a_part_of_its_category(category):
     for seed in SEEDS:
         mesh = procedural.make_shape(category, seed)
-        labels = mesh.face_attributes["label"]
+        labels = read_labels(mesh)
         assert labels.shape == (len(mesh.faces),)
         assert LABELS[category] <= set(labels) <= LABELS[category] | OPTIONAL[category]
 

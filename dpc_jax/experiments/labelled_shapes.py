@@ -10,6 +10,7 @@ from dpc_jax.data.views import sample_faces
 from dpc_jax.evaluation.correspondences import label_points
 from dpc_jax.run.finished import FinishedRun, load_split, predict_points
 from dpc_jax.run.setup import make_data_specs
+from dpc_jax.shapes.building_blocks import read_labels
 from dpc_jax.shapes.keypoints import KEYPOINTS, find_keypoints
 from dpc_jax.shapes.procedural import make_shape
 
@@ -88,5 +89,4 @@ def label_cloud(cloud: np.ndarray, category: str, seed: int) -> np.ndarray:
     """
     mesh = make_shape(category, seed)
     surface, faces = sample_faces(mesh, count=SURFACE_POINTS)
-    labels = mesh.face_attributes["label"]
-    return label_points(cloud, surface, labels[faces])
+    return label_points(cloud, surface, read_labels(mesh)[faces])

@@ -20,10 +20,18 @@ GLASS = (32, 40, 52)
 CHROME = (190, 195, 200)
 
 
+# What parts may belong to. Faces carry the place in this list, a number, because files
+# of meshes have no names of faces.
+LABELS = (
+    *("", "seat", "back", "leg", "arm", "body", "cabin", "wheel", "extra"),
+    *("wing", "tail", "engine", "gear"),
+)
+
+
 class Part(NamedTuple):
     """A piece of one colour: vertices [N, 3], faces [F, 3].
 
-    The label says what of the object it belongs to: "leg", for instance.
+    The label, one of `LABELS`, says what of the object it belongs to.
     """
 
     vertices: np.ndarray
@@ -155,17 +163,15 @@ def mirror(parts: Sequence[Part]) -> list[Part]:
 
 
 def join(parts: Sequence[Part]) -> trimesh.Trimesh:
-    """One mesh with face colours and labels; triangles without area are left out.
-
-    The labels [F] are its `face_attributes["label"]`.
-    """
+    """One mesh with face colours and labels; triangles without area are left out."""
     vertices, faces, colors = join_pieces(
         [
             (v, f, np.tile(np.array([*color, 255], np.uint8), (len(f), 1)))
             for v, f, color, _ in parts
         ]
     )
-    labels = np.repeat([p.label for p in parts], [len(p.faces) for p in parts])
+    places = np.array([LABELS.index(part.label) for part in parts], np.uint8)
+    labels = np.repeat(places, [len(part.faces) for part in parts])
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     keep = np.linalg.norm(normal, axis=-1) > 1e-10
@@ -176,6 +182,11 @@ def join(parts: Sequence[Part]) -> trimesh.Trimesh:
         face_attributes={"label": labels[keep]},
         process=False,
     )
+
+
+def read_labels(mesh: trimesh.Trimesh) -> np.ndarray:
+    """The label of each face [F] of a procedural shape, one of `LABELS`."""
+    return np.array(LABELS)[mesh.face_attributes["label"]]
 
 
 def draw_color(

@@ -11,6 +11,7 @@ import numpy as np
 import trimesh
 
 from dpc_jax.shapes import chair_plans
+from dpc_jax.shapes.building_blocks import read_labels
 from dpc_jax.shapes.procedural import make_shape, seed_stream
 
 Direction = tuple[float, float, float]
@@ -82,6 +83,6 @@ def find_keypoints(category: str, seed: int) -> dict[str, Keypoint]:
 
 
 def _find_extreme(mesh: trimesh.Trimesh, label, direction) -> np.ndarray:
-    faces = np.asarray(mesh.faces)[mesh.face_attributes["label"] == label]
+    faces = np.asarray(mesh.faces)[read_labels(mesh) == label]
     vertices = np.asarray(mesh.vertices)[np.unique(faces)]
     return vertices[np.argmax(vertices @ np.asarray(direction, float))]
