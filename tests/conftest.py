@@ -5,6 +5,7 @@ import tempfile
 
 import hypothesis
 import jax
+import pytest
 
 # Broadcasting over a missing axis is a mistake waiting to happen: say the axis. In the
 # environment, so that the processes which tests start have it too.
@@ -27,3 +28,11 @@ hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "local")
 def pytest_collection_modifyitems(items):
     """Begin with the longest file: the last one to begin is waited for alone."""
     items.sort(key=lambda item: item.path.name != "test_main_pipeline.py")
+
+
+@pytest.fixture(scope="module")
+def quickly():
+    """For files whose programs run once or twice: compiling takes longest there."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)

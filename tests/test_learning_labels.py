@@ -23,6 +23,8 @@ from dpc_jax.learning.predictions import Poses
 from dpc_jax.learning.predictor import Predictions
 from dpc_jax.run.report import list_warnings
 
+pytestmark = pytest.mark.usefixtures("quickly")
+
 CONFIG = tiny_config(labels=True, selects=True, candidates=3, student_weight=0.05)
 
 

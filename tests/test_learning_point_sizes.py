@@ -17,6 +17,8 @@ from dpc_jax.learning.winners import compare_winners
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.run.setup import make_network
 
+pytestmark = pytest.mark.usefixtures("quickly")
+
 COUNT, SIDE = 6, 8
 KINDS = ("sigma", "covariance")
 CAMERA = Camera()

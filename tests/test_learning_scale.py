@@ -10,6 +10,8 @@ from dpc_jax.learning.predictions import compute_mass, predict_shapes
 from dpc_jax.learning.step import find_penalized, make_optimizer
 from dpc_jax.render import Camera, VoxelGrid, voxelize
 
+pytestmark = pytest.mark.usefixtures("quickly")
+
 SIDE = 33  # odd: the origin is a cell's centre
 
 

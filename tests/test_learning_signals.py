@@ -23,6 +23,8 @@ from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.winners import compare_winners
 from dpc_jax.render import Camera, Projection, VoxelGrid, project
 
+pytestmark = pytest.mark.usefixtures("quickly")
+
 DISTANCE, SIGMA = 2.0, 0.6
 ALL = signals.Weights(0.5, 2.0, 0.3)
 STAGE = Stage(kept_points=20, grid=8)

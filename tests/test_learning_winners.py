@@ -12,6 +12,8 @@ from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.winners import compare_winners
 from dpc_jax.render import VoxelGrid, project
 
+pytestmark = pytest.mark.usefixtures("quickly")
+
 SIGMA = 0.6  # voxels of the base grid, of side 8
 FINE = Stage(kept_points=20, grid=16)
 

@@ -52,6 +52,8 @@ class Command:
             "JAX_COMPILATION_CACHE_DIR": str(folder / "programs"),
             "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
             "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+            # Compiling takes longest here.
+            "JAX_DISABLE_MOST_OPTIMIZATIONS": "true",
         }
 
     def start(self, workdir, environment=None, **changes):
