@@ -199,6 +199,13 @@ def test_a_step_with_turned_candidates_and_a_selecting_student(plain):
         assert min(found["gradient_norms"].values()) > 0
 
 
+def test_images_without_poses_train_as_with_poses_that_nobody_reads(plain):
+    batch = make_batch()
+    _, [right] = plain.take(batch)
+    del batch["quaternions"]
+    assert plain.take(batch)[1][0]["loss"] == right["loss"]
+
+
 def test_repulsion_comes_in_over_the_second_half_and_is_0_before():
     points = jnp.array([[[0.0, 0, 0], [0.5, 0, 0], [9, 9, 9]]])
     shapes = Shapes(points, points, None, jnp.ones(1), jnp.ones(1), jnp.ones(()))

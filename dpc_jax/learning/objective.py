@@ -82,7 +82,7 @@ def compute_loss(
     )
     cameras = predict_cameras(params, features, batch, network=network, pose=pose)
     metrics = {"scale": jnp.mean(shapes.scale)}
-    rotations, learned = batch["quaternions"], {}
+    rotations, learned = batch.get("quaternions"), {}
     if not pose.known:
         if pose.half_turns:
             covariance = average_covariance(covariance, shapes.kept, step, axis=AXIS)

@@ -19,7 +19,6 @@ from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet, load_or_render
 from dpc_jax.data.batches import choose_batch, read_batch
 from dpc_jax.learning import schedules
-from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.coarse_choice import (
     compute_coarse_losses,
     compute_image_losses,
@@ -28,9 +27,10 @@ from dpc_jax.learning.coarse_choice import (
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import encode_views, predict_poses, predict_shapes
 from dpc_jax.learning.renders import compute_candidate_losses
-from dpc_jax.learning.step import TrainState, describe_state
+from dpc_jax.learning.step import TrainState
 from dpc_jax.render import Camera
 from dpc_jax.reporting.tables import format_table
+from dpc_jax.run.finished import restore_state
 from dpc_jax.run.setup import make_data_specs, make_network
 from dpc_jax.run.workdir import read_config
 
@@ -133,17 +133,6 @@ def measure_ranking(
     return found
 
 
-def _restore_state(config, workdir):
-    checkpoints = Checkpoints(workdir / "checkpoints")
-    restored = checkpoints.restore(describe_state(make_network(config), config))
-    checkpoints.close()
-    if restored is None:
-        raise ValueError(
-            f"Expected a checkpoint in {workdir}, but there is none; finish a run."
-        )
-    return restored.state
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, measure, print."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
@@ -153,7 +142,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     flags = parser.parse_args(arguments)
     try:
         config = replace_fields(read_config(flags.workdir), {"run": {"devices": 0}})
-        state = _restore_state(config, flags.workdir)
+        state = restore_state(config, flags.workdir)
         spec = make_data_specs(config)["train"]
         cache_dir = flags.cache_dir or config.data.cache_dir
         dataset = load_or_render(spec, cache_dir=cache_dir)
