@@ -12,6 +12,10 @@ import dpc_jax
 
 ROOT = Path(dpc_jax.__file__).parent
 STANDARD = set(sys.stdlib_module_names)
+BELOW = {  # the rooms that one run is made of
+    *("files", "config", "render", "shapes", "data", "networks", "evaluation"),
+    *("learning", "reporting", "run"),
+}
 # Room: (third-party imports allowed, rooms of dpc_jax allowed beside its own).
 ROOMS = {
     "files": (set(), set()),
@@ -47,34 +51,12 @@ ROOMS = {
     ),
     "experiments": (
         {"jax", "numpy", "scipy", "matplotlib", "PIL", "rich"},
-        {
-            "files",
-            "config",
-            "render",
-            "shapes",
-            "data",
-            "networks",
-            "evaluation",
-            "learning",
-            "reporting",
-            "run",
-        },
+        BELOW,
     ),
     "measure": (
         {"jax", "chex", "numpy", "matplotlib", "torch", "trimesh", "hypothesis"}
         | {"optax"},
-        {
-            "files",
-            "config",
-            "render",
-            "shapes",
-            "data",
-            "networks",
-            "evaluation",
-            "learning",
-            "reporting",
-            "run",
-        },
+        BELOW,
     ),
 }
 DOORWAYS = {  # and the third-party imports allowed

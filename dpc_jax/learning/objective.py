@@ -82,12 +82,15 @@ def compute_loss(
     )
     cameras = predict_cameras(params, features, batch, network=network, pose=pose)
     metrics = {"scale": jnp.mean(shapes.scale)}
-    rotations, learned = batch.get("quaternions"), {}
-    if not pose.known:
+    learned = {}
+    if pose.known:
+        rotations = batch["quaternions"]
+    else:
         if pose.half_turns:
             covariance = average_covariance(covariance, shapes.kept, step, axis=AXIS)
         poses = predict_poses(params, features, covariance, network=network, pose=pose)
         if pose.labels:
+            rotations = batch["quaternions"]
             winners, learned = compare_labels(
                 poses, rotations, render=render, pose=pose
             )

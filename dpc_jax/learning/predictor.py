@@ -11,31 +11,18 @@ from jax.sharding import NamedSharding
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
 from dpc_jax.learning import devices, schedules
-from dpc_jax.learning.cameras import find_cameras, list_own, place_camera
+from dpc_jax.learning.cameras import find_cameras, list_own
+from dpc_jax.learning.explanation import explain_view, list_compared
 from dpc_jax.learning.losses import downsample_images
-from dpc_jax.learning.point_sizes import (
-    has_own_sizes,
-    scale_point_sizes,
-    split_size,
-)
+from dpc_jax.learning.point_sizes import has_own_sizes
 from dpc_jax.learning.predictions import complete_poses, find_sizes, scale_images
-from dpc_jax.learning.renders import compute_candidate_losses
-from dpc_jax.learning.signals import (
-    SILHOUETTES,
-    Weights,
-    find_background,
-    list_extras,
-    make_targets,
-    read_weights,
-)
+from dpc_jax.learning.signals import list_extras
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.columns import sharing_columns
-from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.render.batch import map_renders
 
 VIEWS_AT_ONCE = 64  # that are predicted: a batch of a data set
-_SOURCES = {"depth": "depths", "color": "images"}  # arrays that signals are read from
 
 
 class Predictions(NamedTuple):
@@ -93,7 +80,7 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
             candidates, students = poses.candidates, poses.student
         targets = downsample_images(masks, render.grid)
         cameras = find_cameras(output, extras, pose=pose)
-        own = list_own(cameras, len(images)) | _list_compared(
+        own = list_own(cameras, len(images)) | list_compared(
             {"images": images, "masks": masks, **extras}, config
         )
         if "colors" in output:
@@ -132,101 +119,6 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
     # Every process of a job gets all of it.
     whole = NamedSharding(mesh, devices.WHOLE) if jax.process_count() > 1 else None
     return jax.jit(pad, out_shardings=whole)
-
-
-def _list_compared(views, config):
-    """Targets of the signals besides silhouettes that candidates are compared by."""
-    if config.pose.choice_signals == "silhouette" or config.pose.heads < 2:
-        return {}
-    names = [name for name in read_weights(config.train).signals if name in _SOURCES]
-    present = tuple(name for name in names if _SOURCES[name] in views)
-    grid, distance = config.render.grid, config.render.distance
-    return {"others": make_targets(views, grid, signals=present, distance=distance)}
-
-
-def explain_view(
-    points: jax.Array,
-    mass: jax.Array,
-    student: jax.Array,
-    candidates: jax.Array,
-    target: jax.Array,
-    own: dict[str, Any],
-    *,
-    sigma: jax.Array,
-    config: Config,
-) -> tuple[dict[str, jax.Array], jax.Array]:
-    """Images of a shape from the student's pose, and the best candidate's index.
-
-    The best candidate is that of the exact comparison, by the signals that the choice
-    in training compares; of those, one that the data lack (the depths of own images) is
-    left out.
-
-    Args:
-      points: [N, 3]. mass: (), sigma: (), in voxels of the base grid; of points with
-        sizes of their own as of `Shapes`.
-      student: [4]. candidates: [C, 4]. target: [D, D] silhouette.
-      own: what the view has of its own: translation [3], focal_length (), colors
-        [N, 3], sigma of points with sizes of their own, others {signal: target}.
-
-    Returns:
-      ({"silhouettes", "depths", "color_images"} in the finest grid that training
-      renders in; depths and colours where there are any; ()).
-    """
-    render = config.render
-    camera = place_camera(Camera(render.focal_length, render.distance), own)
-    side = render.fine_grid or render.grid
-    sigma = own.get("sigma", sigma)
-    fine_size, fine_mass = scale_point_sizes(sigma, mass, side / render.grid)
-    fine_sigma, covariance = split_size(fine_size)
-    is_asked = {
-        "silhouette": True,
-        "depth": not config.data.images or bool(config.data.test_meshes),
-        "color": "colors" in own,
-    }
-    image = project(
-        points,
-        student,
-        sigma=fine_sigma,
-        covariance=covariance,
-        scale=fine_mass,
-        colors=own.get("colors"),
-        translation=own.get("translation"),
-        camera=camera,
-        grid=VoxelGrid(side),
-        signals=tuple(name for name, holds in is_asked.items() if holds),
-        background_depth=find_background(camera.distance),
-    )
-    names = {"silhouettes": image.silhouette, "depths": image.depth}
-    images = names | {"color_images": image.color}
-    winner = jnp.zeros((), jnp.int32)
-    if len(candidates) > 1:
-        winner = _choose_exactly(points, mass, candidates, target, own, sigma, config)
-    return {n: a for n, a in images.items() if a is not None}, winner
-
-
-def _choose_exactly(points, mass, candidates, target, own, sigma, config):
-    """Index of the candidate of the smallest loss at full resolution; ()."""
-    render, others = config.render, own.get("others", {})
-    weights = SILHOUETTES
-    if config.pose.choice_signals == "all":
-        wanted = read_weights(config.train)._asdict()
-        kept = {n: w for n, w in wanted.items() if n in others or n == "silhouette"}
-        weights = Weights(**(dict.fromkeys(wanted, 0.0) | kept))
-        weights = weights if weights.signals else SILHOUETTES
-    losses = compute_candidate_losses(
-        points,
-        mass,
-        candidates,
-        target,
-        sigma=sigma,
-        camera=place_camera(Camera(render.focal_length, render.distance), own),
-        renders_at_once=render.renders_at_once,
-        translation=own.get("translation"),
-        colors=own.get("colors") if weights.color else None,
-        others=others,
-        weights=weights,
-    )
-    return jnp.argmin(losses)
 
 
 def arrange_views(dataset: DataSet) -> tuple[np.ndarray, np.ndarray]:

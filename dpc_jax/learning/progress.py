@@ -9,12 +9,33 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 
-class ProgressReport:
+class Display:
+    """Bars on a terminal, where there is one; use as a context manager."""
+
+    _bar: Progress | None = None
+
+    def __enter__(self):
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(self, *_):
+        if self._bar is not None:
+            self._bar.stop()
+
+    def tell(self, text: str):
+        """Print a line of its own, above the bars where there are some."""
+        if self._bar is not None:
+            self._bar.console.print(text, highlight=False, markup=False)
+        else:
+            print(text, flush=True)
+
+
+class ProgressReport(Display):
     """Shows how far a run is; use as a context manager."""
 
     def __init__(self, title: str, *, total: int, start: int = 0):
         self._title, self._total = title, total
-        self._bar = None
         if sys.stdout.isatty():
             self._bar = Progress(
                 TextColumn("{task.description}"),
@@ -26,15 +47,6 @@ class ProgressReport:
             self._task = self._bar.add_task(
                 title, total=total, completed=start, text=""
             )
-
-    def __enter__(self):
-        if self._bar is not None:
-            self._bar.start()
-        return self
-
-    def __exit__(self, *_):
-        if self._bar is not None:
-            self._bar.stop()
 
     def advance(self, step: int):
         """Move the bar; plain output has no bar."""
@@ -82,10 +94,3 @@ class ProgressReport:
         yield finish
         if self._bar is not None:
             self._bar.update(self._task, text=before)
-
-    def tell(self, text: str):
-        """Print a line of its own, above the bar where there is one."""
-        if self._bar is not None:
-            self._bar.console.print(text, highlight=False, markup=False)
-        else:
-            print(text, flush=True)

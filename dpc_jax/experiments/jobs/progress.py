@@ -7,8 +7,10 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
+from dpc_jax.learning.progress import Display
 
-class JobProgress:
+
+class JobProgress(Display):
     """Shows how far the runs are; use as a context manager.
 
     Args:
@@ -20,7 +22,6 @@ class JobProgress:
         self._total, self._done, self._failed = total, done, 0
         self._running: dict[str, Any] = {}
         self._steps: Mapping[str, int] = {}
-        self._bar = None
         if sys.stdout.isatty():
             self._bar = Progress(
                 TextColumn("{task.description}"),
@@ -31,15 +32,6 @@ class JobProgress:
             self._all = self._bar.add_task("all runs", total=total, completed=done)
             self._bar.update(self._all, text="")
             self._tasks: dict[str, Any] = {}
-
-    def __enter__(self):
-        if self._bar is not None:
-            self._bar.start()
-        return self
-
-    def __exit__(self, *_):
-        if self._bar is not None:
-            self._bar.stop()
 
     def begin(self, job: Any) -> None:
         """A job has begun."""
@@ -87,13 +79,6 @@ class JobProgress:
             self.tell(
                 f"{self._describe()}; {', '.join(parts)}; {describe_time(left)} left"
             )
-
-    def tell(self, text: str) -> None:
-        """Print a line of its own, above the bars where there are some."""
-        if self._bar is not None:
-            self._bar.console.print(text, highlight=False, markup=False)
-        else:
-            print(text, flush=True)
 
     def _describe(self):
         failed = f", {self._failed} failed" if self._failed else ""

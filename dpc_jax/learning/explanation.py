@@ -1,0 +1,124 @@
+"""What a trained network makes of a view: its images, and the best candidate."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from dpc_jax.config import Config
+from dpc_jax.learning.cameras import place_camera
+from dpc_jax.learning.point_sizes import scale_point_sizes, split_size
+from dpc_jax.learning.renders import compute_candidate_losses
+from dpc_jax.learning.signals import (
+    SILHOUETTES,
+    Weights,
+    find_background,
+    make_targets,
+    read_weights,
+)
+from dpc_jax.render import Camera, VoxelGrid, project
+
+_SOURCES = {"depth": "depths", "color": "images"}  # arrays that signals are read from
+
+
+def list_compared(views: Mapping[str, jax.Array], config: Config) -> dict[str, Any]:
+    """Targets of the signals besides silhouettes that candidates are compared by.
+
+    Args:
+      views: images, masks and what else there is of n views, by name.
+
+    Returns:
+      {"others": {signal: targets [n, ...]}}, or nothing.
+    """
+    if config.pose.choice_signals == "silhouette" or config.pose.heads < 2:
+        return {}
+    names = [name for name in read_weights(config.train).signals if name in _SOURCES]
+    present = tuple(name for name in names if _SOURCES[name] in views)
+    grid, distance = config.render.grid, config.render.distance
+    return {"others": make_targets(views, grid, signals=present, distance=distance)}
+
+
+def explain_view(
+    points: jax.Array,
+    mass: jax.Array,
+    student: jax.Array,
+    candidates: jax.Array,
+    target: jax.Array,
+    own: dict[str, Any],
+    *,
+    sigma: jax.Array,
+    config: Config,
+) -> tuple[dict[str, jax.Array], jax.Array]:
+    """Images of a shape from the student's pose, and the best candidate's index.
+
+    The best candidate is that of the exact comparison, by the signals that the choice
+    in training compares; of those, one that the data lack (the depths of own images) is
+    left out.
+
+    Args:
+      points: [N, 3]. mass: (), sigma: (), in voxels of the base grid; of points with
+        sizes of their own as of `Shapes`.
+      student: [4]. candidates: [C, 4]. target: [D, D] silhouette.
+      own: what the view has of its own: translation [3], focal_length (), colors
+        [N, 3], sigma of points with sizes of their own, others {signal: target}.
+
+    Returns:
+      ({"silhouettes", "depths", "color_images"} in the finest grid that training
+      renders in; depths and colours where there are any; ()).
+    """
+    render = config.render
+    camera = place_camera(Camera(render.focal_length, render.distance), own)
+    side = render.fine_grid or render.grid
+    sigma = own.get("sigma", sigma)
+    fine_size, fine_mass = scale_point_sizes(sigma, mass, side / render.grid)
+    fine_sigma, covariance = split_size(fine_size)
+    is_asked = {
+        "silhouette": True,
+        "depth": not config.data.images or bool(config.data.test_meshes),
+        "color": "colors" in own,
+    }
+    image = project(
+        points,
+        student,
+        sigma=fine_sigma,
+        covariance=covariance,
+        scale=fine_mass,
+        colors=own.get("colors"),
+        translation=own.get("translation"),
+        camera=camera,
+        grid=VoxelGrid(side),
+        signals=tuple(name for name, holds in is_asked.items() if holds),
+        background_depth=find_background(camera.distance),
+    )
+    names = {"silhouettes": image.silhouette, "depths": image.depth}
+    images = names | {"color_images": image.color}
+    winner = jnp.zeros((), jnp.int32)
+    if len(candidates) > 1:
+        winner = _choose_exactly(points, mass, candidates, target, own, sigma, config)
+    return {n: a for n, a in images.items() if a is not None}, winner
+
+
+def _choose_exactly(points, mass, candidates, target, own, sigma, config):
+    """Index of the candidate of the smallest loss at full resolution; ()."""
+    render, others = config.render, own.get("others", {})
+    weights = SILHOUETTES
+    if config.pose.choice_signals == "all":
+        wanted = read_weights(config.train)._asdict()
+        kept = {n: w for n, w in wanted.items() if n in others or n == "silhouette"}
+        weights = Weights(**(dict.fromkeys(wanted, 0.0) | kept))
+        weights = weights if weights.signals else SILHOUETTES
+    losses = compute_candidate_losses(
+        points,
+        mass,
+        candidates,
+        target,
+        sigma=sigma,
+        camera=place_camera(Camera(render.focal_length, render.distance), own),
+        renders_at_once=render.renders_at_once,
+        translation=own.get("translation"),
+        colors=own.get("colors") if weights.color else None,
+        others=others,
+        weights=weights,
+    )
+    return jnp.argmin(losses)
