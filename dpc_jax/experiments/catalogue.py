@@ -27,6 +27,7 @@ class Row:
         no config here, of which the paper's number alone is shown.
       changes: "section.field": value, beside the variant.
       tag: names the changes in the folder of the run; "" without changes.
+      budget: of the size; "" for that of the resolution.
     """
 
     label: str
@@ -34,6 +35,7 @@ class Row:
     variant: str | None = None
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     tag: str = ""
+    budget: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,9 +71,10 @@ def _learn_points(kind: str, count: int) -> Row:
     """A row of points of one kind; hand-tuned ones are rendered the same way."""
     return Row(
         f"{KINDS[kind]}, {count} points",
-        variant="known_pose",
+        variant="known_pose,32",
         changes=list_changes(kind, count),
         tag=f"{kind or 'fixed'}{count}",
+        budget="points",
     )
 
 

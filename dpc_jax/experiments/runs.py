@@ -121,9 +121,8 @@ def declare_run(row: Row, category: str, seed: int, size: Size, source: Source) 
     own = dict(row.changes)
     if _POINTS in own:
         own[_POINTS] = max(own[_POINTS] // size.fewer_points, 4)
-    resolution = find_resolution(row)
     shared = source.list_changes(category) | dict(size.changes)
-    shared |= size.by_resolution[resolution]
+    shared |= size.budgets[row.budget or find_resolution(row)]
     variant = ",".join(part for part in (size.variant, row.variant) if part)
     parts = (category, *variant.split(","), row.tag, f"seed{seed}")
     return Run(
@@ -185,10 +184,10 @@ class Request:
         return self.seeds or (size.long_seeds if is_long else size.seeds)
 
     def list_row_runs(self, row: Row, category: str) -> list[Run]:
-        """Runs of a row, one per seed; none of another system's."""
-        if row.variant is None:
-            return []
+        """Runs of a row, one per seed; none of what the size leaves out."""
         size = SIZES[self.size]
+        if row.variant is None or row.tag in size.left_out:
+            return []
         return [
             declare_run(row, category, seed, size, self.source)
             for seed in self.list_seeds(row)

@@ -30,6 +30,19 @@ ONLY_RUNS = (
     "out. --size=cpu and --size=full have figures that count."
 )
 Analyses = Mapping[str, Analysis]  # by experiment
+CAPTIONS = {  # of the analyses' figures
+    "projection_error.png": "Projection error against the number of points: mean and "
+    "single runs.",
+    "silhouettes.png": "Input and true silhouette, and what each kind of point renders.",
+    "ellipsoids.png": "The Gaussians of the same shapes, drawn as ellipsoids.",
+    "correspondences.png": "Keypoints on a template, and where points of the same "
+    "index are on other chairs.",
+    "correspondences_parts.png": "Share of transferred points on the right part, by "
+    "keypoint.",
+    "interpolation.png": "Frames between two test images, mixed in the first shared "
+    "layer.",
+    "interpolation.gif": "The same, moving.",
+}
 
 
 def make_blocks(results: Results, analyses: Analyses, *, figures: Path) -> list[Block]:
@@ -109,11 +122,15 @@ def _show_analysis(analysis: Analysis) -> Iterator[Block]:
     if analysis.problem:
         yield Paragraph(f"Not made: {analysis.problem}")
         return
-    rows = [(name, _format(value)) for name, value in analysis.metrics.items()]
+    rows = [
+        (name.replace("_", " "), _format(value))
+        for name, value in analysis.metrics.items()
+        if not isinstance(value, Mapping)  # parts of the others, in analysis.json
+    ]
     if rows:
         yield Table(("Measure", "Value"), rows)
     for path in analysis.figures:
-        yield Figure(path, path.stem.replace("_", " "))
+        yield Figure(path, CAPTIONS.get(path.name, path.stem.replace("_", " ")))
 
 
 def _format(value) -> str:

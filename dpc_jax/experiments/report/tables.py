@@ -10,6 +10,7 @@ from dpc_jax.experiments.results import Results, Summary
 
 NO_CONFIG = "not built here"
 NOT_YET = "not run yet"
+TOO_LONG = "too long for this size"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,6 +58,8 @@ def _describe_cost(results: Results, experiment: Experiment, row: Row, category)
     if category == MEAN:
         return ["", "", ""]
     outcomes = results.list_outcomes(experiment, row, category)
+    if not outcomes:
+        return [TOO_LONG, "", ""]
     done = [o for o in outcomes if o.metrics is not None]
     if not done:
         failed = any(o.problem for o in outcomes)
