@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dpc_jax.evaluation import chamfer_distance as chamfer_distance
     from dpc_jax.evaluation import pose_summary as pose_summary
     from dpc_jax.evaluation import rotation_angle_deg as rotation_angle_deg
-    from dpc_jax.learning.hindsight import choose_candidate as choose_candidate
+    from dpc_jax.learning.choice.hindsight import choose_candidate as choose_candidate
     from dpc_jax.learning.losses import reprojection_loss as reprojection_loss
     from dpc_jax.learning.losses import student_loss as student_loss
     from dpc_jax.networks import ImageEncoder as ImageEncoder
@@ -46,7 +46,7 @@ _RENDER = (
 )
 _NETWORKS = "ImageEncoder PoseEnsemble PoseStudent ShapeHead ShapePoseNetwork"
 _NAMES = {  # public name: the module that it is loaded from
-    "choose_candidate": "dpc_jax.learning.hindsight",
+    "choose_candidate": "dpc_jax.learning.choice.hindsight",
     "reprojection_loss": "dpc_jax.learning.losses",
     "student_loss": "dpc_jax.learning.losses",
     **dict.fromkeys(_RENDER.split(), "dpc_jax.render"),

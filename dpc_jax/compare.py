@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from dpc_jax.evaluation.metrics import COMPARED_METRICS, MISSING
-from dpc_jax.learning.records import MetricLog
+from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.reporting.figures import draw_curves
 from dpc_jax.reporting.tables import tabulate_runs
 

@@ -11,7 +11,7 @@ import sys
 import time
 from pathlib import Path
 
-from dpc_jax.learning.progress import ProgressReport
+from dpc_jax.learning.training.progress import ProgressReport
 from dpc_jax.measure.stability.cases.case import DTYPES
 from dpc_jax.measure.stability.cases.catalogue import SUBJECTS
 from dpc_jax.measure.stability.report import write_report

@@ -40,7 +40,7 @@ FUNCTIONS = sorted(set(list_functions()), key=str)
 
 def test_the_equations_name_functions_and_tests():
     files = {file for file, _ in FUNCTIONS}
-    assert {"learning/winners.py", "render/termination.py"} <= files
+    assert {"learning/choice/winners.py", "render/termination.py"} <= files
     assert sum(file.startswith("tests/") for file in files) >= 10
 
 
@@ -54,8 +54,8 @@ def test_every_function_and_test_of_the_equations_exists(file, name):
 
 
 EQUATIONS = (
-    (1, "learning/winners.py", "compare_winners"),
-    (2, "learning/hindsight.py", "choose_candidate"),
+    (1, "learning/choice/winners.py", "compare_winners"),
+    (2, "learning/choice/hindsight.py", "choose_candidate"),
     (3, "render/volume.py", "fill_volume"),
     (4, "render/termination.py", "end_rays"),
     (5, "render/projection.py", "project_signals"),

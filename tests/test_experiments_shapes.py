@@ -15,8 +15,8 @@ from tiny_runs import compiling_quickly, make_network, make_state, tiny_config
 
 from dpc_jax.evaluation.alignment import identity_alignment
 from dpc_jax.experiments import correspondences, interpolation, labelled_shapes
-from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.predictions import scale_images
+from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.run.finished import load_split, predict_points, read_run
 from dpc_jax.run.workdir import claim_workdir, write_alignment
 

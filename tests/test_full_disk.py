@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from dpc_jax.files import explaining_full_disk, is_disk_full
-from dpc_jax.learning.checkpoints import Checkpoints
-from dpc_jax.learning.records import MetricLog
 from dpc_jax.learning.step import TrainState
+from dpc_jax.learning.training.checkpoints import Checkpoints
+from dpc_jax.learning.training.records import MetricLog
 
 IN_CPP = "RESOURCE_EXHAUSTED: Failed writing: No space left on device [os_error_code]"
 

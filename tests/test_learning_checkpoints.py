@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tiny_runs import assert_same_bits
 
-from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.step import TrainState
+from dpc_jax.learning.training.checkpoints import Checkpoints
 
 
 def make_small_state(step):

@@ -20,8 +20,8 @@ from tiny_runs import (
 
 from dpc_jax.config import check, replace_fields
 from dpc_jax.learning import devices
-from dpc_jax.learning.checkpoints import Checkpoints
-from dpc_jax.learning.predictor import make_predictor, predict_all
+from dpc_jax.learning.inference.predictor import make_predictor, predict_all
+from dpc_jax.learning.training.checkpoints import Checkpoints
 
 # Half turns, dropout, a selecting student and priors: all that objects could share.
 EVERYTHING = dict(

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from dpc_jax.learning import forecast as forecasting
-from dpc_jax.learning.forecast import Forecast
 from dpc_jax.learning.schedules import Span, Stage
+from dpc_jax.learning.training import forecast as forecasting
+from dpc_jax.learning.training.forecast import Forecast
 
 STAGES = [Stage(425, 32), Stage(875, 32), Stage(1325, 32), Stage(2000, 64)]
 STARTS = [0, 1260, 2520, 3780, 6300]

@@ -16,8 +16,9 @@ from tiny_runs import (
     tiny_config,
 )
 
-from dpc_jax.learning import half_turns, hindsight
-from dpc_jax.learning.coarse_choice import compute_image_losses, place_candidates
+from dpc_jax.learning import half_turns
+from dpc_jax.learning.choice import hindsight
+from dpc_jax.learning.choice.coarse_choice import compute_image_losses, place_candidates
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.objective import compute_loss
 from dpc_jax.learning.predictions import Shapes

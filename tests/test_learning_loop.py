@@ -18,15 +18,21 @@ from tiny_runs import (
 )
 
 from dpc_jax.config import Log
-from dpc_jax.learning import evaluator, loop
-from dpc_jax.learning import records as recording
-from dpc_jax.learning.checkpoints import Checkpoints
+from dpc_jax.learning.inference import evaluator
+from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.losses import downsample_images
-from dpc_jax.learning.predictor import make_predictor, predict_all
-from dpc_jax.learning.records import MetricLog, NonFiniteError, check_finite, summarize
 from dpc_jax.learning.renders import compute_candidate_losses
 from dpc_jax.learning.schedules import compute_sigma
 from dpc_jax.learning.step import make_train_step
+from dpc_jax.learning.training import loop
+from dpc_jax.learning.training import records as recording
+from dpc_jax.learning.training.checkpoints import Checkpoints
+from dpc_jax.learning.training.records import (
+    MetricLog,
+    NonFiniteError,
+    check_finite,
+    summarize,
+)
 from dpc_jax.render import Camera
 
 CONFIG = tiny_config(steps=8)  # two stages of four steps

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from tiny_runs import make_batch, random_quaternions, rotation_matrix, tiny_config
 
-from dpc_jax.learning import hindsight, losses, point_sizes
-from dpc_jax.learning.coarse_choice import compute_image_losses, place_candidates
+from dpc_jax.learning import losses, point_sizes
+from dpc_jax.learning.choice import hindsight
+from dpc_jax.learning.choice.coarse_choice import compute_image_losses, place_candidates
+from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.predictions import Shapes, predict_shapes
 from dpc_jax.learning.schedules import Stage
-from dpc_jax.learning.winners import compare_winners
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.run.setup import make_network
 

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dpc_jax.learning.programs import StagePrograms
 from dpc_jax.learning.schedules import Span, Stage
+from dpc_jax.learning.training.programs import StagePrograms
 
 FIRST, SECOND, THIRD = (Stage(points, 8) for points in (10, 20, 30))
 SPANS = (Span(0, 1000, FIRST), Span(1000, 2000, SECOND), Span(2000, 9000, THIRD))
@@ -189,7 +189,7 @@ LEAVE = """
 import sys, time
 import test_learning_programs as tests
 from tiny_runs import make_batch, make_network, make_state, make_step, tiny_config
-from dpc_jax.learning.programs import StagePrograms
+from dpc_jax.learning.training.programs import StagePrograms
 from dpc_jax.run.process import leave
 
 class Slow:

@@ -3,7 +3,7 @@
 import re
 import sys
 
-from dpc_jax.learning.progress import ProgressReport
+from dpc_jax.learning.training.progress import ProgressReport
 
 
 def show(capsys, *, seconds_left):

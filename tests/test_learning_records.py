@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from dpc_jax.learning.records import MetricLog
+from dpc_jax.learning.training.records import MetricLog
 
 
 @pytest.fixture

@@ -16,11 +16,12 @@ from tiny_runs import (
 )
 
 from dpc_jax.config import replace_fields
-from dpc_jax.learning import hindsight, signals
+from dpc_jax.learning import signals
 from dpc_jax.learning.cameras import Cameras
+from dpc_jax.learning.choice import hindsight
+from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.predictions import Shapes
 from dpc_jax.learning.schedules import Stage
-from dpc_jax.learning.winners import compare_winners
 from dpc_jax.render import Camera, Projection, VoxelGrid, project
 
 pytestmark = pytest.mark.usefixtures("quickly")

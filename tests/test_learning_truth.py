@@ -8,8 +8,12 @@ from dpc_jax.data import shards
 from dpc_jax.evaluation.alignment import align_by_poses, identity_alignment
 from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.evaluation.scores import score
-from dpc_jax.learning import evaluator
-from dpc_jax.learning.predictor import arrange_views, make_predictor, predict_all
+from dpc_jax.learning.inference import evaluator
+from dpc_jax.learning.inference.predictor import (
+    arrange_views,
+    make_predictor,
+    predict_all,
+)
 
 
 def rag(dataset, counts):

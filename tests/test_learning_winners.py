@@ -7,9 +7,9 @@ import pytest
 from tiny_runs import make_batch, random_quaternions, tiny_config
 
 from dpc_jax.learning import losses
+from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.predictions import Shapes, draw_order
 from dpc_jax.learning.schedules import Stage
-from dpc_jax.learning.winners import compare_winners
 from dpc_jax.render import VoxelGrid, project
 
 pytestmark = pytest.mark.usefixtures("quickly")

@@ -9,8 +9,8 @@ import pytest
 from tiny_runs import compiling_quickly
 
 from dpc_jax.files import write_json
-from dpc_jax.learning import loop
-from dpc_jax.learning.records import NonFiniteError
+from dpc_jax.learning.training import loop
+from dpc_jax.learning.training.records import NonFiniteError
 from dpc_jax.measure.stability import (
     error_growth,
     fast_training,

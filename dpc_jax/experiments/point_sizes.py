@@ -12,7 +12,7 @@ from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet, load_or_render
 from dpc_jax.evaluation.alignment import align_points
 from dpc_jax.learning import schedules
-from dpc_jax.learning.predictor import (
+from dpc_jax.learning.inference.predictor import (
     VIEWS_AT_ONCE,
     Predictions,
     arrange_views,

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 from dpc_jax.config import Pose, Render, Train
 from dpc_jax.learning import losses, schedules
 from dpc_jax.learning.cameras import predict_cameras
+from dpc_jax.learning.choice.hindsight import Winners, choose_poses
+from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import average_covariance
-from dpc_jax.learning.hindsight import Winners, choose_poses
 from dpc_jax.learning.predictions import (
     Poses,
     Shapes,
@@ -22,7 +23,6 @@ from dpc_jax.learning.predictions import (
     predict_shapes,
 )
 from dpc_jax.learning.signals import read_weights
-from dpc_jax.learning.winners import compare_winners
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera
 

@@ -19,7 +19,7 @@ from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet, load_or_render
 from dpc_jax.data.batches import choose_batch, read_batch
 from dpc_jax.learning import schedules
-from dpc_jax.learning.coarse_choice import (
+from dpc_jax.learning.choice.coarse_choice import (
     compute_coarse_losses,
     compute_image_losses,
     place_candidates,

@@ -24,8 +24,8 @@ from dpc_jax.config import Config, build_config, replace_fields
 from dpc_jax.data import DataSet
 from dpc_jax.files import write_json
 from dpc_jax.learning import devices, schedules
-from dpc_jax.learning.loop import make_batch
 from dpc_jax.learning.step import init_state, make_train_step
+from dpc_jax.learning.training.loop import make_batch
 from dpc_jax.measure.step_profile import CAR
 from dpc_jax.reporting.tables import format_table
 from dpc_jax.run import hosts

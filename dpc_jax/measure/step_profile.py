@@ -22,7 +22,9 @@ import numpy as np
 import optax
 
 from dpc_jax.config import Config, build_config
-from dpc_jax.learning import half_turns, hindsight, objective, schedules
+from dpc_jax.learning import half_turns, objective, schedules
+from dpc_jax.learning.choice import hindsight
+from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import (
     draw_order,
@@ -36,7 +38,6 @@ from dpc_jax.learning.step import (
     make_train_step,
     repeat_seed,
 )
-from dpc_jax.learning.winners import compare_winners
 from dpc_jax.measure.timing import describe_machine, phrase_machine, time_interleaved
 from dpc_jax.render import Camera
 from dpc_jax.reporting.tables import format_table

@@ -11,9 +11,9 @@ import numpy as np
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet, load_or_render
 from dpc_jax.evaluation.alignment import Alignment, align_points
-from dpc_jax.learning.checkpoints import Checkpoints
 from dpc_jax.learning.predictions import scale_images
 from dpc_jax.learning.step import TrainState, describe_state
+from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.gpu import set_gpu_flags
 from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores

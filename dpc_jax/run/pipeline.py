@@ -12,18 +12,19 @@ from dpc_jax.config import Config
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, identity_alignment
 from dpc_jax.files import explaining_full_disk
-from dpc_jax.learning import evaluator, loop
-from dpc_jax.learning.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.devices import make_mesh
-from dpc_jax.learning.predictor import (
+from dpc_jax.learning.inference import evaluator
+from dpc_jax.learning.inference.predictor import (
     Predictions,
     compile_predictor,
     make_predictor,
     predict_all,
 )
-from dpc_jax.learning.records import MetricLog, NonFiniteError
 from dpc_jax.learning.signals import list_extras
 from dpc_jax.learning.step import TrainState, describe_state, init_state
+from dpc_jax.learning.training import loop
+from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
+from dpc_jax.learning.training.records import MetricLog, NonFiniteError
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run import hosts
 from dpc_jax.run.agreement import Job

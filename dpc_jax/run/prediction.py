@@ -14,7 +14,11 @@ from dpc_jax.data.sets.pictures import FAULTS
 from dpc_jax.evaluation import rotations
 from dpc_jax.evaluation.alignment import align_points, align_poses
 from dpc_jax.files import write_text
-from dpc_jax.learning.predictor import VIEWS_AT_ONCE, make_predictor, predict_all
+from dpc_jax.learning.inference.predictor import (
+    VIEWS_AT_ONCE,
+    make_predictor,
+    predict_all,
+)
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.export import write_glb, write_ply
 from dpc_jax.reporting.gallery import draw_predictions

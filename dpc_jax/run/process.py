@@ -14,7 +14,7 @@ from typing import NoReturn
 import jax
 
 from dpc_jax.learning.devices import find_share
-from dpc_jax.learning.programs import THREADS
+from dpc_jax.learning.training.programs import THREADS
 from dpc_jax.render.devices import count_cores, read_settings, use_all_cores
 
 _KEPT_DAYS = 30  # of a compiled program

@@ -10,15 +10,15 @@ from dpc_jax.data import DataSet
 from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation.alignment import Alignment, align_points
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
-from dpc_jax.learning import evaluator
-from dpc_jax.learning.loop import Outcome
-from dpc_jax.learning.predictor import Predictions, arrange_views
-from dpc_jax.learning.view_images import (
+from dpc_jax.learning.inference import evaluator
+from dpc_jax.learning.inference.predictor import Predictions, arrange_views
+from dpc_jax.learning.inference.view_images import (
     MEASURES,
     measure_cameras,
     measure_images,
     read_view,
 )
+from dpc_jax.learning.training.loop import Outcome
 from dpc_jax.reporting.examples import Example, SignalImages
 from dpc_jax.reporting.page import write_report
 from dpc_jax.run.setup import collect_warnings

@@ -15,9 +15,9 @@ from jax.experimental import multihost_utils
 from jax.sharding import SingleDeviceSharding
 
 from dpc_jax.files import explaining_full_disk
-from dpc_jax.learning.checkpoints import Checkpoints, Restored
-from dpc_jax.learning.records import MetricLog
 from dpc_jax.learning.step import TrainState
+from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
+from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.run.agreement import Job
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from dpc_jax.learning.progress import Display
+from dpc_jax.learning.training.progress import Display
 
 
 class JobProgress(Display):

@@ -11,7 +11,7 @@ from dpc_jax.experiments.catalogue import Experiment, Row
 from dpc_jax.experiments.published import MEAN
 from dpc_jax.experiments.results import Results
 from dpc_jax.experiments.runs import find_resolution
-from dpc_jax.learning.records import MetricLog
+from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.reporting import style
 
 Caption = str

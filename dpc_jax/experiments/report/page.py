@@ -33,7 +33,7 @@ Analyses = Mapping[str, Analysis]  # by experiment
 CAPTIONS = {  # of the analyses' figures
     "projection_error.png": "Projection error against the number of points: mean and "
     "single runs.",
-    "silhouettes.png": "Input and true silhouette, and what each kind of point renders.",
+    "silhouettes.png": "Input, true silhouette, and what each kind of point renders.",
     "ellipsoids.png": "The Gaussians of the same shapes, drawn as ellipsoids.",
     "correspondences.png": "Keypoints on a template, and where points of the same "
     "index are on other chairs.",

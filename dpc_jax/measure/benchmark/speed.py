@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import PartitionSpec
 
-from dpc_jax.learning.hindsight import choose_candidate
+from dpc_jax.learning.choice.hindsight import choose_candidate
 from dpc_jax.learning.losses import reprojection_loss
 from dpc_jax.measure.benchmark.plain_peer import Sample, render_plain
 from dpc_jax.measure.benchmark.plan import Case

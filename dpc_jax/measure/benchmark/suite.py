@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from dpc_jax.learning.progress import ProgressReport
+from dpc_jax.learning.training.progress import ProgressReport
 from dpc_jax.measure import scenes
 from dpc_jax.measure.benchmark import accuracy, peak, report, scaling, speed
 from dpc_jax.measure.benchmark.plan import PARTS, Plan

@@ -17,10 +17,10 @@ import numpy as np
 
 from dpc_jax.config import build_config, check, replace_fields
 from dpc_jax.data import load_or_render
-from dpc_jax.learning import loop
-from dpc_jax.learning.checkpoints import Checkpoints
-from dpc_jax.learning.records import MetricLog, NonFiniteError
 from dpc_jax.learning.step import init_state
+from dpc_jax.learning.training import loop
+from dpc_jax.learning.training.checkpoints import Checkpoints
+from dpc_jax.learning.training.records import MetricLog, NonFiniteError
 from dpc_jax.measure.stability.report_parts import (
     PartRequest,
     PartResult,

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.config import Render, Train
-from dpc_jax.learning import half_turns, hindsight, losses, schedules
+from dpc_jax.learning import half_turns, losses, schedules
+from dpc_jax.learning.choice import hindsight
 from dpc_jax.measure.stability.cases import image_oracles
 from dpc_jax.measure.stability.cases.case import WIDE, Case, make_cases
 from dpc_jax.render import Camera, VoxelGrid, project

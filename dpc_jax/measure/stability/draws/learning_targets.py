@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax import evaluation
-from dpc_jax.learning import hindsight, losses
+from dpc_jax.learning import losses
+from dpc_jax.learning.choice import hindsight
 from dpc_jax.measure.stability.draws.targets import (
     LARGEST,
     Range,

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from dpc_jax.config import CHOICE_RANKS, Pose, Render
 from dpc_jax.learning.cameras import Cameras, list_own, place_camera
-from dpc_jax.learning.coarse_choice import (
+from dpc_jax.learning.choice.coarse_choice import (
     compute_coarse_losses,
     compute_image_losses,
     place_candidates,

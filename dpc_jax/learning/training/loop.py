@@ -8,12 +8,12 @@ from dpc_jax.config import Config
 from dpc_jax.data import DataSet, choose_batch, read_batch
 from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.learning import devices, schedules, signals
-from dpc_jax.learning.checkpoints import Checkpoints
-from dpc_jax.learning.forecast import Forecast
-from dpc_jax.learning.programs import StagePrograms
-from dpc_jax.learning.progress import ProgressReport
-from dpc_jax.learning.records import MetricLog, Stopwatch, Window
 from dpc_jax.learning.step import TrainState, make_train_step, repeat_seed
+from dpc_jax.learning.training.checkpoints import Checkpoints
+from dpc_jax.learning.training.forecast import Forecast
+from dpc_jax.learning.training.programs import StagePrograms
+from dpc_jax.learning.training.progress import ProgressReport
+from dpc_jax.learning.training.records import MetricLog, Stopwatch, Window
 from dpc_jax.networks import ShapePoseNetwork
 
 

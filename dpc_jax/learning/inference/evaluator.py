@@ -7,7 +7,7 @@ from dpc_jax.evaluation import alignment as alignments
 from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation import scores
 from dpc_jax.evaluation.silhouettes import mean_squared_difference
-from dpc_jax.learning.predictor import Predictions, arrange_views
+from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 
 
 def arrange_truth(

@@ -12,7 +12,7 @@ from dpc_jax.config import Config
 from dpc_jax.data import DataSet
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.cameras import find_cameras, list_own
-from dpc_jax.learning.explanation import explain_view, list_compared
+from dpc_jax.learning.inference.explanation import explain_view, list_compared
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.point_sizes import has_own_sizes
 from dpc_jax.learning.predictions import complete_poses, find_sizes, scale_images

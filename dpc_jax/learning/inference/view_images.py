@@ -8,7 +8,7 @@ import numpy as np
 
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.images import color_psnr, depth_error, mean_of_known
-from dpc_jax.learning.predictor import Predictions, arrange_views
+from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.learning.signals import find_background, make_targets
 
 MISSED = 0.1  # least share of a pixel that is hit for it to have a depth

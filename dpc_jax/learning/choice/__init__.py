@@ -1,0 +1,1 @@
+"""Which pose candidate explains a view best: hindsight loss and its shortcuts."""

@@ -1,0 +1,1 @@
+"""What a trained network says of views, and how wrong that is."""

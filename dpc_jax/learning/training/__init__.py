@@ -1,0 +1,1 @@
+"""What runs training: loop, compiled programs, records, checkpoints, time left."""
