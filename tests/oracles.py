@@ -126,6 +126,7 @@ def project(
     images = {
         "silhouette": 1 - background,
         "depth": probabilities @ depths + background * background_depth,
+        "termination": probabilities,
     }
     if colors is not None:
         channels = []

@@ -70,40 +70,51 @@ def average_plainly(image, side):
     )
 
 
+def find_costs(share, mixed):
+    """What it costs that a ray ends in a cell, [D, D, 8], and that it misses."""
+    places = DISTANCE - 0.5 + (np.arange(8) + 0.5) / 8
+    costs = np.zeros((*share.shape, 8))
+    for row, col in np.ndindex(*share.shape):
+        if share[row, col] > 0:
+            depth = 2.5 + (mixed[row, col] - 2.5) / share[row, col]
+            beyond = np.abs(places - depth) - 1 / 8
+            costs[row, col] = share[row, col] * np.where(beyond > 0, beyond, 0)
+    return costs
+
+
 def compute_plainly(batch, row, place, weights, rendered):
     """The loss of one view, in float64 from the arrays of the data set."""
     mask = batch["masks"][row, place] / 255.0
     depth = batch["depths"][row, place]
     mixed = np.where(mask > 0, mask * depth + (1 - mask) * 2.5, 2.5)
     targets = (mask, mixed, batch["images"][row, place] / 255.0)
-    small = [average_plainly(target, 8) for target in targets]
-    images = [np.asarray(image, np.float64) for image in rendered]
-    pairs = list(zip(images, small, strict=True))
-    if weights[0]:  # beside silhouettes: of what is hit and covered alone
-        pairs[1] = ((images[1] - 2.5) * small[0], (small[1] - 2.5) * images[0])
-    return sum(
-        weight * np.sum((image - target) ** 2)
-        for weight, (image, target) in zip(weights, pairs, strict=True)
+    share, mixed, color = (average_plainly(target, 8) for target in targets)
+    silhouette, ends, rgb = (np.asarray(image, np.float64) for image in rendered)
+    losses = (
+        np.sum((silhouette - share) ** 2),
+        np.sum(ends * find_costs(share, mixed)),
+        np.sum((rgb - color) ** 2),
     )
+    return sum(weight * loss for weight, loss in zip(weights, losses, strict=True))
 
 
 def differentiate_plainly(batch, rendered):
     """Derivatives of the mean of `compute_plainly` by the rendered images."""
-    silhouette, depth, color = (np.asarray(image, np.float64) for image in rendered)
+    silhouette, ends, color = (np.asarray(image, np.float64) for image in rendered)
     mask = batch["masks"] / 255.0
-    mixed = mask * (batch["depths"] - 2.5)
     shrink = np.vectorize(
         lambda image: average_plainly(image, 8), signature="(s,s)->(d,d)"
     )
-    mask, mixed = shrink(mask), shrink(mixed)
+    share = shrink(mask)
+    mixed = 2.5 + shrink(mask * (batch["depths"] - 2.5))
+    costs = [find_costs(share[at], mixed[at]) for at in np.ndindex(2, 2)]
     images = np.moveaxis(batch["images"] / 255.0, -1, 2)
-    away = (depth - 2.5) * mask - mixed * silhouette
     slopes = (
-        ALL.silhouette * (silhouette - mask) - ALL.depth * away * mixed,
-        ALL.depth * away * mask,
-        ALL.color * (color - np.moveaxis(shrink(images), 2, -1)),
+        2 * ALL.silhouette * (silhouette - share),
+        ALL.depth * np.reshape(costs, ends.shape),
+        2 * ALL.color * (color - np.moveaxis(shrink(images), 2, -1)),
     )
-    return tuple(jnp.asarray(2 / 4 * slope, jnp.float32) for slope in slopes)
+    return tuple(jnp.asarray(slope / 4, jnp.float32) for slope in slopes)
 
 
 def render_plainly(points, mass, colors, rotation, translation, focal_length):
@@ -116,10 +127,9 @@ def render_plainly(points, mass, colors, rotation, translation, focal_length):
         translation=translation,
         camera=Camera(focal_length, DISTANCE),
         grid=VoxelGrid(8),
-        signals=("silhouette", "depth", "color"),
-        background_depth=2.5,
+        signals=("silhouette", "termination", "color"),
     )
-    return image.silhouette, image.depth, image.color
+    return image.silhouette, image.termination, image.color
 
 
 def test_a_target_depth_is_the_mean_over_all_samples_of_the_pixels():
@@ -145,35 +155,43 @@ def test_a_target_depth_is_the_mean_over_all_samples_of_the_pixels():
     assert set(found) == {"depth", "measured"}
 
 
-@pytest.mark.parametrize("share, covered", [(1.0, 1.0), (0.4, 1.0), (0.4, 0.7)])
+def compare_one_pixel(ends, share, depth, *, is_alone):
+    """The cost of a pixel of the share whose depth is given; 8 cells of 1/8."""
+    targets = {
+        "depth": jnp.full((1, 1), share * depth + (1 - share) * 2.5),
+        "measured": jnp.full((1, 1), share),
+    }
+    image = Projection(termination=jnp.asarray(ends, jnp.float32).reshape(1, 1, 8))
+    camera = Camera(distance=DISTANCE)
+    return float(
+        signals.compare_depths(image, targets, camera=camera, is_alone=is_alone)
+    )
+
+
+@pytest.mark.parametrize("hit, share", [(1.0, 1.0), (0.4, 1.0), (0.4, 0.7)])
 def test_beside_silhouettes_a_transparent_render_at_the_right_depth_costs_nothing(
-    share, covered
+    hit, share
 ):
     """Whatever the share of the pixel that is hit: only its depth is compared."""
+    ends = hit * np.eye(8)[3]  # the cell at 1.9375
+    right, alone = (
+        compare_one_pixel(ends, share, 1.9375, is_alone=is_alone)
+        for is_alone in (False, True)
+    )
+    assert right == 0
+    # Four cells off, of which one is free.
+    wrong = compare_one_pixel(ends, share, 2.4375, is_alone=False)
+    assert wrong == pytest.approx(share * hit * 3 / 8, rel=1e-5)
+    # Alone: rays that miss what is there, and rays that hit what is not.
+    expected = share * (1 - hit) * 0.5625 + (1 - share) * hit * 0.5625
+    assert alone == pytest.approx(expected, abs=1e-6)
 
-    def compare(depth, weights):
-        images = {
-            "silhouette": jnp.full((2, 2), share),
-            "depth": jnp.full((2, 2), share * depth + (1 - share) * 2.5),
-        }
-        image = Projection(**images)
-        targets = {
-            "silhouette": jnp.full((2, 2), covered),
-            "depth": jnp.full((2, 2), covered * 1.9 + (1 - covered) * 2.5),
-            "measured": jnp.full((2, 2), covered),
-        }
-        compared = signals.compare_images(
-            image, targets, weights=weights, background_depth=2.5
-        )
-        return float(compared[1]["depth"])
 
-    both, alone = signals.Weights(depth=1.0), signals.Weights(0.0, 1.0)
-    assert compare(1.9, both) == pytest.approx(0, abs=1e-12)
-    # Four pixels, a tenth too far.
-    expected = 4 * (share * covered * 0.1) ** 2
-    assert compare(2.0, both) == pytest.approx(expected, rel=1e-4)
-    # Alone, depth has to teach the outline.
-    assert (compare(1.9, alone) > 1e-3) == (share != covered)
+def test_half_too_near_and_half_too_far_is_not_the_right_depth():
+    """Though it is right in the mean."""
+    ends = [0, 0.5, 0, 0, 0, 0.5, 0, 0]
+    cost = compare_one_pixel(ends, 1.0, 1.9375, is_alone=False)
+    assert cost == pytest.approx(1 / 8, rel=1e-5)  # two cells off, of which one is free
 
 
 def test_a_depth_that_was_not_measured_counts_as_background():

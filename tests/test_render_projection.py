@@ -12,7 +12,7 @@ from tiny_runs import compiling_quickly
 
 import dpc_jax
 
-ALL = ("silhouette", "depth", "color")
+ALL = ("silhouette", "depth", "color", "termination")
 
 
 def make_scene(count=12, channels=2, seed=0, spread=0.3):

@@ -7,12 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning.point_sizes import split_size
-from dpc_jax.learning.signals import (
-    SILHOUETTES,
-    Weights,
-    compare_images,
-    find_background,
-)
+from dpc_jax.learning.signals import SILHOUETTES, Weights, compare_images
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.render.batch import map_renders
 from dpc_jax.render.devices import AUTOMATIC
@@ -52,7 +47,6 @@ def compute_candidate_losses(
     shared, covariance = split_size(jnp.asarray(sigma))
 
     targets = {"silhouette": target, **(others or {})}
-    background = find_background(camera.distance)
 
     def compute_loss(candidate):
         image = project(
@@ -65,11 +59,8 @@ def compute_candidate_losses(
             translation=translation,
             camera=camera,
             grid=grid,
-            signals=weights.signals,
-            background_depth=background,
+            signals=weights.renders,
         )
-        return compare_images(
-            image, targets, weights=weights, background_depth=background
-        )[0]
+        return compare_images(image, targets, weights=weights, camera=camera)[0]
 
     return map_renders(compute_loss, candidates, renders_at_once=renders_at_once)

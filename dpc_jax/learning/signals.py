@@ -7,21 +7,21 @@ pixel of the render's grid that covers several of the view. For depth the backgr
 the far face of the volume, as in the paper, whose D₃+1-st cell lies right behind it: a
 missing point then costs no more than one that is half a diagonal too near.
 
-That is how depth is compared alone, for it has to teach the outline too. Beside
-silhouettes the background is left out of it: a render that is half transparent, as all
-are at first, would look too far away, and its points would come nearer to make up.
+Depths are not compared as means of a ray: a mean is right, too, where half of the mass
+is too near and half too far. What is compared is where a ray may end: every cell costs
+its distance from the true depth, by the probability that the ray ends there (the ray
+consistency of Tulsiani et al., CVPR 2017).
 """
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import chex
 import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Config, Train
 from dpc_jax.learning.losses import average_blocks, downsample_images, reprojection_loss
-from dpc_jax.render import Projection
+from dpc_jax.render import Camera, Projection, VoxelGrid
 
 # Signals, and the names of their losses.
 LOSSES = {"silhouette": "reprojection", "depth": "depth", "color": "color"}
@@ -42,6 +42,12 @@ class Weights(NamedTuple):
         """The signals that have a weight."""
         pairs = zip(self._fields, self, strict=True)
         return tuple(name for name, weight in pairs if weight)
+
+    @property
+    def renders(self) -> tuple[str, ...]:
+        """What `project` renders to compare them."""
+        names = {"depth": "termination"}
+        return tuple(names.get(signal, signal) for signal in self.signals)
 
 
 SILHOUETTES = Weights()
@@ -108,40 +114,60 @@ def compare_images(
     targets: Mapping[str, jax.Array],
     *,
     weights: Weights,
-    background_depth: chex.Numeric,
+    camera: Camera,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """A term of Eq. 1: squared differences of a view's images, summed over pixels.
+    """A term of Eq. 1: differences of a view's images, summed over pixels.
 
     Args:
-      image: has the signals of the weights. targets: of `make_targets`.
-      background_depth: of both (`find_background`).
+      image: has the renders of the weights. targets: of `make_targets`.
+      camera: of the render.
 
     Returns:
       (() the weighted sum, {name of the loss: ()}).
     """
     total, terms = jnp.zeros(()), {}
     for signal in weights.signals:
-        weight, rendered = getattr(weights, signal), getattr(image, signal)
-        if signal == "depth" and weights.silhouette:
-            term = compare_hit_depths(image, targets, background_depth)
+        weight = getattr(weights, signal)
+        if signal == "depth":
+            is_alone = not weights.silhouette
+            term = compare_depths(image, targets, camera=camera, is_alone=is_alone)
         else:
-            term = reprojection_loss(rendered, targets[signal])
+            term = reprojection_loss(getattr(image, signal), targets[signal])
         terms[LOSSES[signal]] = term
         part = term if weight == 1 else weight * term
         total = part if len(terms) == 1 else total + part
     return total, terms
 
 
-def compare_hit_depths(
-    image: Projection, targets: Mapping[str, jax.Array], background: chex.Numeric
+def compare_depths(
+    image: Projection,
+    targets: Mapping[str, jax.Array],
+    *,
+    camera: Camera,
+    is_alone: bool,
 ) -> jax.Array:
-    """Squared difference of the depths of what is hit and of what is covered; ().
+    """How far rays end from the true depth, expected and summed over pixels; ().
 
-    Summed over pixels; where a share s of the rays is hit at a mean depth z, and a
-    share m is covered at d, it is (s·m·(z - d))². Neither depth has to be divided out
-    of its mixture with the background.
+    Σ_k r_k·max(|z_k - d| - h, 0) in box diagonals, where h is a cell: nearer than that
+    a smoothed surface cannot be told from the true one. Counted by the share of the
+    pixel whose depth was measured.
+
+    Args:
+      image: has its termination. targets: of `make_targets`.
+      camera: of the render.
+      is_alone: where no silhouettes are compared, depths have to teach the outline: the
+        background is a further cell, for rays that miss and for pixels that are free.
     """
-    assert image.silhouette is not None and image.depth is not None
-    hit = (image.depth - background) * targets["measured"]
-    covered = (targets["depth"] - background) * image.silhouette
-    return reprojection_loss(hit, covered)
+    ends = image.termination
+    assert ends is not None
+    background, measured = find_background(camera.distance), targets["measured"]
+    places = VoxelGrid(ends.shape[-1]).depths(camera, ends.dtype)
+    nearer = targets["depth"] - background  # times the share that is measured
+    depth = background + nearer / jnp.where(measured > 0, measured, 1)
+    away = jnp.abs(places - depth[..., None]) - 1 / len(places)
+    cost = measured[..., None] * jnp.maximum(away, 0)
+    if not is_alone:
+        return jnp.sum(ends * cost)
+    cost += (1 - measured)[..., None] * (background - places)
+    missed = 1 - jnp.sum(ends, -1)
+    return jnp.sum(ends * cost) - jnp.sum(missed * nearer)

@@ -6,7 +6,7 @@ from jax.typing import ArrayLike
 from dpc_jax.render import checks
 from dpc_jax.render.camera import Camera, VoxelGrid
 
-SIGNALS = ("silhouette", "depth", "color")
+SIGNALS = ("silhouette", "depth", "color", "termination")
 METHODS = ("auto", "trilinear", "gaussian")
 RAY_RULES = ("termination", "maximum")
 _POSES = "use jax.vmap over several poses"

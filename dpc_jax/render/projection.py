@@ -23,11 +23,14 @@ class Projection:
       silhouette: [rows, cols] in [0, 1].
       depth: [rows, cols], metric along z.
       color: [rows, cols, C].
+      termination: [rows, cols, depth], probability r_k that a ray ends in each cell,
+        nearest first (Eq. 4); with that of the background they sum to one.
     """
 
     silhouette: jax.Array | None = None
     depth: jax.Array | None = None
     color: jax.Array | None = None
+    termination: jax.Array | None = None
 
 
 def project(
@@ -68,7 +71,7 @@ def project(
       translation: [3], object to camera, after the rotation.
       camera: focal length, distance and kind of projection.
       grid: the volume, static.
-      signals: any of "silhouette", "depth", "color"; static.
+      signals: any of "silhouette", "depth", "color", "termination"; static.
       method: "trilinear" (the paper's fast method: points to their eight neighbouring
         cells, then one smoothing), "gaussian" (its basic method: every point its own
         Gaussian, exact), or "auto", which takes "trilinear" for one shared sigma and
@@ -121,6 +124,8 @@ def project_signals(
         return Projection(**images)
 
     rays = termination.end_rays(occupancy)
+    if "termination" in signals:
+        images["termination"] = rays.ends
     if "depth" in signals:
         # In the points' dtype, also where a GPU would round float32 to TF32.
         images["depth"] = jnp.matmul(

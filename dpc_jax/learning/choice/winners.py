@@ -18,7 +18,6 @@ from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.signals import (
     Weights,
     compare_images,
-    find_background,
     make_targets,
     read_weights,
 )
@@ -45,7 +44,7 @@ def compare_winners(
     stage: Stage,
     cameras: Cameras = Cameras(),
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Eq. 1: squared differences of rendered images and views, averaged over the views.
+    """Eq. 1: differences of rendered images and views, averaged over the views.
 
     The sum of a finer image is divided by its pixels per pixel of the base grid, so
     that losses are comparable over the whole run.
@@ -96,8 +95,6 @@ def compare_winners(
 def _compare_view(static, learned, given):
     """The weighted sum of a view's losses, and each of them."""
     camera = place_camera(Camera(*static.camera), learned)
-    signals = static.weights.signals
-    background = find_background(camera.distance)
     sigma, covariance = point_sizes.split_size((given | learned)["sigma"])
     image = project(
         learned["points"],
@@ -105,15 +102,14 @@ def _compare_view(static, learned, given):
         sigma=sigma,
         covariance=covariance,
         scale=learned["mass"],
-        colors=learned["colors"] if "color" in signals else None,
+        colors=learned["colors"] if static.weights.color else None,
         translation=learned.get("translation"),
         camera=camera,
         grid=VoxelGrid(static.grid),
-        signals=signals,
-        background_depth=background,
+        signals=static.weights.renders,
     )
     return compare_images(
-        image, given["targets"], weights=static.weights, background_depth=background
+        image, given["targets"], weights=static.weights, camera=camera
     )
 
 
