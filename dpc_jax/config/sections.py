@@ -166,7 +166,9 @@ class Train:
     repulsion_points: int = field(500, at_least(0))  # that repel each other in a step
     containment_weight: float = field(1.0, at_least(0))  # of points beyond radius 1/2
     silhouette_weight: float = field(1.0, at_least(0))  # per pixel; 0: not compared
-    depth_weight: float = field(0.0, at_least(0))  # per pixel, diagonals²; 0: no depths
+    depth_weight: float = field(
+        0.0, at_least(0)
+    )  # per pixel, of diagonals; 0: no depths
     color_weight: float = field(0.0, at_least(0))  # per pixel; 0: no colours
 
 

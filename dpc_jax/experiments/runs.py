@@ -122,9 +122,12 @@ def declare_run(row: Row, category: str, seed: int, size: Size, source: Source) 
     if _POINTS in own:
         own[_POINTS] = max(own[_POINTS] // size.fewer_points, 4)
     shared = source.list_changes(category) | dict(size.changes)
-    shared |= size.budgets[row.budget or find_resolution(row)]
+    usual = size.budgets[find_resolution(row)]
+    budget = size.budgets[row.budget] if row.budget else usual
+    shared |= budget
     variant = ",".join(part for part in (size.variant, row.variant) if part)
-    parts = (category, *variant.split(","), row.tag, f"seed{seed}")
+    parts = (category, *variant.split(","), row.tag)
+    parts += (row.budget if budget != usual else "", f"seed{seed}")
     return Run(
         name="-".join(part for part in parts if part),
         category=category,
