@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from dpc_jax.render import opacity as opacity
     from dpc_jax.render import project as project
     from dpc_jax.render import project_batch as project_batch
+    from dpc_jax.render import project_volume as project_volume
     from dpc_jax.render import quaternion as quaternion
     from dpc_jax.render import smooth as smooth
     from dpc_jax.render import splat as splat
@@ -41,8 +42,8 @@ if TYPE_CHECKING:
 
 _RENDER = (
     "Camera MemoryEstimate Projection VoxelGrid compensate_widening estimate_memory "
-    "mass_of_peak opacity project project_batch quaternion smooth splat "
-    "termination_probabilities use_all_cores voxelize"
+    "mass_of_peak opacity project project_batch project_volume quaternion smooth "
+    "splat termination_probabilities use_all_cores voxelize"
 )
 _NETWORKS = "ImageEncoder PoseEnsemble PoseStudent ShapeHead ShapePoseNetwork"
 _NAMES = {  # public name: the module that it is loaded from

@@ -7,6 +7,7 @@ from dpc_jax.render.camera import VoxelGrid as VoxelGrid
 from dpc_jax.render.devices import use_all_cores as use_all_cores
 from dpc_jax.render.memory import MemoryEstimate as MemoryEstimate
 from dpc_jax.render.memory import estimate_memory as estimate_memory
+from dpc_jax.render.object_volume import project_volume as project_volume
 from dpc_jax.render.projection import Projection as Projection
 from dpc_jax.render.projection import mass_of_peak as mass_of_peak
 from dpc_jax.render.projection import project as project

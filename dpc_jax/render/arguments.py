@@ -1,7 +1,7 @@
 """What the arguments of a projection must look like; else a ValueError says it."""
 
 import jax
-from jax.typing import ArrayLike
+from jax.typing import ArrayLike, DTypeLike
 
 from dpc_jax.render import checks
 from dpc_jax.render.camera import Camera, VoxelGrid
@@ -45,16 +45,25 @@ def convert_scene(
         array = checks.check_real(name, value, *shapes, hint=hint)
         return array.astype(points.dtype)
 
-    rotation = convert("rotation", rotation, (4,), (3, 3), hint=_POSES)
+    rotation, translation = convert_pose(rotation, translation, points.dtype)
     scale = convert("scale", scale, (), (count,), hint=_SIZES)
     if sigma is not None:
         sigma = convert("sigma", sigma, (), (count,), hint=_SIZES)
     if covariance is not None:
         shape, hint = (count, 3, 3), "pass one matrix per point"
         covariance = convert("covariance", covariance, shape, hint=hint)
-    if translation is not None:
-        translation = convert("translation", translation, (3,), hint=_POSES)
     return rotation, sigma, scale, covariance, translation
+
+
+def convert_pose(
+    rotation: ArrayLike, translation: ArrayLike | None, dtype: DTypeLike
+) -> tuple[jax.Array, jax.Array | None]:
+    """Convert a rotation [4] or [3, 3] and a translation [3]; None stays None."""
+    rotation = checks.check_real("rotation", rotation, (4,), (3, 3), hint=_POSES)
+    if translation is not None:
+        translation = checks.check_real("translation", translation, (3,), hint=_POSES)
+        translation = translation.astype(dtype)
+    return rotation.astype(dtype), translation
 
 
 def check_view(camera: Camera, grid: VoxelGrid) -> None:
@@ -104,16 +113,30 @@ def convert_colors(
 
     Also refuse a depth and a colour of the background that have a wrong shape.
     """
+    return _convert_colors(colors, (count,), "one row per point", background)
+
+
+def convert_cell_colors(
+    colors: ArrayLike | None,
+    shape: tuple[int, ...],
+    background: tuple[ArrayLike, ArrayLike],
+) -> jax.Array | None:
+    """The same for colours of the cells of a volume, [X, Y, Z, C]."""
+    return _convert_colors(colors, shape, "one colour per cell", background)
+
+
+def _convert_colors(colors, shape, what, background):
     shapes: list[tuple] = [()]
     if colors is not None:
-        hint = "give one row per point"
-        colors = checks.check_real("colors", colors, (count, "C"), hint=hint)
-        if colors.shape[1] == 0:
+        hint = f"give {what}"
+        colors = checks.check_real("colors", colors, (*shape, "C"), hint=hint)
+        if colors.shape[-1] == 0:
+            wanted = "[N, C]" if len(shape) == 1 else "[X, Y, Z, C]"
             raise ValueError(
-                "colors must have shape [N, C] with C >= 1, but they have "
+                f"colors must have shape {wanted} with C >= 1, but they have "
                 f"{list(colors.shape)}; leave them out where there are none."
             )
-        shapes.append(colors.shape[1:])
+        shapes.append(colors.shape[-1:])
     background_depth, background_color = background
     checks.check_number("background_depth", background_depth)
     hint = "pass one number, or one per channel of the colors"

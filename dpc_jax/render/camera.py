@@ -78,9 +78,12 @@ class VoxelGrid:
 
     def depths(self, camera: Camera, dtype: DTypeLike = jnp.float32) -> jax.Array:
         """Metric depth z_k of each cell along a ray, [depth], nearest first."""
-        size = self.shape[2]
-        offsets = ((jnp.arange(size, dtype=dtype) + 0.5) / size - 0.5) * self.extent
-        return offsets + jnp.asarray(camera.distance, dtype)
+        return self.centers(2, dtype) + jnp.asarray(camera.distance, dtype)
+
+    def centers(self, axis: int, dtype: DTypeLike = jnp.float32) -> jax.Array:
+        """Centres of the cells along an axis, relative to the middle of the volume."""
+        size = self.shape[axis]
+        return ((jnp.arange(size, dtype=dtype) + 0.5) / size - 0.5) * self.extent
 
 
 jax.tree_util.register_static(VoxelGrid)
@@ -150,3 +153,22 @@ def _find_fractions(x, y, z, ahead, camera, grid):
         inverse = jnp.asarray(camera.focal_length, z.dtype) / ahead
         x, y = x * inverse, y * inverse
     return [value / grid.extent + 0.5 for value in (y, x, z)]
+
+
+def place_cells(
+    camera: Camera, grid: VoxelGrid, dtype: DTypeLike = jnp.float32
+) -> tuple[jax.Array, jax.Array]:
+    """Where the cells of a grid are: T_c's perspective, the other way round.
+
+    Returns:
+      ([rows, cols, depth, 3] relative to the middle of the volume, in the camera's
+      axes; [depth] bool, whether a cell is in front of the camera).
+    """
+    v, u, z = (grid.centers(axis, dtype) for axis in range(3))
+    v, u, z = jnp.meshgrid(v, u, z, indexing="ij")
+    ahead = z[0, 0] + jnp.asarray(camera.distance, dtype)
+    if camera.projection == "orthographic":
+        return jnp.stack([u, v, z], axis=-1), jnp.ones_like(ahead, bool)
+    is_ahead = ahead > _NEAR * grid.extent
+    widening = jnp.where(is_ahead, ahead, 1) / jnp.asarray(camera.focal_length, dtype)
+    return jnp.stack([u * widening, v * widening, z], axis=-1), is_ahead

@@ -1,0 +1,356 @@
+"""`project_volume`: cells of the object frame against equations and known cases."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import oracles
+import pytest
+from scipy.ndimage import map_coordinates
+from scipy.spatial.transform import Rotation
+from tiny_runs import compiling_quickly
+
+import dpc_jax
+
+pytestmark = pytest.mark.usefixtures("quickly")
+
+ALL = ("silhouette", "depth", "color", "termination")
+IDENTITY = jnp.array([1.0, 0.0, 0.0, 0.0])
+
+
+def make_scene(seed=0, shape=(5, 7, 6), dtype=np.float64):
+    rng = np.random.default_rng(seed)
+    scene = {
+        "volume": rng.uniform(0, 0.9, shape),
+        "rotation": rng.normal(size=4),
+        "colors": rng.uniform(size=(*shape, 2)),
+        "translation": np.array([0.03, -0.05, 0.02]),
+    }
+    return {name: value.astype(dtype) for name, value in scene.items()}
+
+
+def sample_plainly(volume, rotation, translation, *, shape, extent, orthographic):
+    """Occupancies along the rays, cell by cell of the conventions, by scipy."""
+    focal_length, distance = 1.7, 2.1
+    matrix = Rotation.from_quat(rotation, scalar_first=True).as_matrix()
+    samples = np.zeros(shape)
+    for cell in np.ndindex(*shape):
+        v, u, z = (
+            ((index + 0.5) / side - 0.5) * extent
+            for index, side in zip(cell, shape, strict=True)
+        )
+        zoom = 1 if orthographic else (z + distance) / focal_length
+        place = matrix.T @ (np.array([u * zoom, v * zoom, z]) - translation)
+        index = (place + 0.5) * volume.shape - 0.5
+        samples[cell] = map_coordinates(
+            volume, index[:, None], order=1, mode="grid-constant"
+        )[0]
+    return samples
+
+
+@functools.partial(jax.jit, static_argnames="kind")
+def render_all(scene, kind):
+    return dpc_jax.project_volume(
+        **scene,
+        camera=dpc_jax.Camera(1.7, 2.1, kind),
+        grid=dpc_jax.VoxelGrid((6, 8, 7), extent=1.1),
+        signals=ALL,
+        background_depth=5.0,
+        background_color=0.25,
+    )
+
+
+@pytest.mark.parametrize("kind", ["perspective", "orthographic"])
+def test_images_equal_the_written_equations_in_float64(kind):
+    scene = make_scene()
+    with jax.enable_x64(True), compiling_quickly():
+        image = render_all(scene, kind)
+    sample = functools.partial(
+        sample_plainly,
+        rotation=scene["rotation"],
+        translation=scene["translation"],
+        shape=(6, 8, 7),
+        extent=1.1,
+        orthographic=kind == "orthographic",
+    )
+    occupancy = sample(scene["volume"])
+    ends, missed = oracles.termination(occupancy)
+    depths = 2.1 + ((np.arange(7) + 0.5) / 7 - 0.5) * 1.1
+    expected = {
+        "silhouette": 1 - missed,
+        "depth": ends @ depths + missed * 5,
+        "termination": ends,
+    }
+    reached = np.where(occupancy > 0, ends / np.where(occupancy > 0, occupancy, 1), 0)
+    channels = [
+        np.sum(reached * sample(scene["volume"] * color), axis=-1) + missed * 0.25
+        for color in np.moveaxis(scene["colors"], -1, 0)
+    ]
+    expected["color"] = np.stack(channels, axis=-1)
+    assert occupancy.max() > 0.3 and (occupancy == 0).any()
+    for name in ALL:  # float64 rounding of a few hundred cells
+        np.testing.assert_allclose(image[name], expected[name], rtol=0, atol=1e-12)
+
+
+INPUTS = {
+    **dict.fromkeys(("volume", "rotation", "colors", "translation")),
+    "focal_length": np.array(1.8),
+    "distance": np.array(2.05),
+    "background_depth": np.array(4.0),
+    "background_color": np.array(0.5),
+}
+
+
+def weigh_images(weights, inputs):
+    """A number that depends on every pixel of every signal."""
+    inputs = dict(inputs)
+    camera = dpc_jax.Camera(inputs.pop("focal_length"), inputs.pop("distance"))
+    image = dpc_jax.project_volume(
+        inputs.pop("volume"),
+        inputs.pop("rotation"),
+        camera=camera,
+        grid=dpc_jax.VoxelGrid((5, 6, 4)),
+        signals=ALL,
+        **inputs,
+    )
+    return sum(jnp.sum(image[n] * w) for n, w in weights.items())
+
+
+@functools.cache
+def differentiate():
+    return jax.jit(jax.value_and_grad(weigh_images, argnums=1))
+
+
+@pytest.mark.parametrize("name", INPUTS)
+def test_every_float_input_has_the_gradient_of_finite_differences(name):
+    rng = np.random.default_rng(1)
+    weights = {
+        "silhouette": rng.normal(size=(5, 6)),
+        "depth": rng.normal(size=(5, 6)),
+        "color": rng.normal(size=(5, 6, 2)),
+        "termination": rng.normal(size=(5, 6, 4)),
+    }
+    inputs = INPUTS | make_scene(seed=3)
+    direction = rng.normal(size=inputs[name].shape)
+    # Central differences: error step², and rounding 1e-16/step; no sample is within
+    # 1e-5 cells of a kink (the agreement shows it).
+    step = 1e-6
+    with jax.enable_x64(True), compiling_quickly():
+        _, gradient = differentiate()(weights, inputs)
+        ends = [
+            differentiate()(
+                weights, inputs | {name: inputs[name] + sign * step * direction}
+            )
+            for sign in (1, -1)
+        ]
+        slope = float(ends[0][0] - ends[1][0]) / (2 * step)
+        along = float(np.sum(np.asarray(gradient[name]) * direction))
+    assert along != 0
+    assert along == pytest.approx(slope, rel=1e-6, abs=1e-8)
+
+
+@functools.partial(jax.jit, static_argnames=("side", "rule", "kind"))
+def draw(volume, rotation, *, side=16, rule="termination", kind="perspective"):
+    return dpc_jax.project_volume(
+        volume,
+        rotation,
+        camera=dpc_jax.Camera(1.875, 2.0, kind),
+        grid=dpc_jax.VoxelGrid(side),
+        ray_rule=rule,
+    ).silhouette
+
+
+def test_rays_through_a_constant_volume_have_the_closed_form_of_their_rule():
+    """Maximum: the constant. Termination: 1 - (1 - o)^n after n cells."""
+    constant = 0.1
+    inside = np.s_[5:11, 5:11]  # pixels whose rays stay inside the cube
+    volume = jnp.full((8, 8, 8), constant)
+    maximum = draw(volume, IDENTITY, rule="maximum", kind="orthographic")
+    np.testing.assert_allclose(maximum[inside], constant, rtol=1e-6)
+    # 16 cells of half a voxel: the outermost sample lies a quarter of a voxel outside
+    # of the last centre, where the tents have three quarters of the constant.
+    union = draw(volume, IDENTITY, kind="orthographic")
+    expected = 1 - (1 - constant) ** 14 * (1 - 0.75 * constant) ** 2
+    np.testing.assert_allclose(union[inside], expected, rtol=1e-5)
+
+
+def test_under_the_maximum_only_the_fullest_cell_of_a_ray_has_a_gradient():
+    volume = jnp.zeros((9, 9, 9)).at[4, 4, 2].set(0.8).at[4, 4, 7].set(0.6)
+
+    def look(volume):
+        image = draw(volume, IDENTITY, side=9, rule="maximum", kind="orthographic")
+        return image[4, 4]
+
+    value, gradient = jax.value_and_grad(look)(volume)
+    assert float(value) == pytest.approx(0.8, rel=1e-6)
+    expected = jnp.zeros((9, 9, 9)).at[4, 4, 2].set(1.0)
+    # The samples lie on the centres but for rounding of an index of 9.
+    np.testing.assert_allclose(gradient, expected, atol=1e-5)
+
+
+def test_a_ball_has_the_disc_that_perspective_gives_it():
+    """Radius 1.875·r/√(d² - r²) in image widths, to the width of the rim's cells."""
+    side, radius = 48, 0.25
+    centers = (np.arange(side) + 0.5) / side - 0.5
+    away = np.linalg.norm(np.stack(np.meshgrid(*[centers] * 3), -1), axis=-1)
+    image = draw(jnp.asarray(away < radius, jnp.float32), IDENTITY, side=side)
+    found = np.sqrt(float(jnp.sum(image)) / side**2 / np.pi)
+    assert found == pytest.approx(1.875 * 0.25 / np.sqrt(4 - 0.0625), abs=0.5 / side)
+
+
+@pytest.mark.parametrize("turn, axes", [("z", (1, 0, 2)), ("y", (2, 1, 0))])
+def test_turning_the_camera_is_turning_the_volume(turn, axes):
+    volume = jnp.asarray(make_scene(seed=5, shape=(6, 6, 6))["volume"], jnp.float32)
+    quarter = Rotation.from_euler(turn, 90, degrees=True)
+    rotation = jnp.asarray(quarter.as_quat(scalar_first=True), jnp.float32)
+    # x goes to y for the turn about z: the turned volume at (x, y) is the volume at
+    # (y, -x); about y, z goes to x.
+    turned = jnp.transpose(volume, axes)
+    turned = jnp.flip(turned, axis=0 if turn == "z" else 2)
+    np.testing.assert_allclose(
+        draw(volume, rotation), draw(turned, IDENTITY), atol=1e-5
+    )
+
+
+def test_a_cell_lies_where_a_point_of_its_centre_lies():
+    """So cells and points can be compared, and taught by the same silhouettes."""
+    rng = np.random.default_rng(2)
+    rotation = jnp.asarray(rng.normal(size=4), jnp.float32)
+    for cell in rng.integers(1, 15, size=(6, 3)):
+        volume = jnp.zeros((16, 16, 16)).at[tuple(cell)].set(1.0)
+        image = np.asarray(draw(volume, rotation, side=32))
+        center = jnp.asarray([(cell + 0.5) / 16 - 0.5], jnp.float32)
+        point = dpc_jax.project(
+            center, rotation, sigma=0.5, grid=dpc_jax.VoxelGrid(32)
+        ).silhouette
+        places = np.stack(np.indices((32, 32)), axis=-1)
+        middles = [
+            np.tensordot(seen, places, 2) / seen.sum()
+            for seen in (image, np.asarray(point))
+        ]
+        # The cell's image is symmetric but for perspective and sampling.
+        np.testing.assert_allclose(*middles, atol=0.2)
+
+
+@functools.partial(jax.jit, static_argnames="kind")
+def differentiate_total(volume, rotation, translation, distance, kind="perspective"):
+    def total(volume, rotation, translation, distance):
+        image = dpc_jax.project_volume(
+            volume,
+            rotation,
+            colors=jnp.ones((*volume.shape, 1)),
+            translation=translation,
+            camera=dpc_jax.Camera(1.875, distance, kind),
+            grid=dpc_jax.VoxelGrid(6),
+            signals=ALL,
+        )
+        return sum(jnp.sum(image[name] ** 2) for name in ALL), image
+
+    differentiate = jax.value_and_grad(total, argnums=(0, 1, 2, 3), has_aux=True)
+    (_, image), gradients = differentiate(volume, rotation, translation, distance)
+    return image, gradients
+
+
+@pytest.mark.parametrize("occupancy", [0.0, 1e-30, 1.0, 3.0])
+@pytest.mark.parametrize("shape", [(1, 1, 1), (3, 3, 3), (1, 5, 2)])
+def test_empty_and_full_cells_of_any_number_have_finite_images_and_gradients(
+    shape, occupancy
+):
+    image, gradients = differentiate_total(
+        jnp.full(shape, occupancy), IDENTITY, jnp.zeros(3), 2.0
+    )
+    for array in (*jax.tree.leaves(image), *gradients):
+        assert np.all(np.isfinite(array))
+    assert float(jnp.max(image.silhouette)) <= 1
+    if occupancy == 1:
+        assert float(jnp.max(image.silhouette)) > 0.99  # tents between the centres
+
+
+@pytest.mark.parametrize("away", [[3.0, 0, 0], [0, 0, -9.0], [1e30, 0, 0]])
+@pytest.mark.parametrize("kind", ["perspective", "orthographic"])
+def test_a_volume_outside_the_view_leaves_no_trace_and_no_nan(away, kind):
+    image, gradients = differentiate_total(
+        jnp.ones((4, 4, 4)), IDENTITY, jnp.asarray(away), 2.0, kind
+    )
+    assert np.all(np.asarray(image.silhouette) == 0)
+    assert np.all(np.asarray(image.depth) == 10)
+    for gradient in gradients[:3]:
+        assert np.all(np.asarray(gradient) == 0)
+
+
+def test_what_is_behind_the_camera_is_not_seen():
+    """A camera in the middle of the volume sees its front half alone."""
+    volume = jnp.zeros((6, 6, 6)).at[:, :, :3].set(1.0)
+    image, gradients = differentiate_total(volume, IDENTITY, jnp.zeros(3), 0.0)
+    seen, _ = differentiate_total(volume[:, :, ::-1], IDENTITY, jnp.zeros(3), 0.0)
+    assert float(jnp.max(image.silhouette)) < 0.6  # the rim of the middle cells
+    assert float(jnp.min(seen.silhouette)) == 1
+    for gradient in gradients:
+        assert np.all(np.isfinite(gradient))
+
+
+def test_a_ray_that_grazes_the_rim_has_an_image_that_fades():
+    """The silhouette of a volume that moves out of a ray falls without a jump."""
+    volume = jnp.ones((4, 4, 4))
+    moved = [
+        float(
+            dpc_jax.project_volume(
+                volume,
+                IDENTITY,
+                translation=jnp.array([shift, 0.0, 0.0]),
+                camera=dpc_jax.Camera(projection="orthographic"),
+                grid=dpc_jax.VoxelGrid(3),
+                ray_rule="maximum",
+            ).silhouette[1, 1]
+        )
+        for shift in np.linspace(0.3, 0.7, 81)
+    ]
+    assert moved[0] == 1 and moved[-1] == 0
+    # Steps of 0.005, in cells of 1/4: each changes the tents by 0.02.
+    assert np.max(np.abs(np.diff(moved))) == pytest.approx(0.02, rel=1e-3)
+
+
+def test_places_that_are_not_finite_count_as_outside():
+    image, _ = differentiate_total(
+        jnp.ones((4, 4, 4)), IDENTITY, jnp.array([jnp.nan, 0, 0]), 2.0
+    )
+    assert np.all(np.asarray(image.silhouette) == 0)
+
+
+def test_signals_that_are_not_asked_for_are_none_and_colours_cost_nothing():
+    scene = make_scene(dtype=np.float32)
+    call = functools.partial(dpc_jax.project_volume, grid=dpc_jax.VoxelGrid(6))
+    image = call(scene["volume"], scene["rotation"], colors=scene["colors"])
+    assert image.depth is None and image.color is None and image.termination is None
+    with_colors, without = (
+        str(jax.make_jaxpr(call)(scene["volume"], scene["rotation"], colors=colors))
+        for colors in (scene["colors"], None)
+    )
+    assert with_colors.count(" gather") == without.count(" gather")
+
+
+GOOD = {"volume": np.zeros((4, 5, 6), "f4"), "rotation": np.ones(4, "f4")}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"volume": np.zeros((2, 4, 5, 6), "f4")}, r"volume.*\[X, Y, Z\].*vmap"),
+        ({"volume": np.zeros((4, 0, 6), "f4")}, r"at least one cell.*\[4, 0, 6\]"),
+        ({"volume": np.zeros((4, 5, 6), int)}, "volume.*floating.*int"),
+        ({"rotation": np.ones(3, "f4")}, r"rotation.*\[4\].*\[3, 3\].*\[3\]"),
+        ({"translation": np.ones(2)}, r"translation.*\[3\].*\[2\]"),
+        ({"signals": ("color",)}, r"'color' must have colors"),
+        (
+            {"colors": np.ones((4, 5, 3), "f4")},
+            r"colors.*\[4, 5, 6, C\].*one colour per cell",
+        ),
+        ({"colors": np.ones((4, 5, 6, 0), "f4")}, r"colors.*\[X, Y, Z, C\].*C >= 1"),
+        ({"ray_rule": "sum"}, "ray_rule.*termination.*sum"),
+        ({"grid": 4}, "grid.*VoxelGrid"),
+    ],
+)
+def test_wrong_arguments_are_refused_in_a_sentence(change, words):
+    with pytest.raises(ValueError, match=words):
+        dpc_jax.project_volume(**(GOOD | change))
