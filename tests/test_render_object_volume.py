@@ -253,7 +253,7 @@ def differentiate_total(volume, rotation, translation, distance, kind="perspecti
 
 
 @pytest.mark.parametrize("occupancy", [0.0, 1e-30, 1.0, 3.0])
-@pytest.mark.parametrize("shape", [(1, 1, 1), (3, 3, 3), (1, 5, 2)])
+@pytest.mark.parametrize("shape", [(1, 1, 1), (4, 4, 4)])
 def test_empty_and_full_cells_of_any_number_have_finite_images_and_gradients(
     shape, occupancy
 ):
@@ -281,7 +281,7 @@ def test_a_volume_outside_the_view_leaves_no_trace_and_no_nan(away, kind):
 
 def test_what_is_behind_the_camera_is_not_seen():
     """A camera in the middle of the volume sees its front half alone."""
-    volume = jnp.zeros((6, 6, 6)).at[:, :, :3].set(1.0)
+    volume = jnp.zeros((4, 4, 4)).at[:, :, :2].set(1.0)
     image, gradients = differentiate_total(volume, IDENTITY, jnp.zeros(3), 0.0)
     seen, _ = differentiate_total(volume[:, :, ::-1], IDENTITY, jnp.zeros(3), 0.0)
     assert float(jnp.max(image.silhouette)) < 0.6  # the rim of the middle cells
