@@ -209,6 +209,7 @@ def test_the_public_names_are_these():
         "pose_summary",
         "project",
         "project_batch",
+        "project_volume",
         "quaternion",
         "reprojection_loss",
         "rotation_angle_deg",
