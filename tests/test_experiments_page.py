@@ -8,7 +8,8 @@ import pytest
 
 from dpc_jax import paper
 from dpc_jax.config import to_json
-from dpc_jax.experiments.catalogue import EXPERIMENTS, Row
+from dpc_jax.experiments.catalogue import EXPERIMENTS
+from dpc_jax.experiments.declarations import Row
 from dpc_jax.experiments.report.tables import format_summary, make_table
 from dpc_jax.experiments.report.targets import check_targets
 from dpc_jax.experiments.results import Outcome, Results, Summary, summarize

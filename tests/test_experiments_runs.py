@@ -4,7 +4,8 @@ import dataclasses
 
 import pytest
 
-from dpc_jax.experiments.catalogue import EXPERIMENTS, Row, find_experiments
+from dpc_jax.experiments.catalogue import EXPERIMENTS, find_experiments
+from dpc_jax.experiments.declarations import Row
 from dpc_jax.experiments.runs import Request, Source, declare_run, list_runs
 from dpc_jax.experiments.sizes import CPU, FULL, QUICK, SIZES
 

@@ -332,12 +332,11 @@ def make_boxes(folder, count):
     return str(folder)
 
 
-def test_naive_known_and_labelled_poses_and_another_source_run_too(command):
+def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(command):
     # Known poses need no alignment, one regressor no ensemble: all paths report.
     short = {"train.steps": 2, "train.warmup_steps": 0, "render.keep_levels": 1}
     quick = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}  # compiling is most of the time
     for name, fields in {
-        "naive": {"pose.candidates": 1},
         "known": {"pose.known": True, "train.color_weight": 0.1},
         "labels": {"pose.labels": True, "pose.flips": False},
         "other": {

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_runs import compiling_quickly
 
 import dpc_jax
 from dpc_jax.render import devices
@@ -37,11 +36,7 @@ def sum_images(images):
     return sum(w * jnp.sum(images[n] ** 2) for n, w in weights.items())
 
 
-@pytest.fixture(autouse=True, scope="module")
-def quickly():
-    """Each program runs once."""
-    with compiling_quickly():
-        yield
+pytestmark = pytest.mark.usefixtures("quickly")
 
 
 def assert_close(found, right):

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dpc_jax.experiments.catalogue import Experiment
+from dpc_jax.experiments.declarations import Experiment
 from dpc_jax.experiments.results import Outcome, Results
 from dpc_jax.files import digest_text, write_json
 

@@ -1,70 +1,16 @@
 """The experiments of the paper, each a list of rows; a further method is a further row.
 
-A row says which config is trained, by its variant and what differs beside it. Rows of
-several experiments that come to the same config are the same run.
+What a row and an experiment say is in `declarations`.
 """
 
-import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from dpc_jax.experiments import published
+from dpc_jax.experiments.declarations import Experiment, Row
 from dpc_jax.experiments.point_sizes import list_changes
-from dpc_jax.experiments.published import CATEGORIES, PublishedTable
 
 POSES = ("pose_accuracy", "pose_median_error_deg")
 KINDS = {"": "hand-tuned σ", "sigma": "learned σ", "covariance": "learned covariance"}
-
-
-@dataclasses.dataclass(frozen=True)
-class Row:
-    """A line of a table.
-
-    Attributes:
-      label: in our table.
-      published: name of the paper's row in the experiment's table; "" for none.
-      variant: the text after the colon of --config; None for another system that has
-        no config here, of which the paper's number alone is shown.
-      changes: "section.field": value, beside the variant.
-      tag: names the changes in the folder of the run; "" without changes.
-      budget: of the size; "" for that of the resolution.
-    """
-
-    label: str
-    published: str = ""
-    variant: str | None = None
-    changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    tag: str = ""
-    budget: str = ""
-
-
-@dataclasses.dataclass(frozen=True)
-class Experiment:
-    """One table or figure of the paper.
-
-    Attributes:
-      name: of --experiment.
-      title, question: of its section of the page.
-      table: the paper's numbers.
-      metrics: names of `metrics.json` that its table shows.
-      rows: what is trained.
-      categories: that it can be made of.
-      analysis: "module:function" under `dpc_jax.experiments`, run on the finished
-        workdirs; it gives metrics and figures. "" for none.
-      reads: what the analysis is given: "all" of the workdirs, or the "first".
-      picture: of each row's own report that the page shows; "" for none.
-    """
-
-    name: str
-    title: str
-    question: str
-    table: PublishedTable
-    metrics: tuple[str, ...]
-    rows: tuple[Row, ...]
-    categories: tuple[str, ...] = CATEGORIES
-    analysis: str = ""
-    reads: str = "first"
-    picture: str = ""
 
 
 def _learn_points(kind: str, count: int) -> Row:

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from dpc_jax.config import Config
-from dpc_jax.experiments.catalogue import NAMES, Experiment, Row
+from dpc_jax.experiments.catalogue import NAMES
+from dpc_jax.experiments.declarations import Experiment, Row
 from dpc_jax.experiments.published import MEAN
 from dpc_jax.experiments.runs import Request, Run
 

@@ -8,7 +8,8 @@ from typing import Any
 
 from dpc_jax import config as configs
 from dpc_jax.config import Config, from_config_dict
-from dpc_jax.experiments.catalogue import Experiment, Row, find_experiments
+from dpc_jax.experiments.catalogue import find_experiments
+from dpc_jax.experiments.declarations import Experiment, Row
 from dpc_jax.experiments.sizes import RESOLUTIONS, SIZES, Size
 
 CONFIGS = Path(configs.__file__).parents[2] / "configs"

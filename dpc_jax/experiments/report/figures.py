@@ -7,7 +7,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 
 from dpc_jax.evaluation.metrics import get_metric
-from dpc_jax.experiments.catalogue import Experiment, Row
+from dpc_jax.experiments.declarations import Experiment, Row
 from dpc_jax.experiments.published import MEAN
 from dpc_jax.experiments.results import Results
 from dpc_jax.experiments.runs import find_resolution

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from dpc_jax.experiments.analyses import Analysis
-from dpc_jax.experiments.catalogue import NAMES, Experiment
+from dpc_jax.experiments.catalogue import NAMES
+from dpc_jax.experiments.declarations import Experiment
 from dpc_jax.experiments.report.blocks import (
     Block,
     Figure,

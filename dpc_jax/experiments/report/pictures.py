@@ -5,7 +5,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from dpc_jax.experiments.catalogue import Experiment
+from dpc_jax.experiments.declarations import Experiment
 from dpc_jax.experiments.report.figures import Drawn
 from dpc_jax.experiments.results import Results
 from dpc_jax.files import write_bytes

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 from dpc_jax.evaluation.metrics import MISSING, get_metric
-from dpc_jax.experiments.catalogue import Experiment, Row
+from dpc_jax.experiments.declarations import Experiment, Row
 from dpc_jax.experiments.published import MEAN
 from dpc_jax.experiments.results import Results, Summary
 

@@ -5,7 +5,8 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from dpc_jax.experiments.catalogue import EXPERIMENTS, Experiment, Row
+from dpc_jax.experiments.catalogue import EXPERIMENTS
+from dpc_jax.experiments.declarations import Experiment, Row
 from dpc_jax.experiments.report.tables import format_value
 from dpc_jax.experiments.results import Results
 
