@@ -334,7 +334,11 @@ def test_every_view_has_its_own_predictions_in_its_place(predictions, output):
 def test_the_best_candidate_is_the_one_whose_silhouette_fits_best(predictions, output):
     targets = downsample_images(DATASET.masks.reshape(9, 16, 16), 8)
     sigma = compute_sigma(8, CONFIG.render, steps=8)
-    compare = functools.partial(compute_candidate_losses, sigma=sigma, camera=Camera())
+
+    def compare(points, mass, candidates, target):
+        scene = {"points": points, "mass": mass, "sigma": sigma}
+        return compute_candidate_losses(scene, candidates, target, camera=Camera())
+
     losses = jax.jit(jax.vmap(compare))(
         output["points"], output["scale"], output["candidates"], targets
     )

@@ -24,6 +24,7 @@ CROPS = ("object", "view", "none")  # what shares one scale
 CHOICE_RANKS = ("volume", "image")  # what candidates are ranked in
 STUDENT_LOSSES = ("absolute", "signed", "squared")  # forms of the angular difference
 FRONTS = ("", "+x", "-x", "+z", "-z")
+SHAPES = ("points", "voxels")  # what the shape branch predicts
 POINT_SIZES = ("", "sigma", "covariance")  # what is learned of each point's size
 _IMAGE_SIZE = Allowed(
     lambda size: size >= 16 and size & (size - 1) == 0,
@@ -78,6 +79,8 @@ class Network:
     head_layers: int = field(2, at_least(0))  # hidden, of each pose head (naive: 0)
     pose_slope: float = field(0.2, between(0, 1))  # leaky ReLU that pose heads share
     point_size: str = field("", one_of(*POINT_SIZES))  # learned of each point; "": none
+    shape: str = field("points", one_of(*SHAPES))  # predicted; voxels: of render.grid
+    voxel_channels: int = field(16, at_least(1))  # of the volume of half the side
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,6 +98,7 @@ class Render:
     keep_start: float = field(0.1, above(0, 1))  # share of points kept (§ Training)
     keep_end: float = field(1.0, above(0, 1))  # share of points kept
     keep_levels: int = field(4, at_least(1))  # stairs of that schedule; a program each
+    ray_rule: str = field("termination", one_of("termination", "maximum"))  # of a ray
     scale_unit: str = field("mass", one_of("peak", "mass"))  # of the learned scale
     scale_fixed: float = field(0.0, at_least(0))  # in that unit; 0: learned
     focal_length: float = field(1.875, POSITIVE)  # of an image 1 wide
@@ -166,9 +170,8 @@ class Train:
     repulsion_points: int = field(500, at_least(0))  # that repel each other in a step
     containment_weight: float = field(1.0, at_least(0))  # of points beyond radius 1/2
     silhouette_weight: float = field(1.0, at_least(0))  # per pixel; 0: not compared
-    depth_weight: float = field(
-        0.0, at_least(0)
-    )  # per pixel, of diagonals; 0: no depths
+    background_weight: float = field(0.0, between(0, 1))  # event cost; 0: squares
+    depth_weight: float = field(0.0, at_least(0))  # per pixel and diagonal; 0: none
     color_weight: float = field(0.0, at_least(0))  # per pixel; 0: no colours
 
 

@@ -96,6 +96,17 @@ VARIANTS: dict[str, Changes] = {
         "data": {"image_size": 128},
         "render": {"grid": 128, "fine_grid": 0, "num_points": 16_000},
     },
+    # The systems that the paper compares with (docs/baselines.md).
+    "ours_v": {"network": {"shape": "voxels"}, "render": {"fine_grid": 0}},
+    "ptn": {
+        "network": {"shape": "voxels"},
+        "render": {"fine_grid": 0, "ray_rule": "maximum"},
+    },
+    "drc": {
+        "network": {"shape": "voxels"},
+        "render": {"fine_grid": 0},
+        "train": {"background_weight": 0.2},
+    },
     # § Network architecture and § Colored point clouds: other signals beside
     # silhouettes (docs/supervision.md has what each weight gave).
     "depth": {"train": {"depth_weight": 5.0}},
@@ -110,6 +121,7 @@ PAPER_MODELS = {
 EXCLUSIVE = (
     ("naive", "known_pose", "gt_pose"),  # how poses are learned
     ("32", "64", "128"),
+    ("ours_v", "ptn", "drc"),
 )
 
 

@@ -16,25 +16,42 @@ def average_covariance(
     points: jax.Array,
     step: jax.Array,
     *,
+    weights: jax.Array | None = None,
     axis: str | None = None,
 ) -> jax.Array:
     """The running covariance [3, 3] after one more batch of points [..., 3].
+
+    Weights are [...], of each point; None for all alike.
 
     The plain mean at first, then an exponential average over a hundred batches.
     Devices along a named axis, each with its share of the batch, get that of all.
     """
     weight = jnp.maximum(0.01, 1 / (step + 1))
-    current = compute_covariance(points.reshape(-1, 3), axis=axis)
+    if weights is not None:
+        weights = weights.reshape(-1)
+    current = compute_covariance(points.reshape(-1, 3), weights, axis=axis)
     return (1 - weight) * covariance + weight * current
 
 
-def compute_covariance(points: jax.Array, *, axis: str | None = None) -> jax.Array:
-    """Covariance [3, 3] of points [N, 3], without gradient; axis as above."""
-    points = jax.lax.stop_gradient(points)
+def compute_covariance(
+    points: jax.Array, weights: jax.Array | None = None, *, axis: str | None = None
+) -> jax.Array:
+    """Covariance [3, 3] of points [N, 3], without gradient; the rest as above."""
+    points, weights = jax.lax.stop_gradient((points, weights))
+    if weights is not None:
+        return _weigh_covariance(points, weights, axis)
     centre = _average(jnp.mean(points, axis=0, keepdims=True), axis)
     away = points - centre
     moments = jnp.matmul(away.T, away, precision="highest") / points.shape[0]
     return _average(moments, axis)
+
+
+def _weigh_covariance(points, weights, axis):
+    total = _average(jnp.sum(weights), axis)
+    shares = (weights / jnp.maximum(total, jnp.finfo(weights.dtype).tiny))[:, None]
+    centre = _average(jnp.sum(shares * points, axis=0, keepdims=True), axis)
+    away = points - centre
+    return _average(jnp.matmul((shares * away).T, away, precision="highest"), axis)
 
 
 def _average(value, axis):

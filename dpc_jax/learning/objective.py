@@ -16,9 +16,11 @@ from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import average_covariance
 from dpc_jax.learning.predictions import (
+    Cells,
     Poses,
     Shapes,
     encode_views,
+    find_places,
     predict_poses,
     predict_shapes,
 )
@@ -87,7 +89,10 @@ def compute_loss(
         rotations = batch["quaternions"]
     else:
         if pose.half_turns:
-            covariance = average_covariance(covariance, shapes.kept, step, axis=AXIS)
+            places, weights = find_places(shapes)
+            covariance = average_covariance(
+                covariance, places, step, weights=weights, axis=AXIS
+            )
         poses = predict_poses(params, features, covariance, network=network, pose=pose)
         if pose.labels:
             rotations = batch["quaternions"]
@@ -123,9 +128,13 @@ def compute_loss(
     return compared + sum_terms(terms), (metrics, covariance)
 
 
-def compute_priors(shapes: Shapes, step: jax.Array, *, train: Train) -> dict[str, Term]:
-    """Regularisers of the shape, 0 where they have no weight yet. Not in the paper."""
+def compute_priors(
+    shapes: Shapes | Cells, step: jax.Array, *, train: Train
+) -> dict[str, Term]:
+    """Regularisers of points, 0 where they have no weight yet. Not in the paper."""
     terms = {}
+    if isinstance(shapes, Cells):
+        return terms
     if train.containment_weight:
         outside = jnp.mean(jax.vmap(losses.containment_loss)(shapes.points))
         terms["containment"] = Term(outside, train.containment_weight)

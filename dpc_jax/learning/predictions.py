@@ -34,6 +34,23 @@ class Shapes(NamedTuple):
     sigma: jax.Array
 
 
+class Cells(NamedTuple):
+    """Predicted volumes of B objects, of voxel models.
+
+    Attributes:
+      cells: [B, D, D, D] occupancies in the object frame, see `project_volume`.
+      colors: [B, D, D, D, 3], or None.
+    """
+
+    cells: jax.Array
+    colors: jax.Array | None
+
+    @property
+    def scale(self) -> jax.Array:
+        """[B], mean occupancy, which is recorded where points have their scale."""
+        return jnp.mean(self.cells, axis=(1, 2, 3))
+
+
 class Poses(NamedTuple):
     """Predicted poses of n views.
 
@@ -74,7 +91,7 @@ def predict_shapes(
     kept_points: int,
     scale_unit: str,
     grid: int,
-) -> Shapes:
+) -> Shapes | Cells:
     """The shape of each object from its features [B, F], with point dropout.
 
     One subset of points serves all views and candidates of an object, so that the
@@ -84,6 +101,8 @@ def predict_shapes(
     """
     shape = network.apply(params, features, method="predict_shape")
     assert isinstance(shape, dict)
+    if "cells" in shape:
+        return Cells(shape["cells"], shape.get("colors"))
     points, colors = shape["points"], shape.get("colors")
     size, mass = find_sizes(shape, sigma, scale_unit=scale_unit, grid=grid)
     order = jax.vmap(functools.partial(draw_order, count=points.shape[1]))(keys)
@@ -96,6 +115,20 @@ def predict_shapes(
             jax.vmap(lambda array, rows: array[rows]), (size, mass), (subset, subset)
         )
     return Shapes(points, kept, colors, shape["scale"], mass, size)
+
+
+def find_places(shapes: Shapes | Cells) -> tuple[jax.Array, jax.Array | None]:
+    """Where the matter of shapes is: places [B, n, 3], and weights [B, n] or None.
+
+    All kept points alike, or the centres of cells by their occupancies.
+    """
+    if isinstance(shapes, Shapes):
+        return shapes.kept, None
+    sides = shapes.cells.shape[1:]
+    axes = [(jnp.arange(side) + 0.5) / side - 0.5 for side in sides]
+    centers = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    weights = shapes.cells.reshape(len(shapes.cells), -1)
+    return jnp.broadcast_to(centers[None], (*weights.shape, 3)), weights
 
 
 def find_sizes(

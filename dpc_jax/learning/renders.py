@@ -1,65 +1,142 @@
-"""Many renders of one step: one after the other, or side by side."""
+"""Renders of a scene: a predicted shape, seen from the candidates of a view.
+
+A scene has what one object is rendered from, by name: points [N, 3], their mass and
+sigma (`point_sizes`), or cells [D, D, D] of a voxel model; and its colors, [N, 3] or
+[D, D, D, 3], where they are compared. A batch has one axis more.
+"""
 
 from collections.abc import Mapping
 
-import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.learning.point_sizes import split_size
+from dpc_jax.config import Render
+from dpc_jax.learning.point_sizes import (
+    has_own_sizes,
+    scale_point_sizes,
+    split_size,
+)
+from dpc_jax.learning.predictions import Cells, Shapes, find_sizes
 from dpc_jax.learning.signals import SILHOUETTES, Weights, compare_images
-from dpc_jax.render import Camera, VoxelGrid, project
+from dpc_jax.render import Camera, Projection, VoxelGrid, project, project_volume
 from dpc_jax.render.batch import map_renders
 from dpc_jax.render.devices import AUTOMATIC
 
+Scene = Mapping[str, jax.Array]
+
+
+def make_scenes(
+    shapes: Shapes | Cells, ratio: float = 1.0
+) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
+    """The scenes of a batch: what each has of its own, and what all share.
+
+    Args:
+      shapes: of B objects. ratio: of the grid that they are rendered in to the base
+        grid, in whose voxels the sizes of points are.
+    """
+    colors = {} if shapes.colors is None else {"colors": shapes.colors}
+    if isinstance(shapes, Cells):
+        return {"cells": shapes.cells} | colors, {}
+    sigma, mass = scale_point_sizes(shapes.sigma, shapes.mass, ratio)
+    scene = {"points": shapes.kept, "mass": mass} | colors
+    if has_own_sizes(sigma):
+        return scene | {"sigma": sigma}, {}
+    return scene, {"sigma": sigma}
+
+
+def find_scenes(
+    output: Mapping[str, jax.Array], sigma: jax.Array, *, render: Render
+) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
+    """`make_scenes` of all that a network predicts, without point dropout.
+
+    Args:
+      output: of the network. sigma: () of the schedule, in voxels of the base grid.
+    """
+    colors = output.get("colors")
+    if "cells" in output:
+        return make_scenes(Cells(output["cells"], colors))
+    points, scale = output["points"], output["scale"]
+    size, mass = find_sizes(
+        output, sigma, scale_unit=render.scale_unit, grid=render.grid
+    )
+    return make_scenes(Shapes(points, points, colors, scale, mass, size))
+
+
+def resize_scene(scene: Scene, ratio: float) -> Scene:
+    """A scene for a grid with `ratio` times as many cells per side."""
+    if "cells" in scene:
+        return scene
+    sigma, mass = scale_point_sizes(scene["sigma"], scene["mass"], ratio)
+    return {**scene, "sigma": sigma, "mass": mass}
+
+
+def render_scene(
+    scene: Scene,
+    rotation: jax.Array,
+    *,
+    translation: jax.Array | None,
+    camera: Camera,
+    side: int,
+    signals: tuple[str, ...],
+    ray_rule: str = "termination",
+    background_depth: jax.Array | float = 10.0,
+) -> Projection:
+    """The images of a scene in a cubic grid of that side; see `project`."""
+    view = {
+        "translation": translation,
+        "camera": camera,
+        "grid": VoxelGrid(side),
+        "signals": signals,
+        "ray_rule": ray_rule,
+        "background_depth": background_depth,
+        "colors": scene["colors"] if "color" in signals else None,
+    }
+    if "cells" in scene:
+        return project_volume(scene["cells"], rotation, **view)
+    sigma, covariance = split_size(jnp.asarray(scene["sigma"]))
+    sizes = {"sigma": sigma, "covariance": covariance, "scale": scene["mass"]}
+    return project(scene["points"], rotation, **sizes, **view)
+
 
 def compute_candidate_losses(
-    points: jax.Array,
-    mass: chex.Numeric,
+    scene: Scene,
     candidates: jax.Array,
     target: jax.Array,
     *,
-    sigma: chex.Numeric,
     camera: Camera,
     renders_at_once: int = AUTOMATIC,
     translation: jax.Array | None = None,
-    colors: jax.Array | None = None,
     others: Mapping[str, jax.Array] | None = None,
     weights: Weights = SILHOUETTES,
+    ray_rule: str = "termination",
 ) -> jax.Array:
     """Loss of each pose candidate of one view, by its silhouette or by more signals.
 
     Args:
-      points: [N, 3]. mass: (), of each, in voxels; or [N].
+      scene: with sizes in voxels of the target's grid.
       candidates: [C, 4] quaternions.
       target: [D, D] silhouette.
-      sigma: (), in voxels, or sizes of each point, see `point_sizes`.
+      camera, ray_rule: see `project`.
       renders_at_once: how many candidates are rendered side by side, see `map_renders`.
       translation: [3] of the object in the camera frame.
-      colors: [N, 3], others: targets of other signals by name (`make_targets`), as the
-        weights need them.
+      others: targets of other signals by name (`make_targets`), as the weights need
+        them.
       weights: of the signals.
 
     Returns:
       [C].
     """
-    grid = VoxelGrid(target.shape[0])
-    shared, covariance = split_size(jnp.asarray(sigma))
-
     targets = {"silhouette": target, **(others or {})}
 
     def compute_loss(candidate):
-        image = project(
-            points,
+        image = render_scene(
+            scene,
             candidate,
-            sigma=shared,
-            covariance=covariance,
-            scale=mass,
-            colors=colors,
             translation=translation,
             camera=camera,
-            grid=grid,
+            side=target.shape[0],
             signals=weights.renders,
+            ray_rule=ray_rule,
         )
         return compare_images(image, targets, weights=weights, camera=camera)[0]
 

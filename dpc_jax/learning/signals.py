@@ -31,17 +31,22 @@ class Weights(NamedTuple):
     """Weights of the losses of a view's signals, per pixel; static.
 
     Depths are in box diagonals. A signal of weight 0 is neither rendered nor read.
+
+    Attributes:
+      silhouette, depth, color: of the signals.
+      background: above 0 silhouettes are compared by their event cost, in which a
+        pixel of the background has this weight and one of the object 1.
     """
 
     silhouette: float = 1.0
     depth: float = 0.0
     color: float = 0.0
+    background: float = 0.0
 
     @property
     def signals(self) -> tuple[str, ...]:
         """The signals that have a weight."""
-        pairs = zip(self._fields, self, strict=True)
-        return tuple(name for name, weight in pairs if weight)
+        return tuple(name for name in LOSSES if getattr(self, name))
 
     @property
     def renders(self) -> tuple[str, ...]:
@@ -55,7 +60,12 @@ SILHOUETTES = Weights()
 
 def read_weights(train: Train) -> Weights:
     """The weights that a run trains with."""
-    return Weights(train.silhouette_weight, train.depth_weight, train.color_weight)
+    return Weights(
+        train.silhouette_weight,
+        train.depth_weight,
+        train.color_weight,
+        train.background_weight,
+    )
 
 
 def list_extras(config: Config) -> tuple[str, ...]:
@@ -132,11 +142,31 @@ def compare_images(
             is_alone = not weights.silhouette
             term = compare_depths(image, targets, camera=camera, is_alone=is_alone)
         else:
-            term = reprojection_loss(getattr(image, signal), targets[signal])
+            rendered, target = getattr(image, signal), targets[signal]
+            if signal == "silhouette" and weights.background:
+                term = sum_event_costs(rendered, target, background=weights.background)
+            else:
+                term = reprojection_loss(rendered, target)
         terms[LOSSES[signal]] = term
         part = term if weight == 1 else weight * term
         total = part if len(terms) == 1 else total + part
     return total, terms
+
+
+def sum_event_costs(
+    silhouette: jax.Array, target: jax.Array, *, background: float
+) -> jax.Array:
+    """Ray consistency with a mask (Tulsiani et al., CVPR 2017), over all pixels; ().
+
+    It costs 1 that the ray of an object's pixel passes, and `background` that the ray
+    of another one is stopped: m·(1 - S) + background·(1 - m)·S for a pixel of which the
+    object covers the share m.
+
+    Args:
+      silhouette: [D, D], S, the probability that a ray is stopped. target: [D, D], m.
+    """
+    missed = jnp.sum(target * (1 - silhouette))
+    return missed + background * jnp.sum((1 - target) * silhouette)
 
 
 def compare_depths(

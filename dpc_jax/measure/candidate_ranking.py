@@ -26,7 +26,7 @@ from dpc_jax.learning.choice.coarse_choice import (
 )
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import encode_views, predict_poses, predict_shapes
-from dpc_jax.learning.renders import compute_candidate_losses
+from dpc_jax.learning.renders import compute_candidate_losses, make_scenes
 from dpc_jax.learning.step import TrainState
 from dpc_jax.render import Camera
 from dpc_jax.reporting.tables import format_table
@@ -50,15 +50,14 @@ def make_ranker(config: Config, step: int) -> Callable:
     camera = Camera(render.focal_length, render.distance)
 
     def compare(view):
-        *drawn, own = view
-        points, mass, candidates, target = drawn
-        size = sigma if own is None else own
-        yield compute_candidate_losses(*drawn, sigma=size, camera=camera)
+        scene, candidates, target = view
+        yield compute_candidate_losses(scene, candidates, target, camera=camera)
         for rank, side, count in WAYS:
             if rank == "volume":
                 yield compute_coarse_losses(
-                    *drawn,
-                    sigma=size,
+                    scene,
+                    candidates,
+                    target,
                     camera=camera,
                     choice_grid=side,
                     choice_points=count,
@@ -66,15 +65,19 @@ def make_ranker(config: Config, step: int) -> Callable:
                 )
             else:
                 places = place_candidates(
-                    points,
+                    scene["points"],
                     candidates,
                     side=side,
                     camera=camera,
                     choice_points=count,
-                    size=size,
+                    size=scene["sigma"],
                 )
                 yield compute_image_losses(
-                    places, mass, target, sigma=size, choice_grid=side
+                    places,
+                    scene["mass"],
+                    target,
+                    sigma=scene["sigma"],
+                    choice_grid=side,
                 )
 
     def rank(state, batch, key):
@@ -94,14 +97,18 @@ def make_ranker(config: Config, step: int) -> Callable:
         )
         views = features.shape[1]
         targets = downsample_images(batch["masks"], render.grid)
+        scene, shared = make_scenes(shapes)
         inputs = (
-            jnp.repeat(shapes.kept, views, axis=0),
-            jnp.repeat(shapes.mass, views, axis=0),
+            {name: jnp.repeat(a, views, axis=0) for name, a in scene.items()},
             poses.candidates,
             targets.reshape(-1, *targets.shape[2:]),
-            jnp.repeat(shapes.sigma, views, axis=0) if shapes.sigma.ndim else None,
         )
-        losses = jax.lax.map(lambda view: jnp.stack(list(compare(view))), inputs)
+
+        def compare_all(view):
+            scene, *rest = view
+            return jnp.stack(list(compare((scene | shared, *rest))))
+
+        losses = jax.lax.map(compare_all, inputs)
         return jnp.swapaxes(losses, 0, 1)
 
     return jax.jit(rank)

@@ -9,6 +9,7 @@ from dpc_jax.networks.camera import FOCAL_RANGE, TRANSLATION_RANGE, BoundedHead
 from dpc_jax.networks.encoder import ImageEncoder
 from dpc_jax.networks.pose import PoseEnsemble, PoseSelector, PoseStudent
 from dpc_jax.networks.shape import ShapeHead
+from dpc_jax.networks.voxels import VoxelHead
 
 
 class ShapePoseNetwork(nn.Module):
@@ -20,6 +21,8 @@ class ShapePoseNetwork(nn.Module):
     Attributes:
       num_points, shape_hidden, has_color, scale_fixed, point_size, first_size: of the
         `ShapeHead`.
+      voxels: side of the volume that the `VoxelHead` predicts; 0 for points.
+      voxel_channels: of it.
       candidates: K, the number of pose predictors; 0 where poses are known.
       channels, hidden, normalize, blocks: of the `ImageEncoder`.
       num_classes: how many candidates the student selects from, turned ones included;
@@ -48,6 +51,8 @@ class ShapePoseNetwork(nn.Module):
     first_size: float = 0.05
     has_translation: bool = False
     focal_length: float = 0.0
+    voxels: int = 0
+    voxel_channels: int = 16
 
     def setup(self) -> None:
         """Make the branches that this run learns."""
@@ -57,14 +62,7 @@ class ShapePoseNetwork(nn.Module):
             normalize=self.normalize,
             blocks=self.blocks,
         )
-        self.shape = ShapeHead(
-            num_points=self.num_points,
-            hidden=self.shape_hidden,
-            has_color=self.has_color,
-            scale_fixed=self.scale_fixed,
-            point_size=self.point_size,
-            first_size=self.first_size,
-        )
+        self.shape = self._make_shape_head()
         if self.candidates:
             self.pose = PoseEnsemble(
                 candidates=self.candidates,
@@ -87,6 +85,23 @@ class ShapePoseNetwork(nn.Module):
         if self.focal_length:
             self.focal = BoundedHead(outputs=1, bound=FOCAL_RANGE)
 
+    def _make_shape_head(self):
+        if self.voxels:
+            return VoxelHead(
+                side=self.voxels,
+                channels=self.voxel_channels,
+                has_color=self.has_color,
+                normalize=self.normalize,
+            )
+        return ShapeHead(
+            num_points=self.num_points,
+            hidden=self.shape_hidden,
+            has_color=self.has_color,
+            scale_fixed=self.scale_fixed,
+            point_size=self.point_size,
+            first_size=self.first_size,
+        )
+
     def encode(self, images: jax.Array, *, mix: jax.Array | None = None) -> jax.Array:
         """Images [B, S, S, 3] in [-1, 1] to features [B, hidden].
 
@@ -95,7 +110,7 @@ class ShapePoseNetwork(nn.Module):
         return self.encoder(images, mix=mix)
 
     def predict_shape(self, features: jax.Array) -> dict[str, jax.Array]:
-        """Features [B, F] to points [B, N, 3], scale [B], colours and sizes."""
+        """Features [B, F] to what the shape head predicts: points, or cells."""
         return self.shape(features)
 
     def predict_pose(self, features: jax.Array) -> dict[str, jax.Array]:

@@ -132,6 +132,7 @@ def _run_in(folder, config, job):
     }
     if not job.is_first:
         return
+    predictions, threshold = model.find_points(predictions)
     alignment = model.align(predictions.pop("val"))
     report_run(
         folder,
@@ -142,6 +143,7 @@ def _run_in(folder, config, job):
         alignment=alignment,
         records=log.read(),
         data_seconds=data_seconds,
+        threshold=threshold,
     )
 
 
@@ -179,9 +181,24 @@ class Model:
             return identity_alignment()  # learned in the data's own frame
         return evaluator.align(predictions, self.sets["val"])
 
+    def find_points(
+        self, predictions: dict[str, Predictions]
+    ) -> tuple[dict[str, Predictions], float | None]:
+        """Predictions with points, and the threshold that gave those of voxel models.
+
+        Args:
+          predictions: by split; "val" among them, which the threshold is tuned on.
+        """
+        if self.config.network.shape == "points":
+            return predictions, None
+        from dpc_jax.run.surfaces import find_points  # needs libraries of its own
+
+        return find_points(predictions, self.sets["val"], align=self.align)
+
     def validate(self, state: TrainState) -> dict[str, float]:
         """Metrics on the validation split."""
-        predictions = self.predict(state, "val")
+        found, _ = self.find_points({"val": self.predict(state, "val")})
+        predictions = found["val"]
         result, _ = evaluator.score(
             predictions,
             self.sets["val"],

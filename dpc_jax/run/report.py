@@ -37,6 +37,7 @@ def report_run(
     alignment: Alignment,
     records: list[dict],
     data_seconds: float,
+    threshold: float | None = None,
 ):
     """Score the test sets, write WORKDIR/report, and print what is in it.
 
@@ -45,6 +46,7 @@ def report_run(
         apart. predictions: of these two.
       outcome: of the training loop. records: of its log.
       data_seconds: spent on preparing the data.
+      threshold: of the surfaces of a voxel model.
     """
     heads = config.pose.heads
     scored = {
@@ -73,6 +75,8 @@ def report_run(
         own = scored["own"][0].metrics | measured["own"]
         metrics |= {f"own_{name}": value for name, value in own.items()}
         metrics["own_test_models"] = len(sets["own"].names)
+    if threshold is not None:
+        metrics["surface_threshold"] = threshold
     warnings = list_warnings(config, sets, shares if heads > 1 else None)
     path = write_report(
         workdir / "report",

@@ -28,6 +28,8 @@ def make_network(config: Config) -> ShapePoseNetwork:
         first_size=config.render.sigma_start,
         has_translation=config.pose.translation,
         focal_length=config.render.focal_length * config.pose.focal_length,
+        voxels=config.render.grid if config.network.shape == "voxels" else 0,
+        voxel_channels=config.network.voxel_channels,
     )
 
 

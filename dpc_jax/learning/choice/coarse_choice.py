@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning import point_sizes
-from dpc_jax.learning.renders import compute_candidate_losses
+from dpc_jax.learning.renders import Scene, compute_candidate_losses
 from dpc_jax.render import Camera, VoxelGrid
 from dpc_jax.render.camera import to_camera_frame, to_grid
 from dpc_jax.render.kernels import sample_gaussian
@@ -37,12 +37,10 @@ class ImagePoints(NamedTuple):
 
 
 def compute_coarse_losses(
-    points: jax.Array,
-    mass: jax.Array,
+    scene: Scene,
     candidates: jax.Array,
     target: jax.Array,
     *,
-    sigma: jax.Array,
     camera: Camera,
     choice_grid: int,
     choice_points: int,
@@ -51,12 +49,13 @@ def compute_coarse_losses(
 ) -> jax.Array:
     """Loss [C] of each candidate in a coarser volume and with fewer points.
 
-    Arguments as of `hindsight.choose_candidate`.
+    Arguments as of `hindsight.choose_candidate`, with the points in a scene.
 
     Raises:
       ValueError: where the coarser volume does not divide the target.
     """
-    coarse = _shrink_target(target, choice_grid)
+    coarse = shrink_target(target, choice_grid)
+    points, mass, sigma = (scene[name] for name in ("points", "mass", "sigma"))
     count = _count_points(points, choice_points)
     # Fewer points carry the mass of all.
     shared = mass * (points.shape[0] / count)
@@ -67,11 +66,9 @@ def compute_coarse_losses(
         ratio,
     )
     return compute_candidate_losses(
-        points[:count],
-        coarse_mass,
+        {"points": points[:count], "mass": coarse_mass, "sigma": coarse_sigma},
         candidates,
         coarse,
-        sigma=coarse_sigma,
         camera=camera,
         renders_at_once=renders_at_once,
         translation=translation,
@@ -146,7 +143,7 @@ def compute_image_losses(
     Raises:
       ValueError: where the coarser image does not divide the target.
     """
-    coarse = _shrink_target(target, choice_grid)
+    coarse = shrink_target(target, choice_grid)
     side = coarse.shape[0]
     if places.sigmas is not None:
         return _compare_depths(_sum_own_sizes(places, mass, target, side), coarse)
@@ -198,8 +195,12 @@ def _count_points(points, choice_points):
     return min(choice_points or points.shape[0], points.shape[0])
 
 
-def _shrink_target(target, choice_grid):
-    """The target [D, D] as the coarser image [d, d] that it is compared in."""
+def shrink_target(target: jax.Array, choice_grid: int) -> jax.Array:
+    """The target [D, D] as the coarser image [d, d] that it is compared in.
+
+    Raises:
+      ValueError: where d does not divide D.
+    """
     side = target.shape[0]
     if choice_grid and side % choice_grid:
         raise ValueError(

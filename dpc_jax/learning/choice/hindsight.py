@@ -16,11 +16,11 @@ from dpc_jax.learning.choice.coarse_choice import (
     compute_coarse_losses,
     compute_image_losses,
     place_candidates,
+    shrink_target,
 )
 from dpc_jax.learning.losses import downsample_images
-from dpc_jax.learning.point_sizes import has_own_sizes
-from dpc_jax.learning.predictions import Shapes
-from dpc_jax.learning.renders import compute_candidate_losses
+from dpc_jax.learning.predictions import Cells, Shapes
+from dpc_jax.learning.renders import compute_candidate_losses, make_scenes
 from dpc_jax.learning.signals import SILHOUETTES, Weights, make_targets
 from dpc_jax.render import Camera, checks
 from dpc_jax.render.batch import check_renders_at_once, map_renders
@@ -98,10 +98,9 @@ def choose_candidate(
         )
     checks.check_choice("choice_rank", choice_rank, CHOICE_RANKS, "choose one of these")
     how = _Choice(choice_rank, choice_grid, choice_points, choice_top, renders_at_once)
-    own = {"sigma": sigma} if has_own_sizes(sigma) else {}
-    places = _place_points(points, candidates, own, side, camera, how)
-    arguments = points, mass, candidates, target, places, own
-    return _choose(*arguments, sigma=sigma, camera=camera, how=how)
+    scene = {"points": points, "mass": mass, "sigma": sigma}
+    places = _place_points(scene, candidates, {}, side, camera, how)
+    return _choose(scene, candidates, target, places, {}, camera=camera, how=how)
 
 
 class _Choice(NamedTuple):
@@ -113,6 +112,7 @@ class _Choice(NamedTuple):
     top: int
     renders_at_once: int
     weights: Weights = SILHOUETTES  # of the exact comparison
+    ray_rule: str = "termination"
 
     @property
     def is_exact(self):
@@ -120,60 +120,79 @@ class _Choice(NamedTuple):
         return self.grid == self.points == 0
 
 
-def _place_points(points, candidates, own, side, camera, how):
+def _place_points(scene, candidates, own, side, camera, how):
     """Points in the image of each candidate, where they are ranked by an image."""
-    if how.rank != "image" or how.is_exact:
+    if how.rank != "image" or how.is_exact or "cells" in scene:
         return None
     return place_candidates(
-        points,
+        scene["points"],
         candidates,
         side=how.grid or side,
         camera=place_camera(camera, own),
         choice_points=how.points,
         translation=own.get("translation"),
-        size=own.get("sigma"),
+        size=scene["sigma"],
     )
 
 
-def _choose(points, mass, candidates, target, places, own, *, sigma, camera, how):
+def _choose(scene, candidates, target, places, own, *, camera, how):
     """`choose_candidate` of checked arguments; places of `_place_points`.
 
-    `own` is what the view has of its own: see `list_own`; the sizes of points, where
-    each has its own; and in an exact comparison of other signals than the silhouette
-    the points' colors and "others", their targets.
+    `own` is what the view has of its own: see `list_own`; and in an exact comparison of
+    other signals than the silhouette "others", their targets.
     """
-    sigma = own.get("sigma", sigma)
-    arguments = points, mass, candidates, target
     view = {
-        "sigma": sigma,
         "camera": place_camera(camera, own),
         "renders_at_once": how.renders_at_once,
         "translation": own.get("translation"),
     }
-    exactly = view | {n: own[n] for n in ("colors", "others") if n in own}
-    exactly["weights"] = how.weights
-    has_all_points = min(how.points or len(points), len(points)) == len(points)
-    has_all_cells = how.grid in (0, target.shape[0])
-    if how.is_exact or how.rank == "volume" and has_all_cells and has_all_points:
-        return jnp.argmin(compute_candidate_losses(*arguments, **exactly))
-    if places is not None:
+    exactly = view | {"weights": how.weights, "ray_rule": how.ray_rule}
+    exactly["others"] = own.get("others")
+    if _is_exact(scene, target, how):
+        return jnp.argmin(
+            compute_candidate_losses(scene, candidates, target, **exactly)
+        )
+    if "cells" in scene:
+        # Volumes stay as they are, and are seen in a coarser grid.
+        coarse = compute_candidate_losses(
+            scene,
+            candidates,
+            shrink_target(target, how.grid),
+            ray_rule=how.ray_rule,
+            **view,
+        )
+    elif places is not None:
         coarse = compute_image_losses(
-            places, mass, target, sigma=sigma, choice_grid=how.grid
+            places, scene["mass"], target, sigma=scene["sigma"], choice_grid=how.grid
         )
     else:
         coarse = compute_coarse_losses(
-            *arguments, choice_grid=how.grid, choice_points=how.points, **view
+            scene,
+            candidates,
+            target,
+            choice_grid=how.grid,
+            choice_points=how.points,
+            **view,
         )
     if how.top == 0:
         return jnp.argmin(coarse)
     _, best = jax.lax.top_k(-coarse, min(how.top, len(candidates)))
-    arguments = points, mass, candidates[best], target
-    losses = compute_candidate_losses(*arguments, **exactly)
+    losses = compute_candidate_losses(scene, candidates[best], target, **exactly)
     return best[jnp.argmin(losses)]
 
 
+def _is_exact(scene, target, how):
+    """Whether the first comparison is at full resolution already."""
+    has_all_cells = how.grid in (0, target.shape[0])
+    if "cells" in scene:
+        return has_all_cells
+    count = len(scene["points"])
+    has_all_points = min(how.points or count, count) == count
+    return how.is_exact or how.rank == "volume" and has_all_cells and has_all_points
+
+
 def choose_poses(
-    shapes: Shapes,
+    shapes: Shapes | Cells,
     candidates: jax.Array,
     masks: jax.Array,
     *,
@@ -214,44 +233,41 @@ def choose_poses(
         pose.choice_top,
         render.renders_at_once,
         weights,
+        render.ray_rule,
     )
     shapes, still, cameras = jax.lax.stop_gradient((shapes, candidates, cameras))
-    points = jnp.repeat(shapes.kept, per_object, axis=0)
+    scene, shared = make_scenes(shapes)
+    if "color" not in weights.signals:
+        scene.pop("colors", None)
+    scene = {n: jnp.repeat(a, per_object, axis=0) for n, a in scene.items()}
     flat = still.reshape(total, -1, 4)
     own = list_own(cameras, total)
-    if has_own_sizes(shapes.sigma):
-        own["sigma"] = jnp.repeat(shapes.sigma, per_object, axis=0)
     places = jax.vmap(
-        lambda points, candidates, own: _place_points(
-            points, candidates, own, render.grid, camera, how
+        lambda scene, candidates, own: _place_points(
+            scene | shared, candidates, own, render.grid, camera, how
         )
-    )(points, flat, own)
+    )(scene, flat, own)
     targets = downsample_images(masks, render.grid)
-    own |= _list_others(shapes, views or {}, render, weights, per_object)
-    inputs = (
-        points,
-        jnp.repeat(shapes.mass, per_object, axis=0),
-        flat,
-        targets.reshape(total, *targets.shape[2:]),
-        places,
-        own,
-    )
+    own |= _list_others(views or {}, render, weights)
+    targets = targets.reshape(total, *targets.shape[2:])
+
+    def choose(view):
+        scene, *rest = view
+        return _choose(scene | shared, *rest, camera=camera, how=how)
+
     indices = map_renders(
-        lambda view: _choose(*view, sigma=shapes.sigma, camera=camera, how=how),
-        inputs,
+        choose,
+        (scene, flat, targets, places, own),
         renders_at_once=render.renders_at_once,
     ).reshape(batch_size, per_object)
     poses = jnp.take_along_axis(candidates, indices[..., None, None], axis=2)[:, :, 0]
     return Winners(poses, indices)
 
 
-def _list_others(shapes, views, render, weights, per_object):
-    """Colours of the points, and targets of the signals besides silhouettes."""
+def _list_others(views, render, weights):
+    """Targets of the signals besides silhouettes."""
     names = tuple(name for name in weights.signals if name != "silhouette")
+    if not names:
+        return {}
     targets = make_targets(views, render.grid, signals=names, distance=render.distance)
-    found = {}
-    if "color" in names:
-        found["colors"] = jnp.repeat(shapes.colors, per_object, axis=0)
-    if names:
-        found["others"] = {n: a.reshape(-1, *a.shape[2:]) for n, a in targets.items()}
-    return found
+    return {"others": {n: a.reshape(-1, *a.shape[2:]) for n, a in targets.items()}}

@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Render, Train
-from dpc_jax.learning import point_sizes
 from dpc_jax.learning.cameras import Cameras, list_own, place_camera
-from dpc_jax.learning.predictions import Shapes
+from dpc_jax.learning.predictions import Cells, Shapes
+from dpc_jax.learning.renders import make_scenes, render_scene
 from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.signals import (
     Weights,
@@ -21,7 +21,7 @@ from dpc_jax.learning.signals import (
     make_targets,
     read_weights,
 )
-from dpc_jax.render import Camera, VoxelGrid, project
+from dpc_jax.render import Camera
 from dpc_jax.render.batch import map_renders
 
 
@@ -32,10 +32,11 @@ class _Static(NamedTuple):
     grid: int
     weights: Weights
     renders_at_once: int
+    ray_rule: str
 
 
 def compare_winners(
-    shapes: Shapes,
+    shapes: Shapes | Cells,
     rotations: jax.Array,
     batch: dict[str, jax.Array],
     *,
@@ -63,13 +64,10 @@ def compare_winners(
     """
     num_views = rotations.shape[0] * rotations.shape[1]
     ratio = stage.grid / render.grid
-    sigma, mass = point_sizes.scale_point_sizes(shapes.sigma, shapes.mass, ratio)
-    has_sizes = point_sizes.has_own_sizes(sigma)
-    own = {"sigma": sigma} if has_sizes else {}
     weights = read_weights(train)
+    scene, shared = make_scenes(shapes, ratio)
     learned = jax.tree.map(
-        lambda array: jnp.repeat(array, rotations.shape[1], axis=0),
-        {"points": shapes.kept, "mass": mass, "colors": shapes.colors} | own,
+        lambda array: jnp.repeat(array, rotations.shape[1], axis=0), scene
     ) | {"rotation": rotations.reshape(-1, 4)}
     learned |= list_own(cameras, num_views)
     targets = make_targets(
@@ -78,13 +76,14 @@ def compare_winners(
     given = {
         "targets": jax.tree.map(lambda a: a.reshape(num_views, *a.shape[2:]), targets),
     }
-    if not has_sizes:
-        given["sigma"] = jnp.broadcast_to(jax.lax.stop_gradient(sigma), num_views)
+    for name, value in shared.items():
+        given[name] = jnp.broadcast_to(jax.lax.stop_gradient(value), num_views)
     static = _Static(
         (render.focal_length, render.distance),
         stage.grid,
         weights,
         render.renders_at_once,
+        render.ray_rule,
     )
     result: Any = _sum_views(static, learned, given)
     total, terms = result
@@ -95,18 +94,14 @@ def compare_winners(
 def _compare_view(static, learned, given):
     """The weighted sum of a view's losses, and each of them."""
     camera = place_camera(Camera(*static.camera), learned)
-    sigma, covariance = point_sizes.split_size((given | learned)["sigma"])
-    image = project(
-        learned["points"],
+    image = render_scene(
+        given | learned,
         learned["rotation"],
-        sigma=sigma,
-        covariance=covariance,
-        scale=learned["mass"],
-        colors=learned["colors"] if static.weights.color else None,
         translation=learned.get("translation"),
         camera=camera,
-        grid=VoxelGrid(static.grid),
+        side=static.grid,
         signals=static.weights.renders,
+        ray_rule=static.ray_rule,
     )
     return compare_images(
         image, given["targets"], weights=static.weights, camera=camera

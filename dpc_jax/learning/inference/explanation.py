@@ -8,8 +8,11 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Config
 from dpc_jax.learning.cameras import place_camera
-from dpc_jax.learning.point_sizes import scale_point_sizes, split_size
-from dpc_jax.learning.renders import compute_candidate_losses
+from dpc_jax.learning.renders import (
+    compute_candidate_losses,
+    render_scene,
+    resize_scene,
+)
 from dpc_jax.learning.signals import (
     SILHOUETTES,
     Weights,
@@ -17,7 +20,7 @@ from dpc_jax.learning.signals import (
     make_targets,
     read_weights,
 )
-from dpc_jax.render import Camera, VoxelGrid, project
+from dpc_jax.render import Camera
 
 _SOURCES = {"depth": "depths", "color": "images"}  # arrays that signals are read from
 
@@ -40,14 +43,12 @@ def list_compared(views: Mapping[str, jax.Array], config: Config) -> dict[str, A
 
 
 def explain_view(
-    points: jax.Array,
-    mass: jax.Array,
+    scene: dict[str, jax.Array],
     student: jax.Array,
     candidates: jax.Array,
     target: jax.Array,
     own: dict[str, Any],
     *,
-    sigma: jax.Array,
     config: Config,
 ) -> tuple[dict[str, jax.Array], jax.Array]:
     """Images of a shape from the student's pose, and the best candidate's index.
@@ -57,11 +58,10 @@ def explain_view(
     left out.
 
     Args:
-      points: [N, 3]. mass: (), sigma: (), in voxels of the base grid; of points with
-        sizes of their own as of `Shapes`.
+      scene: of the shape, sizes in voxels of the base grid.
       student: [4]. candidates: [C, 4]. target: [D, D] silhouette.
-      own: what the view has of its own: translation [3], focal_length (), colors
-        [N, 3], sigma of points with sizes of their own, others {signal: target}.
+      own: what the view has of its own: translation [3], focal_length (), others
+        {signal: target}.
 
     Returns:
       ({"silhouettes", "depths", "color_images"} in the finest grid that training
@@ -70,36 +70,30 @@ def explain_view(
     render = config.render
     camera = place_camera(Camera(render.focal_length, render.distance), own)
     side = render.fine_grid or render.grid
-    sigma = own.get("sigma", sigma)
-    fine_size, fine_mass = scale_point_sizes(sigma, mass, side / render.grid)
-    fine_sigma, covariance = split_size(fine_size)
     is_asked = {
         "silhouette": True,
         "depth": not config.data.images or bool(config.data.test_meshes),
-        "color": "colors" in own,
+        "color": "colors" in scene,
     }
-    image = project(
-        points,
+    image = render_scene(
+        resize_scene(scene, side / render.grid),
         student,
-        sigma=fine_sigma,
-        covariance=covariance,
-        scale=fine_mass,
-        colors=own.get("colors"),
         translation=own.get("translation"),
         camera=camera,
-        grid=VoxelGrid(side),
+        side=side,
         signals=tuple(name for name, holds in is_asked.items() if holds),
+        ray_rule=render.ray_rule,
         background_depth=find_background(camera.distance),
     )
     names = {"silhouettes": image.silhouette, "depths": image.depth}
     images = names | {"color_images": image.color}
     winner = jnp.zeros((), jnp.int32)
     if len(candidates) > 1:
-        winner = _choose_exactly(points, mass, candidates, target, own, sigma, config)
+        winner = _choose_exactly(scene, candidates, target, own, config)
     return {n: a for n, a in images.items() if a is not None}, winner
 
 
-def _choose_exactly(points, mass, candidates, target, own, sigma, config):
+def _choose_exactly(scene, candidates, target, own, config):
     """Index of the candidate of the smallest loss at full resolution; ()."""
     render, others = config.render, own.get("others", {})
     weights = SILHOUETTES
@@ -109,16 +103,14 @@ def _choose_exactly(points, mass, candidates, target, own, sigma, config):
         weights = Weights(**(dict.fromkeys(wanted, 0.0) | kept))
         weights = weights if weights.signals else SILHOUETTES
     losses = compute_candidate_losses(
-        points,
-        mass,
+        scene,
         candidates,
         target,
-        sigma=sigma,
         camera=place_camera(Camera(render.focal_length, render.distance), own),
         renders_at_once=render.renders_at_once,
         translation=own.get("translation"),
-        colors=own.get("colors") if weights.color else None,
         others=others,
         weights=weights,
+        ray_rule=render.ray_rule,
     )
     return jnp.argmin(losses)

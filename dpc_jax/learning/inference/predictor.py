@@ -14,8 +14,8 @@ from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.cameras import find_cameras, list_own
 from dpc_jax.learning.inference.explanation import explain_view, list_compared
 from dpc_jax.learning.losses import downsample_images
-from dpc_jax.learning.point_sizes import has_own_sizes
-from dpc_jax.learning.predictions import complete_poses, find_sizes, scale_images
+from dpc_jax.learning.predictions import complete_poses, scale_images
+from dpc_jax.learning.renders import find_scenes
 from dpc_jax.learning.signals import list_extras
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
@@ -29,7 +29,8 @@ class Predictions(NamedTuple):
     """What the network says of M models with V views each, in its own frame.
 
     Attributes:
-      points: [M, V, N, 3], the shape predicted from each view.
+      points: [M, V, N, 3], the shape predicted from each view; of voxel models none
+        until `volumes.add_points`.
       colors: [M, V, N, 3], or None.
       poses: [M, V, 4], the student's quaternion; the given one where poses are known.
       candidate_poses: [M, V, 4], the candidate, turned or not, that fits the view best.
@@ -41,6 +42,7 @@ class Predictions(NamedTuple):
         not learned.
       sizes: [M, V, N] sigmas in voxels of the base grid, or [M, V, N, 3, 3] covariances
         in voxels², where they are learned; else None.
+      cells: [M, V, D, D, D], the occupancies that voxel models predict; else None.
     """
 
     points: np.ndarray
@@ -54,6 +56,7 @@ class Predictions(NamedTuple):
     translations: np.ndarray | None = None
     focal_lengths: np.ndarray | None = None
     sizes: np.ndarray | None = None
+    cells: np.ndarray | None = None
 
 
 def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
@@ -71,9 +74,7 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
             output = network.apply(state.params, scale_images(images))
         assert isinstance(output, dict)
         sigma = schedules.compute_sigma(state.step, render, steps=config.train.steps)
-        sigma, mass = find_sizes(
-            output, sigma, scale_unit=render.scale_unit, grid=render.grid
-        )
+        scene, shared = find_scenes(output, sigma, render=render)
         candidates, students = quaternions[:, None], quaternions
         if not pose.known:
             poses = complete_poses(output, state.covariance, pose=pose)
@@ -83,22 +84,24 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
         own = list_own(cameras, len(images)) | list_compared(
             {"images": images, "masks": masks, **extras}, config
         )
-        if "colors" in output:
-            own["colors"] = output["colors"]
-        if has_own_sizes(sigma):
-            own["sigma"] = output["sizes"] = sigma
+        if "sigma" in scene:
+            output["sizes"] = scene["sigma"]
+
+        def explain(view):
+            scene, *rest = view
+            return explain_view(scene | shared, *rest, config=config)
+
         rendered, winners = map_renders(
-            lambda view: explain_view(*view, sigma=sigma, config=config),
-            (output["points"], mass, students, candidates, targets, own),
+            explain,
+            (scene, students, candidates, targets, own),
             renders_at_once=render.renders_at_once,
         )
         result = {
-            "points": output["points"],
             "poses": students,
             "candidate_poses": jax.vmap(lambda q, k: q[k])(candidates, winners),
             "winners": winners,
         }
-        kept = ("colors", "sizes", "translations", "focal_lengths")
+        kept = ("points", "cells", "colors", "sizes", "translations", "focal_lengths")
         return result | rendered | {n: output[n] for n in kept if n in output}
 
     mesh = devices.make_mesh(config)
@@ -195,4 +198,7 @@ def predict_all(
         )
         for name in parts[0]
     }
+    if "cells" in merged:
+        # Their colours are of cells, and points have none.
+        merged |= {"points": np.zeros((*models.shape, 0, 3)), "colors": None}
     return Predictions(colors=merged.pop("colors", None), **merged)

@@ -1,0 +1,116 @@
+"""The shape branch of voxel models: features to occupancies of the object frame.
+
+The paper compares with such models (Ours-V, PTN, DRC, MVC) and describes the decoder of
+none; this one is after PTN's: a dense layer, then transposed convolutions that double
+the side down to one channel (docs/baselines.md).
+"""
+
+import itertools
+import math
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+
+from dpc_jax.networks.encoder import conv_init, leaky_relu
+
+_FIRST_SIDE = 4  # cells, of the dense layer's volume
+# The output's start. A cell of 0.05 makes a ray of 20 such cells two thirds opaque: a
+# half-filled volume would be opaque to rounding, and no background pixel had a gradient
+# (Tulsiani et al. start there, and their grids are carved from the edges inwards).
+_FIRST_OCCUPANCY = 0.05
+
+
+class VoxelHead(nn.Module):
+    """A dense layer and transposed convolutions (kernel 4, stride 2).
+
+    Attributes:
+      side: of the volume, a power of two from 8 on.
+      channels: of the last volume but one; each smaller volume has twice as many.
+      has_color: predict colours too; otherwise there are no parameters for them.
+      normalize: see `ImageEncoder`.
+    """
+
+    side: int
+    channels: int = 16
+    has_color: bool = False
+    normalize: bool = True
+
+    @nn.compact
+    def __call__(self, features: jax.Array) -> dict[str, jax.Array]:
+        """Features [B, F] to "cells" [B, D, D, D], occupancies in (0, 1).
+
+        "colors" [B, D, D, D, 3] in (0, 1) where asked for.
+        """
+        doublings = (self.side // _FIRST_SIDE).bit_length() - 1
+        width = self.channels * 2 ** (doublings - 1)
+        x = nn.Dense(width * _FIRST_SIDE**3, kernel_init=conv_init)(features)
+        x = x.reshape(-1, *[_FIRST_SIDE] * 3, width)
+        for level in reversed(range(1, doublings)):
+            x = self._activate(x)
+            x = DoublingConv(self.channels * 2 ** (level - 1))(x)
+        x = self._activate(x)
+        start = math.log(_FIRST_OCCUPANCY / (1 - _FIRST_OCCUPANCY))
+        cells = DoublingConv(1, stddev=0.02, name="cells")(x)[..., 0]
+        shape = {"cells": nn.sigmoid(cells + start)}
+        if self.has_color:
+            colors = DoublingConv(3, stddev=0.02, name="colors")(x)
+            shape["colors"] = nn.sigmoid(colors)
+        return shape
+
+    def _activate(self, x):
+        if self.normalize:
+            x = nn.LayerNorm(
+                reduction_axes=tuple(range(1, x.ndim)),
+                use_bias=False,
+                use_scale=False,
+                epsilon=1e-6,
+                use_fast_variance=False,
+            )(x)
+        return leaky_relu(x)
+
+
+class DoublingConv(nn.Module):
+    """A transposed 3D convolution of kernel 4, stride 2 and padding 1.
+
+    As eight convolutions of kernel 2, one for each place that a cell of the result has
+    in its cell of the input: XLA has no fast program for strided ones on a CPU.
+
+    Attributes:
+      channels: of the result.
+      stddev: of the first weights; 0 for one that keeps the variance.
+    """
+
+    channels: int
+    stddev: float = 0.0
+
+    @nn.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        """[B, n, n, n, C] to [B, 2n, 2n, 2n, channels]."""
+        side, width = x.shape[1], x.shape[-1]
+        init = conv_init
+        if self.stddev:
+            init = nn.initializers.truncated_normal(self.stddev)
+        # Rows: of each cell's 2×2×2 neighbourhood. Columns: of each of the 8 places.
+        kernel = self.param("kernel", init, (8 * width, 8 * self.channels))
+        bias = self.param("bias", nn.initializers.zeros, (self.channels,))
+        padded = jnp.pad(x, ((0, 0), (1, 1), (1, 1), (1, 1), (0, 0)))
+        reach = side + 1
+        neighbours = jnp.concatenate(
+            [
+                padded[:, i : i + reach, j : j + reach, k : k + reach]
+                for i, j, k in itertools.product((0, 1), repeat=3)
+            ],
+            axis=-1,
+        )
+        places = jnp.matmul(neighbours, kernel)
+        places = places.reshape(*places.shape[:-1], 8, self.channels)
+        # Place 0 of a cell is reached by the cell before and itself, place 1 by itself
+        # and the cell after.
+        parts = [
+            places[:, i : i + side, j : j + side, k : k + side, 4 * i + 2 * j + k]
+            for i, j, k in itertools.product((0, 1), repeat=3)
+        ]
+        stacked = jnp.stack(parts, axis=-2).reshape(*x.shape[:-1], 2, 2, 2, -1)
+        mixed = stacked.transpose(0, 1, 4, 2, 5, 3, 6, 7)
+        return mixed.reshape(-1, *[2 * side] * 3, self.channels) + bias
