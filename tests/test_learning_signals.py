@@ -182,9 +182,8 @@ def test_beside_silhouettes_a_transparent_render_at_the_right_depth_costs_nothin
     # Four cells off, of which one is free.
     wrong = compare_one_pixel(ends, share, 2.4375, is_alone=False)
     assert wrong == pytest.approx(share * hit * 3 / 8, rel=1e-5)
-    # Alone: rays that miss what is there, and rays that hit what is not.
-    expected = share * (1 - hit) * 0.5625 + (1 - share) * hit * 0.5625
-    assert alone == pytest.approx(expected, abs=1e-6)
+    # Alone: where rays hit more or less than is there.
+    assert alone == pytest.approx(((hit - share) * 0.5625) ** 2, abs=1e-6)
 
 
 def test_half_too_near_and_half_too_far_is_not_the_right_depth():

@@ -25,9 +25,8 @@ from dpc_jax.run.setup import make_data_specs, make_network
 from dpc_jax.run.workdir import read_alignment, read_config
 
 # Hand-tuned sigma at the end of a run, a share of the volume's side, by number of
-# points. For 20 and 60 the best of those tried (docs/point_sizes.md); for more points a
-# guess that no run has confirmed: it shrinks as the square root of their number.
-HAND_TUNED = {20: 0.05, 60: 0.05, 200: 0.03, 2000: 0.01}
+# points: the best on validation views of those tried (docs/point_sizes.md).
+HAND_TUNED = {20: 0.055, 60: 0.035, 200: 0.03, 2000: 0.02}
 SHOWN = 5  # chairs in a figure
 
 

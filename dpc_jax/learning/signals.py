@@ -185,8 +185,9 @@ def compare_depths(
     Args:
       image: has its termination. targets: of `make_targets`.
       camera: of the render.
-      is_alone: where no silhouettes are compared, depths have to teach the outline: the
-        background is a further cell, for rays that miss and for pixels that are free.
+      is_alone: where no silhouettes are compared, depths have to teach the outline. The
+        squared difference of mean depths is added then, the background's included, by
+        which rays that miss an object or hit beside it are wrong.
     """
     ends = image.termination
     assert ends is not None
@@ -196,8 +197,8 @@ def compare_depths(
     depth = background + nearer / jnp.where(measured > 0, measured, 1)
     away = jnp.abs(places - depth[..., None]) - 1 / len(places)
     cost = measured[..., None] * jnp.maximum(away, 0)
-    if not is_alone:
-        return jnp.sum(ends * cost)
-    cost += (1 - measured)[..., None] * (background - places)
-    missed = 1 - jnp.sum(ends, -1)
-    return jnp.sum(ends * cost) - jnp.sum(missed * nearer)
+    total = jnp.sum(ends * cost)
+    if is_alone:
+        # Of the rays that miss or hit, the squares: as of silhouettes.
+        total += reprojection_loss(jnp.sum(ends * (places - background), -1), nearer)
+    return total
