@@ -1,6 +1,6 @@
 """Trilinear samples of a volume at any place, with gradients to volume and places."""
 
-import itertools
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,6 @@ import jax.numpy as jnp
 _IN_BOUNDS = "promise_in_bounds"
 
 
-@jax.checkpoint
 def sample_volume(volume: jax.Array, coordinates: jax.Array) -> jax.Array:
     """Values between the cells of a volume, zero beyond its rim.
 
@@ -25,21 +24,100 @@ def sample_volume(volume: jax.Array, coordinates: jax.Array) -> jax.Array:
       [...]. The gradient with respect to the coordinates is that of the tents; on a
       cell's centre it is that towards the higher index.
     """
-    shape = jnp.array(volume.shape)
-    padded = jnp.pad(volume, 1).ravel()
+    axes = jnp.moveaxis(coordinates, -1, 0).reshape(3, -1)
+    return _sample(volume, axes).reshape(coordinates.shape[:-1])
+
+
+@jax.custom_vjp
+def _sample(volume, coordinates):
+    """Samples [N] at [3, N]."""
+    first, shares, is_near = _find_corners(coordinates, volume.shape)
+    planes, _ = _blend(_read_corners(volume, first), shares)
+    return jnp.where(is_near, _mix(*planes, shares[0]), 0)
+
+
+def _find_corners(coordinates, shape):
+    """Lower corners [3, N] in the padded volume, shares of the upper, who has any."""
+    pairs = zip(coordinates, shape, strict=True)
+    near = [(along > -1) & (along < size) for along, size in pairs]
+    is_near = functools.reduce(jnp.logical_and, near)
     # Beyond the rim every sample reads padding, and has no gradient.
-    is_near = jnp.all((coordinates > -1) & (coordinates < shape), axis=-1)
-    safe = jnp.where(is_near[..., None], coordinates, 0)
-    lower = jnp.floor(jax.lax.stop_gradient(safe))
-    upper_share = safe - lower
-    shares = jnp.stack([1 - upper_share, upper_share])  # [2, ..., 3]
-    first = lower.astype(jnp.int32) + 1  # in the padded volume
-    strides = (shape[1] + 2) * (shape[2] + 2), shape[2] + 2, 1
-    total = jnp.zeros(is_near.shape, volume.dtype)
-    for corner in itertools.product((0, 1), repeat=3):
-        index, weight = jnp.zeros_like(first[..., 0]), jnp.ones((), volume.dtype)
-        for axis, step in enumerate(corner):
-            index += (first[..., axis] + step) * strides[axis]
-            weight = weight * shares[step][..., axis]
-        total += weight * padded.at[index].get(mode=_IN_BOUNDS)
-    return jnp.where(is_near, total, 0)
+    safe = jnp.where(is_near, coordinates, 0)
+    lower = jnp.floor(safe)
+    return lower.astype(jnp.int32) + 1, safe - lower, is_near
+
+
+def _read_corners(volume, first):
+    """The cells about each sample, [N, 2, 2, 2], as one window.
+
+    In the backward pass eight single reads are repeated for each of its results, which
+    took three times as long as windows (a CPU).
+    """
+    return jax.lax.gather(
+        jnp.pad(volume, 1),
+        first.T,
+        jax.lax.GatherDimensionNumbers(
+            offset_dims=(1, 2, 3), collapsed_slice_dims=(), start_index_map=(0, 1, 2)
+        ),
+        slice_sizes=(2, 2, 2),
+        mode=_IN_BOUNDS,
+    )
+
+
+def _mix(lower, upper, share):
+    return lower * (1 - share) + upper * share
+
+
+def _blend(corners, shares):
+    """Values on the two planes of the first axis, and their slopes along the others."""
+    _, along_y, along_z = shares
+    planes, slopes = [], []
+    for plane in (corners[:, 0], corners[:, 1]):
+        lines = [_mix(plane[:, i, 0], plane[:, i, 1], along_z) for i in (0, 1)]
+        steps = [plane[:, i, 1] - plane[:, i, 0] for i in (0, 1)]
+        planes.append(_mix(*lines, along_y))
+        slopes.append((lines[1] - lines[0], _mix(*steps, along_y)))
+    return planes, slopes
+
+
+def _sample_forward(volume, coordinates):
+    return _sample(volume, coordinates), (volume, coordinates)
+
+
+def _sample_backward(residuals, cotangent):
+    volume, coordinates = residuals
+    first, shares, is_near = _find_corners(coordinates, volume.shape)
+    cotangent = jnp.where(is_near, cotangent, 0)
+    planes, slopes = _blend(_read_corners(volume, first), shares)
+    slope = [planes[1] - planes[0]]
+    slope += [_mix(*both, shares[0]) for both in zip(*slopes, strict=True)]
+    volume_grad = _add_corners(cotangent, first, shares, volume.shape)
+    return volume_grad, jnp.stack(slope) * cotangent
+
+
+def _add_corners(values, first, shares, shape):
+    """Each value's shares in the cells about it, summed: the transpose of reading.
+
+    Four times one pair of cells along z. Eight single cells and one window of 2×2×2
+    take one and a half times, and three times, as long (a CPU).
+    """
+    rows, cols, depth = (side + 2 for side in shape)
+    start = (first[0] * cols + first[1]) * depth + first[2]
+    row, col, pair = (jnp.stack([1 - share, share], axis=-1) for share in shares)
+    cells = jnp.zeros(rows * cols * depth, values.dtype)
+    for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        cells = jax.lax.scatter_add(
+            cells,
+            (start + (i * cols + j) * depth)[:, None],
+            (values * row[:, i] * col[:, j])[:, None] * pair,
+            jax.lax.ScatterDimensionNumbers(
+                update_window_dims=(1,),
+                inserted_window_dims=(),
+                scatter_dims_to_operand_dims=(0,),
+            ),
+            mode=_IN_BOUNDS,
+        )
+    return cells.reshape(rows, cols, depth)[1:-1, 1:-1, 1:-1]
+
+
+_sample.defvjp(_sample_forward, _sample_backward)
