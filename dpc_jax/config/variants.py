@@ -15,6 +15,12 @@ from dpc_jax.config.sections import Config
 
 Changes = Mapping[str, Mapping[str, Any]]  # section: {field: value}
 
+# Of all voxel models: no points, so no sizes and no dropout that would need stages.
+_VOXELS = {
+    "network": {"shape": "voxels"},
+    "render": {"fine_grid": 0, "keep_levels": 1},
+}
+
 # Variants are applied in this order, whatever order they are
 # given in.
 VARIANTS: dict[str, Changes] = {
@@ -97,16 +103,9 @@ VARIANTS: dict[str, Changes] = {
         "render": {"grid": 128, "fine_grid": 0, "num_points": 16_000},
     },
     # The systems that the paper compares with (docs/baselines.md).
-    "ours_v": {"network": {"shape": "voxels"}, "render": {"fine_grid": 0}},
-    "ptn": {
-        "network": {"shape": "voxels"},
-        "render": {"fine_grid": 0, "ray_rule": "maximum"},
-    },
-    "drc": {
-        "network": {"shape": "voxels"},
-        "render": {"fine_grid": 0},
-        "train": {"background_weight": 0.2},
-    },
+    "ours_v": _VOXELS,
+    "ptn": {**_VOXELS, "render": {**_VOXELS["render"], "ray_rule": "maximum"}},
+    "drc": {**_VOXELS, "train": {"background_weight": 0.2}},
     # § Network architecture and § Colored point clouds: other signals beside
     # silhouettes (docs/supervision.md has what each weight gave).
     "depth": {"train": {"depth_weight": 5.0}},

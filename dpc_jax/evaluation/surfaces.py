@@ -5,6 +5,7 @@ As the paper evaluates voxel models (appendix § Evaluation): marching cubes, ab
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -45,7 +46,8 @@ def extract_surface(cells: ArrayLike, threshold: float) -> tuple[np.ndarray, ...
     padded = np.pad(cells, 1)
     if not cells.size or padded.max() <= threshold:
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int64)
-    vertices, faces, _, _ = marching_cubes(padded, threshold)
+    found: Any = marching_cubes(padded, threshold)
+    vertices, faces = found[:2]
     # Index 1 of the padded volume is cell 0.
     places = (vertices - 0.5) / np.array(cells.shape) - 0.5
     # Marching cubes winds triangles as seen from where values are high.
@@ -79,9 +81,7 @@ def tune_threshold(
 ) -> float:
     """The threshold of the least mean Chamfer distance on validation shapes.
 
-    A golden-section-like search over the sorted thresholds would trust that there is
-    one minimum; all are tried instead, the coarse ones first, and only those beside the
-    best of these after it.
+    Every fourth is tried, then those beside the best of these.
 
     Args:
       volumes: [X, Y, Z] occupancies of each shape, in the frame of its surface.

@@ -198,7 +198,8 @@ def predict_all(
         )
         for name in parts[0]
     }
+    colors = merged.pop("colors", None)
     if "cells" in merged:
-        # Their colours are of cells, and points have none.
-        merged |= {"points": np.zeros((*models.shape, 0, 3)), "colors": None}
-    return Predictions(colors=merged.pop("colors", None), **merged)
+        # The colours are of cells, and points are not found yet.
+        colors, merged["points"] = None, np.zeros((*models.shape, 0, 3))
+    return Predictions(colors=colors, **merged)

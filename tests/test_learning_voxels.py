@@ -1,0 +1,152 @@
+"""Voxel models in the objective: their losses, choice and half turns, and a step."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tiny_runs import (
+    make_batch,
+    make_network,
+    make_state,
+    make_step,
+    random_quaternions,
+    tiny_config,
+)
+
+from dpc_jax.config import build_config, replace_fields
+from dpc_jax.learning import signals
+from dpc_jax.learning.choice.hindsight import choose_poses
+from dpc_jax.learning.choice.winners import compare_winners
+from dpc_jax.learning.half_turns import compute_covariance
+from dpc_jax.learning.predictions import Cells, find_places
+from dpc_jax.learning.schedules import Stage
+from dpc_jax.render import Camera, VoxelGrid, project_volume
+
+pytestmark = pytest.mark.usefixtures("quickly")
+
+STAGE = Stage(kept_points=20, grid=8)
+
+
+def make_cells(seed=0):
+    rng = np.random.default_rng(seed)
+    cells = rng.uniform(0, 0.6, (2, 8, 8, 8)) ** 3
+    colors = rng.uniform(size=(2, 8, 8, 8, 3))
+    return Cells(jnp.asarray(cells, jnp.float32), jnp.asarray(colors, jnp.float32))
+
+
+def voxel_config(**fields):
+    return replace_fields(tiny_config(**fields), {"network": {"shape": "voxels"}})
+
+
+def render(cells, rotation, rule="termination"):
+    return project_volume(cells, rotation, grid=VoxelGrid(8), ray_rule=rule).silhouette
+
+
+@pytest.mark.parametrize("background", [0.0, 0.2])
+@pytest.mark.parametrize("rule", ["termination", "maximum"])
+def test_the_loss_is_that_of_plain_renders_by_the_rule_of_the_rays(rule, background):
+    config = voxel_config(ray_rule=rule, background_weight=background)
+    shapes, batch = make_cells(), make_batch()
+    rotations = jnp.array(random_quaternions(3, 4), jnp.float32).reshape(2, 2, 4)
+
+    def compare(cells):
+        return compare_winners(
+            shapes._replace(cells=cells),
+            rotations,
+            batch,
+            render=config.render,
+            train=config.train,
+            stage=STAGE,
+        )[0]
+
+    def compare_plainly(cells):
+        losses = []
+        for row, place in np.ndindex(2, 2):
+            seen = render(cells[row], rotations[row, place], rule)
+            mask = batch["masks"][row, place] / 255.0
+            mask = mask.reshape(8, 2, 8, 2).mean(axis=(1, 3))
+            if background:
+                cost = mask * (1 - seen) + background * (1 - mask) * seen
+            else:
+                cost = (seen - mask) ** 2
+            losses.append(jnp.sum(cost))
+        return sum(losses) / 4
+
+    found, slope = jax.jit(jax.value_and_grad(compare))(shapes.cells)
+    expected, right = jax.jit(jax.value_and_grad(compare_plainly))(shapes.cells)
+    assert float(found) == pytest.approx(float(expected), rel=1e-5)
+    assert float(jnp.max(jnp.abs(right))) > 1e-3
+    np.testing.assert_allclose(slope, right, atol=1e-6)
+
+
+def test_event_costs_of_a_ray_of_equal_cells_have_the_closed_form():
+    """On the object qⁿ, beside it 0.2·(1 - qⁿ), of n cells that let q through."""
+    passed = 0.9**32
+    seen = jnp.array([[1 - passed, 1 - passed]])
+    for target, expected in ((1.0, 0.0343), (0.0, 0.1931)):
+        mask = jnp.array([[target, target]])
+        cost = signals.sum_event_costs(seen, mask, background=0.2)
+        assert float(cost) / 2 == pytest.approx(expected, abs=5e-5)
+
+
+@pytest.mark.parametrize(
+    "how", [{"choice_grid": 0}, {"choice_grid": 4, "choice_top": 6}]
+)
+def test_the_candidate_whose_volume_fits_best_wins(how):
+    config = voxel_config(choice_rank="volume", renders_at_once=1, **how)
+    shapes, batch = make_cells(), make_batch()
+    candidates = jnp.array(random_quaternions(10, 4 * 6), jnp.float32).reshape(4, 6, 4)
+    choose = jax.jit(
+        lambda shapes, masks: choose_poses(
+            shapes,
+            candidates,
+            masks,
+            camera=Camera(),
+            render=config.render,
+            pose=config.pose,
+        )
+    )
+    winners = choose(shapes, batch["masks"])
+    targets = batch["masks"].reshape(2, 2, 8, 2, 8, 2).mean(axis=(3, 5)) / 255
+    for row, place in np.ndindex(2, 2):
+        losses = [
+            float(jnp.sum((render(shapes.cells[row], q) - targets[row, place]) ** 2))
+            for q in candidates[2 * row + place]
+        ]
+        assert int(winners.indices[row, place]) == np.argmin(losses)
+
+
+def test_half_turns_are_about_the_axes_of_what_is_filled():
+    """A bar of full cells among empty ones: its length has nearly all variance."""
+    cells = jnp.zeros((1, 8, 8, 8)).at[0, :, 3:5, 3:5].set(1.0)
+    places, weights = find_places(Cells(cells, None))
+    assert weights is not None
+    covariance = compute_covariance(places.reshape(-1, 3), weights.reshape(-1))
+    # Uniform over 8 cells of 1/8, and over 2 of them.
+    expected = np.diag([(8**2 - 1) / 12, 0.25, 0.25]) / 64
+    np.testing.assert_allclose(covariance, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["ours_v", "ptn", "drc"])
+def test_a_variant_predicts_cells_alone_and_learns_from_silhouettes(name):
+    variant = build_config("chair", f"known_pose,{name},32")
+    assert variant.network.shape == "voxels" and not variant.render.fine_grid
+    config = voxel_config(
+        ray_rule=variant.render.ray_rule,
+        background_weight=variant.train.background_weight,
+    )
+    assert (variant.render.ray_rule == "maximum") == (name == "ptn")
+    assert (variant.train.background_weight > 0) == (name == "drc")
+    network = make_network(config)
+    state = make_state(network, config)
+    assert "points" not in state.params["params"]["shape"]
+    before = jax.tree.map(np.asarray, state.params["params"]["shape"])
+    state, metrics = make_step(network, config)(state, make_batch())
+    assert float(metrics["reprojection"]) > 0
+    assert set(metrics["gradient_norms"]) >= {"encoder", "shape", "pose"}
+    for old, new in zip(
+        jax.tree.leaves(before),
+        jax.tree.leaves(state.params["params"]["shape"]),
+        strict=True,
+    ):
+        assert np.any(old != np.asarray(new))
