@@ -10,6 +10,8 @@ import pytest
 # Broadcasting over a missing axis is a mistake waiting to happen: say the axis. In the
 # environment, so that the processes which tests start have it too.
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
+# Here jax is loaded already, and reads the environment no more.
+jax.config.update("jax_numpy_rank_promotion", os.environ["JAX_NUMPY_RANK_PROMOTION"])
 
 # Runs over several devices are tested with CPU devices: tests/test_learning_devices.py.
 jax.config.update("jax_num_cpu_devices", 4)

@@ -27,7 +27,7 @@ ROOMS = {
         {"config", "files", "shapes"},
     ),
     "networks": ({"jax", "flax", "chex", "numpy"}, set()),
-    "evaluation": ({"numpy", "scipy"}, set()),
+    "evaluation": ({"numpy", "scipy", "skimage", "trimesh"}, set()),
     "learning": (
         {"jax", "optax", "orbax", "chex", "numpy", "absl", "rich"},
         {"files", "config", "render", "data", "networks", "evaluation"},
@@ -178,6 +178,17 @@ def test_data_tools_and_render_processes_do_not_load_jax():
     code = (
         "import sys, dpc_jax.data.__main__, dpc_jax.data.workers; "
         "print([m for m in ('jax', 'flax') if m in sys.modules])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True
+    )
+    assert result.stdout.strip() == "[]", result.stdout + result.stderr
+
+
+def test_a_run_of_point_clouds_does_not_load_what_voxel_models_need():
+    code = (
+        "import sys, dpc_jax.run.pipeline, dpc_jax.run.prediction; "
+        "print([m for m in ('skimage', 'dpc_jax.run.surfaces') if m in sys.modules])"
     )
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True

@@ -339,6 +339,7 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(comma
     for name, fields in {
         "known": {"pose.known": True, "train.color_weight": 0.1},
         "labels": {"pose.labels": True, "pose.flips": False},
+        "voxels": {"network.shape": "voxels", "pose.choice_rank": "volume"},
         "other": {
             "pose.candidates": 1,
             "data.meshes": make_boxes(command.folder / "boxes", 6),
@@ -358,6 +359,8 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(comma
             page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
             assert "pose accuracy and pose errors are absent" in page
             assert "pose errors are absent" in out and "Test: Chamfer" in out
+        if name == "voxels":
+            assert 0 < metrics["surface_threshold"] < 1
         if name == "labels":
             assert 0 <= metrics["pose_accuracy"] <= 1
             assert metrics["alignment_inlier_share"] is None

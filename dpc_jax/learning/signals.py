@@ -192,10 +192,10 @@ def compare_depths(
     ends = image.termination
     assert ends is not None
     background, measured = find_background(camera.distance), targets["measured"]
-    places = VoxelGrid(ends.shape[-1]).depths(camera, ends.dtype)
+    places = VoxelGrid(ends.shape[-1]).depths(camera, ends.dtype)[None, None]
     nearer = targets["depth"] - background  # times the share that is measured
     depth = background + nearer / jnp.where(measured > 0, measured, 1)
-    away = jnp.abs(places - depth[..., None]) - 1 / len(places)
+    away = jnp.abs(places - depth[..., None]) - 1 / ends.shape[-1]
     cost = measured[..., None] * jnp.maximum(away, 0)
     total = jnp.sum(ends * cost)
     if is_alone:

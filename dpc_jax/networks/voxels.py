@@ -113,4 +113,5 @@ class DoublingConv(nn.Module):
         ]
         stacked = jnp.stack(parts, axis=-2).reshape(*x.shape[:-1], 2, 2, 2, -1)
         mixed = stacked.transpose(0, 1, 4, 2, 5, 3, 6, 7)
-        return mixed.reshape(-1, *[2 * side] * 3, self.channels) + bias
+        volume = mixed.reshape(-1, *[2 * side] * 3, self.channels)
+        return volume + bias.reshape(1, 1, 1, 1, -1)

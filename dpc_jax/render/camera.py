@@ -171,4 +171,5 @@ def place_cells(
         return jnp.stack([u, v, z], axis=-1), jnp.ones_like(ahead, bool)
     is_ahead = ahead > _NEAR * grid.extent
     widening = jnp.where(is_ahead, ahead, 1) / jnp.asarray(camera.focal_length, dtype)
+    widening = widening[None, None]
     return jnp.stack([u * widening, v * widening, z], axis=-1), is_ahead

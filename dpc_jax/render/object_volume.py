@@ -80,11 +80,12 @@ def _place_samples(shape, rotation, translation, camera, grid, dtype):
     """Where the grid's cells lie in the volume, [..., 3] index; the inverse of T_c."""
     places, is_ahead = place_cells(camera, grid, dtype)
     if translation is not None:
-        places = places - translation
+        places = places - translation[None, None, None]
     matrix = quaternion.to_matrix(rotation) if rotation.shape == (4,) else rotation
     # Rᵀ·x of every x, in the full precision of the dtype on every device.
     moved = jnp.matmul(places, matrix, precision="highest")
-    return (moved + 0.5) * jnp.array(shape, dtype) - 0.5, is_ahead
+    cells = jnp.array(shape, dtype)[None, None, None]
+    return (moved + 0.5) * cells - 0.5, is_ahead[None, None]
 
 
 def _sample(volume, colors, coordinates, is_ahead, signals) -> Volume:

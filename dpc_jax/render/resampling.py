@@ -92,7 +92,7 @@ def _sample_backward(residuals, cotangent):
     slope = [planes[1] - planes[0]]
     slope += [_mix(*both, shares[0]) for both in zip(*slopes, strict=True)]
     volume_grad = _add_corners(cotangent, first, shares, volume.shape)
-    return volume_grad, jnp.stack(slope) * cotangent
+    return volume_grad, jnp.stack(slope) * cotangent[None]
 
 
 def _add_corners(values, first, shares, shape):
