@@ -157,19 +157,19 @@ def _find_fractions(x, y, z, ahead, camera, grid):
 
 def place_cells(
     camera: Camera, grid: VoxelGrid, dtype: DTypeLike = jnp.float32
-) -> tuple[jax.Array, jax.Array]:
+) -> tuple[tuple[jax.Array, jax.Array, jax.Array], jax.Array]:
     """Where the cells of a grid are: T_c's perspective, the other way round.
 
     Returns:
-      ([rows, cols, depth, 3] relative to the middle of the volume, in the camera's
-      axes; [depth] bool, whether a cell is in front of the camera).
+      (x, y, z of each cell, each [rows, cols, depth], relative to the middle of the
+      volume, in the camera's axes; [depth] bool, whether a cell is in front of it).
     """
     v, u, z = (grid.centers(axis, dtype) for axis in range(3))
     v, u, z = jnp.meshgrid(v, u, z, indexing="ij")
     ahead = z[0, 0] + jnp.asarray(camera.distance, dtype)
     if camera.projection == "orthographic":
-        return jnp.stack([u, v, z], axis=-1), jnp.ones_like(ahead, bool)
+        return (u, v, z), jnp.ones_like(ahead, bool)
     is_ahead = ahead > _NEAR * grid.extent
     widening = jnp.where(is_ahead, ahead, 1) / jnp.asarray(camera.focal_length, dtype)
     widening = widening[None, None]
-    return jnp.stack([u * widening, v * widening, z], axis=-1), is_ahead
+    return (u * widening, v * widening, z), is_ahead

@@ -47,14 +47,14 @@ def render(
     return _end_rays(density, channels)
 
 
-def _end_rays(density, channels):
+def _end_rays(density, channels, distance=DISTANCE):
     """Silhouette, depth and colour from the densities Σ f and Σ y·f."""
     occupancy = oracles.clip(density)
     probabilities, passed = oracles.terminate(occupancy)
     num_cells = density.shape[2]
     cells = (np.arange(num_cells) + REAL(0.5)) / num_cells - REAL(0.5)
     far, behind = BACKGROUND
-    depth = np.sum(probabilities * (cells + DISTANCE), axis=-1) + passed * far
+    depth = np.sum(probabilities * (cells + distance), axis=-1) + passed * far
     # r·y with y = Σ y_i f_i / Σ f_i. Up to density 1 the factor o / Σ f is one, also in
     # the limit of no density.
     before = oracles.find_transparencies(occupancy)[..., :-1]
@@ -65,6 +65,59 @@ def _end_rays(density, channels):
         for channel in channels
     ]
     return np.sum(probabilities, axis=-1), depth, np.stack(color, axis=-1)
+
+
+def render_cells(
+    volume: Array,
+    colors: Array,
+    rotation: Array,
+    translation: Array,
+    focal: oracles.Number,
+    distance: oracles.Number,
+    *,
+    shape: oracles.Shape,
+    orthographic: bool = False,
+) -> tuple[Array, Array, Array]:
+    """(silhouette, depth, color [rows, cols, C]) of occupancies of the object frame.
+
+    See `dpc_jax.project_volume`: at every cell of the grid the tents of all cells.
+    """
+    rows, cols, depths = shape
+    v, u, z = (
+        part.ravel()
+        for part in np.meshgrid(
+            *((np.arange(n) + REAL(0.5)) / n - REAL(0.5) for n in shape), indexing="ij"
+        )
+    )
+    ahead = z + distance
+    is_ahead = np.ones(len(z), bool) if orthographic else np.real(ahead) > 1e-6
+    zoom = 1 if orthographic else np.where(is_ahead, ahead, 1) / focal
+    moved = np.stack([u * zoom, v * zoom, z], axis=-1) - translation
+    turned = oracles.rotate(moved, rotation * np.array([1, -1, -1, -1]))
+    weights = [
+        _find_tents((turned[:, axis] + REAL(0.5)) * size - REAL(0.5), size)
+        for axis, size in enumerate(volume.shape)
+    ]
+
+    def sample(cells):
+        x, y, z = weights
+        spread = x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :]
+        values = np.sum(spread * cells, axis=(1, 2, 3))
+        return np.where(is_ahead, values, 0).reshape(rows, cols, depths)
+
+    density = sample(volume)
+    channels = [sample(volume * colors[..., c]) for c in range(colors.shape[-1])]
+    return _end_rays(density, channels, distance)
+
+
+def _find_tents(places, size):
+    """Weights [n, size] of the cells at each place, none beyond a cell from the rim."""
+    away = places[:, None] - np.arange(size)
+    real = np.real(away)
+    is_inside = (np.real(places) > -1) & (np.real(places) < size)
+    # At a kink, the side towards the higher index.
+    is_near = (real >= -1) & (real < 1) & is_inside[:, None]
+    return np.where(is_near, np.where(real >= 0, 1 - away, 1 + away), 0)
 
 
 def move_covariances(
