@@ -33,7 +33,11 @@ def test_every_config_builds_in_every_variant(name, variant):
     specs = make_data_specs(config)
     output, _ = parameter_shapes(config)
 
-    assert output["points"].shape == (2, config.render.num_points, 3)
+    if config.network.shape == "points":
+        assert output["points"].shape == (2, config.render.num_points, 3)
+    else:
+        assert output["cells"].shape == (2, *[config.render.grid] * 3)
+        assert "points" not in output
     if config.pose.heads:
         assert output["candidates"].shape == (2, config.pose.heads, 4)
     assert set(specs) == {"train", "val", "test"}
