@@ -95,6 +95,18 @@ def test_what_pictures_cannot_give_is_refused(config, tmp_path, capsys):
     assert "rendered already" in refuse(config, tmp_path / "workdir", capsys)
 
 
+def test_what_voxel_models_cannot_predict_is_refused(config, tmp_path, capsys):
+    config.network.shape = "voxels"
+    config.network.point_size = "sigma"
+    error = refuse(config, tmp_path / "workdir", capsys)
+    assert "config.network.point_size " in error and "has no points" in error
+    config.network.point_size = ""
+    config.data.image_size = 16
+    config.render.update(grid=4, fine_grid=0)
+    config.pose.choice_grid = 0
+    assert "at least 8" in refuse(config, tmp_path / "workdir", capsys)
+
+
 def test_a_choice_by_all_signals_needs_an_exact_comparison(config, tmp_path, capsys):
     config.pose.update(choice_signals="all", choice_top=0)
     error = refuse(config, tmp_path / "workdir", capsys)

@@ -80,11 +80,30 @@ def _list_rules(config):
         f"0, or a multiple of render.grid = {grid} that divides data.image_size = "
         f"{size}",
     )
+    yield from _list_voxel_rules(config)
     yield from _list_signal_rules(config)
     yield (
         "pose.choice_grid",
         not config.pose.choice_grid or grid % config.pose.choice_grid == 0,
         f"0 or a divisor of render.grid = {grid}",
+    )
+
+
+def _list_voxel_rules(config):
+    """Rules of voxel models, which predict a volume in place of points."""
+    if config.network.shape == "points":
+        return
+    grid = config.render.grid
+    yield (
+        "render.grid",
+        grid >= 8 and grid & (grid - 1) == 0,
+        "a power of two of at least 8 with network.shape = 'voxels', because the "
+        "decoder doubles 4 cells",
+    )
+    yield (
+        "network.point_size",
+        not config.network.point_size,
+        "'' with network.shape = 'voxels', which has no points",
     )
 
 
