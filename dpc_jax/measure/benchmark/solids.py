@@ -20,6 +20,7 @@ from dpc_jax.render import Camera, VoxelGrid, project, project_volume
 _HALF_AXES = np.array([0.38, 0.26, 0.17])
 _ROTATION = np.array([0.62, 0.71, 0.21, 0.26])
 _FOCAL_LENGTH, _DISTANCE = 1.875, 2.0
+_CAMERA = Camera(_FOCAL_LENGTH, _DISTANCE)
 _PER_CELL = 4  # places along each axis of a cell, for the share that is inside
 _IMAGE_SIDE = 512  # rays along each axis of the exact image
 
@@ -29,7 +30,7 @@ class _Setting(NamedTuple):
     label: str
     side: int  # of the grid, and of a volume
     arrays: tuple[np.ndarray, ...]  # what gets gradients beside the rotation
-    render: Callable[..., jax.Array]  # silhouette from the rotation and the arrays
+    render: Callable[..., Any]  # silhouette from the rotation and the arrays
 
 
 def measure_solids(plan: Plan) -> list[dict[str, Any]]:
@@ -96,7 +97,8 @@ def _fill_cells(side) -> _Setting:
         volume[i // _PER_CELL] += layer / _PER_CELL
 
     def render(rotation, cells):
-        return project_volume(cells, rotation, grid=VoxelGrid(side), **_make_view())
+        image = project_volume(cells, rotation, camera=_CAMERA, grid=VoxelGrid(side))
+        return image.silhouette
 
     return _Setting("volume", f"volume, {side}³", side, (volume,), render)
 
@@ -114,31 +116,29 @@ def _draw_points(count, side, *, seed) -> _Setting:
     sigma = max(0.5, 0.5 * mass ** (1 / 3))
 
     def render(rotation, points, mass):
-        grid = VoxelGrid(side)
-        return project(
-            points, rotation, sigma=sigma, scale=mass, grid=grid, **_make_view()
+        image = project(
+            points,
+            rotation,
+            sigma=sigma,
+            scale=mass,
+            camera=_CAMERA,
+            grid=VoxelGrid(side),
         )
+        return image.silhouette
 
     label = f"{count} points, {side}³"
     return _Setting("points", label, side, (points, np.array(mass)), render)
 
 
-def _make_view():
-    return {"camera": Camera(_FOCAL_LENGTH, _DISTANCE)}
-
-
 def _compile(setting):
     """Calls of the image and of its gradients, and the latter's temporary memory."""
 
-    def render(*arrays):
-        return setting.render(*arrays).silhouette
-
     def compute_loss(*arrays):
-        return jnp.sum(render(*arrays) ** 2)
+        return jnp.sum(setting.render(*arrays) ** 2)
 
     arrays = tuple(jnp.asarray(a, jnp.float32) for a in (_ROTATION, *setting.arrays))
     places = tuple(range(len(arrays)))
-    image = jax.jit(render)
+    image = jax.jit(setting.render)
     gradient = jax.jit(jax.grad(compute_loss, argnums=places)).lower(*arrays).compile()
     sizes = gradient.memory_analysis()  # None where the compiler does not tell
     temporary = None if sizes is None else int(sizes.temp_size_in_bytes)

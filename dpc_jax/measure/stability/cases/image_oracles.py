@@ -47,7 +47,7 @@ def render(
     return _end_rays(density, channels)
 
 
-def _end_rays(density, channels, distance=DISTANCE):
+def _end_rays(density, channels, distance: oracles.Number = DISTANCE):
     """Silhouette, depth and colour from the densities Σ f and Σ y·f."""
     occupancy = oracles.clip(density)
     probabilities, passed = oracles.terminate(occupancy)

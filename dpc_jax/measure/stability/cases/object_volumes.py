@@ -77,7 +77,12 @@ SCENES = (
     ("moved by 1e30", {"translation": (1e30, -1e30, 1e30)}, IN_WIDE | AWAY),
     ("moved by 3e38", {"translation": (3e38, 3e38, -3e38)}, IN_WIDE | AWAY),
     ("the camera inside", {"distance": 0.1}, BEHIND),
-    ("the camera in the middle", {"distance": 0.0}, BEHIND),
+    # By `TURN` a sample would lie on a cell's centre, but for rounding.
+    (
+        "the camera in the middle",
+        {"distance": 0.0, "rotation": (0.8, 0.13, -0.3, 0.21)},
+        BEHIND,
+    ),
     ("the volume behind the camera", {"distance": -2.0}, BEHIND | AWAY),
     ("distance 1e6, focal length 1e6", {"distance": 1e6, "focal": 1e6}, IN_WIDE),
     ("distance 1e30", {"distance": 1e30}, IN_WIDE | AWAY),
