@@ -5,6 +5,8 @@ import json
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_dilation, binary_erosion
+from scipy.spatial.transform import Rotation
 
 from dpc_jax import benchmark
 from dpc_jax.measure import scenes, timing
@@ -14,6 +16,7 @@ from dpc_jax.measure.benchmark import (
     plan,
     report,
     scaling,
+    solids,
     speed,
     suite,
 )
@@ -117,6 +120,35 @@ def test_a_cloud_of_pairs_loses_nothing_when_one_of_each_pair_is_kept():
     (record,) = accuracy.measure_scene(scene, 1.5, plan=tiny, settings=[half])
     assert record["image_error"] < 1e-12
     assert record["gradient_error"] < 1e-12
+
+
+def test_the_exact_ellipse_covers_the_points_of_the_ellipsoid_and_no_more():
+    """Every point inside is seen through a pixel of it, and they reach all its rows."""
+    side = 32
+    exact = solids.draw_ellipse(side)
+    points, _ = solids._draw_points(20000, side, seed=0).arrays
+    turn = Rotation.from_quat(solids._ROTATION, scalar_first=True)
+    x, y, z = turn.apply(points).T
+    pixels = [
+        np.floor((1.875 * along / (z + 2) + 0.5) * side).astype(int) for along in (y, x)
+    ]
+    seen = np.zeros_like(exact)
+    seen[tuple(pixels)] = 1
+    # They differ at the rim alone: where the middle of a pixel that is seen is outside,
+    # or where a pixel is hardly covered and no point came to lie.
+    inner = binary_erosion(exact)
+    assert np.all(seen[inner]) and not np.any(seen[~binary_dilation(exact)])
+
+
+def test_a_finer_volume_is_nearer_to_the_exact_silhouette():
+    tiny = dataclasses.replace(make_tiny_plan(), volume_sides=(8, 16, 32))
+    records = solids.measure_solids(tiny)
+    assert [r["family"] for r in records] == ["volume"] * 3 + ["points"]
+    coarse, middle, fine = (r["image_error"] for r in records[:3])
+    assert 0.5 > coarse > middle > fine > 0
+    assert fine < 0.2 < records[3]["image_error"] < 0.7  # 500 points
+    sizes = [r["temporary_bytes"] for r in records[:3]]
+    assert sizes == sorted(sizes) and sizes[0] > 0
 
 
 def test_the_full_plan_asks_for_what_the_report_is_for():

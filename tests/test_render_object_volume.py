@@ -267,7 +267,33 @@ def test_empty_and_full_cells_of_any_number_have_finite_images_and_gradients(
         assert float(jnp.max(image.silhouette)) > 0.99  # tents between the centres
 
 
-@pytest.mark.parametrize("away", [[3.0, 0, 0], [0, 0, -9.0], [1e30, 0, 0]])
+def test_occupancies_far_beyond_one_leave_colours_their_gradient():
+    """A colour is a mean by occupancy, so its slope falls as they grow: 1e-30 here."""
+    rng = np.random.default_rng(4)
+    volume = jnp.asarray(rng.uniform(0.5, 1, (3, 3, 3)), jnp.float32)
+    colors = jnp.asarray(rng.uniform(size=(3, 3, 3, 1)), jnp.float32)
+
+    def total(volume):
+        image = dpc_jax.project_volume(
+            volume,
+            IDENTITY,
+            colors=colors,
+            camera=dpc_jax.Camera(2.5),  # the view lies inside the volume
+            grid=dpc_jax.VoxelGrid(4),
+            signals=("color",),
+        )
+        return jnp.sum(image.color)
+
+    # Powers of two, so that the large and the usual case round alike; every sample is
+    # above one in both.
+    small, large = (jax.grad(total)(volume * 2.0**k) for k in (5, 100))
+    assert float(jnp.max(jnp.abs(small))) > 0
+    np.testing.assert_allclose(large * 2.0**95, small, rtol=1e-4, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "away", [[3.0, 0, 0], [0, 0, -9.0], [1e30, 0, 0], [1e38, -1e38, 1e38]]
+)
 @pytest.mark.parametrize("kind", ["perspective", "orthographic"])
 def test_a_volume_outside_the_view_leaves_no_trace_and_no_nan(away, kind):
     image, gradients = differentiate_total(

@@ -69,36 +69,48 @@ def project_volume(
     colors = arguments.convert_cell_colors(colors, volume.shape, background)
     colors = None if colors is None else colors.astype(volume.dtype)
     rotation, translation = arguments.convert_pose(rotation, translation, volume.dtype)
-    coordinates, is_ahead = _place_samples(
+    coordinates, is_seen = _place_samples(
         volume.shape, rotation, translation, camera, grid, volume.dtype
     )
-    rays = _sample(volume, colors, coordinates, is_ahead, signals)
+    rays = _sample(volume, colors, coordinates, is_seen, signals)
     return project_signals(rays, camera, grid, signals, ray_rule, background)
 
 
 def _place_samples(shape, rotation, translation, camera, grid, dtype):
-    """Where the grid's cells lie in the volume, by axis; the inverse of T_c."""
+    """Where the grid's cells lie in the volume, and which of them see it.
+
+    The inverse of T_c: an index per axis, and a bool, each [rows, cols, depth].
+    """
     places, is_ahead = place_cells(camera, grid, dtype)
     if translation is not None:
         places = [x - moved for x, moved in zip(places, translation, strict=True)]
     matrix = quaternion.to_matrix(rotation) if rotation.shape == (4,) else rotation
+    # In two passes, as in `to_grid`: the first, without gradient, finds the cells that
+    # see the volume; the second differentiates those alone. The index of a cell far
+    # away may overflow, and infinity times zero would turn all gradients to NaN.
+    is_seen = is_ahead
+    found = _find_indices(*jax.lax.stop_gradient((places, matrix)), shape)
+    for index, side in zip(found, shape, strict=True):
+        is_seen &= (index > -1) & (index < side)
+    places = [jnp.where(is_seen, x, 0) for x in places]
+    return _find_indices(places, matrix, shape), is_seen
+
+
+def _find_indices(places, matrix, shape):
     # Rᵀ·x as sums: a matrix product [cells, 3]·[3, 3] takes twenty times as long on a
     # CPU, and a GPU would round it to TF32.
     turned = [
         sum(x * along for x, along in zip(places, column, strict=True))
         for column in matrix.T
     ]
-    coordinates = tuple(
-        (x + 0.5) * side - 0.5 for x, side in zip(turned, shape, strict=True)
-    )
-    return coordinates, is_ahead
+    return tuple((x + 0.5) * side - 0.5 for x, side in zip(turned, shape, strict=True))
 
 
-def _sample(volume, colors, coordinates, is_ahead, signals) -> Volume:
+def _sample(volume, colors, coordinates, is_seen, signals) -> Volume:
     """What the rays go through; cells behind the camera are empty."""
 
     def sample(cells: jax.Array) -> jax.Array:
-        return jnp.where(is_ahead, sample_volume(cells, coordinates), 0)
+        return jnp.where(is_seen, sample_volume(cells, coordinates), 0)
 
     density = sample(volume)
     occupancy = clip_unit(density)
@@ -107,9 +119,26 @@ def _sample(volume, colors, coordinates, is_ahead, signals) -> Volume:
 
     def sum_colors(reached: ArrayLike) -> jax.Array:
         # One channel's samples at a time, as in `fill_volume`.
-        weight = reached / jnp.where(density > 1, density, 1)
-        call = jax.checkpoint(lambda c: jnp.sum(weight * sample(volume * c), axis=-1))
+        safe = jnp.where(density > 1, density, 1)
+
+        @jax.checkpoint
+        def call(channel):
+            return jnp.sum(reached * _divide(sample(volume * channel), safe), axis=-1)
+
         channels = jax.lax.map(call, jnp.moveaxis(colors, -1, 0))
         return jnp.moveaxis(channels, 0, -1)
 
     return Volume(occupancy, sum_colors)
+
+
+@jax.custom_jvp
+def _divide(total, density):
+    """A quotient whose derivative squares no density: 1e30 has no square in float32."""
+    return total / density
+
+
+@_divide.defjvp
+def _divide_jvp(primals, tangents):
+    total, density = primals
+    quotient = total / density
+    return quotient, (tangents[0] - quotient * tangents[1]) / density

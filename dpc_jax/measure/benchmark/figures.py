@@ -57,6 +57,40 @@ def draw_errors(
     return style.save_figure(figure, path)
 
 
+def draw_solids(records: list[dict[str, Any]], path: Path) -> Path:
+    """Error of the silhouette against run time: a line of volumes, clouds alone."""
+    figure = style.make_figure(9.0, 4.0)
+    panels = style.make_panels(figure, 2, share=True)
+    kinds = {"image": "forward", "gradient": "forward and backward"}
+    for axes, (kind, title) in zip(panels, kinds.items(), strict=True):
+        # Two numbers of a cloud differ from one to the next: no line joins them.
+        looks = zip(("volume", "points"), ("o-", "s"), style.SERIES, strict=False)
+        for family, look, color in looks:
+            chosen = [r for r in records if r["family"] == family]
+            times = [1e3 * r[f"{kind}_seconds"] for r in chosen]
+            errors = [100 * r["image_error"] for r in chosen]
+            axes.plot(times, errors, look, color=color, label=family, lw=0.8)
+            for x, y, record in zip(times, errors, chosen, strict=True):
+                label = record["setting"].removeprefix("volume, ")
+                axes.annotate(
+                    label.replace(" points", ""),
+                    (x, y),
+                    textcoords="offset points",
+                    xytext=(5, 4),
+                    fontsize=7,
+                    color=color,
+                )
+        axes.set(xscale="log", yscale="log")
+        axes.margins(x=0.2, y=0.15)
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        style.label_axes(axes, title=title, x_label="ms", grid="both")
+    panels[0].legend(fontsize=8, frameon=False)
+    figure.supylabel("error of the silhouette (%)", fontsize=10)
+    return style.save_figure(figure, path)
+
+
 def draw_scaling(results: list[dict[str, Any]], path: Path) -> Path:
     """A panel per number, with its expected order dashed through the largest value."""
     figure = style.make_figure(9.0, 6.5)

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-PARTS = ("speed", "error", "scaling", "memory")
+PARTS = ("speed", "error", "solids", "scaling", "memory")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,6 +52,9 @@ class Plan:
     scaling_batches: tuple[int, ...]
     scaling_candidates: tuple[int, ...]
     memory: tuple[MemoryCase, ...]
+    # Of the ellipsoid: cells a side of volume and grid; points, and cells of the grid
+    volume_sides: tuple[int, ...]
+    cloud_sizes: tuple[tuple[int, int], ...]
 
 
 FULL = Plan(
@@ -88,6 +91,8 @@ FULL = Plan(
         MemoryCase(Case(1, 100_000, 256, 3.0), "trilinear", 2.0),
         MemoryCase(Case(1, 16000, 128, 3.0), "gaussian", None),
     ),
+    volume_sides=(16, 32, 64, 128),
+    cloud_sizes=((500, 32), (2000, 32), (2000, 64), (8000, 64), (16000, 128)),
 )
 
 # Sizes that share programs: nearly all of its time goes into compiling them.
@@ -113,4 +118,6 @@ QUICK = Plan(
     scaling_batches=(1, 2),
     scaling_candidates=(1, 4),
     memory=(MemoryCase(Case(2, 500, 16, 1.5), "trilinear", None),),
+    volume_sides=(8, 16),
+    cloud_sizes=((500, 16),),
 )

@@ -7,7 +7,7 @@ from typing import Any
 
 from dpc_jax.learning.training.progress import ProgressReport
 from dpc_jax.measure import scenes
-from dpc_jax.measure.benchmark import accuracy, peak, report, scaling, speed
+from dpc_jax.measure.benchmark import accuracy, peak, report, scaling, solids, speed
 from dpc_jax.measure.benchmark.plan import PARTS, Plan
 from dpc_jax.measure.timing import describe_machine
 
@@ -95,6 +95,10 @@ def _list_error(plan) -> list[Task]:
     ]
 
 
+def _list_solids(plan) -> list[Task]:
+    return [("an ellipsoid", lambda: solids.measure_solids(plan))]
+
+
 def _list_scaling(plan) -> list[Task]:
     return [
         (axis, lambda axis=axis: [scaling.measure_axis(axis, plan=plan)])
@@ -115,6 +119,7 @@ def _list_memory(plan) -> list[Task]:
 _TASKS = {
     "speed": _list_speed,
     "error": _list_error,
+    "solids": _list_solids,
     "scaling": _list_scaling,
     "memory": _list_memory,
 }

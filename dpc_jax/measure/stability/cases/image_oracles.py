@@ -47,7 +47,7 @@ def render(
     return _end_rays(density, channels)
 
 
-def _end_rays(density, channels, distance=DISTANCE):
+def _end_rays(density, channels, distance: oracles.Number = DISTANCE):
     """Silhouette, depth and colour from the densities Σ f and Σ y·f."""
     occupancy = oracles.clip(density)
     probabilities, passed = oracles.terminate(occupancy)
@@ -93,7 +93,8 @@ def render_cells(
     is_ahead = np.ones(len(z), bool) if orthographic else np.real(ahead) > 1e-6
     zoom = 1 if orthographic else np.where(is_ahead, ahead, 1) / focal
     moved = np.stack([u * zoom, v * zoom, z], axis=-1) - translation
-    turned = oracles.rotate(moved, rotation * np.array([1, -1, -1, -1]))
+    axes = oracles.rotate(np.eye(3), rotation)  # row i: where axis i goes
+    turned = np.sum(moved[:, None, :] * axes, axis=-1)
     weights = [
         _find_tents((turned[:, axis] + REAL(0.5)) * size - REAL(0.5), size)
         for axis, size in enumerate(volume.shape)

@@ -33,6 +33,7 @@ _SCENE = (
     Range((), -1e6, 1e6, (0, 10)),  # depth of the background
     Range((_CHANNELS,), -1e6, 1e6, (0, 1)),  # colour of the background
 )
+_RULES = (("perspective", "termination"), ("orthographic", "maximum"))
 _LIMIT = (
     "masses, |colours|, |distance| and |background| ≤ 1e6, focal length 1e-6 to 1e6, "
     "|q| 0 or ≥ 1e-6: a gradient is a product of all these (and of 1/|q|), and must be "
@@ -42,7 +43,12 @@ _LIMIT = (
 
 def list_targets() -> list[Target]:
     """Targets of `dpc_jax.render`."""
-    return [*_list_projections(), *_list_volumes(), *_list_quaternions()]
+    return [
+        *_list_projections(),
+        *_list_object_volumes(),
+        *_list_volumes(),
+        *_list_quaternions(),
+    ]
 
 
 def _list_projections():
@@ -84,6 +90,40 @@ def _project(name, projection, rule, points, rotation, sizes, *scene):
         grid=_GRID,
         signals=("silhouette", "depth", "color"),
         method=name.partition(",")[0],
+        ray_rule=rule,
+        background_depth=far,
+        background_color=behind,
+    )
+    return images.silhouette, images.depth, images.color
+
+
+def _list_object_volumes():
+    inputs = (
+        Range((2, 3, 4), -1e6, 1e6, (0, 1)),
+        Range((2, 3, 4, _CHANNELS), -1e6, 1e6, (0, 1)),
+        _ROTATION,
+        *_SCENE[2:],
+    )
+    for projection, rule in _RULES:
+        yield Target(
+            f"project_volume: {projection}, {rule}",
+            functools.partial(_project_volume, projection, rule),
+            inputs,
+            promise("silhouette in [0, 1]", lambda images: is_share(images[0])),
+            _LIMIT.replace("masses", "|occupancies|"),
+        )
+
+
+def _project_volume(projection, rule, volume, colors, rotation, *scene):
+    translation, focal, distance, far, behind = scene
+    images = render.project_volume(
+        volume,
+        rotation,
+        colors=colors,
+        translation=translation,
+        camera=render.Camera(focal, distance, projection),
+        grid=_GRID,
+        signals=("silhouette", "depth", "color"),
         ray_rule=rule,
         background_depth=far,
         background_color=behind,
