@@ -69,8 +69,8 @@ def sample_surface(
         center = (np.array(fullest) + 0.5) / cells.shape - 0.5
         return np.tile(center.astype(np.float32), (count, 1))
     mesh = trimesh.Trimesh(vertices, faces, process=False)
-    points, _ = trimesh.sample.sample_surface(mesh, count, seed=seed)
-    return np.asarray(points, np.float32)
+    drawn: Any = trimesh.sample.sample_surface(mesh, count, seed=seed)
+    return np.asarray(drawn[0], np.float32)
 
 
 def tune_threshold(
