@@ -76,7 +76,7 @@ def draw_solids(records: list[dict[str, Any]], path: Path) -> Path:
                     label.replace(" points", ""),
                     (x, y),
                     textcoords="offset points",
-                    xytext=(5, 4),
+                    xytext=(5, 4) if family == "points" else (-20, -10),
                     fontsize=7,
                     color=color,
                 )

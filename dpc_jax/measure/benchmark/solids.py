@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dpc_jax.measure.benchmark.plan import Plan
 from dpc_jax.measure.timing import take_medians, time_interleaved
-from dpc_jax.render import Camera, VoxelGrid, project, project_volume
+from dpc_jax.render import Camera, VoxelGrid, project, project_volume, quaternion
 
 _HALF_AXES = np.array([0.38, 0.26, 0.17])
 _ROTATION = np.array([0.62, 0.71, 0.21, 0.26])
@@ -76,7 +75,7 @@ def draw_ellipse(side: int) -> np.ndarray:
     With p the eye and d the ray's direction, both in axes in which the ellipsoid is
     the unit ball: (p·d)² >= d·d·(p·p - 1).
     """
-    matrix = Rotation.from_quat(_ROTATION, scalar_first=True).as_matrix()
+    matrix = np.asarray(quaternion.to_matrix(jnp.asarray(_ROTATION)), np.float64)
     along = (np.arange(side) + 0.5) / side - 0.5
     v, u = np.meshgrid(along, along, indexing="ij")
     ray = np.stack([u / _FOCAL_LENGTH, v / _FOCAL_LENGTH, np.ones_like(u)], axis=-1)
