@@ -88,7 +88,7 @@ def _place_samples(shape, rotation, translation, camera, grid, dtype):
     # In two passes, as in `to_grid`: the first, without gradient, finds the cells that
     # see the volume; the second differentiates those alone. The index of a cell far
     # away may overflow, and infinity times zero would turn all gradients to NaN.
-    is_seen = is_ahead
+    is_seen = is_ahead[None, None]
     found = _find_indices(*jax.lax.stop_gradient((places, matrix)), shape)
     for index, side in zip(found, shape, strict=True):
         is_seen &= (index > -1) & (index < side)
