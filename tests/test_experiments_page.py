@@ -10,6 +10,8 @@ from dpc_jax import paper
 from dpc_jax.config import to_json
 from dpc_jax.experiments.catalogue import EXPERIMENTS
 from dpc_jax.experiments.declarations import Row
+from dpc_jax.experiments.report.blocks import Figure
+from dpc_jax.experiments.report.page import publish
 from dpc_jax.experiments.report.tables import format_summary, make_table
 from dpc_jax.experiments.report.targets import check_targets
 from dpc_jax.experiments.results import Outcome, Results, Summary, summarize
@@ -253,3 +255,17 @@ def test_a_wrong_flag_is_said_in_one_sentence(flags, words, tmp_path, capsys):
     error = capsys.readouterr().err
     assert words in error and error.startswith("Error: ") and error.count("\n") == 1
     assert not out.exists()
+
+
+def test_figures_of_one_name_stay_apart_where_the_page_is_published(tmp_path):
+    blocks = []
+    for folder, byte in (("points", b"a"), ("covariance", b"b")):
+        path = tmp_path / folder / "error.png"
+        path.parent.mkdir()
+        path.write_bytes(byte)
+        blocks.append(Figure(path, folder))
+    page = publish(tmp_path / "docs" / "paper.md", blocks)
+    copies = sorted((page.parent / "images" / "paper").iterdir())
+    assert [copy.read_bytes() for copy in copies] == [b"b", b"a"]
+    text = page.read_text(encoding="utf-8")
+    assert all(f"images/paper/{copy.name}" in text for copy in copies)

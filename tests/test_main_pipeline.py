@@ -332,6 +332,20 @@ def make_boxes(folder, count):
     return str(folder)
 
 
+def predict_points(command, workdir):
+    """The points that a run predicts of a grey square, [N, 3]."""
+    image = np.zeros((16, 16, 4), np.uint8)
+    image[4:12, 5:11] = (90, 90, 90, 255)
+    path = workdir / "square.png"
+    Image.fromarray(image).save(path)
+    subprocess.run(
+        [sys.executable, "-m", "dpc_jax.predict", f"--workdir={workdir}", str(path)],
+        check=True,
+        env=command.environment,
+    )
+    return np.asarray(trimesh.load(workdir / "predictions" / "square.ply").vertices)
+
+
 def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(command):
     # Known poses need no alignment, one regressor no ensemble: all paths report.
     short = {"train.steps": 2, "train.warmup_steps": 0, "render.keep_levels": 1}
@@ -361,6 +375,9 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(comma
             assert "pose errors are absent" in out and "Test: Chamfer" in out
         if name == "voxels":
             assert 0 < metrics["surface_threshold"] < 1
+            found = predict_points(command, workdir)
+            assert found.shape == (10_000, 3)
+            assert np.linalg.norm(found, axis=1).max() < 1  # of a turned unit cube
         if name == "labels":
             assert 0 <= metrics["pose_accuracy"] <= 1
             assert metrics["alignment_inlier_share"] is None

@@ -63,6 +63,10 @@ def predict_images(
     dataset = _read_images(images, config, crop=crop)
     predictor = make_predictor(make_network(config), config)
     predictions = predict_all(predictor, state, dataset)
+    if predictions.cells is not None:
+        from dpc_jax.run.surfaces import add_points  # needs libraries of its own
+
+        predictions = add_points(predictions, workdir)
     alignment = read_alignment(workdir)
     points, poses = predictions.points[:, 0], predictions.poses[:, 0]
     if alignment is not None:

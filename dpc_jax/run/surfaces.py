@@ -1,6 +1,8 @@
 """The points that voxel models are judged by; loaded for these alone."""
 
+import json
 from collections.abc import Callable
+from pathlib import Path
 
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment
@@ -29,3 +31,25 @@ def find_points(
         name: volumes.add_points(each, threshold) for name, each in predictions.items()
     }
     return found, threshold
+
+
+def add_points(predictions: Predictions, workdir: Path) -> Predictions:
+    """Predictions with points, by the threshold that a finished run has tuned.
+
+    Before a run is finished, by the one that tuning begins with.
+
+    Raises:
+      ValueError: where the run's metrics cannot be read.
+    """
+    path = workdir / "report" / "metrics.json"
+    threshold = volumes.FIRST_THRESHOLD
+    if path.exists():
+        try:
+            metrics = json.loads(path.read_text(encoding="utf-8"))
+            threshold = float(metrics["surface_threshold"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ValueError(
+                f"Expected the threshold of surfaces in {path}, but it cannot be read "
+                f"({error}); start the command that began the run again."
+            ) from None
+    return volumes.add_points(predictions, threshold)

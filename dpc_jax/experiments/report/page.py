@@ -181,7 +181,9 @@ def publish(page: Path, blocks: Sequence[Block]) -> Path:
     folder = page.parent / "images" / page.stem
     places = {}
     for path in (block.path for block in blocks if isinstance(block, Figure)):
-        with replacing(folder / path.name) as temporary:
+        # Two experiments may draw figures of one name, each in its own folder.
+        name = f"{path.parent.name}-{path.name}"
+        with replacing(folder / name) as temporary:
             shutil.copyfile(path, temporary)
-        places[path] = f"images/{page.stem}/{path.name}"
+        places[path] = f"images/{page.stem}/{name}"
     return write_text(page, write_markdown(blocks, places))
