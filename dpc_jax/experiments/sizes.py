@@ -100,13 +100,13 @@ CPU = Size(
         "32": {"train.steps": 2000},
         "64": {"train.steps": 2000},
         "128": {"train.steps": 2000},
-        # A step of 200 covariances takes half a second: this is nine minutes.
+        # A render of 200 covariances takes 70 ms: ten minutes, not yet run.
         "points": {"train.steps": 1000, "train.views_per_batch": 2},
-        # A step with colours takes three times as long as one without.
+        # A render with colours takes four to six times as long as one without.
         "signals": {"train.steps": 4000},
         "": {},  # the config's own
     },
-    left_out=frozenset({"covariance2000"}),  # an hour and a half
+    left_out=frozenset({"covariance2000"}),  # 1.5 hours by their renders
 )
 
 FULL = Size(

@@ -29,6 +29,21 @@ def _count_blocks(image_size):
     return image_size.bit_length() - 1 - 3
 
 
+def activate(x: jax.Array, *, normalize: bool) -> jax.Array:
+    """Leaky ReLU of features [B, ...], before it those of each sample normalised."""
+    if normalize:
+        # The fast variance E[x²] - E[x]² would cancel where the mean is large.
+        # The epsilon matters for a constant layer only: activations are of order 1.
+        x = nn.LayerNorm(
+            reduction_axes=tuple(range(1, x.ndim)),
+            use_bias=False,
+            use_scale=False,
+            epsilon=1e-6,
+            use_fast_variance=False,
+        )(x)
+    return leaky_relu(x)
+
+
 class ImageEncoder(nn.Module):
     """Images to features.
 
@@ -61,26 +76,14 @@ class ImageEncoder(nn.Module):
         chex.assert_shape(images, (None, None, images.shape[1], 3))
         needed = _count_blocks(images.shape[1])
         conv = functools.partial(nn.Conv, kernel_init=conv_init)
-        x = self._activate(conv(self.channels, (5, 5), strides=2)(images))
+        act = functools.partial(activate, normalize=self.normalize)
+        x = act(conv(self.channels, (5, 5), strides=2)(images))
         for block in range(self.blocks or needed):
             width = self.channels * 2 ** (block + 1)
-            x = self._activate(conv(width, (3, 3), strides=2)(x))
-            x = self._activate(conv(width, (3, 3))(x))
+            x = act(conv(width, (3, 3), strides=2)(x))
+            x = act(conv(width, (3, 3))(x))
         x = x.reshape(x.shape[0], -1)
-        x = self._activate(nn.Dense(self.hidden, kernel_init=conv_init)(x))
+        x = act(nn.Dense(self.hidden, kernel_init=conv_init)(x))
         if mix is not None:
             x = jnp.matmul(mix, x, precision="highest")
-        return self._activate(nn.Dense(self.hidden, kernel_init=conv_init)(x))
-
-    def _activate(self, x):
-        if self.normalize:
-            # The fast variance E[x²] - E[x]² would cancel where the mean is large.
-            # The epsilon matters for a constant layer only: activations are of order 1.
-            x = nn.LayerNorm(
-                reduction_axes=tuple(range(1, x.ndim)),
-                use_bias=False,
-                use_scale=False,
-                epsilon=1e-6,
-                use_fast_variance=False,
-            )(x)
-        return leaky_relu(x)
+        return act(nn.Dense(self.hidden, kernel_init=conv_init)(x))

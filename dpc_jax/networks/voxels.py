@@ -12,7 +12,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.networks.encoder import conv_init, leaky_relu
+from dpc_jax.networks.encoder import activate, conv_init
 
 _FIRST_SIDE = 4  # cells, of the dense layer's volume
 # The output's start. A cell of 0.05 makes a ray of 20 such cells two thirds opaque: a
@@ -47,9 +47,9 @@ class VoxelHead(nn.Module):
         x = nn.Dense(width * _FIRST_SIDE**3, kernel_init=conv_init)(features)
         x = x.reshape(-1, *[_FIRST_SIDE] * 3, width)
         for level in reversed(range(1, doublings)):
-            x = self._activate(x)
+            x = activate(x, normalize=self.normalize)
             x = DoublingConv(self.channels * 2 ** (level - 1))(x)
-        x = self._activate(x)
+        x = activate(x, normalize=self.normalize)
         start = math.log(_FIRST_OCCUPANCY / (1 - _FIRST_OCCUPANCY))
         cells = DoublingConv(1, stddev=0.02, name="cells")(x)[..., 0]
         shape = {"cells": nn.sigmoid(cells + start)}
@@ -58,23 +58,13 @@ class VoxelHead(nn.Module):
             shape["colors"] = nn.sigmoid(colors)
         return shape
 
-    def _activate(self, x):
-        if self.normalize:
-            x = nn.LayerNorm(
-                reduction_axes=tuple(range(1, x.ndim)),
-                use_bias=False,
-                use_scale=False,
-                epsilon=1e-6,
-                use_fast_variance=False,
-            )(x)
-        return leaky_relu(x)
-
 
 class DoublingConv(nn.Module):
     """A transposed 3D convolution of kernel 4, stride 2 and padding 1.
 
     As eight convolutions of kernel 2, one for each place that a cell of the result has
-    in its cell of the input: XLA has no fast program for strided ones on a CPU.
+    in its cell of the input: XLA's own takes 35 times as long on a CPU, with
+    its gradient (docs/baselines.md).
 
     Attributes:
       channels: of the result.
