@@ -81,6 +81,7 @@ def _list_rules(config):
         f"{size}",
     )
     yield from _list_voxel_rules(config)
+    yield from _list_sampling_rules(config)
     yield from _list_signal_rules(config)
     yield (
         "pose.choice_grid",
@@ -104,6 +105,21 @@ def _list_voxel_rules(config):
         "network.point_size",
         not config.network.point_size,
         "'' with network.shape = 'voxels', which has no points",
+    )
+
+
+def _list_sampling_rules(config):
+    """Rules of poses that are drawn by their probabilities (MVC)."""
+    pose = config.pose
+    if pose.samples:
+        expected = "with pose.choice = 'sampled', which draws one head"
+        yield "pose.candidates", pose.candidates > 1, f"above 1 {expected} of several"
+        yield "pose.selects", pose.selects, f"True {expected} by its probability"
+        yield "pose.flips", not pose.flips, f"False {expected} as it is"
+    yield (
+        "pose.prior_weight",
+        not pose.prior_weight or pose.choice == "sampled",
+        "0 unless pose.choice = 'sampled', because the prior is that of poses drawn",
     )
 
 

@@ -25,6 +25,8 @@ CHOICE_RANKS = ("volume", "image")  # what candidates are ranked in
 STUDENT_LOSSES = ("absolute", "signed", "squared")  # forms of the angular difference
 FRONTS = ("", "+x", "-x", "+z", "-z")
 SHAPES = ("points", "voxels")  # what the shape branch predicts
+POSE_HEADS = ("quaternion", "viewpoint")  # what a head predicts
+CHOICES = ("hindsight", "sampled")  # how one of the candidates is chosen
 POINT_SIZES = ("", "sigma", "covariance")  # what is learned of each point's size
 _IMAGE_SIZE = Allowed(
     lambda size: size >= 16 and size & (size - 1) == 0,
@@ -113,9 +115,12 @@ class Pose:
     known: bool = field(False)  # read the poses from the data, learn none
     labels: bool = field(False)  # learn poses from the data's, shapes with the data's
     candidates: int = field(8, _HEADS)  # K heads (§ distilled ensemble)
+    head: str = field("quaternion", one_of(*POSE_HEADS))  # viewpoint: no roll (MVC)
+    own_encoder: bool = field(False)  # poses have an encoder of their own (MVC)
     spread: str = field("all", one_of("", "all", "upright"))  # where the heads start
     flips: bool = field(True)  # also try each head after half turns of the object
     selects: bool = field(True)  # student chooses a candidate; False: regresses a pose
+    choice: str = field("hindsight", one_of(*CHOICES))  # sampled: REINFORCE (MVC)
     choice_rank: str = field("image", one_of(*CHOICE_RANKS))  # first choice made in
     choice_grid: int = field(0, at_least(0))  # side in the first choice; 0: grid
     choice_points: int = field(250, at_least(0))  # of the first choice; 0: all
@@ -123,6 +128,7 @@ class Pose:
     choice_signals: str = field("silhouette", one_of("silhouette", "all"))  # compared
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     student_loss: str = field("absolute", one_of(*STUDENT_LOSSES))  # if it regresses
+    prior_weight: float = field(0.0, at_least(0))  # per pixel; of a judge (MVC)
     translation: bool = field(False)  # of each view, learned (released code)
     focal_length: bool = field(False)  # of each view, learned (released code)
 
@@ -140,6 +146,11 @@ class Pose:
     def given(self) -> bool:
         """Whether shapes are learned with the poses of the data."""
         return self.known or self.labels
+
+    @property
+    def samples(self) -> bool:
+        """Whether heads are drawn by their probabilities, which are learned."""
+        return self.choice == "sampled" and not self.given
 
     @property
     def half_turns(self) -> bool:

@@ -107,6 +107,18 @@ VARIANTS: dict[str, Changes] = {
     "ours_v": _VOXELS,
     "ptn": {**_VOXELS, "render": {**_VOXELS["render"], "ray_rule": "maximum"}},
     "drc": {**_VOXELS, "train": {"background_weight": 0.2}},
+    "mvc": {
+        **_VOXELS,
+        "train": {"background_weight": 0.2},
+        "pose": {
+            **_VOXELS["pose"],
+            "head": "viewpoint",
+            "own_encoder": True,
+            "choice": "sampled",
+            "flips": False,
+            "prior_weight": 0.1,
+        },
+    },
     # § Network architecture and § Colored point clouds: other signals beside
     # silhouettes (docs/supervision.md has what each weight gave).
     "depth": {"train": {"depth_weight": 5.0}},
@@ -121,7 +133,7 @@ PAPER_MODELS = {
 EXCLUSIVE = (
     ("naive", "known_pose", "gt_pose"),  # how poses are learned
     ("32", "64", "128"),
-    ("ours_v", "ptn", "drc"),
+    ("ours_v", "ptn", "drc", "mvc"),
 )
 
 

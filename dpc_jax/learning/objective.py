@@ -29,6 +29,10 @@ from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera
 
 
+# Of batches, that the next step goes on from: covariance and cost of `TrainState`.
+Averages = tuple[jax.Array, jax.Array | None]
+
+
 class Term(NamedTuple):
     """One loss: its value and its weight in the sum."""
 
@@ -42,13 +46,14 @@ def compute_loss(
     keys: jax.Array,
     step: jax.Array,
     covariance: jax.Array,
+    cost: jax.Array | None,
     *,
     network: ShapePoseNetwork,
     render: Render,
     pose: Pose,
     train: Train,
     stage: schedules.Stage,
-) -> tuple[jax.Array, tuple[dict[str, jax.Array], jax.Array]]:
+) -> tuple[jax.Array, tuple[dict[str, jax.Array], Averages]]:
     """The training objective of one batch (§ Single-view Shape and Pose Estimation).
 
     The shape is predicted from each object's first view and compared with all its
@@ -61,13 +66,14 @@ def compute_loss(
         [B, V, 4] (read only where poses are given), and what `list_extras` names.
       keys: [B], for the point dropout of each object.
       step: ().
-      covariance: [3, 3], see `TrainState`.
+      covariance, cost: [3, 3] and () or None, see `TrainState`.
       network, render, pose, train: static.
       stage: the current one of the schedule, static.
 
     Returns:
-      (() loss, (metrics, covariance)). Metrics: reprojection (mean sum of squares of a
-      view), student's loss, scale, winners [B·V] int32, and the other active losses.
+      (() loss, (metrics, (covariance, cost))). Metrics: reprojection (mean sum of
+      squares of a view), student's loss, scale, winners [B·V] int32, and the other
+      active losses.
     """
     camera = Camera(render.focal_length, render.distance)
     sigma = schedules.compute_sigma(step, render, steps=train.steps)
@@ -99,6 +105,11 @@ def compute_loss(
             winners, learned = compare_labels(
                 poses, rotations, render=render, pose=pose
             )
+        elif pose.samples:
+            from dpc_jax.learning.choice import sampling  # of a baseline alone
+
+            winners = sampling.draw_poses(poses, keys, views=features.shape[1])
+            rotations = winners.poses
         else:
             winners = choose_poses(
                 shapes,
@@ -113,8 +124,9 @@ def compute_loss(
             )
             rotations = winners.poses
         metrics["winners"] = winners.indices.reshape(-1)
-        learned |= compare_student(poses, winners, render=render, pose=pose)
-    compared, parts = compare_winners(
+        if not pose.samples:
+            learned |= compare_student(poses, winners, render=render, pose=pose)
+    compared, parts, costs = compare_winners(
         shapes,
         rotations,
         batch,
@@ -123,9 +135,21 @@ def compute_loss(
         stage=stage,
         cameras=cameras,
     )
+    if pose.samples:
+        drawn, cost = sampling.compare_drawn(
+            params,
+            poses,
+            winners,
+            costs,
+            cost,
+            keys,
+            network=network,
+            weight=pose.prior_weight * render.grid**2,
+        )
+        learned |= {name: Term(*parts) for name, parts in drawn.items()}
     terms = compute_priors(shapes, step, train=train) | learned
     metrics |= parts | {name: term.value for name, term in terms.items()}
-    return compared + sum_terms(terms), (metrics, covariance)
+    return compared + sum_terms(terms), (metrics, (covariance, cost))
 
 
 def compute_priors(

@@ -26,12 +26,14 @@ class TrainState(NamedTuple):
       optimizer: state of the optimiser.
       covariance: [3, 3] of predicted points, averaged over the last hundred or so
         batches: its principal axes are those of the half turns.
+      cost: () of a view, a moving average; of runs that draw poses, else None.
     """
 
     step: jax.Array
     params: optax.Params
     optimizer: optax.OptState
     covariance: jax.Array
+    cost: jax.Array | None = None
 
 
 def make_optimizer(train: Train) -> optax.GradientTransformation:
@@ -89,7 +91,9 @@ def _init_whole(network, config, seed):
     images = jnp.zeros((1, size, size, 3))
     params = network.init(jax.random.key(seed), images)
     optimizer = make_optimizer(config.train).init(params)
-    return TrainState(jnp.asarray(0, jnp.int32), params, optimizer, jnp.zeros((3, 3)))
+    cost = jnp.zeros(()) if config.pose.samples else None
+    step = jnp.asarray(0, jnp.int32)
+    return TrainState(step, params, optimizer, jnp.zeros((3, 3)), cost)
 
 
 def find_parts(network: ShapePoseNetwork, config: Config, mesh: Mesh) -> TrainState:
@@ -144,6 +148,7 @@ def _make_update(network, config, stage, parts, num_devices):
                 keys,
                 state.step,
                 state.covariance,
+                state.cost,
                 network=network,
                 render=config.render,
                 pose=config.pose,
@@ -156,7 +161,7 @@ def _make_update(network, config, stage, parts, num_devices):
         key = jax.random.fold_in(jax.random.key(batch["seeds"][0]), state.step)
         # An object has its own key, whichever device it is on.
         keys = devices.take_own(jax.random.split(key, config.train.models_per_batch))
-        (loss, (metrics, covariance)), grads = jax.value_and_grad(
+        (loss, (metrics, averages)), grads = jax.value_and_grad(
             compute_share, has_aux=True
         )(state.params, batch, keys, state)
         winners = {k: metrics.pop(k) for k in ("winners",) if k in metrics}
@@ -173,7 +178,7 @@ def _make_update(network, config, stage, parts, num_devices):
             parts.params["params"],
             (state.step + 1) % cadence == 0,
         )
-        new = TrainState(state.step + 1, params, opt_state, covariance)
+        new = TrainState(state.step + 1, params, opt_state, *averages)
         return new, metrics
 
     return update

@@ -4,12 +4,12 @@ from typing import Any
 
 import flax.linen as nn
 import jax
+import jax.numpy as jnp
 
 from dpc_jax.networks.camera import FOCAL_RANGE, TRANSLATION_RANGE, BoundedHead
 from dpc_jax.networks.encoder import ImageEncoder
 from dpc_jax.networks.pose import PoseEnsemble, PoseSelector, PoseStudent
 from dpc_jax.networks.shape import ShapeHead
-from dpc_jax.networks.voxels import VoxelHead
 
 
 class ShapePoseNetwork(nn.Module):
@@ -23,6 +23,10 @@ class ShapePoseNetwork(nn.Module):
         `ShapeHead`.
       voxels: side of the volume that the `VoxelHead` predicts; 0 for points.
       voxel_channels: of it.
+      viewpoints: predict azimuth and elevation (`ViewpointEnsemble`), not quaternions.
+      own_pose_encoder: poses are predicted from features of an encoder of their own,
+        which come behind those of shapes.
+      judges_poses: have a `PoseJudge`.
       candidates: K, the number of pose predictors; 0 where poses are known.
       channels, hidden, normalize, blocks: of the `ImageEncoder`.
       num_classes: how many candidates the student selects from, turned ones included;
@@ -53,24 +57,22 @@ class ShapePoseNetwork(nn.Module):
     focal_length: float = 0.0
     voxels: int = 0
     voxel_channels: int = 16
+    viewpoints: bool = False
+    own_pose_encoder: bool = False
+    judges_poses: bool = False
 
     def setup(self) -> None:
         """Make the branches that this run learns."""
-        self.encoder = ImageEncoder(
-            channels=self.channels,
-            hidden=self.hidden,
-            normalize=self.normalize,
-            blocks=self.blocks,
-        )
+        self.encoder = self._make_encoder()
         self.shape = self._make_shape_head()
         if self.candidates:
-            self.pose = PoseEnsemble(
-                candidates=self.candidates,
-                hidden=self.hidden,
-                spread=self.spread,
-                layers=self.head_layers,
-                slope=self.pose_slope,
-            )
+            self.pose = self._make_pose_heads()
+        if self.candidates and self.own_pose_encoder:
+            self.pose_encoder = self._make_encoder()
+        if self.candidates and self.judges_poses:
+            from dpc_jax.networks.viewpoints import PoseJudge  # of a baseline alone
+
+            self.judge = PoseJudge()
         student: dict[str, Any] = {
             "hidden": self.hidden,
             "width": self.student_width,
@@ -85,8 +87,33 @@ class ShapePoseNetwork(nn.Module):
         if self.focal_length:
             self.focal = BoundedHead(outputs=1, bound=FOCAL_RANGE)
 
+    def _make_encoder(self):
+        return ImageEncoder(
+            channels=self.channels,
+            hidden=self.hidden,
+            normalize=self.normalize,
+            blocks=self.blocks,
+        )
+
+    def _make_pose_heads(self):
+        if self.viewpoints:
+            from dpc_jax.networks.viewpoints import ViewpointEnsemble  # of a baseline
+
+            return ViewpointEnsemble(
+                candidates=self.candidates, hidden=self.hidden, slope=self.pose_slope
+            )
+        return PoseEnsemble(
+            candidates=self.candidates,
+            hidden=self.hidden,
+            spread=self.spread,
+            layers=self.head_layers,
+            slope=self.pose_slope,
+        )
+
     def _make_shape_head(self):
         if self.voxels:
+            from dpc_jax.networks.voxels import VoxelHead  # of baselines alone
+
             return VoxelHead(
                 side=self.voxels,
                 channels=self.voxel_channels,
@@ -103,15 +130,20 @@ class ShapePoseNetwork(nn.Module):
         )
 
     def encode(self, images: jax.Array, *, mix: jax.Array | None = None) -> jax.Array:
-        """Images [B, S, S, 3] in [-1, 1] to features [B, hidden].
+        """Images [B, S, S, 3] in [-1, 1] to features [B, F].
 
-        `mix` is as of `ImageEncoder`: weights [M, B] of mixtures of the images.
+        F is `hidden`, or twice that with a pose encoder. `mix` is as of `ImageEncoder`:
+        weights [M, B] of mixtures of the images.
         """
-        return self.encoder(images, mix=mix)
+        features = self.encoder(images, mix=mix)
+        if self.candidates and self.own_pose_encoder:
+            others = self.pose_encoder(images, mix=mix)
+            features = jnp.concatenate([features, others], axis=-1)
+        return features
 
     def predict_shape(self, features: jax.Array) -> dict[str, jax.Array]:
         """Features [B, F] to what the shape head predicts: points, or cells."""
-        return self.shape(features)
+        return self.shape(features[..., : self.hidden])
 
     def predict_pose(self, features: jax.Array) -> dict[str, jax.Array]:
         """Features [B, F] to "candidates" [B, K, 4] and the output of the student.
@@ -122,6 +154,7 @@ class ShapePoseNetwork(nn.Module):
         """
         if not self.candidates:
             return {}
+        features = features[..., -self.hidden :]  # of the pose encoder, if there is one
         poses = self.pose(features)
         if self.candidates == 1:
             return {"candidates": poses, "student": poses[:, 0]}
@@ -142,8 +175,14 @@ class ShapePoseNetwork(nn.Module):
             )
         return output
 
+    def judge_poses(self, quaternions: jax.Array) -> jax.Array:
+        """Unit quaternions [n, 4] to logits [n], see `PoseJudge`."""
+        return self.judge(quaternions)
+
     def __call__(self, images: jax.Array) -> dict[str, jax.Array]:
         """All predictions for images [B, S, S, 3]; also initialises the parameters."""
         features = self.encode(images)
         poses = self.predict_pose(features) | self.predict_camera(features)
+        if self.is_initializing() and self.candidates and self.judges_poses:
+            self.judge_poses(poses["candidates"][:, 0])  # makes its parameters
         return self.predict_shape(features) | poses

@@ -30,6 +30,9 @@ def make_network(config: Config) -> ShapePoseNetwork:
         focal_length=config.render.focal_length * config.pose.focal_length,
         voxels=config.render.grid if config.network.shape == "voxels" else 0,
         voxel_channels=config.network.voxel_channels,
+        viewpoints=config.pose.head == "viewpoint",
+        own_pose_encoder=config.pose.own_encoder,
+        judges_poses=config.pose.prior_weight > 0,
     )
 
 

@@ -44,7 +44,7 @@ def compare_winners(
     train: Train,
     stage: Stage,
     cameras: Cameras = Cameras(),
-) -> tuple[jax.Array, dict[str, jax.Array]]:
+) -> tuple[jax.Array, dict[str, jax.Array], jax.Array]:
     """Eq. 1: differences of rendered images and views, averaged over the views.
 
     The sum of a finer image is divided by its pixels per pixel of the base grid, so
@@ -60,7 +60,8 @@ def compare_winners(
       cameras: [B, V, ...] of the views, where they have their own.
 
     Returns:
-      (() the weighted sum, which has the gradient; {name: ()} of its terms).
+      (() the weighted sum, which has the gradient; {name: ()} of its terms; [B·V] what
+      each view has of the sum, without gradient).
     """
     num_views = rotations.shape[0] * rotations.shape[1]
     ratio = stage.grid / render.grid
@@ -86,9 +87,10 @@ def compare_winners(
         render.ray_rule,
     )
     result: Any = _sum_views(static, learned, given)
-    total, terms = result
+    total, terms, costs = result
     share = 1 / num_views / ratio**2
-    return total * share, jax.tree.map(lambda value: value * share, terms)
+    terms = jax.tree.map(lambda value: value * share, terms)
+    return total * share, terms, costs / ratio**2
 
 
 def _compare_view(static, learned, given):
@@ -110,19 +112,21 @@ def _compare_view(static, learned, given):
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
 def _sum_views(static: _Static, learned: dict[str, Any], given: dict[str, Any]) -> Any:
-    """Σ over views of `_compare_view`; its gradient is that of the first result."""
+    """Σ over views of `_compare_view`, and its first result of each view.
+
+    The gradient is that of the first sum.
+    """
     call = functools.partial(_compare_view, static)
-    return _sum_entries(
-        map_renders(
-            lambda view: call(*view),
-            (learned, given),
-            renders_at_once=static.renders_at_once,
-        )
+    costs, terms = map_renders(
+        lambda view: call(*view),
+        (learned, given),
+        renders_at_once=static.renders_at_once,
     )
+    return _sum_entries(costs, terms)
 
 
-def _sum_entries(tree: Any) -> Any:
-    return jax.tree.map(jnp.sum, tree)
+def _sum_entries(costs: jax.Array, terms: Any) -> Any:
+    return jnp.sum(costs), jax.tree.map(jnp.sum, terms), costs
 
 
 def _sum_views_forward(static, learned, given):
@@ -132,11 +136,11 @@ def _sum_views_forward(static, learned, given):
         (learned, given),
         renders_at_once=static.renders_at_once,
     )
-    return _sum_entries(result), gradient
+    return _sum_entries(*result), gradient
 
 
 def _sum_views_backward(static, gradient, cotangent):
-    total, _ = cotangent
+    total = cotangent[0]
     return jax.tree.map(lambda part: total * part, gradient), None
 
 

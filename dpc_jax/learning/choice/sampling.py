@@ -1,0 +1,102 @@
+"""Poses drawn by their probabilities and learned by REINFORCE, as in MVC.
+
+Tulsiani et al. (2018) draw one head for each view instead of comparing all. The pose
+drawn has the ordinary gradient of its loss; the probabilities p of the heads have that
+of the expected loss, of which (cost - baseline)·∇log p of the head drawn is an unbiased
+sample (Williams, 1992), whatever the baseline.
+"""
+
+import functools
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+
+from dpc_jax.learning.choice.hindsight import Winners
+from dpc_jax.learning.devices import AXIS
+from dpc_jax.learning.pose_prior import judge_poses
+from dpc_jax.learning.predictions import Poses
+from dpc_jax.networks import ShapePoseNetwork
+
+_KEPT = 0.95  # of the baseline in a step
+
+
+def draw_poses(poses: Poses, keys: jax.Array, *, views: int) -> Winners:
+    """One candidate of each view, by the softmax of the logits.
+
+    Args:
+      poses: candidates [B·V, K, 4] and logits [B·V, K].
+      keys: [B], of the objects. views: V.
+    """
+    assert poses.logits is not None
+    count = poses.logits.shape[-1]
+    logits = jax.lax.stop_gradient(poses.logits).reshape(-1, views, count)
+    own = jax.vmap(functools.partial(jax.random.fold_in, data=1))(keys)
+    indices = jax.vmap(jax.random.categorical)(own, logits)
+    drawn = jnp.take_along_axis(
+        poses.candidates, indices.reshape(-1)[:, None, None], axis=1
+    )
+    return Winners(drawn.reshape(-1, views, 4), indices.astype(jnp.int32))
+
+
+def compare_drawn(
+    params: Mapping,
+    poses: Poses,
+    winners: Winners,
+    costs: jax.Array,
+    baseline: jax.Array,
+    keys: jax.Array,
+    *,
+    network: ShapePoseNetwork,
+    weight: float,
+) -> tuple[dict[str, tuple[jax.Array, float]], jax.Array]:
+    """What probabilities learn, and the prior of the poses drawn.
+
+    Args:
+      params: of the network. poses: of B·V views. winners: those drawn.
+      costs: [B·V] of the renders of these. baseline: (), of the steps before.
+      keys: [B], of the objects.
+      weight: of the prior's losses beside these costs; 0 for none.
+
+    Returns:
+      ({name: (value, weight)} of losses, the new baseline).
+    """
+    terms = {}
+    if weight:
+        unlikely, judge = judge_poses(params, winners.poses, keys, network=network)
+        terms |= {"prior": (jnp.mean(unlikely), weight), "judge": (judge, 1.0)}
+        costs = costs + weight * unlikely
+    baseline = update_baseline(baseline, costs, axis=AXIS)
+    indices = winners.indices.reshape(-1)
+    assert poses.logits is not None
+    loss = reinforce_loss(poses.logits, indices, costs, baseline)
+    return terms | {"reinforce": (loss, 1.0)}, baseline
+
+
+def update_baseline(
+    baseline: jax.Array, costs: jax.Array, *, axis: str | None = None
+) -> jax.Array:
+    """The moving average () of costs [...], after one more batch; from 0 on.
+
+    Devices along a named axis, each with its share of the batch, get that of all.
+    """
+    mean = jnp.mean(jax.lax.stop_gradient(costs))
+    if axis is not None:
+        mean = jax.lax.pmean(mean, axis)
+    return _KEPT * baseline + (1 - _KEPT) * mean
+
+
+def reinforce_loss(
+    logits: jax.Array, indices: jax.Array, costs: jax.Array, baseline: jax.Array
+) -> jax.Array:
+    """Mean of (cost - baseline)·log p of the heads drawn; ().
+
+    Its value means nothing; its gradient by the logits is that of the expected cost.
+
+    Args:
+      logits: [n, K]. indices: [n] of the heads drawn.
+      costs: [n], without gradient. baseline: ().
+    """
+    chances = jax.nn.log_softmax(logits)
+    drawn = jnp.take_along_axis(chances, indices[:, None], axis=1)[:, 0]
+    return jnp.mean(jax.lax.stop_gradient(costs - baseline) * drawn)

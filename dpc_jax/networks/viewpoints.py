@@ -1,0 +1,78 @@
+"""Pose heads that predict viewpoints, and the judge of a prior on them (MVC).
+
+Multi-view Consistency (Tulsiani et al., 2018) is told what range elevations have and
+that images are upright: a head predicts azimuth and elevation alone
+(docs/baselines.md).
+"""
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+
+from dpc_jax.networks.encoder import conv_init, leaky_relu
+from dpc_jax.render import quaternion
+
+ELEVATIONS = (-20.0, 40.0)  # degrees, of the views (§ Datasets)
+_JUDGE_WIDTH = 10
+
+
+class ViewpointEnsemble(nn.Module):
+    """K viewpoint predictors behind one hidden layer.
+
+    Azimuths start in equal steps around the object, at the middle of the elevations;
+    each head can reach all azimuths.
+
+    Attributes:
+      candidates: K, the number of heads.
+      hidden: width of the layer. slope: of the leaky ReLU after it.
+    """
+
+    candidates: int
+    hidden: int = 1024
+    slope: float = 0.2
+
+    @nn.compact
+    def __call__(self, features: jax.Array) -> jax.Array:
+        """Features [B, F] to unit quaternions [B, K, 4] of upright cameras."""
+        x = nn.Dense(self.hidden, kernel_init=conv_init)(features)
+        x = nn.leaky_relu(x, self.slope)
+        init = nn.initializers.variance_scaling(0.1, "fan_in", "normal")
+        x = nn.Dense(2 * self.candidates, kernel_init=init, name="heads")(x)
+        shares = nn.sigmoid(x).reshape(-1, 2, self.candidates)
+        sectors = jnp.arange(self.candidates) / self.candidates
+        azimuths = 2 * jnp.pi * (shares[:, 0] + sectors[None])
+        low, high = (jnp.deg2rad(angle) for angle in ELEVATIONS)
+        return face_object(azimuths, low + (high - low) * shares[:, 1])
+
+
+def face_object(azimuths: jax.Array, elevations: jax.Array) -> jax.Array:
+    """Quaternions [..., 4] of upright cameras that look at the origin.
+
+    Angles [...] are radians, and mean what they do of a data set's viewpoints: the
+    camera sits at (cos el cos az, cos el sin az, sin el), the object's z is up.
+    """
+    c, s = jnp.cos(azimuths / 2), -jnp.sin(azimuths / 2)
+    level = jnp.stack([c + s, c + s, c - s, s - c], axis=-1) / 2
+    zero = jnp.zeros_like(elevations)
+    pitch = jnp.stack(
+        [jnp.cos(elevations / 2), jnp.sin(elevations / 2), zero, zero], axis=-1
+    )
+    return multiply(pitch, level)
+
+
+def multiply(first: jax.Array, second: jax.Array) -> jax.Array:
+    """Products of quaternions [..., 4]."""
+    flat = jax.vmap(quaternion.multiply)(first.reshape(-1, 4), second.reshape(-1, 4))
+    return flat.reshape(first.shape)
+
+
+class PoseJudge(nn.Module):
+    """Tells predicted poses from drawn ones: layers of 10, 10 and 1 unit."""
+
+    @nn.compact
+    def __call__(self, quaternions: jax.Array) -> jax.Array:
+        """Unit quaternions [n, 4] to logits [n], above 0 for poses taken as drawn."""
+        x = quaternions
+        for _ in range(2):
+            x = leaky_relu(nn.Dense(_JUDGE_WIDTH, kernel_init=conv_init)(x))
+        return nn.Dense(1, kernel_init=conv_init)(x)[:, 0]
