@@ -67,7 +67,7 @@ def test_winners_have_the_loss_and_gradient_of_plain_renders(
         seen = shapes._replace(kept=kept, mass=mass)
         if color_weight:
             seen = seen._replace(colors=colors)
-        total, terms = compare_winners(
+        total, terms, _ = compare_winners(
             seen,
             rotations,
             batch,

@@ -81,6 +81,7 @@ def _list_rules(config):
         f"{size}",
     )
     yield from _list_voxel_rules(config)
+    yield from _list_map_rules(config)
     yield from _list_sampling_rules(config)
     yield from _list_signal_rules(config)
     yield (
@@ -92,7 +93,7 @@ def _list_rules(config):
 
 def _list_voxel_rules(config):
     """Rules of voxel models, which predict a volume in place of points."""
-    if config.network.shape == "points":
+    if config.network.shape != "voxels":
         return
     grid = config.render.grid
     yield (
@@ -105,6 +106,35 @@ def _list_voxel_rules(config):
         "network.point_size",
         not config.network.point_size,
         "'' with network.shape = 'voxels', which has no points",
+    )
+
+
+def _list_map_rules(config):
+    """Rules of maps of points at fixed views (EPCG)."""
+    data, grid, until = config.data, config.render.grid, config.render.fixed_views_until
+    if config.network.shape != "maps":
+        expected = "0 unless network.shape = 'maps', which are seen from fixed views"
+        yield "render.fixed_views_until", not until, expected
+        return
+    yield (
+        "render.grid",
+        grid >= 8 and grid & (grid - 1) == 0,
+        "a power of two of at least 8 with network.shape = 'maps', because the decoder "
+        "doubles 4 pixels",
+    )
+    for name, holds, expected in (
+        ("network.point_size", not config.network.point_size, "''"),
+        ("pose.known", config.pose.known, "True"),
+        ("train.color_weight", not config.train.color_weight, "0"),
+    ):
+        why = (
+            "their cells are a fifth of a pixel, and where points fall has no gradient"
+        )
+        yield name, holds, f"{expected} with network.shape = 'maps': {why}"
+    yield (
+        "render.fixed_views_until",
+        not (until and (data.images or data.renders)),
+        "0 with data.images or data.renders, which have no views from fixed places",
     )
 
 

@@ -24,7 +24,7 @@ CROPS = ("object", "view", "none")  # what shares one scale
 CHOICE_RANKS = ("volume", "image")  # what candidates are ranked in
 STUDENT_LOSSES = ("absolute", "signed", "squared")  # forms of the angular difference
 FRONTS = ("", "+x", "-x", "+z", "-z")
-SHAPES = ("points", "voxels")  # what the shape branch predicts
+SHAPES = ("points", "voxels", "maps")  # what the shape branch predicts
 POSE_HEADS = ("quaternion", "viewpoint")  # what a head predicts
 CHOICES = ("hindsight", "sampled")  # how one of the candidates is chosen
 POINT_SIZES = ("", "sigma", "covariance")  # what is learned of each point's size
@@ -83,6 +83,7 @@ class Network:
     point_size: str = field("", one_of(*POINT_SIZES))  # learned of each point; "": none
     shape: str = field("points", one_of(*SHAPES))  # predicted; voxels: of render.grid
     voxel_channels: int = field(16, at_least(1))  # of the volume of half the side
+    map_channels: int = field(48, at_least(1))  # of the largest maps (EPCG)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,6 +93,7 @@ class Render:
     grid: int = field(32, at_least(1))  # side of volume and target silhouettes, voxels
     fine_grid: int = field(64, at_least(0))  # side for the late winners; 0: never
     fine_from: float = field(0.6, between(0, 1))  # share of the run it is used from
+    fixed_views_until: float = field(0.0, between(0, 1))  # share of the run (EPCG)
     num_points: int = field(2000, at_least(1))  # of a cloud (2000 at 32³ in the paper)
     sigma_start: float = field(0.05, between(0, 1))  # of the volume's side (§ Training)
     sigma_end: float = field(0.003, between(0, 1))  # of the volume's side

@@ -119,6 +119,12 @@ VARIANTS: dict[str, Changes] = {
             "prior_weight": 0.1,
         },
     },
+    "epcg": {
+        "network": {"shape": "maps"},
+        "render": {"fine_grid": 0, "keep_levels": 1, "fixed_views_until": 0.5},
+        "pose": {"known": True},
+        "train": {"depth_weight": 1.0},
+    },
     # § Network architecture and § Colored point clouds: other signals beside
     # silhouettes (docs/supervision.md has what each weight gave).
     "depth": {"train": {"depth_weight": 5.0}},
@@ -133,7 +139,9 @@ PAPER_MODELS = {
 EXCLUSIVE = (
     ("naive", "known_pose", "gt_pose"),  # how poses are learned
     ("32", "64", "128"),
-    ("ours_v", "ptn", "drc", "mvc"),
+    ("ours_v", "ptn", "drc", "mvc", "epcg"),
+    ("epcg", "gt_pose"),  # learns no poses
+    ("epcg", "naive"),
 )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from dpc_jax.data.dataset import DataSet
+from dpc_jax.data.dataset import CORNERS, DataSet
 
 BATCH_ARRAYS = ("images", "masks", "quaternions")  # of every batch
 _MODELS, _VIEWS = 0, 1  # so that the two never share a random stream
@@ -93,7 +93,8 @@ def read_batch(
     """The views [B, V] of models [B], as stored; the device scales them to floats.
 
     Args:
-      extras: names of further arrays, those of `DataSet` with a row per view.
+      extras: names of further arrays of `DataSet`: those with a row per view, of which
+        the batch has its views, and those of `CORNERS`, whole.
 
     Returns:
       Arrays in memory by name: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S]
@@ -102,4 +103,10 @@ def read_batch(
     """
     rows = np.asarray(models)[:, None]
     arrays = {name: getattr(dataset, name) for name in (*BATCH_ARRAYS, *extras)}
-    return {n: np.asarray(a[rows, views]) for n, a in arrays.items() if a is not None}
+    given = {n: a for n, a in arrays.items() if n in CORNERS and a is not None}
+    own = {name: np.arange(array.shape[1])[None] for name, array in given.items()}
+    return {
+        name: np.asarray(array[rows, own.get(name, views)])
+        for name, array in arrays.items()
+        if array is not None
+    }

@@ -27,12 +27,13 @@ VERSION = 3  # raise it when rendering, the procedural shapes or the shards chan
 PLACES = ("folder", "split_file", "ground_truth")  # fields that do not affect the bytes
 # Fields that affect them where they are not 0. Otherwise they are left out of the key,
 # so that sets from before there were such fields keep theirs.
-EXTRAS = ("offset", "focal_spread")
+EXTRAS = ("offset", "focal_spread", "corner_views")
 ARRAYS = ("images", "masks", "depths", "quaternions", "surfaces")
 CAMERAS = (
     "translations",
     "focal_lengths",
 )  # further arrays, where views have their own
+CORNERS = ("corner_masks", "corner_depths")  # further arrays, if asked for
 RECORD = "spec.json"  # the file that finishes a cache
 
 
@@ -51,6 +52,8 @@ class DataSet(NamedTuple):
     translations: float32 [M, V, 3], of the object in the camera frame, after the
         rotation; None where it is not moved or not known.
     focal_lengths: float32 [M, V]; None where all views have the camera's.
+    corner_masks: uint8, corner_depths: float32 [M, 8, S, S], as above, of views from
+        the corners of a cube (`viewpoints.CORNERS`); None where not asked for.
     names: M names. skipped: (name, reason) of models that could not be used.
     remarks: (name, remark) of models that were used but lack something.
     warnings: sentences on the set as a whole that a reader of results has to know.
@@ -67,6 +70,8 @@ class DataSet(NamedTuple):
     warnings: tuple[str, ...] = ()
     translations: Any = None
     focal_lengths: Any = None
+    corner_masks: Any = None
+    corner_depths: Any = None
 
     @property
     def counts(self) -> np.ndarray:
@@ -260,7 +265,7 @@ def read_cache(folder: str | Path) -> DataSet:
         parts = [part for part in pool.map(check, record["shards"]) if part.arrays]
     pages = shards.Pages([part.mapping for part in parts])
     arrays = {}
-    for name in (*ARRAYS, *CAMERAS):
+    for name in (*ARRAYS, *CAMERAS, *CORNERS):
         have = [name in part.arrays for part in parts]
         if any(have) != all(have):
             raise ValueError(

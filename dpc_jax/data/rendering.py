@@ -48,8 +48,27 @@ def _render_mesh(mesh, spec, index):
         lights = views.draw_lights(rng)
         view = views.render_view(scene, rotation, lights=lights, **(camera | own))
         pictures.append((*view, rotation))
+    corners = _render_corners(scene, camera) if spec.corner_views else {}
     kept = {f"{name}s": rows.astype(np.float32) for name, rows in cameras.items()}
-    return viewpoints.stack_views(pictures) | {"surfaces": points} | kept
+    return viewpoints.stack_views(pictures) | {"surfaces": points} | kept | corners
+
+
+def _render_corners(scene, camera):
+    """Masks and depths from the corners of a cube, as EPCG learns from."""
+    lights = views.Lights(np.zeros((0, 3)), np.zeros(0), 1.0)  # colours are not kept
+    seen = [
+        views.render_view(
+            scene,
+            viewpoints.look_at_rotation(*np.deg2rad(angles)),
+            lights=lights,
+            **camera,
+        )
+        for angles in viewpoints.CORNERS
+    ]
+    return {
+        "corner_masks": np.stack([view.mask for view in seen]),
+        "corner_depths": np.stack([view.depth for view in seen]).astype(np.float32),
+    }
 
 
 def _draw_cameras(spec, stream):

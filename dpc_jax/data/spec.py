@@ -42,6 +42,7 @@ class DataSpec:
     distance: float = Render.distance  # camera to object, in box diagonals
     offset: float = Data.offset  # of the object from the axis of view, see `Data`
     focal_spread: float = Data.focal_spread  # share that a view's focal length varies
+    corner_views: bool = False  # also from the corners of a cube (EPCG)
     extent: float = 1.0  # of the image plane
     supersample: int = 4  # rays per pixel along each axis
     surface_points: int = Data.surface_points  # ground truth per model, before thinning

@@ -5,6 +5,13 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+# Azimuth and elevation in degrees of the corners of a cube.
+CORNERS = tuple(
+    (45 + 90 * number, sign * np.rad2deg(np.arcsin(1 / np.sqrt(3))))
+    for sign in (1, -1)
+    for number in range(4)
+)
+
 
 def look_at_rotation(azimuth: float, elevation: float) -> np.ndarray:
     """Rotation [3, 3] from the object to a camera that looks at the origin, upright.

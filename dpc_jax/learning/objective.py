@@ -17,6 +17,7 @@ from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import average_covariance
 from dpc_jax.learning.predictions import (
     Cells,
+    Maps,
     Poses,
     Shapes,
     encode_views,
@@ -27,7 +28,6 @@ from dpc_jax.learning.predictions import (
 from dpc_jax.learning.signals import read_weights
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera
-
 
 # Of batches, that the next step goes on from: covariance and cost of `TrainState`.
 Averages = tuple[jax.Array, jax.Array | None]
@@ -63,7 +63,8 @@ def compute_loss(
     Args:
       params: of the network.
       batch: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S], quaternions
-        [B, V, 4] (read only where poses are given), and what `list_extras` names.
+        [B, V, 4] (read only where poses are given), what `list_extras` names, and
+        corner_masks and corner_depths [B, 8, S, S] in stages of fixed views.
       keys: [B], for the point dropout of each object.
       step: ().
       covariance, cost: [3, 3] and () or None, see `TrainState`.
@@ -126,15 +127,23 @@ def compute_loss(
         metrics["winners"] = winners.indices.reshape(-1)
         if not pose.samples:
             learned |= compare_student(poses, winners, render=render, pose=pose)
-    compared, parts, costs = compare_winners(
-        shapes,
-        rotations,
-        batch,
-        render=render,
-        train=train,
-        stage=stage,
-        cameras=cameras,
-    )
+    if stage.fixed_views:
+        from dpc_jax.learning.view_maps import compare_fixed_views  # of a baseline
+
+        assert isinstance(shapes, Maps)
+        compared, parts = compare_fixed_views(
+            shapes, batch, render=render, weights=read_weights(train)
+        )
+    else:
+        compared, parts, costs = compare_winners(
+            shapes,
+            rotations,
+            batch,
+            render=render,
+            train=train,
+            stage=stage,
+            cameras=cameras,
+        )
     if pose.samples:
         drawn, cost = sampling.compare_drawn(
             params,
@@ -153,11 +162,11 @@ def compute_loss(
 
 
 def compute_priors(
-    shapes: Shapes | Cells, step: jax.Array, *, train: Train
+    shapes: Shapes | Cells | Maps, step: jax.Array, *, train: Train
 ) -> dict[str, Term]:
     """Regularisers of points, 0 where they have no weight yet. Not in the paper."""
     terms = {}
-    if isinstance(shapes, Cells):
+    if not isinstance(shapes, Shapes):
         return terms
     if train.containment_weight:
         outside = jnp.mean(jax.vmap(losses.containment_loss)(shapes.points))

@@ -51,6 +51,27 @@ class Cells(NamedTuple):
         return jnp.mean(self.cells, axis=(1, 2, 3))
 
 
+class Maps(NamedTuple):
+    """Predicted maps of B objects, of EPCG.
+
+    Attributes:
+      maps: [B, 8, S, S, 3], see `ViewMapHead`.
+      points: [B, N, 3], theirs in the object frame.
+      logits: [B, N], above 0 of visible points.
+      colors: None.
+    """
+
+    maps: jax.Array
+    points: jax.Array
+    logits: jax.Array
+    colors: None = None
+
+    @property
+    def scale(self) -> jax.Array:
+        """[B], share of visible points, recorded where points have their scale."""
+        return jnp.mean(self.logits > 0, axis=1)
+
+
 class Poses(NamedTuple):
     """Predicted poses of n views.
 
@@ -91,7 +112,7 @@ def predict_shapes(
     kept_points: int,
     scale_unit: str,
     grid: int,
-) -> Shapes | Cells:
+) -> Shapes | Cells | Maps:
     """The shape of each object from its features [B, F], with point dropout.
 
     One subset of points serves all views and candidates of an object, so that the
@@ -103,6 +124,8 @@ def predict_shapes(
     assert isinstance(shape, dict)
     if "cells" in shape:
         return Cells(shape["cells"], shape.get("colors"))
+    if "maps" in shape:
+        return Maps(shape["maps"], shape["points"], shape["point_logits"])
     points, colors = shape["points"], shape.get("colors")
     size, mass = find_sizes(shape, sigma, scale_unit=scale_unit, grid=grid)
     order = jax.vmap(functools.partial(draw_order, count=points.shape[1]))(keys)
@@ -117,13 +140,16 @@ def predict_shapes(
     return Shapes(points, kept, colors, shape["scale"], mass, size)
 
 
-def find_places(shapes: Shapes | Cells) -> tuple[jax.Array, jax.Array | None]:
+def find_places(shapes: Shapes | Cells | Maps) -> tuple[jax.Array, jax.Array | None]:
     """Where the matter of shapes is: places [B, n, 3], and weights [B, n] or None.
 
-    All kept points alike, or the centres of cells by their occupancies.
+    All kept points alike, the centres of cells by their occupancies, or the visible
+    points of maps.
     """
     if isinstance(shapes, Shapes):
         return shapes.kept, None
+    if isinstance(shapes, Maps):
+        return shapes.points, (shapes.logits > 0).astype(shapes.points.dtype)
     sides = shapes.cells.shape[1:]
     axes = [(jnp.arange(side) + 0.5) / side - 0.5 for side in sides]
     centers = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

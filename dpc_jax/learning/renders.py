@@ -1,8 +1,9 @@
 """Renders of a scene: a predicted shape, seen from the candidates of a view.
 
 A scene has what one object is rendered from, by name: points [N, 3], their mass and
-sigma (`point_sizes`), or cells [D, D, D] of a voxel model; and its colors, [N, 3] or
-[D, D, D, 3], where they are compared. A batch has one axis more.
+sigma (`point_sizes`), or points and their point_logits [N] (`view_maps`), or cells
+[D, D, D] of a voxel model; and its colors, [N, 3] or [D, D, D, 3], where they are
+compared. A batch has one axis more.
 """
 
 from collections.abc import Mapping
@@ -16,7 +17,7 @@ from dpc_jax.learning.point_sizes import (
     scale_point_sizes,
     split_size,
 )
-from dpc_jax.learning.predictions import Cells, Shapes, find_sizes
+from dpc_jax.learning.predictions import Cells, Maps, Shapes, find_sizes
 from dpc_jax.learning.signals import SILHOUETTES, Weights, compare_images
 from dpc_jax.render import Camera, Projection, VoxelGrid, project, project_volume
 from dpc_jax.render.batch import map_renders
@@ -26,7 +27,7 @@ Scene = Mapping[str, jax.Array]
 
 
 def make_scenes(
-    shapes: Shapes | Cells, ratio: float = 1.0
+    shapes: Shapes | Cells | Maps, ratio: float = 1.0
 ) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
     """The scenes of a batch: what each has of its own, and what all share.
 
@@ -37,6 +38,8 @@ def make_scenes(
     colors = {} if shapes.colors is None else {"colors": shapes.colors}
     if isinstance(shapes, Cells):
         return {"cells": shapes.cells} | colors, {}
+    if isinstance(shapes, Maps):
+        return {"points": shapes.points, "point_logits": shapes.logits}, {}
     sigma, mass = scale_point_sizes(shapes.sigma, shapes.mass, ratio)
     scene = {"points": shapes.kept, "mass": mass} | colors
     if has_own_sizes(sigma):
@@ -55,6 +58,9 @@ def find_scenes(
     colors = output.get("colors")
     if "cells" in output:
         return make_scenes(Cells(output["cells"], colors))
+    if "maps" in output:
+        names = ("maps", "points", "point_logits")
+        return make_scenes(Maps(*(output[name] for name in names)))
     points, scale = output["points"], output["scale"]
     size, mass = find_sizes(
         output, sigma, scale_unit=render.scale_unit, grid=render.grid
@@ -64,7 +70,7 @@ def find_scenes(
 
 def resize_scene(scene: Scene, ratio: float) -> Scene:
     """A scene for a grid with `ratio` times as many cells per side."""
-    if "cells" in scene:
+    if "sigma" not in scene:  # nothing of it is in cells of the grid
         return scene
     sigma, mass = scale_point_sizes(scene["sigma"], scene["mass"], ratio)
     return {**scene, "sigma": sigma, "mass": mass}
@@ -93,6 +99,18 @@ def render_scene(
     }
     if "cells" in scene:
         return project_volume(scene["cells"], rotation, **view)
+    if "point_logits" in scene:
+        from dpc_jax.learning import view_maps  # of a baseline alone
+
+        drawn = view_maps.pseudo_render(
+            scene["points"],
+            scene["point_logits"],
+            rotation,
+            camera=camera,
+            side=side,
+            translation=translation,
+        )
+        return view_maps.show_render(drawn, background=background_depth)
     sigma, covariance = split_size(jnp.asarray(scene["sigma"]))
     sizes = {"sigma": sigma, "covariance": covariance, "scale": scene["mass"]}
     return project(scene["points"], rotation, **sizes, **view)

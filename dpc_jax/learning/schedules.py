@@ -46,10 +46,12 @@ class Stage(NamedTuple):
     Attributes:
       kept_points: number of points rendered.
       grid: side of the volume that the winners are rendered in.
+      fixed_views: whether maps are compared in their own views (EPCG's first stage).
     """
 
     kept_points: int
     grid: int
+    fixed_views: bool = False
 
 
 def find_stage(step: int, render: Render, *, steps: int) -> Stage:
@@ -58,6 +60,7 @@ def find_stage(step: int, render: Render, *, steps: int) -> Stage:
     return Stage(
         kept_points=count_kept_points(step, render, steps=steps),
         grid=render.fine_grid if is_fine else render.grid,
+        fixed_views=step < render.fixed_views_until * steps,
     )
 
 

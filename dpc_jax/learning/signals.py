@@ -79,6 +79,11 @@ def list_extras(config: Config) -> tuple[str, ...]:
     return tuple(name for name, holds in is_given.items() if holds)
 
 
+def list_corners(config: Config) -> tuple[str, ...]:
+    """Arrays of the training set, of its own fixed views, that batches hold."""
+    return ("corner_masks", "corner_depths") if config.render.fixed_views_until else ()
+
+
 def find_background(distance: Any) -> Any:
     """Depth of the background: the far face of the volume, `distance` + 1/2; ()."""
     return distance + 0.5

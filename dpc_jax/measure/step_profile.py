@@ -110,7 +110,7 @@ def make_calls(config: Config, step: int) -> dict[str, Callable[[], Any]]:
         )
 
     def compare(kept, rotations, shapes):
-        total, _ = compare_winners(
+        total, *_ = compare_winners(
             shapes._replace(kept=kept),
             rotations,
             batch,

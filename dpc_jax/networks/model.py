@@ -23,6 +23,8 @@ class ShapePoseNetwork(nn.Module):
         `ShapeHead`.
       voxels: side of the volume that the `VoxelHead` predicts; 0 for points.
       voxel_channels: of it.
+      map_side, map_focal_length, map_distance, map_channels: of the `ViewMapHead`; 0
+        for no maps.
       viewpoints: predict azimuth and elevation (`ViewpointEnsemble`), not quaternions.
       own_pose_encoder: poses are predicted from features of an encoder of their own,
         which come behind those of shapes.
@@ -57,6 +59,10 @@ class ShapePoseNetwork(nn.Module):
     focal_length: float = 0.0
     voxels: int = 0
     voxel_channels: int = 16
+    map_side: int = 0
+    map_focal_length: float = 1.875
+    map_distance: float = 2.0
+    map_channels: int = 48
     viewpoints: bool = False
     own_pose_encoder: bool = False
     judges_poses: bool = False
@@ -118,6 +124,16 @@ class ShapePoseNetwork(nn.Module):
                 side=self.voxels,
                 channels=self.voxel_channels,
                 has_color=self.has_color,
+                normalize=self.normalize,
+            )
+        if self.map_side:
+            from dpc_jax.networks.view_maps import ViewMapHead  # of a baseline
+
+            return ViewMapHead(
+                side=self.map_side,
+                focal_length=self.map_focal_length,
+                distance=self.map_distance,
+                channels=self.map_channels,
                 normalize=self.normalize,
             )
         return ShapeHead(

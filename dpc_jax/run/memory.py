@@ -70,6 +70,10 @@ def estimate_step_memory(network: ShapePoseNetwork, config: Config) -> int:
     ends = {"depths": (size, size), "translations": (3,), "focal_lengths": ()}
     for name in signals.list_extras(config):
         batch[name] = jax.ShapeDtypeStruct((*views, *ends[name]), "float32")
+    for name in signals.list_corners(config):
+        dtype = "uint8" if name == "corner_masks" else "float32"
+        shape = (train.models_per_batch, 8, size, size)
+        batch[name] = jax.ShapeDtypeStruct(shape, dtype)
     stage = schedules.find_stage(train.steps - 1, config.render, steps=train.steps)
     return estimate_peak(make_train_step(network, config, stage), state, batch)
 

@@ -189,7 +189,7 @@ class Model:
         Args:
           predictions: by split; "val" among them, which the threshold is tuned on.
         """
-        if self.config.network.shape == "points":
+        if self.config.network.shape != "voxels":
             return predictions, None
         from dpc_jax.run.surfaces import find_points  # needs libraries of its own
 

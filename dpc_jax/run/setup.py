@@ -1,5 +1,7 @@
 """What a config stands for: the network, and the data sets."""
 
+import dataclasses
+
 from dpc_jax.config import Config
 from dpc_jax.config.checks import SOURCES
 from dpc_jax.data import DataSet, DataSpec, load_or_render
@@ -30,6 +32,10 @@ def make_network(config: Config) -> ShapePoseNetwork:
         focal_length=config.render.focal_length * config.pose.focal_length,
         voxels=config.render.grid if config.network.shape == "voxels" else 0,
         voxel_channels=config.network.voxel_channels,
+        map_side=config.render.grid if config.network.shape == "maps" else 0,
+        map_focal_length=config.render.focal_length,
+        map_distance=config.render.distance,
+        map_channels=config.network.map_channels,
         viewpoints=config.pose.head == "viewpoint",
         own_pose_encoder=config.pose.own_encoder,
         judges_poses=config.pose.prior_weight > 0,
@@ -61,6 +67,8 @@ def make_data_specs(config: Config) -> dict[str, DataSpec]:
         specs = _split_procedural(config, shared)
     else:
         specs = _split_folder(config, kind, shared)
+    if config.render.fixed_views_until:
+        specs["train"] = dataclasses.replace(specs["train"], corner_views=True)
     if data.test_meshes:
         if data.own_test and kind:
             specs["own"] = specs["test"]

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Render, Train
 from dpc_jax.learning.cameras import Cameras, list_own, place_camera
-from dpc_jax.learning.predictions import Cells, Shapes
+from dpc_jax.learning.predictions import Cells, Maps, Shapes
 from dpc_jax.learning.renders import make_scenes, render_scene
 from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.signals import (
@@ -36,7 +36,7 @@ class _Static(NamedTuple):
 
 
 def compare_winners(
-    shapes: Shapes | Cells,
+    shapes: Shapes | Cells | Maps,
     rotations: jax.Array,
     batch: dict[str, jax.Array],
     *,
@@ -96,6 +96,20 @@ def compare_winners(
 def _compare_view(static, learned, given):
     """The weighted sum of a view's losses, and each of them."""
     camera = place_camera(Camera(*static.camera), learned)
+    if "point_logits" in learned:
+        from dpc_jax.learning import view_maps  # of a baseline alone
+
+        drawn = view_maps.pseudo_render(
+            learned["points"],
+            learned["point_logits"],
+            learned["rotation"],
+            camera=camera,
+            side=static.grid,
+            translation=learned.get("translation"),
+        )
+        return view_maps.compare_render(
+            drawn, given["targets"], weights=static.weights, camera=camera
+        )
     image = render_scene(
         given | learned,
         learned["rotation"],

@@ -96,6 +96,10 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
             (scene, students, candidates, targets, own),
             renders_at_once=render.renders_at_once,
         )
+        if "maps" in output:
+            from dpc_jax.learning.view_maps import sample_visible  # of a baseline
+
+            output["points"] = sample_visible(output)
         result = {
             "poses": students,
             "candidate_poses": jax.vmap(lambda q, k: q[k])(candidates, winners),

@@ -169,7 +169,7 @@ def make_batch(dataset: DataSet, step: int, config: Config) -> dict[str, Any]:
         views_per_batch=config.train.views_per_batch,
     )
     own = devices.find_own(len(models))
-    extras = signals.list_extras(config)
+    extras = signals.list_extras(config) + signals.list_corners(config)
     rows = read_batch(dataset, models[own], views[own], extras=extras)
     rows["seeds"] = repeat_seed(config.seed, len(models))[own]
     return devices.assemble(rows, config)
