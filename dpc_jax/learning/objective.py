@@ -95,6 +95,7 @@ def compute_loss(
     if pose.known:
         rotations = batch["quaternions"]
     else:
+        assert not isinstance(shapes, Maps)  # poses are known
         if pose.half_turns:
             places, weights = find_places(shapes)
             covariance = average_covariance(

@@ -140,16 +140,13 @@ def predict_shapes(
     return Shapes(points, kept, colors, shape["scale"], mass, size)
 
 
-def find_places(shapes: Shapes | Cells | Maps) -> tuple[jax.Array, jax.Array | None]:
+def find_places(shapes: Shapes | Cells) -> tuple[jax.Array, jax.Array | None]:
     """Where the matter of shapes is: places [B, n, 3], and weights [B, n] or None.
 
-    All kept points alike, the centres of cells by their occupancies, or the visible
-    points of maps.
+    All kept points alike, or the centres of cells by their occupancies.
     """
     if isinstance(shapes, Shapes):
         return shapes.kept, None
-    if isinstance(shapes, Maps):
-        return shapes.points, (shapes.logits > 0).astype(shapes.points.dtype)
     sides = shapes.cells.shape[1:]
     axes = [(jnp.arange(side) + 0.5) / side - 0.5 for side in sides]
     centers = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -59,8 +59,8 @@ def find_scenes(
     if "cells" in output:
         return make_scenes(Cells(output["cells"], colors))
     if "maps" in output:
-        names = ("maps", "points", "point_logits")
-        return make_scenes(Maps(*(output[name] for name in names)))
+        maps, points = output["maps"], output["points"]
+        return make_scenes(Maps(maps, points, output["point_logits"]))
     points, scale = output["points"], output["scale"]
     size, mass = find_sizes(
         output, sigma, scale_unit=render.scale_unit, grid=render.grid

@@ -44,7 +44,7 @@ def compare_drawn(
     poses: Poses,
     winners: Winners,
     costs: jax.Array,
-    baseline: jax.Array,
+    baseline: jax.Array | None,
     keys: jax.Array,
     *,
     network: ShapePoseNetwork,
@@ -66,6 +66,7 @@ def compare_drawn(
         unlikely, judge = judge_poses(params, winners.poses, keys, network=network)
         terms |= {"prior": (jnp.mean(unlikely), weight), "judge": (judge, 1.0)}
         costs = costs + weight * unlikely
+    assert baseline is not None
     baseline = update_baseline(baseline, costs, axis=AXIS)
     indices = winners.indices.reshape(-1)
     assert poses.logits is not None
