@@ -89,10 +89,9 @@ def pseudo_render(
 
 
 def show_render(render: PseudoRender, *, background: jax.Array | float) -> Projection:
-    """A pseudo-render as images: the silhouette is the sigmoid of the logits."""
-    silhouette = jax.nn.sigmoid(render.logits)
-    share = jnp.where(render.counts > 0, silhouette, 0)
-    depth = background + share * (render.depths - background)
+    """A pseudo-render as images: a pixel with a visible point is covered."""
+    silhouette = (render.counts > 0).astype(render.logits.dtype)
+    depth = background + silhouette * (render.depths - background)
     images = {"silhouette": silhouette, "depth": depth}
     return Projection(**images)
 

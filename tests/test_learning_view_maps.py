@@ -1,0 +1,301 @@
+"""EPCG: fusion of maps against known geometry, pseudo-renders against an oracle."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from tiny_runs import (
+    make_batch,
+    make_network,
+    make_state,
+    make_step,
+    random_quaternions,
+    rotation_matrix,
+    tiny_config,
+)
+
+from dpc_jax.config import build_config, check, replace_fields
+from dpc_jax.data import DataSpec, load_or_render
+from dpc_jax.data.batches import read_batch
+from dpc_jax.data.viewpoints import CORNERS, look_at_rotation, matrix_to_quaternion
+from dpc_jax.data.views import Lights, build_scene, render_view
+from dpc_jax.learning import schedules, view_maps
+from dpc_jax.learning.predictions import Maps
+from dpc_jax.learning.signals import Weights
+from dpc_jax.networks.view_maps import fuse_maps, list_fixed_views, make_planes
+from dpc_jax.render import Camera
+
+pytestmark = pytest.mark.usefixtures("quickly")
+
+CAMERA = Camera()
+IDENTITY = jnp.array([1.0, 0.0, 0.0, 0.0])
+BOTH = Weights(depth=1.0)
+
+
+def maps_config(**fields):
+    base = tiny_config(known=True, depth_weight=1.0, **fields)
+    changes = {"network": {"shape": "maps", "map_channels": 2}}
+    return replace_fields(base, changes | {"render": {"fixed_views_until": 0.5}})
+
+
+def place(u, v, z):
+    """The point of the object frame, seen with the identity, at (u, v) and depth z."""
+    focal = CAMERA.focal_length
+    return [u * z / focal, v * z / focal, z - CAMERA.distance]
+
+
+def draw(points, logits, *, side=4, rotation=IDENTITY):
+    return view_maps.pseudo_render(
+        jnp.asarray(points, jnp.float32),
+        jnp.asarray(logits, jnp.float32),
+        rotation,
+        camera=CAMERA,
+        side=side,
+    )
+
+
+@pytest.fixture(scope="module")
+def corners():
+    """Masks and depths [8, 32, 32] of a ball, seen from the corners of a cube."""
+    scene = build_scene(trimesh.creation.icosphere(4, radius=0.3))
+    dark = Lights(np.zeros((0, 3)), np.zeros(0), 1.0)
+    seen = [
+        render_view(
+            scene, look_at_rotation(*np.deg2rad(angles)), lights=dark, image_size=32
+        )
+        for angles in CORNERS
+    ]
+    return np.stack([v.mask for v in seen]), np.stack([v.depth for v in seen])
+
+
+def true_maps(corners):
+    """The maps that see just these depths, and logits of these masks."""
+    masks, depths = corners
+    plane = np.tile(make_planes(32, 2.0), (8, 1, 1, 1))
+    plane[..., 2] = np.where(masks == 255, depths, 2.0)
+    return jnp.asarray(plane)[None], jnp.where(masks.reshape(1, -1) == 255, 9.0, -9.0)
+
+
+def test_fixed_views_are_those_that_the_data_renders():
+    expected = [
+        matrix_to_quaternion(look_at_rotation(*np.deg2rad(angles)))
+        for angles in CORNERS
+    ]
+    agreement = np.sum(np.asarray(list_fixed_views()) * np.stack(expected), axis=1)
+    np.testing.assert_allclose(np.abs(agreement), 1, atol=1e-6)
+
+
+def test_depths_of_a_ball_from_all_corners_fuse_to_the_ball(corners):
+    maps, logits = true_maps(corners)
+    points = fuse_maps(maps, focal_length=1.875, distance=2.0)
+    visible = np.asarray(points[0])[np.asarray(logits[0]) > 0]
+    radii = np.linalg.norm(visible, axis=1)
+    # Pixels whose whole square is covered; at the rim a pixel's mean depth is off by a
+    # share of its slope: half a pixel is 0.017 wide there.
+    assert np.median(np.abs(radii - 0.3)) < 1e-3
+    assert np.quantile(np.abs(radii - 0.3), 0.95) < 0.017
+    # And from all sides of it.
+    np.testing.assert_allclose(visible.mean(axis=0), 0, atol=0.01)
+    assert len(visible) > 8 * 100
+
+
+def test_maps_of_their_own_views_cost_next_to_nothing(corners):
+    maps, logits = true_maps(corners)
+    points = fuse_maps(maps, focal_length=1.875, distance=2.0)
+    masks, depths = corners
+    batch = {"corner_masks": masks[None], "corner_depths": depths[None]}
+    config = maps_config().render
+
+    def compare(maps, logits):
+        shapes = Maps(maps, points, logits)
+        total, terms = view_maps.compare_fixed_views(
+            shapes, batch, render=config, weights=BOTH
+        )
+        return total, terms
+
+    _, terms = compare(maps, logits)
+    assert float(terms["astray"]) == pytest.approx(0, abs=1e-6)
+    # Only pixels of the rim, half covered, whose depth was left at the plane.
+    rim = np.sum((masks < 255) & (masks >= 128)) / 8
+    assert float(terms["depth"]) < 0.3 * rim + 1e-4
+    worse, _ = compare(maps.at[..., 2].add(0.1), logits)
+    assert float(worse) > float(compare(maps, logits)[0]) + 10
+    shifted = compare(maps.at[..., 0].add(0.01), logits)[1]
+    assert float(shifted["astray"]) == pytest.approx(0.01 * 32**2, rel=1e-4)
+
+
+def test_of_two_points_in_a_pixel_the_nearer_one_is_seen_and_alone_learns():
+    # Cells are a twentieth wide: 0.01 and 0.06 are neighbours in one pixel.
+    def read(depths):
+        points = jnp.stack(
+            [
+                jnp.stack(place(0.01, 0.01, depths[0])),
+                jnp.stack(place(0.06, 0.01, depths[1])),
+            ]
+        )
+        return draw(points, [1.0, 2.0])
+
+    depths = jnp.array([0.8, 1.2])
+    seen = read(depths)
+    assert float(seen.depths[2, 2]) == pytest.approx(0.8, rel=1e-6)
+    assert float(seen.logits[2, 2]) == 2.0 and float(seen.counts[2, 2]) == 1
+    assert float(jnp.sum(seen.counts)) == 1
+    slope = jax.grad(lambda z: read(z).depths[2, 2])(depths)
+    np.testing.assert_allclose(slope, [1, 0], atol=1e-5)
+
+
+def test_two_points_in_one_cell_are_counted_and_not_compared():
+    points = [place(0.01, 0.01, 1.0), place(0.02, 0.02, 1.0)]
+    seen = draw(points, [1.0, 1.0])
+    assert float(seen.counts[2, 2]) == 2
+    assert float(seen.depths[2, 2]) == pytest.approx(0.5)  # inverse depths add up
+    everywhere = jnp.full((4, 4), 2.0)
+    targets = {
+        "silhouette": jnp.ones((4, 4)),
+        "depth": everywhere,
+        "measured": jnp.ones((4, 4)),
+    }
+    _, terms = view_maps.compare_render(seen, targets, weights=BOTH, camera=CAMERA)
+    assert float(terms["depth"]) == 0
+    single = draw(points[:1], [1.0])
+    _, terms = view_maps.compare_render(single, targets, weights=BOTH, camera=CAMERA)
+    assert float(terms["depth"]) == pytest.approx(1.0)
+
+
+def test_where_in_its_cell_a_point_lies_changes_nothing():
+    base = jnp.array([place(0.01, 0.01, 1.5)])
+    moved = jnp.array([place(0.02, 0.01, 1.5)])
+    for one, other in zip(draw(base, [1.0]), draw(moved, [1.0]), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6)
+    slope = jax.grad(lambda p: draw(p, jnp.ones(1)).depths[2, 2])(base)
+    np.testing.assert_allclose(slope, [[0, 0, 1]], atol=1e-5)
+
+
+def test_masks_alone_teach_no_coordinate():
+    rng = np.random.default_rng(0)
+    points = jnp.asarray(rng.uniform(-0.4, 0.4, (40, 3)), jnp.float32)
+    logits = jnp.asarray(rng.normal(size=40), jnp.float32)
+    targets = {"silhouette": jnp.asarray(rng.uniform(size=(4, 4)), jnp.float32)}
+
+    def compare(points, logits):
+        seen = draw(points, logits)
+        return view_maps.compare_render(
+            seen, targets, weights=Weights(), camera=CAMERA
+        )[0]
+
+    by_points, by_logits = jax.grad(compare, (0, 1))(points, logits)
+    assert not np.any(by_points) and np.any(by_logits)
+
+
+def draw_plainly(points, logits, rotation, side):
+    """The same in float64, point by point."""
+    size = side * view_maps.FINER
+    fine = np.zeros((size, size, 4))
+    for point, logit in zip(points, logits, strict=True):
+        x, y, z = rotation_matrix(rotation) @ point
+        z += 2
+        column = int(np.floor((1.875 * x / z + 0.5) * size))
+        row = int(np.floor((1.875 * y / z + 0.5) * size))
+        if z <= 0.1 or not (0 <= column < size and 0 <= row < size):
+            continue
+        if logit > 0:
+            fine[row, column, :3] += [1 / z, logit, 1]
+        else:
+            fine[row, column, 3] += logit
+    found = np.zeros((3, side, side))
+    for i, j in np.ndindex(side, side):
+        block = fine[5 * i : 5 * i + 5, 5 * j : 5 * j + 5].reshape(25, 4)
+        nearest, top, count = block[:, :3].max(axis=0)
+        hidden = block[:, 3].mean()
+        logit = top if top > 0 else hidden if hidden < 0 else -1
+        found[:, i, j] = logit, 1 / nearest if nearest else 1, count
+    return found
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_cloud_is_drawn_as_by_hand_and_nothing_outside_comes_back_in(seed):
+    rng = np.random.default_rng(seed)
+    # Half a dozen of them beside the image, and some behind the camera.
+    points = rng.uniform(-0.6, 0.6, (60, 3))
+    points[:5, 2] -= 2.5
+    logits = rng.normal(size=60)
+    rotation = random_quaternions(seed, 1)[0] if seed else np.eye(4)[0]
+    seen = draw(points, logits, side=6, rotation=jnp.asarray(rotation, jnp.float32))
+    expected = draw_plainly(points, logits, rotation, 6)
+    for one, other in zip(seen, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5)  # float32
+
+
+def test_judged_are_visible_points_spread_over_all_of_them():
+    points = jnp.arange(30.0).reshape(10, 3)
+    logits = jnp.where(jnp.arange(10) % 2 == 0, 1.0, -1.0)
+    chosen = view_maps.choose_visible(points, logits, count=3)
+    np.testing.assert_array_equal(chosen[:, 0] / 3, [0, 2, 6])
+    many = np.asarray(view_maps.choose_visible(points, logits, count=20)[:, 0] / 3)
+    np.testing.assert_array_equal(np.bincount(many.astype(int))[::2], [4] * 5)
+    hidden = jnp.full(10, -5.0).at[4].set(-3.0)
+    none = view_maps.choose_visible(points, hidden, count=4)
+    np.testing.assert_array_equal(none, jnp.tile(points[4], (4, 1)))
+
+
+def test_batches_have_the_corner_views_of_their_objects(tmp_path):
+    shared = {"category": "car", "models": 3, "views": 2, "image_size": 16}
+    plain, more = (
+        load_or_render(
+            DataSpec(**shared, surface_points=20, corner_views=has_corners),
+            cache_dir=tmp_path,
+            processes=1,
+            progress=False,
+        )
+        for has_corners in (False, True)
+    )
+    np.testing.assert_array_equal(plain.images, more.images)
+    assert plain.corner_masks is None and len(list(tmp_path.iterdir())) == 2
+    names = ("corner_masks", "corner_depths")
+    batch = read_batch(more, [2, 0], [[0, 1], [1, 0]], extras=names)
+    assert batch["corner_masks"].shape == batch["corner_depths"].shape == (2, 8, 16, 16)
+    np.testing.assert_array_equal(batch["corner_masks"][1], more.corner_masks[0])
+    covered = batch["corner_masks"] > 0
+    assert covered.any(axis=(2, 3)).all()
+    assert (np.abs(batch["corner_depths"][covered] - 2) < 0.5).all()
+    assert "corner_masks" not in read_batch(plain, [0], [[0]], extras=names)
+
+
+def test_a_run_has_a_stage_of_fixed_views_and_one_of_its_own():
+    config = maps_config(steps=20, keep_levels=1)
+    check(config)
+    spans = schedules.list_spans(config.render, steps=20)
+    assert [(s.start, s.end, s.stage.fixed_views) for s in spans] == [
+        (0, 10, True),
+        (10, 20, False),
+    ]
+    network = make_network(config)
+    batch = make_batch()
+    rng = np.random.default_rng(0)
+    batch["depths"] = rng.uniform(1.6, 2.4, batch["masks"].shape).astype(np.float32)
+    batch["corner_masks"] = rng.integers(0, 255, (2, 8, 16, 16), np.uint8)
+    batch["corner_depths"] = rng.uniform(1.6, 2.4, (2, 8, 16, 16)).astype(np.float32)
+    for step, names in ((0, {"astray", "depth"}), (19, {"depth"})):
+        state, metrics = make_step(network, config, step=step)(
+            make_state(network, config), batch
+        )
+        assert names <= set(metrics) and ("astray" in metrics) == ("astray" in names)
+        assert np.isfinite(float(metrics["loss"])) and "winners" not in metrics
+        assert set(state.params["params"]) == {"encoder", "shape"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"pose": {"known": False}}, "config.pose.known must be True"),
+        ({"train": {"color_weight": 1.0}}, "config.train.color_weight must be 0"),
+        ({"data": {"images": "."}}, "config.render.fixed_views_until must be 0"),
+        ({"network": {"shape": "points"}}, "config.render.fixed_views_until must be"),
+    ],
+)
+def test_what_maps_cannot_do_is_refused(changes, name):
+    config = build_config("chair", "epcg,32")
+    check(config)
+    with pytest.raises(ValueError, match=name):
+        check(replace_fields(config, changes))
