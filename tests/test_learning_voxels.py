@@ -14,7 +14,7 @@ from tiny_runs import (
 )
 
 from dpc_jax.config import build_config, replace_fields
-from dpc_jax.learning import signals
+from dpc_jax.learning import devices, signals
 from dpc_jax.learning.choice.hindsight import choose_poses
 from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.half_turns import compute_covariance
@@ -114,6 +114,21 @@ def test_the_candidate_whose_volume_fits_best_wins(how):
             for q in candidates[2 * row + place]
         ]
         assert int(winners.indices[row, place]) == np.argmin(losses)
+
+
+def test_two_devices_learn_what_one_does(monkeypatch):
+    """Also where the decoder's layers are large enough to be shared."""
+    monkeypatch.setattr(devices, "SHARED_WEIGHTS", 1000)
+    states = []
+    for count in (1, 2):
+        config = replace_fields(voxel_config(), {"run": {"devices": count}})
+        network = make_network(config)
+        batch = devices.assemble(make_batch(), config)
+        state, _ = make_step(network, config)(make_state(network, config), batch)
+        states.append(jax.tree.map(np.asarray, state.params["params"]["shape"]))
+    for one, two in zip(*map(jax.tree.leaves, states), strict=True):
+        # A step of Adam is 1e-3; sums over two devices differ in the last digits.
+        np.testing.assert_allclose(one, two, atol=1e-4)
 
 
 def test_half_turns_are_about_the_axes_of_what_is_filled():

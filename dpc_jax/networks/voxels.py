@@ -81,8 +81,10 @@ class DoublingConv(nn.Module):
         init = conv_init
         if self.stddev:
             init = nn.initializers.truncated_normal(self.stddev)
-        # Rows: of each cell's 2×2×2 neighbourhood. Columns: of each of the 8 places.
-        kernel = self.param("kernel", init, (8 * width, 8 * self.channels))
+        # Of each cell's 2×2×2 neighbourhood, for each of the 8 places. Three axes, so
+        # that devices do not share it by columns, as they do large dense layers.
+        kernel = self.param("kernel", init, (8, width, 8 * self.channels))
+        kernel = kernel.reshape(8 * width, -1)
         bias = self.param("bias", nn.initializers.zeros, (self.channels,))
         padded = jnp.pad(x, ((0, 0), (1, 1), (1, 1), (1, 1), (0, 0)))
         reach = side + 1
