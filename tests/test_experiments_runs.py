@@ -50,12 +50,15 @@ def test_first_seeds_of_all_rows_come_before_second_ones():
 
 
 def test_long_runs_have_fewer_seeds_unless_some_are_asked_for():
-    def count(**fields):
+    def list_names(**fields):
         runs = list_runs([Request("known_pose", categories=("car",), **fields)])
-        return sum("128" in run.name for run in runs)
+        return [run.name for run in runs]
 
-    assert count() == len(CPU.long_seeds) == 1
-    assert count(seeds=(0, 1)) == 2
+    # Runs at 128, and of a row that says that it is long.
+    for long in ("known_pose-128-seed", "128-epcg-seed", "64-ours_v-seed"):
+        assert sum(long in name for name in list_names()) == len(CPU.long_seeds) == 1
+        assert sum(long in name for name in list_names(seeds=(0, 1))) == 2
+    assert sum("known_pose-64-seed" in name for name in list_names()) == 3
 
 
 def test_the_flags_of_a_run_say_its_config():

@@ -114,6 +114,8 @@ VARIANTS: dict[str, Changes] = {
             **_VOXELS["pose"],
             "head": "viewpoint",
             "own_encoder": True,
+            "candidates": 8,
+            "selects": True,
             "choice": "sampled",
             "flips": False,
             "prior_weight": 0.1,

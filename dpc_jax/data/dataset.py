@@ -130,6 +130,13 @@ def load_or_render(
     return _warn(read_cache(folder), source)
 
 
+def is_prepared(spec: DataSpec, cache_dir: str | Path) -> bool:
+    """Whether `load_or_render` would find the set instead of preparing it."""
+    source = open_source(spec)
+    folder = locate_cache(source, source.list_models(), cache_dir)
+    return (folder / RECORD).exists()
+
+
 def _warn(data, source):
     """Not of the cache: what a split is called must not depend on when it was read."""
     return data._replace(warnings=tuple(source.list_warnings()))

@@ -55,7 +55,7 @@ def _analyze_one(results: Results, experiment: Experiment, folder: Path) -> Anal
     folder.mkdir(parents=True, exist_ok=True)
     workdirs = [outcome.workdir for outcome in used]
     try:
-        run = _load(experiment.analysis)
+        run = load_function(experiment.analysis)
         metrics, figures = run(
             folder, workdirs if experiment.reads == "all" else workdirs[0]
         )
@@ -66,7 +66,7 @@ def _analyze_one(results: Results, experiment: Experiment, folder: Path) -> Anal
     return _read(record, key) or Analysis(problem="it could not be read again.")
 
 
-def _load(name: str):
+def load_function(name: str):
     """The function of "module:function"; its libraries are loaded only here.
 
     Raises:

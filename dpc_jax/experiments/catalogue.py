@@ -38,6 +38,7 @@ def _count_points(count: int) -> Row:
     )
 
 
+MEAN_SHAPE = Row("Mean shape of the training set", measure="mean_shape:measure")
 CHOOSE_BY_ALL = {"pose.choice_signals": "all"}
 EXPERIMENTS = (
     Experiment(
@@ -47,13 +48,24 @@ EXPERIMENTS = (
         published.KNOWN_POSE,
         ("chamfer", "precision", "coverage"),
         (
-            Row("DRC, 32²", "DRC, 32"),
-            Row("PTN, 32²", "PTN, 32"),
-            Row("Ours-V, 32²", "Ours-V, 32"),
+            MEAN_SHAPE,
+            Row("DRC, 32²", "DRC, 32", "known_pose,32,drc"),
+            Row("PTN, 32²", "PTN, 32", "known_pose,32,ptn"),
+            Row("Ours-V, 32²", "Ours-V, 32", "known_pose,32,ours_v"),
             Row("Ours, 32²", "Ours, 32", "known_pose,32"),
-            Row("Ours-V, 64²", "Ours-V, 64"),
+            Row(
+                "Ours, 32², minutes of Ours-V", variant="known_pose,32", budget="longer"
+            ),
+            Row("Ours-V, 64²", "Ours-V, 64", "known_pose,64,ours_v", is_long=True),
             Row("Ours, 64²", "Ours, 64", "known_pose,64"),
-            Row("EPCG, 128²", "EPCG, 128"),
+            Row("EPCG, 32²", variant="known_pose,32,epcg"),
+            Row(
+                "EPCG, 32², masks alone",
+                variant="known_pose,32,epcg",
+                changes={"train.depth_weight": 0.0},
+                tag="masks",
+            ),
+            Row("EPCG, 128²", "EPCG, 128", "known_pose,128,epcg"),
             Row("Ours, 128²", "Ours, 128", "known_pose,128"),
         ),
     ),
@@ -64,8 +76,10 @@ EXPERIMENTS = (
         published.UNKNOWN_POSE,
         ("chamfer", *POSES),
         (
+            MEAN_SHAPE,
             Row("GT pose", "GT pose", "gt_pose"),
-            Row("MVC", "MVC"),
+            Row("MVC", "MVC", "mvc"),
+            Row("Ours-V", variant="ours_v"),
             Row("Ours-naive", "Ours-naive", "naive"),
             Row("Ours", "Ours", ""),
         ),

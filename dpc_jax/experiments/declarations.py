@@ -18,11 +18,13 @@ class Row:
     Attributes:
       label: in our table.
       published: name of the paper's row in the experiment's table; "" for none.
-      variant: the text after the colon of --config; None for another system that has
-        no config here, of which the paper's number alone is shown.
+      variant: the text after the colon of --config; None where nothing is trained.
       changes: "section.field": value, beside the variant.
       tag: names the changes in the folder of the run; "" without changes.
       budget: of the size; "" for that of the resolution.
+      measure: "module:function" under `dpc_jax.experiments` that measures a row
+        without variant on the data of a config; "" for none.
+      is_long: whether a run takes over ten minutes at the size "cpu".
     """
 
     label: str
@@ -31,6 +33,8 @@ class Row:
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     tag: str = ""
     budget: str = ""
+    measure: str = ""
+    is_long: bool = False
 
 
 @dataclasses.dataclass(frozen=True)

@@ -34,6 +34,8 @@ class Outcome:
 
 
 Outcomes = Mapping[str, Outcome]  # by name of the run
+# Metrics of rows that are not trained, by experiment, label of the row, and category.
+Measured = Mapping[tuple[str, str, str], Mapping[str, Any]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,10 +85,17 @@ class Results:
     Args:
       requests: that the page shows together; runs of all of them count.
       outcomes: by name of the run.
+      measured: what rows that are not trained have.
     """
 
-    def __init__(self, requests: Sequence[Request], outcomes: Outcomes):
+    def __init__(
+        self,
+        requests: Sequence[Request],
+        outcomes: Outcomes,
+        measured: Measured | None = None,
+    ):
         self.requests, self._outcomes = tuple(requests), outcomes
+        self._measured = measured or {}
 
     def list_experiments(self) -> list[Experiment]:
         """Experiments, each once, in the order of the catalogue."""
@@ -135,6 +144,9 @@ class Results:
         The spread of that mean is the deviation that those of the categories, which are
         independent, come to.
         """
+        if category != MEAN and row.measure:
+            metrics = self._measured.get((experiment.name, row.label, category), {})
+            return summarize([metrics.get(metric)])
         if category != MEAN:
             outcomes = self.list_outcomes(experiment, row, category)
             return summarize((o.metrics or {}).get(metric) for o in outcomes)

@@ -112,12 +112,12 @@ def declare_run(row: Row, category: str, seed: int, size: Size, source: Source) 
     """The run of a row.
 
     Raises:
-      ValueError: for a row of a system that has no config, or a missing folder.
+      ValueError: for a row without variant, or a missing folder.
     """
     if row.variant is None:
         raise ValueError(
             f"Row {row.label!r} must name a variant to be trained, but it has none; "
-            "its numbers are the paper's alone."
+            "it is measured on the data."
         )
     own = dict(row.changes)
     if _POINTS in own:
@@ -184,7 +184,7 @@ class Request:
     def list_seeds(self, row: Row) -> tuple[int, ...]:
         """Seeds of a row."""
         size = SIZES[self.size]
-        is_long = find_resolution(row) == RESOLUTIONS[-1]
+        is_long = row.is_long or find_resolution(row) == RESOLUTIONS[-1]
         return self.seeds or (size.long_seeds if is_long else size.seeds)
 
     def list_row_runs(self, row: Row, category: str) -> list[Run]:

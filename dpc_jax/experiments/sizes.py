@@ -19,7 +19,7 @@ class Size:
       name: of --size.
       variant: put before that of every row.
       categories, seeds: unless others are asked for.
-      long_seeds: of the runs at 128, which take longest.
+      long_seeds: of the runs at 128, and of rows that say so.
       changes: "section.field": value, of every run.
       budgets: the same for runs of a budget: the variant of `RESOLUTIONS` that they
         have, or what their row says; "" for others.
@@ -57,9 +57,12 @@ QUICK = Size(
         "network.channels": 4,
         "network.hidden": 32,
         "network.shape_hidden": 32,
+        "network.voxel_channels": 4,
+        "network.map_channels": 8,
         "render.keep_levels": 1,  # one stage, one program to compile
         "render.num_points": 200,
         "pose.choice_points": 0,
+        "pose.choice_grid": 0,
         "train.steps": 10,  # enough to log, validate, save
         "train.warmup_steps": 2,
         "train.repulsion_points": 50,
@@ -72,6 +75,7 @@ QUICK = Size(
         "32": {"data.image_size": 16, "render.grid": 8},
         "64": {"data.image_size": 32, "render.grid": 16},
         "128": {"data.image_size": 64, "render.grid": 32},
+        "longer": {"data.image_size": 16, "render.grid": 8},
         "points": {"data.image_size": 32, "render.grid": 16},
         **dict.fromkeys(
             ("", "signals"),
@@ -100,6 +104,8 @@ CPU = Size(
         "32": {"train.steps": 2000},
         "64": {"train.steps": 2000},
         "128": {"train.steps": 2000},
+        # A step of points takes a third of the time of one of 32³ cells.
+        "longer": {"train.steps": 6000},
         # A render of 200 covariances takes 70 ms: ten minutes, not yet run.
         "points": {"train.steps": 1000, "train.views_per_batch": 2},
         # A render with colours takes four to six times as long as one without.
@@ -116,7 +122,7 @@ FULL = Size(
     seeds=(0,),  # the paper names none; a run takes days
     long_seeds=(0,),
     changes={},
-    budgets=dict.fromkeys(("32", "64", "128", "points", "signals", ""), {}),
+    budgets=dict.fromkeys(("32", "64", "128", "longer", "points", "signals", ""), {}),
 )
 
 SIZES = {size.name: size for size in (QUICK, CPU, FULL)}

@@ -8,6 +8,7 @@ from pathlib import Path
 from dpc_jax.experiments.analyses import Analysis, analyze
 from dpc_jax.experiments.jobs.progress import JobProgress
 from dpc_jax.experiments.jobs.training import Job, choose_cores, train_missing
+from dpc_jax.experiments.measured_rows import measure_rows
 from dpc_jax.experiments.report.blocks import Block
 from dpc_jax.experiments.report.page import make_blocks, publish, write_page
 from dpc_jax.experiments.results import Outcome, Results, read_metrics
@@ -130,8 +131,11 @@ class _Suite:
     def write(self, *, is_last: bool = False) -> Path:
         """Write the page of all that is there; analyses only at the end."""
         outcomes = {run.name: self._read(run) for run in list_runs(self.requests)}
-        results = Results(self.requests, outcomes)
         folder = self.place.folder
+        measured = measure_rows(
+            Results(self.requests, outcomes), folder / "analyses", is_last=is_last
+        )
+        results = Results(self.requests, outcomes, measured)
         analyses: Mapping[str, Analysis] = {}
         if is_last:
             analyses = analyze(results, folder / "analyses")

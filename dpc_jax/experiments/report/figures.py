@@ -76,7 +76,7 @@ def _draw_resolutions(results, experiment, folder) -> Drawn | None:
     rows = [
         (row, int(find_resolution(row)))
         for row in experiment.rows
-        if row.variant is not None
+        if row.published.startswith("Ours, ")
     ]
     path = folder / "known_pose_resolution.png"
     drawn = _draw_lines(results, experiment, rows, "side of images (pixels)", path)

@@ -8,7 +8,7 @@ from dpc_jax.experiments.declarations import Experiment, Row
 from dpc_jax.experiments.published import MEAN
 from dpc_jax.experiments.results import Results, Summary
 
-NO_CONFIG = "not built here"
+NOT_TRAINED = "measured on the data"
 NOT_YET = "not run yet"
 TOO_LONG = "too long for this size"
 
@@ -54,7 +54,7 @@ def _make_row(results, experiment, row, category, shown, published):
 def _describe_cost(results: Results, experiment: Experiment, row: Row, category):
     """Runs, minutes of training and memory; the mean has those of its categories."""
     if row.variant is None:
-        return [NO_CONFIG, "", ""]
+        return [NOT_TRAINED, "", ""]
     if category == MEAN:
         return ["", "", ""]
     outcomes = results.list_outcomes(experiment, row, category)

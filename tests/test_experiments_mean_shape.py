@@ -1,0 +1,106 @@
+"""The mean shape of a training set, and rows that are measured instead of trained."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from dpc_jax.config import build_config, replace_fields
+from dpc_jax.data import load_or_render
+from dpc_jax.evaluation.chamfer import chamfer_distance
+from dpc_jax.experiments import mean_shape, measured_rows
+from dpc_jax.experiments.catalogue import EXPERIMENTS, MEAN_SHAPE
+from dpc_jax.experiments.results import Outcome, Results
+from dpc_jax.experiments.runs import Request, list_runs
+from dpc_jax.run.setup import make_data_specs
+
+KNOWN = next(e for e in EXPERIMENTS if e.name == "known_pose")
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    """Of tiny data that are prepared."""
+    data = {
+        "image_size": 16,
+        "models": 6,
+        "val_models": 2,
+        "test_models": 3,
+        "views": 1,
+        "surface_points": 300,
+        "cache_dir": str(tmp_path_factory.mktemp("data")),
+        "processes": 1,
+    }
+    config = replace_fields(build_config("car", "known_pose"), {"data": data})
+    for spec in make_data_specs(config).values():
+        load_or_render(
+            spec, cache_dir=config.data.cache_dir, processes=1, progress=False
+        )
+    return config
+
+
+def test_cells_count_shapes_once_and_have_the_mean_of_all_points():
+    first = np.array([[0.3, 0.3, 0.3], [0.35, 0.3, 0.3], [-0.4, 0, 0]])
+    second = np.array([[0.4, 0.3, 0.3], [0.4, 0.3, -0.3]])
+    shares, places = mean_shape.average_surfaces([first, second], side=2)
+    by_cell = shares.reshape(2, 2, 2)
+    assert by_cell[1, 1, 1] == 1.0 and by_cell[1, 1, 0] == by_cell[0, 1, 1] == 0.5
+    assert shares.sum() == 2.0
+    np.testing.assert_allclose(places[np.argmax(shares)], [0.35, 0.3, 0.3])
+    fullest = mean_shape.take_fullest(shares, places, 1)
+    np.testing.assert_allclose(fullest, [[0.35, 0.3, 0.3]])
+    assert len(mean_shape.take_fullest(shares, places, 8)) == 3  # empty cells are none
+
+
+def test_the_same_shape_every_time_is_its_own_mean():
+    rng = np.random.default_rng(0)
+    sphere = rng.normal(size=(4000, 3))
+    sphere *= 0.4 / np.linalg.norm(sphere, axis=1, keepdims=True)
+    shares, places = mean_shape.average_surfaces([sphere] * 3)
+    cloud = mean_shape.take_fullest(shares, places, 16_000)
+    # Cells of 1/64 with one mean each.
+    assert chamfer_distance(cloud, sphere).chamfer < 1 / 64
+
+
+def test_the_row_is_near_the_best_single_guess(config):
+    found = mean_shape.measure(config)
+    assert found["chamfer"] == pytest.approx(found["precision"] + found["coverage"])
+    # Cars of one category: nearer than 10 diagonals in a hundred, and not equal.
+    assert 1 < found["chamfer"] < 12
+    assert found["mean_shape_points"] <= max(mean_shape.COUNTS)
+
+
+def test_without_its_data_it_says_where_to_look(config, tmp_path):
+    elsewhere = replace_fields(config, {"data": {"cache_dir": str(tmp_path)}})
+    with pytest.raises(ValueError, match="Expected the data of a finished run in"):
+        mean_shape.measure(elsewhere)
+    assert not any(tmp_path.iterdir())
+
+
+def test_rows_are_measured_once_and_again_for_other_data(config, tmp_path, monkeypatch):
+    request = Request("known_pose", categories=("car",), seeds=(0,))
+    calls = []
+
+    def measure(config):
+        calls.append(config)
+        return {"chamfer": 5.0 + len(calls)}
+
+    monkeypatch.setattr(mean_shape, "measure", measure)
+
+    def read(config, *, is_last=True):
+        outcomes = {
+            run.name: Outcome(run, tmp_path, config, {"chamfer": 4.0})
+            for run in list_runs([request])
+        }
+        results = Results([request], outcomes)
+        found = measured_rows.measure_rows(results, tmp_path, is_last=is_last)
+        results = Results([request], outcomes, found)
+        summary = results.summarize(KNOWN, MEAN_SHAPE, "car", "chamfer")
+        return summary and summary.mean
+
+    assert read(config, is_last=False) is None and not calls
+    assert read(config) == read(config) == read(config, is_last=False) == 6.0
+    other = dataclasses.replace(config.data, models=7)
+    assert read(dataclasses.replace(config, data=other)) == 7.0
+    (record,) = tmp_path.rglob("metrics.json")
+    record.write_text("{")
+    assert read(config) == 8.0
