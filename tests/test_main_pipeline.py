@@ -377,6 +377,13 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(comma
             assert 0 < metrics["surface_threshold"] < 1
             found = predict_points(command, workdir)
             assert found.shape == (10_000, 3)
+            for glb in (workdir / "predictions", workdir / "report" / "points"):
+                (read, *_) = trimesh.load_scene(
+                    next(glb.glob("*.glb"))
+                ).geometry.values()
+                # A surface of cells of an eighth, not a small ball around each point.
+                assert 0 < len(read.faces) < 8 * 10_000
+                assert np.max(read.edges_unique_length) > 0.02
             assert np.linalg.norm(found, axis=1).max() < 1  # of a turned unit cube
         if name == "labels":
             assert 0 <= metrics["pose_accuracy"] <= 1

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from dpc_jax.files import write_bytes, write_text
-from dpc_jax.reporting.export import write_glb, write_ply
+from dpc_jax.reporting.export import write_glb, write_ply, write_surface
 
 
 def cloud(n=40, seed=0):
@@ -64,6 +64,20 @@ def test_the_order_of_an_array_in_memory_does_not_matter(tmp_path):
 def test_an_empty_ply_is_a_whole_file(tmp_path):
     path = write_ply(tmp_path / "a.ply", np.zeros((0, 3)))
     assert b"element vertex 0\n" in path.read_bytes()
+
+
+def test_a_surface_is_a_closed_mesh_that_stands_upright(tmp_path):
+    ball = trimesh.creation.icosphere(2, radius=0.4)
+    path = write_surface(tmp_path / "a.glb", ball.vertices, ball.faces)
+    mesh, matrix = read_glb(path)
+    np.testing.assert_allclose(mesh.vertices, ball.vertices, atol=1e-7)
+    np.testing.assert_array_equal(mesh.faces, ball.faces)
+    outward = ball.vertices / 0.4  # normals of a ball, up to its facets
+    np.testing.assert_allclose(mesh.vertex_normals, outward, atol=0.05)
+    points = write_glb(tmp_path / "b.glb", ball.vertices)
+    np.testing.assert_allclose(matrix, read_glb(points)[1])
+    with pytest.raises(ValueError, match="Expected a surface with faces"):
+        write_surface(path, ball.vertices, np.zeros((0, 3), int))
 
 
 def test_a_glb_file_holds_an_octahedron_around_each_point(tmp_path):

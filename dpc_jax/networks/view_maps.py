@@ -4,26 +4,27 @@ Efficient Point Cloud Generation (Lin et al., AAAI 2018) predicts, for each pixe
 each fixed view, where the surface is and whether there is any (docs/baselines.md).
 """
 
-import math
-
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from dpc_jax.networks.encoder import activate, conv_init
-from dpc_jax.networks.viewpoints import face_object
-from dpc_jax.render import quaternion
 
 _FIRST_SIDE = 4  # pixels, of the dense layer's maps
 _MOST_CHANNELS = 192
-# The fixed cameras stand at the corners of a cube, upright.
-AZIMUTHS = tuple(math.radians(45 + 90 * i) for i in range(4)) * 2
-ELEVATIONS = (math.asin(1 / math.sqrt(3)),) * 4 + (-math.asin(1 / math.sqrt(3)),) * 4
+# Where the fixed cameras stand: the corners of a cube.
+_CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 
 
-def list_fixed_views() -> jax.Array:
-    """Quaternions [8, 4] of the fixed cameras, object to camera."""
-    return face_object(jnp.array(AZIMUTHS), jnp.array(ELEVATIONS))
+def list_fixed_views() -> np.ndarray:
+    """Rotations [8, 3, 3] of the fixed cameras, object to camera; all are upright."""
+    rotations = []
+    for place in [(x, y, z) for z in (1, -1) for x, y in _CORNERS]:
+        forward = -np.array(place) / np.sqrt(3)
+        right = np.cross(forward, [0, 0, 1]) * np.sqrt(3 / 2)
+        rotations.append([right, np.cross(forward, right), forward])
+    return np.array(rotations, np.float32)
 
 
 class ViewMapHead(nn.Module):
@@ -64,7 +65,7 @@ class ViewMapHead(nn.Module):
             x = jnp.repeat(jnp.repeat(x, 2, axis=1), 2, axis=2)
             x = nn.Conv(count(level), (3, 3), kernel_init=conv_init)(x)
         x = activate(x, normalize=self.normalize)
-        views = len(AZIMUTHS)
+        views = 2 * len(_CORNERS)
         # At first every map is a plane through the object's centre.
         init = nn.initializers.variance_scaling(0.01, "fan_in", "normal")
         x = nn.Conv(4 * views, (1, 1), kernel_init=init, name="maps")(x)
@@ -93,6 +94,7 @@ def fuse_maps(maps: jax.Array, *, focal_length: float, distance: float) -> jax.A
     depth = maps[..., 2:]
     planar = maps[..., :2] * depth / focal_length
     seen = jnp.concatenate([planar, depth - distance], axis=-1)
-    turns = jax.vmap(quaternion.to_matrix)(list_fixed_views())  # object to camera
+    # The inverse of a rotation from the object to a camera is its transpose.
+    turns = list_fixed_views()
     points = jnp.einsum("bvijc,vcd->bvijd", seen, turns, precision="highest")
     return points.reshape(len(maps), -1, 3)

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.networks.encoder import conv_init, leaky_relu
-from dpc_jax.render import quaternion
 
 ELEVATIONS = (-20.0, 40.0)  # degrees, of the views (§ Datasets)
 _JUDGE_WIDTH = 10
@@ -51,19 +50,13 @@ def face_object(azimuths: jax.Array, elevations: jax.Array) -> jax.Array:
     Angles [...] are radians, and mean what they do of a data set's viewpoints: the
     camera sits at (cos el cos az, cos el sin az, sin el), the object's z is up.
     """
-    c, s = jnp.cos(azimuths / 2), -jnp.sin(azimuths / 2)
-    level = jnp.stack([c + s, c + s, c - s, s - c], axis=-1) / 2
-    zero = jnp.zeros_like(elevations)
-    pitch = jnp.stack(
-        [jnp.cos(elevations / 2), jnp.sin(elevations / 2), zero, zero], axis=-1
-    )
-    return multiply(pitch, level)
-
-
-def multiply(first: jax.Array, second: jax.Array) -> jax.Array:
-    """Products of quaternions [..., 4]."""
-    flat = jax.vmap(quaternion.multiply)(first.reshape(-1, 4), second.reshape(-1, 4))
-    return flat.reshape(first.shape)
+    # The level camera is (c + s, c + s, c - s, s - c)/2. It is then pitched about its
+    # own x axis: (cos, sin, 0, 0) of half the elevation times that quaternion.
+    c, s = jnp.cos(azimuths / 2) / 2, -jnp.sin(azimuths / 2) / 2
+    up, side = c + s, c - s
+    cos, sin = jnp.cos(elevations / 2), jnp.sin(elevations / 2)
+    less, more = cos - sin, cos + sin
+    return jnp.stack([less * up, more * up, more * side, -less * side], axis=-1)
 
 
 class PoseJudge(nn.Module):

@@ -31,5 +31,7 @@ class Example:
     colors: np.ndarray | None  # [N, 3] predicted, bytes or floats 0 to 1
     pose_error_deg: float | None  # None where the true pose is unknown
     surface: np.ndarray | None = None  # [P, 3] points of the true shape, for comparison
+    # Vertices [V, 3] and faces [F, 3] of a predicted surface, of voxel models.
+    mesh: tuple[np.ndarray, ...] | None = None
     # By name: "silhouette", "depth", "color".
     signals: Mapping[str, SignalImages] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Point clouds as files: PLY for point cloud tools, GLB for 3D viewers."""
+"""Point clouds and surfaces as files: PLY for point cloud tools, GLB for viewers."""
 
 import json
 import os
@@ -6,6 +6,7 @@ import struct
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from numpy.typing import ArrayLike
 
 from dpc_jax.files import write_bytes
@@ -89,17 +90,47 @@ def write_glb(
     rgba = np.full((len(points), 4), 255, dtype="u1")
     rgba[:, :3] = _bytes(linear)
     faces = _FACES + corners * np.arange(len(points))[:, None, None]
+    colors = np.repeat(rgba, corners, axis=0)
+    return write_bytes(path, _assemble_glb(position, normal, colors, faces, "points"))
+
+
+def write_surface(
+    path: str | os.PathLike, vertices: ArrayLike, faces: ArrayLike
+) -> Path:
+    """Write a surface as binary glTF, smoothly shaded in plain blue.
+
+    As in `write_glb` the vertices stay in the object frame.
+
+    Args:
+      path: where to; replaced only once the new file is whole.
+      vertices: [V, 3] object frame. faces: [F, 3] of their indices, at least one,
+        counter-clockwise seen from outside.
+
+    Raises:
+      ValueError: no faces, or vertices that are not finite or not [V, 3].
+    """
+    vertices, _ = _check_cloud(vertices, None)
+    faces = np.asarray(faces)
+    if not len(faces):
+        raise ValueError(
+            "Expected a surface with faces, but there are none; a GLB file cannot hold "
+            "an empty mesh."
+        )
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    rgba = np.full((len(vertices), 4), 255, dtype="u1")
+    rgba[:, :3] = _bytes(np.array(_PLAIN_COLOR) ** 2.2)  # nearly linear light
+    arrays = vertices.astype("<f4"), mesh.vertex_normals.astype("<f4"), rgba, faces
+    return write_bytes(path, _assemble_glb(*arrays, "surface"))
+
+
+def _assemble_glb(position, normal, colors, faces, name) -> bytes:
+    """One mesh of vertices with normals and colours [V, 4], and faces of indices."""
     parts = [
         (position, 5126, "VEC3", 34962),
         (normal, 5126, "VEC3", 34962),
-        (np.repeat(rgba, corners, axis=0), 5121, "VEC4", 34962),
+        (colors, 5121, "VEC4", 34962),
         (faces.reshape(-1).astype("<u4"), 5125, "SCALAR", 34963),
     ]
-    return write_bytes(path, _assemble_glb(parts))
-
-
-def _assemble_glb(parts) -> bytes:
-    """One mesh from its position, normal, colour and index arrays, in this order."""
     views, accessors, offset = [], [], 0
     for index, (array, component, kind, target) in enumerate(parts):
         place = {"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes}
@@ -118,7 +149,7 @@ def _assemble_glb(parts) -> bytes:
         "asset": {"version": "2.0", "generator": "dpc_jax"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": "points", "rotation": _UPRIGHT}],
+        "nodes": [{"mesh": 0, "name": name, "rotation": _UPRIGHT}],
         "meshes": [{"primitives": [primitive]}],
         "materials": [{"pbrMetallicRoughness": surface}],
         "accessors": accessors,

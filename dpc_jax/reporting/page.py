@@ -209,8 +209,7 @@ def _write_clouds(examples: Sequence[Example], folder: Path) -> str:
     rows, taken = [], set()
     for example in examples:
         stem = _file_name(example.name, taken)
-        export.write_ply(folder / f"{stem}.ply", example.points, example.colors)
-        export.write_glb(folder / f"{stem}.glb", example.points, example.colors)
+        write_files(example, folder / stem)
         error = example.pose_error_deg
         error_text = registry.MISSING if error is None else f"{error:.1f}°"
         links = [f'<a href="points/{stem}.{k.lower()}">{k}</a>' for k in ("GLB", "PLY")]
@@ -220,6 +219,16 @@ def _write_clouds(examples: Sequence[Example], folder: Path) -> str:
         "tools; both are in the object frame of the data set.</p>"
         + _make_table(rows, heads=("Example", "Pose error", "", ""))
     )
+
+
+def write_files(example: Example, stem: Path):
+    """STEM.ply of an example's points, and STEM.glb of them or of its surface."""
+    export.write_ply(stem.with_name(f"{stem.name}.ply"), example.points, example.colors)
+    glb = stem.with_name(f"{stem.name}.glb")
+    if example.mesh is not None:
+        export.write_surface(glb, *example.mesh)
+    else:
+        export.write_glb(glb, example.points, example.colors)
 
 
 def _make_table(rows: Iterable[Sequence[str]], heads: Sequence[str] = ()) -> str:

@@ -12,7 +12,11 @@ from dpc_jax.data import DataSet, DataSpec
 from dpc_jax.data.sets.image_folder import read_object
 from dpc_jax.data.sets.pictures import FAULTS
 from dpc_jax.evaluation import rotations
-from dpc_jax.evaluation.alignment import align_points, align_poses
+from dpc_jax.evaluation.alignment import (
+    align_points,
+    align_poses,
+    identity_alignment,
+)
 from dpc_jax.files import write_text
 from dpc_jax.learning.inference.predictor import (
     VIEWS_AT_ONCE,
@@ -20,8 +24,8 @@ from dpc_jax.learning.inference.predictor import (
     predict_all,
 )
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.export import write_glb, write_ply
 from dpc_jax.reporting.gallery import draw_predictions
+from dpc_jax.reporting.page import write_files
 from dpc_jax.run.finished import restore_state
 from dpc_jax.run.setup import make_network
 from dpc_jax.run.workdir import read_alignment, read_config
@@ -63,11 +67,18 @@ def predict_images(
     dataset = _read_images(images, config, crop=crop)
     predictor = make_predictor(make_network(config), config)
     predictions = predict_all(predictor, state, dataset)
-    if predictions.cells is not None:
-        from dpc_jax.run.surfaces import add_points  # needs libraries of its own
-
-        predictions = add_points(predictions, workdir)
     alignment = read_alignment(workdir)
+    meshes = [None] * len(dataset.names)
+    if predictions.cells is not None:
+        from dpc_jax.run import surfaces  # needs libraries of its own
+
+        threshold = surfaces.read_threshold(workdir)
+        predictions = surfaces.add_points(predictions, threshold)
+        frame = alignment or identity_alignment()
+        meshes = [
+            surfaces.find_surface(predictions, row, threshold, frame)
+            for row in range(len(meshes))
+        ]
     points, poses = predictions.points[:, 0], predictions.poses[:, 0]
     if alignment is not None:
         points, poses = align_points(alignment, points), align_poses(alignment, poses)
@@ -82,6 +93,7 @@ def predict_images(
             points=points[i],
             colors=None if predictions.colors is None else predictions.colors[i, 0],
             pose_error_deg=None,
+            mesh=meshes[i],
         )
         pose = None if config.pose.known else poses[i]
         facts = _describe_pose(pose, is_aligned=alignment is not None)
@@ -102,8 +114,7 @@ def predict_images(
 
 def _write_prediction(out, example, facts):
     """NAME.ply, NAME.glb and NAME.json of one image."""
-    write_ply(out / f"{example.name}.ply", example.points, example.colors)
-    write_glb(out / f"{example.name}.glb", example.points, example.colors)
+    write_files(example, out / example.name)
     write_text(out / f"{example.name}.json", json.dumps(facts, indent=2) + "\n")
 
 

@@ -89,6 +89,7 @@ def report_run(
             alignment,
             result,
             distance=config.render.distance,
+            threshold=threshold,
         ),
         pose_errors=result.pose_errors_deg,  # None: no such figure
         shares=shares if heads > 1 else None,
@@ -166,7 +167,7 @@ def _name_left_out(dataset) -> list[str]:
 
 
 def _make_examples(
-    predictions, dataset, alignment, result, *, distance
+    predictions, dataset, alignment, result, *, distance, threshold
 ) -> list[Example]:
     """The first views of test models spread over the split."""
     models, views = arrange_views(dataset)
@@ -174,7 +175,11 @@ def _make_examples(
     examples = []
     for row in np.linspace(0, len(models) - 1, min(EXAMPLES, len(models))).astype(int):
         model, view = models[row, 0], views[row, 0]
-        surfaces = dataset.surfaces
+        surfaces, mesh = dataset.surfaces, None
+        if threshold is not None:
+            from dpc_jax.run.surfaces import find_surface  # needs libraries of its own
+
+            mesh = find_surface(predictions, row, threshold, alignment)
         seen = read_view(predictions, dataset, row, 0, distance=distance)
         examples.append(
             Example(
@@ -185,6 +190,7 @@ def _make_examples(
                 points=align_points(alignment, predictions.points[row, 0]),
                 colors=None if colors is None else colors[row, 0],
                 pose_error_deg=None if errors is None else float(errors[row, 0]),
+                mesh=mesh,
                 surface=None if surfaces is None else np.asarray(surfaces[model]),
                 signals={
                     name: SignalImages(

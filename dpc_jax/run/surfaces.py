@@ -4,8 +4,11 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from dpc_jax.data import DataSet
-from dpc_jax.evaluation.alignment import Alignment
+from dpc_jax.evaluation.alignment import Alignment, align_points
+from dpc_jax.evaluation.surfaces import extract_surface
 from dpc_jax.learning.inference import volumes
 from dpc_jax.learning.inference.predictor import Predictions
 
@@ -33,10 +36,15 @@ def find_points(
     return found, threshold
 
 
-def add_points(predictions: Predictions, workdir: Path) -> Predictions:
-    """Predictions with points, by the threshold that a finished run has tuned.
+def add_points(predictions: Predictions, threshold: float) -> Predictions:
+    """Predictions with points of their surfaces."""
+    return volumes.add_points(predictions, threshold)
 
-    Before a run is finished, by the one that tuning begins with.
+
+def read_threshold(workdir: Path) -> float:
+    """The threshold that a finished run has tuned.
+
+    Before a run is finished, the one that tuning begins with.
 
     Raises:
       ValueError: where the run's metrics cannot be read.
@@ -52,4 +60,19 @@ def add_points(predictions: Predictions, workdir: Path) -> Predictions:
                 f"Expected the threshold of surfaces in {path}, but it cannot be read "
                 f"({error}); start the command that began the run again."
             ) from None
-    return volumes.add_points(predictions, threshold)
+    return threshold
+
+
+def find_surface(
+    predictions: Predictions, row: int, threshold: float, alignment: Alignment
+) -> tuple[np.ndarray, ...] | None:
+    """Vertices [V, 3] and faces [F, 3] of a row's first view; None where there is none.
+
+    Args:
+      alignment: from the network's frame, in which the cells are, to the data's.
+    """
+    assert predictions.cells is not None
+    vertices, faces = extract_surface(predictions.cells[row, 0], threshold)
+    if not len(faces):
+        return None
+    return align_points(alignment, vertices), faces
