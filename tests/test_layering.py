@@ -185,11 +185,23 @@ def test_data_tools_and_render_processes_do_not_load_jax():
     assert result.stdout.strip() == "[]", result.stdout + result.stderr
 
 
-def test_a_run_of_point_clouds_does_not_load_what_voxel_models_need():
-    code = (
-        "import sys, dpc_jax.run.pipeline, dpc_jax.run.prediction; "
-        "print([m for m in ('skimage', 'dpc_jax.run.surfaces') if m in sys.modules])"
-    )
+def test_a_run_of_point_clouds_does_not_load_what_baselines_need():
+    """Nor do its programs, once traced."""
+    code = """
+import sys
+import jax
+import dpc_jax.run.pipeline, dpc_jax.run.prediction
+from dpc_jax.config import build_config
+from dpc_jax.run.memory import estimate_step_memory
+from dpc_jax.run.setup import make_network
+config = build_config("chair", "32")
+estimate_step_memory(make_network(config), config)
+names = ("skimage", "dpc_jax.run.surfaces", "dpc_jax.evaluation.surfaces")
+names += ("dpc_jax.learning.inference.volumes", "dpc_jax.learning.pose_prior")
+names += ("dpc_jax.learning.view_maps", "dpc_jax.learning.choice.sampling")
+names += tuple(f"dpc_jax.networks.{n}" for n in ("voxels", "view_maps", "viewpoints"))
+print([name for name in names if name in sys.modules])
+"""
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True
     )

@@ -35,6 +35,8 @@ def test_every_config_builds_in_every_variant(name, variant):
 
     if config.network.shape == "points":
         assert output["points"].shape == (2, config.render.num_points, 3)
+    elif config.network.shape == "maps":
+        assert output["points"].shape == (2, 8 * config.render.grid**2, 3)
     else:
         assert output["cells"].shape == (2, *[config.render.grid] * 3)
         assert "points" not in output
