@@ -118,7 +118,10 @@ def draw_costs(costs: Sequence[Mapping[str, Any]], path: Path) -> Path:
             axes, title=title, x_label="side of images and volume", y_label=label
         )
         axes.set_xscale("log")
-        axes.set_yscale("log")
+        if name == "seconds":
+            axes.set_yscale("log")
+        else:
+            axes.set_ylim(bottom=0.0)
         style.set_ticks(axes, sorted({c["side"] for c in costs}))
     panels[0].legend(frameon=False, fontsize=8)
     return style.save_figure(figure, path)
