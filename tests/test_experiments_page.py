@@ -7,7 +7,7 @@ import re
 import pytest
 
 from dpc_jax import paper
-from dpc_jax.config import to_json
+from dpc_jax.config import VARIANTS, to_json
 from dpc_jax.experiments.catalogue import EXPERIMENTS
 from dpc_jax.experiments.declarations import Row
 from dpc_jax.experiments.report.blocks import Figure
@@ -16,6 +16,7 @@ from dpc_jax.experiments.report.tables import format_summary, make_table
 from dpc_jax.experiments.report.targets import check_targets
 from dpc_jax.experiments.results import Outcome, Results, Summary, summarize
 from dpc_jax.experiments.runs import Request, list_runs
+from dpc_jax.experiments.systems import SYSTEMS, list_systems
 from dpc_jax.run.workdir import hold_workdir
 
 KNOWN, UNKNOWN, ABLATION = EXPERIMENTS[:3]
@@ -87,6 +88,20 @@ def test_a_row_that_is_measured_has_no_runs_and_no_poses():
     assert row["Runs"] == "measured on the data" and not row["Minutes"]
     without = read_row(make_table(results, UNKNOWN), "car", label)
     assert without["Chamfer distance (×100), ours"] == "–"
+
+
+def test_every_other_system_is_said_to_follow_and_to_differ():
+    """And every row of one has its variant."""
+    described = {
+        e.name: [s.variant for s in list_systems([r.variant or "" for r in e.rows])]
+        for e in EXPERIMENTS
+    }
+    assert described["known_pose"] == ["drc", "ptn", "ours_v", "epcg"]
+    assert described["unknown_pose"] == ["ours_v", "mvc"]
+    assert not any(described[name] for name in ("ablation", "color", "points"))
+    for system in SYSTEMS:
+        assert system.variant in VARIANTS
+        assert "Followed:" in system.describe() and "Differs:" in system.describe()
 
 
 def test_what_is_missing_says_so():

@@ -116,6 +116,45 @@ def test_the_candidate_whose_volume_fits_best_wins(how):
         assert int(winners.indices[row, place]) == np.argmin(losses)
 
 
+def test_depths_of_cells_are_compared_where_their_rays_end():
+    """DRC with depth: Σ of how far each ray ends from the truth, a cell let off."""
+    config = voxel_config(background_weight=0.2, depth_weight=2.0)
+    shapes, batch = make_cells(), make_batch()
+    rotations = jnp.array(random_quaternions(3, 4), jnp.float32).reshape(2, 2, 4)
+    rng = np.random.default_rng(0)
+    batch["depths"] = rng.uniform(1.6, 2.4, batch["masks"].shape).astype(np.float32)
+    compare = jax.jit(
+        lambda cells: compare_winners(
+            shapes._replace(cells=cells),
+            rotations,
+            batch,
+            render=config.render,
+            train=config.train,
+            stage=STAGE,
+        )
+    )
+    total, terms, costs = compare(shapes.cells)
+    expected = []
+    places = 1.5 + (np.arange(8) + 0.5) / 8
+    for row, view in np.ndindex(2, 2):
+        ends = project_volume(
+            shapes.cells[row],
+            rotations[row, view],
+            grid=VoxelGrid(8),
+            signals=("termination",),
+        ).termination
+        mask = batch["masks"][row, view] / 255.0
+        share = mask.reshape(8, 2, 8, 2).mean(axis=(1, 3))
+        summed = (mask * batch["depths"][row, view]).reshape(8, 2, 8, 2)
+        depth = summed.mean(axis=(1, 3)) / np.where(share > 0, share, 1)
+        away = np.abs(places - depth[..., None]) - 1 / 8
+        expected.append(np.sum(ends * share[..., None] * np.maximum(away, 0)))
+    assert float(terms["depth"]) == pytest.approx(np.mean(expected), rel=1e-4)
+    both = terms["reprojection"] + 2 * terms["depth"]
+    assert float(total) == pytest.approx(float(both), rel=1e-6)
+    assert float(jnp.mean(costs)) == pytest.approx(float(total), rel=1e-6)
+
+
 def test_two_devices_learn_what_one_does(monkeypatch):
     """Also where the decoder's layers are large enough to be shared."""
     monkeypatch.setattr(devices, "SHARED_WEIGHTS", 1000)

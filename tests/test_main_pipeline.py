@@ -354,6 +354,7 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(comma
         "known": {"pose.known": True, "train.color_weight": 0.1},
         "labels": {"pose.labels": True, "pose.flips": False},
         "voxels": {"network.shape": "voxels", "pose.choice_rank": "volume"},
+        "maps": {"network.shape": "maps", "pose.known": True},
         "other": {
             "pose.candidates": 1,
             "data.meshes": make_boxes(command.folder / "boxes", 6),
@@ -385,6 +386,9 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(comma
                 assert 0 < len(read.faces) < 8 * 10_000
                 assert np.max(read.edges_unique_length) > 0.02
             assert np.linalg.norm(found, axis=1).max() < 1  # of a turned unit cube
+        if name == "maps":
+            # All eight maps' visible points, or one of them as often.
+            assert predict_points(command, workdir).shape == (8 * 8 * 8, 3)
         if name == "labels":
             assert 0 <= metrics["pose_accuracy"] <= 1
             assert metrics["alignment_inlier_share"] is None

@@ -22,6 +22,7 @@ from dpc_jax.experiments.report.tables import Table, make_table
 from dpc_jax.experiments.report.targets import Target, check_targets
 from dpc_jax.experiments.results import Results
 from dpc_jax.experiments.sizes import SIZES
+from dpc_jax.experiments.systems import SHARED, list_systems
 from dpc_jax.files import replacing, write_text
 
 TITLE = "The paper's experiments"
@@ -109,6 +110,9 @@ def _describe(results, experiment, analyses, figures) -> Iterator[Block]:
     yield Paragraph(say_difference(results, experiment))
     if experiment.table.remarks:
         yield Items(experiment.table.remarks)
+    if systems := list_systems([row.variant or "" for row in experiment.rows]):
+        yield Paragraph(SHARED)
+        yield Items([system.describe() for system in systems])
     drawn = draw_figures(results, experiment, figures)
     if experiment.picture:
         drawn += copy_pictures(results, experiment, figures)
