@@ -28,11 +28,11 @@ class System(NamedTuple):
 
 SHARED = (
     "The other systems have the data, the image encoder, the batches and the "
-    "evaluation of the point clouds, so that a column compares shapes, projections and losses "
-    "alone; their learning rates are tuned on validation shapes (docs/baselines.md). "
-    "Voxel models are judged by 10,000 samples of their surface, at a threshold tuned "
-    "on validation shapes; the mean shape of the training set is what a model scores that "
-    "sees nothing."
+    "evaluation of the point clouds, so that a column compares shapes, projections and "
+    "losses alone; their learning rates are tuned on validation shapes "
+    "(docs/baselines.md). Voxel models are judged by 10,000 samples of their surface, "
+    "at a threshold tuned on validation shapes; the mean shape of the training set is "
+    "what a model scores that sees nothing."
 )
 SYSTEMS = (
     System(
@@ -62,8 +62,8 @@ SYSTEMS = (
     System(
         "EPCG, Lin et al. (2018)",
         "epcg",
-        "Followed: maps of points at eight fixed views, first compared with depth maps "
-        "of these views, then drawn into cells of a fifth of a pixel and compared "
+        "Followed: maps of points at eight fixed views, first compared with depth "
+        "maps of these views, then drawn into cells of a fifth of a pixel and compared "
         "with masks and depths of the views of the data.",
         "Differs: the perspective camera and the views of the data, because those are "
         "what there is; depths count where the object is, so that a model cannot shrink "
