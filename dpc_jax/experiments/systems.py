@@ -66,8 +66,8 @@ SYSTEMS = (
         "maps of these views, then drawn into cells of a fifth of a pixel and compared "
         "with masks and depths of the views of the data.",
         "Differs: the perspective camera and the views of the data, because those are "
-        "what there is; depths count where the object is, so that a model cannot shrink "
-        "its own supervision.",
+        "what there is; depths count where the object is, so that a model cannot "
+        "shrink its own supervision.",
     ),
     System(
         "MVC, Tulsiani et al. (2018)",
