@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from dpc_jax.data.dataset import CORNERS, DataSet
+from dpc_jax.data.arrays import CORNERS, DataSet
 
 BATCH_ARRAYS = ("images", "masks", "quaternions")  # of every batch
 _MODELS, _VIEWS = 0, 1  # so that the two never share a random stream
