@@ -5,7 +5,11 @@ import pytest
 import tiny_runs
 
 from dpc_jax.data import shards
-from dpc_jax.evaluation.alignment import align_by_poses, identity_alignment
+from dpc_jax.evaluation.alignment import (
+    align_by_poses,
+    align_poses,
+    identity_alignment,
+)
 from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.evaluation.scores import score
 from dpc_jax.learning.inference import evaluator
@@ -39,8 +43,35 @@ def trained():
         yield (
             dataset,
             whole,
-            lambda d: predict_all(predictor, state, d, views_at_once=4),
+            lambda d, **more: predict_all(predictor, state, d, views_at_once=4, **more),
         )
+
+
+def test_true_poses_are_compared_in_the_frame_of_the_network(trained):
+    """The predicted poses, told as true ones in another frame, cost the same."""
+    dataset, whole, predict = trained
+    turn = tiny_runs.random_quaternions(5)
+    frame = identity_alignment()._replace(rotation=turn)
+    told = dataset._replace(quaternions=align_poses(frame, whole.poses))
+    assert whole.costs is not None and whole.costs.shape == (3, 3, 2)
+    found = predict(told, frame=frame).costs
+    np.testing.assert_allclose(found[..., 0], found[..., 1], rtol=1e-4)
+    np.testing.assert_allclose(found[..., 0], whole.costs[..., 0], rtol=1e-5)
+    other = predict(told).costs  # another frame: other poses
+    assert np.all(np.abs(other[..., 1] / found[..., 1] - 1) > 1e-4)
+    # The side of the finest grid is that of the candidates' comparison here.
+    masks = dataset.masks.reshape(3, 3, 8, 2, 8, 2).mean(axis=(3, 5)) / 255
+    squares = np.sum((whole.silhouettes - masks) ** 2, axis=(2, 3))
+    np.testing.assert_allclose(whole.costs[..., 0], squares, rtol=1e-4)
+
+
+def test_a_diagnosis_needs_true_poses(trained):
+    dataset, whole, _ = trained
+    frame = identity_alignment()
+    found = evaluator.diagnose(whole, dataset, alignment=frame)
+    assert found is not None and "wrong_object_share" in found.metrics
+    without = dataset._replace(quaternions=None)
+    assert evaluator.diagnose(whole, without, alignment=frame) is None
 
 
 def test_views_of_unequal_models_are_predicted_one_by_one(trained):

@@ -67,6 +67,15 @@ def report(folder, **changes):
     return write_report(folder, **(arguments | changes))
 
 
+def test_wrong_views_are_explained_where_there_are_any(tmp_path):
+    more = {"wrong_half_turn_share": 0.8, "wrong_object_share": 0.05}
+    names = [f"car <{i}>" for i in range(40)]
+    page = report(tmp_path, metrics=METRICS | more, lost=names).read_text("utf-8")
+    assert "What the wrong views are" in page and "80.0" in page
+    assert "car &lt;29&gt;, ..." in page and "car &lt;30&gt;" not in page
+    assert "What the wrong views are" not in report(tmp_path).read_text("utf-8")
+
+
 class Tags(HTMLParser):
     """All tags with their attributes, and whether every one opened was closed."""
 

@@ -18,6 +18,7 @@ from dpc_jax.files import write_text
 from dpc_jax.reporting import export, figures, gallery, signals
 from dpc_jax.reporting.examples import Example
 
+_NAMED = 30  # objects
 _CAPTIONS = {
     "curves": (
         "Error against run time",
@@ -76,6 +77,7 @@ def write_report(
     records: Sequence[Mapping] | Mapping[str, Sequence[Mapping]] = (),
     examples: Sequence[Example] = (),
     pose_errors: ArrayLike | None = None,
+    lost: Sequence[str] = (),
     shares: ArrayLike | None = None,
     warnings: Sequence[str] = (),
     config_text: str = "",
@@ -91,6 +93,7 @@ def write_report(
         (None where one does not apply). Distances times 100. NaN becomes null.
       records: lines of `metrics.jsonl`, or such lists by run name.
       pose_errors: errors of the test views in degrees, any shape.
+      lost: names of objects that are wrong in all their views.
       shares: [K] share of views that each candidate wins.
       warnings: sentences for the top of the page.
       config_text: the configuration, shown as it is.
@@ -116,6 +119,8 @@ def write_report(
             sections.append(_embed_figure(name, draw(data, folder / f"{name}.png")))
             if name == "predictions":
                 sections.append(_write_clouds(examples, folder / "points"))
+            if name == "pose_errors":
+                sections.append(_describe_failures(values, lost))
     sections.append(_list_metrics(values))
     if config_text:
         sections.append(
@@ -202,6 +207,30 @@ def _list_metrics(values: Mapping[str, Any]) -> str:
         'with shares from 0 to 1, are in <a href="metrics.json">metrics.json</a>.</p>'
         + _make_table(rows)
     )
+
+
+def _describe_failures(values: Mapping[str, Any], lost: Sequence[str]) -> str:
+    """What the wrong views are, and which objects are wrong in all of theirs."""
+    names = (
+        "wrong_half_turn_share",
+        "wrong_mirror_share",
+        "truth_cheaper_share",
+        "wrong_object_share",
+    )
+    rows = [
+        (
+            html.escape(registry.get_metric(name).heading),
+            html.escape(registry.format_metric(name, values[name])),
+            f'<span class="hint">{html.escape(registry.get_metric(name).hint)}</span>',
+        )
+        for name in names
+        if values.get(name) is not None
+    ]
+    text = f"<h3>What the wrong views are</h3>{_make_table(rows)}" if rows else ""
+    if lost:
+        shown = ", ".join(lost[:_NAMED]) + (", ..." if len(lost) > _NAMED else "")
+        text += f"<p>Wrong in all views: {html.escape(shown)}.</p>"
+    return text
 
 
 def _write_clouds(examples: Sequence[Example], folder: Path) -> str:

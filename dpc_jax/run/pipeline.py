@@ -125,15 +125,15 @@ def _run_in(folder, config, job):
         )
         return
     state = outcome.state
+    validated, threshold = model.find_points(model.predict(state, "val"))
+    alignment = model.align(validated)
     predictions = {
-        name: model.predict(state, name)
-        for name in ("val", "test", "own")
+        name: model.predict(state, name, frame=alignment, threshold=threshold)
+        for name in ("test", "own")
         if name in sets
     }
     if not job.is_first:
         return
-    predictions, threshold = model.find_points(predictions)
-    alignment = model.align(predictions.pop("val"))
     report_run(
         folder,
         config,
@@ -170,10 +170,31 @@ class Model:
         """Compile what `predict` needs, into the cache of compiled programs."""
         compile_predictor(self._predictor, state, self.config)
 
-    def predict(self, state: TrainState, split: str) -> Predictions:
-        """Predictions for a split."""
+    def predict(
+        self,
+        state: TrainState,
+        split: str,
+        *,
+        frame: Alignment | None = None,
+        threshold: float | None = None,
+    ) -> Predictions:
+        """Predictions for a split.
+
+        Args:
+          frame: of the network, for the comparison of true poses with predicted ones.
+          threshold: of `find_points`, for points of voxel models.
+        """
         extras = list_extras(self.config)
-        return predict_all(self._predictor, state, self.sets[split], extras=extras)
+        if self.config.pose.known:
+            frame = None  # the poses are an input
+        found = predict_all(
+            self._predictor, state, self.sets[split], extras=extras, frame=frame
+        )
+        if threshold is None:
+            return found
+        from dpc_jax.run.surfaces import add_points  # needs libraries of its own
+
+        return add_points(found, threshold)
 
     def align(self, predictions: Predictions) -> Alignment:
         """Canonical alignment, from predictions for the validation split."""
@@ -181,13 +202,10 @@ class Model:
             return identity_alignment()  # learned in the data's own frame
         return evaluator.align(predictions, self.sets["val"])
 
-    def find_points(
-        self, predictions: dict[str, Predictions]
-    ) -> tuple[dict[str, Predictions], float | None]:
-        """Predictions with points, and the threshold that gave those of voxel models.
+    def find_points(self, predictions: Predictions) -> tuple[Predictions, float | None]:
+        """Validation predictions with points, and the threshold that gave them.
 
-        Args:
-          predictions: by split; "val" among them, which the threshold is tuned on.
+        The threshold is tuned on them; only voxel models have one.
         """
         if self.config.network.shape != "voxels":
             return predictions, None
@@ -197,8 +215,7 @@ class Model:
 
     def validate(self, state: TrainState) -> dict[str, float]:
         """Metrics on the validation split."""
-        found, _ = self.find_points({"val": self.predict(state, "val")})
-        predictions = found["val"]
+        predictions, _ = self.find_points(self.predict(state, "val"))
         result, _ = evaluator.score(
             predictions,
             self.sets["val"],

@@ -9,6 +9,7 @@ from dpc_jax.config import Config, to_config_dict
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation.alignment import Alignment, align_points
+from dpc_jax.evaluation.failures import Failures
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
@@ -67,6 +68,12 @@ def report_run(
     }
     metrics = dict.fromkeys((*REQUIRED_METRICS, *MEASURES)) | result.metrics
     metrics |= measured["test"]
+    failures = None
+    if not config.pose.known:
+        failures = evaluator.diagnose(
+            predictions["test"], sets["test"], alignment=alignment
+        )
+        metrics |= failures.metrics if failures else {}
     metrics |= _count_costs(sets, outcome, data_seconds)
     metrics["candidates_alive"] = candidate_use.count_alive(shares) if heads else None
     if sets["test"].quaternions is not None and not config.pose.given:
@@ -92,6 +99,7 @@ def report_run(
             threshold=threshold,
         ),
         pose_errors=result.pose_errors_deg,  # None: no such figure
+        lost=_name_lost(failures, sets["test"]),
         shares=shares if heads > 1 else None,
         warnings=warnings,
         config_text=str(to_config_dict(config)),
@@ -107,6 +115,14 @@ def report_run(
         own = scored["own"][0].metrics
         print(f"Objects of the training source: {describe_metrics(own)}.")
     print(f"Report: {path}")
+
+
+def _name_lost(failures: Failures | None, dataset: DataSet) -> list[str]:
+    """Names of objects that are wrong in all their views."""
+    if failures is None:
+        return []
+    models, _ = arrange_views(dataset)
+    return [dataset.names[models[row, 0]] for row in failures.wrong_objects]
 
 
 def _count_costs(sets, outcome, data_seconds) -> dict:

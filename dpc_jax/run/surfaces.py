@@ -14,26 +14,23 @@ from dpc_jax.learning.inference.predictor import Predictions
 
 
 def find_points(
-    predictions: dict[str, Predictions],
+    predictions: Predictions,
     validation: DataSet,
     *,
     align: Callable[[Predictions], Alignment],
-) -> tuple[dict[str, Predictions], float]:
+) -> tuple[Predictions, float]:
     """Predictions with points of their surfaces, and the threshold, tuned first.
 
     Args:
-      predictions: by split, "val" among them.
+      predictions: for the validation split.
       validation: that split. Without true shapes the threshold stays the first one.
-      align: of validation predictions with points.
+      align: of predictions with points.
     """
     threshold = volumes.FIRST_THRESHOLD
     if validation.surfaces is not None:
-        first = volumes.add_points(predictions["val"], threshold, count=2000)
+        first = volumes.add_points(predictions, threshold, count=2000)
         threshold = volumes.choose_threshold(first, validation, align(first))
-    found = {
-        name: volumes.add_points(each, threshold) for name, each in predictions.items()
-    }
-    return found, threshold
+    return volumes.add_points(predictions, threshold), threshold
 
 
 def add_points(predictions: Predictions, threshold: float) -> Predictions:

@@ -6,6 +6,7 @@ from dpc_jax.data import DataSet
 from dpc_jax.evaluation import alignment as alignments
 from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation import scores
+from dpc_jax.evaluation.failures import Failures, find_failures
 from dpc_jax.evaluation.silhouettes import mean_squared_difference
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 
@@ -79,6 +80,21 @@ def score(
     winners = predictions.winners % max(1, heads)
     shares = candidate_use.winner_share(winners, num_candidates=max(1, heads))
     return result, shares
+
+
+def diagnose(
+    predictions: Predictions, dataset: DataSet, *, alignment: alignments.Alignment
+) -> Failures | None:
+    """What the wrong views are; None for data without poses.
+
+    Args:
+      predictions: made with that alignment as their frame.
+    """
+    poses, _ = arrange_truth(dataset)
+    if poses is None:
+        return None
+    found = alignments.align_poses(alignment, predictions.poses)
+    return find_failures(found, poses, costs=predictions.costs)
 
 
 def measure_projection_error(predictions: Predictions, dataset: DataSet) -> float:

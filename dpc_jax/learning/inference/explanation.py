@@ -93,6 +93,27 @@ def explain_view(
     return {n: a for n, a in images.items() if a is not None}, winner
 
 
+def compare_poses(
+    scene: dict[str, jax.Array],
+    poses: jax.Array,
+    target: jax.Array,
+    own: dict[str, Any],
+    *,
+    config: Config,
+) -> jax.Array:
+    """Sums of squared differences [n] of a silhouette [D, D] from poses [n, 4]."""
+    render = config.render
+    return compute_candidate_losses(
+        scene,
+        poses,
+        target,
+        camera=place_camera(Camera(render.focal_length, render.distance), own),
+        renders_at_once=render.renders_at_once,
+        translation=own.get("translation"),
+        ray_rule=render.ray_rule,
+    )
+
+
 def _choose_exactly(scene, candidates, target, own, config):
     """Index of the candidate of the smallest loss at full resolution; ()."""
     render, others = config.render, own.get("others", {})

@@ -10,9 +10,14 @@ from jax.sharding import NamedSharding
 
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
+from dpc_jax.evaluation.alignment import Alignment, place_poses
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.cameras import find_cameras, list_own
-from dpc_jax.learning.inference.explanation import explain_view, list_compared
+from dpc_jax.learning.inference.explanation import (
+    compare_poses,
+    explain_view,
+    list_compared,
+)
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import complete_poses, scale_images
 from dpc_jax.learning.renders import find_scenes
@@ -42,6 +47,8 @@ class Predictions(NamedTuple):
         not learned.
       sizes: [M, V, N] sigmas in voxels of the base grid, or [M, V, N, 3, 3] covariances
         in voxels², where they are learned; else None.
+      costs: [M, V, 2] of the silhouette as seen from the student's pose and from the
+        true one; only with a frame (`predict_all`), else of no meaning.
       cells: [M, V, D, D, D], the occupancies that voxel models predict; else None.
     """
 
@@ -57,6 +64,7 @@ class Predictions(NamedTuple):
     focal_lengths: np.ndarray | None = None
     sizes: np.ndarray | None = None
     cells: np.ndarray | None = None
+    costs: np.ndarray | None = None
 
 
 def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
@@ -88,12 +96,20 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
             output["sizes"] = scene["sigma"]
 
         def explain(view):
-            scene, *rest = view
-            return explain_view(scene | shared, *rest, config=config)
+            scene, student, given, candidates, target, own = view
+            scene = scene | shared
+            images, winner = explain_view(
+                scene, student, candidates, target, own, config=config
+            )
+            if not pose.known:
+                both = jnp.stack([student, given])
+                costs = compare_poses(scene, both, target, own, config=config)
+                images = images | {"costs": costs}
+            return images, winner
 
         rendered, winners = map_renders(
             explain,
-            (scene, students, candidates, targets, own),
+            (scene, students, quaternions, candidates, targets, own),
             renders_at_once=render.renders_at_once,
         )
         if "maps" in output:
@@ -173,12 +189,15 @@ def predict_all(
     *,
     views_at_once: int = VIEWS_AT_ONCE,
     extras: Sequence[str] = (),
+    frame: Alignment | None = None,
 ) -> Predictions:
     """Run the predictor over a data set in equal batches (the last one is padded).
 
     Views are read batch by batch: a set may be larger than the memory. The layout is
     that of `arrange_views`; poses that are not given are the identity. Of the extras,
-    arrays of the data set as of `list_extras`, those that it has are read.
+    arrays of the data set as of `list_extras`, those that it has are read. The frame
+    is that of the network, in which the true poses are compared with the predicted
+    ones; None where the network's frame is that of the data.
     """
     models, views = arrange_views(dataset)
     total = models.size
@@ -191,6 +210,8 @@ def predict_all(
             poses = np.tile(np.array([1, 0, 0, 0], np.float32), (views_at_once, 1))
         else:
             poses = np.asarray(dataset.quaternions[chosen])
+            if frame is not None:
+                poses = place_poses(frame, poses).astype(np.float32)
         images, masks = dataset.images[chosen], dataset.masks[chosen]
         found = {name: getattr(dataset, name) for name in extras}
         more = {n: np.asarray(a[chosen]) for n, a in found.items() if a is not None}
