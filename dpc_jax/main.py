@@ -8,13 +8,14 @@ import sys
 from absl import app, flags, logging
 from ml_collections import config_flags
 
-from dpc_jax.config import from_config_dict
+from dpc_jax.config import from_config_dict, resolve_flags
 from dpc_jax.run import hosts, pipeline, process
 
 _CONFIG = config_flags.DEFINE_config_file(
     "config",
     None,
-    "Path of a config, for example configs/car.py or configs/car.py:paper.",
+    "Path of a config or the name of a shipped one, for example configs/car.py, "
+    "configs/car.py:paper, or car.",
 )
 _WORKDIR = flags.DEFINE_string(
     "workdir", None, "Folder of the run; runs/NAME-seedN where not given."
@@ -29,7 +30,7 @@ _PROCESS = flags.DEFINE_integer("process", None, "Which of them this one is, fro
 def _parse(argv):
     """Parse the flags; what is wrong with them is said in one sentence."""
     try:
-        rest = flags.FLAGS(argv)
+        rest = flags.FLAGS(resolve_flags(argv))
         if len(rest) > 1:
             raise ValueError(
                 f"Expected only flags, but {' '.join(rest[1:])} was given; write "

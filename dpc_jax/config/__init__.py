@@ -20,6 +20,8 @@ from dpc_jax.config.sections import Network as Network
 from dpc_jax.config.sections import Pose as Pose
 from dpc_jax.config.sections import Render as Render
 from dpc_jax.config.sections import Train as Train
+from dpc_jax.config.shipped import list_shipped as list_shipped
+from dpc_jax.config.shipped import resolve_flags as resolve_flags
 from dpc_jax.config.variants import VARIANTS as VARIANTS
 from dpc_jax.config.variants import build_config as build_config
 from dpc_jax.config.variants import make_config as make_config

@@ -12,7 +12,6 @@ from dpc_jax.experiments.catalogue import find_experiments
 from dpc_jax.experiments.declarations import Experiment, Row
 from dpc_jax.experiments.sizes import RESOLUTIONS, SIZES, Size
 
-CONFIGS = Path(configs.__file__).parents[2] / "configs"
 _POINTS = "render.num_points"
 # Of each mesh of the open sets, which are few (docs/results.md).
 _COPIES = {"car": 12, "chair": 6, "airplane": 4}
@@ -71,7 +70,7 @@ class Run:
     @property
     def config_path(self) -> Path:
         """The config file."""
-        return CONFIGS / f"{self.category}.py"
+        return configs.list_shipped()[self.category]
 
     def list_flags(self) -> list[str]:
         """Flags for `dpc_jax.main`."""
@@ -95,7 +94,7 @@ class Run:
         except OSError as error:
             raise ValueError(
                 f"Expected the config {self.config_path}, but it cannot be read "
-                f"({error.strerror}); run the command from the repository's checkout."
+                f"({error.strerror}); install the package again."
             ) from None
         except TypeError as error:
             raise ValueError(

@@ -1,0 +1,23 @@
+#!/usr/bin/env bash
+# Build sdist and wheel, install the wheel in an empty environment, train from it outside
+# the checkout: tests/package.sh
+set -euo pipefail
+cd "$(dirname "$0")/.."
+folder="$(mktemp -d)"
+trap 'rm -rf "$folder"' EXIT
+python="${PYTHON:-python3}"
+"$python" -m venv "$folder/build"
+"$folder/build/bin/python" -m pip install --quiet build twine
+# The wheel is built from the sdist, so that nothing it needs is left out there.
+"$folder/build/bin/python" -m build --outdir "$folder/dist" . >"$folder/build.log" 2>&1 || {
+    tail -20 "$folder/build.log" >&2
+    exit 1
+}
+"$folder/build/bin/python" -m twine check --strict "$folder"/dist/*
+"$python" -m venv "$folder/empty"
+"$folder/empty/bin/python" -m pip install --quiet "$folder"/dist/dpc_jax-*.whl
+cd "$folder"
+JAX_PLATFORMS=cpu "$folder/empty/bin/python" -m dpc_jax.main --config=debug:known_pose
+test -s "$folder/runs/debug-known_pose-seed0/report/index.html"
+"$folder/empty/bin/python" -c "import dpc_jax, pathlib; assert '$folder/empty' in dpc_jax.__file__"
+echo "The wheel trains in an empty environment."

@@ -1,0 +1,47 @@
+"""Names of shipped configs on the command line, in place of paths."""
+
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dpc_jax.config import list_shipped, resolve_flags
+
+FOLDER = Path(__file__).parents[1] / "configs"
+
+
+def test_the_shipped_configs_are_those_of_the_folder():
+    assert list_shipped() == {path.stem: path for path in FOLDER.glob("*.py")}
+    for path in list_shipped().values():
+        assert callable(runpy.run_path(str(path))["get_config"])
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (["--config=car"], [f"--config={FOLDER}/car.py"]),
+        (["--config", "car:paper,64"], ["--config", f"{FOLDER}/car.py:paper,64"]),
+        (["-config=chair:"], [f"-config={FOLDER}/chair.py:"]),
+        # Paths, unknown names, fields and workdirs stay as they are.
+        (["--config=configs/car.py:paper"], ["--config=configs/car.py:paper"]),
+        (["--config=bus"], ["--config=bus"]),
+        (["--config.category=car"], ["--config.category=car"]),
+        (["--workdir", "car"], ["--workdir", "car"]),
+        (["--config=car", "car"], [f"--config={FOLDER}/car.py", "car"]),
+    ],
+)
+def test_only_the_name_after_config_becomes_a_path(given, expected):
+    assert resolve_flags(["main", *given]) == ["main", *expected]
+
+
+def test_a_name_that_is_no_config_is_refused_in_one_sentence(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "dpc_jax.main", "--config=bus"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert done.stderr.startswith("Error: ") and len(done.stderr.splitlines()) == 1
