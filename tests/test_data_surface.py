@@ -54,6 +54,18 @@ def test_what_lies_inside_is_seen_by_no_one():
     assert len(seen) == pytest.approx(len(outside), rel=0.002)
 
 
+@pytest.mark.parametrize("voxel", [0.0, 0.03])
+def test_points_that_are_seen_are_marked_and_all_stay(voxel):
+    both = trimesh.util.concatenate([make_ball(), make_ball(0.2)])
+    spec = change(surface_seen=True, surface_voxel=voxel)
+    points, seen = surfaces.make_marked_truth(both, spec)
+    assert seen is not None and seen.shape == points.shape[:1] and seen.dtype == bool
+    np.testing.assert_array_equal(seen, np.linalg.norm(points, axis=1) > 0.3)
+    plain, none = surfaces.make_marked_truth(both, change(surface_voxel=voxel))
+    assert none is None
+    np.testing.assert_array_equal(points, plain)
+
+
 def test_a_point_is_seen_if_a_ray_over_the_rim_reaches_it():
     """An open box: its floor is seen from above only, its underside from below."""
     box = trimesh.creation.box(extents=[0.4, 0.4, 0.4])

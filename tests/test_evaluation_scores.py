@@ -122,3 +122,29 @@ def test_given_poses_are_not_scored_but_the_shapes_are():
     assert set(given.metrics) == {"chamfer", "precision", "coverage"}
     assert given.metrics["chamfer"] == whole.metrics["chamfer"]
     assert given.pose_errors_deg is None and given.best_candidate_errors_deg is None
+
+
+def test_what_can_be_seen_of_a_surface_is_scored_apart():
+    predicted, truth, points, surfaces, objects = scene()
+    rng = np.random.default_rng(3)
+    seen = [rng.uniform(size=len(surface)) < 0.5 for surface in surfaces]
+    seen[1][:] = False  # as a whole
+    got = score(predicted, truth, points, surfaces, alignment=ALIGNMENT, seen=seen)
+    plain = score(predicted, truth, points, surfaces, alignment=ALIGNMENT)
+    assert {n: got.metrics[n] for n in plain.metrics} == plain.metrics
+    assert not any("visible" in name for name in plain.metrics)
+    expected = []
+    for model, (surface, part) in enumerate(zip(surfaces, seen, strict=True)):
+        surface = np.asarray(surface)
+        part = surface[part] if part.any() else surface
+        for cloud in objects[model]:
+            away = cdist(cloud, part)
+            expected.append([away.min(axis=1).mean(), away.min(axis=0).mean()])
+    precision, coverage = 100 * np.mean(expected, axis=0)
+    assert got.metrics["visible_precision"] == pytest.approx(precision)
+    assert got.metrics["visible_coverage"] == pytest.approx(coverage)
+    assert got.metrics["visible_chamfer"] == pytest.approx(precision + coverage)
+    with pytest.raises(ValueError, match="Expected a boolean for each of the"):
+        score(
+            predicted, truth, points, surfaces, alignment=ALIGNMENT, seen=[[True]] * 9
+        )

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 ARRAYS = ("images", "masks", "depths", "quaternions", "surfaces")
+SEEN = "seen"  # a further array, of surfaces, if asked for
 # Further arrays, where views have their own.
 CAMERAS = ("translations", "focal_lengths")
 CORNERS = ("corner_masks", "corner_depths")  # further arrays, if asked for
@@ -22,6 +23,7 @@ class DataSet(NamedTuple):
     quaternions: float32 [M, V, 4], wxyz, object to camera; None where not given.
     surfaces: float32 [M, P, 3], points on the surface, for evaluation only; models may
         differ in P; None where there is no ground truth.
+    seen: bool [M, P], which of these can be seen from outside; None where not asked.
     translations: float32 [M, V, 3], of the object in the camera frame, after the
         rotation; None where it is not moved or not known.
     focal_lengths: float32 [M, V]; None where all views have the camera's.
@@ -45,6 +47,7 @@ class DataSet(NamedTuple):
     focal_lengths: Any = None
     corner_masks: Any = None
     corner_depths: Any = None
+    seen: Any = None
 
     @property
     def counts(self) -> np.ndarray:

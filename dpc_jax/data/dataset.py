@@ -15,7 +15,7 @@ from pathlib import Path
 
 from dpc_jax import files
 from dpc_jax.data import shards, workers
-from dpc_jax.data.arrays import ARRAYS, CAMERAS, CORNERS
+from dpc_jax.data.arrays import ARRAYS, CAMERAS, CORNERS, SEEN
 from dpc_jax.data.arrays import DataSet as DataSet
 from dpc_jax.data.progress import follow
 from dpc_jax.data.sources import Model, Source, open_source
@@ -26,7 +26,7 @@ VERSION = 3  # raise it when rendering, the procedural shapes or the shards chan
 PLACES = ("folder", "split_file", "ground_truth")  # fields that do not affect the bytes
 # Fields that affect them where they are not 0. Otherwise they are left out of the key,
 # so that sets from before there were such fields keep theirs.
-EXTRAS = ("offset", "focal_spread", "corner_views")
+EXTRAS = ("offset", "focal_spread", "corner_views", "surface_seen")
 RECORD = "spec.json"  # the file that finishes a cache
 
 
@@ -218,7 +218,7 @@ def read_cache(folder: str | Path) -> DataSet:
         parts = [part for part in pool.map(check, record["shards"]) if part.arrays]
     pages = shards.Pages([part.mapping for part in parts])
     arrays = {}
-    for name in (*ARRAYS, *CAMERAS, *CORNERS):
+    for name in (*ARRAYS, SEEN, *CAMERAS, *CORNERS):
         have = [name in part.arrays for part in parts]
         if any(have) != all(have):
             raise ValueError(

@@ -33,7 +33,7 @@ class RenderedSource(Source):
 def _render_mesh(mesh, spec, index):
     """The arrays of a normalised mesh, the index-th of its data set."""
     scene = views.build_scene(mesh)
-    points = surfaces.make_ground_truth(mesh, spec, scene=scene)
+    points, seen = surfaces.make_marked_truth(mesh, spec, scene=scene)
     camera = {name: getattr(spec, name) for name in CAMERA}
     # every model has its own stream: any number of processes gives the same views
     stream = [spec.seed, SPLITS.index(spec.split), index]
@@ -50,7 +50,8 @@ def _render_mesh(mesh, spec, index):
         pictures.append((*view, rotation))
     corners = _render_corners(scene, camera) if spec.corner_views else {}
     kept = {f"{name}s": rows.astype(np.float32) for name, rows in cameras.items()}
-    return viewpoints.stack_views(pictures) | {"surfaces": points} | kept | corners
+    truth = {"surfaces": points} | ({} if seen is None else {"seen": seen})
+    return viewpoints.stack_views(pictures) | truth | kept | corners
 
 
 def _render_corners(scene, camera):

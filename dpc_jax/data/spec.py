@@ -52,6 +52,7 @@ class DataSpec:
     surface_visible: bool = (
         Data.surface_visible
     )  # only points that can be seen from outside
+    surface_seen: bool = False  # also which points can be seen from outside
     kind: str = "meshes"  # of the folder, one of `KINDS`
     split_file: str | None = None  # official split; None: looked for in the folder
     shapenet_front: str = (

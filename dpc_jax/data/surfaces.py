@@ -21,28 +21,46 @@ def make_ground_truth(
     `spec.surface_points` are spread over it. With `spec.surface_visible` only those
     that can be seen from outside are kept, with `spec.surface_voxel` one per voxel.
     """
+    return make_marked_truth(mesh, spec, scene=scene)[0]
+
+
+def make_marked_truth(
+    mesh: trimesh.Trimesh, spec: DataSpec, *, scene: views.Scene | None = None
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """The points of `make_ground_truth`, and which of them [P] are seen from outside.
+
+    The latter with `spec.surface_seen` alone, else None. A thinned point is seen where
+    at least half of those that it stands for are.
+    """
     points = views.sample_surface(mesh, count=spec.surface_points, seed=spec.seed)
-    if spec.surface_visible:
+    seen = None
+    if spec.surface_visible or spec.surface_seen:
         scene = scene or views.build_scene(mesh)
-        points = points[_find_visible(points, scene, distance=spec.distance)]
+        seen = _find_visible(points, scene, distance=spec.distance)
+    if spec.surface_visible and seen is not None:
+        points, seen = points[seen], seen[seen]
     if spec.surface_voxel > 0:
-        points = _thin_points(points, voxel=spec.surface_voxel)
-    return points
+        columns = points if seen is None else np.column_stack([points, seen])
+        thinned = _thin_points(columns, voxel=spec.surface_voxel)
+        points = thinned[:, :3]
+        seen = None if seen is None else thinned[:, 3] >= 0.5
+    return points, seen if spec.surface_seen else None
 
 
 def _thin_points(points, *, voxel):
-    """One point for each occupied voxel: the mean of the points in it, [P, 3] float32.
+    """One point for each occupied voxel: the mean of the points in it, [P, C] float32.
 
     Voxels are cubes of side `voxel` with a corner at the origin. The result is in the
-    order of the voxels; the order of the points changes it by rounding only.
+    order of the voxels; the order of the points changes it by rounding only. Columns of
+    points [N, C] beyond the third are averaged too.
     """
     points = np.asarray(points, dtype=np.float64)
-    cells = np.floor(points / voxel).astype(np.int64)
+    cells = np.floor(points[:, :3] / voxel).astype(np.int64)
     cells -= cells.min(axis=0)
     wide = cells.max(axis=0) + 1
     keys = (cells[:, 0] * wide[1] + cells[:, 1]) * wide[2] + cells[:, 2]
     _, voxels, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    sums = [np.bincount(voxels, weights=points[:, axis]) for axis in range(3)]
+    sums = [np.bincount(voxels, weights=column) for column in points.T]
     return (np.stack(sums, axis=1) / counts[:, None]).astype(np.float32)
 
 

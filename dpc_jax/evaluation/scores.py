@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
-from dpc_jax.evaluation.chamfer import Chamfer, chamfer_distance, check_points
+from dpc_jax.evaluation.chamfer import Chamfer, chamfer_distances, check_points
 from dpc_jax.evaluation.pose import pose_summary, rotation_angle_deg
 
 
@@ -17,7 +17,8 @@ class Scores(NamedTuple):
 
     Metrics are plain floats: `pose_accuracy` (0 to 1), `pose_median_error_deg`,
     `flip_share` (0 to 1), `chamfer`, `precision` and `coverage` (times 100); the first
-    two also of the best candidate, with the prefix `best_candidate_`.
+    two also of the best candidate, with the prefix `best_candidate_`. The last three
+    have the prefix `visible_` where only what can be seen of a surface counts.
     """
 
     metrics: dict[str, float]
@@ -36,6 +37,7 @@ def score(
     alignment: Alignment,
     best_candidate_poses: ArrayLike | None = None,
     chamfer_views: int | None = None,
+    seen: Sequence[ArrayLike] | None = None,
 ) -> Scores:
     """Score predictions on a test set (paper, section Evaluation metrics).
 
@@ -52,6 +54,8 @@ def score(
       best_candidate_poses: [n, V, 4] the ensemble's winner for each view, or None where
         there is no ensemble.
       chamfer_views: shapes of only the first this many views are compared; all if None.
+      seen: [P] booleans of each surface, which of its points can be seen from outside;
+        None: not known. An object without any is compared as a whole.
 
     Returns:
       Scores. Distances are means over models and views.
@@ -83,14 +87,35 @@ def score(
         return Scores(metrics, errors, best_errors, None)
     clouds = np.asarray(points)
     chamfers = np.empty((len(surfaces), count, 2))
+    visible = np.empty_like(chamfers)
     for model, surface in enumerate(surfaces):
         surface = check_points(surface, name=f"surface of model {model}")
-        tree = KDTree(surface)
+        is_seen = _read_seen(seen, model, len(surface))
+        whole = KDTree(surface)
+        trees = whole, whole if is_seen.all() else KDTree(surface[is_seen])
         for view in range(count):
             cloud = align_points(alignment, clouds[model, view])
-            chamfers[model, view] = chamfer_distance(cloud, surface, tree=tree)
+            chamfers[model, view], visible[model, view] = chamfer_distances(
+                cloud, surface, is_seen, trees=trees
+            )
     mean = Chamfer(*chamfers.mean(axis=(0, 1)).tolist())
-    return Scores(metrics | mean.in_paper_units(), errors, best_errors, chamfers)
+    metrics |= mean.in_paper_units()
+    if seen is not None:
+        mean = Chamfer(*visible.mean(axis=(0, 1)).tolist())
+        found = mean.in_paper_units().items()
+        metrics |= {f"visible_{name}": value for name, value in found}
+    return Scores(metrics, errors, best_errors, chamfers)
+
+
+def _read_seen(seen, model, count) -> np.ndarray:
+    """Which points can be seen; all where none can or it is unknown."""
+    is_seen = np.ones(count, bool) if seen is None else np.asarray(seen[model], bool)
+    if is_seen.shape != (count,):
+        raise ValueError(
+            f"Expected a boolean for each of the {count} points of surface {model}, "
+            f"but seen has shape {is_seen.shape}; pass one for each."
+        )
+    return is_seen if is_seen.any() else np.ones(count, bool)
 
 
 def _score_candidates(poses, true_poses, alignment) -> np.ndarray:

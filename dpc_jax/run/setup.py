@@ -67,6 +67,11 @@ def make_data_specs(config: Config) -> dict[str, DataSpec]:
         specs = _split_procedural(config, shared)
     else:
         specs = _split_folder(config, kind, shared)
+    if not (data.images or data.renders or data.surface_visible):
+        specs |= {
+            name: dataclasses.replace(specs[name], surface_seen=True)
+            for name in ("val", "test")
+        }
     if config.render.fixed_views_until:
         specs["train"] = dataclasses.replace(specs["train"], corner_views=True)
     if data.test_meshes:

@@ -26,6 +26,14 @@ def arrange_truth(
     )
 
 
+def arrange_seen(dataset: DataSet) -> list[np.ndarray] | None:
+    """Which points [P] of n surfaces can be seen; None where that is not known."""
+    if dataset.seen is None or dataset.surfaces is None:
+        return None
+    models, _ = arrange_views(dataset)
+    return [np.asarray(dataset.seen[int(m)]) for m in models[:, 0]]
+
+
 def align(predictions: Predictions, dataset: DataSet) -> alignments.Alignment:
     """Canonical alignment from validation models (§ Evaluation metrics).
 
@@ -52,8 +60,10 @@ def score(
 
     Metrics that need a truth which the data set lacks are left out. Such a set gets
     `silhouette_iou` instead: the mean overlap of predicted silhouettes with the masks,
-    from 0 to 1. Every set gets `projection_error`: the mean squared difference per
-    pixel of predicted silhouettes and masks, both averaged to 32×32 pixels.
+    from 0 to 1. Where the data say which part of a surface can be seen, distances from
+    and to that part have the prefix `visible_`. Every set gets `projection_error`: the
+    mean squared difference per pixel of predicted silhouettes and masks, both averaged
+    to 32×32 pixels.
 
     Args:
       heads: K, of the ensemble; 0 where poses are known.
@@ -71,6 +81,7 @@ def score(
         alignment=alignment,
         best_candidate_poses=None if poses_given else predictions.candidate_poses,
         chamfer_views=chamfer_views,
+        seen=arrange_seen(dataset),
     )
     if poses is None or surfaces is None:
         overlap = measure_overlap(predictions, dataset)
