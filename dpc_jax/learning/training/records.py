@@ -137,10 +137,16 @@ def check_finite(metrics: dict, step: int):
 
 
 def summarize(window: list[dict], *, heads: int) -> dict:
-    """Means over the steps of a window, and how often each of K heads won."""
+    """Means over the steps of a window, and how often each of K heads won.
+
+    A loss that a stage does not have is averaged over the steps that have it.
+    """
     window = jax.device_get(window)
-    names = [name for name in window[0] if name not in _NOT_LOSSES]
-    record: dict = {n: float(np.mean([m[n] for m in window])) for n in names}
+    losses: dict[str, list] = {}
+    for metrics in window:
+        for name in metrics.keys() - set(_NOT_LOSSES):
+            losses.setdefault(name, []).append(metrics[name])
+    record: dict = {n: float(np.mean(found)) for n, found in sorted(losses.items())}
     for name in window[0]["gradient_norms"]:
         norms = [m["gradient_norms"][name] for m in window]
         measured = [norm for norm in norms if norm >= 0]
