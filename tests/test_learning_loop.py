@@ -235,6 +235,15 @@ def test_a_log_line_has_the_gradients_that_were_measured():
     assert take(-1.0, -1.0) is None
 
 
+def test_a_loss_of_one_stage_is_averaged_over_the_steps_that_have_it():
+    """As where EPCG's first stage ends within a window."""
+    first = {"loss": np.float32(3), "astray": np.float32(2), "gradient_norms": {}}
+    second = {"loss": np.float32(1), "gradient_norms": {}}
+    for window in ([first, second, second], [second, second, first]):
+        record = summarize(window, heads=0)
+        assert record["loss"] == pytest.approx(5 / 3) and record["astray"] == 2.0
+
+
 # What is not finite.
 
 
@@ -265,15 +274,6 @@ def poison(step_at, *names):
 
 
 @pytest.mark.parametrize("every", [(1, 0, 2), (100, 0, 4), (5, 0, 2), (100, 0, 1)])
-def test_a_loss_of_one_stage_is_averaged_over_the_steps_that_have_it():
-    """As where EPCG's first stage ends within a window."""
-    first = {"loss": np.float32(3), "astray": np.float32(2), "gradient_norms": {}}
-    second = {"loss": np.float32(1), "gradient_norms": {}}
-    for window in ([first, second, second], [second, second, first]):
-        record = summarize(window, heads=0)
-        assert record["loss"] == pytest.approx(5 / 3) and record["astray"] == 2.0
-
-
 def test_the_first_loss_that_is_not_finite_stops_with_its_name_and_step(
     tmp_path, first_state, monkeypatch, every
 ):
