@@ -265,3 +265,10 @@ def test_runs_from_before_the_ranking_had_a_name_ranked_in_a_volume():
     old = json.loads(to_json(load("car")))
     del old["pose"]["choice_rank"]
     assert from_json(json.dumps(old)).pose.choice_rank == "volume"
+
+
+@pytest.mark.parametrize("variant", ["ours_v", "ptn", "drc", "epcg"])
+def test_learning_rates_of_baselines_are_tuned_for_quick_runs_alone(variant):
+    assert load("chair", variant).train.learning_rate == 1e-3
+    assert load("chair", f"paper,{variant}").train.learning_rate == 1e-4
+    assert load("chair", "known_pose").train.learning_rate == 3e-4
