@@ -138,7 +138,7 @@ PAPER_MODELS = {
     "car": {"models": 5247, "val_models": 750, "test_models": 1500},
     "chair": {"models": 4744, "val_models": 678, "test_models": 1356},
 }
-# Learning rates of the quick default runs, tuned on validation (docs/baselines.md); with
+# Learning rates of quick runs, tuned on validation (docs/baselines.md); with
 # "paper" that of its text stays.
 TUNED_RATES = {"ours_v": 1e-3, "ptn": 1e-3, "drc": 1e-3, "epcg": 1e-3}
 EXCLUSIVE = (
