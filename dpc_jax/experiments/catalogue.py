@@ -60,6 +60,12 @@ EXPERIMENTS = (
             Row("Ours, 64²", "Ours, 64", "known_pose,64"),
             Row("EPCG, 32²", variant="known_pose,32,epcg"),
             Row(
+                "EPCG, 32², second stage from 5/6",
+                variant="known_pose,32,epcg",
+                changes={"render.fixed_views_until": 5 / 6},
+                tag="two-stages",
+            ),
+            Row(
                 "EPCG, 32², masks alone",
                 variant="known_pose,32,epcg",
                 changes={"train.depth_weight": 0.0},

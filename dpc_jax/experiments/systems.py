@@ -62,9 +62,10 @@ SYSTEMS = (
     System(
         "EPCG, Lin et al. (2018)",
         "epcg",
-        "Followed: maps of points at eight fixed views, first compared with depth "
-        "maps of these views, then drawn into cells of a fifth of a pixel and compared "
-        "with masks and depths of the views of the data.",
+        "Followed: maps of points at eight fixed views, compared with depth maps of "
+        "these views; in a row of its own, then also drawn into cells of a fifth of a "
+        "pixel and compared with masks and depths of the views of the data, which did "
+        "not help on validation.",
         "Differs: the perspective camera and the views of the data, because those are "
         "what there is; depths count where the object is, so that a model cannot "
         "shrink its own supervision.",
