@@ -98,7 +98,7 @@ def test_winners_have_the_loss_and_the_gradient_of_plain_renders(kind):
 
     def compare(points, mass, size):
         seen = shapes._replace(kept=points, mass=mass, sigma=size)
-        total, _ = compare_winners(
+        total, *_ = compare_winners(
             seen,
             rotations,
             batch,

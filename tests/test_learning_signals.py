@@ -209,7 +209,10 @@ def test_all_signals_and_own_cameras_have_the_loss_and_gradient_of_plain_renders
     def compare(points, colors, cameras):
         seen = shapes._replace(kept=points, colors=colors)
         sections = {"render": config.render, "train": config.train, "stage": STAGE}
-        return compare_winners(seen, rotations, batch, cameras=cameras, **sections)
+        total, terms, _ = compare_winners(
+            seen, rotations, batch, cameras=cameras, **sections
+        )
+        return total, terms
 
     arguments = shapes.kept, shapes.colors, cameras
     call = jax.jit(jax.value_and_grad(compare, (0, 1, 2), has_aux=True))

@@ -46,7 +46,7 @@ def compute_loss(
     keys: jax.Array,
     step: jax.Array,
     covariance: jax.Array,
-    cost: jax.Array | None,
+    cost: jax.Array | None = None,
     *,
     network: ShapePoseNetwork,
     render: Render,
