@@ -206,7 +206,7 @@ def test_poses_and_shapes_have_encoders_of_their_own():
             output = network.apply(params, features, method=method)
             return jnp.sum(output[part] ** 2)
 
-        slopes = jax.grad(total)(params)["params"]
+        slopes = jax.jit(jax.grad(total))(params)["params"]
         return {
             name: any(np.any(leaf) for leaf in jax.tree.leaves(slopes[name]))
             for name in ("encoder", "pose_encoder")
