@@ -106,13 +106,13 @@ CPU = Size(
         "128": {"train.steps": 2000},
         # A step of points takes a third of the time of one of 32³ cells.
         "longer": {"train.steps": 6000},
-        # A render of 200 covariances takes 70 ms: ten minutes, not yet run.
+        # A render of 200 covariances takes 70 ms: four minutes and a half a run.
         "points": {"train.steps": 1000, "train.views_per_batch": 2},
         # A render with colours takes four to six times as long as one without.
         "signals": {"train.steps": 4000},
         "": {},  # the config's own
     },
-    left_out=frozenset({"covariance2000"}),  # 1.5 hours by their renders
+    left_out=frozenset({"covariance2000"}),  # an hour by their renders
 )
 
 FULL = Size(
