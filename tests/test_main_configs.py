@@ -237,6 +237,8 @@ def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
     assert [specs[s].folder for s in ("own", "test")] == ["meshes", "others"]
     assert specs["own"].split == "test" and specs["own"].copies == 1
     assert specs["own"].fractions == specs["train"].fractions == (0.8, 0.1, 0.1)
+    # All but the training set say what can be seen of their surfaces.
+    assert [n for n, spec in specs.items() if not spec.surface_seen] == ["train"]
 
 
 @pytest.mark.parametrize("source", ["shapenet", "renders", "images"])
@@ -252,6 +254,7 @@ def test_every_source_reaches_all_splits_with_what_belongs_to_it(source):
         assert (spec.kind, spec.folder, spec.split) == (source, "folder", split)
         assert (spec.split_file, spec.crop, spec.fill) == ("all.csv", "view", 0.7)
         assert spec.surface_voxel == 0.01 and spec.models is None
+        assert spec.surface_seen == (source == "shapenet" and split != "train")
 
 
 def test_two_sources_at_once_are_refused(tmp_path):

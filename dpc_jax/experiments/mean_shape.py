@@ -1,8 +1,9 @@
-"""The training set's mean shape as a prediction: what a model that sees nothing scores.
+"""The training set's mean shape as a prediction: what comes of seeing no image.
 
 Where surfaces of training shapes are most often: the fullest cells of a fine grid, each
 with the mean of the surface points in it. How many cells are taken is tuned on
-validation shapes. A model near its Chamfer distance has learned nothing of the images.
+validation shapes. It is told the true surfaces of the training set, the parts inside of
+objects too, which models that learn from views never see.
 """
 
 from collections.abc import Sequence

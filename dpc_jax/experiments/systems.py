@@ -29,10 +29,10 @@ class System(NamedTuple):
 SHARED = (
     "The other systems have the data, the image encoder, the batches and the "
     "evaluation of the point clouds, so that a column compares shapes, projections and "
-    "losses alone; their learning rates are tuned on validation shapes "
+    "losses alone; their learning rates, but for MVC's, are tuned on validation shapes "
     "(docs/baselines.md). Voxel models are judged by 10,000 samples of their surface, "
     "at a threshold tuned on validation shapes; the mean shape of the training set is "
-    "what a model scores that sees nothing."
+    "what a prediction scores that sees no image, but was told true surfaces."
 )
 SYSTEMS = (
     System(

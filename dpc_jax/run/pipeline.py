@@ -192,7 +192,8 @@ class Model:
         )
         if threshold is None:
             return found
-        from dpc_jax.run.surfaces import add_points  # needs libraries of its own
+        # It needs libraries of its own.
+        from dpc_jax.learning.inference.volumes import add_points
 
         return add_points(found, threshold)
 

@@ -70,10 +70,12 @@ def predict_images(
     alignment = read_alignment(workdir)
     meshes = [None] * len(dataset.names)
     if predictions.cells is not None:
-        from dpc_jax.run import surfaces  # needs libraries of its own
+        # They need libraries of their own.
+        from dpc_jax.learning.inference.volumes import add_points
+        from dpc_jax.run import surfaces
 
         threshold = surfaces.read_threshold(workdir)
-        predictions = surfaces.add_points(predictions, threshold)
+        predictions = add_points(predictions, threshold)
         frame = alignment or identity_alignment()
         meshes = [
             surfaces.find_surface(predictions, row, threshold, frame)

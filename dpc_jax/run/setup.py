@@ -67,11 +67,6 @@ def make_data_specs(config: Config) -> dict[str, DataSpec]:
         specs = _split_procedural(config, shared)
     else:
         specs = _split_folder(config, kind, shared)
-    if not (data.images or data.renders or data.surface_visible):
-        specs |= {
-            name: dataclasses.replace(specs[name], surface_seen=True)
-            for name in ("val", "test")
-        }
     if config.render.fixed_views_until:
         specs["train"] = dataclasses.replace(specs["train"], corner_views=True)
     if data.test_meshes:
@@ -80,6 +75,10 @@ def make_data_specs(config: Config) -> dict[str, DataSpec]:
         specs["test"] = DataSpec(
             split="test", folder=data.test_meshes, fractions=(0, 0, 1), **shared
         )
+    for name, spec in specs.items():
+        has_meshes = spec.folder is None or spec.kind in ("meshes", "shapenet")
+        if name != "train" and has_meshes and not data.surface_visible:
+            specs[name] = dataclasses.replace(spec, surface_seen=True)
     return specs
 
 

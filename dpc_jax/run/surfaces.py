@@ -33,11 +33,6 @@ def find_points(
     return volumes.add_points(predictions, threshold), threshold
 
 
-def add_points(predictions: Predictions, threshold: float) -> Predictions:
-    """Predictions with points of their surfaces."""
-    return volumes.add_points(predictions, threshold)
-
-
 def read_threshold(workdir: Path) -> float:
     """The threshold that a finished run has tuned.
 

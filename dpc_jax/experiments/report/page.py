@@ -77,7 +77,8 @@ def _introduce(results: Results) -> Iterator[Block]:
         "Differentiable Point Clouds (NeurIPS 2018). The paper's numbers are of "
         "ShapeNet after 600,000 steps; ours are of the runs listed, and each table "
         "says how these differ. So compare rows within a column, not the columns. "
-        "Ours are mean ± standard deviation over n seeds; one run has no spread."
+        "Ours are mean ± standard deviation over n seeds; one run has no spread. "
+        "Minutes are wall clock, beside whatever else the machine did."
     )
     commands = [f"`{request.write_command()}`" for request in results.requests]
     yield Paragraph(f"Made by {', '.join(commands)}.")

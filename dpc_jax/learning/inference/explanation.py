@@ -100,8 +100,13 @@ def compare_poses(
     own: dict[str, Any],
     *,
     config: Config,
+    weights: Weights = SILHOUETTES,
 ) -> jax.Array:
-    """Sums of squared differences [n] of a silhouette [D, D] from poses [n, 4]."""
+    """Losses [n] of a shape seen from poses [n, 4], at full resolution.
+
+    Arguments as of `explain_view`. By default sums of squared differences of the
+    silhouette; with weights also of the others that the view has.
+    """
     render = config.render
     return compute_candidate_losses(
         scene,
@@ -110,28 +115,21 @@ def compare_poses(
         camera=place_camera(Camera(render.focal_length, render.distance), own),
         renders_at_once=render.renders_at_once,
         translation=own.get("translation"),
+        others=own.get("others"),
+        weights=weights,
         ray_rule=render.ray_rule,
     )
 
 
 def _choose_exactly(scene, candidates, target, own, config):
     """Index of the candidate of the smallest loss at full resolution; ()."""
-    render, others = config.render, own.get("others", {})
-    weights = SILHOUETTES
+    others, weights = own.get("others", {}), SILHOUETTES
     if config.pose.choice_signals == "all":
         wanted = read_weights(config.train)._asdict()
         kept = {n: w for n, w in wanted.items() if n in others or n == "silhouette"}
         weights = Weights(**(dict.fromkeys(wanted, 0.0) | kept))
         weights = weights if weights.signals else SILHOUETTES
-    losses = compute_candidate_losses(
-        scene,
-        candidates,
-        target,
-        camera=place_camera(Camera(render.focal_length, render.distance), own),
-        renders_at_once=render.renders_at_once,
-        translation=own.get("translation"),
-        others=others,
-        weights=weights,
-        ray_rule=render.ray_rule,
+    losses = compare_poses(
+        scene, candidates, target, own, config=config, weights=weights
     )
     return jnp.argmin(losses)
