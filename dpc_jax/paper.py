@@ -10,7 +10,7 @@ from pathlib import Path
 
 from dpc_jax.experiments.catalogue import NAMES
 from dpc_jax.experiments.published import CATEGORIES
-from dpc_jax.experiments.runs import Request, Source
+from dpc_jax.experiments.runs import Request, Source, choose_runs
 from dpc_jax.experiments.sizes import SIZES
 from dpc_jax.experiments.suite import Place, run_suite
 
@@ -51,6 +51,12 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--page", type=Path, help="Markdown file to write too, figures beside it"
+    )
+    parser.add_argument(
+        "--only",
+        default="",
+        metavar="RUNS",
+        help="train only these, * for anything, with commas between; default: all",
     )
     parser.add_argument(
         "--at-once", type=int, default=0, help="runs; default: cores and memory decide"
@@ -129,6 +135,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         options = make_parser().parse_args(arguments)
         request = make_request(options)
+        runs = choose_runs(request, _split(options.only) or ["*"])
     except ValueError as error:
         print(f"Error: {error}", file=sys.stderr)
         return 2
@@ -137,8 +144,8 @@ def main(arguments: list[str] | None = None) -> int:
         page, failed = run_suite(
             request,
             place,
+            [] if options.no_training else runs,
             at_once=options.at_once,
-            is_training=not options.no_training,
         )
     except (ValueError, OSError) as error:
         print(f"Error: {error}", file=sys.stderr)

@@ -266,6 +266,7 @@ def test_a_second_command_of_the_same_folder_is_refused(tmp_path, capsys):
         ("--source=shapenet", "--folder must be a folder that exists"),
         ("--folder=here", "--folder must be left out"),
         ("--experiment=ablation --category=car", "is not made of car"),
+        ("--experiment=depth --only=*-depth-*,boat-*", "boat-* fits none of its 30"),
         ("--at-once=-2", "--at-once must be at least 1"),
         ("--steps=3", "unrecognized arguments: --steps=3"),
     ],
@@ -278,9 +279,9 @@ def test_a_wrong_flag_is_said_in_one_sentence(flags, words, tmp_path, capsys):
     assert not out.exists()
 
 
-def test_figures_of_one_name_stay_apart_where_the_page_is_published(tmp_path):
+def test_a_published_page_has_each_different_figure_of_one_name_once(tmp_path):
     blocks = []
-    for folder, byte in (("points", b"a"), ("covariance", b"b")):
+    for folder, byte in (("points", b"a"), ("covariance", b"b"), ("color", b"a")):
         path = tmp_path / folder / "error.png"
         path.parent.mkdir()
         path.write_bytes(byte)

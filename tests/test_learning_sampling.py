@@ -12,6 +12,8 @@ from tiny_runs import make_batch, make_network, make_state, make_step, tiny_conf
 from dpc_jax.config import build_config, check, replace_fields
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
 from dpc_jax.learning.choice import sampling
+from dpc_jax.learning.choice.hindsight import Winners
+from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.pose_prior import judge_poses
 from dpc_jax.learning.predictions import Poses
 from dpc_jax.networks import ShapePoseNetwork
@@ -72,6 +74,47 @@ def test_reinforce_summed_over_all_draws_is_the_gradient_of_the_expected_cost(ba
         total += chances[head] * np.asarray(slope[0])
     expected = chances * (np.asarray(costs) - chances @ np.asarray(costs))
     np.testing.assert_allclose(total, expected, atol=1e-6)  # float32
+
+
+def test_with_entropy_rewarded_the_best_probabilities_are_those_of_gibbs():
+    """Expected cost less τ times entropy is least at p ∝ exp(-cost/τ)."""
+    costs, reward = jnp.array([2.0, 0.5, 3.0, 1.0]), 0.7
+
+    def slope(logits):
+        def compare(logits):
+            expected = jnp.sum(jax.nn.softmax(logits[0]) * costs)
+            return expected - reward * sampling.measure_entropy(logits)
+
+        return np.asarray(jax.grad(compare)(logits))
+
+    np.testing.assert_allclose(slope(-costs[None] / reward), 0, atol=1e-6)  # float32
+    assert np.abs(slope(-costs[None] / 2)).max() > 0.01
+    even = float(sampling.measure_entropy(jnp.zeros((3, 4))))
+    assert even == pytest.approx(np.log(4))
+
+
+def test_the_reward_of_entropy_is_a_share_of_the_baseline():
+    poses = Poses(jnp.ones((4, 2, 4)), None, jnp.tile(jnp.array([3.0, 0.0]), (4, 1)))
+    winners = Winners(jnp.ones((2, 2, 4)), jnp.zeros((2, 2), jnp.int32))
+
+    def compare(costs):
+        terms, baseline = sampling.compare_drawn(
+            {},
+            poses,
+            winners,
+            costs,
+            jnp.array(6.0),
+            jax.random.split(jax.random.key(0), 2),
+            network=make_network(mvc_config()),
+            weight=0.0,
+            entropy_weight=0.05,
+        )
+        return terms["head_entropy"], baseline
+
+    one_device = jax.vmap(compare, axis_name=AXIS)
+    (entropy, weight), baseline = one_device(jnp.full((1, 4), 6.0))
+    np.testing.assert_allclose(weight, -0.05 * baseline)
+    np.testing.assert_allclose(entropy, sampling.measure_entropy(poses.logits)[None])
 
 
 def test_costs_and_baseline_get_no_gradient():
@@ -223,6 +266,10 @@ def test_poses_and_shapes_have_encoders_of_their_own():
         ({"candidates": 1}, "config.pose.candidates must be above 1"),
         ({"selects": False}, "config.pose.selects must be True"),
         ({"choice": "hindsight"}, "config.pose.prior_weight must be 0"),
+        (
+            {"choice": "hindsight", "prior_weight": 0.0, "entropy_weight": 0.1},
+            "config.pose.entropy_weight must be 0",
+        ),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(fields, name):

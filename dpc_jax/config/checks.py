@@ -151,6 +151,11 @@ def _list_sampling_rules(config):
         not pose.prior_weight or pose.choice == "sampled",
         "0 unless pose.choice = 'sampled', because the prior is that of poses drawn",
     )
+    yield (
+        "pose.entropy_weight",
+        not pose.entropy_weight or pose.choice == "sampled",
+        "0 unless pose.choice = 'sampled', where heads have probabilities to learn",
+    )
 
 
 def _list_signal_rules(config):

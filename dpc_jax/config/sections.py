@@ -131,6 +131,7 @@ class Pose:
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     student_loss: str = field("absolute", one_of(*STUDENT_LOSSES))  # if it regresses
     prior_weight: float = field(0.0, at_least(0))  # per pixel; of a judge (MVC)
+    entropy_weight: float = field(0.0, at_least(0))  # per nat, of mean cost (MVC)
     translation: bool = field(False)  # of each view, learned (released code)
     focal_length: bool = field(False)  # of each view, learned (released code)
 

@@ -2,7 +2,8 @@
 
 import dataclasses
 import runpy
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -221,3 +222,19 @@ def list_runs(requests: Iterable[Request]) -> list[Run]:
                 "differ in theirs; give one of them another tag."
             )
     return sorted(by_name.values(), key=lambda run: run.seed)
+
+
+def choose_runs(request: Request, only: Sequence[str]) -> list[Run]:
+    """The runs of a request whose names fit one of the patterns.
+
+    Raises:
+      ValueError: where one pattern fits none.
+    """
+    runs = list_runs([request])
+    for pattern in only:
+        if not any(fnmatchcase(run.name, pattern) for run in runs):
+            raise ValueError(
+                f"--only must name runs of the request, but {pattern} fits none of "
+                f"its {len(runs)}; write for example --only={runs[0].name}."
+            )
+    return [run for run in runs if any(fnmatchcase(run.name, p) for p in only)]

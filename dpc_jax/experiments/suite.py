@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from dpc_jax.experiments.analyses import Analysis, analyze
@@ -43,17 +43,17 @@ class Place:
 def run_suite(
     request: Request,
     place: Place,
+    runs: Sequence[Run],
     *,
     at_once: int = 0,
-    is_training: bool = True,
 ) -> tuple[Path, int]:
-    """Train what is missing of a request, then write the page of all that DIR has.
+    """Train what is missing of some runs, then write the page of all that DIR has.
 
     Args:
       request: what is asked for now; what DIR was asked for before stays on the page.
       place: where it lies.
+      runs: of the request, to train; none of them writes the page of what is there.
       at_once: how many runs at most; 0 for as many as there are cores and memory.
-      is_training: False writes the page of what is there.
 
     Returns:
       The page, and how many runs failed.
@@ -69,8 +69,8 @@ def run_suite(
         requests = _remember(place.folder, request)
         with catch_signals() as stop:
             suite = _Suite(place, requests)
-            if is_training:
-                suite.train(list_runs([request]), at_once, stop)
+            if runs:
+                suite.train(runs, at_once, stop)
             path = suite.write(is_last=not stop.is_set())
             if stop.is_set():
                 print("Stopped: the runs have saved, and the same command goes on.")

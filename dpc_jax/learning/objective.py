@@ -155,6 +155,7 @@ def compute_loss(
             keys,
             network=network,
             weight=pose.prior_weight * render.grid**2,
+            entropy_weight=pose.entropy_weight,
         )
         learned |= {name: Term(*parts) for name, parts in drawn.items()}
     terms = compute_priors(shapes, step, train=train) | learned

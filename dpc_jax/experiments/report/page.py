@@ -1,6 +1,5 @@
 """The page of DIR: tables with the paper's numbers beside ours, figures, targets."""
 
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -184,11 +183,14 @@ def write_page(folder: Path, blocks: Sequence[Block]) -> Path:
 def publish(page: Path, blocks: Sequence[Block]) -> Path:
     """Write the Markdown elsewhere, its figures into images/NAME/ beside it."""
     folder = page.parent / "images" / page.stem
+    names: dict[bytes, str] = {}
     places = {}
     for path in (block.path for block in blocks if isinstance(block, Figure)):
-        # Two experiments may draw figures of one name, each in its own folder.
-        name = f"{path.parent.name}-{path.name}"
+        # Two experiments may draw different figures of one name, each in its own
+        # folder, or the same figure.
+        content = path.read_bytes()
+        name = names.setdefault(content, f"{path.parent.name}-{path.name}")
         with replacing(folder / name) as temporary:
-            shutil.copyfile(path, temporary)
+            temporary.write_bytes(content)
         places[path] = f"images/{page.stem}/{name}"
     return write_text(page, write_markdown(blocks, places))

@@ -4,11 +4,15 @@ Tulsiani et al. (2018) draw one head for each view instead of comparing all. The
 drawn has the ordinary gradient of its loss; the probabilities p of the heads have that
 of the expected loss, of which (cost - baseline)·∇log p of the head drawn is an unbiased
 sample (Williams, 1992), whatever the baseline.
+
+Not theirs is the entropy of p as a reward: without it all views soon agree on one head,
+from which no other is tried any more (docs/baselines.md).
 """
 
 import functools
 from collections.abc import Mapping
 
+import chex
 import jax
 import jax.numpy as jnp
 
@@ -49,7 +53,8 @@ def compare_drawn(
     *,
     network: ShapePoseNetwork,
     weight: float,
-) -> tuple[dict[str, tuple[jax.Array, float]], jax.Array]:
+    entropy_weight: float,
+) -> tuple[dict[str, tuple[jax.Array, chex.Numeric]], jax.Array]:
     """What probabilities learn, and the prior of the poses drawn.
 
     Args:
@@ -57,6 +62,7 @@ def compare_drawn(
       costs: [B·V] of the renders of these. baseline: (), of the steps before.
       keys: [B], of the objects.
       weight: of the prior's losses beside these costs; 0 for none.
+      entropy_weight: of a nat of entropy, in shares of the baseline; 0 for none.
 
     Returns:
       ({name: (value, weight)} of losses, the new baseline).
@@ -71,7 +77,11 @@ def compare_drawn(
     indices = winners.indices.reshape(-1)
     assert poses.logits is not None
     loss = reinforce_loss(poses.logits, indices, costs, baseline)
-    return terms | {"reinforce": (loss, 1.0)}, baseline
+    terms |= {"reinforce": (loss, 1.0)}
+    if entropy_weight:
+        entropy = measure_entropy(poses.logits)
+        terms |= {"head_entropy": (entropy, -entropy_weight * baseline)}
+    return terms, baseline
 
 
 def update_baseline(
@@ -101,3 +111,9 @@ def reinforce_loss(
     chances = jax.nn.log_softmax(logits)
     drawn = jnp.take_along_axis(chances, indices[:, None], axis=1)[:, 0]
     return jnp.mean(jax.lax.stop_gradient(costs - baseline) * drawn)
+
+
+def measure_entropy(logits: jax.Array) -> jax.Array:
+    """Mean entropy () of the probabilities of logits [n, K]; nats, 0 to ln K."""
+    chances = jax.nn.log_softmax(logits)
+    return -jnp.mean(jnp.sum(jnp.exp(chances) * chances, axis=-1))
