@@ -134,6 +134,7 @@ class Pose:
     entropy_weight: float = field(0.0, at_least(0))  # per nat, of mean cost (MVC)
     translation: bool = field(False)  # of each view, learned (released code)
     focal_length: bool = field(False)  # of each view, learned (released code)
+    gauge_weight: float = field(1.0, at_least(0))  # per pixel, of learned cameras' mean
 
     @property
     def heads(self) -> int:

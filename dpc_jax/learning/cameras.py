@@ -9,8 +9,10 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from dpc_jax.config import Pose
+from dpc_jax.learning.devices import AXIS
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera
 
@@ -60,6 +62,23 @@ def predict_cameras(
         views = features.shape[:2]
         predicted = {n: a.reshape(*views, *a.shape[1:]) for n, a in output.items()}
     return find_cameras(predicted, given, pose=pose)
+
+
+def compute_gauge(cameras: Cameras, camera: Camera, *, pose: Pose) -> jax.Array:
+    """How far learned cameras of a batch are from the config's in the mean; ().
+
+    Squared, of translations and of logarithms of focal lengths, over all devices.
+    Images leave these means free: a larger or displaced shape undoes them.
+    """
+    means = []
+    if pose.translation:
+        assert cameras.translations is not None
+        means.append(jnp.mean(cameras.translations.reshape(-1, 3), axis=0))
+    if pose.focal_length:
+        assert cameras.focal_lengths is not None
+        shares = cameras.focal_lengths / camera.focal_length
+        means.append(jnp.mean(jnp.log(shares))[None])
+    return jnp.sum(jax.lax.pmean(jnp.concatenate(means), AXIS) ** 2)
 
 
 def list_own(cameras: Cameras, views: int) -> dict[str, jax.Array]:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Pose, Render, Train
 from dpc_jax.learning import losses, schedules
-from dpc_jax.learning.cameras import predict_cameras
+from dpc_jax.learning.cameras import compute_gauge, predict_cameras
 from dpc_jax.learning.choice.hindsight import Winners, choose_poses
 from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.devices import AXIS
@@ -92,6 +92,9 @@ def compute_loss(
     cameras = predict_cameras(params, features, batch, network=network, pose=pose)
     metrics = {"scale": jnp.mean(shapes.scale)}
     learned = {}
+    if pose.gauge_weight and (pose.translation or pose.focal_length):
+        gauge = compute_gauge(cameras, camera, pose=pose)
+        learned["gauge"] = Term(gauge, pose.gauge_weight * render.grid**2)
     if pose.known:
         rotations = batch["quaternions"]
     else:
@@ -104,9 +107,10 @@ def compute_loss(
         poses = predict_poses(params, features, covariance, network=network, pose=pose)
         if pose.labels:
             rotations = batch["quaternions"]
-            winners, learned = compare_labels(
+            winners, labelled = compare_labels(
                 poses, rotations, render=render, pose=pose
             )
+            learned |= labelled
         elif pose.samples:
             from dpc_jax.learning.choice import sampling  # of a baseline alone
 
