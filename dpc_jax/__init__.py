@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from dpc_jax.evaluation import pose_summary as pose_summary
     from dpc_jax.evaluation import rotation_angle_deg as rotation_angle_deg
     from dpc_jax.learning.choice.hindsight import choose_candidate as choose_candidate
+    from dpc_jax.learning.fitting.object_fit import Fit as Fit
+    from dpc_jax.learning.fitting.object_fit import FitSettings as FitSettings
+    from dpc_jax.learning.fitting.object_fit import fit as fit
     from dpc_jax.learning.losses import reprojection_loss as reprojection_loss
     from dpc_jax.learning.losses import student_loss as student_loss
     from dpc_jax.networks import ImageEncoder as ImageEncoder
@@ -48,6 +51,9 @@ _RENDER = (
 _NETWORKS = "ImageEncoder PoseEnsemble PoseStudent ShapeHead ShapePoseNetwork"
 _NAMES = {  # public name: the module that it is loaded from
     "choose_candidate": "dpc_jax.learning.choice.hindsight",
+    **dict.fromkeys(
+        ("Fit", "FitSettings", "fit"), "dpc_jax.learning.fitting.object_fit"
+    ),
     "reprojection_loss": "dpc_jax.learning.losses",
     "student_loss": "dpc_jax.learning.losses",
     **dict.fromkeys(_RENDER.split(), "dpc_jax.render"),

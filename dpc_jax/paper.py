@@ -13,22 +13,14 @@ from dpc_jax.experiments.published import CATEGORIES
 from dpc_jax.experiments.runs import Request, Source, choose_runs
 from dpc_jax.experiments.sizes import SIZES
 from dpc_jax.experiments.suite import Place, run_suite
+from dpc_jax.run.flags import FlagParser
 
 SOURCES = ("procedural", "open", "shapenet", "renders")
 
 
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong with flags in one sentence, without the list of all."""
-
-    def error(self, message):
-        raise ValueError(
-            f"Expected flags as --help lists them, but {message}; correct the command."
-        )
-
-
 def make_parser() -> argparse.ArgumentParser:
     """The flags of the command."""
-    parser = _Parser(description=(__doc__ or "").partition("\n")[0])
+    parser = FlagParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("runs/paper"))
     parser.add_argument(
         "--experiment",

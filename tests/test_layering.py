@@ -62,6 +62,7 @@ ROOMS = {
 DOORWAYS = {  # and the third-party imports allowed
     "main": {"absl", "ml_collections"},
     "predict": set(),
+    "fit": set(),
     "benchmark": set(),
     "stability": set(),
     "compare": {"numpy"},

@@ -181,6 +181,7 @@ class Train:
     final_rate: float = field(0.02, between(0, 1))  # of the peak; 1: constant
     weight_decay: float = field(0.0, at_least(0))  # decoupled (AdamW)
     l2_weight: float = field(0.0, at_least(0))  # of half the squared weights, see docs
+    pull_weight: float = field(0.0, at_least(0))  # per pixel, of points outside
     repulsion_weight: float = field(0.0, at_least(0))  # of the points, at the end
     repulsion_points: int = field(500, at_least(0))  # that repel each other in a step
     containment_weight: float = field(1.0, at_least(0))  # of points beyond radius 1/2

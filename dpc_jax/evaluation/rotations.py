@@ -62,6 +62,18 @@ def angle_deg(first: ArrayLike, second: ArrayLike) -> np.ndarray:
     return np.degrees(relative.magnitude())
 
 
+def view_angles(quaternion: ArrayLike) -> tuple[float, float]:
+    """Azimuth (0 to 360) and elevation in degrees of a camera, as seen from the object.
+
+    Args:
+      quaternion: [4], object to camera. The camera sits where its axis of view comes
+        from, whatever its roll.
+    """
+    towards = -to_rotation(quaternion).as_matrix()[2]
+    azimuth = np.degrees(np.arctan2(towards[1], towards[0])) % 360
+    return float(azimuth), float(np.degrees(np.arcsin(np.clip(towards[2], -1, 1))))
+
+
 def mean_rotation(
     quaternions: ArrayLike, *, weights: ArrayLike | None = None
 ) -> np.ndarray:

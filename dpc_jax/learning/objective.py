@@ -149,6 +149,18 @@ def compute_loss(
             stage=stage,
             cameras=cameras,
         )
+    if train.pull_weight and isinstance(shapes, Shapes):
+        from dpc_jax.learning.silhouette_pull import pull_batch  # where it is asked for
+
+        pull = pull_batch(
+            shapes.kept,
+            rotations,
+            batch["masks"],
+            side=render.grid,
+            camera=camera,
+            cameras=cameras,
+        )
+        learned["pull"] = Term(pull, train.pull_weight * render.grid**2)
     if pose.samples:
         drawn, cost = sampling.compare_drawn(
             params,

@@ -144,3 +144,22 @@ def draw_candidates(shares: ArrayLike, path: str | os.PathLike) -> Path:
     axes.set_ylim(0.0, max(1.15 * percent.max(initial=0.0), 1.0))
     axes.legend(frameon=False, fontsize=9)
     return style.save_figure(figure, path)
+
+
+def draw_fit(records: Records, path: str | os.PathLike) -> Path:
+    """Loss of a fit over run time, a line for each side of the images.
+
+    The records have seconds, side and loss per pixel (`Fit.curve`).
+    """
+    figure = style.make_figure(5.0, 3.2)
+    (axes,) = style.make_panels(figure, 1)
+    title = "Difference of silhouettes"
+    style.label_axes(axes, title=title, x_label="run time (s)", y_label="per pixel")
+    for index, side in enumerate(dict.fromkeys(line["side"] for line in records)):
+        seconds, values = _series([r for r in records if r["side"] == side], "loss")
+        color = style.SERIES[index % len(style.SERIES)]
+        axes.plot(seconds, values, color=color, label=f"{side}² pixels")
+    axes.set_yscale("log")
+    axes.set_xlim(left=0.0)
+    axes.legend(frameon=False, fontsize=8)
+    return style.save_figure(figure, path)

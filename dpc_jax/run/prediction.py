@@ -1,7 +1,6 @@
 """Image to point cloud and pose, with the last checkpoint of a run."""
 
 import json
-import math
 import sys
 from pathlib import Path
 
@@ -171,16 +170,12 @@ def _describe_pose(quaternion, *, is_aligned: bool) -> dict:
     frame = "object" if is_aligned else "network"
     if quaternion is None:
         return {"frame": frame, "quaternion": None}
-    # The camera's place as seen from the object: the axis of view, turned back.
-    w, x, y, z = (float(v) for v in rotations.canonical_sign(quaternion))
-    towards = -np.array(
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
-    )
+    azimuth, elevation = rotations.view_angles(quaternion)
     return {
         "frame": frame,
-        "quaternion": [w, x, y, z],  # wxyz, object to camera
-        "azimuth_deg": math.degrees(math.atan2(towards[1], towards[0])) % 360,
-        "elevation_deg": math.degrees(math.asin(float(np.clip(towards[2], -1, 1)))),
+        "quaternion": rotations.canonical_sign(quaternion).tolist(),  # object to camera
+        "azimuth_deg": azimuth,
+        "elevation_deg": elevation,
     }
 
 

@@ -55,7 +55,7 @@ class ImageFolder(SplitSource):
 
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
         """See `SplitSource.identify_model`; it changes with any file of the object."""
-        images = _list_images(path)
+        images = list_images(path)
         masks = [mask for image in images if (mask := _find_mask(image)) is not None]
         poses = pose_files.find_pose_files(path)
         facts = []
@@ -83,7 +83,7 @@ def _list_objects(folder):
     if pose_files.find_pose_files(folder):
         return {folder.resolve().name: folder}
     folders = (place for place in sorted(folder.iterdir()) if place.is_dir())
-    places = [p for p in folders if _list_images(p) or pose_files.find_pose_files(p)]
+    places = [p for p in folders if list_images(p) or pose_files.find_pose_files(p)]
     places = places or _find_images(folder)
     if not places:
         raise ValueError(
@@ -93,7 +93,7 @@ def _list_objects(folder):
     return {place.stem if place.is_file() else place.name: place for place in places}
 
 
-def _list_images(place):
+def list_images(place):
     """The images of an object, sorted; those of `transforms.json` where it has one.
 
     A damaged `transforms.json` is reported when the object is read, and left out.
@@ -117,7 +117,7 @@ def read_object(place: Path, spec: DataSpec) -> tuple[dict[str, np.ndarray], lis
 
     A view without a usable mask, or without a pose where others have one, is left out.
     """
-    images, notes, outlines, poses = _list_images(place), [], {}, None
+    images, notes, outlines, poses = list_images(place), [], {}, None
     if found := pose_files.find_pose_files(place):
         poses = pose_files.read_poses(found)
     for path in images:

@@ -4,6 +4,7 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -94,3 +95,36 @@ class ProgressReport(Display):
         yield finish
         if self._bar is not None:
             self._bar.update(self._task, text=before)
+
+
+class CountReport(Display):
+    """Shows how far several parts of a work are; use as a context manager.
+
+    On a terminal each part has a bar; elsewhere a line for every tenth of it.
+    """
+
+    def __init__(self, title: str):
+        self._title = title
+        self._started = time.monotonic()
+        self._told: dict[str, int] = {}
+        self._tasks: dict[str, Any] = {}
+        if sys.stdout.isatty():
+            self._bar = Progress(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TextColumn("{task.completed}/{task.total}"),
+                console=Console(file=sys.stdout),
+            )
+
+    def report(self, part: str, done: int, total: int):
+        """Show that so much of a part is done."""
+        if self._bar is not None:
+            if part not in self._tasks:
+                self._tasks[part] = self._bar.add_task(part, total=total)
+            self._bar.update(self._tasks[part], completed=done)
+            return
+        tenth = 10 * done // max(total, 1)
+        if tenth > self._told.get(part, -1):
+            self._told[part] = tenth
+            seconds = time.monotonic() - self._started
+            print(f"{self._title}: {part}, {done}/{total}, {seconds:.0f} s", flush=True)

@@ -1,0 +1,146 @@
+"""Gradient descent on a cloud and its cameras, coarse to fine."""
+
+import dataclasses
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from dpc_jax.learning.fitting import cloud as clouds
+from dpc_jax.learning.losses import containment_loss
+from dpc_jax.learning.signals import Weights
+from dpc_jax.render import Camera, quaternion
+
+CHUNK = 10  # steps of one call
+_FINER_RATE = 0.4  # learning rate of a side over that of the one before
+_COARSE_END = 1.4  # size of points at the end of a coarser side over that of the last
+
+
+@dataclasses.dataclass(frozen=True)
+class FitSettings:
+    """How an object is fitted.
+
+    Attributes:
+      num_points: of the cloud.
+      sides: of images and volume, coarse to fine; divisors of the images' side.
+      steps: of each side.
+      sigma: of the points at the first and last step of each side, voxels of its grid.
+      learning_rate: of the points, box diagonals; a tenth of it at the end of a side,
+        and of the cameras that are learned half of that, radians.
+      repulsion_weight: of the points, which spreads them over the surface.
+      pull_weight: of points outside of the silhouettes.
+      depth_weight, color_weight: per pixel, beside silhouettes; used where depths or
+        colours are given.
+      searches, rounds: of poses from nothing: the best of so many searches.
+      elevations: lowest and highest of the cameras, degrees, for that search.
+    """
+
+    num_points: int = 4000
+    sides: tuple[int, ...] = (32, 64)
+    steps: tuple[int, ...] = (300, 200)
+    sigma: tuple[float, float] = (2.0, 0.5)
+    learning_rate: float = 0.01
+    camera_share: float = 0.2
+    repulsion_weight: float = 0.006
+    pull_weight: float = 1.0
+    depth_weight: float = 1.0
+    color_weight: float = 0.3
+    searches: int = 4
+    rounds: int = 100
+    elevations: tuple[float, float] = (-20.0, 40.0)
+
+
+class Stage(NamedTuple):
+    """What is static about the steps of a side."""
+
+    settings: FitSettings
+    number: int  # of the side
+    weights: Weights
+    learned: tuple[str, ...]  # of `Cloud`, of the cameras
+
+    @property
+    def steps(self) -> int:
+        """Of this side."""
+        return self.settings.steps[self.number]
+
+    @property
+    def is_last(self) -> bool:
+        """Whether no finer side follows."""
+        return self.number == len(self.settings.steps) - 1
+
+
+def make_optimizer(cloud: clouds.Cloud, stage: Stage) -> optax.GradientTransformation:
+    """Adam for the steps of a side, its rate falling to a tenth."""
+    settings, steps = stage.settings, stage.steps
+    # A finer side begins near the end of the coarser one's.
+    peak = settings.learning_rate * _FINER_RATE**stage.number
+    rate = optax.cosine_decay_schedule(peak, steps, alpha=0.1)
+
+    def camera_rate(step):
+        # From a sphere no pose can be told: at first the cloud moves alone.
+        begun = 1.0 if stage.number else jnp.clip(5 * step / steps - 1.5, 0, 1)
+        return settings.camera_share * begun * rate(step)
+
+    return clouds.make_optimizer(
+        cloud, rate=rate, camera_rate=camera_rate, learned=stage.learned
+    )
+
+
+@functools.partial(jax.jit, static_argnames="stage", donate_argnums=(0, 1))
+def advance(
+    cloud: clouds.Cloud,
+    state: optax.OptState,
+    first: jax.Array,
+    targets: dict[str, jax.Array],
+    outside: jax.Array,
+    camera: Camera,
+    *,
+    stage: Stage,
+) -> tuple[clouds.Cloud, optax.OptState, jax.Array]:
+    """A few steps of gradient descent; the last one's loss is without the priors.
+
+    Args:
+      first: () number of the first step. targets: of all views.
+      outside: [V, D, D], see `measure_outside`.
+    """
+    settings = stage.settings
+    optimizer = make_optimizer(cloud, stage)
+    # Coarse ones end, and finer ones begin, with the same size in the object.
+    start = (
+        settings.sigma[0] if stage.number == 0 else 2 * _COARSE_END * settings.sigma[1]
+    )
+    end = settings.sigma[1] * (1.0 if stage.is_last else _COARSE_END)
+
+    def compare(cloud, number):
+        share = number / stage.steps
+        sigma = start * (end / start) ** share
+        loss = jnp.mean(
+            clouds.compare_views(
+                cloud, targets, sigma=sigma, weights=stage.weights, camera=camera
+            )
+        )
+        total = loss + settings.pull_weight * clouds.pull(cloud, outside, camera=camera)
+        # Outside of the volume there is no gradient from images.
+        total += containment_loss(cloud.points)
+        if settings.repulsion_weight:
+            energy = clouds.repel(cloud, jax.random.key(number))
+            total += settings.repulsion_weight * energy
+        if cloud.translations is not None:
+            total += jnp.sum(jnp.mean(cloud.translations, axis=0) ** 2)
+        if cloud.log_focal is not None:
+            total += jnp.mean(cloud.log_focal) ** 2
+        return total, loss
+
+    def step(carry, number):
+        cloud, state = carry
+        slopes, loss = jax.grad(compare, has_aux=True)(cloud, number)
+        updates, state = optimizer.update(slopes, state, cloud)
+        cloud = optax.apply_updates(cloud, updates)
+        unit = jax.vmap(quaternion.normalize)(cloud.rotations)
+        return (cloud._replace(rotations=unit), state), loss
+
+    numbers = first + jnp.arange(CHUNK)
+    (cloud, state), losses = jax.lax.scan(step, (cloud, state), numbers)
+    return cloud, state, losses[-1]

@@ -1,0 +1,287 @@
+"""One object without a network: `dpc_jax.fit`, its search for poses, the command."""
+
+import json
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+import dpc_jax
+from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
+from dpc_jax.evaluation import chamfer_distance
+from dpc_jax.evaluation.rotations import view_angles
+from dpc_jax.learning.fitting import pose_search
+from dpc_jax.learning.fitting.object_fit import FitSettings
+from dpc_jax.run.object_fitting import FitRequest, fit_folder
+
+# A few large steps; the points come from 0.45 away.
+SMALL = FitSettings(num_points=300, sides=(16, 32), steps=(60, 40), learning_rate=0.03)
+
+
+def make_object():
+    """An L of two bars with a stub to one side: no two views of it are alike."""
+    rng = np.random.default_rng(0)
+    bars = [
+        ((-0.3, 0.3), (-0.08, 0.08), (-0.28, -0.12)),
+        ((-0.3, -0.14), (-0.08, 0.08), (-0.28, 0.3)),
+        ((-0.22, -0.1), (0.08, 0.26), (-0.25, -0.1)),
+    ]
+    sizes = np.array([np.prod([b - a for a, b in bar]) for bar in bars])
+    counts = np.round(3000 * sizes / sizes.sum()).astype(int)
+    return np.concatenate(
+        [
+            np.stack([rng.uniform(a, b, count) for a, b in bar], axis=1)
+            for bar, count in zip(bars, counts, strict=True)
+        ]
+    ).astype(np.float32)
+
+
+def take_views(points, count=10, *, side=32, elevation=20.0):
+    """Silhouettes [count, side, side] from all around, and the rotations."""
+    rotations = np.stack(
+        [
+            matrix_to_quaternion(
+                look_at_rotation(2 * np.pi * i / count, np.deg2rad(elevation))
+            )
+            for i in range(count)
+        ]
+    ).astype(np.float32)
+    images = dpc_jax.project_batch(
+        points,
+        rotations,
+        sigma=0.6,
+        scale=6 * (side / 32) ** 3,
+        grid=dpc_jax.VoxelGrid(side),
+    ).silhouette
+    return np.asarray(images), rotations
+
+
+@pytest.fixture(scope="module")
+def scene():
+    points = make_object()
+    return points, *take_views(points)
+
+
+def measure_turns(found, true):
+    """Angles between poses after the rotation of the frame that fits best; degrees."""
+    found, true = (Rotation.from_quat(q, scalar_first=True) for q in (found, true))
+    turns = [(found * (a.inv() * b)) * true.inv() for a, b in zip(found, true)]  # noqa: B905
+    angles = [np.degrees(turn.magnitude()) for turn in turns]
+    return min(angles, key=np.median)
+
+
+@pytest.fixture(scope="module")
+def given(scene):
+    _, silhouettes, rotations = scene
+    return dpc_jax.fit(silhouettes, rotations=rotations, settings=SMALL)
+
+
+def test_with_given_poses_the_cloud_fills_the_silhouettes_and_lies_on_the_object(
+    scene, given
+):
+    points, silhouettes, rotations = scene
+    assert given.overlaps.mean() > 0.9
+    np.testing.assert_allclose(given.rotations, rotations, atol=1e-6)
+    assert given.colors is given.translations is given.focal_lengths is None
+    # A cell of the finer side is 0.03 wide; no silhouette tells of the inside.
+    assert chamfer_distance(given.points, points).precision < 0.04
+    losses = [record["loss"] for record in given.curve]
+    assert losses[-1] < 0.1 * losses[0]
+    assert {record["side"] for record in given.curve} == {16, 32}
+
+
+def test_the_result_renders_as_it_says(given):
+    image = dpc_jax.project(
+        given.points,
+        given.rotations[3],
+        sigma=given.sigma,
+        scale=given.scale,
+        grid=dpc_jax.VoxelGrid(given.side),
+    ).silhouette
+    np.testing.assert_allclose(image, given.silhouettes[3], atol=1e-5)
+
+
+def test_the_same_seed_gives_the_same_cloud(scene, given):
+    _, silhouettes, rotations = scene
+    again = dpc_jax.fit(silhouettes, rotations=rotations, settings=SMALL)
+    np.testing.assert_array_equal(again.points, given.points)
+
+
+def test_rough_poses_become_better(scene):
+    _, silhouettes, rotations = scene
+    rng = np.random.default_rng(1)
+    noise = Rotation.from_rotvec(np.deg2rad(8) * rng.normal(size=(10, 3)))
+    rough = noise * Rotation.from_quat(rotations, scalar_first=True)
+    rough = rough.as_quat(scalar_first=True).astype(np.float32)
+    settings = FitSettings(num_points=300, sides=(16, 32), steps=(150, 100))
+    fitted = dpc_jax.fit(
+        silhouettes, rotations=rough, learn=("rotations",), settings=settings
+    )
+    before = np.median(measure_turns(rough, rotations))
+    after = np.median(measure_turns(fitted.rotations, rotations))
+    assert after < 0.6 * before
+    np.testing.assert_allclose(np.linalg.norm(fitted.rotations, axis=1), 1, atol=1e-5)
+
+
+def test_translations_are_learned_with_their_mean_held(scene):
+    points, _, rotations = scene
+    moves = np.zeros((10, 3), np.float32)
+    moves[::2, 0], moves[1::2, 0] = 0.06, -0.06
+    moved = dpc_jax.project_batch(
+        points,
+        rotations,
+        sigma=0.6,
+        scale=6.0,
+        translation=moves,
+        grid=dpc_jax.VoxelGrid(32),
+    ).silhouette
+    fitted = dpc_jax.fit(
+        np.asarray(moved), rotations=rotations, learn=("translations",), settings=SMALL
+    )
+    assert fitted.translations is not None
+    errors = fitted.translations[:, 0] - moves[:, 0]
+    assert np.abs(errors).mean() < 0.03
+    assert np.abs(fitted.translations.mean(axis=0)).max() < 0.02
+
+
+def test_colors_and_depths_are_fitted_where_they_are_given(scene):
+    points, silhouettes, rotations = scene
+    red = np.broadcast_to(np.float32([0.8, 0.1, 0.1]), points.shape)
+    images = dpc_jax.project_batch(
+        points,
+        rotations,
+        sigma=0.6,
+        scale=6.0,
+        colors=red,
+        grid=dpc_jax.VoxelGrid(32),
+        signals=("color", "depth"),
+    )
+    fitted = dpc_jax.fit(
+        silhouettes,
+        rotations=rotations,
+        colors=np.clip(images.color, 0, 1),
+        depths=np.where(silhouettes > 0.5, images.depth, 0),
+        settings=SMALL,
+    )
+    assert fitted.colors is not None
+    assert np.median(fitted.colors, axis=0) == pytest.approx([0.8, 0.1, 0.1], abs=0.15)
+    assert fitted.overlaps.mean() > 0.85
+
+
+def test_viewpoints_are_upright_and_in_equal_steps():
+    level = pose_search.COARSE._replace(azimuths=6, rings=2)
+    found = pose_search.list_viewpoints((-20.0, 40.0), level)
+    angles = np.array([view_angles(q) for q in np.asarray(found)])
+    assert sorted(set(np.round(angles[:, 1]))) == [-5, 25]
+    assert sorted(set(np.round(angles[:, 0]) % 360)) == list(range(0, 360, 60))
+
+
+def test_a_search_from_nothing_finds_most_poses(scene):
+    """Of random rotations one in 130 is within 30° of the right one."""
+    _, silhouettes, rotations = scene
+    images = {
+        side: jnp.asarray(take_views(make_object(), side=side)[0]) for side in (16, 32)
+    }
+    found = pose_search.search_poses(
+        images.__getitem__,
+        jax.random.key(0),
+        searches=3,
+        rounds=60,
+        elevations=(-20.0, 40.0),
+        camera=dpc_jax.Camera(),
+        tell=lambda *_: None,
+    )
+    assert np.mean(measure_turns(found, rotations) < 30) >= 0.6
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"silhouettes": np.ones((3, 32, 16))}, "silhouettes must be square images"),
+        ({"silhouettes": np.zeros((3, 32, 32))}, "no pixel of view 0"),
+        ({"silhouettes": np.full((3, 32, 32), 7.0)}, "reach from 7 to 7"),
+        ({"silhouettes": np.ones((3, 24, 24))}, "a side that .* divide, but it is 24"),
+        ({"rotations": np.ones((2, 4))}, "rotations must have shape"),
+        ({"learn": ("roll",)}, "learn must be"),
+        ({"depths": np.full((3, 32, 32), np.nan)}, "depths must be finite"),
+        ({"colors": np.ones((3, 32, 32))}, "colors must be RGB images"),
+        ({"settings": FitSettings(steps=(3,))}, "settings.steps must have a number"),
+    ],
+)
+def test_what_cannot_be_fitted_is_said_in_a_sentence(changes, words):
+    arguments = {"silhouettes": np.ones((3, 32, 32)), "settings": SMALL} | changes
+    with pytest.raises(ValueError, match=words):
+        dpc_jax.fit(arguments.pop("silhouettes"), **arguments)
+
+
+@pytest.fixture(scope="module")
+def folder(scene, tmp_path_factory):
+    """Images with alpha, one of them empty, and their poses."""
+    _, silhouettes, rotations = scene
+    place = tmp_path_factory.mktemp("images")
+    poses = {}
+    for i, (mask, rotation) in enumerate(zip(silhouettes, rotations, strict=True)):
+        alpha = np.round(255 * mask).astype(np.uint8) * (i != 4)
+        colors = np.full((32, 32, 3), 90, np.uint8)
+        Image.fromarray(np.dstack([colors, alpha])).save(place / f"{i}.png")
+        poses[f"{i}.png"] = rotation.tolist()
+    (place / "poses.json").write_text(json.dumps(poses))
+    return place
+
+
+def test_a_folder_of_images_becomes_files(folder, tmp_path, capsys):
+    request = FitRequest(folder, tmp_path / "out", image_size=32, settings=SMALL)
+    fit_folder(request)
+    facts = json.loads((tmp_path / "out" / "fit.json").read_text())
+    assert set(facts["views"]) == {f"{i}.png" for i in range(10) if i != 4}
+    assert facts["overlap"] > 0.85 and facts["points"] == 300
+    assert facts["views"]["5.png"]["azimuth_deg"] == pytest.approx(180, abs=1)
+    for name in ("cloud.ply", "cloud.glb", "views.png", "curve.png"):
+        assert (tmp_path / "out" / name).stat().st_size > 0
+    shown = capsys.readouterr()
+    assert "4.png" in shown.err and "is empty" in shown.err
+    assert "Fitting: fitting at 16" in shown.out and "Overlap" in shown.out
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        ("nowhere", "is not a folder"),
+        (". --poses=rough", "needs the poses of"),
+        (". --points=0", "--points must be at least 1"),
+        (". --elevations=50,10", "--elevations must be two numbers"),
+        (". --learn=zoom", "--learn must be of"),
+        (". --speed=3", "unrecognized arguments"),
+    ],
+)
+def test_a_wrong_command_is_answered_in_one_sentence(flags, words, scene, tmp_path):
+    from dpc_jax.fit import main
+
+    mask = np.round(255 * scene[1][0]).astype(np.uint8)
+    Image.fromarray(np.dstack([mask] * 4)).save(tmp_path / "0.png")
+    place, *rest = flags.split()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path)
+        said = []
+        patch.setattr(sys.stderr, "write", said.append)
+        assert main([place, *rest]) in (1, 2)
+    text = "".join(said)
+    assert words in text and text.startswith("Error: ") and text.count("\n") == 1
+    assert not list(tmp_path.glob("*-fit"))
+
+
+def test_the_function_keeps_its_name_when_the_command_is_loaded():
+    code = (
+        "import dpc_jax, dpc_jax.fit\n"
+        "try: dpc_jax.fit([[[2.0]]])\n"
+        "except ValueError as error: print(error)\n"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert "silhouettes must lie between 0 and 1" in found.stdout
