@@ -215,6 +215,8 @@ def test_the_public_names_are_these():
     modules = set(ROOMS) | set(DOORWAYS)  # those that other tests have imported
     assert public - modules == {
         "Camera",
+        "Fit",
+        "FitSettings",
         "ImageEncoder",
         "MemoryEstimate",
         "PoseEnsemble",

@@ -93,7 +93,7 @@ def _list_objects(folder):
     return {place.stem if place.is_file() else place.name: place for place in places}
 
 
-def list_images(place):
+def list_images(place: Path) -> list[Path]:
     """The images of an object, sorted; those of `transforms.json` where it has one.
 
     A damaged `transforms.json` is reported when the object is read, and left out.

@@ -192,7 +192,6 @@ def repel(cloud: Cloud, key: jax.Array) -> jax.Array:
 
 
 def make_optimizer(
-    cloud: Cloud,
     *,
     rate: optax.Schedule,
     camera_rate: optax.Schedule,
@@ -204,20 +203,18 @@ def make_optimizer(
       rate, camera_rate: learning rates over steps. learned: names of `Cloud` among
         those of cameras.
     """
-    labels = Cloud(*("cloud" for _ in cloud._fields))
-    parts = {name: "camera" if name in learned else "given" for name in _POSES}
-    labels = labels._replace(**parts)
-    present = jax.tree.map(
-        lambda label, part: None if part is None else label,
-        labels,
-        cloud,
-        is_leaf=lambda leaf: leaf is None,
-    )
+
+    def label(path, _):
+        field = path[0].name
+        if field not in _POSES:
+            return "cloud"
+        return "camera" if field in learned else "given"
+
     return optax.multi_transform(
         {
             "cloud": optax.adam(rate),
             "camera": optax.adam(camera_rate),
             "given": optax.set_to_zero(),
         },
-        present,
+        lambda cloud: jax.tree_util.tree_map_with_path(label, cloud),
     )

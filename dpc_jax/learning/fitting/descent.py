@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -71,7 +71,7 @@ class Stage(NamedTuple):
         return self.number == len(self.settings.steps) - 1
 
 
-def make_optimizer(cloud: clouds.Cloud, stage: Stage) -> optax.GradientTransformation:
+def make_optimizer(stage: Stage) -> optax.GradientTransformation:
     """Adam for the steps of a side, its rate falling to a tenth."""
     settings, steps = stage.settings, stage.steps
     # A finer side begins near the end of the coarser one's.
@@ -84,7 +84,7 @@ def make_optimizer(cloud: clouds.Cloud, stage: Stage) -> optax.GradientTransform
         return settings.camera_share * begun * rate(step)
 
     return clouds.make_optimizer(
-        cloud, rate=rate, camera_rate=camera_rate, learned=stage.learned
+        rate=rate, camera_rate=camera_rate, learned=stage.learned
     )
 
 
@@ -106,7 +106,7 @@ def advance(
       outside: [V, D, D], see `measure_outside`.
     """
     settings = stage.settings
-    optimizer = make_optimizer(cloud, stage)
+    optimizer = make_optimizer(stage)
     # Coarse ones end, and finer ones begin, with the same size in the object.
     start = (
         settings.sigma[0] if stage.number == 0 else 2 * _COARSE_END * settings.sigma[1]
@@ -137,9 +137,9 @@ def advance(
         cloud, state = carry
         slopes, loss = jax.grad(compare, has_aux=True)(cloud, number)
         updates, state = optimizer.update(slopes, state, cloud)
-        cloud = optax.apply_updates(cloud, updates)
-        unit = jax.vmap(quaternion.normalize)(cloud.rotations)
-        return (cloud._replace(rotations=unit), state), loss
+        moved: Any = optax.apply_updates(cloud, updates)
+        unit = jax.vmap(quaternion.normalize)(moved.rotations)
+        return (moved._replace(rotations=unit), state), loss
 
     numbers = first + jnp.arange(CHUNK)
     (cloud, state), losses = jax.lax.scan(step, (cloud, state), numbers)

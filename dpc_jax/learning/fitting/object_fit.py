@@ -189,7 +189,8 @@ class _Fitting:
             self.weights,
             tuple(name.replace("focal_lengths", "log_focal") for name in self.learn),
         )
-        state = make_optimizer(cloud, stage).init(cloud)
+        parameters: Any = cloud
+        state = make_optimizer(stage).init(parameters)
         done = sum(self.settings.steps[:number])
         for first in range(0, steps, CHUNK):
             cloud, state, loss = advance(

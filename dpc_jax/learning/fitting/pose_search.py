@@ -12,7 +12,7 @@ ones, among more viewpoints.
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -183,7 +183,8 @@ def _run_round(cloud, state, key, sigma, temperature, silhouettes, viewpoints, c
 
         learned = cloud.points, cloud.log_mass
         updates, state = _optimizer().update(jax.grad(compare)(learned), state)
-        points, log_mass = optax.apply_updates(learned, updates)
+        moved: Any = optax.apply_updates(learned, updates)
+        points, log_mass = moved
         return (cloud._replace(points=points, log_mass=log_mass), state), None
 
     keys = jax.random.split(key, _STEPS)
