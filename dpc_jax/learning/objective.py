@@ -12,6 +12,7 @@ from dpc_jax.config import Pose, Render, Train
 from dpc_jax.learning import losses, schedules
 from dpc_jax.learning.cameras import compute_gauge, predict_cameras
 from dpc_jax.learning.choice.hindsight import Winners, choose_poses
+from dpc_jax.learning.choice.noise import draw_noise
 from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import average_covariance
@@ -127,6 +128,13 @@ def compute_loss(
                 cameras=cameras,
                 views=batch,
                 weights=read_weights(train),
+                noise=draw_noise(
+                    keys,
+                    step,
+                    poses.candidates.shape[:2],
+                    pose=pose,
+                    steps=train.steps,
+                ),
             )
             rotations = winners.poses
         metrics["winners"] = winners.indices.reshape(-1)

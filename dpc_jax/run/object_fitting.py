@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dpc_jax.data import DataSpec
-from dpc_jax.data.sets.image_folder import list_images, read_object
+from dpc_jax.data.sets.image_folder import read_views
 from dpc_jax.evaluation.rotations import canonical_sign, view_angles
 from dpc_jax.files import write_json
 from dpc_jax.learning.fitting.object_fit import Fit, FitSettings, fit
@@ -71,7 +71,7 @@ def fit_folder(request: FitRequest) -> Fit:
             f"Expected a folder with the images of one object, but {request.folder} is "
             "not a folder; put them into one."
         )
-    arrays, notes = read_object(request.folder, spec)
+    paths, arrays, notes = read_views(request.folder, spec)
     for note in notes:
         print(f"Warning: a view is left out: {note}.", file=sys.stderr)
     rotations, learn = _choose_poses(request, arrays.get("quaternions"))
@@ -87,10 +87,8 @@ def fit_folder(request: FitRequest) -> Fit:
             seed=request.seed,
             on_progress=progress.report,
         )
-    names = [path.name for path in list_images(request.folder)]
-    left_out = {name for name in names for note in notes if name in note}
-    used = [name for name in names if name not in left_out]
-    _write(request, found, arrays, used, time.perf_counter() - started)
+    names = [path.name for path in paths]
+    _write(request, found, arrays, names, time.perf_counter() - started)
     return found
 
 
@@ -114,8 +112,6 @@ def _write(request: FitRequest, found: Fit, arrays, names, seconds):
     out = request.out
     out.mkdir(parents=True, exist_ok=True)
     count = len(found.overlaps)
-    if len(names) != count:  # a file's name stands in a note about another
-        names = [f"view {number}" for number in range(count)]
     chosen = np.unique(np.linspace(0, count - 1, min(SHOWN, count)).round().astype(int))
     examples = [
         Example(

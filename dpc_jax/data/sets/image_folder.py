@@ -117,6 +117,14 @@ def read_object(place: Path, spec: DataSpec) -> tuple[dict[str, np.ndarray], lis
 
     A view without a usable mask, or without a pose where others have one, is left out.
     """
+    _, arrays, notes = read_views(place, spec)
+    return arrays, notes
+
+
+def read_views(
+    place: Path, spec: DataSpec
+) -> tuple[list[Path], dict[str, np.ndarray], list[str]]:
+    """The files whose views are used, and what `read_object` gives."""
     images, notes, outlines, poses = list_images(place), [], {}, None
     if found := pose_files.find_pose_files(place):
         poses = pose_files.read_poses(found)
@@ -152,7 +160,7 @@ def read_object(place: Path, spec: DataSpec) -> tuple[dict[str, np.ndarray], lis
         rotations = np.array([frame.rotation for frame in frames])
         quaternions = viewpoints.matrix_to_quaternion(rotations)
         arrays["quaternions"] = quaternions.astype(np.float32)
-    return arrays, notes
+    return list(outlines), arrays, notes
 
 
 def _read_image(path):
