@@ -1,5 +1,7 @@
 """Checkpoints: whole, bit for bit, and the one before where the newest is damaged."""
 
+import gc
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,6 +28,13 @@ def make_small_state(step):
 pytestmark = pytest.mark.filterwarnings(
     "ignore:Exception ignored in:pytest.PytestUnraisableExceptionWarning"
 )
+
+
+@pytest.fixture(autouse=True)
+def collected():
+    """Have it said here, where it is expected, and not in a later file's test."""
+    yield
+    gc.collect()
 
 
 @pytest.fixture

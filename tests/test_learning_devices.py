@@ -79,7 +79,7 @@ def alone():
     return train(configure(1))
 
 
-@pytest.mark.parametrize("count", [2, 4])
+@pytest.mark.parametrize("count", [pytest.param(2, marks=pytest.mark.slow), 4])
 def test_any_number_of_devices_gives_the_loss_of_one(alone, count):
     losses, _, metrics = train(configure(count))
     # The sums are the same in another order: twenty steps of rounding in float32.

@@ -155,6 +155,7 @@ def test_depths_of_cells_are_compared_where_their_rays_end():
     assert float(jnp.mean(costs)) == pytest.approx(float(total), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_two_devices_learn_what_one_does(monkeypatch):
     """Also where the decoder's layers are large enough to be shared."""
     monkeypatch.setattr(devices, "SHARED_WEIGHTS", 1000)

@@ -346,52 +346,65 @@ def predict_points(command, workdir):
     return np.asarray(trimesh.load(workdir / "predictions" / "square.ply").vertices)
 
 
-def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(command):
-    # Known poses need no alignment, one regressor no ensemble: all paths report.
+# Known poses need no alignment, one regressor no ensemble: all paths report.
+OTHER_PATHS = {
+    "known": {"pose.known": True, "train.color_weight": 0.1},
+    "labels": {"pose.labels": True, "pose.flips": False},
+    "voxels": {"network.shape": "voxels", "pose.choice_rank": "volume"},
+    "maps": {"network.shape": "maps", "pose.known": True},
+    "other": {
+        "pose.candidates": 1,
+        "data.own_test": 0.3,
+        "train.models_per_batch": 2,
+    },
+}
+OFTEN = ("known", "voxels")  # the others take as long, and touch less of their own
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in OFTEN else pytest.mark.slow)
+        for name in OTHER_PATHS
+    ],
+)
+def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
+    command, name
+):
     short = {"train.steps": 2, "train.warmup_steps": 0, "render.keep_levels": 1}
     quick = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}  # compiling is most of the time
-    for name, fields in {
-        "known": {"pose.known": True, "train.color_weight": 0.1},
-        "labels": {"pose.labels": True, "pose.flips": False},
-        "voxels": {"network.shape": "voxels", "pose.choice_rank": "volume"},
-        "maps": {"network.shape": "maps", "pose.known": True},
-        "other": {
-            "pose.candidates": 1,
-            "data.meshes": make_boxes(command.folder / "boxes", 6),
-            "data.test_meshes": make_boxes(command.folder / "others", 2),
-            "data.own_test": 0.3,
-            "train.models_per_batch": 2,
-        },
-    }.items():
-        workdir = command.folder / name
-        out = command.run(workdir, quick, **fields, **short)
-        metrics = json.loads((workdir / "report" / "metrics.json").read_text())
-        assert np.isfinite(metrics["chamfer"])
-        if name == "known":
-            pose_names = [n for n in metrics if "pose" in n or n == "flip_share"]
-            assert {"pose_accuracy", "pose_median_error_deg"} <= set(pose_names)
-            assert all(metrics[n] is None for n in pose_names)
-            page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
-            assert "pose accuracy and pose errors are absent" in page
-            assert "pose errors are absent" in out and "Test: Chamfer" in out
-        if name == "voxels":
-            assert 0 < metrics["surface_threshold"] < 1
-            found = predict_points(command, workdir)
-            assert found.shape == (10_000, 3)
-            for glb in (workdir / "predictions", workdir / "report" / "points"):
-                (read, *_) = trimesh.load_scene(
-                    next(glb.glob("*.glb"))
-                ).geometry.values()
-                # A surface of cells of an eighth, not a small ball around each point.
-                assert 0 < len(read.faces) < 8 * 10_000
-                assert np.max(read.edges_unique_length) > 0.02
-            assert np.linalg.norm(found, axis=1).max() < 1  # of a turned unit cube
-        if name == "maps":
-            # All eight maps' visible points, or one of them as often.
-            assert predict_points(command, workdir).shape == (8 * 8 * 8, 3)
-        if name == "labels":
-            assert 0 <= metrics["pose_accuracy"] <= 1
-            assert metrics["alignment_inlier_share"] is None
+    fields = OTHER_PATHS[name]
+    if name == "other":
+        meshes = make_boxes(command.folder / "boxes", 6)
+        others = make_boxes(command.folder / "others", 2)
+        fields = fields | {"data.meshes": meshes, "data.test_meshes": others}
+    workdir = command.folder / name
+    out = command.run(workdir, quick, **fields, **short)
+    metrics = json.loads((workdir / "report" / "metrics.json").read_text())
+    assert np.isfinite(metrics["chamfer"])
+    if name == "known":
+        pose_names = [n for n in metrics if "pose" in n or n == "flip_share"]
+        assert {"pose_accuracy", "pose_median_error_deg"} <= set(pose_names)
+        assert all(metrics[n] is None for n in pose_names)
+        page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
+        assert "pose accuracy and pose errors are absent" in page
+        assert "pose errors are absent" in out and "Test: Chamfer" in out
+    if name == "voxels":
+        assert 0 < metrics["surface_threshold"] < 1
+        found = predict_points(command, workdir)
+        assert found.shape == (10_000, 3)
+        for glb in (workdir / "predictions", workdir / "report" / "points"):
+            (read, *_) = trimesh.load_scene(next(glb.glob("*.glb"))).geometry.values()
+            # A surface of cells of an eighth, not a small ball around each point.
+            assert 0 < len(read.faces) < 8 * 10_000
+            assert np.max(read.edges_unique_length) > 0.02
+        assert np.linalg.norm(found, axis=1).max() < 1  # of a turned unit cube
+    if name == "maps":
+        # All eight maps' visible points, or one of them as often.
+        assert predict_points(command, workdir).shape == (8 * 8 * 8, 3)
+    if name == "labels":
+        assert 0 <= metrics["pose_accuracy"] <= 1
+        assert metrics["alignment_inlier_share"] is None
         if name == "other":
             assert metrics["test_models"] == 2 and metrics["own_test_models"] == 1
             assert metrics["own_chamfer"] != metrics["chamfer"]

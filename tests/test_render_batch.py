@@ -50,8 +50,12 @@ def assert_close(found, right):
     "own, shared",
     [
         ({"sigma": SIZES[:, 0], "scale": SIZES[:, 1]}, {}),
-        ({"sigma": SIZES, "scale": SIZES, "translation": SHIFTS}, {}),
-        ({"covariance": COVARIANCES}, {}),
+        pytest.param(
+            {"sigma": SIZES, "scale": SIZES, "translation": SHIFTS},
+            {},
+            marks=pytest.mark.slow,
+        ),
+        pytest.param({"covariance": COVARIANCES}, {}, marks=pytest.mark.slow),
         ({}, {"sigma": 1.0, "translation": SHIFTS[0]}),
     ],
     ids=["trilinear", "gaussian", "covariance", "shared"],

@@ -13,7 +13,7 @@ from dpc_jax.config import Pose
 
 
 def draw_noise(
-    keys: jax.Array, step: jax.Array, shape: tuple[int, int], *, pose: Pose, steps: int
+    keys: jax.Array, step: jax.Array, shape: tuple[int, ...], *, pose: Pose, steps: int
 ) -> jax.Array | None:
     """Noise [B·V, C] for the choice; None where the config has none.
 

@@ -19,6 +19,7 @@ from dpc_jax.render.devices import AUTOMATIC
 BASE_SIDE = 32  # of the grid that masses are in; a finer one has them in its own voxels
 _POINTS = 2000  # that a mass of one voxel each is right for
 _REPELLED = 600  # points that repel each other in a step
+_COLOR_SHARE = 5.0  # rate of colours' logits, which have several units to go
 _POSES = ("rotations", "translations", "log_focal")
 
 
@@ -206,6 +207,8 @@ def make_optimizer(
 
     def label(path, _):
         field = path[0].name
+        if field == "color_logits":
+            return "colors"
         if field not in _POSES:
             return "cloud"
         return "camera" if field in learned else "given"
@@ -213,6 +216,7 @@ def make_optimizer(
     return optax.multi_transform(
         {
             "cloud": optax.adam(rate),
+            "colors": optax.adam(lambda step: _COLOR_SHARE * rate(step)),
             "camera": optax.adam(camera_rate),
             "given": optax.set_to_zero(),
         },
