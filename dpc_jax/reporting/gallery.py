@@ -5,12 +5,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.style import INK, make_figure, save_figure
 
-_FRONT = (35.0, 25.0)  # azimuth, elevation in degrees: front and left, from above
+FRONT = (35.0, 25.0)  # azimuth, elevation in degrees: front and left, from above
 _REAR = (-130.0, 20.0)  # back and right side
 _SHOWN_SURFACE_POINTS = 2000  # about as many as are predicted, to compare fairly
 
@@ -55,14 +56,14 @@ def _draw_row(row, example: Example) -> None:
     row[2].imshow(example.predicted, cmap="gray", vmin=0.0, vmax=1.0)
     difference = silhouette_difference(example.predicted, example.target)
     row[3].imshow(difference, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-    _draw_cloud(row[4], example.points, example.colors, _FRONT)
-    _draw_cloud(row[5], example.points, example.colors, _REAR)
+    draw_cloud(row[4], example.points, example.colors, FRONT)
+    draw_cloud(row[5], example.points, example.colors, _REAR)
     if len(row) > 6:
         if example.surface is None:
             row[6].set_axis_off()
         else:
             step = max(1, len(example.surface) // _SHOWN_SURFACE_POINTS)
-            _draw_cloud(row[6], example.surface[::step], None, _FRONT)
+            draw_cloud(row[6], example.surface[::step], None, FRONT)
     label = example.name
     if example.pose_error_deg is not None:
         label += f"   pose error {example.pose_error_deg:.1f}°"
@@ -94,7 +95,13 @@ def view_points(points: np.ndarray, view_deg: tuple[float, float]) -> np.ndarray
     return np.asarray(points, np.float64) @ np.stack([right, up, toward], axis=1)
 
 
-def _draw_cloud(axes, points, colors, view_deg) -> None:
+def draw_cloud(
+    axes: Axes,
+    points: np.ndarray,
+    colors: np.ndarray | None = None,
+    view_deg: tuple[float, float] = FRONT,
+) -> None:
+    """Points [N, 3] as a viewer sees them; near ones darker, or in their colour."""
     seen = view_points(points, view_deg)
     order = np.argsort(seen[:, 2])  # painter's order: far first
     # Distances on a fixed scale, so that rows compare; 0 is far and 1 is near.

@@ -50,8 +50,8 @@ class Fit:
       side: of the finest grid.
       silhouettes: [V, side, side], as rendered in the end.
       overlaps: [V], intersection over union of these with the given ones, at a half.
-      curve: a record for every few steps: step, seconds, side, loss (per pixel),
-        overlap.
+      curve: a record for every few steps: step, seconds since the call (a search for
+        poses counts), side, loss (per pixel, without priors).
     """
 
     points: np.ndarray
@@ -101,8 +101,9 @@ def fit(
       ValueError: for a wrong shape or range, an empty silhouette, or settings that do
         not fit the images.
     """
+    begin = time.perf_counter()
     views = check_views(silhouettes, depths, colors)
-    _check_settings(settings, views, learn)
+    _check_settings(settings, views, learn, is_searched=rotations is None)
     tell = on_progress or (lambda *_: None)
     if rotations is None:
         learn = tuple(dict.fromkeys(("rotations", *learn)))
@@ -111,14 +112,14 @@ def fit(
         rotations = np.asarray(
             checks.check_array("rotations", rotations, (len(views.masks), 4))
         )
-    fitting = _Fitting(views, camera, settings, learn, tell)
+    fitting = _Fitting(views, camera, settings, learn, tell, begin)
     cloud = fitting.start(rotations, jax.random.key(seed))
     for number in range(len(settings.sides)):
         cloud = fitting.run_side(cloud, number)
     return fitting.finish(cloud)
 
 
-def _check_settings(settings: FitSettings, views: Views, learn):
+def _check_settings(settings: FitSettings, views: Views, learn, *, is_searched):
     side = views.masks.shape[-1]
     for name in learn:
         checks.check_choice("learn", name, LEARNED, "name what of the cameras to learn")
@@ -127,10 +128,12 @@ def _check_settings(settings: FitSettings, views: Views, learn):
             "settings.steps must have a number for each of settings.sides, but there "
             f"are {len(settings.steps)} for {len(settings.sides)}; give as many."
         )
-    coarse = {pose_search.COARSE.side, pose_search.FINE.side, *settings.sides}
-    if any(side % other for other in coarse):
+    needed = set(settings.sides)
+    if is_searched:
+        needed |= {pose_search.COARSE.side, pose_search.FINE.side}
+    if any(side % other for other in needed):
         raise ValueError(
-            f"silhouettes must have a side that {sorted(coarse)} divide, but it is "
+            f"silhouettes must have a side that {sorted(needed)} divide, but it is "
             f"{side}; bring the images to {max(settings.sides)} or a multiple of it."
         )
 
@@ -153,15 +156,14 @@ def _search(views, camera, settings, seed, tell) -> np.ndarray:
 class _Fitting:
     """Gradient descent on one object's views, side after side."""
 
-    def __init__(self, views: Views, camera, settings, learn, tell):
+    def __init__(self, views: Views, camera, settings, learn, tell, begin):
         self.views, self.camera, self.settings = views, camera, settings
-        self.learn, self.tell = learn, tell
+        self.learn, self.tell, self.begin = learn, tell, begin
         self.weights = Weights(
             1.0,
             settings.depth_weight if views.depths is not None else 0.0,
             settings.color_weight if views.images is not None else 0.0,
         )
-        self.begin = time.perf_counter()
         self.curve: list[dict[str, float]] = []
         self.total = sum(settings.steps)
 
