@@ -24,7 +24,8 @@ class FitSettings:
 
     Attributes:
       num_points: of the cloud.
-      sides: of images and volume, coarse to fine; divisors of the images' side.
+      sides: of images and volume, coarse to fine; divisors of the images' side. Empty
+        for half of that side and all of it, 128 at most.
       steps: of each side.
       sigma: of the points at the first and last step of each side, voxels of its grid.
       learning_rate: of the points, box diagonals; a tenth of it at the end of a side,
@@ -38,8 +39,8 @@ class FitSettings:
     """
 
     num_points: int = 4000
-    sides: tuple[int, ...] = (32, 64)
-    steps: tuple[int, ...] = (300, 200)
+    sides: tuple[int, ...] = ()
+    steps: tuple[int, ...] = (300, 150)
     sigma: tuple[float, float] = (2.0, 0.5)
     learning_rate: float = 0.01
     camera_share: float = 0.2

@@ -32,6 +32,7 @@ from dpc_jax.learning.signals import Weights
 from dpc_jax.learning.silhouette_pull import measure_outside
 from dpc_jax.render import Camera, checks, quaternion
 
+_FINEST = 128  # side, unless settings say another: a fit takes a minute of two cores
 LEARNED = ("rotations", "translations", "focal_lengths")
 
 
@@ -103,6 +104,9 @@ def fit(
     """
     begin = time.perf_counter()
     views = check_views(silhouettes, depths, colors)
+    if not settings.sides:
+        finest = min(views.masks.shape[-1], _FINEST)
+        settings = dataclasses.replace(settings, sides=(finest // 2, finest))
     _check_settings(settings, views, learn, is_searched=rotations is None)
     tell = on_progress or (lambda *_: None)
     if rotations is None:
@@ -123,7 +127,7 @@ def _check_settings(settings: FitSettings, views: Views, learn, *, is_searched):
     side = views.masks.shape[-1]
     for name in learn:
         checks.check_choice("learn", name, LEARNED, "name what of the cameras to learn")
-    if len(settings.sides) != len(settings.steps) or not settings.sides:
+    if len(settings.sides) != len(settings.steps):
         raise ValueError(
             "settings.steps must have a number for each of settings.sides, but there "
             f"are {len(settings.steps)} for {len(settings.sides)}; give as many."
