@@ -5,14 +5,12 @@ Writes cloud.ply, cloud.glb, fit.json, views.png and curve.png into DIR.
 """
 
 import argparse
-import os
 import sys
 import types
 from pathlib import Path
 
-from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning.fitting.object_fit import LEARNED, FitSettings, fit
-from dpc_jax.run.flags import FlagParser
+from dpc_jax.run.flags import FlagParser, run_command
 from dpc_jax.run.object_fitting import POSES, FitRequest, fit_folder
 
 _DEFAULT = FitSettings()
@@ -120,18 +118,11 @@ def main(arguments: list[str] | None = None) -> int:
     except ValueError as error:
         print(f"Error: {error}", file=sys.stderr)
         return 2
-    try:
-        with explaining_full_disk(request.out):
-            fit_folder(request)
-    except (ValueError, OSError) as error:
-        if os.environ.get("DPC_JAX_TRACEBACK"):
-            raise
-        print(f"Error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("Interrupted; nothing was written, start again.", file=sys.stderr)
-        return 130
-    return 0
+    return run_command(
+        lambda: fit_folder(request),
+        out=request.out,
+        interrupted="Interrupted; nothing was written, start again.",
+    )
 
 
 class _Callable(types.ModuleType):

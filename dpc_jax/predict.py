@@ -5,11 +5,10 @@ NAME.json into --out, and one picture of all, predictions.png.
 """
 
 import argparse
-import os
 import sys
 from pathlib import Path
 
-from dpc_jax.files import explaining_full_disk
+from dpc_jax.run.flags import run_command
 from dpc_jax.run.prediction import predict_images
 
 
@@ -33,20 +32,13 @@ def main(arguments: list[str] | None = None) -> int:
     )
     options = parser.parse_args(arguments)
     out = options.out or options.workdir / "predictions"
-    try:
-        with explaining_full_disk(out):
-            predict_images(
-                options.images, workdir=options.workdir, out=out, crop=options.crop
-            )
-    except (ValueError, OSError) as error:
-        if os.environ.get("DPC_JAX_TRACEBACK"):
-            raise
-        print(f"Error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("Interrupted; start again to make the rest.", file=sys.stderr)
-        return 130
-    return 0
+    return run_command(
+        lambda: predict_images(
+            options.images, workdir=options.workdir, out=out, crop=options.crop
+        ),
+        out=out,
+        interrupted="Interrupted; start again to make the rest.",
+    )
 
 
 if __name__ == "__main__":
