@@ -76,8 +76,9 @@ SYSTEMS = (
         "Followed: a pose network of its own, eight heads of azimuth and elevation in "
         "a known range, one drawn by REINFORCE with a moving baseline, an adversarial "
         "prior of weight 0.1.",
-        "Differs: a reward of the heads' entropy, without which all views soon draw one "
-        "head in so few steps; 32 depths instead of 81, of which half lay outside the object; one "
+        "Differs: a reward of the heads' entropy, without which all views soon draw "
+        "one head in so few steps; 32 depths instead of 81, of which half lay outside "
+        "the object; one "
         "optimiser, which for separate parameters is the same.",
     ),
 )
