@@ -166,6 +166,12 @@ class Pose:
         return self.flips and self.heads > 1
 
     @property
+    def finds_frame(self) -> bool:
+        """Whether kinds of objects are turned to one frame: by half turns."""
+        is_learned = not self.given and not self.samples
+        return self.common_frame and self.half_turns and is_learned
+
+    @property
     def choices(self) -> int:
         """How many candidates a selecting student chooses among; 0: it regresses."""
         if not self.selects or self.heads < 2:
