@@ -1,0 +1,61 @@
+"""Pieces of HTML: tables, charts and pictures that lie inside the page."""
+
+import base64
+import html
+import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+
+def make_table(
+    rows: Iterable[Sequence[str]], heads: Sequence[str] = (), *, kind: str = ""
+) -> str:
+    """A table of cells that are HTML; the second column holds numbers.
+
+    Args:
+      kind: class of the table; "numbers" where all columns after the first hold some.
+    """
+    lines = ["".join(f"<th>{head}</th>" for head in heads)] if heads else []
+    lines += ["".join(f"<td>{cell}</td>" for cell in row) for row in rows]
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    named = f' class="{kind}"' if kind else ""
+    return f'<div class="wide"><table{named}>{body}</table></div>\n'
+
+
+def show_hint(text: str) -> str:
+    """A remark in small print."""
+    return f'<span class="hint">{html.escape(text)}</span>'
+
+
+def embed_chart(path: Path, title: str, *, is_large: bool, is_photo: bool) -> str:
+    """A PNG inside the page.
+
+    Args:
+      title: for those who cannot see it.
+      is_large: whether its small print would be lost on a phone, so that it is as wide
+        there, too, and scrolls sideways.
+      is_photo: whether it has images, which stay as they are in dark mode.
+    """
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    return (
+        f'<div class="{"wide large" if is_large else "wide"}">'
+        f'<img{"" if is_photo else " class=chart"} alt="{html.escape(title)}" '
+        f'src="data:image/png;base64,{data}"></div>\n'
+    )
+
+
+def embed_picture(picture: np.ndarray, title: str, caption: str = "") -> str:
+    """A picture uint8 [H, W, 3 or 4] with a caption that is HTML."""
+    buffer = io.BytesIO()
+    # WebP: a tenth of the bytes of PNG, and it can be clear.
+    Image.fromarray(picture).save(buffer, format="WEBP", quality=82, method=4)
+    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    height, width = picture.shape[:2]
+    return (
+        f'<figure><img alt="{html.escape(title)}" width="{width}" height="{height}" '
+        f'loading="lazy" src="data:image/webp;base64,{data}">'
+        f"<figcaption>{html.escape(title)}{caption}</figcaption></figure>"
+    )

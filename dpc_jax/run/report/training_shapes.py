@@ -1,0 +1,115 @@
+"""Predictions beside the training set: its nearest shapes and its mean shape."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dpc_jax.data import DataSet
+from dpc_jax.evaluation.alignment import Alignment, align_points
+from dpc_jax.evaluation.chamfer import chamfer_distance
+from dpc_jax.evaluation.mean_shape import find_mean_shape
+from dpc_jax.evaluation.retrieval import ShapeIndex, spread_rows
+from dpc_jax.learning.inference.predictor import Predictions, arrange_views
+from dpc_jax.reporting.examples import Neighbour, TrainingComparison
+
+OBJECTS = 24  # test objects that are compared with the training set
+# Of the mean shape: 4 % farther from test cars than that of all shapes and points, in
+# a fifth of the time.
+_SHAPES, _POINTS, _VALIDATED = 300, 2500, 5
+
+
+class TrainingShapes(NamedTuple):
+    """True surfaces of a training set, to be searched, and their mean shape.
+
+    Attributes:
+      surfaces: [P, 3] points of each shape.
+      index: of the same.
+      mean: [N, 3].
+    """
+
+    surfaces: Any
+    index: ShapeIndex
+    mean: np.ndarray
+
+    @classmethod
+    def gather(cls, sets: dict[str, DataSet]) -> "TrainingShapes | None":
+        """Those of a run's sets; None where a set has no true shapes.
+
+        Args:
+          sets: by name, "train", "val" and "test".
+        """
+        train, val, test = (sets[name].surfaces for name in ("train", "val", "test"))
+        if train is None or val is None or test is None:
+            return None
+        mean = find_mean_shape(
+            [spread_rows(train[i], _POINTS) for i in _spread(len(train), _SHAPES)],
+            [spread_rows(val[i], _POINTS) for i in _spread(len(val), _VALIDATED)],
+        )
+        return cls(train, ShapeIndex(train), mean)
+
+    def find_nearest(self, points: np.ndarray, count: int) -> np.ndarray:
+        """The training shape nearest to points, as a cloud of `count` points.
+
+        A Chamfer distance depends on the number of points: a prediction is compared
+        fairly with as many.
+        """
+        return spread_rows(self.surfaces[self.index.find_nearest(points)], count)
+
+    def list_neighbours(
+        self, surface: np.ndarray, count: int
+    ) -> tuple[Neighbour, Neighbour]:
+        """What could be said of a true surface [P, 3] without predicting anything."""
+        clouds = {
+            "Nearest training shape": self.find_nearest(surface, count),
+            "Mean training shape": self.mean,
+        }
+        return tuple(
+            Neighbour(title, cloud, 100 * chamfer_distance(cloud, surface).chamfer)
+            for title, cloud in clouds.items()
+        )
+
+
+def compare(
+    predictions: Predictions,
+    dataset: DataSet,
+    alignment: Alignment,
+    shapes: TrainingShapes | None,
+) -> TrainingComparison | None:
+    """Predictions from the first views of test objects against both baselines.
+
+    None without true shapes.
+    """
+    if shapes is None:
+        return None
+    models, _ = arrange_views(dataset)
+    to_truth: dict[str, list] = {}
+    to_prediction: dict[str, list] = {}
+    rows = _spread(len(models), OBJECTS)
+    for row in rows:
+        surface = np.asarray(dataset.surfaces[models[row, 0]])
+        cloud = align_points(alignment, predictions.points[row, 0])
+        near = shapes.find_nearest(surface, len(cloud))
+        for name, found in (
+            ("Prediction", cloud),
+            ("Nearest training shape", near),
+            ("Mean training shape", shapes.mean),
+        ):
+            distance = chamfer_distance(found, surface).chamfer
+            to_truth.setdefault(name, []).append(100 * distance)
+        nearest = shapes.surfaces[shapes.index.find_nearest(cloud)]
+        for name, truth in (
+            ("Nearest training shape", np.asarray(nearest)),
+            ("Mean training shape", shapes.mean),
+        ):
+            distance = chamfer_distance(cloud, truth).chamfer
+            to_prediction.setdefault(name, []).append(100 * distance)
+    return TrainingComparison(
+        objects=len(rows),
+        to_truth={name: float(np.mean(found)) for name, found in to_truth.items()},
+        to_prediction={n: float(np.mean(found)) for n, found in to_prediction.items()},
+    )
+
+
+def _spread(count: int, wanted: int) -> np.ndarray:
+    """`wanted` indices spread over `count`; all of them where there are fewer."""
+    return np.unique(np.linspace(0, count - 1, min(wanted, count)).astype(int))
