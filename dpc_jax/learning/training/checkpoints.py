@@ -80,7 +80,7 @@ class Checkpoints:
         if step in self.steps():
             return
         saved = {
-            "state": state._asdict(),
+            "state": _list_parts(state),
             "progress": {"seconds": seconds, "checksum": _checksum(state)},
         }
         try:
@@ -119,24 +119,25 @@ class Checkpoints:
         Raises:
           ValueError: if there are checkpoints, yet none can be read.
         """
-        target = jax.tree.map(
-            lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=a.sharding),
-            like._asdict(),
+        described = jax.tree.map(
+            lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=a.sharding), like
         )
+        # Some were saved with a name for each part that the run has not.
+        targets = (_list_parts(described), described._asdict())
         progress = {"seconds": 0.0, "checksum": 0}
         damaged = []
         for step in reversed(self.steps()):
-            # Whatever a damaged file makes orbax raise, the one before is tried.
-            with contextlib.suppress(Exception):
-                loaded = self._checkpointer.load_checkpointables(
-                    step, {"state": target, "progress": progress}
-                )
-                state = TrainState(**loaded["state"])
-                # Orbax notices a missing or short file, but not a changed byte.
-                if int(loaded["progress"]["checksum"]) == _checksum(state):
-                    return Restored(
-                        state, float(loaded["progress"]["seconds"]), tuple(damaged)
+            for target in targets:
+                # Whatever a damaged file makes orbax raise, the one before is tried.
+                with contextlib.suppress(Exception):
+                    loaded = self._checkpointer.load_checkpointables(
+                        step, {"state": target, "progress": progress}
                     )
+                    state = TrainState(**loaded["state"])
+                    # Orbax notices a missing or short file, not a changed byte.
+                    if int(loaded["progress"]["checksum"]) == _checksum(state):
+                        seconds = float(loaded["progress"]["seconds"])
+                        return Restored(state, seconds, tuple(damaged))
             damaged.append(step)
         if damaged:
             raise ValueError(
@@ -167,6 +168,12 @@ def _standing_alone(folder) -> Iterator[ocp.Context | None]:
         yield ocp.Context(multiprocessing_options=options)
     finally:
         checkpoint_manager.CheckpointManagerOptions = original
+
+
+def _list_parts(state: TrainState) -> dict:
+    """Parts of a state by name. A part that a run has not, a later field of the state
+    perhaps, is left out: so checkpoints from before there was that field are read."""
+    return {name: part for name, part in state._asdict().items() if part is not None}
 
 
 def _checksum(state: TrainState) -> int:
