@@ -49,8 +49,12 @@ def draw_curves(
         it, drawn as vertical lines.
     """
     runs = records if isinstance(records, Mapping) else {"": records}
-    runs = {name: [_count_alive(line) for line in lines] for name, lines in runs.items()}
-    shown = [m for m in _CURVES if any(_series(lines, m)[0].size for lines in runs.values())]
+    runs = {
+        name: [_count_alive(line) for line in lines] for name, lines in runs.items()
+    }
+    shown = [
+        m for m in _CURVES if any(_series(lines, m)[0].size for lines in runs.values())
+    ]
     shown = shown or ["loss"]
     figure = style.make_figure(9.0, 3.0 * -(-len(shown) // 2))
     panels = style.make_panels(figure, len(shown))
@@ -122,7 +126,9 @@ def _mark_stages(axes: Axes, lines: Records, stages: Stages, *, named: bool) -> 
         if named:
             text = {"fontsize": 7, "color": style.INK, "rotation": 90, "va": "top"}
             where = (place, 0.98)
-            axes.annotate(label, where, xycoords=("data", "axes fraction"), ha="right", **text)
+            axes.annotate(
+                label, where, xycoords=("data", "axes fraction"), ha="right", **text
+            )
 
 
 def _series(lines: Records, key: str) -> tuple[np.ndarray, np.ndarray]:

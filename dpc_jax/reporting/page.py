@@ -1,12 +1,12 @@
 """The report of a run: one HTML page that opens anywhere, with its data beside it."""
 
+import functools
 import html
 import json
 import math
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
-from importlib import resources
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,11 @@ from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation import metrics as registry
 from dpc_jax.files import write_text
-from dpc_jax.reporting import azimuth_figures, export, figures, gallery, signals
-from dpc_jax.reporting.azimuth_figures import ViewPoses
+from dpc_jax.reporting import export, figures, gallery, signals
+from dpc_jax.reporting.azimuth_figures import ViewPoses, draw_azimuths
 from dpc_jax.reporting.examples import Example, TrainingComparison
 from dpc_jax.reporting.web import cards, sections, viewer
-from dpc_jax.reporting.web.markup import embed_chart, make_table
-
-_PHOTOS = ("signals",)  # figures with images in them
+from dpc_jax.reporting.web.markup import embed_chart, make_table, read_asset
 
 
 def write_report(
@@ -73,27 +71,24 @@ def write_report(
     if examples:
         # One picture of all, for other pages; this one shows them larger.
         gallery.draw_predictions(examples, folder / "predictions.png")
-        parts += [viewer.show_clouds(examples), sections.introduce("predictions", ranking)]
-        parts += [cards.show_examples(examples), _write_clouds(examples, folder / "points")]
-    drawings: list[tuple[str, Callable[..., Path], Any]] = [
-        ("pose_errors", figures.draw_pose_errors, pose_errors),
-        ("azimuths", azimuth_figures.draw_azimuths, view_poses),
-        ("training_shapes", None, comparison),
-        ("curves", figures.draw_curves, records or None),
-        ("candidates", figures.draw_candidates, shares),
-        ("signals", signals.draw_signals, _list_with_signals(examples)),
-    ]
-    for name, draw, data in drawings:
-        if data is None:
-            continue
-        parts.append(sections.introduce(name))
-        if name == "training_shapes":
-            parts.append(sections.compare_with_training(data))
-            continue
-        more = {"stages": stages} if name == "curves" else {}
-        parts.append(_embed(name, draw(data, folder / f"{name}.png", **more)))
-        if name == "azimuths" or (name == "pose_errors" and view_poses is None):
-            parts.append(sections.describe_failures(values, lost))
+        parts += [
+            viewer.show_clouds(examples),
+            sections.introduce("predictions", ranking),
+            cards.show_examples(examples),
+            _write_clouds(examples, folder / "points"),
+        ]
+    parts.append(_draw(folder, "pose_errors", figures.draw_pose_errors, pose_errors))
+    parts.append(_draw(folder, "azimuths", draw_azimuths, view_poses))
+    if pose_errors is not None:
+        parts.append(sections.describe_failures(values, lost))
+    if comparison:
+        parts.append(sections.introduce("training_shapes"))
+        parts.append(sections.compare_with_training(comparison))
+    draw_curves = functools.partial(figures.draw_curves, stages=stages)
+    parts.append(_draw(folder, "curves", draw_curves, records or None))
+    parts.append(_draw(folder, "candidates", figures.draw_candidates, shares))
+    shown = _list_with_signals(examples)
+    parts.append(_draw(folder, "signals", signals.draw_signals, shown, is_photo=True))
     parts.append(sections.list_metrics(values))
     if config_text:
         parts.append(sections.show_config(config_text))
@@ -103,13 +98,13 @@ def write_report(
     return write_text(folder / "index.html", page)
 
 
-def _embed(name: str, path: Path) -> str:
-    return embed_chart(
-        path,
-        sections.CAPTIONS[name][0],
-        is_large=name in ("curves", "azimuths", "signals"),
-        is_photo=name in _PHOTOS,
-    )
+def _draw(folder, name, draw, data, *, is_photo: bool = False) -> str:
+    """A section with a figure; "" where there are no data for it."""
+    if data is None:
+        return ""
+    path = draw(data, folder / f"{name}.png")
+    title, _ = sections.CAPTIONS[name]
+    return sections.introduce(name) + embed_chart(path, title, is_photo=is_photo)
 
 
 def _list_with_signals(examples: Sequence[Example]) -> list[Example] | None:
@@ -153,7 +148,7 @@ def _assemble(title, values, warnings, parts) -> str:
         heading = html.escape(registry.get_metric(name).heading)
         tiles += f'<div class="tile"><b>{value}</b><span>{heading}</span></div>'
     title = html.escape(title)
-    style = resources.files(sections.__package__).joinpath("page.css").read_text("utf-8")
+    style = read_asset("page.css")
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'

@@ -18,7 +18,7 @@ _REAR = (-130.0, 20.0)  # azimuth and elevation in degrees: back and right side
 _SIDE = 400  # pixels of a picture
 _SHOWN = 3000  # points of a true shape
 _FADE = (0.75, 0.79, 0.83)  # what is far fades to it; seen on white and on black
-_PREDICTED, _OTHER = (0.22, 0.50, 0.75), (0.52, 0.56, 0.60)
+_PREDICTED, _OTHER = (0.22, 0.50, 0.75), (0.62, 0.66, 0.70)
 
 
 def show_examples(examples: Sequence[Example]) -> str:
@@ -48,7 +48,9 @@ def _show_example(example: Example, index: int) -> str:
     pair = embed_picture(np.asarray(example.image), "Input")
     difference = silhouette_difference(example.predicted, example.target)
     shade = np.rint(255 * colormaps["RdBu_r"]((difference + 1) / 2)[..., :3])
-    pair += embed_picture(shade.astype(np.uint8), "Silhouettes: red too much, blue missing")
+    pair += embed_picture(
+        shade.astype(np.uint8), "Silhouettes: red too much, blue missing"
+    )
     pictures = f'<div class="pair">{pair}</div>'
     cloud, colors = example.points, _PREDICTED
     if example.colors is not None:

@@ -4,10 +4,17 @@ import base64
 import html
 import io
 from collections.abc import Iterable, Sequence
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
+
+
+def read_asset(name: str) -> str:
+    """The text of a style sheet or script of this folder."""
+    folder = resources.files("dpc_jax.reporting.web")
+    return folder.joinpath(name).read_text(encoding="utf-8")
 
 
 def make_table(
@@ -30,19 +37,17 @@ def show_hint(text: str) -> str:
     return f'<span class="hint">{html.escape(text)}</span>'
 
 
-def embed_chart(path: Path, title: str, *, is_large: bool, is_photo: bool) -> str:
-    """A PNG inside the page.
+def embed_chart(path: Path, title: str, *, is_photo: bool) -> str:
+    """A PNG inside the page; on a phone it scrolls sideways, or its print is lost.
 
     Args:
       title: for those who cannot see it.
-      is_large: whether its small print would be lost on a phone, so that it is as wide
-        there, too, and scrolls sideways.
       is_photo: whether it has images, which stay as they are in dark mode.
     """
     data = base64.b64encode(path.read_bytes()).decode("ascii")
+    kind = "" if is_photo else ' class="chart"'
     return (
-        f'<div class="{"wide large" if is_large else "wide"}">'
-        f'<img{"" if is_photo else " class=chart"} alt="{html.escape(title)}" '
+        f'<div class="wide"><img{kind} alt="{html.escape(title)}" '
         f'src="data:image/png;base64,{data}"></div>\n'
     )
 

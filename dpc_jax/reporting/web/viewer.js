@@ -12,7 +12,7 @@
     [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]];
   // From near to far, as the strip of the page has them.
   const STOPS = [[69, 117, 180], [145, 191, 219], [254, 224, 144], [252, 141, 89], [215, 48, 39]];
-  const HOME = { eye: { x: 1.05, y: 0.74, z: 0.6 }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: 0 } };
+  const HOME = { eye: { x: 0.62, y: 0.44, z: 0.36 }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: 0 } };
   const shown = { index: 0, colors: "own", camera: HOME };
   let ready = null;
 
@@ -69,10 +69,11 @@
 
   function makeLayout() {
     // Fixed ranges, so that both plots and all shapes have one scale.
-    const axis = { visible: false, range: [-0.56, 0.56], autorange: false };
+    const axis = { visible: false, range: [-0.8, 0.8], autorange: false };
     return {
       margin: { l: 0, r: 0, t: 0, b: 0 },
       paper_bgcolor: "rgba(0,0,0,0)",
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: "#8795a1", activecolor: "#2f7ebc" },
       scene: {
         xaxis: axis, yaxis: axis, zaxis: axis, aspectmode: "cube", camera: shown.camera,
         dragmode: "turntable", bgcolor: "rgba(0,0,0,0)",

@@ -10,13 +10,13 @@ import gzip
 import html
 import json
 from collections.abc import Sequence
-from importlib import resources
 from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from dpc_jax.reporting.examples import Example
+from dpc_jax.reporting.web.markup import read_asset
 
 FARTHEST = 0.1  # from the other cloud, box diagonals, that colours tell apart
 _SHOWN = 2000  # points of a cloud; more make turning slow
@@ -50,14 +50,14 @@ def show_clouds(examples: Sequence[Example]) -> str:
         for name, title in plots
     )
     both = (
-        " Both turn together. Errors are the distance of each point to the other shape: "
-        "left what is predicted in the wrong place, right what is missing."
+        " Both turn together. Errors are the distance of each point from the other "
+        "shape: left what is predicted in the wrong place, right what is missing."
         if has_truth
         else ""
     )
     return (
-        '<h2 id="turn">Shapes to turn</h2><p>Drag to turn, scroll or pinch to come '
-        f"nearer.{both}</p>"
+        '<h2 id="turn">Shapes to turn</h2><p>Drag to turn, scroll to come nearer.'
+        f"{both}</p>"
         f'<div class="controls">{controls}</div><div class="plots">{frames}</div>\n'
     )
 
@@ -73,7 +73,7 @@ def embed_scripts(examples: Sequence[Example]) -> str:
     count = min(_SHOWN, max(len(example.points) for example in examples))
     radius = _RADIUS * np.clip(np.sqrt(2000 / max(count, 1)), 1.0, 2.5)
     data = json.dumps({"radius": round(float(radius), 5), "examples": clouds})
-    script = resources.files(__package__).joinpath("viewer.js").read_text("utf-8")
+    script = read_asset("viewer.js")
     return (
         f'<script type="application/json" id="clouds">{data}</script>\n'
         f'<script type="text/plain" id="plotly">{_pack_library()}</script>\n'
@@ -82,7 +82,7 @@ def embed_scripts(examples: Sequence[Example]) -> str:
 
 
 def describe_clouds(example: Example) -> dict[str, Any]:
-    """Both clouds of an example as the script reads them, distances between them too."""
+    """Both clouds of an example and their distances, as the script reads them."""
     rows = _spread(len(example.points))
     points, surface = np.asarray(example.points)[rows], example.surface
     predicted = _describe_cloud(points, _PLAIN)

@@ -30,24 +30,22 @@ def choose_views(
     order = np.argsort(badness, axis=None, kind="stable")
     middle = (len(order) - 1) / 2
     from_middle = np.argsort(np.abs(np.arange(len(order)) - middle), kind="stable")
-    orders = order[::-1], order[from_middle], order
+    orders = (order[::-1], order[from_middle], order)
+    objects = np.ravel(models).tolist()
+    found: dict[str, list[int]] = {name: [] for name in GROUPS}
     taken: set[int] = set()
-    found = {name: [] for name in GROUPS}
     # By turns, so that where there are few views each group has some.
     for _ in range(per_group):
-        for name, candidates in zip(GROUPS, orders, strict=True):
-            shown = {models.flat[i] for i in found[name]}
-            free = (
-                i for i in candidates if i not in taken and models.flat[i] not in shown
-            )
-            if (index := next(free, None)) is not None:
+        for name, ranked in zip(GROUPS, orders, strict=True):
+            shown = {objects[i] for i in found[name]}
+            free = (i for i in ranked.tolist() if i not in taken)
+            index = next((i for i in free if objects[i] not in shown), None)
+            if index is not None:
                 found[name].append(index)
                 taken.add(index)
-    return [
-        (name, *(int(i) for i in np.unravel_index(index, badness.shape)))
-        for name in GROUPS
-        for index in found[name]
-    ]
+    width = badness.shape[1]
+    chosen = [(name, index) for name in GROUPS for index in found[name]]
+    return [(name, index // width, index % width) for name, index in chosen]
 
 
 def choose_examples(

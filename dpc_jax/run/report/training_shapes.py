@@ -55,9 +55,7 @@ class TrainingShapes(NamedTuple):
         """
         return spread_rows(self.surfaces[self.index.find_nearest(points)], count)
 
-    def list_neighbours(
-        self, surface: np.ndarray, count: int
-    ) -> tuple[Neighbour, Neighbour]:
+    def list_neighbours(self, surface: np.ndarray, count: int) -> tuple[Neighbour, ...]:
         """What could be said of a true surface [P, 3] without predicting anything."""
         clouds = {
             "Nearest training shape": self.find_nearest(surface, count),
