@@ -65,6 +65,17 @@ def _list_rules(config):
         not (config.pose.labels and config.pose.known),
         "False where pose.known is set, because no pose is learned there",
     )
+    pose = config.pose
+    yield (
+        "pose.common_frame",
+        not pose.common_frame
+        or pose.half_turns
+        and not pose.given
+        and not pose.samples
+        and config.network.shape == "points",
+        "False without pose.flips and two candidates or more, whose half turns it "
+        "chooses, and where poses are given or drawn, or shapes are no points",
+    )
     yield (
         "run.devices",
         not config.run.devices or train.models_per_batch % config.run.devices == 0,

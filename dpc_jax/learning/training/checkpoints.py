@@ -5,7 +5,7 @@ import functools
 import os
 import shutil
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -122,22 +122,22 @@ class Checkpoints:
         described = jax.tree.map(
             lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=a.sharding), like
         )
-        # Some were saved with a name for each part that the run has not.
-        targets = (_list_parts(described), described._asdict())
         progress = {"seconds": 0.0, "checksum": 0}
         damaged = []
         for step in reversed(self.steps()):
-            for target in targets:
-                # Whatever a damaged file makes orbax raise, the one before is tried.
-                with contextlib.suppress(Exception):
-                    loaded = self._checkpointer.load_checkpointables(
-                        step, {"state": target, "progress": progress}
+            # Whatever a damaged file makes orbax raise, the one before is tried.
+            with contextlib.suppress(Exception):
+                saved = self._checkpointer.checkpointables_metadata(step).metadata
+                target = _list_parts(described, saved["state"])
+                loaded = self._checkpointer.load_checkpointables(
+                    step, {"state": target, "progress": progress}
+                )
+                state = TrainState(**loaded["state"])
+                # Orbax notices a missing or short file, but not a changed byte.
+                if int(loaded["progress"]["checksum"]) == _checksum(state):
+                    return Restored(
+                        state, float(loaded["progress"]["seconds"]), tuple(damaged)
                     )
-                    state = TrainState(**loaded["state"])
-                    # Orbax notices a missing or short file, not a changed byte.
-                    if int(loaded["progress"]["checksum"]) == _checksum(state):
-                        seconds = float(loaded["progress"]["seconds"])
-                        return Restored(state, seconds, tuple(damaged))
             damaged.append(step)
         if damaged:
             raise ValueError(
@@ -170,10 +170,13 @@ def _standing_alone(folder) -> Iterator[ocp.Context | None]:
         checkpoint_manager.CheckpointManagerOptions = original
 
 
-def _list_parts(state: TrainState) -> dict:
-    """Parts of a state by name. A part that a run has not, a later field of the state
-    perhaps, is left out: so checkpoints from before there was that field are read."""
-    return {name: part for name, part in state._asdict().items() if part is not None}
+def _list_parts(state: TrainState, names: Container[str] = ()) -> dict:
+    """The parts of a state by name: those that the run has, and those of these names.
+
+    A part that it has not, a later field of the state perhaps, is not saved: so states
+    from before there was that field are read. Some were saved with such names.
+    """
+    return {n: p for n, p in state._asdict().items() if p is not None or n in names}
 
 
 def _checksum(state: TrainState) -> int:
