@@ -84,9 +84,11 @@ def test_what_turns_one_cloud_turns_both(browser, pages):
     browser.scroll_to("#predicted")
     before = [read_plot(browser, name) for name in ("predicted", "true")]
     browser.drag("#predicted", by=(120, 40))
-    eyes = "['predicted', 'true'].map(n => JSON.stringify(document.getElementById(n)"
-    eyes += "._fullLayout.scene._scene.getCamera().eye))"
-    browser.wait_for(f"(e => e[0] === e[1])({eyes})")
+    cameras = "['predicted', 'true'].map(n => Object.values(document.getElementById(n)"
+    cameras += "._fullLayout.scene._scene.getCamera().eye))"
+    browser.wait_for(
+        f"(([a, b]) => a.every((v, i) => Math.abs(v - b[i]) < 1e-6))({cameras})"
+    )
     after = [read_plot(browser, name) for name in ("predicted", "true")]
     for old, new in zip(before, after, strict=True):
         assert measure_change(old, new) > 0.01

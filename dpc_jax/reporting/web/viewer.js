@@ -84,7 +84,7 @@
   const clouds = () => ["predicted", "true"].map((name) => data.examples[shown.index][name]);
 
   async function draw() {
-    const config = { displaylogo: false, responsive: true, scrollZoom: true, modeBarButtons: [["toImage", "resetCameraDefault3d"]] };
+    const config = { displaylogo: false, responsive: true, scrollZoom: true, modeBarButtons: [["toImage", "resetCameraLastSave3d"]] };
     const found = clouds();
     scale.hidden = shown.colors !== "error";
     for (const [place, plot] of plots.entries()) {
@@ -101,8 +101,7 @@
 
   // What turns one plot turns the other one.
   function join(plot) {
-    const follow = (event) => {
-      const camera = event["scene.camera"];
+    const follow = (camera) => {
       if (!camera || JSON.stringify(camera) === JSON.stringify(shown.camera)) return;
       shown.camera = camera;
       for (const other of plots) {
@@ -111,8 +110,15 @@
         }
       }
     };
-    plot.on("plotly_relayouting", follow);
-    plot.on("plotly_relayout", follow);
+    // A plot still glides when it says that it was let go; plotly has no event for its rest.
+    const settle = (left) => {
+      follow(plot._fullLayout?.scene?._scene?.getCamera());
+      if (left > 0) setTimeout(settle, 100, left - 1);
+    };
+    plot.on("plotly_relayouting", (event) => follow(event["scene.camera"]));
+    for (const ending of ["pointerup", "touchend", "wheel"]) {
+      plot.addEventListener(ending, () => settle(8), { passive: true });
+    }
   }
 
   function say(text) {
