@@ -13,8 +13,8 @@ CAPTIONS = {
     "predictions": (
         "Predictions on test views",
         "Views that the network never trained on. All shapes are lit and seen from the "
-        "same direction, whatever the input's; the numbers below them are Chamfer "
-        "distances (× 100) to the true shape.",
+        "same direction, whatever the input's; numbers below them are Chamfer "
+        "distances (× 100) to the true shape, where there is one.",
     ),
     "pose_errors": (
         "Pose errors",
@@ -39,7 +39,8 @@ CAPTIONS = {
     ),
     "curves": (
         "Over run time",
-        "Poses, Chamfer distance and silhouettes are of validation: the same size of "
+        "Poses, Chamfer distance and silhouettes are of validation, those of which the "
+        "truth is known: the same size of "
         "points and the same grid all along, so these curves mean the same from left "
         "to right. The loss does not: at the dotted lines the number of points and the "
         "grid change, and between them the points become smaller, so it may climb "
