@@ -20,6 +20,7 @@ from PIL import Image
 from dpc_jax import predict, rotation_angle_deg
 from dpc_jax.data.dataset import read_cache
 from dpc_jax.data.viewpoints import look_at_rotation
+from dpc_jax.evaluation.metrics import get_metric
 
 ROOT = Path(__file__).parents[1]
 STEPS = 150
@@ -148,6 +149,7 @@ def test_the_report_has_every_number_and_picture_that_is_promised(finished):
         metrics["precision"] + metrics["coverage"]
     )
     assert metrics["steps"] == STEPS
+    assert [name for name in metrics if get_metric(name).label == name] == []
 
     page = (report / "index.html").read_text()
     assert not re.search(r"""(src|href)=["']?(https?:)?//""", page)

@@ -13,7 +13,7 @@ from dpc_jax.run.report.examples import (
     choose_views,
     list_view_poses,
 )
-from dpc_jax.run.report.summary import list_stages
+from dpc_jax.run.report.summary import list_stages, list_warnings
 from dpc_jax.run.report.training_shapes import TrainingShapes, compare
 
 
@@ -134,3 +134,13 @@ def test_stages_say_what_is_new_in_them():
         (50, "24 points"),
         (80, "16³ cells"),
     ]
+
+
+@pytest.mark.parametrize(
+    ("count", "text"), [(1, "1 model was skipped ("), (2, "2 models were skipped (")]
+)
+def test_what_was_skipped_is_counted_in_words(count, text):
+    skipped = tuple((f"car-{i}", "it is empty") for i in range(count))
+    sets = {"test": make_dataset(models=1)._replace(skipped=skipped)}
+    (warning,) = list_warnings(tiny_config(), sets, None)
+    assert warning.startswith(text)

@@ -139,11 +139,9 @@ def _plain_metrics(metrics: Mapping[str, Any]) -> dict[str, Any]:
 def _assemble(title, values, warnings, parts) -> str:
     """The page: warnings, the headline metrics as tiles, then the sections."""
     notes = "".join(f'<p class="warning">{html.escape(note)}</p>' for note in warnings)
-    names = [n for n in registry.HEADLINE_METRICS if values[n] is not None]
-    if values.get("silhouette_iou") is not None:  # known of every set
-        names.insert(len(names) - 1, "silhouette_iou")
+    shown = (*registry.HEADLINE_METRICS, "silhouette_iou")  # known of every set
     tiles = ""
-    for name in names:
+    for name in registry.order_metrics(n for n in shown if values.get(n) is not None):
         value = html.escape(registry.format_metric(name, values[name]))
         heading = html.escape(registry.get_metric(name).heading)
         tiles += f'<div class="tile"><b>{value}</b><span>{heading}</span></div>'
