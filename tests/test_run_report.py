@@ -107,6 +107,10 @@ def test_neighbours_are_training_shapes_and_a_copy_is_seen_as_one(sets):
     assert found.objects == 6
     assert found.to_truth["Prediction"] == 0
     assert found.to_truth["Nearest training shape"] > 0
+    # Predictions that are the truth differ among themselves as it does.
+    parts = found.to_truth, found.to_prediction
+    between = [part["The same of another object"] for part in parts]
+    assert between[0] == pytest.approx(between[1], rel=1e-6) and between[0] > 0
     np.testing.assert_array_equal(
         shapes.find_nearest(np.asarray(test.surfaces[0]), 60),
         sets["train"].surfaces[4],

@@ -42,25 +42,32 @@ def embed_chart(path: Path, title: str, *, is_photo: bool) -> str:
 
     Args:
       title: for those who cannot see it.
-      is_photo: whether it has images, which stay as they are in dark mode.
+      is_photo: whether it has images, which stay as they are in dark mode; as WebP
+        they take a tenth of the bytes.
     """
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
-    kind = "" if is_photo else ' class="chart"'
-    return (
-        f'<div class="wide"><img{kind} alt="{html.escape(title)}" '
-        f'src="data:image/png;base64,{data}"></div>\n'
-    )
+    if is_photo:
+        with Image.open(path) as picture:
+            source, kind = _pack(picture.convert("RGB")), ""
+    else:
+        data = base64.b64encode(path.read_bytes()).decode("ascii")
+        source, kind = f"data:image/png;base64,{data}", ' class="chart"'
+    title = html.escape(title)
+    return f'<div class="wide"><img{kind} alt="{title}" src="{source}"></div>\n'
 
 
 def embed_picture(picture: np.ndarray, title: str, caption: str = "") -> str:
     """A picture uint8 [H, W, 3 or 4] with a caption that is HTML."""
-    buffer = io.BytesIO()
-    # WebP: a tenth of the bytes of PNG, and it can be clear.
-    Image.fromarray(picture).save(buffer, format="WEBP", quality=82, method=4)
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    source = _pack(Image.fromarray(picture))
     height, width = picture.shape[:2]
+    title = html.escape(title)
     return (
-        f'<figure><img alt="{html.escape(title)}" width="{width}" height="{height}" '
-        f'loading="lazy" src="data:image/webp;base64,{data}">'
-        f"<figcaption>{html.escape(title)}{caption}</figcaption></figure>"
+        f'<figure><img alt="{title}" width="{width}" height="{height}" loading="lazy" '
+        f'src="{source}"><figcaption>{title}{caption}</figcaption></figure>'
     )
+
+
+def _pack(picture: Image.Image) -> str:
+    """A picture as a source of `img`: WebP, which can be clear."""
+    buffer = io.BytesIO()
+    picture.save(buffer, format="WEBP", quality=82, method=4)
+    return f"data:image/webp;base64,{base64.b64encode(buffer.getvalue()).decode()}"

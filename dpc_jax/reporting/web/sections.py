@@ -30,12 +30,13 @@ CAPTIONS = {
     ),
     "training_shapes": (
         "Beside the training set",
-        "Chamfer distances (× 100) of predictions from the first view of test objects, "
-        "of the nearest training shapes, and of the training set's mean shape. "
-        "Predictions much nearer to a training shape than to the truth are copies; "
-        "predictions nearer to the mean shape than to the truth hardly look at the "
-        "image. The two baselines are told true surfaces, parts inside of objects too; "
-        "the network learns from images.",
+        "Chamfer distances (× 100) to true shapes and to predictions from the first "
+        "view of each object. A network that copies predicts shapes much nearer to a "
+        "training shape than to the truth. One that ignores its input is no nearer to "
+        "the truth than the mean shape, and its predictions of different objects, in "
+        "the last line, are nearer to each other than the true shapes are. Training "
+        "shapes are true surfaces, parts inside of objects too; the network learns "
+        "from images.",
     ),
     "curves": (
         "Over run time",

@@ -80,32 +80,47 @@ def compare(
     if shapes is None:
         return None
     models, _ = arrange_views(dataset)
-    to_truth: dict[str, list] = {}
-    to_prediction: dict[str, list] = {}
     rows = _spread(len(models), OBJECTS)
-    for row in rows:
-        surface = np.asarray(dataset.surfaces[models[row, 0]])
-        cloud = align_points(alignment, predictions.points[row, 0])
-        near = shapes.find_nearest(surface, len(cloud))
-        for name, found in (
-            ("Prediction", cloud),
-            ("Nearest training shape", near),
-            ("Mean training shape", shapes.mean),
-        ):
-            distance = chamfer_distance(found, surface).chamfer
-            to_truth.setdefault(name, []).append(100 * distance)
-        nearest = shapes.surfaces[shapes.index.find_nearest(cloud)]
-        for name, truth in (
-            ("Nearest training shape", np.asarray(nearest)),
-            ("Mean training shape", shapes.mean),
-        ):
-            distance = chamfer_distance(cloud, truth).chamfer
-            to_prediction.setdefault(name, []).append(100 * distance)
-    return TrainingComparison(
-        objects=len(rows),
-        to_truth={name: float(np.mean(found)) for name, found in to_truth.items()},
-        to_prediction={n: float(np.mean(found)) for n, found in to_prediction.items()},
-    )
+    surfaces = [np.asarray(dataset.surfaces[m]) for m in models[rows, 0]]
+    clouds = [align_points(alignment, predictions.points[row, 0]) for row in rows]
+    found = [
+        _compare_object(surfaces, clouds, place, shapes) for place in range(len(rows))
+    ]
+
+    def average(part):
+        names = found[0][part]
+        return {n: 100 * float(np.mean([f[part][n] for f in found])) for n in names}
+
+    return TrainingComparison(len(rows), average(0), average(1))
+
+
+def _compare_object(surfaces, clouds, place, shapes: TrainingShapes):
+    """Chamfer distances by name to the true shape of an object, and to the predicted.
+
+    The other object of the last is the next one in the list.
+    """
+    surface, cloud = surfaces[place], clouds[place]
+    count, other = len(cloud), (place + 1) % len(clouds)
+    nearest = shapes.surfaces[shapes.index.find_nearest(cloud)]
+    pairs = {
+        "Prediction": ((cloud, surface), None),
+        "Nearest training shape": (
+            (shapes.find_nearest(surface, count), surface),
+            (cloud, np.asarray(nearest)),
+        ),
+        "Mean training shape": ((shapes.mean, surface), (cloud, shapes.mean)),
+    }
+    if other != place:
+        both = [spread_rows(surfaces[i], count) for i in (place, other)]
+        pairs["The same of another object"] = (both, (cloud, clouds[other]))
+    return [
+        {
+            name: chamfer_distance(*both[part]).chamfer
+            for name, both in pairs.items()
+            if both[part] is not None
+        }
+        for part in (0, 1)
+    ]
 
 
 def _spread(count: int, wanted: int) -> np.ndarray:
