@@ -65,16 +65,10 @@ def _list_rules(config):
         not (config.pose.labels and config.pose.known),
         "False where pose.known is set, because no pose is learned there",
     )
-    pose = config.pose
     yield (
         "pose.common_frame",
-        not pose.common_frame
-        or pose.half_turns
-        and not pose.given
-        and not pose.samples
-        and config.network.shape == "points",
-        "False without pose.flips and two candidates or more, whose half turns it "
-        "chooses, and where poses are given or drawn, or shapes are no points",
+        not config.pose.finds_frame or config.network.shape == "points",
+        "False where network.shape is not 'points', which are what is compared",
     )
     yield (
         "run.devices",

@@ -148,7 +148,7 @@ def compute_loss(
                     steps=train.steps,
                 ),
             )
-            if pose.common_frame:
+            if pose.finds_frame:
                 from dpc_jax.learning.choice import common_frame  # where asked for
 
                 assert isinstance(shapes, Shapes)

@@ -21,6 +21,7 @@ _CURVES = {
     "pose_median_error_deg": "degrees",
     "chamfer": "mean distance × 100",
     "silhouette_iou": "of the images (%)",
+    "stray_points": "of a shape",
     "candidates_alive": "win at least 1 % of the views",
     "loss": "loss (log scale)",
 }
@@ -37,8 +38,8 @@ def draw_curves(
 ) -> Path:
     """What a run records over its run time, a panel for each measure that is recorded.
 
-    Poses, Chamfer distance and the overlap of silhouettes are of validation, at one
-    size of the points and one grid; how many pose candidates are alive and the loss
+    Poses, shapes and the overlap of silhouettes are of validation, at one size of the
+    points and one grid; how many pose candidates are alive and the loss
     are of training, where both change with its stages.
 
     Args:

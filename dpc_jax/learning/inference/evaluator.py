@@ -8,6 +8,7 @@ from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation import scores
 from dpc_jax.evaluation.failures import Failures, find_failures
 from dpc_jax.evaluation.silhouettes import mean_squared_difference
+from dpc_jax.evaluation.stray_points import count_stray_points
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 
 
@@ -61,8 +62,9 @@ def score(
     Metrics that need a truth which the data set lacks are left out. Where the data say
     which part of a surface can be seen, distances from and to that part have the prefix
     `visible_`. Every set gets `silhouette_iou`, the mean overlap of predicted
-    silhouettes with the masks from 0 to 1, and `projection_error`, the mean squared
-    difference of the two per pixel, both averaged to 32×32 pixels.
+    silhouettes with the masks from 0 to 1; `projection_error`, the mean squared
+    difference of the two per pixel, both averaged to 32×32 pixels; and `stray_points`,
+    how many a predicted shape has in the mean.
 
     Args:
       heads: K, of the ensemble; 0 where poses are known.
@@ -82,11 +84,16 @@ def score(
         chamfer_views=chamfer_views,
         seen=arrange_seen(dataset),
     )
-    seen = {
+    clouds = np.asarray(predictions.points)[:, :chamfer_views]
+    stray = [
+        count_stray_points(clouds[index]) for index in np.ndindex(clouds.shape[:2])
+    ]
+    found = {
         "silhouette_iou": float(measure_overlaps(predictions, dataset).mean()),
         "projection_error": measure_projection_error(predictions, dataset),
+        "stray_points": float(np.mean(stray)),
     }
-    result = result._replace(metrics=result.metrics | seen)
+    result = result._replace(metrics=result.metrics | found)
     winners = predictions.winners % max(1, heads)
     shares = candidate_use.winner_share(winners, num_candidates=max(1, heads))
     return result, shares
