@@ -148,7 +148,8 @@ def test_without_poses_only_the_overlap_is_left(trained):
         alignment=evaluator.align(predictions, dataset),
         heads=3,
     )
-    assert set(result.metrics) == {"silhouette_iou", "projection_error"}
+    names = {"silhouette_iou", "projection_error", "stray_points"}
+    assert set(result.metrics) == names
     assert shares.sum() == pytest.approx(1)
     assert result.pose_errors_deg is result.best_candidate_errors_deg is None
     text = describe_metrics(result.metrics, share_digits=2)

@@ -40,8 +40,8 @@ CAPTIONS = {
     ),
     "curves": (
         "Over run time",
-        "Poses, Chamfer distance and silhouettes are of validation, those of which the "
-        "truth is known: the same size of "
+        "Poses, Chamfer distance, silhouettes and stray points are of validation, "
+        "those of which the truth is known: the same size of "
         "points and the same grid all along, so these curves mean the same from left "
         "to right. The loss does not: at the dotted lines the number of points and the "
         "grid change, and between them the points become smaller, so it may climb "
