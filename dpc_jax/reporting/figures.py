@@ -59,22 +59,31 @@ def draw_curves(
     shown = shown or ["loss"]
     figure = style.make_figure(9.0, 3.0 * -(-len(shown) // 2))
     panels = style.make_panels(figure, len(shown))
+    latest = max(
+        (_series(lines, m)[0].max(initial=0) for m in shown for lines in runs.values()),
+        default=0.0,
+    )
     for axes, metric in zip(panels, shown, strict=True):
         title, y_label = get_metric(metric).label, _CURVES[metric]
         style.label_axes(axes, title=title, x_label="run time (s)", y_label=y_label)
         _draw_runs(axes, runs, metric)
+        axes.set_xlim(0.0, 1.03 * latest or 1.0)
         if len(runs) == 1:
             (lines,) = runs.values()
             _mark_stages(axes, lines, stages, named=metric == shown[-1])
-    if len(runs) > 1:  # below, where it covers nothing
-        handles, labels = panels[0].get_legend_handles_labels()
-        for axes in panels[1:]:
-            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-                if label not in labels:
-                    handles, labels = [*handles, handle], [*labels, label]
-        look = {"frameon": False, "fontsize": 8, "ncols": min(4, max(1, len(labels)))}
-        figure.legend(handles, labels, loc="outside lower center", **look)
+    if len(runs) > 1:
+        _name_runs(figure, panels)
     return style.save_figure(figure, path)
+
+
+def _name_runs(figure, panels: Sequence[Axes]) -> None:
+    """One legend for all panels, below, where it covers nothing."""
+    named = {}
+    for axes in panels:
+        handles, labels = axes.get_legend_handles_labels()
+        named |= dict(zip(labels, handles, strict=True))
+    look = {"frameon": False, "fontsize": 8, "ncols": min(4, max(1, len(named)))}
+    figure.legend(named.values(), named.keys(), loc="outside lower center", **look)
 
 
 def _count_alive(line: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -84,12 +93,11 @@ def _count_alive(line: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _draw_runs(axes: Axes, runs: Mapping[str, Records], metric: str) -> None:
-    factor, latest = get_metric(metric).factor, 0.0
+    factor = get_metric(metric).factor
     for index, (name, lines) in enumerate(runs.items()):
         seconds, values = _series(lines, metric)
         if seconds.size == 0:
             continue
-        latest = max(latest, seconds[-1])
         color = style.SERIES[index % len(style.SERIES)]
         if metric == "loss":
             _draw_loss(axes, seconds, values, color, name)
@@ -103,7 +111,6 @@ def _draw_runs(axes: Axes, runs: Mapping[str, Records], metric: str) -> None:
         axes.text(0.5, 0.5, "not recorded", **place)
         axes.set(xticks=[], yticks=[])
         return
-    axes.set_xlim(0.0, 1.03 * latest or 1.0)
     if get_metric(metric).unit == "%":
         axes.set_ylim(0.0, 100.0)
     elif metric != "loss":
