@@ -8,6 +8,7 @@ import pytest
 from dpc_jax.config import build_config, replace_fields
 from dpc_jax.data import load_or_render
 from dpc_jax.evaluation.chamfer import chamfer_distance
+from dpc_jax.evaluation.mean_shape import COUNTS, average_surfaces, take_fullest
 from dpc_jax.experiments import mean_shape, measured_rows
 from dpc_jax.experiments.catalogue import EXPERIMENTS, MEAN_SHAPE
 from dpc_jax.experiments.results import Outcome, Results
@@ -41,22 +42,22 @@ def config(tmp_path_factory):
 def test_cells_count_shapes_once_and_have_the_mean_of_all_points():
     first = np.array([[0.3, 0.3, 0.3], [0.35, 0.3, 0.3], [-0.4, 0, 0]])
     second = np.array([[0.4, 0.3, 0.3], [0.4, 0.3, -0.3]])
-    shares, places = mean_shape.average_surfaces([first, second], side=2)
+    shares, places = average_surfaces([first, second], side=2)
     by_cell = shares.reshape(2, 2, 2)
     assert by_cell[1, 1, 1] == 1.0 and by_cell[1, 1, 0] == by_cell[0, 1, 1] == 0.5
     assert shares.sum() == 2.0
     np.testing.assert_allclose(places[np.argmax(shares)], [0.35, 0.3, 0.3])
-    fullest = mean_shape.take_fullest(shares, places, 1)
+    fullest = take_fullest(shares, places, 1)
     np.testing.assert_allclose(fullest, [[0.35, 0.3, 0.3]])
-    assert len(mean_shape.take_fullest(shares, places, 8)) == 3  # empty cells are none
+    assert len(take_fullest(shares, places, 8)) == 3  # empty cells are none
 
 
 def test_the_same_shape_every_time_is_its_own_mean():
     rng = np.random.default_rng(0)
     sphere = rng.normal(size=(4000, 3))
     sphere *= 0.4 / np.linalg.norm(sphere, axis=1, keepdims=True)
-    shares, places = mean_shape.average_surfaces([sphere] * 3)
-    cloud = mean_shape.take_fullest(shares, places, 16_000)
+    shares, places = average_surfaces([sphere] * 3)
+    cloud = take_fullest(shares, places, 16_000)
     # Cells of 1/64 with one mean each.
     assert chamfer_distance(cloud, sphere).chamfer < 1 / 64
 
@@ -66,7 +67,7 @@ def test_the_row_is_near_the_best_single_guess(config):
     assert found["chamfer"] == pytest.approx(found["precision"] + found["coverage"])
     # Cars of one category: nearer than 10 diagonals in a hundred, and not equal.
     assert 1 < found["chamfer"] < 12
-    assert found["mean_shape_points"] <= max(mean_shape.COUNTS)
+    assert found["mean_shape_points"] <= max(COUNTS)
 
 
 def test_without_its_data_it_says_where_to_look(config, tmp_path):

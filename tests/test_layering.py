@@ -33,7 +33,7 @@ ROOMS = {
         {"files", "config", "render", "data", "networks", "evaluation"},
     ),
     "reporting": (
-        {"numpy", "matplotlib", "trimesh", "PIL"},
+        {"numpy", "scipy", "matplotlib", "trimesh", "PIL", "plotly"},
         {"files", "evaluation"},
     ),
     "run": (

@@ -36,15 +36,17 @@ def trained():
     config = tiny_runs.tiny_config()
     network = tiny_runs.make_network(config)
     state = tiny_runs.make_state(network, config)
+    last = state._replace(step=np.int32(config.train.steps))  # of the same weights
     with tiny_runs.compiling_quickly():
         predictor = make_predictor(network, config)
         dataset = tiny_runs.make_dataset(models=3, views=3)
-        whole = predict_all(predictor, state, dataset, views_at_once=4)
-        yield (
-            dataset,
-            whole,
-            lambda d, **more: predict_all(predictor, state, d, views_at_once=4, **more),
-        )
+        whole = predict_all(predictor, last, dataset, views_at_once=4)
+
+        def predict(dataset, step=None, **more):
+            begun = last if step is None else last._replace(step=np.int32(step))
+            return predict_all(predictor, begun, dataset, views_at_once=4, **more)
+
+        yield dataset, whole, predict
 
 
 def test_true_poses_are_compared_in_the_frame_of_the_network(trained):
@@ -63,6 +65,14 @@ def test_true_poses_are_compared_in_the_frame_of_the_network(trained):
     masks = dataset.masks.reshape(3, 3, 8, 2, 8, 2).mean(axis=(3, 5)) / 255
     squares = np.sum((whole.silhouettes - masks) ** 2, axis=(2, 3))
     np.testing.assert_allclose(whole.costs[..., 0], squares, rtol=1e-4)
+
+
+def test_images_do_not_change_with_the_schedule_but_costs_do(trained):
+    """So that errors of silhouettes can be compared over training."""
+    dataset, last, predict = trained
+    first = predict(dataset, step=0)
+    np.testing.assert_array_equal(first.silhouettes, last.silhouettes)
+    assert np.all(np.abs(first.costs / last.costs - 1) > 1e-3)
 
 
 def test_a_diagnosis_needs_true_poses(trained):
@@ -105,7 +115,11 @@ def test_scores_of_single_views_are_those_of_their_models(trained):
     np.testing.assert_allclose(
         single.chamfers[:, 0], [equal.chamfers[place] for place in kept], atol=1e-5
     )
-    assert "silhouette_iou" not in single.metrics
+    # The same views of one rendering each; their mean is over other numbers of views.
+    masks = evaluator.measure_overlaps(whole, dataset)
+    assert single.metrics["silhouette_iou"] == pytest.approx(
+        np.mean([masks[place] for place in kept]), abs=1e-4
+    )
 
 
 def test_without_shapes_chamfer_is_left_out_and_overlap_given(trained):
@@ -134,7 +148,8 @@ def test_without_poses_only_the_overlap_is_left(trained):
         alignment=evaluator.align(predictions, dataset),
         heads=3,
     )
-    assert set(result.metrics) == {"silhouette_iou", "projection_error"}
+    names = {"silhouette_iou", "projection_error", "stray_points"}
+    assert set(result.metrics) == names
     assert shares.sum() == pytest.approx(1)
     assert result.pose_errors_deg is result.best_candidate_errors_deg is None
     text = describe_metrics(result.metrics, share_digits=2)

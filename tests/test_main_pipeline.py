@@ -20,6 +20,7 @@ from PIL import Image
 from dpc_jax import predict, rotation_angle_deg
 from dpc_jax.data.dataset import read_cache
 from dpc_jax.data.viewpoints import look_at_rotation
+from dpc_jax.evaluation.metrics import get_metric
 
 ROOT = Path(__file__).parents[1]
 STEPS = 150
@@ -148,12 +149,14 @@ def test_the_report_has_every_number_and_picture_that_is_promised(finished):
         metrics["precision"] + metrics["coverage"]
     )
     assert metrics["steps"] == STEPS
+    assert [name for name in metrics if get_metric(name).label == name] == []
 
     page = (report / "index.html").read_text()
     assert not re.search(r"""(src|href)=["']?(https?:)?//""", page)
     clouds = sorted((report / "points").iterdir())
     assert {path.suffix for path in clouds} == {".ply", ".glb"}
-    assert len(clouds) == 2 * 4  # of each test model, twice
+    # Three views of different models each: the worst, the median, the best.
+    assert len(clouds) == 2 * 9
     for path in clouds:
         vertices = np.asarray(trimesh.load_scene(path).to_geometry().vertices)
         # A GLB holds a small solid for each of the 40 points.
@@ -261,29 +264,32 @@ def test_predicting_test_images_gives_what_the_report_scored(
     workdir, _ = finished
     (cache,) = (command.folder / "data").glob("car-test-*")
     test = read_cache(cache)
+    page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
+    cards = re.findall(r"<b>(\S+), view (\d+)</b>.*?pose error ([\d.]+)°", page)
+    assert len(cards) == 9
+    places = [(test.names.index(name), int(view)) for name, view, _ in cards]
+    names = [f"{test.names[model]}_view_{view}" for model, view in places]
     images = [
-        save_drawing(tmp_path / f"{name}.png", np.dstack([image[0], mask[0]]))
-        for name, image, mask in zip(test.names, test.images, test.masks, strict=True)
+        save_drawing(
+            tmp_path / f"{name}.png",
+            np.dstack([test.images[place], test.masks[place]]),
+        )
+        for name, place in zip(names, places, strict=True)
     ]
     out = tmp_path / "out"
     assert predict.main([f"--workdir={workdir}", f"--out={out}", *images]) == 0
-    assert "4 of 4 images" in capsys.readouterr().out
-    truth = np.stack([test.quaternions[i][0] for i in range(4)])
-    facts = [json.loads((out / f"{name}.json").read_text()) for name in test.names]
+    assert "9 of 9 images" in capsys.readouterr().out
+    truth = np.stack([test.quaternions[place] for place in places])
+    facts = [json.loads((out / f"{name}.json").read_text()) for name in names]
     assert {fact["frame"] for fact in facts} == {"object"}
     found = np.array([fact["quaternion"] for fact in facts])
     errors = rotation_angle_deg(found, truth)
-    # The report's examples are the same views. Cutting an image out again at its own
-    # size blurs it by up to a pixel, which moves a barely trained network a little.
-    page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
-    shown = [float(error) for error in re.findall(r"([\d.]+)°", page)[:4]]
-    np.testing.assert_allclose(errors, shown, atol=3)
-    for name in test.names:
-        ((cloud, shown),) = zip(
-            [trimesh.load(out / f"{name}.ply")],
-            map(trimesh.load, (workdir / "report" / "points").glob(f"*{name}*.ply")),
-            strict=True,
-        )
+    # Cutting an image out again at its own size blurs it by up to a pixel, which moves
+    # a barely trained network a little.
+    np.testing.assert_allclose(errors, [float(e) for *_, e in cards], atol=3)
+    for name in names:
+        cloud = trimesh.load(out / f"{name}.ply")
+        shown = trimesh.load(workdir / "report" / "points" / f"{name}.ply")
         np.testing.assert_allclose(cloud.vertices, shown.vertices, atol=0.02)
     # The camera stands where the azimuth and elevation say.
     for fact in facts:
@@ -294,7 +300,7 @@ def test_predicting_test_images_gives_what_the_report_scored(
         axis = [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
         np.testing.assert_allclose(look[2], axis, atol=1e-6)
     assert (out / "predictions.png").stat().st_size > 1000
-    assert (out / f"{test.names[3]}.glb").is_file()
+    assert (out / f"{names[3]}.glb").is_file()
 
 
 def test_images_of_no_use_are_named_and_the_others_predicted(

@@ -13,12 +13,14 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from report_pages import make_example
 
 from dpc_jax import compare
 from dpc_jax.evaluation.metrics import COMPARED_METRICS, MISSING, REQUIRED_METRICS
 from dpc_jax.reporting import figures, gallery, signals, tables
 from dpc_jax.reporting.examples import Example, SignalImages
 from dpc_jax.reporting.page import write_report
+from dpc_jax.reporting.web import viewer
 
 METRICS = {
     "pose_accuracy": np.float64(0.875),
@@ -67,13 +69,37 @@ def report(folder, **changes):
     return write_report(folder, **(arguments | changes))
 
 
+NO_FIGURES = {"records": (), "examples": (), "shares": None}
+
+
 def test_wrong_views_are_explained_where_there_are_any(tmp_path):
     more = {"wrong_half_turn_share": 0.8, "wrong_object_share": 0.05}
     names = [f"car <{i}>" for i in range(40)]
-    page = report(tmp_path, metrics=METRICS | more, lost=names).read_text("utf-8")
+    path = report(tmp_path, metrics=METRICS | more, lost=names, **NO_FIGURES)
+    page = path.read_text("utf-8")
     assert "What the wrong views are" in page and "80.0" in page
     assert "car &lt;29&gt;, ..." in page and "car &lt;30&gt;" not in page
-    assert "What the wrong views are" not in report(tmp_path).read_text("utf-8")
+    page = report(tmp_path, **NO_FIGURES).read_text("utf-8")
+    assert "What the wrong views are" not in page
+
+
+def test_clouds_reach_the_page_as_they_are_and_errors_with_them():
+    shown = make_example("car")
+    clouds = viewer.describe_clouds(shown)
+
+    def decode(text, dtype):
+        return np.frombuffer(base64.b64decode(text), dtype)
+
+    predicted = clouds["predicted"]
+    points = decode(predicted["points"], "<i2") / 32767 * predicted["reach"]
+    # Half a step of 16 bits, and the reach is stated to six places.
+    np.testing.assert_allclose(points.reshape(-1, 3), shown.points, atol=1e-5)
+    # A tenth too large: at the ends of the axes 0.04, 0.02, 0.015 away.
+    errors = decode(predicted["errors"], "u1") / 255 * viewer.FARTHEST
+    assert 0.005 < errors.min() and errors.max() < 0.041
+    many = dataclasses.replace(shown, points=np.zeros((9000, 3)), colors=None)
+    count = len(decode(viewer.describe_clouds(many)["predicted"]["points"], "<i2"))
+    assert count == 3 * 2000
 
 
 class Tags(HTMLParser):
@@ -116,10 +142,14 @@ def test_metrics_are_sorted_strict_json_with_all_that_is_required(folder):
 
 def test_the_page_reaches_for_nothing_outside_itself_but_its_own_files(folder):
     text = (folder / "index.html").read_text(encoding="utf-8")
-    assert not re.search(r"(?:https?:)?//[a-z]", re.sub(r"base64,[^\"]*", "", text))
+    # Of what is packed in base64, any letters can follow two strokes.
+    plain = re.sub(r"base64,[^\"]*|(?<=id=\"plotly\">)[^<]*", "", text)
+    plain = re.sub(r"(?<=id=\"clouds\">)[^<]*", "", plain)
+    assert not re.search(r"(?:https?:)?//[a-z]", plain)
     tags = Tags(text)
     assert tags.open == []
-    assert {tag for tag, _ in tags.found} & {"script", "link", "iframe"} == set()
+    assert {tag for tag, _ in tags.found} & {"link", "iframe"} == set()
+    assert not any("src" in attrs for tag, attrs in tags.found if tag == "script")
     links = [attrs["href"] for tag, attrs in tags.found if tag == "a"]
     assert len(links) == 5
     assert all((folder / link).is_file() for link in links)
@@ -128,12 +158,14 @@ def test_the_page_reaches_for_nothing_outside_itself_but_its_own_files(folder):
 def test_the_page_carries_its_figures_and_none_is_blank(folder):
     tags = Tags((folder / "index.html").read_text(encoding="utf-8"))
     images = [attrs for tag, attrs in tags.found if tag == "img"]
-    assert len(images) == 4
+    kinds = [attrs["src"].partition(",")[0] for attrs in images]
+    # Curves, pose errors, candidates; of each example input, silhouettes, two shapes.
+    assert kinds.count("data:image/png;base64") == 3
+    assert kinds.count("data:image/webp;base64") == 8
     for attrs in images:
-        kind, data = attrs["src"].split(",")
-        assert kind == "data:image/png;base64"
         assert attrs["alt"]
-        assert picture(base64.b64decode(data)).std() > 5.0  # a blank page has none
+        data = base64.b64decode(attrs["src"].partition(",")[2])
+        assert picture(data).std() > 5.0  # a blank picture has none
 
 
 def test_what_users_wrote_is_shown_and_never_run(folder):
@@ -202,6 +234,23 @@ def test_curves_compare_runs_and_bear_missing_quantities(tmp_path):
     figures.draw_curves([], tmp_path / "none.png")
     many = [{"seconds": t, "loss": 0.0} for t in range(200)]  # no logarithm of zero
     figures.draw_curves(many, tmp_path / "zero.png")
+
+
+def test_stages_and_living_candidates_are_drawn_over_run_time(tmp_path):
+    lines = [
+        {"step": s, "seconds": s / 10, "loss": 1.0, "head_shares": [1 - s / 99, s / 99]}
+        for s in range(1, 60, 5)
+    ]
+    draw = figures.draw_curves
+    plain = picture(draw(lines, tmp_path / "a.png").read_bytes())
+    stages = [(0, "10 points"), (30, "20 points"), (900, "never reached")]
+    marked = picture(draw(lines, tmp_path / "b.png", stages=stages).read_bytes())
+    changed = np.any(plain != marked, axis=(0, 2))
+    # One line in each of the two panels, thin, with one label; nothing past the end.
+    assert 2 <= np.count_nonzero(np.diff(changed.astype(int)) == 1) < 20
+    assert np.count_nonzero(changed) < 0.05 * changed.size
+    dead = [line | {"head_shares": [1.0, 0.0]} for line in lines]
+    assert np.any(picture(draw(dead, tmp_path / "c.png").read_bytes()) != plain)
 
 
 def test_the_time_axis_follows_the_seconds_not_the_order_of_lines(tmp_path):
@@ -310,9 +359,11 @@ def add_signals(shown, names=("silhouette", "depth", "color")):
 
 
 def test_rendered_images_of_signals_are_a_figure_of_their_own(tmp_path):
-    report(tmp_path / "plain", examples=[add_signals(example(), ("silhouette",))])
+    others = {"records": (), "pose_errors": None, "shares": None}
+    silhouettes = [add_signals(example(), ("silhouette",))]
+    report(tmp_path / "plain", examples=silhouettes, **others)
     assert not (tmp_path / "plain" / "signals.png").exists()
-    report(tmp_path / "all", examples=[add_signals(example()), add_signals(example())])
+    report(tmp_path / "all", examples=[add_signals(example())], **others)
     page = (tmp_path / "all" / "index.html").read_text(encoding="utf-8")
     assert "<h2>Rendered images</h2>" in page
     assert picture((tmp_path / "all" / "signals.png").read_bytes()).std() > 5.0

@@ -92,6 +92,18 @@ METRICS = {metric.name: metric for metric in (
            "wall clock, including compilation", role="headline"),
     Metric("peak_memory_gb", "Peak memory", "GB", ".1f", False,
            "of the training process", role="compared"),
+    Metric("data_seconds", "Time for the data", "s", ".0f", False,
+           "reading or rendering, before training"),
+    Metric("steps", "Training steps", "", ".0f"),
+    Metric("seed", "Seed", "", ".0f"),
+    Metric("train_models", "Training objects", "", ".0f"),
+    Metric("test_models", "Test objects", "", ".0f"),
+    Metric("candidates_alive", "Candidates alive", "", ".0f", True,
+           "heads of the ensemble that win at least 1 % of the views"),
+    Metric("alignment_inlier_share", "Views that agree on the frame", "%", ".1f", True,
+           "of validation, within 30° after the alignment"),
+    Metric("surface_threshold", "Surface threshold", "", ".3f",
+           hint="occupancy at which surfaces of voxel models are drawn"),
     Metric("loss", "Training loss", higher_is_better=False),
 )}
 # fmt: on

@@ -20,6 +20,15 @@ class SignalImages:
 
 
 @dataclass(frozen=True)
+class Neighbour:
+    """A shape that the network did not predict, shown beside one that it did."""
+
+    title: str  # what it is: "Nearest training shape"
+    points: np.ndarray  # [N, 3] object frame
+    chamfer: float  # times 100, to the true shape
+
+
+@dataclass(frozen=True)
 class Example:
     """One test view and its prediction."""
 
@@ -35,3 +44,19 @@ class Example:
     mesh: tuple[np.ndarray, ...] | None = None
     # By name: "silhouette", "depth", "color".
     signals: Mapping[str, SignalImages] = field(default_factory=dict)
+    group: str = ""  # of the examples that are shown together: "Worst", for instance
+    chamfer: float | None = None  # times 100; None without a true shape
+    overlap: float | None = None  # of silhouettes, intersection over union, 0 to 1
+    neighbours: tuple[Neighbour, ...] = ()
+
+
+@dataclass(frozen=True)
+class TrainingComparison:
+    """How predictions compare with what the training set has: means over test objects.
+
+    Chamfer distances times 100, by what is compared ("Prediction", for instance).
+    """
+
+    objects: int  # that were looked at
+    to_truth: Mapping[str, float]  # from the true shapes
+    to_prediction: Mapping[str, float]  # from the predicted ones

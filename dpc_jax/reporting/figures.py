@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
+from dpc_jax.evaluation.candidates import count_alive
 from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG, pose_summary
 from dpc_jax.reporting import style
@@ -19,28 +20,76 @@ _CURVES = {
     "pose_accuracy": "views within 30° (%)",
     "pose_median_error_deg": "degrees",
     "chamfer": "mean distance × 100",
+    "silhouette_iou": "of the images (%)",
+    "stray_points": "of a shape",
+    "candidates_alive": "win at least 1 % of the views",
     "loss": "loss (log scale)",
 }
 
 Records = Sequence[Mapping[str, Any]]
+Stages = Sequence[tuple[int, str]]
 
 
 def draw_curves(
-    records: Records | Mapping[str, Records], path: str | os.PathLike
+    records: Records | Mapping[str, Records],
+    path: str | os.PathLike,
+    *,
+    stages: Stages = (),
 ) -> Path:
-    """Error against run time: pose accuracy, median error, Chamfer distance and loss.
+    """What a run records over its run time, a panel for each measure that is recorded.
 
-    The records are lines of `metrics.jsonl` with `seconds`, or a mapping from names to
-    such lists, to compare runs. Values that are missing or not finite are not drawn.
+    Poses, shapes and the overlap of silhouettes are of validation, at one size of the
+    points and one grid; how many pose candidates are alive and the loss
+    are of training, where both change with its stages.
+
+    Args:
+      records: lines of `metrics.jsonl` with `seconds`, or a mapping from names to such
+        lists, to compare runs. Values that are missing or not finite are not drawn.
+      path: where to.
+      stages: the step that each stage of the schedule begins with and what is new in
+        it, drawn as vertical lines.
     """
     runs = records if isinstance(records, Mapping) else {"": records}
-    figure = style.make_figure(9.0, 6.0)
-    panels = style.make_panels(figure, len(_CURVES))
-    for axes, (metric, y_label) in zip(panels, _CURVES.items(), strict=True):
-        title = get_metric(metric).label
+    runs = {
+        name: [_count_alive(line) for line in lines] for name, lines in runs.items()
+    }
+    shown = [
+        m for m in _CURVES if any(_series(lines, m)[0].size for lines in runs.values())
+    ]
+    shown = shown or ["loss"]
+    figure = style.make_figure(9.0, 3.0 * -(-len(shown) // 2))
+    panels = style.make_panels(figure, len(shown))
+    latest = max(
+        (_series(lines, m)[0].max(initial=0) for m in shown for lines in runs.values()),
+        default=0.0,
+    )
+    for axes, metric in zip(panels, shown, strict=True):
+        title, y_label = get_metric(metric).label, _CURVES[metric]
         style.label_axes(axes, title=title, x_label="run time (s)", y_label=y_label)
         _draw_runs(axes, runs, metric)
+        axes.set_xlim(0.0, 1.03 * latest or 1.0)
+        if len(runs) == 1:
+            (lines,) = runs.values()
+            _mark_stages(axes, lines, stages, named=metric == shown[-1])
+    if len(runs) > 1:
+        _name_runs(figure, panels)
     return style.save_figure(figure, path)
+
+
+def _name_runs(figure, panels: Sequence[Axes]) -> None:
+    """One legend for all panels, below, where it covers nothing."""
+    named = {}
+    for axes in panels:
+        handles, labels = axes.get_legend_handles_labels()
+        named |= dict(zip(labels, handles, strict=True))
+    look = {"frameon": False, "fontsize": 8, "ncols": min(4, max(1, len(named)))}
+    figure.legend(named.values(), named.keys(), loc="outside lower center", **look)
+
+
+def _count_alive(line: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The record with the number of candidates alive, where it has their shares."""
+    shares = line.get("head_shares")
+    return line if shares is None else {**line, "candidates_alive": count_alive(shares)}
 
 
 def _draw_runs(axes: Axes, runs: Mapping[str, Records], metric: str) -> None:
@@ -52,20 +101,42 @@ def _draw_runs(axes: Axes, runs: Mapping[str, Records], metric: str) -> None:
         color = style.SERIES[index % len(style.SERIES)]
         if metric == "loss":
             _draw_loss(axes, seconds, values, color, name)
+        elif metric == "candidates_alive":
+            axes.step(seconds, values, where="post", color=color, lw=1.5, label=name)
         else:
-            axes.plot(seconds, factor * values, "o-", color=color, ms=3.5, label=name)
+            look = {"color": color, "ms": 3.5, "clip_on": False, "zorder": 3}
+            axes.plot(seconds, factor * values, "o-", label=name, **look)
     if not axes.lines:
         place = {"transform": axes.transAxes, "ha": "center", "color": style.MUTED}
         axes.text(0.5, 0.5, "not recorded", **place)
         axes.set(xticks=[], yticks=[])
         return
-    axes.set_xlim(left=0.0)
     if get_metric(metric).unit == "%":
         axes.set_ylim(0.0, 100.0)
     elif metric != "loss":
-        axes.set_ylim(bottom=0.0)
-    if len(runs) > 1:
-        axes.legend(frameon=False, fontsize=8)
+        axes.set_ylim(0.0, 1.08 * max(axes.dataLim.y1, 1e-9))
+    if metric == "candidates_alive":
+        axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
+
+
+def _mark_stages(axes: Axes, lines: Records, stages: Stages, *, named: bool) -> None:
+    """A vertical line where each stage but the first begins."""
+    pairs = [(r["step"], r["seconds"]) for r in lines if "step" in r and "seconds" in r]
+    if not pairs:
+        return
+    steps, seconds = np.array(sorted(pairs), np.float64).T
+    for step, label in stages:
+        if not 0 < step < steps[-1]:
+            continue
+        # The run time starts with the first step.
+        place = float(np.interp(step, [0, *steps], [0, *seconds]))
+        axes.axvline(place, color=style.MUTED, lw=0.9, ls=":", zorder=1)
+        if named:
+            text = {"fontsize": 7, "color": style.INK, "rotation": 90, "va": "top"}
+            where = (place, 0.98)
+            axes.annotate(
+                label, where, xycoords=("data", "axes fraction"), ha="right", **text
+            )
 
 
 def _series(lines: Records, key: str) -> tuple[np.ndarray, np.ndarray]:
@@ -97,7 +168,7 @@ def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
       ValueError: there are no errors, or one is not within 0 to 180 degrees.
     """
     accuracy, median, flips, counts, edges = pose_summary(errors_deg)
-    figure = style.make_figure(7.5, 3.6)
+    figure = style.make_figure(7.5, 3.8)
     axes = figure.subplots()
     axes.hist(edges[:-1], edges.tolist(), weights=counts, rwidth=0.9)
     limit = ACCURACY_THRESHOLD_DEG
@@ -116,7 +187,8 @@ def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
     )
     axes.set(xlim=(0.0, 180.0), xticks=range(0, 181, 30))
     axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
-    axes.legend(frameon=False, fontsize=9, loc="upper right")
+    # Below, because bars may be high anywhere.
+    figure.legend(frameon=False, fontsize=9, ncols=3, loc="outside lower center")
     return style.save_figure(figure, path)
 
 
@@ -142,7 +214,7 @@ def draw_candidates(shares: ArrayLike, path: str | os.PathLike) -> Path:
     )
     axes.xaxis.set_major_locator(MaxNLocator("auto", integer=True))
     axes.set_ylim(0.0, max(1.15 * percent.max(initial=0.0), 1.0))
-    axes.legend(frameon=False, fontsize=9)
+    figure.legend(frameon=False, fontsize=9, loc="outside lower center")
     return style.save_figure(figure, path)
 
 

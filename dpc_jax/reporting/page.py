@@ -1,12 +1,12 @@
 """The report of a run: one HTML page that opens anywhere, with its data beside it."""
 
-import base64
+import functools
 import html
 import json
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,57 +16,10 @@ from numpy.typing import ArrayLike
 from dpc_jax.evaluation import metrics as registry
 from dpc_jax.files import write_text
 from dpc_jax.reporting import export, figures, gallery, signals
-from dpc_jax.reporting.examples import Example
-
-_NAMED = 30  # objects
-_CAPTIONS = {
-    "curves": (
-        "Error against run time",
-        "Validation during training over seconds of wall clock. Accuracy should climb "
-        "and the others fall; a curve that is still moving at its right end asks for "
-        "more steps, and an accuracy that settles near 50 % hints at flipped poses.",
-    ),
-    "predictions": (
-        "Predictions on test inputs",
-        "Each row is one view the network never trained on. In the difference, red is "
-        "predicted but not there and blue is missing. The shape is turned to two fixed "
-        "directions, whatever the input's; darker points, or stronger colours, are "
-        "nearer.",
-    ),
-    "signals": (
-        "Rendered images",
-        "Each signal as the data have it, as the prediction looks from its predicted "
-        "pose, and the difference: red is too large or too far, blue too small or too "
-        "near, and for colours the brighter, the more they differ.",
-    ),
-    "pose_errors": (
-        "Pose errors",
-        "The angle between predicted and true pose over all test views. Good poses "
-        "pile up at the left, blue bars count as accurate; a second pile near 180° are "
-        "views with front and back exchanged.",
-    ),
-    "candidates": (
-        "Pose candidates",
-        "How often each member of the pose ensemble explains a view best. Grey bars "
-        "win less than 1 % and have stopped learning; with a single bar left the "
-        "ensemble works like one regressor.",
-    ),
-}
-_STYLE = """
-body{font:16px/1.5 system-ui,sans-serif;color:#22303c;background:#fff;margin:0 auto;
-max-width:62rem;padding:1rem}
-h1{font-size:1.6rem;margin:.5rem 0 1rem}h2{font-size:1.2rem;margin:2rem 0 .3rem}
-p{margin:.3rem 0 .8rem;max-width:46rem}.hint{color:#5f6c77;font-size:.9rem}
-.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(9.5rem,1fr));gap:.6rem}
-.tile{background:#f3f6f9;border-radius:.5rem;padding:.6rem .8rem}
-.tile b{display:block;font-size:1.5rem}.tile span{display:block;font-size:.82rem}
-.warning{background:#fff4e5;border-left:.3rem solid #e0a030;padding:.5rem .8rem}
-.wide{overflow-x:auto}img{max-width:100%;height:auto}.large img{min-width:34rem}
-table{border-collapse:collapse;font-size:.92rem}
-td,th{padding:.25rem .8rem .25rem 0;text-align:left;border-bottom:1px solid #e6eaee}
-td:nth-child(2){text-align:right;font-variant-numeric:tabular-nums}
-pre{background:#f3f6f9;padding:.8rem;overflow-x:auto;font-size:.8rem}
-"""
+from dpc_jax.reporting.azimuth_figures import ViewPoses, draw_azimuths
+from dpc_jax.reporting.examples import Example, TrainingComparison
+from dpc_jax.reporting.web import cards, sections, viewer
+from dpc_jax.reporting.web.markup import embed_chart, make_table, read_asset
 
 
 def write_report(
@@ -75,25 +28,34 @@ def write_report(
     title: str,
     metrics: Mapping[str, Any],
     records: Sequence[Mapping] | Mapping[str, Sequence[Mapping]] = (),
+    stages: figures.Stages = (),
     examples: Sequence[Example] = (),
+    ranking: str = "",
     pose_errors: ArrayLike | None = None,
+    view_poses: ViewPoses | None = None,
     lost: Sequence[str] = (),
+    comparison: TrainingComparison | None = None,
     shares: ArrayLike | None = None,
     warnings: Sequence[str] = (),
     config_text: str = "",
 ) -> Path:
     """Write `metrics.json`, figures, point clouds and `index.html`; returns its path.
 
-    The page holds its figures inside and needs no network; the point clouds lie in
-    `points/` and are linked. A section whose data are missing is left out. Files are
-    replaced one by one, each whole; files of other names are left alone.
+    The page holds its figures and scripts inside and needs no network; the point clouds
+    lie in `points/` and are linked. A section whose data are missing is left out. Files
+    are replaced one by one, each whole; files of other names are left alone.
 
     Args:
       metrics: numbers, words or None by name, at least those of `REQUIRED_METRICS`
         (None where one does not apply). Distances times 100. NaN becomes null.
       records: lines of `metrics.jsonl`, or such lists by run name.
+      stages: first step of each stage of the schedule and what is new in it.
+      examples: views to show, those of a group one after the other.
+      ranking: how they were chosen, a sentence.
       pose_errors: errors of the test views in degrees, any shape.
+      view_poses: where the test views are taken from, and said to be.
       lost: names of objects that are wrong in all their views.
+      comparison: of the predictions with what the training set has.
       shares: [K] share of views that each candidate wins.
       warnings: sentences for the top of the page.
       config_text: the configuration, shown as it is.
@@ -105,31 +67,44 @@ def write_report(
     values = _plain_metrics(metrics)
     text = json.dumps(values, indent=2, sort_keys=True, allow_nan=False) + "\n"
     write_text(folder / "metrics.json", text)
-
-    drawings: list[tuple[str, Callable[..., Path], Any]] = [
-        ("curves", figures.draw_curves, records or None),
-        ("predictions", gallery.draw_predictions, examples or None),
-        ("signals", signals.draw_signals, _list_with_signals(examples)),
-        ("pose_errors", figures.draw_pose_errors, pose_errors),
-        ("candidates", figures.draw_candidates, shares),
-    ]
-    sections = []
-    for name, draw, data in drawings:
-        if data is not None:
-            sections.append(_embed_figure(name, draw(data, folder / f"{name}.png")))
-            if name == "predictions":
-                sections.append(_write_clouds(examples, folder / "points"))
-            if name == "pose_errors":
-                sections.append(_describe_failures(values, lost))
-    sections.append(_list_metrics(values))
+    parts = []
+    if examples:
+        # One picture of all, for other pages; this one shows them larger.
+        gallery.draw_predictions(examples, folder / "predictions.png")
+        parts += [
+            viewer.show_clouds(examples),
+            sections.introduce("predictions", ranking),
+            cards.show_examples(examples),
+            _write_clouds(examples, folder / "points"),
+        ]
+    parts.append(_draw(folder, "pose_errors", figures.draw_pose_errors, pose_errors))
+    parts.append(_draw(folder, "azimuths", draw_azimuths, view_poses))
+    if pose_errors is not None:
+        parts.append(sections.describe_failures(values, lost))
+    if comparison:
+        parts.append(sections.introduce("training_shapes"))
+        parts.append(sections.compare_with_training(comparison))
+    draw_curves = functools.partial(figures.draw_curves, stages=stages)
+    parts.append(_draw(folder, "curves", draw_curves, records or None))
+    parts.append(_draw(folder, "candidates", figures.draw_candidates, shares))
+    shown = _list_with_signals(examples)
+    parts.append(_draw(folder, "signals", signals.draw_signals, shown, is_photo=True))
+    parts.append(sections.list_metrics(values))
     if config_text:
-        sections.append(
-            "<h2>Configuration</h2><details><summary>Show the settings of this run"
-            f"</summary><pre>{html.escape(config_text)}</pre></details>"
-        )
-    return write_text(
-        folder / "index.html", _assemble(title, values, warnings, sections)
-    )
+        parts.append(sections.show_config(config_text))
+    if examples:
+        parts.append(viewer.embed_scripts(examples))
+    page = _assemble(title, values, warnings, parts)
+    return write_text(folder / "index.html", page)
+
+
+def _draw(folder, name, draw, data, *, is_photo: bool = False) -> str:
+    """A section with a figure; "" where there are no data for it."""
+    if data is None:
+        return ""
+    path = draw(data, folder / f"{name}.png")
+    title, _ = sections.CAPTIONS[name]
+    return sections.introduce(name) + embed_chart(path, title, is_photo=is_photo)
 
 
 def _list_with_signals(examples: Sequence[Example]) -> list[Example] | None:
@@ -161,76 +136,24 @@ def _plain_metrics(metrics: Mapping[str, Any]) -> dict[str, Any]:
     return plain
 
 
-def _assemble(title, values, warnings, sections) -> str:
+def _assemble(title, values, warnings, parts) -> str:
     """The page: warnings, the headline metrics as tiles, then the sections."""
     notes = "".join(f'<p class="warning">{html.escape(note)}</p>' for note in warnings)
+    shown = (*registry.HEADLINE_METRICS, "silhouette_iou")  # known of every set
     tiles = ""
-    for name in registry.HEADLINE_METRICS:
+    for name in registry.order_metrics(n for n in shown if values.get(n) is not None):
         value = html.escape(registry.format_metric(name, values[name]))
         heading = html.escape(registry.get_metric(name).heading)
         tiles += f'<div class="tile"><b>{value}</b><span>{heading}</span></div>'
     title = html.escape(title)
+    style = read_asset("page.css")
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{title}</title><style>{_STYLE}</style></head>\n<body>"
+        f"<title>{title}</title><style>{style}</style></head>\n<body>"
         f'<h1>{title}</h1>\n{notes}<div class="tiles">{tiles}</div>\n'
-        f"{''.join(sections)}</body></html>\n"
+        f"{''.join(parts)}</body></html>\n"
     )
-
-
-def _embed_figure(name: str, path: Path) -> str:
-    """A figure inside the page, under its title and a sentence on how to read it."""
-    title, caption = _CAPTIONS[name]
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
-    # Small print would be lost on a phone: the detailed figures scroll sideways there.
-    kind = "wide large" if name in ("curves", "predictions", "signals") else "wide"
-    return (
-        f"<h2>{html.escape(title)}</h2><p>{html.escape(caption)}</p>"
-        f'<div class="{kind}"><img alt="{html.escape(title)}" '
-        f'src="data:image/png;base64,{data}"></div>\n'
-    )
-
-
-def _list_metrics(values: Mapping[str, Any]) -> str:
-    rows = []
-    for name in registry.order_metrics(values):
-        metric = registry.get_metric(name)
-        hint = metric.hint
-        if hint and metric.higher_is_better is not None:
-            hint += f"; {'higher' if metric.higher_is_better else 'lower'} is better"
-        value = registry.format_metric(name, values[name])
-        heading, value, hint = map(html.escape, (metric.heading, value, hint))
-        rows.append((heading, value, f'<span class="hint">{hint}</span>'))
-    return (
-        "<h2>All metrics</h2><p>Of the test split; the same numbers, unrounded and "
-        'with shares from 0 to 1, are in <a href="metrics.json">metrics.json</a>.</p>'
-        + _make_table(rows)
-    )
-
-
-def _describe_failures(values: Mapping[str, Any], lost: Sequence[str]) -> str:
-    """What the wrong views are, and which objects are wrong in all of theirs."""
-    names = (
-        "wrong_half_turn_share",
-        "wrong_mirror_share",
-        "truth_cheaper_share",
-        "wrong_object_share",
-    )
-    rows = [
-        (
-            html.escape(registry.get_metric(name).heading),
-            html.escape(registry.format_metric(name, values[name])),
-            f'<span class="hint">{html.escape(registry.get_metric(name).hint)}</span>',
-        )
-        for name in names
-        if values.get(name) is not None
-    ]
-    text = f"<h3>What the wrong views are</h3>{_make_table(rows)}" if rows else ""
-    if lost:
-        shown = ", ".join(lost[:_NAMED]) + (", ..." if len(lost) > _NAMED else "")
-        text += f"<p>Wrong in all views: {html.escape(shown)}.</p>"
-    return text
 
 
 def _write_clouds(examples: Sequence[Example], folder: Path) -> str:
@@ -239,14 +162,12 @@ def _write_clouds(examples: Sequence[Example], folder: Path) -> str:
     for example in examples:
         stem = _file_name(example.name, taken)
         write_files(example, folder / stem)
-        error = example.pose_error_deg
-        error_text = registry.MISSING if error is None else f"{error:.1f}°"
         links = [f'<a href="points/{stem}.{k.lower()}">{k}</a>' for k in ("GLB", "PLY")]
-        rows.append((html.escape(example.name), error_text, *links))
+        rows.append((html.escape(viewer.name_example(example)), " ".join(links)))
     return (
-        "<p>The same shapes as files: GLB opens in any 3D viewer, PLY in point cloud "
-        "tools; both are in the object frame of the data set.</p>"
-        + _make_table(rows, heads=("Example", "Pose error", "", ""))
+        "<details><summary>The same shapes as files</summary><p>GLB opens in any 3D "
+        "viewer, PLY in point cloud tools; both are in the object frame of the data "
+        f"set.</p>{make_table(rows)}</details>\n"
     )
 
 
@@ -258,14 +179,6 @@ def write_files(example: Example, stem: Path):
         export.write_surface(glb, *example.mesh)
     else:
         export.write_glb(glb, example.points, example.colors)
-
-
-def _make_table(rows: Iterable[Sequence[str]], heads: Sequence[str] = ()) -> str:
-    """A table of cells that are HTML; the second column holds numbers."""
-    lines = ["".join(f"<th>{head}</th>" for head in heads)] if heads else []
-    lines += ["".join(f"<td>{cell}</td>" for cell in row) for row in rows]
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    return f'<div class="wide"><table>{body}</table></div>\n'
 
 
 def _file_name(name: str, taken: set[str]) -> str:

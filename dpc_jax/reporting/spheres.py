@@ -26,6 +26,8 @@ def draw_spheres(
     view_deg: tuple[float, float],
     radius: ArrayLike = 0.012,
     size: int = 320,
+    fade_to: ArrayLike = (1.0, 1.0, 1.0),
+    is_clear: bool = False,
 ) -> np.ndarray:
     """Picture uint8 [size, size, 3] of points as spheres, on white, orthographic.
 
@@ -35,6 +37,8 @@ def draw_spheres(
       view_deg: azimuth and elevation, as of `gallery.view_points`.
       radius: of the spheres in object units, one or [N].
       size: of the picture's side, pixels.
+      fade_to: colour that far spheres fade to, 0 to 1.
+      is_clear: the picture has no background but a fourth channel, its opacity.
     """
     seen = view_points(np.asarray(points), view_deg)
     order = np.argsort(seen[:, 2], kind="stable")  # painter's order: far first
@@ -43,14 +47,21 @@ def draw_spheres(
     # The far ones fade, as in the other pictures of clouds.
     fade = _FADE * (1.0 - _find_nearness(seen))
     faded = np.asarray(colors, float)[order]
-    faded = faded + (1.0 - faded) * fade
+    faded = faded + (np.asarray(fade_to) - faded) * fade
 
     side = _FINER * size
     scale = side / (2 * _REACH)  # pixels in an object unit
     pixels, shades = _cover_pixels(seen, faded, radii, scale, side)
-    picture = np.ones((side * side, 3), np.float32)
-    picture[pixels] = shades  # of several for one pixel the last one stays: the nearest
-    fine = picture.reshape(size, _FINER, size, _FINER, 3).mean(axis=(1, 3))
+    picture = np.ones((side * side, 4), np.float32)
+    picture[:, 3] = 0.0
+    # Of several for one pixel the last one stays: the nearest.
+    picture[pixels] = np.concatenate([shades, np.ones((len(shades), 1))], axis=1)
+    if is_clear:  # what is clear has no colour to mix in
+        picture[:, :3] *= picture[:, 3:]
+    fine = picture.reshape(size, _FINER, size, _FINER, 4).mean(axis=(1, 3))
+    if not is_clear:
+        return np.rint(255 * fine[..., :3]).astype(np.uint8)
+    fine[..., :3] /= np.maximum(fine[..., 3:], 1e-6)
     return np.rint(255 * fine).astype(np.uint8)
 
 

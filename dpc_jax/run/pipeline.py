@@ -36,7 +36,7 @@ from dpc_jax.run.process import (
     keep_freed_memory,
     split_cores,
 )
-from dpc_jax.run.report import report_run
+from dpc_jax.run.report.summary import report_run
 from dpc_jax.run.setup import load_sets, make_network
 from dpc_jax.run.workdir import claim_workdir, hold_workdir, make_workdir
 from dpc_jax.run.writers import SharedCheckpoints, SilentLog

@@ -56,15 +56,21 @@ def read_threshold(workdir: Path) -> float:
 
 
 def find_surface(
-    predictions: Predictions, row: int, threshold: float, alignment: Alignment
+    predictions: Predictions,
+    row: int,
+    threshold: float,
+    alignment: Alignment,
+    *,
+    place: int = 0,
 ) -> tuple[np.ndarray, ...] | None:
-    """Vertices [V, 3] and faces [F, 3] of a row's first view; None where there is none.
+    """Vertices [V, 3] and faces [F, 3] of a row's view; None where there is none.
 
     Args:
+      place: of the view in its row.
       alignment: from the network's frame, in which the cells are, to the data's.
     """
     assert predictions.cells is not None
-    vertices, faces = extract_surface(predictions.cells[row, 0], threshold)
+    vertices, faces = extract_surface(predictions.cells[row, place], threshold)
     if not len(faces):
         return None
     return align_points(alignment, vertices), faces

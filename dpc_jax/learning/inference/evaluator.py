@@ -59,12 +59,12 @@ def score(
 ) -> tuple[scores.Scores, np.ndarray]:
     """Scores of predictions and the share of views that each head wins.
 
-    Metrics that need a truth which the data set lacks are left out. Such a set gets
-    `silhouette_iou` instead: the mean overlap of predicted silhouettes with the masks,
-    from 0 to 1. Where the data say which part of a surface can be seen, distances from
-    and to that part have the prefix `visible_`. Every set gets `projection_error`: the
-    mean squared difference per pixel of predicted silhouettes and masks, both averaged
-    to 32×32 pixels; and `stray_points`, how many a predicted shape has in the mean.
+    Metrics that need a truth which the data set lacks are left out. Where the data say
+    which part of a surface can be seen, distances from and to that part have the prefix
+    `visible_`. Every set gets `silhouette_iou`, the mean overlap of predicted
+    silhouettes with the masks from 0 to 1; `projection_error`, the mean squared
+    difference of the two per pixel, both averaged to 32×32 pixels; and `stray_points`,
+    how many a predicted shape has in the mean.
 
     Args:
       heads: K, of the ensemble; 0 where poses are known.
@@ -84,14 +84,12 @@ def score(
         chamfer_views=chamfer_views,
         seen=arrange_seen(dataset),
     )
-    if poses is None or surfaces is None:
-        overlap = measure_overlap(predictions, dataset)
-        result = result._replace(metrics=result.metrics | {"silhouette_iou": overlap})
     clouds = np.asarray(predictions.points)[:, :chamfer_views]
     stray = [
         count_stray_points(clouds[index]) for index in np.ndindex(clouds.shape[:2])
     ]
     found = {
+        "silhouette_iou": float(measure_overlaps(predictions, dataset).mean()),
         "projection_error": measure_projection_error(predictions, dataset),
         "stray_points": float(np.mean(stray)),
     }
@@ -132,16 +130,16 @@ def measure_projection_error(predictions: Predictions, dataset: DataSet) -> floa
     return float(np.mean(errors))
 
 
-def measure_overlap(predictions: Predictions, dataset: DataSet) -> float:
-    """Mean intersection over union of soft silhouettes with the masks."""
+def measure_overlaps(predictions: Predictions, dataset: DataSet) -> np.ndarray:
+    """Intersection over union [n, V] of soft silhouettes with the masks, 0 to 1."""
     models, views = arrange_views(dataset)
     side = predictions.silhouettes.shape[-1]
-    overlaps = []
+    overlaps = np.empty(models.shape)
     for index in np.ndindex(models.shape):
         mask = np.asarray(dataset.masks[models[index], views[index]]) / 255.0
         step = mask.shape[0] // side
         target = mask.reshape(side, step, side, step).mean(axis=(1, 3))
         seen = predictions.silhouettes[index]
         union = np.maximum(seen, target).sum()
-        overlaps.append(np.minimum(seen, target).sum() / max(union, 1e-9))
-    return float(np.mean(overlaps))
+        overlaps[index] = np.minimum(seen, target).sum() / max(union, 1e-9)
+    return overlaps

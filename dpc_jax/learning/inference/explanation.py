@@ -49,6 +49,7 @@ def explain_view(
     target: jax.Array,
     own: dict[str, Any],
     *,
+    shown: dict[str, jax.Array],
     config: Config,
 ) -> tuple[dict[str, jax.Array], jax.Array]:
     """Images of a shape from the student's pose, and the best candidate's index.
@@ -62,6 +63,7 @@ def explain_view(
       student: [4]. candidates: [C, 4]. target: [D, D] silhouette.
       own: what the view has of its own: translation [3], focal_length (), others
         {signal: target}.
+      shown: the scene of the images, where its sizes are not those of the comparison.
 
     Returns:
       ({"silhouettes", "depths", "color_images"} in the finest grid that training
@@ -73,10 +75,10 @@ def explain_view(
     is_asked = {
         "silhouette": True,
         "depth": not config.data.images or bool(config.data.test_meshes),
-        "color": "colors" in scene,
+        "color": "colors" in shown,
     }
     image = render_scene(
-        resize_scene(scene, side / render.grid),
+        resize_scene(shown, side / render.grid),
         student,
         translation=own.get("translation"),
         camera=camera,

@@ -40,7 +40,8 @@ class Predictions(NamedTuple):
       poses: [M, V, 4], the student's quaternion; the given one where poses are known.
       candidate_poses: [M, V, 4], the candidate, turned or not, that fits the view best.
       winners: [M, V] its index; of head index % K, whether turned or not.
-      silhouettes: [M, V, D, D], the shape seen from the student's pose.
+      silhouettes: [M, V, D, D], the shape seen from the student's pose, its points of
+        the size that the schedule ends with.
       depths: [M, V, D, D], color_images: [M, V, D, D, 3] of the same render; None for
         data without depths, and where no colours are learned.
       translations: [M, V, 3], focal_lengths: [M, V] as predicted; None where they are
@@ -81,8 +82,12 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
         with sharing_columns(devices.AXIS):
             output = network.apply(state.params, scale_images(images))
         assert isinstance(output, dict)
-        sigma = schedules.compute_sigma(state.step, render, steps=config.train.steps)
+        steps = config.train.steps
+        sigma = schedules.compute_sigma(state.step, render, steps=steps)
         scene, shared = find_scenes(output, sigma, render=render)
+        # Images have the size that the schedule ends with: they compare over training.
+        last = schedules.compute_sigma(steps, render, steps=steps)
+        shown, shown_shared = find_scenes(output, last, render=render)
         candidates, students = quaternions[:, None], quaternions
         if not pose.known:
             poses = complete_poses(output, state.covariance, pose=pose)
@@ -96,10 +101,10 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
             output["sizes"] = scene["sigma"]
 
         def explain(view):
-            scene, student, given, candidates, target, own = view
-            scene = scene | shared
+            scene, shown, student, given, candidates, target, own = view
+            scene, shown = scene | shared, shown | shown_shared
             images, winner = explain_view(
-                scene, student, candidates, target, own, config=config
+                scene, student, candidates, target, own, shown=shown, config=config
             )
             if not pose.known:
                 both = jnp.stack([student, given])
@@ -109,7 +114,7 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
 
         rendered, winners = map_renders(
             explain,
-            (scene, students, quaternions, candidates, targets, own),
+            (scene, shown, students, quaternions, candidates, targets, own),
             renders_at_once=render.renders_at_once,
         )
         if "maps" in output:

@@ -1,4 +1,4 @@
-"""What a finished run reports: scores of its test sets, figures, examples."""
+"""What a finished run reports: scores of its test sets, costs, warnings, the page."""
 
 import resource
 from pathlib import Path
@@ -8,24 +8,23 @@ import numpy as np
 from dpc_jax.config import Config, to_config_dict
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation import candidates as candidate_use
-from dpc_jax.evaluation.alignment import Alignment, align_points
+from dpc_jax.evaluation.alignment import Alignment
 from dpc_jax.evaluation.failures import Failures
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
+from dpc_jax.learning import schedules
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.learning.inference.view_images import (
     MEASURES,
     measure_cameras,
     measure_images,
-    read_view,
 )
 from dpc_jax.learning.training.loop import Outcome
-from dpc_jax.reporting.examples import Example, SignalImages
 from dpc_jax.reporting.page import write_report
+from dpc_jax.run.report.examples import choose_examples, list_view_poses
+from dpc_jax.run.report.training_shapes import TrainingShapes, compare
 from dpc_jax.run.setup import collect_warnings
 from dpc_jax.run.workdir import write_alignment
-
-EXAMPLES = 8  # test inputs shown in the report
 
 
 def report_run(
@@ -85,21 +84,30 @@ def report_run(
     if threshold is not None:
         metrics["surface_threshold"] = threshold
     warnings = list_warnings(config, sets, shares if heads > 1 else None)
+    shapes = TrainingShapes.gather(sets)
+    examples, ranking = choose_examples(
+        predictions["test"],
+        sets["test"],
+        alignment,
+        result,
+        shapes=shapes,
+        distance=config.render.distance,
+        threshold=threshold,
+    )
     path = write_report(
         workdir / "report",
         title=f"dpc_jax: {workdir.name}",
         metrics=metrics,
         records=records,
-        examples=_make_examples(
-            predictions["test"],
-            sets["test"],
-            alignment,
-            result,
-            distance=config.render.distance,
-            threshold=threshold,
-        ),
+        stages=list_stages(config),
+        examples=examples,
+        ranking=ranking,
         pose_errors=result.pose_errors_deg,  # None: no such figure
+        view_poses=list_view_poses(
+            predictions["test"], sets["test"], alignment, result, failures
+        ),
         lost=_name_lost(failures, sets["test"]),
+        comparison=compare(predictions["test"], sets["test"], alignment, shapes),
         shares=shares if heads > 1 else None,
         warnings=warnings,
         config_text=str(to_config_dict(config)),
@@ -157,14 +165,38 @@ def list_warnings(
     if shares is not None:
         warning = candidate_use.collapse_warning(shares)
         warnings += [warning] if warning else []
-    for text, pairs in (
-        ("models were skipped", [s for data in sets.values() for s in data.skipped]),
-        ("remarks on the data", [r for data in sets.values() for r in data.remarks]),
+    for one, many, pairs in (
+        (
+            "1 model was skipped",
+            "{} models were skipped",
+            [s for data in sets.values() for s in data.skipped],
+        ),
+        (
+            "1 remark on the data",
+            "{} remarks on the data",
+            [r for data in sets.values() for r in data.remarks],
+        ),
     ):
         if pairs:
+            text = one if len(pairs) == 1 else many.format(len(pairs))
             named = "; ".join(f"{name}: {reason}" for name, reason in pairs[:10])
-            warnings.append(f"{len(pairs)} {text} ({named}).")
+            warnings.append(f"{text} ({named}).")
     return warnings
+
+
+def list_stages(config: Config) -> list[tuple[int, str]]:
+    """The first step of each stage of the schedule, and what is new in it."""
+    spans = schedules.list_spans(config.render, steps=config.train.steps)
+    stages = []
+    for before, span in zip((None, *spans), spans, strict=False):
+        old = before.stage if before else None
+        points, side = span.stage.kept_points, span.stage.grid
+        new = [f"{points} points"] if not old or old.kept_points != points else []
+        new += [f"{side}³ cells"] if not old or old.grid != side else []
+        if old and old.fixed_views and not span.stage.fixed_views:
+            new.append("free views")
+        stages.append((span.start, ", ".join(new)))
+    return stages
 
 
 def _name_left_out(dataset) -> list[str]:
@@ -180,43 +212,3 @@ def _name_left_out(dataset) -> list[str]:
             "coverage are left out."
         ]
     return []
-
-
-def _make_examples(
-    predictions, dataset, alignment, result, *, distance, threshold
-) -> list[Example]:
-    """The first views of test models spread over the split."""
-    models, views = arrange_views(dataset)
-    errors, colors = result.pose_errors_deg, predictions.colors
-    examples = []
-    for row in np.linspace(0, len(models) - 1, min(EXAMPLES, len(models))).astype(int):
-        model, view = models[row, 0], views[row, 0]
-        surfaces, mesh = dataset.surfaces, None
-        if threshold is not None:
-            from dpc_jax.run.surfaces import find_surface  # needs libraries of its own
-
-            mesh = find_surface(predictions, row, threshold, alignment)
-        seen = read_view(predictions, dataset, row, 0, distance=distance)
-        examples.append(
-            Example(
-                name=dataset.names[model],
-                image=np.asarray(dataset.images[model, view]),
-                target=np.asarray(dataset.masks[model, view]) / 255,
-                predicted=predictions.silhouettes[row, 0],
-                points=align_points(alignment, predictions.points[row, 0]),
-                colors=None if colors is None else colors[row, 0],
-                pose_error_deg=None if errors is None else float(errors[row, 0]),
-                mesh=mesh,
-                surface=None if surfaces is None else np.asarray(surfaces[model]),
-                signals={
-                    name: SignalImages(
-                        seen.targets[name],
-                        image,
-                        seen.mask,
-                        seen.rendered["silhouette"],
-                    )
-                    for name, image in seen.rendered.items()
-                },
-            )
-        )
-    return examples

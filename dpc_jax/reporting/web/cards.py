@@ -1,0 +1,103 @@
+"""Test views one by one: input, silhouettes, and shaded pictures of the shapes."""
+
+import html
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib import colormaps
+from numpy.typing import ArrayLike
+
+from dpc_jax.evaluation.metrics import format_metric
+from dpc_jax.reporting.examples import Example
+from dpc_jax.reporting.gallery import FRONT, silhouette_difference
+from dpc_jax.reporting.spheres import draw_spheres
+from dpc_jax.reporting.web.markup import embed_picture
+
+_REAR = (-130.0, 20.0)  # azimuth and elevation in degrees: back and right side
+_SIDE = 400  # pixels of a picture
+_SHOWN = 3000  # points of a true shape
+_FADE = (0.75, 0.79, 0.83)  # what is far fades to it; seen on white and on black
+_PREDICTED, _OTHER = (0.22, 0.50, 0.75), (0.62, 0.66, 0.70)
+
+
+def show_examples(examples: Sequence[Example]) -> str:
+    """A card for each example, under the headings of their groups."""
+    text, numbered = "", enumerate(examples)
+    for group, members in itertools.groupby(numbered, lambda pair: pair[1].group):
+        text += f"<h3>{html.escape(group)}</h3>" if group else ""
+        text += "".join(_show_example(example, index) for index, example in members)
+    return text
+
+
+def describe_example(example: Example) -> str:
+    """Its errors in a line; "" where none is known."""
+    found = (
+        ("pose error", "pose_median_error_deg", example.pose_error_deg, "°"),
+        ("Chamfer distance", "chamfer", example.chamfer, ""),
+        ("silhouette overlap", "silhouette_iou", example.overlap, " %"),
+    )
+    return " · ".join(
+        f"{label} {format_metric(metric, value)}{unit}"
+        for label, metric, value, unit in found
+        if value is not None
+    )
+
+
+def _show_example(example: Example, index: int) -> str:
+    pair = embed_picture(np.asarray(example.image), "Input")
+    difference = silhouette_difference(example.predicted, example.target)
+    shade = np.rint(255 * colormaps["RdBu_r"]((difference + 1) / 2)[..., :3])
+    pair += embed_picture(
+        shade.astype(np.uint8), "Silhouettes: red too much, blue missing"
+    )
+    pictures = f'<div class="pair">{pair}</div>'
+    cloud, colors = example.points, _PREDICTED
+    if example.colors is not None:
+        colors = np.asarray(example.colors, float)
+        colors /= 255 if np.asarray(example.colors).dtype == np.uint8 else 1
+    note = _note_chamfer(example.chamfer)
+    pictures += _picture(cloud, colors, FRONT, "Predicted", note)
+    if example.surface is None:
+        pictures += _picture(cloud, colors, _REAR, "Predicted, from behind")
+    else:
+        surface = np.asarray(example.surface)
+        rows = np.linspace(0, len(surface) - 1, min(_SHOWN, len(surface))).astype(int)
+        pictures += _picture(surface[rows], _OTHER, FRONT, "True")
+    for neighbour in example.neighbours:
+        note = _note_chamfer(neighbour.chamfer)
+        shape = neighbour.points, _OTHER, FRONT, neighbour.title
+        pictures += _picture(*shape, note)
+    facts = html.escape(describe_example(example))
+    return (
+        f'<article class="card"><header><b>{html.escape(example.name)}</b>'
+        f'<span class="hint">{facts}</span>'
+        f'<button data-turn="{index}">Turn it</button></header>'
+        f'<div class="pictures">{pictures}</div></article>\n'
+    )
+
+
+def _note_chamfer(value: float | None) -> str:
+    return "" if value is None else f": {format_metric('chamfer', value)}"
+
+
+def _picture(
+    points: ArrayLike,
+    colors: ArrayLike,
+    view_deg: tuple[float, float],
+    title: str,
+    note: str = "",
+) -> str:
+    points = np.asarray(points)
+    colors = np.broadcast_to(np.asarray(colors, float), points.shape)
+    radius = 0.013 * np.clip(np.sqrt(2000 / len(points)), 0.5, 3.0)
+    drawn = draw_spheres(
+        points,
+        np.clip(colors, 0, 1),
+        view_deg=view_deg,
+        radius=radius,
+        size=_SIDE,
+        fade_to=_FADE,
+        is_clear=True,
+    )
+    return embed_picture(drawn, title, note)

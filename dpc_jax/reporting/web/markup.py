@@ -1,0 +1,73 @@
+"""Pieces of HTML: tables, charts and pictures that lie inside the page."""
+
+import base64
+import html
+import io
+from collections.abc import Iterable, Sequence
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+
+def read_asset(name: str) -> str:
+    """The text of a style sheet or script of this folder."""
+    folder = resources.files("dpc_jax.reporting.web")
+    return folder.joinpath(name).read_text(encoding="utf-8")
+
+
+def make_table(
+    rows: Iterable[Sequence[str]], heads: Sequence[str] = (), *, kind: str = ""
+) -> str:
+    """A table of cells that are HTML; the second column holds numbers.
+
+    Args:
+      kind: class of the table; "numbers" where all columns after the first hold some.
+    """
+    lines = ["".join(f"<th>{head}</th>" for head in heads)] if heads else []
+    lines += ["".join(f"<td>{cell}</td>" for cell in row) for row in rows]
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    named = f' class="{kind}"' if kind else ""
+    return f'<div class="wide"><table{named}>{body}</table></div>\n'
+
+
+def show_hint(text: str) -> str:
+    """A remark in small print."""
+    return f'<span class="hint">{html.escape(text)}</span>'
+
+
+def embed_chart(path: Path, title: str, *, is_photo: bool) -> str:
+    """A PNG inside the page; on a phone it scrolls sideways, or its print is lost.
+
+    Args:
+      title: for those who cannot see it.
+      is_photo: whether it has images, which stay as they are in dark mode; as WebP
+        they take a tenth of the bytes.
+    """
+    if is_photo:
+        with Image.open(path) as picture:
+            source, kind = _pack(picture.convert("RGB")), ""
+    else:
+        data = base64.b64encode(path.read_bytes()).decode("ascii")
+        source, kind = f"data:image/png;base64,{data}", ' class="chart"'
+    title = html.escape(title)
+    return f'<div class="wide"><img{kind} alt="{title}" src="{source}"></div>\n'
+
+
+def embed_picture(picture: np.ndarray, title: str, caption: str = "") -> str:
+    """A picture uint8 [H, W, 3 or 4] with a caption that is HTML."""
+    source = _pack(Image.fromarray(picture))
+    height, width = picture.shape[:2]
+    title = html.escape(title)
+    return (
+        f'<figure><img alt="{title}" width="{width}" height="{height}" loading="lazy" '
+        f'src="{source}"><figcaption>{title}{caption}</figcaption></figure>'
+    )
+
+
+def _pack(picture: Image.Image) -> str:
+    """A picture as a source of `img`: WebP, which can be clear."""
+    buffer = io.BytesIO()
+    picture.save(buffer, format="WEBP", quality=82, method=4)
+    return f"data:image/webp;base64,{base64.b64encode(buffer.getvalue()).decode()}"

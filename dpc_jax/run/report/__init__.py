@@ -1,0 +1,1 @@
+"""The report of a finished run: what is measured for it, and what it shows."""

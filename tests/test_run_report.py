@@ -1,0 +1,150 @@
+"""What a report shows of a run: which views, beside which shapes, which stages."""
+
+import numpy as np
+import pytest
+from tiny_runs import make_dataset, random_quaternions, tiny_config
+
+from dpc_jax.evaluation.alignment import identity_alignment
+from dpc_jax.evaluation.failures import find_failures
+from dpc_jax.learning.inference import evaluator
+from dpc_jax.learning.inference.predictor import Predictions
+from dpc_jax.run.report.examples import (
+    choose_examples,
+    choose_views,
+    list_view_poses,
+)
+from dpc_jax.run.report.summary import list_stages, list_warnings
+from dpc_jax.run.report.training_shapes import TrainingShapes, compare
+
+
+def test_worst_median_and_best_are_of_different_objects_and_no_view_comes_twice():
+    badness = np.arange(20.0).reshape(5, 4)
+    models = np.repeat(np.arange(5), 4).reshape(5, 4)
+    chosen = choose_views(badness, models, per_group=2)
+    assert chosen == [
+        ("Worst", 4, 3),
+        ("Worst", 3, 3),
+        ("Median", 2, 1),
+        ("Median", 1, 3),  # of another object than those that are nearer to the middle
+        ("Best", 0, 0),
+        ("Best", 1, 0),
+    ]
+
+
+@pytest.mark.parametrize("views", [1, 2, 5])
+def test_with_few_views_each_group_has_some_of_them(views):
+    badness = np.arange(float(views))[None]
+    chosen = choose_views(badness, np.zeros((1, views), int))
+    assert len(chosen) == min(3, views)
+    assert {group for group, _, _ in chosen} == {"Worst", "Median", "Best"} or views < 3
+
+
+def predict_truth(dataset, seed=0):
+    """Predictions that are the truth, but for every other view, which is turned."""
+    poses = np.array(dataset.quaternions, np.float64)
+    poses[:, 1] = random_quaternions(seed, len(poses))
+    count, views = poses.shape[:2]
+    points = np.repeat(np.asarray(dataset.surfaces)[:, None], views, axis=1)
+    silhouettes = dataset.masks.reshape(count, views, 8, 2, 8, 2).mean((3, 5)) / 255
+    return Predictions(
+        points=points,
+        colors=None,
+        poses=poses,
+        candidate_poses=poses,
+        winners=np.zeros((count, views), int),
+        silhouettes=silhouettes,
+    )
+
+
+@pytest.fixture(scope="module")
+def sets():
+    names = ("train", "val", "test")
+    found = {n: make_dataset(models=6, seed=i) for i, n in enumerate(names)}
+    # Of the test objects the first is a training object too.
+    surfaces = np.array(found["test"].surfaces)
+    surfaces[0] = found["train"].surfaces[4]
+    return found | {"test": found["test"]._replace(surfaces=surfaces)}
+
+
+def show(sets, **changes):
+    test = sets["test"]._replace(**changes)
+    predictions = predict_truth(sets["test"])
+    result, _ = evaluator.score(
+        predictions, test, alignment=identity_alignment(), heads=3
+    )
+    shapes = TrainingShapes.gather(sets | {"test": test})
+    examples, ranking = choose_examples(
+        predictions,
+        test,
+        identity_alignment(),
+        result,
+        shapes=shapes,
+        distance=2.0,
+        threshold=None,
+    )
+    return predictions, test, result, shapes, examples, ranking
+
+
+def test_views_are_ranked_by_what_is_known_of_them(sets):
+    *_, examples, ranking = show(sets)
+    assert "pose error" in ranking
+    errors = [e.pose_error_deg for e in examples]
+    assert min(errors[:3]) > max(errors[-3:])
+    assert all(e.chamfer == 0 and 0 < e.overlap <= 1 for e in examples)
+    *_, examples, ranking = show(sets, quaternions=None, surfaces=None)
+    assert "overlap of silhouettes" in ranking
+    overlaps = [e.overlap for e in examples]
+    assert max(overlaps[:3]) <= min(overlaps[-3:])
+    assert all(e.pose_error_deg is e.chamfer is e.surface is None for e in examples)
+    assert all(e.neighbours == () for e in examples)
+
+
+def test_neighbours_are_training_shapes_and_a_copy_is_seen_as_one(sets):
+    predictions, test, result, shapes, examples, _ = show(sets)
+    near, mean = examples[0].neighbours
+    assert near.title == "Nearest training shape" and near.chamfer < mean.chamfer
+    found = compare(predictions, test, identity_alignment(), shapes)
+    assert found.objects == 6
+    assert found.to_truth["Prediction"] == 0
+    assert found.to_truth["Nearest training shape"] > 0
+    # Predictions that are the truth differ among themselves as it does.
+    parts = found.to_truth, found.to_prediction
+    between = [part["The same of another object"] for part in parts]
+    assert between[0] == pytest.approx(between[1], rel=1e-6) and between[0] > 0
+    np.testing.assert_array_equal(
+        shapes.find_nearest(np.asarray(test.surfaces[0]), 60),
+        sets["train"].surfaces[4],
+    )
+    assert compare(predictions, test, identity_alignment(), None) is None
+
+
+def test_azimuths_of_right_views_lie_on_the_diagonal(sets):
+    predictions, test, result, *_ = show(sets)
+    failures = find_failures(predictions.poses, test.quaternions)
+    views = list_view_poses(predictions, test, identity_alignment(), result, failures)
+    right = views.kinds < 0
+    assert right.sum() >= 12  # two of three views of six objects
+    # float32 quaternions; near the poles the azimuth is less certain than the pose.
+    away = (views.true_deg - views.predicted_deg + 180) % 360 - 180
+    assert np.median(np.abs(away[right])) < 0.01
+    assert views.errors_deg.shape == views.true_deg.shape == (18,)
+    assert list_view_poses(predictions, test, None, result, None) is None
+
+
+def test_stages_say_what_is_new_in_them():
+    config = tiny_config(steps=100, keep_levels=2, fine_grid=16, fine_from=0.8)
+    assert list_stages(config) == [
+        (0, "15 points, 8³ cells"),
+        (50, "24 points"),
+        (80, "16³ cells"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("count", "text"), [(1, "1 model was skipped ("), (2, "2 models were skipped (")]
+)
+def test_what_was_skipped_is_counted_in_words(count, text):
+    skipped = tuple((f"car-{i}", "it is empty") for i in range(count))
+    sets = {"test": make_dataset(models=1)._replace(skipped=skipped)}
+    (warning,) = list_warnings(tiny_config(), sets, None)
+    assert warning.startswith(text)
