@@ -166,7 +166,7 @@ class Pose:
 
     @property
     def finds_frame(self) -> bool:
-        """Whether kinds of objects are turned to one frame: by half turns."""
+        """Whether kinds of objects, if they are points, are turned to one frame."""
         is_learned = not self.given and not self.samples
         return self.common_frame and self.half_turns and is_learned
 

@@ -19,12 +19,7 @@ Changes = Mapping[str, Mapping[str, Any]]  # section: {field: value}
 _VOXELS = {
     "network": {"shape": "voxels"},
     "render": {"fine_grid": 0, "keep_levels": 1},
-    "pose": {
-        "choice_rank": "volume",
-        "choice_grid": 16,
-        "choice_points": 0,
-        "common_frame": False,  # compares points
-    },
+    "pose": {"choice_rank": "volume", "choice_grid": 16, "choice_points": 0},
 }
 
 # Variants are applied in this order, whatever order they are

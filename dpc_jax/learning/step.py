@@ -93,7 +93,7 @@ def _init_whole(network, config, seed):
     optimizer = make_optimizer(config.train).init(params)
     cost = jnp.zeros(()) if config.pose.samples else None
     frame = None
-    if config.pose.finds_frame:
+    if config.pose.finds_frame and config.network.shape == "points":
         from dpc_jax.learning.choice.common_frame import start_frame  # where asked
 
         frame = start_frame()

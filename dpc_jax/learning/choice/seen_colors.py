@@ -1,6 +1,7 @@
 """Which colours the views of an object show where on its predicted shape."""
 
 import functools
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
@@ -29,7 +30,14 @@ class Samples(NamedTuple):
     weights: jax.Array
 
 
-def see_object(points, own, images, masks, *, camera: Camera) -> Samples:
+def see_object(
+    points: jax.Array,
+    own: Mapping[str, jax.Array],
+    images: jax.Array,
+    masks: jax.Array,
+    *,
+    camera: Camera,
+) -> Samples:
     """Samples of all views of an object; a colour weighs less the more of it there is.
 
     Args:

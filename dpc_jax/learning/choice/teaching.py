@@ -97,10 +97,9 @@ def teach_poses(
             views=batch,
             weights=read_weights(train),
         )
-    if pose.finds_frame:
+    if pose.finds_frame and isinstance(shapes, Shapes):
         from dpc_jax.learning.choice import common_frame  # where it is asked for
 
-        assert isinstance(shapes, Shapes)
         winners, frame, metrics["turned_back"] = common_frame.turn_back(
             winners,
             shapes.points,
