@@ -87,6 +87,33 @@ def spread_choices(words: list[str]) -> list[list[str]]:
     return [words]
 
 
+def fill_in(word):
+    """What a reader puts in the place of three dots or a single capital."""
+    word = word.replace("--config=...", "--config=configs/car.py")
+    return re.sub(r"=[A-Z]$", "=1", word)
+
+
+def find_module(words):
+    """(module, its arguments) of a command of this package, else None."""
+    first, *rest = words
+    if first in ("python", ".venv/bin/python"):
+        assert rest[0] == "-m", words
+        return rest[1], rest[2:]
+    if first == "launch/run.sh":
+        return "dpc_jax.main", rest
+    if first == "launch/data.sh":
+        return "dpc_jax.data", rest
+    if first == "launch/seeds.sh":
+        return "dpc_jax.main", [f"--config={rest[0]}", *rest[1:]]
+    if first == "launch/hosts.sh":
+        assert re.fullmatch(r"\d+|[\w.,]+", rest[0])
+        return "dpc_jax.main", rest[1:]
+    if first == "sbatch":
+        position = rest.index("launch/slurm.sbatch")
+        return "dpc_jax.main", [f"--config={rest[position + 1]}", *rest[position + 2 :]]
+    return None
+
+
 def read_text(page: Path) -> str:
     """A page without its blocks, line by line as it was."""
     inside, lines = False, []
