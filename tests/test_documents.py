@@ -6,9 +6,14 @@ from pathlib import Path
 
 import pytest
 
+import dpc_jax
+
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "dpc_jax"
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+PAGES = sorted(
+    [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")]
+    + [*(ROOT / "docs").rglob("*.md")]
+)
 
 
 def find_source(name):
@@ -89,6 +94,39 @@ def test_every_file_that_a_page_names_exists(page):
     pattern += r"evaluation|reporting|measure|shapes|config|run)/[\w/]+\.(?:py|sh|md))"
     for name in re.findall(pattern, text):
         assert find_source(name) is not None, f"{page.name} names {name}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_function_that_a_page_names_with_its_file_exists(page):
+    """Such as `learning/losses.py: student_loss`."""
+    text = page.read_text(encoding="utf-8")
+    for file, name in re.findall(r"`([\w/]+\.py): (\w+)`", text):
+        path = find_source(file)
+        assert path is not None, f"{page.name} names {file}"
+        found = re.search(
+            rf"^(def|class) {name}\b|^{name}\b.* =", path.read_text("utf-8"), re.M
+        )
+        assert found, f"{page.name} names {file}: {name}"
+
+
+def test_every_picture_is_on_a_page():
+    pages = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    pictures = [p for p in (ROOT / "docs" / "images").rglob("*") if p.is_file()]
+    unused = [p.name for p in pictures if p.name not in pages]
+    assert len(pictures) > 20 and unused == []
+
+
+def test_every_page_is_in_the_menu():
+    """The site's build says so too, but takes a minute."""
+    menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    for page in (ROOT / "docs").rglob("*.md"):
+        assert f" {page.relative_to(ROOT / 'docs')}\n" in menu, page.name
+
+
+def test_the_reference_has_every_public_name():
+    pages = [page.read_text("utf-8") for page in (ROOT / "docs" / "api").glob("*.md")]
+    named = set(re.findall(r"^::: [\w.]+\.(\w+)$", "\n".join(pages), re.MULTILINE))
+    assert named == set(dpc_jax._NAMES)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
