@@ -38,7 +38,7 @@ pytestmark = pytest.mark.filterwarnings(
 )
 COMMANDS = list_commands()
 # Of other programs: whoever writes one here has tried it.
-OTHERS = {"pip", "jupyter", "pre-commit", "mkdocs", "tensorboard", "wandb", "git", "cd"}
+OTHERS = {".", "pip", "jupyter", "pre-commit", "mkdocs", "tensorboard", "wandb", "git", "cd"}
 
 
 class Parsed(BaseException):
