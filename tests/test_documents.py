@@ -1,6 +1,8 @@
 """What the documents name exists: files, functions, tests, pictures, links."""
 
 import ast
+import dataclasses
+import inspect
 import re
 from pathlib import Path
 
@@ -135,3 +137,21 @@ def test_every_module_that_a_page_runs_exists(page):
     for module in re.findall(r"-m (dpc_jax[\w.]*)", text):
         path = ROOT / module.replace(".", "/")
         assert path.with_suffix(".py").exists() or (path / "__main__.py").exists()
+
+
+@pytest.mark.parametrize("name", sorted(dpc_jax._NAMES))
+def test_the_reference_says_what_every_argument_is(name):
+    """Where a docstring lists arguments or fields, it lists all of them."""
+    value = getattr(dpc_jax, name)
+    text = inspect.getdoc(value) or ""
+    if dataclasses.is_dataclass(value):
+        asked = {field.name for field in dataclasses.fields(value)}
+        asked -= {"parent", "name"}  # of a flax module
+    elif inspect.isfunction(value):
+        parameters = inspect.signature(value).parameters.values()
+        asked = {p.name for p in parameters if p.kind.name[:3] != "VAR"}
+    else:
+        asked = set()
+    listed = re.findall(r"^  (\w+(?:, \w+)*): ", text, flags=re.MULTILINE)
+    if "Args:" in text or "Attributes:" in text:
+        assert asked <= {n for names in listed for n in names.split(", ")}
