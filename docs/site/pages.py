@@ -13,11 +13,12 @@ from xml.etree import ElementTree
 import nbclient
 import nbconvert
 import nbformat
-import ziamath
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from nbconvert.preprocessors import TagRemovePreprocessor
 from traitlets.config import Config
+from ziamath.config import config as ziamath_config
+from ziamath.zmath import Latex
 
 ROOT = Path(__file__).parents[2]
 # A file of the repository: its page.
@@ -27,7 +28,7 @@ PAGES = {
     "CHANGELOG.md": "changelog.md",
 }
 MAX_SECONDS = 300  # of a cell
-ziamath.config.svg2 = False  # each picture stands alone
+ziamath_config.svg2 = False  # each picture stands alone
 _FONT_SIZE = 21.0  # that ziamath's 24 pixels become one of the text's
 _FORMULA = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\\[(\[](?P<latex>.*?)\\[)\]]</(?P=tag)>',
@@ -94,7 +95,7 @@ def run_notebook(path: Path) -> dict[str, str | bytes]:
 def _draw_formula(match: re.Match[str]) -> str:
     latex = html.unescape(match["latex"]).strip()
     is_block = match["tag"] == "div"
-    formula = ziamath.Latex(latex, inline=not is_block, color="currentColor")
+    formula = Latex(latex, inline=not is_block, color="currentColor")
     picture = formula.svgxml()
     # Sizes in those of the text around it.
     for name in ("width", "height"):
