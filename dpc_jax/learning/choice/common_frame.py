@@ -10,7 +10,8 @@ silhouette of a sedan, but not its lamps).
 Points and colours are counted in cells of the network's frame by moving sums over
 batches. Of each object, with all its views, it is asked whether it fits these better
 after a half turn. If so, its views learn the turned poses, and with them its shape
-learns to turn.
+learns to turn. Late in a run silhouettes decide alone: what still looks turned by then
+is an object that is unlike the others.
 """
 
 import functools
@@ -95,7 +96,7 @@ def turn_back(
       covariance: [3, 3] of points, whose axes the half turns are about.
       frame: of the batches before.
       camera, cameras: of the views. heads: K, of the candidates.
-      is_due: () whether objects are turned yet; until then they are counted alone.
+      is_due: () whether objects are turned at this step, or counted alone.
 
     Returns:
       (the winners to learn, the frame with this batch, () share of objects turned).
@@ -214,8 +215,8 @@ def compare_places(points: jax.Array, turns: jax.Array, frame: Frame) -> jax.Arr
     """
     density = frame.points
     for axis in range(3):  # the cells at the border, which roll over, are empty
-        rolled = (jnp.roll(density, shift, axis) for shift in (-1, 0, 1))
-        density = sum(w * part for w, part in zip(_BLUR, rolled, strict=True))
+        rolled = [jnp.roll(density, shift, axis) for shift in (-1, 0, 1)]
+        density = jnp.tensordot(jnp.array(_BLUR), jnp.stack(rolled), 1)
     mean = jnp.maximum(jnp.mean(density), jnp.finfo(points.dtype).tiny)
     scores = jnp.log(density.reshape(-1) / mean + _EMPTY)
 
