@@ -15,7 +15,6 @@ import nbconvert
 import nbformat
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
-from nbconvert.preprocessors import TagRemovePreprocessor
 from traitlets.config import Config
 from ziamath.config import config as ziamath_config
 from ziamath.zmath import Latex
@@ -81,11 +80,7 @@ def run_notebook(path: Path) -> dict[str, str | bytes]:
         resources={"metadata": {"path": str(ROOT)}},
         config=Config(KernelManager={"transport": "ipc"}),  # no port is opened
     ).execute()
-    exporter = nbconvert.MarkdownExporter(
-        config=Config(TagRemovePreprocessor={"remove_input_tags": ["hide"]})
-    )
-    exporter.register_preprocessor(TagRemovePreprocessor(), enabled=True)
-    text, resources = exporter.from_notebook_node(
+    text, resources = nbconvert.MarkdownExporter().from_notebook_node(
         notebook,
         resources={"output_files_dir": f"{path.stem}_files", "unique_key": "figure"},
     )
