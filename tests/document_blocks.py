@@ -1,5 +1,6 @@
 """The code blocks and commands of the pages, as their readers would take them."""
 
+import importlib
 import re
 import shlex
 from collections.abc import Iterator
@@ -99,6 +100,9 @@ def find_module(words):
     if first in ("python", ".venv/bin/python"):
         assert rest[0] == "-m", words
         return rest[1], rest[2:]
+    if first == "dpc_jax" and not rest[0].startswith("-"):
+        commands = importlib.import_module("dpc_jax.commands").COMMANDS
+        return commands[rest[0]].module.removesuffix(".__main__"), rest[1:]
     if first == "launch/run.sh":
         return "dpc_jax.main", rest
     if first == "launch/data.sh":
@@ -132,7 +136,13 @@ def list_spans(page: Path) -> Iterator[tuple[int, str]]:
 
 
 def _list_quoted(page: Path) -> Iterator[Command]:
-    begins = ("python -m dpc_jax", ".venv/bin/python", "launch/", "--config")
+    begins = (
+        "python -m dpc_jax",
+        "dpc_jax ",
+        ".venv/bin/python",
+        "launch/",
+        "--config",
+    )
     for line, span in list_spans(page):
         if span.startswith(begins) and "*" not in span:
             (words, *_) = split_commands(span)
