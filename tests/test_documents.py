@@ -1,14 +1,21 @@
 """What the documents name exists: files, functions, tests, pictures, links."""
 
 import ast
+import dataclasses
+import inspect
 import re
 from pathlib import Path
 
 import pytest
 
+import dpc_jax
+
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "dpc_jax"
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+PAGES = sorted(
+    [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")]
+    + [*(ROOT / "docs").rglob("*.md")]
+)
 
 
 def find_source(name):
@@ -92,8 +99,59 @@ def test_every_file_that_a_page_names_exists(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_function_that_a_page_names_with_its_file_exists(page):
+    """Such as `learning/losses.py: student_loss`."""
+    text = page.read_text(encoding="utf-8")
+    for file, name in re.findall(r"`([\w/]+\.py): (\w+)`", text):
+        path = find_source(file)
+        assert path is not None, f"{page.name} names {file}"
+        found = re.search(
+            rf"^(def|class) {name}\b|^{name}\b.* =", path.read_text("utf-8"), re.M
+        )
+        assert found, f"{page.name} names {file}: {name}"
+
+
+def test_every_picture_is_on_a_page():
+    pages = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    pictures = [p for p in (ROOT / "docs" / "images").rglob("*") if p.is_file()]
+    unused = [p.name for p in pictures if p.name not in pages]
+    assert len(pictures) > 20 and unused == []
+
+
+def test_every_page_is_in_the_menu():
+    """The site's build says so too, but takes a minute."""
+    menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    for page in (ROOT / "docs").rglob("*.md"):
+        assert f" {page.relative_to(ROOT / 'docs')}\n" in menu, page.name
+
+
+def test_the_reference_has_every_public_name():
+    pages = [page.read_text("utf-8") for page in (ROOT / "docs" / "api").glob("*.md")]
+    named = set(re.findall(r"^::: [\w.]+\.(\w+)$", "\n".join(pages), re.MULTILINE))
+    assert named == set(dpc_jax._NAMES)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_module_that_a_page_runs_exists(page):
     text = page.read_text(encoding="utf-8")
     for module in re.findall(r"-m (dpc_jax[\w.]*)", text):
         path = ROOT / module.replace(".", "/")
         assert path.with_suffix(".py").exists() or (path / "__main__.py").exists()
+
+
+@pytest.mark.parametrize("name", sorted(dpc_jax._NAMES))
+def test_the_reference_says_what_every_argument_is(name):
+    """Where a docstring lists arguments or fields, it lists all of them."""
+    value = getattr(dpc_jax, name)
+    text = inspect.getdoc(value) or ""
+    if dataclasses.is_dataclass(value):
+        asked = {field.name for field in dataclasses.fields(value)}
+        asked -= {"parent", "name"}  # of a flax module
+    elif inspect.isfunction(value):
+        parameters = inspect.signature(value).parameters.values()
+        asked = {p.name for p in parameters if p.kind.name[:3] != "VAR"}
+    else:
+        asked = set()
+    listed = re.findall(r"^  (\w+(?:, \w+)*): ", text, flags=re.MULTILINE)
+    if "Args:" in text or "Attributes:" in text:
+        assert asked <= {n for names in listed for n in names.split(", ")}

@@ -63,11 +63,13 @@ def choose_candidate(
     (docs/profile.md).
 
     Args:
-      points: [N, 3]. mass: () of each point, or [N], in voxels of the target's grid.
+      points: [N, 3], object frame.
+      mass: () of each point, or [N], in voxels of the target's grid.
       candidates: [C, 4] quaternions.
       target: [D, D] silhouette.
       sigma: (), or [N] of each point, in voxels of the target's grid, or covariances
-        [N, 3, 3] in voxels² (`project` has them as covariance). camera: see `project`.
+        [N, 3, 3] in voxels² (`project` has them as covariance).
+      camera: see `project`.
       choice_grid: side of the coarser volume or image, a divisor of D; 0 for D.
       choice_points: largest number of points of the first comparison; 0 for all.
       choice_top: how many candidates are then compared at full resolution.

@@ -28,8 +28,8 @@ class FitSettings:
         for half of that side and all of it, 128 at most.
       steps: of each side.
       sigma: of the points at the first and last step of each side, voxels of its grid.
-      learning_rate: of the points, box diagonals; a tenth of it at the end of a side,
-        and of the cameras that are learned half of that, radians.
+      learning_rate: of the points, box diagonals; a tenth of it at the end of a side.
+      camera_share: the share of that rate that learned cameras have, radians.
       repulsion_weight: of the points, which spreads them over the surface.
       pull_weight: of points outside of the silhouettes.
       depth_weight, color_weight: per pixel, beside silhouettes; used where depths or

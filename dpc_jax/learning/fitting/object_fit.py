@@ -91,8 +91,8 @@ def fit(
         found, in any frame.
       learn: what of the cameras is learned, of "rotations" (always where there are
         none), "translations" and "focal_lengths"; their means stay as given.
-      depths: [V, S, S], metric z, 0 where not measured. colors: [V, S, S, 3] on white,
-        bytes or floats in [0, 1].
+      depths: [V, S, S], metric z, 0 where not measured.
+      colors: [V, S, S, 3] on white, bytes or floats in [0, 1].
       camera: of all views.
       settings: sizes, steps, weights.
       seed: of the first cloud and the searches.
