@@ -20,6 +20,7 @@ from dpc_jax.files import write_text
 FREE_FIELDS = (
     "data.cache_dir",
     "data.processes",
+    "eval",
     "log",
     "render.renders_at_once",
     "run",
