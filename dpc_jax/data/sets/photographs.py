@@ -158,7 +158,7 @@ def _open_frames(path: Path) -> list[Image.Image]:
             ]
     except FAULTS as error:
         raise ValueError(
-            f"Expected an image that can be read, but {path} is damaged or of another "
+            f"Expected a readable image in {path}, but it is damaged or of another "
             f"kind ({_shorten(error)}); save it again as PNG, JPEG or WebP."
         ) from None
 

@@ -24,7 +24,7 @@ _LEAST_AREA = 0.002  # of the image
 
 
 def find_object(colors: np.ndarray) -> np.ndarray:
-    """The object's mask, float32 [height, width] of 0 to 1, in uint8 [height, width, 3].
+    """The mask float32 [height, width] of 0 to 1 of an object, in a uint8 image.
 
     Raises:
       ValueError: where the background is not plain, or nothing stands out from it; the

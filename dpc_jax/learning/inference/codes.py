@@ -25,16 +25,14 @@ class Codes(NamedTuple):
 
     Attributes:
       codes: [n, F] of shapes.
-      candidates: [n, C, 4], turned ones included; poses: [n, 4], the student's;
-        probabilities: [n, C] that the student gives the candidates, alike where it
-        does not select. None where poses are known.
+      candidates: [n, C, 4], turned ones included; poses: [n, 4], the student's. None
+        where poses are known.
       cameras: translations [n, 3], focal_lengths [n], by name, those that are learned.
     """
 
     codes: np.ndarray
     candidates: np.ndarray | None
     poses: np.ndarray | None
-    probabilities: np.ndarray | None
     cameras: dict[str, np.ndarray]
 
 
@@ -49,14 +47,7 @@ def make_coder(network: ShapePoseNetwork, config: Config) -> Callable:
             output = network.apply(state.params, features, method="predict_pose")
             assert isinstance(output, dict)
             poses = complete_poses(output, state.covariance, pose=config.pose)
-            logits = poses.logits
-            if logits is None:
-                logits = jnp.zeros(poses.candidates.shape[:2])
-            found |= {
-                "candidates": poses.candidates,
-                "poses": poses.student,
-                "probabilities": jax.nn.softmax(logits),
-            }
+            found |= {"candidates": poses.candidates, "poses": poses.student}
         if config.pose.translation or config.pose.focal_length:
             cameras = network.apply(state.params, features, method="predict_camera")
             found["cameras"] = cameras
@@ -96,10 +87,8 @@ def encode_all(coder: Callable, state: NamedTuple, images: np.ndarray) -> Codes:
         parts.append(jax.device_get(coder(state, batch)))
     count = len(images)
     found = jax.tree.map(lambda *arrays: np.concatenate(arrays)[:count], *parts)
-    names = ("candidates", "poses", "probabilities")
-    return Codes(
-        found["codes"], *(found.get(name) for name in names), found.get("cameras", {})
-    )
+    poses = found.get("candidates"), found.get("poses")
+    return Codes(found["codes"], *poses, found.get("cameras", {}))
 
 
 def find_directions(codes: np.ndarray) -> np.ndarray:
