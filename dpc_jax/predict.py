@@ -56,9 +56,9 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--crop",
-        choices=("view", "none"),
-        help="cut a square around the object, or take the image as it is framed (as "
-        "in training)",
+        choices=("object", "view", "none"),
+        help="cut a square around the object, at one scale for its views or at each "
+        "one's own, or take the image as it is framed (as in training)",
     )
     return parser
 

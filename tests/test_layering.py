@@ -23,7 +23,7 @@ ROOMS = {
     "render": ({"jax", "chex"}, set()),
     "shapes": ({"numpy", "trimesh"}, set()),
     "data": (
-        {"numpy", "trimesh", "embreex", "PIL", "rich", "scipy"},
+        {"numpy", "trimesh", "embreex", "PIL", "rich", "scipy", "skimage", "rembg"},
         {"config", "files", "shapes"},
     ),
     "networks": ({"jax", "flax", "chex", "numpy"}, set()),

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from dpc_jax.evaluation import rotations
 
 AGREEING_DEG = 30.0  # from the pose: the threshold of pose accuracy
-_TYPICAL_ERROR = 0.05  # squared difference per pixel that costs 1 - 1/e of confidence
-LEVELS = (("high", 0.8), ("fair", 0.6), ("low", 0.0))  # from which confidence
+_TYPICAL_ERROR = 0.1  # squared difference per pixel that costs 1 - 1/e of confidence
+LEVELS = (("high", 0.7), ("fair", 0.5), ("low", 0.0))  # from which confidence
 
 
 class Confidence(NamedTuple):

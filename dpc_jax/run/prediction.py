@@ -27,8 +27,9 @@ class PredictRequest:
       paths: image files, moving pictures, folders of views of an object or of such
         folders. workdir: of the run. out: folder of the results.
       crop: "view" cuts a square in which the object takes the config's `data.fill`,
-        "none" keeps the image's own framing; None is as in training. A network that
-        was trained on renders expects their framing: a distance of two box diagonals.
+        "object" at the scale that the largest of its views needs, "none" keeps the
+        image's own framing; None is as in training. A network that was trained on
+        renders expects their framing: a distance of two box diagonals.
       mask: of `photographs.MASKS`.
       is_one_object: whether all images show one object.
       is_refined: whether shape and poses are fitted to the silhouettes.
@@ -116,8 +117,7 @@ def write_summary(
 def make_spec(config: Config, crop: str | None) -> DataSpec:
     """How images are framed for a run; see `PredictRequest.crop`."""
     if crop is None:
-        is_cut = config.data.images and config.data.crop != "none"
-        crop = "view" if is_cut else "none"
+        crop = config.data.crop if config.data.images else "none"
     return DataSpec(
         config.category,
         kind="images",

@@ -18,6 +18,7 @@ _MOST_UNLIKE = 0.45  # share of the border that the background leaves unexplaine
 _TRIMMINGS = 8  # rounds of fitting without what does not fit
 _DARKEST_SHADOW = 0.4  # that a shadow takes of the background's lightness
 _SHADE = 0.35  # weight of a darkening that may be a shadow
+_LEAST_KEPT = 0.65  # of the object's area, without what may be its shadow
 _SPECK = 2e-3  # of the object's area: a smaller hole is noise
 _EDGE = 2  # pixels that blur widens an object by
 _LEAST_AREA = 0.002  # of the image
@@ -39,11 +40,18 @@ def find_object(colors: np.ndarray) -> np.ndarray:
     small = np.asarray(Image.fromarray(colors).resize(size, Image.Resampling.BOX))
     lab = color.rgb2lab(small).astype(np.float32)
     background, noise = _fit_background(lab)
-    away = _measure_distance(lab, background)
-    # Half of Otsu's threshold: parts of an object may be like the background.
-    threshold = 0.5 * filters.threshold_otsu(np.minimum(away, 60.0))
-    threshold = max(threshold, _LEAST_CONTRAST / 2, _NOISE_FACTOR * noise / 3)
-    mask = _trim_edge(_keep_largest(away, threshold), away)
+    # Noise of single pixels averages out; an edge moves by less than a pixel.
+    smooth = ndimage.gaussian_filter(lab - background, (1.0, 1.0, 0.0))
+    away = np.linalg.norm(smooth, axis=-1)
+    lit = np.minimum(away, _discount_shadows(smooth, background))
+    masks = []
+    for distance in (away, lit):
+        # Half of Otsu's threshold: parts of an object may be like the background.
+        threshold = 0.5 * filters.threshold_otsu(np.minimum(distance, 60.0))
+        threshold = max(threshold, _LEAST_CONTRAST / 2, _NOISE_FACTOR * noise / 3)
+        masks.append(_trim_edge(_keep_largest(distance, threshold), distance))
+    # An object of the background's own hue is not its own shadow.
+    mask = masks[int(masks[1].sum() > _LEAST_KEPT * masks[0].sum())]
     contrast = np.median(away[mask]) if mask.any() else 0.0
     if mask.mean() < _LEAST_AREA or contrast < _LEAST_CONTRAST:
         raise ValueError(
@@ -92,22 +100,19 @@ def _fit_background(lab):
     return (terms @ surface).astype(np.float32), noise
 
 
-def _measure_distance(lab, background):
-    """How far each pixel's colour is from the background's, in CIELAB.
+def _discount_shadows(smooth, background):
+    """How far each pixel's colour is from the background's, shadows counted for less.
 
-    A shadow on it makes it darker and hardly changes its hue: such a difference counts
-    for less, as long as it is not too dark for a shadow.
+    A shadow makes the background darker and hardly changes its hue; it is not darker
+    than some share of it.
     """
-    # Noise of single pixels averages out; an edge moves by less than a pixel.
-    smooth = ndimage.gaussian_filter(lab - background, (1.0, 1.0, 0.0))
     lightness = smooth[..., 0]
     base = np.maximum(background[..., 0], 1.0)
     shade = np.clip(-lightness, 0.0, _DARKEST_SHADOW * base)
     # In shadow, colours fade with the light.
     faded = background[..., 1:] * (shade / base)[..., None]
     rest = np.stack([lightness + shade, *np.moveaxis(smooth[..., 1:] + faded, -1, 0)])
-    plain = np.linalg.norm(smooth, axis=-1)
-    return np.minimum(plain, np.hypot(np.linalg.norm(rest, axis=0), _SHADE * shade))
+    return np.hypot(np.linalg.norm(rest, axis=0), _SHADE * shade)
 
 
 def _keep_largest(away, threshold):

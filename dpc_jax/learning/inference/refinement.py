@@ -74,6 +74,7 @@ class Evidence(NamedTuple):
     own: dict[str, Any]
 
 
+@functools.lru_cache(maxsize=8)  # of one run there are four
 def make_refiner(
     network: ShapePoseNetwork, config: Config, settings: RefineSettings
 ) -> Callable:
