@@ -69,8 +69,9 @@ def judge_split(
 
 def correlate_ranks(first: np.ndarray, second: np.ndarray) -> float:
     """Spearman's rank correlation of two arrays [n] without ties."""
-    ranks = [np.argsort(np.argsort(values)) for values in (first, second)]
-    return float(np.corrcoef(*ranks)[0, 1])
+    ranks = np.stack([np.argsort(np.argsort(values)) for values in (first, second)])
+    first, second = ranks - ranks.mean(axis=1, keepdims=True)
+    return float(first @ second / np.sqrt((first @ first) * (second @ second)))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

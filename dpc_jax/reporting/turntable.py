@@ -43,7 +43,10 @@ def write_turntable(path: Path, points: ArrayLike, colors: ArrayLike | None = No
     kind = path.suffix[1:].lower()
     if kind == "gif":
         palette = frames[0].quantize(_COLORS)
-        frames = [frame.quantize(palette=palette, dither=0) for frame in frames]
+        frames = [
+            frame.quantize(palette=palette, dither=Image.Dither.NONE)
+            for frame in frames
+        ]
     frames[0].save(
         buffer,
         format=kind.upper(),

@@ -124,7 +124,7 @@ def refine_objects(
     )
     if directions is None:
         directions = np.zeros((1, evidence.codes.shape[1]), np.float32)
-    refiner = make_refiner(network, config, settings)
+    refiner = make_refiner(network, config, settings)  # pyright: ignore
     arrays = refine_all(refiner, state, evidence, directions, on_progress=on_progress)
     counts = evidence.weights.sum(axis=1).astype(int)
     colors = arrays.get("colors", [None] * len(counts))

@@ -21,8 +21,8 @@ def open_session() -> Any:
       ValueError: where rembg is not installed, or none of the weights is on the disk.
     """
     try:
-        from rembg import new_session
-        from rembg.sessions import sessions_class
+        from rembg import new_session  # pyright: ignore
+        from rembg.sessions import sessions_class  # pyright: ignore
     except ImportError as error:
         raise ValueError(
             "Expected the library rembg for --mask=matting, but it cannot be loaded "
@@ -45,7 +45,7 @@ def find_object(colors: np.ndarray, session: Any) -> np.ndarray:
     Args:
       session: of `open_session`.
     """
-    from rembg import remove
+    from rembg import remove  # pyright: ignore
 
     mask = remove(Image.fromarray(colors), session=session, only_mask=True)
-    return np.asarray(mask.convert("L"), np.float32) / 255.0  # type: ignore[union-attr]
+    return np.asarray(mask.convert("L"), np.float32) / 255.0

@@ -5,6 +5,8 @@ along the border, in CIELAB, where distances are about as large as they look. Wh
 differs from it by more than Otsu's threshold is the object.
 """
 
+from typing import Any
+
 import numpy as np
 from PIL import Image
 from scipy import ndimage
@@ -120,17 +122,20 @@ def _keep_largest(away, threshold):
 
     A hole that shows the background stays open.
     """
-    mask = ndimage.binary_opening(away > threshold, iterations=1)
-    labels, count = ndimage.label(mask, np.ones((3, 3)))
+    mask = np.asarray(ndimage.binary_opening(away > threshold), bool)
+    found: Any = ndimage.label(mask, np.ones((3, 3)))
+    labels, count = found
     if not count:
         return mask
     areas = np.bincount(labels.ravel())
     areas[0] = 0
     largest = np.asarray(
-        ndimage.binary_closing(np.pad(labels == areas.argmax(), 2), np.ones((3, 3)))
+        ndimage.binary_closing(np.pad(labels == areas.argmax(), 2), np.ones((3, 3))),
+        bool,
     )[2:-2, 2:-2]
     filled = np.asarray(ndimage.binary_fill_holes(largest), bool)
-    holes, count = ndimage.label(filled & ~largest)
+    found = ndimage.label(filled & ~largest)
+    holes, count = found
     for number in range(1, count + 1):
         hole = holes == number
         is_large = hole.sum() > _SPECK * largest.sum()

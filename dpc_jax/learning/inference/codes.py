@@ -42,7 +42,7 @@ def make_coder(network: ShapePoseNetwork, config: Config) -> Callable:
     def encode(state, images):
         features = network.apply(state.params, scale_images(images), method="encode")
         assert isinstance(features, jax.Array)
-        found = {"codes": features[:, : network.hidden]}
+        found: dict[str, Any] = {"codes": features[:, : network.hidden]}
         if not config.pose.known:
             output = network.apply(state.params, features, method="predict_pose")
             assert isinstance(output, dict)

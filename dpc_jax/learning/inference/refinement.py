@@ -94,6 +94,7 @@ def make_refiner(
         def decode(weights):
             codes = evidence.codes + weights @ directions
             shape = network.apply(state.params, codes, method="predict_shape")
+            assert isinstance(shape, dict)
             return shape, *find_scenes(shape, sigma, render=render)
 
         poses = evidence.poses
@@ -123,7 +124,7 @@ def make_refiner(
             jnp.zeros((*poses.shape[:2], 3)),
         )
         before, *_ = compare(*begun)
-        found = _descend(measure, begun, settings)
+        found: Any = _descend(measure, begun, settings)
         errors, images, shape = compare(*found)
         result = {"points": shape["points"], "silhouettes": images, "errors": errors}
         if "colors" in shape:
@@ -155,7 +156,10 @@ def _descend(measure, learned, settings: RefineSettings):
     def fall(peak):
         return optax.adam(optax.cosine_decay_schedule(peak, settings.steps, 0.05))
 
-    rates = {"codes": fall(settings.code_rate), "turns": fall(settings.pose_rate)}
+    rates: Any = {
+        "codes": fall(settings.code_rate),
+        "turns": fall(settings.pose_rate),
+    }
     optimizer = optax.multi_transform(rates, ("codes", "turns"))
 
     def step(carry, _):
