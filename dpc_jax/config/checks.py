@@ -71,16 +71,10 @@ def _list_rules(config):
         not (config.pose.labels and config.pose.known),
         "False where pose.known is set, because no pose is learned there",
     )
-    pose = config.pose
     yield (
         "pose.common_frame",
-        not pose.common_frame
-        or pose.half_turns
-        and not pose.given
-        and not pose.samples
-        and config.network.shape == "points",
-        "False without pose.flips and two candidates or more, whose half turns it "
-        "chooses, and where poses are given or drawn, or shapes are no points",
+        not config.pose.finds_frame or config.network.shape == "points",
+        "False where network.shape is not 'points', which are what is compared",
     )
     yield (
         "run.devices",
@@ -167,11 +161,6 @@ def _list_sampling_rules(config):
         "pose.prior_weight",
         not pose.prior_weight or pose.choice == "sampled",
         "0 unless pose.choice = 'sampled', because the prior is that of poses drawn",
-    )
-    yield (
-        "pose.choice_noise",
-        not pose.choice_noise or not pose.samples,
-        "0 with pose.choice = 'sampled', which draws a head and compares none",
     )
     yield (
         "pose.entropy_weight",

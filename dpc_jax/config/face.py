@@ -15,6 +15,15 @@ def to_config_dict(config: Config) -> ml_collections.ConfigDict:
     return ml_collections.ConfigDict(dataclasses.asdict(config))
 
 
+# What runs did before there was a field, where it is not the field's default; and
+# fields that were tried and taken out.
+_BEFORE = {
+    "pose": {"choice_rank": "volume", "common_frame": False},
+    "train": {"pull_weight": 0.0},
+}
+_GONE = {"pose": ("choice_noise", "choice_noise_until")}
+
+
 def from_config_dict(edited: ml_collections.ConfigDict) -> Config:
     """The frozen record of an edited config.
 
@@ -36,9 +45,10 @@ def from_json(text: str) -> Config:
       ValueError: as `from_config_dict`, and for what is not JSON.
     """
     values = json.loads(text)
-    if isinstance(values, dict) and isinstance(values.get("pose"), dict):
-        # Before the field there was only this way.
-        values["pose"].setdefault("choice_rank", "volume")
+    for section, before in _BEFORE.items():
+        if isinstance(values, dict) and isinstance(values.get(section), dict):
+            kept = set(values[section]) - set(_GONE.get(section, ()))
+            values[section] = before | {name: values[section][name] for name in kept}
     return _read(Config, values, "config")
 
 

@@ -12,7 +12,8 @@ from jax.sharding import Mesh, NamedSharding
 
 from dpc_jax.config import Config, Train
 from dpc_jax.learning import devices, schedules
-from dpc_jax.learning.objective import Averages, compute_loss
+from dpc_jax.learning.objective import compute_loss
+from dpc_jax.learning.terms import Averages
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.columns import sharing_columns
 
@@ -24,7 +25,7 @@ class TrainState(NamedTuple):
       step: () int32, steps done.
       params: of the network.
       optimizer: state of the optimiser.
-      covariance, cost, frame: see `objective.Averages`.
+      covariance, cost, frame: see `terms.Averages`.
     """
 
     step: jax.Array
@@ -92,7 +93,7 @@ def _init_whole(network, config, seed):
     optimizer = make_optimizer(config.train).init(params)
     cost = jnp.zeros(()) if config.pose.samples else None
     frame = None
-    if config.pose.common_frame:
+    if config.pose.finds_frame:
         from dpc_jax.learning.choice.common_frame import start_frame  # where asked
 
         frame = start_frame()

@@ -10,7 +10,8 @@ silhouette of a sedan, but not its lamps).
 Points and colours are counted in cells of the network's frame by moving sums over
 batches. Of each object, with all its views, it is asked whether it fits these better
 after a half turn. If so, its views learn the turned poses, and with them its shape
-learns to turn.
+learns to turn. Late in a run silhouettes decide alone: what still looks turned by then
+is an object that is unlike the others.
 """
 
 import functools
@@ -36,8 +37,7 @@ _PRIOR = 500.0  # samples of the category's mean colours in each cell
 _EMPTY = 0.02  # density that is added, of the mean over the cells
 _BLUR = (0.12, 0.76, 0.12)  # of densities, along each axis
 _KEPT = 0.995  # of the sums in a step: 200 batches
-_CLARITY = 1.0  # standard deviations below 0 of what a half turn gains by colours, from
-# which on these count
+_CLARITY = 1.0  # standard deviations below 0 of what a half turn gains, to count
 _COLOR_WEIGHT = 10.0  # of a nat per sample of colours, beside one per point
 
 
@@ -46,8 +46,8 @@ class Frame(NamedTuple):
 
     Attributes:
       points: [CELLS, CELLS, CELLS] of points. colors: [CELLS³, BINS, BINS] of colours.
-      moments: [2, 3], moving mean and mean square of what objects gain by colours after
-        each of three half turns, nats per sample.
+      moments: [3, 2, 3], of 1, x and x², where x is what objects gain by points and by
+        colours after each of three half turns; nats per point or sample.
     """
 
     points: jax.Array
@@ -71,7 +71,7 @@ class Samples(NamedTuple):
 def start_frame() -> Frame:
     """Of nothing yet."""
     return Frame(
-        jnp.zeros((CELLS,) * 3), jnp.zeros((CELLS**3, BINS, BINS)), jnp.zeros((2, 3))
+        jnp.zeros((CELLS,) * 3), jnp.zeros((CELLS**3, BINS, BINS)), jnp.zeros((3, 2, 3))
     )
 
 
@@ -96,7 +96,7 @@ def turn_back(
       covariance: [3, 3] of points, whose axes the half turns are about.
       frame: of the batches before.
       camera, cameras: of the views. heads: K, of the candidates.
-      is_due: () whether objects are turned yet; until then they are counted alone.
+      is_due: () whether objects are turned at this step, or counted alone.
 
     Returns:
       (the winners to learn, the frame with this batch, () share of objects turned).
@@ -112,13 +112,16 @@ def turn_back(
     turns = find_half_turns(covariance)
     by_points = jax.vmap(lambda x: compare_places(x, turns, frame))(points)
     by_colors = jax.vmap(lambda x: compare_colors(x, turns, frame))(samples)
-    by_points, by_colors = (a[:, 1:] - a[:, :1] for a in (by_points, by_colors))
-    mean, square = frame.moments
+    gains = jnp.stack([a[:, 1:] - a[:, :1] for a in (by_points, by_colors)])
+    # Only what tells a category from its own half turn counts: objects that look the
+    # same either way would be turned by chance.
+    mean, square = frame.moments[1:] / jnp.maximum(frame.moments[:1], 1e-6)
     spread = jnp.sqrt(jnp.maximum(square - mean**2, 0))
-    is_clear = mean < -_CLARITY * spread
-    gains = by_points + jnp.where(is_clear, _COLOR_WEIGHT * by_colors, 0)
+    is_clear = (mean < -_CLARITY * spread)[:, None]
+    weights = jnp.array([1, _COLOR_WEIGHT])[:, None, None]
+    total = jnp.sum(jnp.where(is_clear, weights * gains, 0), axis=0)
     turned = jnp.where(
-        is_due & (jnp.max(gains, axis=1) > 0), jnp.argmax(gains, axis=1) + 1, 0
+        is_due & (jnp.max(total, axis=1) > 0), jnp.argmax(total, axis=1) + 1, 0
     )
 
     # Candidate i is of head i % K after half turn i // K, and these form a group in
@@ -130,7 +133,7 @@ def turn_back(
     turn_places = jax.vmap(quaternion.rotate)
     samples = samples._replace(places=turn_places(samples.places, turns[turned]))
     points = turn_places(points, turns[turned])
-    new = _count_batch(frame, points, samples, by_colors)
+    new = _count_batch(frame, points, samples, gains)
     return Winners(poses, indices), new, jnp.mean(turned > 0)
 
 
@@ -142,12 +145,12 @@ def _count_batch(frame, points, samples, gains):
     colors = jnp.zeros((CELLS**3, BINS**2))
     colors = colors.at[cells, samples.bins.reshape(-1)].add(samples.weights.reshape(-1))
     counts, colors = jax.lax.psum((counts, colors), AXIS)
-    moments = jnp.stack([jnp.mean(gains, axis=0), jnp.mean(gains**2, axis=0)])
+    moments = jnp.stack([jnp.mean(gains**power, axis=1) for power in range(3)])
     moments = jax.lax.pmean(moments, AXIS)
     return Frame(
         _KEPT * frame.points + counts.reshape(frame.points.shape),
         _KEPT * frame.colors + colors.reshape(frame.colors.shape),
-        _KEPT * frame.moments + (1 - _KEPT) * moments,
+        _KEPT * frame.moments + moments,
     )
 
 
@@ -212,8 +215,8 @@ def compare_places(points: jax.Array, turns: jax.Array, frame: Frame) -> jax.Arr
     """
     density = frame.points
     for axis in range(3):  # the cells at the border, which roll over, are empty
-        rolled = (jnp.roll(density, shift, axis) for shift in (-1, 0, 1))
-        density = sum(w * part for w, part in zip(_BLUR, rolled, strict=True))
+        rolled = [jnp.roll(density, shift, axis) for shift in (-1, 0, 1)]
+        density = jnp.tensordot(jnp.array(_BLUR), jnp.stack(rolled), 1)
     mean = jnp.maximum(jnp.mean(density), jnp.finfo(points.dtype).tiny)
     scores = jnp.log(density.reshape(-1) / mean + _EMPTY)
 
