@@ -1,42 +1,84 @@
-"""Image to point cloud and pose: python -m dpc_jax.predict --workdir=DIR IMAGE...
+"""Images to point clouds and poses: python -m dpc_jax.predict --workdir=DIR IMAGE...
 
-Uses the last checkpoint of a run. For every image it writes NAME.ply, NAME.glb and
-NAME.json into --out, and one picture of all, predictions.png.
+Uses the last checkpoint of a run. For every object it writes NAME.ply, NAME.glb and
+NAME.json into --out, one picture of all, predictions.png, and predictions.json. Each
+image is an object of its own; a folder or a moving picture (GIF, WebP) holds several
+views of one object.
 """
 
 import argparse
 import sys
 from pathlib import Path
 
+from dpc_jax.data.sets.photographs import MASKS
 from dpc_jax.run.flags import run_command
-from dpc_jax.run.prediction import predict_images
+from dpc_jax.run.prediction import PredictRequest, predict_images
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Parse the command line, predict, write."""
-    parser = argparse.ArgumentParser(description="Image to point cloud and pose.")
+def make_parser() -> argparse.ArgumentParser:
+    """The flags of the command."""
+    parser = argparse.ArgumentParser(
+        prog="python -m dpc_jax.predict",
+        description="Images to point clouds and poses, with the network of a run.",
+    )
     parser.add_argument("--workdir", type=Path, required=True, help="of a trained run")
-    parser.add_argument("--out", type=Path, help="folder; WORKDIR/predictions if none")
+    parser.add_argument(
+        "--out", type=Path, help="folder of the results (WORKDIR/predictions)"
+    )
     parser.add_argument(
         "images",
         nargs="+",
         type=Path,
         metavar="IMAGE",
-        help="with an alpha channel, or NAME_mask.png beside it",
+        help="files, moving pictures, or folders with the views of an object",
+    )
+    parser.add_argument(
+        "--mask",
+        choices=MASKS,
+        default="given",
+        help="an alpha channel or NAME_mask.png beside the image; auto: where there is "
+        "neither, the object on a plain background; matting: by a network of the "
+        "extra [masks] (%(default)s)",
+    )
+    parser.add_argument(
+        "--views",
+        choices=("each", "one-object"),
+        default="each",
+        help="image an object of its own, or all views of one object (%(default)s)",
+    )
+    parser.add_argument(
+        "--refine",
+        action="store_true",
+        help="fit shape and poses to the silhouettes, beginning with the prediction",
+    )
+    parser.add_argument(
+        "--turntable", action="store_true", help="write NAME.gif of the cloud turning"
     )
     parser.add_argument(
         "--crop",
-        choices=("view", "none"),
-        help="cut a square around the object, or take the image as it is framed; as "
-        "in training where none",
+        choices=("object", "view", "none"),
+        help="cut a square around the object, at one scale for its views or at each "
+        "one's own, or take the image as it is framed (as in training)",
     )
-    options = parser.parse_args(arguments)
-    out = options.out or options.workdir / "predictions"
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Parse the command line, predict, write; returns the exit status."""
+    options = make_parser().parse_args(arguments)
+    request = PredictRequest(
+        options.images,
+        workdir=options.workdir,
+        out=options.out or options.workdir / "predictions",
+        crop=options.crop,
+        mask=options.mask,
+        is_one_object=options.views == "one-object",
+        is_refined=options.refine,
+        has_turntable=options.turntable,
+    )
     return run_command(
-        lambda: predict_images(
-            options.images, workdir=options.workdir, out=out, crop=options.crop
-        ),
-        out=out,
+        lambda: predict_images(request),
+        out=request.out,
         interrupted="Interrupted; start again to make the rest.",
     )
 

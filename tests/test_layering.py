@@ -23,7 +23,7 @@ ROOMS = {
     "render": ({"jax", "chex"}, set()),
     "shapes": ({"numpy", "trimesh"}, set()),
     "data": (
-        {"numpy", "trimesh", "embreex", "PIL", "rich", "scipy"},
+        {"numpy", "trimesh", "embreex", "PIL", "rich", "scipy", "skimage", "rembg"},
         {"config", "files", "shapes"},
     ),
     "networks": ({"jax", "flax", "chex", "numpy"}, set()),
@@ -191,7 +191,7 @@ def test_a_run_of_point_clouds_does_not_load_what_baselines_need():
     code = """
 import sys
 import jax
-import dpc_jax.run.pipeline, dpc_jax.run.prediction
+import dpc_jax.run.pipeline, dpc_jax.run.predicted_objects
 from dpc_jax.config import build_config
 from dpc_jax.run.memory import estimate_step_memory
 from dpc_jax.run.setup import make_network
@@ -200,6 +200,7 @@ estimate_step_memory(make_network(config), config)
 names = ("skimage", "dpc_jax.run.surfaces", "dpc_jax.evaluation.surfaces")
 names += ("dpc_jax.learning.inference.volumes", "dpc_jax.learning.pose_prior")
 names += ("dpc_jax.learning.view_maps", "dpc_jax.learning.choice.sampling")
+names += ("dpc_jax.run.refinement", "dpc_jax.learning.inference.refinement")
 names += tuple(f"dpc_jax.networks.{n}" for n in ("voxels", "view_maps", "viewpoints"))
 print([name for name in names if name in sys.modules])
 """

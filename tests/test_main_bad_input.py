@@ -107,6 +107,15 @@ def test_what_voxel_models_cannot_predict_is_refused(config, tmp_path, capsys):
     assert "at least 8" in refuse(config, tmp_path / "workdir", capsys)
 
 
+def test_refinement_is_refused_where_there_is_nothing_to_refine(
+    config, tmp_path, capsys
+):
+    config.eval.refine = True
+    config.pose.known = True
+    error = refuse(config, tmp_path / "workdir", capsys)
+    assert "config.eval.refine must be False where poses are known" in error
+
+
 def test_a_choice_by_all_signals_needs_an_exact_comparison(config, tmp_path, capsys):
     config.pose.update(choice_signals="all", choice_top=0)
     error = refuse(config, tmp_path / "workdir", capsys)

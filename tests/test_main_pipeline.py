@@ -4,6 +4,7 @@ import fcntl
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -321,6 +322,29 @@ def test_images_of_no_use_are_named_and_the_others_predicted(
         assert predict.main(arguments) == 1
         (line,) = capsys.readouterr().err.strip().splitlines()
         assert line.startswith("Error: ") and words in line
+
+
+def test_views_of_one_object_are_refined_together(finished, tmp_path, capsys):
+    workdir = shutil.copytree(finished[0], tmp_path / "run")
+    folder = tmp_path / "thing"
+    folder.mkdir()
+    for name in ("a", "b"):
+        save_drawing(folder / f"{name}.png")
+    out = tmp_path / "out"
+    options = [f"--workdir={workdir}", f"--out={out}", "--refine", "--turntable"]
+    assert predict.main([*options, str(folder)]) == 0
+    facts = json.loads((out / "thing.json").read_text())
+    assert [Path(view["source"]).name for view in facts["views"]] == ["a.png", "b.png"]
+    for view in facts["views"]:
+        error = view["silhouette_error"]
+        assert error["after"] < error["before"]
+        assert 0 <= view["confidence"] <= 1 and "Trust is" in view["sentence"]
+    summary = json.loads((out / "predictions.json").read_text())
+    assert len(summary["images"]) == 2 and summary["left_out"] == []
+    assert (out / "thing.gif").is_file() and (out / "thing.glb").is_file()
+    printed = capsys.readouterr().out
+    assert all(view["sentence"] in printed for view in facts["views"])
+    assert (workdir / "report" / "codes.npz").is_file()  # the next time reads it
 
 
 def test_a_refused_command_has_a_status_and_one_line_on_stderr(command):

@@ -210,6 +210,13 @@ class Log:
 
 
 @dataclasses.dataclass(frozen=True)
+class Eval:
+    """What a finished run measures beside the usual; any time later, too."""
+
+    refine: bool = field(False)  # test views once more, fitted to their silhouettes
+
+
+@dataclasses.dataclass(frozen=True)
 class Run:
     """What of the machine a run uses; results agree to rounding."""
 
@@ -229,4 +236,5 @@ class Config:
     pose: Pose = Pose()
     train: Train = Train()
     log: Log = Log()
+    eval: Eval = Eval()
     run: Run = Run()

@@ -12,7 +12,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 MISSING = "–"
-_OWN = "own_"  # prefix of scores on the training source, where another one is tested
+# Prefixes of scores beside those of the test split as it is.
+_BESIDE = {
+    "own_": "training source",  # where another one is tested
+    "refined_joined_": "all views of an object together, refined",
+    "joined_": "all views of an object together",
+    "refined_": "refined",
+}
 
 
 @dataclass(frozen=True)
@@ -88,6 +94,11 @@ METRICS = {metric.name: metric for metric in (
            "mean distance from the true place in the camera frame"),
     Metric("focal_length_error_percent", "Focal length error", "percent", ".2f", False,
            "mean, of the true focal length"),
+    Metric("silhouette_error", "Silhouette error", "", ".4f", False,
+           "squared difference per pixel of the finest grid"),
+    Metric("refine_seconds", "Refinement of a view", "s", ".2f", False),
+    Metric("refine_joined_seconds", "Refinement of an object", "s", ".2f", False,
+           "from all its views"),
     Metric("train_seconds", "Training time", "s", ".0f", False,
            "wall clock, including compilation", role="headline"),
     Metric("peak_memory_gb", "Peak memory", "GB", ".1f", False,
@@ -117,10 +128,11 @@ SUMMARY_METRICS = tuple(name for name, m in METRICS.items() if m.short)
 
 def get_metric(name: str) -> Metric:
     """The metric of that name; an unknown one has its name as its label."""
-    plain = name.removeprefix(_OWN)
-    if plain != name and plain in METRICS:
-        metric = METRICS[plain]
-        return replace(metric, name=name, label=f"{metric.label}, training source")
+    for prefix, what in _BESIDE.items():
+        plain = name.removeprefix(prefix)
+        if plain != name and plain in METRICS:
+            metric = METRICS[plain]
+            return replace(metric, name=name, label=f"{metric.label}, {what}")
     return METRICS.get(name, Metric(name, name))
 
 

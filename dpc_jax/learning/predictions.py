@@ -221,6 +221,13 @@ def complete_poses(
     return Poses(candidates, student, logits)
 
 
+def find_probabilities(poses: Poses) -> jax.Array:
+    """Probabilities [n, C] of the candidates, alike where no student selects."""
+    if poses.logits is None:
+        return jnp.full(poses.candidates.shape[:2], 1 / poses.candidates.shape[1])
+    return jax.nn.softmax(poses.logits)
+
+
 def compute_mass(scale: jax.Array, sigma: jax.Array, *, scale_unit: str) -> jax.Array:
     """Mass of a point in voxels from the learned scaling coefficient in (0, 1).
 

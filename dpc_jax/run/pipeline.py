@@ -134,6 +134,12 @@ def _run_in(folder, config, job):
     }
     if not job.is_first:
         return
+    refined = None
+    if config.eval.refine:
+        from dpc_jax.run.refinement import measure_refinement  # only where asked for
+
+        print("Refining the test views.", flush=True)
+        refined = measure_refinement(model.network, config, state, sets, alignment)
     report_run(
         folder,
         config,
@@ -144,6 +150,7 @@ def _run_in(folder, config, job):
         records=log.read(),
         data_seconds=data_seconds,
         threshold=threshold,
+        refined=refined,
     )
 
 

@@ -1,127 +1,124 @@
-"""Image to point cloud and pose, with the last checkpoint of a run."""
+"""Images to point clouds and poses: what is asked for, and the order of work.
 
+This module loads no JAX: what is wrong with the files is said before that.
+"""
+
+import dataclasses
 import json
 import sys
+import time
+from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
+from dpc_jax.config import Config
+from dpc_jax.data.sets import photographs
+from dpc_jax.data.sets.photographs import Photographs
+from dpc_jax.data.spec import DataSpec
+from dpc_jax.run.workdir import read_config
 
-from dpc_jax.config import replace_fields
-from dpc_jax.data import DataSet, DataSpec
-from dpc_jax.data.sets.image_folder import read_object
-from dpc_jax.data.sets.pictures import FAULTS
-from dpc_jax.evaluation import rotations
-from dpc_jax.evaluation.alignment import (
-    align_points,
-    align_poses,
-    identity_alignment,
-)
-from dpc_jax.files import write_text
-from dpc_jax.learning.inference.predictor import (
-    VIEWS_AT_ONCE,
-    make_predictor,
-    predict_all,
-)
-from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.gallery import draw_predictions
-from dpc_jax.reporting.page import write_files
-from dpc_jax.run.finished import restore_state
-from dpc_jax.run.setup import make_network
-from dpc_jax.run.workdir import read_alignment, read_config
-
-SHOWN = 16  # images in the picture
+SENTENCES = 20  # that are printed; predictions.json has all
 
 
-def predict_images(
-    images: list[Path], *, workdir: Path, out: Path, crop: str | None = None
-):
-    """Predict shape and pose of every image that can be read, and write the files.
+@dataclasses.dataclass(frozen=True)
+class PredictRequest:
+    """What predictions are asked for.
 
-    Args:
-      images: files with an alpha channel, or a mask beside them.
-      workdir: of the run. out: folder of the results.
+    Attributes:
+      paths: image files, moving pictures, folders of views of an object or of such
+        folders. workdir: of the run. out: folder of the results.
       crop: "view" cuts a square in which the object takes the config's `data.fill`,
-        "none" keeps the image's own framing; None is as in training. A network that
-        was trained on renders expects their framing: a distance of two box diagonals.
+        "object" at the scale that the largest of its views needs, "none" keeps the
+        image's own framing; None is as in training. A network that was trained on
+        renders expects their framing: a distance of two box diagonals.
+      mask: of `photographs.MASKS`.
+      is_one_object: whether all images show one object.
+      is_refined: whether shape and poses are fitted to the silhouettes.
+      has_turntable: whether an animated picture of each cloud is written.
+    """
+
+    paths: Sequence[Path]
+    workdir: Path
+    out: Path
+    crop: str | None = None
+    mask: str = "given"
+    is_one_object: bool = False
+    is_refined: bool = False
+    has_turntable: bool = False
+
+
+def predict_images(request: PredictRequest):
+    """Predict shape and pose of every object that can be read, and write the files.
 
     Raises:
       ValueError: where the workdir holds no run, its checkpoints cannot be read, no
-        image can be used, or two images would write the same files.
+        image can be used, two images would write the same files, or the run cannot do
+        what is asked for.
       OSError: where files cannot be read or written.
     """
-    # All devices of this machine share the views.
-    shared = {"run": {"devices": 0}, "train": {"models_per_batch": VIEWS_AT_ONCE}}
-    config = replace_fields(read_config(workdir), shared)
-    names = [path.stem for path in images]
-    repeated = sorted({name for name in names if names.count(name) > 1})
-    if repeated:
-        raise ValueError(
-            f"Expected images of different names, but {', '.join(repeated)} came more "
-            "than once; predict them one by one with an --out of their own."
-        )
-    state = restore_state(config, workdir)
-    if crop is None:
-        is_cut = config.data.images and config.data.crop != "none"
-        crop = "view" if is_cut else "none"
-    dataset = _read_images(images, config, crop=crop)
-    predictor = make_predictor(make_network(config), config)
-    predictions = predict_all(predictor, state, dataset)
-    alignment = read_alignment(workdir)
-    meshes = [None] * len(dataset.names)
-    if predictions.cells is not None:
-        # They need libraries of their own.
-        from dpc_jax.learning.inference.volumes import add_points
-        from dpc_jax.run import surfaces
+    started = time.perf_counter()
+    config = read_config(request.workdir)
+    if request.is_refined:
+        _check_ability(config, "--refine")
+    found, skipped = photographs.read_photographs(
+        photographs.Request(request.paths, request.mask, request.is_one_object),
+        make_spec(config, request.crop),
+    )
+    for source, reason in skipped:
+        print(f"Warning: {source} was left out: {reason}.", file=sys.stderr)
+    if any(len(one.sources) > 1 for one in found):
+        _check_ability(config, "Several views of an object together")
+    _warn_of_frame(request.workdir)
+    _predict(request, config, found, skipped, started)
 
-        threshold = surfaces.read_threshold(workdir)
-        predictions = add_points(predictions, threshold)
-        frame = alignment or identity_alignment()
-        meshes = [
-            surfaces.find_surface(predictions, row, threshold, frame)
-            for row in range(len(meshes))
-        ]
-    points, poses = predictions.points[:, 0], predictions.poses[:, 0]
-    if alignment is not None:
-        points, poses = align_points(alignment, points), align_poses(alignment, poses)
-    out.mkdir(parents=True, exist_ok=True)
-    examples = []
-    for i, name in enumerate(dataset.names):
-        example = Example(
-            name=name,
-            image=dataset.images[i, 0],
-            target=dataset.masks[i, 0] / 255,
-            predicted=predictions.silhouettes[i, 0],
-            points=points[i],
-            colors=None if predictions.colors is None else predictions.colors[i, 0],
-            pose_error_deg=None,
-            mesh=meshes[i],
-        )
-        pose = None if config.pose.known else poses[i]
-        facts = _describe_pose(pose, is_aligned=alignment is not None)
-        _write_prediction(out, example, facts | _describe_camera(predictions, i))
-        examples.append(example)
-    picture = draw_predictions(examples[:SHOWN], out / "predictions.png")
-    for image, reason in dataset.skipped:
-        print(f"Warning: {image} was left out: {reason}.", file=sys.stderr)
-    if alignment is None:
-        print(
-            f"Warning: {workdir} has no report/alignment.json, so points and poses are "
-            "in the network's own frame; finish the run first.",
-            file=sys.stderr,
-        )
-    print(f"{len(dataset.names)} of {len(images)} images: {out}")
+
+def _predict(request, config, found: list[Photographs], skipped, started):
+    # These load JAX, which takes seconds.
+    from dpc_jax.run.predicted_objects import predict_objects
+    from dpc_jax.run.prediction_files import write_predictions
+
+    predicted = predict_objects(
+        found, config, request.workdir, is_refined=request.is_refined
+    )
+    entries, picture = write_predictions(
+        predicted, request.out, has_turntable=request.has_turntable
+    )
+    # Refinement is timed on its own; all else is in here too.
+    seconds = time.perf_counter() - started
+    write_summary(request, entries, skipped, seconds)
+    for entry in entries[:SENTENCES]:
+        print(entry["sentence"])
+    if len(entries) > SENTENCES:
+        print(f"... and {len(entries) - SENTENCES} more.")
+    total = len(entries) + len(skipped)
+    print(
+        f"{len(entries)} of {total} images in {seconds:.0f} s: {request.out} "
+        "(predictions.json has all figures)"
+    )
     print(f"Picture: {picture}")
 
 
-def _write_prediction(out, example, facts):
-    """NAME.ply, NAME.glb and NAME.json of one image."""
-    write_files(example, out / example.name)
-    write_text(out / f"{example.name}.json", json.dumps(facts, indent=2) + "\n")
+def write_summary(
+    request: PredictRequest, entries: list[dict], skipped: list, seconds: float
+) -> Path:
+    """OUT/predictions.json: every view, and what was left out."""
+    from dpc_jax.files import write_text
+
+    content = {
+        "workdir": str(request.workdir),
+        "refined": request.is_refined,
+        "seconds": round(seconds, 2),
+        "images": entries,
+        "left_out": [{"source": s, "reason": f"{reason}."} for s, reason in skipped],
+    }
+    text = json.dumps(content, indent=2) + "\n"
+    return write_text(request.out / "predictions.json", text)
 
 
-def _read_images(paths: list[Path], config, *, crop: str) -> DataSet:
-    """Every usable image as an object of one view, framed as in training."""
-    spec = DataSpec(
+def make_spec(config: Config, crop: str | None) -> DataSpec:
+    """How images are framed for a run; see `PredictRequest.crop`."""
+    if crop is None:
+        crop = config.data.crop if config.data.images else "none"
+    return DataSpec(
         config.category,
         kind="images",
         folder=".",
@@ -131,59 +128,33 @@ def _read_images(paths: list[Path], config, *, crop: str) -> DataSet:
         focal_length=config.render.focal_length,
         distance=config.render.distance,
     )
-    images, masks, names, skipped = [], [], [], []
-    for path in paths:
-        try:
-            if not path.is_file():
-                raise ValueError(
-                    f"Expected an image file, but there is no file {path}; check the "
-                    "path."
-                )
-            arrays, _ = read_object(path, spec)
-        except FAULTS as error:
-            skipped.append((str(path), str(error).rstrip(".")))
-            continue
-        images.append(arrays["images"])
-        masks.append(arrays["masks"])
-        names.append(path.stem)
-    if not names:
-        first = skipped[0][1]
-        if len(skipped) == 1:
-            raise ValueError(f"{first}.")
+
+
+def _check_ability(config: Config, what: str):
+    """Refuse what needs codes of points, and poses, of a run that has none."""
+    lacking = "was given its poses" if config.pose.known else ""
+    if config.network.shape != "points":
+        lacking = f"predicts {config.network.shape}"
+    if lacking:
         raise ValueError(
-            "Expected at least one image that can be used, but none of "
-            f"{len(skipped)} can; of the first: {first}."
+            f"{what} needs a run that learns point clouds and poses, but this one "
+            f"{lacking}; use another run, or predict image by image without it."
         )
-    return DataSet(
-        images=np.stack(images),
-        masks=np.stack(masks),
-        depths=None,
-        quaternions=None,
-        surfaces=None,
-        names=tuple(names),
-        skipped=tuple(skipped),
+
+
+def _warn_of_frame(workdir: Path):
+    report = workdir / "report"
+    if (report / "alignment.json").is_file():
+        return
+    if (report / "metrics.json").is_file():
+        print(
+            f"Note: {workdir} was trained on images without poses, so points and poses "
+            "are in the frame that its network found: it may be turned or mirrored.",
+            file=sys.stderr,
+        )
+        return
+    print(
+        f"Warning: {workdir} has no report/alignment.json, so points and poses are in "
+        "the network's own frame; finish the run first.",
+        file=sys.stderr,
     )
-
-
-def _describe_pose(quaternion, *, is_aligned: bool) -> dict:
-    """What NAME.json holds; a run on known poses predicts none."""
-    frame = "object" if is_aligned else "network"
-    if quaternion is None:
-        return {"frame": frame, "quaternion": None}
-    azimuth, elevation = rotations.view_angles(quaternion)
-    return {
-        "frame": frame,
-        "quaternion": rotations.canonical_sign(quaternion).tolist(),  # object to camera
-        "azimuth_deg": azimuth,
-        "elevation_deg": elevation,
-    }
-
-
-def _describe_camera(predictions, index) -> dict:
-    """What NAME.json holds of the camera, where a run has learned it."""
-    facts = {}
-    if predictions.translations is not None:  # in the camera frame, box diagonals
-        facts["translation"] = predictions.translations[index, 0].tolist()
-    if predictions.focal_lengths is not None:  # of an image 1 wide
-        facts["focal_length"] = float(predictions.focal_lengths[index, 0])
-    return facts

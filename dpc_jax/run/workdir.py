@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from flax.traverse_util import flatten_dict
 
 from dpc_jax.config import Config, from_json, to_json
 from dpc_jax.evaluation.alignment import Alignment
@@ -20,6 +19,7 @@ from dpc_jax.files import write_text
 FREE_FIELDS = (
     "data.cache_dir",
     "data.processes",
+    "eval",
     "log",
     "render.renders_at_once",
     "run",
@@ -110,6 +110,9 @@ def list_differences(old: Config, new: Config) -> list[str]:
 
     Each with both values: "train.steps (20 there, 40 now)".
     """
+    # Here: it loads JAX, and reading a config should not.
+    from flax.traverse_util import flatten_dict
+
     there, now = (flatten_dict(dataclasses.asdict(c), sep=".") for c in (old, new))
     return [
         f"{name} ({there[name]!r} there, {now[name]!r} now)"

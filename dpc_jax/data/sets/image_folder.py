@@ -84,7 +84,7 @@ def _list_objects(folder):
         return {folder.resolve().name: folder}
     folders = (place for place in sorted(folder.iterdir()) if place.is_dir())
     places = [p for p in folders if list_images(p) or pose_files.find_pose_files(p)]
-    places = places or _find_images(folder)
+    places = places or find_images(folder)
     if not places:
         raise ValueError(
             f"Expected folders of images ({', '.join(SUFFIXES)}) in {folder}, but "
@@ -104,10 +104,11 @@ def list_images(place: Path) -> list[Path]:
     with contextlib.suppress(ValueError):
         if listed:
             return sorted(pose_files.read_poses(listed))
-    return _find_images(place)
+    return find_images(place)
 
 
-def _find_images(folder):
+def find_images(folder: Path) -> list[Path]:
+    """The image files in a folder but masks, sorted."""
     found = (p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
     return sorted(p for p in found if p.is_file() and not p.stem.endswith("_mask"))
 
@@ -163,9 +164,31 @@ def read_views(
     return list(outlines), arrays, notes
 
 
+class NoMaskError(ValueError):
+    """An image has neither an alpha channel nor a mask beside it."""
+
+
 def _read_image(path):
     """Colours uint8 and mask float32 (0 to 1) of an image file, upright."""
     image = read_picture(path)
+    mask = read_mask(image, path)
+    covered = mask > 0.5
+    if not covered.any() or covered.all():
+        extent = "covers the whole image" if covered.any() else "is empty"
+        raise ValueError(
+            f"Expected a mask of the object in {_find_mask(path) or path}, but it "
+            f"{extent}; make it again."
+        )
+    return np.asarray(image.convert("RGBA").convert("RGB")), mask
+
+
+def read_mask(image: Image.Image, path: Path) -> np.ndarray:
+    """The mask float32 [height, width] of 0 to 1 of an upright image of a file.
+
+    Raises:
+      NoMaskError: where it has neither an alpha channel nor a mask file.
+      ValueError: where the mask file has another size or cannot be read.
+    """
     beside = _find_mask(path)
     if beside is not None:
         mask = read_picture(beside)
@@ -180,19 +203,11 @@ def _read_image(path):
     elif image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info:
         mask = np.asarray(image.convert("RGBA"))[..., 3]
     else:
-        raise ValueError(
+        raise NoMaskError(
             f"Expected an alpha channel in {path} or {path.stem}_mask.png beside it, "
             "but found neither; add a mask."
         )
-    covered = mask > 127
-    if not covered.any() or covered.all():
-        extent = "covers the whole image" if covered.any() else "is empty"
-        raise ValueError(
-            f"Expected a mask of the object in {beside or path}, but it {extent}; make "
-            "it again."
-        )
-    colors = np.asarray(image.convert("RGBA").convert("RGB"))
-    return colors, mask.astype(np.float32) / 255.0
+    return mask.astype(np.float32) / 255.0
 
 
 def _find_mask(path):

@@ -19,7 +19,11 @@ from dpc_jax.learning.inference.explanation import (
     list_compared,
 )
 from dpc_jax.learning.losses import downsample_images
-from dpc_jax.learning.predictions import complete_poses, scale_images
+from dpc_jax.learning.predictions import (
+    complete_poses,
+    find_probabilities,
+    scale_images,
+)
 from dpc_jax.learning.renders import find_scenes
 from dpc_jax.learning.signals import list_extras
 from dpc_jax.learning.step import TrainState, find_parts
@@ -51,6 +55,8 @@ class Predictions(NamedTuple):
       costs: [M, V, 2] of the silhouette as seen from the student's pose and from the
         true one; only with a frame (`predict_all`), else of no meaning.
       cells: [M, V, D, D, D], the occupancies that voxel models predict; else None.
+      candidates: [M, V, C, 4], turned ones included, and probabilities: [M, V, C] that
+        the student gives them, alike where it does not select. Only where asked for.
     """
 
     points: np.ndarray
@@ -66,15 +72,20 @@ class Predictions(NamedTuple):
     sizes: np.ndarray | None = None
     cells: np.ndarray | None = None
     costs: np.ndarray | None = None
+    candidates: np.ndarray | None = None
+    probabilities: np.ndarray | None = None
 
 
-def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
+def make_predictor(
+    network: ShapePoseNetwork, config: Config, *, keeps_candidates: bool = False
+) -> Callable:
     """The compiled function (state, images, masks, quaternions, extras) -> dict.
 
     It runs over the devices. For n views: images uint8 [n, S, S, 3], masks uint8
     [n, S, S], quaternions [n, 4], extras: arrays [n, ...] of `list_extras`, those there
     are. The dictionary has the fields of `Predictions`, with one leading axis [n];
-    those that a run does not have are left out.
+    those that a run does not have are left out, and so are candidates and their
+    probabilities unless they are kept.
     """
     render, pose = config.render, config.pose
 
@@ -92,6 +103,9 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
         if not pose.known:
             poses = complete_poses(output, state.covariance, pose=pose)
             candidates, students = poses.candidates, poses.student
+            if keeps_candidates:
+                chances = find_probabilities(poses)
+                output |= {"candidates": candidates, "probabilities": chances}
         targets = downsample_images(masks, render.grid)
         cameras = find_cameras(output, extras, pose=pose)
         own = list_own(cameras, len(images)) | list_compared(
@@ -127,6 +141,8 @@ def make_predictor(network: ShapePoseNetwork, config: Config) -> Callable:
             "winners": winners,
         }
         kept = ("points", "cells", "colors", "sizes", "translations", "focal_lengths")
+        if keeps_candidates:
+            kept = (*kept, "candidates", "probabilities")
         return result | rendered | {n: output[n] for n in kept if n in output}
 
     mesh = devices.make_mesh(config)

@@ -2,6 +2,7 @@
 
 import resource
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,7 @@ def report_run(
     records: list[dict],
     data_seconds: float,
     threshold: float | None = None,
+    refined: dict[str, Any] | None = None,
 ):
     """Score the test sets, write WORKDIR/report, and print what is in it.
 
@@ -47,6 +49,7 @@ def report_run(
       outcome: of the training loop. records: of its log.
       data_seconds: spent on preparing the data.
       threshold: of the surfaces of a voxel model.
+      refined: of `measure_refinement`, where it was asked for.
     """
     heads = config.pose.heads
     scored = {
@@ -81,6 +84,7 @@ def report_run(
         own = scored["own"][0].metrics | measured["own"]
         metrics |= {f"own_{name}": value for name, value in own.items()}
         metrics["own_test_models"] = len(sets["own"].names)
+    metrics |= refined or {}
     if threshold is not None:
         metrics["surface_threshold"] = threshold
     warnings = list_warnings(config, sets, shares if heads > 1 else None)
@@ -119,10 +123,34 @@ def report_run(
     print(
         f"Test: {describe_metrics(metrics)} after {outcome.seconds:.0f} s of training."
     )
+    for line in describe_refined(refined or {}):
+        print(line)
     if "own" in scored:
         own = scored["own"][0].metrics
         print(f"Objects of the training source: {describe_metrics(own)}.")
     print(f"Report: {path}")
+
+
+def describe_refined(refined: dict[str, Any]) -> list[str]:
+    """Sentences on the figures of `measure_refinement`."""
+    titles = {
+        "refined_": "Refined, each view on its own",
+        "joined_": "All views of an object together",
+        "refined_joined_": "Together and refined",
+    }
+    return [
+        f"{title}: "
+        + describe_metrics(
+            {
+                name: refined[start + name]
+                for name in ("pose_accuracy", "pose_median_error_deg", "chamfer")
+                if start + name in refined
+            }
+        )
+        + "."
+        for start, title in titles.items()
+        if any(name.startswith(start) for name in refined)
+    ]
 
 
 def _name_lost(failures: Failures | None, dataset: DataSet) -> list[str]:

@@ -1,0 +1,208 @@
+"""Photographs that a trained network is asked about: files, folders, moving pictures.
+
+Each becomes an object of one or more views, cut out and framed as in training. What
+cannot be used is named. This module loads no JAX: a bad file is told at once.
+"""
+
+import contextlib
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image, ImageOps, ImageSequence
+
+from dpc_jax.data.sets import framing, matting, plain_background
+from dpc_jax.data.sets.image_folder import NoMaskError, find_images, read_mask
+from dpc_jax.data.sets.pictures import FAULTS, SUFFIXES
+from dpc_jax.data.spec import DataSpec
+
+MASKS = ("given", "auto", "matting")  # where masks come from
+_MOVING = ("GIF", "WEBP", "PNG", "TIFF")  # of JPEG others are thumbnails
+MOST_FRAMES = 24  # of a moving picture, in equal steps: a turn in steps of 15°
+
+
+class Photographs(NamedTuple):
+    """One object's views.
+
+    Attributes:
+      name: of its files. sources: what each view is from.
+      images: uint8 [V, S, S, 3] on white. masks: uint8 [V, S, S].
+    """
+
+    name: str
+    sources: tuple[str, ...]
+    images: np.ndarray
+    masks: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Request:
+    """What is to be read.
+
+    Attributes:
+      paths: image files, moving pictures, and folders of the views of one object, or of
+        such folders.
+      mask: of `MASKS`. "given": alpha channel or mask file; "auto": where there is
+        neither, the object before a plain background; "matting": by a network.
+      is_one_object: whether all of it shows the same object.
+    """
+
+    paths: Sequence[Path]
+    mask: str = "given"
+    is_one_object: bool = False
+
+
+def read_photographs(
+    request: Request, spec: DataSpec
+) -> tuple[list[Photographs], list[tuple[str, str]]]:
+    """The objects that can be used, and (source, sentence) of what is left out.
+
+    Raises:
+      ValueError: where nothing can be used, two objects would have the same name, or
+        masks cannot be made.
+    """
+    finder = _choose_finder(request.mask)
+    objects, skipped = [], []
+    for name, files in _list_objects(request):
+        views = [view for file in files for view in _read_file(file, finder, skipped)]
+        if views:
+            objects.append(_frame(name, views, spec))
+    if not objects:
+        first = skipped[0][1]
+        if len(skipped) == 1:
+            raise ValueError(f"{first}.")
+        raise ValueError(
+            "Expected at least one image that can be used, but none of "
+            f"{len(skipped)} can; of the first: {first}."
+        )
+    return objects, skipped
+
+
+def _choose_finder(mask: str) -> Callable | None:
+    """What finds a mask in an image's colours; None where it has to be given."""
+    if mask == "auto":
+        return plain_background.find_object
+    if mask == "matting":
+        return functools.partial(matting.find_object, session=matting.open_session())
+    return None
+
+
+def _list_objects(request: Request) -> list[tuple[str, list[Path]]]:
+    """(name, files) of each object."""
+    found = [pair for path in request.paths for pair in _expand(path)]
+    if request.is_one_object:
+        name = found[0][0] if len(found) == 1 else "object"
+        return [(name, [file for _, files in found for file in files])]
+    names = [name for name, _ in found]
+    if repeated := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(
+            f"Expected images of different names, but {', '.join(repeated)} came more "
+            "than once; predict them one by one with an --out of their own."
+        )
+    return found
+
+
+def _expand(path: Path) -> list[tuple[str, list[Path]]]:
+    if not path.is_dir():
+        return [(path.stem, [path])]
+    if files := find_images(path):
+        return [(path.resolve().name, files)]
+    inner = [place for place in sorted(path.iterdir()) if place.is_dir()]
+    if found := [(p.name, files) for p in inner if (files := find_images(p))]:
+        return found
+    raise ValueError(
+        f"Expected images ({', '.join(SUFFIXES)}) in the folder {path} or in folders "
+        "in it, but there are none; check the path."
+    )
+
+
+def _read_file(path: Path, finder, skipped) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """(source, colours, mask) of each frame that can be used; others are noted."""
+    try:
+        frames = _open_frames(path)
+    except FAULTS as error:
+        skipped.append((str(path), str(error).rstrip(".")))
+        return []
+    views = []
+    for number, frame in enumerate(frames):
+        source = f"{path}, frame {number + 1}" if len(frames) > 1 else str(path)
+        try:
+            mask = _find_mask(frame, path, finder, is_alone=len(frames) == 1)
+            _check_mask(mask, source)
+        except FAULTS as error:
+            skipped.append((source, _name_source(str(error).rstrip("."), source)))
+            continue
+        colors = np.asarray(frame.convert("RGBA").convert("RGB"))
+        views.append((source, colors, mask))
+    return views
+
+
+def _open_frames(path: Path) -> list[Image.Image]:
+    """The frames of a picture file, upright; of a moving picture `MOST_FRAMES`."""
+    if not path.is_file():
+        raise ValueError(
+            f"Expected an image file, but there is no file {path}; check the path."
+        )
+    try:
+        with Image.open(path) as image:
+            is_moving = image.format in _MOVING
+            count = getattr(image, "n_frames", 1) if is_moving else 1
+            chosen = {int(i * count / MOST_FRAMES) for i in range(MOST_FRAMES)}
+            return [
+                ImageOps.exif_transpose(frame).copy()
+                for number, frame in enumerate(ImageSequence.Iterator(image))
+                if number in chosen and number < count
+            ]
+    except FAULTS as error:
+        raise ValueError(
+            f"Expected a readable image in {path}, but it is damaged or of another "
+            f"kind ({_shorten(error)}); save it again as PNG, JPEG or WebP."
+        ) from None
+
+
+def _shorten(error) -> str:
+    """What Pillow says, without the path that it repeats."""
+    text = str(error).split(" '/")[0].rstrip(".")
+    return text[:1].lower() + text[1:] if text else type(error).__name__
+
+
+def _find_mask(frame, path: Path, finder, *, is_alone: bool) -> np.ndarray:
+    if finder is None:
+        return read_mask(frame, path)
+    if is_alone:
+        with contextlib.suppress(NoMaskError):
+            return read_mask(frame, path)
+    elif frame.mode in ("RGBA", "LA", "PA") or "transparency" in frame.info:
+        alpha = np.asarray(frame.convert("RGBA"))[..., 3]
+        if alpha.min() < 128:  # a moving picture may have an alpha channel of no use
+            return alpha.astype(np.float32) / 255.0
+    return finder(np.asarray(frame.convert("RGB")))
+
+
+def _check_mask(mask, source):
+    covered = mask > 0.5
+    if not covered.any() or covered.all():
+        extent = "covers the whole image" if covered.any() else "is empty"
+        raise ValueError(
+            f"Expected a mask of the object in {source}, but it {extent}; make it "
+            "again, or take --mask=auto for an object before a plain background."
+        )
+
+
+def _name_source(sentence: str, source: str) -> str:
+    """A sentence that names its image."""
+    return sentence if source.split(",")[0] in sentence else f"{source}: {sentence}"
+
+
+def _frame(name, views, spec: DataSpec) -> Photographs:
+    outlines = [framing.trace_outline(mask > 0.5) for _, _, mask in views]
+    frames = framing.frame_views(outlines, None, spec)
+    cut = [
+        framing.cut_frame(colors, mask, frame, image_size=spec.image_size)
+        for (_, colors, mask), frame in zip(views, frames, strict=True)
+    ]
+    images, masks = map(np.stack, zip(*cut, strict=True))
+    return Photographs(name, tuple(source for source, _, _ in views), images, masks)

@@ -1,0 +1,159 @@
+"""The mask of an object before a plain background, found from the image alone.
+
+The background may be noisy and lit unevenly: a smooth surface is fitted to the colours
+along the border, in CIELAB, where distances are about as large as they look. What
+differs from it by more than Otsu's threshold is the object.
+"""
+
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from scipy import ndimage
+
+_SIDE = 512  # longest, of the image that is looked at: a mask is smooth beyond that
+_BORDER = 0.03  # of the image's shorter side, that shows background on all sides
+_LEAST_CONTRAST = 8.0  # of object and background in CIELAB; 2 is just noticeable
+_NOISE_FACTOR = 4.0  # standard deviations of noise that are still background
+_MOST_NOISE = 12.0  # of the background about its smooth surface, CIELAB
+_MOST_UNLIKE = 0.45  # share of the border that the background leaves unexplained
+_TRIMMINGS = 8  # rounds of fitting without what does not fit
+_DARKEST_SHADOW = 0.4  # that a shadow takes of the background's lightness
+_SHADE = 0.35  # weight of a darkening that may be a shadow
+_LEAST_KEPT = 0.65  # of the object's area, without what may be its shadow
+_SPECK = 2e-3  # of the object's area: a smaller hole is noise
+_EDGE = 2  # pixels that blur widens an object by
+_LEAST_AREA = 0.002  # of the image
+
+
+def find_object(colors: np.ndarray) -> np.ndarray:
+    """The mask float32 [height, width] of 0 to 1 of an object, in a uint8 image.
+
+    Raises:
+      ValueError: where the background is not plain, or nothing stands out from it; the
+        sentence begins with "Expected a plain background".
+    """
+    # Here: this library takes a while, and few commands need it.
+    from skimage import color, filters
+
+    height, width = colors.shape[:2]
+    ratio = min(1.0, _SIDE / max(height, width))
+    size = max(8, round(width * ratio)), max(8, round(height * ratio))
+    small = np.asarray(Image.fromarray(colors).resize(size, Image.Resampling.BOX))
+    lab = color.rgb2lab(small).astype(np.float32)
+    background, noise = _fit_background(lab)
+    # Noise of single pixels averages out; an edge moves by less than a pixel.
+    smooth = ndimage.gaussian_filter(lab - background, (1.0, 1.0, 0.0))
+    away = np.linalg.norm(smooth, axis=-1)
+    lit = np.minimum(away, _discount_shadows(smooth, background))
+    masks = []
+    for distance in (away, lit):
+        # Half of Otsu's threshold: parts of an object may be like the background.
+        threshold = 0.5 * filters.threshold_otsu(np.minimum(distance, 60.0))
+        threshold = max(threshold, _LEAST_CONTRAST / 2, _NOISE_FACTOR * noise / 3)
+        masks.append(_trim_edge(_keep_largest(distance, threshold), distance))
+    # An object of the background's own hue is not its own shadow.
+    mask = masks[int(masks[1].sum() > _LEAST_KEPT * masks[0].sum())]
+    contrast = np.median(away[mask]) if mask.any() else 0.0
+    if mask.mean() < _LEAST_AREA or contrast < _LEAST_CONTRAST:
+        raise ValueError(
+            "Expected a plain background with an object that stands out, but nothing "
+            "differs enough from the border's colours; give a mask."
+        )
+    if _touches_all_sides(mask):
+        raise ValueError(
+            "Expected a plain background around the object, but what stands out "
+            "touches all four sides of the image; leave a margin, or give a mask."
+        )
+    large = Image.fromarray(mask.astype(np.float32)).resize(
+        (width, height), Image.Resampling.BILINEAR
+    )
+    return np.asarray(large, np.float32)
+
+
+def _fit_background(lab):
+    """A quadratic surface [h, w, 3] through the border's colours, and the noise.
+
+    What lies off it is left out and the rest fitted again: an object may reach over the
+    border.
+    """
+    height, width = lab.shape[:2]
+    margin = max(2, round(_BORDER * min(height, width)))
+    is_border = np.ones((height, width), bool)
+    is_border[margin:-margin, margin:-margin] = False
+    y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    rows, values = terms[is_border], lab[is_border]
+    # It begins with what most of the border has: its median colour.
+    away = np.linalg.norm(values - np.median(values, axis=0), axis=1)
+    kept = away <= max(float(np.median(away)) * 2.5, _MOST_NOISE)
+    for _ in range(_TRIMMINGS):
+        surface, *_ = np.linalg.lstsq(rows[kept], values[kept], rcond=None)
+        away = np.linalg.norm(values - rows @ surface, axis=1)
+        noise = float(np.median(away[kept]))
+        kept = away <= max(3.0 * noise, 1.0)
+    unlike = float(np.mean(away > max(3.0 * noise, _LEAST_CONTRAST)))
+    if noise > _MOST_NOISE or unlike > _MOST_UNLIKE:
+        raise ValueError(
+            "Expected a plain background, but the border of the image shows several "
+            f"colours ({100 * unlike:.0f} % of it differ from the rest); give a mask, "
+            "or take the picture before a plain wall or sheet."
+        )
+    return (terms @ surface).astype(np.float32), noise
+
+
+def _discount_shadows(smooth, background):
+    """How far each pixel's colour is from the background's, shadows counted for less.
+
+    A shadow makes the background darker and hardly changes its hue; it is not darker
+    than some share of it.
+    """
+    lightness = smooth[..., 0]
+    base = np.maximum(background[..., 0], 1.0)
+    shade = np.clip(-lightness, 0.0, _DARKEST_SHADOW * base)
+    # In shadow, colours fade with the light.
+    faded = background[..., 1:] * (shade / base)[..., None]
+    rest = np.stack([lightness + shade, *np.moveaxis(smooth[..., 1:] + faded, -1, 0)])
+    return np.hypot(np.linalg.norm(rest, axis=0), _SHADE * shade)
+
+
+def _keep_largest(away, threshold):
+    """The largest connected part above a threshold, without specks and false holes.
+
+    A hole that shows the background stays open.
+    """
+    mask = np.asarray(ndimage.binary_opening(away > threshold), bool)
+    found: Any = ndimage.label(mask, np.ones((3, 3)))
+    labels, count = found
+    if not count:
+        return mask
+    areas = np.bincount(labels.ravel())
+    areas[0] = 0
+    largest = np.asarray(
+        ndimage.binary_closing(np.pad(labels == areas.argmax(), 2), np.ones((3, 3))),
+        bool,
+    )[2:-2, 2:-2]
+    filled = np.asarray(ndimage.binary_fill_holes(largest), bool)
+    found = ndimage.label(filled & ~largest)
+    holes, count = found
+    for number in range(1, count + 1):
+        hole = holes == number
+        is_large = hole.sum() > _SPECK * largest.sum()
+        if is_large and np.median(away[hole]) < threshold / 2:
+            filled[hole] = False
+    return filled
+
+
+def _trim_edge(mask, away):
+    """The mask without those pixels of its edge that are mostly background."""
+    if not mask.any():
+        return mask
+    inner = ndimage.binary_erosion(mask, np.ones((3, 3)), iterations=_EDGE)
+    nearby = ndimage.grey_dilation(np.where(mask, away, 0.0), size=2 * _EDGE + 1)
+    trimmed = mask & (inner | (away > 0.5 * np.minimum(nearby, 60.0)))
+    return trimmed if trimmed.sum() > 0.5 * mask.sum() else mask
+
+
+def _touches_all_sides(mask):
+    edges = mask[0], mask[-1], mask[:, 0], mask[:, -1]
+    return all(edge.any() for edge in edges)

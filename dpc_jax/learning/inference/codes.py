@@ -1,0 +1,111 @@
+"""Codes of views: what the encoder says of an image, before shapes are decoded.
+
+Codes of several views of one object can be averaged, and a code can be changed until
+the shape that it stands for fits: shapes stay among those that the network knows.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpc_jax.config import Config
+from dpc_jax.learning import devices
+from dpc_jax.learning.predictions import complete_poses, scale_images
+from dpc_jax.networks import ShapePoseNetwork
+
+IMAGES_AT_ONCE = 64
+COMPONENTS = 64  # directions in which codes differ that are told apart
+
+
+class Codes(NamedTuple):
+    """What the encoder and the pose branches say of n views.
+
+    Attributes:
+      codes: [n, F] of shapes.
+      candidates: [n, C, 4], turned ones included; poses: [n, 4], the student's. None
+        where poses are known.
+      cameras: translations [n, 3], focal_lengths [n], by name, those that are learned.
+    """
+
+    codes: np.ndarray
+    candidates: np.ndarray | None
+    poses: np.ndarray | None
+    cameras: dict[str, np.ndarray]
+
+
+def make_coder(network: ShapePoseNetwork, config: Config) -> Callable:
+    """The compiled function (state, images uint8 [n, S, S, 3]) -> dict of `Codes`."""
+
+    def encode(state, images):
+        features = network.apply(state.params, scale_images(images), method="encode")
+        assert isinstance(features, jax.Array)
+        found: dict[str, Any] = {"codes": features[:, : network.hidden]}
+        if not config.pose.known:
+            output = network.apply(state.params, features, method="predict_pose")
+            assert isinstance(output, dict)
+            poses = complete_poses(output, state.covariance, pose=config.pose)
+            found |= {"candidates": poses.candidates, "poses": poses.student}
+        if config.pose.translation or config.pose.focal_length:
+            cameras = network.apply(state.params, features, method="predict_camera")
+            found["cameras"] = cameras
+        return found
+
+    return make_shared(encode, config, devices.OBJECTS)
+
+
+def make_shared(function: Callable, config: Config, *parts: Any) -> Callable:
+    """Compile a function of a state and arrays of n objects, shared by the devices.
+
+    Every device has the whole network: there are few objects. The number of objects
+    need not divide.
+
+    Args:
+      parts: of the arguments after the state, `devices.OBJECTS` or `devices.WHOLE`.
+    """
+    mesh = devices.make_mesh(config)
+    in_specs, out_specs = (devices.WHOLE, *parts), devices.OBJECTS
+    shared = devices.share(function, mesh, in_specs=in_specs, out_specs=out_specs)
+
+    def pad(state, first, *others):
+        count = len(jax.tree.leaves(first)[0])
+        rows = jnp.minimum(jnp.arange(count + -count % mesh.size), count - 1)
+        output = shared(state, jax.tree.map(lambda a: a[rows], first), *others)
+        return jax.tree.map(lambda array: array[:count], output)
+
+    return jax.jit(pad)
+
+
+def encode_all(coder: Callable, state: NamedTuple, images: np.ndarray) -> Codes:
+    """`Codes` of images uint8 [n, S, S, 3], batch by batch (the last one is padded)."""
+    parts = []
+    for start in range(0, len(images), IMAGES_AT_ONCE):
+        rows = np.arange(start, start + IMAGES_AT_ONCE)
+        batch = np.asarray(images[np.minimum(rows, len(images) - 1)])
+        parts.append(jax.device_get(coder(state, batch)))
+    count = len(images)
+    found = jax.tree.map(lambda *arrays: np.concatenate(arrays)[:count], *parts)
+    poses = found.get("candidates"), found.get("poses")
+    return Codes(found["codes"], *poses, found.get("cameras", {}))
+
+
+def find_directions(codes: np.ndarray) -> np.ndarray:
+    """Directions [k, F] in which codes [n, F] vary, as long as their deviations.
+
+    The principal axes, `COMPONENTS` at most: a sum of them with normal weights is as
+    far from the mean as codes usually are.
+
+    Raises:
+      ValueError: for fewer than two codes, which do not vary.
+    """
+    if len(codes) < 2:
+        raise ValueError(
+            f"Expected at least two views to measure how codes vary, but got "
+            f"{len(codes)}; use a run with more validation images."
+        )
+    away = np.asarray(codes, np.float64) - np.mean(codes, axis=0)
+    _, sizes, axes = np.linalg.svd(away, full_matrices=False)
+    deviations = sizes / np.sqrt(len(codes) - 1)
+    return (deviations[:, None] * axes)[:COMPONENTS].astype(np.float32)

@@ -1,0 +1,255 @@
+"""Shape and poses fitted to silhouettes, beginning with a prediction. Not in the paper.
+
+Free points would fit a single silhouette perfectly and be worse from every other side.
+So the shape changes through its code alone, along the directions in which codes of
+validation views differ, and each is pulled back by its usual deviation: the most
+probable code, given the silhouettes. Poses turn freely. Several views of an object
+share a code; they begin with the mean of theirs.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from dpc_jax.config import Config
+from dpc_jax.learning import devices, schedules
+from dpc_jax.learning.cameras import place_camera
+from dpc_jax.learning.inference.codes import make_shared
+from dpc_jax.learning.losses import downsample_images
+from dpc_jax.learning.renders import (
+    compute_candidate_losses,
+    find_scenes,
+    render_scene,
+    resize_scene,
+)
+from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.render import Camera, quaternion
+from dpc_jax.render.batch import map_renders
+
+OBJECTS_AT_ONCE = 16
+
+
+@dataclasses.dataclass(frozen=True)
+class RefineSettings:
+    """How predictions are refined.
+
+    Attributes:
+      steps: of Adam; 0 leaves shapes and poses as they are.
+      pose_rate: learning rate of poses, radians. code_rate: of codes, deviations. Both
+        fall to a twentieth.
+      code_pull: of a code one deviation away, per mean squared difference of pixels.
+      pose_pull: of a pose one radian away, likewise.
+      is_rechosen: whether each view's pose is first chosen anew among all candidates,
+        by the shape that the views share.
+    """
+
+    steps: int = 40
+    pose_rate: float = 0.02
+    code_rate: float = 0.2
+    code_pull: float = 1e-4
+    pose_pull: float = 0.01
+    is_rechosen: bool = False
+
+
+class Evidence(NamedTuple):
+    """What n objects of V views are fitted to.
+
+    Attributes:
+      codes: [n, F] to begin with. poses: [n, V, 4]. candidates: [n, V, C, 4].
+      masks: uint8 [n, V, S, S]. weights: [n, V] of views; 0 for one that fills up.
+      own: of views' cameras, translation [n, V, 3] and focal_length [n, V] by name.
+    """
+
+    codes: Any
+    poses: Any
+    candidates: Any
+    masks: Any
+    weights: Any
+    own: dict[str, Any]
+
+
+@functools.lru_cache(maxsize=8)  # of one run there are four
+def make_refiner(
+    network: ShapePoseNetwork, config: Config, settings: RefineSettings
+) -> Callable:
+    """The compiled function (state, evidence, directions [k, F]) -> dict of arrays.
+
+    It has points [n, N, 3], colors [n, N, 3] where they are learned, poses [n, V, 4],
+    silhouettes [n, V, D, D], and errors_before and errors [n, V]: mean squared
+    differences of silhouettes, per pixel. Objects are shared out over the devices.
+    """
+    render = config.render
+    side = min(config.data.image_size, render.fine_grid or render.grid)
+
+    def refine(state, evidence, directions):
+        sigma = schedules.compute_sigma(state.step, render, steps=config.train.steps)
+        targets = downsample_images(evidence.masks, side)
+
+        def decode(weights):
+            codes = evidence.codes + weights @ directions
+            shape = network.apply(state.params, codes, method="predict_shape")
+            assert isinstance(shape, dict)
+            return shape, *find_scenes(shape, sigma, render=render)
+
+        poses = evidence.poses
+        if settings.is_rechosen:
+            start = jnp.zeros((len(poses), len(directions)))
+            poses = _choose_poses(*decode(start)[1:], evidence, config)
+
+        def compare(weights, turns):
+            shape, scenes, shared = decode(weights)
+            images = _render_objects(
+                scenes, shared, turn(poses, turns), evidence.own, side, config
+            )
+            errors = jnp.mean((images - targets) ** 2, axis=(2, 3))
+            return errors, images, shape
+
+        def measure(learned):
+            weights, turns = learned
+            errors, *_ = compare(weights, turns)
+            pulls = settings.pose_pull * jnp.sum(turns**2, axis=-1)
+            views = jnp.maximum(jnp.sum(evidence.weights, axis=1), 1)
+            total = jnp.sum(evidence.weights * (errors + pulls), axis=1)
+            total += settings.code_pull * jnp.sum(weights**2, axis=1)
+            return jnp.sum(total / views)
+
+        begun = (
+            jnp.zeros((len(poses), len(directions))),
+            jnp.zeros((*poses.shape[:2], 3)),
+        )
+        before, *_ = compare(*begun)
+        found: Any = _descend(measure, begun, settings)
+        errors, images, shape = compare(*found)
+        result = {"points": shape["points"], "silhouettes": images, "errors": errors}
+        if "colors" in shape:
+            result["colors"] = shape["colors"]
+        return result | {"poses": turn(poses, found[1]), "errors_before": before}
+
+    return make_shared(refine, config, devices.OBJECTS, devices.WHOLE)
+
+
+def turn(poses: jax.Array, turns: jax.Array) -> jax.Array:
+    """Quaternions [..., 4] after small rotations [..., 3] in the camera frame.
+
+    A turn is twice the tangent of half its angle along its axis: near zero, radians.
+    """
+    ones = jnp.ones((*turns.shape[:-1], 1), turns.dtype)
+    small = jnp.concatenate([ones, turns / 2], axis=-1).reshape(-1, 4)
+
+    def apply(small, pose):
+        return quaternion.normalize(quaternion.multiply(small, pose))
+
+    return jax.vmap(apply)(small, poses.reshape(-1, 4)).reshape(poses.shape)
+
+
+def _descend(measure, learned, settings: RefineSettings):
+    """The codes' weights and the turns of poses of the least error."""
+    if not settings.steps:
+        return learned
+
+    def fall(peak):
+        return optax.adam(optax.cosine_decay_schedule(peak, settings.steps, 0.05))
+
+    rates: Any = {
+        "codes": fall(settings.code_rate),
+        "turns": fall(settings.pose_rate),
+    }
+    optimizer = optax.multi_transform(rates, ("codes", "turns"))
+
+    def step(carry, _):
+        learned, state = carry
+        updates, state = optimizer.update(jax.grad(measure)(learned), state)
+        return (optax.apply_updates(learned, updates), state), None
+
+    (learned, _), _ = jax.lax.scan(
+        step, (learned, optimizer.init(learned)), length=settings.steps
+    )
+    return learned
+
+
+def _render_objects(scenes, shared, poses, own, side, config):
+    """Silhouettes [n, V, D, D] of n objects from V views each."""
+    render = config.render
+
+    def render_object(entry):
+        scene, poses, own = entry
+        scene = resize_scene(scene | shared, side / render.grid)
+
+        def render_view(view):
+            pose, own = view
+            return render_scene(
+                scene,
+                pose,
+                translation=own.get("translation"),
+                camera=place_camera(Camera(render.focal_length, render.distance), own),
+                side=side,
+                signals=("silhouette",),
+                ray_rule=render.ray_rule,
+            ).silhouette
+
+        at_once = render.renders_at_once
+        return map_renders(render_view, (poses, own), renders_at_once=at_once)
+
+    return map_renders(
+        render_object, (scenes, poses, own), renders_at_once=render.renders_at_once
+    )
+
+
+def _choose_poses(scenes, shared, evidence: Evidence, config: Config) -> jax.Array:
+    """Of each view, the pose [n, V, 4] that its object's shape fits best."""
+    render = config.render
+    candidates = [evidence.poses[:, :, None], evidence.candidates]
+    targets = downsample_images(evidence.masks, render.grid)
+
+    def choose(entry):
+        scene, *views = entry
+        return map_renders(
+            functools.partial(choose_pose, scene | shared),
+            tuple(views),
+            renders_at_once=render.renders_at_once,
+        )
+
+    def choose_pose(scene, view):
+        poses, target, own = view
+        losses = compute_candidate_losses(
+            scene,
+            poses,
+            target,
+            camera=place_camera(Camera(render.focal_length, render.distance), own),
+            renders_at_once=render.renders_at_once,
+            translation=own.get("translation"),
+            ray_rule=render.ray_rule,
+        )
+        return poses[jnp.argmin(losses)]
+
+    return map_renders(
+        choose,
+        (scenes, jnp.concatenate(candidates, axis=2), targets, evidence.own),
+        renders_at_once=render.renders_at_once,
+    )
+
+
+def refine_all(
+    refiner: Callable,
+    state: NamedTuple,
+    evidence: Evidence,
+    directions: np.ndarray,
+    *,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> dict[str, np.ndarray]:
+    """Refine n objects, `OBJECTS_AT_ONCE` at a time (the last ones are repeated)."""
+    total, parts = len(evidence.codes), []
+    at_once = min(OBJECTS_AT_ONCE, 1 << (total - 1).bit_length())
+    for start in range(0, total, at_once):
+        rows = np.minimum(np.arange(start, start + at_once), total - 1)
+        batch = jax.tree.map(lambda array, rows=rows: np.asarray(array)[rows], evidence)
+        parts.append(jax.device_get(refiner(state, batch, directions)))
+        if on_progress:
+            on_progress(min(start + at_once, total), total)
+    return jax.tree.map(lambda *arrays: np.concatenate(arrays)[:total], *parts)

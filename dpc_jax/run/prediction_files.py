@@ -1,0 +1,115 @@
+"""The files of predictions: clouds, figures of each object, pictures."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from dpc_jax.evaluation import rotations
+from dpc_jax.evaluation.confidence import Confidence, describe
+from dpc_jax.files import write_text
+from dpc_jax.reporting.examples import Example
+from dpc_jax.reporting.gallery import draw_predictions
+from dpc_jax.reporting.page import write_files
+from dpc_jax.run.predicted_objects import PredictedObject
+
+SHOWN = 16  # views in the picture
+
+
+def write_predictions(
+    predicted: list[PredictedObject], out: Path, *, has_turntable: bool
+) -> tuple[list[dict], Path]:
+    """NAME.ply, NAME.glb and NAME.json of each object, and one picture of the views.
+
+    Returns:
+      (an entry for each view, as in the JSON files and with its object's name; the
+      picture).
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    entries, examples = [], []
+    for one in predicted:
+        name, views = one.photographs.name, describe_views(one)
+        shown = [_make_example(one, i) for i in range(len(views))]
+        write_files(shown[0], out / name)
+        text = json.dumps(_join_views(one, views), indent=2) + "\n"
+        write_text(out / f"{name}.json", text)
+        if has_turntable:
+            from dpc_jax.reporting.turntable import write_turntable
+
+            write_turntable(out / f"{name}.gif", one.points, shown[0].colors)
+        entries += [{"object": name, **view} for view in views]
+        examples += shown
+    picture = draw_predictions(examples[:SHOWN], out / "predictions.png")
+    return entries, picture
+
+
+def describe_views(one: PredictedObject) -> list[dict[str, Any]]:
+    """What is known of each view, with a sentence for people."""
+    views = []
+    for i, source in enumerate(one.photographs.sources):
+        facts: dict[str, Any] = {"source": source}
+        facts |= _describe_pose(None if one.poses is None else one.poses[i])
+        facts |= one.cameras[i]
+        sentence = [f"{Path(source.split(', frame ')[0]).name}:"]
+        if ", frame " in source:
+            sentence = [f"{sentence[0][:-1]}, frame {source.split(', frame ')[1]}:"]
+        if one.poses is not None:
+            sentence.append(
+                f"seen from azimuth {facts['azimuth_deg']:.0f}°, elevation "
+                f"{facts['elevation_deg']:.0f}°."
+            )
+        if one.confidences is not None:
+            facts |= _describe_confidence(one.confidences[i])
+            sentence.append(describe(one.confidences[i]))
+        if one.errors is not None:
+            before, after = map(float, one.errors[:, i])
+            facts["silhouette_error"] = {"before": before, "after": after}
+            sentence.append(
+                f"Refined: silhouette error {before:.4f} to {after:.4f} per pixel."
+            )
+        views.append(facts | {"sentence": " ".join(sentence)})
+    return views
+
+
+def _describe_pose(quaternion) -> dict[str, Any]:
+    """Facts of a pose; a run on known poses predicts none."""
+    if quaternion is None:
+        return {"quaternion": None}
+    azimuth, elevation = rotations.view_angles(quaternion)
+    return {
+        "quaternion": rotations.canonical_sign(quaternion).tolist(),  # object to camera
+        "azimuth_deg": azimuth,
+        "elevation_deg": elevation,
+    }
+
+
+def _describe_confidence(found: Confidence) -> dict[str, Any]:
+    return {
+        "confidence": round(found.confidence, 4),
+        "trust": found.level,
+        "agreement": round(found.agreement, 4),
+        "spread_deg": round(found.spread_deg, 2),
+        "overlap": round(found.overlap, 4),
+        "rival_probability": round(found.rival_probability, 4),
+    }
+
+
+def _join_views(one: PredictedObject, views: list[dict]) -> dict[str, Any]:
+    """What NAME.json holds: of one view its facts, of several a list."""
+    facts: dict[str, Any] = {"frame": "object" if one.is_aligned else "network"}
+    if one.seconds is not None:
+        facts["refine_seconds"] = round(one.seconds, 2)
+    return facts | (views[0] if len(views) == 1 else {"views": views})
+
+
+def _make_example(one: PredictedObject, view: int) -> Example:
+    names = one.photographs.name, f"{one.photographs.name}, view {view + 1}"
+    return Example(
+        name=names[len(one.photographs.sources) > 1],
+        image=one.photographs.images[view],
+        target=one.photographs.masks[view] / 255,
+        predicted=one.silhouettes[view],
+        points=one.points,
+        colors=one.colors,
+        pose_error_deg=None,
+        mesh=one.mesh,
+    )

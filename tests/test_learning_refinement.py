@@ -1,0 +1,121 @@
+"""Refinement: shapes through codes, poses freely, several views together."""
+
+import numpy as np
+import pytest
+import tiny_runs
+
+from dpc_jax.evaluation.rotations import angle_deg
+from dpc_jax.learning.inference.codes import encode_all, find_directions, make_coder
+from dpc_jax.learning.inference.predictor import make_predictor, predict_all
+from dpc_jax.learning.inference.refinement import (
+    RefineSettings,
+    make_refiner,
+    refine_all,
+)
+from dpc_jax.run.refinement import join_views, measure_refinement, refine_objects
+
+CONFIG = tiny_runs.tiny_config()
+
+
+ALONE = [np.array([i]) for i in range(9)]
+TOGETHER = [np.array([0, 1, 2]), np.array([3, 4, 5]), np.array([6, 7, 8])]
+
+
+@pytest.fixture(autouse=True)
+def quick_programs():
+    """Each program here runs a few times only."""
+    with tiny_runs.compiling_quickly():
+        yield
+
+
+@pytest.fixture(scope="module")
+def run():
+    """An untrained network, its codes of three objects in three views, directions."""
+    network = tiny_runs.make_network(CONFIG)
+    state = tiny_runs.make_state(network, CONFIG)
+    dataset = tiny_runs.make_dataset()
+    images = dataset.images.reshape(-1, *dataset.images.shape[2:])
+    found = encode_all(make_coder(network, CONFIG), state, images)
+    masks = dataset.masks.reshape(-1, *dataset.masks.shape[2:])
+    return network, state, dataset, found, masks, find_directions(found.codes)
+
+
+def test_codes_are_what_the_network_predicts_from(run):
+    """Without steps a single view is the plain prediction, up to rounding."""
+    network, state, dataset, found, masks, _ = run
+    plain = predict_all(make_predictor(network, CONFIG), state, dataset)
+    evidence = join_views(found, masks, ALONE)
+    joined = refine_objects(network, CONFIG, state, evidence, None)
+    points = np.stack([one.points for one in joined])
+    np.testing.assert_allclose(points, plain.points.reshape(points.shape), atol=1e-5)
+    poses = np.stack([one.poses[0] for one in joined])
+    assert angle_deg(poses, plain.poses.reshape(-1, 4)).max() < 0.1
+
+
+def test_refinement_lowers_the_error_of_silhouettes(run):
+    network, state, _, found, masks, directions = run
+    evidence = join_views(found, masks, TOGETHER)
+    refined = refine_objects(network, CONFIG, state, evidence, directions)
+    for one in refined:
+        assert one.errors.mean() < one.errors_before.mean()
+        assert one.poses.shape == (3, 4) and one.silhouettes.shape[0] == 3
+    # Both the shape and the poses have moved.
+    plain = refine_objects(network, CONFIG, state, evidence, None)
+    assert np.abs(refined[0].points - plain[0].points).max() > 1e-4
+    assert angle_deg(refined[0].poses, plain[0].poses).max() > 0.1
+
+
+def test_a_view_that_fills_up_changes_nothing(run):
+    """Three views are padded to four: the last one's weight is zero."""
+    network, state, _, found, masks, directions = run
+    evidence = join_views(found, masks, TOGETHER)
+    assert evidence.weights.tolist() == 3 * [[1, 1, 1, 0]]
+    refiner = make_refiner(network, CONFIG, RefineSettings(is_rechosen=True))
+    first = refine_all(refiner, state, evidence, directions)
+    other = evidence.masks.copy()
+    other[:, 3] = 255 - other[:, 3]
+    second = refine_all(refiner, state, evidence._replace(masks=other), directions)
+    np.testing.assert_array_equal(first["points"], second["points"])
+    np.testing.assert_array_equal(first["errors"][:, :3], second["errors"][:, :3])
+
+
+def test_shapes_move_along_the_directions_alone(run):
+    network, state, _, found, masks, directions = run
+    evidence = join_views(found, masks, ALONE)
+    still = refine_objects(network, CONFIG, state, evidence, 0 * directions)
+    plain = refine_objects(network, CONFIG, state, evidence, None)
+    for one, other in zip(still, plain, strict=True):
+        np.testing.assert_allclose(one.points, other.points, atol=1e-6)
+    turned = [
+        angle_deg(one.poses, other.poses).max()
+        for one, other in zip(still, plain, strict=True)
+    ]
+    assert max(turned) > 0.1
+
+
+def test_directions_are_the_deviations_of_codes():
+    """Of normal codes the longest direction is the axis that varies most."""
+    rng = np.random.default_rng(0)
+    codes = rng.normal(size=(4000, 3)) * [1.0, 5.0, 0.2] + 7
+    directions = find_directions(codes)
+    # The deviation of 4000 draws is known to about 1 %, with some margin.
+    lengths = np.linalg.norm(directions, axis=1)
+    np.testing.assert_allclose(lengths, [5, 1, 0.2], rtol=0.05)
+    assert abs(directions[0] @ [0, 1, 0]) > 4.7
+    with pytest.raises(ValueError, match="at least two views"):
+        find_directions(codes[:1])
+
+
+def test_figures_of_refinement_stand_beside_the_plain_ones(run):
+    network, state, dataset, *_ = run
+    from dpc_jax.evaluation.alignment import identity_alignment
+
+    sets = {"val": dataset, "test": dataset}
+    figures = measure_refinement(network, CONFIG, state, sets, identity_alignment())
+    for start in ("refined_", "joined_", "refined_joined_"):
+        assert figures[f"{start}chamfer"] > 0
+        assert 0 <= figures[f"{start}pose_accuracy"] <= 1
+    refined, joined = (
+        figures[f"{start}joined_silhouette_error"] for start in ("refined_", "")
+    )
+    assert refined < joined

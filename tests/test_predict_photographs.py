@@ -1,0 +1,178 @@
+"""What `predict` reads: masks, folders, moving pictures, and files of no use."""
+
+import subprocess
+import sys
+import types
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dpc_jax.data import DataSpec
+from dpc_jax.data.sets import matting, plain_background
+from dpc_jax.data.sets.photographs import MOST_FRAMES, Request, read_photographs
+from dpc_jax.measure.auto_masks import BACKGROUNDS, take_photograph
+
+SPEC = DataSpec("car", kind="images", folder=".", image_size=16, crop="object")
+
+
+def draw_disc(*, side=40, center=(20, 17), radius=9, alpha=True):
+    rows, cols = np.mgrid[:side, :side]
+    mask = (rows - center[0]) ** 2 + (cols - center[1]) ** 2 < radius**2
+    image = np.full((side, side, 3), (230, 225, 215), np.uint8)
+    image[mask] = (60, 90, 160)
+    if not alpha:
+        return Image.fromarray(image)
+    return Image.fromarray(np.dstack([image, np.uint8(255 * mask)]))
+
+
+def read(*paths, mask="given", is_one_object=False, spec=SPEC):
+    return read_photographs(Request(paths, mask, is_one_object), spec)
+
+
+@pytest.mark.parametrize("background", BACKGROUNDS)
+@pytest.mark.parametrize("category", ["car", "chair"])
+def test_masks_are_found_on_plain_backgrounds(background, category):
+    """Noise, uneven light and a shadow cost little; many objects: docs/predict.md."""
+    image, true = take_photograph(category, 1, background, side=256)
+    found = plain_background.find_object(image)
+    assert found.shape == true.shape and found.dtype == np.float32
+    overlap = ((found > 0.5) & true).sum() / ((found > 0.5) | true).sum()
+    assert overlap > 0.85
+
+
+def test_a_hole_that_shows_the_background_stays_open():
+    image = np.full((96, 96, 3), 200, np.uint8)
+    image[20:76, 20:76] = (150, 30, 30)
+    image[36:60, 36:60] = 200  # seen through it
+    mask = plain_background.find_object(image) > 0.5
+    assert mask[28, 48] and not mask[48, 48] and not mask[5, 5]
+
+
+def test_a_busy_background_and_an_empty_one_are_refused():
+    rng = np.random.default_rng(0)
+    tiles = rng.integers(0, 255, (8, 8, 3)).repeat(12, 0).repeat(12, 1)
+    with pytest.raises(ValueError, match="several colours"):
+        plain_background.find_object(tiles.astype(np.uint8))
+    with pytest.raises(ValueError, match="nothing differs enough"):
+        plain_background.find_object(np.full((64, 64, 3), 180, np.uint8))
+
+
+def test_an_object_that_reaches_over_every_side_is_refused():
+    image = np.full((96, 96, 3), 220, np.uint8)
+    image[44:52], image[:, 44:52] = (20, 90, 20), (20, 90, 20)
+    with pytest.raises(ValueError, match="all four sides"):
+        plain_background.find_object(image)
+
+
+def test_auto_prefers_a_mask_that_is_given(tmp_path):
+    draw_disc().save(tmp_path / "given.png")
+    draw_disc(alpha=False).save(tmp_path / "bare.jpg", quality=95)
+    objects, skipped = read(*sorted(tmp_path.iterdir()), mask="auto")
+    assert [one.name for one in objects] == ["bare", "given"] and not skipped
+    bare, given = (one.masks[0] > 127 for one in objects)
+    assert (bare & given).sum() / (bare | given).sum() > 0.9
+    objects, skipped = read(*sorted(tmp_path.iterdir()))
+    assert [one.name for one in objects] == ["given"]
+    assert "neither" in skipped[0][1] and "bare.jpg" in skipped[0][0]
+
+
+def test_a_folder_holds_the_views_of_one_object(tmp_path):
+    for name in ("sofa", "stool"):
+        (tmp_path / name).mkdir()
+        for radius in (6, 12):
+            draw_disc(radius=radius).save(tmp_path / name / f"{radius:02}.png")
+    objects, _ = read(tmp_path)
+    assert [(one.name, len(one.images)) for one in objects] == [
+        ("sofa", 2),
+        ("stool", 2),
+    ]
+    # Views of an object share a scale: a disc of half the radius covers a quarter.
+    small, large = (mask.sum(dtype=float) for mask in objects[0].masks)
+    assert 0.2 < small / large < 0.3
+    (one,), _ = read(tmp_path, is_one_object=True)
+    assert one.name == "object" and len(one.images) == 4
+
+
+@pytest.mark.parametrize("kind", ["gif", "webp", "png"])
+def test_the_frames_of_a_moving_picture_are_views_of_one_object(tmp_path, kind):
+    count = 2 * MOST_FRAMES
+    frames = [draw_disc(radius=6 + i // 6, alpha=False) for i in range(count)]
+    path = tmp_path / f"turn.{kind}"
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=50)
+    (one,), skipped = read(path, mask="auto")
+    assert not skipped and one.name == "turn"
+    # Frames of the same content may be stored once.
+    assert 5 <= len(one.images) <= MOST_FRAMES
+    assert one.sources[1].startswith(f"{path}, frame ")
+
+
+def test_what_cannot_be_read_is_named_with_a_reason(tmp_path):
+    good, bad = tmp_path / "good.png", tmp_path / "bad.png"
+    draw_disc().save(good)
+    bad.write_text("no image")
+    objects, skipped = read(good, bad, tmp_path / "none.png")
+    assert [one.name for one in objects] == ["good"]
+    reasons = dict(skipped)
+    assert "damaged or of another kind" in reasons[str(bad)]
+    assert "there is no file" in reasons[str(tmp_path / "none.png")]
+    with pytest.raises(ValueError, match=f"readable image in {bad}, but"):
+        read(bad)
+    with pytest.raises(ValueError, match="Expected images .* in the folder"):
+        (tmp_path / "empty").mkdir()
+        read(tmp_path / "empty")
+
+
+def test_two_objects_of_one_name_are_refused(tmp_path):
+    draw_disc().save(tmp_path / "a.png")
+    with pytest.raises(ValueError, match="different names, but a came"):
+        read(tmp_path / "a.png", tmp_path / "a.png")
+
+
+def fake_rembg(monkeypatch, weights):
+    """A rembg whose weights of u2net are there or not."""
+    u2net = types.SimpleNamespace(
+        name=lambda: "u2net",
+        model_dir=lambda: "/models/u2net",
+        resolve_existing=lambda file: f"/models/{file}" if weights else None,
+    )
+    rembg, sessions = types.ModuleType("rembg"), types.ModuleType("rembg.sessions")
+    sessions.sessions_class = [u2net]
+    rembg.new_session = lambda name: name
+
+    def remove(image, *, session, only_mask):
+        assert session == "u2net" and only_mask
+        return image.convert("L").point(lambda value: 255 if value < 128 else 0)
+
+    rembg.remove = remove
+    monkeypatch.setitem(sys.modules, "rembg", rembg)
+    monkeypatch.setitem(sys.modules, "rembg.sessions", sessions)
+
+
+def test_a_matting_network_is_used_where_its_weights_are_there(monkeypatch, tmp_path):
+    draw_disc(alpha=False).save(tmp_path / "disc.png")
+    fake_rembg(monkeypatch, weights=True)
+    (one,), _ = read(tmp_path / "disc.png", mask="matting")
+    covered = one.masks[0] > 127
+    assert covered[8, 8] and not covered[0, 0]
+    fake_rembg(monkeypatch, weights=False)
+    with pytest.raises(ValueError, match="nothing is downloaded.* into /models/u2net"):
+        matting.open_session()
+
+
+def test_without_the_library_matting_says_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "rembg", None)
+    with pytest.raises(ValueError, match=r"pip install .dpc_jax\[masks\]"):
+        matting.open_session()
+
+
+def test_files_are_read_before_anything_heavy_is_loaded():
+    code = (
+        "import sys, dpc_jax.predict; "
+        "print([m for m in ('jax', 'flax', 'matplotlib', 'trimesh', 'skimage') "
+        "if m in sys.modules])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True
+    )
+    assert result.stdout.strip() == "[]", result.stdout + result.stderr
