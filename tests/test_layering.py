@@ -37,7 +37,7 @@ ROOMS = {
         {"files", "evaluation"},
     ),
     "run": (
-        {"jax", "flax", "numpy"},
+        {"jax", "flax", "numpy", "tensorboardX", "wandb"},
         {
             "files",
             "config",
@@ -200,6 +200,7 @@ estimate_step_memory(make_network(config), config)
 names = ("skimage", "dpc_jax.run.surfaces", "dpc_jax.evaluation.surfaces")
 names += ("dpc_jax.learning.inference.volumes", "dpc_jax.learning.pose_prior")
 names += ("dpc_jax.learning.view_maps", "dpc_jax.learning.choice.sampling")
+names += ("tensorboardX", "wandb")  # nor what no flag asks for
 names += tuple(f"dpc_jax.networks.{n}" for n in ("voxels", "view_maps", "viewpoints"))
 print([name for name in names if name in sys.modules])
 """
