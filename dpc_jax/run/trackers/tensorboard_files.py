@@ -21,6 +21,7 @@ from dpc_jax.run.trackers.content import PICTURE, list_histograms, list_scalars
 
 _HEAD = struct.Struct("<QI")  # length of an event, and its check sum
 _TAIL = 4  # bytes of the check sum after it
+_FLUSH_SECONDS = 5.0  # between two, each of which waits for the disk
 
 
 class TensorBoardFiles:
@@ -36,7 +37,7 @@ class TensorBoardFiles:
     def __init__(self, folder: Path):
         self._folder = folder
         self._writer: EventsWriter | None = None
-        self._origin, self._seconds = time.time(), 0.0
+        self._origin, self._seconds, self._flushed = time.time(), 0.0, 0.0
 
     def begin(self, records: Sequence[dict]):
         """Write the history anew: the records, and the pictures of their steps."""
@@ -54,23 +55,29 @@ class TensorBoardFiles:
             self._add_record(record)
             if event := shown.pop(record["step"], None):
                 self._add(event.summary, event.step)
-        self._writer.flush()
+        self._flush()
         for path in before:
             path.unlink()
 
     def write(self, record: dict):
-        """Take one record; it is on disk when this returns."""
+        """Take one record; a kill may lose the last ones until the run goes on."""
         self._add_record(record)
-        self._get_writer().flush()
+        if time.monotonic() - self._flushed > _FLUSH_SECONDS:
+            self._flush()
 
     def show(self, step: int, picture: np.ndarray):
         """Take the picture of a validation."""
         self._add(summary.image(PICTURE, picture, dataformats="HWC"), step)
+        self._flush()
 
     def close(self):
         """Close the file."""
         if self._writer is not None:
             self._writer.close()
+
+    def _flush(self):
+        self._get_writer().flush()
+        self._flushed = time.monotonic()
 
     def _get_writer(self) -> EventsWriter:
         assert self._writer is not None  # `begin` comes first
