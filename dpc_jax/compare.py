@@ -9,19 +9,13 @@ import argparse
 import sys
 from pathlib import Path
 
-from dpc_jax.evaluation.metrics import COMPARED_METRICS, MISSING
-from dpc_jax.reporting.comparison.groups import group_runs
-from dpc_jax.reporting.comparison.page import tabulate_groups, write_comparison
-from dpc_jax.run.comparison import find_workdirs, read_runs
 from dpc_jax.run.flags import FlagParser, run_command
-
-_NAMED = 3  # runs that lack a figure
 
 
 def make_parser() -> argparse.ArgumentParser:
     """The flags of the command."""
     parser = FlagParser(
-        prog="python -m dpc_jax.compare", description="Runs side by side, as a page."
+        "compare", takes="RUN...", description="Runs side by side, as a page."
     )
     parser.add_argument(
         "workdirs",
@@ -39,42 +33,6 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def name_absent(rows: dict[str, dict]) -> str:
-    """What a dash in the table of these runs means; "" where there is none."""
-    lacking = [
-        run
-        for run, metrics in rows.items()
-        if any(metrics.get(name) is None for name in COMPARED_METRICS)
-    ]
-    if not lacking:
-        return ""
-    named = ", ".join(lacking[:_NAMED])
-    if len(lacking) > _NAMED:
-        named += f" and {len(lacking) - _NAMED} others"
-    return (
-        f"{MISSING} is absent: {named} had no truth to compare with, or "
-        "was given the poses and predicted none."
-    )
-
-
-def compare_runs(workdirs: list[Path], out: Path):
-    """Print the table, write the page.
-
-    Raises:
-      ValueError: where there are no runs, or what they hold cannot be read.
-      OSError: where the page cannot be written.
-    """
-    runs = read_runs(find_workdirs(workdirs))
-    groups = group_runs(runs)
-    print(tabulate_groups(groups))
-    if absent := name_absent({r.name: dict(r.metrics) for r in runs if r.metrics}):
-        print(absent)
-    for run in runs:
-        if run.unfinished:
-            print(f"{run.name} is not finished: {run.unfinished}.")
-    print(f"Page: {write_comparison(out, groups)}")
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, write the page; returns the exit status."""
     try:
@@ -87,6 +45,8 @@ def main(arguments: list[str] | None = None) -> int:
     except ValueError as error:
         print(f"Error: {error}", file=sys.stderr)
         return 2
+    from dpc_jax.run.comparison import compare_runs  # heavy: flags are read first
+
     return run_command(
         lambda: compare_runs(options.workdirs, options.out),
         out=options.out,

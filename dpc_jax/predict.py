@@ -8,13 +8,16 @@ import argparse
 import sys
 from pathlib import Path
 
-from dpc_jax.run.flags import run_command
-from dpc_jax.run.prediction import predict_images
+from dpc_jax.run.flags import FlagParser, run_command
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Parse the command line, predict, write."""
-    parser = argparse.ArgumentParser(description="Image to point cloud and pose.")
+def make_parser() -> argparse.ArgumentParser:
+    """The flags of the command."""
+    parser = FlagParser(
+        "predict",
+        takes="IMAGE... --workdir=DIR",
+        description="Image to point cloud and pose.",
+    )
     parser.add_argument("--workdir", type=Path, required=True, help="of a trained run")
     parser.add_argument("--out", type=Path, help="folder; WORKDIR/predictions if none")
     parser.add_argument(
@@ -30,7 +33,18 @@ def main(arguments: list[str] | None = None) -> int:
         help="cut a square around the object, or take the image as it is framed; as "
         "in training where none",
     )
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Parse the command line, predict, write; returns the exit status."""
+    try:
+        options = make_parser().parse_args(arguments)
+    except ValueError as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return 2
+    from dpc_jax.run.prediction import predict_images  # heavy: flags are read first
+
     out = options.out or options.workdir / "predictions"
     return run_command(
         lambda: predict_images(

@@ -67,6 +67,9 @@ DOORWAYS = {  # and the third-party imports allowed
     "stability": set(),
     "compare": {"numpy"},
     "paper": set(),
+    "commands": set(),
+    "completion": {"argcomplete"},
+    "__main__": set(),
     "__init__": set(),
 }
 

@@ -8,12 +8,15 @@ from pathlib import Path
 
 from flax.traverse_util import flatten_dict
 
+from dpc_jax.evaluation.metrics import COMPARED_METRICS, MISSING
 from dpc_jax.learning.training.records import MetricLog
-from dpc_jax.reporting.comparison.groups import ComparedRun
+from dpc_jax.reporting.comparison.groups import ComparedRun, group_runs
+from dpc_jax.reporting.comparison.page import tabulate_groups, write_comparison
 from dpc_jax.run.workdir import FREE_FIELDS, read_config
 
 # What does not make two runs differ: the variant is a name of other settings.
 _LEFT_OUT = (*FREE_FIELDS, "seed", "variant")
+_NAMED = 3  # runs that lack a figure
 
 
 def find_workdirs(folders: Sequence[Path]) -> list[Path]:
@@ -84,3 +87,39 @@ def _read_metrics(path: Path) -> dict | None:
         f"Expected the metrics of a run in {path}, but {problem}; remove the report "
         "and start the command that began the run again, which writes it anew."
     )
+
+
+def name_absent(rows: dict[str, dict]) -> str:
+    """What a dash in the table of these runs means; "" where there is none."""
+    lacking = [
+        run
+        for run, metrics in rows.items()
+        if any(metrics.get(name) is None for name in COMPARED_METRICS)
+    ]
+    if not lacking:
+        return ""
+    named = ", ".join(lacking[:_NAMED])
+    if len(lacking) > _NAMED:
+        named += f" and {len(lacking) - _NAMED} others"
+    return (
+        f"{MISSING} is absent: {named} had no truth to compare with, or "
+        "was given the poses and predicted none."
+    )
+
+
+def compare_runs(workdirs: Sequence[Path], out: Path):
+    """Print the table, write the page.
+
+    Raises:
+      ValueError: where there are no runs, or what they hold cannot be read.
+      OSError: where the page cannot be written.
+    """
+    runs = read_runs(find_workdirs(workdirs))
+    groups = group_runs(runs)
+    print(tabulate_groups(groups))
+    if absent := name_absent({r.name: dict(r.metrics) for r in runs if r.metrics}):
+        print(absent)
+    for run in runs:
+        if run.unfinished:
+            print(f"{run.name} is not finished: {run.unfinished}.")
+    print(f"Page: {write_comparison(out, groups)}")
