@@ -45,7 +45,7 @@ def make_parser() -> argparse.ArgumentParser:
             default=models,
             help=f"of meshes or images, how many ({models or 'all'})",
         )
-    show.add_argument("--out", help="picture to write (FOLDER's name-sheet.png, here)")
+    show.add_argument("--out", help="picture to write (runs/FOLDER-sheet.png)")
     return parser
 
 
@@ -70,7 +70,9 @@ def _show(flags):
             if len(caches) > 1:
                 continue
             sheet = overview.draw_set(opened, models=flags.models)
-        out = Path(flags.out or f"{Path(flags.folder).resolve().name}-sheet.png")
+        # Among what commands make, not into a folder of data that may be anybody's.
+        name = f"{Path(flags.folder).resolve().name}-sheet.png"
+        out = Path(flags.out or Path("runs") / name)
         try:
             with files.replacing(out) as partial:
                 sheet.save(partial, format="png")
