@@ -1,6 +1,7 @@
 """Checkpoints: whole, bit for bit, and the one before where the newest is damaged."""
 
 import gc
+import shutil
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +10,7 @@ import pytest
 from tiny_runs import assert_same_bits
 
 from dpc_jax.learning.step import TrainState
+from dpc_jax.learning.training import checkpoints
 from dpc_jax.learning.training.checkpoints import Checkpoints
 
 
@@ -39,15 +41,15 @@ def collected():
 
 @pytest.fixture
 def opened(tmp_path):
-    checkpoints = Checkpoints(tmp_path / "checkpoints")
-    yield checkpoints
-    checkpoints.close()
+    kept = Checkpoints(tmp_path / "checkpoints")
+    yield kept
+    kept.close()
 
 
-def save_some(checkpoints, *steps):
+def save_some(kept, *steps):
     for step in steps:
-        checkpoints.save(make_small_state(step), seconds=step / 4)
-    checkpoints.close()
+        kept.save(make_small_state(step), seconds=step / 4)
+    kept.close()
 
 
 def damage(folder, *, how):
@@ -138,6 +140,24 @@ def test_where_no_checkpoint_can_be_read_a_sentence_says_so(opened, tmp_path):
         ValueError, match=r"checkpoints, but none of them \(steps 6, 5\).*remove"
     ):
         reopen(tmp_path)
+
+
+def test_parts_that_a_run_has_not_may_be_named_in_its_checkpoint_or_not(
+    opened, tmp_path, monkeypatch
+):
+    """Of a state that had no such field yet, and of one that saved it as None."""
+    assert make_small_state(8).cost is None
+    opened.save(make_small_state(8), seconds=2.0)
+    monkeypatch.setattr(checkpoints, "_list_parts", TrainState._asdict)
+    opened.save(make_small_state(12), seconds=3.0)
+    opened.close()
+    monkeypatch.undo()
+    for step in (12, 8):
+        again = Checkpoints(tmp_path / "checkpoints")
+        found = again.restore(make_small_state(0))
+        again.close()
+        assert_same_bits(found.state, make_small_state(step))
+        shutil.rmtree(tmp_path / "checkpoints" / str(step))
 
 
 def test_what_a_kill_left_of_an_unfinished_checkpoint_is_passed_over(opened, tmp_path):

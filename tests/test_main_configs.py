@@ -129,8 +129,9 @@ def test_a_config_without_a_category_is_refused():
 
 
 def test_whole_numbers_stand_for_real_ones():
-    assert from_json('{"category": "car", "train": {"final_rate": 1}}').train == (
-        dataclasses.replace(Config("car").train, final_rate=1.0)
+    read = from_json('{"category": "car", "train": {"final_rate": 1, "pull_weight": 0}}')
+    assert read.train == (
+        dataclasses.replace(Config("car").train, final_rate=1.0, pull_weight=0.0)
     )
 
 

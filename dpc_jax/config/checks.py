@@ -66,6 +66,11 @@ def _list_rules(config):
         "False where pose.known is set, because no pose is learned there",
     )
     yield (
+        "pose.common_frame",
+        not config.pose.finds_frame or config.network.shape == "points",
+        "False where network.shape is not 'points', which are what is compared",
+    )
+    yield (
         "run.devices",
         not config.run.devices or train.models_per_batch % config.run.devices == 0,
         "0, or a divisor of train.models_per_batch = "

@@ -15,6 +15,14 @@ def to_config_dict(config: Config) -> ml_collections.ConfigDict:
     return ml_collections.ConfigDict(dataclasses.asdict(config))
 
 
+# What runs did before there was a field, where it is not the field's default.
+_BEFORE = {
+    ("pose", "choice_rank"): "volume",
+    ("pose", "common_frame"): False,
+    ("train", "pull_weight"): 0.0,
+}
+
+
 def from_config_dict(edited: ml_collections.ConfigDict) -> Config:
     """The frozen record of an edited config.
 
@@ -36,9 +44,9 @@ def from_json(text: str) -> Config:
       ValueError: as `from_config_dict`, and for what is not JSON.
     """
     values = json.loads(text)
-    if isinstance(values, dict) and isinstance(values.get("pose"), dict):
-        # Before the field there was only this way.
-        values["pose"].setdefault("choice_rank", "volume")
+    for (section, name), before in _BEFORE.items():
+        if isinstance(values, dict) and isinstance(values.get(section), dict):
+            values[section].setdefault(name, before)
     return _read(Config, values, "config")
 
 

@@ -131,6 +131,8 @@ class Pose:
     choice_signals: str = field("silhouette", one_of("silhouette", "all"))  # compared
     choice_noise: float = field(0.0, at_least(0))  # of losses, shares of their mean
     choice_noise_until: float = field(0.4, above(0, 1))  # share of the run; falls to 0
+    common_frame: bool = field(True)  # kinds turned round are turned, by colours
+    common_frame_from: float = field(0.2, between(0, 1))  # share of the run
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     student_loss: str = field("absolute", one_of(*STUDENT_LOSSES))  # if it regresses
     prior_weight: float = field(0.0, at_least(0))  # per pixel; of a judge (MVC)
@@ -165,6 +167,12 @@ class Pose:
         return self.flips and self.heads > 1
 
     @property
+    def finds_frame(self) -> bool:
+        """Whether kinds of objects are turned to one frame: by half turns."""
+        is_learned = not self.given and not self.samples
+        return self.common_frame and self.half_turns and is_learned
+
+    @property
     def choices(self) -> int:
         """How many candidates a selecting student chooses among; 0: it regresses."""
         if not self.selects or self.heads < 2:
@@ -184,7 +192,7 @@ class Train:
     final_rate: float = field(0.02, between(0, 1))  # of the peak; 1: constant
     weight_decay: float = field(0.0, at_least(0))  # decoupled (AdamW)
     l2_weight: float = field(0.0, at_least(0))  # of half the squared weights, see docs
-    pull_weight: float = field(0.0, at_least(0))  # per pixel, of points outside
+    pull_weight: float = field(0.03, at_least(0))  # per pixel, of points outside
     repulsion_weight: float = field(0.0, at_least(0))  # of the points, at the end
     repulsion_points: int = field(500, at_least(0))  # that repel each other in a step
     containment_weight: float = field(1.0, at_least(0))  # of points beyond radius 1/2

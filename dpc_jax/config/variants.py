@@ -19,7 +19,12 @@ Changes = Mapping[str, Mapping[str, Any]]  # section: {field: value}
 _VOXELS = {
     "network": {"shape": "voxels"},
     "render": {"fine_grid": 0, "keep_levels": 1},
-    "pose": {"choice_rank": "volume", "choice_grid": 16, "choice_points": 0},
+    "pose": {
+        "choice_rank": "volume",
+        "choice_grid": 16,
+        "choice_points": 0,
+        "common_frame": False,  # compares points
+    },
 }
 
 # Variants are applied in this order, whatever order they are
@@ -56,12 +61,14 @@ VARIANTS: dict[str, Changes] = {
             "choice_grid": 0,
             "choice_points": 0,
             "choice_top": 4,
+            "common_frame": False,
         },
         "train": {
             "steps": 600_000,
             "learning_rate": 1e-4,
             "warmup_steps": 0,
             "final_rate": 1.0,
+            "pull_weight": 0.0,
             "repulsion_weight": 0.0,
             "containment_weight": 0.0,
         },

@@ -58,6 +58,8 @@ METRICS = {metric.name: metric for metric in (
            False, "the same from and to the part of a surface seen from outside"),
     Metric("visible_precision", "Precision, what can be seen", "×100", ".2f", False),
     Metric("visible_coverage", "Coverage, what can be seen", "×100", ".2f", False),
+    Metric("stray_points", "Stray points", "", ".1f", False,
+           "of a predicted shape, further than a tenth of its box from four others"),
     Metric("flip_share", "Flipped views", "%", ".1f", False,
            "wrong by more than 150°: front and back exchanged"),
     Metric("wrong_object_share", "Objects wrong in all views", "%", ".1f", False,

@@ -39,6 +39,8 @@ def _count_points(count: int) -> Row:
 
 
 MEAN_SHAPE = Row("Mean shape of the training set", measure="mean_shape:measure")
+PULL = {"train.pull_weight": 0.03}
+DEFAULTS = PULL | {"pose.common_frame": True}
 CHOOSE_BY_ALL = {"pose.choice_signals": "all"}
 EXPERIMENTS = (
     Experiment(
@@ -53,6 +55,7 @@ EXPERIMENTS = (
             Row("PTN, 32²", "PTN, 32", "known_pose,32,ptn"),
             Row("Ours-V, 32²", "Ours-V, 32", "known_pose,32,ours_v"),
             Row("Ours, 32²", "Ours, 32", "known_pose,32"),
+            Row("Ours, 32², with pull", "", "known_pose,32", PULL, "pull"),
             Row(
                 "Ours, 32², minutes of Ours-V", variant="known_pose,32", budget="longer"
             ),
@@ -88,6 +91,7 @@ EXPERIMENTS = (
             Row("Ours-V", variant="ours_v"),
             Row("Ours-naive", "Ours-naive", "naive"),
             Row("Ours", "Ours", ""),
+            Row("Ours, with pull and common frame", "", "", DEFAULTS, "defaults"),
         ),
         picture="predictions.png",
     ),

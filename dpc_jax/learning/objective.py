@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import chex
 import jax
@@ -30,8 +30,20 @@ from dpc_jax.learning.signals import read_weights
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera
 
-# Of batches, that the next step goes on from: covariance and cost of `TrainState`.
-Averages = tuple[jax.Array, jax.Array | None]
+
+class Averages(NamedTuple):
+    """Of the batches before; what a step goes on from besides the parameters.
+
+    Attributes:
+      covariance: [3, 3] of predicted points, over the last hundred or so batches: its
+        principal axes are those of the half turns.
+      cost: () of a view; of runs that draw poses, else None.
+      frame: of runs with `pose.common_frame`, see `choice.common_frame`; else None.
+    """
+
+    covariance: jax.Array
+    cost: jax.Array | None = None
+    frame: Any = None  # its module is loaded where it is asked for
 
 
 class Term(NamedTuple):
@@ -46,8 +58,7 @@ def compute_loss(
     batch: dict[str, jax.Array],
     keys: jax.Array,
     step: jax.Array,
-    covariance: jax.Array,
-    cost: jax.Array | None = None,
+    averages: Averages,
     *,
     network: ShapePoseNetwork,
     render: Render,
@@ -68,17 +79,18 @@ def compute_loss(
         corner_masks and corner_depths [B, 8, S, S] in stages of fixed views.
       keys: [B], for the point dropout of each object.
       step: ().
-      covariance, cost: [3, 3] and () or None, see `TrainState`.
+      averages: of the batches before.
       network, render, pose, train: static.
       stage: the current one of the schedule, static.
 
     Returns:
-      (() loss, (metrics, (covariance, cost))). Metrics: reprojection (mean sum of
+      (() loss, (metrics, averages)). Metrics: reprojection (mean sum of
       squares of a view), student's loss, scale, winners [B·V] int32, and the other
       active losses.
     """
     camera = Camera(render.focal_length, render.distance)
     sigma = schedules.compute_sigma(step, render, steps=train.steps)
+    covariance, cost, frame = averages
     features = encode_views(params, batch["images"], network=network)
     shapes = predict_shapes(
         params,
@@ -136,6 +148,23 @@ def compute_loss(
                     steps=train.steps,
                 ),
             )
+            if pose.finds_frame:
+                from dpc_jax.learning.choice import common_frame  # where asked for
+
+                assert isinstance(shapes, Shapes)
+                winners, frame, turned = common_frame.turn_back(
+                    winners,
+                    shapes.points,
+                    batch["images"],
+                    batch["masks"],
+                    covariance,
+                    frame,
+                    camera=camera,
+                    cameras=cameras,
+                    heads=pose.heads,
+                    is_due=step >= pose.common_frame_from * train.steps,
+                )
+                metrics["turned_back"] = turned
             rotations = winners.poses
         metrics["winners"] = winners.indices.reshape(-1)
         if not pose.samples:
@@ -184,7 +213,7 @@ def compute_loss(
         learned |= {name: Term(*parts) for name, parts in drawn.items()}
     terms = compute_priors(shapes, step, train=train) | learned
     metrics |= parts | {name: term.value for name, term in terms.items()}
-    return compared + sum_terms(terms), (metrics, (covariance, cost))
+    return compared + sum_terms(terms), (metrics, Averages(covariance, cost, frame))
 
 
 def compute_priors(

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from jax.sharding import Mesh, NamedSharding
 
 from dpc_jax.config import Config, Train
 from dpc_jax.learning import devices, schedules
-from dpc_jax.learning.objective import compute_loss
+from dpc_jax.learning.objective import Averages, compute_loss
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.columns import sharing_columns
 
@@ -24,9 +24,7 @@ class TrainState(NamedTuple):
       step: () int32, steps done.
       params: of the network.
       optimizer: state of the optimiser.
-      covariance: [3, 3] of predicted points, averaged over the last hundred or so
-        batches: its principal axes are those of the half turns.
-      cost: () of a view, a moving average; of runs that draw poses, else None.
+      covariance, cost, frame: see `objective.Averages`.
     """
 
     step: jax.Array
@@ -34,6 +32,7 @@ class TrainState(NamedTuple):
     optimizer: optax.OptState
     covariance: jax.Array
     cost: jax.Array | None = None
+    frame: Any = None
 
 
 def make_optimizer(train: Train) -> optax.GradientTransformation:
@@ -92,8 +91,13 @@ def _init_whole(network, config, seed):
     params = network.init(jax.random.key(seed), images)
     optimizer = make_optimizer(config.train).init(params)
     cost = jnp.zeros(()) if config.pose.samples else None
+    frame = None
+    if config.pose.finds_frame:
+        from dpc_jax.learning.choice.common_frame import start_frame  # where asked
+
+        frame = start_frame()
     step = jnp.asarray(0, jnp.int32)
-    return TrainState(step, params, optimizer, jnp.zeros((3, 3)), cost)
+    return TrainState(step, params, optimizer, jnp.zeros((3, 3)), cost, frame)
 
 
 def find_parts(network: ShapePoseNetwork, config: Config, mesh: Mesh) -> TrainState:
@@ -147,8 +151,7 @@ def _make_update(network, config, stage, parts, num_devices):
                 batch,
                 keys,
                 state.step,
-                state.covariance,
-                state.cost,
+                Averages(state.covariance, state.cost, state.frame),
                 network=network,
                 render=config.render,
                 pose=config.pose,

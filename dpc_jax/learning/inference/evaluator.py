@@ -8,6 +8,7 @@ from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation import scores
 from dpc_jax.evaluation.failures import Failures, find_failures
 from dpc_jax.evaluation.silhouettes import mean_squared_difference
+from dpc_jax.evaluation.stray_points import count_stray_points
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 
 
@@ -63,7 +64,7 @@ def score(
     from 0 to 1. Where the data say which part of a surface can be seen, distances from
     and to that part have the prefix `visible_`. Every set gets `projection_error`: the
     mean squared difference per pixel of predicted silhouettes and masks, both averaged
-    to 32×32 pixels.
+    to 32×32 pixels; and `stray_points`, how many a predicted shape has in the mean.
 
     Args:
       heads: K, of the ensemble; 0 where poses are known.
@@ -86,8 +87,15 @@ def score(
     if poses is None or surfaces is None:
         overlap = measure_overlap(predictions, dataset)
         result = result._replace(metrics=result.metrics | {"silhouette_iou": overlap})
-    error = measure_projection_error(predictions, dataset)
-    result = result._replace(metrics=result.metrics | {"projection_error": error})
+    clouds = np.asarray(predictions.points)[:, :chamfer_views]
+    stray = [
+        count_stray_points(clouds[index]) for index in np.ndindex(clouds.shape[:2])
+    ]
+    found = {
+        "projection_error": measure_projection_error(predictions, dataset),
+        "stray_points": float(np.mean(stray)),
+    }
+    result = result._replace(metrics=result.metrics | found)
     winners = predictions.winners % max(1, heads)
     shares = candidate_use.winner_share(winners, num_candidates=max(1, heads))
     return result, shares

@@ -5,7 +5,7 @@ import functools
 import os
 import shutil
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -80,7 +80,7 @@ class Checkpoints:
         if step in self.steps():
             return
         saved = {
-            "state": state._asdict(),
+            "state": _list_parts(state),
             "progress": {"seconds": seconds, "checksum": _checksum(state)},
         }
         try:
@@ -119,15 +119,16 @@ class Checkpoints:
         Raises:
           ValueError: if there are checkpoints, yet none can be read.
         """
-        target = jax.tree.map(
-            lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=a.sharding),
-            like._asdict(),
+        described = jax.tree.map(
+            lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=a.sharding), like
         )
         progress = {"seconds": 0.0, "checksum": 0}
         damaged = []
         for step in reversed(self.steps()):
             # Whatever a damaged file makes orbax raise, the one before is tried.
             with contextlib.suppress(Exception):
+                saved = self._checkpointer.checkpointables_metadata(step).metadata
+                target = _list_parts(described, saved["state"])
                 loaded = self._checkpointer.load_checkpointables(
                     step, {"state": target, "progress": progress}
                 )
@@ -167,6 +168,15 @@ def _standing_alone(folder) -> Iterator[ocp.Context | None]:
         yield ocp.Context(multiprocessing_options=options)
     finally:
         checkpoint_manager.CheckpointManagerOptions = original
+
+
+def _list_parts(state: TrainState, names: Container[str] = ()) -> dict:
+    """The parts of a state by name: those that the run has, and those of these names.
+
+    A part that it has not, a later field of the state perhaps, is not saved: so states
+    from before there was that field are read. Some were saved with such names.
+    """
+    return {n: p for n, p in state._asdict().items() if p is not None or n in names}
 
 
 def _checksum(state: TrainState) -> int:
