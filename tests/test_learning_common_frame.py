@@ -17,7 +17,7 @@ from tiny_runs import (
 )
 
 from dpc_jax.learning.cameras import Cameras
-from dpc_jax.learning.choice import common_frame
+from dpc_jax.learning.choice import common_frame, seen_colors
 from dpc_jax.learning.choice.common_frame import turn_back
 from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
@@ -186,7 +186,7 @@ def test_a_color_has_the_same_bin_however_dark_it_is():
     color = np.array([0.8, 0.5, 0.1])
     grey = np.array([0.5, 0.5, 0.5])
     bright, dark, *greys = np.asarray(
-        common_frame.sort_colors(
+        seen_colors.sort_colors(
             jnp.asarray([color, 0.7 * color, grey, 0.1 * grey, 2 * grey])
         )
     )
@@ -202,7 +202,7 @@ def test_points_behind_others_have_no_color():
     own = {"rotation": jnp.array([[1.0, 0, 0, 0]])}
     image = jnp.full((1, SIDE, SIDE, 3), 100, jnp.uint8)
     mask = jnp.full((1, SIDE, SIDE), 255, jnp.uint8)
-    samples = common_frame.see_object(points, own, image, mask, camera=Camera())
+    samples = seen_colors.see_object(points, own, image, mask, camera=Camera())
     near, far = np.asarray(samples.weights).reshape(2, -1)
     assert np.all(near > 0)
     assert np.mean(far > 0) < 0.1  # none but at the border of the near one

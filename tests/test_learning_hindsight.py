@@ -23,6 +23,7 @@ from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.objective import compute_loss
 from dpc_jax.learning.predictions import Shapes
 from dpc_jax.learning.schedules import find_stage
+from dpc_jax.learning.terms import Averages
 from dpc_jax.render import Camera, VoxelGrid, project
 
 pytestmark = pytest.mark.usefixtures("quickly")
@@ -348,7 +349,7 @@ def objective():
             batch,
             jax.random.split(jax.random.key(0), 2),
             jnp.asarray(0),
-            jnp.zeros((3, 3)),
+            Averages(jnp.zeros((3, 3))),
             network=network,
             render=config.render,
             pose=config.pose,
@@ -410,7 +411,7 @@ def test_equal_heads_tie_on_every_view_whatever_points_were_dropped(objective):
             make_batch(),
             jax.random.split(key, 2),
             jnp.asarray(0),
-            jnp.zeros((3, 3)),
+            Averages(jnp.zeros((3, 3))),
             network=network,
             render=config.render,
             pose=config.pose,

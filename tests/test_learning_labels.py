@@ -17,9 +17,9 @@ from tiny_runs import (
 
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import identity_alignment
+from dpc_jax.learning.choice.teaching import compare_labels, compare_student
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions
-from dpc_jax.learning.objective import compare_labels, compare_student
 from dpc_jax.learning.predictions import Poses
 from dpc_jax.run.report import list_warnings
 

@@ -123,13 +123,25 @@ def test_a_workdir_with_fields_that_are_none_of_ours_is_refused(change, says):
         from_json(json.dumps({"category": "car"} | change))
 
 
+def test_a_workdir_from_before_a_field_does_what_it_did():
+    """And one with a field that is no more is read."""
+    read = from_json(
+        '{"category": "car", "pose": {"choice_noise": 0.0}, "train": {"steps": 9}}'
+    )
+    assert not read.pose.common_frame and read.pose.choice_rank == "volume"
+    assert read.train.pull_weight == 0 and read.train.steps == 9
+    assert Config("car").pose.common_frame and Config("car").train.pull_weight
+
+
 def test_a_config_without_a_category_is_refused():
     with pytest.raises(ValueError, match="must have the field category"):
         from_json("{}")
 
 
 def test_whole_numbers_stand_for_real_ones():
-    read = from_json('{"category": "car", "train": {"final_rate": 1, "pull_weight": 0}}')
+    read = from_json(
+        '{"category": "car", "train": {"final_rate": 1, "pull_weight": 0}}'
+    )
     assert read.train == (
         dataclasses.replace(Config("car").train, final_rate=1.0, pull_weight=0.0)
     )

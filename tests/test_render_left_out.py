@@ -11,6 +11,7 @@ from tiny_runs import make_batch, make_network, make_state, tiny_config
 import dpc_jax
 from dpc_jax.learning.objective import compute_loss
 from dpc_jax.learning.schedules import Stage
+from dpc_jax.learning.terms import Averages
 
 D, N = 20, 40
 GRID = dpc_jax.VoxelGrid(D)
@@ -149,7 +150,7 @@ def lower_step(kept=24, **changes):
         make_batch(),
         jax.random.split(jax.random.key(0), 2),
         0,
-        state.covariance,
+        Averages(state.covariance),
     )
 
 

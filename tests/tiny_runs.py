@@ -43,6 +43,7 @@ PLAIN = {
         choice_grid=0,
         choice_points=0,
         choice_top=0,
+        common_frame=False,
         student_weight=0.01,
     ),
     "train": dict(
@@ -53,6 +54,7 @@ PLAIN = {
         warmup_steps=0,
         final_rate=1.0,
         weight_decay=0.0,
+        pull_weight=0.0,
         repulsion_weight=0.0,
         repulsion_points=0,
         containment_weight=0.0,

@@ -157,11 +157,6 @@ def _list_sampling_rules(config):
         "0 unless pose.choice = 'sampled', because the prior is that of poses drawn",
     )
     yield (
-        "pose.choice_noise",
-        not pose.choice_noise or not pose.samples,
-        "0 with pose.choice = 'sampled', which draws a head and compares none",
-    )
-    yield (
         "pose.entropy_weight",
         not pose.entropy_weight or pose.choice == "sampled",
         "0 unless pose.choice = 'sampled', where heads have probabilities to learn",

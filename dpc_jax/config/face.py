@@ -15,12 +15,13 @@ def to_config_dict(config: Config) -> ml_collections.ConfigDict:
     return ml_collections.ConfigDict(dataclasses.asdict(config))
 
 
-# What runs did before there was a field, where it is not the field's default.
+# What runs did before there was a field, where it is not the field's default; and
+# fields that were tried and taken out.
 _BEFORE = {
-    ("pose", "choice_rank"): "volume",
-    ("pose", "common_frame"): False,
-    ("train", "pull_weight"): 0.0,
+    "pose": {"choice_rank": "volume", "common_frame": False},
+    "train": {"pull_weight": 0.0},
 }
+_GONE = {"pose": ("choice_noise", "choice_noise_until")}
 
 
 def from_config_dict(edited: ml_collections.ConfigDict) -> Config:
@@ -44,9 +45,10 @@ def from_json(text: str) -> Config:
       ValueError: as `from_config_dict`, and for what is not JSON.
     """
     values = json.loads(text)
-    for (section, name), before in _BEFORE.items():
+    for section, before in _BEFORE.items():
         if isinstance(values, dict) and isinstance(values.get(section), dict):
-            values[section].setdefault(name, before)
+            kept = set(values[section]) - set(_GONE.get(section, ()))
+            values[section] = before | {name: values[section][name] for name in kept}
     return _read(Config, values, "config")
 
 

@@ -129,10 +129,9 @@ class Pose:
     choice_points: int = field(250, at_least(0))  # of the first choice; 0: all
     choice_top: int = field(3, at_least(0))  # candidates compared exactly after it
     choice_signals: str = field("silhouette", one_of("silhouette", "all"))  # compared
-    choice_noise: float = field(0.0, at_least(0))  # of losses, shares of their mean
-    choice_noise_until: float = field(0.4, above(0, 1))  # share of the run; falls to 0
     common_frame: bool = field(True)  # kinds turned round are turned, by colours
     common_frame_from: float = field(0.2, between(0, 1))  # share of the run
+    common_frame_until: float = field(0.7, between(0, 1))  # share of the run
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     student_loss: str = field("absolute", one_of(*STUDENT_LOSSES))  # if it regresses
     prior_weight: float = field(0.0, at_least(0))  # per pixel; of a judge (MVC)

@@ -12,7 +12,8 @@ from jax.sharding import Mesh, NamedSharding
 
 from dpc_jax.config import Config, Train
 from dpc_jax.learning import devices, schedules
-from dpc_jax.learning.objective import Averages, compute_loss
+from dpc_jax.learning.objective import compute_loss
+from dpc_jax.learning.terms import Averages
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.columns import sharing_columns
 
@@ -24,7 +25,7 @@ class TrainState(NamedTuple):
       step: () int32, steps done.
       params: of the network.
       optimizer: state of the optimiser.
-      covariance, cost, frame: see `objective.Averages`.
+      covariance, cost, frame: see `terms.Averages`.
     """
 
     step: jax.Array

@@ -22,8 +22,9 @@ import numpy as np
 import optax
 
 from dpc_jax.config import Config, build_config
-from dpc_jax.learning import half_turns, objective, schedules
-from dpc_jax.learning.choice import hindsight
+from dpc_jax.learning import devices, half_turns, objective, schedules
+from dpc_jax.learning.cameras import Cameras
+from dpc_jax.learning.choice import common_frame, hindsight
 from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import (
@@ -32,12 +33,14 @@ from dpc_jax.learning.predictions import (
     predict_poses,
     predict_shapes,
 )
+from dpc_jax.learning.silhouette_pull import pull_batch
 from dpc_jax.learning.step import (
     init_state,
     make_optimizer,
     make_train_step,
     repeat_seed,
 )
+from dpc_jax.learning.terms import sum_terms
 from dpc_jax.measure.timing import describe_machine, phrase_machine, time_interleaved
 from dpc_jax.render import Camera
 from dpc_jax.reporting.tables import format_table
@@ -47,7 +50,7 @@ from dpc_jax.run.setup import make_network
 CAR = {"train": {"repulsion_weight": 0.004}}  # as in configs/car.py
 PARTS = ("whole step", "encoder", "other layers", "optimiser", "point dropout")
 PARTS = (*PARTS, "half turns", "ranking of candidates", "exact comparison", "winners")
-PARTS = (*PARTS, "priors", "targets")
+PARTS = (*PARTS, "common frame", "pull", "priors", "targets")
 
 
 def draw_batch(config: Config, *, seed: int = 0) -> dict[str, np.ndarray]:
@@ -123,7 +126,36 @@ def make_calls(config: Config, step: int) -> dict[str, Callable[[], Any]]:
     def add_priors(points, kept):
         both = shapes._replace(points=points, kept=kept)
         terms = objective.compute_priors(both, jnp.asarray(step), train=config.train)
-        return objective.sum_terms(terms)
+        return sum_terms(terms)
+
+    def draw_in(kept, rotations):
+        return pull_batch(
+            kept,
+            rotations,
+            batch["masks"],
+            side=config.render.grid,
+            camera=camera,
+            cameras=Cameras(),
+        )
+
+    def turn_back(winners, points):
+        def on_device(winners, points):
+            return common_frame.turn_back(
+                winners,
+                points,
+                batch["images"],
+                batch["masks"],
+                jnp.eye(3),
+                common_frame.start_frame(),
+                camera=camera,
+                cameras=Cameras(),
+                heads=config.pose.candidates,
+                is_due=jnp.asarray(True),
+            )
+
+        # What devices exchange has one to go round.
+        alone = jax.tree.map(lambda a: a[None], (winners, points))
+        return jax.vmap(on_device, axis_name=devices.AXIS)(*alone)
 
     def drop(key, points):
         keys = jax.random.split(key, points.shape[0])
@@ -170,6 +202,12 @@ def make_calls(config: Config, step: int) -> dict[str, Callable[[], Any]]:
         ),
         "winners": call(
             jax.value_and_grad(compare, (0, 1)), shapes.kept, rotations, shapes
+        ),
+        "pull": call(jax.value_and_grad(draw_in), shapes.kept, rotations),
+        "common frame": call(
+            turn_back,
+            hindsight.Winners(rotations, jnp.zeros(rotations.shape[:2], jnp.int32)),
+            shapes.points,
         ),
         "priors": call(
             jax.value_and_grad(add_priors, (0, 1)), shapes.points, shapes.kept

@@ -10,7 +10,8 @@ silhouette of a sedan, but not its lamps).
 Points and colours are counted in cells of the network's frame by moving sums over
 batches. Of each object, with all its views, it is asked whether it fits these better
 after a half turn. If so, its views learn the turned poses, and with them its shape
-learns to turn.
+learns to turn. Late in a run silhouettes decide alone: what still looks turned by then
+is an object that is unlike the others.
 """
 
 import functools
@@ -19,19 +20,15 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.learning.cameras import Cameras, list_own, place_camera
+from dpc_jax.learning.cameras import Cameras, list_own
 from dpc_jax.learning.choice.hindsight import Winners
+from dpc_jax.learning.choice.seen_colors import BINS, Samples, see_object
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import find_half_turns
-from dpc_jax.render import Camera, VoxelGrid, quaternion
-from dpc_jax.render.camera import to_camera_frame, to_grid
+from dpc_jax.render import Camera, quaternion
 
 CELLS = 12  # along each axis of the object frame
-BINS = 8  # along each of two axes of hue
 _POINTS = 1000  # of a shape, that are looked at
-_IMAGE = 24  # side in which points hide each other
-_BEHIND = 0.06  # box diagonals, within which points of a pixel are seen
-_PAINT = 0.1  # share of an object from which on a colour counts less: it is its paint
 _PRIOR = 500.0  # samples of the category's mean colours in each cell
 _EMPTY = 0.02  # density that is added, of the mean over the cells
 _BLUR = (0.12, 0.76, 0.12)  # of densities, along each axis
@@ -52,19 +49,6 @@ class Frame(NamedTuple):
     points: jax.Array
     colors: jax.Array
     moments: jax.Array
-
-
-class Samples(NamedTuple):
-    """Colours of an object as its views show them; n samples.
-
-    Attributes:
-      places: [n, 3] in the network's frame. bins: [n] int32 of their colours.
-      weights: [n], 0 of what is not seen.
-    """
-
-    places: jax.Array
-    bins: jax.Array
-    weights: jax.Array
 
 
 def start_frame() -> Frame:
@@ -95,33 +79,16 @@ def turn_back(
       covariance: [3, 3] of points, whose axes the half turns are about.
       frame: of the batches before.
       camera, cameras: of the views. heads: K, of the candidates.
-      is_due: () whether objects are turned yet; until then they are counted alone.
+      is_due: () whether objects are turned at this step, or counted alone.
 
     Returns:
       (the winners to learn, the frame with this batch, () share of objects turned).
     """
     points, covariance = jax.lax.stop_gradient((points[:, :_POINTS], covariance))
-    poses = jax.lax.stop_gradient(winners.poses)
-    size, views = winners.indices.shape
-    own = {"rotation": poses.reshape(-1, 4), **list_own(cameras, size * views)}
-    own = {name: a.reshape(size, views, *a.shape[1:]) for name, a in own.items()}
-    look = functools.partial(see_object, camera=camera)
-    samples = jax.vmap(look)(points, own, images, masks)
-
+    samples = _see_batch(points, winners, images, masks, cameras, camera)
     turns = find_half_turns(covariance)
-    by_points = jax.vmap(lambda x: compare_places(x, turns, frame))(points)
-    by_colors = jax.vmap(lambda x: compare_colors(x, turns, frame))(samples)
-    gains = jnp.stack([a[:, 1:] - a[:, :1] for a in (by_points, by_colors)])
-    # Only what tells a category from its own half turn counts: objects that look the
-    # same either way would be turned by chance.
-    mean, square = frame.moments[1:] / jnp.maximum(frame.moments[:1], 1e-6)
-    spread = jnp.sqrt(jnp.maximum(square - mean**2, 0))
-    is_clear = (mean < -_CLARITY * spread)[:, None]
-    weights = jnp.array([1, _COLOR_WEIGHT])[:, None, None]
-    total = jnp.sum(jnp.where(is_clear, weights * gains, 0), axis=0)
-    turned = jnp.where(
-        is_due & (jnp.max(total, axis=1) > 0), jnp.argmax(total, axis=1) + 1, 0
-    )
+    gains = _measure_gains(points, samples, turns, frame)
+    turned = jnp.where(is_due, _choose_turns(gains, frame.moments), 0)
 
     # Candidate i is of head i % K after half turn i // K, and these form a group in
     # which the turn a after the turn b is the turn a ^ b.
@@ -134,6 +101,37 @@ def turn_back(
     points = turn_places(points, turns[turned])
     new = _count_batch(frame, points, samples, gains)
     return Winners(poses, indices), new, jnp.mean(turned > 0)
+
+
+def _see_batch(points, winners, images, masks, cameras, camera):
+    """`see_object` of each object, from the poses of its views."""
+    size, views = winners.indices.shape
+    poses = jax.lax.stop_gradient(winners.poses)
+    own = {"rotation": poses.reshape(-1, 4), **list_own(cameras, size * views)}
+    own = {name: a.reshape(size, views, *a.shape[1:]) for name, a in own.items()}
+    look = functools.partial(see_object, camera=camera)
+    return jax.vmap(look)(points, own, images, masks)
+
+
+def _measure_gains(points, samples, turns, frame):
+    """What objects gain by points and by colours after half turns; [2, B, 3]."""
+    by_points = jax.vmap(lambda x: compare_places(x, turns, frame))(points)
+    by_colors = jax.vmap(lambda x: compare_colors(x, turns, frame))(samples)
+    return jnp.stack([a[:, 1:] - a[:, :1] for a in (by_points, by_colors)])
+
+
+def _choose_turns(gains, moments):
+    """Which half turn [B] each object gains most by; 0 where it gains by none.
+
+    Only what tells a category from its own half turn counts: objects that look the same
+    either way would be turned by chance.
+    """
+    mean, square = moments[1:] / jnp.maximum(moments[:1], 1e-6)
+    spread = jnp.sqrt(jnp.maximum(square - mean**2, 0))
+    is_clear = (mean < -_CLARITY * spread)[:, None]
+    weights = jnp.array([1, _COLOR_WEIGHT])[:, None, None]
+    total = jnp.sum(jnp.where(is_clear, weights * gains, 0), axis=0)
+    return jnp.where(jnp.max(total, axis=1) > 0, jnp.argmax(total, axis=1) + 1, 0)
 
 
 def _count_batch(frame, points, samples, gains):
@@ -153,60 +151,6 @@ def _count_batch(frame, points, samples, gains):
     )
 
 
-def see_object(points, own, images, masks, *, camera: Camera) -> Samples:
-    """Samples of all views of an object; a colour weighs less the more of it there is.
-
-    Args:
-      points: [N, 3]. own: of V views, their rotation and what `list_own` names.
-      images: uint8 [V, S, S, 3]. masks: uint8 [V, S, S].
-    """
-    see = functools.partial(_see_view, camera=camera)
-    bins, weights = jax.vmap(see, (None, 0, 0, 0))(points, own, images, masks)
-    bins, weights = bins.reshape(-1), weights.reshape(-1)
-    amounts = jnp.zeros(BINS**2).at[bins].add(weights)
-    shares = amounts / jnp.maximum(jnp.sum(amounts), 1)
-    weights = weights / (1 + (shares[bins] / _PAINT) ** 2)
-    places = jnp.broadcast_to(points[None], (len(images), *points.shape))
-    return Samples(places.reshape(-1, 3), bins, weights)
-
-
-def _see_view(points, own, image, mask, *, camera):
-    """Bins [N] of the colours of points in a view, and weights [N]: 0 if hidden."""
-    moved = to_camera_frame(
-        points,
-        own["rotation"],
-        translation=own.get("translation"),
-        camera=place_camera(camera, own),
-    )
-    side = image.shape[0]
-    seen = to_grid(moved, camera=place_camera(camera, own), grid=VoxelGrid(_IMAGE))
-    rows, cols, _ = seen.coordinates.T
-
-    def find_pixel(side):
-        scale = side / _IMAGE
-        row, col = (jnp.floor((axis + 0.5) * scale) for axis in (rows, cols))
-        return [jnp.clip(a, 0, side - 1).astype(jnp.int32) for a in (row, col)]
-
-    row, col = find_pixel(_IMAGE)
-    ahead = jnp.where(seen.inside, moved.ahead, jnp.inf)
-    nearest = jnp.full((_IMAGE, _IMAGE), jnp.inf).at[row, col].min(ahead)
-    row_, col_ = find_pixel(side)
-    is_seen = seen.inside & (ahead < nearest[row, col] + _BEHIND)
-    is_seen &= mask[row_, col_] >= 128
-    return sort_colors(image[row_, col_] / 255), is_seen.astype(points.dtype)
-
-
-def sort_colors(colors: jax.Array) -> jax.Array:
-    """Bins [n] int32 of colours [n, 3] by their hue and saturation, not brightness."""
-    red, green, blue = colors.T
-    whole = jnp.max(colors, axis=1) + 0.1
-    axes = (red - green) / whole, ((red + green) / 2 - blue) / whole
-    first, second = (
-        jnp.clip(jnp.floor((0.5 + axis / 2) * BINS), 0, BINS - 1) for axis in axes
-    )
-    return (first * BINS + second).astype(jnp.int32)
-
-
 def compare_places(points: jax.Array, turns: jax.Array, frame: Frame) -> jax.Array:
     """Mean log-likelihood [T] of points [N, 3] after each of the turns [T, 4].
 
@@ -214,8 +158,8 @@ def compare_places(points: jax.Array, turns: jax.Array, frame: Frame) -> jax.Arr
     """
     density = frame.points
     for axis in range(3):  # the cells at the border, which roll over, are empty
-        rolled = (jnp.roll(density, shift, axis) for shift in (-1, 0, 1))
-        density = sum(w * part for w, part in zip(_BLUR, rolled, strict=True))
+        rolled = [jnp.roll(density, shift, axis) for shift in (-1, 0, 1)]
+        density = jnp.tensordot(jnp.array(_BLUR), jnp.stack(rolled), 1)
     mean = jnp.maximum(jnp.mean(density), jnp.finfo(points.dtype).tiny)
     scores = jnp.log(density.reshape(-1) / mean + _EMPTY)
 

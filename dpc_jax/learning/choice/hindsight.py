@@ -18,7 +18,6 @@ from dpc_jax.learning.choice.coarse_choice import (
     place_candidates,
     shrink_target,
 )
-from dpc_jax.learning.choice.noise import disturb
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import Cells, Shapes
 from dpc_jax.learning.renders import compute_candidate_losses, make_scenes
@@ -140,10 +139,8 @@ def _choose(scene, candidates, target, places, own, *, camera, how):
     """`choose_candidate` of checked arguments; places of `_place_points`.
 
     `own` is what the view has of its own: see `list_own`; in an exact comparison of
-    other signals than the silhouette "others", their targets; and "noise" [C], where
-    the choice has some.
+    other signals than the silhouette "others", their targets.
     """
-    noise = own.get("noise")
     view = {
         "camera": place_camera(camera, own),
         "renders_at_once": how.renders_at_once,
@@ -153,7 +150,7 @@ def _choose(scene, candidates, target, places, own, *, camera, how):
     exactly["others"] = own.get("others")
     if _is_exact(scene, target, how):
         losses = compute_candidate_losses(scene, candidates, target, **exactly)
-        return jnp.argmin(disturb(losses, noise))
+        return jnp.argmin(losses)
     if "cells" in scene:
         # Volumes stay as they are, and are seen in a coarser grid.
         coarse = compute_candidate_losses(
@@ -176,12 +173,11 @@ def _choose(scene, candidates, target, places, own, *, camera, how):
             choice_points=how.points,
             **view,
         )
-    coarse = disturb(coarse, noise)
     if how.top == 0:
         return jnp.argmin(coarse)
     _, best = jax.lax.top_k(-coarse, min(how.top, len(candidates)))
     losses = compute_candidate_losses(scene, candidates[best], target, **exactly)
-    return best[jnp.argmin(disturb(losses, noise, best))]
+    return best[jnp.argmin(losses)]
 
 
 def _is_exact(scene, target, how):
@@ -205,7 +201,6 @@ def choose_poses(
     cameras: Cameras = Cameras(),
     views: Mapping[str, jax.Array] | None = None,
     weights: Weights = SILHOUETTES,
-    noise: jax.Array | None = None,
 ) -> Winners:
     """Eq. 2 for all views of a batch, without gradient.
 
@@ -220,8 +215,6 @@ def choose_poses(
       views: masks and, as the weights need them, images and depths: see `make_targets`.
       weights: of the signals by which candidates are compared at full resolution, if
         `pose.choice_signals` is "all"; the silhouette alone otherwise.
-      noise: [B·V, C] to add to the losses, in shares of their mean; None for the exact
-        minimum.
     """
     batch_size, per_object = masks.shape[:2]
     total = batch_size * per_object
@@ -255,8 +248,6 @@ def choose_poses(
     )(scene, flat, own)
     targets = downsample_images(masks, render.grid)
     own |= _list_others(views or {}, render, weights)
-    if noise is not None:
-        own["noise"] = noise
     targets = targets.reshape(total, *targets.shape[2:])
 
     def choose(view):
