@@ -1,6 +1,6 @@
 """The whole pipeline in under a minute: for tests and first looks, not for results."""
 
-from dpc_jax.config import make_config
+from dpc_jax.config import build_config, replace_fields, to_config_dict
 
 SMALL = {
     "data": dict(
@@ -15,9 +15,8 @@ SMALL = {
 
 def get_config(variant: str | None = None):
     """Few, small cars and few steps; the variants of the other configs."""
-    config = make_config("car", variant)
-    config.update(SMALL)
+    config = replace_fields(build_config("car", variant), SMALL)
+    pose = {"candidates": min(config.pose.candidates, 2)}
     if config.pose.choice_points:
-        config.pose.update(choice_grid=8, choice_points=50, choice_top=4)
-    config.pose.candidates = min(config.pose.candidates, 2)
-    return config
+        pose |= {"choice_grid": 8, "choice_points": 50, "choice_top": 4}
+    return to_config_dict(replace_fields(config, {"pose": pose}))

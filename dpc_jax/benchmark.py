@@ -11,15 +11,12 @@ import sys
 from pathlib import Path
 
 from dpc_jax.measure.benchmark.plan import FULL, PARTS, QUICK
-from dpc_jax.measure.benchmark.suite import run_benchmark
-from dpc_jax.render import use_all_cores
-from dpc_jax.run.gpu import set_gpu_flags
-from dpc_jax.run.process import keep_freed_memory
+from dpc_jax.run.flags import FlagParser
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Parse the command line, measure, write the report; returns the exit status."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+def make_parser() -> argparse.ArgumentParser:
+    """The flags of the command."""
+    parser = FlagParser("benchmark", description="Error against run time.")
     parser.add_argument(
         "--quick", action="store_true", help="tiny sizes, to check that all works"
     )
@@ -27,7 +24,22 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--parts", default=",".join(PARTS), help="separated by commas; default: all"
     )
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Parse the command line, measure, write the report; returns the exit status."""
+    try:
+        options = make_parser().parse_args(arguments)
+    except ValueError as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return 2
+    # Heavy: flags are read first.
+    from dpc_jax.measure.benchmark.suite import run_benchmark
+    from dpc_jax.render import use_all_cores
+    from dpc_jax.run.gpu import set_gpu_flags
+    from dpc_jax.run.process import keep_freed_memory
+
     set_gpu_flags()
     with contextlib.suppress(RuntimeError):  # a program of the caller's has begun
         use_all_cores()

@@ -8,10 +8,13 @@ import argparse
 import sys
 import types
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from dpc_jax.learning.fitting.object_fit import LEARNED, FitSettings, fit
+from dpc_jax.learning.fitting.settings import LEARNED, POSES, FitSettings
 from dpc_jax.run.flags import FlagParser, run_command
-from dpc_jax.run.object_fitting import POSES, FitRequest, fit_folder
+
+if TYPE_CHECKING:
+    from dpc_jax.run.object_fitting import FitRequest
 
 _DEFAULT = FitSettings()
 _DEGREES = tuple(f"{angle:g}" for angle in _DEFAULT.elevations)
@@ -20,54 +23,64 @@ _DEGREES = tuple(f"{angle:g}" for angle in _DEFAULT.elevations)
 def make_parser() -> argparse.ArgumentParser:
     """The flags of the command."""
     parser = FlagParser(
-        prog="python -m dpc_jax.fit", description="One object without a network."
+        "fit", takes="FOLDER", description="One object without a network."
     )
     parser.add_argument(
         "folder",
         type=Path,
-        help="of images with an alpha channel, or NAME_mask.png beside each",
+        metavar="FOLDER",
+        help="of images with alpha channel, or NAME_mask.png beside",
     )
-    parser.add_argument(
-        "--out", type=Path, help="folder of the results (FOLDER's name-fit, here)"
-    )
+    parser.add_argument("--out", type=Path, help="folder of the results (./FOLDER-fit)")
     parser.add_argument(
         "--poses",
         choices=POSES,
         default="auto",
-        help="take those of the folder's pose file, begin with them, or find them; "
-        "auto: take them where there are some",
+        metavar="HOW",
+        help="given: take the folder's poses; rough: begin with them; none: find them; "
+        "auto: given where there are some",
     )
     parser.add_argument(
         "--crop",
         choices=("object", "view", "none"),
         default="object",
-        help="frame all views at one scale, each at its own, or take them as they are",
+        metavar="HOW",
+        help="object: one scale for all views; view: one for each; none: as they are",
     )
     parser.add_argument(
         "--learn",
         default="",
-        help=f"of cameras, beside what poses say: {', '.join(LEARNED[1:])}",
+        metavar="WHAT",
+        help=f"of cameras: {', '.join(LEARNED[1:])}",
     )
     parser.add_argument("--colors", action="store_true", help="learn colours too")
     parser.add_argument(
-        "--points", type=int, default=_DEFAULT.num_points, help="(%(default)s)"
+        "--points",
+        type=int,
+        metavar="N",
+        default=_DEFAULT.num_points,
+        help="of the cloud (%(default)s)",
     )
     parser.add_argument(
         "--searches",
         type=int,
         default=_DEFAULT.searches,
-        help="for poses, of which the best goes on (%(default)s)",
+        metavar="N",
+        help="for poses; the best goes on (%(default)s)",
     )
     parser.add_argument(
         "--elevations",
         default=",".join(_DEGREES),
-        help="lowest and highest of the cameras, for that (%(default)s degrees)",
+        metavar="A,B",
+        help="lowest and highest of cameras (%(default)s degrees)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="(%(default)s)")
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="(%(default)s)"
+    )
     return parser
 
 
-def make_request(options: argparse.Namespace) -> FitRequest:
+def make_request(options: argparse.Namespace) -> "FitRequest":
     """What the flags ask for.
 
     Raises:
@@ -94,6 +107,8 @@ def make_request(options: argparse.Namespace) -> FitRequest:
             f"--learn must be of {', '.join(LEARNED)}, but it has {unknown[0]}; write "
             "for example --learn=translations."
         )
+    from dpc_jax.run.object_fitting import FitRequest  # heavy: flags are read first
+
     out = options.out or Path(f"{options.folder.resolve().name}-fit")
     return FitRequest(
         options.folder,
@@ -118,6 +133,8 @@ def main(arguments: list[str] | None = None) -> int:
     except ValueError as error:
         print(f"Error: {error}", file=sys.stderr)
         return 2
+    from dpc_jax.run.object_fitting import fit_folder  # heavy: flags are read first
+
     return run_command(
         lambda: fit_folder(request),
         out=request.out,
@@ -129,6 +146,8 @@ class _Callable(types.ModuleType):
     """`dpc_jax.fit` stays the function when this module has been imported, too."""
 
     def __call__(self, *args, **kwargs):
+        from dpc_jax.learning.fitting.object_fit import fit  # heavy, as above
+
         return fit(*args, **kwargs)
 
 

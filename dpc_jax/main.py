@@ -3,13 +3,18 @@
 Starting again in the same workdir goes on from its last checkpoint.
 """
 
+import argparse
 import sys
+from typing import TYPE_CHECKING
 
 from absl import app, flags, logging
 from ml_collections import config_flags
 
 from dpc_jax.config import from_config_dict, resolve_flags
-from dpc_jax.run import hosts, pipeline, process
+from dpc_jax.run.flags import FlagParser
+
+if TYPE_CHECKING:
+    from dpc_jax.run import hosts
 
 _CONFIG = config_flags.DEFINE_config_file(
     "config",
@@ -25,10 +30,32 @@ _COORDINATOR = flags.DEFINE_string(
 )
 _PROCESSES = flags.DEFINE_integer("processes", None, "How many processes the run has.")
 _PROCESS = flags.DEFINE_integer("process", None, "Which of them this one is, from 0.")
+_VALUES = {  # of the flags, for --help
+    "config": "CONFIG",
+    "workdir": "DIR",
+    "coordinator": "HOST:PORT",
+    "processes": "N",
+    "process": "I",
+}
+_FIELDS = (
+    "Every field of a config is a flag, as --config.train.steps=4000; "
+    "dpc_jax/config/sections.py lists them with their units."
+)
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The flags of the command, for --help and for completion in a shell."""
+    parser = FlagParser("train", description="Train, evaluate, report.", epilog=_FIELDS)
+    for name, value in _VALUES.items():
+        parser.add_argument(f"--{name}", metavar=value, help=flags.FLAGS[name].help)
+    return parser
 
 
 def _parse(argv):
     """Parse the flags; what is wrong with them is said in one sentence."""
+    if {"--help", "-h"} & set(argv[1:]):
+        make_parser().print_help()
+        sys.exit(0)
     try:
         rest = flags.FLAGS(resolve_flags(argv))
         if len(rest) > 1:
@@ -50,7 +77,9 @@ def _parse(argv):
         sys.exit(2)
 
 
-def _find_place() -> hosts.Place | None:
+def _find_place() -> "hosts.Place | None":
+    from dpc_jax.run import hosts  # heavy: most wrong flags are found without
+
     return hosts.find_place(_COORDINATOR.value, _PROCESSES.value, _PROCESS.value)
 
 
@@ -71,6 +100,8 @@ def _explain(error: Exception) -> str:
 
 def main(_: list[str]):
     """Hand the parsed flags to the run."""
+    from dpc_jax.run import pipeline, process  # heavy: flags are read first
+
     logging.set_verbosity(logging.ERROR)  # JAX tells of each accelerator not found
     path = config_flags.get_config_filename(flags.FLAGS["config"])
     config = from_config_dict(_CONFIG.value)
@@ -80,5 +111,10 @@ def main(_: list[str]):
     process.leave(status)
 
 
-if __name__ == "__main__":
+def start():
+    """Run the command with the flags in `sys.argv`; it ends the process."""
     app.run(main, flags_parser=_parse)
+
+
+if __name__ == "__main__":
+    start()

@@ -12,7 +12,6 @@ from dpc_jax.experiments.catalogue import NAMES
 from dpc_jax.experiments.published import CATEGORIES
 from dpc_jax.experiments.runs import Request, Source, choose_runs
 from dpc_jax.experiments.sizes import SIZES
-from dpc_jax.experiments.suite import Place, run_suite
 from dpc_jax.run.flags import FlagParser
 
 SOURCES = ("procedural", "open", "shapenet", "renders")
@@ -20,38 +19,64 @@ SOURCES = ("procedural", "open", "shapenet", "renders")
 
 def make_parser() -> argparse.ArgumentParser:
     """The flags of the command."""
-    parser = FlagParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--out", type=Path, default=Path("runs/paper"))
+    parser = FlagParser("paper", description="The paper's tables and figures.")
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs/paper"), help="folder (%(default)s)"
+    )
     parser.add_argument(
         "--experiment",
         default="all",
+        metavar="NAMES",
         help=f"all, or of {', '.join(NAMES)}, with commas between",
     )
-    parser.add_argument("--size", default="cpu", choices=SIZES)
     parser.add_argument(
-        "--category", default="", help="with commas between; default: of the size"
+        "--size",
+        default="cpu",
+        choices=SIZES,
+        metavar="SIZE",
+        help=f"{', '.join(SIZES)} (%(default)s)",
     )
     parser.add_argument(
-        "--seeds", default="", help="with commas between; default: of the size"
-    )
-    parser.add_argument("--source", default="procedural", choices=SOURCES)
-    parser.add_argument(
-        "--folder", default="", help="of the source: meshes, ShapeNet or renders"
+        "--category", default="", metavar="NAMES", help="default: of the size"
     )
     parser.add_argument(
-        "--data", type=Path, default=Path("data"), help="keeps rendered data sets"
+        "--seeds", default="", metavar="N,N", help="default: of the size"
     )
     parser.add_argument(
-        "--page", type=Path, help="Markdown file to write too, figures beside it"
+        "--source",
+        default="procedural",
+        choices=SOURCES,
+        metavar="KIND",
+        help=f"{', '.join(SOURCES)} (%(default)s)",
+    )
+    parser.add_argument(
+        "--folder",
+        default="",
+        metavar="DIR",
+        help="of the source: meshes, ShapeNet or renders",
+    )
+    parser.add_argument(
+        "--data",
+        type=Path,
+        metavar="DIR",
+        default=Path("data"),
+        help="keeps rendered data sets",
+    )
+    parser.add_argument(
+        "--page", type=Path, metavar="FILE", help="Markdown to write too"
     )
     parser.add_argument(
         "--only",
         default="",
         metavar="RUNS",
-        help="train only these, * for anything, with commas between; default: all",
+        help="train only these; * stands for anything",
     )
     parser.add_argument(
-        "--at-once", type=int, default=0, help="runs; default: cores and memory decide"
+        "--at-once",
+        type=int,
+        metavar="N",
+        default=0,
+        help="runs; default: as many as cores and memory allow",
     )
     parser.add_argument(
         "--no-training", action="store_true", help="the page of what is there alone"
@@ -131,6 +156,8 @@ def main(arguments: list[str] | None = None) -> int:
     except ValueError as error:
         print(f"Error: {error}", file=sys.stderr)
         return 2
+    from dpc_jax.experiments.suite import Place, run_suite  # heavy: flags come first
+
     place = Place(options.out, options.data, options.page)
     try:
         page, failed = run_suite(

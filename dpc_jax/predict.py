@@ -10,15 +10,16 @@ import argparse
 import sys
 from pathlib import Path
 
-from dpc_jax.data.sets.photographs import MASKS
-from dpc_jax.run.flags import run_command
-from dpc_jax.run.prediction import PredictRequest, predict_images
+from dpc_jax.run.flags import FlagParser, run_command
+
+MASKS = ("given", "auto", "matting")  # of data.sets.photographs, which --help loads not
 
 
 def make_parser() -> argparse.ArgumentParser:
     """The flags of the command."""
-    parser = argparse.ArgumentParser(
-        prog="python -m dpc_jax.predict",
+    parser = FlagParser(
+        "predict",
+        takes="IMAGE... --workdir=DIR",
         description="Images to point clouds and poses, with the network of a run.",
     )
     parser.add_argument("--workdir", type=Path, required=True, help="of a trained run")
@@ -65,7 +66,14 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, predict, write; returns the exit status."""
-    options = make_parser().parse_args(arguments)
+    try:
+        options = make_parser().parse_args(arguments)
+    except ValueError as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return 2
+    # Flags are read before what is heavy is loaded.
+    from dpc_jax.run.prediction import PredictRequest, predict_images
+
     request = PredictRequest(
         options.images,
         workdir=options.workdir,

@@ -11,10 +11,7 @@ import sys
 import time
 from pathlib import Path
 
-from dpc_jax.learning.training.progress import ProgressReport
-from dpc_jax.measure.stability.cases.case import DTYPES
-from dpc_jax.measure.stability.cases.catalogue import SUBJECTS
-from dpc_jax.measure.stability.report import write_report
+from dpc_jax.measure.stability.cases.names import DTYPES, SUBJECTS
 from dpc_jax.measure.stability.report_parts import (
     PARTS,
     PartRequest,
@@ -22,7 +19,7 @@ from dpc_jax.measure.stability.report_parts import (
     check_names,
     run_part,
 )
-from dpc_jax.measure.timing import describe_machine
+from dpc_jax.run.flags import FlagParser
 
 QUICK_DTYPES = ("float32",)
 
@@ -34,8 +31,12 @@ def main(arguments: list[str] | None = None) -> int:
       The exit status: 0, 1 if anything is outside its tolerance or cannot be written, 2
       for a wrong flag, 130 after Ctrl-C.
     """
-    options = _parse(arguments)
     results: dict[str, PartResult] = {}
+    try:
+        options = _parse(arguments)
+    except ValueError as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return 2
     try:
         for flag, known in _list_known().items():
             check_names(flag, getattr(options, flag), known)
@@ -60,11 +61,9 @@ def _list_known():
     return {"parts": tuple(PARTS), "subjects": tuple(SUBJECTS), "dtypes": DTYPES}
 
 
-def _parse(arguments):
-    parser = argparse.ArgumentParser(
-        prog="python -m dpc_jax.stability",
-        description="Report what happens in stiff and extreme cases.",
-    )
+def make_parser() -> argparse.ArgumentParser:
+    """The flags of the command."""
+    parser = FlagParser("stability", description="What happens in extreme cases.")
     parser.add_argument("--out", type=Path, default=Path("runs/stability"))
     parser.add_argument(
         "--quick",
@@ -76,7 +75,11 @@ def _parse(arguments):
         words = f"some of {','.join(known)}; default: all"
         parser.add_argument(f"--{flag}", type=_split, help=words)
     parser.add_argument("--seed", type=int, default=0, help="of the random numbers")
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def _parse(arguments):
+    options = make_parser().parse_args(arguments)
     if options.quick and options.dtypes is None:
         options.dtypes = QUICK_DTYPES
     return options
@@ -96,6 +99,11 @@ def _write_command(options):
 
 def _run_parts(options, results):
     """Run part by part; fills `results`, and returns the path of the report."""
+    # Heavy: flags are read first.
+    from dpc_jax.learning.training.progress import ProgressReport
+    from dpc_jax.measure.stability.report import write_report
+    from dpc_jax.measure.timing import describe_machine
+
     options.out.mkdir(parents=True, exist_ok=True)
     seconds, path = {}, None
     about = {"seed": options.seed, "command": _write_command(options)}

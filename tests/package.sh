@@ -17,7 +17,15 @@ python="${PYTHON:-python3}"
 "$python" -m venv "$folder/empty"
 "$folder/empty/bin/python" -m pip install --quiet "$folder"/dist/dpc_jax-*.whl
 cd "$folder"
-JAX_PLATFORMS=cpu "$folder/empty/bin/python" -m dpc_jax.main --config=debug:known_pose
+export JAX_PLATFORMS=cpu
+"$folder/empty/bin/python" -m dpc_jax.main --config=debug:known_pose
 test -s "$folder/runs/debug-known_pose-seed0/report/index.html"
+# The command, and the config of the README by its name, with few models and steps.
+"$folder/empty/bin/dpc_jax" train --config=car --config.train.steps=4 \
+    --config.train.warmup_steps=0 --config.render.keep_levels=1 \
+    --config.data.models=8 --config.data.val_models=4 --config.data.test_models=4
+test -s "$folder/runs/car-seed0/report/index.html"
+"$folder/empty/bin/dpc_jax" compare runs
+test -s "$folder/runs/comparison/index.html"
 "$folder/empty/bin/python" -c "import dpc_jax, pathlib; assert '$folder/empty' in dpc_jax.__file__"
 echo "The wheel trains in an empty environment."

@@ -324,7 +324,7 @@ def test_meshes_and_images_are_prepared_to_be_looked_at(tmp_path, capsys, monkey
         procedural.make_shape("chair", seed).export(path)
     assert run("show", "meshes", "--models", 2) == 0
     assert "prepared from meshes (meshes)" in capsys.readouterr().out
-    assert (tmp_path / "meshes-sheet.png").exists()
+    assert (tmp_path / "runs" / "meshes-sheet.png").exists()
     assert run("check", "meshes") == 0
     assert "3 object models" in capsys.readouterr().out
     for name in ("one", "two", "three"):
@@ -339,7 +339,7 @@ def test_meshes_and_images_are_prepared_to_be_looked_at(tmp_path, capsys, monkey
     assert "(images)" in out and "no fault found; no poses" in out
     # nothing is left behind, nothing lies between the images
     assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "meshes", "meshes-sheet.png", "own", "own.png",
+        "meshes", "own", "own.png", "runs",
     ]  # fmt: skip
     assert len(list((tmp_path / "own").rglob("*.png"))) == 6
 

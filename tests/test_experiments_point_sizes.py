@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from dpc_jax.config import Config, replace_fields, to_json
-from dpc_jax.experiments import point_sizes
+from dpc_jax.experiments import point_kinds, point_sizes
 from dpc_jax.reporting.ellipsoids import DEVIATIONS, draw_ellipsoids
 from dpc_jax.reporting.point_sizes import Gaussians
 
@@ -106,8 +106,8 @@ def test_a_sphere_is_drawn_round_and_hides_what_is_behind_it():
 
 
 def test_hand_tuned_runs_go_to_the_sigma_of_the_nearest_number_of_points():
-    hand = point_sizes.list_changes("", 25)
-    assert hand["render.sigma_end"] == point_sizes.HAND_TUNED[20]
-    learned = point_sizes.list_changes("covariance", 25)
+    hand = point_kinds.list_changes("", 25)
+    assert hand["render.sigma_end"] == point_kinds.HAND_TUNED[20]
+    learned = point_kinds.list_changes("covariance", 25)
     assert "render.sigma_end" not in learned
     assert learned["network.point_size"] == "covariance"

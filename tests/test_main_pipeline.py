@@ -22,6 +22,7 @@ from dpc_jax import predict, rotation_angle_deg
 from dpc_jax.data.dataset import read_cache
 from dpc_jax.data.viewpoints import look_at_rotation
 from dpc_jax.evaluation.metrics import get_metric
+from dpc_jax.run.trackers import tensorboard_files
 
 ROOT = Path(__file__).parents[1]
 STEPS = 150
@@ -42,6 +43,8 @@ FIELDS = {
     "pose.choice_grid": 0,
     "pose.choice_points": 0,
 }
+TRACKED = {"log.tensorboard": True}
+TIMED = ("seconds", "steps_per_second", "compile_seconds")
 
 
 class Command:
@@ -77,13 +80,13 @@ class Command:
         assert process.returncode == 0, error.decode()
         return out.decode()
 
-    def signal_at(self, workdir, step, signum):
+    def signal_at(self, workdir, step, signum, **changes):
         """Send a signal when a step is reported; gives status, what it says after it.
 
         The pipe holds some 60 lines: without a reader the run cannot get far beyond
         the step, so that the signal always falls within the training.
         """
-        process = self.start(workdir)
+        process = self.start(workdir, **changes)
         fcntl.fcntl(process.stdout, fcntl.F_SETPIPE_SZ, 4096)
         seen = b""
         while f"step {step}/".encode() not in seen:
@@ -104,7 +107,18 @@ def command(tmp_path_factory):
 def finished(command):
     """A run that nothing stopped: its workdir and what it printed."""
     workdir = command.folder / "unbroken"
-    return workdir, command.run(workdir)
+    return workdir, command.run(workdir, **TRACKED)
+
+
+def read_events(workdir):
+    """(step, name, value) of what TensorBoard shows, without what was timed."""
+    return [
+        (event.step, value.tag, value.WhichOneof("value"), value.simple_value)
+        for path in (workdir / "tensorboard").iterdir()
+        for event in tensorboard_files.read_events(path)
+        for value in event.summary.value
+        if value.tag not in TIMED
+    ]
 
 
 def read_records(workdir):
@@ -129,8 +143,7 @@ def assert_ends_alike(workdir, unbroken):
         np.testing.assert_array_equal(ours[name], value, err_msg=name, strict=True)
 
     def strip(record):
-        timed = ("seconds", "steps_per_second", "compile_seconds")
-        return {n: v for n, v in record.items() if n not in timed}
+        return {n: v for n, v in record.items() if n not in TIMED}
 
     assert [strip(r) for r in read_records(workdir)] == [
         strip(r) for r in read_records(unbroken)
@@ -205,7 +218,7 @@ def test_a_run_that_is_terminated_then_killed_ends_as_one_that_nothing_stopped(
 ):
     workdir = command.folder / "broken"
     # Not a multiple of any interval, so that what is saved is due to the signal.
-    status, out, error = command.signal_at(workdir, 7, signal.SIGTERM)
+    status, out, error = command.signal_at(workdir, 7, signal.SIGTERM, **TRACKED)
     assert status == 0, error
     stopped = int(re.search(r"Stopped and saved at step (\d+)", out)[1])
     assert 7 <= stopped < STEPS
@@ -213,17 +226,21 @@ def test_a_run_that_is_terminated_then_killed_ends_as_one_that_nothing_stopped(
     assert not (workdir / "report").exists()
 
     target = stopped + 45  # a checkpoint later, and lines after it
-    status, out, _ = command.signal_at(workdir, target, signal.SIGKILL)
+    status, out, _ = command.signal_at(workdir, target, signal.SIGKILL, **TRACKED)
     assert status == -signal.SIGKILL
     assert f"Going on from the checkpoint of step {stopped}." in out
 
     # A kill may also cut a line short.
     with open(workdir / "metrics.jsonl", "a", encoding="utf-8") as file:
         file.write('{"step": 1')
-    out = command.run(workdir)
+    out = command.run(workdir, **TRACKED)
     start = int(re.search(r"Going on from the checkpoint of step (\d+)", out)[1])
     assert stopped <= start <= STEPS
     assert_ends_alike(workdir, finished[0])
+    # Each step once for TensorBoard too, its validations' pictures with it.
+    events = read_events(workdir)
+    assert sorted(events) == sorted(read_events(finished[0]))
+    assert [step for step, _, kind, _ in events if kind == "image"] == [100, STEPS]
 
 
 def test_a_damaged_newest_checkpoint_is_said_and_the_run_ends_the_same(

@@ -27,6 +27,7 @@ FRONTS = ("", "+x", "-x", "+z", "-z")
 SHAPES = ("points", "voxels", "maps")  # what the shape branch predicts
 POSE_HEADS = ("quaternion", "viewpoint")  # what a head predicts
 CHOICES = ("hindsight", "sampled")  # how one of the candidates is chosen
+WANDB_MODES = ("", "offline", "online")  # kept in WORKDIR/wandb, or sent too
 POINT_SIZES = ("", "sigma", "covariance")  # what is learned of each point's size
 _IMAGE_SIZE = Allowed(
     lambda size: size >= 16 and size & (size - 1) == 0,
@@ -202,11 +203,13 @@ class Train:
 
 @dataclasses.dataclass(frozen=True)
 class Log:
-    """Steps between records; 0 is never."""
+    """Steps between records, 0 is never; and the tools that show them."""
 
     every: int = field(100, at_least(1))  # lines of metrics.jsonl
     evaluate: int = field(1000, at_least(0))  # validations
     checkpoint: int = field(1000, at_least(0))  # checkpoints
+    tensorboard: bool = field(False)  # event files too, in WORKDIR/tensorboard
+    wandb: str = field("", one_of(*WANDB_MODES))  # Weights & Biases; "": not
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,18 +11,20 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dpc_jax import files
-from dpc_jax.data.look import inspection, overview
-from dpc_jax.data.open import fetching
+from dpc_jax.data.open.recipes import RECIPES
 from dpc_jax.data.spec import KINDS
 
 
-def _parse_arguments(arguments=None):
+def make_parser() -> argparse.ArgumentParser:
+    """The flags of the command."""
+    started = sys.argv[0] == "dpc_jax data"
     parser = argparse.ArgumentParser(
-        prog="python -m dpc_jax.data", description="Get data and look at it."
+        prog="dpc_jax data" if started else "python -m dpc_jax.data",
+        description="Get data and look at it.",
     )
     commands = parser.add_subparsers(dest="command", required=True)
     fetch = commands.add_parser("fetch", help="open meshes, from Debian packages")
-    fetch.add_argument("category", choices=tuple(fetching.RECIPES))
+    fetch.add_argument("category", choices=tuple(RECIPES))
     fetch.add_argument("--out", default="data/open", help="folder (%(default)s)")
     show = commands.add_parser("show", help="what is in a set, with a sheet of it")
     check = commands.add_parser("check", help="what is wrong with a set")
@@ -43,17 +45,24 @@ def _parse_arguments(arguments=None):
             default=models,
             help=f"of meshes or images, how many ({models or 'all'})",
         )
-    show.add_argument("--out", help="picture to write (FOLDER's name-sheet.png, here)")
-    return parser.parse_args(arguments)
+    show.add_argument("--out", help="picture to write (runs/FOLDER-sheet.png)")
+    return parser
+
+
+# What reads meshes and draws is heavy: flags are read first.
 
 
 def _fetch(flags):
+    from dpc_jax.data.open import fetching
+
     fetching.fetch_category(flags.category, flags.out)
     return 0
 
 
 def _show(flags):
     """List sets; draw the sheet if there is only one."""
+    from dpc_jax.data.look import overview
+
     caches = overview.list_caches(flags.folder)
     for path in caches or [flags.folder]:
         with _open(path, flags) as opened:
@@ -61,7 +70,9 @@ def _show(flags):
             if len(caches) > 1:
                 continue
             sheet = overview.draw_set(opened, models=flags.models)
-        out = Path(flags.out or f"{Path(flags.folder).resolve().name}-sheet.png")
+        # Among what commands make, not into a folder of data that may be anybody's.
+        name = f"{Path(flags.folder).resolve().name}-sheet.png"
+        out = Path(flags.out or Path("runs") / name)
         try:
             with files.replacing(out) as partial:
                 sheet.save(partial, format="png")
@@ -75,6 +86,8 @@ def _show(flags):
 
 def _check(flags):
     """Check sets; the status is 1 if an error was found."""
+    from dpc_jax.data.look import overview
+
     caches = overview.list_caches(flags.folder)
     failed = False
     for path in caches or [flags.folder]:
@@ -90,6 +103,8 @@ def _check(flags):
 
 def _check_one(path, flags):
     """Print what is wrong with a set; return whether that is an error."""
+    from dpc_jax.data.look import inspection, overview
+
     with _open(path, flags) as opened:
         data = opened.data
         print(overview.describe_set(opened)[0])
@@ -103,6 +118,8 @@ def _check_one(path, flags):
 
 
 def _open(path, flags):
+    from dpc_jax.data.look import overview
+
     return overview.open_set(
         path, kind=flags.kind, category=flags.category, models=flags.models
     )
@@ -110,7 +127,7 @@ def _open(path, flags):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; print a failure as a sentence."""
-    flags = _parse_arguments(arguments)
+    flags = make_parser().parse_args(arguments)
     try:
         commands = {"fetch": _fetch, "show": _show, "check": _check}
         return commands[flags.command](flags)

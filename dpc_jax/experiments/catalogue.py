@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from dpc_jax.experiments import published
 from dpc_jax.experiments.declarations import Experiment, Row
-from dpc_jax.experiments.point_sizes import list_changes
+from dpc_jax.experiments.point_kinds import list_changes
 
 POSES = ("pose_accuracy", "pose_median_error_deg")
 KINDS = {"": "hand-tuned σ", "sigma": "learned σ", "covariance": "learned covariance"}

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -24,9 +24,6 @@ from dpc_jax.run.finished import restore_state
 from dpc_jax.run.setup import make_data_specs, make_network
 from dpc_jax.run.workdir import read_alignment, read_config
 
-# Hand-tuned sigma at the end of a run, a share of the volume's side, by number of
-# points: the best on validation views of those tried (docs/point_sizes.md).
-HAND_TUNED = {20: 0.055, 60: 0.035, 200: 0.03, 2000: 0.02}
 SHOWN = 5  # chairs in a figure
 
 
@@ -37,26 +34,6 @@ class Run(NamedTuple):
     config: Config
     error: float  # projection error on the test views
     validation: float  # the same on those that hand-tuned sizes are chosen by
-
-
-def list_changes(point_size: str, num_points: int) -> dict[str, Any]:
-    """Fields of the config, by section.name, for a run of known poses.
-
-    All kinds learn the peak height of Eq. 3 and drop no points. Hand-tuned sizes go to
-    that of the nearest number of points in `HAND_TUNED`.
-    """
-    changes = {
-        "render.num_points": num_points,
-        "render.scale_unit": "peak",
-        "render.keep_start": 1.0,
-        "render.keep_levels": 1,
-        "network.point_size": point_size,
-    }
-    if not point_size:
-        nearest = min(HAND_TUNED, key=lambda n: abs(np.log(n / num_points)))
-        end = HAND_TUNED[nearest]
-        changes |= {"render.sigma_start": max(0.05, end), "render.sigma_end": end}
-    return changes
 
 
 def draw(

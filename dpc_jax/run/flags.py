@@ -1,17 +1,43 @@
 """Commands: what is wrong is said in one sentence, and becomes an exit status."""
 
 import argparse
+import functools
 import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from dpc_jax.files import explaining_full_disk
 
 
+def name_program(command: str) -> str:
+    """How a command was started: "dpc_jax fit", or "python -m dpc_jax.fit"."""
+    if sys.argv[0] == f"dpc_jax {command}":
+        return sys.argv[0]
+    return f"python -m dpc_jax.{'main' if command == 'train' else command}"
+
+
 class FlagParser(argparse.ArgumentParser):
-    """A parser that raises instead of printing the list of all flags."""
+    """A parser that raises instead of printing the list of all flags.
+
+    Args:
+      command: as the command `dpc_jax` names it, "fit" for instance.
+      takes: what comes before the flags, for --help.
+      settings: of `argparse.ArgumentParser`.
+    """
+
+    def __init__(self, command: str, *, takes: str = "", **settings: Any):
+        program = name_program(command)
+        super().__init__(
+            prog=program,
+            usage=" ".join(filter(None, (program, takes, "[flags]"))),
+            # Short, so that all flags are seen at once in a window of 24 lines.
+            formatter_class=functools.partial(
+                argparse.HelpFormatter, max_help_position=26
+            ),
+            **settings,
+        )
 
     def error(self, message: str) -> NoReturn:
         """See the class.

@@ -11,7 +11,8 @@ from dpc_jax.data import DataSpec
 from dpc_jax.data.sets.image_folder import read_views
 from dpc_jax.evaluation.rotations import canonical_sign, view_angles
 from dpc_jax.files import write_json
-from dpc_jax.learning.fitting.object_fit import Fit, FitSettings, fit
+from dpc_jax.learning.fitting.object_fit import Fit, fit
+from dpc_jax.learning.fitting.settings import FitSettings
 from dpc_jax.learning.training.progress import CountReport
 from dpc_jax.render import Camera
 from dpc_jax.reporting.examples import Example
@@ -20,7 +21,6 @@ from dpc_jax.reporting.gallery import draw_predictions
 from dpc_jax.reporting.page import write_files
 from dpc_jax.run.process import keep_compiled_programs
 
-POSES = ("auto", "given", "rough", "none")
 SHOWN = 8  # views in the picture, spread over all
 GOOD_OVERLAP = 0.8  # below, a view is named
 

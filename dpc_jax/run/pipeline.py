@@ -38,6 +38,8 @@ from dpc_jax.run.process import (
 )
 from dpc_jax.run.report.summary import report_run
 from dpc_jax.run.setup import load_sets, make_network
+from dpc_jax.run.trackers.content import draw_validation
+from dpc_jax.run.trackers.tracked_log import TrackedLog, check_trackers, open_log
 from dpc_jax.run.workdir import claim_workdir, hold_workdir, make_workdir
 from dpc_jax.run.writers import SharedCheckpoints, SilentLog
 
@@ -85,6 +87,7 @@ def run(
       NonFiniteError: where training breaks.
     """
     configs.check(config)
+    check_trackers(config)
     set_gpu_flags()
     processes = place.processes if place else 1
     objects = max(1, config.train.models_per_batch // processes)
@@ -116,8 +119,9 @@ def _run_in(folder, config, job):
     data_seconds = time.monotonic() - started
 
     model = Model(config, sets)
-    log = MetricLog(folder / "metrics.jsonl") if job.is_first else SilentLog()
-    outcome = train_model(model, folder, log, job)
+    log = open_log(folder, config) if job.is_first else SilentLog()
+    with contextlib.closing(log):
+        outcome = train_model(model, folder, log, job)
     if not outcome.is_finished:
         print(
             f"Stopped and saved at step {int(outcome.state.step)}; start again in the "
@@ -221,9 +225,13 @@ class Model:
 
         return find_points(predictions, self.sets["val"], align=self.align)
 
-    def validate(self, state: TrainState) -> dict[str, float]:
-        """Metrics on the validation split."""
+    def validate(
+        self, state: TrainState, *, log: MetricLog | None = None
+    ) -> dict[str, float]:
+        """Metrics on the validation split; a tracked log is shown a picture of it."""
         predictions, _ = self.find_points(self.predict(state, "val"))
+        if isinstance(log, TrackedLog):
+            log.show(int(state.step), draw_validation(predictions, self.sets["val"]))
         result, _ = evaluator.score(
             predictions,
             self.sets["val"],
@@ -277,7 +285,7 @@ def train_model(model: Model, workdir: Path, log: MetricLog, job: Job) -> loop.O
                 config=model.config,
                 checkpoints=checkpoints,
                 log=log,
-                evaluate=model.validate,
+                evaluate=functools.partial(model.validate, log=log),
                 should_stop=job.agree_to_stop(stop.is_set),
                 may_stop_waiting=job.processes == 1,
                 seconds=start.seconds,

@@ -7,6 +7,7 @@ one side of a split. `models.json` lists all models and is written last.
 """
 
 import contextlib
+import importlib
 import json
 import os
 import shutil
@@ -17,15 +18,11 @@ from pathlib import Path
 from dpc_jax import files
 from dpc_jax.data import meshes
 from dpc_jax.data.look import contact_sheet
-from dpc_jax.data.open import debian, flightgear, sweethome3d, torcs, trigger_rally
+from dpc_jax.data.open import debian
+from dpc_jax.data.open.recipes import RECIPES
 from dpc_jax.data.progress import follow
 from dpc_jax.shapes.normalization import normalize
 
-RECIPES = {
-    "chair": (sweethome3d,),
-    "car": (torcs, trigger_rally, sweethome3d),
-    "airplane": (flightgear,),
-}
 VERSION = 1  # raise it when a converted mesh changes
 SHEET_VIEW = 96  # pixels
 SCRATCH = ".making-"  # begins the names of temporary folders
@@ -91,7 +88,8 @@ def _lock(packages):
 
 def _make_folder(category, folder, packages, *, progress):
     models, versions = [], {}
-    for module in RECIPES[category]:
+    for name in RECIPES[category]:
+        module = importlib.import_module(f"dpc_jax.data.open.{name}")
         path = debian.fetch_package(module.PACKAGE, packages)
         root = debian.unpack_package(path, packages / module.PACKAGE)
         versions[module.PACKAGE] = debian.read_version(path)

@@ -1,6 +1,5 @@
 """Gradient descent on a cloud and its cameras, coarse to fine."""
 
-import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -9,6 +8,7 @@ import jax.numpy as jnp
 import optax
 
 from dpc_jax.learning.fitting import cloud as clouds
+from dpc_jax.learning.fitting.settings import FitSettings
 from dpc_jax.learning.losses import containment_loss
 from dpc_jax.learning.signals import Weights
 from dpc_jax.render import Camera, quaternion
@@ -16,41 +16,6 @@ from dpc_jax.render import Camera, quaternion
 CHUNK = 10  # steps of one call
 _FINER_RATE = 0.4  # learning rate of a side over that of the one before
 _COARSE_END = 1.4  # size of points at the end of a coarser side over that of the last
-
-
-@dataclasses.dataclass(frozen=True)
-class FitSettings:
-    """How an object is fitted.
-
-    Attributes:
-      num_points: of the cloud.
-      sides: of images and volume, coarse to fine; divisors of the images' side. Empty
-        for half of that side and all of it, 128 at most.
-      steps: of each side.
-      sigma: of the points at the first and last step of each side, voxels of its grid.
-      learning_rate: of the points, box diagonals; a tenth of it at the end of a side.
-      camera_share: the share of that rate that learned cameras have, radians.
-      repulsion_weight: of the points, which spreads them over the surface.
-      pull_weight: of points outside of the silhouettes.
-      depth_weight, color_weight: per pixel, beside silhouettes; used where depths or
-        colours are given.
-      searches, rounds: of poses from nothing: the best of so many searches.
-      elevations: lowest and highest of the cameras, degrees, for that search.
-    """
-
-    num_points: int = 4000
-    sides: tuple[int, ...] = ()
-    steps: tuple[int, ...] = (300, 150)
-    sigma: tuple[float, float] = (2.0, 0.5)
-    learning_rate: float = 0.01
-    camera_share: float = 0.2
-    repulsion_weight: float = 0.006
-    pull_weight: float = 1.0
-    depth_weight: float = 1.0
-    color_weight: float = 0.3
-    searches: int = 4
-    rounds: int = 100
-    elevations: tuple[float, float] = (-20.0, 40.0)
 
 
 class Stage(NamedTuple):

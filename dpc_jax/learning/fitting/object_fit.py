@@ -16,13 +16,8 @@ import numpy as np
 
 from dpc_jax.learning.fitting import cloud as clouds
 from dpc_jax.learning.fitting import pose_search
-from dpc_jax.learning.fitting.descent import (
-    CHUNK,
-    FitSettings,
-    Stage,
-    advance,
-    make_optimizer,
-)
+from dpc_jax.learning.fitting.descent import CHUNK, Stage, advance, make_optimizer
+from dpc_jax.learning.fitting.settings import LEARNED, FitSettings
 from dpc_jax.learning.fitting.views import (
     Views,
     check_views,
@@ -33,7 +28,6 @@ from dpc_jax.learning.silhouette_pull import measure_outside
 from dpc_jax.render import Camera, checks, quaternion
 
 _FINEST = 128  # side, unless settings say another: a fit takes a minute of two cores
-LEARNED = ("rotations", "translations", "focal_lengths")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -194,3 +194,6 @@ class MetricLog:
         if not self._path.exists():
             return
         write_text(self._path, "".join(json.dumps(r) + "\n" for r in kept))
+
+    def close(self):
+        """Do nothing: each record is on disk already."""

@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-import jax
-
 
 @dataclasses.dataclass(frozen=True)
 class PartRequest:
@@ -72,6 +70,8 @@ def run_part(name: str, request: PartRequest) -> PartResult:
 @contextlib.contextmanager
 def _compile_quickly():
     """Compile without XLA's optimisations, which take most of a quick part's time."""
+    import jax  # heavy: flags are read first
+
     before = jax.config.read("jax_disable_most_optimizations")
     jax.config.update("jax_disable_most_optimizations", True)
     try:

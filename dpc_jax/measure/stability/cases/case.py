@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-DTYPES = ("float64", "float32", "bfloat16", "float16")
+from dpc_jax.measure.stability.cases.names import DTYPES as DTYPES
+
 WIDE = ("float64", "float32")
 IN_WIDE = {"dtypes": WIDE}  # the changes of a row that 16 bits cannot hold
 # The oracles compute in long double. On x86 it has 64 bits of fraction and 15 of

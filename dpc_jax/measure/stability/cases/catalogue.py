@@ -1,37 +1,19 @@
 """All cases by subject."""
 
 import dataclasses
+import importlib
 import time
 from collections.abc import Callable
 
-from dpc_jax.measure.stability.cases import (
-    cameras,
-    evaluation,
-    gaussians,
-    images,
-    learning,
-    losses,
-    object_volumes,
-    rays,
-    rotations,
-    volumes,
-)
+from dpc_jax.measure.stability.cases import names as subjects_by_name
 from dpc_jax.measure.stability.cases.case import DTYPES, Case
 from dpc_jax.measure.stability.cases.runner import MODES, Row, run_cases
 from dpc_jax.measure.stability.report_parts import check_names
 
 # Modules of cases by the names of subjects on the command line.
 SUBJECTS = {
-    "rotation": rotations,
-    "camera": cameras,
-    "splat": volumes,
-    "gaussian": gaussians,
-    "ray": rays,
-    "image": images,
-    "cells": object_volumes,
-    "loss": losses,
-    "learning": learning,
-    "evaluation": evaluation,
+    subject: importlib.import_module(f"dpc_jax.measure.stability.cases.{module}")
+    for subject, module in subjects_by_name.SUBJECTS.items()
 }
 
 

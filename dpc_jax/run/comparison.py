@@ -1,0 +1,125 @@
+"""Runs as a comparison shows them, read from their workdirs."""
+
+import dataclasses
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from flax.traverse_util import flatten_dict
+
+from dpc_jax.evaluation.metrics import COMPARED_METRICS, MISSING
+from dpc_jax.learning.training.records import MetricLog
+from dpc_jax.reporting.comparison.groups import ComparedRun, group_runs
+from dpc_jax.reporting.comparison.page import tabulate_groups, write_comparison
+from dpc_jax.run.workdir import FREE_FIELDS, read_config
+
+# What does not make two runs differ: the variant is a name of other settings.
+_LEFT_OUT = (*FREE_FIELDS, "seed", "variant")
+_NAMED = 3  # runs that lack a figure
+
+
+def find_workdirs(folders: Sequence[Path]) -> list[Path]:
+    """The workdirs among folders, or in them, each once.
+
+    Raises:
+      ValueError: for a folder that neither is one nor holds one.
+    """
+    found: dict[Path, None] = {}
+    for folder in folders:
+        inside = [folder] if (folder / "config.json").is_file() else []
+        inside = inside or sorted(p.parent for p in folder.glob("*/config.json"))
+        if not inside:
+            raise ValueError(
+                f"Expected the folder of a run, or of several, in {folder}, but no "
+                "config.json is there; give the --workdir of a run."
+            )
+        found |= dict.fromkeys(path.resolve() for path in inside)
+    return list(found)
+
+
+def read_runs(workdirs: Sequence[Path]) -> list[ComparedRun]:
+    """What the workdirs hold, finished or not.
+
+    Raises:
+      ValueError: where a config or the metrics of a report cannot be read.
+    """
+    names = _name_apart(workdirs)
+    return [_read_run(*pair) for pair in zip(workdirs, names, strict=True)]
+
+
+def _name_apart(workdirs):
+    """The folders' names, with those above them where two are alike."""
+    names = [path.name for path in workdirs]
+    if len(set(names)) == len(names):
+        return names
+    above = Path(os.path.commonpath(workdirs))
+    return [path.relative_to(above).as_posix() for path in workdirs]
+
+
+def _read_run(workdir: Path, name: str) -> ComparedRun:
+    config = read_config(workdir)
+    fields = flatten_dict(dataclasses.asdict(config), sep=".")
+    fields = {n: v for n, v in fields.items() if not n.startswith(_LEFT_OUT)}
+    records = MetricLog(workdir / "metrics.jsonl").read()
+    metrics = _read_metrics(workdir / "report" / "metrics.json")
+    unfinished = ""
+    if metrics is None:
+        step = max((record.get("step", 0) for record in records), default=0)
+        unfinished = f"step {step} of {config.train.steps}"
+    return ComparedRun(
+        name, config.seed, fields, metrics or {}, tuple(records), unfinished
+    )
+
+
+def _read_metrics(path: Path) -> dict | None:
+    """The metrics of a report; None where there is none yet."""
+    if not path.is_file():
+        return None
+    try:
+        metrics = json.loads(path.read_text(encoding="utf-8"))
+        if isinstance(metrics, dict):
+            return metrics
+        problem = "they are no object"
+    except (OSError, ValueError) as error:
+        problem = str(error)
+    raise ValueError(
+        f"Expected the metrics of a run in {path}, but {problem}; remove the report "
+        "and start the command that began the run again, which writes it anew."
+    )
+
+
+def name_absent(rows: dict[str, dict]) -> str:
+    """What a dash in the table of these runs means; "" where there is none."""
+    lacking = [
+        run
+        for run, metrics in rows.items()
+        if any(metrics.get(name) is None for name in COMPARED_METRICS)
+    ]
+    if not lacking:
+        return ""
+    named = ", ".join(lacking[:_NAMED])
+    if len(lacking) > _NAMED:
+        named += f" and {len(lacking) - _NAMED} others"
+    return (
+        f"{MISSING} is absent: {named} had no truth to compare with, or "
+        "was given the poses and predicted none."
+    )
+
+
+def compare_runs(workdirs: Sequence[Path], out: Path):
+    """Print the table, write the page.
+
+    Raises:
+      ValueError: where there are no runs, or what they hold cannot be read.
+      OSError: where the page cannot be written.
+    """
+    runs = read_runs(find_workdirs(workdirs))
+    groups = group_runs(runs)
+    print(tabulate_groups(groups))
+    if absent := name_absent({r.name: dict(r.metrics) for r in runs if r.metrics}):
+        print(absent)
+    for run in runs:
+        if run.unfinished:
+            print(f"{run.name} is not finished: {run.unfinished}.")
+    print(f"Page: {write_comparison(out, groups)}")

@@ -1,0 +1,162 @@
+"""The command dpc_jax: the same as python -m, quick, completed by the shell."""
+
+import importlib
+import os
+import subprocess
+import sys
+
+import pytest
+
+from dpc_jax import commands
+
+LINES, COLUMNS = 24, 80  # of a terminal as it opens
+
+
+def start(*words, **environment):
+    """The finished process of a command that is quick."""
+    return subprocess.run(
+        [sys.executable, "-m", *words],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"JAX_PLATFORMS": "cpu"} | environment,
+    )
+
+
+def make_parser(name):
+    return importlib.import_module(commands.COMMANDS[name].module).make_parser()
+
+
+@pytest.mark.parametrize("name", ["", *commands.COMMANDS])
+def test_help_fits_a_screen(name, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(COLUMNS))
+    text = make_parser(name).format_help() if name else commands.describe()
+    lines = text.splitlines()
+    # The line of the command itself and the next prompt are on the screen, too.
+    assert len(lines) <= LINES - 2
+    assert max(map(len, lines)) <= COLUMNS
+
+
+def test_every_command_is_listed_in_help_and_is_a_module():
+    for name, command in commands.COMMANDS.items():
+        assert f"  {name} " in commands.describe() and command.text
+        assert importlib.util.find_spec(command.module) is not None
+
+
+def test_flags_are_known_before_anything_heavy_is_loaded():
+    code = """
+import importlib, sys
+from dpc_jax.commands import COMMANDS
+assert "numpy" not in sys.modules and "absl" not in sys.modules
+for command in COMMANDS.values():
+    importlib.import_module(command.module).make_parser().format_help()
+heavy = "jax scipy trimesh matplotlib flax optax orbax rich wandb tensorboardX PIL"
+print([name for name in heavy.split() if name in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]", done.stdout + done.stderr
+
+
+def test_usage_names_the_way_in_which_a_command_was_started(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["compare.py"])
+    assert (
+        make_parser("compare")
+        .format_usage()
+        .startswith("usage: python -m dpc_jax.compare RUN... [flags]")
+    )
+    assert "python -m dpc_jax.main" in make_parser("train").format_usage()
+    monkeypatch.setattr(sys, "argv", ["dpc_jax paper"])
+    assert make_parser("paper").format_usage() == "usage: dpc_jax paper [flags]\n"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("train", "--config=debug", "--config.train.stepz=3"),
+        ("fit", "here", "--points=none"),
+        ("paper", "--seeds=one"),
+        ("predict", "image.png"),
+        ("compare", "/nowhere/at/all"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_both_forms_of_a_command_say_the_same_with_the_same_status(words):
+    name, *flags = words
+    module = commands.COMMANDS[name].module
+    ours, theirs = start("dpc_jax", *words), start(module, *flags)
+    assert ours.stderr == theirs.stderr and ours.returncode == theirs.returncode
+    assert ours.returncode == (1 if name == "compare" else 2)
+    assert ours.stderr.startswith("Error: ") and ours.stderr.count("\n") == 1
+
+
+def test_the_fields_of_a_config_reach_the_run():
+    done = start("dpc_jax", "train", "--config=debug:known_pose", "--config.seed=-1")
+    assert done.returncode == 1
+    assert done.stderr.startswith("Error: config.seed must be 0 or more, but it is -1")
+
+
+def test_what_is_no_command_is_refused_with_those_there_are(capsys):
+    assert commands.main(["trian"]) == 2
+    error = capsys.readouterr().err
+    assert "Expected one of train, predict" in error and "trian was given" in error
+
+
+def test_help_and_version_are_answered_with_status_0(capsys):
+    assert commands.main([]) == 0 and commands.main(["--help"]) == 0
+    assert capsys.readouterr().out == 2 * commands.describe()
+    assert commands.main(["--version"]) == 0
+    assert capsys.readouterr().out[0].isdigit()
+    assert start("dpc_jax.main", "--help").returncode == 0
+
+
+@pytest.fixture
+def complete(tmp_path):
+    """The words that a shell is answered for a line."""
+    pytest.importorskip("argcomplete")
+
+    def ask(line, folder=tmp_path):
+        answer = tmp_path / "answer"
+        subprocess.run(
+            [sys.executable, "-m", "dpc_jax"],
+            cwd=folder,
+            env=os.environ
+            | {
+                "_ARGCOMPLETE": "1",
+                "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+                "_ARGCOMPLETE_IFS": "\n",
+                "COMP_LINE": line,
+                "COMP_POINT": str(len(line)),
+                "COMP_TYPE": "9",
+                "_ARGCOMPLETE_COMP_WORDBREAKS": "\"'><=;|&(:",
+            },
+        )
+        return {word.strip() for word in answer.read_text().splitlines()}
+
+    return ask
+
+
+@pytest.mark.parametrize(
+    "line, words",
+    [
+        ("dpc_jax pa", {"paper"}),
+        ("dpc_jax data ", {"fetch", "show", "check"}),
+        ("dpc_jax data fetch ca", {"car"}),
+        ("dpc_jax train --work", {"--workdir"}),
+        ("dpc_jax train --config=ch", {"chair"}),
+        ("dpc_jax train --config ch", {"chair"}),
+        # The part before the colon is a word of its own for bash.
+        ("dpc_jax train --config=car:know", {"known_pose"}),
+        ("dpc_jax train --config=car:paper,nai", {"paper,naive"}),
+        ("dpc_jax train --config.train.ste", {"--config.train.steps"}),
+        ("dpc_jax fit --poses=r", {"rough"}),
+        ("dpc_jax paper --size=q", {"quick"}),
+    ],
+)
+def test_the_shell_completes_commands_flags_and_values(complete, line, words):
+    assert complete(line) == words
+
+
+def test_the_shell_completes_folders_and_files(complete, tmp_path):
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "rare.png").touch()
+    assert complete("dpc_jax predict --workdir=r") == {"runs/"}
+    assert complete("dpc_jax predict ra") == {"rare.png"}

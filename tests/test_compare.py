@@ -1,0 +1,151 @@
+"""Runs side by side: seeds together, what differs is marked, every curve is found."""
+
+import dataclasses
+import json
+import re
+import statistics
+
+import pytest
+from tiny_runs import tiny_config
+
+from dpc_jax import compare
+from dpc_jax.config import replace_fields, to_json
+from dpc_jax.reporting.comparison import curves
+from dpc_jax.reporting.comparison.groups import ComparedRun, find_best, group_runs
+from dpc_jax.reporting.comparison.page import write_comparison
+from dpc_jax.run.comparison import find_workdirs, read_runs
+
+
+def write_run(folder, *, seed=0, accuracy=None, **changes):
+    """A workdir of a run that is finished where an accuracy is given."""
+    config = dataclasses.replace(tiny_config(seed=seed), variant=changes.pop("v", ""))
+    config = replace_fields(config, changes)
+    folder.mkdir(parents=True)
+    (folder / "config.json").write_text(to_json(config))
+    line = {"step": 10, "seconds": 60.0, "pose_accuracy": 0.5, "chamfer": 5.0}
+    (folder / "metrics.jsonl").write_text(json.dumps(line) + "\n")
+    if accuracy is not None:
+        metrics = {"pose_accuracy": accuracy, "chamfer": 4.0, "train_seconds": 90.0}
+        (folder / "report").mkdir()
+        (folder / "report" / "metrics.json").write_text(json.dumps(metrics))
+    return folder
+
+
+@pytest.fixture
+def runs(tmp_path):
+    """Three seeds of one config, one of another, and one that is not finished."""
+    folder = tmp_path / "runs"
+    for seed, accuracy in enumerate((0.90, 0.92, 0.97)):
+        write_run(folder / f"car-seed{seed}", seed=seed, accuracy=accuracy)
+    one = {"candidates": 1}
+    write_run(folder / "car-naive-seed0", accuracy=0.4, v="naive", pose=one)
+    write_run(folder / "car-long-seed0", train={"steps": 40})
+    return folder
+
+
+def test_seeds_of_one_config_share_a_row_with_their_mean_and_spread(runs):
+    groups = {g.name: g for g in group_runs(read_runs(find_workdirs([runs])))}
+    assert list(groups) == ["car-long", "car-naive", "car"]
+    assert [run.name for run in groups["car"].runs] == [
+        f"car-seed{i}" for i in range(3)
+    ]
+    summary = groups["car"].summarize("pose_accuracy")
+    assert summary.mean == pytest.approx(0.93)
+    assert summary.spread == pytest.approx(statistics.stdev([0.90, 0.92, 0.97]))
+    assert groups["car"].describe("pose_accuracy") == "93.0 ± 3.6"
+    assert groups["car-naive"].describe("pose_accuracy") == "40.0"
+    assert groups["car-long"].describe("pose_accuracy") == "–"
+
+
+def test_what_most_groups_have_otherwise_is_marked_and_no_more(runs):
+    groups = {g.name: g for g in group_runs(read_runs(find_workdirs([runs])))}
+    assert groups["car"].differs == {}
+    assert groups["car-naive"].differs == {"pose.candidates": 1}
+    assert groups["car-long"].differs == {"train.steps": 40}
+
+
+def test_what_does_not_change_the_result_sets_no_runs_apart(tmp_path):
+    write_run(tmp_path / "a-seed0", accuracy=0.5, v="64", log={"every": 3})
+    write_run(tmp_path / "a-seed1", seed=1, accuracy=0.5, run={"devices": 2})
+    assert len(group_runs(read_runs(find_workdirs([tmp_path])))) == 1
+
+
+def test_the_best_mean_is_found_by_the_direction_of_its_metric():
+    low = ComparedRun(
+        "low", fields={"x": 1}, metrics={"chamfer": 3, "pose_accuracy": 0}
+    )
+    high = ComparedRun(
+        "high", fields={"x": 2}, metrics={"chamfer": 4, "pose_accuracy": 1}
+    )
+    groups = group_runs([low, high])
+    assert find_best(groups, "chamfer") is groups[0]
+    assert find_best(groups, "pose_accuracy") is groups[1]
+    assert find_best(groups[:1], "chamfer") is None
+    assert find_best(groups, "coverage") is None
+
+
+def test_the_page_has_each_run_its_settings_and_its_curves_and_fetches_nothing(
+    runs, tmp_path, capsys
+):
+    out = tmp_path / "out"
+    assert compare.main([str(runs), f"--out={out}"]) == 0
+    printed = capsys.readouterr().out
+    assert "| car, 3 seeds | 93.0 ± 3.6 |" in printed
+    assert "car-long-seed0 is not finished: step 10 of 40." in printed
+    page = (out / "index.html").read_text(encoding="utf-8")
+    for folder in runs.iterdir():
+        assert folder.name in page
+        assert re.search(rf'id="line-\d-chamfer-{folder.name}"', page)
+    assert "<mark>pose.candidates 1</mark>" in page
+    assert "step 10 of 40" in page and "1.5 ± 0.0" in page  # minutes
+    assert not re.search(r"""(src|href)=["'](https?:)?//""", page)
+    assert (out / "curves.png").stat().st_size > 1000
+
+
+def test_thirty_groups_have_looks_of_their_own_and_no_last_point_is_cut(
+    tmp_path, monkeypatch
+):
+    lines = [{"seconds": 60.0 * t, "chamfer": 9.0 - t} for t in range(1, 6)]
+    groups = group_runs(
+        ComparedRun(f"a-rather-long-name-{i}", fields={"x": i}, records=lines)
+        for i in range(30)
+    )
+    looks = {tuple(curves._look(index).values()) for index in range(30)}
+    assert len(looks) == 30
+    drawn = []
+    monkeypatch.setattr(curves.style, "save_figure", lambda f, path: drawn.append(f))
+    page = write_comparison(tmp_path, groups).read_text(encoding="utf-8")
+    assert page.count("-legend") >= 30
+    (figure,) = drawn
+    (axes,) = figure.axes
+    assert axes.get_xlim()[1] > 5.0  # minutes, of the last point
+    # The legend leaves the curves their place, and lies within the figure.
+    box = figure.legends[0].get_window_extent()
+    assert box.x0 >= 0 and box.x1 <= figure.bbox.x1 and box.y0 >= 0
+    assert axes.get_window_extent().height > 200  # pixels
+
+
+def test_runs_of_the_same_name_are_told_apart_by_their_folders(tmp_path):
+    folders = [write_run(tmp_path / name / "car-seed0") for name in ("old", "new")]
+    names = [run.name for run in read_runs(find_workdirs(folders))]
+    assert names == ["old/car-seed0", "new/car-seed0"]
+
+
+def refuse(arguments, capsys):
+    """The status and the one line on stderr."""
+    status = compare.main([str(argument) for argument in arguments])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("Error: ")
+    return status, line
+
+
+def test_what_is_no_run_is_refused_by_its_path(tmp_path, runs, capsys):
+    status, line = refuse([tmp_path / "nowhere"], capsys)
+    assert status == 1 and "nowhere, but no config.json is there" in line
+    status, line = refuse([runs, "--out=curves.png"], capsys)
+    assert status == 2 and "must be a folder" in line
+    status, line = refuse([], capsys)
+    assert status == 2 and "RUN" in line
+    (runs / "car-seed0" / "report" / "metrics.json").write_text("{")
+    status, line = refuse([runs], capsys)
+    assert status == 1 and "car-seed0/report/metrics.json" in line

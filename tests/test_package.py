@@ -1,0 +1,58 @@
+"""What the package says of itself: one version, in one place, and extras that exist."""
+
+import importlib
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
+    "project"
+]
+EXTRAS = PROJECT["optional-dependencies"]
+
+
+def test_citation_and_changelog_have_the_version_of_the_package():
+    version = PROJECT["version"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.search(r"^version: (.+)$", citation, re.M)[1] == version
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    released = re.findall(r"^## (\d\S*)", changes, re.M)
+    assert released[0] == version
+    parts = [tuple(map(int, name.split("."))) for name in released]
+    assert parts == sorted(parts, reverse=True)
+
+
+def test_a_tag_of_a_release_is_the_version():
+    asked = ["git", "-C", str(ROOT), "tag", "--points-at", "HEAD", "--list", "v*"]
+    found = subprocess.run(asked, capture_output=True, text=True)
+    if found.returncode or not found.stdout:
+        pytest.skip("no release is checked out")
+    assert f"v{PROJECT['version']}" in found.stdout.split()
+
+
+@pytest.mark.parametrize("name", PROJECT["scripts"])
+def test_a_command_that_is_installed_can_be_called(name):
+    module, _, function = PROJECT["scripts"][name].partition(":")
+    assert callable(getattr(importlib.import_module(module), function))
+
+
+@pytest.mark.parametrize("name", ["dependencies", *EXTRAS])
+def test_every_dependency_states_the_lowest_version_that_was_tried(name):
+    for wanted in PROJECT["dependencies"] if name == "dependencies" else EXTRAS[name]:
+        inside = re.fullmatch(r"(\w+)\[([\w,]+)\]", wanted)
+        if inside is None:
+            assert re.search(r"[>=]=", wanted), wanted
+        elif inside[1] == "dpc_jax":
+            assert set(inside[2].split(",")) <= set(EXTRAS)
+        else:  # an extra of a package above, "jax[cuda12]"
+            assert any(re.match(inside[1] + r"\b", d) for d in PROJECT["dependencies"])
+
+
+def test_extras_that_an_error_tells_to_install_exist():
+    source = (ROOT / "dpc_jax/run/trackers/tracked_log.py").read_text(encoding="utf-8")
+    assert "dpc_jax[{extra}]" in source
+    assert {"tensorboard", "wandb", "completion"} <= set(EXTRAS)
