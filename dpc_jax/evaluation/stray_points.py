@@ -31,5 +31,5 @@ def count_stray_points(
     wanted = min(neighbors, len(cloud) - 1)
     if wanted < 1:
         return 0
-    distances, _ = KDTree(cloud).query(cloud, k=[wanted + 1])  # the first is itself
-    return int(np.sum(distances[:, 0] > reach))
+    distances, _ = KDTree(cloud).query(cloud, k=wanted + 1)  # the first is itself
+    return int(np.sum(distances[:, -1] > reach))
