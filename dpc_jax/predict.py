@@ -23,34 +23,28 @@ def make_parser() -> argparse.ArgumentParser:
         description="Images to point clouds and poses, with the network of a run.",
     )
     parser.add_argument("--workdir", type=Path, required=True, help="of a trained run")
-    parser.add_argument(
-        "--out", type=Path, help="folder of the results (WORKDIR/predictions)"
-    )
+    parser.add_argument("--out", type=Path, help="folder (WORKDIR/predictions)")
     parser.add_argument(
         "images",
         nargs="+",
         type=Path,
         metavar="IMAGE",
-        help="files, moving pictures, or folders with the views of an object",
+        help="files, moving pictures, folders of views",
     )
     parser.add_argument(
         "--mask",
         choices=MASKS,
         default="given",
-        help="an alpha channel or NAME_mask.png beside the image; auto: where there is "
-        "neither, the object on a plain background; matting: by a network of the "
-        "extra [masks] (%(default)s)",
+        help="alpha or NAME_mask.png; auto: of a plain background (%(default)s)",
     )
     parser.add_argument(
         "--views",
         choices=("each", "one-object"),
         default="each",
-        help="image an object of its own, or all views of one object (%(default)s)",
+        help="an object in each image, or one in all (%(default)s)",
     )
     parser.add_argument(
-        "--refine",
-        action="store_true",
-        help="fit shape and poses to the silhouettes, beginning with the prediction",
+        "--refine", action="store_true", help="fit shape and poses to the silhouettes"
     )
     parser.add_argument(
         "--turntable", action="store_true", help="write NAME.gif of the cloud turning"
@@ -58,8 +52,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--crop",
         choices=("object", "view", "none"),
-        help="cut a square around the object, at one scale for its views or at each "
-        "one's own, or take the image as it is framed (as in training)",
+        help="square around the object or the view (as in training)",
     )
     return parser
 

@@ -131,7 +131,6 @@ class Pose:
     choice_signals: str = field("silhouette", one_of("silhouette", "all"))  # compared
     common_frame: bool = field(True)  # kinds turned round are turned, by colours
     common_frame_from: float = field(0.2, between(0, 1))  # share of the run
-    common_frame_until: float = field(0.7, between(0, 1))  # share of the run
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     student_loss: str = field("absolute", one_of(*STUDENT_LOSSES))  # if it regresses
     prior_weight: float = field(0.0, at_least(0))  # per pixel; of a judge (MVC)

@@ -10,8 +10,7 @@ silhouette of a sedan, but not its lamps).
 Points and colours are counted in cells of the network's frame by moving sums over
 batches. Of each object, with all its views, it is asked whether it fits these better
 after a half turn. If so, its views learn the turned poses, and with them its shape
-learns to turn. Late in a run silhouettes decide alone: what still looks turned by then
-is an object that is unlike the others.
+learns to turn.
 """
 
 import functools
@@ -34,6 +33,7 @@ _EMPTY = 0.02  # density that is added, of the mean over the cells
 _BLUR = (0.12, 0.76, 0.12)  # of densities, along each axis
 _KEPT = 0.995  # of the sums in a step: 200 batches
 _CLARITY = 1.0  # standard deviations below 0 of what a half turn gains, to count
+_FAR = 10.0  # nats: the gain of a half turn that nothing tells of
 _COLOR_WEIGHT = 10.0  # of a nat per sample of colours, beside one per point
 
 
@@ -44,17 +44,23 @@ class Frame(NamedTuple):
       points: [CELLS, CELLS, CELLS] of points. colors: [CELLS³, BINS, BINS] of colours.
       moments: [3, 2, 3], of 1, x and x², where x is what objects gain by points and by
         colours after each of three half turns; nats per point or sample.
+      margins: [2], of 1 and of how far an object is from the point where either way
+        would fit alike.
     """
 
     points: jax.Array
     colors: jax.Array
     moments: jax.Array
+    margins: jax.Array
 
 
 def start_frame() -> Frame:
     """Of nothing yet."""
     return Frame(
-        jnp.zeros((CELLS,) * 3), jnp.zeros((CELLS**3, BINS, BINS)), jnp.zeros((3, 2, 3))
+        jnp.zeros((CELLS,) * 3),
+        jnp.zeros((CELLS**3, BINS, BINS)),
+        jnp.zeros((3, 2, 3)),
+        jnp.zeros(2),
     )
 
 
@@ -88,7 +94,12 @@ def turn_back(
     samples = _see_batch(points, winners, images, masks, cameras, camera)
     turns = find_half_turns(covariance)
     gains = _measure_gains(points, samples, turns, frame)
-    turned = jnp.where(is_due, _choose_turns(gains, frame.moments), 0)
+    total = _weigh_gains(gains, frame.moments)
+    best = jnp.max(total, axis=1)
+    turned = jnp.where(is_due & (best > 0), jnp.argmax(total, axis=1) + 1, 0)
+    # Objects between both ways count less: a kind that is turned would uphold itself.
+    usual = frame.margins[1] / jnp.maximum(frame.margins[0], 1e-6)
+    shares = jnp.clip(jnp.abs(best) / jnp.maximum(usual, 1e-6), 0, 1)
 
     # Candidate i is of head i % K after half turn i // K, and these form a group in
     # which the turn a after the turn b is the turn a ^ b.
@@ -99,7 +110,8 @@ def turn_back(
     turn_places = jax.vmap(quaternion.rotate)
     samples = samples._replace(places=turn_places(samples.places, turns[turned]))
     points = turn_places(points, turns[turned])
-    new = _count_batch(frame, points, samples, gains)
+    samples = samples._replace(weights=shares[:, None] * samples.weights)
+    new = _count_batch(frame, points, shares, samples, gains, best)
     return Winners(poses, indices), new, jnp.mean(turned > 0)
 
 
@@ -120,8 +132,8 @@ def _measure_gains(points, samples, turns, frame):
     return jnp.stack([a[:, 1:] - a[:, :1] for a in (by_points, by_colors)])
 
 
-def _choose_turns(gains, moments):
-    """Which half turn [B] each object gains most by; 0 where it gains by none.
+def _weigh_gains(gains, moments):
+    """What objects gain in all [B, 3]; a far loss where nothing tells.
 
     Only what tells a category from its own half turn counts: objects that look the same
     either way would be turned by chance.
@@ -131,23 +143,27 @@ def _choose_turns(gains, moments):
     is_clear = (mean < -_CLARITY * spread)[:, None]
     weights = jnp.array([1, _COLOR_WEIGHT])[:, None, None]
     total = jnp.sum(jnp.where(is_clear, weights * gains, 0), axis=0)
-    return jnp.where(jnp.max(total, axis=1) > 0, jnp.argmax(total, axis=1) + 1, 0)
+    return jnp.where(jnp.any(is_clear, axis=0), total, -_FAR)
 
 
-def _count_batch(frame, points, samples, gains):
+def _count_batch(frame, points, shares, samples, gains, best):
     """The frame after a batch, of all devices."""
     places = find_cells(points.reshape(-1, 3))
-    counts = jnp.zeros(CELLS**3).at[places].add(1.0)
+    counts = jnp.zeros(CELLS**3)
+    counts = counts.at[places].add(jnp.repeat(shares, points.shape[1]))
     cells = find_cells(samples.places.reshape(-1, 3))
     colors = jnp.zeros((CELLS**3, BINS**2))
     colors = colors.at[cells, samples.bins.reshape(-1)].add(samples.weights.reshape(-1))
     counts, colors = jax.lax.psum((counts, colors), AXIS)
     moments = jnp.stack([jnp.mean(gains**power, axis=1) for power in range(3)])
-    moments = jax.lax.pmean(moments, AXIS)
+    margins = jnp.stack([jnp.ones_like(best), jnp.abs(best)])
+    margins = jnp.mean(jnp.where(best > -_FAR, margins, 0), axis=1)
+    moments, margins = jax.lax.pmean((moments, margins), AXIS)
     return Frame(
         _KEPT * frame.points + counts.reshape(frame.points.shape),
         _KEPT * frame.colors + colors.reshape(frame.colors.shape),
         _KEPT * frame.moments + moments,
+        _KEPT * frame.margins + margins,
     )
 
 

@@ -110,8 +110,7 @@ def teach_poses(
             camera=Camera(render.focal_length, render.distance),
             cameras=cameras,
             heads=pose.heads,
-            is_due=(step >= pose.common_frame_from * train.steps)
-            & (step < pose.common_frame_until * train.steps),
+            is_due=step >= pose.common_frame_from * train.steps,
         )
         averages = averages._replace(frame=frame)
     metrics["winners"] = winners.indices.reshape(-1)
