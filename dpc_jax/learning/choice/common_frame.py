@@ -33,7 +33,7 @@ _EMPTY = 0.02  # density that is added, of the mean over the cells
 _BLUR = (0.12, 0.76, 0.12)  # of densities, along each axis
 _KEPT = 0.995  # of the sums in a step: 200 batches
 _CLARITY = 1.0  # standard deviations below 0 of what a half turn gains, to count
-_FAR = 10.0  # nats: the gain of a half turn that nothing tells of
+_NEARLY = 0.1  # of what an object usually loses by a half turn
 _COLOR_WEIGHT = 10.0  # of a nat per sample of colours, beside one per point
 
 
@@ -44,14 +44,11 @@ class Frame(NamedTuple):
       points: [CELLS, CELLS, CELLS] of points. colors: [CELLS³, BINS, BINS] of colours.
       moments: [3, 2, 3], of 1, x and x², where x is what objects gain by points and by
         colours after each of three half turns; nats per point or sample.
-      margins: [2], of 1 and of how far an object is from the point where either way
-        would fit alike.
     """
 
     points: jax.Array
     colors: jax.Array
     moments: jax.Array
-    margins: jax.Array
 
 
 def start_frame() -> Frame:
@@ -60,7 +57,6 @@ def start_frame() -> Frame:
         jnp.zeros((CELLS,) * 3),
         jnp.zeros((CELLS**3, BINS, BINS)),
         jnp.zeros((3, 2, 3)),
-        jnp.zeros(2),
     )
 
 
@@ -94,12 +90,7 @@ def turn_back(
     samples = _see_batch(points, winners, images, masks, cameras, camera)
     turns = find_half_turns(covariance)
     gains = _measure_gains(points, samples, turns, frame)
-    total = _weigh_gains(gains, frame.moments)
-    best = jnp.max(total, axis=1)
-    turned = jnp.where(is_due & (best > 0), jnp.argmax(total, axis=1) + 1, 0)
-    # Objects between both ways count less: a kind that is turned would uphold itself.
-    usual = frame.margins[1] / jnp.maximum(frame.margins[0], 1e-6)
-    shares = jnp.clip(jnp.abs(best) / jnp.maximum(usual, 1e-6), 0, 1)
+    turned = jnp.where(is_due, _choose_turns(gains, frame.moments), 0)
 
     # Candidate i is of head i % K after half turn i // K, and these form a group in
     # which the turn a after the turn b is the turn a ^ b.
@@ -110,8 +101,7 @@ def turn_back(
     turn_places = jax.vmap(quaternion.rotate)
     samples = samples._replace(places=turn_places(samples.places, turns[turned]))
     points = turn_places(points, turns[turned])
-    samples = samples._replace(weights=shares[:, None] * samples.weights)
-    new = _count_batch(frame, points, shares, samples, gains, best)
+    new = _count_batch(frame, points, samples, gains)
     return Winners(poses, indices), new, jnp.mean(turned > 0)
 
 
@@ -132,38 +122,36 @@ def _measure_gains(points, samples, turns, frame):
     return jnp.stack([a[:, 1:] - a[:, :1] for a in (by_points, by_colors)])
 
 
-def _weigh_gains(gains, moments):
-    """What objects gain in all [B, 3]; a far loss where nothing tells.
+def _choose_turns(gains, moments):
+    """Which half turn [B] each object is given; 0 for none.
 
     Only what tells a category from its own half turn counts: objects that look the same
-    either way would be turned by chance.
+    either way would be turned by chance. What fits nearly as well after a turn is
+    turned: a kind that is turned round upholds itself in the sums.
     """
     mean, square = moments[1:] / jnp.maximum(moments[:1], 1e-6)
     spread = jnp.sqrt(jnp.maximum(square - mean**2, 0))
-    is_clear = (mean < -_CLARITY * spread)[:, None]
-    weights = jnp.array([1, _COLOR_WEIGHT])[:, None, None]
-    total = jnp.sum(jnp.where(is_clear, weights * gains, 0), axis=0)
-    return jnp.where(jnp.any(is_clear, axis=0), total, -_FAR)
+    is_clear = mean < -_CLARITY * spread
+    weights = jnp.array([[1], [_COLOR_WEIGHT]]) * is_clear
+    total = jnp.sum(weights[:, None] * (gains - _NEARLY * mean[:, None]), axis=0)
+    total = jnp.where(jnp.any(is_clear, axis=0), total, -jnp.inf)
+    return jnp.where(jnp.max(total, axis=1) > 0, jnp.argmax(total, axis=1) + 1, 0)
 
 
-def _count_batch(frame, points, shares, samples, gains, best):
+def _count_batch(frame, points, samples, gains):
     """The frame after a batch, of all devices."""
     places = find_cells(points.reshape(-1, 3))
-    counts = jnp.zeros(CELLS**3)
-    counts = counts.at[places].add(jnp.repeat(shares, points.shape[1]))
+    counts = jnp.zeros(CELLS**3).at[places].add(1.0)
     cells = find_cells(samples.places.reshape(-1, 3))
     colors = jnp.zeros((CELLS**3, BINS**2))
     colors = colors.at[cells, samples.bins.reshape(-1)].add(samples.weights.reshape(-1))
     counts, colors = jax.lax.psum((counts, colors), AXIS)
     moments = jnp.stack([jnp.mean(gains**power, axis=1) for power in range(3)])
-    margins = jnp.stack([jnp.ones_like(best), jnp.abs(best)])
-    margins = jnp.mean(jnp.where(best > -_FAR, margins, 0), axis=1)
-    moments, margins = jax.lax.pmean((moments, margins), AXIS)
+    moments = jax.lax.pmean(moments, AXIS)
     return Frame(
         _KEPT * frame.points + counts.reshape(frame.points.shape),
         _KEPT * frame.colors + colors.reshape(frame.colors.shape),
         _KEPT * frame.moments + moments,
-        _KEPT * frame.margins + margins,
     )
 
 
