@@ -131,7 +131,11 @@ def test_a_batch_is_the_mean_of_its_views_and_moves_points_alone():
 
 
 def test_a_training_step_has_it_where_it_is_asked_for():
-    config = tiny_config(pull_weight=0.1)
+    """From a share of the run on: of 20 steps half are before it."""
+    config = tiny_config(pull_weight=0.1, pull_from=0.5)
     network = make_network(config)
-    _, metrics = make_step(network, config)(make_state(network, config), make_batch())
-    assert float(metrics["pull"]) > 0
+    step = make_step(network, config)
+    early, late = make_state(network, config), make_state(network, config)
+    late = late._replace(step=jnp.asarray(10, jnp.int32))
+    assert float(step(early, make_batch())[1]["pull"]) == 0
+    assert float(step(late, make_batch())[1]["pull"]) > 0

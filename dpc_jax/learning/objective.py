@@ -1,5 +1,6 @@
 """The objective of a batch: Eq. 1 with the hindsight choice, and the student's loss."""
 
+import functools
 from collections.abc import Mapping
 
 import jax
@@ -113,13 +114,19 @@ def compute_loss(
     if train.pull_weight and isinstance(shapes, Shapes):
         from dpc_jax.learning.silhouette_pull import pull_batch  # where it is asked for
 
-        pull = pull_batch(
+        # Points are drawn to silhouettes once these are seen from the right poses.
+        pull = jax.lax.cond(
+            step >= train.pull_from * train.steps,
+            functools.partial(
+                pull_batch,
+                masks=batch["masks"],
+                side=render.grid,
+                camera=camera,
+                cameras=cameras,
+            ),
+            lambda points, rotations: jnp.zeros(()),
             shapes.kept,
             teaching.rotations,
-            batch["masks"],
-            side=render.grid,
-            camera=camera,
-            cameras=cameras,
         )
         learned["pull"] = Term(pull, train.pull_weight * render.grid**2)
     if pose.samples:

@@ -33,7 +33,6 @@ _EMPTY = 0.02  # density that is added, of the mean over the cells
 _BLUR = (0.12, 0.76, 0.12)  # of densities, along each axis
 _KEPT = 0.995  # of the sums in a step: 200 batches
 _CLARITY = 1.0  # standard deviations below 0 of what a half turn gains, to count
-_NEARLY = 0.1  # of what an object usually loses by a half turn
 _COLOR_WEIGHT = 10.0  # of a nat per sample of colours, beside one per point
 
 
@@ -126,14 +125,13 @@ def _choose_turns(gains, moments):
     """Which half turn [B] each object is given; 0 for none.
 
     Only what tells a category from its own half turn counts: objects that look the same
-    either way would be turned by chance. What fits nearly as well after a turn is
-    turned: a kind that is turned round upholds itself in the sums.
+    either way would be turned by chance.
     """
     mean, square = moments[1:] / jnp.maximum(moments[:1], 1e-6)
     spread = jnp.sqrt(jnp.maximum(square - mean**2, 0))
     is_clear = mean < -_CLARITY * spread
     weights = jnp.array([[1], [_COLOR_WEIGHT]]) * is_clear
-    total = jnp.sum(weights[:, None] * (gains - _NEARLY * mean[:, None]), axis=0)
+    total = jnp.sum(weights[:, None] * gains, axis=0)
     total = jnp.where(jnp.any(is_clear, axis=0), total, -jnp.inf)
     return jnp.where(jnp.max(total, axis=1) > 0, jnp.argmax(total, axis=1) + 1, 0)
 
