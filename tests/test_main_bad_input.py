@@ -216,6 +216,7 @@ def test_what_does_not_change_the_result_may_differ(config, tmp_path, field):
     values = {
         "log": {"log.every": 3, "log.checkpoint": 1},
         "run": {"run.devices": 1},
+        "eval": {"eval.refine": True},
     }
     changes = values.get(field, {field: 7})
     workdir = claim_workdir(tmp_path / "workdir", from_config_dict(config))

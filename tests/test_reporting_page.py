@@ -15,12 +15,12 @@ import trimesh
 from PIL import Image
 from report_pages import make_example
 
-from dpc_jax import compare
 from dpc_jax.evaluation.metrics import COMPARED_METRICS, MISSING, REQUIRED_METRICS
 from dpc_jax.reporting import figures, gallery, signals, tables
 from dpc_jax.reporting.examples import Example, SignalImages
 from dpc_jax.reporting.page import write_report
 from dpc_jax.reporting.web import viewer
+from dpc_jax.run import comparison
 
 METRICS = {
     "pose_accuracy": np.float64(0.875),
@@ -341,8 +341,8 @@ def test_a_table_escapes_its_cells_and_refuses_a_row_of_another_length():
 def test_a_comparison_says_which_figures_are_absent():
     whole = dict.fromkeys(COMPARED_METRICS, 1.0)
     runs = {"a": whole, "b": whole | {"pose_accuracy": None}}
-    assert compare.name_absent({"a": whole}) == ""
-    said = compare.name_absent(runs)
+    assert comparison.name_absent({"a": whole}) == ""
+    said = comparison.name_absent(runs)
     assert said.startswith(f"{MISSING} is absent: b had no truth")
     assert "given the poses" in said
 
