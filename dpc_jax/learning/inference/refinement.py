@@ -21,9 +21,9 @@ from dpc_jax.config import Config
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.cameras import place_camera
 from dpc_jax.learning.inference.codes import make_shared
+from dpc_jax.learning.inference.explanation import compare_poses
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.renders import (
-    compute_candidate_losses,
     find_scenes,
     render_scene,
     resize_scene,
@@ -217,16 +217,9 @@ def _choose_poses(scenes, shared, evidence: Evidence, config: Config) -> jax.Arr
 
     def choose_pose(scene, view):
         poses, target, own = view
-        losses = compute_candidate_losses(
-            scene,
-            poses,
-            target,
-            camera=place_camera(Camera(render.focal_length, render.distance), own),
-            renders_at_once=render.renders_at_once,
-            translation=own.get("translation"),
-            ray_rule=render.ray_rule,
-        )
-        return poses[jnp.argmin(losses)]
+        return poses[
+            jnp.argmin(compare_poses(scene, poses, target, own, config=config))
+        ]
 
     return map_renders(
         choose,
