@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from dpc_jax.measure.benchmark.plan import FULL, PARTS, QUICK
-from dpc_jax.run.flags import FlagParser
+from dpc_jax.run.flags import FlagParser, Task, run_command
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -20,20 +20,33 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--quick", action="store_true", help="tiny sizes, to check that all works"
     )
-    parser.add_argument("--out", type=Path, default=Path("runs/benchmark"))
     parser.add_argument(
-        "--parts", default=",".join(PARTS), help="separated by commas; default: all"
+        "--out", type=Path, default=Path("runs/benchmark"), help="folder (%(default)s)"
+    )
+    parser.add_argument(
+        "--parts",
+        default=",".join(PARTS),
+        help=f"some of {','.join(PARTS)}; default: all",
     )
     return parser
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, measure, write the report; returns the exit status."""
-    try:
-        options = make_parser().parse_args(arguments)
-    except ValueError as error:
-        print(f"Error: {error}", file=sys.stderr)
-        return 2
+    return run_command(lambda: _read(make_parser().parse_args(arguments)))
+
+
+def _read(options):
+    return Task(
+        lambda: _measure(options),
+        out=options.out,
+        interrupted=f"Interrupted; finished parts are in {options.out}.",
+        # A part's process that fails tells of it by one.
+        errors=(ValueError, OSError, RuntimeError),
+    )
+
+
+def _measure(options):
     # Heavy: flags are read first.
     from dpc_jax.measure.benchmark.suite import run_benchmark
     from dpc_jax.render import use_all_cores
@@ -46,21 +59,13 @@ def main(arguments: list[str] | None = None) -> int:
     keep_freed_memory()
     words = ["python", "-m", "dpc_jax.benchmark", f"--parts={options.parts}"]
     words += ["--quick"] * options.quick
-    try:
-        path = run_benchmark(
-            options.out,
-            plan=QUICK if options.quick else FULL,
-            parts=[part.strip() for part in options.parts.split(",") if part.strip()],
-            command=shlex.join(words),
-        )
-    except (ValueError, OSError, RuntimeError) as error:
-        print(f"Error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print(f"Interrupted; finished parts are in {options.out}.", file=sys.stderr)
-        return 130
+    path = run_benchmark(
+        options.out,
+        plan=QUICK if options.quick else FULL,
+        parts=[part.strip() for part in options.parts.split(",") if part.strip()],
+        command=shlex.join(words),
+    )
     print(f"Report: {path}")
-    return 0
 
 
 if __name__ == "__main__":

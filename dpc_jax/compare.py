@@ -9,7 +9,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from dpc_jax.run.flags import FlagParser, run_command
+from dpc_jax.run.flags import FlagParser, Task, run_command
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -35,19 +35,18 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, write the page; returns the exit status."""
-    try:
-        options = make_parser().parse_args(arguments)
-        if options.out.suffix in (".png", ".html", ".svg"):
-            raise ValueError(
-                f"--out must be a folder, but it is {options.out}; the page in it is "
-                "index.html, and the curves are curves.png."
-            )
-    except ValueError as error:
-        print(f"Error: {error}", file=sys.stderr)
-        return 2
+    return run_command(lambda: _read(make_parser().parse_args(arguments)))
+
+
+def _read(options):
+    if options.out.suffix in (".png", ".html", ".svg"):
+        raise ValueError(
+            f"--out must be a folder, but it is {options.out}; the page in it is "
+            "index.html, and the curves are curves.png."
+        )
     from dpc_jax.run.comparison import compare_runs  # heavy: flags are read first
 
-    return run_command(
+    return Task(
         lambda: compare_runs(options.workdirs, options.out),
         out=options.out,
         interrupted="Interrupted; start again to write the page.",

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dpc_jax.learning.fitting.settings import LEARNED, POSES, FitSettings
-from dpc_jax.run.flags import FlagParser, run_command
+from dpc_jax.run.flags import FlagParser, Task, run_command
 
 if TYPE_CHECKING:
     from dpc_jax.run.object_fitting import FitRequest
@@ -128,15 +128,18 @@ def make_request(options: argparse.Namespace) -> "FitRequest":
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, fit, write; returns the exit status."""
-    try:
-        request = make_request(make_parser().parse_args(arguments))
-    except ValueError as error:
-        print(f"Error: {error}", file=sys.stderr)
-        return 2
+    return run_command(lambda: _read(make_parser().parse_args(arguments)))
+
+
+def _read(options):
+    request = make_request(options)
     from dpc_jax.run.object_fitting import fit_folder  # heavy: flags are read first
 
-    return run_command(
-        lambda: fit_folder(request),
+    def work():
+        fit_folder(request)
+
+    return Task(
+        work,
         out=request.out,
         interrupted="Interrupted; nothing was written, start again.",
     )

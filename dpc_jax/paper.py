@@ -8,11 +8,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from dpc_jax.experiments.catalogue import NAMES
+from dpc_jax.experiments.catalogue import NAMES, find_experiments
 from dpc_jax.experiments.published import CATEGORIES
 from dpc_jax.experiments.runs import Request, Source, choose_runs
 from dpc_jax.experiments.sizes import SIZES
-from dpc_jax.run.flags import FlagParser
+from dpc_jax.run.flags import FlagParser, Task, run_command
 
 SOURCES = ("procedural", "open", "shapenet", "renders")
 
@@ -67,7 +67,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--only",
-        default="",
+        default="*",
         metavar="RUNS",
         help="train only these; * stands for anything",
     )
@@ -94,13 +94,13 @@ def make_request(options: argparse.Namespace) -> Request:
     if unknown := [name for name in categories if name not in CATEGORIES]:
         raise ValueError(
             f"--category must be of {', '.join(CATEGORIES)}, but it has "
-            f"{unknown[0]}; write for example --category=car,chair."
+            f"{unknown[0] or 'an empty name'}; write for example --category=car,chair."
         )
     seeds = _split(options.seeds)
     if wrong := [word for word in seeds if not word.isdecimal()]:
         raise ValueError(
-            f"--seeds must be whole numbers from 0 on, but it has {wrong[0]}; write "
-            "for example --seeds=0,1,2."
+            "--seeds must be whole numbers from 0 on, but it has "
+            f"{wrong[0] or 'an empty one'}; write for example --seeds=0,1,2."
         )
     request = Request(
         options.experiment,
@@ -109,17 +109,38 @@ def make_request(options: argparse.Namespace) -> Request:
         tuple(categories),
         tuple(sorted(set(map(int, seeds)))),
     )
-    if not request.list_experiments():
+    made = request.list_experiments()
+    missing = [e for e in find_experiments(options.experiment) if e not in made]
+    if missing and options.experiment != "all":
         raise ValueError(
-            f"--category must fit --experiment={options.experiment}, but that is not "
-            f"made of {options.category}; leave one of them out."
+            f"--category must fit --experiment={options.experiment}, but "
+            f"{missing[0].name} is not made of {options.category}; leave one of them "
+            "out."
         )
     if options.at_once < 0:
         raise ValueError(
             f"--at-once must be at least 1, but it is {options.at_once}; leave it out "
             "for as many as there are cores."
         )
+    check_page(options.page)
     return request
+
+
+def check_page(page: Path | None) -> None:
+    """Refuse a Markdown file that could not be written when all runs have ended.
+
+    Raises:
+      ValueError: for a folder, or a place in what is no folder.
+    """
+    if page is None:
+        return
+    above = next(p for p in page.absolute().parents if p.exists())
+    if page.is_dir() or not above.is_dir():
+        wrong = f"{page} is a folder" if page.is_dir() else f"{above} is no folder"
+        raise ValueError(
+            f"--page must be a file to write, but {wrong}; write for example "
+            "--page=docs/paper.md."
+        )
 
 
 def make_source(kind: str, folder: str) -> Source:
@@ -149,35 +170,32 @@ def _split(text: str) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, train, write the page; returns the exit status."""
-    try:
-        options = make_parser().parse_args(arguments)
-        request = make_request(options)
-        runs = choose_runs(request, _split(options.only) or ["*"])
-    except ValueError as error:
-        print(f"Error: {error}", file=sys.stderr)
-        return 2
+    return run_command(lambda: _read(make_parser().parse_args(arguments)))
+
+
+def _read(options):
+    request = make_request(options)
+    runs = choose_runs(request, _split(options.only) or [""])
     from dpc_jax.experiments.suite import Place, run_suite  # heavy: flags come first
 
     place = Place(options.out, options.data, options.page)
-    try:
+
+    def work():
         page, failed = run_suite(
             request,
             place,
             [] if options.no_training else runs,
             at_once=options.at_once,
         )
-    except (ValueError, OSError) as error:
-        print(f"Error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print(
-            f"Interrupted; the page in {options.out} shows what is there, and the same "
-            "command goes on.",
-            file=sys.stderr,
-        )
-        return 130
-    print(f"Page: {page}")
-    return 1 if failed else 0
+        print(f"Page: {page}")
+        return int(bool(failed))
+
+    return Task(
+        work,
+        out=options.out,
+        interrupted=f"Interrupted; the page in {options.out} shows what is there, and "
+        "the same command goes on.",
+    )
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from dpc_jax.run.flags import FlagParser, run_command
+from dpc_jax.run.flags import FlagParser, Task, run_command
 
 MASKS = ("given", "auto", "matting")  # of data.sets.photographs, which --help loads not
 
@@ -59,11 +59,10 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, predict, write; returns the exit status."""
-    try:
-        options = make_parser().parse_args(arguments)
-    except ValueError as error:
-        print(f"Error: {error}", file=sys.stderr)
-        return 2
+    return run_command(lambda: _read(make_parser().parse_args(arguments)))
+
+
+def _read(options):
     # Flags are read before what is heavy is loaded.
     from dpc_jax.run.prediction import PredictRequest, predict_images
 
@@ -77,7 +76,7 @@ def main(arguments: list[str] | None = None) -> int:
         is_refined=options.refine,
         has_turntable=options.turntable,
     )
-    return run_command(
+    return Task(
         lambda: predict_images(request),
         out=request.out,
         interrupted="Interrupted; start again to make the rest.",

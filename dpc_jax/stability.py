@@ -19,7 +19,7 @@ from dpc_jax.measure.stability.report_parts import (
     check_names,
     run_part,
 )
-from dpc_jax.run.flags import FlagParser
+from dpc_jax.run.flags import FlagParser, Task, run_command
 
 QUICK_DTYPES = ("float32",)
 
@@ -31,30 +31,30 @@ def main(arguments: list[str] | None = None) -> int:
       The exit status: 0, 1 if anything is outside its tolerance or cannot be written, 2
       for a wrong flag, 130 after Ctrl-C.
     """
-    results: dict[str, PartResult] = {}
-    try:
-        options = _parse(arguments)
-    except ValueError as error:
-        print(f"Error: {error}", file=sys.stderr)
-        return 2
-    try:
-        for flag, known in _list_known().items():
-            check_names(flag, getattr(options, flag), known)
-        path = _run_parts(options, results)
-    except (ValueError, OSError) as error:
-        print(f"Error: {error}", file=sys.stderr)
-        return 2 if isinstance(error, ValueError) else 1
-    except KeyboardInterrupt:
-        done = ", ".join(results) or "none"
-        print(f"Interrupted; parts in {options.out}: {done}.", file=sys.stderr)
-        return 130
+    return run_command(lambda: _read(arguments))
+
+
+def _read(arguments):
+    options = _parse(arguments)
+    for flag, known in _list_known().items():
+        check_names(flag, getattr(options, flag), known)
+    return Task(
+        lambda: _measure(options),
+        out=options.out,
+        interrupted=f"Interrupted; finished parts are in {options.out}.",
+    )
+
+
+def _measure(options):
+    """Run the parts and print what failed; the exit status."""
+    results, path = _run_parts(options)
     failures = [f for result in results.values() for f in result.failures]
     for failure in failures:
         print(f"Outside tolerance: {failure}")
     num_failed = len(failures)
     print(f"{num_failed} outside tolerance." if failures else "All within tolerance.")
     print(f"Report: {path}")
-    return 1 if failures else 0
+    return int(bool(failures))
 
 
 def _list_known():
@@ -64,7 +64,9 @@ def _list_known():
 def make_parser() -> argparse.ArgumentParser:
     """The flags of the command."""
     parser = FlagParser("stability", description="What happens in extreme cases.")
-    parser.add_argument("--out", type=Path, default=Path("runs/stability"))
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs/stability"), help="folder (%(default)s)"
+    )
     parser.add_argument(
         "--quick",
         action="store_true",
@@ -97,14 +99,15 @@ def _write_command(options):
     return shlex.join(words)
 
 
-def _run_parts(options, results):
-    """Run part by part; fills `results`, and returns the path of the report."""
+def _run_parts(options):
+    """Run part by part; the results and the path of the report."""
     # Heavy: flags are read first.
     from dpc_jax.learning.training.progress import ProgressReport
     from dpc_jax.measure.stability.report import write_report
     from dpc_jax.measure.timing import describe_machine
 
     options.out.mkdir(parents=True, exist_ok=True)
+    results: dict[str, PartResult] = {}
     seconds, path = {}, None
     about = {"seed": options.seed, "command": _write_command(options)}
     about["machine"] = describe_machine()
@@ -122,7 +125,7 @@ def _run_parts(options, results):
             # After each part, so that an interrupted run keeps those that are done.
             path = write_report(options.out, results, seconds=seconds, **about)
             progress.advance(step)
-    return path
+    return results, path
 
 
 if __name__ == "__main__":

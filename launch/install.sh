@@ -47,6 +47,7 @@ if [ ! -e "$mark" ] || [ pyproject.toml -nt "$mark" ]; then
         echo "Python 3.11 or newer is needed, but $PYTHON is $("$PYTHON" --version 2>&1); set PYTHON=/path/to/one." >&2
         exit 1
     }
+    echo "Installing .$extras into $VENV: a minute or two"
     "$PYTHON" -m venv "$VENV"
     "$VENV/bin/python" -m pip install --quiet --editable ".$extras"
     touch "$mark"

@@ -36,6 +36,11 @@ def test_help_fits_a_screen(name, monkeypatch):
     assert max(map(len, lines)) <= COLUMNS
 
 
+@pytest.mark.parametrize("name", sorted(commands.COMMANDS.keys() - {"data"}))
+def test_every_flag_says_what_it_is(name):
+    assert [a.dest for a in make_parser(name)._actions if not a.help] == []
+
+
 def test_every_command_is_listed_in_help_and_is_a_module():
     for name, command in commands.COMMANDS.items():
         assert f"  {name} " in commands.describe() and command.text

@@ -3,6 +3,7 @@
 import ast
 import dataclasses
 import inspect
+import itertools
 import re
 from pathlib import Path
 
@@ -109,6 +110,15 @@ def test_every_function_that_a_page_names_with_its_file_exists(page):
             rf"^(def|class) {name}\b|^{name}\b.* =", path.read_text("utf-8"), re.M
         )
         assert found, f"{page.name} names {file}: {name}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_an_empty_line_ends_every_table(page):
+    """Else GitHub shows the text that follows as one more row."""
+    lines = page.read_text(encoding="utf-8").splitlines()
+    for number, (line, after) in enumerate(itertools.pairwise(lines), start=2):
+        if line.startswith("|") and after.strip():
+            assert after.startswith("|"), f"{page.name}:{number}: {after}"
 
 
 def test_every_picture_is_on_a_page():

@@ -15,7 +15,7 @@ from dpc_jax.experiments.report.page import publish
 from dpc_jax.experiments.report.tables import format_summary, make_table
 from dpc_jax.experiments.report.targets import check_targets
 from dpc_jax.experiments.results import Outcome, Results, Summary, summarize
-from dpc_jax.experiments.runs import Request, list_runs
+from dpc_jax.experiments.runs import Request, Source, list_runs
 from dpc_jax.experiments.systems import SYSTEMS, list_systems
 from dpc_jax.run.workdir import hold_workdir
 
@@ -133,7 +133,8 @@ def test_targets_are_checked_from_the_figures(monkeypatch):
     targets = check_targets(make_results(CARS_AND_CHAIRS), {})
     falls = find_target(targets, ("car", "falls from 32"))
     assert falls.met and falls.reached == "4.10, 3.10, 2.10"
-    assert find_target(targets, ("car", "above naive")).met
+    assert find_target(targets, ("car", "(naive, ours)")).met
+    assert find_target(targets, ("car", "(naive, defaults)")).met
     assert find_target(targets, ("chair", "upper bound")).met
     # The same Chamfer with known and unknown pose is not below.
     assert find_target(targets, ("chair", "below unknown")).met is False
@@ -145,7 +146,7 @@ def test_targets_are_checked_from_the_figures(monkeypatch):
 
 def test_a_target_whose_runs_are_missing_is_neither_met_nor_missed():
     targets = check_targets(make_results(CARS_AND_CHAIRS, without=("naive",)), {})
-    assert find_target(targets, ("car", "above naive")).met is None
+    assert find_target(targets, ("car", "(naive, ours)")).met is None
 
 
 def test_the_order_of_the_ablation_names_the_pairs_that_differ():
@@ -179,9 +180,9 @@ def test_a_baseline_becomes_a_row_by_one_declaration():
 # The whole command, on finished runs.
 
 
-def finish_runs(folder, *requests):
+def finish_runs(folder, *requests, without=" "):
     """Folders of finished runs, as `dpc_jax.main` leaves them."""
-    for run in list_runs(requests):
+    for run in (run for run in list_runs(requests) if without not in run.name):
         workdir = folder / "runs" / run.name
         (workdir / "report").mkdir(parents=True)
         (workdir / "config.json").write_text(to_json(run.load_config()))
@@ -206,7 +207,7 @@ def test_the_command_writes_the_page_of_what_is_finished(tmp_path, capsys):
     flags = [f"--out={out}", "--size=quick", "--experiment=known_pose,unknown_pose"]
     assert paper.main([*flags, f"--page={page}"]) == 0
     said = capsys.readouterr().out
-    assert "All 18 runs are finished." in said and f"Page: {out}/index.html" in said
+    assert "18 of 18 runs are finished." in said and f"Page: {out}/index.html" in said
     html, text = (out / "index.html").read_text(), (out / "paper.md").read_text()
     for words in ("nothing about how well", "on the data", "4.15", "12 models"):
         assert words in html and words in text
@@ -216,6 +217,34 @@ def test_the_command_writes_the_page_of_what_is_finished(tmp_path, capsys):
     for written in (out / "paper.md", page):
         for link in re.findall(r"\]\((.+?\.png)\)", written.read_text()):
             assert (written.parent / link).is_file(), link
+
+
+@pytest.mark.parametrize("text", ['{"chamfer": 4', "null", '{"chamfer": "four"}'])
+def test_a_damaged_report_is_never_a_number(text, tmp_path, capsys):
+    finish_runs(tmp_path, Request("depth", "quick"))
+    (path,) = tmp_path.glob("runs/chair-known_pose-32-seed0/report/metrics.json")
+    path.write_text(text)
+    flags = [f"--out={tmp_path}", "--size=quick", "--experiment=depth"]
+    assert paper.main([*flags, "--no-training"]) == 0
+    text = (tmp_path / "paper.md").read_text()
+    found = re.search(r"\| Known pose, silhouettes \| (\S+)", text)
+    assert found and found[1] == "–"
+
+
+def test_only_failures_of_what_was_asked_for_fail_the_command(
+    tmp_path, capsys, monkeypatch
+):
+    """Maps of fixed views have no config on published renders."""
+    (tmp_path / "03001627").mkdir()
+    source = Source("renders", str(tmp_path))
+    out = tmp_path / "out"
+    finish_runs(out, Request("known_pose", "quick", source), without="epcg")
+    flags = [f"--out={out}", "--size=quick", "--experiment=known_pose"]
+    flags += ["--source=renders", f"--folder={tmp_path}"]
+    assert paper.main([*flags, "--only=*-32-seed0"]) == 0
+    assert "epcg" not in capsys.readouterr().out
+    assert paper.main([*flags, "--only=*-epcg-seed0"]) == 1
+    assert "fixed_views_until must be 0 with" in capsys.readouterr().out
 
 
 def test_targets_are_shown_for_runs_whose_figures_count(tmp_path):
@@ -267,6 +296,13 @@ def test_a_second_command_of_the_same_folder_is_refused(tmp_path, capsys):
         ("--folder=here", "--folder must be left out"),
         ("--experiment=ablation --category=car", "is not made of car"),
         ("--experiment=depth --only=*-depth-*,boat-*", "boat-* fits none of its 30"),
+        ("--experiment=known_pose,ablation --category=car", "ablation is not made"),
+        ("--category=,", "but it has an empty name"),
+        ("--seeds=0,", "but it has an empty one"),
+        ("--only=", "but an empty name fits none"),
+        ("--page=tests", "but tests is a folder"),
+        ("--page=README.md/paper.md", "README.md is no folder"),
+        ("--source=shapenet --folder=tests", "Expected the folder 0"),
         ("--at-once=-2", "--at-once must be at least 1"),
         ("--steps=3", "unrecognized arguments: --steps=3"),
     ],

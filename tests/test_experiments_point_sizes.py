@@ -75,6 +75,9 @@ def test_figures_show_the_hand_tuned_sigma_that_validation_chose(tmp_path, monke
     for path in paths:
         with Image.open(path) as picture:
             assert np.asarray(picture.convert("L")).std() > 5
+    # One number of points makes no line over their number.
+    _, paths = point_sizes.draw(tmp_path / "out", workdirs[:-1])
+    assert [path.name for path in paths] == names[1:]
 
 
 def test_a_workdir_without_a_finished_run_is_refused_in_a_sentence(tmp_path):

@@ -105,8 +105,11 @@ def test_a_source_is_read_from_its_folder(tmp_path):
     assert "data.test_meshes" not in chairs and chairs["data.copies"] == 6
     with pytest.raises(ValueError, match="launch/data.sh fetch airplane"):
         source.list_changes("airplane")
-    changes = Source("renders", str(tmp_path)).list_changes("car")
-    assert changes == {"data.renders": str(tmp_path)}
+    renders = Source("renders", str(tmp_path))
+    with pytest.raises(ValueError, match="Expected the folder 02958343"):
+        renders.list_changes("car")
+    (tmp_path / "02958343").mkdir()
+    assert renders.list_changes("car") == {"data.renders": str(tmp_path)}
     row = Row("", variant="naive")
     config = declare_run(row, "car", 0, FULL, source).load_config()
     assert config.data.meshes == str(tmp_path / "car/train")

@@ -17,7 +17,7 @@ from dpc_jax.evaluation import chamfer_distance
 from dpc_jax.evaluation.rotations import view_angles
 from dpc_jax.learning.fitting import pose_search
 from dpc_jax.learning.fitting.object_fit import FitSettings
-from dpc_jax.run.object_fitting import FitRequest, fit_folder
+from dpc_jax.run.object_fitting import FitRequest, fit_folder, list_doubts
 
 # A few large steps; the points come from 0.45 away.
 SMALL = FitSettings(num_points=300, sides=(16, 32), steps=(60, 40), learning_rate=0.03)
@@ -259,6 +259,17 @@ def test_a_folder_of_images_becomes_files(folder, tmp_path, capsys):
     shown = capsys.readouterr()
     assert "9.png" in shown.err and "is empty" in shown.err
     assert "Fitting: fitting at 16" in shown.out and "Overlap" in shown.out
+
+
+def test_few_views_without_poses_and_views_not_explained_are_doubted():
+    good = {f"{i}.png": 0.94 for i in range(6)}
+    assert list_doubts(good, is_searched=False) == []
+    (few,) = list_doubts(good, is_searched=True)
+    assert "6 views are few to find poses by" in few
+    many = {f"{i}.png": 0.94 for i in range(20)}
+    assert list_doubts(many, is_searched=True) == []
+    (poor,) = list_doubts(many | {"7.png": 0.5}, is_searched=True)
+    assert "1 of 20 views well: 7.png" in poor
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,17 @@ ROOMS = {
     "render": ({"jax", "chex"}, set()),
     "shapes": ({"numpy", "trimesh"}, set()),
     "data": (
-        {"numpy", "trimesh", "embreex", "PIL", "rich", "scipy", "skimage", "rembg"},
+        {
+            "numpy",
+            "trimesh",
+            "embreex",
+            "PIL",
+            "rich",
+            "scipy",
+            "skimage",
+            "rembg",
+            "av",
+        },
         {"config", "files", "shapes"},
     ),
     "networks": ({"jax", "flax", "chex", "numpy"}, set()),

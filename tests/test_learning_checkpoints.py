@@ -160,6 +160,16 @@ def test_parts_that_a_run_has_not_may_be_named_in_its_checkpoint_or_not(
         shutil.rmtree(tmp_path / "checkpoints" / str(step))
 
 
+def test_the_moving_baseline_of_drawn_poses_is_kept(opened, tmp_path):
+    drawing = make_small_state(4)._replace(cost=jnp.asarray(0.3125))
+    opened.save(drawing, seconds=1.0)
+    opened.close()
+    again = Checkpoints(tmp_path / "checkpoints")
+    found = again.restore(make_small_state(0)._replace(cost=jnp.zeros(())))
+    again.close()
+    assert_same_bits(found.state, drawing)
+
+
 def test_what_a_kill_left_of_an_unfinished_checkpoint_is_passed_over(opened, tmp_path):
     save_some(opened, 5)
     # A folder without the file that is written last is no checkpoint.

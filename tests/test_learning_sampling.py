@@ -1,5 +1,6 @@
 """MVC: poses drawn by their probabilities, REINFORCE, and the judge of the prior."""
 
+import functools
 import itertools
 
 import jax
@@ -16,9 +17,10 @@ from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.pose_prior import judge_poses
 from dpc_jax.learning.predictions import Poses
+from dpc_jax.learning.signals import sum_event_costs
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.viewpoints import ViewpointEnsemble, face_object
-from dpc_jax.render import quaternion
+from dpc_jax.render import VoxelGrid, project_volume, quaternion
 
 pytestmark = pytest.mark.usefixtures("quickly")
 
@@ -141,6 +143,26 @@ def test_heads_are_drawn_as_often_as_their_probability_says():
         np.testing.assert_array_equal(drawn.poses[row, view], own)
     again = sampling.draw_poses(poses, keys, views=views)
     np.testing.assert_array_equal(drawn.indices, again.indices)
+
+
+def test_around_a_known_shape_event_costs_are_least_at_the_true_azimuth():
+    """A lopsided body of boxes and every fifth azimuth, to one step.
+
+    Not to none: event costs are linear in S, and the rim of a body of cells is soft.
+    """
+    cells = np.zeros((12, 12, 12), np.float32)
+    cells[2:10, 4:8, 3:6] = cells[2:4, 4:8, 6:9] = cells[6:8, 6:11, 4:6] = 1
+    azimuths = jnp.deg2rad(5.0 * jnp.arange(72))
+    poses = face_object(azimuths, jnp.full_like(azimuths, 0.26))
+    see = functools.partial(project_volume, cells, grid=VoxelGrid(24))
+    seen = jax.jit(lambda q: jax.lax.map(lambda one: see(one).silhouette, q))(poses)
+    missed, hit = jnp.sum(seen, axis=(1, 2)), jnp.einsum("aij,bij->ab", seen, seen)
+    # Row a: the masks of azimuth a, compared with what is seen from each azimuth.
+    costs = missed[:, None] - hit + 0.2 * (missed[None] - hit)
+    one = sum_event_costs(seen[7], seen[31], background=0.2)
+    assert float(costs[31, 7]) == pytest.approx(float(one), rel=1e-4)
+    away = np.argmin(costs, axis=1) - np.arange(72)
+    assert np.abs((away + 36) % 72 - 36).max() <= 1
 
 
 def test_the_baseline_is_a_moving_average_from_zero():

@@ -18,7 +18,7 @@ from tiny_runs import (
 from dpc_jax.config import build_config, check, replace_fields
 from dpc_jax.data import DataSpec, load_or_render
 from dpc_jax.data.batches import read_batch
-from dpc_jax.data.viewpoints import CORNERS, look_at_rotation
+from dpc_jax.data.viewpoints import CORNERS, look_at_rotation, matrix_to_quaternion
 from dpc_jax.data.views import Lights, build_scene, render_view
 from dpc_jax.learning import schedules, view_maps
 from dpc_jax.learning.predictions import Maps
@@ -119,6 +119,24 @@ def test_maps_of_their_own_views_cost_next_to_nothing(corners):
     assert float(worse) > float(compare(maps, logits)[0]) + 10
     shifted = compare(maps.at[..., 0].add(0.01), logits)[1]
     assert float(shifted["astray"]) == pytest.approx(0.01 * 32**2, rel=1e-4)
+
+
+def test_fused_maps_drawn_in_each_fixed_view_are_the_maps_again(corners):
+    maps, logits = true_maps(corners)
+    points = fuse_maps(maps, focal_length=1.875, distance=2.0)[0]
+    rotations = jnp.asarray(matrix_to_quaternion(list_fixed_views()), jnp.float32)
+    seen = corners[0] == 255
+    # Of each view its own points alone: others may be nearer in the same pixel.
+    own = jnp.where(jnp.eye(8)[..., None] > 0, logits.reshape(8, -1), -9)
+    drawn = jax.jit(jax.vmap(lambda q, own: draw(points, own, side=32, rotation=q)))(
+        rotations, own.reshape(8, -1)
+    )
+    np.testing.assert_array_equal(drawn.logits > 0, seen)
+    np.testing.assert_array_equal(np.asarray(drawn.counts)[seen], 1)
+    # float32 through two rotations.
+    np.testing.assert_allclose(
+        np.asarray(drawn.depths)[seen], maps[0, ..., 2][seen], atol=1e-5
+    )
 
 
 def test_of_two_points_in_a_pixel_the_nearer_one_is_seen_and_alone_learns():

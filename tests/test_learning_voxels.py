@@ -20,7 +20,7 @@ from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.half_turns import compute_covariance
 from dpc_jax.learning.predictions import Cells, find_places
 from dpc_jax.learning.schedules import Stage
-from dpc_jax.render import Camera, VoxelGrid, project_volume
+from dpc_jax.render import Camera, VoxelGrid, opacity, project_volume
 
 pytestmark = pytest.mark.usefixtures("quickly")
 
@@ -80,13 +80,21 @@ def test_the_loss_is_that_of_plain_renders_by_the_rule_of_the_rays(rule, backgro
 
 
 def test_event_costs_of_a_ray_of_equal_cells_have_the_closed_form():
-    """On the object qⁿ, beside it 0.2·(1 - qⁿ), of n cells that let q through."""
-    passed = 0.9**32
-    seen = jnp.array([[1 - passed, 1 - passed]])
-    for target, expected in ((1.0, 0.0343), (0.0, 0.1931)):
-        mask = jnp.array([[target, target]])
-        cost = signals.sum_event_costs(seen, mask, background=0.2)
-        assert float(cost) / 2 == pytest.approx(expected, abs=5e-5)
+    """Cells that let q through cost qⁿ on the object, 0.2·(1 - qⁿ) beside it.
+
+    Their slopes by q are qⁿ⁻¹ and -0.2·qⁿ⁻¹; by an occupancy the negative of it.
+    """
+
+    def cost(ray, target):
+        seen = opacity(ray)[None, None]
+        mask = jnp.full((1, 1), target)
+        return signals.sum_event_costs(seen, mask, background=0.2)
+
+    measure = jax.jit(jax.value_and_grad(cost))
+    for target, expected, slope in ((1.0, 0.0343, -0.0382), (0.0, 0.1931, 0.00763)):
+        found, slopes = measure(jnp.full(32, 0.1), target)
+        assert float(found) == pytest.approx(expected, abs=5e-5)
+        np.testing.assert_allclose(slopes, slope, atol=5e-5)
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,11 @@
 
 import dataclasses
 import json
+import math
+import re
 
 import pytest
-from config_files import NAMES, change, load, parameter_shapes
+from config_files import FOLDER, NAMES, change, load, parameter_shapes
 
 from dpc_jax.config import (
     VARIANTS,
@@ -63,6 +65,7 @@ def test_variants_combine_in_any_order():
         ("naive,known_pose", "known_pose and naive exclude each other"),
         ("known_pose,gt_pose", "gt_pose and known_pose exclude each other"),
         ("32,paper,128", "128 and 32 exclude each other"),
+        ("naive,mvc", "mvc and naive exclude each other"),
     ],
 )
 def test_variants_that_exclude_each_other_are_refused(variant, says):
@@ -288,3 +291,22 @@ def test_learning_rates_of_baselines_are_tuned_for_quick_runs_alone(variant):
     assert load("chair", variant).train.learning_rate == 1e-3
     assert load("chair", f"paper,{variant}").train.learning_rate == 1e-4
     assert load("chair", "known_pose").train.learning_rate == 3e-4
+
+
+def test_parameters_are_as_many_as_the_page_of_baselines_says():
+    page = (FOLDER.parent / "docs" / "baselines.md").read_text(encoding="utf-8")
+    rows = {
+        f"known pose, {side}": [
+            f"known_pose,{side}{more}" for more in ("", ",ours_v", ",epcg")
+        ]
+        for side in (32, 64, 128)
+    }
+    for label, variants in (rows | {"poses unknown": ["", "ours_v", "mvc"]}).items():
+        (line,) = (line for line in page.splitlines() if line.startswith(f"| {label} "))
+        counts = [sum_parameters(load("car", variant)) for variant in variants]
+        assert re.findall(r"\d+\.\d", line) == [f"{count:.1f}" for count in counts]
+
+
+def sum_parameters(config):
+    """Of the network, in millions."""
+    return sum(map(math.prod, parameter_shapes(config)[1].values())) / 1e6

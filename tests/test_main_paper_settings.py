@@ -133,6 +133,12 @@ def test_network_the_shape_branch_has_one_hidden_layer_and_3n_outputs(side, poin
     }
 
 
+def test_network_with_colours_the_shape_branch_has_6n_outputs():
+    _, shapes = parameter_shapes(load("car", "paper,known_pose,color"))
+    found = [shapes[f"shape/{name}/kernel"] for name in ("points", "colors")]
+    assert found == [(1024, 3 * 8000)] * 2
+
+
 def test_network_four_pose_heads_of_two_layers_behind_a_shared_one():
     config = load("car", "paper")
     assert config.pose.candidates == config.pose.heads == 4
@@ -168,12 +174,17 @@ def test_network_leaky_relu_of_slope_a_fifth_and_no_normalisation():
     assert network.pose_slope == 0.2 and not network.normalize
 
 
-def test_nothing_beyond_the_paper_is_on():
-    config = load("car", "paper")
+@pytest.mark.parametrize("variant", ["paper", "paper,naive", "paper,known_pose,128"])
+def test_nothing_beyond_the_paper_is_on(variant):
+    config = load("car", variant)
     pose, train = config.pose, config.train
     assert not (pose.flips or pose.selects or pose.spread or pose.labels)
+    assert not (pose.common_frame or pose.translation or pose.focal_length)
     assert not (train.repulsion_weight or train.containment_weight)
-    assert not train.color_weight
+    assert not (train.pull_weight or train.depth_weight or train.color_weight)
+    assert (train.silhouette_weight, train.background_weight) == (1, 0)
+    assert config.network.shape == "points" and not config.network.point_size
+    assert config.render.ray_rule == "termination"
     assert config.render.anneal_until == 1 and config.data.copies == 1
     # All four candidates are compared exactly, whatever ranks them first.
-    assert pose.choice_top == pose.candidates
+    assert pose.choice_top >= pose.candidates

@@ -449,6 +449,9 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
     if name == "maps":
         # All eight maps' visible points, or one of them as often.
         assert predict_points(command, workdir).shape == (8 * 8 * 8, 3)
+        found = (workdir / "predictions" / "predictions.json").read_text()
+        (entry,) = json.loads(found)["images"]
+        assert entry["quaternion"] is None and "its shape alone" in entry["sentence"]
     if name == "labels":
         assert 0 <= metrics["pose_accuracy"] <= 1
         assert metrics["alignment_inlier_share"] is None

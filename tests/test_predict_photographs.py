@@ -4,12 +4,13 @@ import subprocess
 import sys
 import types
 
+import av
 import numpy as np
 import pytest
 from PIL import Image
 
 from dpc_jax.data import DataSpec
-from dpc_jax.data.sets import matting, plain_background
+from dpc_jax.data.sets import matting, plain_background, video
 from dpc_jax.data.sets.photographs import MOST_FRAMES, Request, read_photographs
 from dpc_jax.measure.auto_masks import BACKGROUNDS, take_photograph
 
@@ -105,6 +106,48 @@ def test_the_frames_of_a_moving_picture_are_views_of_one_object(tmp_path, kind):
     # Frames of the same content may be stored once.
     assert 5 <= len(one.images) <= MOST_FRAMES
     assert one.sources[1].startswith(f"{path}, frame ")
+
+
+def write_video(path, frames):
+    """An uncompressed kind, so that frames come back as they were."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=10)
+        stream.width, stream.height = frames[0].size
+        stream.pix_fmt = "bgr0"
+        for frame in frames:
+            container.mux(stream.encode(av.VideoFrame.from_image(frame)))
+        container.mux(stream.encode())
+
+
+def test_frames_of_a_video_are_taken_in_equal_steps_from_its_first_on(tmp_path):
+    path = tmp_path / "turn.mkv"
+    for count in (3, MOST_FRAMES, 7 * MOST_FRAMES):
+        write_video(path, [Image.new("RGB", (32, 16), (i, 0, 0)) for i in range(count)])
+        frames = video.read_frames(path, MOST_FRAMES)
+        numbers = [frame.getpixel((0, 0))[0] for frame in frames]
+        assert frames[0].size == (32, 16)
+        assert len(numbers) == min(count, MOST_FRAMES) and numbers[0] == 0
+        steps = np.diff([*numbers, count])
+        assert max(steps) - min(steps) <= 4  # what is kept has steps of up to four
+
+
+def test_a_video_is_one_object(tmp_path):
+    path = tmp_path / "turn.mp4"  # not by its name: Matroska is told by content
+    write_video(tmp_path / "turn.mkv", [draw_disc(alpha=False)] * 5)
+    (tmp_path / "turn.mkv").rename(path)
+    (one,), skipped = read(path, mask="auto")
+    assert not skipped and one.name == "turn" and len(one.images) == 5
+    assert one.sources[1] == f"{path}, frame 2"
+
+
+def test_a_video_of_no_use_is_named_with_a_reason(tmp_path, monkeypatch):
+    path = tmp_path / "turn.mp4"
+    path.write_text("no video")
+    with pytest.raises(ValueError, match=f"readable video in {path}, but it is"):
+        read(path, mask="auto")
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(ValueError, match=r"PyAV .* install .*dpc_jax\[video\]"):
+        read(path, mask="auto")
 
 
 def test_what_cannot_be_read_is_named_with_a_reason(tmp_path):

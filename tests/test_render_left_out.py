@@ -174,6 +174,21 @@ def test_candidates_of_a_known_pose_are_not_rendered():
     assert count_splats(lower_step(candidates=3)) == (3 + 1) * views
 
 
+def test_what_baselines_are_set_to_is_not_in_a_step_of_points():
+    """Not an operation of theirs: the program is the same to the letter."""
+    theirs = {
+        "voxel_channels": 3,
+        "map_channels": 5,
+        "head": "viewpoint",
+        "own_encoder": True,
+        "choice": "sampled",
+        "prior_weight": 0.7,
+        "entropy_weight": 0.4,
+    }
+    plain, others = (lower_step(known=True, **c).as_text() for c in ({}, theirs))
+    assert plain == others
+
+
 def test_points_that_dropout_left_out_are_in_no_render():
     few, all_of_them = (lower_step(kept=kept).as_text() for kept in (6, 24))
     windows = r"tensor<(?:\d+x)*{}x2x2x2xf32>"

@@ -175,18 +175,24 @@ def test_rays_through_a_constant_volume_have_the_closed_form_of_their_rule():
     np.testing.assert_allclose(union[inside], expected, rtol=1e-5)
 
 
-def test_under_the_maximum_only_the_fullest_cell_of_a_ray_has_a_gradient():
-    volume = jnp.zeros((9, 9, 9)).at[4, 4, 2].set(0.8).at[4, 4, 7].set(0.6)
+def test_under_the_maximum_only_the_fullest_cells_of_a_ray_have_a_gradient():
+    """Samples lie on the centres of cells, exactly: sides are powers of two."""
 
-    def look(volume):
-        image = draw(volume, IDENTITY, side=9, rule="maximum", kind="orthographic")
+    def look(ray):
+        volume = jnp.zeros((8, 8, 8)).at[4, 4].set(ray)
+        image = draw(volume, IDENTITY, side=8, rule="maximum", kind="orthographic")
         return image[4, 4]
 
-    value, gradient = jax.value_and_grad(look)(volume)
-    assert float(value) == pytest.approx(0.8, rel=1e-6)
-    expected = jnp.zeros((9, 9, 9)).at[4, 4, 2].set(1.0)
-    # The samples lie on the centres but for rounding of an index of 9.
-    np.testing.assert_allclose(gradient, expected, atol=1e-5)
+    measure = jax.jit(jax.value_and_grad(look))
+    fuller, equal = (0.8, [1.0, 0.0]), (0.6, [0.5, 0.5])  # shared where none is fuller
+    for first, slopes in (fuller, equal):
+        ray = jnp.zeros(8).at[2].set(first).at[7].set(0.6)
+        value, gradient = measure(ray)
+        assert float(value) == pytest.approx(first, rel=1e-6)
+        np.testing.assert_allclose(gradient[jnp.array([2, 7])], slopes, atol=1e-6)
+        np.testing.assert_allclose(
+            jnp.delete(gradient, jnp.array([2, 7])), 0, atol=1e-6
+        )
 
 
 def test_a_ball_has_the_disc_that_perspective_gives_it():
@@ -344,6 +350,23 @@ def test_places_that_are_not_finite_count_as_outside():
     assert np.all(np.asarray(image.silhouette) == 0)
 
 
+def test_a_cell_that_is_not_finite_spoils_the_rays_that_read_it_alone():
+    spoiled = np.full((4, 4, 4), 0.3, np.float32)
+    spoiled[0, 0, 0] = np.nan
+    call = jax.jit(functools.partial(dpc_jax.project_volume, grid=dpc_jax.VoxelGrid(4)))
+    image = np.asarray(call(spoiled, IDENTITY).silhouette)
+    # Half of the columns and half of the rows lie nearer to other cells.
+    assert np.isnan(image[0, 0]) and np.isfinite(image[2:]).all()
+    assert np.isfinite(image[:, 2:]).all()
+
+
+def test_more_cells_than_the_gradient_can_number_are_refused():
+    shape = jax.ShapeDtypeStruct((1290, 1290, 1290), np.float32)
+    call = functools.partial(dpc_jax.project_volume, grid=dpc_jax.VoxelGrid(1))
+    with pytest.raises(ValueError, match=r"2³¹ cells.*\[1290, 1290, 1290\].*coarser"):
+        jax.eval_shape(call, shape, IDENTITY)
+
+
 def test_signals_that_are_not_asked_for_are_none_and_colours_cost_nothing():
     scene = make_scene(dtype=np.float32)
     call = functools.partial(dpc_jax.project_volume, grid=dpc_jax.VoxelGrid(6))
@@ -367,7 +390,7 @@ GOOD = {"volume": np.zeros((4, 5, 6), "f4"), "rotation": np.ones(4, "f4")}
         ({"volume": np.zeros((4, 5, 6), int)}, "volume.*floating.*int"),
         ({"rotation": np.ones(3, "f4")}, r"rotation.*\[4\].*\[3, 3\].*\[3\]"),
         ({"translation": np.ones(2)}, r"translation.*\[3\].*\[2\]"),
-        ({"signals": ("color",)}, r"'color' must have colors"),
+        ({"signals": ("color",)}, r"'color' must have colors.*\[X, Y, Z, C\]"),
         (
             {"colors": np.ones((4, 5, 3), "f4")},
             r"colors.*\[4, 5, 6, C\].*one colour per cell",

@@ -236,6 +236,14 @@ def test_curves_compare_runs_and_bear_missing_quantities(tmp_path):
     figures.draw_curves(many, tmp_path / "zero.png")
 
 
+def test_a_single_curve_takes_the_whole_picture(tmp_path):
+    lines = [{"seconds": t, "side": 64, "loss": 1 / t} for t in range(1, 5)]
+    for draw in (figures.draw_fit, figures.draw_curves):
+        drawn = picture(draw(lines, tmp_path / "one.png").read_bytes())
+        right = drawn[:, -drawn.shape[1] // 3 :]
+        assert np.ptp(right[..., :3].astype(int)) > 100, draw.__name__
+
+
 def test_stages_and_living_candidates_are_drawn_over_run_time(tmp_path):
     lines = [
         {"step": s, "seconds": s / 10, "loss": 1.0, "head_shares": [1 - s / 99, s / 99]}

@@ -83,11 +83,13 @@ def test_without_a_working_gpu_nothing_is_added(shown, install):
     assert (done.returncode, done.stderr, asked) == (0, "", ["."])
 
 
-def test_other_extras_are_kept_and_nothing_is_installed_twice(install):
+def test_other_extras_are_kept_and_an_installation_is_told_and_made_once(install):
     shown = "echo '580.1, 9.0'"
-    for _ in range(2):
+    said = ("Installing .[test,lint,cuda13] into ", "")
+    for start in said:
         done, asked = install(shown, extras="[test,lint]")
         assert done.returncode == 0
+        assert done.stdout.startswith(start) and bool(done.stdout) == bool(start)
     assert asked == [".[test,lint,cuda13]"]
 
 

@@ -208,7 +208,7 @@ def test_an_interrupted_run_keeps_the_parts_that_are_done(
     monkeypatch.setattr(stability, "run_part", run_part)
     flags = [f"--out={tmp_path}", "--parts=random,ordinary"]
     assert stability.main(flags) == 130
-    assert "parts in" in capsys.readouterr().err
+    assert "parts are in" in capsys.readouterr().err
     data = json.loads((tmp_path / "stability.json").read_text())
     assert list(data["parts"]) == ["ordinary"]
 

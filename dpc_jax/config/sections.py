@@ -194,7 +194,7 @@ class Train:
     pull_from: float = field(0.5, between(0, 1))  # share of the run
     repulsion_weight: float = field(0.0, at_least(0))  # of the points, at the end
     repulsion_points: int = field(500, at_least(0))  # that repel each other in a step
-    containment_weight: float = field(1.0, at_least(0))  # of points beyond radius 1/2
+    containment_weight: float = field(30.0, at_least(0))  # of points beyond radius 1/2
     silhouette_weight: float = field(1.0, at_least(0))  # per pixel; 0: not compared
     background_weight: float = field(0.0, between(0, 1))  # event cost; 0: squares
     depth_weight: float = field(0.0, at_least(0))  # per pixel and diagonal; 0: none

@@ -151,6 +151,7 @@ EXCLUSIVE = (
     ("ours_v", "ptn", "drc", "mvc", "epcg"),
     ("epcg", "gt_pose"),  # learns no poses
     ("epcg", "naive"),
+    ("mvc", "naive"),  # draws one head of several
 )
 
 

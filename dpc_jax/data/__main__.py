@@ -78,7 +78,9 @@ def _show(flags):
                 sheet.save(partial, format="png")
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(out)) from None
-        print(f"  {out} shows some; red is the front, green the left, blue the top")
+        axes = "; red is the front, green the left, blue the top"
+        has_axes = opened.data.quaternions is not None
+        print(f"  {out} shows some{axes * has_axes}")
     if len(caches) > 1:
         print("Give one of them for a sheet of its pictures.")
     return 0

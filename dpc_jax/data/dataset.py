@@ -131,7 +131,7 @@ def _prepare(folder, source, models, share, processes, *, progress):
         missing[first:] + missing[:first],
         processes=processes or _count_cores(),
     )
-    label = f"Rendering {source.spec.split} {source.spec.category}"
+    label = f"{source.work} {source.spec.split} {source.spec.category}"
     with contextlib.closing(results):
         for _ in follow(results, count=count, label=label, progress=progress):
             pass

@@ -16,6 +16,7 @@ class RenderedSource(Source):
     """A source whose models are meshes, all rendered in the same way."""
 
     unit = "mesh"
+    work = "Rendering"
 
     @abc.abstractmethod
     def make_mesh(self, model: Model) -> trimesh.Trimesh:

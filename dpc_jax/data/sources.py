@@ -40,6 +40,7 @@ class Source(Protocol):
 
     spec: DataSpec
     unit = "object"  # what its models are called in messages
+    work = "Reading"  # what is done to make their arrays, likewise
     is_stretchable = False  # whether copies of its models can be stretched
 
     def __init__(self, spec: DataSpec):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dpc_jax.experiments.declarations import Experiment
-from dpc_jax.experiments.results import Outcome, Results
+from dpc_jax.experiments.results import Outcome, Results, summarize
 from dpc_jax.files import digest_text, write_json
 
 
@@ -17,14 +17,16 @@ class Analysis:
     """What an experiment made of its finished runs.
 
     Attributes:
-      metrics: numbers and words by name.
-      figures: pictures.
+      metrics: numbers and words by name; of several runs means of the numbers.
+      figures: pictures; of several runs those of the first.
       problem: why it was not made; "" where it was.
+      runs: the metrics of each run; empty where all were read together.
     """
 
     metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     figures: Sequence[Path] = ()
     problem: str = ""
+    runs: Sequence[Mapping[str, Any]] = ()
 
 
 def analyze(results: Results, folder: Path) -> dict[str, Analysis]:
@@ -47,18 +49,45 @@ def _analyze_one(results: Results, experiment: Experiment, folder: Path) -> Anal
     done = [o for o in results.list_all(experiment) if o.metrics is not None]
     if not done:
         return Analysis(problem="its runs are missing.")
-    used = done if experiment.reads == "all" else done[:1]
+    if experiment.reads == "all":
+        workdirs = [outcome.workdir for outcome in done]
+        return _analyze_runs(experiment.analysis, folder, done, workdirs)
+    made = [
+        _analyze_runs(experiment.analysis, place, [outcome], outcome.workdir)
+        for outcome, place in zip(done, _name_folders(folder, done), strict=True)
+    ]
+    return _average(made)
+
+
+def _name_folders(folder, outcomes) -> list[Path]:
+    """The first run's own files lie in the folder of the experiment."""
+    return [folder, *(folder / outcome.run.name for outcome in outcomes[1:])]
+
+
+def _average(made: Sequence[Analysis]) -> Analysis:
+    """The first analysis with the means of all; those that failed are left out."""
+    found = [analysis for analysis in made if not analysis.problem]
+    if not found:
+        return made[0]
+    runs = [analysis.metrics for analysis in found]
+    metrics = dict(runs[0])
+    for name, value in metrics.items():
+        if isinstance(value, float) and (mean := summarize(m.get(name) for m in runs)):
+            metrics[name] = mean.mean
+    return Analysis(metrics, found[0].figures, runs=runs)
+
+
+def _analyze_runs(
+    analysis: str, folder: Path, used: Sequence[Outcome], argument: Any
+) -> Analysis:
+    """Call an analysis with its workdir or workdirs, unless that was done before."""
     key, record = _make_key(used), folder / "analysis.json"
     kept = _read(record, key)
     if kept:
         return kept
     folder.mkdir(parents=True, exist_ok=True)
-    workdirs = [outcome.workdir for outcome in used]
     try:
-        run = load_function(experiment.analysis)
-        metrics, figures = run(
-            folder, workdirs if experiment.reads == "all" else workdirs[0]
-        )
+        metrics, figures = load_function(analysis)(folder, argument)
     except (ValueError, OSError) as error:
         return Analysis(problem=str(error))
     names = [path.relative_to(folder).as_posix() for path in map(Path, figures)]

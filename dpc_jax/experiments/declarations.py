@@ -50,7 +50,8 @@ class Experiment:
       categories: that it can be made of.
       analysis: "module:function" under `dpc_jax.experiments`, run on the finished
         workdirs; it gives metrics and figures. "" for none.
-      reads: what the analysis is given: "all" of the workdirs, or the "first".
+      reads: what the analysis is given: "all" of the workdirs together, or "each" by
+        itself.
       picture: of each row's own report that the page shows; "" for none.
     """
 
@@ -62,5 +63,5 @@ class Experiment:
     rows: tuple[Row, ...]
     categories: tuple[str, ...] = CATEGORIES
     analysis: str = ""
-    reads: str = "first"
+    reads: str = "each"
     picture: str = ""

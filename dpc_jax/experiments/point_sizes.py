@@ -51,8 +51,8 @@ def draw(
     Returns:
       ({"projection_error_KIND_N": mean over seeds} with the kinds hand_tuned, sigma and
       covariance, and {"hand_tuned_sigma_N": share of the volume}; paths of figures:
-      the error over the number of points, and, for the fewest points that all kinds
-      have, silhouettes and ellipsoids).
+      the error over the number of points, where there are several, and, for the fewest
+      points that all kinds have, silhouettes and ellipsoids).
 
     Raises:
       ValueError: where a workdir holds no finished run.
@@ -71,7 +71,11 @@ def draw(
             name = f"projection_error_{kind or 'hand_tuned'}_{count}"
             metrics[name] = float(np.mean(found))
     errors = {kind: errors[kind] for kind in figures.LABELS if kind in errors}
-    paths = [figures.draw_projection_errors(errors, out / "projection_error.png")]
+    paths = []
+    if len({count for by_count in errors.values() for count in by_count}) > 1:
+        paths.append(
+            figures.draw_projection_errors(errors, out / "projection_error.png")
+        )
     if compared := choose_compared(runs):
         shapes = {kind: predict_gaussians(run) for kind, run in compared.items()}
         paths.append(figures.draw_silhouettes(shapes, out / "silhouettes.png"))

@@ -55,7 +55,8 @@ class Summary:
 
 def summarize(values: Iterable[Any]) -> Summary | None:
     """Mean and spread of the values that are numbers; None where there are none."""
-    numbers = [float(v) for v in values if v is not None and math.isfinite(v)]
+    numbers = [float(v) for v in values if isinstance(v, int | float)]
+    numbers = [number for number in numbers if math.isfinite(number)]
     if not numbers:
         return None
     spread = statistics.stdev(numbers) if len(numbers) > 1 else None
@@ -70,8 +71,8 @@ def read_metrics(workdir: Path) -> dict[str, Any]:
     """
     path = workdir / "report" / "metrics.json"
     try:
-        metrics = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        metrics = dict(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError) as error:
         raise ValueError(
             f"Expected the metrics of a finished run in {path}, but they cannot be "
             f"read ({error}); remove the report, and give the same command again."

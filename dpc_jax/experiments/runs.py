@@ -34,12 +34,16 @@ class Source:
         """What a config of that category differs in.
 
         Raises:
-          ValueError: where the folder is not there.
+          ValueError: where the category is not in the folder.
         """
         if self.kind == "procedural":
             return {}
         folder = Path(self.folder).absolute()
         if self.kind != "open":
+            # Loads trimesh, which nothing else needs here.
+            from dpc_jax.data.sets.shapenet import find_synset
+
+            find_synset(folder, category)
             return {f"data.{self.kind}": str(folder)}
         meshes = folder / category / "train"
         if not meshes.is_dir():
@@ -234,7 +238,8 @@ def choose_runs(request: Request, only: Sequence[str]) -> list[Run]:
     for pattern in only:
         if not any(fnmatchcase(run.name, pattern) for run in runs):
             raise ValueError(
-                f"--only must name runs of the request, but {pattern} fits none of "
-                f"its {len(runs)}; write for example --only={runs[0].name}."
+                "--only must name runs of the request, but "
+                f"{pattern or 'an empty name'} fits none of its {len(runs)}; write for "
+                f"example --only={runs[0].name}."
             )
     return [run for run in runs if any(fnmatchcase(run.name, p) for p in only)]

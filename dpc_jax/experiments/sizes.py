@@ -9,7 +9,11 @@ from collections.abc import Mapping
 from typing import Any
 
 # What the paper's method has not, and rows of their own are for.
-_PLAIN = {"pose.common_frame": False, "train.pull_weight": 0.0}
+_PLAIN = {
+    "pose.common_frame": False,
+    "train.pull_weight": 0.0,
+    "train.containment_weight": 1.0,
+}
 RESOLUTIONS = ("32", "64", "128")  # variants that set the side of images and volume
 
 

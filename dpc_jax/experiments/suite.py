@@ -14,7 +14,7 @@ from dpc_jax.experiments.report.page import make_blocks, publish, write_page
 from dpc_jax.experiments.results import Outcome, Results, read_metrics
 from dpc_jax.experiments.runs import Request, Run, Source, list_runs
 from dpc_jax.experiments.sizes import SIZES
-from dpc_jax.files import explaining_full_disk, write_json
+from dpc_jax.files import write_json
 from dpc_jax.run.process import catch_signals
 from dpc_jax.run.workdir import hold_workdir, make_workdir
 
@@ -56,7 +56,7 @@ def run_suite(
       at_once: how many runs at most; 0 for as many as there are cores and memory.
 
     Returns:
-      The page, and how many runs failed.
+      The page, and how many of the runs failed.
 
     Raises:
       ValueError: for a request that cannot work or does not fit what is in DIR, or
@@ -65,7 +65,7 @@ def run_suite(
       KeyboardInterrupt: where Ctrl-C stopped it; the runs have saved.
     """
     make_workdir(place.folder)
-    with explaining_full_disk(place.folder), hold_workdir(place.folder):
+    with hold_workdir(place.folder):
         requests = _remember(place.folder, request)
         with catch_signals() as stop:
             suite = _Suite(place, requests)
@@ -74,7 +74,7 @@ def run_suite(
             path = suite.write(is_last=not stop.is_set())
             if stop.is_set():
                 print("Stopped: the runs have saved, and the same command goes on.")
-    return path, len(suite.problems)
+    return path, len(suite.problems.keys() & {run.name for run in runs})
 
 
 class _Suite:
@@ -105,13 +105,14 @@ class _Suite:
 
     def train(self, runs: Iterable[Run], at_once: int, stop):
         """Train the runs that are not finished."""
-        asked = [self.jobs[run.name] for run in runs if run.name in self.jobs]
+        names = [run.name for run in runs]
+        asked = [self.jobs[name] for name in names if name in self.jobs]
         missing = [job for job in asked if not job.is_finished()]
         done = len(asked) - len(missing)
-        for name in self.problems:
+        for name in self.problems.keys() & set(names):
             print(f"{name} failed: {self.problems[name]}", flush=True)
         if not missing:
-            print(f"All {done} runs are finished.", flush=True)
+            print(f"{done} of {len(names)} runs are finished.", flush=True)
             return
         self.write()
         cores = choose_cores(at_once)

@@ -114,6 +114,20 @@ def make_ranker(config: Config, step: int) -> Callable:
     return jax.jit(rank)
 
 
+def check_ranked(config: Config, workdir: Path):
+    """Refuse runs without candidates, or of shapes that are no points.
+
+    Raises:
+      ValueError: for these.
+    """
+    heads, shape = config.pose.heads, config.network.shape
+    if heads < 2 or shape != "points":
+        raise ValueError(
+            f"Expected a run of points with several pose heads in {workdir}, but it "
+            f"has {heads} heads and predicts {shape}; give another."
+        )
+
+
 def measure_ranking(
     config: Config, state: TrainState, dataset: DataSet, *, step: int, batches: int
 ) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -149,6 +163,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     flags = parser.parse_args(arguments)
     try:
         config = replace_fields(read_config(flags.workdir), {"run": {"devices": 0}})
+        check_ranked(config, flags.workdir)
         state = restore_state(config, flags.workdir)
         spec = make_data_specs(config)["train"]
         cache_dir = flags.cache_dir or config.data.cache_dir

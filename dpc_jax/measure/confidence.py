@@ -48,6 +48,11 @@ def judge_split(
     test = load_split(run, "test")
     predictor = make_predictor(run.network, run.config, keeps_candidates=True)
     found = predict_all(predictor, run.state, test)
+    if found.cells is not None:
+        from dpc_jax.learning.inference.volumes import add_points
+        from dpc_jax.run.surfaces import read_threshold  # of voxel models alone
+
+        found = add_points(found, read_threshold(workdir))
     result, _ = score(found, test, alignment=run.alignment, heads=run.config.pose.heads)
     assert result.pose_errors_deg is not None and result.chamfers is not None
     assert found.candidates is not None and found.probabilities is not None

@@ -90,8 +90,14 @@ def choose_method(
     return method
 
 
-def check_signals(signals: tuple[str, ...], ray_rule: str, *, has_colors: bool) -> None:
-    """Refuse unknown signals, and colour without colours."""
+def check_signals(
+    signals: tuple[str, ...],
+    ray_rule: str,
+    *,
+    has_colors: bool,
+    of_colors: str = "[N, C]",
+) -> None:
+    """Refuse unknown signals, and colour without colours, whose shape is named."""
     is_list = isinstance(signals, tuple | list | set | frozenset)
     if not is_list or not signals or any(s not in SIGNALS for s in signals):
         raise ValueError(
@@ -101,8 +107,8 @@ def check_signals(signals: tuple[str, ...], ray_rule: str, *, has_colors: bool) 
     checks.check_choice("ray_rule", ray_rule, RAY_RULES, "the paper's is 'termination'")
     if "color" in signals and not has_colors:
         raise ValueError(
-            "the signal 'color' must have colors of shape [N, C], but colors is None; "
-            "pass them or leave 'color' out of signals."
+            f"the signal 'color' must have colors of shape {of_colors}, but colors is "
+            "None; pass them or leave 'color' out of signals."
         )
 
 

@@ -5,6 +5,8 @@ camera. They are resampled along its rays, and what follows is the projection of
 clouds: clip, ray termination, silhouette, depth, colour.
 """
 
+import math
+
 import chex
 import jax
 import jax.numpy as jnp
@@ -17,6 +19,7 @@ from dpc_jax.render.resampling import sample_volume
 from dpc_jax.render.volume import Volume, clip_unit
 
 _HINT = "use jax.vmap or jax.lax.map over a batch of volumes"
+_MOST_CELLS = 2**31 - 1  # the gradient numbers them in int32
 
 
 def project_volume(
@@ -44,7 +47,8 @@ def project_volume(
 
     Args:
       volume: [X, Y, Z] occupancies in [0, 1], object frame; float. What is outside is
-        clipped after the interpolation. Their dtype decides that of the result.
+        clipped after the interpolation; a cell that is not finite makes the rays that
+        read it NaN, and no others. Their dtype decides that of the result.
       rotation: [4] quaternion wxyz or [3, 3] matrix, object to camera.
       colors: [X, Y, Z, C] of the cells, needed for the signal "color". Between cells
         they are mixed by occupancy.
@@ -54,8 +58,8 @@ def project_volume(
         (DRC, MVC, Ours-V) rays.
 
     Raises:
-      ValueError: for a wrong shape or dtype, an unknown signal or rule, and colour
-        asked without colours.
+      ValueError: for a wrong shape or dtype, 2³¹ cells, an unknown signal or rule, and
+        colour asked without colours.
     """
     volume = checks.check_array("volume", volume, ("X", "Y", "Z"), hint=_HINT)
     if 0 in volume.shape:
@@ -63,8 +67,16 @@ def project_volume(
             "volume must have at least one cell along each axis, but its shape is "
             f"{list(volume.shape)}; give occupancies [X, Y, Z]."
         )
+    if math.prod(side + 2 for side in volume.shape) > _MOST_CELLS:
+        raise ValueError(
+            "volume must have fewer than 2³¹ cells, the rim about it included, but its "
+            f"shape is {list(volume.shape)}; make it coarser."
+        )
     arguments.check_view(camera, grid)
-    arguments.check_signals(signals, ray_rule, has_colors=colors is not None)
+    has_colors = colors is not None
+    arguments.check_signals(
+        signals, ray_rule, has_colors=has_colors, of_colors="[X, Y, Z, C]"
+    )
     background = background_depth, background_color
     colors = arguments.convert_cell_colors(colors, volume.shape, background)
     colors = None if colors is None else colors.astype(volume.dtype)

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.style import INK, make_figure, save_figure
+from dpc_jax.reporting.style import INK, make_table_of_pictures, save_figure
 
 FRONT = (35.0, 25.0)  # azimuth, elevation in degrees: front and left, from above
 _REAR = (-130.0, 20.0)  # back and right side
@@ -36,9 +35,8 @@ def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Pa
     if any(example.surface is not None for example in examples):
         titles.append("true shape")
     size = 1.45
-    figure = make_figure(size * len(titles) + 0.2, size * len(examples) * 1.12 + 0.35)
-    gaps = dict.fromkeys(("w_pad", "h_pad", "wspace", "hspace"), 0.02)
-    figure.set_layout_engine(ConstrainedLayoutEngine(**gaps))
+    height = size * len(examples) * 1.12 + 0.35
+    figure = make_table_of_pictures(size * len(titles) + 0.2, height)
     grid = figure.subplots(len(examples), len(titles), squeeze=False)
     for row, example in zip(grid, examples, strict=True):
         _draw_row(row, example)

@@ -33,7 +33,8 @@ def draw_strips(
     for start, between, stop in zip(starts, clouds, stops, strict=True):
         pictures = [_draw_cloud(cloud, _FRONT, _STRIP) for cloud in between]
         rows.append([start, *pictures, stop])
-    middle = [""] * (len(clouds[0]) - 2)
+    last = len(clouds[0]) - 1
+    middle = [f"{100 * i / last:.0f} % of the way" for i in range(1, last)]
     titles = ["input A", "prediction A", *middle, "prediction B", "input B"]
     return draw_grid(rows, path, titles=titles)
 

@@ -6,11 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
 
 from dpc_jax.files import write_bytes
-from dpc_jax.reporting.style import INK, make_figure, make_panels, save_figure
+from dpc_jax.reporting.style import (
+    INK,
+    make_panels,
+    make_table_of_pictures,
+    save_figure,
+)
 
 _SIDE = 1.9  # of a panel, inches
 
@@ -38,9 +42,7 @@ def draw_grid(
         )
     columns = len(rows[0])
     height = 1.02 * _SIDE * len(rows) + (0.3 if titles else 0.05)
-    figure = make_figure(_SIDE * columns, height)
-    gaps = dict.fromkeys(("w_pad", "h_pad", "wspace", "hspace"), 0.02)
-    figure.set_layout_engine(ConstrainedLayoutEngine(**gaps))
+    figure = make_table_of_pictures(_SIDE * columns, height)
     panels = make_panels(figure, len(rows) * columns, columns=columns)
     for place, axes in enumerate(panels):
         picture = rows[place // columns][place % columns]

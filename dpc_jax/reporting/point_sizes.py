@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from dpc_jax.reporting import style
 from dpc_jax.reporting.ellipsoids import draw_ellipsoids
@@ -76,9 +75,7 @@ def _pick_colors(count):
 
 def _draw_rows(rows, path, *, size=1.7):
     width = max(len(images) for images in rows.values())
-    figure = style.make_figure(size * width + 1.0, size * len(rows) + 0.1)
-    gaps = dict.fromkeys(("w_pad", "h_pad", "wspace", "hspace"), 0.02)
-    figure.set_layout_engine(ConstrainedLayoutEngine(**gaps))
+    figure = style.make_table_of_pictures(size * width + 1.0, size * len(rows) + 0.1)
     grid = figure.subplots(len(rows), width, squeeze=False)
     for line, (label, images) in zip(grid, rows.items(), strict=True):
         for axes, image in zip(line, images, strict=True):

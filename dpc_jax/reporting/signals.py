@@ -83,6 +83,7 @@ _UNITS = {
     "depth": "depth (box diagonals)",
     "depth difference": "nearer – farther",
     "silhouette difference": "missing – too much",
+    "color difference": "same – other colour",
 }
 
 
@@ -123,8 +124,8 @@ def _draw_color(cells, images: SignalImages, _):
     for axes, image in zip(cells, (images.target, images.predicted), strict=False):
         axes.imshow(np.clip(image, 0.0, 1.0))
     away = np.sqrt(np.mean((images.predicted - images.target) ** 2, axis=-1))
-    cells[2].imshow(away, cmap="gray", vmin=0.0, vmax=0.5)
-    return {}
+    shown = cells[2].imshow(away, cmap="gray", vmin=0.0, vmax=0.5)
+    return {"color difference": shown}
 
 
 _DRAWINGS = {"silhouette": _draw_silhouette, "depth": _draw_depth, "color": _draw_color}

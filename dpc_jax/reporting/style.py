@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import ArrayLike
 
 from dpc_jax.files import write_bytes
@@ -21,6 +22,16 @@ INK, MUTED, GRID = "#22303c", "#8795a1", "#e6eaee"
 BLUE, RED, GREEN, AMBER = "#2f7ebc", "#d1495b", "#3a9d6e", "#e0a030"
 SERIES = (BLUE, RED, GREEN, AMBER, "#7b5ea7", "#5f6c77", "#56b4c9", "#8c5a3c")
 
+_LINES = (("-", "o"), ("--", "s"), (":", "^"))  # once the colours are used up
+
+
+def pick_series(number: int) -> dict[str, str]:
+    """How a line is drawn, for `Axes.plot`: no two of the first 24 look the same."""
+    turn = number // len(SERIES)
+    line, marker = _LINES[turn % len(_LINES)]
+    color = SERIES[number % len(SERIES)]
+    return {"color": color, "linestyle": line, "marker": marker}
+
 
 def make_figure(width: float, height: float) -> Figure:
     """An empty figure of that size in inches, laid out by its content."""
@@ -29,10 +40,20 @@ def make_figure(width: float, height: float) -> Figure:
     return figure
 
 
+def make_table_of_pictures(width: float, height: float) -> Figure:
+    """An empty figure whose axes, pictures in rows, will stand close to each other."""
+    figure = make_figure(width, height)
+    gaps = dict.fromkeys(("w_pad", "h_pad", "wspace", "hspace"), 0.02)
+    top = 1 - 0.06 / height  # what is above a title, or its letters are cut
+    figure.set_layout_engine(ConstrainedLayoutEngine(**gaps, rect=(0, 0, 1, top)))
+    return figure
+
+
 def make_panels(
     figure: Figure, count: int, *, columns: int = 2, share: bool = False
 ) -> list[Axes]:
-    """`count` axes in rows of `columns`; `share`: with common scales."""
+    """`count` axes in rows of at most `columns`; `share`: with common scales."""
+    columns = min(columns, count)
     rows = -(-count // columns)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=share, sharey=share)
     for axes in grid.flat[count:]:

@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from dpc_jax.files import explaining_full_disk
 
@@ -50,23 +50,42 @@ class FlagParser(argparse.ArgumentParser):
         )
 
 
-def run_command(work: Callable[[], object], *, out: Path, interrupted: str) -> int:
-    """Do the work of a command; its exit status: 0, 1 for an error, 130 after Ctrl-C.
+class Task(NamedTuple):
+    """What a command does when its flags are read.
 
-    With DPC_JAX_TRACEBACK in the environment errors keep their traceback.
+    Attributes:
+      work: does it; returns the exit status, None for 0.
+      out: folder that is written to.
+      interrupted: what to say after Ctrl-C.
+      errors: that are said in one sentence; others are defects of ours.
+    """
 
-    Args:
-      out: folder that is written to. interrupted: what to say after Ctrl-C.
+    work: Callable[[], int | None]
+    out: Path
+    interrupted: str
+    errors: tuple[type[Exception], ...] = (ValueError, OSError)
+
+
+def run_command(read: Callable[[], Task]) -> int:
+    """Read the flags of a command and do its task; its exit status.
+
+    It is the task's own, 1 for an error in it, 2 for wrong flags, for which `read`
+    raises ValueError, and 130 after Ctrl-C. With DPC_JAX_TRACEBACK in the environment
+    errors of the task keep their traceback.
     """
     try:
-        with explaining_full_disk(out):
-            work()
-    except (ValueError, OSError) as error:
+        task = read()
+    except ValueError as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return 2
+    try:
+        with explaining_full_disk(task.out):
+            return task.work() or 0
+    except task.errors as error:
         if os.environ.get("DPC_JAX_TRACEBACK"):
             raise
         print(f"Error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print(interrupted, file=sys.stderr)
+        print(task.interrupted, file=sys.stderr)
         return 130
-    return 0

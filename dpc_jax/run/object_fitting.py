@@ -3,6 +3,7 @@
 import dataclasses
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,9 @@ from dpc_jax.run.process import keep_compiled_programs
 
 SHOWN = 8  # views in the picture, spread over all
 GOOD_OVERLAP = 0.8  # below, a view is named
+# As many were shown to be enough to find poses by; of six half were wrong at an overlap
+# of 0.94 (docs/fitting.md, docs/tutorial.md).
+ENOUGH_VIEWS = 20
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,7 +93,32 @@ def fit_folder(request: FitRequest) -> Fit:
         )
     names = [path.name for path in paths]
     _write(request, found, arrays, names, time.perf_counter() - started)
+    overlaps = dict(zip(names, found.overlaps, strict=True))
+    for doubt in list_doubts(overlaps, is_searched=rotations is None):
+        print(f"Warning: {doubt}.", file=sys.stderr)
     return found
+
+
+def list_doubts(overlaps: Mapping[str, float], *, is_searched: bool) -> list[str]:
+    """Why not to trust a fit, each reason in a sentence.
+
+    Args:
+      overlaps: of predicted and given silhouettes, by view.
+      is_searched: whether poses were found by the fit.
+    """
+    doubts, count = [], len(overlaps)
+    poor = [name for name, overlap in overlaps.items() if overlap < GOOD_OVERLAP]
+    if poor:
+        doubts.append(
+            f"the shape does not explain {len(poor)} of {count} views well: "
+            f"{', '.join(poor[:5])}; look at them in views.png, and at their masks"
+        )
+    if is_searched and count < ENOUGH_VIEWS:
+        doubts.append(
+            f"{count} views are few to find poses by, and a wrong shape may explain "
+            f"them; give {ENOUGH_VIEWS} or more, or their poses"
+        )
+    return doubts
 
 
 def _choose_poses(request, given):
@@ -154,13 +183,6 @@ def _write(request: FitRequest, found: Fit, arrays, names, seconds):
             "curve": found.curve,
         },
     )
-    poor = [name for name in names if views[name]["overlap"] < GOOD_OVERLAP]
-    if poor:
-        print(
-            f"Warning: the shape does not explain {len(poor)} of {count} views well: "
-            f"{', '.join(poor[:5])}; look at them in {picture}, and at their masks.",
-            file=sys.stderr,
-        )
     print(
         f"Overlap of silhouettes {mean:.3f} over {count} views, in {seconds:.0f} s: "
         f"{out / 'cloud.glb'}, {picture}"

@@ -2,8 +2,6 @@
 
 import contextlib
 import functools
-import os
-import sys
 import time
 from pathlib import Path
 
@@ -11,7 +9,6 @@ from dpc_jax import config as configs
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, identity_alignment
-from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning.devices import make_mesh
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import (
@@ -28,6 +25,7 @@ from dpc_jax.learning.training.records import MetricLog, NonFiniteError
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run import hosts
 from dpc_jax.run.agreement import Job
+from dpc_jax.run.flags import Task, run_command
 from dpc_jax.run.gpu import set_gpu_flags
 from dpc_jax.run.memory import check_step_memory
 from dpc_jax.run.process import (
@@ -52,17 +50,15 @@ def run_guarded(
     place: hosts.Place | None = None,
 ) -> int:
     """`run`, with expected failures as one sentence and an exit status."""
-    try:
-        run(config, config_path=config_path, workdir=workdir, place=place)
-    except (ValueError, OSError, NonFiniteError) as error:
-        if os.environ.get("DPC_JAX_TRACEBACK"):
-            raise
-        print(f"Error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("Interrupted; start again in the same workdir to go on.", file=sys.stderr)
-        return 130
-    return 0
+    task = Task(
+        functools.partial(
+            run, config, config_path=config_path, workdir=workdir, place=place
+        ),
+        out=Path(workdir or "runs"),
+        interrupted="Interrupted; start again in the same workdir to go on.",
+        errors=(ValueError, OSError, NonFiniteError),
+    )
+    return run_command(lambda: task)
 
 
 def run(
@@ -95,11 +91,7 @@ def run(
     keep_freed_memory()
     keep_compiled_programs()
     folder = Path(workdir or _name_workdir(config, config_path))
-    with (
-        explaining_full_disk(folder),
-        hosts.joining(place) as job,
-        contextlib.ExitStack() as held,
-    ):
+    with hosts.joining(place) as job, contextlib.ExitStack() as held:
         job.check_same(config)
 
         def take_workdir():

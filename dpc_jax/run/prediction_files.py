@@ -4,6 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dpc_jax.evaluation import rotations
 from dpc_jax.evaluation.confidence import Confidence, describe
 from dpc_jax.files import write_text
@@ -52,7 +54,9 @@ def describe_views(one: PredictedObject) -> list[dict[str, Any]]:
         sentence = [f"{Path(source.split(', frame ')[0]).name}:"]
         if ", frame " in source:
             sentence = [f"{sentence[0][:-1]}, frame {source.split(', frame ')[1]}:"]
-        if one.poses is not None:
+        if one.poses is None:
+            sentence.append("its shape alone; this run was given poses, none is found.")
+        else:
             sentence.append(
                 f"seen from azimuth {facts['azimuth_deg']:.0f}°, elevation "
                 f"{facts['elevation_deg']:.0f}°."
@@ -103,11 +107,15 @@ def _join_views(one: PredictedObject, views: list[dict]) -> dict[str, Any]:
 
 def _make_example(one: PredictedObject, view: int) -> Example:
     names = one.photographs.name, f"{one.photographs.name}, view {view + 1}"
+    predicted = one.silhouettes[view]
+    if one.poses is None:
+        # Rendered from no pose of this view, so that a picture leaves it blank.
+        predicted = np.full_like(predicted, np.nan)
     return Example(
         name=names[len(one.photographs.sources) > 1],
         image=one.photographs.images[view],
         target=one.photographs.masks[view] / 255,
-        predicted=one.silhouettes[view],
+        predicted=predicted,
         points=one.points,
         colors=one.colors,
         pose_error_deg=None,

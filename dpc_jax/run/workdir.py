@@ -37,14 +37,13 @@ def make_workdir(workdir: Path):
         workdir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OSError(
-            f"Expected to make the workdir {workdir}, but it cannot be made "
-            f"({error.strerror}); give a folder that can be written with "
-            "--workdir=DIR."
+            f"Expected to make the folder {workdir}, but it cannot be made "
+            f"({error.strerror}); give a folder that can be written."
         ) from None
     if not os.access(workdir, os.W_OK):
         raise OSError(
-            f"Expected to write in the workdir {workdir}, but it cannot be written; "
-            "give another with --workdir=DIR."
+            f"Expected to write in the folder {workdir}, but it cannot be written; "
+            "give another."
         )
 
 

@@ -1,4 +1,4 @@
-"""Photographs that a trained network is asked about: files, folders, moving pictures.
+"""Photographs that a trained network is asked about: files, folders, videos.
 
 Each becomes an object of one or more views, cut out and framed as in training. What
 cannot be used is named. This module loads no JAX: a bad file is told at once.
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageOps, ImageSequence
 
-from dpc_jax.data.sets import framing, matting, plain_background
+from dpc_jax.data.sets import framing, matting, plain_background, video
 from dpc_jax.data.sets.image_folder import NoMaskError, find_images, read_mask
 from dpc_jax.data.sets.pictures import FAULTS, SUFFIXES
 from dpc_jax.data.spec import DataSpec
@@ -43,8 +43,8 @@ class Request:
     """What is to be read.
 
     Attributes:
-      paths: image files, moving pictures, and folders of the views of one object, or of
-        such folders.
+      paths: image files, moving pictures, videos, and folders of the views of one
+        object, or of such folders.
       mask: of `MASKS`. "given": alpha channel or mask file; "auto": where there is
         neither, the object before a plain background; "matting": by a network.
       is_one_object: whether all of it shows the same object.
@@ -141,11 +141,13 @@ def _read_file(path: Path, finder, skipped) -> list[tuple[str, np.ndarray, np.nd
 
 
 def _open_frames(path: Path) -> list[Image.Image]:
-    """The frames of a picture file, upright; of a moving picture `MOST_FRAMES`."""
+    """The frames of a file, upright; of a moving picture or video `MOST_FRAMES`."""
     if not path.is_file():
         raise ValueError(
             f"Expected an image file, but there is no file {path}; check the path."
         )
+    if path.suffix.lower() in video.SUFFIXES:
+        return video.read_frames(path, MOST_FRAMES)
     try:
         with Image.open(path) as image:
             is_moving = image.format in _MOVING

@@ -15,6 +15,7 @@ from pathlib import Path
 from dpc_jax.config import Config
 from dpc_jax.experiments.jobs.forecast import Forecast
 from dpc_jax.experiments.jobs.progress import JobProgress
+from dpc_jax.experiments.results import read_metrics
 from dpc_jax.experiments.runs import Run
 from dpc_jax.run.workdir import list_differences, read_config
 
@@ -43,11 +44,12 @@ class Job:
     environment: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def is_finished(self) -> bool:
-        """Whether there is a report, of this config."""
+        """Whether there is a report, of this config, whose metrics can be read."""
         page = self.workdir / "report" / "index.html"  # is written after the metrics
         if not page.is_file():
             return False
         try:
+            read_metrics(self.workdir)
             return not list_differences(read_config(self.workdir), self.config)
         except ValueError:
             return False

@@ -4,7 +4,10 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.experiments.declarations import Experiment, Row
@@ -105,31 +108,46 @@ def _draw_bars(results, experiment, folder) -> Drawn | None:
     ]
     if all(math.isnan(value) for _, values in found for value in values):
         return None
-    figure = style.make_figure(7.5, 3.8)
+    figure = style.make_figure(7.5, 4.2)
     axes = figure.subplots()
     for i, (row, values) in enumerate(found):
+        total = results.summarize(experiment, row, category, "chamfer")
+        spread = total.spread if total else None
         paper = [
             experiment.table.find(row.published, category, m) or 0.0 for m in _PARTS
         ]
-        for shift, parts, colors in (
-            (-0.2, values, (style.BLUE, style.SERIES[6])),
-            (0.2, paper, (style.MUTED, style.GRID)),
+        for shift, parts, error, (_, colors) in (
+            (-0.2, values, spread, _SIDES[0]),
+            (0.2, paper, None, _SIDES[1]),
         ):
             axes.barh(i + shift, parts[0], 0.36, color=colors[0])
-            axes.barh(i + shift, parts[1], 0.36, left=parts[0], color=colors[1])
+            bars = {"left": parts[0], "color": colors[1], "ecolor": style.INK}
+            axes.barh(i + shift, parts[1], 0.36, xerr=error, **bars)
     axes.set_yticks(range(len(found)), [row.label for row, _ in found])
     axes.invert_yaxis()
     heading = get_metric("chamfer").heading
     style.label_axes(axes, title=category, x_label=heading, grid="x")
+    keys = [
+        Patch(color=color, label=f"{part}, {side}")
+        for side, colors in _SIDES
+        for part, color in zip(_PARTS, colors, strict=True)
+    ]
+    figure.legend(
+        handles=keys, loc="outside lower center", ncols=4, frameon=False, fontsize=8
+    )
     path = style.save_figure(figure, folder / "ablation.png")
     caption = (
-        "Precision (dark) plus coverage (light) of every row: ours in blue, the "
-        "paper's in grey."
+        "Precision plus coverage of every row, whose sum is the Chamfer distance; "
+        "whiskers are its standard deviation over seeds."
     )
     return path, caption
 
 
 _PARTS = ("precision", "coverage")
+_SIDES = (
+    ("ours", (style.BLUE, style.SERIES[6])),
+    ("paper (ShapeNet)", (style.MUTED, "#c9d1d8")),
+)
 
 
 def _read(results, experiment, row: Row, category, metric):
@@ -145,10 +163,16 @@ def _draw_run_times(results, experiment, folder) -> list[Drawn]:
         lines = list(_list_records(results, experiment, category))
         if not lines:
             continue
-        figure = style.make_figure(4.6 * len(metrics) + 0.4, 3.4)
+        figure = style.make_figure(4.4 * len(metrics) + 2.4, 3.4)
         panels = style.make_panels(figure, len(metrics), columns=len(metrics))
+        keys = {}
         for axes, metric in zip(panels, metrics, strict=True):
-            _plot_records(axes, lines, metric)
+            keys |= _plot_records(axes, lines, metric)
+        _scale_minutes(panels)
+        shown = [keys[i] for i in sorted(keys)]
+        figure.legend(
+            handles=shown, loc="outside right center", frameon=False, fontsize=8
+        )
         path = folder / f"{experiment.name}_{category}_time.png"
         caption = (
             f"{category}: validation over minutes of training, first seed of each row."
@@ -167,21 +191,38 @@ def _list_records(results, experiment, category):
                 break
 
 
-def _plot_records(axes: Axes, lines: Sequence, metric: str):
+def _plot_records(axes: Axes, lines: Sequence, metric: str) -> dict[int, Line2D]:
+    """Draw the lines that have the metric; these by their number."""
     known = get_metric(metric)
+    drawn = {}
     for i, (label, records) in enumerate(lines):
         points = [
             (r["seconds"] / 60, known.factor * r[metric])
             for r in records
-            if r.get(metric) is not None and r.get("seconds") is not None
+            if r.get(metric) is not None and r.get("seconds")
         ]
         if points:
-            color = style.SERIES[i % len(style.SERIES)]
-            axes.plot(*zip(*points, strict=True), "o-", ms=3, color=color, label=label)
+            looks = {"ms": 3, "label": label, **style.pick_series(i)}
+            (drawn[i],) = axes.plot(*zip(*points, strict=True), **looks)
     style.label_axes(
         axes, title=known.label, x_label="minutes of training", y_label=known.heading
     )
-    axes.set_xlim(left=0.0)
     axes.set_ylim(0.0, 100.0 if known.unit == "%" else None)
-    if axes.lines:
-        axes.legend(frameon=False, fontsize=7)
+    return drawn
+
+
+def _scale_minutes(panels: Sequence[Axes]) -> None:
+    """From 0 on, but logarithmic where short runs would be a corner of a panel."""
+    lines = [line for axes in panels for line in axes.lines]
+    times = [np.asarray(line.get_xdata(), np.float64) for line in lines]
+    ends = [time.max() for time in times]
+    is_wide = bool(ends) and max(ends) > 5 * min(ends)
+    for axes in panels:
+        if not is_wide:
+            axes.set_xlim(left=0.0)
+            continue
+        axes.set_xscale("log")
+        first, last = min(time.min() for time in times), max(ends)
+        axes.set_xlim(first / 1.2, last * 1.2)
+        ticks = [step * 10.0**power for power in range(-2, 5) for step in (1, 2, 5)]
+        style.set_ticks(axes, [tick for tick in ticks if first <= tick <= last])

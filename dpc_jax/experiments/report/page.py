@@ -16,6 +16,7 @@ from dpc_jax.experiments.report.blocks import (
     write_markdown,
 )
 from dpc_jax.experiments.report.figures import draw_figures
+from dpc_jax.experiments.report.measures import make_measures
 from dpc_jax.experiments.report.pictures import copy_pictures
 from dpc_jax.experiments.report.tables import Table, make_table
 from dpc_jax.experiments.report.targets import Target, check_targets
@@ -34,8 +35,10 @@ Analyses = Mapping[str, Analysis]  # by experiment
 CAPTIONS = {  # of the analyses' figures
     "projection_error.png": "Projection error against the number of points: mean and "
     "single runs.",
-    "silhouettes.png": "Input, true silhouette, and what each kind of point renders.",
-    "ellipsoids.png": "The Gaussians of the same shapes, drawn as ellipsoids.",
+    "silhouettes.png": "Input, true silhouette, and what the fewest points of each "
+    "kind render.",
+    "ellipsoids.png": "The Gaussians of the same shapes as ellipsoids, all seen from "
+    "one side; a point has one colour in a row.",
     "correspondences.png": "Keypoints on a template, and where points of the same "
     "index are on other chairs.",
     "correspondences_parts.png": "Share of transferred points on the right part, by "
@@ -120,26 +123,17 @@ def _describe(results, experiment, analyses, figures) -> Iterator[Block]:
         yield Figure(path, caption)
     analysis = analyses.get(experiment.name)
     if analysis:
-        yield from _show_analysis(analysis)
+        yield from _show_analysis(experiment, analysis)
 
 
-def _show_analysis(analysis: Analysis) -> Iterator[Block]:
+def _show_analysis(experiment: Experiment, analysis: Analysis) -> Iterator[Block]:
     if analysis.problem:
         yield Paragraph(f"Not made: {analysis.problem}")
         return
-    rows = [
-        (name.replace("_", " "), _format(value))
-        for name, value in analysis.metrics.items()
-        if not isinstance(value, Mapping)  # parts of the others, in analysis.json
-    ]
-    if rows:
-        yield Table(("Measure", "Value"), rows)
+    if measures := make_measures(experiment.name, analysis):
+        yield measures
     for path in analysis.figures:
         yield Figure(path, CAPTIONS.get(path.name, path.stem.replace("_", " ")))
-
-
-def _format(value) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def say_difference(results: Results, experiment: Experiment) -> str:

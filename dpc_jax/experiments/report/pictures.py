@@ -11,7 +11,7 @@ from dpc_jax.experiments.results import Results
 from dpc_jax.files import write_bytes
 
 _WIDTH = 900  # pixels, of a page's column
-_COLORS = 128  # of a palette: a third of the bytes, no difference to the eye
+_COLORS = 256  # of a palette: a third of the bytes
 
 
 def copy_pictures(
@@ -36,12 +36,18 @@ def copy_pictures(
 
 
 def _copy_small(path: Path, copy: Path) -> Path:
-    """The picture with few colours, at most a column wide."""
+    """The picture with few colours, at most a column wide.
+
+    Rare colours keep theirs: a scale of colours, and what is drawn in it, would be
+    misread where the palette is chosen by how many pixels have a colour.
+    """
     with Image.open(path) as opened:
         image = opened.convert("RGB")
     if image.width > _WIDTH:
         height = round(image.height * _WIDTH / image.width)
         image = image.resize((_WIDTH, height), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()
-    image.quantize(_COLORS).save(buffer, format="PNG", optimize=True)
+    method = Image.Quantize.MAXCOVERAGE
+    few = image.quantize(_COLORS, method=method, kmeans=3)
+    few.save(buffer, format="PNG", optimize=True)
     return write_bytes(copy, buffer.getvalue())

@@ -222,8 +222,7 @@ def predict_all(
     """
     models, views = arrange_views(dataset)
     total = models.size
-
-    parts = []
+    found = {}  # filled in place: volumes of voxel models are gigabytes
     for start in range(0, total, views_at_once):
         rows = np.minimum(np.arange(start, start + views_at_once), total - 1)
         chosen = models.reshape(-1)[rows], views.reshape(-1)[rows]
@@ -234,16 +233,14 @@ def predict_all(
             if frame is not None:
                 poses = place_poses(frame, poses).astype(np.float32)
         images, masks = dataset.images[chosen], dataset.masks[chosen]
-        found = {name: getattr(dataset, name) for name in extras}
-        more = {n: np.asarray(a[chosen]) for n, a in found.items() if a is not None}
+        given = {name: getattr(dataset, name) for name in extras}
+        more = {n: np.asarray(a[chosen]) for n, a in given.items() if a is not None}
         output = predictor(state, np.asarray(images), np.asarray(masks), poses, more)
-        parts.append(jax.device_get(output))
-    merged = {
-        name: np.concatenate([p[name] for p in parts])[:total].reshape(
-            *models.shape, *parts[0][name].shape[1:]
-        )
-        for name in parts[0]
-    }
+        for name, part in jax.device_get(output).items():
+            if name not in found:
+                found[name] = np.empty((total, *part.shape[1:]), part.dtype)
+            found[name][start : start + views_at_once] = part[: total - start]
+    merged = {n: a.reshape(*models.shape, *a.shape[1:]) for n, a in found.items()}
     colors = merged.pop("colors", None)
     if "cells" in merged:
         # The colours are of cells, and points are not found yet.

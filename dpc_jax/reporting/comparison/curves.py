@@ -37,7 +37,7 @@ def draw_comparison(groups: Sequence[Group], path: Path) -> str:
     columns = _count_columns(groups)
     rows = -(-len(groups) // columns)
     figure = style.make_figure(_WIDTH, 3.3 * -(-len(metrics) // 2) + _LEGEND_ROW * rows)
-    panels = style.make_panels(figure, len(metrics), columns=min(2, len(metrics)))
+    panels = style.make_panels(figure, len(metrics))
     for axes, metric in zip(panels, metrics, strict=True):
         title, text = get_metric(metric).label, PANELS.get(metric, "loss")
         style.label_axes(axes, title=title, x_label="run time (min)", y_label=text)
