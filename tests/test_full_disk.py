@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -83,6 +84,26 @@ def test_a_checkpoint_that_finds_no_room_leaves_the_one_before(tmp_path, monkeyp
 
     monkeypatch.setattr(checkpoints._checkpointer, "save_checkpointables", fail)
     with pytest.raises(OSError, match="checkpoints must have room .* disk is full"):
+        checkpoints.save(make_state(2), seconds=2.0)
+    checkpoints.close()
+    assert [path.name for path in (tmp_path / "checkpoints").iterdir()] == ["1"]
+
+
+def test_a_checkpoint_that_does_not_fit_is_not_begun(tmp_path, monkeypatch):
+    checkpoints = Checkpoints(tmp_path / "checkpoints")
+    checkpoints.save(make_state(1), seconds=1.0)
+
+    def fail(*_):
+        raise AssertionError("orbax was called")
+
+    needed = sum(leaf.nbytes for leaf in jax.tree.leaves(make_state(2)))
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(checkpoints._checkpointer, "save_checkpointables", fail)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=needed - 1))
+    with pytest.raises(OSError, match="checkpoints must have room .* disk is full"):
+        checkpoints.save(make_state(2), seconds=2.0)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=needed))
+    with pytest.raises(AssertionError, match="orbax was called"):
         checkpoints.save(make_state(2), seconds=2.0)
     checkpoints.close()
     assert [path.name for path in (tmp_path / "checkpoints").iterdir()] == ["1"]

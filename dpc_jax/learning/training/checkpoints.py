@@ -1,6 +1,7 @@
 """Checkpoints of a run: everything to go on from, whole or not at all (orbax)."""
 
 import contextlib
+import errno
 import functools
 import os
 import shutil
@@ -85,6 +86,7 @@ class Checkpoints:
         }
         try:
             with explaining_full_disk(self._folder):
+                _require_room(self._folder, state)
                 self._checkpointer.save_checkpointables(step, saved)
         except Exception:
             self._has_failed = True
@@ -177,6 +179,17 @@ def _list_parts(state: TrainState, names: Container[str] = ()) -> dict:
     from before there was that field are read. Some were saved with such names.
     """
     return {n: p for n, p in state._asdict().items() if p is not None or n in names}
+
+
+def _require_room(folder: Path, state: TrainState):
+    """Raise an OSError where a state does not fit on the disk.
+
+    Orbax would find out while it writes, and its threads that then still write print
+    tracebacks that nobody can catch.
+    """
+    needed = sum(leaf.nbytes for leaf in jax.tree.leaves(state))
+    if shutil.disk_usage(folder).free < needed:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
 
 
 def _checksum(state: TrainState) -> int:
