@@ -47,6 +47,13 @@ def make_parser() -> argparse.ArgumentParser:
         "--refine", action="store_true", help="fit shape and poses to the silhouettes"
     )
     parser.add_argument(
+        "--points",
+        type=int,
+        default=0,
+        metavar="N",
+        help="of each cloud, midpoints of neighbours added (as predicted)",
+    )
+    parser.add_argument(
         "--turntable", action="store_true", help="write NAME.gif of the cloud turning"
     )
     parser.add_argument(
@@ -75,6 +82,7 @@ def _read(options):
         is_one_object=options.views == "one-object",
         is_refined=options.refine,
         has_turntable=options.turntable,
+        num_points=options.points,
     )
     return Task(
         lambda: predict_images(request),

@@ -6,6 +6,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from dpc_jax.evaluation.alignment import identity_alignment
+from dpc_jax.evaluation.densification import densify
 from dpc_jax.evaluation.scores import score
 
 FRAME = Rotation.random(random_state=4)
@@ -50,6 +51,35 @@ def test_poses_and_shapes_are_scored_in_the_object_frame():
     )  # float64 sums
     assert got.metrics["coverage"] == pytest.approx(coverage, rel=1e-10)
     assert got.metrics["chamfer"] == pytest.approx(precision + coverage, rel=1e-10)
+
+
+def test_dense_clouds_are_scored_beside_the_predicted_ones():
+    predicted, truth, points, surfaces, objects = scene()
+    plain = score(predicted, truth, points, surfaces, alignment=ALIGNMENT)
+    got = score(
+        predicted, truth, points, surfaces, alignment=ALIGNMENT, dense_points=300
+    )
+    assert {n: got.metrics[n] for n in plain.metrics} == plain.metrics
+    dense = [
+        cdist(densify(o, 300), s)
+        for views, s in zip(objects, surfaces, strict=True)
+        for o in views
+    ]
+    precision = 100 * np.mean([d.min(axis=1).mean() for d in dense])
+    coverage = 100 * np.mean([d.min(axis=0).mean() for d in dense])
+    # The frame turns the points before they are made denser, with float64 rounding.
+    assert got.metrics["dense_precision"] == pytest.approx(precision, rel=1e-9)
+    assert got.metrics["dense_coverage"] == pytest.approx(coverage, rel=1e-9)
+    assert got.metrics["dense_chamfer"] == pytest.approx(precision + coverage, rel=1e-9)
+    assert got.metrics["dense_coverage"] < plain.metrics["coverage"]
+
+
+def test_clouds_that_are_dense_already_are_scored_once():
+    predicted, truth, points, surfaces, _ = scene()
+    got = score(
+        predicted, truth, points, surfaces, alignment=ALIGNMENT, dense_points=80
+    )
+    assert not any(name.startswith("dense") for name in got.metrics)
 
 
 def test_without_an_ensemble_nothing_is_said_about_candidates():

@@ -8,7 +8,13 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
-from dpc_jax.evaluation.chamfer import Chamfer, chamfer_distances, check_points
+from dpc_jax.evaluation.chamfer import (
+    Chamfer,
+    chamfer_distance,
+    chamfer_distances,
+    check_points,
+)
+from dpc_jax.evaluation.densification import densify
 from dpc_jax.evaluation.pose import pose_summary, rotation_angle_deg
 
 
@@ -18,7 +24,8 @@ class Scores(NamedTuple):
     Metrics are plain floats: `pose_accuracy` (0 to 1), `pose_median_error_deg`,
     `flip_share` (0 to 1), `chamfer`, `precision` and `coverage` (times 100); the first
     two also of the best candidate, with the prefix `best_candidate_`. The last three
-    have the prefix `visible_` where only what can be seen of a surface counts.
+    have the prefix `visible_` where only what can be seen of a surface counts, and
+    `dense_` where the predicted cloud is made denser first (`densify`).
     """
 
     metrics: dict[str, float]
@@ -38,6 +45,7 @@ def score(
     best_candidate_poses: ArrayLike | None = None,
     chamfer_views: int | None = None,
     seen: Sequence[ArrayLike] | None = None,
+    dense_points: int = 0,
 ) -> Scores:
     """Score predictions on a test set (paper, section Evaluation metrics).
 
@@ -56,6 +64,8 @@ def score(
       chamfer_views: shapes of only the first this many views are compared; all if None.
       seen: [P] booleans of each surface, which of its points can be seen from outside;
         None: not known. An object without any is compared as a whole.
+      dense_points: of the dense clouds that are scored beside the predicted ones; no
+        more than these have: none are.
 
     Returns:
       Scores. Distances are means over models and views.
@@ -87,7 +97,8 @@ def score(
         return Scores(metrics, errors, best_errors, None)
     clouds = np.asarray(points)
     chamfers = np.empty((len(surfaces), count, 2))
-    visible = np.empty_like(chamfers)
+    visible, dense = np.empty_like(chamfers), np.empty_like(chamfers)
+    is_dense = dense_points > clouds.shape[2]
     for model, surface in enumerate(surfaces):
         surface = check_points(surface, name=f"surface of model {model}")
         is_seen = _read_seen(seen, model, len(surface))
@@ -98,12 +109,16 @@ def score(
             chamfers[model, view], visible[model, view] = chamfer_distances(
                 cloud, surface, is_seen, trees=trees
             )
-    mean = Chamfer(*chamfers.mean(axis=(0, 1)).tolist())
-    metrics |= mean.in_paper_units()
-    if seen is not None:
-        mean = Chamfer(*visible.mean(axis=(0, 1)).tolist())
-        found = mean.in_paper_units().items()
-        metrics |= {f"visible_{name}": value for name, value in found}
+            if is_dense:
+                dense[model, view] = chamfer_distance(
+                    densify(cloud, dense_points), surface, tree=whole
+                )
+    found = {"": chamfers}
+    found |= {"visible_": visible} if seen is not None else {}
+    found |= {"dense_": dense} if is_dense else {}
+    for prefix, distances in found.items():
+        mean = Chamfer(*distances.mean(axis=(0, 1)).tolist()).in_paper_units()
+        metrics |= {prefix + name: value for name, value in mean.items()}
     return Scores(metrics, errors, best_errors, chamfers)
 
 

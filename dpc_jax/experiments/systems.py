@@ -32,7 +32,9 @@ SHARED = (
     "losses alone; their learning rates, but for MVC's, are tuned on validation shapes "
     "(docs/baselines.md). Voxel models are judged by 10,000 samples of their surface, "
     "at a threshold tuned on validation shapes; the mean shape of the training set is "
-    "what a prediction scores that sees no image, but was told true surfaces."
+    "what a prediction scores that sees no image, but was told true surfaces. Time and "
+    "memory of points and of voxels at 32, 64 and 128: docs/baselines.md, Costs by "
+    "resolution."
 )
 SYSTEMS = (
     System(

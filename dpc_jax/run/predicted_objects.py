@@ -17,6 +17,7 @@ from dpc_jax.evaluation.alignment import (
     identity_alignment,
 )
 from dpc_jax.evaluation.confidence import Confidence, measure_confidence
+from dpc_jax.evaluation.densification import find_pairs, mix_pairs
 from dpc_jax.evaluation.silhouettes import resize
 from dpc_jax.learning.inference.predictor import (
     VIEWS_AT_ONCE,
@@ -70,9 +71,16 @@ class _Shape(NamedTuple):
 
 
 def predict_objects(
-    found: list[Photographs], config: Config, workdir: Path, *, is_refined: bool
+    found: list[Photographs],
+    config: Config,
+    workdir: Path,
+    *,
+    is_refined: bool,
+    num_points: int = 0,
 ) -> list[PredictedObject]:
     """Predict all objects; several views of one together.
+
+    Clouds of fewer points than `num_points` are made denser, see `densify`.
 
     Raises:
       ValueError: where the checkpoints cannot be read, or refinement lacks the run's
@@ -97,7 +105,13 @@ def predict_objects(
         _join_and_refine(shapes, groups, dataset, run, workdir, is_refined=is_refined)
     predicted = []
     for one, group, shape in zip(found, groups, shapes, strict=True):
-        points, poses = shape.points, shape.poses
+        points, colors, poses = shape.points, shape.colors, shape.poses
+        if num_points:
+            pairs = find_pairs(points, num_points - len(points))
+            points, colors = (
+                None if a is None else np.concatenate([a, mix_pairs(a, pairs)])
+                for a in (points, colors)
+            )
         if alignment is not None:
             points = align_points(alignment, points)
             poses = align_poses(alignment, poses)
@@ -109,7 +123,7 @@ def predict_objects(
                 photographs=one,
                 is_aligned=alignment is not None,
                 points=points,
-                colors=shape.colors,
+                colors=colors,
                 mesh=meshes[group[0]],
                 poses=None if config.pose.known else poses,
                 silhouettes=shape.silhouettes,

@@ -34,6 +34,7 @@ class PredictRequest:
       is_one_object: whether all images show one object.
       is_refined: whether shape and poses are fitted to the silhouettes.
       has_turntable: whether an animated picture of each cloud is written.
+      num_points: of each cloud, at most; 0 for those that are predicted.
     """
 
     paths: Sequence[Path]
@@ -44,6 +45,7 @@ class PredictRequest:
     is_one_object: bool = False
     is_refined: bool = False
     has_turntable: bool = False
+    num_points: int = 0
 
 
 def predict_images(request: PredictRequest):
@@ -56,6 +58,11 @@ def predict_images(request: PredictRequest):
       OSError: where files cannot be read or written.
     """
     started = time.perf_counter()
+    if request.num_points < 0:
+        raise ValueError(
+            "--points must be a number of points, 0 for those that are predicted, but "
+            f"it is {request.num_points}; give for example --points=8000."
+        )
     config = read_config(request.workdir)
     if request.is_refined:
         _check_ability(config, "--refine")
@@ -77,7 +84,11 @@ def _predict(request, config, found: list[Photographs], skipped, started):
     from dpc_jax.run.prediction_files import write_predictions
 
     predicted = predict_objects(
-        found, config, request.workdir, is_refined=request.is_refined
+        found,
+        config,
+        request.workdir,
+        is_refined=request.is_refined,
+        num_points=request.num_points,
     )
     entries, picture = write_predictions(
         predicted, request.out, has_turntable=request.has_turntable

@@ -56,6 +56,7 @@ def score(
     heads: int,
     poses_given: bool = False,
     chamfer_views: int | None = None,
+    dense_points: int = 0,
 ) -> tuple[scores.Scores, np.ndarray]:
     """Scores of predictions and the share of views that each head wins.
 
@@ -72,6 +73,7 @@ def score(
         about them to score.
       chamfer_views: views of each model that the Chamfer distance is averaged over;
         None for all.
+      dense_points: see `scores.score`.
     """
     poses, surfaces = arrange_truth(dataset)
     result = scores.score(
@@ -83,6 +85,7 @@ def score(
         best_candidate_poses=None if poses_given else predictions.candidate_poses,
         chamfer_views=chamfer_views,
         seen=arrange_seen(dataset),
+        dense_points=dense_points,
     )
     clouds = np.asarray(predictions.points)[:, :chamfer_views]
     stray = [

@@ -10,6 +10,7 @@ from dpc_jax.config import Config, to_config_dict
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation.alignment import Alignment
+from dpc_jax.evaluation.densification import DENSE_POINTS
 from dpc_jax.evaluation.failures import Failures
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
 from dpc_jax.learning import schedules
@@ -59,6 +60,8 @@ def report_run(
             alignment=alignment,
             heads=heads,
             poses_given=config.pose.known,
+            # Maps and volumes are judged by ten thousand points already.
+            dense_points=DENSE_POINTS if config.network.shape == "points" else 0,
         )
         for name, found in predictions.items()
     }
