@@ -17,7 +17,7 @@ from dpc_jax.config import (
     to_config_dict,
     to_json,
 )
-from dpc_jax.run.setup import make_data_specs
+from dpc_jax.run.setup import make_data_specs, make_network
 
 
 def test_the_configs_of_the_three_categories_and_of_the_tests_are_there():
@@ -284,6 +284,16 @@ def test_runs_from_before_the_ranking_had_a_name_ranked_in_a_volume():
     old = json.loads(to_json(load("car")))
     del old["pose"]["choice_rank"]
     assert from_json(json.dumps(old)).pose.choice_rank == "volume"
+
+
+@pytest.mark.parametrize(
+    ("variant", "is_contained"),
+    [("ours_v", True), ("ptn,32", True), ("drc,known_pose", False)]
+    + [("ours_v,gt_pose", False), ("mvc", False)],
+)
+def test_cells_are_contained_where_poses_have_to_be_found(variant, is_contained):
+    network = make_network(build_config("chair", variant))
+    assert network.voxels and network.contains_voxels == is_contained
 
 
 @pytest.mark.parametrize("variant", ["ours_v", "ptn", "drc", "epcg"])

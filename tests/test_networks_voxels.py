@@ -43,6 +43,20 @@ def test_the_first_volume_is_thin_everywhere_and_colours_come_if_asked_for(side)
         assert shape["colors"].shape == (3, 16, 16, 16, 3)
 
 
+@pytest.mark.parametrize("side", [8, 16])
+def test_contained_cells_are_empty_where_no_object_reaches_and_others_stay(side):
+    features = jax.random.normal(jax.random.key(0), (2, 16))
+    free = VoxelHead(side, channels=4)
+    params = free.init(jax.random.key(1), features)
+    whole = free.apply(params, features)["cells"]
+    held = VoxelHead(side, channels=4, is_contained=True).apply(params, features)
+    axis = (np.arange(side) + 0.5) / side - 0.5
+    radius = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis)), axis=0)
+    expected = np.where(radius <= 0.5, whole, 0)
+    np.testing.assert_array_equal(held["cells"], expected)
+    assert 0 < np.mean(expected == 0) < 0.5  # the corners: 1 - pi/6
+
+
 def test_every_cell_depends_on_the_features():
     head = VoxelHead(8, channels=4)
     features = jax.random.normal(jax.random.key(0), (2, 16))

@@ -22,7 +22,7 @@ class ShapePoseNetwork(nn.Module):
       num_points, shape_hidden, has_color, scale_fixed, point_size, first_size: of the
         `ShapeHead`.
       voxels: side of the volume that the `VoxelHead` predicts; 0 for points.
-      voxel_channels: of it.
+      voxel_channels, contains_voxels: of it, channels and is_contained.
       map_side, map_focal_length, map_distance, map_channels: of the `ViewMapHead`; 0
         for no maps.
       viewpoints: predict azimuth and elevation (`ViewpointEnsemble`), not quaternions.
@@ -59,6 +59,7 @@ class ShapePoseNetwork(nn.Module):
     focal_length: float = 0.0
     voxels: int = 0
     voxel_channels: int = 16
+    contains_voxels: bool = False
     map_side: int = 0
     map_focal_length: float = 1.875
     map_distance: float = 2.0
@@ -125,6 +126,7 @@ class ShapePoseNetwork(nn.Module):
                 channels=self.voxel_channels,
                 has_color=self.has_color,
                 normalize=self.normalize,
+                is_contained=self.contains_voxels,
             )
         if self.map_side:
             from dpc_jax.networks.view_maps import ViewMapHead  # of a baseline

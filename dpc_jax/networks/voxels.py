@@ -11,6 +11,7 @@ import math
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from dpc_jax.networks.encoder import activate, conv_init
 
@@ -29,12 +30,16 @@ class VoxelHead(nn.Module):
       channels: of the last volume but one; each smaller volume has twice as many.
       has_color: predict colours too; otherwise there are no parameters for them.
       normalize: see `ImageEncoder`.
+      is_contained: whether cells beyond the sphere of radius 1/2, in which objects of
+        box diagonal 1 lie, are empty. From poses that are not known yet, the corners of
+        the cube are seen in the wrong places or not at all.
     """
 
     side: int
     channels: int = 16
     has_color: bool = False
     normalize: bool = True
+    is_contained: bool = False
 
     @nn.compact
     def __call__(self, features: jax.Array) -> dict[str, jax.Array]:
@@ -53,6 +58,10 @@ class VoxelHead(nn.Module):
         start = math.log(_FIRST_OCCUPANCY / (1 - _FIRST_OCCUPANCY))
         cells = DoublingConv(1, stddev=0.02, name="cells")(x)[..., 0]
         shape = {"cells": nn.sigmoid(cells + start)}
+        if self.is_contained:
+            x, y, z = np.indices((self.side,) * 3) + 0.5 - self.side / 2
+            is_inside = x**2 + y**2 + z**2 <= (self.side / 2) ** 2
+            shape["cells"] = jnp.where(is_inside[None], shape["cells"], 0)
         if self.has_color:
             colors = DoublingConv(3, stddev=0.02, name="colors")(x)
             shape["colors"] = nn.sigmoid(colors)

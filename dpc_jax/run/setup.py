@@ -32,6 +32,8 @@ def make_network(config: Config) -> ShapePoseNetwork:
         focal_length=config.render.focal_length * config.pose.focal_length,
         voxels=config.render.grid if config.network.shape == "voxels" else 0,
         voxel_channels=config.network.voxel_channels,
+        # Given poses carve the corners away by themselves, upright ones of MVC do too.
+        contains_voxels=not (config.pose.given or config.pose.samples),
         map_side=config.render.grid if config.network.shape == "maps" else 0,
         map_focal_length=config.render.focal_length,
         map_distance=config.render.distance,
