@@ -292,7 +292,7 @@ def test_runs_from_before_the_ranking_had_a_name_ranked_in_a_volume():
     + [("ours_v,gt_pose", False), ("mvc", False)],
 )
 def test_cells_are_contained_where_poses_have_to_be_found(variant, is_contained):
-    network = make_network(build_config("chair", variant))
+    network = make_network(load("chair", variant))
     assert network.voxels and network.contains_voxels == is_contained
 
 
