@@ -59,7 +59,9 @@ SYSTEMS = (
         "Ours-V, the paper's voxel model",
         "ours_v",
         "Followed: losses and pose branches of the point clouds.",
-        "Differs: its decoder is not published; this one doubles cells as PTN's does.",
+        "Differs: its decoder is not published; this one doubles cells as PTN's does. "
+        "Where poses are unknown, cells beyond the sphere that objects lie in are "
+        "empty, without which chairs were not learned.",
     ),
     System(
         "EPCG, Lin et al. (2018)",
