@@ -24,7 +24,7 @@ import optax
 from dpc_jax.config import Config, build_config
 from dpc_jax.learning import devices, half_turns, objective, schedules
 from dpc_jax.learning.cameras import Cameras
-from dpc_jax.learning.choice import common_frame, hindsight
+from dpc_jax.learning.choice import batch_choice, common_frame
 from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import (
@@ -103,7 +103,7 @@ def make_calls(config: Config, step: int) -> dict[str, Callable[[], Any]]:
     rotations = poses.candidates[:, 0].reshape(*batch["masks"].shape[:2], 4)
 
     def choose(top, shapes, candidates, masks):
-        return hindsight.choose_poses(
+        return batch_choice.choose_poses(
             shapes,
             candidates,
             masks,
@@ -206,7 +206,7 @@ def make_calls(config: Config, step: int) -> dict[str, Callable[[], Any]]:
         "pull": call(jax.value_and_grad(draw_in), shapes.kept, rotations),
         "common frame": call(
             turn_back,
-            hindsight.Winners(rotations, jnp.zeros(rotations.shape[:2], jnp.int32)),
+            batch_choice.Winners(rotations, jnp.zeros(rotations.shape[:2], jnp.int32)),
             shapes.points,
         ),
         "priors": call(
