@@ -18,6 +18,7 @@ from dpc_jax.run.flags import Task, run_command
 from dpc_jax.run.gpu import set_gpu_flags
 from dpc_jax.run.memory import check_step_memory
 from dpc_jax.run.model import Model
+from dpc_jax.run.places import Place
 from dpc_jax.run.process import (
     catch_signals,
     keep_compiled_programs,
@@ -36,7 +37,7 @@ def run_guarded(
     *,
     config_path: str,
     workdir: str | None,
-    place: hosts.Place | None = None,
+    place: Place | None = None,
 ) -> int:
     """`run`, with expected failures as one sentence and an exit status."""
     task = Task(
@@ -55,7 +56,7 @@ def run(
     *,
     config_path: str,
     workdir: str | None,
-    place: hosts.Place | None = None,
+    place: Place | None = None,
 ):
     """Train where that is left to do, then evaluate on the test split and report.
 
