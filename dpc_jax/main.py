@@ -5,16 +5,13 @@ Starting again in the same workdir goes on from its last checkpoint.
 
 import argparse
 import sys
-from typing import TYPE_CHECKING
 
 from absl import app, flags, logging
 from ml_collections import config_flags
 
 from dpc_jax.config import from_config_dict, resolve_flags
 from dpc_jax.run.flags import FlagParser
-
-if TYPE_CHECKING:
-    from dpc_jax.run import hosts
+from dpc_jax.run.places import Place, find_place
 
 _CONFIG = config_flags.DEFINE_config_file(
     "config",
@@ -77,10 +74,8 @@ def _parse(argv):
         sys.exit(2)
 
 
-def _find_place() -> "hosts.Place | None":
-    from dpc_jax.run import hosts  # heavy: most wrong flags are found without
-
-    return hosts.find_place(_COORDINATOR.value, _PROCESSES.value, _PROCESS.value)
+def _find_place() -> Place | None:
+    return find_place(_COORDINATOR.value, _PROCESSES.value, _PROCESS.value)
 
 
 def _explain(error: Exception) -> str:

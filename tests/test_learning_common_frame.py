@@ -18,8 +18,8 @@ from tiny_runs import (
 
 from dpc_jax.learning.cameras import Cameras
 from dpc_jax.learning.choice import common_frame, seen_colors
+from dpc_jax.learning.choice.batch_choice import Winners
 from dpc_jax.learning.choice.common_frame import turn_back
-from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import find_half_turns, turn_candidates
 from dpc_jax.render import Camera, quaternion

@@ -17,7 +17,7 @@ from tiny_runs import (
 )
 
 from dpc_jax.learning import half_turns
-from dpc_jax.learning.choice import hindsight
+from dpc_jax.learning.choice import batch_choice, hindsight
 from dpc_jax.learning.choice.coarse_choice import compute_image_losses, place_candidates
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.objective import compute_loss
@@ -248,7 +248,7 @@ def test_the_choice_of_a_batch_is_that_of_each_view(scene):
         config = tiny_config(**settings, renders_at_once=1)
         winners = jax.jit(
             functools.partial(
-                hindsight.choose_poses,
+                batch_choice.choose_poses,
                 camera=CAMERA,
                 render=config.render,
                 pose=config.pose,

@@ -13,7 +13,7 @@ from tiny_runs import make_batch, make_network, make_state, make_step, tiny_conf
 from dpc_jax.config import build_config, check, replace_fields
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
 from dpc_jax.learning.choice import sampling
-from dpc_jax.learning.choice.hindsight import Winners
+from dpc_jax.learning.choice.batch_choice import Winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.pose_prior import judge_poses
 from dpc_jax.learning.predictions import Poses

@@ -8,7 +8,7 @@ from tiny_runs import make_network, tiny_config
 
 from dpc_jax.learning.predictions import compute_mass, predict_shapes
 from dpc_jax.learning.step import find_penalized, make_optimizer
-from dpc_jax.render import Camera, VoxelGrid, voxelize
+from dpc_jax.render import Camera, VoxelGrid, mass_of_peak, voxelize
 
 pytestmark = pytest.mark.usefixtures("quickly")
 
@@ -50,6 +50,14 @@ def test_at_the_first_step_at_64_a_mass_is_500_times_thinner_than_a_peak():
     peak = compute_mass(jnp.array(1.0), jnp.array(3.2), scale_unit="peak")
     mass = compute_mass(jnp.array(1.0), jnp.array(3.2), scale_unit="mass")
     assert float(peak / mass) == pytest.approx(516.1, rel=1e-3)
+
+
+@pytest.mark.parametrize(("sigma", "share"), [(1.6, 1.0), (0.7, 1.0), (0.2, 0.126)])
+def test_the_peak_of_a_thin_points_density_is_not_that_of_its_samples(sigma, share):
+    density = mass_of_peak(1.0, sigma)
+    samples = compute_mass(jnp.array(1.0), jnp.array(sigma), scale_unit="peak")
+    # Of a thin point the sample at its centre is its mass: (2π)^1.5·0.2³ = 0.126.
+    assert float(density / samples) == pytest.approx(share, rel=1e-3)
 
 
 def test_a_fixed_scale_is_that_number_for_every_object():

@@ -18,7 +18,7 @@ from tiny_runs import (
 from dpc_jax.config import replace_fields
 from dpc_jax.learning import signals
 from dpc_jax.learning.cameras import Cameras
-from dpc_jax.learning.choice import hindsight
+from dpc_jax.learning.choice import batch_choice
 from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.predictions import Shapes
 from dpc_jax.learning.schedules import Stage
@@ -266,7 +266,7 @@ def test_with_all_signals_the_candidate_of_the_smallest_weighted_loss_wins(rank)
     for choice in ("silhouette", "all"):
         config = tiny_config(choice_signals=choice, **how)
         choose = functools.partial(
-            hindsight.choose_poses,
+            batch_choice.choose_poses,
             camera=Camera(),
             render=config.render,
             pose=config.pose,

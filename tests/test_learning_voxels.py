@@ -15,7 +15,7 @@ from tiny_runs import (
 
 from dpc_jax.config import build_config, replace_fields
 from dpc_jax.learning import devices, signals
-from dpc_jax.learning.choice.hindsight import choose_poses
+from dpc_jax.learning.choice.batch_choice import choose_poses
 from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.half_turns import compute_covariance
 from dpc_jax.learning.predictions import Cells, find_places

@@ -4,6 +4,7 @@ import base64
 import dataclasses
 import io
 import json
+import os
 import re
 import subprocess
 import sys
@@ -269,6 +270,24 @@ def test_the_time_axis_follows_the_seconds_not_the_order_of_lines(tmp_path):
     assert a == b
 
 
+def test_every_entry_of_the_histograms_legend_has_its_mark(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(figures.style, "save_figure", lambda f, path: drawn.append(f))
+    figures.draw_pose_errors([1.0, 20.0, 40.0, 179.0], tmp_path / "a.png")
+    (figure,) = drawn
+    (legend,), (axes,) = figure.legends, figure.axes
+    lines, boxes = legend.get_lines(), legend.get_patches()
+    texts = [text.get_text() for text in legend.get_texts()]
+    assert texts[0].startswith("30°") and texts[1].startswith("median")
+    assert texts[2] == "beyond 150° (front as back): 25 %"
+    assert len(lines) == 2 and {line.get_linestyle() for line in lines} == {"-", "--"}
+    (box,) = boxes  # in the colour of the bars from 150° to 180°, and of no other
+    colors = [bar.get_facecolor() for bar in axes.patches]
+    assert [color == box.get_facecolor() for color in colors] == [False] * 30 + [
+        True
+    ] * 6
+
+
 def test_a_histogram_of_no_or_broken_errors_is_refused(tmp_path):
     with pytest.raises(ValueError, match="0 of 0"):
         figures.draw_pose_errors([], tmp_path / "a.png")
@@ -284,6 +303,22 @@ def test_drawing_leaves_pyplot_alone(tmp_path):
     )
     command = [sys.executable, "-c", code, str(tmp_path / "a.png")]
     assert subprocess.run(command, check=False).returncode == 0
+
+
+def test_drawing_says_nothing_of_the_cache_of_fonts_that_it_makes(tmp_path):
+    code = (
+        "import logging; logging.basicConfig(level=logging.INFO);"
+        "from dpc_jax.reporting import figures"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"MPLCONFIGDIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert list(tmp_path.glob("fontlist*.json"))
+    assert "font" not in result.stderr
 
 
 def test_writing_points_does_not_load_matplotlib_or_trimesh():

@@ -10,7 +10,7 @@ import pytest
 
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.run.agreement import Job, StopVote, _list_versions, _name_differences
-from dpc_jax.run.hosts import Place, find_in_slurm, find_place
+from dpc_jax.run.places import Place, find_in_slurm, find_place
 
 ROOT = Path(__file__).parents[1]
 

@@ -18,6 +18,7 @@ from dpc_jax.data import shards, workers
 from dpc_jax.data.arrays import ARRAYS, CAMERAS, CORNERS, SEEN
 from dpc_jax.data.arrays import DataSet as DataSet
 from dpc_jax.data.progress import follow
+from dpc_jax.data.shard_plan import find_damage, name_shard, plan_shards
 from dpc_jax.data.sources import Model, Source, open_source
 from dpc_jax.data.spec import DataSpec as DataSpec
 
@@ -108,7 +109,7 @@ def _describe(source, models):
 
 
 def _prepare(folder, source, models, share, processes, *, progress):
-    plan = workers.plan_shards(source, models)
+    plan = plan_shards(source, models)
     missing = [n for n in range(len(plan)) if not _is_whole(folder, plan, n)]
     if not missing:
         return
@@ -139,16 +140,16 @@ def _prepare(folder, source, models, share, processes, *, progress):
 
 def _is_whole(folder, plan, number):
     """Whether a shard is there, undamaged and of these models; tells what is wrong."""
-    damage = workers.find_damage(folder, plan[number], number)
+    damage = find_damage(folder, plan[number], number)
     if damage:
-        path = folder / workers.name_shard(number)
+        path = folder / name_shard(number)
         print(f"The shard {path} is damaged ({damage}) and will be made again.")
     return damage == ""
 
 
 def _finish(folder, source, models, record, *, progress):
-    plan = workers.plan_shards(source, models)
-    paths = [folder / workers.name_shard(number) for number in range(len(plan))]
+    plan = plan_shards(source, models)
+    paths = [folder / name_shard(number) for number in range(len(plan))]
     parts = [shards.map_shard(path).record for path in paths]
     names, skipped, remarks = (
         [item for part in parts for item in part[key]]
@@ -181,6 +182,7 @@ def _tell(title, pairs, count):
 
 
 def _count_cores():
+    # As in render/devices.py, which this package does not import: it needs JAX.
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from dpc_jax.evaluation import rotations
 
 ACCURACY_THRESHOLD_DEG = 30.0  # paper, section Evaluation metrics
-_FLIP_THRESHOLD_DEG = 150.0  # beyond it front and back count as exchanged
+FLIP_THRESHOLD_DEG = 150.0  # beyond it front and back count as exchanged
 
 
 class PoseSummary(NamedTuple):
@@ -79,7 +79,7 @@ def pose_summary(
     return PoseSummary(
         accuracy=pose_accuracy(errors, threshold_deg=threshold_deg),
         median_error_deg=float(np.median(errors)),
-        flip_share=float(np.mean(errors > _FLIP_THRESHOLD_DEG)),
+        flip_share=float(np.mean(errors > FLIP_THRESHOLD_DEG)),
         counts=counts,
         edges_deg=edges,
     )

@@ -14,7 +14,8 @@ import numpy as np
 from dpc_jax.evaluation import correspondences as transfers
 from dpc_jax.experiments.labelled_shapes import (
     LabelledShapes,
-    label_cloud,
+    keep_complete,
+    label_shapes,
     name_keypoints,
     read_shapes,
 )
@@ -54,7 +55,7 @@ def run(out: Path | str, workdir: Path | str) -> tuple[dict[str, Any], list[Path
     """
     out, finished = Path(out), read_run(Path(workdir))
     labels = name_keypoints(finished)
-    templates = _keep_complete(read_shapes(finished, "val"))
+    templates = keep_complete(read_shapes(finished, "val"))
     shapes = read_shapes(finished, "test")
     pairs = draw_pairs(len(templates.seeds))
     near = label_shapes(shapes)
@@ -160,14 +161,6 @@ def measure_pairs(
     }
 
 
-def label_shapes(shapes: LabelledShapes) -> list[np.ndarray]:
-    """For each shape the label [N] of the true part nearest to each predicted point."""
-    return [
-        label_cloud(cloud, shapes.category, seed)
-        for cloud, seed in zip(shapes.clouds, shapes.seeds, strict=True)
-    ]
-
-
 def _make_pair(templates, rows, rng) -> _Pair:
     clouds, marks = templates.clouds[rows], templates.keypoints[rows]
     found = transfers.select_indices(clouds, marks, radius=RADIUS, least=LEAST)
@@ -228,17 +221,6 @@ def _mean(values, axis):
     known = np.isfinite(values)
     total, count = np.where(known, values, 0.0).sum(axis=axis), known.sum(axis=axis)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def _keep_complete(shapes: LabelledShapes) -> LabelledShapes:
-    """The shapes that have all keypoints."""
-    rows = np.flatnonzero(np.isfinite(shapes.keypoints).all(axis=(1, 2)))
-    return shapes._replace(
-        images=shapes.images[rows],
-        clouds=shapes.clouds[rows],
-        seeds=[shapes.seeds[row] for row in rows],
-        keypoints=shapes.keypoints[rows],
-    )
 
 
 def _draw_pair(path, templates, shapes, rows) -> Path:

@@ -69,6 +69,17 @@ def read_shapes(run: FinishedRun, split: str) -> LabelledShapes:
     return LabelledShapes(images, clouds, seeds, keypoints, category)
 
 
+def keep_complete(shapes: LabelledShapes) -> LabelledShapes:
+    """The shapes that have all keypoints."""
+    rows = np.flatnonzero(np.isfinite(shapes.keypoints).all(axis=(1, 2)))
+    return shapes._replace(
+        images=shapes.images[rows],
+        clouds=shapes.clouds[rows],
+        seeds=[shapes.seeds[row] for row in rows],
+        keypoints=shapes.keypoints[rows],
+    )
+
+
 def read_first_views(dataset: DataSet) -> np.ndarray:
     """Images uint8 [n, S, S, 3]: the first view of every model."""
     models = np.arange(len(dataset.names))
@@ -90,3 +101,11 @@ def label_cloud(cloud: np.ndarray, category: str, seed: int) -> np.ndarray:
     mesh = make_shape(category, seed)
     surface, faces = sample_faces(mesh, count=SURFACE_POINTS)
     return label_points(cloud, surface, read_labels(mesh)[faces])
+
+
+def label_shapes(shapes: LabelledShapes) -> list[np.ndarray]:
+    """For each shape the label [N] of the true part nearest to each predicted point."""
+    return [
+        label_cloud(cloud, shapes.category, seed)
+        for cloud, seed in zip(shapes.clouds, shapes.seeds, strict=True)
+    ]

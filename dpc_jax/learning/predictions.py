@@ -234,6 +234,10 @@ def compute_mass(scale: jax.Array, sigma: jax.Array, *, scale_unit: str) -> jax.
     With the unit "peak" the coefficient is the peak height c_i of Eq. 3, as sampled at
     cell centres: at one, a point on a centre fills its cell, whatever its sigma. With
     "mass" it is the integral of the point's density, as in the released code.
+
+    `mass_of_peak` is the same from a sigma of 0.7 on, to 0.1 %. It has the peak of the
+    density, not of its samples: under it points would fade away while the schedule
+    makes them thinner than a voxel.
     """
     if scale_unit == "mass":
         return scale

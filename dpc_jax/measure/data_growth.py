@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dpc_jax.data import batches, dataset, workers
+from dpc_jax.data import batches, dataset
+from dpc_jax.data.shard_plan import name_shard, plan_shards
 from dpc_jax.data.sources import open_source
 from dpc_jax.data.spec import DataSpec
 from dpc_jax.reporting.tables import format_table
@@ -78,8 +79,8 @@ def _locate(spec, cache_dir):
     folder = dataset.locate_cache(source, models, cache_dir)
     missing = sum(
         len(part)
-        for number, part in enumerate(workers.plan_shards(source, models))
-        if not (folder / workers.name_shard(number)).is_file()
+        for number, part in enumerate(plan_shards(source, models))
+        if not (folder / name_shard(number)).is_file()
     )
     return folder, missing
 

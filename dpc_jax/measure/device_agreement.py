@@ -29,6 +29,7 @@ from dpc_jax.learning.training.loop import make_batch
 from dpc_jax.measure.step_profile import CAR
 from dpc_jax.reporting.tables import format_table
 from dpc_jax.run import hosts
+from dpc_jax.run.places import find_place
 from dpc_jax.run.process import keep_freed_memory, split_cores
 from dpc_jax.run.setup import load_sets, make_network
 
@@ -105,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     flags = parser.parse_args(arguments)
     file = flags.out / f"device_agreement_{flags.precision}.json"
     try:
-        place = hosts.find_place(flags.coordinator, flags.processes, flags.process)
+        place = find_place(flags.coordinator, flags.processes, flags.process)
         config = build_config("car", flags.variant, CAR)
         config = replace_fields(config, {"data": {"cache_dir": flags.cache_dir}})
         if place and not file.exists():

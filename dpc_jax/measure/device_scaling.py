@@ -21,7 +21,8 @@ from dpc_jax.config import Config, build_config, replace_fields
 from dpc_jax.files import write_json
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.step import init_state, make_train_step
-from dpc_jax.measure.step_profile import CAR, can_measure, draw_batch
+from dpc_jax.measure.step_parts import draw_batch
+from dpc_jax.measure.step_profile import CAR, can_measure
 from dpc_jax.measure.timing import (
     describe_machine,
     phrase_machine,

@@ -24,7 +24,7 @@ from dpc_jax.config import build_config
 from dpc_jax.files import write_json
 from dpc_jax.learning import schedules
 from dpc_jax.learning.step import init_state, make_train_step, repeat_seed
-from dpc_jax.measure.step_profile import draw_batch
+from dpc_jax.measure.step_parts import draw_batch
 from dpc_jax.measure.timing import describe_machine, phrase_machine
 from dpc_jax.reporting import style
 from dpc_jax.reporting.tables import format_table

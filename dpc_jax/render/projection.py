@@ -165,7 +165,9 @@ def voxelize(
 def mass_of_peak(peak: chex.Numeric, sigma: chex.Numeric) -> jax.Array:
     """Mass in voxels of an isotropic Gaussian with peak height c (the c_i in Eq. 3).
 
-    scale = c·(2π)^{3/2}·σ³, with sigma in voxels.
+    scale = c·(2π)^{3/2}·σ³, with sigma in voxels. The peak is that of the density, not
+    of its samples, which sum to the mass for every sigma: below a sigma of half a voxel
+    a point on a cell's centre fills the cell by less than c, at 0.2 by c/8.
     """
     sigma = jnp.asarray(sigma)
     # Factor by factor: σ³ alone may overflow where the mass does not.

@@ -12,7 +12,11 @@ from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation.candidates import count_alive
 from dpc_jax.evaluation.metrics import get_metric
-from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG, pose_summary
+from dpc_jax.evaluation.pose import (
+    ACCURACY_THRESHOLD_DEG,
+    FLIP_THRESHOLD_DEG,
+    pose_summary,
+)
 from dpc_jax.reporting import style
 
 # Metrics drawn over run time, with the text at their axis.
@@ -164,6 +168,8 @@ def _draw_loss(axes, seconds, values, color, name) -> None:
 def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
     """Histogram of pose errors from 0 to 180 degrees, with the 30° line and the median.
 
+    Errors within 30° and flips, beyond 150°, have colours of their own.
+
     Raises:
       ValueError: there are no errors, or one is not within 0 to 180 degrees.
     """
@@ -171,14 +177,16 @@ def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
     figure = style.make_figure(7.5, 3.8)
     axes = figure.subplots()
     axes.hist(edges[:-1], edges.tolist(), weights=counts, rwidth=0.9)
-    limit = ACCURACY_THRESHOLD_DEG
+    limit, flipped = ACCURACY_THRESHOLD_DEG, FLIP_THRESHOLD_DEG
     for left, bar in zip(edges[:-1], axes.patches, strict=True):
-        bar.set_color(style.BLUE if left < limit else style.MUTED)
+        far = style.AMBER if left >= flipped else style.MUTED
+        bar.set_color(style.BLUE if left < limit else far)
     label = f"{limit:.0f}°: {100 * accuracy:.0f} % are within"
-    axes.axvline(limit, color=style.INK, lw=1.2, label=label)
+    marks = [axes.axvline(limit, color=style.INK, lw=1.2, label=label)]
     label = f"median: {median:.1f}°"
-    axes.axvline(median, color=style.RED, lw=1.6, ls="--", label=label)
-    axes.plot([], [], " ", label=f"beyond 150° (front as back): {100 * flips:.0f} %")
+    marks.append(axes.axvline(median, color=style.RED, lw=1.6, ls="--", label=label))
+    label = f"beyond {flipped:.0f}° (front as back): {100 * flips:.0f} %"
+    axes.patches[-1].set_label(label)
     style.label_axes(
         axes,
         title=f"Pose errors of {np.size(errors_deg)} test views",
@@ -188,7 +196,9 @@ def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
     axes.set(xlim=(0.0, 180.0), xticks=range(0, 181, 30))
     axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
     # Below, because bars may be high anywhere.
-    figure.legend(frameon=False, fontsize=9, ncols=3, loc="outside lower center")
+    look = {"frameon": False, "fontsize": 9, "ncols": 3}
+    handles = [*marks, axes.patches[-1]]
+    figure.legend(handles=handles, loc="outside lower center", **look)
     return style.save_figure(figure, path)
 
 

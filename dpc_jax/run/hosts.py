@@ -1,4 +1,4 @@
-"""A job of several processes, on one host or many: who is where, start and end.
+"""A job of several processes, on one host or many: start and end.
 
 Process 0 hosts jax's coordination service, and the others find it by its address. A
 process that is lost ends all of them, so that the job can be started again from its
@@ -14,13 +14,13 @@ import re
 import socket
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import jax
 
 from dpc_jax.run.aborts import speaking_for_jax
 from dpc_jax.run.agreement import Job
+from dpc_jax.run.places import Place
 
 # A process that says nothing for so long is lost: stopped, or its host is gone. Where
 # virtual machines stand still at times, DPC_JAX_HEARTBEAT_SECONDS sets a longer one.
@@ -29,69 +29,6 @@ JOIN_SECONDS = 300  # for all processes to come; DPC_JAX_JOIN_SECONDS sets anoth
 AGAIN = "start all of them again: training goes on from the last checkpoint"
 # Of the errors that a collective or a barrier raises, those that a lost process causes.
 _LOSS = re.compile(r"gloo|nccl|coordination|barrier|socket closed|connection", re.I)
-
-
-class Place(NamedTuple):
-    """The place of a process in its job.
-
-    Attributes:
-      coordinator: HOST:PORT at which process 0 is found.
-      processes: how many the job has, at least 2.
-      process: which of them this one is, from 0.
-    """
-
-    coordinator: str
-    processes: int
-    process: int
-
-
-def find_place(
-    coordinator: str | None, processes: int | None, process: int | None
-) -> Place | None:
-    """The place that flags or SLURM give a process; None for one on its own.
-
-    Raises:
-      ValueError: where the flags are not all given, or cannot be.
-    """
-    if coordinator is None and processes is None and process is None:
-        return find_in_slurm(os.environ)
-    if coordinator is None or processes is None or process is None:
-        raise ValueError(
-            "Expected --coordinator, --processes and --process together, but only some "
-            "are given; give all three, or none for a process on its own."
-        )
-    host, _, port = coordinator.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise ValueError(
-            f"--coordinator must be HOST:PORT of process 0, but it is {coordinator!r}; "
-            "write for example --coordinator=node01:7777."
-        )
-    if processes < 1:
-        raise ValueError(
-            f"--processes must be at least 1, but it is {processes}; give the number "
-            "of processes of the job."
-        )
-    if not 0 <= process < processes:
-        raise ValueError(
-            f"--process must be between 0 and {processes - 1}, but it is {process}; "
-            f"number the {processes} processes from 0."
-        )
-    return Place(coordinator, processes, process) if processes > 1 else None
-
-
-def find_in_slurm(environment: Mapping[str, str]) -> Place | None:
-    """The place of a task that srun has started beside others."""
-    nodes = environment.get("SLURM_STEP_NODELIST")
-    count = environment.get("SLURM_STEP_NUM_TASKS") or environment.get("SLURM_NTASKS")
-    if not nodes or not count or int(count) < 2 or "SLURM_PROCID" not in environment:
-        return None
-    # Of node[07-09,12],other the first is node07.
-    first = re.match(r"([^,\[]+)(?:\[([^,\-\]]+))?", nodes)
-    host = "".join(part or "" for part in first.groups()) if first else nodes
-    # Above the ports that Linux hands out by itself, and one for each step of a job.
-    step = int(environment.get("SLURM_STEP_ID", 0))
-    port = 61440 + (int(environment["SLURM_JOB_ID"]) + 31 * step) % 4096
-    return Place(f"{host}:{port}", int(count), int(environment["SLURM_PROCID"]))
 
 
 @contextlib.contextmanager

@@ -7,27 +7,18 @@ from pathlib import Path
 
 from dpc_jax import config as configs
 from dpc_jax.config import Config
-from dpc_jax.data import DataSet
-from dpc_jax.evaluation.alignment import Alignment, identity_alignment
 from dpc_jax.learning.devices import make_mesh
-from dpc_jax.learning.inference import evaluator
-from dpc_jax.learning.inference.predictor import (
-    Predictions,
-    compile_predictor,
-    make_predictor,
-    predict_all,
-)
-from dpc_jax.learning.signals import list_extras
-from dpc_jax.learning.step import TrainState, describe_state, init_state
+from dpc_jax.learning.step import describe_state, init_state
 from dpc_jax.learning.training import loop
 from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.training.records import MetricLog, NonFiniteError
-from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run import hosts
 from dpc_jax.run.agreement import Job
 from dpc_jax.run.flags import Task, run_command
 from dpc_jax.run.gpu import set_gpu_flags
 from dpc_jax.run.memory import check_step_memory
+from dpc_jax.run.model import Model
+from dpc_jax.run.places import Place
 from dpc_jax.run.process import (
     catch_signals,
     keep_compiled_programs,
@@ -35,9 +26,8 @@ from dpc_jax.run.process import (
     split_cores,
 )
 from dpc_jax.run.report.summary import report_run
-from dpc_jax.run.setup import load_sets, make_network
-from dpc_jax.run.trackers.content import draw_validation
-from dpc_jax.run.trackers.tracked_log import TrackedLog, check_trackers, open_log
+from dpc_jax.run.setup import load_sets
+from dpc_jax.run.trackers.tracked_log import check_trackers, open_log
 from dpc_jax.run.workdir import claim_workdir, hold_workdir, make_workdir
 from dpc_jax.run.writers import SharedCheckpoints, SilentLog
 
@@ -47,7 +37,7 @@ def run_guarded(
     *,
     config_path: str,
     workdir: str | None,
-    place: hosts.Place | None = None,
+    place: Place | None = None,
 ) -> int:
     """`run`, with expected failures as one sentence and an exit status."""
     task = Task(
@@ -66,7 +56,7 @@ def run(
     *,
     config_path: str,
     workdir: str | None,
-    place: hosts.Place | None = None,
+    place: Place | None = None,
 ):
     """Train where that is left to do, then evaluate on the test split and report.
 
@@ -155,84 +145,6 @@ def _name_workdir(config, config_path):
     variant = config.variant.replace(",", "-")
     parts = (Path(config_path).stem, variant, f"seed{config.seed}")
     return Path("runs") / "-".join(part for part in parts if part)
-
-
-class Model:
-    """What a run learns, with its data sets: the network and how it is judged."""
-
-    def __init__(self, config: Config, sets: dict[str, DataSet]):
-        self.config, self.sets = config, sets
-        self.network: ShapePoseNetwork = make_network(config)
-        self._predictor = make_predictor(self.network, config)
-
-    def count_views(self, *splits: str) -> int:
-        """Views of splits, those that the run has."""
-        return sum(int(self.sets[s].counts.sum()) for s in splits if s in self.sets)
-
-    def compile_predictor(self, state: TrainState):
-        """Compile what `predict` needs, into the cache of compiled programs."""
-        compile_predictor(self._predictor, state, self.config)
-
-    def predict(
-        self,
-        state: TrainState,
-        split: str,
-        *,
-        frame: Alignment | None = None,
-        threshold: float | None = None,
-    ) -> Predictions:
-        """Predictions for a split.
-
-        Args:
-          frame: of the network, for the comparison of true poses with predicted ones.
-          threshold: of `find_points`, for points of voxel models.
-        """
-        extras = list_extras(self.config)
-        if self.config.pose.known:
-            frame = None  # the poses are an input
-        found = predict_all(
-            self._predictor, state, self.sets[split], extras=extras, frame=frame
-        )
-        if threshold is None:
-            return found
-        # It needs libraries of its own.
-        from dpc_jax.learning.inference.volumes import add_points
-
-        return add_points(found, threshold)
-
-    def align(self, predictions: Predictions) -> Alignment:
-        """Canonical alignment, from predictions for the validation split."""
-        if self.config.pose.given:
-            return identity_alignment()  # learned in the data's own frame
-        return evaluator.align(predictions, self.sets["val"])
-
-    def find_points(self, predictions: Predictions) -> tuple[Predictions, float | None]:
-        """Validation predictions with points, and the threshold that gave them.
-
-        The threshold is tuned on them; only voxel models have one.
-        """
-        if self.config.network.shape != "voxels":
-            return predictions, None
-        from dpc_jax.run.surfaces import find_points  # needs libraries of its own
-
-        return find_points(predictions, self.sets["val"], align=self.align)
-
-    def validate(
-        self, state: TrainState, *, log: MetricLog | None = None
-    ) -> dict[str, float]:
-        """Metrics on the validation split; a tracked log is shown a picture of it."""
-        predictions, _ = self.find_points(self.predict(state, "val"))
-        if isinstance(log, TrackedLog):
-            log.show(int(state.step), draw_validation(predictions, self.sets["val"]))
-        result, _ = evaluator.score(
-            predictions,
-            self.sets["val"],
-            alignment=self.align(predictions),
-            heads=self.config.pose.heads,
-            poses_given=self.config.pose.known,
-            chamfer_views=1,
-        )
-        return result.metrics
 
 
 def restore_run(model: Model, checkpoints: Checkpoints, log: MetricLog) -> Restored:

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning.cameras import Cameras, list_own
-from dpc_jax.learning.choice.hindsight import Winners
+from dpc_jax.learning.choice.batch_choice import Winners
 from dpc_jax.learning.choice.seen_colors import BINS, Samples, see_object
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import find_half_turns

@@ -5,38 +5,25 @@ compared without gradient, and only the winner is rendered again with one.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.config import CHOICE_RANKS, Pose, Render
-from dpc_jax.learning.cameras import Cameras, list_own, place_camera
+from dpc_jax.config import CHOICE_RANKS
+from dpc_jax.learning.cameras import place_camera
 from dpc_jax.learning.choice.coarse_choice import (
+    ImagePoints,
     compute_coarse_losses,
     compute_image_losses,
     place_candidates,
     shrink_target,
 )
-from dpc_jax.learning.losses import downsample_images
-from dpc_jax.learning.predictions import Cells, Shapes
-from dpc_jax.learning.renders import compute_candidate_losses, make_scenes
-from dpc_jax.learning.signals import SILHOUETTES, Weights, make_targets
+from dpc_jax.learning.renders import Scene, compute_candidate_losses
+from dpc_jax.learning.signals import SILHOUETTES, Weights
 from dpc_jax.render import Camera, checks
-from dpc_jax.render.batch import check_renders_at_once, map_renders
+from dpc_jax.render.batch import check_renders_at_once
 from dpc_jax.render.devices import AUTOMATIC
-
-
-class Winners(NamedTuple):
-    """The candidates that explain the views of a batch best.
-
-    Attributes:
-      poses: [B, V, 4] quaternions.
-      indices: [B, V] int32; candidate i belongs to head i % K.
-    """
-
-    poses: jax.Array
-    indices: jax.Array
 
 
 def choose_candidate(
@@ -99,31 +86,51 @@ def choose_candidate(
             f"and a target of shape {list(target.shape)}; give at least one of each."
         )
     checks.check_choice("choice_rank", choice_rank, CHOICE_RANKS, "choose one of these")
-    how = _Choice(choice_rank, choice_grid, choice_points, choice_top, renders_at_once)
+    how = Choice(choice_rank, choice_grid, choice_points, choice_top, renders_at_once)
     scene = {"points": points, "mass": mass, "sigma": sigma}
-    places = _place_points(scene, candidates, {}, side, camera, how)
-    return _choose(scene, candidates, target, places, {}, camera=camera, how=how)
+    places = find_image_places(scene, candidates, {}, side=side, camera=camera, how=how)
+    return choose_in_scene(
+        scene, candidates, target, places, {}, camera=camera, how=how
+    )
 
 
-class _Choice(NamedTuple):
-    """How candidates are compared; static."""
+class Choice(NamedTuple):
+    """How candidates are compared; static.
+
+    Attributes:
+      rank, grid, points, top, renders_at_once: as of `choose_candidate`.
+      weights, ray_rule: of the comparison at full resolution.
+    """
 
     rank: str
     grid: int
     points: int
     top: int
     renders_at_once: int
-    weights: Weights = SILHOUETTES  # of the exact comparison
+    weights: Weights = SILHOUETTES
     ray_rule: str = "termination"
 
     @property
-    def is_exact(self):
+    def is_exact(self) -> bool:
         """Whether all candidates are compared at full resolution at once."""
         return self.grid == self.points == 0
 
 
-def _place_points(scene, candidates, own, side, camera, how):
-    """Points in the image of each candidate, where they are ranked by an image."""
+def find_image_places(
+    scene: Scene,
+    candidates: jax.Array,
+    own: Mapping[str, Any],
+    *,
+    side: int,
+    camera: Camera,
+    how: Choice,
+) -> ImagePoints | None:
+    """Points in the image of each candidate; None where no image ranks them.
+
+    Args:
+      scene, candidates, own: of one view, see `choose_in_scene`.
+      side: of the target, in pixels.
+    """
     if how.rank != "image" or how.is_exact or "cells" in scene:
         return None
     return place_candidates(
@@ -137,11 +144,25 @@ def _place_points(scene, candidates, own, side, camera, how):
     )
 
 
-def _choose(scene, candidates, target, places, own, *, camera, how):
-    """`choose_candidate` of checked arguments; places of `_place_points`.
+def choose_in_scene(
+    scene: Scene,
+    candidates: jax.Array,
+    target: jax.Array,
+    places: ImagePoints | None,
+    own: Mapping[str, Any],
+    *,
+    camera: Camera,
+    how: Choice,
+) -> jax.Array:
+    """Eq. 2 for one view of checked arguments: index of the best candidate; ().
 
-    `own` is what the view has of its own: see `list_own`; in an exact comparison of
-    other signals than the silhouette "others", their targets.
+    Args:
+      scene: of one object, see `renders`.
+      candidates: [C, 4] quaternions. target: [D, D] silhouette.
+      places: of `find_image_places`. They come from outside of the loop over views:
+        inside, XLA projects each point again for every pixel.
+      own: what the view has of its own, see `list_own`; for signals other than the
+        silhouette "others", their targets.
     """
     view = {
         "camera": place_camera(camera, own),
@@ -190,85 +211,3 @@ def _is_exact(scene, target, how):
     count = len(scene["points"])
     has_all_points = min(how.points or count, count) == count
     return how.is_exact or how.rank == "volume" and has_all_cells and has_all_points
-
-
-def choose_poses(
-    shapes: Shapes | Cells,
-    candidates: jax.Array,
-    masks: jax.Array,
-    *,
-    camera: Camera,
-    render: Render,
-    pose: Pose,
-    cameras: Cameras = Cameras(),
-    views: Mapping[str, jax.Array] | None = None,
-    weights: Weights = SILHOUETTES,
-) -> Winners:
-    """Eq. 2 for all views of a batch, without gradient.
-
-    Args:
-      shapes: of B objects.
-      candidates: [B·V, C, 4] quaternions.
-      masks: uint8 [B, V, S, S].
-      camera: see `project`.
-      render: the grid, and how many renders run side by side. pose: how candidates
-        are compared.
-      cameras: [B, V, ...] of the views, where they have their own.
-      views: masks and, as the weights need them, images and depths: see `make_targets`.
-      weights: of the signals by which candidates are compared at full resolution, if
-        `pose.choice_signals` is "all"; the silhouette alone otherwise.
-    """
-    batch_size, per_object = masks.shape[:2]
-    total = batch_size * per_object
-    candidates = candidates.reshape(batch_size, per_object, -1, 4)
-    if candidates.shape[2] == 1:
-        indices = jnp.zeros((batch_size, per_object), jnp.int32)
-        return Winners(candidates[:, :, 0], indices)
-
-    if pose.choice_signals == "silhouette":
-        weights = SILHOUETTES
-    how = _Choice(
-        pose.choice_rank,
-        pose.choice_grid,
-        pose.choice_points,
-        pose.choice_top,
-        render.renders_at_once,
-        weights,
-        render.ray_rule,
-    )
-    shapes, still, cameras = jax.lax.stop_gradient((shapes, candidates, cameras))
-    scene, shared = make_scenes(shapes)
-    if "color" not in weights.signals:
-        scene.pop("colors", None)
-    scene = {n: jnp.repeat(a, per_object, axis=0) for n, a in scene.items()}
-    flat = still.reshape(total, -1, 4)
-    own = list_own(cameras, total)
-    places = jax.vmap(
-        lambda scene, candidates, own: _place_points(
-            scene | shared, candidates, own, render.grid, camera, how
-        )
-    )(scene, flat, own)
-    targets = downsample_images(masks, render.grid)
-    own |= _list_others(views or {}, render, weights)
-    targets = targets.reshape(total, *targets.shape[2:])
-
-    def choose(view):
-        scene, *rest = view
-        return _choose(scene | shared, *rest, camera=camera, how=how)
-
-    indices = map_renders(
-        choose,
-        (scene, flat, targets, places, own),
-        renders_at_once=render.renders_at_once,
-    ).reshape(batch_size, per_object)
-    poses = jnp.take_along_axis(candidates, indices[..., None, None], axis=2)[:, :, 0]
-    return Winners(poses, indices)
-
-
-def _list_others(views, render, weights):
-    """Targets of the signals besides silhouettes."""
-    names = tuple(name for name in weights.signals if name != "silhouette")
-    if not names:
-        return {}
-    targets = make_targets(views, render.grid, signals=names, distance=render.distance)
-    return {"others": {n: a.reshape(-1, *a.shape[2:]) for n, a in targets.items()}}

@@ -16,7 +16,7 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.learning.choice.hindsight import Winners
+from dpc_jax.learning.choice.batch_choice import Winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.pose_prior import judge_poses
 from dpc_jax.learning.predictions import Poses

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from dpc_jax.config import Pose, Render, Train
 from dpc_jax.learning import losses
 from dpc_jax.learning.cameras import Cameras
-from dpc_jax.learning.choice.hindsight import Winners, choose_poses
+from dpc_jax.learning.choice.batch_choice import Winners, choose_poses
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import average_covariance
 from dpc_jax.learning.predictions import (

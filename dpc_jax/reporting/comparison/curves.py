@@ -7,6 +7,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dpc_jax.evaluation.metrics import get_metric
@@ -24,20 +25,32 @@ PANELS = {  # with the text at the axis
 }
 _DASHES = ("-", "--", ":", "-.")
 _LEGEND_ROW = 0.2  # inches
-_WIDTH = 11.0
+_PANEL_WIDTH = 5.5
 
 
-def draw_comparison(groups: Sequence[Group], path: Path) -> str:
-    """Draw error against run time; writes PATH.png and gives the figure as SVG.
+def draw_comparison(groups: Sequence[Group], path: Path) -> tuple[str, str]:
+    """Draw error against run time; writes PATH.png and PATH.svg, panels in two columns.
 
-    The lines of group i have ids that begin with "line-i-", those of its entry in the
-    legend too.
+    Returns:
+      That figure as SVG, and the same with all panels below each other, for narrow
+      pages. The lines of group i have ids that begin with "line-i-", those of its entry
+      in the legend too.
     """
+    figure = _draw(groups, columns=2)
+    style.save_figure(figure, path)
+    wide = _write_svg(figure, salt="wide")
+    write_text(path.with_suffix(".svg"), wide)
+    narrow = _write_svg(_draw(groups, columns=1), salt="narrow")
+    return wide[wide.index("<svg") :], narrow[narrow.index("<svg") :]
+
+
+def _draw(groups: Sequence[Group], *, columns: int) -> Figure:
     metrics = _choose_panels(groups)
-    columns = _count_columns(groups)
-    rows = -(-len(groups) // columns)
-    figure = style.make_figure(_WIDTH, 3.3 * -(-len(metrics) // 2) + _LEGEND_ROW * rows)
-    panels = style.make_panels(figure, len(metrics))
+    width = columns * _PANEL_WIDTH
+    names = _count_columns(groups, width)
+    height = 3.3 * -(-len(metrics) // columns) + _LEGEND_ROW * -(-len(groups) // names)
+    figure = style.make_figure(width, height)
+    panels = style.make_panels(figure, len(metrics), columns=columns)
     for axes, metric in zip(panels, metrics, strict=True):
         title, text = get_metric(metric).label, PANELS.get(metric, "loss")
         style.label_axes(axes, title=title, x_label="run time (min)", y_label=text)
@@ -49,20 +62,22 @@ def draw_comparison(groups: Sequence[Group], path: Path) -> str:
     legend = figure.legend(
         handles=handles,
         loc="outside lower center",
-        ncols=columns,
+        ncols=names,
         frameon=False,
         fontsize=9,
         handlelength=3.2,
     )
     for index, line in enumerate(legend.get_lines()):
         line.set_gid(f"line-{index}-legend")
-    style.save_figure(figure, path)
+    return figure
+
+
+def _write_svg(figure: Figure, *, salt: str) -> str:
+    """The figure as SVG; what it refers to has ids of its own for each salt."""
     buffer = io.StringIO()
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "dpc_jax"}):
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": salt}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
-    text = buffer.getvalue()
-    write_text(path.with_suffix(".svg"), text)
-    return text[text.index("<svg") :]
+    return buffer.getvalue()
 
 
 def _choose_panels(groups: Sequence[Group]) -> list[str]:
@@ -71,10 +86,10 @@ def _choose_panels(groups: Sequence[Group]) -> list[str]:
     return [name for name in PANELS if name in names] or ["loss"]
 
 
-def _count_columns(groups: Sequence[Group]) -> int:
-    """Columns of the legend, as many as the longest name leaves room for."""
+def _count_columns(groups: Sequence[Group], width: float) -> int:
+    """Columns of the legend, as many as the longest name leaves room for in inches."""
     longest = max(len(group.name) for group in groups) + 8
-    return min(len(groups), max(1, int(_WIDTH / (0.075 * longest))))
+    return min(len(groups), max(1, int(width / (0.075 * longest))))
 
 
 def _look(index: int) -> dict:

@@ -42,7 +42,9 @@ body{font:16px/1.5 system-ui,sans-serif;color:var(--ink);background:var(--paper)
 margin:0 auto;max-width:80rem;padding:1rem}
 h1{font-size:1.6rem;margin:.5rem 0}h2{font-size:1.2rem;margin:2rem 0 .3rem}
 p{margin:.3rem 0 .8rem;max-width:50rem}.wide{overflow-x:auto}
-.wide svg{display:block;width:100%;min-width:44rem;height:auto}
+.curves svg{display:block;width:100%;height:auto}
+.narrow{display:none}
+@media (max-width:46rem){.roomy{display:none}.narrow{display:block}}
 table{border-collapse:collapse;font-size:.88rem}
 th,td{padding:.3rem .7rem .3rem 0;text-align:left;border-bottom:1px solid var(--line);
 vertical-align:top}th{vertical-align:bottom}
@@ -62,12 +64,12 @@ details{margin:.6rem 0}summary{cursor:pointer}
 """
 # Pointing at a row shows its curves alone; without a script all are shown.
 _SCRIPT = """
-const figure=document.querySelector("svg");
+const figures=document.querySelectorAll("svg");
 const rows=document.querySelectorAll("[data-group]");
-const lines=index=>figure.querySelectorAll(`[id^="line-${index}-"]`);
-function pick(index){figure.classList.toggle("faded",index!==null);
-figure.querySelectorAll('[id^="line-"]').forEach(l=>l.style.opacity="");
-if(index!==null)lines(index).forEach(l=>l.style.opacity="1");
+const lines=name=>document.querySelectorAll(`svg [id^="line-${name}"]`);
+function pick(index){figures.forEach(f=>f.classList.toggle("faded",index!==null));
+lines("").forEach(l=>l.style.opacity="");
+if(index!==null)lines(`${index}-`).forEach(l=>l.style.opacity="1");
 rows.forEach(r=>r.classList.toggle("picked",r.dataset.group===index));}
 let kept=null;
 rows.forEach(row=>{row.onmouseenter=()=>pick(row.dataset.group);
@@ -84,14 +86,15 @@ def write_comparison(folder: Path, groups: Sequence[Group]) -> Path:
     """
     if not groups:
         raise ValueError("groups must be at least one, but there are none; pass some.")
-    figure = draw_comparison(groups, folder / "curves.png")
+    roomy, narrow = draw_comparison(groups, folder / "curves.png")
     count = sum(len(group.runs) for group in groups)
     title = f"{count} runs side by side" if count > 1 else "One run"
     body = (
         f"<h1>{title}</h1>\n<p>{html.escape(_explain(groups))}</p>\n"
         f"{_write_table(groups)}{_list_common(groups)}"
         f"<h2>Error against run time</h2><p>{_HOW_TO_READ}</p>\n"
-        f'<div class="wide">{figure}</div>\n'
+        f'<div class="curves roomy">{roomy}</div>\n'
+        f'<div class="curves narrow">{narrow}</div>\n'
         f"<script>{_SCRIPT}</script>"
     )
     return write_text(

@@ -19,8 +19,8 @@ CAPTIONS = {
     "pose_errors": (
         "Pose errors",
         "The angle between predicted and true pose over all test views. Good poses "
-        "pile up at the left, blue bars count as accurate; a second pile near 180° are "
-        "views with front and back exchanged.",
+        "pile up at the left, blue bars count as accurate; a second pile near 180°, in "
+        "amber, are views with front and back exchanged.",
     ),
     "azimuths": (
         "Pose errors over azimuth",
