@@ -6,12 +6,15 @@ import tempfile
 import hypothesis
 import jax
 import pytest
+from quick_programs import compiling_quickly, use_older_loops
 
 # Broadcasting over a missing axis is a mistake waiting to happen: say the axis. In the
 # environment, so that the processes which tests start have it too.
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 # Here jax is loaded already, and reads the environment no more.
 jax.config.update("jax_numpy_rank_promotion", os.environ["JAX_NUMPY_RANK_PROMOTION"])
+
+use_older_loops()
 
 # Runs over several devices are tested with CPU devices: tests/test_learning_devices.py.
 jax.config.update("jax_num_cpu_devices", 4)
@@ -35,6 +38,5 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(scope="module")
 def quickly():
     """For files whose programs run once or twice: compiling takes longest there."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
+    with compiling_quickly():
+        yield
