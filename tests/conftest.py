@@ -30,9 +30,13 @@ hypothesis.settings.register_profile("ci", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "local")
 
 
+# These take long, and the last file to begin is waited for alone.
+_LONGEST = ("test_main_pipeline.py", "test_stability.py", "test_stability_parts.py")
+
+
 def pytest_collection_modifyitems(items):
-    """Begin with the longest file: the last one to begin is waited for alone."""
-    items.sort(key=lambda item: item.path.name != "test_main_pipeline.py")
+    """Begin with the longest files."""
+    items.sort(key=lambda item: item.path.name not in _LONGEST)
 
 
 @pytest.fixture(scope="module")
