@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from quick_programs import QUICK_ENVIRONMENT
 
 ROOT = Path(__file__).parents[1]
 STEPS = 24
@@ -40,10 +41,10 @@ class Command:
 
     def __init__(self, folder):
         self.folder, self.started = folder, []
-        self.environment = os.environ | {
+        # Most of the time goes into compiling programs that run for a second.
+        self.environment = os.environ | QUICK_ENVIRONMENT
+        self.environment |= {
             "JAX_PLATFORMS": "cpu",
-            # Most of the time goes into compiling programs that run for a second.
-            "JAX_DISABLE_MOST_OPTIMIZATIONS": "1",
             # A machine that stands still for a while must not end a test.
             "DPC_JAX_JOIN_SECONDS": "600",
             "DPC_JAX_HEARTBEAT_SECONDS": "600",

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_programs import QUICK_ENVIRONMENT
 
 from dpc_jax.learning.schedules import Span, Stage
 from dpc_jax.learning.training.programs import StagePrograms
@@ -186,11 +187,13 @@ def test_nothing_is_compiled_ahead_where_that_is_not_wanted():
 
 
 LEAVE = """
-import sys, time
+import sys, threading, time
 import test_learning_programs as tests
 from tiny_runs import make_batch, make_network, make_state, make_step, tiny_config
 from dpc_jax.learning.training.programs import StagePrograms
 from dpc_jax.run.process import leave
+
+begun = threading.Event()
 
 class Slow:
     def __init__(self, stage): self.stage = stage
@@ -200,23 +203,25 @@ class Slow:
         config = tiny_config(steps=8)
         network = make_network(config)
         args = make_state(network, config), make_batch()
-        print("compiles", flush=True)
-        program = make_step(network, config).lower(*args).compile()
+        lowered = make_step(network, config).lower(*args)
+        begun.set()
+        program = lowered.compile()
         {after}
 
 programs = StagePrograms(Slow, tests.SPANS)
 with programs:
     programs.begin(0, tests.make_state(), tests.BATCH)
-    time.sleep({seconds})
+    {wait}
 {end}
 """
 
 
-def run_script(end, *, seconds=0, after="pass"):
+def run_script(end, *, wait="pass", after="pass"):
     done = subprocess.run(
-        [sys.executable, "-c", LEAVE.format(end=end, seconds=seconds, after=after)],
+        [sys.executable, "-c", LEAVE.format(end=end, wait=wait, after=after)],
         capture_output=True,
         text=True,
+        env=os.environ | QUICK_ENVIRONMENT,
         cwd=Path(__file__).parent,
         timeout=120,
     )
@@ -224,7 +229,9 @@ def run_script(end, *, seconds=0, after="pass"):
 
 
 def test_a_process_that_ends_while_xla_compiles_ends_cleanly():
-    assert run_script("sys.exit(3)", seconds=2) == (3, "")
+    # A quarter of a second into a compilation of more than one.
+    wait = "begun.wait(); time.sleep(0.25)"
+    assert run_script("sys.exit(3)", wait=wait) == (3, "")
 
 
 def test_a_command_leaves_without_waiting_for_the_compiler():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from tiny_runs import (
     assert_same_bits,
+    compiling_quickly,
     copy,
     make_batch,
     make_dataset,
@@ -189,7 +190,8 @@ def test_a_step_with_turned_candidates_and_a_selecting_student(plain):
         repulsion_points=8,
         renders_at_once=1,
     )
-    _, metrics = run.take(make_batch(), count=3)
+    with compiling_quickly():
+        _, metrics = run.take(make_batch(), count=3)
     for found in metrics:
         assert found["winners"].shape == (4,)
         assert np.all((0 <= found["winners"]) & (found["winners"] < 12))
@@ -243,7 +245,7 @@ def test_a_selecting_student_pays_the_cross_entropy_of_the_winner():
 
 @pytest.fixture(scope="module")
 def known():
-    return make_run(
+    run = make_run(
         known=True,
         color_weight=0.5,
         num_points=32,
@@ -251,6 +253,9 @@ def known():
         keep_levels=1,
         learning_rate=1e-2,
     )
+    with compiling_quickly():
+        run.take(make_batch())
+    return run
 
 
 def test_known_poses_are_those_of_the_batch(known):

@@ -17,6 +17,7 @@ import pytest
 import trimesh
 from orbax.checkpoint import v1 as ocp
 from PIL import Image
+from quick_programs import QUICK_ENVIRONMENT
 
 from dpc_jax import predict, rotation_angle_deg
 from dpc_jax.data.dataset import read_cache
@@ -25,11 +26,13 @@ from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.run.trackers import tensorboard_files
 
 ROOT = Path(__file__).parents[1]
-STEPS = 150
+# Three signals fall within it, each of them up to 60 steps later than it is meant.
+STEPS = 240
+EVALUATED = 150
 FIELDS = {
     "train.steps": STEPS,
     "log.every": 1,
-    "log.evaluate": 100,
+    "log.evaluate": EVALUATED,
     "log.checkpoint": 40,
     "data.image_size": 16,
     "data.surface_points": 300,
@@ -52,16 +55,16 @@ class Command:
 
     def __init__(self, folder):
         self.folder = folder
-        self.environment = os.environ | {
+        # Compiling takes longest here.
+        self.environment = os.environ | QUICK_ENVIRONMENT
+        self.environment |= {
             "JAX_PLATFORMS": "cpu",
             "JAX_COMPILATION_CACHE_DIR": str(folder / "programs"),
             "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
             "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-            # Compiling takes longest here.
-            "JAX_DISABLE_MOST_OPTIMIZATIONS": "true",
         }
 
-    def start(self, workdir, environment=None, **changes):
+    def start(self, workdir, **changes):
         fields = FIELDS | {"data.cache_dir": self.folder / "data"} | changes
         process = subprocess.Popen(
             [sys.executable, "-m", "dpc_jax.main", f"--config={ROOT}/configs/debug.py"]
@@ -69,13 +72,13 @@ class Command:
             + [f"--config.{name}={value}" for name, value in fields.items()],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            env=self.environment | (environment or {}),
+            env=self.environment,
             cwd=self.folder,
         )
         return process
 
-    def run(self, workdir, environment=None, **changes):
-        process = self.start(workdir, environment, **changes)
+    def run(self, workdir, **changes):
+        process = self.start(workdir, **changes)
         out, error = process.communicate(timeout=1200)
         assert process.returncode == 0, error.decode()
         return out.decode()
@@ -183,7 +186,7 @@ def test_the_curve_has_a_line_a_step_and_validations_with_their_seconds(finished
     training = [r for r in records if "loss" in r]
     validation = [r for r in records if "pose_accuracy" in r]
     assert [r["step"] for r in training] == list(range(1, STEPS + 1))
-    assert [r["step"] for r in validation] == [100, STEPS]
+    assert [r["step"] for r in validation] == [EVALUATED, STEPS]
     seconds = [r["seconds"] for r in records]
     assert seconds == sorted(seconds) and seconds[0] >= 0
 
@@ -191,7 +194,7 @@ def test_the_curve_has_a_line_a_step_and_validations_with_their_seconds(finished
 def test_plain_lines_tell_how_far_the_run_is_where_there_is_no_terminal(finished):
     _, out = finished
     assert f"step 100/{STEPS}, loss " in out and " s left" in out
-    assert "Validation at step 100" in out
+    assert f"Validation at step {EVALUATED}" in out
     assert "\x1b" not in out and "\r" not in out
     assert out.rstrip().endswith("report/index.html")
 
@@ -213,57 +216,94 @@ def test_a_finished_run_started_again_only_reports_again(command, finished):
     }
 
 
-def test_a_run_that_is_terminated_then_killed_ends_as_one_that_nothing_stopped(
-    command, finished
-):
-    workdir = command.folder / "broken"
+@pytest.fixture(scope="module")
+def interrupted(command):
+    """A run that is terminated, killed, interrupted and damaged, and what it says.
+
+    One run has it all, because most of its time goes into starting and reporting.
+    """
+    workdir, said = command.folder / "broken", {}
     # Not a multiple of any interval, so that what is saved is due to the signal.
-    status, out, error = command.signal_at(workdir, 7, signal.SIGTERM, **TRACKED)
-    assert status == 0, error
-    stopped = int(re.search(r"Stopped and saved at step (\d+)", out)[1])
-    assert 7 <= stopped < STEPS
-    assert read_records(workdir)[-1]["step"] == stopped
-    assert not (workdir / "report").exists()
+    said["terminated"] = command.signal_at(workdir, 7, signal.SIGTERM, **TRACKED)
+    stopped = find_step("Stopped and saved at step", said["terminated"][1])
+    said["records"] = read_records(workdir)
+    said["report"] = (workdir / "report").exists()
 
     target = stopped + 45  # a checkpoint later, and lines after it
-    status, out, _ = command.signal_at(workdir, target, signal.SIGKILL, **TRACKED)
-    assert status == -signal.SIGKILL
-    assert f"Going on from the checkpoint of step {stopped}." in out
-
+    said["killed"] = command.signal_at(workdir, target, signal.SIGKILL, **TRACKED)
     # A kill may also cut a line short.
     with open(workdir / "metrics.jsonl", "a", encoding="utf-8") as file:
         file.write('{"step": 1')
-    out = command.run(workdir, **TRACKED)
-    start = int(re.search(r"Going on from the checkpoint of step (\d+)", out)[1])
-    assert stopped <= start <= STEPS
-    assert_ends_alike(workdir, finished[0])
-    # Each step once for TensorBoard too, its validations' pictures with it.
-    events = read_events(workdir)
-    assert sorted(events) == sorted(read_events(finished[0]))
-    assert [step for step, _, kind, _ in events if kind == "image"] == [100, STEPS]
 
-
-def test_a_damaged_newest_checkpoint_is_said_and_the_run_ends_the_same(
-    command, finished
-):
-    workdir = command.folder / "damaged"
-    # Ctrl-C saves too, and says in its status that it was that.
-    status, out, error = command.signal_at(workdir, 85, signal.SIGINT)
-    assert status == 130 and "start again in the same workdir" in error
-    newest, before = sorted(
-        (int(p.name) for p in (workdir / "checkpoints").iterdir()), reverse=True
-    )
-    assert newest == read_records(workdir)[-1]["step"] >= 85
-    folder = workdir / "checkpoints" / str(newest)
+    target = list_checkpoints(workdir)[0] + 5
+    said["interrupted"] = command.signal_at(workdir, target, signal.SIGINT, **TRACKED)
+    said["saved"] = list_checkpoints(workdir)
+    said["last record"] = read_records(workdir)[-1]["step"]
+    folder = workdir / "checkpoints" / str(said["saved"][0])
     largest = max(
         (p for p in folder.rglob("*") if p.is_file()), key=lambda p: p.stat().st_size
     )
     os.truncate(largest, largest.stat().st_size // 2)
-    out = command.run(workdir)
+    said["finished"] = command.run(workdir, **TRACKED)
+    return workdir, said
+
+
+def list_checkpoints(workdir):
+    """Their steps, the newest first; what a kill left of an unfinished one is none."""
+    names = (path.name for path in (workdir / "checkpoints").iterdir())
+    return sorted((int(name) for name in names if name.isdigit()), reverse=True)
+
+
+def find_step(sentence, text):
+    return int(re.search(rf"{sentence} (\d+)", text)[1])
+
+
+def test_a_run_that_is_terminated_saves_its_step_and_reports_nothing(interrupted):
+    _, said = interrupted
+    status, out, error = said["terminated"]
+    assert status == 0, error
+    stopped = find_step("Stopped and saved at step", out)
+    assert 7 <= stopped < STEPS
+    assert said["records"][-1]["step"] == stopped and not said["report"]
+
+
+def test_a_killed_run_goes_on_from_the_last_checkpoint(interrupted):
+    _, said = interrupted
+    stopped = find_step("Stopped and saved at step", said["terminated"][1])
+    status, out, _ = said["killed"]
+    assert status == -signal.SIGKILL
+    assert f"Going on from the checkpoint of step {stopped}." in out
+    start = find_step("Going on from the checkpoint of step", said["interrupted"][1])
+    assert stopped <= start < STEPS
+
+
+def test_ctrl_c_saves_too_and_says_in_its_status_that_it_was_that(interrupted):
+    _, said = interrupted
+    status, _, error = said["interrupted"]
+    assert status == 130 and "start again in the same workdir" in error
+    start = find_step("Going on from the checkpoint of step", said["interrupted"][1])
+    assert said["saved"][0] == said["last record"] >= start + 5
+
+
+def test_a_damaged_newest_checkpoint_is_said_and_the_one_before_is_used(interrupted):
+    workdir, said = interrupted
+    newest, before = said["saved"]
+    out = said["finished"]
     assert f"The checkpoint of step {newest} is damaged; the one before is used." in out
     assert f"Going on from the checkpoint of step {before}." in out
     assert (workdir / f"damaged-checkpoint-{newest}").is_dir()
+
+
+def test_whatever_stopped_a_run_it_ends_as_one_that_nothing_stopped(
+    interrupted, finished
+):
+    workdir, _ = interrupted
     assert_ends_alike(workdir, finished[0])
+    # Each step once for TensorBoard too, its validations' pictures with it.
+    events = read_events(workdir)
+    assert sorted(events) == sorted(read_events(finished[0]))
+    images = [step for step, _, kind, _ in events if kind == "image"]
+    assert images == [EVALUATED, STEPS]
 
 
 def save_drawing(path, image=None):
@@ -422,14 +462,13 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
     command, name
 ):
     short = {"train.steps": 2, "train.warmup_steps": 0, "render.keep_levels": 1}
-    quick = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}  # compiling is most of the time
     fields = OTHER_PATHS[name]
     if name == "other":
         meshes = make_boxes(command.folder / "boxes", 6)
         others = make_boxes(command.folder / "others", 2)
         fields = fields | {"data.meshes": meshes, "data.test_meshes": others}
     workdir = command.folder / name
-    out = command.run(workdir, quick, **fields, **short)
+    out = command.run(workdir, **fields, **short)
     metrics = json.loads((workdir / "report" / "metrics.json").read_text())
     assert np.isfinite(metrics["chamfer"])
     if name == "known":

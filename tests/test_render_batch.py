@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_programs import QUICK_ENVIRONMENT
 
 import dpc_jax
 from dpc_jax.render import devices
@@ -222,7 +223,7 @@ def test_all_cores_are_those_of_the_process_unless_the_environment_says(before, 
 def on_devices():
     """What the process with four devices found."""
     # Float64, and without optimisations, because each program runs once.
-    settings = {"JAX_ENABLE_X64": "1", "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
+    settings = {"JAX_ENABLE_X64": "1"} | QUICK_ENVIRONMENT
     done = subprocess.run(
         [sys.executable, SCRIPT],
         capture_output=True,

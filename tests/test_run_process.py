@@ -1,6 +1,7 @@
 """Compiled programs are kept between starts, where the user and the disk allow it."""
 
 import os
+import shutil
 import subprocess
 import sys
 
@@ -32,10 +33,18 @@ def start(home, **environment):
     return done.stdout.split()
 
 
-def test_a_second_start_compiles_nothing_again(tmp_path):
-    folder = str(tmp_path / "dpc_jax" / "programs")
-    assert start(tmp_path) == [folder, "compiled"]
-    assert start(tmp_path) == [folder, "hit"]
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """The user's cache folder after a first start, and what that start said."""
+    home = tmp_path_factory.mktemp("home")
+    return home, start(home)
+
+
+def test_a_second_start_compiles_nothing_again(first):
+    home, said = first
+    folder = str(home / "dpc_jax" / "programs")
+    assert said == [folder, "compiled"]
+    assert start(home) == [folder, "hit"]
 
 
 def test_the_user_s_own_settings_come_first(tmp_path):
@@ -52,9 +61,12 @@ def test_where_nothing_can_be_kept_everything_is_compiled(tmp_path):
 
 
 @pytest.mark.parametrize("damage", [b"", b"not a program"])
-def test_a_damaged_program_is_compiled_again(tmp_path, damage):
-    start(tmp_path)
-    for path in (tmp_path / "dpc_jax" / "programs").glob("*-cache"):
+def test_a_damaged_program_is_compiled_again(first, tmp_path, damage):
+    home, _ = first
+    shutil.copytree(home / "dpc_jax", tmp_path / "dpc_jax")
+    programs = list((tmp_path / "dpc_jax" / "programs").glob("*-cache"))
+    assert programs
+    for path in programs:
         path.write_bytes(damage)
     cleared = {n: v for n, v in os.environ.items() if "COMPILATION_CACHE" not in n}
     done = subprocess.run(

@@ -1,11 +1,11 @@
 """Tiny configs, networks, batches and data sets, shared by the tests of learning."""
 
-import contextlib
 import dataclasses
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from quick_programs import compiling_quickly as compiling_quickly
 
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet
@@ -76,16 +76,6 @@ def tiny_config(*, seed: int = 0, **changes) -> Config:
         config = replace_fields(config, {section: asked})
     assert not changes, f"no such fields: {changes}"
     return config
-
-
-@contextlib.contextmanager
-def compiling_quickly():
-    """Compile without most optimisations what runs only once."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    try:
-        yield
-    finally:
-        jax.config.update("jax_disable_most_optimizations", False)
 
 
 def make_state(network: ShapePoseNetwork, config: Config):
