@@ -108,10 +108,9 @@ def predict_objects(
         points, colors, poses = shape.points, shape.colors, shape.poses
         if num_points:
             pairs = find_pairs(points, num_points - len(points))
-            points, colors = (
-                None if a is None else np.concatenate([a, mix_pairs(a, pairs)])
-                for a in (points, colors)
-            )
+            points = np.concatenate([points, mix_pairs(points, pairs)])
+            if colors is not None:
+                colors = np.concatenate([colors, mix_pairs(colors, pairs)])
         if alignment is not None:
             points = align_points(alignment, points)
             poses = align_poses(alignment, poses)
