@@ -51,7 +51,7 @@ def make_parser() -> argparse.ArgumentParser:
         type=int,
         default=0,
         metavar="N",
-        help="of each cloud, midpoints of neighbours added (as predicted)",
+        help="of clouds, by midpoints (as predicted)",
     )
     parser.add_argument(
         "--turntable", action="store_true", help="write NAME.gif of the cloud turning"
