@@ -4,7 +4,13 @@ from dpc_jax.config import build_config, replace_fields, to_config_dict
 
 SMALL = {
     "data": dict(
-        models=12, val_models=4, test_models=4, image_size=32, surface_points=10_000
+        models=12,
+        val_models=4,
+        test_models=4,
+        copies=1,
+        mix=0,
+        image_size=32,
+        surface_points=10_000,
     ),
     "network": dict(channels=4, hidden=32, shape_hidden=32),
     "render": dict(grid=16, fine_grid=32, num_points=100, keep_levels=2),

@@ -3,7 +3,7 @@
 import pytest
 import trimesh
 
-from dpc_jax.data import DataSpec, split_files
+from dpc_jax.data import DataSpec, sources, split_files
 from dpc_jax.data.sources import Source, find_kind, open_source
 from dpc_jax.data.spec import KINDS
 from dpc_jax.data.splits import SPLITS
@@ -38,6 +38,58 @@ def test_every_side_with_a_share_gets_a_file_as_far_as_they_last():
     assert split_files(range(1), fractions=(0.8, 0.1, 0.1), seed=0) == ([0], [], [])
 
 
+def test_over_all_folds_every_family_is_tested_once_and_never_trained_on():
+    paths = list(range(23))
+    groups = [path // 3 for path in paths]  # 8 families, the last of two
+    sides = [
+        split_files(
+            paths, fractions=(0.8, 0.1, 0.1), seed=4, groups=groups, fold=(i, 5)
+        )
+        for i in range(5)
+    ]
+    assert sorted(path for side in sides for path in side[2]) == paths
+    for train, val, test in sides:
+        families = [{path // 3 for path in side} for side in (train, val, test)]
+        assert sorted(train + val + test) == paths
+        assert sum(map(len, families)) == 8
+        assert [len(found) for found in families[1:]] in ([1, 1], [1, 2])
+    with pytest.raises(ValueError, match="there are 3 and data.folds is 5"):
+        split_files(range(3), fractions=(0.8, 0.1, 0.1), seed=0, fold=(0, 5))
+
+
+def write_boxes(folder, count):
+    for i in range(count):
+        box = trimesh.creation.box(extents=[1, 0.5, 0.4 + i / count])
+        box.export(folder / f"{i}.ply")
+    return str(folder)
+
+
+def test_a_small_set_is_completed_by_copies_and_procedural_shapes(tmp_path):
+    folder = write_boxes(tmp_path, 4)
+    all_train = {"folder": folder, "fractions": (1, 0, 0)}
+    spec = DataSpec("car", copies=0, mix=-1, **all_train)
+    models = open_source(spec).list_models()
+    assert [model.copy for model in models[:300]] == sorted(4 * list(range(75)))
+    assert len({model.name for model in models}) == len(models) == 600
+    own = DataSpec("car", models=300)  # the same that a procedural set would have
+    assert models[300:] == open_source(own).list_models()
+    meshes = [open_source(spec).make_mesh(models[i]) for i in (0, 599)]
+    assert len(meshes[0].faces) == 12 < len(meshes[1].faces)
+
+    lamps = DataSpec("lamp", copies=0, mix=-1, **all_train)  # no such shapes
+    assert len(open_source(lamps).list_models()) == 300
+    chosen = DataSpec("car", copies=2, mix=3, **all_train)
+    assert len(open_source(chosen).list_models()) == 2 * 4 + 3
+
+
+def test_a_large_set_is_left_as_it_is(tmp_path, monkeypatch):
+    monkeypatch.setattr(sources, "FEW", 4)
+    spec = DataSpec(
+        "car", folder=write_boxes(tmp_path, 4), fractions=(1, 0, 0), copies=0, mix=-1
+    )
+    assert [model.copy for model in open_source(spec).list_models()] == [0] * 4
+
+
 def test_procedural_splits_and_seeds_never_share_a_shape():
     seeds = set()
     for split in SPLITS:
@@ -58,7 +110,8 @@ def test_an_empty_split_of_a_folder_is_named(tmp_path):
 @pytest.mark.parametrize(
     "field, value",
     [
-        ("views", 0), ("image_size", 0), ("supersample", 0), ("copies", 0),
+        ("views", 0), ("image_size", 0), ("supersample", 0), ("copies", -1),
+        ("mix", -2), ("fold", (2, 2)), ("fold", (0, 1)),
         ("split", "dev"), ("seed", -1), ("models", 0), ("models", None),
         ("elevation", (40, -20)), ("elevation", (-20, 90)), ("distance", 0.4),
         ("focal_length", 0.0), ("extent", -1.0),

@@ -133,6 +133,7 @@ def test_a_workdir_from_before_a_field_does_what_it_did():
     )
     assert not read.pose.common_frame and read.pose.choice_rank == "volume"
     assert read.train.pull_weight == 0 and read.train.steps == 9
+    assert from_json('{"category": "car", "data": {"copies": 6}}').data.mix == 0
     assert Config("car").pose.common_frame and Config("car").train.pull_weight
 
 
@@ -186,6 +187,36 @@ def test_poses_that_are_known_cannot_be_learned_from_labels_too():
         check(config)
 
 
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"folds": 5}, "config.data.folds must be 0, or above 1 with a folder"),
+        ({"folds": 1, "meshes": "x"}, "config.data.folds must be 0, or above 1"),
+        ({"folds": 5, "meshes": "x", "test_meshes": "y"}, "config.data.folds"),
+        ({"folds": 5, "meshes": "x", "fold": 5}, "must be below data.folds = 5, but"),
+        ({"fold": 1}, "config.data.fold must be 0 without data.folds, but it is 1"),
+        ({"mix": 10}, "config.data.mix must be -1 or 0 without data.meshes"),
+        ({"mix": 10, "images": "x"}, "config.data.mix must be -1 or 0 without"),
+    ],
+)
+def test_folds_and_mixtures_that_mean_nothing_are_refused(
+    changes, expected, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    for name in "xy":
+        (tmp_path / name).mkdir()
+    with pytest.raises(ValueError, match=expected):
+        check(change(load("car"), "data", **changes))
+    check(change(load("car"), "data", meshes="x", folds=5, fold=4, mix=10))
+
+
+def test_colors_that_are_compared_are_not_changed():
+    config = change(load("car"), "train", recolor=True)
+    check(config)
+    with pytest.raises(ValueError, match="config.train.recolor must be False where"):
+        check(change(config, "train", color_weight=1.0))
+
+
 def test_a_fixed_scale_has_no_parameters():
     config = load("car", "known_pose")
     _, learned = parameter_shapes(config)
@@ -231,6 +262,10 @@ def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
     specs = make_data_specs(config)
     assert {s.folder for s in specs.values()} == {"meshes"}
     assert {s.fractions for s in specs.values()} == {(0.8, 0.1, 0.1)}
+    assert [specs[s].mix for s in ("train", "val", "test")] == [-1, 0, 0]
+    assert [specs[s].copies for s in ("train", "val", "test")] == [0, 1, 1]
+    folds = make_data_specs(change(config, "data", folds=5, fold=2))
+    assert {spec.fold for spec in folds.values()} == {(2, 5)}
     config = change(
         config, "data", own_test=0.2
     )  # of no meaning without another folder

@@ -77,6 +77,7 @@ def _list_rules(config):
         "0, or a divisor of train.models_per_batch = "
         f"{train.models_per_batch}, so that all devices have as many objects",
     )
+    yield from _list_folder_rules(config)
     size, grid, fine = data.image_size, render.grid, render.fine_grid
     whole = f"data.image_size = {size}, so that masks can be averaged down to it"
     yield "render.grid", size % grid == 0, f"a divisor of {whole}"
@@ -94,6 +95,29 @@ def _list_rules(config):
         "pose.choice_grid",
         not config.pose.choice_grid or grid % config.pose.choice_grid == 0,
         f"0 or a divisor of render.grid = {grid}",
+    )
+
+
+def _list_folder_rules(config):
+    """Rules of what is done with the models of a folder."""
+    data = config.data
+    has_folder = any(getattr(data, name) for name in SOURCES)
+    is_free = has_folder and not (data.test_meshes or data.split_file)
+    yield (
+        "data.folds",
+        not data.folds or data.folds > 1 and is_free,
+        "0, or above 1 with a folder of models (data.meshes, say) that is split by "
+        "seed and tested on itself",
+    )
+    yield (
+        "data.fold",
+        data.fold < max(1, data.folds),
+        f"below data.folds = {data.folds}" if data.folds else "0 without data.folds",
+    )
+    yield (
+        "data.mix",
+        data.mix <= 0 or bool(data.meshes or data.shapenet),
+        "-1 or 0 without data.meshes or data.shapenet, to which shapes are added",
     )
 
 
@@ -185,6 +209,12 @@ def _list_signal_rules(config):
         is_exact or pose.choice_signals == "silhouette",
         "above 0 with pose.choice_signals = 'all', because the first, coarse choice "
         "sees silhouettes alone",
+    )
+    yield (
+        "train.recolor",
+        not (train.recolor and train.color_weight),
+        "False where train.color_weight is above 0, because the colours that are "
+        "compared would not be those that are seen",
     )
     for name in ("offset", "focal_spread"):
         is_rendered = not (data.images or data.renders)

@@ -18,6 +18,7 @@ def to_config_dict(config: Config) -> ml_collections.ConfigDict:
 # What runs did before there was a field, where it is not the field's default; and
 # fields that were tried and taken out.
 _BEFORE = {
+    "data": {"copies": 1, "mix": 0},
     "pose": {"choice_rank": "volume", "common_frame": False},
     "train": {"pull_weight": 0.0},
 }

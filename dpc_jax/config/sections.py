@@ -48,6 +48,8 @@ class Data:
     test_meshes: str = field("", FOLDER)  # to test on; "": a part of the same source
     own_test: float = field(0.0, between(0, 0.5))  # share of the source tested apart
     split_file: str = field("", FILE)  # official ShapeNet split; "": found in folder
+    folds: int = field(0, at_least(0))  # parts, of which one is tested; 0: a tenth is
+    fold: int = field(0, at_least(0))  # which one
     shapenet_front: str = field("", one_of(*FRONTS))  # models face
     ground_truth: str = field("", FOLDER)  # of MODEL.mat for the renders; "": found
     crop: str = field("object", one_of(*CROPS))  # share one scale
@@ -55,8 +57,9 @@ class Data:
     models: int = field(1000, at_least(1))  # procedural models to train on
     val_models: int = field(40, at_least(1))  # to validate on (20 of them align)
     test_models: int = field(100, at_least(1))  # to test on
-    copies: int = field(1, at_least(1))  # of each mesh; all but the first stretched
+    copies: int = field(0, at_least(0))  # of meshes, stretched; 0: to 300 in all
     stretch: float = field(0.15, between(0, 0.99))  # largest, as a share of a side
+    mix: int = field(-1, at_least(-1))  # procedural ones beside; -1: 300 if few meshes
     views: int = field(5, at_least(1))  # per model (§ Datasets)
     offset: float = field(0.0, between(0, 0.12))  # largest, of each axis; diagonals
     focal_spread: float = field(0.0, between(0, 0.25))  # of a view's focal length
@@ -199,6 +202,7 @@ class Train:
     background_weight: float = field(0.0, between(0, 1))  # event cost; 0: squares
     depth_weight: float = field(0.0, at_least(0))  # per pixel and diagonal; 0: none
     color_weight: float = field(0.0, at_least(0))  # per pixel; 0: no colours
+    recolor: bool = field(False)  # objects in random colours, for the encoder alone
 
 
 @dataclasses.dataclass(frozen=True)

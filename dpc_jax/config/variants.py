@@ -28,6 +28,8 @@ VARIANTS: dict[str, Changes] = {
     # § Training details and § Network architecture, at 64 pixels.
     "paper": {
         "data": {
+            "copies": 1,
+            "mix": 0,
             "surface_points": 100_000,  # § Evaluation, as in the released code
             "surface_voxel": 0.01,
         },

@@ -27,7 +27,7 @@ VERSION = 3  # raise it when rendering, the procedural shapes or the shards chan
 PLACES = ("folder", "split_file", "ground_truth")  # fields that do not affect the bytes
 # Fields that affect them where they are not 0. Otherwise they are left out of the key,
 # so that sets from before there were such fields keep theirs.
-EXTRAS = ("offset", "focal_spread", "corner_views", "surface_seen")
+EXTRAS = ("offset", "focal_spread", "corner_views", "surface_seen", "fold", "mix")
 RECORD = "spec.json"  # the file that finishes a cache
 
 

@@ -9,7 +9,8 @@ import importlib
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from dpc_jax.data.spec import KINDS, DataSpec
+from dpc_jax.data.spec import FEW, KINDS, SEEDS_PER_SPLIT, DataSpec
+from dpc_jax.data.splits import SPLITS
 
 PROCEDURAL = "procedural_shapes.ProceduralShapes"  # where a specification has no folder
 
@@ -127,11 +128,29 @@ def open_source(spec: DataSpec) -> Source:
     return made(spec)
 
 
-def add_copies(models: list[Model], spec: DataSpec) -> list[Model]:
-    """The models, then their stretched copies; at most `spec.models` of them."""
+def list_procedural(spec: DataSpec, count: int) -> list[Model]:
+    """The first procedural shapes of a specification's category, split and seed."""
+    first = (spec.seed * len(SPLITS) + SPLITS.index(spec.split)) * SEEDS_PER_SPLIT
+    return [
+        Model(f"{spec.category}-{seed:07d}", None, seed, 0, "", spec.views)
+        for seed in range(first, first + count)
+    ]
+
+
+def complete(models: list[Model], spec: DataSpec) -> list[Model]:
+    """Models of files, then their stretched copies, then procedural shapes.
+
+    At most `spec.models` of them.
+    """
+    count = spec.copies or max(1, round(FEW / len(models)))
     copies = [
         model._replace(name=f"{model.name}#{copy}", copy=copy)
-        for copy in range(1, spec.copies)
+        for copy in range(1, count)
         for model in models
     ]
-    return [*models, *copies][: spec.models]
+    mix = spec.mix
+    if mix < 0:
+        from dpc_jax.shapes.procedural import CATEGORIES  # imports trimesh
+
+        mix = FEW if len(models) < FEW and spec.category in CATEGORIES else 0
+    return [*models, *copies, *list_procedural(spec, mix)][: spec.models]

@@ -13,6 +13,7 @@ KINDS = {  # of folders, and the class that reads each, in `dpc_jax.data.sets`
     "images": "image_folder.ImageFolder",
 }
 SEEDS_PER_SPLIT = 1_000_000
+FEW = 300  # models of a folder, below which copies and procedural shapes are added
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,10 +31,10 @@ class DataSpec:
     split: str = "train"  # "train", "val" or "test"
     fractions: tuple = (0.8, 0.1, 0.1)  # of a folder's files; (0, 0, 1): all to test
     models: int | None = None  # how many; None: all files of the folder's split
-    copies: int = (
-        Data.copies
-    )  # per file; the first is the original, the others are stretched
+    fold: tuple | None = None  # (i, n): of n parts of the files the i-th is tested
+    copies: int = 1  # per file, stretched but for the first; 0: up to `FEW` in all
     stretch: float = Data.stretch  # of the stretched copies
+    mix: int = 0  # procedural shapes beside the files; -1: `FEW` if these are fewer
     seed: int = Data.seed  # of the split, the shapes, the views and the lights
     views: int = Data.views  # per model (paper, section Experiments)
     elevation: tuple = (-20.0, 40.0)  # degrees, uniform; azimuth is uniform in 360
@@ -85,9 +86,14 @@ class DataSpec:
         low, high = self.elevation
         angles = "(low, high) with -90 < low <= high < 90 degrees"
         models = 1 if self.models is None else self.models  # None stands for all
-        counts = ("views", "image_size", "supersample", "surface_points", "copies")
+        counts = ("views", "image_size", "supersample", "surface_points")
         ranges = [(name, getattr(self, name) >= 1, "at least 1") for name in counts]
+        if self.fold is not None:
+            (index, count), right = self.fold, "(i, n) with 0 <= i < n and n above 1"
+            ranges.append(("fold", 0 <= index < count and count > 1, right))
         ranges += [
+            ("copies", self.copies >= 0, "at least 0"),
+            ("mix", self.mix >= -1, "at least -1"),
             ("seed", self.seed >= 0, "at least 0"),
             ("fill", 0.1 <= self.fill <= 1, "in [0.1, 1]"),
             ("surface_voxel", 0 <= self.surface_voxel < 1, "in [0, 1)"),

@@ -16,6 +16,7 @@ def split_files(
     fractions: Sequence[float],
     seed: int,
     groups: Sequence[Hashable] | None = None,
+    fold: tuple[int, int] | None = None,
 ) -> tuple[list, list, list]:
     """Seeded split of distinct paths or names into (train, val, test), each sorted.
 
@@ -23,8 +24,13 @@ def split_files(
     group of its own. Every side with a positive fraction gets at least one group as
     long as there are enough. Only the ratios of the fractions count.
 
+    With `fold` = (i, n) the groups, in their seeded order, are n parts of like size, of
+    which the i-th is tested, and the fractions of train and val share the others. So
+    over all i each group is tested once.
+
     Raises:
-      ValueError: if the fractions are not three shares with a positive sum.
+      ValueError: if the fractions are not three shares with a positive sum, or there
+        are fewer groups than parts.
     """
     shares = np.asarray(fractions, dtype=np.float64)
     if shares.shape != (3,) or not (shares >= 0).all() or not shares.sum() > 0:
@@ -37,17 +43,39 @@ def split_files(
         members.setdefault(key, []).append(path)
     ordered = list(members.values())
     order = np.random.default_rng(seed).permutation(len(ordered))
-    counts = np.floor(shares / shares.sum() * len(ordered) + 1e-9).astype(int)
-    counts[np.argmax(shares)] += len(ordered) - counts.sum()
+    if fold is None:
+        counts = _count_groups(shares, len(ordered))
+        parts = np.split(order, np.cumsum(counts)[:-1])
+    else:
+        tested, others = _take_fold(order, *fold)
+        counts = _count_groups(shares * [1, 1, 0], len(others))
+        parts = [*np.split(others, np.cumsum(counts)[:-1])[:2], tested]
+    train, val, test = (
+        sorted(path for i in chosen for path in ordered[i]) for chosen in parts
+    )
+    return train, val, test
+
+
+def _count_groups(shares, total):
+    """How many of the groups each side gets."""
+    counts = np.floor(shares / shares.sum() * total + 1e-9).astype(int)
+    counts[np.argmax(shares)] += total - counts.sum()
     for side in np.flatnonzero((shares > 0) & (counts == 0)):
         if counts.max() > 1:
             counts[np.argmax(counts)] -= 1
             counts[side] = 1
-    train, val, test = (
-        sorted(path for i in chosen for path in ordered[i])
-        for chosen in np.split(order, np.cumsum(counts)[:-1])
-    )
-    return train, val, test
+    return counts
+
+
+def _take_fold(order, index, count):
+    """The index-th of `count` parts of an order, and the others."""
+    if count > len(order):
+        raise ValueError(
+            f"Expected at least as many families of files as folds, but there are "
+            f"{len(order)} and data.folds is {count}; set fewer folds or add files."
+        )
+    first, last = (len(order) * i // count for i in (index, index + 1))
+    return order[first:last], np.concatenate([order[last:], order[:first]])
 
 
 def group_variants(paths: Sequence[Path], digests: Sequence[str]) -> list[str]:

@@ -51,7 +51,9 @@ class Source:
                 f"Expected meshes of the category in {meshes}, but there is no such "
                 f"folder; fetch them with: launch/data.sh fetch {category}."
             )
-        changes = {"data.meshes": str(meshes), "data.copies": _COPIES.get(category, 1)}
+        copies = _COPIES.get(category, 1)
+        # Systems are compared on the meshes alone.
+        changes = {"data.meshes": str(meshes), "data.copies": copies, "data.mix": 0}
         tested = folder / category / "test"
         return changes | ({"data.test_meshes": str(tested)} if tested.is_dir() else {})
 

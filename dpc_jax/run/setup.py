@@ -161,10 +161,13 @@ def _split_folder(config, kind, shared):
     }
     # Pictures cannot be stretched.
     is_mesh = kind in ("meshes", "shapenet")
-    copies = {"copies": data.copies, "stretch": data.stretch} if is_mesh else {}
+    names = ("copies", "stretch", "mix") if is_mesh else ()
+    extra = {name: getattr(data, name) for name in names}
+    if data.folds:
+        source["fold"] = (data.fold, data.folds)
     return {
         split: DataSpec(
-            split=split, **source, **(copies if split == "train" else {}), **shared
+            split=split, **source, **(extra if split == "train" else {}), **shared
         )
         for split in ("train", "val", "test")
     }

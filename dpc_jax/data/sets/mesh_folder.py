@@ -9,7 +9,8 @@ from dpc_jax import files
 from dpc_jax.data import meshes, splits
 from dpc_jax.data.rendering import RenderedSource
 from dpc_jax.data.sets import obj_materials
-from dpc_jax.data.sources import Model, add_copies
+from dpc_jax.data.sources import Model, complete
+from dpc_jax.shapes import procedural
 from dpc_jax.shapes.normalization import normalize
 
 SIDECARS = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".webp")
@@ -25,7 +26,8 @@ class MeshSource(RenderedSource):
         return None
 
     def make_mesh(self, model: Model) -> trimesh.Trimesh:
-        assert model.path is not None
+        if model.path is None:
+            return procedural.make_shape(self.spec.category, model.seed)
         mesh = meshes.read_mesh(model.path)
         turn = self.find_turn(model.path)
         if turn is not None:
@@ -39,8 +41,8 @@ class MeshSource(RenderedSource):
         return normalize(mesh)
 
     def describe_flaws(self, model: Model) -> list[str]:
-        assert model.path is not None
-        if model.copy or not model.path.lower().endswith(".obj"):
+        is_obj = model.path is not None and model.path.lower().endswith(".obj")
+        if model.path is None or model.copy or not is_obj:
             return []
         flaw = obj_materials.describe_flaw(model.path)
         return [flaw] if flaw else []
@@ -62,6 +64,7 @@ class MeshFolder(MeshSource):
             fractions=spec.fractions,
             seed=spec.seed,
             groups=splits.group_variants(paths, digests),
+            fold=spec.fold,
         )
         chosen = sides[splits.SPLITS.index(spec.split)]
         if not chosen:
@@ -74,7 +77,7 @@ class MeshFolder(MeshSource):
             Model(path.relative_to(folder).as_posix(), str(path), 0, 0, key, spec.views)
             for path, key in chosen
         ]
-        return add_copies(models, spec)
+        return complete(models, spec)
 
     def list_sidecars(self) -> list[tuple[str, str]]:
         found = (p for p in self.folder.rglob("*") if p.suffix.lower() in SIDECARS)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from dpc_jax import files
 from dpc_jax.data import splits
 from dpc_jax.data.sets import split_lists
-from dpc_jax.data.sources import Model, Source, add_copies
+from dpc_jax.data.sources import Model, Source, complete
 
 
 class Division(NamedTuple):
@@ -46,8 +46,10 @@ class SplitSource(Source):
 
     def split_by_seed(self, names: list[str]) -> dict[str, list[str]]:
         """A split of our own: `{split: names}`."""
-        fractions, seed = self.spec.fractions, self.spec.seed
-        sides = splits.split_files(names, fractions=fractions, seed=seed)
+        spec = self.spec
+        sides = splits.split_files(
+            names, fractions=spec.fractions, seed=spec.seed, fold=spec.fold
+        )
         return dict(zip(splits.SPLITS, sides, strict=True))
 
     @functools.cached_property
@@ -57,6 +59,11 @@ class SplitSource(Source):
         official = self.find_split_file()
         if official is None:
             return Division(models, self.split_by_seed(list(models)), None)
+        if self.spec.fold is not None:
+            raise ValueError(
+                f"data.folds must be 0 where an official split is used, but {official} "
+                "is one; set data.folds to 0."
+            )
         sides = split_lists.read_split(official, self.synset)
         listed = set().union(*sides.values())
         if not listed & models.keys():
@@ -82,7 +89,7 @@ class SplitSource(Source):
             path = division.models[name]
             views, digest = self.identify_model(name, path)
             models.append(Model(name, str(path), 0, 0, digest, views))
-        return add_copies(models, spec)
+        return complete(models, spec)
 
     def list_remarks(self) -> list[tuple[str, str]]:
         models, sides, official = self.division
