@@ -36,7 +36,7 @@ def test_equal_colors_stay_equal_in_all_views_and_differ_between_objects():
 
 
 def test_hues_come_out_all_round():
-    """Of one red object in 300 draws each channel is the darkest in a fifth at least."""
+    """Of 300 draws for one red object each channel is the darkest in a fifth."""
     red = np.full((300, 1, 1, 1, 3), (200, 30, 30), np.uint8)
     made = np.asarray(recolor_images(red, keys(300)))[:, 0, 0, 0]
     shares = np.bincount(made.argmin(axis=1), minlength=3) / 300

@@ -134,6 +134,8 @@ class Pose:
     choice_signals: str = field("silhouette", one_of("silhouette", "all"))  # compared
     common_frame: bool = field(True)  # kinds turned round are turned, by colours
     common_frame_from: float = field(0.2, between(0, 1))  # share of the run
+    viewpoint_weight: float = field(0.0, at_least(0))  # of where others are seen from
+    viewpoint_from: float = field(0.1, between(0, 1))  # share of the run
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     student_loss: str = field("absolute", one_of(*STUDENT_LOSSES))  # if it regresses
     prior_weight: float = field(0.0, at_least(0))  # per pixel; of a judge (MVC)
@@ -172,6 +174,12 @@ class Pose:
         """Whether kinds of objects, if they are points, are turned to one frame."""
         is_learned = not self.given and not self.samples
         return self.common_frame and self.half_turns and is_learned
+
+    @property
+    def learns_viewpoints(self) -> bool:
+        """Whether the choice learns where the category's cameras stand."""
+        is_chosen = not self.given and not self.samples and self.heads > 1
+        return self.viewpoint_weight > 0 and is_chosen
 
     @property
     def choices(self) -> int:
