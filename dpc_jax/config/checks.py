@@ -67,6 +67,11 @@ def _list_rules(config):
         f"between 0 and train.steps = {train.steps}",
     )
     yield (
+        "train.start_steps",
+        train.starts == 1 or train.start_steps < train.steps,
+        f"below train.steps = {train.steps} where train.starts is above 1",
+    )
+    yield (
         "pose.labels",
         not (config.pose.labels and config.pose.known),
         "False where pose.known is set, because no pose is learned there",

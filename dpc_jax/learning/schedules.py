@@ -1,6 +1,7 @@
 """Schedules over a run: point size, dropout, learning rate (§ Training details)."""
 
 import bisect
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import chex
@@ -87,6 +88,13 @@ def list_spans(render: Render, *, steps: int) -> tuple[Span, ...]:
         )
         spans.append(Span(start, start + later, stage))
     return tuple(spans)
+
+
+def cut_spans(spans: Sequence[Span], steps: int) -> tuple[Span, ...]:
+    """The spans of the first steps alone."""
+    return tuple(
+        span._replace(end=min(span.end, steps)) for span in spans if span.start < steps
+    )
 
 
 def make_learning_rate(train: Train) -> optax.Schedule:

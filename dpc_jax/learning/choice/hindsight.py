@@ -204,8 +204,12 @@ def choose_in_scene(
     return best[jnp.argmin(_handicap(losses, own, best))]
 
 
-def _handicap(losses, own, chosen=slice(None)):
-    return losses * own["handicaps"][chosen] if "handicaps" in own else losses
+def _handicap(losses, own, chosen=None):
+    """Losses times the factors of the candidates, or of those chosen."""
+    if "handicaps" not in own:
+        return losses
+    factors = own["handicaps"]
+    return losses * (factors if chosen is None else factors[chosen])
 
 
 def _is_exact(scene, target, how):

@@ -2,19 +2,25 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet, choose_batch, read_batch
 from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.learning import devices, schedules, signals
 from dpc_jax.learning.step import TrainState, make_train_step, repeat_seed
-from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.learning.training.forecast import Forecast
 from dpc_jax.learning.training.programs import StagePrograms
 from dpc_jax.learning.training.progress import ProgressReport
 from dpc_jax.learning.training.records import MetricLog, Stopwatch, Window
 from dpc_jax.networks import ShapePoseNetwork
+
+
+class Keeper(Protocol):
+    """Keeps states: `Checkpoints`, for instance."""
+
+    def save(self, state: TrainState, *, seconds: float) -> None:
+        """Keep a state and the seconds of training that it took."""
 
 
 class Outcome(NamedTuple):
@@ -37,7 +43,7 @@ def train(
     *,
     network: ShapePoseNetwork,
     config: Config,
-    checkpoints: Checkpoints,
+    checkpoints: Keeper,
     log: MetricLog,
     evaluate: Callable[[TrainState], dict[str, float]] | None = None,
     should_stop: Callable[[], bool] = lambda: False,
@@ -47,6 +53,7 @@ def train(
     compile_ahead: bool = True,
     validations_after: float = 0.0,
     prepare: Callable[[], object] | None = None,
+    until: int | None = None,
 ) -> Outcome:
     """Train from a state to the last step of the config.
 
@@ -72,15 +79,17 @@ def train(
         for the time left.
       prepare: called in the background, once the programs of all stages are there: to
         compile what validation needs.
+      until: the step to end after instead, under the same schedules.
 
     Raises:
       NonFiniteError: at the first loss or gradient that is not finite, named with its
         step. Nothing is saved then: the last checkpoint is the last good state.
     """
-    start, steps, due = int(state.step), config.train.steps, config.log
+    start, steps, due = int(state.step), until or config.train.steps, config.log
     watch = Stopwatch(seconds)
     window = Window(start, seconds, heads=config.pose.heads)
-    spans = schedules.list_spans(config.render, steps=steps)
+    spans = schedules.list_spans(config.render, steps=config.train.steps)
+    spans = schedules.cut_spans(spans, steps)
     forecast = Forecast(
         spans,
         start=start,
