@@ -49,7 +49,7 @@ def test_a_viewpoint_is_that_of_the_data(azimuth, elevation):
 
 
 def test_heads_start_in_equal_steps_and_never_leave_the_known_elevations():
-    module = ViewpointEnsemble(8, hidden=16)
+    module = ViewpointEnsemble(8, (-20.0, 40.0), hidden=16)
     features = jax.random.normal(jax.random.key(0), (3, 12))
     params = module.init(jax.random.key(1), features)
     azimuths, elevations = read_angles(module.apply(params, 1e-3 * features))
@@ -182,7 +182,7 @@ def judging():
         hidden=8,
         shape_hidden=8,
         num_classes=2,
-        viewpoints=True,
+        viewpoints=(-20.0, 40.0),
         judges_poses=True,
     )
     params = network.init(jax.random.key(0), jnp.zeros((1, 16, 16, 3)))

@@ -36,6 +36,7 @@ PLAIN = {
         renders_at_once=0,
     ),
     "pose": dict(
+        head="quaternion",
         candidates=3,
         flips=False,
         selects=False,

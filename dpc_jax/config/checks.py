@@ -71,6 +71,12 @@ def _list_rules(config):
         train.starts == 1 or train.start_steps < train.steps,
         f"below train.steps = {train.steps} where train.starts is above 1",
     )
+    low, high = config.pose.elevation_low, config.pose.elevation_high
+    yield (
+        "pose.elevation_high",
+        low < high,
+        f"above pose.elevation_low = {low} degrees",
+    )
     yield (
         "pose.labels",
         not (config.pose.labels and config.pose.known),

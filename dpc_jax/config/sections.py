@@ -121,7 +121,9 @@ class Pose:
     known: bool = field(False)  # read the poses from the data, learn none
     labels: bool = field(False)  # learn poses from the data's, shapes with the data's
     candidates: int = field(8, _HEADS)  # K heads (§ distilled ensemble)
-    head: str = field("quaternion", one_of(*POSE_HEADS))  # viewpoint: no roll (MVC)
+    head: str = field("viewpoint", one_of(*POSE_HEADS))  # upright; quaternion: any
+    elevation_low: float = field(-20.0, between(-90, 90))  # of viewpoints, degrees
+    elevation_high: float = field(40.0, between(-90, 90))  # (§ Datasets)
     own_encoder: bool = field(False)  # poses have an encoder of their own (MVC)
     spread: str = field("all", one_of("", "all", "upright"))  # where the heads start
     flips: bool = field(True)  # also try each head after half turns of the object
@@ -170,6 +172,23 @@ class Pose:
         return self.flips and self.heads > 1
 
     @property
+    def elevations(self) -> tuple[float, float] | None:
+        """Range of the cameras' elevations, degrees, that viewpoint heads are told."""
+        if self.head != "viewpoint":
+            return None
+        return self.elevation_low, self.elevation_high
+
+    @property
+    def turns(self) -> int:
+        """Turns of the object that each head is tried after, none among them.
+
+        Upright viewpoints leave a half turn about the vertical.
+        """
+        if not self.half_turns:
+            return 1
+        return 2 if self.head == "viewpoint" else 4
+
+    @property
     def finds_frame(self) -> bool:
         """Whether kinds of objects, if they are points, are turned to one frame."""
         is_learned = not self.given and not self.samples
@@ -186,7 +205,7 @@ class Pose:
         """How many candidates a selecting student chooses among; 0: it regresses."""
         if not self.selects or self.heads < 2:
             return 0
-        return self.heads * (4 if self.half_turns else 1)
+        return self.heads * self.turns
 
 
 @dataclasses.dataclass(frozen=True)

@@ -49,6 +49,7 @@ VARIANTS: dict[str, Changes] = {
             "scale_unit": "peak",  # c_i of Eq. 3
         },
         "pose": {
+            "head": "quaternion",
             "candidates": 4,
             "student_weight": 0.01,  # released code: 20 beside half the squares
             "spread": "",
@@ -74,7 +75,8 @@ VARIANTS: dict[str, Changes] = {
     # One pose regressor (§ Estimating pose with a distilled ensemble).
     "naive": {
         "network": {"head_layers": 0},  # from the branch's hidden layer (appendix)
-        "pose": {"candidates": 1, "spread": "", "flips": False},
+        "pose": {"head": "quaternion"}
+        | {"candidates": 1, "spread": "", "flips": False},
     },
     # § Estimating shape with known pose.
     "known_pose": {"pose": {"known": True}},

@@ -40,7 +40,11 @@ def _count_points(count: int) -> Row:
 
 MEAN_SHAPE = Row("Mean shape of the training set", measure="mean_shape:measure")
 PULL = {"train.pull_weight": 0.03}
-DEFAULTS = PULL | {"pose.common_frame": True, "train.containment_weight": 30.0}
+DEFAULTS = PULL | {
+    "pose.head": "viewpoint",
+    "pose.common_frame": True,
+    "train.containment_weight": 30.0,
+}
 CHOOSE_BY_ALL = {"pose.choice_signals": "all"}
 EXPERIMENTS = (
     Experiment(
@@ -87,7 +91,7 @@ EXPERIMENTS = (
         (
             MEAN_SHAPE,
             Row("GT pose", "GT pose", "gt_pose"),
-            Row("MVC", "MVC", "mvc"),
+            Row("MVC", "MVC", "mvc", {"pose.head": "viewpoint"}),
             Row("Ours-V", variant="ours_v"),
             Row("Ours-naive", "Ours-naive", "naive"),
             Row("Ours", "Ours", ""),

@@ -58,12 +58,15 @@ def _average(value, axis):
     return value if axis is None else jax.lax.pmean(value, axis)
 
 
-def find_half_turns(covariance: jax.Array) -> jax.Array:
+def find_half_turns(covariance: jax.Array, count: int = 4) -> jax.Array:
     """Half turns about the principal axes of a covariance [3, 3].
 
     Returns:
-      [4, 4] quaternions: the identity, then 180° about each principal axis.
+      [4, 4] quaternions: the identity, then 180° about each principal axis. With a
+      count of two [2, 4]: the identity and 180° about z, up where cameras are upright.
     """
+    if count == 2:
+        return jnp.eye(4, dtype=covariance.dtype)[jnp.array([0, 3])]
     _, axes = jnp.linalg.eigh(covariance)
     turns = jnp.concatenate([jnp.zeros((3, 1), axes.dtype), axes.T], axis=1)
     return jnp.concatenate([jnp.array([quaternion.IDENTITY], axes.dtype), turns])

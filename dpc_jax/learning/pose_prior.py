@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import optax
 
 from dpc_jax.networks import ShapePoseNetwork
-from dpc_jax.networks.viewpoints import ELEVATIONS, face_object
+from dpc_jax.networks.viewpoints import face_object
 
 
 def judge_poses(
@@ -37,7 +37,9 @@ def judge_poses(
     """
     views = quaternions.shape[1]
     own = jax.vmap(functools.partial(jax.random.fold_in, data=2))(keys)
-    drawn, signs = jax.vmap(lambda key: _draw(key, views))(own)
+    assert network.viewpoints is not None  # heads of MVC
+    draw = functools.partial(_draw, views=views, elevations=network.viewpoints)
+    drawn, signs = jax.vmap(draw)(own)
     length = jnp.linalg.norm(quaternions, axis=-1, keepdims=True)
     # q and -q are one pose: neither sign may give it away.
     predicted = (signs * quaternions / length).reshape(-1, 4)
@@ -53,13 +55,13 @@ def judge_poses(
     return losses, jnp.mean(found) + jnp.mean(right)
 
 
-def _draw(key, views):
+def _draw(key, *, views, elevations):
     """Poses [V, 4] by the prior, and random signs [V, 1] for the predicted ones."""
-    azimuths, elevations, signs, others = jax.random.split(key, 4)
-    low, high = (jnp.deg2rad(angle) for angle in ELEVATIONS)
+    azimuths, heights, signs, others = jax.random.split(key, 4)
+    low, high = (jnp.deg2rad(angle) for angle in elevations)
     poses = face_object(
         jax.random.uniform(azimuths, (views,), maxval=2 * jnp.pi),
-        jax.random.uniform(elevations, (views,), minval=low, maxval=high),
+        jax.random.uniform(heights, (views,), minval=low, maxval=high),
     )
     own = jax.random.rademacher(signs, (views, 1), jnp.float32)
     return own * poses, jax.random.rademacher(others, (views, 1), jnp.float32)

@@ -212,7 +212,7 @@ def complete_poses(
     candidates, student = output["candidates"], output.get("student")
     logits = output.get("logits")
     if pose.half_turns:
-        turns = half_turns.find_half_turns(covariance)
+        turns = half_turns.find_half_turns(covariance, pose.turns)
         turn = jax.vmap(half_turns.turn_candidates, (0, None))
         candidates = turn(candidates, turns)
     if logits is not None:

@@ -97,7 +97,7 @@ def _init_whole(network, config, seed):
     if config.pose.finds_frame and config.network.shape == "points":
         from dpc_jax.learning.choice.common_frame import start_frame  # where asked
 
-        frame = start_frame()
+        frame = start_frame(config.pose.turns)
     viewpoints = None
     if config.pose.learns_viewpoints:
         from dpc_jax.learning.choice.viewpoints import start_viewpoints  # likewise

@@ -127,7 +127,7 @@ def make_calls(config: Config, step: int) -> dict[str, Callable[[], Any]]:
                 batch["images"],
                 batch["masks"],
                 jnp.eye(3),
-                common_frame.start_frame(),
+                common_frame.start_frame(config.pose.turns),
                 camera=camera,
                 cameras=Cameras(),
                 heads=config.pose.candidates,
@@ -146,7 +146,7 @@ def make_calls(config: Config, step: int) -> dict[str, Callable[[], Any]]:
 
     def turn(kept, candidates):
         covariance = half_turns.average_covariance(jnp.eye(3), kept, jnp.asarray(step))
-        turns = half_turns.find_half_turns(covariance)
+        turns = half_turns.find_half_turns(covariance, config.pose.turns)
         return jax.vmap(half_turns.turn_candidates, (0, None))(candidates, turns)
 
     def shrink(masks):

@@ -25,7 +25,8 @@ class ShapePoseNetwork(nn.Module):
       voxel_channels, contains_voxels: of it, channels and is_contained.
       map_side, map_focal_length, map_distance, map_channels: of the `ViewMapHead`; 0
         for no maps.
-      viewpoints: predict azimuth and elevation (`ViewpointEnsemble`), not quaternions.
+      viewpoints: lowest and highest elevation, degrees, of heads that predict azimuth
+        and elevation (`ViewpointEnsemble`); None for heads that predict quaternions.
       own_pose_encoder: poses are predicted from features of an encoder of their own,
         which come behind those of shapes.
       judges_poses: have a `PoseJudge`.
@@ -64,7 +65,7 @@ class ShapePoseNetwork(nn.Module):
     map_focal_length: float = 1.875
     map_distance: float = 2.0
     map_channels: int = 48
-    viewpoints: bool = False
+    viewpoints: tuple[float, float] | None = None
     own_pose_encoder: bool = False
     judges_poses: bool = False
 
@@ -104,10 +105,13 @@ class ShapePoseNetwork(nn.Module):
 
     def _make_pose_heads(self):
         if self.viewpoints:
-            from dpc_jax.networks.viewpoints import ViewpointEnsemble  # of a baseline
+            from dpc_jax.networks.viewpoints import ViewpointEnsemble  # where asked
 
             return ViewpointEnsemble(
-                candidates=self.candidates, hidden=self.hidden, slope=self.pose_slope
+                candidates=self.candidates,
+                elevations=self.viewpoints,
+                hidden=self.hidden,
+                slope=self.pose_slope,
             )
         return PoseEnsemble(
             candidates=self.candidates,

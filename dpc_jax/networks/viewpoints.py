@@ -1,8 +1,7 @@
 """Pose heads that predict viewpoints, and the judge of a prior on them (MVC).
 
-Multi-view Consistency (Tulsiani et al., 2018) is told what range elevations have and
-that images are upright: a head predicts azimuth and elevation alone
-(docs/baselines.md).
+As Multi-view Consistency (Tulsiani et al., 2018) they are told what range elevations
+have and that images are upright: a head predicts azimuth and elevation alone.
 """
 
 import flax.linen as nn
@@ -11,7 +10,6 @@ import jax.numpy as jnp
 
 from dpc_jax.networks.encoder import conv_init, leaky_relu
 
-ELEVATIONS = (-20.0, 40.0)  # degrees, of the views (§ Datasets)
 _JUDGE_WIDTH = 10
 
 
@@ -23,10 +21,12 @@ class ViewpointEnsemble(nn.Module):
 
     Attributes:
       candidates: K, the number of heads.
+      elevations: lowest and highest, degrees.
       hidden: width of the layer. slope: of the leaky ReLU after it.
     """
 
     candidates: int
+    elevations: tuple[float, float]
     hidden: int = 1024
     slope: float = 0.2
 
@@ -40,7 +40,7 @@ class ViewpointEnsemble(nn.Module):
         shares = nn.sigmoid(x).reshape(-1, 2, self.candidates)
         sectors = jnp.arange(self.candidates) / self.candidates
         azimuths = 2 * jnp.pi * (shares[:, 0] + sectors[None])
-        low, high = (jnp.deg2rad(angle) for angle in ELEVATIONS)
+        low, high = (jnp.deg2rad(angle) for angle in self.elevations)
         return face_object(azimuths, low + (high - low) * shares[:, 1])
 
 

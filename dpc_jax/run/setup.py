@@ -38,7 +38,7 @@ def make_network(config: Config) -> ShapePoseNetwork:
         map_focal_length=config.render.focal_length,
         map_distance=config.render.distance,
         map_channels=config.network.map_channels,
-        viewpoints=config.pose.head == "viewpoint",
+        viewpoints=config.pose.elevations,
         own_pose_encoder=config.pose.own_encoder,
         judges_poses=config.pose.prior_weight > 0,
     )

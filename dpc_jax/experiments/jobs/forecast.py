@@ -25,7 +25,7 @@ def guess_seconds(config: Config, *, steps: int | None = None) -> float:
     fine = render.fine_grid or render.grid
     share = 1 - render.fine_from if render.fine_grid else 0.0
     voxels = (1 - share) * render.grid**3 + share * fine**3
-    choices = pose.heads * (4 if pose.half_turns else 1) if pose.heads > 1 else 0
+    choices = pose.heads * pose.turns if pose.heads > 1 else 0
     step = (
         _FIXED
         + _PER_PIXEL * config.data.image_size**2

@@ -41,8 +41,8 @@ class Frame(NamedTuple):
 
     Attributes:
       points: [CELLS, CELLS, CELLS] of points. colors: [CELLS³, BINS, BINS] of colours.
-      moments: [3, 2, 3], of 1, x and x², where x is what objects gain by points and by
-        colours after each of three half turns; nats per point or sample.
+      moments: [3, 2, T - 1], of 1, x and x², where x is what objects gain by points and
+        by colours after each half turn; nats per point or sample.
     """
 
     points: jax.Array
@@ -50,12 +50,12 @@ class Frame(NamedTuple):
     moments: jax.Array
 
 
-def start_frame() -> Frame:
-    """Of nothing yet."""
+def start_frame(turns: int = 4) -> Frame:
+    """Of nothing yet; T turns of objects, none among them."""
     return Frame(
         jnp.zeros((CELLS,) * 3),
         jnp.zeros((CELLS**3, BINS, BINS)),
-        jnp.zeros((3, 2, 3)),
+        jnp.zeros((3, 2, turns - 1)),
     )
 
 
@@ -87,7 +87,7 @@ def turn_back(
     """
     points, covariance = jax.lax.stop_gradient((points[:, :_POINTS], covariance))
     samples = _see_batch(points, winners, images, masks, cameras, camera)
-    turns = find_half_turns(covariance)
+    turns = find_half_turns(covariance, frame.moments.shape[2] + 1)
     gains = _measure_gains(points, samples, turns, frame)
     turned = jnp.where(is_due, _choose_turns(gains, frame.moments), 0)
 
@@ -115,7 +115,7 @@ def _see_batch(points, winners, images, masks, cameras, camera):
 
 
 def _measure_gains(points, samples, turns, frame):
-    """What objects gain by points and by colours after half turns; [2, B, 3]."""
+    """What objects gain by points and by colours after half turns; [2, B, T - 1]."""
     by_points = jax.vmap(lambda x: compare_places(x, turns, frame))(points)
     by_colors = jax.vmap(lambda x: compare_colors(x, turns, frame))(samples)
     return jnp.stack([a[:, 1:] - a[:, :1] for a in (by_points, by_colors)])
