@@ -210,13 +210,6 @@ def test_folds_and_mixtures_that_mean_nothing_are_refused(
     check(change(load("car"), "data", meshes="x", folds=5, fold=4, mix=10))
 
 
-def test_colors_that_are_compared_are_not_changed():
-    config = change(load("car"), "train", recolor=True)
-    check(config)
-    with pytest.raises(ValueError, match="config.train.recolor must be False where"):
-        check(change(config, "train", color_weight=1.0))
-
-
 def test_a_fixed_scale_has_no_parameters():
     config = load("car", "known_pose")
     _, learned = parameter_shapes(config)

@@ -221,12 +221,6 @@ def _list_signal_rules(config):
         "above 0 with pose.choice_signals = 'all', because the first, coarse choice "
         "sees silhouettes alone",
     )
-    yield (
-        "train.recolor",
-        not (train.recolor and train.color_weight),
-        "False where train.color_weight is above 0, because the colours that are "
-        "compared would not be those that are seen",
-    )
     for name in ("offset", "focal_spread"):
         is_rendered = not (data.images or data.renders)
         yield (

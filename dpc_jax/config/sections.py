@@ -136,8 +136,6 @@ class Pose:
     choice_signals: str = field("silhouette", one_of("silhouette", "all"))  # compared
     common_frame: bool = field(True)  # kinds turned round are turned, by colours
     common_frame_from: float = field(0.2, between(0, 1))  # share of the run
-    viewpoint_weight: float = field(0.0, at_least(0))  # of where others are seen from
-    viewpoint_from: float = field(0.1, between(0, 1))  # share of the run
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     student_loss: str = field("absolute", one_of(*STUDENT_LOSSES))  # if it regresses
     prior_weight: float = field(0.0, at_least(0))  # per pixel; of a judge (MVC)
@@ -195,12 +193,6 @@ class Pose:
         return self.common_frame and self.half_turns and is_learned
 
     @property
-    def learns_viewpoints(self) -> bool:
-        """Whether the choice learns where the category's cameras stand."""
-        is_chosen = not self.given and not self.samples and self.heads > 1
-        return self.viewpoint_weight > 0 and is_chosen
-
-    @property
     def choices(self) -> int:
         """How many candidates a selecting student chooses among; 0: it regresses."""
         if not self.selects or self.heads < 2:
@@ -231,7 +223,6 @@ class Train:
     background_weight: float = field(0.0, between(0, 1))  # event cost; 0: squares
     depth_weight: float = field(0.0, at_least(0))  # per pixel and diagonal; 0: none
     color_weight: float = field(0.0, at_least(0))  # per pixel; 0: no colours
-    recolor: bool = field(False)  # objects in random colours, for the encoder alone
 
 
 @dataclasses.dataclass(frozen=True)

@@ -61,12 +61,7 @@ def compute_loss(
     """
     camera = Camera(render.focal_length, render.distance)
     sigma = schedules.compute_sigma(step, render, steps=train.steps)
-    images = batch["images"]
-    if train.recolor:
-        from dpc_jax.learning.recoloring import recolor_images  # where it is asked for
-
-        images = recolor_images(images, keys)
-    features = encode_views(params, images, network=network)
+    features = encode_views(params, batch["images"], network=network)
     shapes = predict_shapes(
         params,
         features[:, 0],

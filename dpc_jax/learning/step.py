@@ -25,7 +25,7 @@ class TrainState(NamedTuple):
       step: () int32, steps done.
       params: of the network.
       optimizer: state of the optimiser.
-      covariance, cost, frame, viewpoints: see `terms.Averages`.
+      covariance, cost, frame: see `terms.Averages`.
     """
 
     step: jax.Array
@@ -34,7 +34,6 @@ class TrainState(NamedTuple):
     covariance: jax.Array
     cost: jax.Array | None = None
     frame: Any = None
-    viewpoints: Any = None
 
 
 def make_optimizer(train: Train) -> optax.GradientTransformation:
@@ -98,14 +97,8 @@ def _init_whole(network, config, seed):
         from dpc_jax.learning.choice.common_frame import start_frame  # where asked
 
         frame = start_frame(config.pose.turns)
-    viewpoints = None
-    if config.pose.learns_viewpoints:
-        from dpc_jax.learning.choice.viewpoints import start_viewpoints  # likewise
-
-        viewpoints = start_viewpoints()
     step = jnp.asarray(0, jnp.int32)
-    covariance = jnp.zeros((3, 3))
-    return TrainState(step, params, optimizer, covariance, cost, frame, viewpoints)
+    return TrainState(step, params, optimizer, jnp.zeros((3, 3)), cost, frame)
 
 
 def find_parts(network: ShapePoseNetwork, config: Config, mesh: Mesh) -> TrainState:
@@ -159,7 +152,7 @@ def _make_update(network, config, stage, parts, num_devices):
                 batch,
                 keys,
                 state.step,
-                Averages(state.covariance, state.cost, state.frame, state.viewpoints),
+                Averages(state.covariance, state.cost, state.frame),
                 network=network,
                 render=config.render,
                 pose=config.pose,

@@ -15,14 +15,11 @@ class Averages(NamedTuple):
         principal axes are those of the half turns.
       cost: () of a view; of runs that draw poses, else None.
       frame: of runs with `pose.common_frame`, see `choice.common_frame`; else None.
-      viewpoints: of runs with `pose.viewpoint_weight`, see `choice.viewpoints`; else
-        None.
     """
 
     covariance: jax.Array
     cost: jax.Array | None = None
     frame: Any = None  # its module is loaded where it is asked for
-    viewpoints: Any = None  # likewise
 
 
 class Term(NamedTuple):

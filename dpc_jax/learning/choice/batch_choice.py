@@ -40,7 +40,6 @@ def choose_poses(
     cameras: Cameras = Cameras(),
     views: Mapping[str, jax.Array] | None = None,
     weights: Weights = SILHOUETTES,
-    handicaps: jax.Array | None = None,
 ) -> Winners:
     """Eq. 2 for all views of a batch, without gradient.
 
@@ -55,7 +54,6 @@ def choose_poses(
       views: masks and, as the weights need them, images and depths: see `make_targets`.
       weights: of the signals by which candidates are compared at full resolution, if
         `pose.choice_signals` is "all"; the silhouette alone otherwise.
-      handicaps: [B·V, C] factors of the candidates' losses, or None.
     """
     batch_size, per_object = masks.shape[:2]
     total = batch_size * per_object
@@ -89,8 +87,6 @@ def choose_poses(
     )(scene, flat, own)
     targets = downsample_images(masks, render.grid)
     own |= _list_others(views or {}, render, weights)
-    if handicaps is not None:
-        own["handicaps"] = jax.lax.stop_gradient(handicaps)
     targets = targets.reshape(total, *targets.shape[2:])
 
     def choose(view):

@@ -162,7 +162,7 @@ def choose_in_scene(
       places: of `find_image_places`. They come from outside of the loop over views:
         inside, XLA projects each point again for every pixel.
       own: what the view has of its own, see `list_own`; for signals other than the
-        silhouette "others", their targets; "handicaps" [C], factors of the losses.
+        silhouette "others", their targets.
     """
     view = {
         "camera": place_camera(camera, own),
@@ -173,7 +173,7 @@ def choose_in_scene(
     exactly["others"] = own.get("others")
     if _is_exact(scene, target, how):
         losses = compute_candidate_losses(scene, candidates, target, **exactly)
-        return jnp.argmin(_handicap(losses, own))
+        return jnp.argmin(losses)
     if "cells" in scene:
         # Volumes stay as they are, and are seen in a coarser grid.
         coarse = compute_candidate_losses(
@@ -196,20 +196,11 @@ def choose_in_scene(
             choice_points=how.points,
             **view,
         )
-    coarse = _handicap(coarse, own)
     if how.top == 0:
         return jnp.argmin(coarse)
     _, best = jax.lax.top_k(-coarse, min(how.top, len(candidates)))
     losses = compute_candidate_losses(scene, candidates[best], target, **exactly)
-    return best[jnp.argmin(_handicap(losses, own, best))]
-
-
-def _handicap(losses, own, chosen=None):
-    """Losses times the factors of the candidates, or of those chosen."""
-    if "handicaps" not in own:
-        return losses
-    factors = own["handicaps"]
-    return losses * (factors if chosen is None else factors[chosen])
+    return best[jnp.argmin(losses)]
 
 
 def _is_exact(scene, target, how):

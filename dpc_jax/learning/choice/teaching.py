@@ -86,16 +86,6 @@ def teach_poses(
 
         winners = sampling.draw_poses(poses, keys, views=features.shape[1])
     else:
-        handicaps = None
-        if pose.learns_viewpoints:
-            from dpc_jax.learning.choice import viewpoints  # where it is asked for
-
-            is_due = step >= pose.viewpoint_from * train.steps
-            handicaps = viewpoints.find_handicaps(
-                poses.candidates,
-                averages.viewpoints,
-                jnp.where(is_due, pose.viewpoint_weight, 0.0),
-            )
         winners = choose_poses(
             shapes,
             poses.candidates,
@@ -106,7 +96,6 @@ def teach_poses(
             cameras=cameras,
             views=batch,
             weights=read_weights(train),
-            handicaps=handicaps,
         )
     if pose.finds_frame and isinstance(shapes, Shapes):
         from dpc_jax.learning.choice import common_frame  # where it is asked for
@@ -124,11 +113,6 @@ def teach_poses(
             is_due=step >= pose.common_frame_from * train.steps,
         )
         averages = averages._replace(frame=frame)
-    if pose.learns_viewpoints:
-        from dpc_jax.learning.choice import viewpoints
-
-        seen = viewpoints.count_viewpoints(averages.viewpoints, winners.poses)
-        averages = averages._replace(viewpoints=seen)
     metrics["winners"] = winners.indices.reshape(-1)
     if not pose.samples:
         terms |= compare_student(poses, winners, render=render, pose=pose)
