@@ -2,11 +2,16 @@
 
 import dataclasses
 
+import numpy as np
+
 from dpc_jax.config import Config
 from dpc_jax.config.checks import SOURCES
 from dpc_jax.data import DataSet, DataSpec, load_or_render
+from dpc_jax.data.viewpoints import measure_stands
 from dpc_jax.files import explaining_full_disk
 from dpc_jax.networks import ShapePoseNetwork
+
+_SLACK = 10.0  # degrees
 
 
 def make_network(config: Config) -> ShapePoseNetwork:
@@ -105,7 +110,7 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
             for split, spec in make_data_specs(config).items()
         }
     if share[0] == 0:
-        for warning in collect_warnings(sets):
+        for warning in [*collect_warnings(sets), *check_viewpoints(config, sets)]:
             print(f"Warning: {warning}", flush=True)
     wanted, found = config.train.models_per_batch, len(sets["train"].names)
     if wanted > found:
@@ -134,6 +139,31 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
 def collect_warnings(sets: dict[str, DataSet]) -> list[str]:
     """What data sets warn of, each sentence once."""
     return list(dict.fromkeys(text for data in sets.values() for text in data.warnings))
+
+
+def check_viewpoints(config: Config, sets: dict[str, DataSet]) -> list[str]:
+    """A warning where the given poses are not those that viewpoint heads can predict.
+
+    Own images alone may have such poses; they are not learned from here.
+    """
+    stored, told = sets["train"].quaternions, config.pose.elevations
+    if not config.data.images or stored is None or not told or config.pose.known:
+        return []
+    poses = np.concatenate(
+        [sets["train"].rows("quaternions", m) for m in range(len(sets["train"].names))]
+    )
+    rolls, elevations = measure_stands(poses)
+    low, high = told
+    is_out = (abs(rolls) > _SLACK) | (elevations < low - _SLACK)
+    is_out |= elevations > high + _SLACK
+    if is_out.mean() < 0.05:
+        return []
+    return [
+        f"{is_out.mean():.0%} of the training views have cameras that are not upright, "
+        f"or not between {low:g} and {high:g} degrees of elevation, as pose.head = "
+        "'viewpoint' takes all to be; set pose.elevation_low and pose.elevation_high, "
+        "or pose.head='quaternion'."
+    ]
 
 
 def _split_procedural(config, shared):
