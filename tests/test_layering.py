@@ -215,7 +215,7 @@ names += ("dpc_jax.learning.inference.volumes", "dpc_jax.learning.pose_prior")
 names += ("dpc_jax.learning.view_maps", "dpc_jax.learning.choice.sampling")
 names += ("dpc_jax.run.refinement", "dpc_jax.learning.inference.refinement")
 names += ("tensorboardX", "wandb")  # nor what no flag asks for
-names += tuple(f"dpc_jax.networks.{n}" for n in ("voxels", "view_maps", "viewpoints"))
+names += tuple(f"dpc_jax.networks.{n}" for n in ("voxels", "view_maps", "pose_judge"))
 print([name for name in names if name in sys.modules])
 """
     result = subprocess.run(

@@ -40,11 +40,8 @@ def _count_points(count: int) -> Row:
 
 MEAN_SHAPE = Row("Mean shape of the training set", measure="mean_shape:measure")
 PULL = {"train.pull_weight": 0.03}
-DEFAULTS = PULL | {
-    "pose.head": "viewpoint",
-    "pose.common_frame": True,
-    "train.containment_weight": 30.0,
-}
+FRAME = PULL | {"pose.common_frame": True, "train.containment_weight": 30.0}
+DEFAULTS = FRAME | {"pose.head": "viewpoint"}
 CHOOSE_BY_ALL = {"pose.choice_signals": "all"}
 EXPERIMENTS = (
     Experiment(
@@ -95,6 +92,7 @@ EXPERIMENTS = (
             Row("Ours-V", variant="ours_v"),
             Row("Ours-naive", "Ours-naive", "naive"),
             Row("Ours", "Ours", ""),
+            Row("Ours, one frame, pull and containment", "", "", FRAME, "frame"),
             Row("Ours, defaults of this package", "", "", DEFAULTS, "defaults"),
         ),
         picture="predictions.png",

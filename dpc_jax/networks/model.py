@@ -78,7 +78,7 @@ class ShapePoseNetwork(nn.Module):
         if self.candidates and self.own_pose_encoder:
             self.pose_encoder = self._make_encoder()
         if self.candidates and self.judges_poses:
-            from dpc_jax.networks.viewpoints import PoseJudge  # of a baseline alone
+            from dpc_jax.networks.pose_judge import PoseJudge  # of a baseline alone
 
             self.judge = PoseJudge()
         student: dict[str, Any] = {

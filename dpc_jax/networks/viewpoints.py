@@ -1,4 +1,4 @@
-"""Pose heads that predict viewpoints, and the judge of a prior on them (MVC).
+"""Pose heads that predict viewpoints of upright cameras. Not in the paper.
 
 As Multi-view Consistency (Tulsiani et al., 2018) they are told what range elevations
 have and that images are upright: a head predicts azimuth and elevation alone.
@@ -8,9 +8,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.networks.encoder import conv_init, leaky_relu
-
-_JUDGE_WIDTH = 10
+from dpc_jax.networks.encoder import conv_init
 
 
 class ViewpointEnsemble(nn.Module):
@@ -57,15 +55,3 @@ def face_object(azimuths: jax.Array, elevations: jax.Array) -> jax.Array:
     cos, sin = jnp.cos(elevations / 2), jnp.sin(elevations / 2)
     less, more = cos - sin, cos + sin
     return jnp.stack([less * up, more * up, more * side, -less * side], axis=-1)
-
-
-class PoseJudge(nn.Module):
-    """Tells predicted poses from drawn ones: layers of 10, 10 and 1 unit."""
-
-    @nn.compact
-    def __call__(self, quaternions: jax.Array) -> jax.Array:
-        """Unit quaternions [n, 4] to logits [n], above 0 for poses taken as drawn."""
-        x = quaternions
-        for _ in range(2):
-            x = leaky_relu(nn.Dense(_JUDGE_WIDTH, kernel_init=conv_init)(x))
-        return nn.Dense(1, kernel_init=conv_init)(x)[:, 0]
