@@ -438,7 +438,8 @@ def predict_points(command, workdir):
 
 # Known poses need no alignment, one regressor no ensemble: all paths report.
 OTHER_PATHS = {
-    "known": {"pose.known": True, "train.color_weight": 0.1},
+    "known": {"pose.known": True, "train.color_weight": 0.1}
+    | {"train.starts": 2, "train.start_steps": 1},
     "labels": {"pose.labels": True, "pose.flips": False},
     "voxels": {"network.shape": "voxels", "pose.choice_rank": "volume"},
     "maps": {"network.shape": "maps", "pose.known": True},
@@ -478,6 +479,11 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
         page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
         assert "pose accuracy and pose errors are absent" in page
         assert "pose errors are absent" in out and "Test: Chamfer" in out
+        lines = (workdir / "metrics.jsonl").read_text().splitlines()
+        first, *_ = records = [json.loads(line) for line in lines]
+        assert "Start 2 of 2" in out and f"Start {first['start'] + 1} goes on" in out
+        assert [r["step"] for r in records if "loss" in r] == [1, 2]
+        assert len(first["start_losses"]) == 2
     if name == "voxels":
         assert 0 < metrics["surface_threshold"] < 1
         found = predict_points(command, workdir)
@@ -497,9 +503,9 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
     if name == "labels":
         assert 0 <= metrics["pose_accuracy"] <= 1
         assert metrics["alignment_inlier_share"] is None
-        if name == "other":
-            assert metrics["test_models"] == 2 and metrics["own_test_models"] == 1
-            assert metrics["own_chamfer"] != metrics["chamfer"]
-            assert "Objects of the training source: pose accuracy" in out
-            page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
-            assert "Chamfer distance, training source (×100)" in page
+    if name == "other":
+        assert metrics["test_models"] == 2 and metrics["own_test_models"] == 1
+        assert metrics["own_chamfer"] != metrics["chamfer"]
+        assert "Objects of the training source: pose accuracy" in out
+        page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
+        assert "Chamfer distance, training source (×100)" in page
