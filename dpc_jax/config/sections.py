@@ -136,6 +136,7 @@ class Pose:
     choice_signals: str = field("silhouette", one_of("silhouette", "all"))  # compared
     common_frame: bool = field(True)  # kinds turned round are turned, by colours
     common_frame_from: float = field(0.2, between(0, 1))  # share of the run
+    predicted: str = field("posterior", one_of("student", "posterior"))  # pose
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     student_loss: str = field("absolute", one_of(*STUDENT_LOSSES))  # if it regresses
     prior_weight: float = field(0.0, at_least(0))  # per pixel; of a judge (MVC)
@@ -191,6 +192,11 @@ class Pose:
         """Whether kinds of objects, if they are points, are turned to one frame."""
         is_learned = not self.given and not self.samples
         return self.common_frame and self.half_turns and is_learned
+
+    @property
+    def weighs_fit(self) -> bool:
+        """Whether predictions weigh how candidates fit the image's silhouette."""
+        return self.predicted == "posterior" and self.choices > 0 and not self.samples
 
     @property
     def choices(self) -> int:

@@ -50,6 +50,7 @@ VARIANTS: dict[str, Changes] = {
         },
         "pose": {
             "head": "quaternion",
+            "predicted": "student",
             "candidates": 4,
             "student_weight": 0.01,  # released code: 20 beside half the squares
             "spread": "",
@@ -119,6 +120,7 @@ VARIANTS: dict[str, Changes] = {
         "pose": {
             **_VOXELS["pose"],
             "head": "viewpoint",
+            "predicted": "student",
             "own_encoder": True,
             "candidates": 8,
             "selects": True,

@@ -41,7 +41,7 @@ def _count_points(count: int) -> Row:
 MEAN_SHAPE = Row("Mean shape of the training set", measure="mean_shape:measure")
 PULL = {"train.pull_weight": 0.03}
 FRAME = PULL | {"pose.common_frame": True, "train.containment_weight": 30.0}
-DEFAULTS = FRAME | {"pose.head": "viewpoint"}
+DEFAULTS = FRAME | {"pose.head": "viewpoint", "pose.predicted": "posterior"}
 CHOOSE_BY_ALL = {"pose.choice_signals": "all"}
 EXPERIMENTS = (
     Experiment(

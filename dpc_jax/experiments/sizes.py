@@ -11,6 +11,7 @@ from typing import Any
 # What the paper's method has not, and rows of their own are for.
 _PLAIN = {
     "pose.head": "quaternion",
+    "pose.predicted": "student",
     "pose.common_frame": False,
     "train.pull_weight": 0.0,
     "train.containment_weight": 1.0,

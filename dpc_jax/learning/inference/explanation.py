@@ -1,4 +1,4 @@
-"""What a trained network makes of a view: its images, and the best candidate."""
+"""What a trained network makes of a view: how candidates fit it, and its images."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -42,32 +42,36 @@ def list_compared(views: Mapping[str, jax.Array], config: Config) -> dict[str, A
     return {"others": make_targets(views, grid, signals=present, distance=distance)}
 
 
-def explain_view(
-    scene: dict[str, jax.Array],
-    student: jax.Array,
-    candidates: jax.Array,
-    target: jax.Array,
-    own: dict[str, Any],
-    *,
-    shown: dict[str, jax.Array],
-    config: Config,
-) -> tuple[dict[str, jax.Array], jax.Array]:
-    """Images of a shape from the student's pose, and the best candidate's index.
+def choose_posterior(losses: jax.Array, probabilities: jax.Array) -> jax.Array:
+    """Index of the candidate of the largest posterior; ().
 
-    The best candidate is that of the exact comparison, by the signals that the choice
-    in training compares; of those, one that the data lack (the depths of own images) is
-    left out.
+    What the student thinks of an image is the prior, how a candidate's silhouette fits
+    that of the image the likelihood: P(c)·exp(-loss(c)), as of pixels with errors of
+    variance 1/2.
 
     Args:
-      scene: of the shape, sizes in voxels of the base grid.
-      student: [4]. candidates: [C, 4]. target: [D, D] silhouette.
-      own: what the view has of its own: translation [3], focal_length (), others
-        {signal: target}.
-      shown: the scene of the images, where its sizes are not those of the comparison.
+      losses: [C] sums of squared differences. probabilities: [C] of the student.
+    """
+    tiny = jnp.finfo(probabilities.dtype).tiny
+    return jnp.argmax(jnp.log(jnp.maximum(probabilities, tiny)) - losses)
+
+
+def show_view(
+    shown: dict[str, jax.Array],
+    pose: jax.Array,
+    own: dict[str, Any],
+    *,
+    config: Config,
+) -> dict[str, jax.Array]:
+    """Images of a shape from a pose [4].
+
+    Args:
+      shown: scene of the shape, sizes in voxels of the base grid.
+      own: what the view has of its own: translation [3], focal_length ().
 
     Returns:
-      ({"silhouettes", "depths", "color_images"} in the finest grid that training
-      renders in; depths and colours where there are any; ()).
+      {"silhouettes", "depths", "color_images"} in the finest grid that training
+      renders in; depths and colours where there are any.
     """
     render = config.render
     camera = place_camera(Camera(render.focal_length, render.distance), own)
@@ -79,7 +83,7 @@ def explain_view(
     }
     image = render_scene(
         resize_scene(shown, side / render.grid),
-        student,
+        pose,
         translation=own.get("translation"),
         camera=camera,
         side=side,
@@ -89,10 +93,7 @@ def explain_view(
     )
     names = {"silhouettes": image.silhouette, "depths": image.depth}
     images = names | {"color_images": image.color}
-    winner = jnp.zeros((), jnp.int32)
-    if len(candidates) > 1:
-        winner = _choose_exactly(scene, candidates, target, own, config)
-    return {n: a for n, a in images.items() if a is not None}, winner
+    return {n: a for n, a in images.items() if a is not None}
 
 
 def compare_poses(
@@ -106,8 +107,14 @@ def compare_poses(
 ) -> jax.Array:
     """Losses [n] of a shape seen from poses [n, 4], at full resolution.
 
-    Arguments as of `explain_view`. By default sums of squared differences of the
-    silhouette; with weights also of the others that the view has.
+    By default sums of squared differences of the silhouette; with weights also of the
+    others that the view has.
+
+    Args:
+      scene: of the shape, sizes in voxels of the base grid.
+      target: [D, D] silhouette.
+      own: what the view has of its own: translation [3], focal_length (), others
+        {signal: target}.
     """
     render = config.render
     return compute_candidate_losses(
@@ -123,15 +130,23 @@ def compare_poses(
     )
 
 
-def _choose_exactly(scene, candidates, target, own, config):
-    """Index of the candidate of the smallest loss at full resolution; ()."""
+def compare_candidates(
+    scene: dict[str, jax.Array],
+    candidates: jax.Array,
+    target: jax.Array,
+    own: dict[str, Any],
+    *,
+    config: Config,
+) -> jax.Array:
+    """Losses [C] of candidates [C, 4] by the signals that training chooses by.
+
+    Of those, one that the data lack (the depths of own images) is left out. Arguments
+    as of `compare_poses`.
+    """
     others, weights = own.get("others", {}), SILHOUETTES
     if config.pose.choice_signals == "all":
         wanted = read_weights(config.train)._asdict()
         kept = {n: w for n, w in wanted.items() if n in others or n == "silhouette"}
         weights = Weights(**(dict.fromkeys(wanted, 0.0) | kept))
         weights = weights if weights.signals else SILHOUETTES
-    losses = compare_poses(
-        scene, candidates, target, own, config=config, weights=weights
-    )
-    return jnp.argmin(losses)
+    return compare_poses(scene, candidates, target, own, config=config, weights=weights)

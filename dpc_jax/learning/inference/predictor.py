@@ -14,9 +14,11 @@ from dpc_jax.evaluation.alignment import Alignment, place_poses
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.cameras import find_cameras, list_own
 from dpc_jax.learning.inference.explanation import (
+    choose_posterior,
+    compare_candidates,
     compare_poses,
-    explain_view,
     list_compared,
+    show_view,
 )
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import (
@@ -41,10 +43,11 @@ class Predictions(NamedTuple):
       points: [M, V, N, 3], the shape predicted from each view; of voxel models none
         until `volumes.add_points`.
       colors: [M, V, N, 3], or None.
-      poses: [M, V, 4], the student's quaternion; the given one where poses are known.
+      poses: [M, V, 4], predicted: the student's quaternion, or that of the largest
+        posterior (`pose.predicted`); the given one where poses are known.
       candidate_poses: [M, V, 4], the candidate, turned or not, that fits the view best.
       winners: [M, V] its index; of head index % K, whether turned or not.
-      silhouettes: [M, V, D, D], the shape seen from the student's pose, its points of
+      silhouettes: [M, V, D, D], the shape seen from the predicted pose, its points of
         the size that the schedule ends with.
       depths: [M, V, D, D], color_images: [M, V, D, D, 3] of the same render; None for
         data without depths, and where no colours are learned.
@@ -52,7 +55,7 @@ class Predictions(NamedTuple):
         not learned.
       sizes: [M, V, N] sigmas in voxels of the base grid, or [M, V, N, 3, 3] covariances
         in voxels², where they are learned; else None.
-      costs: [M, V, 2] of the silhouette as seen from the student's pose and from the
+      costs: [M, V, 2] of the silhouette as seen from the predicted pose and from the
         true one; only with a frame (`predict_all`), else of no meaning.
       cells: [M, V, D, D, D], the occupancies that voxel models predict; else None.
       candidates: [M, V, C, 4], turned ones included, and probabilities: [M, V, C] that
@@ -100,12 +103,12 @@ def make_predictor(
         last = schedules.compute_sigma(steps, render, steps=steps)
         shown, shown_shared = find_scenes(output, last, render=render)
         candidates, students = quaternions[:, None], quaternions
+        chances = jnp.ones((len(images), 1))
         if not pose.known:
             poses = complete_poses(output, state.covariance, pose=pose)
             candidates, students = poses.candidates, poses.student
-            if keeps_candidates:
-                chances = find_probabilities(poses)
-                output |= {"candidates": candidates, "probabilities": chances}
+            chances = find_probabilities(poses)
+            output |= {"candidates": candidates, "probabilities": chances}
         targets = downsample_images(masks, render.grid)
         cameras = find_cameras(output, extras, pose=pose)
         own = list_own(cameras, len(images)) | list_compared(
@@ -115,20 +118,26 @@ def make_predictor(
             output["sizes"] = scene["sigma"]
 
         def explain(view):
-            scene, shown, student, given, candidates, target, own = view
+            scene, shown, taken, chances, given, candidates, target, own = view
             scene, shown = scene | shared, shown | shown_shared
-            images, winner = explain_view(
-                scene, student, candidates, target, own, shown=shown, config=config
-            )
+            winner = jnp.zeros((), jnp.int32)
+            if len(candidates) > 1:
+                losses = compare_candidates(
+                    scene, candidates, target, own, config=config
+                )
+                winner = jnp.argmin(losses)
+                if pose.weighs_fit:
+                    taken = candidates[choose_posterior(losses, chances)]
+            images = show_view(shown, taken, own, config=config)
             if not pose.known:
-                both = jnp.stack([student, given])
+                both = jnp.stack([taken, given])
                 costs = compare_poses(scene, both, target, own, config=config)
                 images = images | {"costs": costs}
-            return images, winner
+            return images, taken, winner
 
-        rendered, winners = map_renders(
+        rendered, taken, winners = map_renders(
             explain,
-            (scene, shown, students, quaternions, candidates, targets, own),
+            (scene, shown, students, chances, quaternions, candidates, targets, own),
             renders_at_once=render.renders_at_once,
         )
         if "maps" in output:
@@ -136,7 +145,7 @@ def make_predictor(
 
             output["points"] = sample_visible(output)
         result = {
-            "poses": students,
+            "poses": taken,
             "candidate_poses": jax.vmap(lambda q, k: q[k])(candidates, winners),
             "winners": winners,
         }

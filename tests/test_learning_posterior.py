@@ -1,0 +1,72 @@
+"""Predicted poses: the student's, or those that the image's silhouette speaks for."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tiny_runs import make_dataset, make_network, make_state, tiny_config
+
+from dpc_jax.config import replace_fields
+from dpc_jax.learning.inference import predictor as predictor_module
+from dpc_jax.learning.inference.explanation import choose_posterior
+from dpc_jax.learning.inference.predictor import make_predictor, predict_all
+
+SELECTING = tiny_config(selects=True, flips=True, head="viewpoint")
+
+
+def test_the_posterior_weighs_what_the_student_thinks_against_what_the_image_shows():
+    chances = jnp.array([0.70, 0.29, 0.01, 0.0])
+    # Equal fits: the student decides. One unit of loss is a factor e.
+    for losses, chosen in (
+        ([5.0, 5.0, 5.0, 5.0], 0),
+        ([5.0, 4.2, 5.0, 5.0], 0),
+        ([5.0, 4.0, 5.0, 5.0], 1),
+        ([9.0, 8.0, 3.0, 5.0], 2),
+        ([200.0, 200.0, 200.0, 1.0], 3),
+    ):
+        assert int(choose_posterior(jnp.array(losses), chances)) == chosen
+
+
+def test_a_chance_of_nothing_is_finite_and_no_candidate_is_lost_to_it():
+    chances = jnp.array([1.0, 0.0])
+    assert int(choose_posterior(jnp.array([0.0, 1e-3]), chances)) == 0
+    assert int(choose_posterior(jnp.array([1e4, 1e4]), jnp.zeros(2))) == 0
+
+
+def predict(how):
+    config = replace_fields(SELECTING, {"pose": {"predicted": how}})
+    network = make_network(config)
+    predictor = make_predictor(network, config, keeps_candidates=True)
+    dataset = make_dataset(models=3, views=2)
+    return predict_all(predictor, make_state(network, config), dataset)
+
+
+@pytest.mark.usefixtures("quickly")
+def test_predictions_take_the_candidate_of_the_largest_posterior(monkeypatch):
+    def compare(scene, candidates, *_, **__):
+        return 100.0 - 50.0 * jnp.arange(len(candidates)) / (len(candidates) - 1)
+
+    monkeypatch.setattr(predictor_module, "compare_candidates", compare)
+    student, posterior = predict("student"), predict("posterior")
+    candidates = np.asarray(student.candidates)
+    chances = np.asarray(student.probabilities)
+    picked = np.take_along_axis(candidates, chances.argmax(-1)[..., None, None], axis=2)
+    assert np.allclose(student.poses, picked[:, :, 0], atol=1e-6)
+    # The last one fits best, by more than this student's chances differ.
+    assert np.allclose(posterior.poses, candidates[:, :, -1], atol=1e-5)
+    assert (np.asarray(posterior.winners) == candidates.shape[2] - 1).all()
+    # All else but what is seen from the pose is the same.
+    for name in ("points", "candidates", "candidate_poses", "winners", "probabilities"):
+        found = (np.asarray(getattr(p, name)) for p in (student, posterior))
+        assert np.allclose(*found, atol=1e-5), name
+    moved = np.abs(student.poses - posterior.poses).max(axis=-1) > 1e-3
+    changed = np.abs(student.silhouettes - posterior.silhouettes).max(axis=(2, 3))
+    assert moved.any() and ((changed > 1e-4) == moved).all()
+
+
+def test_where_nothing_is_chosen_the_fit_is_not_weighed():
+    for changes in ({"known": True}, {"candidates": 1}, {"selects": False}):
+        pose = dataclasses.replace(SELECTING.pose, **changes)
+        assert pose.predicted == "posterior" and not pose.weighs_fit
+    assert SELECTING.pose.weighs_fit
