@@ -19,15 +19,15 @@ def to_config_dict(config: Config) -> ml_collections.ConfigDict:
 # fields that were tried and taken out.
 _BEFORE = {
     "data": {"copies": 1, "mix": 0},
-    "pose": {"choice_rank": "volume", "common_frame": False, "head": "quaternion"}
-    | {"predicted": "student"},
+    "pose": {
+        "choice_rank": "volume",
+        "common_frame": False,
+        "head": "quaternion",
+        "predicted": "student",
+    },
     "train": {"pull_weight": 0.0},
 }
-_GONE = {
-    "pose": ("choice_noise", "choice_noise_until")
-    + ("viewpoint_weight", "viewpoint_from"),
-    "train": ("recolor",),
-}
+_GONE = {"pose": ("choice_noise", "choice_noise_until")}
 
 
 def from_config_dict(edited: ml_collections.ConfigDict) -> Config:

@@ -110,7 +110,7 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
             for split, spec in make_data_specs(config).items()
         }
     if share[0] == 0:
-        for warning in [*collect_warnings(sets), *check_viewpoints(config, sets)]:
+        for warning in collect_warnings(config, sets):
             print(f"Warning: {warning}", flush=True)
     wanted, found = config.train.models_per_batch, len(sets["train"].names)
     if wanted > found:
@@ -136,9 +136,10 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
     return sets
 
 
-def collect_warnings(sets: dict[str, DataSet]) -> list[str]:
-    """What data sets warn of, each sentence once."""
-    return list(dict.fromkeys(text for data in sets.values() for text in data.warnings))
+def collect_warnings(config: Config, sets: dict[str, DataSet]) -> list[str]:
+    """What data sets, and what a config makes of them, warn of; each sentence once."""
+    own = [text for data in sets.values() for text in data.warnings]
+    return list(dict.fromkeys([*own, *check_viewpoints(config, sets)]))
 
 
 def check_viewpoints(config: Config, sets: dict[str, DataSet]) -> list[str]:
@@ -146,12 +147,14 @@ def check_viewpoints(config: Config, sets: dict[str, DataSet]) -> list[str]:
 
     Own images alone may have such poses; they are not learned from here.
     """
-    stored, told = sets["train"].quaternions, config.pose.elevations
-    if not config.data.images or stored is None or not told or config.pose.known:
+    told = config.pose.elevations
+    if not config.data.images or not told or config.pose.known:
         return []
-    poses = np.concatenate(
-        [sets["train"].rows("quaternions", m) for m in range(len(sets["train"].names))]
-    )
+    train = sets["train"]
+    if train.quaternions is None:
+        return []
+    rows = [train.rows("quaternions", model) for model in range(len(train.names))]
+    poses = np.concatenate(rows)
     rolls, elevations = measure_stands(poses)
     low, high = told
     is_out = (abs(rolls) > _SLACK) | (elevations < low - _SLACK)

@@ -187,7 +187,7 @@ def list_warnings(
     Args:
       sets: by name. shares: [K] of views that each head wins; None without an ensemble.
     """
-    warnings = collect_warnings(sets) + _name_left_out(sets["test"])
+    warnings = collect_warnings(config, sets) + _name_left_out(sets["test"])
     if config.pose.known:
         warnings.append(
             "This run was given the poses and learned none: pose accuracy and pose "
