@@ -15,7 +15,7 @@ from dpc_jax.experiments.report.page import publish
 from dpc_jax.experiments.report.tables import format_summary, make_table
 from dpc_jax.experiments.report.targets import check_targets
 from dpc_jax.experiments.results import Outcome, Results, Summary, summarize
-from dpc_jax.experiments.runs import Request, Source, list_runs
+from dpc_jax.experiments.runs import Request, Run, Source, list_runs
 from dpc_jax.experiments.systems import SYSTEMS, list_systems
 from dpc_jax.run.workdir import hold_workdir
 
@@ -177,6 +177,21 @@ def test_a_baseline_becomes_a_row_by_one_declaration():
     assert KNOWN.table.find(row.published, "chair", "chamfer") == 5.10
 
 
+def test_rows_that_renders_cannot_train_are_left_out_and_the_table_says_why(tmp_path):
+    (tmp_path / "03001627").mkdir()
+    request = Request("known_pose", "quick", Source("renders", str(tmp_path)))
+    runs = list_runs([request])
+    assert not [run.name for run in runs if "epcg" in run.name]
+    for run in runs:
+        run.load_config()
+    table = make_table(
+        Results([request], {r.name: Outcome(r, None) for r in runs}), KNOWN
+    )
+    reasons = {cells[1]: cells[-3] for cells in table.rows}
+    assert reasons["EPCG, 32²"] == "renders have no views from fixed places"
+    assert reasons["PTN, 32²"] == "not run yet"
+
+
 # The whole command, on finished runs.
 
 
@@ -234,17 +249,20 @@ def test_a_damaged_report_is_never_a_number(text, tmp_path, capsys):
 def test_only_failures_of_what_was_asked_for_fail_the_command(
     tmp_path, capsys, monkeypatch
 ):
-    """Maps of fixed views have no config on published renders."""
-    (tmp_path / "03001627").mkdir()
-    source = Source("renders", str(tmp_path))
-    out = tmp_path / "out"
-    finish_runs(out, Request("known_pose", "quick", source), without="epcg")
-    flags = [f"--out={out}", "--size=quick", "--experiment=known_pose"]
-    flags += ["--source=renders", f"--folder={tmp_path}"]
+    load = Run.load_config
+
+    def refuse(run):
+        if "ptn" in run.name:
+            raise ValueError("A config that cannot work.")
+        return load(run)
+
+    finish_runs(tmp_path, Request("known_pose", "quick"), without="ptn")
+    monkeypatch.setattr(Run, "load_config", refuse)
+    flags = [f"--out={tmp_path}", "--size=quick", "--experiment=known_pose"]
     assert paper.main([*flags, "--only=*-32-seed0"]) == 0
-    assert "epcg" not in capsys.readouterr().out
-    assert paper.main([*flags, "--only=*-epcg-seed0"]) == 1
-    assert "fixed_views_until must be 0 with" in capsys.readouterr().out
+    assert "ptn" not in capsys.readouterr().out
+    assert paper.main([*flags, "--only=*-ptn-seed0"]) == 1
+    assert "A config that cannot work." in capsys.readouterr().out
 
 
 def test_targets_are_shown_for_runs_whose_figures_count(tmp_path):

@@ -127,6 +127,11 @@ class Results:
         ordered = sorted(runs.values(), key=lambda run: run.seed)
         return [self._outcomes[run.name] for run in ordered]
 
+    def explain_absence(self, row: Row) -> str:
+        """Why no request has runs of a row; "" where one has."""
+        reasons = [request.explain_absence(row) for request in self.requests]
+        return reasons[0] if reasons and all(reasons) else ""
+
     def list_all(self, experiment: Experiment) -> list[Outcome]:
         """Outcomes of an experiment, each once."""
         found = {

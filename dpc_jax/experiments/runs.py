@@ -16,6 +16,8 @@ from dpc_jax.experiments.sizes import RESOLUTIONS, SIZES, Size
 _POINTS = "render.num_points"
 # Of each mesh of the open sets, which are few (docs/results.md).
 _COPIES = {"car": 12, "chair": 6, "airplane": 4}
+TOO_LONG = "too long for this size"
+NO_FIXED_VIEWS = "renders have no views from fixed places"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -193,11 +195,18 @@ class Request:
         is_long = row.is_long or find_resolution(row) == RESOLUTIONS[-1]
         return self.seeds or (size.long_seeds if is_long else size.seeds)
 
+    def explain_absence(self, row: Row) -> str:
+        """Why a row that is trained is left out; "" where it is not."""
+        if row.tag in SIZES[self.size].left_out:
+            return TOO_LONG
+        is_of_maps = "epcg" in (row.variant or "").split(",")
+        return NO_FIXED_VIEWS if is_of_maps and self.source.kind == "renders" else ""
+
     def list_row_runs(self, row: Row, category: str) -> list[Run]:
-        """Runs of a row, one per seed; none of what the size leaves out."""
-        size = SIZES[self.size]
-        if row.variant is None or row.tag in size.left_out:
+        """Runs of a row, one per seed; none of what size or source leave out."""
+        if row.variant is None or self.explain_absence(row):
             return []
+        size = SIZES[self.size]
         return [
             declare_run(row, category, seed, size, self.source)
             for seed in self.list_seeds(row)

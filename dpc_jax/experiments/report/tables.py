@@ -10,7 +10,6 @@ from dpc_jax.experiments.results import Results, Summary
 
 NOT_TRAINED = "measured on the data"
 NOT_YET = "not run yet"
-TOO_LONG = "too long for this size"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +58,7 @@ def _describe_cost(results: Results, experiment: Experiment, row: Row, category)
         return ["", "", ""]
     outcomes = results.list_outcomes(experiment, row, category)
     if not outcomes:
-        return [TOO_LONG, "", ""]
+        return [results.explain_absence(row), "", ""]
     done = [o for o in outcomes if o.metrics is not None]
     if not done:
         failed = any(o.problem for o in outcomes)
