@@ -165,6 +165,63 @@ def test_where_shapes_look_the_same_turned_colors_decide():
     assert float(turn(*exchange_ends(*right), frame, True)[2]) == 1
 
 
+def draw_plane(rng, *, wing, tail):
+    """A body along z with a wing and a shorter tail across it, at these heights."""
+    parts = ((160, 0, 0.03, 0.4), (160, wing, 0.3, 0.05), (80, tail, 0.12, 0.04))
+    points = [
+        rng.uniform(-1, 1, (n, 3)) * [0.03, half, depth] + [0, 0, place]
+        for n, place, half, depth in parts
+    ]
+    return jnp.asarray(np.concatenate(points), jnp.float32)
+
+
+def compare_ends(frame, points):
+    """What points gain by the half turns that exchange the ends of a plane."""
+    turns = find_half_turns(COVARIANCE)
+    ways = common_frame.list_ways(COVARIANCE, is_upright=False)
+    fits = common_frame.compare_places(points, turns, ways, frame)
+    return np.asarray(fits[1:3] - fits[0])
+
+
+def test_a_kind_fits_the_category_wherever_in_its_box_its_parts_are(monkeypatch):
+    """A wing farther in front is where others have theirs if all is turned round.
+
+    The tail is not then. Moved to where both fit, the kind is seen to be turned.
+    """
+    rng = np.random.default_rng(0)
+    usual = jnp.concatenate([draw_plane(rng, wing=-0.1, tail=-0.38) for _ in range(30)])
+    frame = common_frame.start_frame()
+    counts = (
+        jnp.zeros(common_frame.CELLS**3).at[common_frame.find_cells(usual)].add(1.0)
+    )
+    frame = frame._replace(points=counts.reshape(frame.points.shape))
+    right = draw_plane(rng, wing=0.1, tail=-0.18)
+    turned = right * jnp.array([[1.0, -1, -1]])  # about x
+    assert compare_ends(frame, right).max() < 0
+    assert compare_ends(frame, turned).max() > 0
+    monkeypatch.setattr(common_frame, "_SHIFTS", (0.0,))
+    assert compare_ends(frame, turned).max() < 0
+
+
+def test_ways_are_level_where_cameras_are_upright():
+    covariance = jnp.array([[3.0, 1, 0.5], [1, 2, 0.1], [0.5, 0.1, 9]])
+    ways = np.asarray(common_frame.list_ways(covariance, is_upright=True))
+    assert ways.shape == (2, 3)
+    np.testing.assert_array_equal(ways[:, 2], 0)
+    # float32, of products of numbers of size one
+    np.testing.assert_allclose(ways @ ways.T, np.eye(2), atol=1e-6)
+    assert abs(ways[0] @ np.asarray(covariance) @ ways[1]) < 1e-5
+
+
+def test_a_kind_is_turned_by_its_points_though_its_own_colors_agree():
+    """Of a fifth of all objects, counted turned round: its colours are as it counts."""
+    gains = jnp.array([[[0.02], [-0.08]], [[-0.03], [-0.04]]])
+    moments = jnp.array([[[1.0], [1.0]], [[-0.06], [-0.04]], [[0.0052], [0.0017]]])
+    assert common_frame._choose_turns(gains, moments).tolist() == [1, 0]
+    unclear = moments.at[1, 0].set(-0.01)  # of points that tell nothing apart
+    assert common_frame._choose_turns(gains, unclear).tolist() == [0, 0]
+
+
 def test_colors_that_tell_nothing_turn_nothing():
     def draw_ends(index):
         return (YELLOW, RED) if index % 2 else (RED, YELLOW)
