@@ -7,10 +7,10 @@ where its points are (a chair whose seat and back are exchanged), and where it h
 colours (lamps are yellow in front and red behind; a pickup turned round has the
 silhouette of a sedan, but not its lamps).
 
-Points and colours are counted in cells of the network's frame by moving sums over
-batches. Of each object, with all its views, it is asked whether it fits these better
-after a half turn. If so, its views learn the turned poses, and with them its shape
-learns to turn.
+Points and colours are counted in cells of the network's frame: of the last objects the
+points, by moving sums over batches the colours. Of each object, with all its views, it
+is asked whether it fits these better after a half turn. If so, its views learn the
+turned poses, and with them its shape learns to turn.
 """
 
 import functools
@@ -22,33 +22,42 @@ import jax.numpy as jnp
 from dpc_jax.learning.cameras import Cameras, list_own
 from dpc_jax.learning.choice.batch_choice import Winners
 from dpc_jax.learning.choice.seen_colors import BINS, Samples, see_object
+from dpc_jax.learning.choice.seen_shapes import (
+    CELLS,
+    OBJECTS,
+    compare_places,
+    count_points,
+    find_cells,
+    judge_cells,
+    list_ways,
+)
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import find_half_turns
 from dpc_jax.render import Camera, quaternion
 
-CELLS = 12  # along each axis of the object frame
 _POINTS = 1000  # of a shape, that are looked at
 _PRIOR = 500.0  # samples of the category's mean colours in each cell
-_EMPTY = 0.02  # density that is added, of the mean over the cells
+_LOSS = 0.2  # of the usual loss by a half turn: who loses less is turned
 _FITTED = 400  # of these points, that are moved and scaled to fit
-_SHIFTS = tuple(0.04 * i for i in range(-5, 6))  # along each axis, box diagonals
-_SCALES = (0.8, 1.0, 1.25)
-_BLUR = (0.12, 0.76, 0.12)  # of densities, along each axis
 _KEPT = 0.995  # of the sums in a step: 200 batches
-_CLARITY = 1.0  # standard deviations below 0 of what a half turn gains, to count
+_CLARITY = 0.5  # standard deviations below 0 of what a half turn gains, to count
 _COLOR_WEIGHT = 10.0  # of a nat per sample of colours, beside one per point
 
 
 class Frame(NamedTuple):
-    """What is where in the category, as moving sums over batches.
+    """What is where in the category.
 
     Attributes:
-      points: [CELLS, CELLS, CELLS] of points. colors: [CELLS³, BINS, BINS] of colours.
-      moments: [3, 2, T - 1], of 1, x and x², where x is what objects gain by points and
-        by colours after each half turn; nats per point or sample.
+      shapes: [OBJECTS, CELLS³] of each of the last objects the share of its points in
+        each cell, blurred; zeros where there was none yet.
+      count: () int32 of all objects so far.
+      colors: [CELLS³, BINS, BINS] of colours, a moving sum over batches.
+      moments: [3, 2, T - 1] moving sums of 1, x and x², where x is what objects gain by
+        points and by colours after each half turn; nats per point or sample.
     """
 
-    points: jax.Array
+    shapes: jax.Array
+    count: jax.Array
     colors: jax.Array
     moments: jax.Array
 
@@ -56,7 +65,8 @@ class Frame(NamedTuple):
 def start_frame(turns: int = 4) -> Frame:
     """Of nothing yet; T turns of objects, none among them."""
     return Frame(
-        jnp.zeros((CELLS,) * 3),
+        jnp.zeros((OBJECTS, CELLS**3)),
+        jnp.zeros((), jnp.int32),
         jnp.zeros((CELLS**3, BINS, BINS)),
         jnp.zeros((3, 2, turns - 1)),
     )
@@ -120,8 +130,12 @@ def _see_batch(points, winners, images, masks, cameras, camera):
 
 def _measure_gains(points, samples, turns, ways, frame):
     """What objects gain by points and by colours after half turns; [2, B, T - 1]."""
-    points = points[:, :_FITTED]
-    by_points = jax.vmap(lambda x: compare_places(x, turns, ways, frame))(points)
+
+    def compare(points):
+        scores = judge_cells(points, frame.shapes, frame.count)
+        return compare_places(points[:_FITTED], turns, ways, scores)
+
+    by_points = jax.vmap(compare)(points)
     by_colors = jax.vmap(lambda x: compare_colors(x, turns, frame))(samples)
     return jnp.stack([a[:, 1:] - a[:, :1] for a in (by_points, by_colors)])
 
@@ -137,70 +151,29 @@ def _choose_turns(gains, moments):
     is_clear = mean < -_CLARITY * spread
     weights = jnp.array([[1], [_COLOR_WEIGHT]]) * is_clear
     total = jnp.sum(weights[:, None] * gains, axis=0)
-    # A kind that is turned round as a whole has its own colours where it has them, and
-    # these say that it is right.
-    total = jnp.where(is_clear[0], jnp.maximum(total, gains[0]), total)
-    total = jnp.where(jnp.any(is_clear, axis=0), total, -jnp.inf)
+    # A kind that is turned round as a whole has counted its own colours, and has the
+    # most like it among those that judge it: it loses less, and need not win.
+    lost = jnp.where(is_clear[0], gains[0] - _LOSS * mean[:1], -jnp.inf)
+    total = jnp.maximum(jnp.where(jnp.any(is_clear, axis=0), total, -jnp.inf), lost)
     return jnp.where(jnp.max(total, axis=1) > 0, jnp.argmax(total, axis=1) + 1, 0)
 
 
 def _count_batch(frame, points, samples, gains):
     """The frame after a batch, of all devices."""
-    places = find_cells(points.reshape(-1, 3))
-    counts = jnp.zeros(CELLS**3).at[places].add(1.0)
+    shapes = jax.lax.all_gather(jax.vmap(count_points)(points), AXIS, tiled=True)
+    rows = (frame.count + jnp.arange(len(shapes))) % OBJECTS
     cells = find_cells(samples.places.reshape(-1, 3))
     colors = jnp.zeros((CELLS**3, BINS**2))
     colors = colors.at[cells, samples.bins.reshape(-1)].add(samples.weights.reshape(-1))
-    counts, colors = jax.lax.psum((counts, colors), AXIS)
+    colors = jax.lax.psum(colors, AXIS)
     moments = jnp.stack([jnp.mean(gains**power, axis=1) for power in range(3)])
     moments = jax.lax.pmean(moments, AXIS)
     return Frame(
-        _KEPT * frame.points + counts.reshape(frame.points.shape),
+        frame.shapes.at[rows].set(shapes),
+        frame.count + len(shapes),
         _KEPT * frame.colors + colors.reshape(frame.colors.shape),
         _KEPT * frame.moments + moments,
     )
-
-
-def list_ways(covariance: jax.Array, *, is_upright: bool) -> jax.Array:
-    """Ways [A, 3] in which objects are moved to fit: the principal axes.
-
-    Args:
-      covariance: [3, 3] of points.
-      is_upright: whether half turns are about z alone; the ways are level then.
-    """
-    if is_upright:
-        _, axes = jnp.linalg.eigh(covariance[:2, :2])
-        return jnp.pad(axes.T, ((0, 0), (0, 1)))
-    return jnp.linalg.eigh(covariance)[1].T
-
-
-def compare_places(
-    points: jax.Array, turns: jax.Array, ways: jax.Array, frame: Frame
-) -> jax.Array:
-    """Mean log-likelihood [T] of points [N, 3] after each of the turns [T, 4].
-
-    Relative to points that are anywhere, nats per point, at the shift along one of the
-    ways [A, 3] and at the scale that fit best. For a kind whose wings are
-    farther in front than those of other airplanes has them where these have theirs
-    once it is turned round, and what is wrong then is the tail alone.
-    """
-    density = frame.points
-    for axis in range(3):  # the cells at the border, which roll over, are empty
-        rolled = [jnp.roll(density, shift, axis) for shift in (-1, 0, 1)]
-        density = jnp.tensordot(jnp.array(_BLUR), jnp.stack(rolled), 1)
-    mean = jnp.maximum(jnp.mean(density), jnp.finfo(points.dtype).tiny)
-    scores = jnp.log(density.reshape(-1) / mean + _EMPTY)
-    shifts = (jnp.array(_SHIFTS)[:, None, None] * ways[None]).reshape(1, -1, 1, 3)
-
-    def fit(turn):
-        turned = quaternion.rotate(points, turn)
-        scaled = jnp.array(_SCALES)[:, None, None, None] * turned[None, None]
-        places = scaled + shifts
-        is_inside = jnp.all(jnp.abs(places) < 0.5, axis=-1)
-        found = scores[find_cells(places.reshape(-1, 3))].reshape(is_inside.shape)
-        return jnp.max(jnp.mean(jnp.where(is_inside, found, jnp.log(_EMPTY)), axis=-1))
-
-    return jax.vmap(fit)(turns)
 
 
 def compare_colors(samples: Samples, turns: jax.Array, frame: Frame) -> jax.Array:
@@ -221,9 +194,3 @@ def compare_colors(samples: Samples, turns: jax.Array, frame: Frame) -> jax.Arra
 
     count = jnp.sum(samples.weights > 0)
     return jax.vmap(fit)(turns) / jnp.maximum(count, 1)
-
-
-def find_cells(places: jax.Array) -> jax.Array:
-    """Cells [n] int32 of places [n, 3]."""
-    x, y, z = jnp.clip(jnp.floor((places + 0.5) * CELLS), 0, CELLS - 1).T
-    return ((x * CELLS + y) * CELLS + z).astype(jnp.int32)

@@ -36,6 +36,14 @@ class Restored(NamedTuple):
     damaged: tuple[int, ...]
 
 
+class _OlderFrame(NamedTuple):
+    """Parts of a common frame as saved before it remembered single shapes."""
+
+    points: jax.Array
+    colors: jax.Array
+    moments: jax.Array
+
+
 class Checkpoints:
     """The checkpoints in one folder; writes to a temporary name, then renames."""
 
@@ -115,6 +123,9 @@ class Checkpoints:
     def restore(self, like: TrainState) -> Restored | None:
         """The newest checkpoint that can be read, or None where there is none.
 
+        Instead of a common frame of another form, from before, the state has one that
+        begins anew.
+
         Args:
           like: a state, or what `describe_state` says of it.
 
@@ -131,12 +142,17 @@ class Checkpoints:
             with contextlib.suppress(Exception):
                 saved = self._checkpointer.checkpointables_metadata(step).metadata
                 target = _list_parts(described, saved["state"])
+                older = _describe_older_frame(saved["state"].get("frame"), described)
+                if older:
+                    target["frame"] = older
                 loaded = self._checkpointer.load_checkpointables(
                     step, {"state": target, "progress": progress}
                 )
                 state = TrainState(**loaded["state"])
                 # Orbax notices a missing or short file, but not a changed byte.
                 if int(loaded["progress"]["checksum"]) == _checksum(state):
+                    if older:
+                        state = state._replace(frame=_make_zeros(described.frame))
                     return Restored(
                         state, float(loaded["progress"]["seconds"]), tuple(damaged)
                     )
@@ -179,6 +195,24 @@ def _list_parts(state: TrainState, names: Container[str] = ()) -> dict:
     from before there was that field are read. Some were saved with such names.
     """
     return {n: p for n, p in state._asdict().items() if p is not None or n in names}
+
+
+def _describe_older_frame(saved, described: TrainState) -> _OlderFrame | None:
+    """Of metadata of a common frame that has another form than that of a state."""
+    if described.frame is None or set(saved or ()) != set(_OlderFrame._fields):
+        return None
+    sharding = described.step.sharding  # each device has all of it
+    parts = (saved[name] for name in _OlderFrame._fields)
+    return _OlderFrame(
+        *(jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=sharding) for a in parts)
+    )
+
+
+def _make_zeros(described):
+    """Arrays of what is described."""
+    return jax.tree.map(
+        lambda a: jax.device_put(np.zeros(a.shape, a.dtype), a.sharding), described
+    )
 
 
 def _require_room(folder: Path, state: TrainState):
