@@ -96,6 +96,44 @@ def test_winners_have_the_loss_and_gradient_of_plain_renders(
         np.testing.assert_allclose(ours, theirs, atol=limit)
 
 
+def test_colors_that_move_no_points_leave_the_shape_the_gradient_of_silhouettes():
+    shapes, batch = make_shapes(has_colors=True), make_batch()
+    rotations = jnp.array(random_quaternions(3, 4), jnp.float32).reshape(2, 2, 4)
+
+    def compare(learned, config):
+        kept, mass, colors, rotations = learned
+        return compare_winners(
+            shapes._replace(kept=kept, mass=mass, colors=colors),
+            rotations,
+            batch,
+            render=config.render,
+            train=config.train,
+            stage=FINE,
+        )[:2]
+
+    learned = shapes.kept, shapes.mass, shapes.colors, rotations
+    found = {}
+    for name, changes in (
+        ("beside", {"color_weight": 0.3, "colors_move_points": False}),
+        ("joint", {"color_weight": 0.3}),
+        ("silhouettes", {}),
+    ):
+        config = tiny_config(renders_at_once=1, **changes)
+        call = jax.value_and_grad(lambda x, c=config: compare(x, c), has_aux=True)
+        found[name] = jax.jit(call)(learned)
+    (beside, terms), gradient = found["beside"]
+    (joint, others), of_joint = found["joint"]
+    _, of_silhouettes = found["silhouettes"]
+    # The same float32 sums, compiled apart.
+    assert float(beside) == pytest.approx(float(joint), rel=1e-6)
+    assert float(terms["color"]) == pytest.approx(float(others["color"]), rel=1e-6)
+    for index, name in enumerate(("points", "mass", "colors", "poses")):
+        wanted = of_joint if name == "colors" else of_silhouettes
+        limit = 1e-5 * float(jnp.max(jnp.abs(wanted[index])))
+        np.testing.assert_allclose(gradient[index], wanted[index], atol=limit)
+    assert float(jnp.max(jnp.abs(of_joint[0] - of_silhouettes[0]))) > 1e-3
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 64, 1000])
 def test_an_order_has_every_index_once_and_depends_on_the_key(count):
     orders = [

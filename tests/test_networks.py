@@ -13,6 +13,7 @@ from dpc_jax.networks import ImageEncoder, ShapeHead, ShapePoseNetwork
 from dpc_jax.networks.camera import BoundedHead
 from dpc_jax.networks.pose import PoseEnsemble, spread_rotations, surround_object
 from dpc_jax.networks.shape import LARGEST_SIZE, SMALLEST_SIZE, bound_sizes
+from dpc_jax.networks.tint import measure_tint
 
 KEY = jax.random.key(0)
 
@@ -187,6 +188,42 @@ def test_with_colour_the_shape_branch_has_6n_outputs():
     plain, colored = network_shapes(), network_shapes(has_color=True)
     assert colored["shape/colors/kernel"] == (8, 30)
     assert set(colored) - set(plain) == {"shape/colors/kernel", "shape/colors/bias"}
+
+
+def test_a_tint_adds_one_number_per_point_and_reaches_colours_alone():
+    learns = dict(has_color=True, has_translation=True, focal_length=1.875)
+    colored, tinted = network_shapes(**learns), network_shapes(**learns, is_tinted=True)
+    assert {**colored, "shape/tint": (1, 10, 1)} == tinted
+    network = ShapePoseNetwork(
+        num_points=10, candidates=2, channels=2, hidden=8, shape_hidden=8, **learns
+    ).clone(is_tinted=True)
+    features = jax.random.normal(KEY, (1, 8))
+
+    def predict(module, tint):
+        seen = jnp.concatenate([features, tint], axis=-1)
+        rest = module.predict_pose(seen) | module.predict_camera(seen)
+        return module.predict_shape(seen) | rest
+
+    images = jnp.zeros((1, 16, 16, 3))
+    with compiling_quickly():
+        params = network.init(KEY, images)
+        dark, light = (
+            nn.apply(predict, network)(params, jnp.full((1, 3), tint))
+            for tint in (-1.0, 1.0)
+        )
+    changed = {name for name in dark if not np.array_equal(dark[name], light[name])}
+    assert changed == {"colors"}
+    assert np.all(np.asarray(light["colors"]) > np.asarray(dark["colors"]))
+
+
+def test_the_tint_is_that_of_the_object_without_the_background():
+    images = np.full((3, 8, 8, 3), 1.0, np.float32)
+    images[0, 2:4, 3:6] = 2 * np.array([0.8, 0.3, 0.5]) - 1
+    images[1, 1] = -1.0  # black: bounded, so that its logit is finite
+    found = jax.nn.sigmoid(measure_tint(jnp.asarray(images)))
+    # float32; the last image is all white
+    expected = [[0.8, 0.3, 0.5], [0.02] * 3, [0.5] * 3]
+    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_points_stay_in_the_cube_and_colours_and_scale_in_the_unit_interval():

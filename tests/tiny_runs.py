@@ -60,11 +60,12 @@ PLAIN = {
         repulsion_points=0,
         containment_weight=0.0,
         color_weight=0.0,
+        colors_move_points=True,
     ),
     "log": dict(every=1),
     "run": dict(devices=1),
     "network": dict(channels=2, hidden=12, shape_hidden=12, student_width=32)
-    | dict(normalize=False),
+    | dict(normalize=False, tint=False),
 }
 
 

@@ -209,6 +209,13 @@ def _list_signal_rules(config):
         "above 0 where train.depth_weight and train.color_weight are 0, so that there "
         "is something to learn from",
     )
+    others = train.silhouette_weight + train.depth_weight
+    yield (
+        "train.colors_move_points",
+        others > 0 or train.colors_move_points,
+        "True where colours alone are compared, because nothing else would teach the "
+        "shape",
+    )
     yield (
         "train.depth_weight",
         not (train.depth_weight and data.images),

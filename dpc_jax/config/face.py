@@ -19,13 +19,14 @@ def to_config_dict(config: Config) -> ml_collections.ConfigDict:
 # fields that were tried and taken out.
 _BEFORE = {
     "data": {"copies": 1, "mix": 0},
+    "network": {"tint": False},
     "pose": {
         "choice_rank": "volume",
         "common_frame": False,
         "head": "quaternion",
         "predicted": "student",
     },
-    "train": {"pull_weight": 0.0},
+    "train": {"colors_move_points": True, "pull_weight": 0.0},
 }
 _GONE = {"pose": ("choice_noise", "choice_noise_until")}
 

@@ -88,6 +88,7 @@ class Network:
     shape: str = field("points", one_of(*SHAPES))  # predicted; voxels: of render.grid
     voxel_channels: int = field(16, at_least(1))  # of the volume of half the side
     map_channels: int = field(48, at_least(1))  # of the largest maps (EPCG)
+    tint: bool = field(True)  # colours see the mean colour of the image's object
 
 
 @dataclasses.dataclass(frozen=True)
@@ -229,6 +230,7 @@ class Train:
     background_weight: float = field(0.0, between(0, 1))  # event cost; 0: squares
     depth_weight: float = field(0.0, at_least(0))  # per pixel and diagonal; 0: none
     color_weight: float = field(0.0, at_least(0))  # per pixel; 0: no colours
+    colors_move_points: bool = field(False)  # their loss has a gradient for the shape
 
 
 @dataclasses.dataclass(frozen=True)

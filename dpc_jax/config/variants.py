@@ -39,6 +39,7 @@ VARIANTS: dict[str, Changes] = {
             "student_width": 32,
             "normalize": False,
             "encoder_blocks": 3,  # 7 layers at every size
+            "tint": False,
         },
         "render": {
             "grid": 64,
@@ -70,6 +71,7 @@ VARIANTS: dict[str, Changes] = {
             "pull_weight": 0.0,
             "repulsion_weight": 0.0,
             "containment_weight": 0.0,
+            "colors_move_points": True,
         },
         "log": {"every": 500, "evaluate": 20_000, "checkpoint": 5000},
     },

@@ -43,6 +43,7 @@ PULL = {"train.pull_weight": 0.03}
 FRAME = PULL | {"pose.common_frame": True, "train.containment_weight": 30.0}
 DEFAULTS = FRAME | {"pose.head": "viewpoint", "pose.predicted": "posterior"}
 CHOOSE_BY_ALL = {"pose.choice_signals": "all"}
+BESIDE = {"train.colors_move_points": False, "network.tint": True}
 EXPERIMENTS = (
     Experiment(
         "known_pose",
@@ -170,8 +171,26 @@ EXPERIMENTS = (
                 tag="choose-by-all",
                 budget="signals",
             ),
+            Row(
+                "Defaults of this package, silhouettes",
+                variant="",
+                changes=DEFAULTS,
+                tag="defaults",
+            ),
+            Row(
+                "Defaults of this package, with colour, chosen by both",
+                variant="color",
+                changes=DEFAULTS | BESIDE | CHOOSE_BY_ALL,
+                tag="defaults",
+            ),
             Row("Known pose, silhouettes", variant="known_pose,32"),
             Row("Known pose, with colour", variant="known_pose,32,color"),
+            Row(
+                "Known pose, with colour that moves no points",
+                variant="known_pose,32,color",
+                changes=BESIDE,
+                tag="beside",
+            ),
         ),
         categories=("car", "chair"),
         picture="signals.png",

@@ -15,6 +15,8 @@ _PLAIN = {
     "pose.common_frame": False,
     "train.pull_weight": 0.0,
     "train.containment_weight": 1.0,
+    "train.colors_move_points": True,
+    "network.tint": False,
 }
 RESOLUTIONS = ("32", "64", "128")  # variants that set the side of images and volume
 

@@ -10,6 +10,7 @@ from dpc_jax.networks.camera import FOCAL_RANGE, TRANSLATION_RANGE, BoundedHead
 from dpc_jax.networks.encoder import ImageEncoder
 from dpc_jax.networks.pose import PoseEnsemble, PoseSelector, PoseStudent
 from dpc_jax.networks.shape import ShapeHead
+from dpc_jax.networks.tint import TINT, measure_tint
 
 
 class ShapePoseNetwork(nn.Module):
@@ -38,6 +39,8 @@ class ShapePoseNetwork(nn.Module):
       spread, head_layers, pose_slope: see `PoseEnsemble`.
       has_translation: predict where in the frame the object is.
       focal_length: around which that of a view is predicted; 0: it is not.
+      is_tinted: colours of points are predicted from the mean colour of the image's
+        object, too.
     """
 
     num_points: int
@@ -68,6 +71,7 @@ class ShapePoseNetwork(nn.Module):
     viewpoints: tuple[float, float] | None = None
     own_pose_encoder: bool = False
     judges_poses: bool = False
+    is_tinted: bool = False
 
     def setup(self) -> None:
         """Make the branches that this run learns."""
@@ -154,17 +158,24 @@ class ShapePoseNetwork(nn.Module):
     def encode(self, images: jax.Array, *, mix: jax.Array | None = None) -> jax.Array:
         """Images [B, S, S, 3] in [-1, 1] to features [B, F].
 
-        F is `hidden`, or twice that with a pose encoder. `mix` is as of `ImageEncoder`:
-        weights [M, B] of mixtures of the images.
+        F is `hidden`, or twice that with a pose encoder, and three more, the last ones,
+        where `is_tinted`. `mix` is as of `ImageEncoder`: weights [M, B] of mixtures of
+        the images.
         """
         features = self.encoder(images, mix=mix)
         if self.candidates and self.own_pose_encoder:
             others = self.pose_encoder(images, mix=mix)
             features = jnp.concatenate([features, others], axis=-1)
+        if self.is_tinted:
+            tint = measure_tint(images)
+            tint = tint if mix is None else jnp.matmul(mix, tint, precision="highest")
+            features = jnp.concatenate([features, tint], axis=-1)
         return features
 
     def predict_shape(self, features: jax.Array) -> dict[str, jax.Array]:
         """Features [B, F] to what the shape head predicts: points, or cells."""
+        if self.is_tinted:
+            return self.shape(features[..., : self.hidden], tint=features[..., -TINT:])
         return self.shape(features[..., : self.hidden])
 
     def predict_pose(self, features: jax.Array) -> dict[str, jax.Array]:
@@ -176,6 +187,7 @@ class ShapePoseNetwork(nn.Module):
         """
         if not self.candidates:
             return {}
+        features = self._leave_tint(features)
         features = features[..., -self.hidden :]  # of the pose encoder, if there is one
         poses = self.pose(features)
         if self.candidates == 1:
@@ -188,7 +200,7 @@ class ShapePoseNetwork(nn.Module):
 
         Translations are those of the object in the camera frame, in box diagonals.
         """
-        output = {}
+        output, features = {}, self._leave_tint(features)
         if self.has_translation:
             output["translations"] = self.translation(features)
         if self.focal_length:
@@ -196,6 +208,10 @@ class ShapePoseNetwork(nn.Module):
                 self.focal_length * (1 + self.focal(features))[:, 0]
             )
         return output
+
+    def _leave_tint(self, features):
+        """The features but those that colours alone see."""
+        return features[..., :-TINT] if self.is_tinted else features
 
     def judge_poses(self, quaternions: jax.Array) -> jax.Array:
         """Unit quaternions [n, 4] to logits [n], see `PoseJudge`."""

@@ -40,8 +40,13 @@ class ShapeHead(nn.Module):
     first_size: float = 0.05
 
     @nn.compact
-    def __call__(self, features: jax.Array) -> dict[str, jax.Array]:
+    def __call__(
+        self, features: jax.Array, tint: jax.Array | None = None
+    ) -> dict[str, jax.Array]:
         """Features [B, F] to points, occupancy scale, colours and sizes.
+
+        A point takes of the tint [B, 3], logits of an image's colour, a share of its
+        own, which all objects have in common: paint has more of it than tyres.
 
         Returns:
           points [B, N, 3] in [-1/2, 1/2]; scale [B], the scaling coefficient, in
@@ -61,8 +66,12 @@ class ShapeHead(nn.Module):
         else:
             shape["scale"] = nn.sigmoid(output(1, name="scale")(x))[:, 0]
         if self.has_color:
-            colors = output(3 * self.num_points, name="colors")(x)
-            shape["colors"] = nn.sigmoid(colors).reshape(size)
+            colors = output(3 * self.num_points, name="colors")(x).reshape(size)
+            if tint is not None:
+                start = nn.initializers.constant(0.5)
+                shares = self.param("tint", start, (1, self.num_points, 1))
+                colors += shares * tint[:, None]
+            shape["colors"] = nn.sigmoid(colors)
         if self.point_size:
             shape |= self._predict_sizes(x)
         return shape

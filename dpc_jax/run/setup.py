@@ -26,6 +26,9 @@ def make_network(config: Config) -> ShapePoseNetwork:
         num_classes=config.pose.choices,
         student_width=config.network.student_width,
         has_color=config.train.color_weight > 0,
+        is_tinted=config.network.tint
+        and config.train.color_weight > 0
+        and config.network.shape == "points",
         spread=config.pose.spread,
         blocks=config.network.encoder_blocks,
         head_layers=config.network.head_layers,

@@ -4,6 +4,7 @@ A view's gradient is computed right after its render, while the volume is in the
 processor's cache. So no volume is kept for a backward pass over the batch.
 """
 
+import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -33,6 +34,7 @@ class _Static(NamedTuple):
     weights: Weights
     renders_at_once: int
     ray_rule: str
+    colors_move_points: bool
 
 
 def compare_winners(
@@ -85,6 +87,7 @@ def compare_winners(
         weights,
         render.renders_at_once,
         render.ray_rule,
+        train.colors_move_points,
     )
     result: Any = _sum_views(static, learned, given)
     total, terms, costs = result
@@ -110,15 +113,28 @@ def _compare_view(static, learned, given):
         return view_maps.compare_render(
             drawn, given["targets"], weights=static.weights, camera=camera
         )
-    image = render_scene(
-        given | learned,
-        learned["rotation"],
-        translation=learned.get("translation"),
-        camera=camera,
-        side=static.grid,
-        signals=static.weights.renders,
-        ray_rule=static.ray_rule,
-    )
+
+    def render(signals, scene):
+        return render_scene(
+            scene,
+            scene["rotation"],
+            translation=scene.get("translation"),
+            camera=place_camera(Camera(*static.camera), scene),
+            side=static.grid,
+            signals=signals,
+            ray_rule=static.ray_rule,
+        )
+
+    scene, signals = given | learned, static.weights.renders
+    if "color" in signals and not static.colors_move_points:
+        # A pixel of a wrong colour would else be made white by moving its points off.
+        # The second render has the values of the first: one of the two is computed.
+        others = tuple(signal for signal in signals if signal != "color")
+        still = jax.lax.stop_gradient(scene) | {"colors": scene["colors"]}
+        colored = render(("color",), still)
+        image = dataclasses.replace(render(others, scene), color=colored.color)
+    else:
+        image = render(signals, scene)
     return compare_images(
         image, given["targets"], weights=static.weights, camera=camera
     )
