@@ -77,7 +77,8 @@ def find_costs(share, mixed):
     for row, col in np.ndindex(*share.shape):
         if share[row, col] > 0:
             depth = 2.5 + (mixed[row, col] - 2.5) / share[row, col]
-            beyond = np.abs(places - depth) - 1 / 8
+            before, behind = depth - 2 / 8 - places, places - depth
+            beyond = np.maximum(before, behind)
             costs[row, col] = share[row, col] * np.where(beyond > 0, beyond, 0)
     return costs
 
@@ -179,9 +180,10 @@ def test_beside_silhouettes_a_transparent_render_at_the_right_depth_costs_nothin
         for is_alone in (False, True)
     )
     assert right == 0
-    # Four cells off, of which one is free.
-    wrong = compare_one_pixel(ends, share, 2.4375, is_alone=False)
-    assert wrong == pytest.approx(share * hit * 3 / 8, rel=1e-5)
+    # Two cells before the surface are free, none behind it.
+    for depth, cells in ((2.4375, 2), (2.1875, 0), (1.6875, 2)):
+        wrong = compare_one_pixel(ends, share, depth, is_alone=False)
+        assert wrong == pytest.approx(share * hit * cells / 8, rel=1e-5, abs=1e-7)
     # Alone: where rays hit more or less than is there.
     assert alone == pytest.approx(((hit - share) * 0.5625) ** 2, abs=1e-6)
 
@@ -190,7 +192,7 @@ def test_half_too_near_and_half_too_far_is_not_the_right_depth():
     """Though it is right in the mean."""
     ends = [0, 0.5, 0, 0, 0, 0.5, 0, 0]
     cost = compare_one_pixel(ends, 1.0, 1.9375, is_alone=False)
-    assert cost == pytest.approx(1 / 8, rel=1e-5)  # two cells off, of which one is free
+    assert cost == pytest.approx(1 / 8, rel=1e-5)  # two cells before are free
 
 
 def test_a_depth_that_was_not_measured_counts_as_background():

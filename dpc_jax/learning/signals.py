@@ -183,9 +183,9 @@ def compare_depths(
 ) -> jax.Array:
     """How far rays end from the true depth, expected and summed over pixels; ().
 
-    Σ_k r_k·max(|z_k - d| - h, 0) in box diagonals, where h is a cell: nearer than that
-    a smoothed surface cannot be told from the true one. Counted by the share of the
-    pixel whose depth was measured.
+    Σ_k r_k·max(|z_k + h - d| - h, 0) in box diagonals, where h is a cell: the rays of a
+    smoothed surface end up to two cells before it. Counted by the share of the pixel
+    whose depth was measured.
 
     Args:
       image: has its termination. targets: of `make_targets`.
@@ -200,7 +200,8 @@ def compare_depths(
     places = VoxelGrid(ends.shape[-1]).depths(camera, ends.dtype)[None, None]
     nearer = targets["depth"] - background  # times the share that is measured
     depth = background + nearer / jnp.where(measured > 0, measured, 1)
-    away = jnp.abs(places - depth[..., None]) - 1 / ends.shape[-1]
+    cell = 1 / ends.shape[-1]
+    away = jnp.abs(places + cell - depth[..., None]) - cell
     cost = measured[..., None] * jnp.maximum(away, 0)
     total = jnp.sum(ends * cost)
     if is_alone:

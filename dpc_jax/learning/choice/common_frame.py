@@ -113,7 +113,7 @@ def turn_back(
     poses = jax.vmap(over_views)(winners.poses, turns[turned])
     turn_places = jax.vmap(quaternion.rotate)
     samples = samples._replace(places=turn_places(samples.places, turns[turned]))
-    points = turn_places(points, turns[turned])
+    # Shapes are counted as they are predicted: turned ones would vote for more of them.
     new = _count_batch(frame, points, samples, gains)
     return Winners(poses, indices), new, jnp.mean(turned > 0)
 
