@@ -174,9 +174,9 @@ class ShapePoseNetwork(nn.Module):
 
     def predict_shape(self, features: jax.Array) -> dict[str, jax.Array]:
         """Features [B, F] to what the shape head predicts: points, or cells."""
-        if self.is_tinted:
-            return self.shape(features[..., : self.hidden], tint=features[..., -TINT:])
-        return self.shape(features[..., : self.hidden])
+        head: Any = self.shape  # that of points alone takes a tint
+        tint = {"tint": features[..., -TINT:]} if self.is_tinted else {}
+        return head(features[..., : self.hidden], **tint)
 
     def predict_pose(self, features: jax.Array) -> dict[str, jax.Array]:
         """Features [B, F] to "candidates" [B, K, 4] and the output of the student.

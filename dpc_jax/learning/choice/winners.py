@@ -132,7 +132,8 @@ def _compare_view(static, learned, given):
         others = tuple(signal for signal in signals if signal != "color")
         still = jax.lax.stop_gradient(scene) | {"colors": scene["colors"]}
         colored = render(("color",), still)
-        image = dataclasses.replace(render(others, scene), color=colored.color)
+        image: Any = render(others, scene)  # a chex dataclass, which type checkers miss
+        image = dataclasses.replace(image, color=colored.color)
     else:
         image = render(signals, scene)
     return compare_images(

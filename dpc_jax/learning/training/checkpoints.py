@@ -8,7 +8,7 @@ import shutil
 import zlib
 from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -39,9 +39,9 @@ class Restored(NamedTuple):
 class _OlderFrame(NamedTuple):
     """Parts of a common frame as saved before it remembered single shapes."""
 
-    points: jax.Array
-    colors: jax.Array
-    moments: jax.Array
+    points: Any
+    colors: Any
+    moments: Any
 
 
 class Checkpoints:
