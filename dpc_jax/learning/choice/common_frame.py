@@ -37,10 +37,11 @@ from dpc_jax.render import Camera, quaternion
 
 _POINTS = 1000  # of a shape, that are looked at
 _PRIOR = 500.0  # samples of the category's mean colours in each cell
-_LOSS = 0.2  # of the usual loss by a half turn: who loses less is turned
 _FITTED = 400  # of these points, that are moved and scaled to fit
 _KEPT = 0.995  # of the sums in a step: 200 batches
-_CLARITY = 0.5  # standard deviations below 0 of what a half turn gains, to count
+# Standard deviations below 0 of what a half turn gains by points and by colours, to
+# count. A kind that is turned round makes two peaks of the first, which is wide then.
+_CLARITY = (0.5, 1.0)
 _COLOR_WEIGHT = 10.0  # of a nat per sample of colours, beside one per point
 
 
@@ -148,13 +149,12 @@ def _choose_turns(gains, moments):
     """
     mean, square = moments[1:] / jnp.maximum(moments[:1], 1e-6)
     spread = jnp.sqrt(jnp.maximum(square - mean**2, 0))
-    is_clear = mean < -_CLARITY * spread
+    is_clear = mean < -jnp.array(_CLARITY)[:, None] * spread
     weights = jnp.array([[1], [_COLOR_WEIGHT]]) * is_clear
     total = jnp.sum(weights[:, None] * gains, axis=0)
-    # A kind that is turned round as a whole has counted its own colours, and has the
-    # most like it among those that judge it: it loses less, and need not win.
-    lost = jnp.where(is_clear[0], gains[0] - _LOSS * mean[:1], -jnp.inf)
-    total = jnp.maximum(jnp.where(jnp.any(is_clear, axis=0), total, -jnp.inf), lost)
+    total = jnp.where(jnp.any(is_clear, axis=0), total, -jnp.inf)
+    # Points suffice: a kind that is turned round has counted its own colours.
+    total = jnp.maximum(total, jnp.where(is_clear[0], gains[0], -jnp.inf))
     return jnp.where(jnp.max(total, axis=1) > 0, jnp.argmax(total, axis=1) + 1, 0)
 
 
