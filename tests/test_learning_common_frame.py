@@ -249,6 +249,8 @@ def test_a_kind_is_turned_by_its_points_though_its_own_colors_agree():
     gains = jnp.array([[[0.02], [-0.08]], [[-0.03], [-0.04]]])
     moments = jnp.array([[[1.0], [1.0]], [[-0.06], [-0.04]], [[0.0052], [0.0017]]])
     assert common_frame._choose_turns(gains, moments).tolist() == [1, 0]
+    half_way = gains.at[0, 0].set(0.01)  # that fits both ways nearly alike
+    assert common_frame._choose_turns(half_way, moments).tolist() == [0, 0]
     unclear = moments.at[1, 0].set(-0.01)  # of points that tell nothing apart
     assert common_frame._choose_turns(gains, unclear).tolist() == [0, 0]
 

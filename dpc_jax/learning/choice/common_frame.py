@@ -42,6 +42,7 @@ _KEPT = 0.995  # of the sums in a step: 200 batches
 # Standard deviations below 0 of what a half turn gains by points and by colours, to
 # count. A kind that is turned round makes two peaks of the first, which is wide then.
 _CLARITY = (0.5, 1.0)
+_MARGIN = 0.3  # of the usual loss by a half turn, that points have to gain by one
 _COLOR_WEIGHT = 10.0  # of a nat per sample of colours, beside one per point
 
 
@@ -153,8 +154,10 @@ def _choose_turns(gains, moments):
     weights = jnp.array([[1], [_COLOR_WEIGHT]]) * is_clear
     total = jnp.sum(weights[:, None] * gains, axis=0)
     total = jnp.where(jnp.any(is_clear, axis=0), total, -jnp.inf)
-    # Points suffice: a kind that is turned round has counted its own colours.
-    total = jnp.maximum(total, jnp.where(is_clear[0], gains[0], -jnp.inf))
+    # Points suffice: a kind that is turned round has counted its own colours. One that
+    # fits both ways alike, half way round, is left to what its views say.
+    by_points = jnp.where(is_clear[0], gains[0] + _MARGIN * mean[:1], -jnp.inf)
+    total = jnp.maximum(total, by_points)
     return jnp.where(jnp.max(total, axis=1) > 0, jnp.argmax(total, axis=1) + 1, 0)
 
 
