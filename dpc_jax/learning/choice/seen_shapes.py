@@ -25,7 +25,7 @@ def count_points(points: jax.Array) -> jax.Array:
 
 
 def judge_cells(points: jax.Array, shapes: jax.Array, count: jax.Array) -> jax.Array:
-    """Log-likelihood [CELLS³] of a point in each cell by all objects unlike an own one.
+    """Log-likelihood [CELLS³] of a point in each cell, by the objects unlike one.
 
     Relative to points that are anywhere. The fifth of all objects that are most like
     the points [N, 3] does not count: where a whole kind is turned round, it agrees.
@@ -62,9 +62,9 @@ def compare_places(
     """Mean log-likelihood [T] of points [N, 3] after each of the turns [T, 4].
 
     By the scores [CELLS³] of `judge_cells`, nats per point, at the shift along one of
-    the ways [A, 3] and at the scale that fit best. For a kind whose wings are
-    farther in front than those of other airplanes has them where these have theirs
-    once it is turned round, and what is wrong then is the tail alone.
+    the ways [A, 3] and at the scale that fit best. As they are, airplanes whose wings
+    are farther in front than those of others fit better turned round: their wings are
+    then where these have theirs, and only their tails are not.
     """
     shifts = (jnp.array(_SHIFTS)[:, None, None] * ways[None]).reshape(1, -1, 1, 3)
 
