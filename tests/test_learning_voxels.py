@@ -155,7 +155,8 @@ def test_depths_of_cells_are_compared_where_their_rays_end():
         share = mask.reshape(8, 2, 8, 2).mean(axis=(1, 3))
         summed = (mask * batch["depths"][row, view]).reshape(8, 2, 8, 2)
         depth = summed.mean(axis=(1, 3)) / np.where(share > 0, share, 1)
-        away = np.abs(places - depth[..., None]) - 1 / 8
+        before = depth[..., None] - 2 / 8 - places
+        away = np.maximum(before, places - depth[..., None])
         expected.append(np.sum(ends * share[..., None] * np.maximum(away, 0)))
     assert float(terms["depth"]) == pytest.approx(np.mean(expected), rel=1e-4)
     both = terms["reprojection"] + 2 * terms["depth"]
