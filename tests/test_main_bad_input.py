@@ -129,6 +129,12 @@ def test_refinement_is_refused_where_there_is_nothing_to_refine(
     assert "config.eval.refine must be False where poses are known" in error
 
 
+def test_colours_alone_have_to_teach_the_shape(config, tmp_path, capsys):
+    config.train.update(silhouette_weight=0.0, color_weight=1.0)
+    error = refuse(config, tmp_path / "workdir", capsys)
+    assert "config.train.colors_move_points must be True" in error
+
+
 def test_a_choice_by_all_signals_needs_an_exact_comparison(config, tmp_path, capsys):
     config.pose.update(choice_signals="all", choice_top=0)
     error = refuse(config, tmp_path / "workdir", capsys)

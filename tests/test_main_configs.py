@@ -133,7 +133,10 @@ def test_a_workdir_from_before_a_field_does_what_it_did():
     )
     assert not read.pose.common_frame and read.pose.choice_rank == "volume"
     assert read.train.pull_weight == 0 and read.train.steps == 9
+    assert read.train.colors_move_points
     assert from_json('{"category": "car", "data": {"copies": 6}}').data.mix == 0
+    assert not from_json('{"category": "car", "network": {}}').network.tint
+    assert Config("car").network.tint and not Config("car").train.colors_move_points
     assert Config("car").pose.common_frame and Config("car").train.pull_weight
 
 
@@ -144,10 +147,10 @@ def test_a_config_without_a_category_is_refused():
 
 def test_whole_numbers_stand_for_real_ones():
     read = from_json(
-        '{"category": "car", "train": {"final_rate": 1, "pull_weight": 0}}'
+        '{"category": "car", "render": {"anneal_until": 1, "focal_length": 2}}'
     )
-    assert read.train == (
-        dataclasses.replace(Config("car").train, final_rate=1.0, pull_weight=0.0)
+    assert read.render == (
+        dataclasses.replace(Config("car").render, anneal_until=1.0, focal_length=2.0)
     )
 
 
