@@ -234,6 +234,17 @@ def test_the_last_objects_replace_the_first():
     assert_same_bits(frame.shapes[:64], newest)
 
 
+def test_of_a_batch_larger_than_what_is_remembered_the_last_objects_are():
+    size = seen_shapes.OBJECTS + 32
+    objects = make_objects(size, thick=True, ends=(GREY, GREY))
+    _, frame, _ = turn(*objects, common_frame.start_frame(), False)
+    newest = jax.vmap(seen_shapes.count_points)(objects[1])
+    assert int(frame.count) == size
+    # Object i is in row i, and the last 32 begin anew.
+    assert_same_bits(frame.shapes[:32], newest[seen_shapes.OBJECTS :])
+    assert_same_bits(frame.shapes[32:], newest[32 : seen_shapes.OBJECTS])
+
+
 def test_ways_are_level_where_cameras_are_upright():
     covariance = jnp.array([[3.0, 1, 0.5], [1, 2, 0.1], [0.5, 0.1, 9]])
     ways = np.asarray(seen_shapes.list_ways(covariance, is_upright=True))

@@ -23,10 +23,12 @@ from dpc_jax.learning import devices
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.training.checkpoints import Checkpoints
 
-# Half turns, dropout, a selecting student and priors: all that objects could share.
+# Half turns, a common frame, dropout, a selecting student and priors: all that objects could share.
 EVERYTHING = dict(
     models_per_batch=4,
     flips=True,
+    common_frame=True,
+    common_frame_from=0.0,
     selects=True,
     keep_levels=1,
     repulsion_weight=0.004,

@@ -82,7 +82,7 @@ def describe_state(network: ShapePoseNetwork, config: Config) -> TrainState:
             leaf.shape, leaf.dtype, sharding=NamedSharding(mesh, part)
         ),
         shapes,
-        devices.choose_parts(shapes, mesh),
+        find_parts(network, config, mesh),
     )
 
 
@@ -102,9 +102,14 @@ def _init_whole(network, config, seed):
 
 
 def find_parts(network: ShapePoseNetwork, config: Config, mesh: Mesh) -> TrainState:
-    """The partition of each array of a state."""
+    """The partition of each array of a state.
+
+    What was seen of the category is whole: every device judges its objects by it.
+    """
     shapes = jax.eval_shape(lambda: _init_whole(network, config, 0))
-    return devices.choose_parts(shapes, mesh)
+    whole = jax.tree.map(lambda _: devices.WHOLE, shapes)
+    params, optimizer = devices.choose_parts((shapes.params, shapes.optimizer), mesh)
+    return whole._replace(params=params, optimizer=optimizer)
 
 
 def make_train_step(

@@ -164,7 +164,8 @@ def _choose_turns(gains, moments):
 def _count_batch(frame, points, samples, gains):
     """The frame after a batch, of all devices."""
     shapes = jax.lax.all_gather(jax.vmap(count_points)(points), AXIS, tiled=True)
-    rows = (frame.count + jnp.arange(len(shapes))) % OBJECTS
+    # Of a batch that is larger than what is remembered, its last objects.
+    rows = (frame.count + jnp.arange(len(shapes))[-OBJECTS:]) % OBJECTS
     cells = find_cells(samples.places.reshape(-1, 3))
     colors = jnp.zeros((CELLS**3, BINS**2))
     colors = colors.at[cells, samples.bins.reshape(-1)].add(samples.weights.reshape(-1))
@@ -172,7 +173,7 @@ def _count_batch(frame, points, samples, gains):
     moments = jnp.stack([jnp.mean(gains**power, axis=1) for power in range(3)])
     moments = jax.lax.pmean(moments, AXIS)
     return Frame(
-        frame.shapes.at[rows].set(shapes),
+        frame.shapes.at[rows].set(shapes[-OBJECTS:]),
         frame.count + len(shapes),
         _KEPT * frame.colors + colors.reshape(frame.colors.shape),
         _KEPT * frame.moments + moments,
