@@ -23,7 +23,8 @@ from dpc_jax.learning import devices
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.training.checkpoints import Checkpoints
 
-# Half turns, a common frame, dropout, a selecting student and priors: all that objects could share.
+# Half turns, a common frame, dropout, a selecting student and priors: all that objects
+# could share.
 EVERYTHING = dict(
     models_per_batch=4,
     flips=True,
