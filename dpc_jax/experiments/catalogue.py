@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from dpc_jax.experiments import published
 from dpc_jax.experiments.declarations import Experiment, Row
 from dpc_jax.experiments.point_kinds import list_changes
+from dpc_jax.experiments.row_settings import DEFAULTS, FRAME, POSES, PULL
+from dpc_jax.experiments.signals import SIGNAL_EXPERIMENTS
 
-POSES = ("pose_accuracy", "pose_median_error_deg")
 KINDS = {"": "hand-tuned σ", "sigma": "learned σ", "covariance": "learned covariance"}
 
 
@@ -39,11 +40,6 @@ def _count_points(count: int) -> Row:
 
 
 MEAN_SHAPE = Row("Mean shape of the training set", measure="mean_shape:measure")
-PULL = {"train.pull_weight": 0.03}
-FRAME = PULL | {"pose.common_frame": True, "train.containment_weight": 30.0}
-DEFAULTS = FRAME | {"pose.head": "viewpoint", "pose.predicted": "posterior"}
-CHOOSE_BY_ALL = {"pose.choice_signals": "all"}
-BESIDE = {"train.colors_move_points": False, "network.tint": True}
 EXPERIMENTS = (
     Experiment(
         "known_pose",
@@ -153,75 +149,7 @@ EXPERIMENTS = (
         analysis="point_sizes:draw",
         reads="all",
     ),
-    Experiment(
-        "color",
-        "Supervision by colour",
-        "Does colour tell the front from the back, and what does it cost the shape?",
-        published.SUPERVISION,
-        ("chamfer", *POSES, "flip_share", "color_psnr"),
-        (
-            Row("Silhouettes", variant="", budget="signals"),
-            Row(
-                "With colour, chosen by silhouettes", variant="color", budget="signals"
-            ),
-            Row(
-                "With colour, chosen by both",
-                variant="color",
-                changes=CHOOSE_BY_ALL,
-                tag="choose-by-all",
-                budget="signals",
-            ),
-            Row(
-                "Defaults of this package, silhouettes",
-                variant="",
-                changes=DEFAULTS,
-                tag="defaults",
-            ),
-            Row(
-                "Defaults of this package, with colour, chosen by both",
-                variant="color",
-                changes=DEFAULTS | BESIDE | CHOOSE_BY_ALL,
-                tag="defaults",
-            ),
-            Row("Known pose, silhouettes", variant="known_pose,32"),
-            Row("Known pose, with colour", variant="known_pose,32,color"),
-            Row(
-                "Known pose, with colour that moves no points",
-                variant="known_pose,32,color",
-                changes=BESIDE,
-                tag="beside",
-            ),
-        ),
-        categories=("car", "chair"),
-        picture="signals.png",
-    ),
-    Experiment(
-        "depth",
-        "Supervision by depth",
-        "How much do depth maps bring over silhouettes?",
-        published.SUPERVISION,
-        ("chamfer", *POSES, "depth_error", "depth_error_percent"),
-        (
-            Row("Known pose, silhouettes", variant="known_pose,32"),
-            Row("Known pose, with depth", variant="known_pose,32,depth"),
-            Row(
-                "Known pose, depth alone",
-                variant="known_pose,32,depth",
-                changes={"train.silhouette_weight": 0.0},
-                tag="alone",
-            ),
-            Row("Silhouettes", variant="", budget="signals"),
-            Row(
-                "With depth, chosen by both",
-                variant="depth",
-                changes=CHOOSE_BY_ALL,
-                tag="choose-by-all",
-                budget="signals",
-            ),
-        ),
-        categories=("car", "chair"),
-        picture="signals.png",
-    ),
+    *SIGNAL_EXPERIMENTS,
     Experiment(
         "correspondences",
         "Semantic correspondences",

@@ -9,6 +9,7 @@ from dpc_jax.experiments.catalogue import EXPERIMENTS
 from dpc_jax.experiments.declarations import Experiment, Row
 from dpc_jax.experiments.report.tables import format_value
 from dpc_jax.experiments.results import Results
+from dpc_jax.experiments.signals import COLORED, DEEP
 
 _BY_NAME = {experiment.name: experiment for experiment in EXPERIMENTS}
 MORE_ACCURATE = 0.25  # accuracy of the ensemble over one regressor
@@ -152,46 +153,41 @@ def _check_ablation(reader) -> Iterator[Target]:
 def _check_color(reader) -> Iterator[Target]:
     name = "color"
     for category in reader.list_categories(name):
-        plain = reader.read(name, "Silhouettes", category)
-        for chosen in ("silhouettes", "both"):
-            label = f"With colour, chosen by {chosen}"
+        for text, without, with_color in COLORED:
+            rows = [without, with_color]
             yield _state(
                 name,
-                f"{category}: colour, chosen by {chosen}, costs at most "
-                f"{100 * COST_OF_COLOR:.0f} % of Chamfer (without, with)",
+                f"{category}: {text}, costs at most {100 * COST_OF_COLOR:.0f} % of "
+                "Chamfer (without, with)",
                 "chamfer",
-                [plain, reader.read(name, label, category)],
-                lambda without, with_color: with_color <= (1 + COST_OF_COLOR) * without,
+                [reader.read(name, row, category) for row in rows],
+                lambda plain, colored: colored <= (1 + COST_OF_COLOR) * plain,
             )
+            if without.startswith("Known"):
+                continue
             yield _state(
                 name,
-                f"{category}: colour, chosen by {chosen}, raises the accuracy "
-                "(without, with)",
+                f"{category}: {text}, raises the accuracy (without, with)",
                 "pose_accuracy",
-                [
-                    reader.read(name, row, category, "pose_accuracy")
-                    for row in ("Silhouettes", label)
-                ],
-                lambda without, with_color: with_color > without,
+                [reader.read(name, row, category, "pose_accuracy") for row in rows],
+                lambda plain, colored: colored > plain,
             )
 
 
 def _check_depth(reader) -> Iterator[Target]:
     name = "depth"
+    against = {"chamfer": "Chamfer", "visible_chamfer": "Chamfer of what is seen"}
     for category in reader.list_categories(name):
-        for without, with_depth in (
-            ("Known pose, silhouettes", "Known pose, with depth"),
-            ("Silhouettes", "With depth, chosen by both"),
-        ):
-            kind = "known" if without.startswith("Known") else "unknown"
-            yield _state(
-                name,
-                f"{category}, {kind} pose: depth lowers Chamfer by at least "
-                f"{100 * LESS_BY_DEPTH:.0f} % (without, with)",
-                "chamfer",
-                [reader.read(name, row, category) for row in (without, with_depth)],
-                lambda plain, deep: deep <= (1 - LESS_BY_DEPTH) * plain,
-            )
+        for text, *rows in DEEP:
+            for metric, what in against.items():
+                yield _state(
+                    name,
+                    f"{category}, {text}: depth lowers {what} by at least "
+                    f"{100 * LESS_BY_DEPTH:.0f} % (without, with)",
+                    metric,
+                    [reader.read(name, row, category, metric) for row in rows],
+                    lambda plain, deep: deep <= (1 - LESS_BY_DEPTH) * plain,
+                )
 
 
 def _check_points(reader) -> Iterator[Target]:
