@@ -313,7 +313,7 @@ def test_a_second_command_of_the_same_folder_is_refused(tmp_path, capsys):
         ("--source=shapenet", "--folder must be a folder that exists"),
         ("--folder=here", "--folder must be left out"),
         ("--experiment=ablation --category=car", "is not made of car"),
-        ("--experiment=depth --only=*-depth-*,boat-*", "boat-* fits none of its 54"),
+        ("--experiment=depth --only=*-depth-*,boat-*", "boat-* fits none of its 36"),
         ("--experiment=known_pose,ablation --category=car", "ablation is not made"),
         ("--category=,", "but it has an empty name"),
         ("--seeds=0,", "but it has an empty one"),

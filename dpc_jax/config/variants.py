@@ -141,7 +141,7 @@ VARIANTS: dict[str, Changes] = {
     },
     # § Network architecture and § Colored point clouds: other signals beside
     # silhouettes (docs/supervision.md has what each weight gave).
-    "depth": {"train": {"depth_weight": 5.0}},
+    "depth": {"train": {"depth_weight": 2.0}},
     "color": {"train": {"color_weight": 0.3}},
 }
 # Models of each category in the split of § Datasets, to train, validate and test on.

@@ -62,13 +62,6 @@ SIGNAL_EXPERIMENTS = (
         ("chamfer", "visible_chamfer", *POSES, "depth_error_percent"),
         (
             Row("Known pose, silhouettes", variant="known_pose,32"),
-            Row("Known pose, with depth", variant="known_pose,32,depth"),
-            Row(
-                "Known pose, depth alone",
-                variant="known_pose,32,depth",
-                changes={"train.silhouette_weight": 0.0},
-                tag="alone",
-            ),
             Row(
                 "Known pose, contained, silhouettes",
                 variant="known_pose,32",
@@ -81,13 +74,11 @@ SIGNAL_EXPERIMENTS = (
                 changes=CONTAINED,
                 tag="contained",
             ),
-            Row("Silhouettes", variant="", budget="signals"),
             Row(
-                "With depth, chosen by both",
-                variant="depth",
-                changes=CHOOSE_BY_ALL,
-                tag="choose-by-all",
-                budget="signals",
+                "Known pose, contained, depth alone",
+                variant="known_pose,32,depth",
+                changes=CONTAINED | {"train.silhouette_weight": 0.0},
+                tag="contained-alone",
             ),
             _DEFAULTS,
             Row(
@@ -122,15 +113,13 @@ COLORED = (
     ),
 )
 DEEP = (
-    ("known pose", "Known pose, silhouettes", "Known pose, with depth"),
     (
-        "known pose, contained",
+        "known pose",
         "Known pose, contained, silhouettes",
         "Known pose, contained, with depth",
     ),
-    ("unknown pose", "Silhouettes", "With depth, chosen by both"),
     (
-        "defaults, unknown pose",
+        "unknown pose",
         "Defaults of this package, silhouettes",
         "Defaults of this package, with depth, chosen by both",
     ),
