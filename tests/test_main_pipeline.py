@@ -174,6 +174,7 @@ def test_the_report_has_every_number_and_picture_that_is_promised(finished):
     assert {path.suffix for path in clouds} == {".ply", ".glb"}
     # Three views of different models each: the worst, the median, the best.
     assert len(clouds) == 2 * 9
+    assert (report / "worst_objects.png").stat().st_size > 1000
     for path in clouds:
         vertices = np.asarray(trimesh.load_scene(path).to_geometry().vertices)
         # A GLB holds a small solid for each of the 40 points.

@@ -66,6 +66,9 @@ def _draw_row(row, example: Example) -> None:
     if example.pose_error_deg is not None:
         label += f"   pose error {example.pose_error_deg:.1f}°"
     row[0].set_xlabel(label, fontsize=7.5, color=INK, loc="left")
+    # However long, it is as wide as its row and as high as an empty one's.
+    row[0].xaxis.label.set_in_layout(False)
+    row[1].set_xlabel(" ", fontsize=7.5)
 
 
 def silhouette_difference(predicted: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -31,6 +31,7 @@ def write_report(
     stages: figures.Stages = (),
     examples: Sequence[Example] = (),
     ranking: str = "",
+    worst: tuple[Sequence[Example], str] = ((), ""),
     pose_errors: ArrayLike | None = None,
     view_poses: ViewPoses | None = None,
     lost: Sequence[str] = (),
@@ -52,6 +53,7 @@ def write_report(
       stages: first step of each stage of the schedule and what is new in it.
       examples: views to show, those of a group one after the other.
       ranking: how they were chosen, a sentence.
+      worst: the worst objects, each by a view, and how they were chosen.
       pose_errors: errors of the test views in degrees, any shape.
       view_poses: where the test views are taken from, and said to be.
       lost: names of objects that are wrong in all their views.
@@ -77,6 +79,7 @@ def write_report(
             cards.show_examples(examples),
             _write_clouds(examples, folder / "points"),
         ]
+    parts.append(_show_worst(folder, *worst))
     parts.append(_draw(folder, "pose_errors", figures.draw_pose_errors, pose_errors))
     parts.append(_draw(folder, "azimuths", draw_azimuths, view_poses))
     if pose_errors is not None:
@@ -105,6 +108,16 @@ def _draw(folder, name, draw, data, *, is_photo: bool = False) -> str:
     path = draw(data, folder / f"{name}.png")
     title, _ = sections.CAPTIONS[name]
     return sections.introduce(name) + embed_chart(path, title, is_photo=is_photo)
+
+
+def _show_worst(folder: Path, examples: Sequence[Example], ranking: str) -> str:
+    """The section of the worst objects; "" without any."""
+    if not examples:
+        return ""
+    path = gallery.draw_predictions(examples, folder / "worst_objects.png")
+    title, _ = sections.CAPTIONS["worst_objects"]
+    start = sections.introduce("worst_objects", ranking)
+    return start + embed_chart(path, title, is_photo=True)
 
 
 def _list_with_signals(examples: Sequence[Example]) -> list[Example] | None:

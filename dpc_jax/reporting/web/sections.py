@@ -16,6 +16,12 @@ CAPTIONS = {
         "same direction, whatever the input's; numbers below them are Chamfer "
         "distances (× 100) to the true shape, where there is one.",
     ),
+    "worst_objects": (
+        "The worst objects",
+        "What is wrong with them says what to mend: the difference is red where the "
+        "prediction is too large and blue where it is too small, both as seen from the "
+        "predicted pose; the true shape is on the right.",
+    ),
     "pose_errors": (
         "Pose errors",
         "The angle between predicted and true pose over all test views. Good poses "

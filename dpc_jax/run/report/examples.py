@@ -70,14 +70,9 @@ def choose_examples(
     """
     models, _ = arrange_views(dataset)
     overlaps = measure_overlaps(predictions, dataset)
-    if result.pose_errors_deg is not None:
-        badness, measure = result.pose_errors_deg, "pose error"
-    elif result.chamfers is not None:
-        badness, measure = result.chamfers.sum(axis=-1), "Chamfer distance"
-    else:
-        badness, measure = -overlaps, "overlap of silhouettes"
+    badness, measure = rank_views(result, overlaps)
     examples = [
-        _make_example(
+        make_example(
             predictions,
             dataset,
             alignment,
@@ -88,23 +83,33 @@ def choose_examples(
             distance=distance,
             threshold=threshold,
         )
-        for group, row, place in choose_views(np.asarray(badness), models)
+        for group, row, place in choose_views(badness, models)
     ]
     return examples, f"The worst, median and best of all test views by {measure}."
 
 
-def _make_example(
-    predictions,
-    dataset,
-    alignment,
-    result,
-    chosen,
+def rank_views(result: Scores, overlaps: np.ndarray) -> tuple[np.ndarray, str]:
+    """How bad each view is [n, V], by the first measure there is, and its name."""
+    if result.pose_errors_deg is not None:
+        return np.asarray(result.pose_errors_deg), "pose error"
+    if result.chamfers is not None:
+        return np.asarray(result.chamfers).sum(axis=-1), "Chamfer distance"
+    return -overlaps, "overlap of silhouettes"
+
+
+def make_example(
+    predictions: Predictions,
+    dataset: DataSet,
+    alignment: Alignment,
+    result: Scores,
+    chosen: tuple[str, int, int],
     *,
-    overlap,
-    shapes,
-    distance,
-    threshold,
+    overlap: float,
+    shapes: TrainingShapes | None,
+    distance: float,
+    threshold: float | None,
 ) -> Example:
+    """A view, (group, row, place), and what is shown of it; see `choose_examples`."""
     group, row, place = chosen
     models, views = arrange_views(dataset)
     model, view = models[row, place], views[row, place]

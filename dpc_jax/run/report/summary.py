@@ -25,6 +25,7 @@ from dpc_jax.learning.training.loop import Outcome
 from dpc_jax.reporting.page import write_report
 from dpc_jax.run.report.examples import choose_examples, list_view_poses
 from dpc_jax.run.report.training_shapes import TrainingShapes, compare
+from dpc_jax.run.report.worst_objects import list_worst
 from dpc_jax.run.setup import collect_warnings
 from dpc_jax.run.workdir import write_alignment
 
@@ -109,6 +110,13 @@ def report_run(
         stages=list_stages(config),
         examples=examples,
         ranking=ranking,
+        worst=list_worst(
+            predictions["test"],
+            sets["test"],
+            alignment,
+            result,
+            distance=config.render.distance,
+        ),
         pose_errors=result.pose_errors_deg,  # None: no such figure
         view_poses=list_view_poses(
             predictions["test"], sets["test"], alignment, result, failures
