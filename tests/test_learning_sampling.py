@@ -292,12 +292,26 @@ def test_poses_and_shapes_have_encoders_of_their_own():
             {"choice": "hindsight", "prior_weight": 0.0, "entropy_weight": 0.1},
             "config.pose.entropy_weight must be 0",
         ),
+        ({"head": "quaternion"}, "config.pose.head must be 'viewpoint'"),
+        ({"choice_signals": "all"}, "config.pose.choice_signals must be 'silhouette'"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(fields, name):
     config = build_config("car", "mvc")
     with pytest.raises(ValueError, match=name):
         check(replace_fields(config, {"pose": fields}))
+
+
+def test_without_a_prior_heads_may_be_quaternions():
+    fields = {"head": "quaternion", "prior_weight": 0.0}
+    check(replace_fields(build_config("car", "mvc"), {"pose": fields}))
+
+
+def test_labelled_poses_have_no_judge():
+    """What is learned from labels is not drawn: there is nothing to tell apart."""
+    tiny = replace_fields(mvc_config(), {"pose": {"labels": True, "candidates": 1}})
+    network = make_network(tiny)
+    assert "judge" not in make_state(network, tiny).params["params"]
 
 
 def test_with_known_poses_there_is_no_pose_branch_to_learn():

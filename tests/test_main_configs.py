@@ -327,6 +327,19 @@ def test_cells_are_contained_where_poses_have_to_be_found(variant, is_contained)
     assert network.voxels and network.contains_voxels == is_contained
 
 
+@pytest.mark.parametrize(
+    "section, field, value",
+    [
+        ("render", "ray_rule", "maximum"),
+        ("train", "background_weight", 0.2),
+        ("train", "silhouette_weight", 0.0),
+    ],
+)
+def test_what_maps_would_ignore_is_refused(section, field, value):
+    with pytest.raises(ValueError, match=f"config.{section}.{field} must be .*'maps'"):
+        check(change(load("car", "epcg"), section, **{field: value}))
+
+
 @pytest.mark.parametrize("variant", ["ours_v", "ptn", "drc", "epcg"])
 def test_learning_rates_of_baselines_are_tuned_for_quick_runs_alone(variant):
     assert load("chair", variant).train.learning_rate == 1e-3

@@ -187,6 +187,10 @@ def test_what_baselines_are_set_to_is_not_in_a_step_of_points():
     }
     plain, others = (lower_step(known=True, **c).as_text() for c in ({}, theirs))
     assert plain == others
+    # With unknown poses heads, encoder and choice are of points, too.
+    theirs = {"voxel_channels": 3, "map_channels": 5}
+    plain, others = (lower_step(candidates=3, **c).as_text() for c in ({}, theirs))
+    assert plain == others
 
 
 def test_points_that_dropout_left_out_are_in_no_render():

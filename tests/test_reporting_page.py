@@ -388,6 +388,13 @@ def test_a_comparison_says_which_figures_are_absent():
     said = comparison.name_absent(runs)
     assert said.startswith(f"{MISSING} is absent: b had no truth")
     assert "given the poses" in said
+    # A model of voxels has all there is to have of it; alone it lacks no column.
+    cells = {n: v for n, v in whole.items() if not n.startswith("dense_")}
+    assert len(cells) < len(whole)
+    assert comparison.name_absent({"cells": cells}) == ""
+    said = comparison.name_absent({"a": whole, "cells": cells})
+    assert said.startswith(f"{MISSING} is absent: cells has no denser cloud")
+    assert "truth" not in said
 
 
 def add_signals(shown, names=("silhouette", "depth", "color")):

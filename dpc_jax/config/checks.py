@@ -3,6 +3,11 @@
 import dataclasses
 
 from dpc_jax.config.sections import Config
+from dpc_jax.config.system_checks import (
+    list_map_rules,
+    list_sampling_rules,
+    list_voxel_rules,
+)
 
 SOURCES = ("meshes", "shapenet", "renders", "images")  # folders that models come from
 
@@ -98,9 +103,9 @@ def _list_rules(config):
         f"0, or a multiple of render.grid = {grid} that divides data.image_size = "
         f"{size}",
     )
-    yield from _list_voxel_rules(config)
-    yield from _list_map_rules(config)
-    yield from _list_sampling_rules(config)
+    yield from list_voxel_rules(config)
+    yield from list_map_rules(config)
+    yield from list_sampling_rules(config)
     yield from _list_signal_rules(config)
     yield (
         "pose.choice_grid",
@@ -129,73 +134,6 @@ def _list_folder_rules(config):
         "data.mix",
         data.mix <= 0 or bool(data.meshes or data.shapenet),
         "-1 or 0 without data.meshes or data.shapenet, to which shapes are added",
-    )
-
-
-def _list_voxel_rules(config):
-    """Rules of voxel models, which predict a volume in place of points."""
-    if config.network.shape != "voxels":
-        return
-    grid = config.render.grid
-    yield (
-        "render.grid",
-        grid >= 8 and grid & (grid - 1) == 0,
-        "a power of two of at least 8 with network.shape = 'voxels', because the "
-        "decoder doubles 4 cells",
-    )
-    yield (
-        "network.point_size",
-        not config.network.point_size,
-        "'' with network.shape = 'voxels', which has no points",
-    )
-
-
-def _list_map_rules(config):
-    """Rules of maps of points at fixed views (EPCG)."""
-    data, grid, until = config.data, config.render.grid, config.render.fixed_views_until
-    if config.network.shape != "maps":
-        expected = "0 unless network.shape = 'maps', which are seen from fixed views"
-        yield "render.fixed_views_until", not until, expected
-        return
-    yield (
-        "render.grid",
-        grid >= 8 and grid & (grid - 1) == 0,
-        "a power of two of at least 8 with network.shape = 'maps', because the decoder "
-        "doubles 4 pixels",
-    )
-    for name, holds, expected in (
-        ("network.point_size", not config.network.point_size, "''"),
-        ("pose.known", config.pose.known, "True"),
-        ("train.color_weight", not config.train.color_weight, "0"),
-    ):
-        why = (
-            "their cells are a fifth of a pixel, and where points fall has no gradient"
-        )
-        yield name, holds, f"{expected} with network.shape = 'maps': {why}"
-    yield (
-        "render.fixed_views_until",
-        not (until and (data.images or data.renders)),
-        "0 with data.images or data.renders, which have no views from fixed places",
-    )
-
-
-def _list_sampling_rules(config):
-    """Rules of poses that are drawn by their probabilities (MVC)."""
-    pose = config.pose
-    if pose.samples:
-        expected = "with pose.choice = 'sampled', which draws one head"
-        yield "pose.candidates", pose.candidates > 1, f"above 1 {expected} of several"
-        yield "pose.selects", pose.selects, f"True {expected} by its probability"
-        yield "pose.flips", not pose.flips, f"False {expected} as it is"
-    yield (
-        "pose.prior_weight",
-        not pose.prior_weight or pose.choice == "sampled",
-        "0 unless pose.choice = 'sampled', because the prior is that of poses drawn",
-    )
-    yield (
-        "pose.entropy_weight",
-        not pose.entropy_weight or pose.choice == "sampled",
-        "0 unless pose.choice = 'sampled', where heads have probabilities to learn",
     )
 
 

@@ -91,20 +91,29 @@ def _read_metrics(path: Path) -> dict | None:
 
 def name_absent(rows: dict[str, dict]) -> str:
     """What a dash in the table of these runs means; "" where there is none."""
-    lacking = [
-        run
-        for run, metrics in rows.items()
-        if any(metrics.get(name) is None for name in COMPARED_METRICS)
+    shown = [
+        n for n in COMPARED_METRICS if any(m.get(n) is not None for m in rows.values())
     ]
-    if not lacking:
-        return ""
-    named = ", ".join(lacking[:_NAMED])
-    if len(lacking) > _NAMED:
-        named += f" and {len(lacking) - _NAMED} others"
-    return (
-        f"{MISSING} is absent: {named} had no truth to compare with, or "
-        "was given the poses and predicted none."
-    )
+    said = []
+    for is_dense, why in (
+        (
+            False,
+            "had no truth to compare with, or was given the poses and predicted none",
+        ),
+        (True, "has no denser cloud: it is older, or predicts no points"),
+    ):
+        names = [name for name in shown if name.startswith("dense_") == is_dense]
+        lacking = [
+            run
+            for run, metrics in rows.items()
+            if any(metrics.get(name) is None for name in names)
+        ]
+        if lacking:
+            named = ", ".join(lacking[:_NAMED])
+            if len(lacking) > _NAMED:
+                named += f" and {len(lacking) - _NAMED} others"
+            said.append(f"{named} {why}")
+    return f"{MISSING} is absent: {'; '.join(said)}." if said else ""
 
 
 def compare_runs(workdirs: Sequence[Path], out: Path):

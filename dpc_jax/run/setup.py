@@ -48,7 +48,7 @@ def make_network(config: Config) -> ShapePoseNetwork:
         map_channels=config.network.map_channels,
         viewpoints=config.pose.elevations,
         own_pose_encoder=config.pose.own_encoder,
-        judges_poses=config.pose.prior_weight > 0,
+        judges_poses=config.pose.samples and config.pose.prior_weight > 0,
     )
 
 
