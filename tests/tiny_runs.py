@@ -56,6 +56,7 @@ PLAIN = {
         final_rate=1.0,
         weight_decay=0.0,
         pull_weight=0.0,
+        reseeds_points=False,
         repulsion_weight=0.0,
         repulsion_points=0,
         containment_weight=0.0,

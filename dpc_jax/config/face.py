@@ -26,7 +26,11 @@ _BEFORE = {
         "head": "quaternion",
         "predicted": "student",
     },
-    "train": {"colors_move_points": True, "pull_weight": 0.0},
+    "train": {
+        "colors_move_points": True,
+        "pull_weight": 0.0,
+        "reseeds_points": False,
+    },
 }
 _GONE = {"pose": ("choice_noise", "choice_noise_until")}
 

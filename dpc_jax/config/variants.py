@@ -69,6 +69,7 @@ VARIANTS: dict[str, Changes] = {
             "warmup_steps": 0,
             "final_rate": 1.0,
             "pull_weight": 0.0,
+            "reseeds_points": False,
             "repulsion_weight": 0.0,
             "containment_weight": 0.0,
             "colors_move_points": True,

@@ -4,6 +4,10 @@ POSES = ("pose_accuracy", "pose_median_error_deg")
 PULL = {"train.pull_weight": 0.03}
 CONTAINED = {"train.containment_weight": 30.0}
 FRAME = PULL | CONTAINED | {"pose.common_frame": True}
-DEFAULTS = FRAME | {"pose.head": "viewpoint", "pose.predicted": "posterior"}
+DEFAULTS = FRAME | {
+    "pose.head": "viewpoint",
+    "pose.predicted": "posterior",
+    "train.reseeds_points": True,
+}
 CHOOSE_BY_ALL = {"pose.choice_signals": "all"}
 BESIDE = {"train.colors_move_points": False, "network.tint": True}

@@ -9,6 +9,7 @@ from dpc_jax.data import DataSet, choose_batch, read_batch
 from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.learning import devices, schedules, signals
 from dpc_jax.learning.step import TrainState, make_train_step, repeat_seed
+from dpc_jax.learning.training import reseeding
 from dpc_jax.learning.training.forecast import Forecast
 from dpc_jax.learning.training.programs import StagePrograms
 from dpc_jax.learning.training.progress import ProgressReport
@@ -86,6 +87,8 @@ def train(
         step. Nothing is saved then: the last checkpoint is the last good state.
     """
     start, steps, due = int(state.step), until or config.train.steps, config.log
+    reseedings = reseeding.list_reseedings(config)
+    reseed = reseeding.make_reseed(network, config) if reseedings else None
     watch = Stopwatch(seconds)
     window = Window(start, seconds, heads=config.pose.heads)
     spans = schedules.list_spans(config.render, steps=config.train.steps)
@@ -120,6 +123,10 @@ def train(
             state, metrics = program.call(state, batch)
             window.add(metrics)
             progress.advance(done)
+            if reseed and done in reseedings:
+                state, count = reseed(state, batch)
+                at = {"step": done, "seconds": round(watch.seconds, 3)}
+                log.write(at | {"reseeded_points": int(count)})
             stops, is_finished = should_stop(), done == steps
             is_last = stops or is_finished
             if _is_due(done, due.every) or is_last:

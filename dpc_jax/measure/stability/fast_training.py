@@ -141,7 +141,7 @@ def _train(trial, workdir, *, seed):
     records = log.read()
     is_finite &= all(np.all(np.isfinite(v)) for r in records for v in r.values())
     norms = [v for r in records for k, v in r.items() if k.startswith("gradient_norm")]
-    losses = [r["loss"] for r in records]
+    losses = [r["loss"] for r in records if "loss" in r]
     return Ending(
         trial,
         learning_rate=config.train.learning_rate,
