@@ -65,10 +65,19 @@ def _draw_row(row, example: Example) -> None:
     label = example.name
     if example.pose_error_deg is not None:
         label += f"   pose error {example.pose_error_deg:.1f}°"
-    row[0].set_xlabel(label, fontsize=7.5, color=INK, loc="left")
-    # However long, it is as wide as its row and as high as an empty one's.
-    row[0].xaxis.label.set_in_layout(False)
-    row[1].set_xlabel(" ", fontsize=7.5)
+    # However long it is, the layout keeps room for its height alone.
+    row[0].set_xlabel(" ", fontsize=7.5)
+    below = row[0].annotate(
+        label,
+        (0, 0),
+        xycoords="axes fraction",
+        xytext=(0, -3),
+        textcoords="offset points",
+        va="top",
+        fontsize=7.5,
+        color=INK,
+    )
+    below.set_in_layout(False)
 
 
 def silhouette_difference(predicted: np.ndarray, target: np.ndarray) -> np.ndarray:
