@@ -7,6 +7,7 @@ import pytest
 from tiny_runs import (
     assert_same_bits,
     make_batch,
+    make_dataset,
     make_network,
     make_state,
     tiny_config,
@@ -16,7 +17,10 @@ from dpc_jax.config import Config, build_config, replace_fields
 from dpc_jax.evaluation.stray_points import count_stray_points
 from dpc_jax.learning import devices
 from dpc_jax.learning.predictions import encode_views
-from dpc_jax.learning.training import reseeding
+from dpc_jax.learning.step import describe_state
+from dpc_jax.learning.training import loop, reseeding
+from dpc_jax.learning.training.checkpoints import Checkpoints
+from dpc_jax.learning.training.records import MetricLog
 
 pytestmark = pytest.mark.usefixtures("quickly")
 DEAD = 5  # index of a point
@@ -34,17 +38,17 @@ def make_clouds(lone, *, clouds=6, points=40):
 def test_a_point_is_dead_that_hangs_alone_in_most_clouds(lone, dead):
     clouds = make_clouds(lone)
     assert sum(count_stray_points(cloud) for cloud in clouds) == lone
-    assert np.flatnonzero(reseeding.find_dead(jnp.array(clouds))).tolist() == dead
+    shares = np.asarray(reseeding.measure_lone(jnp.array(clouds)))
+    np.testing.assert_allclose(shares[DEAD], lone / len(clouds), rtol=1e-6)
+    assert np.flatnonzero(shares > 0.5).tolist() == dead
 
 
-def test_dead_points_have_living_ones_weights_and_all_dead_stay():
+def test_dead_points_have_living_ones_weights():
     dead = jnp.zeros(30, bool).at[jnp.array([2, 7, 8])].set(True)
     sources = np.asarray(reseeding.choose_sources(jax.random.key(0), dead))
     own = np.arange(30)
     np.testing.assert_array_equal(sources[~np.asarray(dead)], own[~np.asarray(dead)])
     assert not set(sources[[2, 7, 8]]) & {2, 7, 8}
-    none = reseeding.choose_sources(jax.random.key(0), jnp.ones(30, bool))
-    np.testing.assert_array_equal(none, own)
 
 
 def predict(state, batch, network):
@@ -68,6 +72,10 @@ def start(count=1, *, place=(2.0, 2.0, 2.0), **fields):
     return state, network, config
 
 
+def reseed(state, batches, network, config):
+    return reseeding.reseed_points(state, batches, network=network, config=config)
+
+
 @pytest.mark.parametrize(
     "fields",
     [{}, {"color_weight": 0.3, "tint": True}, {"point_size": "covariance"}],
@@ -78,9 +86,9 @@ def test_a_dead_point_is_as_another_one_and_the_rest_as_before(fields):
     batch = make_batch(models=4)
     before = jax.tree.map(np.asarray, predict(state, batch, network))
     moments = jax.tree.map(np.asarray, state.optimizer)
-    state, count = reseeding.make_reseed(network, config)(state, batch)
+    state, count = reseed(state, [batch], network, config)
     after = jax.tree.map(np.asarray, predict(state, batch, network))
-    assert int(count) == 1
+    assert count == 1
     others = np.arange(24) != DEAD
     per_point = {"points", "colors", "sizes", "turns"} & set(before)
     assert len(per_point) == 1 + len(fields.get("point_size", "")) // 5 + (
@@ -102,8 +110,8 @@ def test_a_dead_point_is_as_another_one_and_the_rest_as_before(fields):
 def test_where_no_point_hangs_alone_nothing_changes():
     state, network, config = start(place=(0.0, 0.0, 0.0))
     before = jax.tree.map(np.array, state)
-    state, count = reseeding.make_reseed(network, config)(state, make_batch(models=4))
-    assert int(count) == 0
+    state, count = reseed(state, [make_batch(models=4)], network, config)
+    assert count == 0
     assert_same_bits(before, state)
 
 
@@ -115,17 +123,41 @@ def test_on_four_devices_the_same_points_begin_anew(monkeypatch):
         kernel = state.params["params"]["shape"]["points"]["kernel"]
         place = kernel.sharding
         assert (count == 1) == kernel.is_fully_replicated
-        state, new = reseeding.make_reseed(network, config)(state, make_batch(models=4))
-        assert int(new) == 1
+        batches = [make_batch(models=4, seed=seed) for seed in range(2)]
+        state, new = reseed(state, batches, network, config)
+        assert new == 1
         kernel = state.params["params"]["shape"]["points"]["kernel"]
         assert kernel.sharding == place
         found.append(np.asarray(kernel))
     np.testing.assert_allclose(*found, rtol=1e-6, atol=1e-7)
 
 
-def test_points_are_looked_at_in_the_second_half_of_a_run_that_asks_for_it():
-    config = Config("car")
-    steps = reseeding.list_reseedings(config)
-    assert min(steps) == config.train.steps / 2 and max(steps) < config.train.steps
-    assert not reseeding.list_reseedings(build_config("car", "paper"))
-    assert not reseeding.list_reseedings(build_config("car", "ours_v"))
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_run_that_asks_for_it_ends_without_points_that_hang_alone(tmp_path, asked):
+    """The last checkpoint is of the state that is validated and returned."""
+    state, network, config = start(steps=3, learning_rate=1e-6)
+    config = replace_fields(config, {"train": {"reseeds_points": asked}})
+    seen = []
+    checkpoints = Checkpoints(tmp_path / "checkpoints")
+    outcome = loop.train(
+        state,
+        make_dataset(models=6),
+        network=network,
+        config=config,
+        checkpoints=checkpoints,
+        log=MetricLog(tmp_path / "metrics.jsonl"),
+        evaluate=lambda state: seen.append(jax.tree.map(np.array, state)) or {},
+        compile_ahead=False,
+    )
+    shape = predict(outcome.state, make_batch(models=4), network)
+    lone = [count_stray_points(cloud) for cloud in np.asarray(shape["points"])]
+    assert max(lone) == (0 if asked else 1)
+    assert_same_bits(seen[-1], outcome.state)
+    saved = checkpoints.restore(describe_state(network, config)).state
+    checkpoints.close()
+    assert_same_bits(saved, outcome.state)
+
+
+def test_only_points_are_reseeded_and_not_in_the_papers_settings():
+    assert Config("car").train.reseeds_points
+    assert not build_config("car", "paper").train.reseeds_points

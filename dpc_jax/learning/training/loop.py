@@ -87,8 +87,6 @@ def train(
         step. Nothing is saved then: the last checkpoint is the last good state.
     """
     start, steps, due = int(state.step), until or config.train.steps, config.log
-    reseedings = reseeding.list_reseedings(config)
-    reseed = reseeding.make_reseed(network, config) if reseedings else None
     watch = Stopwatch(seconds)
     window = Window(start, seconds, heads=config.pose.heads)
     spans = schedules.list_spans(config.render, steps=config.train.steps)
@@ -123,12 +121,10 @@ def train(
             state, metrics = program.call(state, batch)
             window.add(metrics)
             progress.advance(done)
-            if reseed and done in reseedings:
-                state, count = reseed(state, batch)
-                at = {"step": done, "seconds": round(watch.seconds, 3)}
-                log.write(at | {"reseeded_points": int(count)})
             stops, is_finished = should_stop(), done == steps
             is_last = stops or is_finished
+            if done == config.train.steps and config.train.reseeds_points:
+                state = _reseed(state, dataset, network, config, progress)
             if _is_due(done, due.every) or is_last:
                 log_steps(done, window.close(watch.seconds))
             if evaluate and (_is_due(done, due.evaluate) or is_finished):
@@ -158,6 +154,23 @@ def _begin_stage(programs, step_state_batch, progress, window, should_stop):
         if program is not None:
             finish(was_read=program.was_read)
     return program
+
+
+def _reseed(state, dataset, network, config, progress):
+    """The last state without points that hang alone in most shapes."""
+    if config.network.shape != "points":
+        return state
+    last = int(state.step)
+    batches = [
+        make_batch(dataset, last - 1 - back, config)
+        for back in range(min(reseeding.BATCHES, last))
+    ]
+    state, count = reseeding.reseed_points(
+        state, batches, network=network, config=config
+    )
+    if count:
+        progress.tell(f"Points that hung alone, and have others' places now: {count}")
+    return state
 
 
 def _log_steps(log, forecast, progress, done, record):

@@ -1,65 +1,77 @@
-"""Points that hang alone in every shape begin anew where others live. Not in the paper.
+"""Points that hang alone in most shapes are given others' places. Not in the paper.
 
 Where a point is, is a function of the image, but its part of the last layer is its own:
 one that was pushed out of the images early hangs in the same place of every object.
-Silhouettes tell it nothing there, repulsion holds it off. It is given the weights of a
-point that lives, and from there on both go their own ways.
+Silhouettes tell it nothing there, repulsion holds it off. When training is done it gets
+the weights of a point that lives.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.sharding import NamedSharding
 
 from dpc_jax.config import Config
 from dpc_jax.evaluation.stray_points import NEIGHBORS, REACH
+from dpc_jax.learning import devices
 from dpc_jax.learning.predictions import encode_views
 from dpc_jax.learning.step import TrainState, describe_state
 from dpc_jax.networks import ShapePoseNetwork
 
-_SHARES = (0.5, 0.6, 0.7, 0.8, 0.9)  # of a run, after which points are looked at
+BATCHES = 8  # that points are looked at in
 _PER_POINT = ("points", "colors", "sizes", "turns")  # layers of `ShapeHead`
 _APART = 0.02  # standard deviation of a new point from its twin, before the tanh
 
-Reseed = Callable[[TrainState, Mapping[str, Any]], tuple[TrainState, jax.Array]]
 
+def reseed_points(
+    state: TrainState,
+    batches: Iterable[Mapping[str, Any]],
+    *,
+    network: ShapePoseNetwork,
+    config: Config,
+) -> tuple[TrainState, int]:
+    """The state without points that hang alone, and how many there were.
 
-def list_reseedings(config: Config) -> frozenset[int]:
-    """The steps after which points are looked at."""
-    if not config.train.reseeds_points or config.network.shape != "points":
-        return frozenset()
-    return frozenset(round(share * config.train.steps) for share in _SHARES)
-
-
-def make_reseed(network: ShapePoseNetwork, config: Config) -> Reseed:
-    """A compiled function (state, batch) -> (state, () how many points began anew).
-
-    It gives the old state's memory to the new one, and is a function of the run's seed
-    and the step alone beside them.
+    Args:
+      state: its buffers are donated.
+      batches: of training views; a point hangs alone that does so in most of their
+        shapes.
     """
 
-    def reseed(state: TrainState, batch: Mapping[str, Any]):
-        features = encode_views(state.params, batch["images"], network=network)
+    def measure(params, images):
+        features = encode_views(params, images, network=network)
         flat = features.reshape(-1, features.shape[-1])
-        shape: Any = network.apply(state.params, flat, method="predict_shape")
-        dead = find_dead(shape["points"])
-        key = jax.random.fold_in(jax.random.key(batch["seeds"][0]), state.step)
+        shape: Any = network.apply(params, flat, method="predict_shape")
+        return measure_lone(shape["points"])
+
+    def replace(state, dead):
+        key = jax.random.fold_in(jax.random.key(config.seed % 2**32), state.step)
         choose, shift = jax.random.split(jax.random.fold_in(key, len(dead)))
         sources = choose_sources(choose, dead)
         params, optimizer = take_points((state.params, state.optimizer), sources)
         params = _move_apart(shift, params, sources)
-        count = jnp.sum(sources != jnp.arange(len(dead)))
-        return state._replace(params=params, optimizer=optimizer), count
+        return state._replace(params=params, optimizer=optimizer)
 
+    # Whole on every process, so that each decides the same.
+    whole = NamedSharding(devices.make_mesh(config), devices.WHOLE)
+    compiled = jax.jit(measure, out_shardings=whole)
+    shares = [compiled(state.params, batch["images"]) for batch in batches]
+    dead = np.mean([np.asarray(share) for share in shares], axis=0) > 0.5
+    count = int(dead.sum())
+    if not 0 < count < len(dead):
+        return state, 0
     # Where the step's program, compiled ahead, has them.
     like = describe_state(network, config)
     places = jax.tree.map(lambda leaf: leaf.sharding, like)
-    return jax.jit(reseed, donate_argnums=0, out_shardings=(places, None))
+    run = jax.jit(replace, donate_argnums=0, out_shardings=places)
+    return run(state, dead), count
 
 
-def find_dead(clouds: jax.Array) -> jax.Array:
-    """Which points [N] hang alone in more than half of clouds [B, N, 3].
+def measure_lone(clouds: jax.Array) -> jax.Array:
+    """In what share [N] of clouds [B, N, 3] each point hangs alone.
 
     Alone is what `evaluation.stray_points` counts, by the same distance.
     """
@@ -69,18 +81,14 @@ def find_dead(clouds: jax.Array) -> jax.Array:
         near = jnp.sum(away <= REACH**2, axis=1) - 1  # but itself
         return near < min(NEIGHBORS, len(points) - 1)
 
-    return jnp.mean(jax.lax.map(find_stray, clouds), axis=0) > 0.5
+    return jnp.mean(jax.lax.map(find_stray, clouds), axis=0)
 
 
 def choose_sources(key: jax.Array, dead: jax.Array) -> jax.Array:
-    """Of each point [N] the one whose weights it has: its own, or a living one's.
-
-    Where none lives all stay as they are.
-    """
-    own = jnp.arange(len(dead))
+    """Of each point [N] the one whose weights it has: its own, or a living one's."""
     logits = jnp.where(dead, -jnp.inf, 0.0)
     living = jax.random.categorical(key, logits, shape=dead.shape)
-    return jnp.where(dead & ~jnp.all(dead), living, own)
+    return jnp.where(dead, living, jnp.arange(len(dead)))
 
 
 def take_points(tree: Any, sources: jax.Array) -> Any:
@@ -101,7 +109,7 @@ def take_points(tree: Any, sources: jax.Array) -> Any:
 
 
 def _move_apart(key, params, sources):
-    """Twins at the same place would have the same gradient for good."""
+    """Two points at one place are one; trained on, they would never part."""
     is_new = sources != jnp.arange(len(sources))
     noise = _APART * jax.random.normal(key, (len(sources), 3)) * is_new[:, None]
 
