@@ -38,7 +38,7 @@ _HELP = """usage: dpc_jax COMMAND [flags]
 {commands}
 
 dpc_jax COMMAND --help lists the flags of one; python -m dpc_jax.COMMAND is the
-same (of train: dpc_jax.main). A first run, in under a minute:
+same (of train: dpc_jax.main). A first run, in a few minutes:
 
   dpc_jax train --config=debug
 """

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from dpc_jax import commands
+from dpc_jax.run import flags
 
 LINES, COLUMNS = 24, 80  # of a terminal as it opens
 
@@ -165,3 +166,17 @@ def test_the_shell_completes_folders_and_files(complete, tmp_path):
     (tmp_path / "rare.png").touch()
     assert complete("dpc_jax predict --workdir=r") == {"runs/"}
     assert complete("dpc_jax predict ra") == {"rare.png"}
+
+
+def test_a_library_that_is_not_installed_is_said_in_one_sentence(capsys):
+    def read(name):
+        raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+    assert flags.run_command(lambda: read("ml_collections")) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(
+        "Error: Expected the package's libraries, but ml_collections"
+    )
+    assert "activate the environment" in said and said.count("\n") == 1
+    with pytest.raises(ModuleNotFoundError):  # a defect of ours
+        flags.run_command(lambda: read("dpc_jax.none"))

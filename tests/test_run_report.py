@@ -13,8 +13,9 @@ from dpc_jax.run.report.examples import (
     choose_views,
     list_view_poses,
 )
-from dpc_jax.run.report.summary import list_stages, list_warnings
+from dpc_jax.run.report.summary import list_stages
 from dpc_jax.run.report.training_shapes import TrainingShapes, compare
+from dpc_jax.run.report.warnings import list_warnings
 from dpc_jax.run.report.worst_objects import MOST, choose_worst, list_worst
 
 

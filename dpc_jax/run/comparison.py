@@ -8,10 +8,14 @@ from pathlib import Path
 
 from flax.traverse_util import flatten_dict
 
-from dpc_jax.evaluation.metrics import COMPARED_METRICS, MISSING
+from dpc_jax.evaluation.metrics import MISSING
 from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.reporting.comparison.groups import ComparedRun, group_runs
-from dpc_jax.reporting.comparison.page import tabulate_groups, write_comparison
+from dpc_jax.reporting.comparison.page import (
+    COLUMNS,
+    tabulate_groups,
+    write_comparison,
+)
 from dpc_jax.run.workdir import FREE_FIELDS, read_config
 
 # What does not make two runs differ: the variant is a name of other settings.
@@ -91,29 +95,21 @@ def _read_metrics(path: Path) -> dict | None:
 
 def name_absent(rows: dict[str, dict]) -> str:
     """What a dash in the table of these runs means; "" where there is none."""
-    shown = [
-        n for n in COMPARED_METRICS if any(m.get(n) is not None for m in rows.values())
+    shown = [n for n in COLUMNS if any(m.get(n) is not None for m in rows.values())]
+    lacking = [
+        run
+        for run, metrics in rows.items()
+        if any(metrics.get(name) is None for name in shown)
     ]
-    said = []
-    for is_dense, why in (
-        (
-            False,
-            "had no truth to compare with, or was given the poses and predicted none",
-        ),
-        (True, "has no denser cloud: it is older, or predicts no points"),
-    ):
-        names = [name for name in shown if name.startswith("dense_") == is_dense]
-        lacking = [
-            run
-            for run, metrics in rows.items()
-            if any(metrics.get(name) is None for name in names)
-        ]
-        if lacking:
-            named = ", ".join(lacking[:_NAMED])
-            if len(lacking) > _NAMED:
-                named += f" and {len(lacking) - _NAMED} others"
-            said.append(f"{named} {why}")
-    return f"{MISSING} is absent: {'; '.join(said)}." if said else ""
+    if not lacking:
+        return ""
+    named = ", ".join(lacking[:_NAMED])
+    if len(lacking) > _NAMED:
+        named += f" and {len(lacking) - _NAMED} others"
+    return (
+        f"{MISSING} is absent: {named} had no truth to compare with, or "
+        "was given the poses and predicted none."
+    )
 
 
 def compare_runs(workdirs: Sequence[Path], out: Path):

@@ -47,8 +47,9 @@ def read_run(workdir: Path) -> FinishedRun:
     alignment = read_alignment(workdir)
     if alignment is None:
         raise ValueError(
-            f"Expected a finished run in {workdir}, but it has no "
-            "report/alignment.json; start the command that began the run again."
+            f"Expected a finished run in {workdir}, of data with true poses, but it "
+            "has no report/alignment.json; start the command that began the run again, "
+            "or take another run."
         )
     state = restore_state(config, workdir)
     return FinishedRun(config, make_network(config), state, alignment)

@@ -78,6 +78,16 @@ def run_command(read: Callable[[], Task]) -> int:
     except ValueError as error:
         print(f"Error: {error}", file=sys.stderr)
         return 2
+    except ModuleNotFoundError as error:
+        if str(error.name).partition(".")[0] == "dpc_jax":
+            raise
+        print(
+            f"Error: Expected the package's libraries, but {error.name} is not there; "
+            "activate the environment that has them (. .venv/bin/activate), or install "
+            "them (pip install .).",
+            file=sys.stderr,
+        )
+        return 1
     try:
         with explaining_full_disk(task.out):
             return task.work() or 0

@@ -126,7 +126,7 @@ def _refuse_other(workdir, old, new):
         raise ValueError(
             f"The workdir {workdir} must belong to this config, but it was made by "
             f"another one, which differs in {', '.join(differing)}; give another "
-            "--workdir=DIR or the old values."
+            "--workdir=DIR or the old values (--config.SECTION.FIELD=VALUE)."
         )
 
 

@@ -205,7 +205,7 @@ def read_mask(image: Image.Image, path: Path) -> np.ndarray:
     else:
         raise NoMaskError(
             f"Expected an alpha channel in {path} or {path.stem}_mask.png beside it, "
-            "but found neither; add a mask."
+            "but found neither; add a mask, or take --mask=auto where predict has it."
         )
     return mask.astype(np.float32) / 255.0
 

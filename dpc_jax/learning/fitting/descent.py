@@ -47,7 +47,7 @@ def make_optimizer(stage: Stage) -> optax.GradientTransformation:
     def camera_rate(step):
         # From a sphere no pose can be told: at first the cloud moves alone.
         begun = 1.0 if stage.number else jnp.clip(5 * step / steps - 1.5, 0, 1)
-        return settings.camera_share * begun * rate(step)
+        return settings.camera_share[min(stage.number, 1)] * begun * rate(step)
 
     return clouds.make_optimizer(
         rate=rate, camera_rate=camera_rate, learned=stage.learned

@@ -4,8 +4,6 @@ import resource
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dpc_jax.config import Config, to_config_dict
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation import candidates as candidate_use
@@ -25,8 +23,8 @@ from dpc_jax.learning.training.loop import Outcome
 from dpc_jax.reporting.page import write_report
 from dpc_jax.run.report.examples import choose_examples, list_view_poses
 from dpc_jax.run.report.training_shapes import TrainingShapes, compare
+from dpc_jax.run.report.warnings import list_warnings
 from dpc_jax.run.report.worst_objects import list_worst
-from dpc_jax.run.setup import collect_warnings
 from dpc_jax.run.workdir import write_alignment
 
 
@@ -187,42 +185,6 @@ def _count_costs(sets, outcome, data_seconds) -> dict:
     }
 
 
-def list_warnings(
-    config: Config, sets: dict[str, DataSet], shares: np.ndarray | None
-) -> list[str]:
-    """Sentences on what a reader of the figures has to know.
-
-    Args:
-      sets: by name. shares: [K] of views that each head wins; None without an ensemble.
-    """
-    warnings = collect_warnings(config, sets) + _name_left_out(sets["test"])
-    if config.pose.known:
-        warnings.append(
-            "This run was given the poses and learned none: pose accuracy and pose "
-            "errors are absent."
-        )
-    if shares is not None:
-        warning = candidate_use.collapse_warning(shares)
-        warnings += [warning] if warning else []
-    for one, many, pairs in (
-        (
-            "1 model was skipped",
-            "{} models were skipped",
-            [s for data in sets.values() for s in data.skipped],
-        ),
-        (
-            "1 remark on the data",
-            "{} remarks on the data",
-            [r for data in sets.values() for r in data.remarks],
-        ),
-    ):
-        if pairs:
-            text = one if len(pairs) == 1 else many.format(len(pairs))
-            named = "; ".join(f"{name}: {reason}" for name, reason in pairs[:10])
-            warnings.append(f"{text} ({named}).")
-    return warnings
-
-
 def list_stages(config: Config) -> list[tuple[int, str]]:
     """The first step of each stage of the schedule, and what is new in it."""
     spans = schedules.list_spans(config.render, steps=config.train.steps)
@@ -236,18 +198,3 @@ def list_stages(config: Config) -> list[tuple[int, str]]:
             new.append("free views")
         stages.append((span.start, ", ".join(new)))
     return stages
-
-
-def _name_left_out(dataset) -> list[str]:
-    """A sentence on the metrics that a test set has no truth for."""
-    if dataset.quaternions is None:
-        return [
-            "The test images come without poses and true shapes: pose errors, Chamfer "
-            "distance, precision and coverage are left out."
-        ]
-    if dataset.surfaces is None:
-        return [
-            "The test images come without true shapes: Chamfer distance, precision and "
-            "coverage are left out."
-        ]
-    return []
