@@ -1,4 +1,4 @@
-"""The whole pipeline in a minute, once compiled: for tests and first looks, not for results."""
+"""The whole pipeline in a minute, once compiled: for tests and a look, not results."""
 
 from dpc_jax.config import build_config, replace_fields, to_config_dict
 
