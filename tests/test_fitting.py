@@ -215,6 +215,7 @@ def test_a_search_from_nothing_finds_most_poses(scene):
         ({"depths": np.full((3, 32, 32), np.nan)}, "depths must be finite"),
         ({"colors": np.ones((3, 32, 32))}, "colors must be RGB images"),
         ({"settings": FitSettings(steps=(3,))}, "settings.steps must have a number"),
+        ({"settings": FitSettings(camera_share=0.2)}, "camera_share must be a pair"),
         (
             {
                 "silhouettes": np.ones((3, 96, 96)),

@@ -305,6 +305,12 @@ def test_what_cannot_be_drawn_is_refused(fields, name):
 def test_without_a_prior_heads_may_be_quaternions():
     fields = {"head": "quaternion", "prior_weight": 0.0}
     check(replace_fields(build_config("car", "mvc"), {"pose": fields}))
+    tiny = replace_fields(mvc_config(), {"pose": fields})
+    network = make_network(tiny)
+    state = make_state(network, tiny)
+    assert network.viewpoints is None and "judge" not in state.params["params"]
+    _, metrics = make_step(network, tiny)(state, make_batch())
+    assert np.isfinite(float(metrics["loss"]))
 
 
 def test_labelled_poses_have_no_judge():

@@ -163,10 +163,11 @@ def _draw_run_times(results, experiment, folder) -> list[Drawn]:
         lines = list(_list_records(results, experiment, category))
         if not lines:
             continue
-        figure = style.make_figure(4.4 * len(metrics) + 2.4, 3.4)
-        panels = style.make_panels(figure, len(metrics), columns=len(metrics))
+        known = [m for m in metrics if _has_metric(lines, m)] or metrics[-1:]
+        figure = style.make_figure(4.4 * len(known) + 2.4, 3.4)
+        panels = style.make_panels(figure, len(known), columns=len(known))
         keys = {}
-        for axes, metric in zip(panels, metrics, strict=True):
+        for axes, metric in zip(panels, known, strict=True):
             keys |= _plot_records(axes, lines, metric)
         _scale_minutes(panels)
         shown = [keys[i] for i in sorted(keys)]
@@ -189,6 +190,11 @@ def _list_records(results, experiment, category):
                 log = MetricLog(outcome.workdir / "metrics.jsonl")
                 yield row.label, log.read()
                 break
+
+
+def _has_metric(lines: Sequence, metric: str) -> bool:
+    """Whether any row has it: with known poses none has figures of them."""
+    return any(r.get(metric) is not None for _, records in lines for r in records)
 
 
 def _plot_records(axes: Axes, lines: Sequence, metric: str) -> dict[int, Line2D]:

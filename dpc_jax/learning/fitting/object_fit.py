@@ -126,6 +126,11 @@ def _check_settings(settings: FitSettings, views: Views, learn, *, is_searched):
             "settings.steps must have a number for each of settings.sides, but there "
             f"are {len(settings.steps)} for {len(settings.sides)}; give as many."
         )
+    if np.shape(settings.camera_share) != (2,):
+        raise ValueError(
+            "settings.camera_share must be a pair, of the first side and of the finer "
+            f"ones, but it is {settings.camera_share!r}; give for example (0.1, 0.6)."
+        )
     needed = set(settings.sides)
     if is_searched:
         needed |= {pose_search.COARSE.side, pose_search.FINE.side}

@@ -77,7 +77,8 @@ def measure_lone(clouds: jax.Array) -> jax.Array:
     """
 
     def find_stray(points):
-        away = jnp.sum((points[:, None] - points[None]) ** 2, axis=-1)
+        # Axis by axis, so that the N² distances are counted and never stored.
+        away = sum((axis[:, None] - axis[None]) ** 2 for axis in points.T)
         near = jnp.sum(away <= REACH**2, axis=1) - 1  # but itself
         return near < min(NEIGHBORS, len(points) - 1)
 
