@@ -120,6 +120,13 @@ def explaining_full_disk(folder: str | os.PathLike) -> Iterator[None]:
         ) from None
 
 
+def describe_error(error: BaseException) -> str:
+    """What went wrong without the path, for sentences that name the file themselves."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    return str(error).rstrip(".")
+
+
 def is_disk_full(error: BaseException | None) -> bool:
     """Whether a full disk or a used-up quota caused an error, or one that it is from.
 

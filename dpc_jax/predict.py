@@ -51,7 +51,7 @@ def make_parser() -> argparse.ArgumentParser:
         type=int,
         default=0,
         metavar="N",
-        help="of clouds, by midpoints (as predicted)",
+        help="of clouds, more than are predicted, by midpoints",
     )
     parser.add_argument(
         "--turntable", action="store_true", help="write NAME.gif of the cloud turning"

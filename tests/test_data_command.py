@@ -28,10 +28,19 @@ def test_published_renders_are_checked_with_the_views_they_have(tmp_path, capsys
     (folder / "02958343" / "two" / "render_2.png").unlink()
     assert run("check", folder) == 0
     out = capsys.readouterr().out
-    assert "2 car models, train split, 6 views" in out and "two" in out
+    assert "2 car models, 6 views" in out and "two" in out
     (folder / "02691156").mkdir()
     assert run("check", folder) == 1
     assert "add --category" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [[], ["chekc"], ["check"], ["show", ".", "--x"]])
+def test_a_command_with_wrong_words_is_answered_by_one_sentence(words, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        run(*words)
+    error = capsys.readouterr().err
+    assert stopped.value.code == 2
+    assert error.startswith("Error: Expected a command") and error.count("\n") == 1
 
 
 @pytest.mark.parametrize("text", ["{", "{}", "[]", '{"shards": []}', "\xff\x00"])

@@ -277,6 +277,7 @@ def test_few_views_without_poses_and_views_not_explained_are_doubted():
     ("flags", "words"),
     [
         ("nowhere", "is not a folder"),
+        ("objects", "holds folders; give one of them"),
         (". --poses=rough", "needs the poses of"),
         (". --points=0", "--points must be at least 1"),
         (". --elevations=50,10", "--elevations must be two numbers"),
@@ -289,6 +290,7 @@ def test_a_wrong_command_is_answered_in_one_sentence(flags, words, scene, tmp_pa
 
     mask = np.round(255 * scene[1][0]).astype(np.uint8)
     Image.fromarray(np.dstack([mask] * 4)).save(tmp_path / "0.png")
+    (tmp_path / "objects" / "one").mkdir(parents=True)
     place, *rest = flags.split()
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path)

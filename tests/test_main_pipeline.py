@@ -377,6 +377,7 @@ def test_images_of_no_use_are_named_and_the_others_predicted(
         ([*options, good, good], "different names, but good came"),
         ([f"--workdir={tmp_path}", good], "Expected the config of a run"),
         ([*options, "--points=-1", good], "--points must be a number of points"),
+        ([*options, "--points=9", good], "--points must be at least"),
     ):
         assert predict.main(arguments) == 1
         (line,) = capsys.readouterr().err.strip().splitlines()

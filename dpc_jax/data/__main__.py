@@ -15,10 +15,19 @@ from dpc_jax.data.open.recipes import RECIPES
 from dpc_jax.data.spec import KINDS
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in a sentence; argparse prints all flags before it."""
+
+    def error(self, message):
+        text = f"Expected a command as --help lists it, but {message}; correct it."
+        print(f"Error: {text}", file=sys.stderr)
+        sys.exit(2)
+
+
 def make_parser() -> argparse.ArgumentParser:
     """The flags of the command."""
     started = sys.argv[0] == "dpc_jax data"
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="dpc_jax data" if started else "python -m dpc_jax.data",
         description="Get data and look at it.",
     )

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from dpc_jax.files import describe_error
+
 SPLITS = ("train", "val", "test")
 
 
@@ -95,7 +97,7 @@ def group_variants(paths: Sequence[Path], digests: Sequence[str]) -> list[str]:
         except (OSError, ValueError, TypeError) as error:
             raise ValueError(
                 f"Expected {listed} to map file names to families, but it cannot be "
-                f"read ({error}); repair or remove it."
+                f"read ({describe_error(error)}); repair or remove it."
             ) from error
     # two families that share a file are one: each key points to the one it joined
     joined = {}

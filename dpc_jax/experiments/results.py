@@ -13,6 +13,7 @@ from dpc_jax.experiments.catalogue import NAMES
 from dpc_jax.experiments.declarations import Experiment, Row
 from dpc_jax.experiments.published import MEAN
 from dpc_jax.experiments.runs import Request, Run
+from dpc_jax.files import describe_error
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +76,8 @@ def read_metrics(workdir: Path) -> dict[str, Any]:
     except (OSError, ValueError, TypeError) as error:
         raise ValueError(
             f"Expected the metrics of a finished run in {path}, but they cannot be "
-            f"read ({error}); remove the report, and give the same command again."
+            f"read ({describe_error(error)}); remove the report, and give the same "
+            "command again."
         ) from None
     return metrics
 

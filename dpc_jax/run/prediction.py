@@ -34,7 +34,7 @@ class PredictRequest:
       is_one_object: whether all images show one object.
       is_refined: whether shape and poses are fitted to the silhouettes.
       has_turntable: whether an animated picture of each cloud is written.
-      num_points: of each cloud, at most; 0 for those that are predicted.
+      num_points: of each cloud, no fewer than are predicted; 0 for those.
     """
 
     paths: Sequence[Path]
@@ -64,6 +64,12 @@ def predict_images(request: PredictRequest):
             f"it is {request.num_points}; give for example --points=8000."
         )
     config = read_config(request.workdir)
+    if 0 < request.num_points < _count_points(config):
+        raise ValueError(
+            f"--points must be at least {_count_points(config)}, the points that "
+            f"{request.workdir} predicts, but it is {request.num_points}; leave it "
+            "out, or give more, which are put between these."
+        )
     if request.is_refined:
         _check_ability(config, "--refine")
     found, skipped = photographs.read_photographs(
@@ -139,6 +145,11 @@ def make_spec(config: Config, crop: str | None) -> DataSpec:
         focal_length=config.render.focal_length,
         distance=config.render.distance,
     )
+
+
+def _count_points(config: Config) -> int:
+    """Of a predicted cloud; surfaces of volumes can be sampled by any number."""
+    return config.render.num_points if config.network.shape == "points" else 0
 
 
 def _check_ability(config: Config, what: str):

@@ -9,6 +9,7 @@ import numpy as np
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, align_points
 from dpc_jax.evaluation.surfaces import extract_surface
+from dpc_jax.files import describe_error
 from dpc_jax.learning.inference import volumes
 from dpc_jax.learning.inference.predictor import Predictions
 
@@ -49,8 +50,8 @@ def read_threshold(workdir: Path) -> float:
             threshold = float(metrics["surface_threshold"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ValueError(
-                f"Expected the threshold of surfaces in {path}, but it cannot be read "
-                f"({error}); start the command that began the run again."
+                f"Expected the threshold of surfaces in {path}, but it cannot be "
+                f"read ({describe_error(error)}); start the command that began the run again."
             ) from None
     return threshold
 

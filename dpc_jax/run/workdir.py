@@ -13,7 +13,7 @@ import numpy as np
 
 from dpc_jax.config import Config, from_json, to_json
 from dpc_jax.evaluation.alignment import Alignment
-from dpc_jax.files import write_text
+from dpc_jax.files import describe_error, write_text
 
 # What may differ between a run and its continuation.
 FREE_FIELDS = (
@@ -142,7 +142,7 @@ def read_config(workdir: Path) -> Config:
     except (OSError, ValueError) as error:
         raise ValueError(
             f"Expected the config of a run in {path}, but it cannot be used "
-            f"({str(error).rstrip('.')}); give the --workdir of a run of dpc_jax.main."
+            f"({describe_error(error)}); give the --workdir of a run of dpc_jax.main."
         ) from None
 
 

@@ -113,9 +113,11 @@ def describe_set(opened: OpenSet) -> list[str]:
     low, high = counts.min(), counts.max()
     size = data.images.shape[-2]
     present = [name for name in dataset.ARRAYS if getattr(data, name) is not None]
+    # All models of a folder are looked at: there is no split yet.
+    split = "" if opened.note else f"{record['split']} split, "
     lines = [
-        f"{opened.name}: {len(data.names)} {record['category']} models, "
-        f"{record['split']} split, {int(counts.sum())} views of {size} x {size} pixels",
+        f"{opened.name}: {len(data.names)} {record['category']} models, {split}"
+        f"{int(counts.sum())} views of {size} x {size} pixels",
         "  views per model: " + " to ".join(map(str, sorted({low, high}))),
         f"  arrays: {', '.join(present)}",
     ]

@@ -16,6 +16,7 @@ from PIL import Image
 from dpc_jax.data.damage import Damage
 from dpc_jax.data.open import polygons
 from dpc_jax.data.sets.pictures import FAULTS
+from dpc_jax.files import describe_error
 from dpc_jax.shapes.joining import join_pieces
 
 GREY = (0.667, 0.667, 0.667)  # of a surface without a material
@@ -52,8 +53,8 @@ def read_parts(path: Path, *, textures: Path | None = None) -> list[Part]:
         parts = _Reader(lines, path.parent, textures).read_all()
     except (OSError, ValueError, IndexError, RecursionError) as error:
         raise ValueError(
-            f"Expected an AC3D file in {path}, but it cannot be read ({error}); repair "
-            "or remove it."
+            f"Expected an AC3D file in {path}, but it cannot be read "
+            f"({describe_error(error)}); repair or remove it."
         ) from error
     if not parts:
         raise ValueError(f"Expected surfaces in {path}, but found none; remove it.")

@@ -14,6 +14,7 @@ import trimesh
 from dpc_jax.data import meshes
 from dpc_jax.data.open import ac3d
 from dpc_jax.data.open.package_models import OpenModel, join_meshes
+from dpc_jax.files import describe_error
 
 PACKAGE = "torcs-data"
 UNITS = {"m": 1.0, "": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
@@ -104,7 +105,7 @@ def _read_parameters(path):
     except (OSError, xml.etree.ElementTree.ParseError) as error:
         raise ValueError(
             f"Expected parameters of a car in {path}, but they cannot be read "
-            f"({error}); repair it."
+            f"({describe_error(error)}); repair it."
         ) from error
     values = {}
     for section in tree.iter("section"):

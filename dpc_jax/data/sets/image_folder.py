@@ -141,6 +141,11 @@ def read_views(
             notes.append(str(error).removesuffix("."))
     if not outlines and len(notes) == 1:
         raise ValueError(f"{notes[0]}.")
+    if not images and any(path.is_dir() for path in place.iterdir()):
+        raise ValueError(
+            f"Expected the images of one object in {place}, but it holds folders; give "
+            "one of them."
+        )
     if not outlines:
         raise ValueError(
             f"Expected at least one usable view in {place}, but none of {len(images)} "
