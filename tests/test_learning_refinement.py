@@ -1,10 +1,12 @@
 """Refinement: shapes through codes, poses freely, several views together."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import tiny_runs
 
 from dpc_jax.evaluation.rotations import angle_deg
+from dpc_jax.learning.inference import refinement as refinement_module
 from dpc_jax.learning.inference.codes import encode_all, find_directions, make_coder
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.inference.refinement import (
@@ -50,6 +52,29 @@ def test_codes_are_what_the_network_predicts_from(run):
     np.testing.assert_allclose(points, plain.points.reshape(points.shape), atol=1e-5)
     poses = np.stack([one.poses[0] for one in joined])
     assert angle_deg(poses, plain.poses.reshape(-1, 4)).max() < 0.1
+
+
+@pytest.mark.parametrize("groups", [ALONE, TOGETHER], ids=["alone", "together"])
+def test_refinement_begins_with_the_posterior_where_predictions_do(
+    run, groups, monkeypatch
+):
+    """The last candidate fits best, by more than the student's chances differ."""
+
+    def compare(scene, poses, *_, **__):
+        return 500.0 - 100.0 * jnp.arange(len(poses))
+
+    monkeypatch.setattr(refinement_module, "compare_poses", compare)
+    _, _, dataset, _, masks, _ = run
+    config = tiny_runs.tiny_config(candidates=4, selects=True)
+    network = tiny_runs.make_network(config)
+    state = tiny_runs.make_state(network, config)
+    images = dataset.images.reshape(-1, *dataset.images.shape[2:])
+    found = encode_all(make_coder(network, config), state, images)
+    evidence = join_views(found, masks, groups)
+    joined = refine_objects(network, config, state, evidence, None)
+    poses = np.concatenate([one.poses for one in joined])
+    assert angle_deg(poses, found.candidates[:, -1]).max() < 0.1
+    assert angle_deg(poses, found.poses).max() > 1  # of the student alone
 
 
 def test_refinement_lowers_the_error_of_silhouettes(run):

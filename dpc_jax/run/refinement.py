@@ -93,12 +93,14 @@ def join_views(
         last one repeated, without weight.
     """
     assert found.poses is not None and found.candidates is not None
+    assert found.probabilities is not None
     width = 1 << (max(map(len, groups)) - 1).bit_length()
     rows = np.stack([g[np.minimum(np.arange(width), len(g) - 1)] for g in groups])
     return Evidence(
         codes=np.stack([found.codes[group].mean(axis=0) for group in groups]),
         poses=found.poses[rows],
         candidates=found.candidates[rows],
+        probabilities=found.probabilities[rows],
         masks=masks[rows],
         weights=np.stack([np.arange(width) < len(g) for g in groups]).astype("f4"),
         own={_OWN[name]: array[rows] for name, array in found.cameras.items()},
@@ -116,11 +118,12 @@ def refine_objects(
 ) -> list[Refined]:
     """Each object of the evidence, refined along directions; without, only joined.
 
-    Views of one object have their poses chosen anew by the shape that they share.
+    Views of one object have their poses chosen anew by the shape that they share, a
+    single view has its own where predictions are chosen by the fit.
     """
     settings = RefineSettings(
         steps=0 if directions is None else RefineSettings.steps,
-        is_rechosen=evidence.poses.shape[1] > 1,
+        is_rechosen=evidence.poses.shape[1] > 1 or config.pose.weighs_fit,
     )
     if directions is None:
         directions = np.zeros((1, evidence.codes.shape[1]), np.float32)

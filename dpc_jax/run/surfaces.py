@@ -51,7 +51,8 @@ def read_threshold(workdir: Path) -> float:
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ValueError(
                 f"Expected the threshold of surfaces in {path}, but it cannot be "
-                f"read ({describe_error(error)}); start the command that began the run again."
+                f"read ({describe_error(error)}); start the command that began the "
+                "run again."
             ) from None
     return threshold
 

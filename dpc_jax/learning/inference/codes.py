@@ -13,7 +13,11 @@ import numpy as np
 
 from dpc_jax.config import Config
 from dpc_jax.learning import devices
-from dpc_jax.learning.predictions import complete_poses, scale_images
+from dpc_jax.learning.predictions import (
+    complete_poses,
+    find_probabilities,
+    scale_images,
+)
 from dpc_jax.networks import ShapePoseNetwork
 
 IMAGES_AT_ONCE = 64
@@ -25,14 +29,16 @@ class Codes(NamedTuple):
 
     Attributes:
       codes: [n, F] of shapes.
-      candidates: [n, C, 4], turned ones included; poses: [n, 4], the student's. None
-        where poses are known.
+      candidates: [n, C, 4], turned ones included; poses: [n, 4], the student's;
+        probabilities: [n, C] that the student gives to candidates. None where poses
+        are known.
       cameras: translations [n, 3], focal_lengths [n], by name, those that are learned.
     """
 
     codes: np.ndarray
     candidates: np.ndarray | None
     poses: np.ndarray | None
+    probabilities: np.ndarray | None
     cameras: dict[str, np.ndarray]
 
 
@@ -48,6 +54,7 @@ def make_coder(network: ShapePoseNetwork, config: Config) -> Callable:
             assert isinstance(output, dict)
             poses = complete_poses(output, state.covariance, pose=config.pose)
             found |= {"candidates": poses.candidates, "poses": poses.student}
+            found["probabilities"] = find_probabilities(poses)
         if config.pose.translation or config.pose.focal_length:
             cameras = network.apply(state.params, features, method="predict_camera")
             found["cameras"] = cameras
@@ -87,7 +94,7 @@ def encode_all(coder: Callable, state: NamedTuple, images: np.ndarray) -> Codes:
         parts.append(jax.device_get(coder(state, batch)))
     count = len(images)
     found = jax.tree.map(lambda *arrays: np.concatenate(arrays)[:count], *parts)
-    poses = found.get("candidates"), found.get("poses")
+    poses = (found.get(name) for name in ("candidates", "poses", "probabilities"))
     return Codes(found["codes"], *poses, found.get("cameras", {}))
 
 

@@ -21,7 +21,7 @@ from dpc_jax.config import Config
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.cameras import place_camera
 from dpc_jax.learning.inference.codes import make_shared
-from dpc_jax.learning.inference.explanation import compare_poses
+from dpc_jax.learning.inference.explanation import choose_posterior, compare_poses
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.renders import (
     find_scenes,
@@ -45,8 +45,8 @@ class RefineSettings:
         fall to a twentieth.
       code_pull: of a code one deviation away, per mean squared difference of pixels.
       pose_pull: of a pose one radian away, likewise.
-      is_rechosen: whether each view's pose is first chosen anew among all candidates,
-        by the shape that the views share.
+      is_rechosen: whether each view's pose is first chosen among all candidates by the
+        shape that the views share, as the run's predictions are (`pose.predicted`).
     """
 
     steps: int = 40
@@ -62,6 +62,7 @@ class Evidence(NamedTuple):
 
     Attributes:
       codes: [n, F] to begin with. poses: [n, V, 4]. candidates: [n, V, C, 4].
+      probabilities: [n, V, C] that the student gives to candidates.
       masks: uint8 [n, V, S, S]. weights: [n, V] of views; 0 for one that fills up.
       own: of views' cameras, translation [n, V, 3] and focal_length [n, V] by name.
     """
@@ -69,6 +70,7 @@ class Evidence(NamedTuple):
     codes: Any
     poses: Any
     candidates: Any
+    probabilities: Any
     masks: Any
     weights: Any
     own: dict[str, Any]
@@ -202,9 +204,16 @@ def _render_objects(scenes, shared, poses, own, side, config):
 
 
 def _choose_poses(scenes, shared, evidence: Evidence, config: Config) -> jax.Array:
-    """Of each view, the pose [n, V, 4] that its object's shape fits best."""
+    """Of each view, the pose [n, V, 4] that its object's shape fits best.
+
+    Where predictions are posteriors so is this one. Else the student's pose is among
+    the candidates, and silhouettes decide alone.
+    """
     render = config.render
-    candidates = [evidence.poses[:, :, None], evidence.candidates]
+    candidates, probabilities = evidence.candidates, evidence.probabilities
+    if not config.pose.weighs_fit:
+        candidates = jnp.concatenate([evidence.poses[:, :, None], candidates], axis=2)
+        probabilities = jnp.ones(candidates.shape[:-1])
     targets = downsample_images(evidence.masks, render.grid)
 
     def choose(entry):
@@ -216,14 +225,13 @@ def _choose_poses(scenes, shared, evidence: Evidence, config: Config) -> jax.Arr
         )
 
     def choose_pose(scene, view):
-        poses, target, own = view
-        return poses[
-            jnp.argmin(compare_poses(scene, poses, target, own, config=config))
-        ]
+        poses, probabilities, target, own = view
+        losses = compare_poses(scene, poses, target, own, config=config)
+        return poses[choose_posterior(losses, probabilities)]
 
     return map_renders(
         choose,
-        (scenes, jnp.concatenate(candidates, axis=2), targets, evidence.own),
+        (scenes, candidates, probabilities, targets, evidence.own),
         renders_at_once=render.renders_at_once,
     )
 
