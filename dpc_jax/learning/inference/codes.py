@@ -94,8 +94,13 @@ def encode_all(coder: Callable, state: NamedTuple, images: np.ndarray) -> Codes:
         parts.append(jax.device_get(coder(state, batch)))
     count = len(images)
     found = jax.tree.map(lambda *arrays: np.concatenate(arrays)[:count], *parts)
-    poses = (found.get(name) for name in ("candidates", "poses", "probabilities"))
-    return Codes(found["codes"], *poses, found.get("cameras", {}))
+    return Codes(
+        codes=found["codes"],
+        candidates=found.get("candidates"),
+        poses=found.get("poses"),
+        probabilities=found.get("probabilities"),
+        cameras=found.get("cameras", {}),
+    )
 
 
 def find_directions(codes: np.ndarray) -> np.ndarray:
