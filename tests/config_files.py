@@ -37,7 +37,7 @@ def parameter_shapes(config):
     """Shapes of the network's parameters by path; nothing is computed."""
     network = make_network(config)
     size = config.data.image_size
-    images = jax.ShapeDtypeStruct((2, size, size, 3), jnp.float32)
+    images = jax.ShapeDtypeStruct((2, size, size, network.inputs), jnp.float32)
     output, variables = jax.eval_shape(
         lambda x: network.init_with_output(jax.random.key(0), x), images
     )

@@ -15,7 +15,7 @@ from tiny_runs import compiling_quickly, make_network, make_state, tiny_config
 
 from dpc_jax.evaluation.alignment import identity_alignment
 from dpc_jax.experiments import correspondences, interpolation, labelled_shapes
-from dpc_jax.learning.predictions import scale_images
+from dpc_jax.learning.predictions import make_inputs
 from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.run.finished import load_split, predict_points, read_run
 from dpc_jax.run.workdir import claim_workdir, write_alignment
@@ -61,10 +61,11 @@ def reading_once(finished, monkeypatch):
 
 def test_clouds_are_those_of_the_network_in_the_object_frame(finished):
     run = finished
-    images = labelled_shapes.read_first_views(load_split(run, "test"))
-    output = jax.jit(run.network.apply)(run.state.params, scale_images(images))
+    images, masks = labelled_shapes.read_first_views(load_split(run, "test"))
+    inputs = make_inputs(images, masks, network=run.network)
+    output = jax.jit(run.network.apply)(run.state.params, inputs)
     expected = TURN.apply(np.asarray(output["points"]).reshape(-1, 3))
-    points = predict_points(run, images)
+    points = predict_points(run, images, masks)
     assert points.shape == (4, 24, 3)
     # Batches of another size sum in another order, in float32.
     np.testing.assert_allclose(points.reshape(-1, 3), expected, atol=1e-5)
@@ -91,11 +92,14 @@ def test_correspondences_are_measured_beside_baselines_and_drawn(tmp_path):
 
 def test_the_way_between_images_begins_and_ends_at_their_predictions(finished):
     run = finished
-    images = labelled_shapes.read_first_views(load_split(run, "test"))[:2]
-    way = interpolation.interpolate(run, images)
+    views = labelled_shapes.read_first_views(load_split(run, "test"))
+    images, masks = (array[:2] for array in views)
+    way = interpolation.interpolate(run, images, masks)
     assert way.shape == (interpolation.STEPS + 1, 24, 3)
     # The same sums in batches of another size, in float32.
-    np.testing.assert_allclose(way[[0, -1]], predict_points(run, images), atol=1e-6)
+    np.testing.assert_allclose(
+        way[[0, -1]], predict_points(run, images, masks), atol=1e-6
+    )
     halfway = way[interpolation.STEPS // 2]
     assert np.abs(halfway - (way[0] + way[-1]) / 2).max() > 1e-6  # tanh, leaky ReLU
 

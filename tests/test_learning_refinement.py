@@ -37,8 +37,8 @@ def run():
     state = tiny_runs.make_state(network, CONFIG)
     dataset = tiny_runs.make_dataset()
     images = dataset.images.reshape(-1, *dataset.images.shape[2:])
-    found = encode_all(make_coder(network, CONFIG), state, images)
     masks = dataset.masks.reshape(-1, *dataset.masks.shape[2:])
+    found = encode_all(make_coder(network, CONFIG), state, images, masks)
     return network, state, dataset, found, masks, find_directions(found.codes)
 
 
@@ -69,7 +69,7 @@ def test_refinement_begins_with_the_posterior_where_predictions_do(
     network = tiny_runs.make_network(config)
     state = tiny_runs.make_state(network, config)
     images = dataset.images.reshape(-1, *dataset.images.shape[2:])
-    found = encode_all(make_coder(network, config), state, images)
+    found = encode_all(make_coder(network, config), state, images, masks)
     evidence = join_views(found, masks, groups)
     joined = refine_objects(network, config, state, evidence, None)
     poses = np.concatenate([one.poses for one in joined])

@@ -52,7 +52,9 @@ def test_dead_points_have_living_ones_weights():
 
 
 def predict(state, batch, network):
-    features = encode_views(state.params, batch["images"], network=network)
+    features = encode_views(
+        state.params, batch["images"], batch["masks"], network=network
+    )
     flat = features.reshape(-1, features.shape[-1])
     return network.apply(state.params, flat, method="predict_shape")
 

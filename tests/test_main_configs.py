@@ -136,6 +136,8 @@ def test_a_workdir_from_before_a_field_does_what_it_did():
     assert read.train.colors_move_points
     assert from_json('{"category": "car", "data": {"copies": 6}}').data.mix == 0
     assert not from_json('{"category": "car", "network": {}}').network.tint
+    assert not from_json('{"category": "car", "network": {}}').network.sees_mask
+    assert Config("car").network.sees_mask
     assert Config("car").network.tint and not Config("car").train.colors_move_points
     assert Config("car").pose.common_frame and Config("car").train.pull_weight
 

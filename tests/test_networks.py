@@ -399,3 +399,25 @@ def test_a_focal_length_is_predicted_around_that_of_the_config():
     assert set(output) == {"points", "scale", "focal_lengths"}
     assert output["focal_lengths"].shape == (3,)
     np.testing.assert_allclose(output["focal_lengths"], 1.875, rtol=0.3)
+
+
+def test_an_encoder_that_sees_masks_has_a_fourth_channel_and_refuses_three():
+    plain, masked = (
+        network_shapes(),
+        shapes_of(
+            ShapePoseNetwork(
+                num_points=10,
+                candidates=4,
+                channels=2,
+                hidden=8,
+                shape_hidden=8,
+                sees_mask=True,
+            ),
+            jax.ShapeDtypeStruct((2, 16, 16, 4), jnp.float32),
+        ),
+    )
+    first = "encoder/Conv_0/kernel"
+    assert plain[first][2] == 3 and masked[first][2] == 4
+    assert {**plain, first: masked[first]} == masked
+    with pytest.raises(AssertionError):
+        network_shapes(sees_mask=True)

@@ -66,7 +66,7 @@ PLAIN = {
     "log": dict(every=1),
     "run": dict(devices=1),
     "network": dict(channels=2, hidden=12, shape_hidden=12, student_width=32)
-    | dict(normalize=False, tint=False),
+    | dict(normalize=False, tint=False, sees_mask=False),
 }
 
 

@@ -19,7 +19,7 @@ def to_config_dict(config: Config) -> ml_collections.ConfigDict:
 # fields that were tried and taken out.
 _BEFORE = {
     "data": {"copies": 1, "mix": 0},
-    "network": {"tint": False},
+    "network": {"tint": False, "sees_mask": False},
     "pose": {
         "choice_rank": "volume",
         "common_frame": False,

@@ -89,6 +89,7 @@ class Network:
     voxel_channels: int = field(16, at_least(1))  # of the volume of half the side
     map_channels: int = field(48, at_least(1))  # of the largest maps (EPCG)
     tint: bool = field(True)  # colours see the mean colour of the image's object
+    sees_mask: bool = field(True)  # beside the image, as a fourth channel
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,6 +114,11 @@ class Render:
     focal_length: float = field(1.875, POSITIVE)  # of an image 1 wide
     distance: float = field(2.0, _DISTANCE)  # camera to object, box diagonals
     renders_at_once: int = field(-1, at_least(-1))  # 0: all; -1: 1 on CPU, 0 on GPU
+
+    @property
+    def finest(self) -> int:
+        """Side of the finest grid that a run renders in."""
+        return self.fine_grid or self.grid
 
 
 @dataclasses.dataclass(frozen=True)

@@ -40,6 +40,7 @@ VARIANTS: dict[str, Changes] = {
             "normalize": False,
             "encoder_blocks": 3,  # 7 layers at every size
             "tint": False,
+            "sees_mask": False,
         },
         "render": {
             "grid": 64,

@@ -44,9 +44,11 @@ def run(out: Path | str, workdir: Path | str) -> tuple[dict[str, Any], list[Path
     """
     out, finished = Path(out), read_run(Path(workdir))
     dataset = load_split(finished, "test")
-    images = read_first_views(dataset)
+    images, masks = read_first_views(dataset)
     pairs = draw_pairs(len(images))
-    ways = np.array([interpolate(finished, images[pair]) for pair in pairs])
+    ways = np.array(
+        [interpolate(finished, images[pair], masks[pair]) for pair in pairs]
+    )
     metrics = measure_ways(ways) | measure_between(ways, pairs, dataset)
     metrics |= {"pairs": len(pairs), "category": finished.config.category}
     write_json(out / "interpolation.json", metrics)
@@ -61,7 +63,9 @@ def run(out: Path | str, workdir: Path | str) -> tuple[dict[str, Any], list[Path
             out / "interpolation.png",
         ),
         interpolation_figures.animate_tour(
-            images[tour], _walk(finished, images[tour]), out / "interpolation.gif"
+            images[tour],
+            _walk(finished, images[tour], masks[tour]),
+            out / "interpolation.gif",
         ),
     ]
     return metrics, figures
@@ -82,13 +86,18 @@ def draw_pairs(count: int) -> np.ndarray:
     return order[: 2 * min(PAIRS, count // 2)].reshape(-1, 2)
 
 
-def interpolate(run: FinishedRun, images: np.ndarray) -> np.ndarray:
-    """Clouds [STEPS + 1, N, 3] in the object frame, from one image [2, S, S, 3] on."""
+def interpolate(run: FinishedRun, images: np.ndarray, masks: np.ndarray) -> np.ndarray:
+    """Clouds [STEPS + 1, N, 3] in the object frame, from one image to another.
+
+    Args:
+      images: uint8 [2, S, S, 3]. masks: [2, S, S].
+    """
     share = np.linspace(0.0, 1.0, STEPS + 1)
-    return predict_points(run, images, mix=np.stack([1.0 - share, share], axis=1))
+    mix = np.stack([1.0 - share, share], axis=1)
+    return predict_points(run, images, masks, mix=mix)
 
 
-def _walk(run, images) -> np.ndarray:
+def _walk(run, images, masks) -> np.ndarray:
     """Clouds [n, TOUR_STEPS, N, 3] around n images, each row up to the next image."""
     count = len(images)
     mix = np.zeros((count, TOUR_STEPS, count))
@@ -96,7 +105,7 @@ def _walk(run, images) -> np.ndarray:
     for i in range(count):
         mix[i, :, i] += 1.0 - share
         mix[i, :, (i + 1) % count] += share
-    points = predict_points(run, images, mix=mix.reshape(-1, count))
+    points = predict_points(run, images, masks, mix=mix.reshape(-1, count))
     return points.reshape(count, TOUR_STEPS, *points.shape[1:])
 
 

@@ -63,9 +63,9 @@ def read_shapes(run: FinishedRun, split: str) -> LabelledShapes:
     models = open_source(make_data_specs(run.config)[split]).list_models()
     known = {model.name: model.seed for model in models}
     seeds = [known[name] for name in dataset.names]
-    images, category = read_first_views(dataset), run.config.category
+    (images, masks), category = read_first_views(dataset), run.config.category
     keypoints = np.array([_place_keypoints(category, s, names) for s in seeds])
-    clouds = predict_points(run, images)
+    clouds = predict_points(run, images, masks)
     return LabelledShapes(images, clouds, seeds, keypoints, category)
 
 
@@ -80,10 +80,11 @@ def keep_complete(shapes: LabelledShapes) -> LabelledShapes:
     )
 
 
-def read_first_views(dataset: DataSet) -> np.ndarray:
-    """Images uint8 [n, S, S, 3]: the first view of every model."""
+def read_first_views(dataset: DataSet) -> tuple[np.ndarray, np.ndarray]:
+    """Images uint8 [n, S, S, 3] and masks [n, S, S]: the first view of every model."""
     models = np.arange(len(dataset.names))
-    return np.asarray(dataset.images[models, np.zeros_like(models)])
+    rows = models, np.zeros_like(models)
+    return np.asarray(dataset.images[rows]), np.asarray(dataset.masks[rows])
 
 
 def _place_keypoints(category, seed, names):

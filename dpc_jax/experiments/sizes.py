@@ -18,6 +18,7 @@ _PLAIN = {
     "train.reseeds_points": False,
     "train.colors_move_points": True,
     "network.tint": False,
+    "network.sees_mask": False,
 }
 RESOLUTIONS = ("32", "64", "128")  # variants that set the side of images and volume
 

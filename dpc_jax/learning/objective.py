@@ -61,7 +61,7 @@ def compute_loss(
     """
     camera = Camera(render.focal_length, render.distance)
     sigma = schedules.compute_sigma(step, render, steps=train.steps)
-    features = encode_views(params, batch["images"], network=network)
+    features = encode_views(params, batch["images"], batch["masks"], network=network)
     shapes = predict_shapes(
         params,
         features[:, 0],

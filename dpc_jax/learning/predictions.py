@@ -91,13 +91,24 @@ def scale_images(images: jax.Array) -> jax.Array:
     return images.astype(jnp.float32) / 127.5 - 1
 
 
-def encode_views(
-    params: Mapping, images: jax.Array, *, network: ShapePoseNetwork
+def make_inputs(
+    images: jax.Array, masks: jax.Array, *, network: ShapePoseNetwork
 ) -> jax.Array:
-    """Features [B, V, F] of images uint8 [B, V, S, S, 3]."""
+    """What the network sees of images uint8 [..., S, S, 3] with masks [..., S, S]."""
+    inputs = scale_images(images)
+    if not network.sees_mask:
+        return inputs
+    return jnp.concatenate([inputs, scale_images(masks)[..., None]], axis=-1)
+
+
+def encode_views(
+    params: Mapping, images: jax.Array, masks: jax.Array, *, network: ShapePoseNetwork
+) -> jax.Array:
+    """Features [B, V, F] of images uint8 [B, V, S, S, 3] with masks [B, V, S, S]."""
     batch_size, views = images.shape[:2]
-    scaled = scale_images(images).reshape(-1, *images.shape[2:])
-    features = network.apply(params, scaled, method="encode")
+    inputs = make_inputs(images, masks, network=network)
+    flat = inputs.reshape(-1, *inputs.shape[2:])
+    features = network.apply(params, flat, method="encode")
     assert isinstance(features, jax.Array)
     return features.reshape(batch_size, views, -1)
 

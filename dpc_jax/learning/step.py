@@ -88,7 +88,7 @@ def describe_state(network: ShapePoseNetwork, config: Config) -> TrainState:
 
 def _init_whole(network, config, seed):
     size = config.data.image_size
-    images = jnp.zeros((1, size, size, 3))
+    images = jnp.zeros((1, size, size, network.inputs))
     params = network.init(jax.random.key(seed), images)
     optimizer = make_optimizer(config.train).init(params)
     cost = jnp.zeros(()) if config.pose.samples else None

@@ -81,7 +81,9 @@ def make_ranker(config: Config, step: int) -> Callable:
                 )
 
     def rank(state, batch, key):
-        features = encode_views(state.params, batch["images"], network=network)
+        features = encode_views(
+            state.params, batch["images"], batch["masks"], network=network
+        )
         shapes = predict_shapes(
             state.params,
             features[:, 0],

@@ -62,7 +62,7 @@ def make_calls(config: Config, step: int) -> dict[str, Callable[[], Any]]:
     batch = {name: jnp.asarray(array) for name, array in batch.items()}
 
     encode = functools.partial(encode_views, network=network)
-    features = jax.jit(encode)(params, batch["images"])
+    features = jax.jit(encode)(params, batch["images"], batch["masks"])
 
     def predict(params, features):
         shapes = predict_shapes(

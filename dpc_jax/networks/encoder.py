@@ -67,13 +67,13 @@ class ImageEncoder(nn.Module):
 
     @nn.compact
     def __call__(self, images: jax.Array, *, mix: jax.Array | None = None) -> jax.Array:
-        """Images [B, S, S, 3] in [-1, 1] to features [B, hidden].
+        """Images [B, S, S, 3 or 4], in [-1, 1], to features [B, hidden].
 
         With the weights `mix` [M, B] they are [M, hidden], of mixtures of the images:
         row i sums the images' activations after the first dense layer by mix[i]. This
         is the latent space in which § Interpolation of shapes goes from one to another.
         """
-        chex.assert_shape(images, (None, None, images.shape[1], 3))
+        chex.assert_shape(images, (None, None, images.shape[1], {3, 4}))
         needed = _count_blocks(images.shape[1])
         conv = functools.partial(nn.Conv, kernel_init=conv_init)
         act = functools.partial(activate, normalize=self.normalize)

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import chex
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
@@ -41,6 +42,7 @@ class ShapePoseNetwork(nn.Module):
       focal_length: around which that of a view is predicted; 0: it is not.
       is_tinted: colours of points are predicted from the mean colour of the image's
         object, too.
+      sees_mask: images have a fourth channel, the object's mask. Not in the paper.
     """
 
     num_points: int
@@ -72,6 +74,12 @@ class ShapePoseNetwork(nn.Module):
     own_pose_encoder: bool = False
     judges_poses: bool = False
     is_tinted: bool = False
+    sees_mask: bool = False
+
+    @property
+    def inputs(self) -> int:
+        """How many channels an image has."""
+        return 4 if self.sees_mask else 3
 
     def setup(self) -> None:
         """Make the branches that this run learns."""
@@ -156,18 +164,19 @@ class ShapePoseNetwork(nn.Module):
         )
 
     def encode(self, images: jax.Array, *, mix: jax.Array | None = None) -> jax.Array:
-        """Images [B, S, S, 3] in [-1, 1] to features [B, F].
+        """Images [B, S, S, 3], or 4 with masks, in [-1, 1] to features [B, F].
 
         F is `hidden`, or twice that with a pose encoder, and three more, the last ones,
         where `is_tinted`. `mix` is as of `ImageEncoder`: weights [M, B] of mixtures of
         the images.
         """
+        chex.assert_axis_dimension(images, -1, self.inputs)
         features = self.encoder(images, mix=mix)
         if self.candidates and self.own_pose_encoder:
             others = self.pose_encoder(images, mix=mix)
             features = jnp.concatenate([features, others], axis=-1)
         if self.is_tinted:
-            tint = measure_tint(images)
+            tint = measure_tint(images[..., :3])
             tint = tint if mix is None else jnp.matmul(mix, tint, precision="highest")
             features = jnp.concatenate([features, tint], axis=-1)
         return features
@@ -218,7 +227,7 @@ class ShapePoseNetwork(nn.Module):
         return self.judge(quaternions)
 
     def __call__(self, images: jax.Array) -> dict[str, jax.Array]:
-        """All predictions for images [B, S, S, 3]; also initialises the parameters."""
+        """All predictions for images [B, S, S, 3], or 4; also makes the parameters."""
         features = self.encode(images)
         poses = self.predict_pose(features) | self.predict_camera(features)
         if self.is_initializing() and self.candidates and self.judges_poses:

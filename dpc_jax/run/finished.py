@@ -11,7 +11,7 @@ import numpy as np
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet, load_or_render
 from dpc_jax.evaluation.alignment import Alignment, align_points
-from dpc_jax.learning.predictions import scale_images
+from dpc_jax.learning.predictions import make_inputs
 from dpc_jax.learning.step import TrainState, describe_state
 from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.networks import ShapePoseNetwork
@@ -94,28 +94,34 @@ def load_split(run: FinishedRun, split: str) -> DataSet:
 
 
 def predict_points(
-    run: FinishedRun, images: np.ndarray, *, mix: np.ndarray | None = None
+    run: FinishedRun,
+    images: np.ndarray,
+    masks: np.ndarray,
+    *,
+    mix: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Clouds [n, N, 3] in the object frame of images uint8 [n, S, S, 3].
+    """Clouds [n, N, 3] in the object frame of images uint8 [n, S, S, 3] with masks.
 
     With the weights `mix` [M, n] they are the clouds [M, N, 3] of mixtures of the
     images, see `ImageEncoder`; there should be few images then.
     """
     if mix is not None:
         weights = jnp.asarray(mix, jnp.float32)
-        points = _decode(run.state.params, images, weights, network=run.network)
+        points = _decode(run.state.params, images, masks, weights, network=run.network)
         return align_points(run.alignment, np.asarray(points))
     parts = []
     for start in range(0, len(images), IMAGES_AT_ONCE):
         # The last batch repeats its last image: one program serves all.
         rows = np.minimum(np.arange(start, start + IMAGES_AT_ONCE), len(images) - 1)
-        points = _decode(run.state.params, images[rows], None, network=run.network)
+        seen = images[rows], masks[rows]
+        points = _decode(run.state.params, *seen, None, network=run.network)
         parts.append(np.asarray(points))
     points = np.concatenate(parts)[: len(images)]
     return align_points(run.alignment, points)
 
 
 @functools.partial(jax.jit, static_argnames="network")
-def _decode(params, images, mix, *, network):
-    features = network.apply(params, scale_images(images), mix=mix, method="encode")
+def _decode(params, images, masks, mix, *, network):
+    inputs = make_inputs(images, masks, network=network)
+    features = network.apply(params, inputs, mix=mix, method="encode")
     return network.apply(params, features, method="predict_shape")["points"]

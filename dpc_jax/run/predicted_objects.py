@@ -185,7 +185,7 @@ def _join_and_refine(shapes, groups, dataset, run: FinishedRun, workdir, *, is_r
 
     network, config, state = run.network, run.config, run.state
     coder = make_coder(network, config)
-    codes = encode_all(coder, state, dataset.images[:, 0])
+    codes = encode_all(coder, state, dataset.images[:, 0], dataset.masks[:, 0])
     directions = None
     if is_refined:
         directions = refinement.read_directions(

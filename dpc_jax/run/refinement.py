@@ -20,6 +20,7 @@ from dpc_jax.learning.inference.codes import (
     make_coder,
 )
 from dpc_jax.learning.inference.evaluator import arrange_truth
+from dpc_jax.learning.inference.explanation import FINALISTS
 from dpc_jax.learning.inference.predictor import arrange_views
 from dpc_jax.learning.inference.refinement import (
     Evidence,
@@ -79,8 +80,9 @@ def measure_directions(
 ) -> np.ndarray:
     """How the codes [n, F] of a set's views vary: directions [k, F]."""
     models, views = arrange_views(dataset)
-    images = dataset.images[models.reshape(-1), views.reshape(-1)]
-    return find_directions(encode_all(coder, state, np.asarray(images)).codes)
+    rows = models.reshape(-1), views.reshape(-1)
+    found = encode_all(coder, state, dataset.images[rows], dataset.masks[rows])
+    return find_directions(found.codes)
 
 
 def join_views(
@@ -121,9 +123,14 @@ def refine_objects(
     Views of one object have their poses chosen anew by the shape that they share, a
     single view has its own where predictions are chosen by the fit.
     """
+    has_several = evidence.poses.shape[1] > 1
+    weighs_one = config.pose.weighs_fit and not has_several
     settings = RefineSettings(
         steps=0 if directions is None else RefineSettings.steps,
-        is_rechosen=evidence.poses.shape[1] > 1 or config.pose.weighs_fit,
+        is_rechosen=has_several or weighs_one,
+        hypotheses=min(FINALISTS, config.pose.choices)
+        if weighs_one and directions is not None
+        else 1,
     )
     if directions is None:
         directions = np.zeros((1, evidence.codes.shape[1]), np.float32)
@@ -161,7 +168,7 @@ def measure_refinement(
     directions = measure_directions(sets["val"], coder, state)
     models, views = arrange_views(test)
     rows = models.reshape(-1), views.reshape(-1)
-    found = encode_all(coder, state, np.asarray(test.images[rows]))
+    found = encode_all(coder, state, test.images[rows], test.masks[rows])
     masks, every = np.asarray(test.masks[rows]), np.arange(len(rows[0]))
     poses, surfaces = arrange_truth(test)
 

@@ -26,6 +26,7 @@ def make_network(config: Config) -> ShapePoseNetwork:
         num_classes=config.pose.choices,
         student_width=config.network.student_width,
         has_color=config.train.color_weight > 0,
+        sees_mask=config.network.sees_mask,
         is_tinted=config.network.tint
         and config.train.color_weight > 0
         and config.network.shape == "points",

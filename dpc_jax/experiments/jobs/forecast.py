@@ -22,7 +22,7 @@ def guess_seconds(config: Config, *, steps: int | None = None) -> float:
       steps: that are left; None for all.
     """
     render, pose = config.render, config.pose
-    fine = render.fine_grid or render.grid
+    fine = render.finest
     share = 1 - render.fine_from if render.fine_grid else 0.0
     voxels = (1 - share) * render.grid**3 + share * fine**3
     choices = pose.heads * pose.turns if pose.heads > 1 else 0

@@ -16,7 +16,7 @@ from dpc_jax.learning import devices
 from dpc_jax.learning.predictions import (
     complete_poses,
     find_probabilities,
-    scale_images,
+    make_inputs,
 )
 from dpc_jax.networks import ShapePoseNetwork
 
@@ -43,10 +43,14 @@ class Codes(NamedTuple):
 
 
 def make_coder(network: ShapePoseNetwork, config: Config) -> Callable:
-    """The compiled function (state, images uint8 [n, S, S, 3]) -> dict of `Codes`."""
+    """The compiled function (state, (images, masks)) -> dict of `Codes`.
 
-    def encode(state, images):
-        features = network.apply(state.params, scale_images(images), method="encode")
+    Images are uint8 [n, S, S, 3], masks [n, S, S].
+    """
+
+    def encode(state, views):
+        inputs = make_inputs(*views, network=network)
+        features = network.apply(state.params, inputs, method="encode")
         assert isinstance(features, jax.Array)
         found: dict[str, Any] = {"codes": features[:, : network.hidden]}
         if not config.pose.known:
@@ -85,12 +89,18 @@ def make_shared(function: Callable, config: Config, *parts: Any) -> Callable:
     return jax.jit(pad)
 
 
-def encode_all(coder: Callable, state: NamedTuple, images: np.ndarray) -> Codes:
-    """`Codes` of images uint8 [n, S, S, 3], batch by batch (the last one is padded)."""
+def encode_all(
+    coder: Callable, state: NamedTuple, images: np.ndarray, masks: np.ndarray
+) -> Codes:
+    """`Codes` of images uint8 [n, S, S, 3] with masks [n, S, S].
+
+    Batch by batch; the last one is padded.
+    """
     parts = []
     for start in range(0, len(images), IMAGES_AT_ONCE):
         rows = np.arange(start, start + IMAGES_AT_ONCE)
-        batch = np.asarray(images[np.minimum(rows, len(images) - 1)])
+        rows = np.minimum(rows, len(images) - 1)
+        batch = np.asarray(images[rows]), np.asarray(masks[rows])
         parts.append(jax.device_get(coder(state, batch)))
     count = len(images)
     found = jax.tree.map(lambda *arrays: np.concatenate(arrays)[:count], *parts)

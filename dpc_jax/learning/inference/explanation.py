@@ -22,14 +22,18 @@ from dpc_jax.learning.signals import (
 )
 from dpc_jax.render import Camera
 
+FINALISTS = 4  # candidates of a view that are compared in the finest grid
 _SOURCES = {"depth": "depths", "color": "images"}  # arrays that signals are read from
 
 
-def list_compared(views: Mapping[str, jax.Array], config: Config) -> dict[str, Any]:
+def list_compared(
+    views: Mapping[str, jax.Array], side: int, config: Config
+) -> dict[str, Any]:
     """Targets of the signals besides silhouettes that candidates are compared by.
 
     Args:
       views: images, masks and what else there is of n views, by name.
+      side: D of the grid.
 
     Returns:
       {"others": {signal: targets [n, ...]}}, or nothing.
@@ -38,12 +42,12 @@ def list_compared(views: Mapping[str, jax.Array], config: Config) -> dict[str, A
         return {}
     names = [name for name in read_weights(config.train).signals if name in _SOURCES]
     present = tuple(name for name in names if _SOURCES[name] in views)
-    grid, distance = config.render.grid, config.render.distance
-    return {"others": make_targets(views, grid, signals=present, distance=distance)}
+    distance = config.render.distance
+    return {"others": make_targets(views, side, signals=present, distance=distance)}
 
 
-def choose_posterior(losses: jax.Array, probabilities: jax.Array) -> jax.Array:
-    """Index of the candidate of the largest posterior; ().
+def find_posteriors(losses: jax.Array, probabilities: jax.Array) -> jax.Array:
+    """Logarithms [C] of candidates' posteriors, but for a constant.
 
     What the student thinks of an image is the prior, how a candidate's silhouette fits
     that of the image the likelihood: P(c)·exp(-loss(c)), as of pixels with errors of
@@ -53,7 +57,40 @@ def choose_posterior(losses: jax.Array, probabilities: jax.Array) -> jax.Array:
       losses: [C] sums of squared differences. probabilities: [C] of the student.
     """
     tiny = jnp.finfo(probabilities.dtype).tiny
-    return jnp.argmax(jnp.log(jnp.maximum(probabilities, tiny)) - losses)
+    return jnp.log(jnp.maximum(probabilities, tiny)) - losses
+
+
+def rank_finely(
+    scene: dict[str, jax.Array],
+    candidates: jax.Array,
+    losses: jax.Array,
+    probabilities: jax.Array,
+    target: jax.Array,
+    own: dict[str, Any],
+    *,
+    config: Config,
+) -> jax.Array:
+    """Indices [F] of the likeliest candidates, that of the largest posterior first.
+
+    The `FINALISTS` of the base grid are compared in the finest one: poses and their
+    mirror poses differ by little more than a pixel of the former. Each of its pixels
+    counts, so that the image weighs more against the student's probabilities.
+
+    Args:
+      scene: of the shape, sizes in voxels of the base grid.
+      candidates: [C, 4]. losses: [C] in the base grid. probabilities: [C].
+      target: [D, D] silhouette, own: see `compare_poses`; of the finest grid.
+    """
+    ratio = config.render.finest / config.render.grid
+    posteriors = find_posteriors(losses, probabilities)
+    _, best = jax.lax.top_k(posteriors, min(FINALISTS, len(candidates)))
+    if ratio == 1:
+        return best
+    finer = compare_candidates(
+        resize_scene(scene, ratio), candidates[best], target, own, config=config
+    )
+    posteriors = find_posteriors(finer, probabilities[best])
+    return best[jnp.argsort(-posteriors)]
 
 
 def show_view(
@@ -75,7 +112,7 @@ def show_view(
     """
     render = config.render
     camera = place_camera(Camera(render.focal_length, render.distance), own)
-    side = render.fine_grid or render.grid
+    side = render.finest
     is_asked = {
         "silhouette": True,
         "depth": not config.data.images or bool(config.data.test_meshes),

@@ -14,17 +14,17 @@ from dpc_jax.evaluation.alignment import Alignment, place_poses
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.cameras import find_cameras, list_own
 from dpc_jax.learning.inference.explanation import (
-    choose_posterior,
     compare_candidates,
     compare_poses,
     list_compared,
+    rank_finely,
     show_view,
 )
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import (
     complete_poses,
     find_probabilities,
-    scale_images,
+    make_inputs,
 )
 from dpc_jax.learning.renders import find_scenes
 from dpc_jax.learning.signals import list_extras
@@ -94,7 +94,8 @@ def make_predictor(
 
     def predict(state, images, masks, quaternions, extras):
         with sharing_columns(devices.AXIS):
-            output = network.apply(state.params, scale_images(images))
+            inputs = make_inputs(images, masks, network=network)
+            output = network.apply(state.params, inputs)
         assert isinstance(output, dict)
         steps = config.train.steps
         sigma = schedules.compute_sigma(state.step, render, steps=steps)
@@ -111,14 +112,17 @@ def make_predictor(
             output |= {"candidates": candidates, "probabilities": chances}
         targets = downsample_images(masks, render.grid)
         cameras = find_cameras(output, extras, pose=pose)
-        own = list_own(cameras, len(images)) | list_compared(
-            {"images": images, "masks": masks, **extras}, config
-        )
+        views = {"images": images, "masks": masks, **extras}
+        cameras = list_own(cameras, len(images))
+        own = cameras | list_compared(views, render.grid, config)
+        fine = cameras | list_compared(views, render.finest, config)
+        fine_targets = downsample_images(masks, render.finest)
         if "sigma" in scene:
             output["sizes"] = scene["sigma"]
 
         def explain(view):
-            scene, shown, taken, chances, given, candidates, target, own = view
+            scene, shown, taken, chances, given, candidates, *seen = view
+            target, own, fine_target, fine = seen
             scene, shown = scene | shared, shown | shown_shared
             winner = jnp.zeros((), jnp.int32)
             if len(candidates) > 1:
@@ -127,7 +131,16 @@ def make_predictor(
                 )
                 winner = jnp.argmin(losses)
                 if pose.weighs_fit:
-                    taken = candidates[choose_posterior(losses, chances)]
+                    likeliest = rank_finely(
+                        scene,
+                        candidates,
+                        losses,
+                        chances,
+                        fine_target,
+                        fine,
+                        config=config,
+                    )
+                    taken = candidates[likeliest[0]]
             images = show_view(shown, taken, own, config=config)
             if not pose.known:
                 both = jnp.stack([taken, given])
@@ -137,7 +150,8 @@ def make_predictor(
 
         rendered, taken, winners = map_renders(
             explain,
-            (scene, shown, students, chances, quaternions, candidates, targets, own),
+            (scene, shown, students, chances, quaternions, candidates)
+            + (targets, own, fine_targets, fine),
             renders_at_once=render.renders_at_once,
         )
         if "maps" in output:

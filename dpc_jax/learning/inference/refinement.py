@@ -21,7 +21,7 @@ from dpc_jax.config import Config
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.cameras import place_camera
 from dpc_jax.learning.inference.codes import make_shared
-from dpc_jax.learning.inference.explanation import choose_posterior, compare_poses
+from dpc_jax.learning.inference.explanation import compare_poses, rank_finely
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.renders import (
     find_scenes,
@@ -47,6 +47,9 @@ class RefineSettings:
       pose_pull: of a pose one radian away, likewise.
       is_rechosen: whether each view's pose is first chosen among all candidates by the
         shape that the views share, as the run's predictions are (`pose.predicted`).
+      hypotheses: of objects of one view, how many of its likeliest candidates are
+        refined, each with a shape of its own; that of the least objective stays. A
+        shape has to be bent further to fit a pose that is wrong. `FINALISTS` at most.
     """
 
     steps: int = 40
@@ -55,6 +58,7 @@ class RefineSettings:
     code_pull: float = 1e-4
     pose_pull: float = 0.01
     is_rechosen: bool = False
+    hypotheses: int = 1
 
 
 class Evidence(NamedTuple):
@@ -87,25 +91,23 @@ def make_refiner(
     differences of silhouettes, per pixel. Objects are shared out over the devices.
     """
     render = config.render
-    side = min(config.data.image_size, render.fine_grid or render.grid)
+    side = render.finest
 
     def refine(state, evidence, directions):
         sigma = schedules.compute_sigma(state.step, render, steps=config.train.steps)
-        targets = downsample_images(evidence.masks, side)
 
-        def decode(weights):
-            codes = evidence.codes + weights @ directions
+        def decode(codes):
             shape = network.apply(state.params, codes, method="predict_shape")
             assert isinstance(shape, dict)
             return shape, *find_scenes(shape, sigma, render=render)
 
-        poses = evidence.poses
         if settings.is_rechosen:
-            start = jnp.zeros((len(poses), len(directions)))
-            poses = _choose_poses(*decode(start)[1:], evidence, config)
+            likeliest = _rank_poses(*decode(evidence.codes)[1:], evidence, config)
+            evidence = _list_hypotheses(evidence, likeliest, settings.hypotheses)
+        poses, targets = evidence.poses, downsample_images(evidence.masks, side)
 
         def compare(weights, turns):
-            shape, scenes, shared = decode(weights)
+            shape, scenes, shared = decode(evidence.codes + weights @ directions)
             images = _render_objects(
                 scenes, shared, turn(poses, turns), evidence.own, side, config
             )
@@ -119,19 +121,23 @@ def make_refiner(
             views = jnp.maximum(jnp.sum(evidence.weights, axis=1), 1)
             total = jnp.sum(evidence.weights * (errors + pulls), axis=1)
             total += settings.code_pull * jnp.sum(weights**2, axis=1)
-            return jnp.sum(total / views)
+            return total / views
 
         begun = (
             jnp.zeros((len(poses), len(directions))),
             jnp.zeros((*poses.shape[:2], 3)),
         )
         before, *_ = compare(*begun)
-        found: Any = _descend(measure, begun, settings)
+        found: Any = _descend(lambda x: jnp.sum(measure(x)), begun, settings)
         errors, images, shape = compare(*found)
         result = {"points": shape["points"], "silhouettes": images, "errors": errors}
         if "colors" in shape:
             result["colors"] = shape["colors"]
-        return result | {"poses": turn(poses, found[1]), "errors_before": before}
+        result["poses"] = turn(poses, found[1])
+        count = settings.hypotheses
+        result = _take_best(measure(found).reshape(-1, count), result)
+        # The first hypothesis is what was predicted.
+        return result | {"errors_before": before[::count]}
 
     return make_shared(refine, config, devices.OBJECTS, devices.WHOLE)
 
@@ -203,8 +209,23 @@ def _render_objects(scenes, shared, poses, own, side, config):
     )
 
 
-def _choose_poses(scenes, shared, evidence: Evidence, config: Config) -> jax.Array:
-    """Of each view, the pose [n, V, 4] that its object's shape fits best.
+def _list_hypotheses(evidence: Evidence, likeliest, count: int) -> Evidence:
+    """Each object `count` times, with the first of the likeliest poses [n, V, F, 4]."""
+    if count == 1:
+        return evidence._replace(poses=likeliest[:, :, 0])
+    repeated = jax.tree.map(lambda array: jnp.repeat(array, count, axis=0), evidence)
+    poses = jnp.swapaxes(likeliest[:, :, :count], 1, 2)  # as many objects of V views
+    return repeated._replace(poses=poses.reshape(-1, *poses.shape[2:]))
+
+
+def _take_best(costs, result):
+    """Of the arrays [n·H, ...] those of the least of the costs [n, H]."""
+    rows = jnp.arange(len(costs)) * costs.shape[1] + jnp.argmin(costs, axis=1)
+    return jax.tree.map(lambda array: array[rows], result)
+
+
+def _rank_poses(scenes, shared, evidence: Evidence, config: Config) -> jax.Array:
+    """Of each view, the poses [n, V, F, 4] that its object's shape fits best.
 
     Where predictions are posteriors so is this one. Else the student's pose is among
     the candidates, and silhouettes decide alone.
@@ -215,23 +236,27 @@ def _choose_poses(scenes, shared, evidence: Evidence, config: Config) -> jax.Arr
         candidates = jnp.concatenate([evidence.poses[:, :, None], candidates], axis=2)
         probabilities = jnp.ones(candidates.shape[:-1])
     targets = downsample_images(evidence.masks, render.grid)
+    fine_targets = downsample_images(evidence.masks, render.finest)
 
-    def choose(entry):
+    def rank(entry):
         scene, *views = entry
         return map_renders(
-            functools.partial(choose_pose, scene | shared),
+            functools.partial(rank_view, scene | shared),
             tuple(views),
             renders_at_once=render.renders_at_once,
         )
 
-    def choose_pose(scene, view):
-        poses, probabilities, target, own = view
+    def rank_view(scene, view):
+        poses, probabilities, target, fine_target, own = view
         losses = compare_poses(scene, poses, target, own, config=config)
-        return poses[choose_posterior(losses, probabilities)]
+        likeliest = rank_finely(
+            scene, poses, losses, probabilities, fine_target, own, config=config
+        )
+        return poses[likeliest]
 
     return map_renders(
-        choose,
-        (scenes, candidates, probabilities, targets, evidence.own),
+        rank,
+        (scenes, candidates, probabilities, targets, fine_targets, evidence.own),
         renders_at_once=render.renders_at_once,
     )
 

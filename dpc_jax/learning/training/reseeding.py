@@ -41,8 +41,8 @@ def reseed_points(
         shapes.
     """
 
-    def measure(params, images):
-        features = encode_views(params, images, network=network)
+    def measure(params, images, masks):
+        features = encode_views(params, images, masks, network=network)
         flat = features.reshape(-1, features.shape[-1])
         shape: Any = network.apply(params, flat, method="predict_shape")
         return measure_lone(shape["points"])
@@ -58,7 +58,7 @@ def reseed_points(
     # Whole on every process, so that each decides the same.
     whole = NamedSharding(devices.make_mesh(config), devices.WHOLE)
     compiled = jax.jit(measure, out_shardings=whole)
-    shares = [compiled(state.params, batch["images"]) for batch in batches]
+    shares = [compiled(state.params, b["images"], b["masks"]) for b in batches]
     dead = np.mean([np.asarray(share) for share in shares], axis=0) > 0.5
     count = int(dead.sum())
     if not 0 < count < len(dead):

@@ -1,0 +1,61 @@
+"""What the network sees of a view: its image and, not in the paper, its mask."""
+
+import jax
+import numpy as np
+import pytest
+import tiny_runs
+from tiny_runs import compiling_quickly
+
+from dpc_jax.learning.inference.codes import encode_all, make_coder
+from dpc_jax.learning.inference.predictor import make_predictor, predict_all
+from dpc_jax.learning.predictions import encode_views, make_inputs
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick():
+    with compiling_quickly():
+        yield
+
+
+def make_run(sees_mask):
+    config = tiny_runs.tiny_config(sees_mask=sees_mask)
+    network = tiny_runs.make_network(config)
+    return config, network, tiny_runs.make_state(network, config)
+
+
+def test_masks_are_the_fourth_channel_in_the_units_of_images():
+    _, network, _ = make_run(True)
+    images = np.full((1, 16, 16, 3), 51, np.uint8)
+    masks = np.zeros((1, 16, 16), np.uint8)
+    masks[0, 3:9] = 255
+    inputs = make_inputs(images, masks, network=network)
+    assert inputs.shape == (1, 16, 16, 4)
+    np.testing.assert_allclose(inputs[..., :3], 51 / 127.5 - 1, rtol=1e-6)
+    np.testing.assert_array_equal(inputs[0, 3:9, :, 3], 1)
+    np.testing.assert_array_equal(inputs[0, 9:, :, 3], -1)
+    plain = make_inputs(images, masks, network=make_run(False)[1])
+    np.testing.assert_array_equal(plain, inputs[..., :3])
+
+
+@pytest.mark.parametrize("sees_mask", [True, False])
+def test_all_that_reads_views_shows_masks_to_the_network_or_does_not(sees_mask):
+    """Other masks of the same images: features, codes and shapes differ, or do not."""
+    config, network, state = make_run(sees_mask)
+    dataset = tiny_runs.make_dataset()
+    other = dataset._replace(masks=np.roll(np.asarray(dataset.masks), 3, axis=-1))
+
+    def read(dataset):
+        images, masks = dataset.images, dataset.masks
+        first = images[:, 0], masks[:, 0]
+        features = encode_views(state.params, images, masks, network=network)
+        codes = encode_all(make_coder(network, config), state, *first).codes
+        predictor = make_predictor(network, config)
+        whole = predict_all(predictor, state, dataset).points[:, 0]
+        inputs = make_inputs(*first, network=network)
+        output = jax.jit(network.apply)(state.params, inputs)
+        np.testing.assert_allclose(whole, output["points"], atol=1e-5)
+        np.testing.assert_allclose(codes, features[:, 0], atol=1e-5)
+        return features, codes, whole
+
+    for one, two in zip(read(dataset), read(other), strict=True):
+        assert (np.abs(np.asarray(one) - two).max() > 1e-4) == sees_mask
