@@ -8,6 +8,7 @@ DEFAULTS = FRAME | {
     "pose.head": "viewpoint",
     "pose.predicted": "posterior",
     "train.reseeds_points": True,
+    "network.sees_mask": True,
 }
 CHOOSE_BY_ALL = {"pose.choice_signals": "all"}
 BESIDE = {"train.colors_move_points": False, "network.tint": True}
