@@ -6,7 +6,7 @@ import pytest
 import tiny_runs
 
 from dpc_jax.evaluation.rotations import angle_deg
-from dpc_jax.learning.inference import refinement as refinement_module
+from dpc_jax.learning.inference import hypotheses as hypotheses_module
 from dpc_jax.learning.inference.codes import encode_all, find_directions, make_coder
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.inference.refinement import (
@@ -63,7 +63,7 @@ def test_refinement_begins_with_the_posterior_where_predictions_do(
     def compare(scene, poses, *_, **__):
         return 500.0 - 100.0 * jnp.arange(len(poses))
 
-    monkeypatch.setattr(refinement_module, "compare_poses", compare)
+    monkeypatch.setattr(hypotheses_module, "compare_poses", compare)
     _, _, dataset, _, masks, _ = run
     config = tiny_runs.tiny_config(candidates=4, selects=True)
     network = tiny_runs.make_network(config)

@@ -166,7 +166,8 @@ def make_calls(config: Config, step: int) -> dict[str, Callable[[], Any]]:
     return {
         "whole step": _repeat(make_train_step(network, config, stage), state, batch),
         "encoder": call(
-            lambda p: pull(lambda q: encode(q, batch["images"]), p), params
+            lambda p: pull(lambda q: encode(q, batch["images"], batch["masks"]), p),
+            params,
         ),
         "other layers": call(lambda p, f: pull(predict, p, f), params, features),
         "optimiser": _repeat(*_make_update(config, params)),

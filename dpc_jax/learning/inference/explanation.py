@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from dpc_jax.config import Config
 from dpc_jax.learning.cameras import place_camera
 from dpc_jax.learning.renders import (
+    Scene,
     compute_candidate_losses,
     render_scene,
     resize_scene,
@@ -61,7 +62,7 @@ def find_posteriors(losses: jax.Array, probabilities: jax.Array) -> jax.Array:
 
 
 def rank_finely(
-    scene: dict[str, jax.Array],
+    scene: Scene,
     candidates: jax.Array,
     losses: jax.Array,
     probabilities: jax.Array,
@@ -134,7 +135,7 @@ def show_view(
 
 
 def compare_poses(
-    scene: dict[str, jax.Array],
+    scene: Scene,
     poses: jax.Array,
     target: jax.Array,
     own: dict[str, Any],
@@ -168,7 +169,7 @@ def compare_poses(
 
 
 def compare_candidates(
-    scene: dict[str, jax.Array],
+    scene: Scene,
     candidates: jax.Array,
     target: jax.Array,
     own: dict[str, Any],

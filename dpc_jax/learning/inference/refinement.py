@@ -21,7 +21,12 @@ from dpc_jax.config import Config
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.cameras import place_camera
 from dpc_jax.learning.inference.codes import make_shared
-from dpc_jax.learning.inference.explanation import compare_poses, rank_finely
+from dpc_jax.learning.inference.hypotheses import (
+    Evidence,
+    list_hypotheses,
+    rank_poses,
+    take_best,
+)
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.renders import (
     find_scenes,
@@ -61,25 +66,6 @@ class RefineSettings:
     hypotheses: int = 1
 
 
-class Evidence(NamedTuple):
-    """What n objects of V views are fitted to.
-
-    Attributes:
-      codes: [n, F] to begin with. poses: [n, V, 4]. candidates: [n, V, C, 4].
-      probabilities: [n, V, C] that the student gives to candidates.
-      masks: uint8 [n, V, S, S]. weights: [n, V] of views; 0 for one that fills up.
-      own: of views' cameras, translation [n, V, 3] and focal_length [n, V] by name.
-    """
-
-    codes: Any
-    poses: Any
-    candidates: Any
-    probabilities: Any
-    masks: Any
-    weights: Any
-    own: dict[str, Any]
-
-
 @functools.lru_cache(maxsize=8)  # of one run there are four
 def make_refiner(
     network: ShapePoseNetwork, config: Config, settings: RefineSettings
@@ -102,8 +88,8 @@ def make_refiner(
             return shape, *find_scenes(shape, sigma, render=render)
 
         if settings.is_rechosen:
-            likeliest = _rank_poses(*decode(evidence.codes)[1:], evidence, config)
-            evidence = _list_hypotheses(evidence, likeliest, settings.hypotheses)
+            likeliest = rank_poses(*decode(evidence.codes)[1:], evidence, config)
+            evidence = list_hypotheses(evidence, likeliest, settings.hypotheses)
         poses, targets = evidence.poses, downsample_images(evidence.masks, side)
 
         def compare(weights, turns):
@@ -135,7 +121,7 @@ def make_refiner(
             result["colors"] = shape["colors"]
         result["poses"] = turn(poses, found[1])
         count = settings.hypotheses
-        result = _take_best(measure(found).reshape(-1, count), result)
+        result = take_best(measure(found).reshape(-1, count), result)
         # The first hypothesis is what was predicted.
         return result | {"errors_before": before[::count]}
 
@@ -206,58 +192,6 @@ def _render_objects(scenes, shared, poses, own, side, config):
 
     return map_renders(
         render_object, (scenes, poses, own), renders_at_once=render.renders_at_once
-    )
-
-
-def _list_hypotheses(evidence: Evidence, likeliest, count: int) -> Evidence:
-    """Each object `count` times, with the first of the likeliest poses [n, V, F, 4]."""
-    if count == 1:
-        return evidence._replace(poses=likeliest[:, :, 0])
-    repeated = jax.tree.map(lambda array: jnp.repeat(array, count, axis=0), evidence)
-    poses = jnp.swapaxes(likeliest[:, :, :count], 1, 2)  # as many objects of V views
-    return repeated._replace(poses=poses.reshape(-1, *poses.shape[2:]))
-
-
-def _take_best(costs, result):
-    """Of the arrays [n·H, ...] those of the least of the costs [n, H]."""
-    rows = jnp.arange(len(costs)) * costs.shape[1] + jnp.argmin(costs, axis=1)
-    return jax.tree.map(lambda array: array[rows], result)
-
-
-def _rank_poses(scenes, shared, evidence: Evidence, config: Config) -> jax.Array:
-    """Of each view, the poses [n, V, F, 4] that its object's shape fits best.
-
-    Where predictions are posteriors so is this one. Else the student's pose is among
-    the candidates, and silhouettes decide alone.
-    """
-    render = config.render
-    candidates, probabilities = evidence.candidates, evidence.probabilities
-    if not config.pose.weighs_fit:
-        candidates = jnp.concatenate([evidence.poses[:, :, None], candidates], axis=2)
-        probabilities = jnp.ones(candidates.shape[:-1])
-    targets = downsample_images(evidence.masks, render.grid)
-    fine_targets = downsample_images(evidence.masks, render.finest)
-
-    def rank(entry):
-        scene, *views = entry
-        return map_renders(
-            functools.partial(rank_view, scene | shared),
-            tuple(views),
-            renders_at_once=render.renders_at_once,
-        )
-
-    def rank_view(scene, view):
-        poses, probabilities, target, fine_target, own = view
-        losses = compare_poses(scene, poses, target, own, config=config)
-        likeliest = rank_finely(
-            scene, poses, losses, probabilities, fine_target, own, config=config
-        )
-        return poses[likeliest]
-
-    return map_renders(
-        rank,
-        (scenes, candidates, probabilities, targets, fine_targets, evidence.own),
-        renders_at_once=render.renders_at_once,
     )
 
 
