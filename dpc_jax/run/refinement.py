@@ -98,8 +98,11 @@ def join_views(
     assert found.probabilities is not None
     width = 1 << (max(map(len, groups)) - 1).bit_length()
     rows = np.stack([g[np.minimum(np.arange(width), len(g) - 1)] for g in groups])
+    codes = found.codes
+    if found.tints is not None:
+        codes = np.concatenate([codes, found.tints], axis=1)
     return Evidence(
-        codes=np.stack([found.codes[group].mean(axis=0) for group in groups]),
+        codes=np.stack([codes[group].mean(axis=0) for group in groups]),
         poses=found.poses[rows],
         candidates=found.candidates[rows],
         probabilities=found.probabilities[rows],
@@ -121,16 +124,15 @@ def refine_objects(
     """Each object of the evidence, refined along directions; without, only joined.
 
     Views of one object have their poses chosen anew by the shape that they share, a
-    single view has its own where predictions are chosen by the fit.
+    single view has its own where predictions are chosen by the fit, and is refined from
+    the likeliest few of them.
     """
     has_several = evidence.poses.shape[1] > 1
     weighs_one = config.pose.weighs_fit and not has_several
     settings = RefineSettings(
         steps=0 if directions is None else RefineSettings.steps,
         is_rechosen=has_several or weighs_one,
-        hypotheses=min(FINALISTS, config.pose.choices)
-        if weighs_one and directions is not None
-        else 1,
+        hypotheses=FINALISTS if weighs_one and directions is not None else 1,
     )
     if directions is None:
         directions = np.zeros((1, evidence.codes.shape[1]), np.float32)

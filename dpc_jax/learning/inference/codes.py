@@ -19,6 +19,7 @@ from dpc_jax.learning.predictions import (
     make_inputs,
 )
 from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.networks.tint import TINT
 
 IMAGES_AT_ONCE = 64
 COMPONENTS = 64  # directions in which codes differ that are told apart
@@ -28,7 +29,7 @@ class Codes(NamedTuple):
     """What the encoder and the pose branches say of n views.
 
     Attributes:
-      codes: [n, F] of shapes.
+      codes: [n, F] of shapes. tints: [n, 3] that their colours begin from, or None.
       candidates: [n, C, 4], turned ones included; poses: [n, 4], the student's;
         probabilities: [n, C] that the student gives to candidates. None where poses
         are known.
@@ -36,6 +37,7 @@ class Codes(NamedTuple):
     """
 
     codes: np.ndarray
+    tints: np.ndarray | None
     candidates: np.ndarray | None
     poses: np.ndarray | None
     probabilities: np.ndarray | None
@@ -53,6 +55,8 @@ def make_coder(network: ShapePoseNetwork, config: Config) -> Callable:
         features = network.apply(state.params, inputs, method="encode")
         assert isinstance(features, jax.Array)
         found: dict[str, Any] = {"codes": features[:, : network.hidden]}
+        if network.is_tinted:
+            found["tints"] = features[:, -TINT:]
         if not config.pose.known:
             output = network.apply(state.params, features, method="predict_pose")
             assert isinstance(output, dict)
@@ -106,6 +110,7 @@ def encode_all(
     found = jax.tree.map(lambda *arrays: np.concatenate(arrays)[:count], *parts)
     return Codes(
         codes=found["codes"],
+        tints=found.get("tints"),
         candidates=found.get("candidates"),
         poses=found.get("poses"),
         probabilities=found.get("probabilities"),

@@ -50,8 +50,8 @@ def list_compared(
 def find_posteriors(losses: jax.Array, probabilities: jax.Array) -> jax.Array:
     """Logarithms [C] of candidates' posteriors, but for a constant.
 
-    What the student thinks of an image is the prior, how a candidate's silhouette fits
-    that of the image the likelihood: P(c)·exp(-loss(c)), as of pixels with errors of
+    What the student thinks of an image is the prior, how a candidate's render fits the
+    image the likelihood: P(c)·exp(-loss(c)), as of pixels with errors of
     variance 1/2.
 
     Args:

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Config
-from dpc_jax.learning.inference.explanation import compare_poses, rank_finely
+from dpc_jax.learning.inference.explanation import compare_candidates, rank_finely
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.renders import Scene
 from dpc_jax.render.batch import map_renders
@@ -17,7 +17,8 @@ class Evidence(NamedTuple):
     """What n objects of V views are fitted to.
 
     Attributes:
-      codes: [n, F] to begin with. poses: [n, V, 4]. candidates: [n, V, C, 4].
+      codes: [n, F] to begin with, with tints [n, F + 3]. poses: [n, V, 4].
+      candidates: [n, V, C, 4].
       probabilities: [n, V, C] that the student gives to candidates.
       masks: uint8 [n, V, S, S]. weights: [n, V] of views; 0 for one that fills up.
       own: of views' cameras, translation [n, V, 3] and focal_length [n, V] by name.
@@ -37,8 +38,8 @@ def rank_poses(
 ) -> jax.Array:
     """Of each view, the poses [n, V, F, 4] that its object's shape fits best.
 
-    Where predictions are posteriors so is this one. Else the student's pose is among
-    the candidates, and silhouettes decide alone.
+    By silhouettes: other signals are not at hand. Where predictions are posteriors so
+    are these. Else the student's pose is among the candidates, and counts as any.
     """
     render = config.render
     candidates, probabilities = evidence.candidates, evidence.probabilities
@@ -58,7 +59,7 @@ def rank_poses(
 
     def rank_view(scene, view):
         poses, probabilities, target, fine_target, own = view
-        losses = compare_poses(scene, poses, target, own, config=config)
+        losses = compare_candidates(scene, poses, target, own, config=config)
         likeliest = rank_finely(
             scene, poses, losses, probabilities, fine_target, own, config=config
         )

@@ -26,7 +26,7 @@ from dpc_jax.learning.predictions import (
     find_probabilities,
     make_inputs,
 )
-from dpc_jax.learning.renders import find_scenes
+from dpc_jax.learning.renders import find_scenes, resize_scene
 from dpc_jax.learning.signals import list_extras
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
@@ -55,8 +55,8 @@ class Predictions(NamedTuple):
         not learned.
       sizes: [M, V, N] sigmas in voxels of the base grid, or [M, V, N, 3, 3] covariances
         in voxels², where they are learned; else None.
-      costs: [M, V, 2] of the silhouette as seen from the predicted pose and from the
-        true one; only with a frame (`predict_all`), else of no meaning.
+      costs: [M, V, 2] of the silhouette in the finest grid as seen from the predicted
+        pose and from the true one; without a frame (`predict_all`) of no meaning.
       cells: [M, V, D, D, D], the occupancies that voxel models predict; else None.
       candidates: [M, V, C, 4], turned ones included, and probabilities: [M, V, C] that
         the student gives them, alike where it does not select. Only where asked for.
@@ -144,7 +144,8 @@ def make_predictor(
             images = show_view(shown, taken, own, config=config)
             if not pose.known:
                 both = jnp.stack([taken, given])
-                costs = compare_poses(scene, both, target, own, config=config)
+                finer = resize_scene(scene, render.finest / render.grid)
+                costs = compare_poses(finer, both, fine_target, own, config=config)
                 images = images | {"costs": costs}
             return images, taken, winner
 

@@ -51,10 +51,12 @@ class RefineSettings:
       code_pull: of a code one deviation away, per mean squared difference of pixels.
       pose_pull: of a pose one radian away, likewise.
       is_rechosen: whether each view's pose is first chosen among all candidates by the
-        shape that the views share, as the run's predictions are (`pose.predicted`).
+        shape that the views share, as the run's predictions are (`pose.predicted`) but
+        by silhouettes alone.
       hypotheses: of objects of one view, how many of its likeliest candidates are
         refined, each with a shape of its own; that of the least objective stays. A
-        shape has to be bent further to fit a pose that is wrong. `FINALISTS` at most.
+        shape has to be bent further to fit a pose that is wrong. `FINALISTS` at most;
+        with more than 1 poses are chosen anew.
     """
 
     steps: int = 40
@@ -87,13 +89,18 @@ def make_refiner(
             assert isinstance(shape, dict)
             return shape, *find_scenes(shape, sigma, render=render)
 
-        if settings.is_rechosen:
+        count = 1
+        if settings.is_rechosen or settings.hypotheses > 1:
             likeliest = rank_poses(*decode(evidence.codes)[1:], evidence, config)
-            evidence = list_hypotheses(evidence, likeliest, settings.hypotheses)
+            count = min(settings.hypotheses, likeliest.shape[2])
+            evidence = list_hypotheses(evidence, likeliest, count)
         poses, targets = evidence.poses, downsample_images(evidence.masks, side)
 
         def compare(weights, turns):
-            shape, scenes, shared = decode(evidence.codes + weights @ directions)
+            bent = weights @ directions  # tints stay
+            tints = evidence.codes.shape[1] - bent.shape[1]
+            bent = jnp.pad(bent, ((0, 0), (0, tints)))
+            shape, scenes, shared = decode(evidence.codes + bent)
             images = _render_objects(
                 scenes, shared, turn(poses, turns), evidence.own, side, config
             )
@@ -120,7 +127,6 @@ def make_refiner(
         if "colors" in shape:
             result["colors"] = shape["colors"]
         result["poses"] = turn(poses, found[1])
-        count = settings.hypotheses
         result = take_best(measure(found).reshape(-1, count), result)
         # The first hypothesis is what was predicted.
         return result | {"errors_before": before[::count]}
