@@ -2,8 +2,8 @@
 
 Cost: 650 s on one core beside another run. Reached on 100 test airplanes, seeds 0
 to 2, November 2026: pose accuracy 0.894, 0.938, 0.924, median error 4.1, 3.2, 3.8
-degrees, Chamfer 2.40, 2.38, 2.37, before masks. ":paper" is the paper's setting: a GPU and days,
-never run to the end.
+degrees, Chamfer 2.40, 2.38, 2.37, trained before masks. ":paper" is the paper's
+setting: a GPU and days, never run to the end.
 """
 
 from dpc_jax.config import make_config
