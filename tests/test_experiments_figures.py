@@ -1,13 +1,14 @@
 """Figures of the paper's page: lines that are told apart, colours that stay."""
 
 import json
+import os
 
 import numpy as np
 from PIL import Image
 
 from dpc_jax.experiments.catalogue import EXPERIMENTS
 from dpc_jax.experiments.report import figures
-from dpc_jax.experiments.report.pictures import _copy_small
+from dpc_jax.experiments.report.pictures import _copy_small, copy_pictures
 from dpc_jax.experiments.results import Outcome, Results
 from dpc_jax.experiments.runs import Request, list_runs
 from dpc_jax.reporting import style
@@ -72,3 +73,27 @@ def test_a_small_copy_keeps_the_colours_of_a_scale(tmp_path):
     kept = np.asarray(Image.open(copy).convert("RGB"), np.float64)
     # A palette by counts of pixels is wrong by 100 and more there.
     assert np.abs(kept - image)[-3:, :100].max() < 40
+
+
+def test_a_picture_is_copied_again_only_where_the_run_has_a_newer_one(tmp_path):
+    """A page is written after every run, and a copy takes a second."""
+    results = make_results(
+        tmp_path, Request("unknown_pose", "quick"), lambda number: 1.0
+    )
+    (row, *_) = (row for row in EXPERIMENTS[1].rows if row.variant)
+    (outcome,) = results.list_outcomes(EXPERIMENTS[1], row, "chair")
+    picture = outcome.workdir / "report" / EXPERIMENTS[1].picture
+    picture.parent.mkdir()
+
+    def copy(color):
+        Image.new("RGB", (8, 8), color).save(picture)
+        ((small, _),) = copy_pictures(results, EXPERIMENTS[1], tmp_path)
+        assert small == tmp_path / f"{outcome.run.name}_{picture.name}"
+        return small, Image.open(small).convert("RGB").getpixel((0, 0))
+
+    small, first = copy("red")
+    os.utime(picture, (0, 0))  # an old picture, whose copy was made since
+    os.utime(small, (10, 10))
+    copy_pictures(results, EXPERIMENTS[1], tmp_path)
+    assert small.stat().st_mtime == 10
+    assert (first, copy("blue")[1]) == ((255, 0, 0), (0, 0, 255))

@@ -32,7 +32,7 @@ def make_job(folder, name) -> Job:
     return Job(run, CONFIG, workdir, folder / "logs" / f"{name}.txt")
 
 
-def train(folder, *names, stop=None, slots=2):
+def train(folder, *names, stop=None, slots=2, on_end=lambda job: None):
     """Train jobs by these names; why they failed."""
     jobs = [make_job(folder, name) for name in names]
     with JobProgress(total=len(jobs), done=0) as progress:
@@ -41,6 +41,7 @@ def train(folder, *names, stop=None, slots=2):
             cores=[-1] * slots,
             progress=progress,
             stop=stop or threading.Event(),
+            on_end=on_end,
             program=[str(FAKE)],
         )
 
@@ -63,6 +64,18 @@ def test_jobs_are_trained_to_their_reports(tmp_path, capsys):
     assert all(make_job(tmp_path, name).is_finished() for name in "abc")
     out = capsys.readouterr().out
     assert "a: begins" in out and "c: finished in" in out
+
+
+def test_the_next_run_begins_before_the_end_of_one_is_dealt_with(tmp_path):
+    """The page that is written then takes seconds, in which a core would rest."""
+    ended = []
+
+    def note(job):
+        begun = {path.stem for path in (tmp_path / "logs").iterdir()}
+        ended.append((job.run.name, begun))
+
+    train(tmp_path, "a", "b", slots=1, on_end=note)
+    assert ended == [("a", {"a", "b"}), ("b", {"a", "b"})]
 
 
 def test_a_run_that_fails_is_named_with_its_sentence_and_the_others_go_on(tmp_path):

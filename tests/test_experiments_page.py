@@ -16,6 +16,7 @@ from dpc_jax.experiments.report.tables import format_summary, make_table
 from dpc_jax.experiments.report.targets import check_targets
 from dpc_jax.experiments.results import Outcome, Results, Summary, summarize
 from dpc_jax.experiments.runs import Request, Run, Source, list_runs
+from dpc_jax.experiments.suite import Place, _Suite
 from dpc_jax.experiments.systems import SYSTEMS, list_systems
 from dpc_jax.run.workdir import hold_workdir
 
@@ -283,6 +284,18 @@ def test_a_folder_remembers_what_it_was_asked_for(tmp_path, capsys):
     assert "## Shape with known pose" in text and "## Shape and pose" in text
     assert paper.main([f"--out={tmp_path}", "--size=cpu"]) == 1
     assert "must have one size, but it was begun with quick" in capsys.readouterr().err
+
+
+def test_a_page_beside_the_runs_takes_a_tenth_of_their_time_at_most(tmp_path):
+    suite = _Suite(Place(tmp_path, tmp_path), [Request("ablation", "quick")])
+    page = suite.write()
+    page.unlink()
+    suite.writing = 1e6  # seconds that it took
+    suite._write_now_and_then()
+    assert not page.exists()
+    suite.written -= 1e8
+    suite._write_now_and_then()
+    assert page.exists()
 
 
 def test_a_page_without_runs_has_the_paper_s_numbers(tmp_path, capsys):

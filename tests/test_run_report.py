@@ -36,7 +36,7 @@ def test_worst_median_and_best_are_of_different_objects_and_no_view_comes_twice(
 @pytest.mark.parametrize("views", [1, 2, 5])
 def test_with_few_views_each_group_has_some_of_them(views):
     badness = np.arange(float(views))[None]
-    chosen = choose_views(badness, np.zeros((1, views), int))
+    chosen = choose_views(badness, np.zeros((1, views), int), per_group=3)
     assert len(chosen) == min(3, views)
     assert {group for group, _, _ in chosen} == {"Worst", "Median", "Best"} or views < 3
 
@@ -95,6 +95,7 @@ def show(sets, **changes):
         test,
         identity_alignment(),
         result,
+        per_group=3,
         shapes=shapes,
         distance=2.0,
         threshold=None,

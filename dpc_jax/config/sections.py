@@ -247,6 +247,7 @@ class Log:
     every: int = field(100, at_least(1))  # lines of metrics.jsonl
     evaluate: int = field(1000, at_least(0))  # validations
     checkpoint: int = field(1000, at_least(0))  # checkpoints
+    examples: int = field(3, at_least(1))  # the report's worst, median and best views
     tensorboard: bool = field(False)  # event files too, in WORKDIR/tensorboard
     wandb: str = field("", one_of(*WANDB_MODES))  # Weights & Biases; "": not
 

@@ -81,6 +81,7 @@ QUICK = Size(
         "train.repulsion_points": 50,
         "log.every": 5,
         "log.evaluate": 0,  # the last step has one anyhow
+        "log.examples": 1,  # a report's pictures take as long as the training
     },
     budgets={
         # Images of half the side named, the least that the encoder takes, and volumes

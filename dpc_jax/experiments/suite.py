@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -83,6 +84,7 @@ class _Suite:
     def __init__(self, place: Place, requests: list[Request]):
         self.place, self.requests = place, requests
         self.problems: dict[str, str] = {}
+        self.written = self.writing = 0.0  # when the page was, and how long it took
         self.jobs: dict[str, Job] = {}
         for run in list_runs(requests):
             self._plan(run)
@@ -126,11 +128,17 @@ class _Suite:
                 cores=cores,
                 progress=progress,
                 stop=stop,
-                on_end=lambda job: self.write(),
+                on_end=lambda job: self._write_now_and_then(),
             )
+
+    def _write_now_and_then(self):
+        """Write the page beside the runs, for a tenth of their time at most."""
+        if time.monotonic() - self.written > 9 * self.writing:
+            self.write()
 
     def write(self, *, is_last: bool = False) -> Path:
         """Write the page of all that is there; analyses only at the end."""
+        started = time.monotonic()
         outcomes = {run.name: self._read(run) for run in list_runs(self.requests)}
         folder = self.place.folder
         measured = measure_rows(
@@ -143,7 +151,10 @@ class _Suite:
         blocks: list[Block] = make_blocks(results, analyses, figures=folder / "figures")
         if is_last and self.place.page:
             publish(self.place.page, blocks)
-        return write_page(folder, blocks)
+        path = write_page(folder, blocks)
+        self.written = time.monotonic()
+        self.writing = self.written - started
+        return path
 
     def _read(self, run: Run) -> Outcome:
         workdir = self.place.locate(run)

@@ -88,28 +88,30 @@ def train_missing(
       cores: that a run each is kept to; -1 for a run that may use all.
       progress: told of every begin and end.
       stop: asks all runs to save and end.
-      on_end: called after each job that ended.
+      on_end: called after each job that ended, once another has begun in its place.
       program: arguments of Python before the flags of a run.
 
     Returns:
       Why jobs failed, by name of the run.
     """
-    waiting, free, running = list(jobs), list(cores), []
+    waiting, free, running, ended = list(jobs), list(cores), [], []
     forecast, failures = Forecast(jobs), {}
     reported = time.monotonic()
     try:
-        while (waiting or running) and not stop.is_set():
+        while (waiting or running or ended) and not stop.is_set():
             while waiting and free:
                 child = _start(waiting.pop(0), free.pop(0), program)
                 running.append(child)
                 progress.begin(child.job)
+            while ended:
+                on_end(ended.pop(0))
             stop.wait(_POLL_SECONDS)
             for child in [c for c in running if c.process.poll() is not None]:
                 running.remove(child)
                 free.append(child.core)
                 if not stop.is_set():
                     _note_end(child, forecast, failures, progress)
-                    on_end(child.job)
+                    ended.append(child.job)
             forecast.observe({c.job.run.name: c.job.count_steps() for c in running})
             left = forecast.estimate(
                 [c.job for c in running], waiting, slots=len(cores)

@@ -29,10 +29,17 @@ def copy_pictures(
                 if outcome.metrics is not None and path.is_file():
                     copy = folder / f"{outcome.run.name}_{path.name}"
                     text = f"{row.label}: test views of the {category}s, first seed."
-                    drawn.append((_copy_small(path, copy), text))
+                    if _is_older(copy, path):
+                        _copy_small(path, copy)
+                    drawn.append((copy, text))
         if drawn:
             return drawn
     return []
+
+
+def _is_older(copy: Path, path: Path) -> bool:
+    """Whether there is no copy of a picture as it is now; one takes a second."""
+    return not copy.exists() or copy.stat().st_mtime_ns < path.stat().st_mtime_ns
 
 
 def _copy_small(path: Path, copy: Path) -> Path:

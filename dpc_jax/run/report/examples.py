@@ -14,18 +14,18 @@ from dpc_jax.reporting.azimuth_figures import ViewPoses
 from dpc_jax.reporting.examples import Example, SignalImages
 from dpc_jax.run.report.training_shapes import TrainingShapes
 
-PER_GROUP = 3  # views of different objects
 GROUPS = ("Worst", "Median", "Best")
 
 
 def choose_views(
-    badness: np.ndarray, models: np.ndarray, *, per_group: int = PER_GROUP
+    badness: np.ndarray, models: np.ndarray, *, per_group: int
 ) -> list[tuple[str, int, int]]:
     """The worst, median and best views: (group, row, place), no view twice.
 
     Args:
       badness: [n, V] of each view, higher is worse.
       models: [n, V] its object, of which a group shows one view.
+      per_group: views of each, of different objects.
     """
     order = np.argsort(badness, axis=None, kind="stable")
     middle = (len(order) - 1) / 2
@@ -54,6 +54,7 @@ def choose_examples(
     alignment: Alignment,
     result: Scores,
     *,
+    per_group: int,
     shapes: TrainingShapes | None,
     distance: float,
     threshold: float | None,
@@ -65,7 +66,8 @@ def choose_examples(
     silhouettes.
 
     Args:
-      result: of the predictions. shapes: of the training set, to show beside them.
+      result: of the predictions. per_group: the worst, median and best, of each.
+      shapes: of the training set, to show beside them.
       distance: of the camera. threshold: of the surfaces of a voxel model.
     """
     models, _ = arrange_views(dataset)
@@ -83,7 +85,7 @@ def choose_examples(
             distance=distance,
             threshold=threshold,
         )
-        for group, row, place in choose_views(badness, models)
+        for group, row, place in choose_views(badness, models, per_group=per_group)
     ]
     return examples, f"The worst, median and best of all test views by {measure}."
 

@@ -96,6 +96,7 @@ def report_run(
         sets["test"],
         alignment,
         result,
+        per_group=config.log.examples,
         shapes=shapes,
         distance=config.render.distance,
         threshold=threshold,
