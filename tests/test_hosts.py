@@ -20,6 +20,7 @@ FIELDS = {
     "log.every": 1,
     "log.evaluate": STEPS,
     "log.checkpoint": 8,
+    "log.examples": 1,
     "data.image_size": 16,
     "data.surface_points": 300,
     "data.processes": 1,

@@ -63,7 +63,7 @@ PLAIN = {
         color_weight=0.0,
         colors_move_points=True,
     ),
-    "log": dict(every=1),
+    "log": dict(every=1, examples=1),
     "run": dict(devices=1),
     "network": dict(channels=2, hidden=12, shape_hidden=12, student_width=32)
     | dict(normalize=False, tint=False, sees_mask=False),

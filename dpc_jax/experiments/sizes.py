@@ -110,6 +110,7 @@ CPU = Size(
     long_seeds=(0,),  # over ten minutes a run
     changes={
         **_PLAIN,
+        "network.shape_hidden": 512,  # of all categories, whatever their configs have
         "log.evaluate": 500,  # a curve of eight points at the least
         "log.checkpoint": 500,  # half a minute is lost at the most
     },
@@ -124,8 +125,9 @@ CPU = Size(
         # A render of 200 covariances takes 70 ms: four minutes and a half a run.
         "points": {"train.steps": 1000, "train.views_per_batch": 2},
         # A render with colours takes four to six times as long as one without.
-        "signals": {"train.steps": 4000},
-        "": {},  # the config's own
+        "signals": {"train.steps": 4000, "render.num_points": 2000},
+        # The steps are the config's own; as many points as in the paper at 32².
+        "": {"render.num_points": 2000},
     },
     left_out=frozenset({"covariance2000"}),  # an hour by their renders
 )

@@ -55,3 +55,13 @@ def face_object(azimuths: jax.Array, elevations: jax.Array) -> jax.Array:
     cos, sin = jnp.cos(elevations / 2), jnp.sin(elevations / 2)
     less, more = cos - sin, cos + sin
     return jnp.stack([less * up, more * up, more * side, -less * side], axis=-1)
+
+
+def read_elevations(quaternions: jax.Array) -> jax.Array:
+    """Elevations [...], radians, of upright cameras [..., 4]; see `face_object`.
+
+    Of squares: (sin el + 1)/2 is the share of the middle two, whatever the azimuth.
+    """
+    squares = quaternions**2 / jnp.sum(quaternions**2, axis=-1, keepdims=True)
+    middle = squares[..., 1] + squares[..., 2]
+    return jnp.arcsin(jnp.clip(2 * middle - 1, -1.0, 1.0))

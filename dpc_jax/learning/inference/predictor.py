@@ -20,6 +20,7 @@ from dpc_jax.learning.inference.explanation import (
     rank_finely,
     show_view,
 )
+from dpc_jax.learning.inference.viewpoint_search import search_nearby
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import (
     complete_poses,
@@ -141,6 +142,10 @@ def make_predictor(
                         config=config,
                     )
                     taken = candidates[likeliest[0]]
+                    if pose.head == "viewpoint":
+                        taken = search_nearby(
+                            scene, taken, fine_target, fine, config=config
+                        )
             images = show_view(shown, taken, own, config=config)
             if not pose.known:
                 both = jnp.stack([taken, given])
