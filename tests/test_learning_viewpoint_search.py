@@ -1,5 +1,7 @@
 """Predicted viewpoints are moved to where the image fits better, and no further."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +12,7 @@ from dpc_jax import rotation_angle_deg
 from dpc_jax.config import replace_fields
 from dpc_jax.learning.inference import viewpoint_search
 from dpc_jax.learning.inference.explanation import compare_poses
+from dpc_jax.learning.inference.hypotheses import Evidence, rank_poses
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.inference.viewpoint_search import STEPS, search_nearby
 from dpc_jax.learning.renders import render_scene, resize_scene
@@ -120,3 +123,32 @@ def test_predictions_are_moved_where_heads_say_viewpoints_alone(head):
         assert (away < 0.1).all()
     else:
         assert (away > 1).any() and (away <= np.hypot(sum(STEPS), sum(STEPS))).all()
+
+
+@pytest.mark.usefixtures("quickly")
+def test_views_of_one_object_are_searched_for_where_one_pose_is_asked_for():
+    truth, rival = face(50.0, 10.0), face(200.0, 0.0)
+    candidates = jnp.stack([rival, face(47.0, 12.0), face(130.0, 5.0)])
+    scene = make_scene()
+    shared = {"mass": scene["mass"], "sigma": jnp.array(scene["sigma"])}
+    masks = jnp.rint(255 * see(truth)).astype(jnp.uint8)[None, None]
+    evidence = Evidence(
+        codes=None,
+        poses=candidates[None, None, 0],
+        candidates=candidates[None, None],
+        probabilities=jnp.full((1, 1, 3), 1 / 3),
+        masks=masks,
+        weights=jnp.ones((1, 1)),
+        own={},
+    )
+
+    @functools.partial(jax.jit, static_argnames=("count", "config"))
+    def rank(count, config=CONFIG):
+        points = {"points": scene["points"][None]}
+        return rank_poses(points, shared, evidence, config, count=count)[0, 0]
+
+    (one,), several = rank(1), rank(3)
+    assert np.array_equal(several[0], candidates[1])  # as they are
+    assert rotation_angle_deg(one, truth) < rotation_angle_deg(candidates[1], truth) / 2
+    student = replace_fields(CONFIG, {"pose": {"predicted": "student"}})
+    assert np.array_equal(rank(1, student)[0], candidates[1])

@@ -206,6 +206,11 @@ class Pose:
         return self.predicted == "posterior" and self.choices > 0 and not self.samples
 
     @property
+    def searches(self) -> bool:
+        """Whether predicted viewpoints are then searched for nearby."""
+        return self.weighs_fit and self.head == "viewpoint"
+
+    @property
     def choices(self) -> int:
         """How many candidates a selecting student chooses among; 0: it regresses."""
         if not self.selects or self.heads < 2:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Config
 from dpc_jax.learning.inference.explanation import compare_candidates, rank_finely
+from dpc_jax.learning.inference.viewpoint_search import search_nearby
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.renders import Scene
 from dpc_jax.render.batch import map_renders
@@ -34,12 +35,18 @@ class Evidence(NamedTuple):
 
 
 def rank_poses(
-    scenes: Scene, shared: Scene, evidence: Evidence, config: Config
+    scenes: Scene, shared: Scene, evidence: Evidence, config: Config, *, count: int
 ) -> jax.Array:
     """Of each view, the poses [n, V, F, 4] that its object's shape fits best.
 
     By silhouettes: other signals are not at hand. Where predictions are posteriors so
-    are these. Else the student's pose is among the candidates, and counts as any.
+    are these. Else the student's pose is among the candidates, and counts as any. A
+    single one is searched for nearby as predictions are; of several, a fit has to
+    find out which is right, and moves them anyway.
+
+    Args:
+      scenes, shared: of n objects' shapes.
+      count: F, how many; fewer where there are fewer candidates or `FINALISTS`.
     """
     render = config.render
     candidates, probabilities = evidence.candidates, evidence.probabilities
@@ -63,7 +70,10 @@ def rank_poses(
         likeliest = rank_finely(
             scene, poses, losses, probabilities, fine_target, own, config=config
         )
-        return poses[likeliest]
+        if count == 1 and config.pose.searches:
+            best = poses[likeliest[0]]
+            return search_nearby(scene, best, fine_target, own, config=config)[None]
+        return poses[likeliest[:count]]
 
     return map_renders(
         rank,
@@ -72,12 +82,13 @@ def rank_poses(
     )
 
 
-def list_hypotheses(evidence: Evidence, likeliest: jax.Array, count: int) -> Evidence:
-    """Each object `count` times, with the first of the likeliest poses [n, V, F, 4]."""
+def list_hypotheses(evidence: Evidence, likeliest: jax.Array) -> Evidence:
+    """Each object F times, with one of the likeliest poses [n, V, F, 4] each."""
+    count = likeliest.shape[2]
     if count == 1:
         return evidence._replace(poses=likeliest[:, :, 0])
     repeated = jax.tree.map(lambda array: jnp.repeat(array, count, axis=0), evidence)
-    poses = jnp.swapaxes(likeliest[:, :, :count], 1, 2)  # as many objects of V views
+    poses = jnp.swapaxes(likeliest, 1, 2)  # as many objects of V views
     return repeated._replace(poses=poses.reshape(-1, *poses.shape[2:]))
 
 

@@ -142,7 +142,7 @@ def make_predictor(
                         config=config,
                     )
                     taken = candidates[likeliest[0]]
-                    if pose.head == "viewpoint":
+                    if pose.searches:
                         taken = search_nearby(
                             scene, taken, fine_target, fine, config=config
                         )

@@ -91,9 +91,11 @@ def make_refiner(
 
         count = 1
         if settings.is_rechosen or settings.hypotheses > 1:
-            likeliest = rank_poses(*decode(evidence.codes)[1:], evidence, config)
-            count = min(settings.hypotheses, likeliest.shape[2])
-            evidence = list_hypotheses(evidence, likeliest, count)
+            scenes = decode(evidence.codes)[1:]
+            asked = settings.hypotheses
+            likeliest = rank_poses(*scenes, evidence, config, count=asked)
+            count = likeliest.shape[2]
+            evidence = list_hypotheses(evidence, likeliest)
         poses, targets = evidence.poses, downsample_images(evidence.masks, side)
 
         def compare(weights, turns):
