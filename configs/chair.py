@@ -1,9 +1,9 @@
 """Chairs from silhouettes without poses: procedural, on two CPU cores.
 
-Cost: 681 s on one core beside other work, 1.6 GB. Reached on 100 test chairs, seeds 0
-to 2, November 2026: pose accuracy 0.970, 0.978, 0.970, median error 5.2, 4.7, 4.4
-degrees, Chamfer 3.57, 3.53, 3.51, trained before masks; seed 0 with them 0.988, 5.2,
-3.57. ":paper" is the paper's setting: a GPU and days, never run to the end.
+Cost: 611 to 735 s on one core beside other work, 1.6 GB. Reached on 100 test chairs,
+seeds 0 to 2, November 2026: pose accuracy 0.988, 0.960, 0.966, median error 3.9, 3.8,
+3.8 degrees, Chamfer 3.57, 3.61, 3.54. ":paper" is the paper's setting: a GPU and days,
+never run to the end.
 """
 
 from dpc_jax.config import make_config
