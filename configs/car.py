@@ -9,7 +9,7 @@ degrees, Chamfer 2.91, 2.88, 2.88.
 from dpc_jax.config import make_config
 
 CHANGES = {
-    # The surface of a body is large: holes between 2000 points are a tenth of the error.
+    # A large surface: holes between 2000 points are a tenth of the error.
     # Half the width of the layer before them keeps the parameters and the time.
     "render": {"num_points": 4000},
     "network": {"shape_hidden": 256},
