@@ -45,7 +45,8 @@ class Predictions(NamedTuple):
         until `volumes.add_points`.
       colors: [M, V, N, 3], or None.
       poses: [M, V, 4], predicted: the student's quaternion, or that of the largest
-        posterior (`pose.predicted`); the given one where poses are known.
+        posterior (`pose.predicted`), a viewpoint then searched for nearby; the given
+        one where poses are known.
       candidate_poses: [M, V, 4], the candidate, turned or not, that fits the view best.
       winners: [M, V] its index; of head index % K, whether turned or not.
       silhouettes: [M, V, D, D], the shape seen from the predicted pose, its points of
