@@ -34,7 +34,6 @@ FIELDS = {
     "log.every": 1,
     "log.evaluate": EVALUATED,
     "log.checkpoint": 40,
-    "log.examples": 1,
     "data.image_size": 16,
     "data.surface_points": 300,
     "data.processes": 1,
@@ -173,8 +172,8 @@ def test_the_report_has_every_number_and_picture_that_is_promised(finished):
     assert not re.search(r"""(src|href)=["']?(https?:)?//""", page)
     clouds = sorted((report / "points").iterdir())
     assert {path.suffix for path in clouds} == {".ply", ".glb"}
-    # A view each: the worst, the median, the best.
-    assert len(clouds) == 2 * 3
+    # Three views of different models each: the worst, the median, the best.
+    assert len(clouds) == 2 * 9
     assert (report / "worst_objects.png").stat().st_size > 1000
     for path in clouds:
         vertices = np.asarray(trimesh.load_scene(path).to_geometry().vertices)
@@ -326,7 +325,7 @@ def test_predicting_test_images_gives_what_the_report_scored(
     test = read_cache(cache)
     page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
     cards = re.findall(r"<b>(\S+), view (\d+)</b>.*?pose error ([\d.]+)°", page)
-    assert len(cards) == 3
+    assert len(cards) == 9
     places = [(test.names.index(name), int(view)) for name, view, _ in cards]
     names = [f"{test.names[model]}_view_{view}" for model, view in places]
     images = [
