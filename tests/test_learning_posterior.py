@@ -120,8 +120,9 @@ def test_predictions_take_the_candidate_of_the_largest_posterior(monkeypatch):
         return 100.0 - 50.0 * jnp.arange(len(candidates)) / (len(candidates) - 1)
 
     monkeypatch.setattr(predictor_module, "compare_candidates", compare)
-    stay = lambda scene, pose, *_, **__: pose  # noqa: E731
-    monkeypatch.setattr(predictor_module, "search_nearby", stay)
+    monkeypatch.setattr(
+        predictor_module, "search_nearby", lambda scene, pose, *_, **__: pose
+    )
     student, posterior = predict("student"), predict("posterior")
     candidates = np.asarray(student.candidates)
     chances = np.asarray(student.probabilities)
