@@ -186,7 +186,7 @@ def test_a_step_with_turned_candidates_and_a_selecting_student(plain):
         fine_grid=16,
         fine_from=0.0,
         containment_weight=1.0,
-        repulsion_weight=0.01,
+        repulsion_weight=0.2,
         repulsion_points=8,
         renders_at_once=1,
     )
@@ -222,9 +222,22 @@ def test_repulsion_comes_in_over_the_second_half_and_is_0_before():
         # The inverse of the distance of the two points that repel each other, a little
         # softened.
         assert float(value) == pytest.approx(2 * (ramp > 0), rel=1e-2)
-        assert float(weight) == pytest.approx(0.1 * 3 * ramp, rel=1e-5)
+        assert float(weight) == pytest.approx(0.1 * ramp, rel=1e-5)
         slope = jax.grad(lambda p, s=step: find(p, s)[0])(points)[0]
         assert float(slope[0, 0]) == pytest.approx(4 * (ramp > 0), rel=1e-2)
+
+
+def test_repulsion_weighs_as_much_against_images_however_many_points_there_are():
+    train = tiny_config(steps=20, repulsion_weight=0.1, repulsion_points=50).train
+    half = jnp.asarray(np.random.default_rng(0).normal(size=(1, 400, 3)), jnp.float32)
+    whole = jnp.concatenate([half, half + 1e-3], axis=1)
+
+    def find(points):
+        sizes = jnp.ones(1), jnp.ones(1), jnp.ones(())
+        term = compute_priors(Shapes(points, points, None, *sizes), 20, train=train)
+        return float(term["repulsion"].value * term["repulsion"].weight)
+
+    assert find(whole) == pytest.approx(find(half), rel=1e-6)
 
 
 def test_a_selecting_student_pays_the_cross_entropy_of_the_winner():

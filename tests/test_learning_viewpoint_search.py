@@ -97,6 +97,18 @@ def test_the_right_viewpoint_stays_as_it_is():
     assert np.array_equal(search(truth, see(truth)), truth)
 
 
+def test_points_weigh_as_much_together_as_those_that_training_renders_last():
+    """Twice each point, and half of them kept: the outlines of the scene itself."""
+    target, start = see(face(-120.0, 25.0)), face(-116.0, 19.0)
+    scene = make_scene()
+    twice = {**scene, "points": jnp.tile(scene["points"], (2, 1))}
+    half = replace_fields(CONFIG, {"render": {"keep_end": 0.5}})
+    found = search_nearby(twice, start, target, {}, config=half)
+    np.testing.assert_allclose(found, search(start, target), atol=1e-6)
+    of_all = search_nearby(twice, start, target, {}, config=CONFIG)
+    assert np.abs(of_all - found).max() > 1e-3  # outlines that are wider find another
+
+
 def test_elevations_stay_in_the_range_of_the_heads():
     high = CONFIG.pose.elevation_high
     found = search(face(50.0, high), see(face(50.0, high + 8.0)))

@@ -1,9 +1,14 @@
 """What is measured about runs and their steps, and of which it is not."""
 
 import pytest
+from config_files import load
 
 from dpc_jax.config import build_config, to_json
-from dpc_jax.measure import candidate_ranking, resolution_costs
+from dpc_jax.measure import candidate_ranking, resolution_costs, step_profile
+
+
+def test_steps_are_measured_of_the_config_for_cars():
+    assert build_config("car", None, step_profile.CAR) == load("car")
 
 
 @pytest.mark.parametrize(

@@ -235,7 +235,7 @@ class Train:
     pull_weight: float = field(0.03, at_least(0))  # per pixel, of points outside
     pull_from: float = field(0.5, between(0, 1))  # share of the run
     reseeds_points: bool = field(True)  # that hang alone, once training is done
-    repulsion_weight: float = field(0.0, at_least(0))  # of the points, at the end
+    repulsion_weight: float = field(0.0, at_least(0))  # of points' mean energy, late
     repulsion_points: int = field(500, at_least(0))  # that repel each other in a step
     containment_weight: float = field(30.0, at_least(0))  # of points beyond radius 1/2
     silhouette_weight: float = field(1.0, at_least(0))  # per pixel; 0: not compared

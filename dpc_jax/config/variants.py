@@ -47,6 +47,7 @@ VARIANTS: dict[str, Changes] = {
             "fine_grid": 0,
             "num_points": 8000,
             "anneal_until": 1.0,
+            "keep_end": 1.0,
             "keep_levels": 32,
             "scale_unit": "peak",  # c_i of Eq. 3
         },

@@ -111,6 +111,7 @@ CPU = Size(
     changes={
         **_PLAIN,
         "network.shape_hidden": 512,  # of all categories, whatever their configs have
+        "render.keep_end": 1.0,
         "log.evaluate": 500,  # a curve of eight points at the least
         "log.checkpoint": 500,  # half a minute is lost at the most
     },

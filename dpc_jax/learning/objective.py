@@ -170,6 +170,7 @@ def compute_priors(
             lambda _: jnp.zeros(()),
             shapes.kept[:, : train.repulsion_points],
         )
-        num_points = shapes.points.shape[1]
-        terms["repulsion"] = Term(energy, train.repulsion_weight * num_points * ramp)
+        # A mean, as the reprojection of all points is: the balance of the two is the
+        # same however many points there are.
+        terms["repulsion"] = Term(energy, train.repulsion_weight * ramp)
     return terms

@@ -19,7 +19,11 @@ from dpc_jax.measure.timing import describe_machine, phrase_machine, time_interl
 from dpc_jax.reporting.tables import format_table
 from dpc_jax.run.process import keep_freed_memory
 
-CAR = {"train": {"repulsion_weight": 0.004}}  # as in configs/car.py
+CAR = {  # as in configs/car.py
+    "render": {"num_points": 4000, "keep_end": 0.5},
+    "network": {"shape_hidden": 256},
+    "train": {"repulsion_weight": 8.0},
+}
 PARTS = (  # rows of the table
     *("whole step", "encoder", "other layers", "optimiser", "point dropout"),
     *("half turns", "ranking of candidates", "exact comparison", "winners"),

@@ -32,7 +32,9 @@ def search_nearby(
     A pattern search: of the four viewpoints a step of azimuth or elevation away, the
     best one is taken if it is better, in the finest grid and by the signals that
     candidates are compared by; then the step is smaller. Elevations stay in the range
-    of the heads.
+    of the heads. Points have the mass that they have together at the end of training:
+    where dropout leaves a share of them out, outlines of all of them would be wider
+    than the images'.
 
     Args:
       scene: of the shape, sizes in voxels of the base grid.
@@ -40,6 +42,8 @@ def search_nearby(
       target: [D, D] silhouette, own: see `compare_poses`; of the finest grid.
     """
     finer = resize_scene(scene, config.render.finest / config.render.grid)
+    if "mass" in finer:
+        finer = {**finer, "mass": config.render.keep_end * finer["mass"]}
     limits = config.pose.elevation_low, config.pose.elevation_high
     low, high = (jnp.deg2rad(angle) for angle in limits)
 
