@@ -27,13 +27,17 @@ _keeping = []  # so that the function that C calls lives on
 
 
 @contextlib.contextmanager
-def speaking_for_jax(explain: Callable[[str], str]) -> Iterator[None]:
+def speaking_for_jax(explain: Callable[[str], str]) -> Iterator[Callable[[], None]]:
     """Have an abort of jax's client end the process by a sentence and exit status 1.
 
     Other aborts stay what they are.
 
     Args:
       explain: the sentence for the client's own words.
+
+    Yields:
+      What to call before this process lets the others end: it says itself why it
+      ends, and an abort that meets it waits until it has said so.
     """
     with contextlib.ExitStack() as stack:
         kept, error = _keep_output_of_libraries(stack)
@@ -41,7 +45,7 @@ def speaking_for_jax(explain: Callable[[str], str]) -> Iterator[None]:
         ended = threading.Event()
 
         def end(_):
-            if ended.is_set():  # the process is about to say itself why it ends
+            if ended.is_set():
                 time.sleep(_SECONDS_TO_END)
             text = _read(kept)
             if _FATAL in text:
@@ -54,7 +58,7 @@ def speaking_for_jax(explain: Callable[[str], str]) -> Iterator[None]:
         _keeping.append(handler)
         libc.signal(int(signal.SIGABRT), handler)
         try:
-            yield
+            yield ended.set
         finally:
             # abort() may come until the process has ended: the handler stays.
             ended.set()

@@ -45,7 +45,7 @@ def joining(place: Place | None) -> Iterator[Job]:
         return
     seconds = _read_seconds("JOIN", JOIN_SECONDS)
     words = _Words(place, seconds)
-    with speaking_for_jax(words.explain):
+    with speaking_for_jax(words.explain) as speak_itself:
         try:
             _connect(place, seconds)
             words.has_joined = True
@@ -56,6 +56,7 @@ def joining(place: Place | None) -> Iterator[Job]:
             job.wait("end")
             jax.distributed.shutdown()
         except BaseException as error:
+            speak_itself()
             # The others may never come to where jax would meet them at the end.
             status = 130 if isinstance(error, KeyboardInterrupt) else 1
             atexit.register(_leave, status)
