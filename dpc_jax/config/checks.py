@@ -76,6 +76,11 @@ def _list_rules(config):
         train.starts == 1 or train.start_steps < train.steps,
         f"below train.steps = {train.steps} where train.starts is above 1",
     )
+    yield (
+        "train.init_from",
+        train.starts == 1 or not train.init_from,
+        "'' where train.starts is above 1, because starts have their own parameters",
+    )
     low, high = config.pose.elevation_low, config.pose.elevation_high
     yield (
         "pose.elevation_high",

@@ -225,6 +225,7 @@ class Train:
     steps: int = field(6300, at_least(1))  # in all; the schedules end there
     starts: int = field(1, at_least(1))  # short ones, of which the best goes on
     start_steps: int = field(700, at_least(1))  # of each
+    init_from: str = field("")  # workdir of the run whose parameters are the first
     models_per_batch: int = field(4, at_least(1))  # (§ Training details)
     views_per_batch: int = field(4, at_least(1))  # of each model
     learning_rate: float = field(3e-4, POSITIVE)  # of Adam, at its peak

@@ -8,12 +8,13 @@ from pathlib import Path
 from dpc_jax import config as configs
 from dpc_jax.config import Config
 from dpc_jax.learning.devices import make_mesh
-from dpc_jax.learning.step import describe_state, init_state
+from dpc_jax.learning.step import describe_state
 from dpc_jax.learning.training import loop, starts
 from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.training.records import MetricLog, NonFiniteError
 from dpc_jax.run import hosts
 from dpc_jax.run.agreement import Job
+from dpc_jax.run.beginning import begin_run
 from dpc_jax.run.flags import Task, run_command
 from dpc_jax.run.gpu import set_gpu_flags
 from dpc_jax.run.memory import check_step_memory
@@ -147,11 +148,13 @@ def _name_workdir(config, config_path):
     return Path("runs") / "-".join(part for part in parts if part)
 
 
-def restore_run(model: Model, checkpoints: Checkpoints, log: MetricLog) -> Restored:
+def restore_run(
+    model: Model, checkpoints: Checkpoints, log: MetricLog, job: Job
+) -> Restored:
     """The newest checkpoint that can be read, or step 0; the log is cut to fit.
 
     Raises:
-      ValueError: if there are checkpoints, yet none can be read.
+      ValueError: if there are checkpoints, yet none can be read; as `begin_run`.
     """
     restored = checkpoints.restore(describe_state(model.network, model.config))
     for step in restored.damaged if restored else ():
@@ -161,7 +164,7 @@ def restore_run(model: Model, checkpoints: Checkpoints, log: MetricLog) -> Resto
         step = int(restored.state.step)
         print(f"Going on from the checkpoint of step {step}.", flush=True)
     else:
-        restored = Restored(init_state(model.network, model.config), 0.0, ())
+        restored = Restored(begin_run(model.network, model.config, job), 0.0, ())
     log.cut_after(int(restored.state.step))
     return restored
 
@@ -177,7 +180,7 @@ def train_model(model: Model, workdir: Path, log: MetricLog, job: Job) -> loop.O
     folder = workdir / "checkpoints"
     is_shared = job.processes > 1
     checkpoints = SharedCheckpoints(folder, job) if is_shared else Checkpoints(folder)
-    start = restore_run(model, checkpoints, log)
+    start = restore_run(model, checkpoints, log, job)
     outcome = loop.Outcome(start.state, start.seconds, True)
     with contextlib.closing(checkpoints), catch_signals() as stop:
         if int(start.state.step) < model.config.train.steps:
@@ -186,7 +189,7 @@ def train_model(model: Model, workdir: Path, log: MetricLog, job: Job) -> loop.O
             if model.config.train.starts > 1 and int(start.state.step) == 0:
                 start = _try_starts(model, start, checkpoints, log, job, stops)
                 if start is None:
-                    first = init_state(model.network, model.config)
+                    first = begin_run(model.network, model.config, job)
                     checkpoints.save(first, seconds=0.0)
                     return loop.Outcome(first, 0.0, False)
             outcome = loop.train(

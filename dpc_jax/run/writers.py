@@ -25,10 +25,14 @@ class SharedCheckpoints(Checkpoints):
     """Checkpoints of a job; the state may be spread over the devices of all processes.
 
     Process 0 writes the whole arrays. So any number of processes can go on from them.
+
+    Args:
+      folder: see `Checkpoints`. job: whose they are.
+      name: under which the processes speak of this folder, and of no other.
     """
 
-    def __init__(self, folder: Path, job: Job):
-        self._job, self._calls = job, 0
+    def __init__(self, folder: Path, job: Job, *, name: str = "checkpoints"):
+        self._job, self._title, self._calls = job, name, 0
         if job.is_first:
             super().__init__(folder)
 
@@ -84,7 +88,7 @@ class SharedCheckpoints(Checkpoints):
 
     def _name(self):
         self._calls += 1
-        return f"checkpoints-{self._calls}"
+        return f"{self._title}-{self._calls}"
 
 
 class SilentLog(MetricLog):

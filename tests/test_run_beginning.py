@@ -1,0 +1,95 @@
+"""A run that begins with the parameters of another one."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+from tiny_runs import assert_same_bits, make_network, tiny_config
+
+from dpc_jax.config import check, to_json
+from dpc_jax.learning.step import init_state
+from dpc_jax.learning.training.checkpoints import Checkpoints
+from dpc_jax.run.agreement import Job
+from dpc_jax.run.beginning import begin_run
+
+pytestmark = pytest.mark.usefixtures("quickly")
+CONFIG = tiny_config()
+
+
+@pytest.fixture(scope="module")
+def workdir(tmp_path_factory):
+    """Of a run with another seed and more steps, with a checkpoint at step 7."""
+    folder = tmp_path_factory.mktemp("runs") / "first"
+    folder.mkdir()
+    config = dataclasses.replace(tiny_config(steps=40), seed=5)
+    (folder / "config.json").write_text(to_json(config))
+    state = init_state(make_network(config), config)
+    optimizer = jax.tree.map(lambda a: a + 1, state.optimizer)
+    checkpoints = Checkpoints(folder / "checkpoints")
+    last = state._replace(step=state.step + 7, optimizer=optimizer)
+    checkpoints.save(last, seconds=9.0)
+    checkpoints.close()
+    return folder
+
+
+def begin(workdir, **changes):
+    config = tiny_config(init_from=str(workdir), **changes)
+    return begin_run(make_network(config), config, Job())
+
+
+def test_parameters_are_the_other_runs_and_all_else_begins_anew(workdir, capsys):
+    state = begin(workdir)
+    other = dataclasses.replace(CONFIG, seed=5)
+    first = init_state(make_network(CONFIG), CONFIG)
+    assert_same_bits(state.params, init_state(make_network(other), other).params)
+    assert_same_bits(state._replace(params=first.params), first)
+    said = capsys.readouterr().out
+    assert said == f"Beginning with the parameters of {workdir}, step 7.\n"
+
+
+def test_without_it_the_seed_alone_decides():
+    state = begin_run(make_network(CONFIG), CONFIG, Job())
+    assert_same_bits(state, init_state(make_network(CONFIG), CONFIG))
+
+
+def test_a_run_of_other_sizes_is_refused_by_the_fields_that_differ(workdir):
+    with pytest.raises(ValueError) as caught:
+        begin(workdir, shape_hidden=10, num_points=20, learning_rate=0.5)
+    said = str(caught.value)
+    assert "network.shape_hidden (12 there, 10 now)" in said
+    assert "render.num_points (24 there, 20 now)" in said
+    assert "learning_rate" not in said and "steps" not in said
+    assert said.endswith("(--config.SECTION.FIELD=VALUE).")
+
+
+@pytest.mark.parametrize("missing", ["config.json", "checkpoints", "inside"])
+def test_a_folder_without_a_run_is_refused_in_a_sentence(workdir, tmp_path, missing):
+    if missing != "config.json":
+        text = (workdir / "config.json").read_text()
+        (tmp_path / "config.json").write_text(text)
+    if missing == "inside":
+        (tmp_path / "checkpoints").mkdir()
+    with pytest.raises(ValueError, match=r"^Expected .*; give the .*workdir.*\.$"):
+        begin(tmp_path)
+    assert not list(tmp_path.rglob("*.tmp"))
+
+
+def test_a_damaged_checkpoint_is_refused(workdir, tmp_path):
+    folder = tmp_path / "damaged"
+    (folder / "checkpoints").mkdir(parents=True)
+    (folder / "config.json").write_text((workdir / "config.json").read_text())
+    for path in (workdir / "checkpoints").rglob("*"):
+        target = folder / path.relative_to(workdir)
+        if path.is_file():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            content = np.frombuffer(path.read_bytes(), np.uint8)
+            target.write_bytes(content[: len(content) // 2].tobytes())
+    with pytest.raises(ValueError, match="Expected a whole checkpoint of .* give the workdir"):
+        begin(folder)
+
+
+def test_starts_and_another_runs_parameters_exclude_each_other(workdir):
+    check(tiny_config(init_from=str(workdir)))
+    with pytest.raises(ValueError, match=r"train\.init_from must be '' where"):
+        check(tiny_config(init_from=str(workdir), starts=2, start_steps=5))
