@@ -79,6 +79,29 @@ def test_refinement_begins_with_the_posterior_where_predictions_do(
     assert angle_deg(poses, found.poses).max() > 1  # of the student alone
 
 
+def test_shapes_are_shown_and_refined_with_the_mass_that_training_renders_last(run):
+    """Points twice as heavy, of which half are kept, look as all of these do."""
+    _, _, dataset, _, masks, _ = run
+    images = dataset.images.reshape(-1, *dataset.images.shape[2:])
+
+    def show(**fields):
+        config = tiny_runs.tiny_config(**fields)
+        network = tiny_runs.make_network(config)
+        state = tiny_runs.make_state(network, config)
+        found = encode_all(make_coder(network, config), state, images, masks)
+        evidence = join_views(found, masks, ALONE)
+        predicted = predict_all(make_predictor(network, config), state, dataset)
+        refined = refine_objects(network, config, state, evidence, None)
+        shown = np.concatenate([one.silhouettes for one in refined])
+        return predicted.silhouettes.reshape(shown.shape), shown, predicted.costs
+
+    all_of_them = show(scale_fixed=0.2, keep_end=1.0)
+    half = show(scale_fixed=0.4, keep_end=0.5)
+    for one, other in zip(half, all_of_them, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
+    assert np.max(half[0]) > 0.1  # there is something to see
+
+
 def test_refinement_lowers_the_error_of_silhouettes(run):
     network, state, _, found, masks, directions = run
     evidence = join_views(found, masks, TOGETHER)

@@ -76,6 +76,17 @@ def resize_scene(scene: Scene, ratio: float) -> Scene:
     return {**scene, "sigma": sigma, "mass": mass}
 
 
+def weigh_as_trained(scene: Scene, render: Render) -> Scene:
+    """A scene whose points have together the mass that training renders last.
+
+    Their masses were learned where dropout leaves a share of them out: with
+    `render.keep_end` below 1, outlines of all of them would be wider than the images'.
+    """
+    if "mass" not in scene:
+        return scene
+    return {**scene, "mass": render.keep_end * scene["mass"]}
+
+
 def render_scene(
     scene: Scene,
     rotation: jax.Array,

@@ -27,7 +27,7 @@ from dpc_jax.learning.predictions import (
     find_probabilities,
     make_inputs,
 )
-from dpc_jax.learning.renders import find_scenes, resize_scene
+from dpc_jax.learning.renders import find_scenes, resize_scene, weigh_as_trained
 from dpc_jax.learning.signals import list_extras
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
@@ -105,6 +105,7 @@ def make_predictor(
         # Images have the size that the schedule ends with: they compare over training.
         last = schedules.compute_sigma(steps, render, steps=steps)
         shown, shown_shared = find_scenes(output, last, render=render)
+        shown = weigh_as_trained(shown, render)
         candidates, students = quaternions[:, None], quaternions
         chances = jnp.ones((len(images), 1))
         if not pose.known:
@@ -150,7 +151,8 @@ def make_predictor(
             images = show_view(shown, taken, own, config=config)
             if not pose.known:
                 both = jnp.stack([taken, given])
-                finer = resize_scene(scene, render.finest / render.grid)
+                weighed = weigh_as_trained(scene, render)
+                finer = resize_scene(weighed, render.finest / render.grid)
                 costs = compare_poses(finer, both, fine_target, own, config=config)
                 images = images | {"costs": costs}
             return images, taken, winner

@@ -32,6 +32,7 @@ from dpc_jax.learning.renders import (
     find_scenes,
     render_scene,
     resize_scene,
+    weigh_as_trained,
 )
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera, quaternion
@@ -103,6 +104,7 @@ def make_refiner(
             tints = evidence.codes.shape[1] - bent.shape[1]
             bent = jnp.pad(bent, ((0, 0), (0, tints)))
             shape, scenes, shared = decode(evidence.codes + bent)
+            scenes = weigh_as_trained(scenes, render)
             images = _render_objects(
                 scenes, shared, turn(poses, turns), evidence.own, side, config
             )

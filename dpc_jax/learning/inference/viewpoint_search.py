@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Config
 from dpc_jax.learning.inference.explanation import compare_candidates
-from dpc_jax.learning.renders import Scene, resize_scene
+from dpc_jax.learning.renders import Scene, resize_scene, weigh_as_trained
 from dpc_jax.networks.viewpoints import read_elevations
 from dpc_jax.render import quaternion
 
@@ -32,18 +32,15 @@ def search_nearby(
     A pattern search: of the four viewpoints a step of azimuth or elevation away, the
     best one is taken if it is better, in the finest grid and by the signals that
     candidates are compared by; then the step is smaller. Elevations stay in the range
-    of the heads. Points have the mass that they have together at the end of training:
-    where dropout leaves a share of them out, outlines of all of them would be wider
-    than the images'.
+    of the heads. Points weigh as in training.
 
     Args:
       scene: of the shape, sizes in voxels of the base grid.
       pose: [4] quaternion of an upright camera.
       target: [D, D] silhouette, own: see `compare_poses`; of the finest grid.
     """
-    finer = resize_scene(scene, config.render.finest / config.render.grid)
-    if "mass" in finer:
-        finer = {**finer, "mass": config.render.keep_end * finer["mass"]}
+    render = config.render
+    finer = resize_scene(weigh_as_trained(scene, render), render.finest / render.grid)
     limits = config.pose.elevation_low, config.pose.elevation_high
     low, high = (jnp.deg2rad(angle) for angle in limits)
 
