@@ -22,9 +22,6 @@ SMALL = {
 def get_config(variant: str | None = None):
     """Few, small cars and few steps; the variants of the other configs."""
     config = replace_fields(build_config("car", variant), SMALL)
-    if config.render.last_grid:
-        sides = {"render": {"last_grid": 64}, "network": {"image_size": 32}}
-        config = replace_fields(config, sides | {"data": {"image_size": 64}})
     pose = {"candidates": min(config.pose.candidates, 2)}
     if config.pose.choice_points:
         pose |= {"choice_grid": 8, "choice_points": 50, "choice_top": 4}

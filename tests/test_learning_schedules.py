@@ -139,16 +139,6 @@ def test_the_finer_grid_comes_in_from_its_share_of_the_run():
     ]
 
 
-def test_the_last_grid_comes_in_after_the_finer_one():
-    grids = dict(grid=8, fine_grid=16, fine_from=0.5, last_grid=32, last_from=0.9)
-    config = tiny_config(steps=10, image_size=32, **grids)
-    found = [stage_at(step, config).grid for step in range(10)]
-    assert found == 5 * [8] + 4 * [16] + [32]
-    alone = tiny_config(steps=10, image_size=32, grid=8, last_grid=32, last_from=0.9)
-    assert [stage_at(step, alone).grid for step in range(10)] == 9 * [8] + [32]
-    assert config.render.finest == 16 and alone.render.finest == 8
-
-
 def test_without_a_finer_grid_a_run_has_a_stage_for_each_stair_only():
     config = tiny_config(steps=10, keep_levels=3)
     stages = {stage_at(step, config) for step in range(10)}

@@ -201,18 +201,6 @@ def test_a_step_with_turned_candidates_and_a_selecting_student(plain):
         assert min(found["gradient_norms"].values()) > 0
 
 
-def test_the_last_grid_trains_as_the_finer_one_of_that_side():
-    batch, losses = make_batch(), []
-    for grids in (
-        dict(fine_grid=16, fine_from=0.0),
-        dict(last_grid=16, last_from=0.0),
-        dict(fine_grid=0),
-    ):
-        _, [metrics] = make_run(**grids).take(batch)
-        losses.append(metrics["reprojection"])
-    assert losses[0] == losses[1] != losses[2]
-
-
 def test_images_without_poses_train_as_with_poses_that_nobody_reads(plain):
     batch = make_batch()
     _, [right] = plain.take(batch)

@@ -17,7 +17,6 @@ from dpc_jax.config import (
     to_config_dict,
     to_json,
 )
-from dpc_jax.learning.schedules import list_spans
 from dpc_jax.run.setup import make_data_specs, make_network
 
 
@@ -66,8 +65,6 @@ def test_variants_combine_in_any_order():
         ("naive,known_pose", "known_pose and naive exclude each other"),
         ("known_pose,gt_pose", "gt_pose and known_pose exclude each other"),
         ("32,paper,128", "128 and 32 exclude each other"),
-        ("fine,64", "64 and fine exclude each other"),
-        ("fine,ours_v", "fine and ours_v exclude each other"),
         ("naive,mvc", "mvc and naive exclude each other"),
     ],
 )
@@ -85,20 +82,6 @@ def test_a_side_is_that_of_images_and_volume_with_its_number_of_points(
     render = config.render
     assert (config.data.image_size, render.grid, render.fine_grid) == (side, side, 0)
     assert render.num_points == points
-
-
-@pytest.mark.parametrize("name", sorted(set(NAMES) - {"debug"}))
-@pytest.mark.parametrize("others", ["", "naive,", "known_pose,", "depth,color,"])
-def test_the_fine_variant_ends_in_masks_of_128_that_the_network_sees_in_64(
-    name, others
-):
-    config = load(name, f"{others}fine")
-    check(config)
-    assert config.data.image_size == 128 and config.network.image_size == 64
-    plain = load(name, others.rstrip(","))
-    last = list_spans(config.render, steps=config.train.steps)[-1]
-    assert last.stage.grid == 128 and last.start == round(0.9 * config.train.steps)
-    assert config.render.finest == plain.render.finest  # predictions cost no more
 
 
 @pytest.mark.parametrize(

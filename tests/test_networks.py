@@ -421,18 +421,3 @@ def test_an_encoder_that_sees_masks_has_a_fourth_channel_and_refuses_three():
     assert {**plain, first: masked[first]} == masked
     with pytest.raises(AssertionError):
         network_shapes(sees_mask=True)
-
-
-@pytest.mark.parametrize("mask", [False, True])
-def test_a_network_that_sees_larger_images_coarser_sees_their_means_over_blocks(mask):
-    values = dict(num_points=5, candidates=2, channels=2, hidden=8, shape_hidden=8)
-    plain = ShapePoseNetwork(**values, sees_mask=mask)
-    coarser = ShapePoseNetwork(**values, sees_mask=mask, image_size=16)
-    images = np.random.default_rng(0).uniform(-1, 1, (2, 64, 64, plain.inputs))
-    means = images.reshape(2, 16, 4, 16, 4, -1).mean((2, 4))  # in float64
-    found = run(coarser, jnp.asarray(images, jnp.float32))
-    wanted = run(plain, jnp.asarray(means, jnp.float32))
-    assert found.keys() == wanted.keys()
-    for name in wanted:
-        # Sums of a few hundred terms in float32 differ in their last digits.
-        np.testing.assert_allclose(found[name], wanted[name], rtol=1e-4, atol=1e-5)

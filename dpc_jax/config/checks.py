@@ -108,20 +108,6 @@ def _list_rules(config):
         f"0, or a multiple of render.grid = {grid} that divides data.image_size = "
         f"{size}",
     )
-    last = render.last_grid
-    yield (
-        "render.last_grid",
-        not last or size % last == 0 and last % render.finest == 0,
-        f"0, or a multiple of {render.finest}, the side of the grid before, that "
-        f"divides data.image_size = {size}",
-    )
-    seen = config.network.image_size
-    yield (
-        "network.image_size",
-        not seen or seen >= 16 and seen & (seen - 1) == 0 and seen <= size,
-        "0, or a power of two of at least 16 pixels and at most data.image_size = "
-        f"{size}",
-    )
     yield from list_voxel_rules(config)
     yield from list_map_rules(config)
     yield from list_sampling_rules(config)

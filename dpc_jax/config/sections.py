@@ -90,7 +90,6 @@ class Network:
     map_channels: int = field(48, at_least(1))  # of the largest maps (EPCG)
     tint: bool = field(True)  # colours see the mean colour of the image's object
     sees_mask: bool = field(True)  # beside the image, as a fourth channel
-    image_size: int = field(0, at_least(0))  # pixels it averages images to; 0: none
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,8 +99,6 @@ class Render:
     grid: int = field(32, at_least(1))  # side of volume and target silhouettes, voxels
     fine_grid: int = field(64, at_least(0))  # side for the late winners; 0: never
     fine_from: float = field(0.6, between(0, 1))  # share of the run it is used from
-    last_grid: int = field(0, at_least(0))  # side for the last winners; 0: never
-    last_from: float = field(0.9, between(0, 1))  # share of the run it is used from
     fixed_views_until: float = field(0.0, between(0, 1))  # share of the run (EPCG)
     num_points: int = field(2000, at_least(1))  # of a cloud (2000 at 32³ in the paper)
     sigma_start: float = field(0.05, between(0, 1))  # of the volume's side (§ Training)
@@ -120,7 +117,7 @@ class Render:
 
     @property
     def finest(self) -> int:
-        """Side of the finest grid that predictions are compared and shown in."""
+        """Side of the finest grid that a run renders in."""
         return self.fine_grid or self.grid
 
 

@@ -115,13 +115,6 @@ VARIANTS: dict[str, Changes] = {
         "data": {"image_size": 128},
         "render": {"grid": 128, "fine_grid": 0, "num_points": 16_000},
     },
-    # Finer shapes for half as much time again: masks of 128 pixels for the last tenth
-    # of a run, of images that the network sees in 64. Not in the paper.
-    "fine": {
-        "data": {"image_size": 128},
-        "network": {"image_size": 64},
-        "render": {"last_grid": 128},
-    },
     # The systems that the paper compares with (docs/baselines.md).
     "ours_v": _VOXELS,
     "ptn": {**_VOXELS, "render": {**_VOXELS["render"], "ray_rule": "maximum"}},
@@ -165,10 +158,8 @@ PAPER_MODELS = {
 TUNED_RATES = {"ours_v": 1e-3, "ptn": 1e-3, "drc": 1e-3, "epcg": 1e-3}
 EXCLUSIVE = (
     ("naive", "known_pose", "gt_pose"),  # how poses are learned
-    ("32", "64", "128", "fine"),  # sides of images
-    ("released", "fine"),
+    ("32", "64", "128"),
     ("ours_v", "ptn", "drc", "mvc", "epcg"),
-    *(("fine", system) for system in ("ours_v", "ptn", "drc", "mvc", "epcg")),
     ("epcg", "gt_pose"),  # learns no poses
     ("epcg", "naive"),
     ("mvc", "naive"),  # draws one head of several

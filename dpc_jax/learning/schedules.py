@@ -57,14 +57,10 @@ class Stage(NamedTuple):
 
 def find_stage(step: int, render: Render, *, steps: int) -> Stage:
     """The stage that a step belongs to."""
-    grid = render.grid
-    if render.fine_grid and step >= render.fine_from * steps:
-        grid = render.fine_grid
-    if render.last_grid and step >= render.last_from * steps:
-        grid = render.last_grid
+    is_fine = render.fine_grid and step >= render.fine_from * steps
     return Stage(
         kept_points=count_kept_points(step, render, steps=steps),
-        grid=grid,
+        grid=render.fine_grid if is_fine else render.grid,
         fixed_views=step < render.fixed_views_until * steps,
     )
 

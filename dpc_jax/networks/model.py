@@ -43,7 +43,6 @@ class ShapePoseNetwork(nn.Module):
       is_tinted: colours of points are predicted from the mean colour of the image's
         object, too.
       sees_mask: images have a fourth channel, the object's mask. Not in the paper.
-      image_size: side that larger images are averaged to; 0: they are seen as they are.
     """
 
     num_points: int
@@ -76,7 +75,6 @@ class ShapePoseNetwork(nn.Module):
     judges_poses: bool = False
     is_tinted: bool = False
     sees_mask: bool = False
-    image_size: int = 0
 
     @property
     def inputs(self) -> int:
@@ -173,8 +171,6 @@ class ShapePoseNetwork(nn.Module):
         the images.
         """
         chex.assert_axis_dimension(images, -1, self.inputs)
-        if self.image_size:
-            images = _average(images, self.image_size)
         features = self.encoder(images, mix=mix)
         if self.candidates and self.own_pose_encoder:
             others = self.pose_encoder(images, mix=mix)
@@ -237,10 +233,3 @@ class ShapePoseNetwork(nn.Module):
         if self.is_initializing() and self.candidates and self.judges_poses:
             self.judge_poses(poses["candidates"][:, 0])  # makes its parameters
         return self.predict_shape(features) | poses
-
-
-def _average(images, size):
-    """Images [B, S, S, C] averaged over blocks, to [B, size, size, C]."""
-    step = images.shape[1] // size
-    blocks = images.reshape(len(images), size, step, size, step, images.shape[-1])
-    return jnp.mean(blocks, axis=(2, 4))

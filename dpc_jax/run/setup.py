@@ -27,7 +27,6 @@ def make_network(config: Config) -> ShapePoseNetwork:
         student_width=config.network.student_width,
         has_color=config.train.color_weight > 0,
         sees_mask=config.network.sees_mask,
-        image_size=config.network.image_size,
         is_tinted=config.network.tint
         and config.train.color_weight > 0
         and config.network.shape == "points",

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from dpc_jax.config import Config
-from dpc_jax.learning.schedules import list_spans
 
 # Seconds on one core, for the first guess alone: what runs really take corrects it.
 _START = 25.0  # imports, compilation, report
@@ -23,12 +22,16 @@ def guess_seconds(config: Config, *, steps: int | None = None) -> float:
       steps: that are left; None for all.
     """
     render, pose = config.render, config.pose
-    total = config.train.steps
-    spans = list_spans(render, steps=total)
-    voxels = sum((s.end - s.start) / total * s.stage.grid**3 for s in spans)
-    side = config.network.image_size or config.data.image_size
+    fine = render.finest
+    share = 1 - render.fine_from if render.fine_grid else 0.0
+    voxels = (1 - share) * render.grid**3 + share * fine**3
     choices = pose.heads * pose.turns if pose.heads > 1 else 0
-    step = _FIXED + _PER_PIXEL * side**2 + _PER_VOXEL * voxels + _PER_CHOICE * choices
+    step = (
+        _FIXED
+        + _PER_PIXEL * config.data.image_size**2
+        + _PER_VOXEL * voxels
+        + _PER_CHOICE * choices
+    )
     return _START + step * (config.train.steps if steps is None else steps)
 
 
