@@ -1,8 +1,8 @@
 """Airplanes from silhouettes without poses: procedural, on two CPU cores.
 
-Cost: 650 s on one core beside another run. Reached on 100 test airplanes, seeds 0
-to 2, November 2026: pose accuracy 0.900, 0.934, 0.924, median error 3.3, 2.6, 2.8
-degrees, Chamfer 2.40, 2.38, 2.37. ":paper" is the paper's setting: a GPU and days,
+Cost: 720 s on one core beside another run. Reached on 100 test airplanes, seeds 0
+to 2, November 2026: pose accuracy 0.946, 0.950, 0.938, median error 2.6, 2.7, 2.8
+degrees, Chamfer 2.36, 2.33, 2.36. ":paper" is the paper's setting: a GPU and days,
 never run to the end.
 """
 

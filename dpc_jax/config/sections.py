@@ -139,7 +139,7 @@ class Pose:
     choice_rank: str = field("image", one_of(*CHOICE_RANKS))  # first choice made in
     choice_grid: int = field(0, at_least(0))  # side in the first choice; 0: grid
     choice_points: int = field(250, at_least(0))  # of the first choice; 0: all
-    choice_top: int = field(3, at_least(0))  # candidates compared exactly after it
+    choice_top: int = field(6, at_least(0))  # candidates compared exactly after it
     choice_signals: str = field("silhouette", one_of("silhouette", "all"))  # compared
     common_frame: bool = field(True)  # kinds turned round are turned, by colours
     common_frame_from: float = field(0.2, between(0, 1))  # share of the run
