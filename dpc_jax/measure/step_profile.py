@@ -1,8 +1,8 @@
-"""What a training step costs: python -m dpc_jax.measure.step_profile
+"""What a training step costs: python -m dpc_jax.measure.step_profile [--variant=...]
 
-It times the parts of a step of configs/car.py, each compiled alone, and the whole step,
-at several steps of the run, and prints a Markdown table of medians in milliseconds of
-processor time. For one thread, which docs/profile.md shows, start it as
+Compiles the step of configs/car.py for several moments of a run, and prints a Markdown
+table: what XLA says that it computes, reads and allocates, how long it took to compile,
+and the median of the processor time of a step. For a number of one thread start it as
 
     XLA_FLAGS=--xla_cpu_multi_thread_eigen=false taskset -c 1 python -m ...
 """
@@ -13,60 +13,92 @@ import sys
 import time
 from collections.abc import Sequence
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+
 from dpc_jax.config import Config, build_config
-from dpc_jax.measure.step_parts import make_calls
-from dpc_jax.measure.timing import describe_machine, phrase_machine, time_interleaved
+from dpc_jax.learning import schedules
+from dpc_jax.learning.step import init_state, make_train_step, repeat_seed
+from dpc_jax.measure.timing import describe_machine, phrase_machine
 from dpc_jax.reporting.tables import format_table
 from dpc_jax.run.process import keep_freed_memory
+from dpc_jax.run.setup import make_network
 
 CAR = {  # as in configs/car.py
     "render": {"num_points": 4000, "keep_end": 0.5},
     "network": {"shape_hidden": 256},
     "train": {"repulsion_weight": 8.0},
 }
-PARTS = (  # rows of the table
-    *("whole step", "encoder", "other layers", "optimiser", "point dropout"),
-    *("half turns", "ranking of candidates", "exact comparison", "winners"),
-    *("common frame", "pull", "priors", "targets"),
-)
+
+
+def draw_batch(config: Config, *, seed: int = 0) -> dict[str, np.ndarray]:
+    """A batch of random images and poses; each mask is a disc."""
+    rng = np.random.default_rng(seed)
+    shape = config.train.models_per_batch, config.train.views_per_batch
+    size = config.data.image_size
+    place = np.linalg.norm(np.indices((size, size)) - (size - 1) / 2, axis=0)
+    poses = rng.normal(size=(*shape, 4)).astype(np.float32)
+    return {
+        "images": rng.integers(0, 256, (*shape, size, size, 3), np.uint8),
+        "masks": np.broadcast_to(
+            np.where(place < size / 3, 255, 0).astype(np.uint8), (*shape, size, size)
+        ),
+        "quaternions": poses / np.linalg.norm(poses, axis=-1, keepdims=True),
+        "seeds": repeat_seed(seed, shape[0]),
+    }
 
 
 def measure_step(config: Config, step: int, *, rounds: int) -> dict[str, float]:
-    """Median milliseconds of each part, at the step with this number."""
-    calls = make_calls(config, step)
-    seconds = time_interleaved(calls, rounds=rounds, clock=time.process_time)
-    parts = {name: 1e3 * statistics.median(times) for name, times in seconds.items()}
-    parts["exact comparison"] = parts.pop("choice") - parts["ranking of candidates"]
-    return parts
-
-
-def can_measure(config: Config, steps: Sequence[int], *, rounds: int) -> bool:
-    """Whether the run has these steps, and there is a round; says so where not."""
-    if rounds >= 1 and all(0 <= step < config.train.steps for step in steps):
-        return True
-    print(
-        f"Error: Expected steps from 0 to {config.train.steps - 1} and at least one "
-        f"round, but {list(steps)} and {rounds} came; give others.",
-        file=sys.stderr,
-    )
-    return False
+    """The columns of the table, by their heads, for the step with this number."""
+    network = make_network(config)
+    state = init_state(network, config)._replace(step=jnp.asarray(step, jnp.int32))
+    batch = {name: jnp.asarray(array) for name, array in draw_batch(config).items()}
+    stage = schedules.find_stage(step, config.render, steps=config.train.steps)
+    begin = time.perf_counter()
+    compiled = make_train_step(network, config, stage).lower(state, batch).compile()
+    compile_seconds = time.perf_counter() - begin
+    costs, memory = compiled.cost_analysis(), compiled.memory_analysis()
+    seconds = []
+    for _ in range(rounds):
+        begin = time.process_time()
+        # The old state's memory is given to the new one.
+        state, _ = jax.block_until_ready(compiled(state, batch))
+        seconds.append(time.process_time() - begin)
+    return {
+        "Gflop": costs["flops"] / 1e9,
+        "read and written (MB)": costs["bytes accessed"] / 1e6,
+        "arguments (MB)": memory.argument_size_in_bytes / 1e6,
+        "temporary (MB)": memory.temp_size_in_bytes / 1e6,
+        "compiled in (s)": compile_seconds,
+        "processor time (ms)": 1e3 * statistics.median(seconds),
+    }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, measure, print."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
+    parser.add_argument("--variant", help="of the config, such as paper")
     parser.add_argument("--steps", type=int, nargs="+", default=[0, 3000, 3900, 5500])
     parser.add_argument("--rounds", type=int, default=15)
     flags = parser.parse_args(arguments)
-    keep_freed_memory()
-    config = build_config("car", None, CAR)
-    if not can_measure(config, flags.steps, rounds=flags.rounds):
+    config = build_config("car", flags.variant, CAR)
+    is_in_run = all(0 <= step < config.train.steps for step in flags.steps)
+    if not is_in_run or flags.rounds < 1:
+        print(
+            f"Error: Expected steps from 0 to {config.train.steps - 1} and at least "
+            f"one round, but {flags.steps} and {flags.rounds} came; give others.",
+            file=sys.stderr,
+        )
         return 1
+    keep_freed_memory()
     columns = [measure_step(config, s, rounds=flags.rounds) for s in flags.steps]
-    heads = ("ms", *(f"step {step}" for step in flags.steps))
-    rows = [(name, *(f"{column[name]:.1f}" for column in columns)) for name in PARTS]
+    rows = [
+        (step, *(f"{number:.4g}" for number in column.values()))
+        for step, column in zip(flags.steps, columns, strict=True)
+    ]
     print(phrase_machine(describe_machine()), end=".\n\n")
-    print(format_table(heads, rows, align="l" + "r" * len(columns)), end="")
+    print(format_table(("step", *columns[0]), rows), end="")
     return 0
 
 
