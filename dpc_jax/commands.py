@@ -1,10 +1,9 @@
 """The command dpc_jax: `dpc_jax fit ...` is `python -m dpc_jax.fit ...`.
 
-Nothing heavy is loaded for --help, for a wrong flag, or to complete a word in a shell.
+Nothing heavy is loaded for --help or for a wrong flag.
 """
 
 import importlib
-import os
 import sys
 from typing import NamedTuple
 
@@ -53,10 +52,6 @@ def describe() -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Start the command that is named first; returns its exit status."""
-    if "_ARGCOMPLETE" in os.environ:
-        from dpc_jax.completion import complete  # needs a package of its own
-
-        complete()
     words = sys.argv[1:] if arguments is None else arguments
     if not words or words[0] in ("--help", "-h", "help"):
         print(describe(), end="")

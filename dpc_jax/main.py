@@ -41,7 +41,7 @@ _FIELDS = (
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """The flags of the command, for --help and for completion in a shell."""
+    """The flags of the command, for --help."""
     parser = FlagParser("train", description="Train, evaluate, report.", epilog=_FIELDS)
     for name, value in _VALUES.items():
         parser.add_argument(f"--{name}", metavar=value, help=flags.FLAGS[name].help)

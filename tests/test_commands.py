@@ -1,4 +1,4 @@
-"""The command dpc_jax: the same as python -m, quick, completed by the shell."""
+"""The command dpc_jax: the same as python -m, and quick."""
 
 import importlib
 import os
@@ -55,7 +55,7 @@ from dpc_jax.commands import COMMANDS
 assert "numpy" not in sys.modules and "absl" not in sys.modules
 for command in COMMANDS.values():
     importlib.import_module(command.module).make_parser().format_help()
-heavy = "jax scipy trimesh matplotlib flax optax orbax rich wandb tensorboardX PIL"
+heavy = "jax scipy trimesh matplotlib flax optax orbax rich tensorboardX PIL"
 print([name for name in heavy.split() if name in sys.modules])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -112,60 +112,6 @@ def test_help_and_version_are_answered_with_status_0(capsys):
     assert commands.main(["--version"]) == 0
     assert capsys.readouterr().out[0].isdigit()
     assert start("dpc_jax.main", "--help").returncode == 0
-
-
-@pytest.fixture
-def complete(tmp_path):
-    """The words that a shell is answered for a line."""
-    pytest.importorskip("argcomplete")
-
-    def ask(line, folder=tmp_path):
-        answer = tmp_path / "answer"
-        subprocess.run(
-            [sys.executable, "-m", "dpc_jax"],
-            cwd=folder,
-            env=os.environ
-            | {
-                "_ARGCOMPLETE": "1",
-                "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
-                "_ARGCOMPLETE_IFS": "\n",
-                "COMP_LINE": line,
-                "COMP_POINT": str(len(line)),
-                "COMP_TYPE": "9",
-                "_ARGCOMPLETE_COMP_WORDBREAKS": "\"'><=;|&(:",
-            },
-        )
-        return {word.strip() for word in answer.read_text().splitlines()}
-
-    return ask
-
-
-@pytest.mark.parametrize(
-    "line, words",
-    [
-        ("dpc_jax pa", {"paper"}),
-        ("dpc_jax data ", {"fetch", "show", "check"}),
-        ("dpc_jax data fetch ca", {"car"}),
-        ("dpc_jax train --work", {"--workdir"}),
-        ("dpc_jax train --config=ch", {"chair"}),
-        ("dpc_jax train --config ch", {"chair"}),
-        # The part before the colon is a word of its own for bash.
-        ("dpc_jax train --config=car:know", {"known_pose"}),
-        ("dpc_jax train --config=car:paper,nai", {"paper,naive"}),
-        ("dpc_jax train --config.train.ste", {"--config.train.steps"}),
-        ("dpc_jax fit --poses=r", {"rough"}),
-        ("dpc_jax paper --size=q", {"quick"}),
-    ],
-)
-def test_the_shell_completes_commands_flags_and_values(complete, line, words):
-    assert complete(line) == words
-
-
-def test_the_shell_completes_folders_and_files(complete, tmp_path):
-    (tmp_path / "runs").mkdir()
-    (tmp_path / "rare.png").touch()
-    assert complete("dpc_jax predict --workdir=r") == {"runs/"}
-    assert complete("dpc_jax predict ra") == {"rare.png"}
 
 
 def test_a_library_that_is_not_installed_is_said_in_one_sentence(capsys):

@@ -45,7 +45,6 @@ OTHERS = {
     "pre-commit",
     "mkdocs",
     "tensorboard",
-    "wandb",
     "git",
     "cd",
     "dpc_jax",  # alone; its commands are found as modules

@@ -47,7 +47,7 @@ ROOMS = {
         {"files", "evaluation"},
     ),
     "run": (
-        {"jax", "flax", "numpy", "tensorboardX", "wandb"},
+        {"jax", "flax", "numpy", "tensorboardX"},
         {
             "files",
             "config",
@@ -78,7 +78,6 @@ DOORWAYS = {  # and the third-party imports allowed
     "compare": {"numpy"},
     "paper": set(),
     "commands": set(),
-    "completion": {"argcomplete"},
     "__main__": set(),
     "__init__": set(),
 }
@@ -214,7 +213,7 @@ names = ("skimage", "dpc_jax.run.surfaces", "dpc_jax.evaluation.surfaces")
 names += ("dpc_jax.learning.inference.volumes", "dpc_jax.learning.pose_prior")
 names += ("dpc_jax.learning.view_maps", "dpc_jax.learning.choice.sampling")
 names += ("dpc_jax.run.refinement", "dpc_jax.learning.inference.refinement")
-names += ("tensorboardX", "wandb")  # nor what no flag asks for
+names += ("tensorboardX",)  # nor what no flag asks for
 names += tuple(f"dpc_jax.networks.{n}" for n in ("voxels", "view_maps", "pose_judge"))
 print([name for name in names if name in sys.modules])
 """

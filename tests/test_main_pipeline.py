@@ -23,7 +23,7 @@ from dpc_jax import predict, rotation_angle_deg
 from dpc_jax.data.dataset import read_cache
 from dpc_jax.data.viewpoints import look_at_rotation
 from dpc_jax.evaluation.metrics import get_metric
-from dpc_jax.run.trackers import tensorboard_files
+from dpc_jax.run import tensorboard
 
 ROOT = Path(__file__).parents[1]
 # Three signals fall within it, each of them up to 60 steps later than it is meant.
@@ -118,7 +118,7 @@ def read_events(workdir):
     return [
         (event.step, value.tag, value.WhichOneof("value"), value.simple_value)
         for path in (workdir / "tensorboard").iterdir()
-        for event in tensorboard_files.read_events(path)
+        for event in tensorboard.read_events(path)
         for value in event.summary.value
         if value.tag not in TIMED
     ]

@@ -27,7 +27,6 @@ FRONTS = ("", "+x", "-x", "+z", "-z")
 SHAPES = ("points", "voxels", "maps")  # what the shape branch predicts
 POSE_HEADS = ("quaternion", "viewpoint")  # what a head predicts
 CHOICES = ("hindsight", "sampled")  # how one of the candidates is chosen
-WANDB_MODES = ("", "offline", "online")  # kept in WORKDIR/wandb, or sent too
 POINT_SIZES = ("", "sigma", "covariance")  # what is learned of each point's size
 _IMAGE_SIZE = Allowed(
     lambda size: size >= 16 and size & (size - 1) == 0,
@@ -255,7 +254,6 @@ class Log:
     checkpoint: int = field(1000, at_least(0))  # checkpoints
     examples: int = field(3, at_least(1))  # the report's worst, median and best views
     tensorboard: bool = field(False)  # event files too, in WORKDIR/tensorboard
-    wandb: str = field("", one_of(*WANDB_MODES))  # Weights & Biases; "": not
 
 
 @dataclasses.dataclass(frozen=True)

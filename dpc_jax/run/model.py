@@ -1,5 +1,7 @@
 """What a run learns, with its data sets: prediction, alignment, validation."""
 
+from collections.abc import Callable
+
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, identity_alignment
@@ -12,11 +14,10 @@ from dpc_jax.learning.inference.predictor import (
 )
 from dpc_jax.learning.signals import list_extras
 from dpc_jax.learning.step import TrainState
-from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.setup import make_network
-from dpc_jax.run.trackers.content import draw_validation
-from dpc_jax.run.trackers.tracked_log import TrackedLog
+
+Show = Callable[[int, Predictions, DataSet], None]
 
 
 class Model:
@@ -80,12 +81,16 @@ class Model:
         return find_points(predictions, self.sets["val"], align=self.align)
 
     def validate(
-        self, state: TrainState, *, log: MetricLog | None = None
+        self, state: TrainState, *, show: Show | None = None
     ) -> dict[str, float]:
-        """Metrics on the validation split; a tracked log is shown a picture of it."""
+        """Metrics on the validation split.
+
+        Args:
+          show: what is shown its step, predictions and data, where that is asked for.
+        """
         predictions, _ = self.find_points(self.predict(state, "val"))
-        if isinstance(log, TrackedLog):
-            log.show(int(state.step), draw_validation(predictions, self.sets["val"]))
+        if show is not None:
+            show(int(state.step), predictions, self.sets["val"])
         result, _ = evaluator.score(
             predictions,
             self.sets["val"],

@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import importlib.util
 import time
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from dpc_jax.run.beginning import begin_run
 from dpc_jax.run.flags import Task, run_command
 from dpc_jax.run.gpu import set_gpu_flags
 from dpc_jax.run.memory import check_step_memory
-from dpc_jax.run.model import Model
+from dpc_jax.run.model import Model, Show
 from dpc_jax.run.places import Place
 from dpc_jax.run.process import (
     catch_signals,
@@ -28,7 +29,6 @@ from dpc_jax.run.process import (
 )
 from dpc_jax.run.report.summary import report_run
 from dpc_jax.run.setup import load_sets
-from dpc_jax.run.trackers.tracked_log import check_trackers, open_log
 from dpc_jax.run.workdir import claim_workdir, hold_workdir, make_workdir
 from dpc_jax.run.writers import SharedCheckpoints, SilentLog
 
@@ -74,7 +74,7 @@ def run(
       NonFiniteError: where training breaks.
     """
     configs.check(config)
-    check_trackers(config)
+    _check_tensorboard(config)
     set_gpu_flags()
     processes = place.processes if place else 1
     objects = max(1, config.train.models_per_batch // processes)
@@ -102,9 +102,9 @@ def _run_in(folder, config, job):
     data_seconds = time.monotonic() - started
 
     model = Model(config, sets)
-    log = open_log(folder, config) if job.is_first else SilentLog()
+    log, show = _open_log(folder, config, job)
     with contextlib.closing(log):
-        outcome = train_model(model, folder, log, job)
+        outcome = train_model(model, folder, log, job, show=show)
     if not outcome.is_finished:
         print(
             f"Stopped and saved at step {int(outcome.state.step)}; start again in the "
@@ -141,6 +141,28 @@ def _run_in(folder, config, job):
     )
 
 
+def _check_tensorboard(config):
+    if config.log.tensorboard and importlib.util.find_spec("tensorboardX") is None:
+        raise ValueError(
+            "config.log.tensorboard must be left out where tensorboardX is not "
+            "installed, but it is True; install it with pip install "
+            "'dpc_jax[tensorboard]', or leave the flag out."
+        )
+
+
+def _open_log(folder: Path, config, job: Job) -> tuple[MetricLog, Show | None]:
+    """The log of a run, to be closed, and what is shown its validations."""
+    if not job.is_first:
+        return SilentLog(), None
+    path = folder / "metrics.jsonl"
+    if not config.log.tensorboard:
+        return MetricLog(path), None
+    from dpc_jax.run.tensorboard import TensorBoardLog  # only where asked for
+
+    log = TensorBoardLog(path, folder / "tensorboard")
+    return log, log.show_validation
+
+
 def _name_workdir(config, config_path):
     """runs/car-paper-seed0, for instance."""
     variant = config.variant.replace(",", "-")
@@ -169,8 +191,13 @@ def restore_run(
     return restored
 
 
-def train_model(model: Model, workdir: Path, log: MetricLog, job: Job) -> loop.Outcome:
+def train_model(
+    model: Model, workdir: Path, log: MetricLog, job: Job, *, show: Show | None = None
+) -> loop.Outcome:
     """Train to the last step, or until SIGTERM or Ctrl-C asks to save and stop.
+
+    Args:
+      log: that records are written to. show: what is shown each validation.
 
     Raises:
       ValueError: if there are checkpoints, yet none can be read, or a step needs more
@@ -199,7 +226,7 @@ def train_model(model: Model, workdir: Path, log: MetricLog, job: Job) -> loop.O
                 config=model.config,
                 checkpoints=checkpoints,
                 log=log,
-                evaluate=functools.partial(model.validate, log=log),
+                evaluate=functools.partial(model.validate, show=show),
                 should_stop=stops,
                 may_stop_waiting=job.processes == 1,
                 seconds=start.seconds,

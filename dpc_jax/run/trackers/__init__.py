@@ -1,1 +1,0 @@
-"""Tools that show a run while it trains, told what `metrics.jsonl` is told."""
