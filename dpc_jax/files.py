@@ -7,12 +7,90 @@ import hashlib
 import json
 import math
 import os
+import secrets
 import socket
+import stat
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 TEMPORARY = ".tmp"  # ends the names of files that are being written
+MOST_TEXT = (
+    64 << 20
+)  # bytes of a text or JSON file; those that are read are far smaller
+
+
+def open_regular(path: str | os.PathLike, *, most: int | None = None) -> BinaryIO:
+    """Open a file that a user names, to read: a regular one of at most `most` bytes.
+
+    A pipe would keep its reader waiting, and a device has no end.
+
+    Raises:
+      OSError: where it cannot be opened, is another kind of file, or is larger.
+    """
+    file = open(path, "rb", opener=_open_at_once)
+    status = os.fstat(file.fileno())
+    if not stat.S_ISREG(status.st_mode):
+        file.close()
+        raise OSError(
+            f"Expected a regular file in {path}, but it is a pipe, a device or the "
+            "like; give another file."
+        )
+    if most is not None and status.st_size > most:
+        file.close()
+        raise OSError(
+            f"Expected at most {most:,} bytes in {path}, but it has "
+            f"{status.st_size:,}; give another file."
+        )
+    return file
+
+
+def _open_at_once(path, flags):
+    return os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
+
+
+def read_bytes(path: str | os.PathLike, *, most: int) -> bytes:
+    """Content of a file that `open_regular` opens."""
+    with open_regular(path, most=most) as file:
+        return file.read(most)
+
+
+def read_text(path: str | os.PathLike) -> str:
+    """Text in UTF-8 of at most `MOST_TEXT` bytes."""
+    return read_bytes(path, most=MOST_TEXT).decode("utf-8")
+
+
+def read_json(path: str | os.PathLike) -> Any:
+    """JSON of at most `MOST_TEXT` bytes.
+
+    Raises:
+      ValueError: where it is not JSON, or nested so deep that it cannot be read.
+      OSError: as `open_regular`.
+    """
+    try:
+        return json.loads(read_text(path))
+    except RecursionError:
+        raise ValueError("it is nested too deep") from None
+
+
+def open_own(path: str | os.PathLike, flags: int) -> int:
+    """Open a file that this package keeps, never what a link in its place points to.
+
+    The signature is that of the `opener` of `open`.
+
+    Raises:
+      OSError: where there is a link.
+    """
+    flags |= os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    try:
+        return os.open(path, flags, 0o666)
+    except OSError as error:
+        if error.errno != errno.ELOOP:
+            raise
+        raise OSError(
+            f"Expected a file of this package in {path}, but there is a link to "
+            "another file; remove the link."
+        ) from None
 
 
 @contextlib.contextmanager
@@ -25,8 +103,10 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(
-        f".{path.name}.{socket.gethostname()}.{os.getpid()}{TEMPORARY}"
+        f".{socket.gethostname()}.{os.getpid()}.{secrets.token_hex(8)}{TEMPORARY}"
     )
+    # Made here and now, so that nobody else can have put a link in its place.
+    os.close(open_own(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
     try:
         yield temporary
         os.replace(temporary, path)
@@ -39,8 +119,8 @@ def remove_leftovers(folder: str | os.PathLike):
 
     The folder may be shared with other machines, whose processes nobody here can see.
     """
-    for path in Path(folder).glob(f"*.{socket.gethostname()}.*{TEMPORARY}"):
-        process = path.name.split(".")[-2]
+    for path in Path(folder).glob(f".{socket.gethostname()}.*{TEMPORARY}"):
+        process = path.name.split(".")[-3]
         if process.isdigit() and not _is_another_at_work(int(process)):
             path.unlink(missing_ok=True)
 
@@ -85,7 +165,7 @@ def _lock(path: Path) -> int | None:
     """The open and locked file; None where another process holds the lock."""
     path.parent.mkdir(parents=True, exist_ok=True)
     while True:
-        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        file = open_own(path, os.O_RDWR | os.O_CREAT)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -165,7 +245,7 @@ def write_json(path: str | os.PathLike, data: Any) -> Path:
 
 def digest_file(path: str | os.PathLike) -> str:
     """SHA-256 of a file's content, in hexadecimal digits."""
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -149,7 +149,7 @@ def test_what_a_killed_process_left_is_removed_and_never_read(tmp_path):
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
     shard = folder / "shard-00001.npz"
-    leftover = folder / f"{shard.name}.{os.uname().nodename}.{dead.pid}.tmp"
+    leftover = folder / f".{os.uname().nodename}.{dead.pid}.0.tmp"
     leftover.write_bytes(shard.read_bytes()[:1000])
     shard.unlink()
     assert_same(whole, load(tmp_path, models=9))

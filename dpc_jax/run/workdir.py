@@ -13,7 +13,7 @@ import numpy as np
 
 from dpc_jax.config import Config, from_json, to_json
 from dpc_jax.evaluation.alignment import Alignment
-from dpc_jax.files import describe_error, write_text
+from dpc_jax.files import describe_error, open_own, write_text
 
 # What may differ between a run and its continuation.
 FREE_FIELDS = (
@@ -79,7 +79,8 @@ def hold_workdir(workdir: Path) -> Iterator[None]:
     Raises:
       ValueError: where another process holds it, naming that process.
     """
-    with open(workdir / ".in-use", "a+", encoding="utf-8") as file:
+    path = workdir / ".in-use"
+    with open(path, "a+", encoding="utf-8", opener=open_own) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
