@@ -205,10 +205,21 @@ import sys
 import jax
 import dpc_jax.run.pipeline, dpc_jax.run.predicted_objects
 from dpc_jax.config import build_config
-from dpc_jax.run.memory import estimate_step_memory
+from dpc_jax.learning import schedules, step
 from dpc_jax.run.setup import make_network
 config = build_config("chair", "32")
-estimate_step_memory(make_network(config), config)
+network, steps = make_network(config), config.train.steps
+stage = schedules.find_stage(steps - 1, config.render, steps=steps)
+views = config.train.models_per_batch, config.train.views_per_batch
+side = config.data.image_size
+batch = {
+    "images": jax.ShapeDtypeStruct((*views, side, side, 3), "uint8"),
+    "masks": jax.ShapeDtypeStruct((*views, side, side), "uint8"),
+    "quaternions": jax.ShapeDtypeStruct((*views, 4), "float32"),
+}
+batch["seeds"] = jax.ShapeDtypeStruct(views[:1], "uint32")
+state = step.describe_state(network, config)
+jax.eval_shape(step.make_train_step(network, config, stage), state, batch)
 names = ("skimage", "dpc_jax.run.surfaces", "dpc_jax.evaluation.surfaces")
 names += ("dpc_jax.learning.inference.volumes", "dpc_jax.learning.pose_prior")
 names += ("dpc_jax.learning.view_maps", "dpc_jax.learning.choice.sampling")

@@ -122,14 +122,25 @@ def test_shardings_of_state_and_batch_are_kept():
     np.testing.assert_array_equal(state.value, [8.0, 9.0, 10.0])
 
 
-def test_an_error_in_the_background_comes_where_its_stage_begins():
+def test_an_error_in_the_background_comes_once_all_are_compiled():
     with StagePrograms(Watched(fails=[SECOND]), SPANS) as programs:
         programs.begin(0, make_state(), BATCH)
         wait_until_ready(programs, 1000, 2000)
-        assert programs.compare(1, make_state(), BATCH).keys() == {FIRST, THIRD}
+        with pytest.raises(ValueError, match="20 points"):
+            programs.compare(1, make_state(), BATCH)
         with pytest.raises(ValueError, match="20 points"):
             programs.begin(1000, make_state(), BATCH)
         assert programs.begin(2000, make_state(), BATCH) is not None
+
+
+def test_a_program_that_the_check_refuses_is_never_called():
+    def refuse(program):
+        assert program.memory_analysis() is not None
+        raise ValueError("no room")
+
+    with StagePrograms(make_step, SPANS, check=refuse) as programs:
+        with pytest.raises(ValueError, match="no room"):
+            programs.begin(0, make_state(), BATCH)
 
 
 def test_a_stage_that_has_to_wait_behind_another_is_compiled_at_once():

@@ -1,102 +1,49 @@
-"""What a training step will take of a device's memory, told before it is compiled."""
+"""A training step that the device's memory cannot hold is refused before it runs."""
 
 import jax
 import jax.numpy as jnp
 import pytest
-from tiny_runs import (
-    compiling_quickly,
-    make_batch,
-    make_network,
-    make_state,
-    make_step,
-    tiny_config,
-)
 
-from dpc_jax.run import memory
+from dpc_jax.run.memory import check_memory
 
 MB = 2**20
-VECTOR = jax.ShapeDtypeStruct((MB // 4,), "float32")  # one MB
-
-
-def test_what_is_no_longer_needed_makes_room():
-    def run(x):
-        for _ in range(5):
-            x = jnp.sort(x)
-        return x
-
-    # The input stays; each result takes the place of the one before.
-    assert memory.estimate_peak(run, VECTOR) == 2 * MB
-
-
-def test_what_is_needed_later_is_kept():
-    def run(x):
-        parts = [jnp.sort(x * i) for i in range(4)]
-        return sum(parts[1:], parts[0])
-
-    assert 5 * MB <= memory.estimate_peak(run, VECTOR) <= 6 * MB
-
-
-def test_the_memory_of_a_donated_input_is_used_again():
-    kept = memory.estimate_peak(jax.jit(jnp.sort), VECTOR)
-    donated = memory.estimate_peak(jax.jit(jnp.sort, donate_argnums=0), VECTOR)
-    assert (kept, donated) == (2 * MB, MB)
-
-
-def test_a_loop_takes_its_body_once_and_side_by_side_takes_all():
-    rows = jax.ShapeDtypeStruct((8, MB // 4), "float32")
-
-    def render(row):
-        return jnp.sum(jnp.outer(row[:16], row))
-
-    one = memory.estimate_peak(lambda rows: jax.lax.map(render, rows), rows)
-    all_at_once = memory.estimate_peak(jax.vmap(render), rows)
-    assert 24 * MB <= one <= 26 * MB
-    assert 8 * MB * 17 <= all_at_once <= 8 * MB * 18
-
-
-def test_the_estimate_of_a_step_is_near_the_compilers_own_layout():
-    config = tiny_config(renders_at_once=1)
-    network = make_network(config)
-    found = memory.estimate_step_memory(network, config)
-    state = make_state(network, config)
-    with compiling_quickly():
-        step = make_step(network, config, step=config.train.steps - 1)
-        layout = step.lower(state, make_batch()).compile().memory_analysis()
-    right = (
-        layout.argument_size_in_bytes
-        + layout.output_size_in_bytes
-        + layout.temp_size_in_bytes
-        - layout.alias_size_in_bytes
-    )
-    assert right / 3 <= found <= 2 * right  # the factors of docs/gpu.md
-
-
-def test_more_than_the_device_has_is_refused_with_what_to_set():
-    config = tiny_config()
-    assert memory.describe_memory(2 * 10**9, 8 * 10**9, config) == (
-        "Memory of a step: about 2.0 GB, at most 6.0, of 8.0 GB."
-    )
-    with pytest.raises(ValueError, match="renders_at_once=4 to render fewer views"):
-        memory.describe_memory(9 * 10**9, 8 * 10**9, config)
-
-
-def test_a_device_that_does_not_tell_its_memory_is_not_asked_for_more(capsys):
-    config = tiny_config()
-    memory.check_step_memory(make_network(config), config)
-    assert capsys.readouterr().out == ""
 
 
 class Device:
-    """A GPU with one byte of memory."""
+    """A GPU of four megabytes."""
 
     def memory_stats(self):
-        return {"bytes_limit": 1}
+        return {"bytes_limit": 4 * MB}
 
 
-def test_a_device_that_is_too_small_is_refused_before_anything_is_compiled(monkeypatch):
-    config = tiny_config()
-    network = make_network(config)
-    monkeypatch.setattr(memory, "estimate_step_memory", lambda *_: 2)
+def compile_copies(count):
+    """A program that holds its megabyte of input and `count` more of output."""
+
+    def copy(x):
+        return [x + i for i in range(count)]
+
+    vector = jax.ShapeDtypeStruct((MB // 4,), "float32")
+    return jax.jit(copy).lower(vector).compile()
+
+
+def test_a_program_that_needs_more_than_the_device_has_is_refused(monkeypatch):
     monkeypatch.setattr(jax, "local_devices", lambda: [Device()])
-    with pytest.raises(ValueError, match="must fit into the device's memory"):
-        memory.check_step_memory(network, config)
+    check_memory(compile_copies(2))
+    with pytest.raises(ValueError, match="fit into the device.s memory") as refused:
+        check_memory(compile_copies(8))
+    assert "renders_at_once=4" in str(refused.value)
+    assert "models_per_batch lower" in str(refused.value)
+
+
+def test_memory_that_a_program_takes_over_from_its_input_counts_once(monkeypatch):
+    monkeypatch.setattr(jax, "local_devices", lambda: [Device()])
+    vector = jax.ShapeDtypeStruct((3 * MB // 4,), "float32")
+    grown = jax.jit(jnp.negative, donate_argnums=0).lower(vector).compile()
+    check_memory(grown)
+    with pytest.raises(ValueError):
+        check_memory(jax.jit(jnp.negative).lower(vector).compile())
+
+
+def test_a_device_that_does_not_tell_its_memory_refuses_nothing():
+    assert not jax.local_devices()[0].memory_stats()
+    check_memory(compile_copies(8))

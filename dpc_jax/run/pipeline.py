@@ -18,7 +18,7 @@ from dpc_jax.run.agreement import Job
 from dpc_jax.run.beginning import begin_run
 from dpc_jax.run.flags import Task, run_command
 from dpc_jax.run.gpu import set_gpu_flags
-from dpc_jax.run.memory import check_step_memory
+from dpc_jax.run.memory import check_memory
 from dpc_jax.run.model import Model, Show
 from dpc_jax.run.places import Place
 from dpc_jax.run.process import (
@@ -211,7 +211,6 @@ def train_model(
     outcome = loop.Outcome(start.state, start.seconds, True)
     with contextlib.closing(checkpoints), catch_signals() as stop:
         if int(start.state.step) < model.config.train.steps:
-            check_step_memory(model.network, model.config)
             stops = job.agree_to_stop(stop.is_set)
             if model.config.train.starts > 1 and int(start.state.step) == 0:
                 start = _try_starts(model, start, checkpoints, log, job, stops)
@@ -234,6 +233,7 @@ def train_model(
                 validations_after=model.count_views("test", "own", "val")
                 / model.count_views("val"),
                 prepare=functools.partial(model.compile_predictor, start.state),
+                check=check_memory,
             )
     return outcome
 

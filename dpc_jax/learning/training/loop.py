@@ -4,6 +4,8 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
+import jax
+
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet, choose_batch, read_batch
 from dpc_jax.evaluation.metrics import describe_metrics
@@ -54,6 +56,7 @@ def train(
     compile_ahead: bool = True,
     validations_after: float = 0.0,
     prepare: Callable[[], object] | None = None,
+    check: Callable[[jax.stages.Compiled], None] = lambda _: None,
     until: int | None = None,
 ) -> Outcome:
     """Train from a state to the last step of the config.
@@ -80,6 +83,7 @@ def train(
         for the time left.
       prepare: called in the background, once the programs of all stages are there: to
         compile what validation needs.
+      check: is given the compiled step of each stage, and may refuse it by an error.
       until: the step to end after instead, under the same schedules.
 
     Raises:
@@ -102,7 +106,7 @@ def train(
     stops_waiting = should_stop if may_stop_waiting else lambda: False
     with (
         ProgressReport(title, total=steps, start=start) as progress,
-        StagePrograms(make_step, spans, ahead=compile_ahead) as programs,
+        StagePrograms(make_step, spans, ahead=compile_ahead, check=check) as programs,
     ):
         log_steps = functools.partial(_log_steps, log, forecast, progress)
         to_prepare = [prepare] if prepare and compile_ahead else []

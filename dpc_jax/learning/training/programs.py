@@ -51,6 +51,7 @@ class StagePrograms:
       spans: of the run's stages.
       ahead: whether later stages compile in the background; False compiles each when
         it is reached.
+      check: is given each compiled step, and may refuse it by an error.
     """
 
     def __init__(
@@ -59,8 +60,10 @@ class StagePrograms:
         spans: Sequence[Span],
         *,
         ahead: bool = True,
+        check: Callable[[jax.stages.Compiled], None] = lambda _: None,
     ):
         self._make_step, self._spans, self._ahead = make_step, tuple(spans), ahead
+        self._check = check
         self._background = _start_thread(_lower_priority)
         self._pending: dict[Stage, Future] = {}
         self._stage: Stage | None = None
@@ -108,7 +111,7 @@ class StagePrograms:
         own = self._pending.pop(stage, None)
         if own is None or own.cancel():  # not begun: nothing to wait behind
             front = _start_thread()
-            own = front.submit(_compile, self._make_step, stage, structs)
+            own = front.submit(self._compile, stage, structs)
             front.shutdown(wait=False)
         if self._ahead:
             self._compile_ahead(step, structs)
@@ -141,6 +144,9 @@ class StagePrograms:
           Medians over calls in turn, so that other load meets all programs alike; empty
           where nothing is measured, as in a job of several processes, whose calls have
           to come in one order.
+
+        Raises:
+          Exception: whatever made the compilation of a later stage fail.
         """
         pending = self._pending
         calls = (len(pending) + 1) * (1 + _ROUNDS)
@@ -148,13 +154,11 @@ class StagePrograms:
         if self._is_compared or not all(future.done() for future in pending.values()):
             return {}
         self._is_compared = True
-        if not pending or left < 100 * calls or jax.process_count() > 1:
-            return {}
         assert self._stage is not None and self._program is not None
         programs = {self._stage: self._program.call}
-        for stage, future in pending.items():
-            if not future.exception():  # it comes to light where the stage begins
-                programs[stage] = future.result().call
+        programs |= {stage: found.result().call for stage, found in pending.items()}
+        if not pending or left < 100 * calls or jax.process_count() > 1:
+            return {}
         seconds = {stage: [] for stage in programs}
         for stage in [*programs] * (1 + _ROUNDS):
             try:
@@ -179,18 +183,18 @@ class StagePrograms:
         for span in self._spans:
             if span.start > step and span.stage not in self._pending:
                 self._pending[span.stage] = self._background.submit(
-                    _compile, self._make_step, span.stage, structs
+                    self._compile, span.stage, structs
                 )
+
+    def _compile(self, stage, structs) -> Program:
+        """Compile the program of a stage, or read it from the persistent cache."""
+        started, _hits.count = time.monotonic(), 0
+        call = self._make_step(stage).lower(*structs).compile()
+        self._check(call)
+        return Program(call, time.monotonic() - started, _hits.count > 0)
 
     def _find_stage(self, step):
         return next(s.stage for s in self._spans if s.start <= step < s.end)
-
-
-def _compile(make_step, stage, structs) -> Program:
-    """Compile the program of a stage, or read it from the persistent cache."""
-    started, _hits.count = time.monotonic(), 0
-    call = make_step(stage).lower(*structs).compile()
-    return Program(call, time.monotonic() - started, _hits.count > 0)
 
 
 def _describe(leaf):
