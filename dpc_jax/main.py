@@ -11,7 +11,7 @@ from ml_collections import config_flags
 
 from dpc_jax.config import from_config_dict, resolve_flags
 from dpc_jax.run.flags import FlagParser
-from dpc_jax.run.places import Place, find_place
+from dpc_jax.run.hosts.places import Place, find_place
 
 _CONFIG = config_flags.DEFINE_config_file(
     "config",

@@ -9,7 +9,7 @@ import pytest
 # it found itself: both happen where process 0, told to end, is the quicker one.
 SCRIPT = """
 import ctypes, os, sys, threading, time
-from dpc_jax.run.aborts import speaking_for_jax
+from dpc_jax.run.hosts.aborts import speaking_for_jax
 
 try:
     with speaking_for_jax(lambda text: "process 0 has ended") as speak_itself:

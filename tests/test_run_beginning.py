@@ -10,8 +10,8 @@ from tiny_runs import assert_same_bits, make_network, tiny_config
 from dpc_jax.config import check, to_json
 from dpc_jax.learning.step import init_state
 from dpc_jax.learning.training.checkpoints import Checkpoints
-from dpc_jax.run.agreement import Job
 from dpc_jax.run.beginning import begin_run
+from dpc_jax.run.hosts.agreement import Job
 
 pytestmark = pytest.mark.usefixtures("quickly")
 CONFIG = tiny_config()

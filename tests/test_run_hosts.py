@@ -1,5 +1,6 @@
 """Where a process stands in its job, and what it says where the job does not start."""
 
+import json
 import os
 import socket
 import subprocess
@@ -9,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from dpc_jax.config import Config, replace_fields
-from dpc_jax.run.agreement import Job, StopVote, _list_versions, _name_differences
-from dpc_jax.run.places import Place, find_in_slurm, find_place
+from dpc_jax.run.hosts.agreement import Job, _list_versions, _name_differences
+from dpc_jax.run.hosts.places import Place, find_in_slurm, find_place
 
 ROOT = Path(__file__).parents[1]
 
@@ -93,42 +94,73 @@ def test_a_process_on_its_own_waits_for_nobody():
     job = Job()
     job.wait("end")
     job.check_same(Config("car"))
-    assert job.is_first and job.gather("name", "text") == ["text"]
-    assert job.do_first("name", lambda: 3) == 3
+    assert job.is_first and job.gather("text") == ["text"]
+    assert job.do_first(lambda: 3) == 3
     question = iter([False, True]).__next__
     stops = job.agree_to_stop(question)
     assert [stops(), stops()] == [False, True]
 
 
-class Notes(dict):
-    """The coordination service, as far as a vote needs it."""
+# A step whose sum goes over all devices; process 1 is asked to stop at its fifth.
+JOB = """
+import json, sys
+import jax, jax.numpy as jnp, numpy as np
+from dpc_jax.run.hosts.joining import joining
+from dpc_jax.run.hosts.places import Place
 
-    def key_value_set(self, key, value, allow_overwrite=False):
-        assert allow_overwrite or key not in self
-        self[key] = value
+process, address, devices = int(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+jax.config.update("jax_num_cpu_devices", devices)
+
+def fail():
+    raise ValueError("the disk is full")
+
+found = {}
+with joining(Place(address, 2, process)) as job:
+    found["gathered"] = job.gather("ä" * process)
+    found["done"] = job.do_first(lambda: "by process 0")
+    try:
+        job.do_first(fail)
+    except ValueError as error:
+        found["failed"] = str(error)
+    shared = job.share(np.array([-0.0, process], np.float32))
+    found["shared"] = [str(value) for value in shared]
+    mesh = jax.sharding.Mesh(jax.devices(), ("all",))
+    spread = jax.NamedSharding(mesh, jax.P("all"))
+    step = jax.jit(lambda x: x + jnp.sum(x @ x.T), out_shardings=spread)
+    shape, own = (2 * devices, 2), np.ones((1, 2), np.float32)
+    value = jax.make_array_from_callback(shape, spread, lambda _: own)
+    stops = job.agree_to_stop(lambda: process == 1 and found["steps"] == 5)
+    found["steps"] = 1
+    while not stops() and found["steps"] < 50:
+        value = step(value)
+        found["steps"] += 1
+    print(json.dumps(found), file=sys.stderr)
+"""
 
 
-@pytest.mark.parametrize("asked", [0, 1, 2])
-@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
-def test_all_stop_at_one_step_whoever_is_asked(monkeypatch, asked, order):
-    """Processes as far apart as training lets them be: up to two steps."""
-    notes = Notes()
-    monkeypatch.setattr("dpc_jax.run.agreement._client", lambda: notes)
-    monkeypatch.setattr("dpc_jax.run.agreement._read", notes.get)
-    steps = [0, 0, 0]
-    votes = [
-        StopVote(Job(3, process), "stop", lambda p=process: p == asked and steps[p] > 4)
-        for process in range(3)
+@pytest.mark.parametrize("devices", [1, 2])
+def test_two_processes_tell_each_other_fail_together_and_stop_at_one_step(devices):
+    command = [sys.executable, "-c", JOB]
+    address = f"127.0.0.1:{find_port()}"
+    started = [
+        subprocess.Popen(
+            [*command, str(process), address, str(devices)],
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+            env=os.environ | {"JAX_PLATFORMS": "cpu"},
+        )
+        for process in range(2)
     ]
-    stopped = {}
-    for _ in range(100):
-        for process in order:
-            while process not in stopped and steps[process] < min(steps) + 2:
-                steps[process] += 1
-                if votes[process]():
-                    stopped[process] = steps[process]
-    assert len(stopped) == 3 and len(set(stopped.values())) == 1, stopped
-    assert 5 <= stopped[0] <= 12
+    errors = [process.communicate(timeout=300)[1] for process in started]
+    assert [process.returncode for process in started] == [0, 0], errors
+    found = [json.loads(error) for error in errors]
+    assert [f.pop("done") for f in found] == ["by process 0", None]
+    assert found[0] == found[1]
+    assert found[0]["gathered"] == ["", "ä"]
+    assert found[0]["failed"] == "the disk is full"
+    assert found[0]["shared"] == ["-0.0", "0.0"]
+    assert 5 <= found[0]["steps"] <= 7
 
 
 def start(*flags, seconds=2):

@@ -9,10 +9,10 @@ from dpc_jax.config import Config, from_json, replace_fields, to_json
 from dpc_jax.learning.step import TrainState, describe_state, init_state
 from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.networks import ShapePoseNetwork
-from dpc_jax.run.agreement import Job
+from dpc_jax.run.hosts.agreement import Job
+from dpc_jax.run.hosts.checkpoints import SharedCheckpoints
 from dpc_jax.run.setup import make_network
 from dpc_jax.run.workdir import list_differences, read_config
-from dpc_jax.run.writers import SharedCheckpoints
 
 # Fields that make_network reads.
 _OF_NETWORK = (
@@ -36,8 +36,8 @@ def begin_run(network: ShapePoseNetwork, config: Config, job: Job) -> TrainState
         return state
     workdir = Path(config.train.init_from)
     # Only process 0 has to see the folder.
-    text = job.do_first("init-config", lambda: to_json(read_config(workdir)))
-    other = from_json(job.gather("init-config-read", text or "")[0])
+    text = job.do_first(lambda: to_json(read_config(workdir)))
+    other = from_json(job.gather(text or "")[0])
     here = {
         "run": {"devices": config.run.devices},
         "train": {"models_per_batch": config.train.models_per_batch},
@@ -70,12 +70,9 @@ def _restore(folder, like, job):
         if not folder.is_dir():
             raise ValueError(_say_missing(folder))
 
-    job.do_first("init-folder", check)
-    checkpoints = (
-        SharedCheckpoints(folder, job, name="init")
-        if job.processes > 1
-        else Checkpoints(folder)
-    )
+    job.do_first(check)
+    is_shared = job.processes > 1
+    checkpoints = SharedCheckpoints(folder, job) if is_shared else Checkpoints(folder)
     with contextlib.closing(checkpoints):
         try:
             found = checkpoints.restore(like)

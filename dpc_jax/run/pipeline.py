@@ -13,14 +13,15 @@ from dpc_jax.learning.step import describe_state
 from dpc_jax.learning.training import loop, starts
 from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.training.records import MetricLog, NonFiniteError
-from dpc_jax.run import hosts
-from dpc_jax.run.agreement import Job
 from dpc_jax.run.beginning import begin_run
 from dpc_jax.run.flags import Task, run_command
 from dpc_jax.run.gpu import set_gpu_flags
+from dpc_jax.run.hosts.agreement import Job
+from dpc_jax.run.hosts.checkpoints import SharedCheckpoints, SilentLog
+from dpc_jax.run.hosts.joining import joining
+from dpc_jax.run.hosts.places import Place
 from dpc_jax.run.memory import check_memory
 from dpc_jax.run.model import Model, Show
-from dpc_jax.run.places import Place
 from dpc_jax.run.process import (
     catch_signals,
     keep_compiled_programs,
@@ -30,7 +31,6 @@ from dpc_jax.run.process import (
 from dpc_jax.run.report.summary import report_run
 from dpc_jax.run.setup import load_sets
 from dpc_jax.run.workdir import claim_workdir, hold_workdir, make_workdir
-from dpc_jax.run.writers import SharedCheckpoints, SilentLog
 
 
 def run_guarded(
@@ -82,7 +82,7 @@ def run(
     keep_freed_memory()
     keep_compiled_programs()
     folder = Path(workdir or _name_workdir(config, config_path))
-    with hosts.joining(place) as job, contextlib.ExitStack() as held:
+    with joining(place) as job, contextlib.ExitStack() as held:
         job.check_same(config)
 
         def take_workdir():
@@ -90,7 +90,7 @@ def run(
             held.enter_context(hold_workdir(folder))
             claim_workdir(folder, config)
 
-        job.do_first("workdir", take_workdir)
+        job.do_first(take_workdir)
         print(f"Workdir: {folder}", flush=True)
         _run_in(folder, config, job)
 

@@ -1,4 +1,4 @@
-"""What the processes of a job agree on, by jax's coordination service."""
+"""What the processes of a job tell each other and decide together."""
 
 import dataclasses
 import hashlib
@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from flax.traverse_util import flatten_dict
-from jax._src import distributed
 from jax.experimental import multihost_utils
+from orbax.checkpoint import multihost
 
+import dpc_jax
 from dpc_jax.config import Config
 
 # For what process 0 does alone while the others wait for it, and for slow hosts.
@@ -28,6 +30,8 @@ _Result = TypeVar("_Result")
 class Job:
     """The processes that work together; one on its own has nobody to wait for.
 
+    All processes call the same methods in the same order.
+
     Attributes:
       processes: how many there are.
       process: which of them this one is, from 0.
@@ -35,7 +39,7 @@ class Job:
 
     def __init__(self, processes: int = 1, process: int = 0):
         self.processes, self.process = processes, process
-        self._questions = 0
+        self._waits = 0
 
     @property
     def is_first(self) -> bool:
@@ -45,17 +49,21 @@ class Job:
     def wait(self, name: str, *, seconds: float = PATIENCE_SECONDS):
         """Wait until all processes have come here; each name is used once."""
         if self.processes > 1:
-            _client().wait_at_barrier(f"dpc_jax/{name}", int(1000 * seconds))
+            wait = multihost.get_barrier_sync_fn()
+            wait(key=f"dpc_jax/{name}", timeout_ms=int(1000 * seconds))
 
-    def gather(self, name: str, text: str) -> list[str]:
-        """What the processes say under a name, in their order; all must take part."""
+    def gather(self, text: str) -> list[str]:
+        """What each of the processes says, in their order."""
         if self.processes == 1:
             return [text]
-        client, wait = _client(), 1000 * PATIENCE_SECONDS
-        client.key_value_set(f"dpc_jax/{name}/{self.process}", text)
+        self._waits += 1
+        self.wait(f"gather-{self._waits}")  # a collective has less patience
+        own = np.frombuffer(text.encode(), np.uint8)
+        sizes = multihost_utils.process_allgather(np.int32(own.size))
+        padded = np.pad(own, (0, max(1, sizes.max()) - own.size))
+        rows = multihost_utils.process_allgather(padded)
         return [
-            client.blocking_key_value_get(f"dpc_jax/{name}/{process}", wait)
-            for process in range(self.processes)
+            row[:size].tobytes().decode() for row, size in zip(rows, sizes, strict=True)
         ]
 
     def check_same(self, config: Config):
@@ -66,9 +74,15 @@ class Job:
         """
         if self.processes == 1:
             return
-        told = self.gather("versions", json.dumps(_list_versions(config)))
+        here, all_devices = jax.local_device_count(), jax.device_count()
+        if all_devices != self.processes * here:
+            raise ValueError(
+                "All processes of a job must have as many devices, but this one has "
+                f"{here} and all {self.processes} together {all_devices}; start all of "
+                "them with the same command."
+            )
+        told = self.gather(json.dumps(_list_versions(config)))
         differing = _name_differences([json.loads(text) for text in told])
-        self.wait("versions-read")  # none ends before all have seen it
         if differing:
             raise ValueError(
                 "All processes of a job must have the same config and versions, but "
@@ -76,32 +90,24 @@ class Job:
                 "installation."
             )
 
-    def do_first(self, name: str, action: Callable[[], _Result]) -> _Result | None:
+    def do_first(self, action: Callable[[], _Result]) -> _Result | None:
         """Have process 0 do something while the others wait, which get None.
 
         Raises:
           ValueError: in the others, with the sentence with which process 0 failed.
         """
-        if self.processes == 1:
-            return action()
-        said = ""
+        result, said = None, ""
         try:
             if self.is_first:
-                return action()
+                result = action()
         except BaseException as error:
             said = str(error) or type(error).__name__
             raise
         finally:
-            if self.is_first:
-                _client().key_value_set(f"dpc_jax/{name}", said)
-                self.wait(f"{name}-done")
-        said = _client().blocking_key_value_get(
-            f"dpc_jax/{name}", 1000 * PATIENCE_SECONDS
-        )
-        self.wait(f"{name}-done")
+            said = self.gather(said)[0]
         if said:
             raise ValueError(said)
-        return None
+        return result
 
     def share(self, tree: Any) -> Any:
         """The arrays that process 0 has, bit for bit, as numpy arrays in every process.
@@ -127,69 +133,24 @@ class Job:
     def agree_to_stop(self, is_asked: Callable[[], bool]) -> Callable[[], bool]:
         """A question for after each step, which all processes answer alike.
 
-        Any of them may be asked to stop. Process 0 hears of it and names a step that
-        none has reached.
+        Any of them may be asked to stop; all stop a step later.
         """
         if self.processes == 1:
             return is_asked
-        self._questions += 1
-        return StopVote(self, f"dpc_jax/stop-{self._questions}", is_asked)
+        devices = jax.sharding.Mesh(jax.devices(), ("devices",))
+        each = jax.NamedSharding(devices, jax.P("devices"))
+        is_any = jax.jit(jnp.any, out_shardings=jax.NamedSharding(devices, jax.P()))
+        votes: list[jax.Array] = []
 
+        def stops() -> bool:
+            own = np.full(1, is_asked())
+            shape = (jax.device_count(),)
+            all_of_them = jax.make_array_from_callback(shape, each, lambda _: own)
+            votes.append(is_any(all_of_them))
+            # The newest would be there only after the step that is being computed.
+            return len(votes) > 1 and bool(votes.pop(0))
 
-class StopVote:
-    """Whether to stop after this step, asked after every step by every process.
-
-    Args:
-      job: of the processes.
-      name: of this vote.
-      is_asked: whether this process was asked to stop.
-    """
-
-    # A step needs all processes, and each has read the results of the step before the
-    # last when it is asked: none can be more than two steps ahead of process 0.
-    AHEAD = 3
-
-    def __init__(self, job: Job, name: str, is_asked: Callable[[], bool]):
-        self._job, self._name, self._is_asked = job, name, is_asked
-        self._steps, self._last, self._has_asked = 0, None, False
-
-    def __call__(self) -> bool:
-        """Count a step, and say whether all processes stop after it."""
-        self._steps += 1
-        if self._last is None:
-            self._last = self._decide() if self._job.is_first else self._ask()
-        return self._last is not None and self._steps >= self._last
-
-    def _decide(self):
-        if not (self._is_asked() or _read(f"{self._name}/asked")):
-            return None
-        last = self._steps + self.AHEAD
-        _client().key_value_set(f"{self._name}/last", str(last))
-        return last
-
-    def _ask(self):
-        if self._is_asked() and not self._has_asked:
-            _client().key_value_set(f"{self._name}/asked", "yes", allow_overwrite=True)
-            self._has_asked = True
-        last = _read(f"{self._name}/last")
-        return int(last) if last else None
-
-
-def _client():
-    # What multihost_utils and orbax use too: jax has no public name for it.
-    client = distributed.global_state.client
-    assert client is not None
-    return client
-
-
-def _read(key):
-    """A value that may not be there yet."""
-    try:
-        return _client().key_value_try_get(key)
-    except jax.errors.JaxRuntimeError as error:
-        if "NOT_FOUND" in str(error):
-            return None
-        raise
+        return stops
 
 
 def _list_versions(config) -> dict:
@@ -205,7 +166,7 @@ def _list_versions(config) -> dict:
 
 def _digest_code() -> str:
     """SHA-256 of the package's files: an editable installation has one version only."""
-    root, digest = Path(__file__).parents[1], hashlib.sha256()
+    root, digest = Path(dpc_jax.__file__).parent, hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
     return digest.hexdigest()
@@ -223,4 +184,4 @@ def _name_differences(told: list[dict]) -> str:
         if differing:
             named = ", ".join(differing[:5])
             parts.append(f"process {process} differs from process 0 in {named}")
-    return "; ".join(parts[:3]).replace("; ", " and ")
+    return " and ".join(parts[:3])

@@ -18,9 +18,9 @@ from collections.abc import Iterator
 
 import jax
 
-from dpc_jax.run.aborts import speaking_for_jax
-from dpc_jax.run.agreement import Job
-from dpc_jax.run.places import Place
+from dpc_jax.run.hosts.aborts import speaking_for_jax
+from dpc_jax.run.hosts.agreement import Job
+from dpc_jax.run.hosts.places import Place
 
 # A process that says nothing for so long is lost: stopped, or its host is gone. Where
 # virtual machines stand still at times, DPC_JAX_HEARTBEAT_SECONDS sets a longer one.
@@ -95,7 +95,7 @@ def _connect(place, seconds):
     """Start the service in process 0, wait for it in the others, and meet there."""
     # jax would catch SIGTERM for itself, so that it did not end a process that renders.
     jax.config.update("jax_enable_preemption_service", False)
-    logging.getLogger("jax._src.distributed").setLevel(logging.ERROR)
+    logging.getLogger("jax").setLevel(logging.ERROR)
     started = time.monotonic()
     if place.process:
         _await_coordinator(place.coordinator, seconds)

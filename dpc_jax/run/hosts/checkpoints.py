@@ -18,7 +18,7 @@ from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning.step import TrainState
 from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.training.records import MetricLog
-from dpc_jax.run.agreement import Job
+from dpc_jax.run.hosts.agreement import Job
 
 
 class SharedCheckpoints(Checkpoints):
@@ -28,11 +28,10 @@ class SharedCheckpoints(Checkpoints):
 
     Args:
       folder: see `Checkpoints`. job: whose they are.
-      name: under which the processes speak of this folder, and of no other.
     """
 
-    def __init__(self, folder: Path, job: Job, *, name: str = "checkpoints"):
-        self._job, self._title, self._calls = job, name, 0
+    def __init__(self, folder: Path, job: Job):
+        self._job = job
         if job.is_first:
             super().__init__(folder)
 
@@ -51,14 +50,14 @@ class SharedCheckpoints(Checkpoints):
         Raises:
           ValueError: in the other processes, where process 0 cannot write.
         """
-        whole = gather_arrays(state)
+        whole = jax.tree.map(gather_array, state)
         save = super().save
 
         def save_whole():
             with explaining_full_disk(self._folder):
                 save(whole, seconds=seconds)
 
-        self._job.do_first(self._name(), save_whole)
+        self._job.do_first(save_whole)
 
     def set_aside(self, steps: Iterable[int]):
         """Move checkpoints to damaged-checkpoint-STEP beside the folder."""
@@ -76,19 +75,16 @@ class SharedCheckpoints(Checkpoints):
             lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=own), like
         )
         restore = super().restore
-        found = self._job.do_first(self._name(), lambda: restore(there))
+        found = self._job.do_first(lambda: restore(there))
         facts = [found.seconds, found.damaged] if found else None
-        told = json.loads(self._job.gather(self._name(), json.dumps(facts))[0])
+        told = json.loads(self._job.gather(json.dumps(facts))[0])
         if told is None:
             return None
         seconds, damaged = told
-        read = jax.device_get(found.state) if found else _make_zeros(there)
-        state = jax.tree.map(spread_array, self._job.share(read), like)
+        read = jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), there)
+        read = self._job.share(jax.device_get(found.state) if found else read)
+        state = jax.tree.map(spread_array, read, like)
         return Restored(state, seconds, tuple(damaged))
-
-    def _name(self):
-        self._calls += 1
-        return f"{self._title}-{self._calls}"
 
 
 class SilentLog(MetricLog):
@@ -108,24 +104,16 @@ class SilentLog(MetricLog):
         """Do nothing."""
 
 
-def gather_arrays(tree: Any) -> Any:
-    """Whole arrays in the memory of every process; all processes must call it."""
-
-    def gather(array):
-        if not isinstance(array, jax.Array) or array.is_fully_addressable:
-            return np.asarray(array)
-        if array.is_fully_replicated:
-            return np.asarray(array.addressable_data(0))
-        return np.asarray(multihost_utils.process_allgather(array, tiled=True))
-
-    return jax.tree.map(gather, tree)
+def gather_array(array: Any) -> np.ndarray:
+    """A whole array in the memory of every process; all processes must call it."""
+    if not isinstance(array, jax.Array) or array.is_fully_addressable:
+        return np.asarray(array)
+    if array.is_fully_replicated:
+        return np.asarray(array.addressable_data(0))
+    return np.asarray(multihost_utils.process_allgather(array, tiled=True))
 
 
 def spread_array(array: Any, like: jax.Array) -> jax.Array:
     """An array that every process has, on the devices as another one is."""
     host = np.asarray(array)
     return jax.make_array_from_callback(host.shape, like.sharding, lambda i: host[i])
-
-
-def _make_zeros(like):
-    return jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), like)
