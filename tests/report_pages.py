@@ -3,13 +3,13 @@
 import numpy as np
 
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS
-from dpc_jax.reporting.azimuth_figures import ViewPoses
 from dpc_jax.reporting.examples import (
     Example,
     Neighbour,
     SignalImages,
     TrainingComparison,
 )
+from dpc_jax.reporting.figures import ViewPoses
 from dpc_jax.reporting.page import write_report
 
 

@@ -21,7 +21,7 @@ from dpc_jax.learning.choice.teaching import compare_labels, compare_student
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions
 from dpc_jax.learning.predictions import Poses
-from dpc_jax.run.report.warnings import list_warnings
+from dpc_jax.run.report.summary import list_warnings
 
 pytestmark = pytest.mark.usefixtures("quickly")
 

@@ -9,14 +9,16 @@ from dpc_jax.evaluation.failures import find_failures
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions
 from dpc_jax.run.report.examples import (
+    WORST_COUNT,
+    Judged,
     choose_examples,
     choose_views,
+    choose_worst,
     list_view_poses,
+    list_worst,
 )
-from dpc_jax.run.report.summary import list_stages
-from dpc_jax.run.report.training_shapes import TrainingShapes, compare
-from dpc_jax.run.report.warnings import list_warnings
-from dpc_jax.run.report.worst_objects import MOST, choose_worst, list_worst
+from dpc_jax.run.report.summary import list_stages, list_warnings
+from dpc_jax.run.report.training_shapes import TrainingShapes, compare_with_training
 
 
 def test_worst_median_and_best_are_of_different_objects_and_no_view_comes_twice():
@@ -52,7 +54,7 @@ def test_the_worst_tenth_of_the_objects_is_each_shown_by_its_worst_view():
     rows = choose_worst(badness.reshape(-1, 1), models.reshape(-1, 1))
     assert rows == [(29, 0), (83, 0), (14, 0)]
     many = np.arange(1000).reshape(-1, 1)
-    assert len(choose_worst(np.ones((1000, 1)), many)) == MOST
+    assert len(choose_worst(np.ones((1000, 1)), many)) == WORST_COUNT
     assert choose_worst(np.ones((1, 2)), np.zeros((1, 2), int)) == [(0, 0)]
 
 
@@ -90,17 +92,10 @@ def show(sets, **changes):
         predictions, test, alignment=identity_alignment(), heads=3
     )
     shapes = TrainingShapes.gather(sets | {"test": test})
-    examples, ranking = choose_examples(
-        predictions,
-        test,
-        identity_alignment(),
-        result,
-        per_group=3,
-        shapes=shapes,
-        distance=2.0,
-        threshold=None,
-    )
-    return predictions, test, result, shapes, examples, ranking
+    overlaps = evaluator.measure_overlaps(predictions, test)
+    judged = Judged(predictions, test, identity_alignment(), result, overlaps, 2.0)
+    examples, ranking = choose_examples(judged, per_group=3, shapes=shapes)
+    return judged, shapes, examples, ranking
 
 
 def test_views_are_ranked_by_what_is_known_of_them(sets):
@@ -118,25 +113,23 @@ def test_views_are_ranked_by_what_is_known_of_them(sets):
 
 
 def test_what_is_said_of_the_worst_objects_is_what_is_known_of_them(sets):
-    predictions, test, result, *_ = show(sets)
-    given = predictions, test, identity_alignment(), result
-    (worst,), ranking = list_worst(*given, distance=2.0)
+    judged, *_ = show(sets)
+    (worst,), ranking = list_worst(judged)
     assert "pose error" in ranking
     # Every other view is turned, none has another shape.
-    wrong = np.sum(result.pose_errors_deg > 30, axis=1)
-    assert f": {wrong.max()} of {test.counts[0]} views" in worst.name
+    wrong = np.sum(judged.scores.pose_errors_deg > 30, axis=1)
+    assert f": {wrong.max()} of {judged.dataset.counts[0]} views" in worst.name
     assert worst.name.endswith("Chamfer 0.0")
-    predictions, test, result, *_ = show(sets, quaternions=None, surfaces=None)
-    given = predictions, test, identity_alignment(), result
-    (worst,), ranking = list_worst(*given, distance=2.0)
+    judged, *_ = show(sets, quaternions=None, surfaces=None)
+    (worst,), ranking = list_worst(judged)
     assert "overlap of silhouettes" in ranking and ": overlap 1.00" in worst.name
 
 
 def test_neighbours_are_training_shapes_and_a_copy_is_seen_as_one(sets):
-    predictions, test, result, shapes, examples, _ = show(sets)
+    judged, shapes, examples, _ = show(sets)
     near, mean = examples[0].neighbours
     assert near.title == "Nearest training shape" and near.chamfer < mean.chamfer
-    found = compare(predictions, test, identity_alignment(), shapes)
+    found = compare_with_training(*judged[:3], shapes)
     assert found.objects == 6
     assert found.to_truth["Prediction"] == 0
     assert found.to_truth["Nearest training shape"] > 0
@@ -145,23 +138,23 @@ def test_neighbours_are_training_shapes_and_a_copy_is_seen_as_one(sets):
     between = [part["The same of another object"] for part in parts]
     assert between[0] == pytest.approx(between[1], rel=1e-6) and between[0] > 0
     np.testing.assert_array_equal(
-        shapes.find_nearest(np.asarray(test.surfaces[0]), 60),
+        shapes.find_nearest(np.asarray(judged.dataset.surfaces[0]), 60),
         sets["train"].surfaces[4],
     )
-    assert compare(predictions, test, identity_alignment(), None) is None
+    assert compare_with_training(*judged[:3], None) is None
 
 
 def test_azimuths_of_right_views_lie_on_the_diagonal(sets):
-    predictions, test, result, *_ = show(sets)
-    failures = find_failures(predictions.poses, test.quaternions)
-    views = list_view_poses(predictions, test, identity_alignment(), result, failures)
+    judged, *_ = show(sets)
+    failures = find_failures(judged.predictions.poses, judged.dataset.quaternions)
+    views = list_view_poses(judged, failures)
     right = views.kinds < 0
     assert right.sum() >= 12  # two of three views of six objects
     # float32 quaternions; near the poles the azimuth is less certain than the pose.
     away = (views.true_deg - views.predicted_deg + 180) % 360 - 180
     assert np.median(np.abs(away[right])) < 0.01
     assert views.errors_deg.shape == views.true_deg.shape == (18,)
-    assert list_view_poses(predictions, test, None, result, None) is None
+    assert list_view_poses(judged, None) is None
 
 
 def test_stages_say_what_is_new_in_them():

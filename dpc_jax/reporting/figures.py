@@ -1,7 +1,8 @@
-"""Figures of a run: curves over run time, pose errors, winning candidates."""
+"""Figures of a run: curves over run time, pose errors, azimuths, candidates."""
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation.candidates import count_alive
+from dpc_jax.evaluation.failures import KINDS
 from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.evaluation.pose import (
     ACCURACY_THRESHOLD_DEG,
@@ -35,7 +37,7 @@ Stages = Sequence[tuple[int, str]]
 
 
 def draw_curves(
-    records: Records | Mapping[str, Records],
+    records: Records,
     path: str | os.PathLike,
     *,
     stages: Stages = (),
@@ -47,47 +49,25 @@ def draw_curves(
     are of training, where both change with its stages.
 
     Args:
-      records: lines of `metrics.jsonl` with `seconds`, or a mapping from names to such
-        lists, to compare runs. Values that are missing or not finite are not drawn.
+      records: lines of `metrics.jsonl` with `seconds`. Values that are missing or not
+        finite are not drawn.
       path: where to.
       stages: the step that each stage of the schedule begins with and what is new in
         it, drawn as vertical lines.
     """
-    runs = records if isinstance(records, Mapping) else {"": records}
-    runs = {
-        name: [_count_alive(line) for line in lines] for name, lines in runs.items()
-    }
-    shown = [
-        m for m in _CURVES if any(_series(lines, m)[0].size for lines in runs.values())
-    ]
-    shown = shown or ["loss"]
+    lines = [_count_alive(line) for line in records]
+    found = {metric: _series(lines, metric) for metric in _CURVES}
+    shown = [m for m, (seconds, _) in found.items() if seconds.size] or ["loss"]
     figure = style.make_figure(9.0, 3.0 * -(-len(shown) // 2))
     panels = style.make_panels(figure, len(shown))
-    latest = max(
-        (_series(lines, m)[0].max(initial=0) for m in shown for lines in runs.values()),
-        default=0.0,
-    )
+    latest = max(found[metric][0].max(initial=0.0) for metric in shown)
     for axes, metric in zip(panels, shown, strict=True):
         title, y_label = get_metric(metric).label, _CURVES[metric]
         style.label_axes(axes, title=title, x_label="run time (s)", y_label=y_label)
-        _draw_runs(axes, runs, metric)
+        _draw_curve(axes, metric, *found[metric])
         axes.set_xlim(0.0, 1.03 * latest or 1.0)
-        if len(runs) == 1:
-            (lines,) = runs.values()
-            _mark_stages(axes, lines, stages, named=metric == shown[-1])
-    if len(runs) > 1:
-        _name_runs(figure, panels)
+        _mark_stages(axes, lines, stages, named=metric == shown[-1])
     return style.save_figure(figure, path)
-
-
-def _name_runs(figure, panels: Sequence[Axes]) -> None:
-    """One legend for all panels, below, where it covers nothing."""
-    named = {}
-    for axes in panels:
-        handles, labels = axes.get_legend_handles_labels()
-        named |= dict(zip(labels, handles, strict=True))
-    look = {"frameon": False, "fontsize": 8, "ncols": min(4, max(1, len(named)))}
-    figure.legend(named.values(), named.keys(), loc="outside lower center", **look)
 
 
 def _count_alive(line: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -96,25 +76,20 @@ def _count_alive(line: Mapping[str, Any]) -> Mapping[str, Any]:
     return line if shares is None else {**line, "candidates_alive": count_alive(shares)}
 
 
-def _draw_runs(axes: Axes, runs: Mapping[str, Records], metric: str) -> None:
-    factor = get_metric(metric).factor
-    for index, (name, lines) in enumerate(runs.items()):
-        seconds, values = _series(lines, metric)
-        if seconds.size == 0:
-            continue
-        color = style.SERIES[index % len(style.SERIES)]
-        if metric == "loss":
-            _draw_loss(axes, seconds, values, color, name)
-        elif metric == "candidates_alive":
-            axes.step(seconds, values, where="post", color=color, lw=1.5, label=name)
-        else:
-            look = {"color": color, "ms": 3.5, "clip_on": False, "zorder": 3}
-            axes.plot(seconds, factor * values, "o-", label=name, **look)
-    if not axes.lines:
+def _draw_curve(axes: Axes, metric: str, seconds: np.ndarray, values: np.ndarray):
+    values = get_metric(metric).factor * values
+    if seconds.size == 0:
         place = {"transform": axes.transAxes, "ha": "center", "color": style.MUTED}
         axes.text(0.5, 0.5, "not recorded", **place)
         axes.set(xticks=[], yticks=[])
         return
+    if metric == "loss":
+        _draw_loss(axes, seconds, values)
+    elif metric == "candidates_alive":
+        axes.step(seconds, values, where="post", color=style.BLUE, lw=1.5)
+    else:
+        look = {"color": style.BLUE, "ms": 3.5, "clip_on": False, "zorder": 3}
+        axes.plot(seconds, values, "o-", **look)
     if get_metric(metric).unit == "%":
         axes.set_ylim(0.0, 100.0)
     elif metric != "loss":
@@ -152,15 +127,15 @@ def _series(lines: Records, key: str) -> tuple[np.ndarray, np.ndarray]:
     return seconds, values
 
 
-def _draw_loss(axes, seconds, values, color, name) -> None:
+def _draw_loss(axes: Axes, seconds: np.ndarray, values: np.ndarray) -> None:
     """The loss, faint where it is noisy, under its running mean."""
     window = max(1, values.size // 40)
     if window > 1:
-        axes.plot(seconds, values, color=color, lw=0.6, alpha=0.35)
+        axes.plot(seconds, values, color=style.BLUE, lw=0.6, alpha=0.35)
         kernel = np.full(window, 1.0 / window)
         values = np.convolve(values, kernel, mode="valid")
         seconds = np.convolve(seconds, kernel, mode="valid")
-    axes.plot(seconds, values, color=color, lw=1.5, label=name)
+    axes.plot(seconds, values, color=style.BLUE, lw=1.5)
     if np.all(values > 0.0):
         axes.set_yscale("log")
 
@@ -244,4 +219,55 @@ def draw_fit(records: Records, path: str | os.PathLike) -> Path:
     axes.set_yscale("log")
     axes.set_xlim(left=0.0)
     axes.legend(frameon=False, fontsize=8)
+    return style.save_figure(figure, path)
+
+
+# Colour and sign of right views and of each kind of wrong ones (`failures.KINDS`).
+_LOOKS = {
+    -1: ("right", style.BLUE, "o"),
+    0: (KINDS[0], style.RED, "s"),
+    1: (KINDS[1], style.AMBER, "^"),
+    2: (KINDS[2], style.GREEN, "D"),
+    3: ("wrong otherwise", style.MUTED, "X"),
+}
+
+
+@dataclass(frozen=True)
+class ViewPoses:
+    """Where the views of a test set are taken from, and where the network says so."""
+
+    true_deg: np.ndarray  # [n] azimuth, 0 to 360; 0 looks at the front
+    predicted_deg: np.ndarray  # [n]
+    errors_deg: np.ndarray  # [n] of the whole pose, 0 to 180
+    kinds: np.ndarray  # [n] index into `failures.KINDS`; -1 of right views
+
+
+def draw_azimuths(views: ViewPoses, path: str | os.PathLike) -> Path:
+    """Pose error, and predicted azimuth, of each view over its true azimuth."""
+    figure = style.make_figure(9.0, 4.2)
+    left, right = style.make_panels(figure, 2)
+    for kind, (label, color, marker) in _LOOKS.items():
+        rows = views.kinds == kind
+        if not rows.any():
+            continue
+        look = {"s": 14, "color": color, "marker": marker, "linewidths": 0}
+        look |= {"alpha": 0.75, "clip_on": False, "zorder": 3}
+        label = f"{label}: {int(rows.sum())}"
+        left.scatter(views.true_deg[rows], views.errors_deg[rows], label=label, **look)
+        right.scatter(views.true_deg[rows], views.predicted_deg[rows], **look)
+    left.axhline(ACCURACY_THRESHOLD_DEG, color=style.INK, lw=1.0)
+    for shift in (-180, 0, 180):
+        line = {"color": style.INK if shift == 0 else style.MUTED, "lw": 0.9}
+        ends = [0, 360], [shift, 360 + shift]
+        right.plot(*ends, ls="-" if shift == 0 else ":", zorder=1, **line)
+    for axes, title, y_label, top in (
+        (left, "Pose error", "degrees", 180),
+        (right, "Predicted azimuth", "degrees; dotted: half a turn off", 360),
+    ):
+        x_label = "true azimuth (degrees; 0 front, 90 left, 180 rear)"
+        style.label_axes(axes, title=title, x_label=x_label, y_label=y_label)
+        axes.set(xlim=(0, 360), xticks=range(0, 361, 90), ylim=(0, top))
+        axes.set_yticks(range(0, top + 1, top // 6 if top == 180 else 90))
+    look = {"frameon": False, "fontsize": 9, "ncols": len(_LOOKS)}
+    figure.legend(loc="outside lower center", **look)
     return style.save_figure(figure, path)

@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike
 from dpc_jax.evaluation import metrics as registry
 from dpc_jax.files import write_text
 from dpc_jax.reporting import export, figures, gallery, signals
-from dpc_jax.reporting.azimuth_figures import ViewPoses, draw_azimuths
 from dpc_jax.reporting.examples import Example, TrainingComparison
 from dpc_jax.reporting.web import cards, sections, viewer
-from dpc_jax.reporting.web.markup import embed_chart, make_table, read_asset
+from dpc_jax.reporting.web.markup import assemble_page, embed_chart, make_table
 
 
 def write_report(
@@ -27,13 +26,13 @@ def write_report(
     *,
     title: str,
     metrics: Mapping[str, Any],
-    records: Sequence[Mapping] | Mapping[str, Sequence[Mapping]] = (),
+    records: Sequence[Mapping] = (),
     stages: figures.Stages = (),
     examples: Sequence[Example] = (),
     ranking: str = "",
     worst: tuple[Sequence[Example], str] = ((), ""),
     pose_errors: ArrayLike | None = None,
-    view_poses: ViewPoses | None = None,
+    view_poses: figures.ViewPoses | None = None,
     lost: Sequence[str] = (),
     comparison: TrainingComparison | None = None,
     shares: ArrayLike | None = None,
@@ -49,7 +48,7 @@ def write_report(
     Args:
       metrics: numbers, words or None by name, at least those of `REQUIRED_METRICS`
         (None where one does not apply). Distances times 100. NaN becomes null.
-      records: lines of `metrics.jsonl`, or such lists by run name.
+      records: lines of `metrics.jsonl`.
       stages: first step of each stage of the schedule and what is new in it.
       examples: views to show, those of a group one after the other.
       ranking: how they were chosen, a sentence.
@@ -81,7 +80,7 @@ def write_report(
         ]
     parts.append(_show_worst(folder, *worst))
     parts.append(_draw(folder, "pose_errors", figures.draw_pose_errors, pose_errors))
-    parts.append(_draw(folder, "azimuths", draw_azimuths, view_poses))
+    parts.append(_draw(folder, "azimuths", figures.draw_azimuths, view_poses))
     if pose_errors is not None:
         parts.append(sections.describe_failures(values, lost))
     if comparison:
@@ -158,15 +157,8 @@ def _assemble(title, values, warnings, parts) -> str:
         value = html.escape(registry.format_metric(name, values[name]))
         heading = html.escape(registry.get_metric(name).heading)
         tiles += f'<div class="tile"><b>{value}</b><span>{heading}</span></div>'
-    title = html.escape(title)
-    style = read_asset("page.css")
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{title}</title><style>{style}</style></head>\n<body>"
-        f'<h1>{title}</h1>\n{notes}<div class="tiles">{tiles}</div>\n'
-        f"{''.join(parts)}</body></html>\n"
-    )
+    top = f'<h1>{html.escape(title)}</h1>\n{notes}<div class="tiles">{tiles}</div>\n'
+    return assemble_page(title, top + "".join(parts))
 
 
 def _write_clouds(examples: Sequence[Example], folder: Path) -> str:

@@ -1,10 +1,7 @@
-"""Markdown tables: of any rows, and of the metrics of runs side by side."""
+"""Markdown tables of any rows."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
-
-from dpc_jax.evaluation.metrics import format_metric, get_metric, order_metrics
+from collections.abc import Iterable, Sequence
 
 # What a column of numbers holds: digits first, but for bold print; or nothing.
 _NUMBER = re.compile(r"\**[-+]?(\d|inf|nan|–)|$")
@@ -37,27 +34,6 @@ def format_table(
     rule = ["---:" if letter == "r" else "---" for letter in letters]
     lines = [map(_escape, heads), rule, *cells]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
-def tabulate_runs(
-    runs: Mapping[str, Mapping[str, Any]], *, columns: Sequence[str] | None = None
-) -> str:
-    """A Markdown table with a line per run and a column per metric; all if None.
-
-    Raises:
-      ValueError: there are no runs.
-    """
-    if not runs:
-        raise ValueError("runs must be at least one, but there are none; pass some.")
-    if columns is None:
-        columns = order_metrics(name for metrics in runs.values() for name in metrics)
-    return format_table(
-        ["Run", *(get_metric(name).heading for name in columns)],
-        [
-            [run, *(format_metric(name, metrics.get(name)) for name in columns)]
-            for run, metrics in runs.items()
-        ],
-    )
 
 
 def _escape(cell: object) -> str:

@@ -14,6 +14,7 @@ from dpc_jax.reporting.comparison.groups import (
     find_common,
 )
 from dpc_jax.reporting.tables import format_table
+from dpc_jax.reporting.web.markup import assemble_page
 
 # Metric: the head of its column. A column without any number is left out.
 COLUMNS = {
@@ -31,36 +32,26 @@ _HOW_TO_READ = (
     "Validation during training, over wall clock. The runs of a group have one colour. "
     "Point at a row of the table to see its curves alone, click to keep them."
 )
+# Beside what all pages have in common.
 _STYLE = """
-:root{color-scheme:light dark;--paper:#fff;--ink:#22303c;--soft:#5f6c77;--line:#e3e8ec;
---tile:#f3f6f9;--mark:#fff0c9;--best:#2c7a54;--over:#eaf2f9}
-@media (prefers-color-scheme:dark){:root{--paper:#1c1c1c;--ink:#e2e6ea;--soft:#a3adb6;
---line:#3a3f44;--tile:#282b2e;--mark:#4a3d17;--best:#6fd3a0;--over:#26313a}
-/* Charts are black on white; 255 · (1 - 0.89) is this page's own grey. */
+:root{--mark:#fff0c9;--best:#2c7a54;--over:#eaf2f9}
+@media (prefers-color-scheme:dark){:root{--mark:#4a3d17;--best:#6fd3a0;--over:#26313a}
 svg{filter:invert(.89) hue-rotate(180deg)}}
-body{font:16px/1.5 system-ui,sans-serif;color:var(--ink);background:var(--paper);
-margin:0 auto;max-width:80rem;padding:1rem}
-h1{font-size:1.6rem;margin:.5rem 0}h2{font-size:1.2rem;margin:2rem 0 .3rem}
-p{margin:.3rem 0 .8rem;max-width:50rem}.wide{overflow-x:auto}
 .curves svg{display:block;width:100%;height:auto}
 .narrow{display:none}
 @media (max-width:46rem){.roomy{display:none}.narrow{display:block}}
-table{border-collapse:collapse;font-size:.88rem}
-th,td{padding:.3rem .7rem .3rem 0;text-align:left;border-bottom:1px solid var(--line);
-vertical-align:top}th{vertical-align:bottom}
-td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
-th.n{white-space:normal}tr.group td{font-weight:600;padding-top:.7rem}
-tr.group:has(+tr.settings) td{border:0}tr.settings td{padding-top:0}
+td,th{vertical-align:top;white-space:nowrap}th{vertical-align:bottom;white-space:normal}
+tr.group td{font-weight:600;padding-top:.7rem}
+tr.group:has(+tr.settings) td{border:0}tr.settings td{padding-top:0;text-align:left}
 tr.run td{color:var(--soft);font-size:.82rem}tr.run td:first-child{padding-left:1.1rem}
 tr.picked td{background:var(--over)}td.best{color:var(--best)}
 td.best::before{content:"▸ "}
 mark{background:var(--mark);color:var(--ink);border-radius:.3rem;padding:.05rem .4rem;
 font:.78rem ui-monospace,monospace;display:inline-block;margin:.1rem .25rem .1rem 0;
 overflow-wrap:anywhere}
-td:first-child{min-width:10rem}
+td:first-child{min-width:10rem;white-space:normal}
 tr.settings div{position:sticky;left:0;max-width:calc(100vw - 3rem)}
 svg.faded [id^="line-"]{opacity:.1}
-details{margin:.6rem 0}summary{cursor:pointer}
 """
 # Pointing at a row shows its curves alone; without a script all are shown.
 _SCRIPT = """
@@ -97,13 +88,8 @@ def write_comparison(folder: Path, groups: Sequence[Group]) -> Path:
         f'<div class="curves narrow">{narrow}</div>\n'
         f"<script>{_SCRIPT}</script>"
     )
-    return write_text(
-        folder / "index.html",
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{title}</title><style>{_STYLE}</style></head>\n"
-        f"<body>{body}</body></html>\n",
-    )
+    page = assemble_page(title, body, style=_STYLE)
+    return write_text(folder / "index.html", page)
 
 
 def tabulate_groups(groups: Sequence[Group]) -> str:
@@ -167,7 +153,7 @@ def _write_table(groups: Sequence[Group]) -> str:
     columns = _choose_columns(groups)
     best = {name: find_best(groups, name) for name in columns}
     heads = ["<th>Run</th>"] + [
-        f'<th class="n">{html.escape(COLUMNS[name])}</th>' for name in columns
+        f"<th>{html.escape(COLUMNS[name])}</th>" for name in columns
     ]
     lines = [f"<tr>{''.join(heads)}</tr>"]
     for index, group in enumerate(groups):
@@ -176,8 +162,8 @@ def _write_table(groups: Sequence[Group]) -> str:
         name = first.name + _say_unfinished(first) if is_alone else _name(group)
         cells = [f"<td>{html.escape(name)}</td>"]
         for metric in columns:
-            kind = "n best" if best[metric] is group else "n"
-            cells.append(f'<td class="{kind}">{_describe(group, metric)}</td>')
+            kind = ' class="best"' if best[metric] is group else ""
+            cells.append(f"<td{kind}>{_describe(group, metric)}</td>")
         lines.append(f'<tr class="group" data-group="{index}">{"".join(cells)}</tr>')
         if group.differs:
             width = f'colspan="{len(columns) + 1}"'
@@ -186,9 +172,10 @@ def _write_table(groups: Sequence[Group]) -> str:
         for run in () if is_alone else group.runs:
             name = html.escape(run.name + _say_unfinished(run))
             cells = [f"<td>{name}</td>"]
-            cells += [f'<td class="n">{_format(run, m)}</td>' for m in columns]
+            cells += [f"<td>{_format(run, m)}</td>" for m in columns]
             lines.append(f'<tr class="run" data-group="{index}">{"".join(cells)}</tr>')
-    return f'<div class="wide"><table>{"".join(lines)}</table></div>\n'
+    table = f'<table class="numbers">{"".join(lines)}</table>'
+    return f'<div class="wide">{table}</div>\n'
 
 
 def _say_unfinished(run: ComparedRun) -> str:

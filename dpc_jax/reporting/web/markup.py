@@ -1,4 +1,4 @@
-"""Pieces of HTML: tables, charts and pictures that lie inside the page."""
+"""Pieces of HTML: the page, tables, charts and pictures that lie inside it."""
 
 import base64
 import html
@@ -15,6 +15,22 @@ def read_asset(name: str) -> str:
     """The text of a style sheet or script of this folder."""
     folder = resources.files("dpc_jax.reporting.web")
     return folder.joinpath(name).read_text(encoding="utf-8")
+
+
+def assemble_page(title: str, body: str, *, style: str = "") -> str:
+    """A page that needs nothing beside it.
+
+    Args:
+      title: of the window; the headings are in the body.
+      body: HTML. style: rules after those of all pages.
+    """
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{html.escape(title)}</title>"
+        f"<style>{read_asset('page.css')}{style}</style></head>\n"
+        f"<body>{body}</body></html>\n"
+    )
 
 
 def make_table(

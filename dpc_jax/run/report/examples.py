@@ -1,20 +1,60 @@
 """The test views that a report shows: the worst, those in the middle, the best."""
 
+import dataclasses
+import math
+from typing import NamedTuple
+
 import numpy as np
 
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
 from dpc_jax.evaluation.failures import Failures
+from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG
 from dpc_jax.evaluation.rotations import view_angles
 from dpc_jax.evaluation.scores import Scores
-from dpc_jax.learning.inference.evaluator import arrange_truth, measure_overlaps
+from dpc_jax.learning.inference.evaluator import arrange_truth
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.learning.inference.view_images import read_view
-from dpc_jax.reporting.azimuth_figures import ViewPoses
 from dpc_jax.reporting.examples import Example, SignalImages
+from dpc_jax.reporting.figures import ViewPoses
 from dpc_jax.run.report.training_shapes import TrainingShapes
 
 GROUPS = ("Worst", "Median", "Best")
+WORST_SHARE, WORST_COUNT = 0.1, 20  # of the objects; at most so many
+
+
+class Judged(NamedTuple):
+    """Predictions for a data set, and how good they are.
+
+    Attributes:
+      predictions, dataset: of the same views.
+      alignment: from the network's frame to the object frame.
+      scores: of the predictions.
+      overlaps: [n, V] of silhouettes, 0 to 1.
+      distance: of the camera.
+      threshold: of the surfaces of a voxel model; None of others.
+    """
+
+    predictions: Predictions
+    dataset: DataSet
+    alignment: Alignment
+    scores: Scores
+    overlaps: np.ndarray
+    distance: float
+    threshold: float | None = None
+
+    def rank_views(self) -> tuple[np.ndarray, str]:
+        """How bad each view is [n, V], by the first measure there is, and its name.
+
+        That is the pose error; where poses are not predicted, or their truth is not
+        known, the Chamfer distance, and without true shapes the overlap of silhouettes.
+        """
+        if self.scores.pose_errors_deg is not None:
+            return np.asarray(self.scores.pose_errors_deg), "pose error"
+        if self.scores.chamfers is not None:
+            badness = np.asarray(self.scores.chamfers).sum(axis=-1)
+            return badness, "Chamfer distance"
+        return -self.overlaps, "overlap of silhouettes"
 
 
 def choose_views(
@@ -49,81 +89,93 @@ def choose_views(
 
 
 def choose_examples(
-    predictions: Predictions,
-    dataset: DataSet,
-    alignment: Alignment,
-    result: Scores,
-    *,
-    per_group: int,
-    shapes: TrainingShapes | None,
-    distance: float,
-    threshold: float | None,
+    judged: Judged, *, per_group: int, shapes: TrainingShapes | None
 ) -> tuple[list[Example], str]:
-    """The views to show, and a sentence on how they were chosen.
-
-    They are ranked by the pose error; where poses are not predicted or their truth is
-    not known by the Chamfer distance, and without true shapes by the overlap of
-    silhouettes.
+    """The worst, median and best views, and a sentence on how they were chosen.
 
     Args:
-      result: of the predictions. per_group: the worst, median and best, of each.
-      shapes: of the training set, to show beside them.
-      distance: of the camera. threshold: of the surfaces of a voxel model.
+      per_group: views of each. shapes: of the training set, to show beside them.
     """
-    models, _ = arrange_views(dataset)
-    overlaps = measure_overlaps(predictions, dataset)
-    badness, measure = rank_views(result, overlaps)
+    models, _ = arrange_views(judged.dataset)
+    badness, measure = judged.rank_views()
     examples = [
-        make_example(
-            predictions,
-            dataset,
-            alignment,
-            result,
-            (group, row, place),
-            overlap=float(overlaps[row, place]),
-            shapes=shapes,
-            distance=distance,
-            threshold=threshold,
-        )
-        for group, row, place in choose_views(badness, models, per_group=per_group)
+        make_example(judged, *chosen, shapes=shapes)
+        for chosen in choose_views(badness, models, per_group=per_group)
     ]
     return examples, f"The worst, median and best of all test views by {measure}."
 
 
-def rank_views(result: Scores, overlaps: np.ndarray) -> tuple[np.ndarray, str]:
-    """How bad each view is [n, V], by the first measure there is, and its name."""
-    if result.pose_errors_deg is not None:
-        return np.asarray(result.pose_errors_deg), "pose error"
-    if result.chamfers is not None:
-        return np.asarray(result.chamfers).sum(axis=-1), "Chamfer distance"
-    return -overlaps, "overlap of silhouettes"
+def choose_worst(badness: np.ndarray, models: np.ndarray) -> list[tuple[int, int]]:
+    """The worst view (row, place) of each of the worst objects, worst object first.
+
+    Args:
+      badness: [n, V] of each view, higher is worse. An object is as bad as its views
+        are in the mean.
+      models: [n, V] the object of a view.
+    """
+    names = np.unique(models)
+    means = np.array([badness[models == name].mean() for name in names])
+    count = min(WORST_COUNT, max(1, math.ceil(WORST_SHARE * len(names))))
+    chosen = []
+    for index in np.argsort(-means, kind="stable")[:count]:
+        own = np.where(models == names[index], badness, -np.inf)
+        row, place = np.unravel_index(np.argmax(own), own.shape)
+        chosen.append((int(row), int(place)))
+    return chosen
+
+
+def list_worst(judged: Judged) -> tuple[list[Example], str]:
+    """The worst tenth of the objects, and a sentence on how they were chosen."""
+    models, _ = arrange_views(judged.dataset)
+    badness, measure = judged.rank_views()
+    examples = []
+    for row, place in choose_worst(badness, models):
+        # Its picture shows no surface of a voxel model.
+        example = make_example(judged._replace(threshold=None), "", row, place)
+        note = _describe(judged.scores, models == models[row, place], example)
+        examples.append(dataclasses.replace(example, name=f"{example.name}: {note}"))
+    return examples, (
+        f"The tenth of the test objects with the worst mean {measure} of their views"
+        + (f" ({WORST_COUNT} at most)" if len(examples) == WORST_COUNT else "")
+        + ", each by its worst view."
+    )
+
+
+def _describe(scores: Scores, own: np.ndarray, example: Example) -> str:
+    """What is wrong with an object, whose views are `own` [n, V]."""
+    if scores.pose_errors_deg is not None:
+        errors = np.asarray(scores.pose_errors_deg)[own]
+        wrong = int(np.sum(errors > ACCURACY_THRESHOLD_DEG))
+        parts = [f"{wrong} of {len(errors)} views wrong"]
+    else:
+        parts = [f"overlap {example.overlap:.2f}"]
+    if example.chamfer is not None:
+        parts.append(f"Chamfer {example.chamfer:.1f}")
+    return ", ".join(parts)
 
 
 def make_example(
-    predictions: Predictions,
-    dataset: DataSet,
-    alignment: Alignment,
-    result: Scores,
-    chosen: tuple[str, int, int],
+    judged: Judged,
+    group: str,
+    row: int,
+    place: int,
     *,
-    overlap: float,
-    shapes: TrainingShapes | None,
-    distance: float,
-    threshold: float | None,
+    shapes: TrainingShapes | None = None,
 ) -> Example:
-    """A view, (group, row, place), and what is shown of it; see `choose_examples`."""
-    group, row, place = chosen
+    """A view, and what is shown of it; see `choose_examples`."""
+    predictions, dataset, alignment, scores, overlaps, distance, threshold = judged
     models, views = arrange_views(dataset)
     model, view = models[row, place], views[row, place]
-    errors, colors = result.pose_errors_deg, predictions.colors
+    errors, colors = scores.pose_errors_deg, predictions.colors
     surface = None if dataset.surfaces is None else np.asarray(dataset.surfaces[model])
-    mesh = None
+    mesh, neighbours = None, ()
     if threshold is not None:
         from dpc_jax.run.surfaces import find_surface  # needs libraries of its own
 
         mesh = find_surface(predictions, row, threshold, alignment, place=place)
     points = align_points(alignment, predictions.points[row, place])
-    seen = read_view(predictions, dataset, row, place, distance=distance)
+    if shapes is not None and surface is not None:
+        neighbours = shapes.list_neighbours(surface, len(points))
     several = dataset.counts[model] > 1
     return Example(
         name=dataset.names[model] + (f", view {view}" if several else ""),
@@ -135,44 +187,42 @@ def make_example(
         pose_error_deg=None if errors is None else float(errors[row, place]),
         mesh=mesh,
         surface=surface,
-        signals={
-            name: SignalImages(
-                seen.targets[name], image, seen.mask, seen.rendered["silhouette"]
-            )
-            for name, image in seen.rendered.items()
-        },
+        signals=_list_signals(predictions, dataset, row, place, distance),
         group=group,
-        chamfer=_find_chamfer(result, row, place),
-        overlap=overlap,
-        neighbours=()
-        if shapes is None or surface is None
-        else shapes.list_neighbours(surface, len(points)),
+        chamfer=_find_chamfer(scores, row, place),
+        overlap=float(overlaps[row, place]),
+        neighbours=neighbours,
     )
 
 
-def _find_chamfer(result, row, place) -> float | None:
+def _list_signals(predictions, dataset, row, place, distance):
+    """The rendered images of a view beside those of the data, by name."""
+    seen = read_view(predictions, dataset, row, place, distance=distance)
+    opacity = seen.rendered["silhouette"]
+    return {
+        name: SignalImages(seen.targets[name], image, seen.mask, opacity)
+        for name, image in seen.rendered.items()
+    }
+
+
+def _find_chamfer(scores, row, place) -> float | None:
     """The Chamfer distance of a view (times 100), where it was measured."""
-    if result.chamfers is None or place >= result.chamfers.shape[1]:
+    if scores.chamfers is None or place >= scores.chamfers.shape[1]:
         return None
-    return 100 * float(result.chamfers[row, place].sum())
+    return 100 * float(scores.chamfers[row, place].sum())
 
 
-def list_view_poses(
-    predictions: Predictions,
-    dataset: DataSet,
-    alignment: Alignment,
-    result: Scores,
-    failures: Failures | None,
-) -> ViewPoses | None:
+def list_view_poses(judged: Judged, failures: Failures | None) -> ViewPoses | None:
     """Azimuths of all test views; None where poses are not predicted or not known."""
-    poses, _ = arrange_truth(dataset)
-    if poses is None or failures is None or result.pose_errors_deg is None:
+    errors = judged.scores.pose_errors_deg
+    poses, _ = arrange_truth(judged.dataset)
+    if poses is None or failures is None or errors is None:
         return None
-    found = align_poses(alignment, predictions.poses)
+    found = align_poses(judged.alignment, judged.predictions.poses)
     return ViewPoses(
         true_deg=_list_azimuths(poses),
         predicted_deg=_list_azimuths(found),
-        errors_deg=np.asarray(result.pose_errors_deg).ravel(),
+        errors_deg=np.asarray(errors).ravel(),
         kinds=failures.kinds.ravel(),
     )
 

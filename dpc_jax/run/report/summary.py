@@ -4,6 +4,8 @@ import resource
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dpc_jax.config import Config, to_config_dict
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation import candidates as candidate_use
@@ -21,11 +23,17 @@ from dpc_jax.learning.inference.view_images import (
 )
 from dpc_jax.learning.training.loop import Outcome
 from dpc_jax.reporting.page import write_report
-from dpc_jax.run.report.examples import choose_examples, list_view_poses
-from dpc_jax.run.report.training_shapes import TrainingShapes, compare
-from dpc_jax.run.report.warnings import list_warnings
-from dpc_jax.run.report.worst_objects import list_worst
+from dpc_jax.run.report.examples import (
+    Judged,
+    choose_examples,
+    list_view_poses,
+    list_worst,
+)
+from dpc_jax.run.report.training_shapes import TrainingShapes, compare_with_training
+from dpc_jax.run.setup import collect_warnings
 from dpc_jax.run.workdir import write_alignment
+
+_FEW_STEPS = 1000  # before which heads have hardly begun to share the views
 
 
 def report_run(
@@ -51,81 +59,33 @@ def report_run(
       threshold: of the surfaces of a voxel model.
       refined: of `measure_refinement`, where it was asked for.
     """
-    heads = config.pose.heads
-    scored = {
-        name: evaluator.score(
-            found,
-            sets[name],
-            alignment=alignment,
-            heads=heads,
-            poses_given=config.pose.known,
-            # Maps and volumes are judged by ten thousand points already.
-            dense_points=DENSE_POINTS if config.network.shape == "points" else 0,
-        )
+    judged = {
+        name: _judge(found, sets[name], config, alignment, threshold)
         for name, found in predictions.items()
     }
-    result, shares = scored["test"]
-    measured = {
-        name: measure_images(found, sets[name], distance=config.render.distance)
-        | measure_cameras(found, sets[name])
-        for name, found in predictions.items()
-    }
-    metrics = dict.fromkeys((*REQUIRED_METRICS, *MEASURES)) | result.metrics
-    metrics |= measured["test"]
+    test, shares, values = judged["test"]
     failures = None
     if not config.pose.known:
-        failures = evaluator.diagnose(
-            predictions["test"], sets["test"], alignment=alignment
-        )
-        metrics |= failures.metrics if failures else {}
+        failures = evaluator.diagnose(*test[:2], alignment=alignment)
+    metrics = dict.fromkeys((*REQUIRED_METRICS, *MEASURES)) | values
+    metrics |= failures.metrics if failures else {}
     metrics |= _count_costs(sets, outcome, data_seconds)
+    heads = config.pose.heads
     metrics["candidates_alive"] = candidate_use.count_alive(shares) if heads else None
-    if sets["test"].quaternions is not None and not config.pose.given:
+    if test.dataset.quaternions is not None and not config.pose.given:
         metrics["alignment_inlier_share"] = alignment.inlier_share
-    if "own" in scored:
-        own = scored["own"][0].metrics | measured["own"]
+    own = judged["own"][2] if "own" in judged else {}
+    if own:
         metrics |= {f"own_{name}": value for name, value in own.items()}
         metrics["own_test_models"] = len(sets["own"].names)
     metrics |= refined or {}
     if threshold is not None:
         metrics["surface_threshold"] = threshold
-    warnings = list_warnings(config, sets, shares if heads > 1 else None)
-    shapes = TrainingShapes.gather(sets)
-    examples, ranking = choose_examples(
-        predictions["test"],
-        sets["test"],
-        alignment,
-        result,
-        per_group=config.log.examples,
-        shapes=shapes,
-        distance=config.render.distance,
-        threshold=threshold,
-    )
-    path = write_report(
-        workdir / "report",
-        title=f"dpc_jax: {workdir.name}",
-        metrics=metrics,
-        records=records,
-        stages=list_stages(config),
-        examples=examples,
-        ranking=ranking,
-        worst=list_worst(
-            predictions["test"],
-            sets["test"],
-            alignment,
-            result,
-            distance=config.render.distance,
-        ),
-        pose_errors=result.pose_errors_deg,  # None: no such figure
-        view_poses=list_view_poses(
-            predictions["test"], sets["test"], alignment, result, failures
-        ),
-        lost=_name_lost(failures, sets["test"]),
-        comparison=compare(predictions["test"], sets["test"], alignment, shapes),
-        shares=shares if heads > 1 else None,
-        warnings=warnings,
-        config_text=str(to_config_dict(config)),
-    )
+    shares = shares if heads > 1 else None
+    warnings = list_warnings(config, sets, shares)
+    shown = {"metrics": metrics, "records": records, "shares": shares}
+    shown |= {"warnings": warnings, "title": f"dpc_jax: {workdir.name}"}
+    path = _write_page(workdir / "report", config, sets, test, failures, shown)
     if config.pose.given or sets["val"].quaternions is not None:
         write_alignment(workdir, alignment)
     for warning in warnings:
@@ -135,10 +95,103 @@ def report_run(
     )
     for line in describe_refined(refined or {}):
         print(line)
-    if "own" in scored:
-        own = scored["own"][0].metrics
+    if own:
         print(f"Objects of the training source: {describe_metrics(own)}.")
     print(f"Report: {path}")
+
+
+def _judge(predictions, dataset, config, alignment, threshold):
+    """A judged set, the share [K] of its views that each head wins, its metrics."""
+    scores, shares = evaluator.score(
+        predictions,
+        dataset,
+        alignment=alignment,
+        heads=config.pose.heads,
+        poses_given=config.pose.known,
+        # Maps and volumes are judged by ten thousand points already.
+        dense_points=DENSE_POINTS if config.network.shape == "points" else 0,
+    )
+    distance = config.render.distance
+    overlaps = evaluator.measure_overlaps(predictions, dataset)
+    judged = Judged(
+        predictions, dataset, alignment, scores, overlaps, distance, threshold
+    )
+    metrics = scores.metrics | measure_images(predictions, dataset, distance=distance)
+    return judged, shares, metrics | measure_cameras(predictions, dataset)
+
+
+def _write_page(folder, config, sets, judged: Judged, failures, shown: dict) -> Path:
+    """The report of the test set; `shown` are further arguments of `write_report`."""
+    shapes = TrainingShapes.gather(sets)
+    examples, ranking = choose_examples(
+        judged, per_group=config.log.examples, shapes=shapes
+    )
+    return write_report(
+        folder,
+        stages=list_stages(config),
+        examples=examples,
+        ranking=ranking,
+        worst=list_worst(judged),
+        pose_errors=judged.scores.pose_errors_deg,  # None: no such figure
+        view_poses=list_view_poses(judged, failures),
+        lost=_name_lost(failures, judged.dataset),
+        comparison=compare_with_training(*judged[:3], shapes),
+        config_text=str(to_config_dict(config)),
+        **shown,
+    )
+
+
+def list_warnings(
+    config: Config, sets: dict[str, DataSet], shares: np.ndarray | None
+) -> list[str]:
+    """Sentences on what a reader of the figures has to know.
+
+    Args:
+      sets: by name. shares: [K] of views that each head wins; None without an ensemble.
+    """
+    warnings = collect_warnings(config, sets) + _name_left_out(sets["test"])
+    if config.pose.known:
+        warnings.append(
+            "This run was given the poses and learned none: pose accuracy and pose "
+            "errors are absent."
+        )
+    if shares is not None:
+        warning = candidate_use.collapse_warning(shares)
+        if warning and config.train.steps < _FEW_STEPS:
+            warning += f" After {config.train.steps} steps that tells nothing yet."
+        warnings += [warning] if warning else []
+    for one, many, pairs in (
+        (
+            "1 model was skipped",
+            "{} models were skipped",
+            [s for data in sets.values() for s in data.skipped],
+        ),
+        (
+            "1 remark on the data",
+            "{} remarks on the data",
+            [r for data in sets.values() for r in data.remarks],
+        ),
+    ):
+        if pairs:
+            text = one if len(pairs) == 1 else many.format(len(pairs))
+            named = "; ".join(f"{name}: {reason}" for name, reason in pairs[:10])
+            warnings.append(f"{text} ({named}).")
+    return warnings
+
+
+def _name_left_out(dataset) -> list[str]:
+    """A sentence on the metrics that a test set has no truth for."""
+    if dataset.quaternions is None:
+        return [
+            "The test images come without poses and true shapes: pose errors, Chamfer "
+            "distance, precision and coverage are left out."
+        ]
+    if dataset.surfaces is None:
+        return [
+            "The test images come without true shapes: Chamfer distance, precision and "
+            "coverage are left out."
+        ]
+    return []
 
 
 def describe_refined(refined: dict[str, Any]) -> list[str]:

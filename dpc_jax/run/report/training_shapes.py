@@ -67,7 +67,7 @@ class TrainingShapes(NamedTuple):
         )
 
 
-def compare(
+def compare_with_training(
     predictions: Predictions,
     dataset: DataSet,
     alignment: Alignment,
