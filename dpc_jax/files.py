@@ -11,8 +11,9 @@ import secrets
 import socket
 import stat
 from collections.abc import Iterable, Iterator
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 TEMPORARY = ".tmp"  # ends the names of files that are being written
 MOST_TEXT = (
@@ -20,7 +21,7 @@ MOST_TEXT = (
 )  # bytes of a text or JSON file; those that are read are far smaller
 
 
-def open_regular(path: str | os.PathLike, *, most: int | None = None) -> BinaryIO:
+def open_regular(path: str | os.PathLike, *, most: int | None = None) -> BufferedReader:
     """Open a file that a user names, to read: a regular one of at most `most` bytes.
 
     A pipe would keep its reader waiting, and a device has no end.
@@ -64,13 +65,13 @@ def read_json(path: str | os.PathLike) -> Any:
     """JSON of at most `MOST_TEXT` bytes.
 
     Raises:
-      ValueError: where it is not JSON, or nested so deep that it cannot be read.
+      ValueError: with a phrase, where it is not JSON or nested too deep to be read.
       OSError: as `open_regular`.
     """
     try:
         return json.loads(read_text(path))
     except RecursionError:
-        raise ValueError("it is nested too deep") from None
+        raise json.JSONDecodeError("it is nested too deep", "", 0) from None
 
 
 def open_own(path: str | os.PathLike, flags: int) -> int:

@@ -67,7 +67,7 @@ def test_what_is_written_is_mapped_and_numpy_reads_it(tmp_path):
     arrays = {
         "images": rng.integers(0, 255, (3, 5, 5, 3), np.uint8),
         "depths": rng.normal(size=(3, 5, 5)).astype(np.float32),
-        "none": np.zeros((0, 3), np.float32),
+        "surfaces": np.zeros((0, 3), np.float32),
     }
     path = tmp_path / "shard-00000.npz"
     shards.write_shard(path, arrays, {"names": ["ä", "b"]})
@@ -86,7 +86,9 @@ def test_what_is_written_is_mapped_and_numpy_reads_it(tmp_path):
 
 def test_any_changed_byte_of_the_arrays_is_noticed(tmp_path):
     path = tmp_path / "shard-00000.npz"
-    shards.write_shard(path, {"masks": np.arange(200, dtype=np.uint8)}, {"a": 1})
+    shards.write_shard(
+        path, {"masks": np.arange(200, dtype=np.uint8).reshape(2, 10, 10)}, {"a": 1}
+    )
     content = path.read_bytes()
     start = content.index(bytes(range(50)))
     rng = np.random.default_rng(0)
@@ -106,9 +108,9 @@ def test_reading_a_large_set_needs_little_memory(tmp_path):
         pytest.skip("the system cannot be told to give pages back")
     rng = np.random.default_rng(0)
     for number in range(4):
-        rows = rng.integers(0, 255, (40, 1 << 20), np.uint8)
+        rows = rng.integers(0, 255, (40, 1 << 10, 1 << 10), np.uint8)
         path = tmp_path / f"shard-{number}.npz"
-        shards.write_shard(path, {"images": rows}, {})
+        shards.write_shard(path, {"masks": rows}, {})
     code = f"""
 import sys, types, numpy as np
 package = types.ModuleType("dpc_jax"); package.__path__ = [{shards.__file__!r}[:-15]]
@@ -120,7 +122,7 @@ def measure():
     return int(text.split("VmRSS:")[1].split()[0]) // 1024
 parts = [shards.map_shard(p) for p in sorted(Path({str(tmp_path)!r}).iterdir())]
 pages = shards.Pages([part.mapping for part in parts])
-pieces = [part.arrays["images"] for part in parts]
+pieces = [part.arrays["masks"] for part in parts]
 stack = shards.Stack(pieces, [4] * 40, pages)
 start, most = measure(), 0
 for step in range(80):

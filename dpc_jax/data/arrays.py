@@ -9,6 +9,19 @@ SEEN = "seen"  # a further array, of surfaces, if asked for
 # Further arrays, where views have their own.
 CAMERAS = ("translations", "focal_lengths")
 CORNERS = ("corner_masks", "corner_depths")  # further arrays, if asked for
+# Type and shape of a row of each; S, the image size, is 0 here and may be any.
+ROWS: dict[str, tuple[str, tuple[int, ...]]] = {
+    "images": ("|u1", (0, 0, 3)),
+    "masks": ("|u1", (0, 0)),
+    "depths": ("<f4", (0, 0)),
+    "quaternions": ("<f4", (4,)),
+    "surfaces": ("<f4", (3,)),
+    "seen": ("|b1", ()),
+    "translations": ("<f4", (3,)),
+    "focal_lengths": ("<f4", ()),
+    "corner_masks": ("|u1", (0, 0)),
+    "corner_depths": ("<f4", (0, 0)),
+}
 
 
 class DataSet(NamedTuple):

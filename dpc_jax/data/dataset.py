@@ -7,6 +7,7 @@ it was never finished, and preparing continues with the shards that are missing.
 
 import concurrent.futures
 import contextlib
+import errno
 import json
 import os
 import shutil
@@ -56,7 +57,7 @@ def load_or_render(
       ValueError: if there is no folder, no model, or none that can be used.
       OSError: if the disk is full or the cache cannot be written.
     """
-    source = open_source(spec)
+    source = open_source(spec, cache_dir)
     models = source.list_models()
     record = _describe(source, models)
     folder = locate_cache(source, models, cache_dir)
@@ -65,11 +66,18 @@ def load_or_render(
             return _warn(read_cache(folder), source)
         except (OSError, ValueError, KeyError, TypeError) as error:
             print(f"The cache {folder} is damaged ({error}) and will be repaired.")
-    folder.mkdir(parents=True, exist_ok=True)
     try:
+        folder.mkdir(parents=True, exist_ok=True)
         files.remove_leftovers(folder)
         _prepare(folder, source, models, share, processes, progress=progress)
         _finish(folder, source, models, record, progress=progress)
+    except OSError as error:
+        if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
+            raise
+        raise OSError(
+            f"Expected to write the data set to {folder}, but it cannot be written "
+            f"({error.strerror}); set another data.cache_dir."
+        ) from None
     finally:
         files.remove_leftovers(folder)
         with contextlib.suppress(OSError):  # it is not empty
@@ -79,7 +87,7 @@ def load_or_render(
 
 def is_prepared(spec: DataSpec, cache_dir: str | Path) -> bool:
     """Whether `load_or_render` would find the set instead of preparing it."""
-    source = open_source(spec)
+    source = open_source(spec, cache_dir)
     folder = locate_cache(source, source.list_models(), cache_dir)
     return (folder / RECORD).exists()
 
@@ -200,11 +208,11 @@ def read_cache(folder: str | Path) -> DataSet:
         raise ValueError(
             f"Expected {path}, but the cache was never finished; prepare it again."
         )
-    record = json.loads(path.read_text(encoding="utf-8"))
+    record = files.read_json(path)
 
     def check(entry):
         name, size, checksum = entry
-        path = folder / name
+        path = folder / Path(name).name  # never of another folder
         if not path.is_file() or path.stat().st_size != size:
             state = "missing or incomplete"
         elif shards.checksum(path) != checksum:
@@ -231,6 +239,11 @@ def read_cache(folder: str | Path) -> DataSet:
         if any(have):
             counts = [n for part in parts for n in part.record["counts"][name]]
             pieces = [part.arrays[name] for part in parts]
+            if min(counts) < 0 or sum(counts) != sum(map(len, pieces)):
+                raise ValueError(
+                    f"Expected as many rows of {name} in {folder} as its shards say, "
+                    "but there are others; delete the folder."
+                )
             arrays[name] = shards.Stack(pieces, counts, pages)
     skipped, remarks = (
         tuple((name, text) for name, text in record[key])

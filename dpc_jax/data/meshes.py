@@ -13,11 +13,15 @@ import trimesh
 from trimesh.resolvers import FilePathResolver
 from trimesh.visual.color import uv_to_color
 
+from dpc_jax import files
 from dpc_jax.data.damage import Damage
+from dpc_jax.files import describe_error
 from dpc_jax.shapes.joining import join_pieces
 from dpc_jax.shapes.normalization import replace_vertices
 
 SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+MOST_BYTES = 1 << 29  # of a file: a mesh of some millions of faces
+MOST_PIXELS = 1 << 26  # of a texture: 8192 x 8192
 PLAIN = np.array([170, 170, 170, 255], dtype=np.uint8)  # where a file has no colour
 
 
@@ -55,18 +59,21 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
     """
     path = Path(path)
     try:
-        # ShapeNet keeps textures in the folder above that of the mesh
-        options = {"resolver": _Files(str(path), allow_anywhere=True), "process": False}
-        if path.suffix.lower() == ".obj":
-            text = decode_text(path.read_bytes())
+        content = files.read_bytes(path, most=MOST_BYTES)
+        kind, file = path.suffix.lower()[1:], io.BytesIO(content)
+        if kind == "obj":
+            text = decode_text(content)
             _expect_whole_line(text)
-            scene = trimesh.load_scene(io.StringIO(text), file_type="obj", **options)
-        else:
-            scene = trimesh.load_scene(path, **options)
+            file = io.StringIO(text)
+        scene = trimesh.load_scene(
+            file, file_type=kind, resolver=_Files(str(path)), process=False
+        )
         nodes = sorted(scene.graph.nodes_geometry)
         pieces = [_place_part(scene, node) for node in nodes]
     except Exception as error:  # readers raise anything at all on damaged files
-        reason = f"got {type(error).__name__}: {error}"
+        reason = f"got {type(error).__name__}: {str(error).rstrip('.')}"
+        if isinstance(error, OSError):
+            reason = f"it cannot be read ({describe_error(error)})"
         if getattr(error, "name", None) == "charset_normalizer":  # trimesh's last try
             reason = "it is neither text nor whole"
         raise ValueError(
@@ -99,13 +106,46 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
     return trimesh.Trimesh(used, faces, face_colors=colors, process=False)
 
 
+def is_readable(path: Path) -> bool:
+    """Whether `read_mesh` reads a file."""
+    try:
+        read_mesh(path)
+    except ValueError:
+        return False
+    return True
+
+
+def find_beside(mesh: Path, name: str) -> Path | None:
+    """A file that a mesh file names, or None: a stranger's file may name anything.
+
+    It is looked for where it is said to be, and by its name beside the mesh. Nothing is
+    found outside of the mesh's folder and the one above, where ShapeNet keeps textures,
+    and nothing but regular files.
+    """
+    name = name.strip().replace("\\", "/")
+    # A mesh that is a link may have its textures beside the file that it stands for.
+    folders = [mesh.parent.resolve(), mesh.resolve().parent]
+    above = [f.parent for f in folders if f.parent != f.parent.parent]  # never all
+    for place in (name, name.lstrip("/"), name.rsplit("/", 1)[-1]):
+        # A name may be none at all, or lead round a ring of links.
+        with contextlib.suppress(OSError, ValueError, RuntimeError):
+            path = (mesh.parent / place).resolve()
+            near = any(path.is_relative_to(folder) for folder in (*folders, *above))
+            if near and path.is_file():
+                return path
+    return None
+
+
 class _Files(FilePathResolver):
     """Materials and textures of a mesh file, as systems of all kinds name them."""
 
     def get(self, name):
-        content = super().get(name.replace("\\", "/"))
-        is_text = name.lower().endswith(".mtl")
-        return decode_text(content).encode() if is_text else content
+        path = find_beside(Path(self.file_path), name)
+        if path is None:
+            raise FileNotFoundError(name)
+        if path.suffix.lower() == ".mtl":
+            return decode_text(files.read_bytes(path, most=files.MOST_TEXT)).encode()
+        return files.read_bytes(path, most=MOST_BYTES)
 
 
 def decode_text(content: bytes) -> str:
@@ -146,10 +186,12 @@ def _face_colors(part):
         material = visual.material
         texture = getattr(material, "baseColorTexture", None)
         texture = getattr(material, "image", None) if texture is None else texture
-        if texture is not None and visual.uv is not None:
+        is_small = texture is not None and np.prod(texture.size) <= MOST_PIXELS
+        if is_small and visual.uv is not None:
             middle = np.asarray(visual.uv)[part.faces].mean(axis=1)
-            # a cut picture shows only when its pixels are asked for; plain colour then
-            with contextlib.suppress(OSError, SyntaxError):
+            # A cut picture shows only when its pixels are asked for; Pillow raises
+            # anything at all then. The plain colour remains.
+            with contextlib.suppress(Exception):
                 return uv_to_color(middle, texture)
         return np.tile(np.asarray(material.main_color, dtype=np.uint8), (count, 1))
     return np.tile(PLAIN, (count, 1))

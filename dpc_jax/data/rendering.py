@@ -28,6 +28,13 @@ class RenderedSource(Source):
 
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
         arrays = _render_mesh(self.make_mesh(model), self.spec, index)
+        empty = int((~arrays["masks"].any(axis=(1, 2))).sum())
+        if empty:
+            raise ValueError(
+                f"Expected the object of {model.path or model.name} in all of its "
+                f"{self.spec.views} views, but {empty} are empty; one of its "
+                "coordinates may lie far off: repair or remove it."
+            )
         return arrays, self.describe_flaws(model)
 
 

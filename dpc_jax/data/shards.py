@@ -5,8 +5,11 @@ the archive itself keeps a size and a checksum of every array; because nothing i
 compressed, the arrays can also be mapped where they lie.
 """
 
+import contextlib
+import errno
 import io
 import json
+import math
 import mmap
 import os
 import struct
@@ -19,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dpc_jax import files
+from dpc_jax.data.arrays import ROWS
 from dpc_jax.data.damage import Damage
 
 RECORD = "record"  # member that says what the shard holds, as JSON
@@ -47,51 +51,108 @@ def write_shard(path: Path, arrays: dict[str, np.ndarray], record: dict[str, Any
 
 
 def read_record(path: str | os.PathLike) -> dict[str, Any]:
-    """The record of a shard whose every array is as it was written."""
+    """The record of a shard whose every array is as it was written.
+
+    Raises: as `map_shard`, and ValueError where a checksum differs.
+    """
+    with _naming_damage(path):
+        shard, members = _map(path)
+        for member in members:
+            start, stop = _find_content(shard.mapping, member)
+            with memoryview(shard.mapping)[start:stop] as content:
+                if zlib.crc32(content) != member.CRC:
+                    raise Damage(f"the checksum of {member.filename} differs")
+    return shard.record
+
+
+def map_shard(path: str | os.PathLike) -> Shard:
+    """Map the arrays of a shard; only their places in the file are read yet.
+
+    Nothing is mapped but the arrays of `arrays.ROWS` with the types and shapes that
+    they have there, because the file may be a stranger's.
+
+    Raises:
+      OSError: if the file cannot be opened.
+      ValueError: naming the file, if it is anything but such a shard.
+    """
+    with _naming_damage(path):
+        return _map(path)[0]
+
+
+@contextlib.contextmanager
+def _naming_damage(path):
+    """Name a file that is no shard as it was written, whatever it is."""
     try:
-        with zipfile.ZipFile(path) as archive:
-            if (damaged := archive.testzip()) is not None:
-                raise Damage(f"the checksum of {damaged} differs")
-            with archive.open(f"{RECORD}.npy") as file:
-                return json.loads(np.lib.format.read_array(file).tobytes())
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise ValueError(
-            f"Expected {path} as it was written, but it is damaged ({error}); delete "
-            "it."
-        ) from None
+        yield
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # a seek to where nothing can be
+            raise
+        raise _refuse(path, "it is cut") from None
+    except Exception as error:  # zipfile and numpy raise anything at all on damage
+        raise _refuse(path, error) from None
+
+
+def _refuse(path, reason):
+    return ValueError(
+        f"Expected {path} as it was written, but it is damaged ({reason}); delete it."
+    )
+
+
+def _map(path):
+    """A shard and the members of its archive."""
+    with files.open_regular(path) as file:
+        mapping = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        with zipfile.ZipFile(file) as archive:
+            members = archive.infolist()
+    arrays = {
+        member.filename.removesuffix(".npy"): _map_array(mapping, member)
+        for member in members
+    }
+    record = json.loads(arrays.pop(RECORD).tobytes())
+    if not isinstance(record, dict):
+        raise Damage(f"its record is {type(record).__name__}")
+    return Shard(arrays, record, mapping), members
+
+
+def _find_content(mapping, member):
+    """Where a member's `.npy` file begins and ends."""
+    # a member is a header of 30 bytes, its name, an extra field, and the .npy file
+    offset = member.header_offset
+    name_length, extra_length = struct.unpack_from("<HH", mapping, offset + 26)
+    start = offset + 30 + name_length + extra_length
+    stop = start + member.file_size
+    is_whole = 0 <= offset and stop <= len(mapping)
+    if not is_whole or member.compress_type != zipfile.ZIP_STORED:
+        raise Damage(f"{member.filename} does not lie in it as it is")
+    return start, stop
+
+
+def _map_array(mapping, member):
+    start, stop = _find_content(mapping, member)
+    head = io.BytesIO(mapping[start : min(start + 1024, stop)])
+    if np.lib.format.read_magic(head) != (1, 0):
+        raise Damage(f"{member.filename} is of another version")
+    shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(head)
+    name = member.filename.removesuffix(".npy")
+    kind, row = ("|u1", ()) if name == RECORD else ROWS[name]
+    fits = len(shape) == 1 + len(row) and all(
+        size >= 0 and size == (expected or size)
+        for size, expected in zip(shape, (0, *row), strict=True)
+    )
+    if dtype.str != kind or not fits or is_fortran:
+        raise Damage(f"{name} is {dtype} {shape}")
+    if math.prod(shape) * dtype.itemsize != stop - start - head.tell():
+        raise Damage(f"{name} {shape} is not what it has bytes for")
+    return np.ndarray(shape, kind, buffer=mapping, offset=start + head.tell())
 
 
 def checksum(path: str | os.PathLike) -> int:
     """CRC-32 of a file."""
     value = 0
-    with open(path, "rb") as file:
+    with files.open_regular(path) as file:
         while block := file.read(1 << 22):
             value = zlib.crc32(block, value)
     return value
-
-
-def map_shard(path: str | os.PathLike) -> Shard:
-    """Map the arrays of a shard; only their places in the file are read yet."""
-    with open(path, "rb") as file:
-        mapping = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    with zipfile.ZipFile(path) as archive:
-        arrays = {
-            member.filename.removesuffix(".npy"): _map_array(mapping, member)
-            for member in archive.infolist()
-        }
-    record = json.loads(arrays.pop(RECORD).tobytes())
-    return Shard(arrays, record, mapping)
-
-
-def _map_array(mapping, member):
-    # a member is a header of 30 bytes, its name, an extra field, and the .npy file
-    offset = member.header_offset
-    name_length, extra_length = struct.unpack_from("<HH", mapping, offset + 26)
-    start = offset + 30 + name_length + extra_length
-    head = io.BytesIO(mapping[start : start + 1024])
-    np.lib.format.read_magic(head)
-    shape, _, dtype = np.lib.format.read_array_header_1_0(head)
-    return np.ndarray(shape, dtype, buffer=mapping, offset=start + head.tell())
 
 
 class Pages:

@@ -40,12 +40,14 @@ class Source(Protocol):
     """
 
     spec: DataSpec
+    cache_dir: str | Path | None  # where what was found out may be kept
     unit = "object"  # what its models are called in messages
     work = "Reading"  # what is done to make their arrays, likewise
     is_stretchable = False  # whether copies of its models can be stretched
 
-    def __init__(self, spec: DataSpec):
+    def __init__(self, spec: DataSpec, cache_dir: str | Path | None = None):
         self.spec = spec
+        self.cache_dir = cache_dir
 
     @property
     def folder(self) -> Path:
@@ -113,7 +115,7 @@ def find_kind(kind: str | None) -> type[Source]:
     return getattr(importlib.import_module(f"dpc_jax.data.sets.{module}"), name)
 
 
-def open_source(spec: DataSpec) -> Source:
+def open_source(spec: DataSpec, cache_dir: str | Path | None = None) -> Source:
     """The source that a specification asks for.
 
     Raises:
@@ -125,7 +127,7 @@ def open_source(spec: DataSpec) -> Source:
             "copies must be 1 where there are no mesh files to stretch, but it is "
             f"{spec.copies}; set data.copies to 1."
         )
-    return made(spec)
+    return made(spec, cache_dir)
 
 
 def list_procedural(spec: DataSpec, count: int) -> list[Model]:

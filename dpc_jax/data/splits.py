@@ -1,13 +1,12 @@
 """Seeded splits of files, which never part the variants of one design."""
 
-import json
 from collections.abc import Hashable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dpc_jax.files import describe_error
+from dpc_jax.files import describe_error, read_json
 
 SPLITS = ("train", "val", "test")
 
@@ -92,7 +91,7 @@ def group_variants(paths: Sequence[Path], digests: Sequence[str]) -> list[str]:
         if not listed.is_file():
             continue
         try:
-            known = json.loads(listed.read_text(encoding="utf-8"))
+            known = read_json(listed)
             named |= {place / name: f"family {known[name]}" for name in known}
         except (OSError, ValueError, TypeError) as error:
             raise ValueError(

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw
 
+from dpc_jax import files
 from dpc_jax.data import dataset
 from dpc_jax.data.look import contact_sheet, pose_conventions
 from dpc_jax.data.sources import find_kind
@@ -84,7 +85,7 @@ def _read_set(cache, name, note):
     damages = (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError)
     try:
         data = dataset.read_cache(cache)
-        record = json.loads((cache / dataset.RECORD).read_text(encoding="utf-8"))
+        record = files.read_json(cache / dataset.RECORD)
         lens = pose_conventions.Lens(
             *(record[field] for field in pose_conventions.Lens._fields)
         )

@@ -5,18 +5,19 @@ vertices, texture and surfaces. The `.acc` of racing games adds normals, several
 coordinates per corner, and triangle strips. Lines have no surface and are left out.
 """
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import trimesh
-from PIL import Image
 
 from dpc_jax.data.damage import Damage
+from dpc_jax.data.meshes import MOST_BYTES, find_beside
 from dpc_jax.data.open import polygons
-from dpc_jax.data.sets.pictures import FAULTS
-from dpc_jax.files import describe_error
+from dpc_jax.data.sets.pictures import open_picture
+from dpc_jax.files import describe_error, read_bytes
 from dpc_jax.shapes.joining import join_pieces
 
 GREY = (0.667, 0.667, 0.667)  # of a surface without a material
@@ -47,10 +48,10 @@ def read_parts(path: Path, *, textures: Path | None = None) -> list[Part]:
     `textures`, if there is one.
     """
     try:
-        lines = path.read_text(encoding="latin-1").split("\n")
+        lines = read_bytes(path, most=MOST_BYTES).decode("latin-1").split("\n")
         if not lines[0].startswith("AC3D"):
             raise Damage("its first line is not AC3D")
-        parts = _Reader(lines, path.parent, textures).read_all()
+        parts = _Reader(lines, path, textures).read_all()
     except (OSError, ValueError, IndexError, RecursionError) as error:
         raise ValueError(
             f"Expected an AC3D file in {path}, but it cannot be read "
@@ -73,9 +74,9 @@ def join_parts(parts: Sequence[Part]) -> trimesh.Trimesh:
 class _Reader:
     """A cursor over the lines of a file."""
 
-    def __init__(self, lines, folder, textures):
+    def __init__(self, lines, path, textures):
         self._lines, self._at = lines, 1
-        self._folder, self._textures = folder, textures
+        self._path, self._textures = path, textures
         self._images, self._materials, self._parts = {}, [], []
 
     def read_all(self):
@@ -199,15 +200,15 @@ class _Reader:
             return None
         if name not in self._images:
             self._images[name] = None
-            path = self._folder / name.replace("\\", "/")
-            if not path.is_file() and self._textures is not None:
-                found = sorted(Path(self._textures).rglob(path.name), key=str)
-                path = next((p for p in found if p.is_file()), path)
-            try:
-                with Image.open(path) as image:
+            path = find_beside(self._path, name)
+            if path is None and self._textures is not None:
+                wanted = name.replace("\\", "/").rsplit("/", 1)[-1]
+                found = sorted(Path(self._textures).rglob("*"), key=str)
+                path = next((p for p in found if p.name == wanted), None)
+            if path is not None:
+                # Of a damaged one the material alone colours the surface.
+                with contextlib.suppress(ValueError), open_picture(path) as image:
                     self._images[name] = np.asarray(image.convert("RGBA"))
-            except FAULTS:
-                pass  # the material alone colours the surface
         return self._images[name]
 
 

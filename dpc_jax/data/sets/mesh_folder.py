@@ -1,5 +1,7 @@
 """Mesh files as a source: as they are, and in stretched copies."""
 
+import contextlib
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from dpc_jax.data import meshes, splits
 from dpc_jax.data.rendering import RenderedSource
 from dpc_jax.data.sets import obj_materials
 from dpc_jax.data.sources import Model, complete
+from dpc_jax.data.spec import FEW
 from dpc_jax.shapes import procedural
 from dpc_jax.shapes.normalization import normalize
 
@@ -58,15 +61,19 @@ class MeshFolder(MeshSource):
     def list_models(self) -> list[Model]:
         spec, folder = self.spec, self.folder
         paths = meshes.find_meshes(folder)
-        digests = [files.digest_file(path) for path in paths]
+        digests = {path: _digest(path) for path in paths}
+        bad = self._find_unreadable(digests)
+        whole = [path for path in paths if path not in bad] or paths
         sides = splits.split_files(
-            list(zip(paths, digests, strict=True)),
+            whole,
             fractions=spec.fractions,
             seed=spec.seed,
-            groups=splits.group_variants(paths, digests),
+            groups=splits.group_variants(whole, [digests[path] for path in whole]),
             fold=spec.fold,
         )
-        chosen = sides[splits.SPLITS.index(spec.split)]
+        # Those that cannot be read are of the largest side, to be named and skipped.
+        sides[int(np.argmax(spec.fractions))].extend(set(paths) - set(whole))
+        chosen = sorted(sides[splits.SPLITS.index(spec.split)])
         if not chosen:
             raise ValueError(
                 f"Expected mesh files for the {spec.split} split of {folder}, but "
@@ -74,15 +81,37 @@ class MeshFolder(MeshSource):
                 "files or change the fractions."
             )
         models = [
-            Model(path.relative_to(folder).as_posix(), str(path), 0, 0, key, spec.views)
-            for path, key in chosen
+            Model(name, str(path), 0, 0, digests[path], spec.views)
+            for path in chosen
+            if (name := path.relative_to(folder).as_posix())
         ]
         return complete(models, spec)
+
+    def _find_unreadable(self, digests: dict[Path, str]) -> set[Path]:
+        """Files that cannot be read, so that no side of a small split is all of them.
+
+        Kept in the cache's folder, because reading all takes a while. In a folder of
+        more than `FEW` files, some are of no account.
+        """
+        if len(digests) > FEW:
+            return set()
+        names = {path.relative_to(self.folder).as_posix(): path for path in digests}
+        facts = [list(names), list(digests.values()), self.list_sidecars()]
+        kept = f"unreadable-{files.digest_text(json.dumps(facts))[:12]}.json"
+        if self.cache_dir:
+            with contextlib.suppress(OSError, ValueError, TypeError):
+                known = files.read_json(Path(self.cache_dir) / kept)
+                return {names[name] for name in known if name in names}
+        bad = [n for n, path in names.items() if not meshes.is_readable(path)]
+        if self.cache_dir:
+            with contextlib.suppress(OSError):  # nobody depends on it
+                files.write_json(Path(self.cache_dir) / kept, bad)
+        return {names[name] for name in bad}
 
     def list_sidecars(self) -> list[tuple[str, str]]:
         found = (p for p in self.folder.rglob("*") if p.suffix.lower() in SIDECARS)
         return [
-            (path.relative_to(self.folder).as_posix(), files.digest_file(path))
+            (path.relative_to(self.folder).as_posix(), _digest(path))
             for path in sorted(found)
             if path.is_file()
         ]
@@ -92,3 +121,11 @@ class MeshFolder(MeshSource):
         return [
             flaw for flaw in super().describe_flaws(model) if flaw != obj_materials.BARE
         ]
+
+
+def _digest(path: Path) -> str:
+    """SHA-256 of a file; of none that cannot be opened."""
+    try:
+        return files.digest_file(path)
+    except OSError as error:
+        return files.digest_text(f"{path.name}: {files.describe_error(error)}")

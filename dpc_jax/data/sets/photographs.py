@@ -16,7 +16,7 @@ from PIL import Image, ImageOps, ImageSequence
 
 from dpc_jax.data.sets import framing, matting, plain_background, video
 from dpc_jax.data.sets.image_folder import NoMaskError, find_images, read_mask
-from dpc_jax.data.sets.pictures import FAULTS, SUFFIXES
+from dpc_jax.data.sets.pictures import SUFFIXES, open_picture
 from dpc_jax.data.spec import DataSpec
 
 MASKS = ("given", "auto", "matting")  # where masks come from
@@ -123,7 +123,7 @@ def _read_file(path: Path, finder, skipped) -> list[tuple[str, np.ndarray, np.nd
     """(source, colours, mask) of each frame that can be used; others are noted."""
     try:
         frames = _open_frames(path)
-    except FAULTS as error:
+    except (OSError, ValueError) as error:
         skipped.append((str(path), str(error).rstrip(".")))
         return []
     views = []
@@ -132,7 +132,7 @@ def _read_file(path: Path, finder, skipped) -> list[tuple[str, np.ndarray, np.nd
         try:
             mask = _find_mask(frame, path, finder, is_alone=len(frames) == 1)
             _check_mask(mask, source)
-        except FAULTS as error:
+        except (OSError, ValueError) as error:
             skipped.append((source, _name_source(str(error).rstrip("."), source)))
             continue
         colors = np.asarray(frame.convert("RGBA").convert("RGB"))
@@ -141,34 +141,27 @@ def _read_file(path: Path, finder, skipped) -> list[tuple[str, np.ndarray, np.nd
 
 
 def _open_frames(path: Path) -> list[Image.Image]:
-    """The frames of a file, upright; of a moving picture or video `MOST_FRAMES`."""
+    """The frames of a file, upright; of a moving picture or video `MOST_FRAMES`.
+
+    These are shrunk as they are read, to keep all of them.
+    """
     if not path.is_file():
         raise ValueError(
             f"Expected an image file, but there is no file {path}; check the path."
         )
     if path.suffix.lower() in video.SUFFIXES:
         return video.read_frames(path, MOST_FRAMES)
-    try:
-        with Image.open(path) as image:
-            is_moving = image.format in _MOVING
-            count = getattr(image, "n_frames", 1) if is_moving else 1
-            chosen = {int(i * count / MOST_FRAMES) for i in range(MOST_FRAMES)}
-            return [
-                ImageOps.exif_transpose(frame).copy()
-                for number, frame in enumerate(ImageSequence.Iterator(image))
-                if number in chosen and number < count
-            ]
-    except FAULTS as error:
-        raise ValueError(
-            f"Expected a readable image in {path}, but it is damaged or of another "
-            f"kind ({_shorten(error)}); save it again as PNG, JPEG or WebP."
-        ) from None
-
-
-def _shorten(error) -> str:
-    """What Pillow says, without the path that it repeats."""
-    text = str(error).split(" '/")[0].rstrip(".")
-    return text[:1].lower() + text[1:] if text else type(error).__name__
+    with open_picture(path) as image:
+        is_moving = image.format in _MOVING
+        count = getattr(image, "n_frames", 1) if is_moving else 1
+        if count == 1:
+            return [ImageOps.exif_transpose(image)]
+        chosen = {int(i * count / MOST_FRAMES) for i in range(MOST_FRAMES)}
+        return [
+            video.shrink(ImageOps.exif_transpose(frame))
+            for number, frame in enumerate(ImageSequence.Iterator(image))
+            if number in chosen and number < count
+        ]
 
 
 def _find_mask(frame, path: Path, finder, *, is_alone: bool) -> np.ndarray:

@@ -6,7 +6,6 @@ it, has a camera-to-world matrix for each image and the lens; its cameras look a
 with y up, unless the file says `"convention": "opencv"` (along +z, y down).
 """
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -14,10 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from dpc_jax import files
 from dpc_jax.data.damage import Damage
 
 QUATERNIONS = "poses.json"
 TRANSFORMS = "transforms*.json"
+# What values of the wrong kinds, and files that cannot be opened, raise.
+_FAULTS = (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError)
 LENS = ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x")
 
 
@@ -41,15 +43,18 @@ def find_pose_files(folder: Path) -> list[Path]:
     return found + sorted(p for p in folder.glob(TRANSFORMS) if p.is_file())
 
 
-def read_poses(files: Sequence[Path]) -> dict[Path, Pose]:
+def read_poses(paths: Sequence[Path]) -> dict[Path, Pose]:
     """Poses by image path from the pose files of one object."""
     poses = {}
-    for path in files:
+    for path in paths:
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = files.read_json(path)
+            if not isinstance(content, dict):
+                kind = "a list" if isinstance(content, list) else "a single value"
+                raise Damage(f"it holds {kind}, not names and what belongs to them")
             read = _read_quaternions if path.name == QUATERNIONS else _read_transforms
             poses |= read(content, path.parent)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except _FAULTS as error:
             raise ValueError(
                 f"Expected poses in {path}, but they cannot be read "
                 f"({_explain(error)}); see docs/data.md for their form."
@@ -59,8 +64,9 @@ def read_poses(files: Sequence[Path]) -> dict[Path, Pose]:
 
 def _explain(error):
     """The error in words; that of a library says its kind too."""
-    known = isinstance(error, Damage)
-    return str(error) if known else f"{type(error).__name__}: {error}"
+    known = isinstance(error, Damage | OSError)
+    text = files.describe_error(error)
+    return text if known else f"{type(error).__name__}: {text}"
 
 
 def _read_quaternions(content, folder):

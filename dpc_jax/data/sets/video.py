@@ -8,6 +8,10 @@ from typing import Any
 
 from PIL import Image
 
+from dpc_jax.data.damage import Damage
+from dpc_jax.data.sets.pictures import MOST_PIXELS
+
+MOST_SIDE = 1280  # pixels of a frame that is kept: a film in 720p stays as it is
 SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg")
 
 
@@ -30,11 +34,14 @@ def read_frames(path: Path, most: int) -> list[Image.Image]:
         ) from None
     kept, step = [], 1
     try:
-        with av.open(str(path)) as container:
+        # Absolute: "concat:a" is to be a file, and no order to the library.
+        with av.open(str(path.absolute())) as container:
             for number, frame in enumerate(container.decode(video=0)):
                 if number % step:
                     continue
-                kept.append(_turn_upright(frame))
+                if frame.width * frame.height > MOST_PIXELS:
+                    raise Damage(f"its frames have {frame.width} x {frame.height}")
+                kept.append(shrink(_turn_upright(frame)))
                 if len(kept) == 4 * most:
                     kept, step = kept[::2], 2 * step
     except (FFmpegError, IndexError, ValueError) as error:
@@ -48,6 +55,16 @@ def read_frames(path: Path, most: int) -> list[Image.Image]:
 def _turn_upright(frame: Any) -> Image.Image:
     """A frame as it is meant to be seen: telephones store how they were held."""
     return frame.to_image().rotate(frame.rotation, expand=True)
+
+
+def shrink(frame: Image.Image) -> Image.Image:
+    """A frame of at most `MOST_SIDE` pixels a side, by means over whole pixels."""
+    factor = -(-max(frame.size) // MOST_SIDE)
+    if factor == 1:
+        return frame
+    if frame.mode != "RGB" or "transparency" in frame.info:
+        frame = frame.convert("RGBA")
+    return frame.reduce(factor)
 
 
 def _refuse(path, reason):
