@@ -4,14 +4,25 @@ A row is one try: what it is, a function that tries it in an empty folder, and w
 what it returns or refuses with.
 """
 
+import contextlib
+import functools
+import os
 import signal
+import socket
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
+import trimesh
+from PIL import Image
 
-from dpc_jax.files import claiming
+from dpc_jax import files
+from dpc_jax.data import DataSpec, load_or_render, meshes, shards
+from dpc_jax.data.sets import obj_materials, photographs, pose_files
+from dpc_jax.data.sets.pictures import read_picture
 from dpc_jax.run.workdir import hold_workdir
 
 SECONDS = 60  # after which a try hangs
@@ -27,17 +38,20 @@ class Try(NamedTuple):
 
 # Files: shards, records, meshes and their materials, images, locks, temporary files.
 
+FACE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n"
+RED = "newmtl red\nKd 1 0 0\n"
 
-def _victim(folder: Path, link: str) -> Path:
+
+def _link(folder, name):
     """A user's file, and a link to it where a file of this package should be."""
     victim = folder / "victim.txt"
     victim.write_text("mine")
-    (folder / link).symlink_to(victim)
+    (folder / name).symlink_to(victim)
     return victim
 
 
-def hold_a_workdir_whose_lock_is_a_link(folder):
-    victim = _victim(folder, ".in-use")
+def hold_a_linked_lock(folder):
+    victim = _link(folder, ".in-use")
     try:
         with hold_workdir(folder):
             pass
@@ -45,22 +59,293 @@ def hold_a_workdir_whose_lock_is_a_link(folder):
         assert victim.read_text() == "mine"
 
 
-def claim_a_file_whose_lock_is_a_link(folder):
-    _victim(folder, ".shard.claim")
-    with claiming(folder / "shard"):
+def claim_a_linked_lock(folder):
+    _link(folder, ".shard.claim")
+    with files.claiming(folder / "shard"):
         pass
 
 
+def write_beside_a_linked_temporary_file(folder):
+    names = f".notes.{socket.gethostname()}.{os.getpid()}{files.TEMPORARY}"
+    victim = _link(folder, names)
+    files.write_text(folder / "notes", "new")
+    return victim.read_text()
+
+
+def map_a_shard(folder, *, read=shards.map_shard, save=np.savez, **members):
+    """A stranger's shard. Of objects, it would supply the addresses of what is run."""
+    record = np.frombuffer(b'{"names": ["a"]}', np.uint8)
+    path = folder / "shard-00000.npz"
+    save(path, **{"record": record} | members)
+    if "masks" not in members:
+        content = path.read_bytes().replace(b"'<f4'", b"'|O' ")
+        path.write_bytes(content)
+    return read(path)
+
+
+POINTERS = {"quaternions": np.full((2, 4), 1e9, np.float32)}
+FLAT = {"masks": np.zeros((2, 9), np.uint8)}
+WIDE = {"masks": np.zeros((2, 3, 3), np.float64)}
+PACKED = {"masks": np.zeros((2, 3, 3), np.uint8), "save": np.savez_compressed}
+
+
+def look_at_a_mesh(folder, *, materials="a.mtl", texture=None, make=None):
+    """Colour of a mesh, and what it lacks. `make` puts what hurts in a path's place."""
+    place = folder / "above" / "here" / "a.obj"
+    place.parent.mkdir(parents=True)
+    place.write_text(f"mtllib {materials}\n{FACE}")
+    hurt = place.parent / (texture or materials)
+    if texture:
+        place.with_suffix(".mtl").write_text(f"{RED}map_Kd {texture}\n")
+    if make is not None:
+        make(hurt)
+    mesh = meshes.read_mesh(place)
+    return f"{mesh.visual.face_colors[0, :3]} {obj_materials.describe_flaw(place)}"
+
+
+def _put_beyond(path):
+    """Materials at a place, and a link to them two folders above the mesh."""
+    path.write_text(RED)
+
+
+def _fill(path):
+    path.touch()
+    os.truncate(path, files.MOST_TEXT + 1)  # holes: it takes no room on the disk
+
+
+GREY, PLAIN = "[170 170 170] lacks its materials", "[255   0   0] lacks 1 of 1 textures"
+
+
+FRACTIONS = {"train": (1, 0, 0), "val": (8, 1, 1), "test": (0, 0, 1)}
+
+
+def load_meshes(folder, *, good=3, split="test", **bad):
+    """What a set makes of boxes and of other files; `bad` has their content."""
+    (folder / "set").mkdir()
+    for i in range(good):
+        box = trimesh.creation.box((1, 2, 3 + i))
+        box.export(folder / "set" / f"box{i}.ply")
+    for name, text in bad.items():
+        (folder / "set" / f"{name}.obj").write_text(text)
+    spec = DataSpec(
+        "car", folder=str(folder / "set"), split=split, views=2, image_size=16,
+        fractions=FRACTIONS[split],
+    )  # fmt: skip
+    data = load_or_render(spec, cache_dir=folder / "cache", processes=1)
+    return f"{len(data.names)} used, skipped {data.skipped}"
+
+
+FAR = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1e30\nf 1 2 3\nf 2 3 4\n"
+
+
+def read_an_image(folder, *, size=(8, 8), make=None, name="a.png"):
+    path = folder / name
+    if make is None:
+        Image.new("1", size).save(path)
+    else:
+        make(path)
+    return read_picture(path)
+
+
+def read_large_frames(folder):
+    frames = [Image.new("P", (3000, 2000), i) for i in range(3)]
+    frames[0].save(folder / "a.gif", save_all=True, append_images=frames[1:])
+    read = photographs._open_frames(folder / "a.gif")
+    return [frame.size for frame in read]
+
+
+def read_pose_file(folder, *, text, name="poses.json"):
+    (folder / name).write_text(text)
+    return pose_files.read_poses([folder / name])
+
+
+@contextlib.contextmanager
+def _losing_rights(folder):
+    """A folder that anybody sees, and the rights of nobody in particular."""
+    with tempfile.TemporaryDirectory(dir="/tmp") as shared:
+        os.chmod(shared, 0o755)
+        is_root = os.geteuid() == 0
+        try:
+            yield Path(shared), lambda: is_root and os.seteuid(65534)
+        finally:
+            if is_root:
+                os.seteuid(0)
+
+
+def load_meshes_without_rights(folder, *, closed):
+    """Boxes, of which one or the cache is closed to the user."""
+    with _losing_rights(folder) as (shared, lose):
+        load_meshes(shared, good=2, split="test")
+        if closed == "cache":
+            box = trimesh.creation.box((2, 2, 5))
+            box.export(shared / "set" / "more.ply")
+        place = shared / closed
+        os.chmod(place, 0o555 if place.is_dir() else 0)
+        os.chmod(shared / "cache", 0o555 if closed == "cache" else 0o777)
+        lose()
+        spec = DataSpec(
+            "car", folder=str(shared / "set"), split="test", views=2, image_size=16,
+            fractions=(0, 0, 1),
+        )  # fmt: skip
+        data = load_or_render(spec, cache_dir=shared / "cache", processes=1)
+        return f"{len(data.names)} used, skipped {data.skipped}"
+
+
+def read_without_rights(folder, *, read, text="{}", name="poses.json"):
+    with _losing_rights(folder) as (shared, lose):
+        (shared / name).write_text(text)
+        os.chmod(shared / name, 0)
+        lose()
+        return read(shared / name)
+
+
+def _try(what, attempt, says, **options):
+    return Try(what, functools.partial(attempt, **options), says)
+
+
+LINKED = "there is a link to another file; remove the link"
+DAMAGED = "as it was written, but it is damaged"
 FILES = [
-    Try(
-        "a workdir's lock that is a link to a file of the user's",
-        hold_a_workdir_whose_lock_is_a_link,
-        "there is a link to another file; remove the link",
+    _try("a workdir's lock that is a link", hold_a_linked_lock, LINKED),
+    _try("a shard's lock that is a link", claim_a_linked_lock, LINKED),
+    _try(
+        "a link where a temporary file was foreseen",
+        write_beside_a_linked_temporary_file,
+        "mine",
     ),
-    Try(
-        "a shard's lock that is a link to a file of the user's",
-        claim_a_file_whose_lock_is_a_link,
-        "there is a link to another file; remove the link",
+    _try("a shard of objects, mapped", map_a_shard, DAMAGED, **POINTERS),
+    _try(
+        "a shard of objects, checked",
+        map_a_shard,
+        DAMAGED,
+        read=shards.read_record,
+        **POINTERS,
+    ),
+    _try("a shard with too few axes", map_a_shard, DAMAGED, **FLAT),
+    _try("a shard of another type", map_a_shard, "masks is float64 (2, 3, 3)", **WIDE),
+    _try("a compressed shard", map_a_shard, "does not lie in it as it is", **PACKED),
+    _try("materials that are a pipe", look_at_a_mesh, GREY, make=os.mkfifo),
+    _try(
+        "a texture that is a pipe",
+        look_at_a_mesh,
+        PLAIN,
+        texture="t.png",
+        make=os.mkfifo,
+    ),
+    _try("materials without an end", look_at_a_mesh, GREY, materials="/dev/zero"),
+    _try(
+        "materials by a link without an end",
+        look_at_a_mesh,
+        GREY,
+        make=lambda path: path.symlink_to("/dev/zero"),
+    ),
+    _try("huge materials", look_at_a_mesh, GREY, make=_fill),
+    _try(
+        "materials two folders above",
+        look_at_a_mesh,
+        GREY,
+        materials="../../a.mtl",
+        make=_put_beyond,
+    ),
+    _try(
+        "materials one folder above",
+        look_at_a_mesh,
+        "[255   0   0] None",
+        materials="../a.mtl",
+        make=_put_beyond,
+    ),
+    _try(
+        "materials by an absolute path", look_at_a_mesh, GREY, materials="/etc/passwd"
+    ),
+    _try(
+        "a mesh with a coordinate far off",
+        load_meshes,
+        "3 used, skipped (('far.obj'",
+        far=FAR,
+    ),
+    _try(
+        "a mesh with a coordinate far off, in training",
+        load_meshes,
+        "skipped (('far.obj'",
+        far=FAR,
+        split="train",
+    ),
+    _try(
+        "more bad meshes than good ones",
+        load_meshes,
+        "1 used, skipped ()",
+        good=10,
+        split="val",
+        **{f"bad{i}": f"v {i} 0 0" for i in range(13)},
+    ),
+    _try(
+        "a mesh whose name begins with a dash", load_meshes, "4 used", **{"-rf": FACE}
+    ),
+    _try(
+        "a mesh that is a pipe",
+        lambda folder: (
+            os.mkfifo(folder / "a.ply") or meshes.read_mesh(folder / "a.ply")
+        ),
+        "a pipe, a device or the like",
+    ),
+    _try(
+        "a huge image",
+        read_an_image,
+        "at most 67,108,864 pixels in the image",
+        size=(12000, 12000),
+    ),
+    _try(
+        "an image that is a pipe",
+        read_an_image,
+        "a pipe, a device or the like",
+        make=os.mkfifo,
+    ),
+    _try(
+        "an image whose name begins with a dash",
+        read_an_image,
+        "size=8x8",
+        name="-a.png",
+    ),
+    _try(
+        "a moving picture of large frames",
+        read_large_frames,
+        "[(1000, 667), (1000, 667), (1000, 667)]",
+    ),
+    _try(
+        "poses in a list", read_pose_file, "it holds a list, not names", text="[1, 2]"
+    ),
+    _try(
+        "poses of a number too large",
+        read_pose_file,
+        "cannot be read",
+        text=f'{{"a": [1{"0" * 400}, 0, 0, 0]}}',
+    ),
+    _try(
+        "poses nested too deep", read_pose_file, "nested too deep", text="[" * 100_000
+    ),
+    _try(
+        "a mesh that the user may not read",
+        load_meshes_without_rights,
+        "box0.ply, but it cannot be read (Permission denied)",
+        closed="set/box0.ply",
+    ),
+    _try(
+        "a cache that the user may not write",
+        load_meshes_without_rights,
+        "set another data.cache_dir",
+        closed="cache",
+    ),
+    _try(
+        "an image that the user may not read",
+        read_without_rights,
+        "permission denied",
+        read=read_picture,
+    ),
+    _try(
+        "poses that the user may not read",
+        read_without_rights,
+        "Permission denied",
+        read=lambda path: pose_files.read_poses([path]),
     ),
 ]
 
