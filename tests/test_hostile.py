@@ -24,6 +24,7 @@ from dpc_jax.data import DataSpec, load_or_render, meshes, shards
 from dpc_jax.data.sets import obj_materials, photographs, pose_files
 from dpc_jax.data.sets.pictures import read_picture
 from dpc_jax.run.workdir import hold_workdir
+from dpc_jax.shapes.normalization import face_colors
 
 SECONDS = 60  # after which a try hangs
 
@@ -100,7 +101,7 @@ def look_at_a_mesh(folder, *, materials="a.mtl", texture=None, make=None):
     if make is not None:
         make(hurt)
     mesh = meshes.read_mesh(place)
-    return f"{mesh.visual.face_colors[0, :3]} {obj_materials.describe_flaw(place)}"
+    return f"{face_colors(mesh)[0, :3]} {obj_materials.describe_flaw(place)}"
 
 
 def _put_beyond(path):
