@@ -6,7 +6,7 @@
 #       process 0 here and one on each of these hosts, over ssh
 # Hosts need this folder under the same path, and ssh without a password. Port 7777 of this
 # machine must be open to them; PORT=... takes another. Started again with the same
-# arguments, the run goes on where it was stopped. docs/hosts.md says more.
+# arguments, the run goes on where it was stopped. docs/install.md says more.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 where="${1:?Give a number of processes or hosts, for example: launch/hosts.sh 2 --config=configs/car.py}"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Install what is missing, then build the documentation as a site, strictly; a page that is
-# in no menu, a link to nowhere, a notebook that fails or an asset of another host ends it:
+# in no menu, a link to nowhere or an asset of another host ends it:
 #   tests/docs.sh [mkdocs arguments]     into site/; open site/index.html
 set -euo pipefail
 cd "$(dirname "$0")/.."

@@ -1,138 +1,76 @@
-"""What the documents name exists: files, functions, tests, pictures, links."""
+"""What the pages say exists: links, files, functions, fields, public names."""
 
-import ast
 import dataclasses
 import inspect
 import itertools
+import json
 import re
-from pathlib import Path
+import tomllib
 
 import pytest
+from document_pages import LOG, NOTEBOOK, PAGES, ROOT, list_blocks, list_spans
 
 import dpc_jax
+from dpc_jax.config import Config, build_config
 
-ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "dpc_jax"
-PAGES = sorted(
-    [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")]
-    + [*(ROOT / "docs").rglob("*.md")]
-)
+ALL = [*PAGES, LOG, ROOT / "CHANGELOG.md"]
+each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 
-def find_source(name):
-    """A file that a page names: from the package's folder or the repository's."""
-    for place in (PACKAGE / name, ROOT / name):
-        if place.exists():
-            return place
-    return None
-
-
-def list_functions():
-    """(file, name) of the functions that docs/equations.md names."""
-    text = (ROOT / "docs" / "equations.md").read_text(encoding="utf-8")
-    for row in re.findall(r"^\|(.*)\|$", text, flags=re.MULTILINE):
-        file = None
-        for quoted in re.findall(r"`([^`]+)`", row):
-            if match := re.fullmatch(r"([\w/]+\.py): (\w+)", quoted):
-                file = match[1]
-                yield file, match[2]
-            elif re.fullmatch(r"[\w/]+\.py", quoted):
-                file = quoted
-                yield file, None
-            elif file and re.fullmatch(r"[A-Za-z]\w+", quoted):
-                yield file, quoted  # further functions of the same file
-
-
-FUNCTIONS = sorted(set(list_functions()), key=str)
-
-
-def test_the_equations_name_functions_and_tests():
-    files = {file for file, _ in FUNCTIONS}
-    assert {"learning/choice/winners.py", "render/termination.py"} <= files
-    assert sum(file.startswith("tests/") for file in files) >= 10
-
-
-@pytest.mark.parametrize("file, name", FUNCTIONS)
-def test_every_function_and_test_of_the_equations_exists(file, name):
-    path = find_source(file)
-    assert path is not None, f"there is no {file}"
-    if name is not None:
-        text = path.read_text(encoding="utf-8")
-        assert re.search(rf"^(def|class) {name}\b", text, flags=re.MULTILINE)
-
-
-EQUATIONS = (
-    (1, "learning/choice/winners.py", "compare_winners"),
-    (2, "learning/choice/hindsight.py", "choose_candidate"),
-    (3, "render/volume.py", "fill_volume"),
-    (4, "render/termination.py", "end_rays"),
-    (5, "render/projection.py", "project_signals"),
-    (6, "evaluation/chamfer.py", "chamfer_distance"),
-    (7, "render/exact/gaussians.py", "sum_gaussians"),
-)
-
-
-@pytest.mark.parametrize("number, file, name", EQUATIONS)
-def test_the_function_of_an_equation_begins_with_its_number(number, file, name):
-    """So that `grep -rn "Eq. 3" dpc_jax` answers with it."""
-    tree = ast.parse((PACKAGE / file).read_text(encoding="utf-8"))
-    (function,) = (n for n in tree.body if getattr(n, "name", None) == name)
-    first_line = (ast.get_docstring(function) or "").splitlines()[0]
-    assert re.search(rf"\bEq\. {number}\b", first_line), first_line
-    assert (file, name) in FUNCTIONS  # and docs/equations.md names it
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_link_and_picture_of_a_page_exists(page):
-    text = page.read_text(encoding="utf-8")
-    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
+@pytest.mark.parametrize("page", ALL, ids=lambda page: page.name)
+def test_every_link_and_picture_exists(page):
+    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text("utf-8")):
         if "://" not in target:
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_file_that_a_page_names_exists(page):
-    text = page.read_text(encoding="utf-8")
-    pattern = r"`((?:dpc_jax|configs|launch|tests|docs|render|learning|data|networks|"
-    pattern += r"evaluation|reporting|measure|shapes|config|run)/[\w/]+\.(?:py|sh|md))"
-    for name in re.findall(pattern, text):
-        assert find_source(name) is not None, f"{page.name} names {name}"
+@each_page
+def test_every_file_and_function_that_a_page_names_exists(page):
+    """Such as `configs/car.py`, `learning/losses.py` and `files.py: digest`."""
+    for span in list_spans(page):
+        found = re.fullmatch(r"([\w/]+\.(?:py|sh|md|sbatch|toml))(?:: (\w+))?", span)
+        if found is None:
+            continue
+        paths = [place / found[1] for place in (PACKAGE, ROOT)]
+        path = next((path for path in paths if path.exists()), None)
+        assert path is not None, f"{page.name} names {found[1]}"
+        if found[2]:
+            defined = rf"^(def|class) {found[2]}\b|^{found[2]}\b.* ="
+            assert re.search(defined, path.read_text("utf-8"), flags=re.M), span
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_function_that_a_page_names_with_its_file_exists(page):
-    """Such as `learning/losses.py: student_loss`."""
-    text = page.read_text(encoding="utf-8")
-    for file, name in re.findall(r"`([\w/]+\.py): (\w+)`", text):
-        path = find_source(file)
-        assert path is not None, f"{page.name} names {file}"
-        found = re.search(
-            rf"^(def|class) {name}\b|^{name}\b.* =", path.read_text("utf-8"), re.M
-        )
-        assert found, f"{page.name} names {file}: {name}"
+def test_every_page_that_the_code_names_exists():
+    for folder in ("dpc_jax", "configs", "launch", "tests"):
+        for path in (ROOT / folder).rglob("*"):
+            if path.suffix in (".py", ".sh", ".env", ".sbatch"):
+                text = path.read_text(encoding="utf-8")
+                for name in re.findall(r"\bdocs/\w+\.md", text):
+                    assert (ROOT / name).exists(), f"{path.name} names {name}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_an_empty_line_ends_every_table(page):
-    """Else GitHub shows the text that follows as one more row."""
-    lines = page.read_text(encoding="utf-8").splitlines()
-    for number, (line, after) in enumerate(itertools.pairwise(lines), start=2):
-        if line.startswith("|") and after.strip():
-            assert after.startswith("|"), f"{page.name}:{number}: {after}"
+@each_page
+def test_every_field_and_variant_that_a_page_names_exists(page):
+    """Such as `train.steps`, `:known_pose` and `configs/car.py:paper,128`."""
+    sections = {
+        section.name: {field.name for field in dataclasses.fields(section.type)}
+        for section in dataclasses.fields(Config)
+        if dataclasses.is_dataclass(section.type)
+    }
+    for span in list_spans(page):
+        field = re.fullmatch(r"(\w+)\.(\w+)(?:=\S*)?", span)
+        if field and field[1] in sections and field[2] not in ("py", "md", "sh"):
+            assert field[2] in sections[field[1]], f"{page.name} names {span}"
+        variant = re.fullmatch(r"(?:configs/(\w+)\.py)?:([a-z0-9_,]+)", span)
+        if variant:
+            assert build_config(variant[1] or "car", variant[2]).variant == variant[2]
 
 
-def test_every_picture_is_on_a_page():
-    pages = "".join(page.read_text(encoding="utf-8") for page in PAGES)
-    pictures = [p for p in (ROOT / "docs" / "images").rglob("*") if p.is_file()]
-    unused = [p.name for p in pictures if p.name not in pages]
-    assert len(pictures) > 20 and unused == []
-
-
-def test_every_page_is_in_the_menu():
-    """The site's build says so too, but takes a minute."""
-    menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
-    for page in (ROOT / "docs").rglob("*.md"):
-        assert f" {page.relative_to(ROOT / 'docs')}\n" in menu, page.name
+def test_extras_that_pages_install_exist():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    for page in PAGES:
+        for names in re.findall(r"'(?:\.|dpc_jax)\[([\w,]+)\]'", page.read_text()):
+            assert set(names.split(",")) <= set(project["optional-dependencies"])
 
 
 def test_the_reference_has_every_public_name():
@@ -141,27 +79,45 @@ def test_the_reference_has_every_public_name():
     assert named == set(dpc_jax._NAMES)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_module_that_a_page_runs_exists(page):
-    text = page.read_text(encoding="utf-8")
-    for module in re.findall(r"-m (dpc_jax[\w.]*)", text):
-        path = ROOT / module.replace(".", "/")
-        assert path.with_suffix(".py").exists() or (path / "__main__.py").exists()
-
-
 @pytest.mark.parametrize("name", sorted(dpc_jax._NAMES))
 def test_the_reference_says_what_every_argument_is(name):
     """Where a docstring lists arguments or fields, it lists all of them."""
     value = getattr(dpc_jax, name)
     text = inspect.getdoc(value) or ""
+    asked = set()
     if dataclasses.is_dataclass(value):
         asked = {field.name for field in dataclasses.fields(value)}
         asked -= {"parent", "name"}  # of a flax module
     elif inspect.isfunction(value):
         parameters = inspect.signature(value).parameters.values()
         asked = {p.name for p in parameters if p.kind.name[:3] != "VAR"}
-    else:
-        asked = set()
     listed = re.findall(r"^  (\w+(?:, \w+)*): ", text, flags=re.MULTILINE)
     if "Args:" in text or "Attributes:" in text:
         assert asked <= {n for names in listed for n in names.split(", ")}
+
+
+def test_every_picture_is_on_a_page():
+    pages = "".join(page.read_text(encoding="utf-8") for page in [*PAGES, LOG])
+    pictures = [p for p in (ROOT / "docs" / "images").rglob("*") if p.is_file()]
+    assert pictures and [p.name for p in pictures if p.name not in pages] == []
+
+
+@pytest.mark.parametrize("page", ALL, ids=lambda page: page.name)
+def test_an_empty_line_ends_every_table(page):
+    """Else GitHub shows the text that follows as one more row."""
+    lines = page.read_text(encoding="utf-8").splitlines()
+    for line, after in itertools.pairwise(lines):
+        if line.startswith("|") and after.strip():
+            assert after.startswith("|"), f"{page.name}: {after}"
+
+
+def test_every_block_says_its_language():
+    known = {"python", "sh", "text", "json", "bibtex"}
+    assert {block.language for block in list_blocks()} <= known
+
+
+def test_the_notebook_is_kept_with_its_pictures_and_without_errors():
+    cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
+    outputs = [o for c in cells if c["cell_type"] == "code" for o in c["outputs"]]
+    assert sum("image/png" in output.get("data", {}) for output in outputs) >= 6
+    assert all(output["output_type"] != "error" for output in outputs)

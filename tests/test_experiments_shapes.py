@@ -1,6 +1,6 @@
 """Correspondences and interpolation of a finished run: what is written, and of what.
 
-The network is untrained: figures of quality are in docs/correspondences.md.
+The network is untrained: figures of quality are in docs/baselines.md.
 """
 
 import dataclasses

@@ -1,8 +1,7 @@
 """Pages of the site that are no Markdown file of this folder; mkdocs.yml names it.
 
-README, CONTRIBUTING and CHANGELOG become pages, the notebook is run and becomes one
-with its figures, and formulas become pictures (SVG) in the page, which need neither a
-script nor a font.
+CONTRIBUTING becomes a page, and so does the notebook with its stored outputs. Formulas
+become pictures (SVG) in the page, which need neither a script nor a font.
 """
 
 import html
@@ -10,46 +9,44 @@ import re
 from pathlib import Path
 from xml.etree import ElementTree
 
-import nbclient
 import nbconvert
 import nbformat
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
-from traitlets.config import Config
 from ziamath.config import config as ziamath_config
 from ziamath.zmath import Latex
 
 ROOT = Path(__file__).parents[2]
-# A file of the repository: its page.
-PAGES = {
-    "README.md": "index.md",
-    "CONTRIBUTING.md": "contributing.md",
-    "CHANGELOG.md": "changelog.md",
-}
-MAX_SECONDS = 300  # of a cell
 ziamath_config.svg2 = False  # each picture stands alone
 _FONT_SIZE = 21.0  # that ziamath's 24 pixels become one of the text's
 _FORMULA = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\\[(\[](?P<latex>.*?)\\[)\]]</(?P=tag)>',
     flags=re.DOTALL,
 )
+# What a browser would load at once from another host; links to follow may lead there.
+_OUTSIDE = re.compile(
+    r"<(?:script|img|iframe|source|link(?![^>]*rel=\"?(?:canonical|next|prev)))"
+    r"[^>]*(?:src|href)=[\"']?(?:https?:)?//[^\"'\s>]+"
+)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages."""
-    made: dict[str, str | bytes] = {}
-    for name, page in PAGES.items():
-        made[page] = move_links((ROOT / name).read_text(encoding="utf-8"))
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    made: dict[str, str | bytes] = {
+        "contributing.md": re.sub(r"(\]\()docs/", r"\1", text)
+    }
     for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
         files.remove(notebook)
-        made |= run_notebook(Path(str(notebook.abs_src_path)))
+        made |= convert_notebook(Path(str(notebook.abs_src_path)))
     for uri, content in made.items():
         files.append(File.generated(config, uri, content=content))
     return files
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """Links to notebooks lead to their pages."""
+    """Links to the notebook and to CONTRIBUTING lead to their pages."""
+    markdown = markdown.replace("](../CONTRIBUTING.md", "](contributing.md")
     return re.sub(r"(\]\(\w+)\.ipynb\b", r"\1.md", markdown)
 
 
@@ -58,30 +55,20 @@ def on_page_content(content: str, **_: object) -> str:
     return _FORMULA.sub(_draw_formula, content)
 
 
-def move_links(text: str) -> str:
-    """The Markdown of a file at the repository's root, as of a page in docs/."""
-    text = re.sub(r"(\]\()docs/", r"\1", text)
-    for name, page in PAGES.items():
-        text = text.replace(f"]({name}", f"]({page}")
-    return text
+def on_post_build(config: MkDocsConfig, **_: object) -> None:
+    """End the build where a page would load something from another host."""
+    for path in sorted(Path(config["site_dir"]).rglob("*.html")):
+        if found := _OUTSIDE.search(path.read_text(encoding="utf-8")):
+            raise SystemExit(
+                f"Error: Pages must load nothing from other hosts, but {path.name} has "
+                f"{found[0]}; put what it needs into docs/."
+            )
 
 
-def run_notebook(path: Path) -> dict[str, str | bytes]:
-    """Run a notebook; its page and its figures by the names that they get.
-
-    Raises:
-      nbclient.exceptions.CellExecutionError: a cell failed.
-    """
-    notebook = nbformat.read(path, as_version=4)
-    nbclient.NotebookClient(
-        notebook,
-        timeout=MAX_SECONDS,
-        kernel_name="python3",
-        resources={"metadata": {"path": str(ROOT)}},
-        config=Config(KernelManager={"transport": "ipc"}),  # no port is opened
-    ).execute()
+def convert_notebook(path: Path) -> dict[str, str | bytes]:
+    """A notebook as a page, and its figures by the names that they get."""
     text, resources = nbconvert.MarkdownExporter().from_notebook_node(
-        notebook,
+        nbformat.read(path, as_version=4),
         resources={"output_files_dir": f"{path.stem}_files", "unique_key": "figure"},
     )
     return {f"{path.stem}.md": text} | resources["outputs"]

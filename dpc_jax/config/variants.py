@@ -89,7 +89,7 @@ VARIANTS: dict[str, Changes] = {
     # Table 2, "GT pose": poses from labels, no half turns of what is known.
     "gt_pose": {"pose": {"labels": True, "flips": False}},
     # What the released code does differently, in the numbers of its experiments at 64
-    # (docs/equations.md); to be combined with "paper".
+    # (docs/method.md); to be combined with "paper".
     "released": {
         "data": {"image_size": 128},  # of which the volume's targets are averaged
         "network": {"encoder_blocks": 0, "pose_slope": 0.0},
@@ -143,7 +143,7 @@ VARIANTS: dict[str, Changes] = {
         "train": {"depth_weight": 1.0},
     },
     # § Network architecture and § Colored point clouds: other signals beside
-    # silhouettes (docs/supervision.md has what each weight gave).
+    # silhouettes (docs/baselines.md has what each weight gave).
     "depth": {"train": {"depth_weight": 2.0}},
     "color": {"train": {"color_weight": 0.3}},
 }

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 # Hand-tuned sigma at the end of a run, a share of the volume's side, by number of
-# points: the best on validation views of those tried (docs/point_sizes.md).
+# points: the best on validation views of those tried (docs/baselines.md).
 HAND_TUNED = {20: 0.055, 60: 0.035, 200: 0.03, 2000: 0.02}
 
 

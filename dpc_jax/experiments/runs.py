@@ -14,7 +14,7 @@ from dpc_jax.experiments.declarations import Experiment, Row
 from dpc_jax.experiments.sizes import RESOLUTIONS, SIZES, Size
 
 _POINTS = "render.num_points"
-# Of each mesh of the open sets, which are few (docs/results.md).
+# Of each mesh of the open sets, which are few (docs/log.md).
 _COPIES = {"car": 12, "chair": 6, "airplane": 4}
 TOO_LONG = "too long for this size"
 NO_FIXED_VIEWS = "renders have no views from fixed places"

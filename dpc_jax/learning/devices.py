@@ -20,7 +20,7 @@ from dpc_jax.config import Config
 AXIS = "objects"
 WHOLE, OBJECTS, COLUMNS = (PartitionSpec(*p) for p in ((), (AXIS,), (None, AXIS)))
 # Layers with this many weights are shared. For smaller ones the exchange takes as long
-# as it saves (docs/devices.md).
+# as it saves.
 SHARED_WEIGHTS = 2**17
 # Between processes, where an exchange takes about a millisecond, fewer layers pay.
 SHARED_BETWEEN_PROCESSES = 2**20
@@ -128,7 +128,7 @@ def sum_together(tree: Any) -> Any:
 
     Joined to one array first: between processes each exchange costs about a
     millisecond, and XLA's own exchange of many arrays takes four times as long as that
-    of one (docs/devices.md).
+    of one (docs/log.md).
     """
     flat, restore = ravel_pytree(tree)
     return restore(jax.lax.psum(flat, AXIS))
@@ -139,7 +139,7 @@ def compute_norms(
 ) -> dict[str, jax.Array]:
     """Inside `share`: roots of the sums of all squares of partitioned arrays; ().
 
-    Reading every gradient once more takes a tenth of a step (docs/profile.md). Where
+    Reading every gradient once more takes a tenth of a step. Where
     `is_measured` () is false, the results are -1, or NaN where a vector among the
     arrays (the gradient of a layer's biases) is not finite: a cheap sign that others
     are not.

@@ -2,7 +2,7 @@
 
 Not in the paper. Features of the encoder differ between objects by a tenth of their
 size, so that layers behind them learn the category's mean colours long before those of
-an object (docs/results.md). The mean colour of an image needs no learning.
+an object (docs/log.md). The mean colour of an image needs no learning.
 """
 
 import jax

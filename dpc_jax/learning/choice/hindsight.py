@@ -47,7 +47,7 @@ def choose_candidate(
     compared at full resolution; with 0 the coarse winner stands. With `choice_rank`
     "image" they are ranked by the optical depth of each pixel, without a volume:
     several times faster and, at the same resolution, at least as often right
-    (docs/profile.md).
+    (docs/log.md).
 
     Args:
       points: [N, 3], object frame.
