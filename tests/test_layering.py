@@ -46,7 +46,7 @@ ROOMS = {
         {"files", "evaluation"},
     ),
     "run": (
-        {"jax", "flax", "numpy", "tensorboardX"},
+        {"jax", "flax", "numpy", "orbax", "tensorboardX"},
         {
             "files",
             "config",

@@ -15,7 +15,6 @@ from flax.traverse_util import flatten_dict
 from jax.experimental import multihost_utils
 from orbax.checkpoint import multihost
 
-import dpc_jax
 from dpc_jax.config import Config
 
 # For what process 0 does alone while the others wait for it, and for slow hosts.
@@ -166,7 +165,7 @@ def _list_versions(config) -> dict:
 
 def _digest_code() -> str:
     """SHA-256 of the package's files: an editable installation has one version only."""
-    root, digest = Path(dpc_jax.__file__).parent, hashlib.sha256()
+    root, digest = Path(__file__).parents[2], hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
     return digest.hexdigest()
