@@ -66,7 +66,7 @@ def _parse(argv):
                 "--config=configs/car.py."
             )
         # A config that could not be loaded says so only when it is read.
-        getattr(_CONFIG.value, "seed", None)
+        from_config_dict(_CONFIG.value)
         _find_place()
         return rest
     except (flags.Error, AttributeError, KeyError, TypeError, ValueError, OSError) as e:

@@ -31,6 +31,7 @@ from dpc_jax.learning.training.records import (
     MetricLog,
     NonFiniteError,
     check_finite,
+    check_growth,
     summarize,
 )
 from dpc_jax.render import Camera
@@ -302,6 +303,35 @@ def test_a_student_that_is_not_finite_is_named(tmp_path, first_state, monkeypatc
         pytest.raises(NonFiniteError, match="student loss became nan at step 2"),
     ):
         run_loop(tmp_path, first_state)
+
+
+def test_a_loss_that_grows_without_bound_ends_the_run_at_the_last_good_checkpoint(
+    tmp_path, first_state, monkeypatch
+):
+    def grow(network, config, stage):
+        good = compile_once(network, config, stage)
+
+        def lower(*structs):
+            program = good.lower(*structs).compile()
+            return SimpleNamespace(compile=lambda: functools.partial(run, program))
+
+        def run(program, state, batch):
+            step = int(state.step)
+            state, metrics = program(state, batch)
+            return state, metrics | {"loss": metrics["loss"] * 1e3 ** (step >= 5)}
+
+        return SimpleNamespace(lower=lower)
+
+    monkeypatch.setattr(loop, "make_train_step", grow)
+    with pytest.raises(NonFiniteError, match=r"diverged: the loss grew from .* step 5"):
+        run_loop(tmp_path, first_state, every=(100, 0, 1))
+    restored, steps = restore(tmp_path, first_state)
+    assert steps[-1] == int(restored.state.step) == 5
+
+
+@pytest.mark.parametrize(("first", "loss"), [(30.0, 2900.0), (-0.1, 50.0), (0, -99)])
+def test_a_loss_that_varies_is_no_divergence(first, loss):
+    check_growth(first, loss, 12)
 
 
 @pytest.mark.parametrize("value", [np.inf, np.nan])

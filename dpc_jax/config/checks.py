@@ -2,6 +2,7 @@
 
 import dataclasses
 
+from dpc_jax.config.fields import COUNTABLE
 from dpc_jax.config.sections import Config
 from dpc_jax.config.system_checks import (
     list_map_rules,
@@ -31,8 +32,8 @@ def _check_alone(section, path):
         if dataclasses.is_dataclass(value):
             _check_alone(value, name)
         elif "allowed" in field.metadata:
-            allowed = field.metadata["allowed"]
-            _expect(allowed.holds(value), name, value, allowed.text)
+            for allowed in (COUNTABLE, field.metadata["allowed"]):
+                _expect(allowed.holds(value), name, value, allowed.text)
 
 
 def _expect(holds, name, value, expected):
@@ -65,11 +66,6 @@ def _list_rules(config):
         "train.models_per_batch",
         bool(given) or train.models_per_batch <= data.models,
         f"at most data.models = {data.models}, the models to train on",
-    )
-    yield (
-        "train.warmup_steps",
-        train.warmup_steps <= train.steps,
-        f"between 0 and train.steps = {train.steps}",
     )
     yield (
         "train.start_steps",

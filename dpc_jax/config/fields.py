@@ -2,8 +2,8 @@
 
 import dataclasses
 import math
+import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 
@@ -19,12 +19,17 @@ class Allowed(NamedTuple):
     text: str
 
 
+_MOST = 2**31 - 1
+# Of every field: steps and seeds are counted in int32.
+COUNTABLE = Allowed(
+    lambda value: not isinstance(value, int) or value <= _MOST, f"at most {_MOST:,}"
+)
 ANY = Allowed(lambda value: True, "of the type of its default")
 POSITIVE = Allowed(lambda value: 0 < value < math.inf, "above 0")
 FOLDER = Allowed(
-    lambda value: not value or Path(value).is_dir(), "a folder that exists"
+    lambda value: not value or os.path.isdir(value), "a folder that exists"
 )
-FILE = Allowed(lambda value: not value or Path(value).is_file(), "a file that exists")
+FILE = Allowed(lambda value: not value or os.path.isfile(value), "a file that exists")
 
 
 def at_least(low: int) -> Allowed:

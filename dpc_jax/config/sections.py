@@ -228,7 +228,7 @@ class Train:
     models_per_batch: int = field(4, at_least(1))  # (§ Training details)
     views_per_batch: int = field(4, at_least(1))  # of each model
     learning_rate: float = field(3e-4, POSITIVE)  # of Adam, at its peak
-    warmup_steps: int = field(200, at_least(0))  # linear
+    warmup_steps: int = field(200, at_least(0))  # linear; at most all steps
     final_rate: float = field(0.02, between(0, 1))  # of the peak; 1: constant
     weight_decay: float = field(0.0, at_least(0))  # decoupled (AdamW)
     l2_weight: float = field(0.0, at_least(0))  # of half the squared weights, see docs

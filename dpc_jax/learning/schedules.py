@@ -98,8 +98,11 @@ def cut_spans(spans: Sequence[Span], steps: int) -> tuple[Span, ...]:
 
 
 def make_learning_rate(train: Train) -> optax.Schedule:
-    """Linear warm-up to the peak rate, then cosine decay to a share of it."""
-    peak, warmup = train.learning_rate, train.warmup_steps
+    """Linear warm-up to the peak rate, then cosine decay to a share of it.
+
+    A run that is shorter than its warm-up ends at the peak rate.
+    """
+    peak, warmup = train.learning_rate, min(train.warmup_steps, train.steps)
     return optax.warmup_cosine_decay_schedule(
         init_value=peak / max(1, warmup),
         peak_value=peak,

@@ -88,7 +88,8 @@ def train(
 
     Raises:
       NonFiniteError: at the first loss or gradient that is not finite, named with its
-        step. Nothing is saved then: the last checkpoint is the last good state.
+        step, and where the loss has grown far above that of the first step. Nothing is
+        saved then: the last checkpoint is the last good state.
     """
     start, steps, due = int(state.step), until or config.train.steps, config.log
     watch = Stopwatch(seconds)

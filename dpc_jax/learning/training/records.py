@@ -13,10 +13,15 @@ import numpy as np
 from dpc_jax.files import explaining_full_disk, write_text
 
 _NOT_LOSSES = ("winners", "gradient_norms")
+# A loss so many times that of the first step means that training is lost (heuristic).
+# The comparison of images is bounded, and a step of a default run is never above its
+# first; what grows without bound are the penalties of parameters and points that leave.
+_DIVERGED = 100.0
+_LEAST = 1.0  # of the first loss, for this comparison: some losses begin near 0
 
 
 class NonFiniteError(RuntimeError):
-    """Training met a loss or gradient that is not finite."""
+    """Training met a loss or gradient that is not finite, or a loss that grows."""
 
 
 class Stopwatch:
@@ -50,6 +55,7 @@ class Window:
 
     def __init__(self, step: int, seconds: float, *, heads: int):
         self._heads = heads
+        self._first: float | None = None  # loss
         self._open(step, seconds)
 
     def _open(self, step, seconds):
@@ -67,11 +73,11 @@ class Window:
         That step has finished while this one runs: reading its metrics is free.
 
         Raises:
-          NonFiniteError: where they are not finite.
+          NonFiniteError: where they are not finite, or the loss has diverged.
         """
         self._metrics.append(metrics)
         if len(self._metrics) > 1:
-            check_finite(self._metrics[-2], self._step + len(self._metrics) - 2)
+            self._check(len(self._metrics) - 2)
 
     @contextlib.contextmanager
     def waiting(self) -> Iterator[None]:
@@ -86,10 +92,18 @@ class Window:
         """Check the last step too.
 
         Raises:
-          NonFiniteError: where its loss or a gradient is not finite.
+          NonFiniteError: where its loss or a gradient is not finite, or the loss has
+            diverged.
         """
         if self._metrics:
-            check_finite(self._metrics[-1], self._step + len(self._metrics) - 1)
+            self._check(len(self._metrics) - 1)
+
+    def _check(self, index):
+        metrics, step = self._metrics[index], self._step + index
+        check_finite(metrics, step)
+        if self._first is None:
+            self._first = float(metrics["loss"])
+        check_growth(self._first, float(metrics["loss"]), step)
 
     def close(self, seconds: float) -> dict:
         """The record of the window; a new window starts.
@@ -102,7 +116,7 @@ class Window:
           seconds: of training until now.
 
         Raises:
-          NonFiniteError: where the last step is not finite.
+          NonFiniteError: as `check`.
         """
         self.check()
         done = self._step + len(self._metrics)
@@ -134,6 +148,20 @@ def check_finite(metrics: dict, step: int):
                 f"{float(value)} at step {step}; start a run in another workdir with a "
                 "lower train.learning_rate. The last checkpoint is kept."
             )
+
+
+def check_growth(first: float, loss: float, step: int):
+    """Raise where the loss of a step is far above that of the first step.
+
+    Raises:
+      NonFiniteError: with both losses and the step (counted from 0).
+    """
+    if abs(loss) > _DIVERGED * max(abs(first), _LEAST):
+        raise NonFiniteError(
+            f"Training diverged: the loss grew from {first:.3g} to {loss:.3g} at step "
+            f"{step}; start a run in another workdir with a lower train.learning_rate. "
+            "The last checkpoint is kept."
+        )
 
 
 def summarize(window: list[dict], *, heads: int) -> dict:

@@ -160,7 +160,8 @@ def judge(ending: Ending) -> list[str]:
     trial = ending.trial
     label = f"training, {_name(trial)}"
     if ending.error:
-        has_name = "loss became" in ending.error or "gradient of the" in ending.error
+        parts = ("loss became", "the loss grew", "gradient of the")
+        has_name = any(part in ending.error for part in parts)
         is_complete = has_name and "at step" in ending.error
         sentence = f"{label}: it stopped without saying what broke: {ending.error}"
         return [] if is_complete else [sentence]
