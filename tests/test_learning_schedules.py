@@ -125,8 +125,9 @@ def test_without_warm_up_the_first_step_has_the_peak_rate():
     assert last == pytest.approx(1e-3, rel=1e-5)
 
 
-def test_a_run_that_is_all_warm_up_has_finite_rates():
-    found = rates(0, 10, 20, steps=20, warmup_steps=20, learning_rate=1e-3)
+@pytest.mark.parametrize("warmup_steps", [20, 500])
+def test_a_warm_up_ends_with_the_run_at_the_latest(warmup_steps):
+    found = rates(0, 10, 20, steps=20, warmup_steps=warmup_steps, learning_rate=1e-3)
     assert np.all(np.isfinite(found)) and max(found) == pytest.approx(1e-3, rel=1e-5)
 
 

@@ -64,7 +64,6 @@ def set_field(config, field, value):
         ("train.l2_weight", -1.0, "0 or more"),
         ("pose.spread", "wide", "'all' or 'upright'"),
         ("train.steps", 0, "at least 1"),
-        ("train.warmup_steps", 21, "between 0 and train.steps = 20"),
         ("train.learning_rate", 0.0, "above 0"),
         ("train.learning_rate", float("nan"), "above 0"),
         ("data.meshes", "/nowhere/at/all", "a folder that exists"),

@@ -162,7 +162,6 @@ def call(points=POINTS, rotations=QUATERNIONS, **options):
         ),
         ({"camera": None}, "camera must be a dpc_jax.Camera"),
         ({"sigma": None}, "both sigma and covariance are None"),
-        ({"sigma": -1.0}, "sigma must be at least 0 voxels"),
         ({"sigma": SIZES, "method": "trilinear"}, "sigma must be one number with"),
         ({"signals": ("color",)}, "must have colors of shape"),
         ({"signals": "depth"}, "signals must be a non-empty tuple"),

@@ -38,8 +38,8 @@ def convert_scene(
             "a point must have one size, but both sigma and covariance came; pass "
             "sigma=None with a covariance."
         )
-    checks.check_at_least_zero("sigma", sigma)
     count = points.shape[0]
+    sizes = {"sigma": sigma, "scale": scale, "covariance": covariance}
 
     def convert(name, value, *shapes, hint):
         array = checks.check_real(name, value, *shapes, hint=hint)
@@ -52,6 +52,7 @@ def convert_scene(
     if covariance is not None:
         shape, hint = (count, 3, 3), "pass one matrix per point"
         covariance = convert("covariance", covariance, shape, hint=hint)
+    checks.check_values({"points": points} | sizes)
     return rotation, sigma, scale, covariance, translation
 
 
@@ -59,19 +60,32 @@ def convert_pose(
     rotation: ArrayLike, translation: ArrayLike | None, dtype: DTypeLike
 ) -> tuple[jax.Array, jax.Array | None]:
     """Convert a rotation [4] or [3, 3] and a translation [3]; None stays None."""
+    given = {"rotation": rotation, "translation": translation}
     rotation = checks.check_real("rotation", rotation, (4,), (3, 3), hint=_POSES)
     if translation is not None:
         translation = checks.check_real("translation", translation, (3,), hint=_POSES)
         translation = translation.astype(dtype)
+    checks.check_values(given)
     return rotation.astype(dtype), translation
 
 
-def check_view(camera: Camera, grid: VoxelGrid) -> None:
-    """Refuse what is not one camera and one grid."""
-    checks.check_type("camera", camera, Camera, "dpc_jax.Camera(1.875, 2.0)")
-    checks.check_number("camera.focal_length", camera.focal_length)
-    checks.check_number("camera.distance", camera.distance)
+def check_view(camera: Camera, grid: VoxelGrid, dtype: DTypeLike) -> None:
+    """Refuse what is not one camera, and a grid that does not fit into memory."""
+    check_camera(camera)
     checks.check_type("grid", grid, VoxelGrid, "dpc_jax.VoxelGrid(64)")
+    checks.check_room("grid", grid.shape, dtype)
+
+
+def check_camera(camera: Camera) -> None:
+    """Refuse what is not one camera."""
+    checks.check_type("camera", camera, Camera, "dpc_jax.Camera(1.875, 2.0)")
+    numbers = {
+        "camera.focal_length": camera.focal_length,
+        "camera.distance": camera.distance,
+    }
+    for name, value in numbers.items():
+        checks.check_number(name, value)
+    checks.check_values(numbers)
 
 
 def choose_method(

@@ -75,7 +75,6 @@ def project_batch(
     arguments.check_signals(signals, ray_rule, has_colors=colors is not None)
     checks.check_type("camera", camera, Camera, "dpc_jax.Camera(1.875, 2.0)")
     checks.check_type("grid", grid, VoxelGrid, "dpc_jax.VoxelGrid(64)")
-    checks.check_at_least_zero("sigma", sigma)
     check_renders_at_once(renders_at_once)
     hint = "give one rotation for each example; dpc_jax.project takes a single one"
     rotations = checks.check_real(
@@ -93,6 +92,7 @@ def project_batch(
         "camera.distance": camera.distance,
     }
     shared, own = _sort_inputs(values, batch_size=batch_size)
+    checks.check_values(values | {"rotations": rotations})
     own["rotation"] = rotations
     shared["background_depth"] = background_depth
     shared["background_color"] = background_color

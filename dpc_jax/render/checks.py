@@ -1,14 +1,24 @@
 """Refusing wrong arguments: a ValueError says what was expected and what came."""
 
+import math
 import numbers
-from collections.abc import Sequence
-from typing import Any, TypeGuard
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeGuard
 
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
+import numpy as np
+from jax.core import Tracer
+from jax.typing import ArrayLike, DTypeLike
 
 _SEVERAL = "use jax.vmap over several"
+# Largest difference of RᵀR from the identity that is taken for rounding: bfloat16, and
+# products on a GPU that rounds to TF32, have such.
+_ROTATION_ROUNDING = 0.02
+# Likewise the most negative eigenvalue of a covariance, by its largest entry.
+_COVARIANCE_ROUNDING = 1e-3
+_MOST_CELLS = 2**31 - 1  # gradients number them in int32
 
 
 def check_real(
@@ -58,13 +68,128 @@ def check_choice(name: str, value: str, choices: Sequence[str], hint: str) -> No
         )
 
 
-def check_at_least_zero(name: str, value: Any) -> None:
-    """Refuse a plain number that is negative or NaN; arrays may be traced and pass."""
-    if isinstance(value, numbers.Real) and not float(value) >= 0:
+class _Rule(NamedTuple):
+    """What the entries of an argument must be; `holds` gives a bool for each."""
+
+    rank: int  # of one entry
+    holds: Callable[[np.ndarray], np.ndarray]
+    expected: str
+    hint: str
+
+
+def check_values(values: Mapping[str, Any]) -> None:
+    """Refuse numbers that make no image, among those that are known already.
+
+    Known are plain numbers, and arrays outside of `jax.jit`, `jax.grad` and `jax.vmap`;
+    what is traced there passes, and so does None. All are fetched at once.
+
+    Args:
+      values: arguments of `project` by name, of the right shapes; with leading axes
+        for many. Those without a rule pass.
+    """
+    known = {n: v for n, v in values.items() if n in _RULES and _is_known(v)}
+    for name, value in jax.device_get(known).items():
+        value, rule = np.asarray(value), _RULES[name]
+        if name.startswith("rotation") and value.shape[-1] == 4:
+            rule = _QUATERNION
+        with np.errstate(all="ignore"):
+            is_wrong = ~np.asarray(rule.holds(value))
+        if is_wrong.any():
+            subject = "it is" if value.ndim == rule.rank else "one is"
+            raise ValueError(
+                f"{name} must be {rule.expected}, but {subject} "
+                f"{value[is_wrong][0].tolist()}; {rule.hint}."
+            )
+
+
+def _is_known(value):
+    leaves = jax.tree.leaves(value)
+    return bool(leaves) and not any(
+        isinstance(leaf, Tracer)
+        or (isinstance(leaf, jax.Array) and not leaf.is_fully_addressable)
+        for leaf in leaves
+    )
+
+
+def _are_finite(vectors):
+    return np.isfinite(vectors).all(axis=-1)
+
+
+def _are_rotations(matrices):
+    matrices = matrices.astype(np.float64)
+    squares = np.swapaxes(matrices, -1, -2) @ matrices
+    errors = np.abs(squares - np.eye(3)).max(axis=(-1, -2))
+    return (errors <= _ROTATION_ROUNDING) & (np.linalg.det(matrices) > 0)
+
+
+def _are_covariances(matrices):
+    """By the leading minors, which are quicker than eigenvalues."""
+    matrices = matrices.astype(np.float64)
+    matrices = (matrices + np.swapaxes(matrices, -1, -2)) / 2
+    size = np.abs(matrices).max(axis=(-1, -2), keepdims=True)
+    m = matrices / np.where(size == 0, 1, size) + _COVARIANCE_ROUNDING * np.eye(3)
+    minor = m[..., 0, 0] * m[..., 1, 1] - m[..., 0, 1] ** 2
+    return (m[..., 0, 0] > 0) & (minor > 0) & (np.linalg.det(m) > 0)
+
+
+_QUATERNION = _Rule(
+    1,
+    lambda value: _are_finite(value) & (value != 0).any(axis=-1),
+    "finite and not zero",
+    "(1, 0, 0, 0) leaves the points as they are",
+)
+_MATRIX = _Rule(
+    2,
+    _are_rotations,
+    "a rotation, with RᵀR = 1 and determinant 1",
+    "scale or mirror the points instead",
+)
+_SIZE = "at least 0 voxels and finite"
+_RULES = {
+    "points": _Rule(1, _are_finite, "finite", "leave out those that are not"),
+    "rotation": _MATRIX,
+    "rotations": _MATRIX,
+    "sigma": _Rule(
+        0, lambda v: (v >= 0) & (v < np.inf), _SIZE, "0 leaves each point in its cell"
+    ),
+    "scale": _Rule(0, lambda v: (v >= 0) & (v < np.inf), _SIZE, "0 leaves a point out"),
+    "covariance": _Rule(
+        2,
+        _are_covariances,
+        "finite without negative eigenvalues",
+        "a product A·Aᵀ has none",
+    ),
+    "translation": _Rule(1, _are_finite, "finite", "give it in box diagonals"),
+    "camera.focal_length": _Rule(
+        0,
+        lambda v: (v > 0) & (v < np.inf),
+        "finite and above 0",
+        "the paper's camera has 1.875",
+    ),
+    "camera.distance": _Rule(0, np.isfinite, "finite", "the paper's camera has 2.0"),
+}
+
+
+def check_room(name: str, shape: Sequence[int], dtype: DTypeLike) -> None:
+    """Refuse a volume that does not fit into memory, before any of it is there."""
+    cells = math.prod(side + 2 for side in shape)  # with a rim
+    needed, room = cells * jnp.dtype(dtype).itemsize, _find_room()
+    if cells > _MOST_CELLS or needed > room:
         raise ValueError(
-            f"{name} must be at least 0 voxels, but it is {value}; 0 leaves each point "
-            "in its cell."
+            f"{name} must have fewer than 2³¹ cells, the rim about them included, and "
+            f"fit into this device's memory of {room / 1e9:.3g} GB, but a volume of "
+            f"{list(shape)} takes {needed / 1e9:,.4g} GB; make it coarser."
         )
+
+
+def _find_room():
+    """Bytes of the device that renders, or of the machine where it is a CPU."""
+    memory = jax.local_devices()[0].memory_stats() or {}
+    if "bytes_limit" in memory:
+        return memory["bytes_limit"]
+    if not hasattr(os, "sysconf"):
+        return math.inf
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 def check_sides(name: str, shape: Any) -> None:
@@ -110,7 +235,7 @@ def _convert(name, value):
         if value is None:
             raise TypeError
         return jnp.asarray(value)
-    except (TypeError, ValueError) as error:
+    except (OverflowError, TypeError, ValueError) as error:
         raise ValueError(
             f"{name} must be an array of numbers, but it is of type "
             f"{type(value).__name__}; pass a NumPy or JAX array."

@@ -5,8 +5,6 @@ camera. They are resampled along its rays, and what follows is the projection of
 clouds: clip, ray termination, silhouette, depth, colour.
 """
 
-import math
-
 import chex
 import jax
 import jax.numpy as jnp
@@ -19,7 +17,6 @@ from dpc_jax.render.resampling import sample_volume
 from dpc_jax.render.volume import Volume, clip_unit
 
 _HINT = "use jax.vmap or jax.lax.map over a batch of volumes"
-_MOST_CELLS = 2**31 - 1  # the gradient numbers them in int32
 
 
 def project_volume(
@@ -67,12 +64,8 @@ def project_volume(
             "volume must have at least one cell along each axis, but its shape is "
             f"{list(volume.shape)}; give occupancies [X, Y, Z]."
         )
-    if math.prod(side + 2 for side in volume.shape) > _MOST_CELLS:
-        raise ValueError(
-            "volume must have fewer than 2³¹ cells, the rim about it included, but its "
-            f"shape is {list(volume.shape)}; make it coarser."
-        )
-    arguments.check_view(camera, grid)
+    checks.check_room("volume", volume.shape, volume.dtype)
+    arguments.check_view(camera, grid, volume.dtype)
     has_colors = colors is not None
     arguments.check_signals(
         signals, ray_rule, has_colors=has_colors, of_colors="[X, Y, Z, C]"

@@ -56,6 +56,12 @@ def project(
     sigma, scale, covariance, colors, translation, focal length, distance, background
     values.
 
+    Numbers that are known, outside of `jax.jit`, `jax.grad` and `jax.vmap`, are checked.
+    Traced ones cannot be: a point that is not finite, or that its pose makes so, is left
+    out; the zero quaternion is no rotation, a matrix is applied as it is, and a negative
+    sigma or variance counts as 0; a negative scale takes away from other points, and a
+    sigma or scale that is NaN makes NaN images.
+
     Args:
       points: [N, 3], object frame; float. Their dtype decides that of the result.
       rotation: [4] quaternion wxyz or [3, 3] matrix, object to camera.
@@ -84,7 +90,10 @@ def project(
 
     Raises:
       ValueError: for a wrong shape or dtype, an unknown signal, method or rule, colour
-        asked without colours, and a method that cannot do what is asked.
+        asked without colours, a method that cannot do what is asked, a grid that does
+        not fit into memory, and known numbers that make no image: points, sizes, poses
+        or a camera that are not finite, a quaternion of zeros, a matrix that is no
+        rotation, a negative size, eigenvalue or focal length.
     """
     points = arguments.convert_points(points)
     arguments.check_signals(signals, ray_rule, has_colors=colors is not None)

@@ -35,12 +35,13 @@ def smooth(volume: jax.Array, sigma: jax.Array) -> jax.Array:
         it is, and nothing is computed.
 
     Raises:
-      ValueError: for another shape or dtype, and a plain number sigma below zero.
+      ValueError: for another shape or dtype, and a sigma that is known to be below 0.
     """
     volume = checks.check_array("volume", volume, (None, None, None))
     checks.check_sides("the volume's shape", volume.shape)
-    checks.check_at_least_zero("sigma", sigma)
-    return _smooth(volume, checks.check_number("sigma", sigma).astype(volume.dtype))
+    number = checks.check_number("sigma", sigma)
+    checks.check_values({"sigma": sigma})
+    return _smooth(volume, number.astype(volume.dtype))
 
 
 @jax.custom_vjp

@@ -54,7 +54,7 @@ def place_points(
 
     Arguments and errors as of `project`. The result has the dtype of the points.
     """
-    arguments.check_view(camera, grid)
+    arguments.check_view(camera, grid, points.dtype)
     rotation, sigma, scale, covariance, translation = arguments.convert_scene(
         points, rotation, sigma, scale, covariance, translation
     )

@@ -25,7 +25,7 @@ from dpc_jax.learning.fitting.views import (
 )
 from dpc_jax.learning.signals import Weights
 from dpc_jax.learning.silhouette_pull import measure_outside
-from dpc_jax.render import Camera, checks, quaternion
+from dpc_jax.render import Camera, arguments, checks, quaternion
 
 _FINEST = 128  # side, unless settings say another: a fit takes a minute of two cores
 
@@ -102,6 +102,7 @@ def fit(
         finest = min(views.masks.shape[-1], _FINEST)
         settings = dataclasses.replace(settings, sides=(finest // 2, finest))
     _check_settings(settings, views, learn, is_searched=rotations is None)
+    arguments.check_camera(camera)
     tell = on_progress or (lambda *_: None)
     if rotations is None:
         learn = tuple(dict.fromkeys(("rotations", *learn)))
@@ -110,6 +111,7 @@ def fit(
         rotations = np.asarray(
             checks.check_array("rotations", rotations, (len(views.masks), 4))
         )
+        checks.check_values({"rotations": rotations})
     fitting = _Fitting(views, camera, settings, learn, tell, begin)
     cloud = fitting.start(rotations, jax.random.key(seed))
     for number in range(len(settings.sides)):
