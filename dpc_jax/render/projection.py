@@ -56,11 +56,11 @@ def project(
     sigma, scale, covariance, colors, translation, focal length, distance, background
     values.
 
-    Numbers that are known, outside of `jax.jit`, `jax.grad` and `jax.vmap`, are checked.
-    Traced ones cannot be: a point that is not finite, or that its pose makes so, is left
-    out; the zero quaternion is no rotation, a matrix is applied as it is, and a negative
-    sigma or variance counts as 0; a negative scale takes away from other points, and a
-    sigma or scale that is NaN makes NaN images.
+    Numbers that are known, outside of `jax.jit`, `jax.grad` and `jax.vmap`, are
+    checked. Traced ones cannot be: a point that is not finite, or that its pose makes
+    so, is left out; the zero quaternion turns nothing, a matrix is applied as it is,
+    and a negative sigma or variance counts as 0; a negative scale takes away from other
+    points, and a sigma or scale that is NaN makes NaN images.
 
     Args:
       points: [N, 3], object frame; float. Their dtype decides that of the result.
