@@ -416,9 +416,9 @@ def _check(section, **fields):
 CALLS = [
     *_give("rotation must be finite", "rotation", _IDENTITY * np.nan),
     *_give("finite and not zero", "rotation", 0 * _IDENTITY),
-    *_give("must be a rotation, but it is [[2.0", "rotation", 2 * _MATRIX),
-    *_give("must be a rotation, but it is [[-1.0", "rotation", -_MATRIX),
-    *_give("must be a rotation, but it is [[nan", "rotation", _MATRIX * np.nan),
+    *_give("and determinant 1, but it is [[2.0", "rotation", 2 * _MATRIX),
+    *_give("and determinant 1, but it is [[-1.0", "rotation", -_MATRIX),
+    *_give("and determinant 1, but it is [[nan", "rotation", _MATRIX * np.nan),
     *_give("points must be finite", "points", _CLOUD * np.inf),
     *_give("translation must be finite", "translation", np.array([0, 0, np.nan])),
     *_give("sigma must be at least 0 voxels and finite, but it is -1.0", "sigma", -1.0),

@@ -19,7 +19,7 @@ BELOW = {  # the rooms that one run is made of
 ROOMS = {
     "files": (set(), set()),
     "config": ({"ml_collections"}, set()),
-    "render": ({"jax", "chex"}, set()),
+    "render": ({"jax", "chex", "numpy"}, set()),
     "shapes": ({"numpy", "trimesh"}, set()),
     "data": (
         {

@@ -158,9 +158,9 @@ def check_growth(first: float, loss: float, step: int):
     """
     if abs(loss) > _DIVERGED * max(abs(first), _LEAST):
         raise NonFiniteError(
-            f"Training diverged: the loss grew from {first:.3g} to {loss:.3g} at step "
-            f"{step}; start a run in another workdir with a lower train.learning_rate. "
-            "The last checkpoint is kept."
+            f"Expected a loss that falls, but training diverged: the loss grew from "
+            f"{first:.3g} to {loss:.3g} at step {step}; start a run in another workdir "
+            "with a lower train.learning_rate. The last checkpoint is kept."
         )
 
 
