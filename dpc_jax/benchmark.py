@@ -13,6 +13,13 @@ from pathlib import Path
 from dpc_jax.measure.benchmark.plan import FULL, PARTS, QUICK
 from dpc_jax.run.flags import FlagParser, Task, run_command
 
+WRITES = ("benchmark.md", "benchmark.json", "solids.png", "scaling.png")
+WRITES += tuple(
+    f"error_{kind}{suffix}.png"
+    for kind in ("image", "gradient")
+    for suffix in ("", "_same_grid")
+)
+
 
 def make_parser() -> argparse.ArgumentParser:
     """The flags of the command."""
@@ -41,6 +48,7 @@ def _read(options):
         lambda: _measure(options),
         out=options.out,
         interrupted=f"Interrupted; finished parts are in {options.out}.",
+        writes=WRITES,
         # A part's process that fails tells of it by one.
         errors=(ValueError, OSError, RuntimeError),
     )

@@ -50,6 +50,7 @@ def _read(options):
         lambda: compare_runs(options.workdirs, options.out),
         out=options.out,
         interrupted="Interrupted; start again to write the page.",
+        writes=("index.html", "curves.png", "curves.svg"),
     )
 
 

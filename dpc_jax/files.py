@@ -251,8 +251,8 @@ def digest_file(path: str | os.PathLike) -> str:
 
 
 def digest_text(text: str) -> str:
-    """SHA-256 of a text in UTF-8, in hexadecimal digits."""
-    return hashlib.sha256(text.encode()).hexdigest()
+    """SHA-256 of a text in UTF-8, in hexadecimal digits; of any file name, too."""
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 
 def list_sizes(paths: Iterable[Path]) -> list[int]:

@@ -133,7 +133,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _read(options):
     request = make_request(options)
-    from dpc_jax.run.object_fitting import fit_folder  # heavy: flags are read first
+    # Heavy: flags are read first.
+    from dpc_jax.data.sets.image_folder import list_images
+    from dpc_jax.run.object_fitting import fit_folder
 
     def work():
         fit_folder(request)
@@ -142,6 +144,8 @@ def _read(options):
         work,
         out=request.out,
         interrupted="Interrupted; nothing was written, start again.",
+        writes=("cloud.ply", "cloud.glb", "views.png", "curve.png", "fit.json"),
+        inputs=list_images(request.folder) if request.folder.is_dir() else (),
     )
 
 

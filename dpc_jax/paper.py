@@ -9,11 +9,14 @@ import sys
 from pathlib import Path
 
 from dpc_jax.experiments.catalogue import NAMES, find_experiments
-from dpc_jax.experiments.published import CATEGORIES
+from dpc_jax.experiments.published import CATEGORIES, TITLE
 from dpc_jax.experiments.runs import Request, Source, choose_runs
 from dpc_jax.experiments.sizes import SIZES
+from dpc_jax.files import read_text
 from dpc_jax.run.flags import FlagParser, Task, run_command
 
+WRITES = ("index.html", "paper.md", "requests.json", "runs/", "logs/")
+WRITES = (*WRITES, "figures/", "analyses/")
 SOURCES = ("procedural", "open", "shapenet", "renders")
 
 
@@ -130,7 +133,7 @@ def check_page(page: Path | None) -> None:
     """Refuse a Markdown file that could not be written when all runs have ended.
 
     Raises:
-      ValueError: for a folder, or a place in what is no folder.
+      ValueError: for a folder, a place in what is no folder, or another page.
     """
     if page is None:
         return
@@ -140,6 +143,11 @@ def check_page(page: Path | None) -> None:
         raise ValueError(
             f"--page must be a file to write, but {wrong}; write for example "
             "--page=docs/paper.md."
+        )
+    if page.exists() and not read_text(page).startswith(f"# {TITLE}\n"):
+        raise ValueError(
+            f"--page must be a new file or a page of this command, but {page} does not "
+            f"begin with # {TITLE}; move it, or give another --page."
         )
 
 
@@ -195,6 +203,7 @@ def _read(options):
         out=options.out,
         interrupted=f"Interrupted; the page in {options.out} shows what is there, and "
         "the same command goes on.",
+        writes=WRITES,
     )
 
 

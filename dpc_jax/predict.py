@@ -57,9 +57,15 @@ def make_parser() -> argparse.ArgumentParser:
         "--turntable", action="store_true", help="write NAME.gif of the cloud turning"
     )
     parser.add_argument(
+        "--data",
+        type=Path,
+        metavar="DIR",
+        help="of data, for --refine (WORKDIR/data)",
+    )
+    parser.add_argument(
         "--crop",
         choices=("object", "view", "none"),
-        help="square around the object or the view (as in training)",
+        help="square around object or view (as trained)",
     )
     return parser
 
@@ -71,7 +77,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _read(options):
     # Flags are read before what is heavy is loaded.
-    from dpc_jax.run.prediction import PredictRequest, predict_images
+    from dpc_jax.run.prediction import SUMMARIES, PredictRequest, predict_images
 
     request = PredictRequest(
         options.images,
@@ -83,11 +89,13 @@ def _read(options):
         is_refined=options.refine,
         has_turntable=options.turntable,
         num_points=options.points,
+        data=options.data,
     )
     return Task(
         lambda: predict_images(request),
         out=request.out,
         interrupted="Interrupted; start again to make the rest.",
+        writes=SUMMARIES,
     )
 
 

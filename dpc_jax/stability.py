@@ -22,6 +22,8 @@ from dpc_jax.measure.stability.report_parts import (
 from dpc_jax.run.flags import FlagParser, Task, run_command
 
 QUICK_DTYPES = ("float32",)
+WRITES = ("stability.md", "stability.json", "cases.md", "stability_growth.png")
+WRITES += ("stability_stiff_shape.png", "stability_stiff_other.png")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -42,6 +44,7 @@ def _read(arguments):
         lambda: _measure(options),
         out=options.out,
         interrupted=f"Interrupted; finished parts are in {options.out}.",
+        writes=WRITES,
     )
 
 

@@ -5,6 +5,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from dpc_jax import outputs
 from dpc_jax.data import DataSpec, __main__, load_or_render, viewpoints
 from dpc_jax.data.look import inspection, overview, pose_conventions
 from dpc_jax.shapes import procedural
@@ -277,7 +278,7 @@ def test_a_set_is_listed_and_drawn(cache, tmp_path, capsys, monkeypatch):
             pixels = np.asarray(sheet).reshape(-1, 3)
         for color in overview.AXES:
             assert (pixels == color).all(axis=1).sum() > 100
-        assert [p.name for p in tmp_path.iterdir()] == ["sheet.png"]
+        assert sorted(p.name for p in tmp_path.iterdir()) == [outputs.LIST, "sheet.png"]
     assert run("check", path) == 0
     assert "no fault found; poses fit" in capsys.readouterr().out
 
@@ -344,7 +345,7 @@ def test_meshes_and_images_are_prepared_to_be_looked_at(tmp_path, capsys, monkey
     assert "Rendering" not in out and "red is the front" not in out
     # nothing is left behind, nothing lies between the images
     assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "meshes", "own", "own.png", "runs",
+        outputs.LIST, "meshes", "own", "own.png", "runs",
     ]  # fmt: skip
     assert len(list((tmp_path / "own").rglob("*.png"))) == 6
 

@@ -5,13 +5,19 @@ what it returns or refuses with.
 """
 
 import contextlib
+import dataclasses
 import functools
+import io
 import os
 import signal
 import socket
+import subprocess
+import sys
 import tempfile
+import warnings
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import jax
@@ -20,14 +26,22 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from tiny_runs import tiny_config
 
 import dpc_jax
-from dpc_jax import files
-from dpc_jax.config import build_config, check, replace_fields
+import dpc_jax.fit as fit
+from dpc_jax import compare, files, outputs, paper, predict
+from dpc_jax.config import build_config, check, replace_fields, to_json
 from dpc_jax.data import DataSpec, load_or_render, meshes, shards
-from dpc_jax.data.sets import obj_materials, photographs, pose_files
+from dpc_jax.data import __main__ as data_command
+from dpc_jax.data.sets import obj_materials, photographs, plain_background, pose_files
+from dpc_jax.data.sets.photographs import Request, read_photographs
 from dpc_jax.data.sets.pictures import read_picture
-from dpc_jax.run.workdir import hold_workdir
+from dpc_jax.outputs import show_text
+from dpc_jax.reporting.examples import Example
+from dpc_jax.reporting.gallery import draw_predictions
+from dpc_jax.run import predicted_objects, prediction, refinement
+from dpc_jax.run.workdir import claim_workdir, hold_workdir, read_alignment
 from dpc_jax.shapes.normalization import face_colors
 
 SECONDS = 60  # after which a try hangs
@@ -356,7 +370,434 @@ FILES = [
 
 # Commands: what predict, fit, compare and main are given and told to write.
 
-COMMANDS: list[Try] = []
+
+def draw_image(path, *, alpha=255):
+    """A disc of some opacity on nothing; the path."""
+    rows, cols = np.mgrid[:40, :40]
+    mask = ((rows - 20) ** 2 + (cols - 17) ** 2 < 80).astype(np.uint8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = Image.fromarray(np.dstack([90 * mask] * 3 + [alpha * mask]))
+    image.save(path, format="GIF" if path.suffix == ".gif" else "PNG")
+    return path
+
+
+def read_all(folder):
+    """Content of every file below a folder, but the list of what commands wrote."""
+    return {
+        path: path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+        and path.name != outputs.LIST
+        and os.access(path, os.R_OK, effective_ids=True)
+    }
+
+
+def call(command, *words):
+    """What a command says when it is refused: one line, and no file is changed."""
+    folders = [Path(word).parent for word in map(str, words) if word.startswith("/")]
+    before = [read_all(folder) for folder in folders]
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said):
+        status = command.main(list(map(str, words)))
+    line = said.getvalue()
+    assert line.startswith("Error: ") and line.count("\n") == 1 and line.isascii()
+    assert before == [read_all(folder) for folder in folders]
+    return f"{line[7:-1]} Status {status}."
+
+
+def make_workdir(folder, **changes):
+    """The folder of a run as far as it is read before a network is."""
+    workdir = folder / "run"
+    workdir.mkdir()
+    (workdir / "config.json").write_text(to_json(tiny_config(**changes)))
+    return workdir
+
+
+def predicts(*names, flags=(), out="out", draw=()):
+    """A call of predict with images of these names, and others in the folder."""
+
+    def attempt(folder):
+        words = [f"--workdir={make_workdir(folder)}", f"--out={folder / out}", *flags]
+        for name in {*names, *draw}:
+            draw_image(folder / name)
+        return call(predict, *words, *(folder / name for name in names))
+
+    return attempt
+
+
+def predict_again_over_what_was_changed(folder):
+    """The first call writes, then a user edits a file of it, and it comes again."""
+    names = ["a.ply", "predictions.json"]
+    with outputs.owning(folder, names):
+        for name in names:
+            (folder / name).write_text("written")
+    with outputs.owning(folder, names):  # its own files are no obstacle
+        (folder / "a.ply").write_text("written anew")
+    (folder / "a.ply").write_text("edited")
+    with outputs.owning(folder, names):
+        return "overwritten"
+
+
+def write_after_a_kill(folder):
+    """What a killed command wrote is still known as its own."""
+    root = str(Path(outputs.__file__).parents[1])
+    code = "import os, sys, pathlib\nfrom dpc_jax import outputs\n"
+    code += "with outputs.owning(sys.argv[1], ['a.ply']):\n"
+    code += "    pathlib.Path(sys.argv[1], 'a.ply').write_text('half')\n    os._exit(9)"
+    killed = subprocess.run([sys.executable, "-c", code, str(folder)], cwd=root)
+    assert killed.returncode == 9
+    with outputs.owning(folder, ["a.ply"]):
+        return (folder / "a.ply").read_text()
+
+
+def show_over_a_photograph(folder):
+    draw_image(folder / "set" / "one" / "0.png")
+    photograph = draw_image(folder / "photograph.png")
+    return call(data_command, "show", folder / "set", f"--out={photograph}")
+
+
+def fit_into_the_folder_of_its_views(folder):
+    for name in ("0.png", "views.png"):
+        draw_image(folder / name)
+    return call(fit, folder, f"--out={folder}")
+
+
+def compare_over_a_page(folder):
+    make_workdir(folder)
+    (folder / "index.html").write_text("mine")
+    return call(compare, folder / "run", f"--out={folder}")
+
+
+def begin_paper_in_a_folder_of_others(folder):
+    (folder / "runs").mkdir()
+    return call(paper, f"--out={folder}", "--no-training", "--size=quick")
+
+
+def publish_over_another_page(folder):
+    (folder / "notes.md").write_text("# Mine\n")
+    page = f"--page={folder / 'notes.md'}"
+    return call(paper, f"--out={folder / 'out'}", "--no-training", page)
+
+
+def train_in_a_folder_with_a_config_of_another_program(folder):
+    (folder / "config.json").write_text('{"editor": "mine"}')
+    try:
+        claim_workdir(folder, tiny_config())
+    finally:
+        assert (folder / "config.json").read_text() == '{"editor": "mine"}'
+
+
+def write_into(*parts, user=None):
+    """Predictions into a place that cannot be written."""
+
+    def attempt(folder):
+        image = draw_image(folder / "a.png")
+        out = Path(*parts) if parts[0] == "/" else folder.joinpath(*parts)
+        words = f"--workdir={make_workdir(folder)}", f"--out={out}", image
+        return call(predict, *words)
+
+    return attempt
+
+
+def without_rights(prepare):
+    """A call of predict by somebody with no rights but everybody's.
+
+    Args:
+      prepare: makes the words from a folder that everybody may enter.
+    """
+
+    def attempt(_):
+        with tempfile.TemporaryDirectory() as place:
+            folder = Path(place)
+            folder.chmod(0o755)
+            words = prepare(folder)
+            call(predict, "--workdir=/nowhere", draw_image(folder / "b.png"))
+            is_root = os.geteuid() == 0
+            if is_root:  # who may do everything
+                os.seteuid(65534)
+            try:
+                return call(predict, *words)
+            finally:
+                if is_root:
+                    os.seteuid(0)
+
+    return attempt
+
+
+def write_in_a_folder_of_others(folder):
+    workdir = make_workdir(folder)
+    workdir.chmod(0o555)
+    return f"--workdir={workdir}", draw_image(folder / "a.png")
+
+
+def read_an_image_of_others(folder):
+    draw_image(folder / "a.png").chmod(0)
+    out = folder / "out"
+    out.mkdir()
+    out.chmod(0o777)
+    return f"--workdir={make_workdir(folder)}", f"--out={out}", folder / "a.png"
+
+
+def name_a_file_like_a_flag(folder):
+    draw_image(folder / "-a.png")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr(sys, "argv", ["predict", "--workdir=run", "-a.png"])
+        return call(predict, *sys.argv[1:])
+
+
+def name_files_in_bytes_of_all_kinds(folder):
+    """Bytes that are no UTF-8, line breaks, codes of terminals, formulas, 車."""
+    names = [
+        b"a\xff",
+        b"a\nb",
+        b"\x1b[31ma",
+        b"a\xe2\x80\xaeb",
+        b"$\\frac$",
+        b"\xe8\xbb\x8a",
+    ]
+    paths = [draw_image(folder / os.fsdecode(name + b".png")) for name in names]
+    spec = DataSpec("car", kind="images", folder=".", image_size=16, crop="object")
+    found, _ = read_photographs(Request([folder]), spec)
+    (one,) = found
+    shown = [*one.sources, *(show_text(path) for path in paths)]
+    text = "".join(shown)
+    assert text.isprintable() and text.encode()
+    blank = np.zeros((4, 4))
+    row = Example("", blank, blank, blank, np.zeros((1, 3)), None, None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for name in shown:
+            draw_predictions([dataclasses.replace(row, name=name)], folder / "a.png")
+    return Path(shown[-1]).name
+
+
+def show_a_set_with_a_name_that_is_no_text(folder):
+    for name in (b"a\xff", b"b", b"c\nd"):
+        draw_image(folder / "set" / os.fsdecode(name) / "0.png")
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        words = ["show", str(folder / "set"), f"--out={folder / 'sheet.png'}"]
+        assert data_command.main(words) == 0
+    return said.getvalue()
+
+
+def keep_codes(content):
+    """Refinement with a codes.npz of this content, where measuring gives ones."""
+
+    def attempt(folder):
+        whole = io.BytesIO()
+        np.savez(whole, step=3, directions=np.zeros((2, 5), np.float32))
+        (folder / "report").mkdir()
+        (folder / "report" / "codes.npz").write_bytes(content(whole.getvalue()))
+        state: Any = SimpleNamespace(step=3)
+        ones = np.ones((2, 5), np.float32)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(refinement, "measure_directions", lambda *_: ones)
+            none: Any = lambda: None  # noqa: E731
+            for _ in range(2):  # what is measured is kept
+                found = refinement.read_directions(folder, none, state, none, width=5)
+        return found.sum()
+
+    return attempt
+
+
+def refine_with_a_cache_folder_of_others(folder):
+    """Where data are kept for a workdir whose config says elsewhere."""
+    config = replace_fields(tiny_config(), {"data": {"cache_dir": "/elsewhere"}})
+    places = []
+
+    def stop(config):
+        places.append(config.data.cache_dir)
+        raise ValueError("Enough.")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(predicted_objects, "make_network", stop)
+        for data in (None, Path("/asked")):
+            with contextlib.suppress(ValueError):
+                predicted_objects.predict_objects(
+                    [], config, folder, is_refined=True, data=data
+                )
+    return [place.replace(str(folder), "RUN") for place in places]
+
+
+def ask_for_more_points_than_there_are(_):
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said):
+        cloud: Any = SimpleNamespace(points=np.zeros((1200, 3)))
+        prediction._say_how_many([cloud], 10**8)
+    return said.getvalue()
+
+
+def find_mask(image):
+    return lambda _: plain_background.find_object(np.asarray(image, np.uint8))
+
+
+def draw_spots():
+    """Many blobs of one size, as a texture has them."""
+    image = np.full((96, 96, 3), 220)
+    for row in range(10, 90, 20):
+        for column in range(10, 90, 20):
+            image[row : row + 9, column : column + 9] = (90, 60, 20)
+    return image
+
+
+def draw_cross():
+    image = np.full((96, 96, 3), 220)
+    image[44:52], image[:, 44:52] = (20, 90, 20), (20, 90, 20)
+    return image
+
+
+def draw_tiles():
+    tiles = np.random.default_rng(0).integers(0, 255, (8, 8, 3))
+    return tiles.repeat(12, 0).repeat(12, 1)
+
+
+def fit_views(**images):
+    """A fit of a folder of images, as functions that draw them."""
+
+    def attempt(folder):
+        for name, draw in images.items():
+            draw(folder / "views" / f"{name}.png")
+        return call(fit, folder / "views", f"--out={folder / 'out'}")
+
+    return attempt
+
+
+def draw_without_alpha(path):
+    path.parent.mkdir(exist_ok=True)
+    Image.new("RGB", (20, 20), "red").save(path)
+
+
+def read_wrong_alignment(text):
+    def attempt(folder):
+        (folder / "report").mkdir()
+        (folder / "report" / "alignment.json").write_text(text)
+        return read_alignment(folder)
+
+    return attempt
+
+
+def predict_a_device(folder):
+    return call(predict, f"--workdir={make_workdir(folder)}", "/dev/null")
+
+
+NOT_OURS = "what is there was not written by a command; move it, or give another --out"
+COMMANDS = [
+    Try(
+        "predict --turntable where the picture is in the folder of results",
+        predicts("out/anim.gif", flags=["--turntable"]),
+        "out/anim.gif, but it is an input; move it, or give another --out.",
+    ),
+    Try(
+        "predict into a folder that has a file of the user's under an output's name",
+        predicts("a.png", draw=["out/a.json"]),
+        f"out/a.json, but {NOT_OURS}.",
+    ),
+    Try(
+        "predict of predictions.png, whose file would be the summary's",
+        predicts("predictions.png"),
+        "out/predictions.json would be written twice; give the inputs one by one",
+    ),
+    Try(
+        "predict of two images of one name",
+        predicts("a.png", "b/a.png"),
+        "different names, but a came more than once; predict them one by one",
+    ),
+    Try(
+        "an output that a user has changed",
+        predict_again_over_what_was_changed,
+        "has been changed since a command wrote it; move it",
+    ),
+    Try("an output of a command that was killed", write_after_a_kill, "half"),
+    Try("data show over a photograph", show_over_a_photograph, NOT_OURS),
+    Try(
+        "fit into the folder of its views, one of which is called views.png",
+        fit_into_the_folder_of_its_views,
+        "views.png, but it is an input",
+    ),
+    Try("compare over a page of the user's", compare_over_a_page, NOT_OURS),
+    Try(
+        "the paper's experiments in a folder with runs of others",
+        begin_paper_in_a_folder_of_others,
+        f"runs, but {NOT_OURS}",
+    ),
+    Try(
+        "the paper's experiments published over another page",
+        publish_over_another_page,
+        "does not begin with # The paper's experiments; move it",
+    ),
+    Try(
+        "a run in a folder that has a config.json of another program",
+        train_in_a_folder_with_a_config_of_another_program,
+        "but it cannot be used (config must have no other fields",
+    ),
+    Try("--out=FILE", write_into("a.png"), "made or written (it is a file); give"),
+    Try("--out below a file", write_into("a.png", "x"), "Not a directory"),
+    Try("--out=/proc/x", write_into("/", "proc", "x"), "made or written (No such file"),
+    Try("--out of 300 letters", write_into("x" * 300), "File name too long"),
+    Try(
+        "predict of an image with a name of 251 letters",
+        predicts("x" * 251 + ".png"),
+        "there can be no such file (File name too long); rename the input",
+    ),
+    Try(
+        "predict into a workdir that may only be read",
+        without_rights(write_in_a_folder_of_others),
+        "run/predictions, but it cannot be made or written (Permission denied); give",
+    ),
+    Try(
+        "predict of an image that may not be read",
+        without_rights(read_an_image_of_others),
+        "a.png, but it is damaged or of another kind (permission denied",
+    ),
+    Try(
+        "predict of a file whose name begins with -",
+        name_a_file_like_a_flag,
+        "write ./-a.png for the file whose name begins with -. Status 2.",
+    ),
+    Try("names of files in bytes of all kinds", name_files_in_bytes_of_all_kinds, "車"),
+    Try(
+        "data show of objects whose names are no text",
+        show_a_set_with_a_name_that_is_no_text,
+        "3 object models",
+    ),
+    Try("refinement with a cut codes.npz", keep_codes(lambda c: c[:-90]), "10"),
+    Try("refinement with an empty codes.npz", keep_codes(lambda c: b""), "10"),
+    Try("refinement with a whole codes.npz", keep_codes(lambda c: c), "0.0"),
+    Try(
+        "refinement with a workdir whose config names a folder for data",
+        refine_with_a_cache_folder_of_others,
+        "['RUN/data', '/asked']",
+    ),
+    Try(
+        "more points than midpoints give",
+        ask_for_more_points_than_there_are,
+        "--points=100000000 is more than midpoints of neighbours give: a cloud here "
+        "has 1,200 points",
+    ),
+    Try("a mask of a busy image", find_mask(draw_tiles()), "several colours"),
+    Try("a mask of nothing", find_mask(np.full((64, 64, 3), 180)), "nothing differs"),
+    Try("a mask of a texture", find_mask(draw_spots()), "the largest of which is"),
+    Try("a mask of what is cut off", find_mask(draw_cross()), "of the image's border"),
+    Try(
+        "fit of a view whose alpha channel is faint",
+        fit_views(a=lambda path: draw_image(path, alpha=100)),
+        "a.png, but it is nowhere more than 39 % opaque, and what is half opaque",
+    ),
+    Try(
+        "fit of a view without a mask, which --mask=auto is no answer to",
+        fit_views(a=draw_without_alpha),
+        "a_mask.png beside it, but found neither; add a mask. Status 1.",
+    ),
+    Try(
+        "an alignment of zeros",
+        read_wrong_alignment('{"rotation": [0, 0, 0, 0]}'),
+        "[0.0, 0.0, 0.0, 0.0] is no unit quaternion",
+    ),
+    Try("an alignment that is a list", read_wrong_alignment("[1]"), "Expected a rot"),
+    Try("predict of /dev/null", predict_a_device, "/dev/null is no regular file"),
+]
 
 # Calls of the public functions, and the fields of a config.
 

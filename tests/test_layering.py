@@ -12,12 +12,22 @@ import dpc_jax
 ROOT = Path(dpc_jax.__file__).parent
 STANDARD = set(sys.stdlib_module_names)
 BELOW = {  # the rooms that one run is made of
-    *("files", "config", "render", "shapes", "data", "networks", "evaluation"),
+    *(
+        "files",
+        "outputs",
+        "config",
+        "render",
+        "shapes",
+        "data",
+        "networks",
+        "evaluation",
+    ),
     *("learning", "reporting", "run"),
 }
 # Room: (third-party imports allowed, rooms of dpc_jax allowed beside its own).
 ROOMS = {
     "files": (set(), set()),
+    "outputs": (set(), {"files"}),
     "config": ({"ml_collections"}, set()),
     "render": ({"jax", "chex", "numpy"}, set()),
     "shapes": ({"numpy", "trimesh"}, set()),
@@ -33,7 +43,7 @@ ROOMS = {
             "rembg",
             "av",
         },
-        {"config", "files", "shapes"},
+        {"config", "files", "outputs", "shapes"},
     ),
     "networks": ({"jax", "flax", "chex", "numpy"}, set()),
     "evaluation": ({"numpy", "scipy", "skimage", "trimesh"}, set()),
@@ -49,6 +59,7 @@ ROOMS = {
         {"jax", "flax", "numpy", "orbax", "tensorboardX"},
         {
             "files",
+            "outputs",
             "config",
             "render",
             "data",

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from dpc_jax import files
+from dpc_jax import files, outputs
 from dpc_jax.data.open.recipes import RECIPES
 from dpc_jax.data.spec import KINDS
 
@@ -73,26 +73,31 @@ def _show(flags):
     from dpc_jax.data.look import overview
 
     caches = overview.list_caches(flags.folder)
-    for path in caches or [flags.folder]:
-        with _open(path, flags) as opened:
-            print("\n".join(overview.describe_set(opened)))
-            if len(caches) > 1:
-                continue
-            sheet = overview.draw_set(opened, models=flags.models)
-        # Among what commands make, not into a folder of data that may be anybody's.
-        name = f"{Path(flags.folder).resolve().name}-sheet.png"
-        out = Path(flags.out or Path("runs") / name)
-        try:
-            with files.replacing(out) as partial:
-                sheet.save(partial, format="png")
-        except OSError as error:
-            raise OSError(error.errno, error.strerror, str(out)) from None
-        axes = "; red is the front, green the left, blue the top"
-        has_axes = opened.data.quaternions is not None
-        print(f"  {out} shows some{axes * has_axes}")
     if len(caches) > 1:
+        for path in caches:
+            with _open(path, flags) as opened:
+                _say(overview.describe_set(opened))
         print("Give one of them for a sheet of its pictures.")
+        return 0
+    # Among what commands make, not into a folder of data that may be anybody's.
+    name = f"{Path(flags.folder).resolve().name}-sheet.png"
+    out = Path(flags.out or Path("runs") / name)
+    outputs.try_folder(out.parent)
+    with outputs.owning(out.parent, [out.name]):
+        with _open(*(caches or [flags.folder]), flags) as opened:
+            _say(overview.describe_set(opened))
+            sheet = overview.draw_set(opened, models=flags.models)
+            has_axes = opened.data.quaternions is not None
+        with files.replacing(out) as partial:
+            sheet.save(partial, format="png")
+    axes = "; red is the front, green the left, blue the top"
+    _say([f"  {out} shows some{axes * has_axes}"])
     return 0
+
+
+def _say(lines):
+    for line in lines:
+        print(outputs.show_text(line))
 
 
 def _check(flags):
@@ -107,7 +112,7 @@ def _check(flags):
         except ValueError as error:
             if len(caches) < 2:
                 raise
-            print(f"{path.name}\n  error: {error}")  # the others may be fine
+            _say([path.name, f"  error: {error}"])  # the others may be fine
             failed = True
     return int(failed)
 
@@ -118,10 +123,10 @@ def _check_one(path, flags):
 
     with _open(path, flags) as opened:
         data = opened.data
-        print(overview.describe_set(opened)[0])
+        _say(overview.describe_set(opened)[:1])
         findings = inspection.check_set(data, opened.lens)
     for finding in findings:
-        print(f"  {finding.level}: {finding.text}")
+        _say([f"  {finding.level}: {finding.text}"])
     if not findings:
         poses = "poses fit their masks" if data.quaternions is not None else "no poses"
         print(f"  no fault found; {poses}")
@@ -143,7 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         commands = {"fetch": _fetch, "show": _show, "check": _check}
         return commands[flags.command](flags)
     except (ValueError, RuntimeError, OSError) as error:
-        print(f"Error: {_explain(error)}", file=sys.stderr)
+        print(f"Error: {outputs.show_text(_explain(error))}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("Stopped; the same command continues.", file=sys.stderr)

@@ -22,6 +22,7 @@ from dpc_jax.data.progress import follow
 from dpc_jax.data.shard_plan import find_damage, name_shard, plan_shards
 from dpc_jax.data.sources import Model, Source, open_source
 from dpc_jax.data.spec import DataSpec as DataSpec
+from dpc_jax.outputs import show_text
 
 SHOWN = 20  # skipped models that are printed
 VERSION = 3  # raise it when rendering, the procedural shapes or the shards change
@@ -163,7 +164,8 @@ def _finish(folder, source, models, record, *, progress):
         [item for part in parts for item in part[key]]
         for key in ("names", "skipped", "remarks")
     )
-    remarks = [*source.list_remarks(), *remarks]
+    skipped = _show_pairs(skipped)
+    remarks = _show_pairs([*source.list_remarks(), *remarks])
     source.write_split(folder)
     if progress:
         _tell("Skipped", skipped, len(models))
@@ -176,8 +178,14 @@ def _finish(folder, source, models, record, *, progress):
             f"none of {len(models)} is; look at the first: {skipped[0][1]}"
         )
     listed = [[p.name, p.stat().st_size, shards.checksum(p)] for p in paths]
-    record |= {"folder": source.spec.folder, "names": names, "skipped": skipped}
+    place = show_text(source.spec.folder)
+    record |= {"folder": place, "names": names, "skipped": skipped}
     files.write_json(folder / RECORD, record | {"remarks": remarks, "shards": listed})
+
+
+def _show_pairs(pairs):
+    """Names and what is said of them, as text that can be shown."""
+    return tuple((show_text(name), show_text(text)) for name, text in pairs)
 
 
 def _tell(title, pairs, count):
@@ -245,10 +253,9 @@ def read_cache(folder: str | Path) -> DataSet:
                     "but there are others; delete the folder."
                 )
             arrays[name] = shards.Stack(pieces, counts, pages)
-    skipped, remarks = (
-        tuple((name, text) for name, text in record[key])
-        for key in ("skipped", "remarks")
-    )
     return DataSet(
-        **arrays, names=tuple(record["names"]), skipped=skipped, remarks=remarks
+        **arrays,
+        names=tuple(map(show_text, record["names"])),
+        skipped=_show_pairs(record["skipped"]),
+        remarks=_show_pairs(record["remarks"]),
     )

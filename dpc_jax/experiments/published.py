@@ -7,6 +7,7 @@ shares within 30°, errors in degrees: the names and units of `metrics.json`.
 import dataclasses
 from collections.abc import Mapping, Sequence
 
+TITLE = "The paper's experiments"  # of the page that has our numbers beside them
 CATEGORIES = ("airplane", "car", "chair")
 MEAN = "mean"  # of the three categories, as the paper prints it
 

@@ -8,7 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.style import INK, make_table_of_pictures, save_figure
+from dpc_jax.reporting.style import (
+    INK,
+    make_table_of_pictures,
+    save_figure,
+    spell_name,
+)
 
 FRONT = (35.0, 25.0)  # azimuth, elevation in degrees: front and left, from above
 _REAR = (-130.0, 20.0)  # back and right side
@@ -62,7 +67,7 @@ def _draw_row(row, example: Example) -> None:
         else:
             step = max(1, len(example.surface) // _SHOWN_SURFACE_POINTS)
             draw_cloud(row[6], example.surface[::step], None, FRONT)
-    label = example.name
+    label = spell_name(example.name)
     if example.pose_error_deg is not None:
         label += f"   pose error {example.pose_error_deg:.1f}°"
     # However long it is, the layout keeps room for its height alone.

@@ -9,7 +9,7 @@ from matplotlib import colormaps
 from matplotlib.colors import Normalize
 
 from dpc_jax.reporting.examples import Example, SignalImages
-from dpc_jax.reporting.style import INK, make_figure, save_figure
+from dpc_jax.reporting.style import INK, make_figure, save_figure, spell_name
 
 _EMPTY = "#eef1f4"  # the background of depths
 _DEPTH_DIFFERENCE = 0.25  # box diagonals at the ends of the scale
@@ -60,7 +60,7 @@ def _draw_row(row, example, names, limits):
         axes.set(xticks=[], yticks=[])
         axes.spines[:].set_color("#d5dbe1")
     row[0].imshow(example.image)
-    row[0].set_xlabel(example.name, fontsize=7, color=INK, loc="left")
+    row[0].set_xlabel(spell_name(example.name), fontsize=7, color=INK, loc="left")
     scales = {}
     for place, name in enumerate(names):
         first = 1 + 3 * place

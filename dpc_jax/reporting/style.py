@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import ArrayLike
 
@@ -84,6 +85,16 @@ def set_ticks(axes: Axes, values: ArrayLike, spec: str = "g") -> None:
     places = np.asarray(values, np.float64)
     axes.set_xticks(places, [format(place, spec) for place in places])
     axes.set_xticks([], minor=True)
+
+
+def spell_name(name: str) -> str:
+    """A user's name as a figure can have it: ? for each letter that the font lacks.
+
+    A dollar sign stays one, and begins no formula.
+    """
+    known = get_font(findfont(FontProperties())).get_charmap()
+    letters = (letter if ord(letter) in known else "?" for letter in name)
+    return "".join(letters).replace("$", r"\$")
 
 
 def save_figure(figure: Figure, path: str | os.PathLike, *, dpi: int = 130) -> Path:

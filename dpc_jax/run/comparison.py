@@ -10,6 +10,7 @@ from flax.traverse_util import flatten_dict
 
 from dpc_jax.evaluation.metrics import MISSING
 from dpc_jax.learning.training.records import MetricLog
+from dpc_jax.outputs import show_text
 from dpc_jax.reporting.comparison.groups import ComparedRun, group_runs
 from dpc_jax.reporting.comparison.page import (
     COLUMNS,
@@ -54,11 +55,11 @@ def read_runs(workdirs: Sequence[Path]) -> list[ComparedRun]:
 
 def _name_apart(workdirs):
     """The folders' names, with those above them where two are alike."""
-    names = [path.name for path in workdirs]
+    names = [show_text(path.name) for path in workdirs]
     if len(set(names)) == len(names):
         return names
     above = Path(os.path.commonpath(workdirs))
-    return [path.relative_to(above).as_posix() for path in workdirs]
+    return [show_text(path.relative_to(above).as_posix()) for path in workdirs]
 
 
 def _read_run(workdir: Path, name: str) -> ComparedRun:
@@ -127,4 +128,4 @@ def compare_runs(workdirs: Sequence[Path], out: Path):
     for run in runs:
         if run.unfinished:
             print(f"{run.name} is not finished: {run.unfinished}.")
-    print(f"Page: {write_comparison(out, groups)}")
+    print(f"Page: {show_text(write_comparison(out, groups))}")

@@ -4,11 +4,12 @@ import argparse
 import functools
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 from dpc_jax.files import explaining_full_disk
+from dpc_jax.outputs import owning, show_text, try_folder
 
 
 def name_program(command: str) -> str:
@@ -40,14 +41,16 @@ class FlagParser(argparse.ArgumentParser):
         )
 
     def error(self, message: str) -> NoReturn:
-        """See the class.
+        """See the class. A file whose name begins with - looks like a flag.
 
         Raises:
           ValueError: always.
         """
-        raise ValueError(
-            f"Expected flags as --help lists them, but {message}; correct the command."
-        )
+        cure = "correct the command"
+        words = [word for word in message.split() + sys.argv if word]
+        if named := [w for w in words if w[0] == "-" and os.path.lexists(w)]:
+            cure = f"write ./{named[0]} for the file whose name begins with -"
+        raise ValueError(f"Expected flags as --help lists them, but {message}; {cure}.")
 
 
 class Task(NamedTuple):
@@ -57,12 +60,17 @@ class Task(NamedTuple):
       work: does it; returns the exit status, None for 0.
       out: folder that is written to.
       interrupted: what to say after Ctrl-C.
+      writes: names of the work's files in it, see `owning`; the folder is tried before
+        the work begins. None for a run, which claims its folder itself.
+      inputs: files that the work reads.
       errors: that are said in one sentence; others are defects of ours.
     """
 
     work: Callable[[], int | None]
     out: Path
     interrupted: str
+    writes: Sequence[str] = ()
+    inputs: Sequence[Path] = ()
     errors: tuple[type[Exception], ...] = (ValueError, OSError)
 
 
@@ -76,7 +84,7 @@ def run_command(read: Callable[[], Task]) -> int:
     try:
         task = read()
     except ValueError as error:
-        print(f"Error: {error}", file=sys.stderr)
+        _say_error(error)
         return 2
     except ModuleNotFoundError as error:
         if str(error.name).partition(".")[0] == "dpc_jax":
@@ -90,12 +98,19 @@ def run_command(read: Callable[[], Task]) -> int:
         return 1
     try:
         with explaining_full_disk(task.out):
-            return task.work() or 0
+            if task.writes:
+                try_folder(task.out)
+            with owning(task.out, task.writes, inputs=task.inputs):
+                return task.work() or 0
     except task.errors as error:
         if os.environ.get("DPC_JAX_TRACEBACK"):
             raise
-        print(f"Error: {error}", file=sys.stderr)
+        _say_error(error)
         return 1
     except KeyboardInterrupt:
         print(task.interrupted, file=sys.stderr)
         return 130
+
+
+def _say_error(error: Exception):
+    print(f"Error: {show_text(error)}", file=sys.stderr)

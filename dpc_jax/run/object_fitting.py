@@ -15,6 +15,7 @@ from dpc_jax.files import write_json
 from dpc_jax.learning.fitting.object_fit import Fit, fit
 from dpc_jax.learning.fitting.settings import FitSettings
 from dpc_jax.learning.training.progress import CountReport
+from dpc_jax.outputs import show_text
 from dpc_jax.render import Camera
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.figures import draw_fit
@@ -77,7 +78,7 @@ def fit_folder(request: FitRequest) -> Fit:
         )
     paths, arrays, notes = read_views(request.folder, spec)
     for note in notes:
-        print(f"Warning: a view is left out: {note}.", file=sys.stderr)
+        print(f"Warning: a view is left out: {show_text(note)}.", file=sys.stderr)
     rotations, learn = _choose_poses(request, arrays.get("quaternions"))
     images = arrays["images"]
     with CountReport("Fitting") as progress:
@@ -91,7 +92,7 @@ def fit_folder(request: FitRequest) -> Fit:
             seed=request.seed,
             on_progress=progress.report,
         )
-    names = [path.name for path in paths]
+    names = [show_text(path.name) for path in paths]
     _write(request, found, arrays, names, time.perf_counter() - started)
     overlaps = dict(zip(names, found.overlaps, strict=True))
     for doubt in list_doubts(overlaps, is_searched=rotations is None):
@@ -185,5 +186,5 @@ def _write(request: FitRequest, found: Fit, arrays, names, seconds):
     )
     print(
         f"Overlap of silhouettes {mean:.3f} over {count} views, in {seconds:.0f} s: "
-        f"{out / 'cloud.glb'}, {picture}"
+        f"{show_text(out / 'cloud.glb')}, {show_text(picture)}"
     )

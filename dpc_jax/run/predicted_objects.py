@@ -77,18 +77,22 @@ def predict_objects(
     *,
     is_refined: bool,
     num_points: int = 0,
+    data: Path | None = None,
 ) -> list[PredictedObject]:
     """Predict all objects; several views of one together.
 
-    Clouds of fewer points than `num_points` are made denser, see `densify`.
+    Clouds of fewer points than `num_points` are made denser, see `densify`. Validation
+    images for refinement are kept in the folder `data`, or in the workdir: the workdir
+    may be a stranger's, and its config names folders that are not.
 
     Raises:
       ValueError: where the checkpoints cannot be read, or refinement lacks the run's
         validation images.
     """
     # All devices of this machine share the views.
-    shared = {"run": {"devices": 0}, "train": {"models_per_batch": VIEWS_AT_ONCE}}
-    config = replace_fields(config, shared)
+    here: dict = {"run": {"devices": 0}, "train": {"models_per_batch": VIEWS_AT_ONCE}}
+    here["data"] = {"cache_dir": str(data or workdir / "data")}
+    config = replace_fields(config, here)
     network = make_network(config)
     state = restore_state(config, workdir)
     alignment = read_alignment(workdir)
@@ -189,7 +193,11 @@ def _join_and_refine(shapes, groups, dataset, run: FinishedRun, workdir, *, is_r
     directions = None
     if is_refined:
         directions = refinement.read_directions(
-            workdir, coder, state, lambda: load_split(run, "val")
+            workdir,
+            coder,
+            state,
+            lambda: load_split(run, "val"),
+            width=codes.codes.shape[1],
         )
     widths = {}
     for place, group in enumerate(groups):

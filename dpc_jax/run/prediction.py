@@ -14,8 +14,10 @@ from dpc_jax.config import Config
 from dpc_jax.data.sets import photographs
 from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.data.spec import DataSpec
+from dpc_jax.outputs import owning, show_text
 from dpc_jax.run.workdir import read_config
 
+SUMMARIES = ("predictions.png", "predictions.json")  # of all images
 SENTENCES = 20  # that are printed; predictions.json has all
 
 
@@ -35,6 +37,7 @@ class PredictRequest:
       is_refined: whether shape and poses are fitted to the silhouettes.
       has_turntable: whether an animated picture of each cloud is written.
       num_points: of each cloud, no fewer than are predicted; 0 for those.
+      data: folder of rendered data sets; None for the workdir's own.
     """
 
     paths: Sequence[Path]
@@ -46,6 +49,7 @@ class PredictRequest:
     is_refined: bool = False
     has_turntable: bool = False
     num_points: int = 0
+    data: Path | None = None
 
 
 def predict_images(request: PredictRequest):
@@ -80,8 +84,18 @@ def predict_images(request: PredictRequest):
         print(f"Warning: {source} was left out: {reason}.", file=sys.stderr)
     if any(len(one.sources) > 1 for one in found):
         _check_ability(config, "Several views of an object together")
-    _warn_of_frame(request.workdir)
-    _predict(request, config, found, skipped, started)
+    names = list_outputs(found, has_turntable=request.has_turntable)
+    inputs = [file for one in found for file in one.files]
+    with owning(request.out, names, inputs=inputs):
+        _warn_of_frame(request.workdir)
+        _predict(request, config, found, skipped, started)
+
+
+def list_outputs(found: Sequence[Photographs], *, has_turntable: bool) -> list[str]:
+    """Names of the files that predictions are written to."""
+    ends = ["ply", "glb", "json"] + ["gif"] * has_turntable
+    names = [f"{one.name}.{end}" for one in found for end in ends]
+    return [*names, *SUMMARIES]
 
 
 def _predict(request, config, found: list[Photographs], skipped, started):
@@ -95,7 +109,9 @@ def _predict(request, config, found: list[Photographs], skipped, started):
         request.workdir,
         is_refined=request.is_refined,
         num_points=request.num_points,
+        data=request.data,
     )
+    _say_how_many(predicted, request.num_points)
     entries, picture = write_predictions(
         predicted, request.out, has_turntable=request.has_turntable
     )
@@ -108,10 +124,21 @@ def _predict(request, config, found: list[Photographs], skipped, started):
         print(f"... and {len(entries) - SENTENCES} more.")
     total = len(entries) + len(skipped)
     print(
-        f"{len(entries)} of {total} images in {seconds:.0f} s: {request.out} "
-        "(predictions.json has all figures)"
+        f"{len(entries)} of {total} images in {seconds:.0f} s: "
+        f"{show_text(request.out)} (predictions.json has all figures)"
     )
-    print(f"Picture: {picture}")
+    print(f"Picture: {show_text(picture)}")
+
+
+def _say_how_many(predicted, asked: int):
+    """Tell where clouds have fewer points than are asked for."""
+    fewest = min(len(one.points) for one in predicted)
+    if fewest < asked:
+        print(
+            f"Warning: --points={asked} is more than midpoints of neighbours give: a "
+            f"cloud here has {fewest:,} points.",
+            file=sys.stderr,
+        )
 
 
 def write_summary(
@@ -121,7 +148,7 @@ def write_summary(
     from dpc_jax.files import write_text
 
     content = {
-        "workdir": str(request.workdir),
+        "workdir": show_text(request.workdir),
         "refined": request.is_refined,
         "seconds": round(seconds, 2),
         "images": entries,
@@ -165,18 +192,18 @@ def _check_ability(config: Config, what: str):
 
 
 def _warn_of_frame(workdir: Path):
-    report = workdir / "report"
+    report, name = workdir / "report", show_text(workdir)
     if (report / "alignment.json").is_file():
         return
     if (report / "metrics.json").is_file():
         print(
-            f"Note: {workdir} was trained on images without poses, so points and poses "
+            f"Note: {name} was trained on images without poses, so points and poses "
             "are in the frame that its network found: it may be turned or mirrored.",
             file=sys.stderr,
         )
         return
     print(
-        f"Warning: {workdir} has no report/alignment.json, so points and poses are in "
+        f"Warning: {name} has no report/alignment.json, so points and poses are in "
         "the network's own frame; finish the run first.",
         file=sys.stderr,
     )

@@ -2,6 +2,8 @@
 
 import io
 import time
+import zipfile
+import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +14,7 @@ from dpc_jax.config import Config
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment
 from dpc_jax.evaluation.scores import score
-from dpc_jax.files import write_bytes
+from dpc_jax.files import read_bytes, write_bytes
 from dpc_jax.learning.inference.codes import (
     Codes,
     encode_all,
@@ -32,6 +34,7 @@ from dpc_jax.learning.step import TrainState
 from dpc_jax.networks import ShapePoseNetwork
 
 _KEPT = Path("report") / "codes.npz"  # of a workdir: directions of codes
+_MOST_KEPT = 2**28  # bytes of it
 _MEASURED = ("pose_accuracy", "pose_median_error_deg", "flip_share", "chamfer")
 _MEASURED = (*_MEASURED, "precision", "coverage")
 _OWN = {"translations": "translation", "focal_lengths": "focal_length"}
@@ -54,25 +57,43 @@ class Refined(NamedTuple):
 
 
 def read_directions(
-    workdir: Path, coder: Callable, state: TrainState, load: Callable[[], DataSet]
+    workdir: Path,
+    coder: Callable,
+    state: TrainState,
+    load: Callable[[], DataSet],
+    *,
+    width: int,
 ) -> np.ndarray:
     """How codes of a run vary [k, F]; measured once and kept in its report folder.
 
     Args:
       coder: of `make_coder`. load: gives the validation split, which is asked for where
-        nothing is kept.
+        nothing is kept that can be used. width: F.
     """
     path, step = workdir / _KEPT, int(state.step)
-    if path.is_file():
-        with np.load(path) as kept:
-            if int(kept["step"]) == step:
-                return kept["directions"]
+    kept = _read_kept(path, step)
+    if kept is not None and kept.shape[1] == width:
+        return kept
     directions = measure_directions(load(), coder, state)
     buffer = io.BytesIO()
     np.savez(buffer, step=step, directions=directions)
     path.parent.mkdir(exist_ok=True)
     write_bytes(path, buffer.getvalue())
     return directions
+
+
+def _read_kept(path: Path, step: int) -> np.ndarray | None:
+    """Directions kept of a step; None where there are none that can be used."""
+    damages = (OSError, ValueError, KeyError, EOFError, TypeError)
+    try:
+        file = io.BytesIO(read_bytes(path, most=_MOST_KEPT))
+        with np.load(file, allow_pickle=False) as kept:
+            directions = kept["directions"]
+            is_whole = directions.dtype == np.float32 and directions.ndim == 2
+            is_whole = is_whole and bool(np.isfinite(directions).all())
+            return directions if is_whole and int(kept["step"]) == step else None
+    except (*damages, zipfile.BadZipFile, zlib.error):
+        return None
 
 
 def measure_directions(

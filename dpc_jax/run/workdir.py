@@ -13,7 +13,13 @@ import numpy as np
 
 from dpc_jax.config import Config, from_json, to_json
 from dpc_jax.evaluation.alignment import Alignment
-from dpc_jax.files import describe_error, open_own, write_text
+from dpc_jax.files import (
+    describe_error,
+    open_own,
+    read_json,
+    read_text,
+    write_text,
+)
 
 # What may differ between a run and its continuation.
 FREE_FIELDS = (
@@ -58,8 +64,10 @@ def claim_workdir(workdir: Path, config: Config) -> Path:
     """
     make_workdir(workdir)
     path = workdir / "config.json"
-    if path.exists() and _has_begun(workdir):
-        _refuse_other(workdir, read_config(workdir), config)
+    if path.exists():
+        other = read_config(workdir)  # of a run: what is not may be anybody's
+        if _has_begun(workdir):
+            _refuse_other(workdir, other, config)
     write_text(path, to_json(config))
     return workdir
 
@@ -139,7 +147,7 @@ def read_config(workdir: Path) -> Config:
     """
     path = workdir / "config.json"
     try:
-        return from_json(path.read_text(encoding="utf-8"))
+        return from_json(read_text(path))
     except (OSError, ValueError) as error:
         raise ValueError(
             f"Expected the config of a run in {path}, but it cannot be used "
@@ -167,12 +175,16 @@ def read_alignment(workdir: Path) -> Alignment | None:
     if not path.is_file():
         return None
     try:
-        fields = json.loads(path.read_text(encoding="utf-8"))
+        fields = read_json(path)
         rotation = np.array(fields.pop("rotation"), np.float64).reshape(4)
-        unknown = dict.fromkeys(Alignment._fields, np.nan)
-        return Alignment(**unknown | fields | {"rotation": rotation})
-    except (ValueError, KeyError, TypeError) as error:
+        if not 0.9 < np.linalg.norm(rotation) < 1.1:
+            raise ValueError(f"{rotation.tolist()} is no unit quaternion")
+        numbers = dict.fromkeys(Alignment._fields[1:], np.nan)
+        numbers |= {name: float(value) for name, value in fields.items()}
+        return Alignment(rotation, **numbers)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(
-            f"Expected a rotation in {path}, but it cannot be read ({error}); remove "
-            "it and start the run again, which writes it anew."
+            f"Expected a rotation in {path}, but it cannot be read "
+            f"({describe_error(error)}); remove it and start the run again, which "
+            "writes it anew."
         ) from None

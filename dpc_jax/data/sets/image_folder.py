@@ -5,6 +5,7 @@ folder that holds images itself, and no folders of them, has one object per imag
 """
 
 import contextlib
+import os
 from pathlib import Path
 
 import numpy as np
@@ -177,14 +178,28 @@ def _read_image(path):
     """Colours uint8 and mask float32 (0 to 1) of an image file, upright."""
     image = read_picture(path)
     mask = read_mask(image, path)
-    covered = mask > 0.5
-    if not covered.any() or covered.all():
-        extent = "covers the whole image" if covered.any() else "is empty"
-        raise ValueError(
-            f"Expected a mask of the object in {_find_mask(path) or path}, but it "
-            f"{extent}; make it again."
-        )
+    check_mask(mask, str(_find_mask(path) or path))
     return np.asarray(image.convert("RGBA").convert("RGB")), mask
+
+
+def check_mask(mask: np.ndarray, source: str) -> None:
+    """Refuse a mask of 0 to 1 that tells no object from its background.
+
+    Raises:
+      ValueError: for a mask that is above one half everywhere or nowhere.
+    """
+    covered, most = mask > 0.5, float(mask.max())
+    if covered.any() and not covered.all():
+        return
+    problem = "covers the whole image" if covered.any() else "is empty"
+    if 0 < most <= 0.5:
+        problem = (
+            f"is nowhere more than {100 * most:.0f} % opaque, and what is half opaque "
+            "or less is background"
+        )
+    raise ValueError(
+        f"Expected a mask of the object in {source}, but it {problem}; make it again."
+    )
 
 
 def read_mask(image: Image.Image, path: Path) -> np.ndarray:
@@ -210,7 +225,7 @@ def read_mask(image: Image.Image, path: Path) -> np.ndarray:
     else:
         raise NoMaskError(
             f"Expected an alpha channel in {path} or {path.stem}_mask.png beside it, "
-            "but found neither; add a mask, or take --mask=auto where predict has it."
+            "but found neither; add a mask."
         )
     return mask.astype(np.float32) / 255.0
 
@@ -218,6 +233,6 @@ def read_mask(image: Image.Image, path: Path) -> np.ndarray:
 def _find_mask(path):
     for suffix in (".png", *SUFFIXES):
         mask = path.with_name(f"{path.stem}_mask{suffix}")
-        if mask.is_file():
+        if os.path.isfile(mask):  # False for a name that is too long, too
             return mask
     return None

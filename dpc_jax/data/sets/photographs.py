@@ -15,9 +15,15 @@ import numpy as np
 from PIL import Image, ImageOps, ImageSequence
 
 from dpc_jax.data.sets import framing, matting, plain_background, video
-from dpc_jax.data.sets.image_folder import NoMaskError, find_images, read_mask
+from dpc_jax.data.sets.image_folder import (
+    NoMaskError,
+    check_mask,
+    find_images,
+    read_mask,
+)
 from dpc_jax.data.sets.pictures import SUFFIXES, open_picture
 from dpc_jax.data.spec import DataSpec
+from dpc_jax.outputs import show_text
 
 MASKS = ("given", "auto", "matting")  # where masks come from
 _MOVING = ("GIF", "WEBP", "PNG", "TIFF")  # of JPEG others are thumbnails
@@ -28,14 +34,16 @@ class Photographs(NamedTuple):
     """One object's views.
 
     Attributes:
-      name: of its files. sources: what each view is from.
+      name: of its files. sources: what each view is from, as text.
       images: uint8 [V, S, S, 3] on white. masks: uint8 [V, S, S].
+      files: that the views are from.
     """
 
     name: str
     sources: tuple[str, ...]
     images: np.ndarray
     masks: np.ndarray
+    files: tuple[Path, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,7 +77,7 @@ def read_photographs(
     for name, files in _list_objects(request):
         views = [view for file in files for view in _read_file(file, finder, skipped)]
         if views:
-            objects.append(_frame(name, views, spec))
+            objects.append(_frame(name, views, spec)._replace(files=tuple(files)))
     if not objects:
         first = skipped[0][1]
         if len(skipped) == 1:
@@ -107,11 +115,11 @@ def _list_objects(request: Request) -> list[tuple[str, list[Path]]]:
 
 def _expand(path: Path) -> list[tuple[str, list[Path]]]:
     if not path.is_dir():
-        return [(path.stem, [path])]
+        return [(show_text(path.stem), [path])]
     if files := find_images(path):
-        return [(path.resolve().name, files)]
+        return [(show_text(path.resolve().name), files)]
     inner = [place for place in sorted(path.iterdir()) if place.is_dir()]
-    if found := [(p.name, files) for p in inner if (files := find_images(p))]:
+    if found := [(show_text(p.name), f) for p in inner if (f := find_images(p))]:
         return found
     raise ValueError(
         f"Expected images ({', '.join(SUFFIXES)}) in the folder {path} or in folders "
@@ -124,16 +132,18 @@ def _read_file(path: Path, finder, skipped) -> list[tuple[str, np.ndarray, np.nd
     try:
         frames = _open_frames(path)
     except (OSError, ValueError) as error:
-        skipped.append((str(path), str(error).rstrip(".")))
+        skipped.append((show_text(path), show_text(error).rstrip(".")))
         return []
     views = []
     for number, frame in enumerate(frames):
-        source = f"{path}, frame {number + 1}" if len(frames) > 1 else str(path)
+        source = show_text(path)
+        source += f", frame {number + 1}" * (len(frames) > 1)
         try:
             mask = _find_mask(frame, path, finder, is_alone=len(frames) == 1)
-            _check_mask(mask, source)
+            check_mask(mask, source)
         except (OSError, ValueError) as error:
-            skipped.append((source, _name_source(str(error).rstrip("."), source)))
+            sentence = show_text(error).rstrip(".")
+            skipped.append((source, _name_source(sentence, source)))
             continue
         colors = np.asarray(frame.convert("RGBA").convert("RGB"))
         views.append((source, colors, mask))
@@ -146,9 +156,8 @@ def _open_frames(path: Path) -> list[Image.Image]:
     These are shrunk as they are read, to keep all of them.
     """
     if not path.is_file():
-        raise ValueError(
-            f"Expected an image file, but there is no file {path}; check the path."
-        )
+        problem = "is no regular file" if path.exists() else "is not there"
+        raise ValueError(f"Expected an image file, but {path} {problem}; check it.")
     if path.suffix.lower() in video.SUFFIXES:
         return video.read_frames(path, MOST_FRAMES)
     with open_picture(path) as image:
@@ -166,7 +175,11 @@ def _open_frames(path: Path) -> list[Image.Image]:
 
 def _find_mask(frame, path: Path, finder, *, is_alone: bool) -> np.ndarray:
     if finder is None:
-        return read_mask(frame, path)
+        try:
+            return read_mask(frame, path)
+        except NoMaskError as error:
+            advice = ", or take --mask=auto for an object before a plain background."
+            raise NoMaskError(str(error).rstrip(".") + advice) from None
     if is_alone:
         with contextlib.suppress(NoMaskError):
             return read_mask(frame, path)
@@ -175,16 +188,6 @@ def _find_mask(frame, path: Path, finder, *, is_alone: bool) -> np.ndarray:
         if alpha.min() < 128:  # a moving picture may have an alpha channel of no use
             return alpha.astype(np.float32) / 255.0
     return finder(np.asarray(frame.convert("RGB")))
-
-
-def _check_mask(mask, source):
-    covered = mask > 0.5
-    if not covered.any() or covered.all():
-        extent = "covers the whole image" if covered.any() else "is empty"
-        raise ValueError(
-            f"Expected a mask of the object in {source}, but it {extent}; make it "
-            "again, or take --mask=auto for an object before a plain background."
-        )
 
 
 def _name_source(sentence: str, source: str) -> str:

@@ -24,6 +24,11 @@ _LEAST_KEPT = 0.65  # of the object's area, without what may be its shadow
 _SPECK = 2e-3  # of the object's area: a smaller hole is noise
 _EDGE = 2  # pixels that blur widens an object by
 _LEAST_AREA = 0.002  # of the image
+# Of 75 procedural objects before plain backgrounds none had less than 0.96 of what
+# stands out, and none touched the border. Textures and scenes that fill the frame have
+# 0.01 to 0.9, or cover 7 to 40 % of the border.
+_LEAST_SHARE = 0.9
+_MOST_TOUCHED = 0.05
 
 
 def find_object(colors: np.ndarray) -> np.ndarray:
@@ -46,24 +51,35 @@ def find_object(colors: np.ndarray) -> np.ndarray:
     smooth = ndimage.gaussian_filter(lab - background, (1.0, 1.0, 0.0))
     away = np.linalg.norm(smooth, axis=-1)
     lit = np.minimum(away, _discount_shadows(smooth, background))
-    masks = []
+    found = []
     for distance in (away, lit):
         # Half of Otsu's threshold: parts of an object may be like the background.
         threshold = 0.5 * filters.threshold_otsu(np.minimum(distance, 60.0))
         threshold = max(threshold, _LEAST_CONTRAST / 2, _NOISE_FACTOR * noise / 3)
-        masks.append(_trim_edge(_keep_largest(distance, threshold), distance))
+        largest, share = _keep_largest(distance, threshold)
+        found.append((_trim_edge(largest, distance), share))
     # An object of the background's own hue is not its own shadow.
-    mask = masks[int(masks[1].sum() > _LEAST_KEPT * masks[0].sum())]
+    (whole, _), (without, _) = found
+    mask, share = found[int(without.sum() > _LEAST_KEPT * whole.sum())]
     contrast = np.median(away[mask]) if mask.any() else 0.0
     if mask.mean() < _LEAST_AREA or contrast < _LEAST_CONTRAST:
         raise ValueError(
             "Expected a plain background with an object that stands out, but nothing "
             "differs enough from the border's colours; give a mask."
         )
-    if _touches_all_sides(mask):
+    if share < _LEAST_SHARE:
         raise ValueError(
-            "Expected a plain background around the object, but what stands out "
-            "touches all four sides of the image; leave a margin, or give a mask."
+            "Expected a plain background with one object, but what stands out lies in "
+            f"pieces, the largest of which is {100 * share:.0f} % of it; give a mask, "
+            "or take the picture before a plain wall or sheet."
+        )
+    edges = mask[0], mask[-1], mask[:, 0], mask[:, -1]
+    touched = float(np.concatenate(edges).mean())
+    if touched > _MOST_TOUCHED:
+        raise ValueError(
+            "Expected a plain background around the object, but what stands out covers "
+            f"{100 * touched:.0f} % of the image's border; leave a margin, or give a "
+            "mask."
         )
     large = Image.fromarray(mask.astype(np.float32)).resize(
         (width, height), Image.Resampling.BILINEAR
@@ -121,12 +137,15 @@ def _keep_largest(away, threshold):
     """The largest connected part above a threshold, without specks and false holes.
 
     A hole that shows the background stays open.
+
+    Returns:
+      The mask, and the share that the part has of all that is above the threshold.
     """
     mask = np.asarray(ndimage.binary_opening(away > threshold), bool)
     found: Any = ndimage.label(mask, np.ones((3, 3)))
     labels, count = found
     if not count:
-        return mask
+        return mask, 0.0
     areas = np.bincount(labels.ravel())
     areas[0] = 0
     largest = np.asarray(
@@ -141,7 +160,7 @@ def _keep_largest(away, threshold):
         is_large = hole.sum() > _SPECK * largest.sum()
         if is_large and np.median(away[hole]) < threshold / 2:
             filled[hole] = False
-    return filled
+    return filled, float(areas.max() / areas.sum())
 
 
 def _trim_edge(mask, away):
@@ -152,8 +171,3 @@ def _trim_edge(mask, away):
     nearby = ndimage.grey_dilation(np.where(mask, away, 0.0), size=2 * _EDGE + 1)
     trimmed = mask & (inner | (away > 0.5 * np.minimum(nearby, 60.0)))
     return trimmed if trimmed.sum() > 0.5 * mask.sum() else mask
-
-
-def _touches_all_sides(mask):
-    edges = mask[0], mask[-1], mask[:, 0], mask[:, -1]
-    return all(edge.any() for edge in edges)

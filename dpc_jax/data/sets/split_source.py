@@ -10,6 +10,7 @@ from dpc_jax import files
 from dpc_jax.data import splits
 from dpc_jax.data.sets import split_lists
 from dpc_jax.data.sources import Model, Source, complete
+from dpc_jax.outputs import show_text
 
 
 class Division(NamedTuple):
@@ -55,7 +56,13 @@ class SplitSource(Source):
     @functools.cached_property
     def division(self) -> Division:
         """Models and splits, read when first asked for."""
-        models = self.find_models()
+        found = self.find_models()
+        models = {show_text(name): path for name, path in found.items()}
+        if len(models) < len(found):
+            raise ValueError(
+                f"Expected names in {self.folder} that differ when they are shown, but "
+                "some differ in characters that cannot be shown alone; rename them."
+            )
         official = self.find_split_file()
         if official is None:
             return Division(models, self.split_by_seed(list(models)), None)

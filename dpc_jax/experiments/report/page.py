@@ -6,6 +6,7 @@ from pathlib import Path
 from dpc_jax.experiments.analyses import Analysis
 from dpc_jax.experiments.catalogue import NAMES
 from dpc_jax.experiments.declarations import Experiment
+from dpc_jax.experiments.published import TITLE
 from dpc_jax.experiments.report.blocks import (
     Block,
     Figure,
@@ -25,7 +26,6 @@ from dpc_jax.experiments.sizes import SIZES
 from dpc_jax.experiments.systems import SHARED, list_systems
 from dpc_jax.files import replacing, write_text
 
-TITLE = "The paper's experiments"
 ONLY_RUNS = (
     "These runs have a few steps and tiny networks. They show that every experiment "
     "runs to its end; their figures say nothing about how well, and targets are left "

@@ -102,7 +102,8 @@ def _look(index: int) -> dict:
 
 def _make_handle(index: int, group: Group) -> Line2D:
     many = len(group.runs) > 1
-    label = f"{group.name} ({len(group.runs)} seeds)" if many else group.name
+    name = style.spell_name(group.name)
+    label = f"{name} ({len(group.runs)} seeds)" if many else name
     return Line2D([], [], lw=2.0, label=label, **_look(index))
 
 
