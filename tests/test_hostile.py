@@ -849,6 +849,20 @@ def render_traced_numbers_by_the_documented_rule(_):
     return np.allclose(image, render(_CLOUD, _IDENTITY, 0.0))
 
 
+def _differentiate(transform: Callable, function=dpc_jax.project):
+    """The derivative of a silhouette by its pose, or the refusal of one."""
+
+    def render(rotation):
+        return function(_CLOUD, rotation, sigma=1.0, grid=_GRID).silhouette
+
+    rotation = jnp.asarray(_IDENTITY)
+    try:
+        transform(render)(rotation if function is dpc_jax.project else rotation[None])
+    except TypeError as error:
+        return error
+    return "differentiated"
+
+
 def _check(section, **fields):
     check(replace_fields(build_config("car"), {section: fields}))
     return "works"
@@ -891,6 +905,21 @@ CALLS = [
         "a grid of 100,000 voxels a side",
         lambda _: _project(grid=dpc_jax.VoxelGrid(100_000)),
         "a volume of [100000, 100000, 100000] takes 4e+06 GB; make it coarser",
+    ),
+    Try(
+        "forward mode",
+        lambda _: _differentiate(jax.jacfwd),
+        "but forward mode came (jax.jvp, jax.jacfwd, jax.hessian); take jax.jacrev",
+    ),
+    Try(
+        "a Hessian under jit",
+        lambda _: _differentiate(lambda f: jax.jit(jax.hessian(f))),
+        "take jax.jacrev twice for second derivatives",
+    ),
+    Try(
+        "forward mode of a batch",
+        lambda _: _differentiate(jax.jacfwd, dpc_jax.project_batch),
+        "but forward mode came",
     ),
     Try(
         "one pose of a batch is zero",

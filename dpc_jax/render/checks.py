@@ -1,10 +1,11 @@
 """Refusing wrong arguments: a ValueError says what was expected and what came."""
 
+import functools
 import math
 import numbers
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, NamedTuple, ParamSpec, TypeGuard, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ import numpy as np
 from jax.core import Tracer
 from jax.typing import ArrayLike, DTypeLike
 
+_P, _T = ParamSpec("_P"), TypeVar("_T")
 _SEVERAL = "use jax.vmap over several"
 # Largest difference of RᵀR from the identity that is taken for rounding: bfloat16, and
 # products on a GPU that rounds to TF32, have such.
@@ -170,6 +172,29 @@ _RULES = {
     ),
     "camera.distance": _Rule(0, np.isfinite, "finite", "the paper's camera has 2.0"),
 }
+
+
+def refusing_forward_mode(render: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Decorate a render: where forward mode is asked for, say what to do instead.
+
+    Where all of it is inside of `jax.jit`, JAX's own sentence is what remains.
+    """
+
+    @functools.wraps(render)
+    def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
+        try:
+            return render(*args, **kwargs)
+        except TypeError as error:
+            if "forward-mode" not in str(error):
+                raise
+            raise TypeError(
+                "A render has derivatives in reverse mode (jax.grad, jax.vjp, "
+                "jax.jacrev), but forward mode came (jax.jvp, jax.jacfwd, "
+                "jax.hessian); take jax.jacrev twice for second derivatives, which the "
+                "method 'trilinear' has."
+            ) from error
+
+    return call
 
 
 def check_room(name: str, shape: Sequence[int], dtype: DTypeLike) -> None:

@@ -19,6 +19,7 @@ from dpc_jax.render.volume import Volume, clip_unit
 _HINT = "use jax.vmap or jax.lax.map over a batch of volumes"
 
 
+@checks.refusing_forward_mode
 def project_volume(
     volume: jax.Array,
     rotation: jax.Array,

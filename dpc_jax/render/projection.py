@@ -10,7 +10,7 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.render import arguments, termination
+from dpc_jax.render import arguments, checks, termination
 from dpc_jax.render.camera import Camera, VoxelGrid
 from dpc_jax.render.volume import Volume, fill_volume, place_points
 
@@ -33,6 +33,7 @@ class Projection:
     termination: jax.Array | None = None
 
 
+@checks.refusing_forward_mode
 def project(
     points: jax.Array,
     rotation: jax.Array,
@@ -52,9 +53,9 @@ def project(
 ) -> Projection:
     """Render one point cloud from one camera pose.
 
-    Differentiable (in reverse mode) with respect to every array: points, rotation,
-    sigma, scale, covariance, colors, translation, focal length, distance, background
-    values.
+    Differentiable in reverse mode with respect to every array: points, rotation, sigma,
+    scale, covariance, colors, translation, focal length, distance, background values.
+    Reverse mode twice gives second derivatives, of the method "trilinear" alone.
 
     Numbers that are known, outside of `jax.jit`, `jax.grad` and `jax.vmap`, are
     checked. Traced ones cannot be: a point that is not finite, or that its pose makes
@@ -147,6 +148,7 @@ def project_signals(
     return Projection(**images)
 
 
+@checks.refusing_forward_mode
 def voxelize(
     points: jax.Array,
     rotation: jax.Array,
