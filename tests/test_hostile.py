@@ -37,6 +37,7 @@ from dpc_jax.data import __main__ as data_command
 from dpc_jax.data.sets import obj_materials, photographs, plain_background, pose_files
 from dpc_jax.data.sets.photographs import Request, read_photographs
 from dpc_jax.data.sets.pictures import read_picture
+from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.outputs import show_text
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.gallery import draw_predictions
@@ -76,6 +77,11 @@ def hold_a_linked_lock(folder):
             pass
     finally:
         assert victim.read_text() == "mine"
+
+
+def record_in_a_linked_file(folder):
+    _link(folder, "metrics.jsonl")
+    MetricLog(folder / "metrics.jsonl").write({"step": 1})
 
 
 def claim_a_linked_lock(folder):
@@ -227,6 +233,7 @@ DAMAGED = "as it was written, but it is damaged"
 FILES = [
     _try("a workdir's lock that is a link", hold_a_linked_lock, LINKED),
     _try("a shard's lock that is a link", claim_a_linked_lock, LINKED),
+    _try("a run's records that are a link", record_in_a_linked_file, LINKED),
     _try(
         "a link where a temporary file was foreseen",
         write_beside_a_linked_temporary_file,

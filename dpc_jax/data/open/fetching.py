@@ -75,7 +75,7 @@ def _lock(packages):
     except ImportError:  # only on systems that have no apt either
         yield
         return
-    with open(packages / "lock", "w") as file:
+    with open(packages / "lock", "w", opener=files.open_own) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:

@@ -10,7 +10,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from dpc_jax.files import explaining_full_disk, write_text
+from dpc_jax.files import explaining_full_disk, open_own, write_text
 
 _NOT_LOSSES = ("winners", "gradient_norms")
 # A loss so many times that of the first step means that training is lost (heuristic).
@@ -201,7 +201,7 @@ class MetricLog:
         """
         with (
             explaining_full_disk(self._path.parent),
-            open(self._path, "a", encoding="utf-8") as file,
+            open(self._path, "a", encoding="utf-8", opener=open_own) as file,
         ):
             file.write(json.dumps(record) + "\n")
 
