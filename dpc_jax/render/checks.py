@@ -13,7 +13,8 @@ import numpy as np
 from jax.core import Tracer
 from jax.typing import ArrayLike, DTypeLike
 
-_P, _T = ParamSpec("_P"), TypeVar("_T")
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
 _SEVERAL = "use jax.vmap over several"
 # Largest difference of RᵀR from the identity that is taken for rounding: bfloat16, and
 # products on a GPU that rounds to TF32, have such.
