@@ -84,7 +84,7 @@ def _show(flags):
     out = Path(flags.out or Path("runs") / name)
     outputs.try_folder(out.parent)
     with outputs.owning(out.parent, [out.name]):
-        with _open(*(caches or [flags.folder]), flags) as opened:
+        with _open(caches[0] if caches else flags.folder, flags) as opened:
             _say(overview.describe_set(opened))
             sheet = overview.draw_set(opened, models=flags.models)
             has_axes = opened.data.quaternions is not None
