@@ -6,18 +6,17 @@ beside ours. The same command goes on where it was stopped.
 
 import argparse
 import sys
+from fnmatch import fnmatchcase
 from pathlib import Path
 
-from dpc_jax.experiments.catalogue import NAMES, find_experiments
+from dpc_jax.experiments.catalogue import NAMES
 from dpc_jax.experiments.published import CATEGORIES, TITLE
-from dpc_jax.experiments.runs import Request, Source, choose_runs
-from dpc_jax.experiments.sizes import SIZES
+from dpc_jax.experiments.runs import SIZES, SOURCES, Request, Source
 from dpc_jax.files import read_text
 from dpc_jax.run.flags import FlagParser, Task, run_command
 
-WRITES = ("index.html", "paper.md", "requests.json", "runs/", "logs/")
-WRITES = (*WRITES, "figures/", "analyses/")
-SOURCES = ("procedural", "open", "shapenet", "renders")
+# In --out; each run claims its own folder.
+WRITES = ("index.html", "paper.md", "logs/", "figures/", "measured/")
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -32,12 +31,9 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="NAMES",
         help=f"all, or of {', '.join(NAMES)}, with commas between",
     )
+    sizes = f"{', '.join(SIZES)} (%(default)s)"
     parser.add_argument(
-        "--size",
-        default="cpu",
-        choices=SIZES,
-        metavar="SIZE",
-        help=f"{', '.join(SIZES)} (%(default)s)",
+        "--size", default="cpu", choices=SIZES, metavar="SIZE", help=sizes
     )
     parser.add_argument(
         "--category", default="", metavar="NAMES", help="default: of the size"
@@ -45,19 +41,16 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--seeds", default="", metavar="N,N", help="default: of the size"
     )
+    sources = f"{', '.join(SOURCES)} (%(default)s)"
     parser.add_argument(
         "--source",
         default="procedural",
         choices=SOURCES,
         metavar="KIND",
-        help=f"{', '.join(SOURCES)} (%(default)s)",
+        help=sources,
     )
-    parser.add_argument(
-        "--folder",
-        default="",
-        metavar="DIR",
-        help="of the source: meshes, ShapeNet or renders",
-    )
+    folder = "of the source: meshes, ShapeNet or renders"
+    parser.add_argument("--folder", default="", metavar="DIR", help=folder)
     parser.add_argument(
         "--data",
         type=Path,
@@ -68,19 +61,10 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--page", type=Path, metavar="FILE", help="Markdown to write too"
     )
-    parser.add_argument(
-        "--only",
-        default="*",
-        metavar="RUNS",
-        help="train only these; * stands for anything",
-    )
-    parser.add_argument(
-        "--at-once",
-        type=int,
-        metavar="N",
-        default=0,
-        help="runs; default: as many as cores and memory allow",
-    )
+    only = "train only these; * stands for anything"
+    parser.add_argument("--only", default="*", metavar="RUNS", help=only)
+    at_once = "runs; default: as many as cores and memory allow"
+    parser.add_argument("--at-once", type=int, metavar="N", default=0, help=at_once)
     parser.add_argument(
         "--no-training", action="store_true", help="the page of what is there alone"
     )
@@ -93,32 +77,28 @@ def make_request(options: argparse.Namespace) -> Request:
     Raises:
       ValueError: for flags that do not fit together.
     """
-    categories = _split(options.category)
-    if unknown := [name for name in categories if name not in CATEGORIES]:
-        raise ValueError(
-            f"--category must be of {', '.join(CATEGORIES)}, but it has "
-            f"{unknown[0] or 'an empty name'}; write for example --category=car,chair."
-        )
-    seeds = _split(options.seeds)
+    names = NAMES
+    if options.experiment != "all":
+        names = _split("--experiment", options.experiment, NAMES)
+    seeds = [part.strip() for part in options.seeds.split(",") if options.seeds]
     if wrong := [word for word in seeds if not word.isdecimal()]:
         raise ValueError(
             "--seeds must be whole numbers from 0 on, but it has "
             f"{wrong[0] or 'an empty one'}; write for example --seeds=0,1,2."
         )
     request = Request(
-        options.experiment,
+        names,
         options.size,
         make_source(options.source, options.folder),
-        tuple(categories),
+        _split("--category", options.category, CATEGORIES),
         tuple(sorted(set(map(int, seeds)))),
     )
-    made = request.list_experiments()
-    missing = [e for e in find_experiments(options.experiment) if e not in made]
+    made = {experiment.name for experiment in request.list_experiments()}
+    missing = [name for name in names if name not in made]
     if missing and options.experiment != "all":
         raise ValueError(
             f"--category must fit --experiment={options.experiment}, but "
-            f"{missing[0].name} is not made of {options.category}; leave one of them "
-            "out."
+            f"{missing[0]} is not made of {options.category}; leave one of them out."
         )
     if options.at_once < 0:
         raise ValueError(
@@ -127,6 +107,22 @@ def make_request(options: argparse.Namespace) -> Request:
         )
     check_page(options.page)
     return request
+
+
+def _split(flag: str, text: str, known: tuple[str, ...]) -> tuple[str, ...]:
+    """The names of a flag, with commas between.
+
+    Raises:
+      ValueError: for a name that is not known.
+    """
+    found = [part.strip() for part in text.split(",")] if text else []
+    if unknown := [name for name in found if name not in known]:
+        raise ValueError(
+            f"{flag} must be of {', '.join(known)}, but it has "
+            f"{unknown[0] or 'an empty name'}; write for example "
+            f"{flag}={known[0]},{known[-1]}."
+        )
+    return tuple(found)
 
 
 def check_page(page: Path | None) -> None:
@@ -164,7 +160,7 @@ def make_source(kind: str, folder: str) -> Source:
                 f"{folder}; give --source=open, shapenet or renders with it."
             )
         return Source()
-    if not Path(folder).is_dir() or not folder:
+    if not folder or not Path(folder).is_dir():
         raise ValueError(
             f"--folder must be a folder that exists for --source={kind}, but it is "
             f"{folder or 'not given'}; write for example --folder=data/{kind}."
@@ -172,8 +168,23 @@ def make_source(kind: str, folder: str) -> Source:
     return Source(kind, str(Path(folder).absolute()))
 
 
-def _split(text: str) -> list[str]:
-    return [part.strip() for part in text.split(",")] if text else []
+def choose_runs(request: Request, only: str) -> set[str]:
+    """Names of the runs of a request that fit one of the patterns of --only.
+
+    Raises:
+      ValueError: where one pattern fits none.
+    """
+    names, chosen = [run.name for run in request.list_runs()], set()
+    for pattern in (part.strip() for part in only.split(",")):
+        fitting = {name for name in names if fnmatchcase(name, pattern)}
+        if not fitting:
+            raise ValueError(
+                "--only must name runs of the request, but "
+                f"{pattern or 'an empty name'} fits none of its {len(names)}; write "
+                f"for example --only={names[0]}."
+            )
+        chosen |= fitting
+    return chosen
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -183,7 +194,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _read(options):
     request = make_request(options)
-    runs = choose_runs(request, _split(options.only) or [""])
+    trained = choose_runs(request, options.only)
     from dpc_jax.experiments.suite import Place, run_suite  # heavy: flags come first
 
     place = Place(options.out, options.data, options.page)
@@ -192,7 +203,7 @@ def _read(options):
         page, failed = run_suite(
             request,
             place,
-            [] if options.no_training else runs,
+            set() if options.no_training else trained,
             at_once=options.at_once,
         )
         print(f"Page: {page}")

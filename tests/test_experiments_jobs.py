@@ -1,23 +1,16 @@
 """The job list: what is missing is trained, what fails is named, what stops goes on."""
 
-import contextlib
 import dataclasses
 import os
-import signal
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
 
-import pytest
 from tiny_runs import tiny_config
 
 from dpc_jax.config import to_json
-from dpc_jax.experiments.jobs.forecast import Forecast, guess_seconds
-from dpc_jax.experiments.jobs.progress import JobProgress, describe_time
-from dpc_jax.experiments.jobs.training import Job, choose_cores, train_missing
 from dpc_jax.experiments.runs import Run
+from dpc_jax.experiments.training import Job, choose_cores, train_missing
 
 FAKE = Path(__file__).parent / "fake_training.py"
 CONFIG = tiny_config(steps=5)
@@ -25,25 +18,18 @@ CONFIG = tiny_config(steps=5)
 
 def make_job(folder, name) -> Job:
     """A job whose training `fake_training` plays."""
-    workdir = folder / name
-    workdir.mkdir(exist_ok=True)
-    (workdir / "config.json").write_text(to_json(CONFIG))
     run = Run(name, "car", "", 0, ())
-    return Job(run, CONFIG, workdir, folder / "logs" / f"{name}.txt")
+    return Job(run, CONFIG, folder / name, folder / "logs" / f"{name}.txt")
 
 
-def train(folder, *names, stop=None, slots=2, on_end=lambda job: None):
+def train(folder, *names, stop=None, slots=2):
     """Train jobs by these names; why they failed."""
-    jobs = [make_job(folder, name) for name in names]
-    with JobProgress(total=len(jobs), done=0) as progress:
-        return train_missing(
-            jobs,
-            cores=[-1] * slots,
-            progress=progress,
-            stop=stop or threading.Event(),
-            on_end=on_end,
-            program=[str(FAKE)],
-        )
+    return train_missing(
+        [make_job(folder, name) for name in names],
+        cores=[-1] * slots,
+        stop=stop or threading.Event(),
+        program=[str(FAKE)],
+    )
 
 
 def read_starts(folder, name):
@@ -59,23 +45,14 @@ def wait_for(path, seconds=30):
         time.sleep(0.05)
 
 
-def test_jobs_are_trained_to_their_reports(tmp_path, capsys):
+def test_jobs_are_trained_to_their_reports_and_only_once(tmp_path, capsys):
     assert train(tmp_path, "a", "b", "c") == {}
     assert all(make_job(tmp_path, name).is_finished() for name in "abc")
     out = capsys.readouterr().out
-    assert "a: begins" in out and "c: finished in" in out
-
-
-def test_the_next_run_begins_before_the_end_of_one_is_dealt_with(tmp_path):
-    """The page that is written then takes seconds, in which a core would rest."""
-    ended = []
-
-    def note(job):
-        begun = {path.stem for path in (tmp_path / "logs").iterdir()}
-        ended.append((job.run.name, begun))
-
-    train(tmp_path, "a", "b", slots=1, on_end=note)
-    assert ended == [("a", {"a", "b"}), ("b", {"a", "b"})]
+    assert "a: begins" in out and "c ended after" in out
+    assert train(tmp_path, "a", "b", "c") == {}
+    assert capsys.readouterr().out == "3 of 3 runs are finished.\n"
+    assert read_starts(tmp_path, "a") == ["0"]
 
 
 def test_a_run_that_fails_is_named_with_its_sentence_and_the_others_go_on(tmp_path):
@@ -110,33 +87,7 @@ def test_a_stop_asks_all_runs_to_save_and_starts_no_other(tmp_path):
     for name in ("slow-a", "slow-b"):
         log = (tmp_path / "logs" / f"{name}.txt").read_text()
         assert "Stopped and saved" in log
-    assert not (tmp_path / "c" / "starts").exists()
-
-
-PARENT = """
-import sys, threading
-from pathlib import Path
-import test_experiments_jobs as tests
-tests.train(Path(sys.argv[1]), "slow")
-"""
-
-
-def test_runs_save_and_end_when_the_command_is_killed(tmp_path):
-    """By the kernel: the command itself cannot do anything any more."""
-    command = subprocess.Popen(
-        [sys.executable, "-c", PARENT, str(tmp_path)], cwd=FAKE.parent
-    )
-    wait_for(tmp_path / "slow" / "starts")
-    os.kill(command.pid, signal.SIGKILL)
-    command.wait()
-    log, limit = tmp_path / "logs" / "slow.txt", time.monotonic() + 30
-    try:
-        while "Stopped and saved" not in log.read_text():
-            assert time.monotonic() < limit
-            time.sleep(0.05)
-    finally:  # where the kernel did not do it
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(int((tmp_path / "slow" / "pid").read_text()), signal.SIGKILL)
+    assert not (tmp_path / "c").exists()
 
 
 def test_a_report_of_another_config_does_not_count(tmp_path):
@@ -150,15 +101,15 @@ def test_a_report_of_another_config_does_not_count(tmp_path):
     assert not job.is_finished()
 
 
-def test_the_forecast_learns_from_runs_that_have_ended(tmp_path):
-    jobs = [make_job(tmp_path, name) for name in "abcd"]
-    forecast, guess = Forecast(jobs), guess_seconds(CONFIG)
-    before = forecast.estimate([], jobs, slots=2)
-    assert before == pytest.approx(2 * guess)  # four jobs, two at once
-    forecast.finish(jobs[0], 3 * guess, 0)
-    assert forecast.factor == pytest.approx(3)
-    after = forecast.estimate([], jobs[1:], slots=1)
-    assert after == pytest.approx(9 * guess)
+def test_a_folder_with_runs_of_another_size_is_refused_and_left_alone(tmp_path):
+    train(tmp_path, "a")
+    path = tmp_path / "a" / "config.json"
+    longer = dataclasses.replace(CONFIG.train, steps=6)
+    path.write_text(to_json(dataclasses.replace(CONFIG, train=longer)))
+    kept = path.read_text()
+    failures = train(tmp_path, "a")
+    assert "train.steps (6 there, 5 now)" in failures["a"]
+    assert path.read_text() == kept and read_starts(tmp_path, "a") == ["0"]
 
 
 def test_cores_are_given_out_one_each(monkeypatch):
@@ -166,7 +117,3 @@ def test_cores_are_given_out_one_each(monkeypatch):
     cores = choose_cores()
     assert cores and set(cores) <= os.sched_getaffinity(0)
     assert choose_cores(1) == cores[:1]
-
-
-def test_times_are_said_in_the_unit_that_fits():
-    assert [describe_time(s) for s in (40, 720, 12600)] == ["40 s", "12 min", "3.5 h"]

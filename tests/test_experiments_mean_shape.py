@@ -1,6 +1,4 @@
-"""The mean shape of a training set, and rows that are measured instead of trained."""
-
-import dataclasses
+"""The mean shape of a training set, as a prediction of every test shape."""
 
 import numpy as np
 import pytest
@@ -8,14 +6,16 @@ import pytest
 from dpc_jax.config import build_config, replace_fields
 from dpc_jax.data import load_or_render
 from dpc_jax.evaluation.chamfer import chamfer_distance
-from dpc_jax.evaluation.mean_shape import COUNTS, average_surfaces, take_fullest
-from dpc_jax.experiments import mean_shape, measured_rows
-from dpc_jax.experiments.catalogue import EXPERIMENTS, MEAN_SHAPE
-from dpc_jax.experiments.results import Outcome, Results
-from dpc_jax.experiments.runs import Request, list_runs
+from dpc_jax.evaluation.mean_shape import average_surfaces, take_fullest
+from dpc_jax.experiments import results
+from dpc_jax.experiments.results import (
+    Outcome,
+    Results,
+    measure_mean_shape,
+    measure_mean_shapes,
+)
+from dpc_jax.experiments.runs import Request
 from dpc_jax.run.setup import make_data_specs
-
-KNOWN = next(e for e in EXPERIMENTS if e.name == "known_pose")
 
 
 @pytest.fixture(scope="module")
@@ -63,45 +63,38 @@ def test_the_same_shape_every_time_is_its_own_mean():
 
 
 def test_the_row_is_near_the_best_single_guess(config):
-    found = mean_shape.measure(config)
+    found = measure_mean_shape(config)
     assert found["chamfer"] == pytest.approx(found["precision"] + found["coverage"])
     # Cars of one category: nearer than 10 diagonals in a hundred, and not equal.
     assert 1 < found["chamfer"] < 12
-    assert found["mean_shape_points"] <= max(COUNTS)
 
 
 def test_without_its_data_it_says_where_to_look(config, tmp_path):
     elsewhere = replace_fields(config, {"data": {"cache_dir": str(tmp_path)}})
     with pytest.raises(ValueError, match="Expected the data of a finished run in"):
-        mean_shape.measure(elsewhere)
+        measure_mean_shape(elsewhere)
     assert not any(tmp_path.iterdir())
 
 
-def test_rows_are_measured_once_and_again_for_other_data(config, tmp_path, monkeypatch):
-    request = Request("known_pose", categories=("car",), seeds=(0,))
+def test_it_is_measured_once_and_again_for_other_data(config, tmp_path, monkeypatch):
     calls = []
+    monkeypatch.setattr(
+        results, "measure_mean_shape", lambda config: calls.append(config) or {"n": 1.0}
+    )
+    request = Request(("known_pose",), categories=("car",), seeds=(0,))
 
     def measure(config):
-        calls.append(config)
-        return {"chamfer": 5.0 + len(calls)}
-
-    monkeypatch.setattr(mean_shape, "measure", measure)
-
-    def read(config, *, is_last=True):
         outcomes = {
             run.name: Outcome(run, tmp_path, config, {"chamfer": 4.0})
-            for run in list_runs([request])
+            for run in request.list_runs()
         }
-        results = Results([request], outcomes)
-        found = measured_rows.measure_rows(results, tmp_path, is_last=is_last)
-        results = Results([request], outcomes, found)
-        summary = results.summarize(KNOWN, MEAN_SHAPE, "car", "chamfer")
-        return summary and summary.mean
+        return measure_mean_shapes(Results(request, outcomes), tmp_path / "kept")
 
-    assert read(config, is_last=False) is None and not calls
-    assert read(config) == read(config) == read(config, is_last=False) == 6.0
-    other = dataclasses.replace(config.data, models=7)
-    assert read(dataclasses.replace(config, data=other)) == 7.0
-    (record,) = tmp_path.rglob("metrics.json")
+    assert measure(config) == measure(config) == {"car": {"n": 1.0}}
+    assert len(calls) == 1
+    measure(replace_fields(config, {"data": {"models": 7}}))
+    assert len(calls) == 2
+    (record,) = (tmp_path / "kept").iterdir()
     record.write_text("{")
-    assert read(config) == 8.0
+    measure(config)
+    assert len(calls) == 3

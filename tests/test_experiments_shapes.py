@@ -1,10 +1,11 @@
-"""Correspondences and interpolation of a finished run: what is written, and of what.
+"""Analyses of finished runs: correspondences, interpolation, sizes of points.
 
 The network is untrained: figures of quality are in docs/baselines.md.
 """
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -13,10 +14,13 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from tiny_runs import compiling_quickly, make_network, make_state, tiny_config
 
+from dpc_jax.config import replace_fields, to_json
 from dpc_jax.evaluation.alignment import identity_alignment
-from dpc_jax.experiments import correspondences, interpolation, labelled_shapes
+from dpc_jax.experiments import correspondences, interpolation, point_sizes
 from dpc_jax.learning.predictions import make_inputs
 from dpc_jax.learning.training.checkpoints import Checkpoints
+from dpc_jax.reporting.ellipsoids import DEVIATIONS, draw_ellipsoids
+from dpc_jax.reporting.point_sizes import Gaussians
 from dpc_jax.run.finished import load_split, predict_points, read_run
 from dpc_jax.run.workdir import claim_workdir, write_alignment
 
@@ -61,7 +65,7 @@ def reading_once(finished, monkeypatch):
 
 def test_clouds_are_those_of_the_network_in_the_object_frame(finished):
     run = finished
-    images, masks = labelled_shapes.read_first_views(load_split(run, "test"))
+    images, masks = correspondences.read_first_views(load_split(run, "test"))
     inputs = make_inputs(images, masks, network=run.network)
     output = jax.jit(run.network.apply)(run.state.params, inputs)
     expected = TURN.apply(np.asarray(output["points"]).reshape(-1, 3))
@@ -72,27 +76,27 @@ def test_clouds_are_those_of_the_network_in_the_object_frame(finished):
 
 
 def test_correspondences_are_measured_beside_baselines_and_drawn(tmp_path):
-    metrics, figures = correspondences.run(tmp_path, tmp_path)
-    written = json.loads((tmp_path / "correspondences.json").read_text())
-    assert written["right_part"] == pytest.approx(metrics["right_part"])
-    assert metrics["shapes"] == 4 and metrics["category"] == "chair"
-    assert metrics["points"] >= correspondences.LEAST
-    assert set(metrics["by"]) == set(correspondences.METHODS)
-    for values in metrics["by"].values():
-        assert 0 <= values["right_part"] <= 1
-        assert len(values["right_part_by_keypoint"]) == 10
-    # The nearest points to a keypoint are nearer than any others.
-    nearest = metrics["by"]["own"]["distance"]
-    assert all(v["distance"] >= nearest for v in metrics["by"].values())
-    assert [path.parent for path in figures] == [tmp_path] * 2
-    for path in figures:
+    measures, figures = correspondences.run(tmp_path, tmp_path)
+    for method in correspondences.METHODS.values():
+        right, distance, follows = (
+            measures[f"{text}: {method}"] for text in correspondences.MEASURES.values()
+        )
+        assert 0 <= right <= 1 and np.isfinite(follows)
+        # The nearest points to a keypoint are nearer than any others.
+        nearest = (
+            f"{correspondences.MEASURES['distance']}: nearest to the true keypoint"
+        )
+        assert distance >= measures[nearest]
+    assert [path.parent for path, _ in figures] == [tmp_path] * 2
+    for path, caption in figures:
+        assert caption.endswith(".")
         with Image.open(path) as picture:
             assert min(picture.size) > 200
 
 
 def test_the_way_between_images_begins_and_ends_at_their_predictions(finished):
     run = finished
-    views = labelled_shapes.read_first_views(load_split(run, "test"))
+    views = correspondences.read_first_views(load_split(run, "test"))
     images, masks = (array[:2] for array in views)
     way = interpolation.interpolate(run, images, masks)
     assert way.shape == (interpolation.STEPS + 1, 24, 3)
@@ -105,11 +109,10 @@ def test_the_way_between_images_begins_and_ends_at_their_predictions(finished):
 
 
 def test_interpolation_is_measured_and_drawn_as_strip_and_animation(tmp_path):
-    metrics, (strip, animation) = interpolation.run(tmp_path, tmp_path)
-    written = json.loads((tmp_path / "interpolation.json").read_text())
-    assert written == pytest.approx(metrics)
-    assert metrics["largest_step"] >= 1 and metrics["detour"] >= 1
-    assert metrics["pairs"] == 2
+    measures, ((strip, _), (animation, _)) = interpolation.run(tmp_path, tmp_path)
+    assert set(measures) == set(interpolation.MEASURES.values())
+    for name in ("largest_step", "detour"):
+        assert measures[interpolation.MEASURES[name]] >= 1
     with Image.open(strip) as picture:
         assert picture.width > 1000
     with Image.open(animation) as frames:
@@ -145,10 +148,75 @@ def test_a_run_that_has_not_ended_is_refused(tmp_path):
 def test_shapes_without_known_parts_are_refused(finished, tmp_path):
     run = finished._replace(config=make_config(tmp_path, meshes="somewhere"))
     with pytest.raises(ValueError, match="parts are known, but this one"):
-        labelled_shapes.name_keypoints(run)
+        correspondences.name_keypoints(run)
 
 
-def test_pairs_of_templates_are_the_same_in_every_run():
-    np.testing.assert_array_equal(
-        correspondences.draw_pairs(9), correspondences.draw_pairs(9)
+def test_points_have_the_covariances_that_they_were_rendered_with():
+    points = np.zeros((2, 1, 3, 3))
+    with_sigmas = SimpleNamespace(points=points, sizes=np.full((2, 1, 3), 2.0))
+    without = SimpleNamespace(points=points, sizes=None)
+    for found in (
+        point_sizes.find_covariances(with_sigmas, 9.0, grid=4),
+        point_sizes.find_covariances(without, 2.0, grid=4),
+    ):
+        np.testing.assert_allclose(found, np.tile(0.25 * np.eye(3), (2, 1, 3, 1, 1)))
+
+
+def write_error(folder, kind, count, error):
+    """The files of a finished run that the figure of errors reads."""
+    changes = {"network": {"point_size": kind}, "render": {"num_points": count}}
+    (folder / "report").mkdir(parents=True)
+    (folder / "config.json").write_text(to_json(replace_fields(tiny_config(), changes)))
+    (folder / "report" / "metrics.json").write_text(json.dumps(error))
+    return folder
+
+
+def test_errors_of_all_kinds_of_points_are_drawn_over_their_number(tmp_path):
+    workdirs = [
+        write_error(tmp_path / f"{kind}{count}", kind, count, {"projection_error": 0.1})
+        for kind in ("", "sigma")
+        for count in (20, 60)
+    ]
+    ((path, _),) = point_sizes.draw_errors(tmp_path, workdirs)
+    with Image.open(path) as picture:
+        assert np.asarray(picture.convert("L")).std() > 5
+    workdirs.append(write_error(tmp_path / "damaged", "", 20, {}))
+    with pytest.raises(ValueError, match="Expected a projection error in"):
+        point_sizes.draw_errors(tmp_path, workdirs)
+
+
+def test_gaussians_of_each_kind_are_drawn_under_the_input(tmp_path):
+    rng = np.random.default_rng(0)
+    shape = Gaussians(
+        image=rng.integers(0, 256, (16, 16, 3)).astype(np.uint8),
+        target=rng.uniform(size=(16, 16)),
+        predicted=rng.uniform(size=(32, 32)),
+        points=rng.uniform(-0.3, 0.3, (5, 3)),
+        covariances=np.tile(0.01 * np.eye(3), (5, 1, 1)),
     )
+    kinds = {"": [shape] * 2, "covariance": [shape] * 2}
+    figures = point_sizes.draw_gaussians(tmp_path, kinds)
+    for path, _ in figures:
+        with Image.open(path) as picture:
+            assert np.asarray(picture.convert("L")).std() > 5
+
+
+def test_a_sphere_is_drawn_round_and_hides_what_is_behind_it():
+    sigma, half_width, side = 0.1, 0.5, 200
+    points = [[0.0, 0, 0], [-0.3, 0, 0]]  # the viewer is at +x
+    red, blue = [1.0, 0, 0], [0.0, 0, 1]
+    picture = draw_ellipsoids(
+        points,
+        np.array([np.eye(3), np.diag([0, 4, 1])]) * sigma**2,
+        [red, blue],
+        view_deg=(0, 0),
+        side=side,
+        half_width=half_width,
+    )
+    is_red = (picture[..., 0] > 0) & (picture[..., 2] == 0)
+    radius = DEVIATIONS * sigma * side / (2 * half_width)
+    # A pixel more or less on the rim.
+    assert is_red.sum() == pytest.approx(np.pi * radius**2, rel=0.02)
+    is_blue = (picture[..., 2] > 0) & (picture[..., 0] == 0)
+    assert is_blue[side // 2].sum() == pytest.approx(2 * radius, abs=3)
+    assert not is_blue[side // 2, side // 2]

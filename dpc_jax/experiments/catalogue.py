@@ -1,62 +1,151 @@
-"""The experiments of the paper, each a list of rows; a further method is a further row.
+"""The experiments of the paper: a table or figure each, and the rows that are trained.
 
-What a row and an experiment say is in `declarations`.
+A row names a config by its variant and what differs from that. Rows of several
+experiments that come to the same config are the same run. Another method is another
+row.
 """
 
-from collections.abc import Sequence
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
 
 from dpc_jax.experiments import published
-from dpc_jax.experiments.declarations import Experiment, Row
-from dpc_jax.experiments.point_kinds import list_changes
-from dpc_jax.experiments.row_settings import DEFAULTS, FRAME, POSES, PULL
-from dpc_jax.experiments.signals import SIGNAL_EXPERIMENTS
+from dpc_jax.experiments.published import CATEGORIES, PublishedTable
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """A line of a table.
+
+    Attributes:
+      label: in our table.
+      published: name of the paper's row in the experiment's table; "" for none.
+      variant: the text after the colon of --config; None for the mean shape of the
+        training set, which is measured on the data instead of trained.
+      changes: "section.field": value, beside the variant.
+      tag: names the changes in the folder of the run; "" without changes.
+      budget: of the size; "" for that of the resolution.
+      is_long: whether a run takes over ten minutes at the size "cpu".
+    """
+
+    label: str
+    published: str = ""
+    variant: str | None = ""
+    changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    tag: str = ""
+    budget: str = ""
+    is_long: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Experiment:
+    """One table or figure of the paper.
+
+    Attributes:
+      name: of --experiment.
+      title, question: of its section of the page.
+      table: the paper's numbers.
+      metrics: names of `metrics.json` that its table shows.
+      rows: what is trained.
+      categories: that it can be made of.
+      picture: of each row's own report that the page shows; "" for none.
+    """
+
+    name: str
+    title: str
+    question: str
+    table: PublishedTable
+    metrics: tuple[str, ...]
+    rows: tuple[Row, ...]
+    categories: tuple[str, ...] = CATEGORIES
+    picture: str = ""
+
+
+# What several rows change beside their variant.
+PULL = {"train.pull_weight": 0.03}
+CONTAINED = {"train.containment_weight": 30.0}
+FRAME = PULL | CONTAINED | {"pose.common_frame": True}
+DEFAULTS = FRAME | {
+    "pose.head": "viewpoint",
+    "pose.predicted": "posterior",
+    "train.reseeds_points": True,
+    "network.sees_mask": True,
+}
+CHOOSE_BY_ALL = {"pose.choice_signals": "all"}
+BESIDE = {"train.colors_move_points": False, "network.tint": True}
 
 KINDS = {"": "hand-tuned σ", "sigma": "learned σ", "covariance": "learned covariance"}
+# Hand-tuned sigma at the end of a run, a share of the volume's side, by number of
+# points: the best on validation views of those tried (docs/baselines.md).
+HAND_TUNED = {20: 0.055, 60: 0.035, 200: 0.03, 2000: 0.02}
 
 
-def _learn_points(kind: str, count: int) -> Row:
-    """A row of points of one kind; hand-tuned ones are rendered the same way."""
-    return Row(
-        f"{KINDS[kind]}, {count} points",
-        variant="known_pose,32",
-        changes=list_changes(kind, count),
-        tag=f"{kind or 'fixed'}{count}",
-        budget="points",
+def change_point_sizes(kind: str, count: int) -> dict[str, Any]:
+    """Fields of the config for points of one kind of `KINDS`.
+
+    All kinds learn the peak height of Eq. 3 and drop no points. Hand-tuned sizes go to
+    that of the nearest number of points in `HAND_TUNED`.
+    """
+    changes = {
+        "render.num_points": count,
+        "render.scale_unit": "peak",
+        "render.keep_start": 1.0,
+        "render.keep_levels": 1,
+        "network.point_size": kind,
+    }
+    if not kind:
+        nearest = min(HAND_TUNED, key=lambda n: abs(math.log(n / count)))
+        end = HAND_TUNED[nearest]
+        changes |= {"render.sigma_start": max(0.05, end), "render.sigma_end": end}
+    return changes
+
+
+def _list_point_sizes(*counts: int) -> tuple[Row, ...]:
+    return tuple(
+        Row(
+            f"{label}, {count} points",
+            variant="known_pose,32",
+            changes=change_point_sizes(kind, count),
+            tag=f"{kind or 'fixed'}{count}",
+            budget="points",
+        )
+        for kind, label in KINDS.items()
+        for count in counts
     )
-
-
-def _list_points(counts: Sequence[int]) -> tuple[Row, ...]:
-    return tuple(_learn_points(kind, count) for kind in KINDS for count in counts)
 
 
 def _count_points(count: int) -> Row:
-    return Row(
-        f"{count} points",
-        f"{count} pts.",
-        "known_pose,64",
-        {"render.num_points": count},
-        f"{count}-points",
-    )
+    changes = {"render.num_points": count}
+    tag = f"{count}-points"
+    return Row(f"{count} points", f"{count} pts.", "known_pose,64", changes, tag)
 
 
-MEAN_SHAPE = Row("Mean shape of the training set", measure="mean_shape:measure")
+_MEAN_SHAPE = Row("Mean shape of the training set", variant=None)
+_OURS = Row("Ours")
+_SILHOUETTES = Row("Known pose, silhouettes", variant="known_pose,32")
+_DEFAULTS = Row(
+    "Defaults of this package, silhouettes", changes=DEFAULTS, tag="defaults"
+)
+_POSES = ("pose_accuracy", "pose_median_error_deg")
+_PARTS = ("chamfer", "precision", "coverage")
+_PIXELS = ("projection_error", "silhouette_iou", "chamfer")
+
 EXPERIMENTS = (
     Experiment(
         "known_pose",
         "Shape with known pose",
         "How near do shapes come when poses are given, and does a finer image help?",
         published.KNOWN_POSE,
-        ("chamfer", "precision", "coverage"),
+        _PARTS,
         (
-            MEAN_SHAPE,
+            _MEAN_SHAPE,
             Row("DRC, 32²", "DRC, 32", "known_pose,32,drc"),
             Row("PTN, 32²", "PTN, 32", "known_pose,32,ptn"),
             Row("Ours-V, 32²", "Ours-V, 32", "known_pose,32,ours_v"),
             Row("Ours, 32²", "Ours, 32", "known_pose,32"),
             Row("Ours, 32², with pull", "", "known_pose,32", PULL, "pull"),
-            Row(
-                "Ours, 32², minutes of Ours-V", variant="known_pose,32", budget="longer"
-            ),
+            Row("Ours, 32², minutes of Ours-V", "", "known_pose,32", budget="longer"),
             Row("Ours-V, 64²", "Ours-V, 64", "known_pose,64,ours_v", is_long=True),
             Row("Ours, 64²", "Ours, 64", "known_pose,64"),
             Row("EPCG, 32²", variant="known_pose,32,epcg"),
@@ -81,14 +170,14 @@ EXPERIMENTS = (
         "Shape and pose from silhouettes alone",
         "Does the ensemble find the poses that one regressor cannot?",
         published.UNKNOWN_POSE,
-        ("chamfer", *POSES),
+        ("chamfer", *_POSES),
         (
-            MEAN_SHAPE,
+            _MEAN_SHAPE,
             Row("GT pose", "GT pose", "gt_pose"),
             Row("MVC", "MVC", "mvc", {"pose.head": "viewpoint"}),
             Row("Ours-V", variant="ours_v"),
             Row("Ours-naive", "Ours-naive", "naive"),
-            Row("Ours", "Ours", ""),
+            Row("Ours", "Ours"),
             Row("Ours, one frame, pull and containment", "", "", FRAME, "frame"),
             Row("Ours, defaults of this package", "", "", DEFAULTS, "defaults"),
         ),
@@ -99,7 +188,7 @@ EXPERIMENTS = (
         "Ablation",
         "What does each part of the method bring to the shape?",
         published.ABLATION,
-        ("chamfer", "precision", "coverage"),
+        _PARTS,
         (
             Row("Full, 8000 points", "Full", "known_pose,64"),
             Row(
@@ -132,33 +221,101 @@ EXPERIMENTS = (
         "Error against number of points",
         "How many points does a shape need when their sizes are learned?",
         published.POINTS,
-        ("projection_error", "silhouette_iou", "chamfer"),
-        _list_points((20, 60, 200, 2000)),
+        _PIXELS,
+        _list_point_sizes(20, 60, 200, 2000),
         categories=("chair",),
-        analysis="point_sizes:draw",
-        reads="all",
     ),
     Experiment(
         "covariance",
         "Shapes of twenty Gaussians",
         "What do learned covariances look like where there are few points?",
         published.POINTS,
-        ("projection_error", "silhouette_iou", "chamfer"),
-        _list_points((20,)),
+        _PIXELS,
+        _list_point_sizes(20),
         categories=("chair",),
-        analysis="point_sizes:draw",
-        reads="all",
     ),
-    *SIGNAL_EXPERIMENTS,
+    Experiment(
+        "color",
+        "Supervision by colour",
+        "Does colour tell the front from the back, and what does it cost the shape?",
+        published.SUPERVISION,
+        ("chamfer", *_POSES, "flip_share", "color_psnr"),
+        (
+            Row("Silhouettes", budget="signals"),
+            Row(
+                "With colour, chosen by silhouettes", variant="color", budget="signals"
+            ),
+            Row(
+                "With colour, chosen by both",
+                variant="color",
+                changes=CHOOSE_BY_ALL,
+                tag="choose-by-all",
+                budget="signals",
+            ),
+            _DEFAULTS,
+            Row(
+                "Defaults of this package, with colour, chosen by both",
+                variant="color",
+                changes=DEFAULTS | BESIDE | CHOOSE_BY_ALL,
+                tag="defaults",
+            ),
+            _SILHOUETTES,
+            Row("Known pose, with colour", variant="known_pose,32,color"),
+            Row(
+                "Known pose, with colour that moves no points",
+                variant="known_pose,32,color",
+                changes=BESIDE,
+                tag="beside",
+            ),
+        ),
+        categories=("car", "chair"),
+        picture="signals.png",
+    ),
+    Experiment(
+        "depth",
+        "Supervision by depth",
+        "How much do depth maps bring over silhouettes?",
+        published.SUPERVISION,
+        ("chamfer", "visible_chamfer", *_POSES, "depth_error_percent"),
+        (
+            _SILHOUETTES,
+            Row(
+                "Known pose, contained, silhouettes",
+                variant="known_pose,32",
+                changes=CONTAINED,
+                tag="contained",
+            ),
+            Row(
+                "Known pose, contained, with depth",
+                variant="known_pose,32,depth",
+                changes=CONTAINED,
+                tag="contained",
+            ),
+            Row(
+                "Known pose, contained, depth alone",
+                variant="known_pose,32,depth",
+                changes=CONTAINED | {"train.silhouette_weight": 0.0},
+                tag="contained-alone",
+            ),
+            _DEFAULTS,
+            Row(
+                "Defaults of this package, with depth, chosen by both",
+                variant="depth",
+                changes=DEFAULTS | CHOOSE_BY_ALL,
+                tag="defaults",
+            ),
+        ),
+        categories=("car", "chair"),
+        picture="signals.png",
+    ),
     Experiment(
         "correspondences",
         "Semantic correspondences",
         "Do points of the same index lie on the same part of every chair?",
         published.CORRESPONDENCES,
         (),
-        (Row("Ours", variant=""),),
+        (_OURS,),
         categories=("chair",),
-        analysis="correspondences:run",
     ),
     Experiment(
         "interpolation",
@@ -166,27 +323,8 @@ EXPERIMENTS = (
         "Does the way from one chair to another lead over chairs?",
         published.INTERPOLATION,
         (),
-        (Row("Ours", variant=""),),
+        (_OURS,),
         categories=("chair",),
-        analysis="interpolation:run",
     ),
 )
 NAMES = tuple(experiment.name for experiment in EXPERIMENTS)
-
-
-def find_experiments(name: str) -> tuple[Experiment, ...]:
-    """The experiments of --experiment: one, several with commas between, or "all".
-
-    Raises:
-      ValueError: for a name that is not known.
-    """
-    asked = [part.strip() for part in name.split(",")]
-    if asked == ["all"]:
-        return EXPERIMENTS
-    if unknown := [part for part in asked if part not in NAMES]:
-        raise ValueError(
-            f"--experiment must be all, or of {', '.join(NAMES)}, but it has "
-            f"{unknown[0] or 'an empty name'}; write for example "
-            "--experiment=known_pose,ablation."
-        )
-    return tuple(e for e in EXPERIMENTS if e.name in asked)

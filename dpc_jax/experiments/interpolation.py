@@ -6,14 +6,12 @@ the mixture. The paper shows strips; here the way between is also measured.
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.chamfer import chamfer_distance
-from dpc_jax.experiments.labelled_shapes import read_first_views
-from dpc_jax.files import write_json
+from dpc_jax.experiments.correspondences import read_first_views
 from dpc_jax.reporting import interpolation_figures
 from dpc_jax.run.finished import FinishedRun, load_split, predict_points, read_run
 
@@ -24,51 +22,49 @@ COLUMNS = 5  # clouds of a drawn pair, its ends among them
 TOUR, TOUR_STEPS = 4, 10  # images of the animation, and its frames from one to the next
 CLOSEST = 5  # true shapes that are compared exactly
 SURFACE_POINTS = 2000  # of each true shape that clouds are compared with
+MEASURES = {
+    "largest_step": "Largest step over the mean step (1: steady)",
+    "detour": "Length of the points' ways over the distance of their ends",
+    "distance": "Distance of the ends (box diagonals)",
+    "nearest_ends": "Chamfer distance (×100) to the nearest other shape: the ends",
+    "nearest_halfway": "… of what is halfway",
+    "nearest_blended": "… of the mean of both ends' points",
+}
 
 
-def run(out: Path | str, workdir: Path | str) -> tuple[dict[str, Any], list[Path]]:
+def run(
+    out: Path, workdir: Path
+) -> tuple[dict[str, float | None], list[tuple[Path, str]]]:
     """Interpolate between test images of a finished run, measure and draw it.
 
-    Writes interpolation.json, a strip and an animation into `out`.
-
     Args:
-      out: folder, made where there is none.
+      out: folder of the figures.
       workdir: of a finished run, with known poses or without.
 
     Returns:
-      The measures, see `measure_ways`, and the paths of the figures.
+      The measures by their names in `MEASURES`, and the figures with their captions.
 
     Raises:
       ValueError: where the workdir holds no finished run, or too few test images.
       OSError: where files cannot be written.
     """
-    out, finished = Path(out), read_run(Path(workdir))
+    finished = read_run(Path(workdir))
     dataset = load_split(finished, "test")
     images, masks = read_first_views(dataset)
     pairs = draw_pairs(len(images))
-    ways = np.array(
-        [interpolate(finished, images[pair], masks[pair]) for pair in pairs]
-    )
-    metrics = measure_ways(ways) | measure_between(ways, pairs, dataset)
-    metrics |= {"pairs": len(pairs), "category": finished.config.category}
-    write_json(out / "interpolation.json", metrics)
+    ways = np.array([interpolate(finished, images[p], masks[p]) for p in pairs])
+    found = measure_ways(ways) | measure_between(ways, pairs, dataset)
+    measures = {text: found[name] for name, text in MEASURES.items()}
 
     shown, columns = pairs[:DRAWN], np.linspace(0, STEPS, COLUMNS).astype(int)
+    starts, stops = images[shown[:, 0]], images[shown[:, 1]]
+    strip, animation = out / "interpolation.png", out / "interpolation.gif"
+    interpolation_figures.draw_strips(starts, ways[:DRAWN, columns], stops, strip)
     tour = pairs[:, 0][:TOUR]
-    figures = [
-        interpolation_figures.draw_strips(
-            images[shown[:, 0]],
-            ways[:DRAWN, columns],
-            images[shown[:, 1]],
-            out / "interpolation.png",
-        ),
-        interpolation_figures.animate_tour(
-            images[tour],
-            _walk(finished, images[tour], masks[tour]),
-            out / "interpolation.gif",
-        ),
-    ]
-    return metrics, figures
+    walk = _walk(finished, images[tour], masks[tour])
+    interpolation_figures.animate_tour(images[tour], walk, animation)
+    caption = "Shapes between two test images, mixed in the first shared layer."
+    return measures, [(strip, caption), (animation, "The same, moving.")]
 
 
 def draw_pairs(count: int) -> np.ndarray:

@@ -1,6 +1,7 @@
-"""What finished runs measured: by row of a table, mean and spread over seeds."""
+"""What finished runs gave: means over seeds, measured rows, analyses kept in DIR."""
 
 import dataclasses
+import functools
 import json
 import math
 import statistics
@@ -8,12 +9,20 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dpc_jax.config import Config
-from dpc_jax.experiments.catalogue import NAMES
-from dpc_jax.experiments.declarations import Experiment, Row
+from dpc_jax.data import load_or_render
+from dpc_jax.data.dataset import is_prepared
+from dpc_jax.evaluation.mean_shape import average_distance, find_mean_shape
+from dpc_jax.experiments import correspondences, interpolation, point_sizes
+from dpc_jax.experiments.catalogue import Experiment, Row
 from dpc_jax.experiments.published import MEAN
 from dpc_jax.experiments.runs import Request, Run
-from dpc_jax.files import describe_error
+from dpc_jax.files import digest_text, write_json
+from dpc_jax.run.setup import make_data_specs
+
+_VALIDATED = 20  # shapes that the mean shape is tuned on, as many as align
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,7 +31,7 @@ class Outcome:
 
     Attributes:
       workdir: its folder.
-      config: of the finished run; None where it is not finished.
+      config: of the run; None where it cannot work.
       metrics: its `metrics.json`; None where it is not finished.
       problem: why it is not finished, as far as that is known.
     """
@@ -32,11 +41,6 @@ class Outcome:
     config: Config | None = None
     metrics: Mapping[str, Any] | None = None
     problem: str = ""
-
-
-Outcomes = Mapping[str, Outcome]  # by name of the run
-# Metrics of rows that are not trained, by experiment, label of the row, and category.
-Measured = Mapping[tuple[str, str, str], Mapping[str, Any]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,113 +68,58 @@ def summarize(values: Iterable[Any]) -> Summary | None:
     return Summary(statistics.fmean(numbers), spread, len(numbers))
 
 
-def read_metrics(workdir: Path) -> dict[str, Any]:
-    """The test metrics of a finished run.
-
-    Raises:
-      ValueError: where they cannot be read.
-    """
-    path = workdir / "report" / "metrics.json"
-    try:
-        metrics = dict(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError) as error:
-        raise ValueError(
-            f"Expected the metrics of a finished run in {path}, but they cannot be "
-            f"read ({describe_error(error)}); remove the report, and give the same "
-            "command again."
-        ) from None
-    return metrics
-
-
+@dataclasses.dataclass(frozen=True)
 class Results:
-    """The outcomes of all that was asked for, by experiment, row and category.
+    """The outcomes of a request, by experiment, row and category.
 
-    Args:
-      requests: that the page shows together; runs of all of them count.
+    Attributes:
+      request: what was asked for.
       outcomes: by name of the run.
-      measured: what rows that are not trained have.
+      mean_shapes: metrics of the training set's mean shape, by category.
     """
 
-    def __init__(
-        self,
-        requests: Sequence[Request],
-        outcomes: Outcomes,
-        measured: Measured | None = None,
-    ):
-        self.requests, self._outcomes = tuple(requests), outcomes
-        self._measured = measured or {}
+    request: Request
+    outcomes: Mapping[str, Outcome]
+    mean_shapes: Mapping[str, Mapping[str, Any]] = dataclasses.field(
+        default_factory=dict
+    )
 
-    def list_experiments(self) -> list[Experiment]:
-        """Experiments, each once, in the order of the catalogue."""
-        found = {e.name: e for r in self.requests for e in r.list_experiments()}
-        return sorted(found.values(), key=lambda e: NAMES.index(e.name))
-
-    def list_categories(self, experiment: Experiment) -> list[str]:
-        """Categories of an experiment, in the paper's order."""
-        asked = {
-            category
-            for request in self.requests
-            if experiment in request.list_experiments()
-            for category in request.list_categories(experiment)
-        }
-        return [category for category in experiment.categories if category in asked]
-
-    def list_outcomes(
-        self, experiment: Experiment, row: Row, category: str
-    ) -> list[Outcome]:
+    def list_outcomes(self, row: Row, category: str) -> list[Outcome]:
         """Outcomes of a row, by seed."""
-        runs = {
-            run.name: run
-            for request in self.requests
-            if experiment in request.list_experiments()
-            and category in request.list_categories(experiment)
-            for run in request.list_row_runs(row, category)
-        }
-        ordered = sorted(runs.values(), key=lambda run: run.seed)
-        return [self._outcomes[run.name] for run in ordered]
+        runs = self.request.list_row_runs(row, category)
+        return [self.outcomes[run.name] for run in runs]
 
-    def explain_absence(self, row: Row) -> str:
-        """Why no request has runs of a row; "" where one has."""
-        reasons = [request.explain_absence(row) for request in self.requests]
-        return reasons[0] if reasons and all(reasons) else ""
-
-    def list_all(self, experiment: Experiment) -> list[Outcome]:
-        """Outcomes of an experiment, each once."""
+    def list_finished(
+        self, experiment: Experiment, category: str = ""
+    ) -> list[Outcome]:
+        """Finished runs of an experiment, of all categories or one, each once."""
+        categories = self.request.list_categories(experiment)
         found = {
             outcome.run.name: outcome
-            for category in self.list_categories(experiment)
+            for name in ([category] if category else categories)
             for row in experiment.rows
-            for outcome in self.list_outcomes(experiment, row, category)
+            for outcome in self.list_outcomes(row, name)
+            if outcome.metrics is not None
         }
         return list(found.values())
 
     def summarize(
         self, experiment: Experiment, row: Row, category: str, metric: str
     ) -> Summary | None:
-        """A measure of a row; of "mean", the mean over categories that all have it.
-
-        The spread of that mean is the deviation that those of the categories, which are
-        independent, come to.
-        """
-        if category != MEAN and row.measure:
-            metrics = self._measured.get((experiment.name, row.label, category), {})
-            return summarize([metrics.get(metric)])
-        if category != MEAN:
-            outcomes = self.list_outcomes(experiment, row, category)
-            return summarize((o.metrics or {}).get(metric) for o in outcomes)
-        parts = [
-            self.summarize(experiment, row, name, metric)
-            for name in self.list_categories(experiment)
-        ]
-        if not parts or None in parts:
-            return None
-        found = [part for part in parts if part is not None]
-        spreads = [part.spread for part in found]
-        spread = None
-        if None not in spreads:
-            spread = math.hypot(*(s or 0.0 for s in spreads)) / len(found)
-        mean = statistics.fmean(part.mean for part in found)
-        return Summary(mean, spread, min(part.count for part in found))
+        """A measure of a row; of "mean", the mean over categories if all have it."""
+        if category == MEAN:
+            parts = [
+                self.summarize(experiment, row, name, metric)
+                for name in self.request.list_categories(experiment)
+            ]
+            means = [part.mean for part in parts if part is not None]
+            if not parts or len(means) < len(parts):
+                return None
+            return Summary(statistics.fmean(means), None, 1)
+        if row.variant is None:
+            return summarize([self.mean_shapes.get(category, {}).get(metric)])
+        outcomes = self.list_outcomes(row, category)
+        return summarize((o.metrics or {}).get(metric) for o in outcomes)
 
     def find_published(
         self, experiment: Experiment, row: Row, category: str, metric: str
@@ -178,12 +127,129 @@ class Results:
         """The paper's number of a row; the mean is of the same categories as ours."""
         if category != MEAN:
             return experiment.table.find(row.published, category, metric)
-        categories = self.list_categories(experiment)
+        categories = self.request.list_categories(experiment)
         return experiment.table.find_mean(row.published, categories, metric)
 
-    def collect(
-        self, experiment: Experiment, read: Callable[[Config], Any]
-    ) -> list[Any]:
-        """What the configs of the finished runs say, each value once, in order."""
-        configs = [o.config for o in self.list_all(experiment) if o.config]
-        return sorted({read(config) for config in configs})
+
+def measure_mean_shapes(results: Results, folder: Path) -> dict[str, dict[str, Any]]:
+    """Metrics of the mean shape of each category whose rows ask for it.
+
+    It needs the data of a finished run. What was measured on the same data is read.
+    """
+    found = {}
+    for experiment in results.request.list_experiments():
+        if all(row.variant is not None for row in experiment.rows):
+            continue
+        for category in results.request.list_categories(experiment):
+            done = results.list_finished(experiment, category)
+            configs = [o.config for o in done if o.config is not None]
+            if not configs or category in found:
+                continue
+            config = configs[0]
+            specs = {n: repr(s) for n, s in make_data_specs(config).items()}
+            path = folder / f"mean-shape-{category}.json"
+            try:
+                measure = functools.partial(measure_mean_shape, config)
+                found[category] = _keep(path, specs, measure)
+            except (ValueError, OSError) as error:
+                print(f"No mean shape of category {category}: {error}", flush=True)
+    return found
+
+
+def measure_mean_shape(config: Config) -> dict[str, float]:
+    """The training set's mean shape as a prediction for every test shape.
+
+    Returns:
+      Chamfer distance, precision and coverage, times 100.
+
+    Raises:
+      ValueError: for data that are not prepared, or without true shapes.
+      OSError: where they cannot be read.
+    """
+    cache, specs = config.data.cache_dir, make_data_specs(config)
+    if not all(is_prepared(spec, cache) for spec in specs.values()):
+        raise ValueError(
+            f"Expected the data of a finished run in {cache}, but they are not there; "
+            "name their folder with --data=DIR."
+        )
+    surfaces = {
+        name: load_or_render(spec, cache_dir=cache, progress=False).surfaces
+        for name, spec in specs.items()
+    }
+    if lacking := [name for name, found in surfaces.items() if found is None]:
+        raise ValueError(
+            f"Expected true shapes for a mean shape, but the {lacking[0]} objects have "
+            "none; leave its row out."
+        )
+    train, val, test = (surfaces[name] for name in ("train", "val", "test"))
+    judged = [np.asarray(val[i]) for i in range(min(_VALIDATED, len(val)))]
+    best = find_mean_shape(train, judged)
+    tested = [np.asarray(test[i]) for i in range(len(test))]
+    return average_distance(best, tested).in_paper_units()
+
+
+@dataclasses.dataclass(frozen=True)
+class Analysis:
+    """What an experiment made of its finished runs.
+
+    Attributes:
+      measures: of each run, by name for people; of runs that were read together, one.
+      figures: pictures with captions; those of the first run.
+      problem: why it was not made; "" where it was.
+    """
+
+    measures: Sequence[Mapping[str, float]] = ()
+    figures: Sequence[tuple[Path, str]] = ()
+    problem: str = ""
+
+
+_TOGETHER = {"points": point_sizes.draw_errors, "covariance": point_sizes.draw_shapes}
+_EACH = {"correspondences": correspondences.run, "interpolation": interpolation.run}
+
+
+def analyze(results: Results, experiment: Experiment, folder: Path) -> Analysis:
+    """The analysis of an experiment; an empty one where it has none.
+
+    Args:
+      folder: of its figures. What was made of the same runs is read.
+    """
+    name, done = experiment.name, results.list_finished(experiment)
+    if not done or name not in (_TOGETHER | _EACH):
+        return Analysis()
+    workdirs = [outcome.workdir for outcome in done]
+    try:
+        if name in _TOGETHER:
+            figures = _TOGETHER[name](folder, workdirs)
+            return Analysis(figures=figures)
+        made = []
+        for number, outcome in enumerate(done):
+            own = folder / outcome.run.name if number else folder
+            made.append(_analyze_one(_EACH[name], own, outcome))
+    except (ValueError, OSError) as error:
+        return Analysis(problem=str(error))
+    figures = [(folder / file, caption) for file, caption in made[0]["figures"]]
+    return Analysis([one["measures"] for one in made], figures)
+
+
+def _analyze_one(run: Callable, folder: Path, outcome: Outcome) -> dict[str, Any]:
+    def make():
+        folder.mkdir(parents=True, exist_ok=True)
+        measures, figures = run(folder, outcome.workdir)
+        named = [(path.name, caption) for path, caption in figures]
+        return {"measures": measures, "figures": named}
+
+    return _keep(folder / "analysis.json", outcome.metrics, make)
+
+
+def _keep(record: Path, of: Any, make: Callable[[], dict]) -> dict[str, Any]:
+    """What `make` gives, read from a file where it was made of the same before."""
+    key = digest_text(json.dumps(of, sort_keys=True, default=str))
+    try:
+        kept = json.loads(record.read_text(encoding="utf-8"))
+        if kept["key"] == key:
+            return kept["made"]
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    made = make()
+    write_json(record, {"key": key, "made": made})
+    return made

@@ -1,23 +1,153 @@
-"""Runs: what a row of an experiment trains, at a size, of a category, with a seed."""
+"""Which trainings an experiment needs: of each row, at a size, by category and seed.
+
+A value that a size says replaces that of the config after its variant. Where a row says
+a value itself, that one counts.
+"""
 
 import dataclasses
 import runpy
-from collections.abc import Iterable, Sequence
-from fnmatch import fnmatchcase
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from dpc_jax import config as configs
 from dpc_jax.config import Config, from_config_dict
-from dpc_jax.experiments.catalogue import find_experiments
-from dpc_jax.experiments.declarations import Experiment, Row
-from dpc_jax.experiments.sizes import RESOLUTIONS, SIZES, Size
+from dpc_jax.experiments.catalogue import EXPERIMENTS, Experiment, Row
 
-_POINTS = "render.num_points"
+# What the paper's method has not, and rows of their own are for.
+_PLAIN = {
+    "pose.head": "quaternion",
+    "pose.predicted": "student",
+    "pose.common_frame": False,
+    "train.pull_weight": 0.0,
+    "train.containment_weight": 1.0,
+    "train.reseeds_points": False,
+    "train.colors_move_points": True,
+    "network.tint": False,
+    "network.sees_mask": False,
+}
+RESOLUTIONS = ("32", "64", "128")  # variants that set the side of images and volume
+
+
+@dataclasses.dataclass(frozen=True)
+class Size:
+    """How large the runs of a --size are.
+
+    Attributes:
+      categories, seeds: unless others are asked for.
+      long_seeds: of the runs at 128, and of rows that say so.
+      variant: put before that of every row.
+      changes: "section.field": value, of every run.
+      budgets: the same for runs of a budget: the variant of `RESOLUTIONS` that they
+        have, or what their row says; "" for others.
+      left_out: tags of rows whose runs take too long.
+      fewer_points: numbers of points that rows say are divided by this.
+      environment: variables of the runs' processes.
+      shows_quality: whether figures say how well something works, and not only that it
+        runs.
+    """
+
+    categories: tuple[str, ...]
+    seeds: tuple[int, ...]
+    long_seeds: tuple[int, ...]
+    variant: str = ""
+    changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    budgets: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
+    left_out: frozenset[str] = frozenset()
+    fewer_points: int = 1
+    environment: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    shows_quality: bool = True
+
+
+SIZES = {
+    "quick": Size(
+        categories=("chair",),  # programs do not depend on the category
+        seeds=(0,),  # shows that all runs, not how well
+        long_seeds=(0,),
+        changes={
+            **_PLAIN,
+            "data.models": 12,  # rendered in seconds
+            "data.val_models": 4,
+            "data.test_models": 4,
+            "data.surface_points": 2000,  # Chamfer distances in milliseconds
+            "network.channels": 4,
+            "network.hidden": 32,
+            "network.shape_hidden": 32,
+            "network.voxel_channels": 4,
+            "network.map_channels": 8,
+            "render.keep_levels": 1,  # one stage, one program to compile
+            "render.num_points": 200,
+            "pose.choice_points": 0,
+            "pose.choice_grid": 0,
+            "train.steps": 10,  # enough to log, validate, save
+            "train.warmup_steps": 2,
+            "train.repulsion_points": 50,
+            "log.every": 5,
+            "log.evaluate": 0,  # the last step has one anyhow
+            "log.examples": 1,  # a report's pictures take as long as the training
+        },
+        budgets={
+            # Images of half the side named, the least that the encoder takes, and
+            # volumes of a quarter.
+            "32": {"data.image_size": 16, "render.grid": 8},
+            "64": {"data.image_size": 32, "render.grid": 16},
+            "128": {"data.image_size": 64, "render.grid": 32},
+            "longer": {"data.image_size": 16, "render.grid": 8},
+            "points": {"data.image_size": 32, "render.grid": 16},
+            **dict.fromkeys(
+                ("", "signals"),
+                {"data.image_size": 32, "render.grid": 16, "render.fine_grid": 0},
+            ),
+        },
+        fewer_points=20,
+        # Programs run for seconds: compiling them takes 11 s of a core instead of 23.
+        environment={"JAX_DISABLE_MOST_OPTIMIZATIONS": "true"},
+        shows_quality=False,
+    ),
+    "cpu": Size(
+        categories=("chair", "car"),  # the two whose silhouettes differ most
+        seeds=(0, 1, 2),  # a spread needs three
+        long_seeds=(0,),  # over ten minutes a run
+        changes={
+            **_PLAIN,
+            "network.shape_hidden": 512,  # of all categories, whatever configs have
+            "render.keep_end": 1.0,
+            "log.evaluate": 500,  # a curve of eight points at the least
+            "log.checkpoint": 500,  # half a minute is lost at the most
+        },
+        budgets={
+            # The same steps at every resolution: a column of Table 1 differs in nothing
+            # else.
+            "32": {"train.steps": 2000},
+            "64": {"train.steps": 2000},
+            "128": {"train.steps": 2000},
+            # A step of points takes a third of the time of one of 32³ cells.
+            "longer": {"train.steps": 6000},
+            # A render of 200 covariances takes 70 ms: four minutes and a half a run.
+            "points": {"train.steps": 1000, "train.views_per_batch": 2},
+            # A render with colours takes four to six times as long as one without.
+            "signals": {"train.steps": 4000, "render.num_points": 2000},
+            # The steps are the config's own; as many points as in the paper at 32².
+            "": {"render.num_points": 2000},
+        },
+        left_out=frozenset({"covariance2000"}),  # an hour by their renders
+    ),
+    "full": Size(
+        variant="paper",
+        categories=("airplane", "car", "chair"),  # § Datasets
+        seeds=(0,),  # the paper names none; a run takes days
+        long_seeds=(0,),
+    ),
+}
+
 # Of each mesh of the open sets, which are few (docs/log.md).
 _COPIES = {"car": 12, "chair": 6, "airplane": 4}
-TOO_LONG = "too long for this size"
-NO_FIXED_VIEWS = "renders have no views from fixed places"
+SOURCES = {  # and what they are called
+    "procedural": "procedural shapes",
+    "open": "open meshes",
+    "shapenet": "ShapeNet",
+    "renders": "the renders published with the paper",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,7 +155,7 @@ class Source:
     """Where the objects come from.
 
     Attributes:
-      kind: "procedural", "open", "shapenet" or "renders".
+      kind: of `SOURCES`.
       folder: that the kind needs; "" for procedural shapes.
     """
 
@@ -62,7 +192,7 @@ class Source:
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """One training run, and where in DIR it lies.
+    """One training run.
 
     Attributes:
       name: of its folder; runs of the same config have the same.
@@ -92,58 +222,16 @@ class Run:
         """The config that these flags stand for, after all its checks.
 
         Raises:
-          ValueError: for a config that cannot work, or a file that is not there.
+          ValueError: for a config that cannot work.
         """
-        try:
-            module = runpy.run_path(str(self.config_path))
-            edited = module["get_config"](self.variant or None)
-            edited.seed = self.seed
-            for name, value in self.changes:
-                edited.update_from_flattened_dict({name: value})
-        except OSError as error:
-            raise ValueError(
-                f"Expected the config {self.config_path}, but it cannot be read "
-                f"({error.strerror}); install the package again."
-            ) from None
-        except TypeError as error:
-            raise ValueError(
-                f"The run {self.name} must set fields to values of their types, but it "
-                f"does not ({str(error.args[0]).splitlines()[0]}); correct its row in "
-                "dpc_jax/experiments/catalogue.py."
-            ) from None
+        module = runpy.run_path(str(self.config_path))
+        edited = module["get_config"](self.variant or None)
+        edited.seed = self.seed
+        for name, value in self.changes:
+            edited.update_from_flattened_dict({name: value})
         config = from_config_dict(edited)
         configs.check(config)
         return config
-
-
-def declare_run(row: Row, category: str, seed: int, size: Size, source: Source) -> Run:
-    """The run of a row.
-
-    Raises:
-      ValueError: for a row without variant, or a missing folder.
-    """
-    if row.variant is None:
-        raise ValueError(
-            f"Row {row.label!r} must name a variant to be trained, but it has none; "
-            "it is measured on the data."
-        )
-    own = dict(row.changes)
-    if _POINTS in own:
-        own[_POINTS] = max(own[_POINTS] // size.fewer_points, 4)
-    shared = source.list_changes(category) | dict(size.changes)
-    usual = size.budgets[find_resolution(row)]
-    budget = size.budgets[row.budget] if row.budget else usual
-    shared |= budget
-    variant = ",".join(part for part in (size.variant, row.variant) if part)
-    parts = (category, *variant.split(","), row.tag)
-    parts += (row.budget if budget != usual else "", f"seed{seed}")
-    return Run(
-        name="-".join(part for part in parts if part),
-        category=category,
-        variant=variant,
-        seed=seed,
-        changes=tuple((shared | own).items()),
-    )
 
 
 def find_resolution(row: Row) -> str:
@@ -157,37 +245,27 @@ class Request:
     """What one command asks for.
 
     Attributes:
-      experiment: names with commas between, or "all".
-      size: name of a size.
+      names: of experiments.
+      size: of `SIZES`.
       source: where objects come from.
       categories, seeds: empty for those of the size.
     """
 
-    experiment: str = "all"
+    names: tuple[str, ...] = tuple(e.name for e in EXPERIMENTS)
     size: str = "cpu"
     source: Source = Source()
     categories: tuple[str, ...] = ()
     seeds: tuple[int, ...] = ()
 
-    def write_command(self) -> str:
-        """The command line, without what says where things lie."""
-        flags = {"experiment": self.experiment, "size": self.size}
-        if self.source.kind != "procedural":
-            flags |= {"source": self.source.kind, "folder": "DIR"}
-        flags["category"] = ",".join(self.categories)
-        flags["seeds"] = ",".join(map(str, self.seeds))
-        words = [f"--{name}={value}" for name, value in flags.items() if value]
-        return " ".join(["python -m dpc_jax.paper", *words])
+    def list_experiments(self) -> list[Experiment]:
+        """The experiments, but for those that no category asked for has."""
+        found = [e for e in EXPERIMENTS if e.name in self.names]
+        return [e for e in found if self.list_categories(e)]
 
-    def list_experiments(self) -> tuple[Experiment, ...]:
-        """The experiments asked for, those that have no category asked for left out."""
-        found = find_experiments(self.experiment)
-        return tuple(e for e in found if self.list_categories(e))
-
-    def list_categories(self, experiment: Experiment) -> tuple[str, ...]:
+    def list_categories(self, experiment: Experiment) -> list[str]:
         """Categories of an experiment, in the paper's order."""
         asked = self.categories or SIZES[self.size].categories
-        return tuple(c for c in experiment.categories if c in asked)
+        return [c for c in experiment.categories if c in asked]
 
     def list_seeds(self, row: Row) -> tuple[int, ...]:
         """Seeds of a row."""
@@ -196,61 +274,48 @@ class Request:
         return self.seeds or (size.long_seeds if is_long else size.seeds)
 
     def explain_absence(self, row: Row) -> str:
-        """Why a row that is trained is left out; "" where it is not."""
+        """Why a row has no runs; "" where it has."""
+        if row.variant is None:
+            return "measured on the data"
         if row.tag in SIZES[self.size].left_out:
-            return TOO_LONG
-        is_of_maps = "epcg" in (row.variant or "").split(",")
-        return NO_FIXED_VIEWS if is_of_maps and self.source.kind == "renders" else ""
+            return "too long for this size"
+        if "epcg" in row.variant.split(",") and self.source.kind == "renders":
+            return "renders have no views from fixed places"
+        return ""
 
     def list_row_runs(self, row: Row, category: str) -> list[Run]:
-        """Runs of a row, one per seed; none of what size or source leave out."""
-        if row.variant is None or self.explain_absence(row):
+        """Runs of a row, one per seed; none of what is left out."""
+        if self.explain_absence(row):
             return []
-        size = SIZES[self.size]
-        return [
-            declare_run(row, category, seed, size, self.source)
-            for seed in self.list_seeds(row)
-        ]
+        return [declare_run(row, category, s, self) for s in self.list_seeds(row)]
+
+    def list_runs(self) -> list[Run]:
+        """All runs, each once; the first seeds of all come before the others."""
+        found = {
+            run.name: run
+            for experiment in self.list_experiments()
+            for category in self.list_categories(experiment)
+            for row in experiment.rows
+            for run in self.list_row_runs(row, category)
+        }
+        return sorted(found.values(), key=lambda run: run.seed)
 
 
-def list_runs(requests: Iterable[Request]) -> list[Run]:
-    """All runs of requests, each once; the first seeds of all come before the others.
-
-    So that every table has its first numbers early.
-
-    Raises:
-      ValueError: where two rows name different runs alike.
-    """
-    declared = [
-        run
-        for request in requests
-        for experiment in request.list_experiments()
-        for category in request.list_categories(experiment)
-        for row in experiment.rows
-        for run in request.list_row_runs(row, category)
-    ]
-    by_name = {}
-    for run in declared:
-        if by_name.setdefault(run.name, run) != run:
-            raise ValueError(
-                f"Runs of the name {run.name} must have one config, but two rows "
-                "differ in theirs; give one of them another tag."
-            )
-    return sorted(by_name.values(), key=lambda run: run.seed)
-
-
-def choose_runs(request: Request, only: Sequence[str]) -> list[Run]:
-    """The runs of a request whose names fit one of the patterns.
+def declare_run(row: Row, category: str, seed: int, request: Request) -> Run:
+    """The run of a row that is trained.
 
     Raises:
-      ValueError: where one pattern fits none.
+      ValueError: for a missing folder of the source.
     """
-    runs = list_runs([request])
-    for pattern in only:
-        if not any(fnmatchcase(run.name, pattern) for run in runs):
-            raise ValueError(
-                "--only must name runs of the request, but "
-                f"{pattern or 'an empty name'} fits none of its {len(runs)}; write for "
-                f"example --only={runs[0].name}."
-            )
-    return [run for run in runs if any(fnmatchcase(run.name, p) for p in only)]
+    size, points = SIZES[request.size], "render.num_points"
+    own = dict(row.changes)
+    if points in own:
+        own[points] = max(own[points] // size.fewer_points, 4)
+    usual = size.budgets.get(find_resolution(row), {})
+    budget = size.budgets.get(row.budget, {}) if row.budget else usual
+    shared = request.source.list_changes(category) | dict(size.changes) | dict(budget)
+    variant = ",".join(part for part in (size.variant, row.variant) if part)
+    parts = (category, *variant.split(","), row.tag)
+    parts += (row.budget if budget != usual else "", f"seed{seed}")
+    name = "-".join(part for part in parts if part)
+    return Run(name, category, variant, seed, tuple((shared | own).items()))

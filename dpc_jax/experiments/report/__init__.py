@@ -1,1 +1,0 @@
-"""The page: tables beside the paper's, figures, targets; as HTML and Markdown."""
