@@ -29,7 +29,7 @@ def try_folder(folder: str | os.PathLike):
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        reason = "it is a file" if folder.is_file() else error.strerror
+        reason = "it is a file" if os.path.isfile(folder) else error.strerror
         raise OSError(
             f"Expected to write in the folder {folder}, but it cannot be made or "
             f"written ({reason}); give another --out."
