@@ -13,12 +13,7 @@ from pathlib import Path
 from dpc_jax.measure.benchmark.plan import FULL, PARTS, QUICK
 from dpc_jax.run.flags import FlagParser, Task, run_command
 
-WRITES = ("benchmark.md", "benchmark.json", "solids.png", "scaling.png")
-WRITES += tuple(
-    f"error_{kind}{suffix}.png"
-    for kind in ("image", "gradient")
-    for suffix in ("", "_same_grid")
-)
+WRITES = ("benchmark.md", "benchmark.json", "error.png", "scaling.png")
 
 
 def make_parser() -> argparse.ArgumentParser:

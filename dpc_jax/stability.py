@@ -1,8 +1,8 @@
-"""Stiff and extreme cases: python -m dpc_jax.stability [--quick] [--parts=...]
+"""Stiff and extreme cases: python -m dpc_jax.stability [--quick] [--subjects=...]
 
 Compares every public function with an oracle where it may break, and writes
-stability.md, stability.json and cases.md into the folder of --out. Ends with status 1
-if anything is outside its stated tolerance.
+stability.md, stability.json, cases.md and figures into the folder of --out. Ends with
+status 1 if anything is outside its stated tolerance.
 """
 
 import argparse
@@ -11,23 +11,16 @@ import sys
 import time
 from pathlib import Path
 
-from dpc_jax.measure.stability.cases.names import DTYPES, SUBJECTS
-from dpc_jax.measure.stability.report_parts import (
-    PARTS,
-    PartRequest,
-    PartResult,
-    check_names,
-    run_part,
-)
+from dpc_jax.measure.stability import DTYPES, SUBJECTS, check_names
 from dpc_jax.run.flags import FlagParser, Task, run_command
 
 QUICK_DTYPES = ("float32",)
-WRITES = ("stability.md", "stability.json", "cases.md", "stability_growth.png")
-WRITES += ("stability_stiff_shape.png", "stability_stiff_other.png")
+WRITES = ("stability.md", "stability.json", "cases.md", "stability_rows.png")
+WRITES += ("stability_sums.png", "stability_descents.png")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Parse the command line, run the parts, write the report.
+    """Parse the command line, run the subjects, write the report.
 
     Returns:
       The exit status: 0, 1 if anything is outside its tolerance or cannot be written, 2
@@ -37,31 +30,17 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _read(arguments):
-    options = _parse(arguments)
-    for flag, known in _list_known().items():
-        check_names(flag, getattr(options, flag), known)
+    options = make_parser().parse_args(arguments)
+    if options.quick and options.dtypes is None:
+        options.dtypes = QUICK_DTYPES
+    check_names("subjects", options.subjects, tuple(SUBJECTS))
+    check_names("dtypes", options.dtypes, DTYPES)
     return Task(
         lambda: _measure(options),
         out=options.out,
-        interrupted=f"Interrupted; finished parts are in {options.out}.",
+        interrupted=f"Interrupted; finished subjects are in {options.out}.",
         writes=WRITES,
     )
-
-
-def _measure(options):
-    """Run the parts and print what failed; the exit status."""
-    results, path = _run_parts(options)
-    failures = [f for result in results.values() for f in result.failures]
-    for failure in failures:
-        print(f"Outside tolerance: {failure}")
-    num_failed = len(failures)
-    print(f"{num_failed} outside tolerance." if failures else "All within tolerance.")
-    print(f"Report: {path}")
-    return int(bool(failures))
-
-
-def _list_known():
-    return {"parts": tuple(PARTS), "subjects": tuple(SUBJECTS), "dtypes": DTYPES}
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -73,21 +52,14 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="a small version of each part, in about two minutes; the cases in "
+        help="a small version of each subject, in a few minutes; the cases in "
         f"{','.join(QUICK_DTYPES)} unless --dtypes says otherwise",
     )
-    for flag, known in _list_known().items():
+    for flag, known in (("subjects", SUBJECTS), ("dtypes", DTYPES)):
         words = f"some of {','.join(known)}; default: all"
         parser.add_argument(f"--{flag}", type=_split, help=words)
-    parser.add_argument("--seed", type=int, default=0, help="of the random numbers")
+    parser.add_argument("--seed", type=int, default=0, help="of the random draws")
     return parser
-
-
-def _parse(arguments):
-    options = make_parser().parse_args(arguments)
-    if options.quick and options.dtypes is None:
-        options.dtypes = QUICK_DTYPES
-    return options
 
 
 def _split(text):
@@ -97,38 +69,46 @@ def _split(text):
 def _write_command(options):
     words = ["python", "-m", "dpc_jax.stability", f"--seed={options.seed}"]
     words += ["--quick"] * options.quick
-    for flag, known in _list_known().items():
+    for flag, known in (("subjects", SUBJECTS), ("dtypes", DTYPES)):
         words.append(f"--{flag}={','.join(getattr(options, flag) or known)}")
     return shlex.join(words)
 
 
-def _run_parts(options):
-    """Run part by part; the results and the path of the report."""
+def _measure(options):
+    """Run subject by subject, and print what failed; the exit status."""
     # Heavy: flags are read first.
     from dpc_jax.learning.training.progress import ProgressReport
     from dpc_jax.measure.stability.report import write_report
+    from dpc_jax.measure.stability.runner import run_subject
     from dpc_jax.measure.timing import describe_machine
 
     options.out.mkdir(parents=True, exist_ok=True)
-    results: dict[str, PartResult] = {}
-    seconds, path = {}, None
+    rows, section, seconds, path = [], "", {}, None
     about = {"seed": options.seed, "command": _write_command(options)}
     about["machine"] = describe_machine()
     # In the order of the report, whatever the order of the flag.
-    parts = [part for part in PARTS if part in (options.parts or PARTS)]
-    with ProgressReport("Stability", total=len(parts)) as progress:
-        names = ("out", "quick", "seed", "subjects", "dtypes")
-        wanted = {name: getattr(options, name) for name in names}
-        request = PartRequest(**wanted, tell=progress.tell)
-        for step, part in enumerate(parts, start=1):
-            progress.tell(f"{step}/{len(parts)} {part}")
+    subjects = [name for name in SUBJECTS if name in (options.subjects or SUBJECTS)]
+    names = ("dtypes", "out", "quick", "seed")
+    wanted = {name: getattr(options, name) for name in names}
+    with ProgressReport("Stability", total=len(subjects)) as progress:
+        for step, subject in enumerate(subjects, start=1):
             start = time.perf_counter()
-            results[part] = run_part(part, request)
-            seconds[part] = time.perf_counter() - start
-            # After each part, so that an interrupted run keeps those that are done.
-            path = write_report(options.out, results, seconds=seconds, **about)
+            found, text = run_subject(subject, tell=progress.tell, **wanted)
+            seconds[subject] = time.perf_counter() - start
+            rows, section = rows + found, section + text
+            progress.tell(f"{step}/{len(subjects)} {subject}: {len(found)} rows")
+            # After each one, so that an interrupted run keeps those that are done.
+            path = write_report(
+                options.out, rows, section=section, seconds=seconds, **about
+            )
             progress.advance(step)
-    return results, path
+    failures = [row.describe_failure() for row in rows if not row.passes]
+    for failure in failures:
+        print(f"Outside tolerance: {failure}")
+    num_failed = len(failures)
+    print(f"{num_failed} outside tolerance." if failures else "All within tolerance.")
+    print(f"Report: {path}")
+    return int(bool(failures))
 
 
 if __name__ == "__main__":

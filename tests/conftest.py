@@ -31,7 +31,7 @@ hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "local")
 
 
 # These take long, and the last file to begin is waited for alone.
-_LONGEST = ("test_main_pipeline.py", "test_stability.py", "test_stability_parts.py")
+_LONGEST = ("test_main_pipeline.py", "test_stability.py")
 
 
 def pytest_collection_modifyitems(items):

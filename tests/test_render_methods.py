@@ -4,11 +4,10 @@ import functools
 import re
 from pathlib import Path
 
-import gaussian_oracles
+import densities
 import jax
 import jax.numpy as jnp
 import numpy as np
-import oracles
 import pytest
 from tiny_runs import compiling_quickly
 
@@ -66,89 +65,8 @@ def render(
     )
 
 
-def compute_expected(scene, kind, fill):
-    names = ("points", "rotation", "translation", "scale", "colors")
-    return oracles.project(
-        **{name: scene[name] for name in names},
-        sigma=None,
-        fill=fill,
-        shape=SHAPE,
-        extent=EXTENT,
-        orthographic=kind == "orthographic",
-        background_depth=5.0,
-        background_color=0.25,
-        **CAMERA,
-    )
-
-
 def to_x64(tree):
     return jax.tree.map(jnp.asarray, tree)
-
-
-def carry_covariances(scene, kind):
-    """Covariances in the grid, by a numeric derivative of each point's place."""
-    place = functools.partial(
-        oracles.place,
-        rotation=scene["rotation"],
-        translation=scene["translation"],
-        shape=SHAPE,
-        extent=EXTENT,
-        orthographic=kind == "orthographic",
-        **CAMERA,
-    )
-    voxel = EXTENT / SHAPE[0]
-    carried = []
-    for point, matrix in zip(scene["points"], scene["covariance"], strict=True):
-        slope = gaussian_oracles.linearise(lambda p: place(p[None])[0], point) * voxel
-        carried.append(slope @ matrix @ slope.T)
-    return np.stack(carried)
-
-
-@pytest.mark.parametrize(
-    ("size", "channels"), [("one sigma", 1), ("sigma per point", 7), ("covariance", 3)]
-)
-def test_images_of_the_basic_method_equal_the_written_equations(size, channels):
-    scene, kind = make_scene(channels), "perspective"
-    if size == "covariance":
-        arguments = {"covariance": scene["covariance"]}
-        carried = carry_covariances(scene, kind)
-
-        def fill(where, what):
-            values = np.asarray(what)[:, None]
-            return gaussian_oracles.sum_densities(where, values, carried, SHAPE)[0]
-
-    else:
-        sigmas = scene["sigmas"] if size == "sigma per point" else np.array(1.3)
-        arguments = {"sigma": sigmas}
-
-        def fill(where, what):
-            return gaussian_oracles.sum_gaussians(
-                where, np.asarray(what)[:, None], np.broadcast_to(sigmas, COUNT), SHAPE
-            )[0]
-
-    with jax.enable_x64(True), compiling_quickly():
-        image = render(to_x64(scene), **to_x64(arguments), method="gaussian")
-    expected = compute_expected(scene, kind, fill)
-    assert image.color.shape == (*SHAPE[:2], channels)
-    # Rounding of sums over a few hundred cells; with covariances also that of the
-    # numeric derivative, and aliasing.
-    tolerance = 1e-8 if size == "covariance" else 1e-12
-    for name in ALL:
-        np.testing.assert_allclose(image[name], expected[name], rtol=0, atol=tolerance)
-
-
-@pytest.mark.parametrize("channels", [1, 7])
-def test_images_of_the_fast_method_equal_the_written_equations(channels):
-    scene = make_scene(channels)
-    with jax.enable_x64(True), compiling_quickly():
-        image = render(to_x64(scene), 1.3, method="trilinear")
-
-    def fill(where, what):
-        return oracles.smooth(oracles.splat(where, what, SHAPE), 1.3)
-
-    expected = compute_expected(scene, "perspective", fill)
-    for name in ALL:  # rounding of sums over a few hundred cells
-        np.testing.assert_allclose(image[name], expected[name], rtol=0, atol=1e-12)
 
 
 def test_without_perspective_an_isotropic_covariance_is_that_sigma():
@@ -304,7 +222,7 @@ def measure_linear(ratio, case):
     matrix, centre = CASES[case]
     matrix = matrix * (ratio * DISTANCE) ** 2
     linear = carry_linear(matrix, centre)
-    return gaussian_oracles.compare_with_linear(matrix, centre, FOCAL, linear)
+    return densities.compare_with_linear(matrix, centre, FOCAL, linear)
 
 
 @pytest.mark.parametrize("case", range(len(CASES)))
@@ -352,10 +270,10 @@ def test_a_volume_under_perspective_is_as_far_from_exact_as_its_linearisation():
     centres = (np.arange(side) + 0.5) / side - 0.5
     places = np.stack(np.meshgrid(centres, centres, centres, indexing="ij"), -1)
     places = places + np.array([0, 0, DISTANCE])
-    exact = gaussian_oracles.project_density(places, turned, centre, FOCAL) / side**3
+    exact = densities.project_density(places, turned, centre, FOCAL) / side**3
     distance = 0.5 * np.abs(np.asarray(volume) / scale - exact).sum()
     linear = carry_linear(turned, centre)
-    expected, _, _ = gaussian_oracles.compare_with_linear(turned, centre, FOCAL, linear)
+    expected, _, _ = densities.compare_with_linear(turned, centre, FOCAL, linear)
     assert 0.005 < expected < 0.05
     # Sampled on a coarser lattice, of about one standard deviation.
     assert distance == pytest.approx(expected, rel=0.1)

@@ -1,13 +1,12 @@
 """Points on a finer grid: what each power of the ratio keeps."""
 
-import gaussian_oracles
 import jax
 import jax.numpy as jnp
 import numpy as np
-import oracles
 import pytest
 
 import dpc_jax
+from dpc_jax.measure.stability import oracles
 from dpc_jax.render.resolution import MASS_EXPONENT, scale_sizes
 
 SIDE, RATIO = 10, 3
@@ -18,10 +17,9 @@ POINTS, ROTATION = rng.uniform(-0.1, 0.1, (6, 3)), rng.normal(size=4)
 
 def sum_written(side, sigma, mass):
     """Densities [side]³ in float64, by the written equations."""
-    coordinates = oracles.place(POINTS, ROTATION, shape=(side,) * 3)
-    values = np.full((len(POINTS), 1), mass)
-    sigmas = np.full(len(POINTS), sigma)
-    return gaussian_oracles.sum_gaussians(coordinates, values, sigmas, (side,) * 3)[0]
+    coordinates, _ = oracles.place(POINTS, ROTATION, shape=(side,) * 3)
+    masses = np.full(len(POINTS), mass)
+    return oracles.sum_gaussians(coordinates, masses, sigma, (side,) * 3)
 
 
 @pytest.mark.parametrize("exponent", [2, 3])

@@ -23,6 +23,7 @@ from dpc_jax.render import compensate_widening
 from dpc_jax.render.resolution import scale_sizes
 
 _MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
+ERRORS = ("error", "error_same_grid")  # ends of their names in a record
 SOON = 0.01  # the report names the fastest settings with at most this error
 
 
@@ -60,8 +61,8 @@ def list_settings(plan: Plan) -> list[Setting]:
         label = f"trilinear, {side}³, 1 point in {share}"
         settings.append(Setting(family, label, "trilinear", base, share=share))
     for method, dtype in plan.dtypes:
-        family, label = f"{method}, {dtype}", f"{method}, {side}³, {dtype}"
-        settings.append(Setting(family, label, method, base, dtype=dtype))
+        label = f"{method}, {side}³, {dtype}"
+        settings.append(Setting("other dtypes", label, method, base, dtype=dtype))
     return settings
 
 
@@ -175,22 +176,32 @@ def _compute_target(scene, sigma, plan) -> np.ndarray:
     return np.asarray(image(), np.float64)
 
 
-def find_soonest(records: list[dict], *, kind: str, suffix: str = "") -> list[dict]:
-    """For each scene and sigma the fastest setting with at most an error of `SOON`.
-
-    If none is that accurate, it is the most accurate one and `reached` is False. The
-    kind is "image" or "gradient"; the suffix "_same_grid" takes the error against the
-    exact result on the same grid.
-    """
-    name, clock = f"{kind}_error{suffix}", f"{kind}_seconds"
+def take_scenes_together(records: list[dict]) -> list[dict]:
+    """Medians over the scenes of every number, for each setting and sigma."""
     groups: dict[tuple, list[dict]] = {}
     for record in records:
-        groups.setdefault((record["scene"], record["sigma"]), []).append(record)
+        groups.setdefault((record["sigma"], record["setting"]), []).append(record)
+    together = []
+    for group in groups.values():
+        names = [name for name in group[0] if name.endswith(("seconds", *ERRORS))]
+        medians = {n: float(np.median([r[n] for r in group])) for n in names}
+        together.append(group[0] | medians)
+    return together
+
+
+def find_soonest(records: list[dict], *, kind: str, suffix: str = "") -> list[dict]:
+    """For each sigma the fastest setting with at most an error of `SOON`.
+
+    Records are those of `take_scenes_together`. If none is that accurate, it is the
+    most accurate one and `reached` is False. The kind is "image" or "gradient"; the
+    suffix "_same_grid" takes the error against the exact result on the same grid.
+    """
+    name, clock = f"{kind}_error{suffix}", f"{kind}_seconds"
     rows = []
-    for (scene, sigma), group in groups.items():
+    for sigma in sorted({record["sigma"] for record in records}):
+        group = [record for record in records if record["sigma"] == sigma]
         good = [r for r in group if r[name] <= SOON]
         best = min(good or group, key=lambda r: r[clock if good else name])
-        row = {"scene": scene, "sigma": sigma, "setting": best["setting"]}
-        row |= {"error": best[name], "seconds": best[clock], "reached": bool(good)}
-        rows.append(row)
+        row = {"sigma": sigma, "setting": best["setting"], "reached": bool(good)}
+        rows.append(row | {"error": best[name], "seconds": best[clock]})
     return rows

@@ -1,8 +1,7 @@
 """The peak memory of a whole process that runs one workload and nothing else.
 
 `python -m dpc_jax.measure.benchmark.peak '{"batch": 1, ...}'` is such a process; it
-prints its peak in bytes. `null` only imports JAX, as the baseline of a workload. So
-this module imports JAX and the engine only in the functions that need them.
+prints its peak in bytes. `null` only loads the package, as the baseline of a workload.
 """
 
 import dataclasses
@@ -12,7 +11,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import jax
+
+from dpc_jax.measure.benchmark import speed
 from dpc_jax.measure.benchmark.plan import Case, MemoryCase
+from dpc_jax.render import VoxelGrid, estimate_memory
 
 
 def measure_case(memory_case: MemoryCase, *, seed: int) -> dict[str, Any]:
@@ -21,13 +24,8 @@ def measure_case(memory_case: MemoryCase, *, seed: int) -> dict[str, Any]:
     Raises:
       RuntimeError: the process that runs the workload fails.
     """
-    import jax
-
-    from dpc_jax.render import VoxelGrid, estimate_memory
-
-    case = memory_case.case
-    request = dataclasses.asdict(case) | {"method": memory_case.method, "seed": seed}
-    baseline, peak = _run_child(None), _run_child(request)
+    case, method = memory_case.case, memory_case.method
+    request = dataclasses.asdict(case) | {"method": method, "seed": seed}
     number = jax.ShapeDtypeStruct((), "float32")
     estimate = estimate_memory(
         jax.ShapeDtypeStruct((case.points, 3), "float32"),
@@ -35,22 +33,20 @@ def measure_case(memory_case: MemoryCase, *, seed: int) -> dict[str, Any]:
         sigma=number,
         scale=number,
         grid=VoxelGrid(case.side),
-        method=memory_case.method,
+        method=method,
         gradient=True,
     )
     return {
         "case": str(case),
-        "method": memory_case.method,
-        "peak_bytes": peak,
-        "baseline_bytes": baseline,
-        "extra_bytes": peak - baseline,
+        "method": method,
+        "extra_bytes": run_alone(request) - run_alone(None),
         "limit_bytes": memory_case.limit_gb and int(memory_case.limit_gb * 1e9),
         "estimate_bytes": estimate.total,  # of one sample
         "all_cells_bytes": 4 * case.points * case.side**3,  # what N·D³ would take
     }
 
 
-def _run_child(request) -> int:
+def run_alone(request: dict[str, Any] | None) -> int:
     """The peak of a process of its own; an error has the last line that it printed."""
     command = [sys.executable, "-m", "dpc_jax.measure.benchmark.peak"]
     command.append(json.dumps(request))
@@ -73,23 +69,15 @@ def read_peak() -> int:
         for line in status.read_text().splitlines():
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) * 1024
-    import resource
+    import resource  # which Windows lacks
 
     size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return size if sys.platform == "darwin" else size * 1024
 
 
-def _main(text):
-    import jax
-
-    request = json.loads(text)
-    if request is not None:
-        from dpc_jax.measure.benchmark import speed
-
-        options = {name: request.pop(name) for name in ("method", "seed")}
-        jax.block_until_ready(speed.prepare_render(Case(**request), **options)())
-    print(read_peak())
-
-
 if __name__ == "__main__":
-    _main(sys.argv[1])
+    wanted = json.loads(sys.argv[1])
+    if wanted is not None:
+        options = {name: wanted.pop(name) for name in ("method", "seed")}
+        jax.block_until_ready(speed.prepare_render(Case(**wanted), **options)())
+    print(read_peak())

@@ -1,8 +1,9 @@
-"""What is measured, and at which sizes."""
+"""What the benchmark measures, and at which sizes."""
 
 import dataclasses
+from collections.abc import Mapping
 
-PARTS = ("speed", "error", "solids", "scaling", "memory")
+PARTS = ("speed", "error", "scaling", "memory")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Plan:
 
     rounds: int  # of each measurement; medians are reported
     seed: int
-    cases: tuple[Case, ...]  # of the speed table; the first, gaussian and trilinear
+    cases: tuple[Case, ...]  # of the speed table
     candidates: Case  # workload of the choice among `num_candidates`
     num_candidates: int
     scene_points: int  # of the dense scenes
@@ -47,14 +48,8 @@ class Plan:
     reference_side: int  # of the float64 reference
     budget_seconds: float  # after so much time a setting gets no further round
     scaling_base: Case  # the scaling values change one number of this
-    scaling_points: tuple[int, ...]
-    scaling_sides: tuple[int, ...]
-    scaling_batches: tuple[int, ...]
-    scaling_candidates: tuple[int, ...]
+    scaling: Mapping[str, tuple[int, ...]]  # values by axis
     memory: tuple[MemoryCase, ...]
-    # Of the ellipsoid: cells a side of volume and grid; points, and cells of the grid
-    volume_sides: tuple[int, ...]
-    cloud_sizes: tuple[tuple[int, int], ...]
 
 
 FULL = Plan(
@@ -82,17 +77,17 @@ FULL = Plan(
     reference_side=192,  # a multiple of 32 and 64
     budget_seconds=1.5,
     scaling_base=Case(1, 8000, 64, 3.0),
-    scaling_points=(125, 500, 2000, 8000, 32000, 128000),
-    scaling_sides=(16, 32, 64, 128),
-    scaling_batches=(1, 2, 4, 8, 16),
-    scaling_candidates=(1, 2, 4, 8, 16),
+    scaling={
+        "N": (125, 500, 2000, 8000, 32000, 128000),
+        "D": (16, 32, 64, 128),
+        "B": (1, 2, 4, 8, 16),
+        "K": (1, 2, 4, 8, 16),
+    },
     memory=(
         MemoryCase(Case(16, 16000, 128, 3.0), "trilinear", 1.5),
         MemoryCase(Case(1, 100_000, 256, 3.0), "trilinear", 2.0),
         MemoryCase(Case(1, 16000, 128, 3.0), "gaussian", None),
     ),
-    volume_sides=(16, 32, 64, 128),
-    cloud_sizes=((500, 32), (2000, 32), (2000, 64), (8000, 64), (16000, 128)),
 )
 
 # Sizes that share programs: nearly all of its time goes into compiling them.
@@ -113,11 +108,6 @@ QUICK = Plan(
     reference_side=32,
     budget_seconds=0.2,
     scaling_base=Case(2, 500, 16, 1.5),
-    scaling_points=(500, 5000),
-    scaling_sides=(8, 16),
-    scaling_batches=(1, 2),
-    scaling_candidates=(1, 4),
+    scaling={"N": (500, 5000), "D": (8, 16), "B": (1, 2), "K": (1, 4)},
     memory=(MemoryCase(Case(2, 500, 16, 1.5), "trilinear", None),),
-    volume_sides=(8, 16),
-    cloud_sizes=((500, 16),),
 )

@@ -1,30 +1,22 @@
-"""benchmark.md and benchmark.json: the records as tables, in whole sentences."""
+"""benchmark.md, benchmark.json and figures: the records, in whole sentences."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from dpc_jax.evaluation.metrics import MISSING
 from dpc_jax.files import write_json, write_text
-from dpc_jax.measure.benchmark import accuracy, figures
+from dpc_jax.measure.benchmark import accuracy
 from dpc_jax.measure.timing import phrase_machine
+from dpc_jax.reporting import style
 from dpc_jax.reporting.tables import format_table
 
-_KINDS = ("image", "gradient")
-# What errors are measured against, by the suffix of their names in the records.
-_REFERENCES = {
-    "": "the reference on {}",
-    "_same_grid": "the exact result on the same grid",
-}
-# Times of the released TensorFlow code over those of `plain_peer`, measured side by
-# side on another day (B, N, D, σ): it needs libraries of its own and is not run here.
-_RELEASED = {
-    "B=16, N=8000, D=64, σ=3": 250 / 22,
-    "B=16, N=2000, D=32, σ=1.6": 33 / 4,
-    "B=4, N=16000, D=128, σ=3": 391 / 47,
-}
+_KINDS = {"image": "forward", "gradient": "forward and backward"}
+_SHOWN = 3  # sigmas in the figure of errors
 
 
 def write_report(out: Path, results: dict[str, Any]) -> Path:
@@ -56,65 +48,46 @@ def _write_speed(out, results) -> list[str]:
     rows = []
     for result in results["speed"]:
         medians, ours = result["median_seconds"], result["ours"]
-        own = [result["case"], f"{ours} {1e3 * medians[ours]:.2f}"]
         for peer, ratio in result["ratio_to_ours"].items():
             differences = result["gradient_difference"].get(peer)
             agreement = f"{max(differences):.1e}" if differences else MISSING
+            own = (result["case"], f"{ours} {1e3 * medians[ours]:.2f}")
             peer_ms = f"{1e3 * medians[peer]:.2f}"
             rows.append([*own, peer, peer_ms, f"{ratio:.2f}", agreement])
-        factor = _RELEASED.get(result["case"])
-        if factor and "plain JAX" in medians:
-            inferred = factor * medians["plain JAX"]
-            times = [f"{1e3 * inferred:.0f}", f"{inferred / medians[ours]:.1f}"]
-            rows.append([*own, "released code, inferred", *times, MISSING])
     count = results["machine"]["devices"]
-    devices = f"{count} device" + "s" * (count != 1)
     heads = ["work", "ours (ms)", "peer", "peer (ms)", "peer / ours", "gradient"]
     return [
         "## Speed",
         intro,
         format_table(heads, rows, align="lrlrrr"),
         "*gradient*: largest relative L2 difference from ours among the gradients. "
-        f"*All devices*: `project_batch` on {devices}; *one device* has all of XLA's "
-        "threads. "
-        "*Plain JAX* writes the same steps without the engine; *PyTorch* does a batch "
-        "at once. *Inferred*: plain JAX's time, times what the released code took "
-        "beside it (250:22, 33:4, 391:47). *trilinear* and *gaussian*: one σ for all "
-        "points, and one each (0.5 to 1.5 times that). *chosen*: the best of K "
-        "candidates found without a gradient, then rendered with one; *min*: the "
-        "minimum over K renders with a gradient.",
+        f"*All devices*: `project_batch` on {count} device{'s' * (count != 1)}; *one "
+        "device* has all of XLA's threads. *Plain JAX* writes the same steps without "
+        "the engine; *PyTorch* does a batch at once. *chosen*: the "
+        "best of K candidates found without a gradient, then rendered with one; *min*: "
+        "the minimum over K renders with a gradient.",
     ]
 
 
 def _write_error(out, results) -> list[str]:
-    records = results["error"]
+    records = accuracy.take_scenes_together(results["error"])
     fine = f"{results['reference_side']}³"
-    variants = [(kind, suffix) for kind in _KINDS for suffix in _REFERENCES]
-    blocks = [
+    draw_errors(records, out / "error.png")
+    return [
         "## Error",
         f"Relative L2 errors against the gaussian method in float64 on {fine} cells, "
         "for the image (in blocks of the coarsest grid's pixels) and for the gradient "
-        "to the points of its squared difference from another pose's image. σ is in "
-        f"voxels of {results['base_side']}³. *Same grid*: against the exact result on "
-        "the setting's own grid, which leaves the method's own error. Times are for "
-        "one sample.",
-    ]
-    for kind, suffix in variants:
-        name = f"error_{kind}{suffix}.png"
-        figures.draw_errors(records, out / name, kind=kind, suffix=suffix)
-        blocks.append(f"![Error of the {kind} against run time]({name})")
-    blocks += [
-        "Medians over all scenes and σ (largest in brackets):",
+        "to the points of its squared difference from another pose's image: medians "
+        f"over four scenes. σ is in voxels of {results['base_side']}³. *Same grid*: "
+        "against the exact result on the setting's own grid, which leaves the "
+        "method's own error. Times are for one sample.",
+        "![Error against run time](error.png)",
+        "Medians over all σ (largest in brackets):",
         _tabulate_settings(records),
+        f"Fastest setting with at most {accuracy.SOON:.0%} error; in brackets the most "
+        "accurate, where none is accurate enough:",
+        _tabulate_soonest(records),
     ]
-    for kind, suffix in variants:
-        blocks += [
-            f"Fastest setting with at most {accuracy.SOON:.0%} error of the {kind}, "
-            f"against {_REFERENCES[suffix].format(fine)}; in brackets the most "
-            "accurate, where none is accurate enough:",
-            _tabulate_soonest(records, kind, suffix),
-        ]
-    return blocks
 
 
 def _tabulate_settings(records) -> str:
@@ -123,8 +96,8 @@ def _tabulate_settings(records) -> str:
         group = [r for r in records if r["setting"] == setting]
         cells = [setting]
         for kind in _KINDS:
-            for suffix in _REFERENCES:
-                values = [r[f"{kind}_error{suffix}"] for r in group]
+            for error in accuracy.ERRORS:
+                values = [r[f"{kind}_{error}"] for r in group]
                 cells.append(f"{_percent(np.median(values))} ({_percent(max(values))})")
             seconds = [r[f"{kind}_seconds"] for r in group]
             cells.append(f"{1e3 * np.median(seconds):.2f}")
@@ -133,53 +106,69 @@ def _tabulate_settings(records) -> str:
     return format_table(["setting", *heads], rows)
 
 
-def _tabulate_soonest(records, kind, suffix) -> str:
-    rows: dict[str, list[str]] = {}
-    soonest = accuracy.find_soonest(records, kind=kind, suffix=suffix)
-    sigmas = sorted({r["sigma"] for r in soonest})
-    for row in sorted(soonest, key=lambda row: row["sigma"]):
-        error, ms = _percent(row["error"]), f"{1e3 * row['seconds']:.2f} ms"
-        cell = f"{row['setting']}: {error}, {ms}"
-        cells = rows.setdefault(row["scene"], [row["scene"]])
-        cells.append(cell if row["reached"] else f"({cell})")
-    heads = ["scene", *(f"σ = {sigma:g}" for sigma in sigmas)]
-    return format_table(heads, rows.values(), align="l" * len(heads))
+def _tabulate_soonest(records) -> str:
+    columns = []
+    for kind in _KINDS:
+        for suffix in ("", "_same_grid"):
+            found = accuracy.find_soonest(records, kind=kind, suffix=suffix)
+            cells = []
+            for row in found:
+                ms = f"{1e3 * row['seconds']:.2f} ms"
+                cell = f"{row['setting']}: {_percent(row['error'])}, {ms}"
+                cells.append(cell if row["reached"] else f"({cell})")
+            columns.append(cells)
+    sigmas = [f"{row['sigma']:g}" for row in found]
+    heads = ("σ", "image", "same grid", "gradient", "same grid")
+    return format_table(heads, zip(sigmas, *columns, strict=True), align="lllll")
 
 
-def _write_solids(out, results) -> list[str]:
-    figures.draw_solids(results["solids"], out / "solids.png")
-    rows = []
-    for r in results["solids"]:
-        times = [f"{1e3 * r[f'{kind}_seconds']:.2f}" for kind in _KINDS]
-        size = r["temporary_bytes"]
-        megabytes = MISSING if size is None else f"{size / 1e6:.1f}"
-        rows.append([r["setting"], _percent(r["image_error"]), *times, megabytes])
-    return [
-        "## Volumes beside point clouds",
-        "The silhouette of an ellipsoid, which is known in closed form: mean absolute "
-        "error in blocks of the coarsest grid's pixels, over the mean of the exact "
-        "image. Cells hold the share that is inside; points are drawn inside at "
-        "random, half as wide as the space that each has. Both draw it too large: at "
-        "the rim, occupancies of a part of a cell add up along a ray. Gradients are "
-        "those of the rotation and of cells, or of points and mass. *Temporary*: what "
-        "the compiled gradient allocates.",
-        "![Error of the silhouette against run time](solids.png)",
-        format_table(
-            ["what", "error", "image (ms)", "with gradient (ms)", "temporary (MB)"],
-            rows,
-        ),
-    ]
+def draw_errors(records: Sequence[dict[str, Any]], path: Path) -> Path:
+    """Error against run time: a row for image and gradient, a column for each sigma.
+
+    A curve joins settings that differ in one number. Records are those of
+    `accuracy.take_scenes_together`.
+    """
+    families = list(dict.fromkeys(r["family"] for r in records))
+    sigmas = sorted({r["sigma"] for r in records})
+    middle = len(sigmas) // 2
+    sigmas = sigmas[max(0, middle - _SHOWN // 2) :][:_SHOWN]
+    figure = style.make_figure(4.0 * len(sigmas), 6.6)
+    panels = figure.subplots(len(_KINDS), len(sigmas), squeeze=False, sharey="row")
+    for row, (kind, passes) in zip(panels, _KINDS.items(), strict=True):
+        for axes, sigma in zip(row, sigmas, strict=True):
+            for number, family in enumerate(families):
+                chosen = [
+                    (1e3 * r[f"{kind}_seconds"], r[f"{kind}_error"])
+                    for r in records
+                    if (r["family"], r["sigma"]) == (family, sigma)
+                ]
+                look = style.pick_series(number) | {"lw": 1.2, "ms": 4}
+                if family == "other dtypes":  # nothing joins these
+                    look["linestyle"] = ""
+                axes.plot(*zip(*sorted(chosen), strict=True), label=family, **look)
+            axes.axhline(accuracy.SOON, color=style.MUTED, ls="--", lw=0.8)
+            axes.set(xscale="log", yscale="log")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
+            axes.xaxis.set_major_formatter("{x:g}")
+            axes.xaxis.set_minor_formatter(NullFormatter())  # they would overlap
+            title = f"{kind}, σ = {sigma:g} voxels"
+            style.label_axes(axes, title=title, x_label=f"{passes} (ms)", grid="both")
+        row[0].set_ylabel("relative error", fontsize=9)
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False
+    )
+    return style.save_figure(figure, path)
 
 
 def _write_scaling(out, results) -> list[str]:
-    figures.draw_scaling(results["scaling"], out / "scaling.png")
+    draw_scaling(results["scaling"], out / "scaling.png")
     rows = []
     for result in results["scaling"]:
-        name, order = result["axis"], result["order"]
         pairs = zip(result["values"], result["median_seconds"], strict=True)
         times = ", ".join(f"{value}: {1e3 * time:.2f}" for value, time in pairs)
-        power = name if order == 1 else f"{name}^{order}"
-        rows.append([f"{name}, {result['subject']}", power, times])
+        name = f"{result['axis']}, {result['subject']}"
+        rows.append([name, _raise(result, "^{}"), times])
     return [
         "## Growth",
         "![Run time against N, D, B and K](scaling.png)",
@@ -189,6 +178,31 @@ def _write_scaling(out, results) -> list[str]:
         "small values show a part that does not grow, such as the volume's smoothing "
         "where there are few points.",
     ]
+
+
+def _raise(result, power):
+    order = result["order"]
+    return result["axis"] + (power.format(order) if order != 1 else "")
+
+
+def draw_scaling(results: Sequence[dict[str, Any]], path: Path) -> Path:
+    """A panel per number, with its expected order dashed through the largest value."""
+    figure = style.make_figure(9.0, 6.5)
+    panels = style.make_panels(figure, len(results))
+    for axes, result in zip(panels, results, strict=True):
+        values = np.array(result["values"], float)
+        times = 1e3 * np.array(result["median_seconds"])
+        expected = times[-1] * (values / values[-1]) ** result["order"]
+        axes.loglog(values, times, "o-", color=style.SERIES[0], label="measured")
+        label = f"proportional to {_raise(result, '$^{}$')}"
+        axes.loglog(values, expected, "--", color=style.MUTED, label=label)
+        label = f"{result['axis']}, {result['subject']}"
+        style.label_axes(axes, x_label=label, y_label="ms", grid="both")
+        style.set_ticks(axes, values)
+        axes.legend(fontsize=8, frameon=False)
+    title = "Run time of forward and backward; all other numbers as in "
+    figure.suptitle(title + results[0]["base"], fontsize=10)
+    return style.save_figure(figure, path)
 
 
 def _write_memory(out, results) -> list[str]:
@@ -202,8 +216,9 @@ def _write_memory(out, results) -> list[str]:
     return [
         "## Memory",
         "Peak of a whole process that runs forward and backward, samples one after the "
-        "other, less that of one that only imports JAX. It includes code and compiler; "
-        "the estimate, that of `dpc_jax.estimate_memory` for one sample, does not.",
+        "other, less that of one that only loads the package. It includes code and "
+        "compiler; the estimate, that of `dpc_jax.estimate_memory` for one sample, "
+        "does not.",
         format_table([*heads, "N·D³ floats (GB)"], rows, align="llrrrr"),
     ]
 
@@ -211,7 +226,6 @@ def _write_memory(out, results) -> list[str]:
 _SECTIONS = {
     "speed": _write_speed,
     "error": _write_error,
-    "solids": _write_solids,
     "scaling": _write_scaling,
     "memory": _write_memory,
 }

@@ -1,7 +1,7 @@
-"""The engine beside its peers: the same work in the same run, gradients compared."""
+"""The engine beside its peers, and how its run time grows; gradients are compared."""
 
+import dataclasses
 import functools
-import importlib.util
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -12,14 +12,19 @@ from jax.sharding import PartitionSpec
 
 from dpc_jax.learning.choice.hindsight import choose_candidate
 from dpc_jax.learning.losses import reprojection_loss
-from dpc_jax.measure.benchmark.plain_peer import Sample, render_plain
-from dpc_jax.measure.benchmark.plan import Case
+from dpc_jax.measure.benchmark.peers import (
+    Sample,
+    has_torch,
+    make_torch_call,
+    render_plain,
+)
+from dpc_jax.measure.benchmark.plan import Case, Plan
 from dpc_jax.measure.timing import take_medians, time_interleaved
 from dpc_jax.render import Camera, VoxelGrid, project, project_batch
 from dpc_jax.render.devices import choose_mesh, place
 
 ALL_DEVICES, ONE_DEVICE = "ours, all devices", "ours, one device"
-CHOICES = ("chosen", "min, one by one", "min, all at once")
+CHOICES = ("chosen", "min")
 
 
 class Work(NamedTuple):
@@ -127,28 +132,9 @@ def compare_with_peers(case: Case, *, rounds: int, seed: int) -> dict[str, Any]:
         "plain JAX": _make_jax_call(render_plain, work, case.sigma, side=case.side),
     }
     if has_torch():
-        from dpc_jax.measure.benchmark import torch_peer
-
-        calls["PyTorch"] = torch_peer.make_call(work, sigma=case.sigma)
+        call = make_torch_call(work[:3], work.targets, sigma=case.sigma)
+        calls["PyTorch"] = call
     return _compare(str(case), calls, ALL_DEVICES, rounds)
-
-
-def has_torch() -> bool:
-    """Whether PyTorch is installed; asking does not load it."""
-    return importlib.util.find_spec("torch") is not None
-
-
-def compare_sizes(case: Case, *, rounds: int, seed: int) -> dict[str, Any]:
-    """A sigma for each point (`gaussian`) beside one for all (`trilinear`)."""
-    work = _draw_work(case, seed=seed)
-    spread = np.random.default_rng([seed, 1]).uniform(0.5, 1.5, case.points)
-    sigmas = {"trilinear": case.sigma, "gaussian": case.sigma * spread}
-    calls = {
-        method: _make_jax_call(render_ours, work, sigma, side=case.side, method=method)
-        for method, sigma in sigmas.items()
-    }
-    # With other sizes the gradients differ: there is nothing to compare.
-    return _compare(str(case), calls, "trilinear", rounds, has_one_gradient=False)
 
 
 def compare_choices(
@@ -164,7 +150,7 @@ def make_choice_call(how: str, work: Work, sigma: float) -> Callable[[], Any]:
     """A call that gives the gradients of points and candidates.
 
     `how` is one of `CHOICES`: "chosen" is the hindsight choice, then one render with a
-    gradient; the others take the plain minimum over K renders with a gradient.
+    gradient; "min" is the plain minimum over K renders with a gradient.
     """
     gradient = _compile_choice(how)
     arrays = tuple(jnp.asarray(a) for a in work)
@@ -182,9 +168,7 @@ def _compile_choice(how):
             image = render_ours(sample, sigma, side=target.shape[0])
             return reprojection_loss(image, target)
 
-        if how == "min, one by one":
-            return jnp.min(jax.lax.map(compute_one, candidates))
-        if how == "min, all at once":
+        if how == "min":
             return jnp.min(jax.vmap(compute_one)(candidates))
         p, m, c = jax.lax.stop_gradient((points, mass, candidates))
         best = choose_candidate(p, m, c, target, sigma=sigma, camera=Camera())
@@ -197,22 +181,16 @@ def _compile_choice(how):
     return jax.jit(jax.grad(compute_all))
 
 
-def _compare(name, calls, ours, rounds, *, has_one_gradient=True):
+def _compare(name, calls, ours, rounds):
     """Medians, ratios to ours, and how far each gradient is from ours."""
     peers = [name for name in calls if name != ours]
-    differences = {}
-    if has_one_gradient:
-        own = [np.asarray(value, np.float64) for value in calls[ours]()]
-        differences = {
-            peer: [*map(measure_distance, calls[peer](), own)] for peer in peers
-        }
-    seconds = time_interleaved(calls, rounds=rounds)
-    medians = take_medians(seconds)
+    own = [np.asarray(value, np.float64) for value in calls[ours]()]
+    differences = {peer: [*map(measure_distance, calls[peer](), own)] for peer in peers}
+    medians = take_medians(time_interleaved(calls, rounds=rounds))
     return {
         "case": name,
         "ours": ours,
         "median_seconds": medians,
-        "seconds": seconds,
         "ratio_to_ours": {peer: medians[peer] / medians[ours] for peer in peers},
         "gradient_difference": differences,
     }
@@ -225,3 +203,40 @@ def measure_distance(value: np.ndarray, reference: np.ndarray) -> float:
     if size == 0:
         return 0.0 if distance == 0 else float("inf")
     return float(distance / size)
+
+
+# Axis: what it counts, and the power of it that the run time is expected to follow
+# once it dominates. A grid has D³ cells; smoothing by wide, dense kernels takes D⁴.
+AXES = {
+    "N": ("points", 1),
+    "D": ("cells a side", 3),
+    "B": ("samples", 1),
+    "K": ("candidates, the winner with a gradient", 1),
+}
+
+
+def measure_axis(axis: str, *, plan: Plan) -> dict[str, Any]:
+    """Median seconds, forward and backward, for each value of one number of `AXES`.
+
+    The other numbers are those of the plan's base case.
+    """
+    base, seed, values = plan.scaling_base, plan.seed, plan.scaling[axis]
+    subject, order = AXES[axis]
+    calls = {}
+    for value in values:
+        if axis == "K":
+            work = draw_candidates(base, value, seed=seed)
+            calls[str(value)] = make_choice_call("chosen", work, base.sigma)
+        else:
+            field = {"N": "points", "D": "side", "B": "batch"}[axis]
+            case = dataclasses.replace(base, **{field: value})
+            calls[str(value)] = prepare_render(case, seed=seed)
+    medians = take_medians(time_interleaved(calls, rounds=plan.rounds))
+    return {
+        "axis": axis,
+        "subject": subject,
+        "order": order,
+        "base": str(base),
+        "values": list(values),
+        "median_seconds": list(medians.values()),
+    }

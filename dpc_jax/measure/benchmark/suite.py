@@ -1,13 +1,14 @@
 """One run of the benchmark: its parts in turn, then the report."""
 
 import functools
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from dpc_jax.learning.training.progress import ProgressReport
 from dpc_jax.measure import scenes
-from dpc_jax.measure.benchmark import accuracy, peak, report, scaling, solids, speed
+from dpc_jax.measure.benchmark import accuracy, peak, peers, report, speed
 from dpc_jax.measure.benchmark.plan import PARTS, Plan
 from dpc_jax.measure.timing import describe_machine
 
@@ -32,7 +33,7 @@ def run_benchmark(out: Path, *, plan: Plan, parts: Sequence[str], command: str) 
     results: dict[str, Any] = {
         "machine": describe_machine(),
         "command": command,
-        "has_torch": speed.has_torch(),
+        "has_torch": peers.has_torch(),
         "seed": plan.seed,
         "reference_side": plan.reference_side,
         "base_side": plan.base_side,
@@ -49,77 +50,43 @@ def run_benchmark(out: Path, *, plan: Plan, parts: Sequence[str], command: str) 
 
 def _run_tasks(plan: Plan, parts: Sequence[str], results: dict[str, Any]) -> None:
     """Add the records of each part to the results once the whole part is measured."""
-    tasks = {part: _TASKS[part](plan) for part in PARTS if part in parts}
-    total, step = sum(map(len, tasks.values())), 0
-    with ProgressReport("Benchmark", total=total) as progress:
-        for part, list_of_part in tasks.items():
-            records = []
-            for name, task in list_of_part:
-                step += 1
-                progress.tell(f"{step}/{total} {part}: {name}")
-                records += task()
-                progress.advance(step)
-            results[part] = records
+    tasks = [task for task in list_tasks(plan) if task[0] in parts]
+    with ProgressReport("Benchmark", total=len(tasks)) as progress:
+        records: dict[str, list[dict]] = {}
+        for step, (part, name, measure) in enumerate(tasks, start=1):
+            progress.tell(f"{step}/{len(tasks)} {part}: {name}")
+            records.setdefault(part, []).extend(measure())
+            progress.advance(step)
+            if step == len(tasks) or tasks[step][0] != part:
+                results[part] = records[part]
 
 
-Task = tuple[str, Callable[[], list[dict]]]
+# A part, what is measured, and the call that gives its records.
+Task = tuple[str, str, Callable[[], list[dict]]]
 
 
-def _list_speed(plan) -> list[Task]:
-    """Each kind of comparison with its function, case and further arguments."""
-    count = {"num_candidates": plan.num_candidates}
-    wanted = [
-        *(("peers", speed.compare_with_peers, case, {}) for case in plan.cases),
-        ("sizes", speed.compare_sizes, plan.cases[0], {}),
-        ("choices", speed.compare_choices, plan.candidates, count),
-    ]
-
-    def compare(kind, function, case, options):
-        record = function(case, rounds=plan.rounds, seed=plan.seed, **options)
-        return [{"kind": kind} | record]
-
-    return [(f"{row[0]}, {row[2]}", functools.partial(compare, *row)) for row in wanted]
-
-
-def _list_error(plan) -> list[Task]:
-    measure = functools.partial(
-        accuracy.measure_scene, plan=plan, settings=accuracy.list_settings(plan)
-    )
+def list_tasks(plan: Plan) -> Iterator[Task]:
+    """What a plan measures, in the order of `PARTS`."""
+    shared = {"rounds": plan.rounds, "seed": plan.seed}
+    for case in plan.cases:
+        yield "speed", f"peers, {case}", _one(speed.compare_with_peers, case, **shared)
+    case, count = plan.candidates, {"num_candidates": plan.num_candidates}
+    call = _one(speed.compare_choices, case, **shared, **count)
+    yield "speed", f"choices, {case}", call
     made = scenes.make_scenes(
         num_points=plan.scene_points, num_sparse=plan.sparse_points, seed=plan.seed
     )
-    return [
-        (f"{scene.name}, σ={sigma:g}", functools.partial(measure, scene, sigma))
-        for scene in made
-        for sigma in plan.sigmas
-    ]
+    fixed = {"plan": plan, "settings": accuracy.list_settings(plan)}
+    for scene, sigma in itertools.product(made, plan.sigmas):
+        call = functools.partial(accuracy.measure_scene, scene, sigma, **fixed)
+        yield "error", f"{scene.name}, σ={sigma:g}", call
+    for axis in speed.AXES:
+        yield "scaling", axis, _one(speed.measure_axis, axis, plan=plan)
+    for case in plan.memory:
+        call = _one(peak.measure_case, case, seed=plan.seed)
+        yield "memory", f"{case.method}, {case.case}", call
 
 
-def _list_solids(plan) -> list[Task]:
-    return [("an ellipsoid", lambda: solids.measure_solids(plan))]
-
-
-def _list_scaling(plan) -> list[Task]:
-    return [
-        (axis, lambda axis=axis: [scaling.measure_axis(axis, plan=plan)])
-        for axis in scaling.AXES
-    ]
-
-
-def _list_memory(plan) -> list[Task]:
-    def measure(case):
-        return [peak.measure_case(case, seed=plan.seed)]
-
-    return [
-        (f"{case.method}, {case.case}", functools.partial(measure, case))
-        for case in plan.memory
-    ]
-
-
-_TASKS = {
-    "speed": _list_speed,
-    "error": _list_error,
-    "solids": _list_solids,
-    "scaling": _list_scaling,
-    "memory": _list_memory,
-}
+def _one(function, *arguments, **options):
+    """A call that gives its one record as a list."""
+    return lambda: [function(*arguments, **options)]

@@ -1,4 +1,4 @@
-"""Rotations: extreme lengths, half turns, near identity, every branch."""
+"""Rotations of extreme lengths and angles; points at, behind and before the eye."""
 
 import functools
 
@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpc_jax.measure.stability.cases import oracles
-from dpc_jax.measure.stability.cases.case import IN_WIDE, WIDE, Case, make_cases
+from dpc_jax.measure.stability import oracles
+from dpc_jax.measure.stability.case import IN_WIDE, WIDE, Case, make_cases
+from dpc_jax.render import camera as cameras
 from dpc_jax.render import quaternion
 
-SUBJECT = "rotation"
 ROUNDING = "a dozen roundings, each half an epsilon; numbers of size one"
 PLAIN = (0.5, -1.0, 2.0, 0.25)
 IDENTITY = (1, 0, 0, 0)
@@ -19,6 +19,8 @@ NEAR_IDENTITY = ("near identity, 1e-7", (1, 1e-7, -1e-7, 2e-7))
 LENGTHS = (
     ("length 1e-30", np.multiply(PLAIN, 1e-30)),
     ("length 1e30", np.multiply(PLAIN, 1e30)),
+    # 1 / 9e37 is subnormal, which processors flush to zero.
+    ("length 1.3e38", (0, 0, 9e37, -9e37), IN_WIDE),
     ("components from 1e-30 to 1", (1e-30, 1, 1e-15, -1e-3)),
     ("-q", np.negative(PLAIN)),
     NEAR_IDENTITY,
@@ -108,15 +110,15 @@ TURNS = [(name, AXIS, angle) for name, angle in ABOUT.items()]
 STEP = (np.cos(0.05), 0, 0.6 * np.sin(0.05), 0.8 * np.sin(0.05))
 
 
-def list_cases() -> list[Case]:
-    """The catalogue's cases on rotations."""
+def list_rotations() -> list[Case]:
+    """Cases of the quaternion operations."""
     make = functools.partial(make_cases, because=ROUNDING)
     points = np.array([[0.3, -0.4, 0.5], [1e-7, 1, 1e3], [0, 0, 0]])
     still = {"slope": lambda inputs, w: (np.zeros(4),), "limit": ZERO}
     moved = {"slope": lambda inputs, w: (w[0], np.zeros(4)), "limit": ZERO}
     lengths = (*LENGTHS, ("zero", [0] * 4, still))
     zero = ("zero", points, [0] * 4, moved)
-    turned = [*((name, points, q) for name, q in LENGTHS), zero]
+    turned = [*((name, points, *rest) for name, *rest in LENGTHS), zero]
     along = ROUNDING + "; the gradient of q cancels along q"
     return [
         *make("normalize", quaternion.normalize, oracles.normalize, (4, 16), lengths),
@@ -138,3 +140,71 @@ def list_cases() -> list[Case]:
             dtypes=WIDE,
         ),
     ]
+
+
+SHAPE = (8, 6, 4)
+GRID = cameras.VoxelGrid(SHAPE)
+CLOUD = np.array([[0.1, -0.2, 0.3], [-0.3, 0.25, -0.1], [0.05, 0.0, -0.35]])
+TURN = (0.8, 0.1, -0.3, 0.2)
+TINY = np.multiply(TURN, 1e-30)
+BEHIND = "a point behind, or within 1e-6 extents before the camera, leaves no trace"
+OUTSIDE = "a point outside the volume leaves no trace, and has zero gradient"
+
+
+def _find_coordinates(points, rotation, focal, distance, *, projection):
+    """Continuous indices of the points in the grid; zeros for points outside it."""
+    camera = cameras.Camera(focal, distance, projection)
+    moved = cameras.to_camera_frame(points, rotation, translation=None, camera=camera)
+    return cameras.to_grid(moved, camera=camera, grid=GRID).coordinates
+
+
+EYE = np.array([[0, 0, 0.3], [0.01, 0.02, 0.2], [0, 0, 0]])
+STILL = (1, 0, 0, 0)
+BEFORE = EYE + [0, 0, 1e-7]
+CROSSING = CLOUD * [1, 1, 0] + [[0, 0, -2], [0, 0, 0], [0, 0, 0.1]]
+CLOSE = [[1e-6, -1e-6, 1e-5], [0, 0, 0.3], [0.1, 0, 0.2]]
+AT_EYE, AWAY = {"limit": BEHIND}, {"limit": OUTSIDE}
+# name, points, rotation, focal length, distance
+SCENES = (
+    ("plain", CLOUD, TURN, 1.875, 2.0),
+    ("one point in the camera plane", CROSSING, STILL, 1.875, 2.0, AT_EYE),
+    ("distance 0", EYE, STILL, 0.5, 0.0, AT_EYE),
+    ("one point behind the camera", EYE - [0, 0, 0.1], STILL, 0.5, 0.0, AT_EYE),
+    ("one point 1e-7 before the plane", BEFORE, STILL, 0.5, 0.0, AT_EYE | IN_WIDE),
+    ("focal length 1e-3", CLOUD, TURN, 1e-3, 2.0, IN_WIDE),
+    ("focal length 1e3, on the axis", CLOUD * [1e-4, 1e-4, 1], STILL, 1e3, 2.0),
+    ("focal length 1e3 from 1e3", CLOUD, TURN, 1e3, 1024.0),
+    ("points 1e6 away", CLOUD + 1e6, TURN, 1.875, 2.0, AWAY),
+    ("points 1e30 away", CLOUD * 1e30, TURN, 1.875, 2.0, AWAY),
+    ("points 3e38 away", np.sign(CLOUD) * 3e38, TURN, 1.875, 2.0, AWAY),
+    ("object larger than the volume", CLOUD * 4, TURN, 1.875, 2.0, AWAY),
+    ("quaternion of length 1e-30", CLOUD, TINY, 1.875, 2.0, IN_WIDE),
+)
+# Perspective multiplies roundings by the inverse distance to the eye, orthographic
+# projection does not.
+AT_CLOSE = ("1e-5 before the eye", CLOSE, STILL, 1.0, 0.0)
+
+
+def list_cameras() -> list[Case]:
+    """Cases of the way from the object's frame to places in the grid."""
+    cases = []
+    for projection, close in (("perspective", 64e3), ("orthographic", 64)):
+        cases += make_cases(
+            projection,
+            functools.partial(_find_coordinates, projection=projection),
+            functools.partial(_place, orthographic=projection == "orthographic"),
+            (32, 64),
+            [*SCENES, (*AT_CLOSE, IN_WIDE | {"gradient_tolerance": close})],
+            because="30 roundings of numbers of a few cells; a point close to the eye "
+            "multiplies them",
+            floor=1.0,
+            half="finite",
+        )
+    return cases
+
+
+def _place(*inputs, orthographic):
+    return oracles.place(*inputs, shape=SHAPE, orthographic=orthographic)[0]
+
+
+CASES = {"rotation": list_rotations, "camera": list_cameras}

@@ -1,31 +1,6 @@
-"""The basic method in float64 numpy, point by point; shares no code with dpc_jax."""
+"""Continuous Gaussian densities in float64, also exactly projected; no code shared."""
 
 import numpy as np
-
-
-def _weights(cells, center, sigma, reach=80):
-    """One axis, normalised over a long stretch of the integers."""
-    wide = np.arange(cells[0] - reach, cells[-1] + reach + 1)
-    if sigma == 0:
-        nearest = np.abs(wide - center)
-        full = (nearest == nearest.min()).astype(float)
-    else:
-        exponent = -0.5 * ((wide - center) / sigma) ** 2
-        full = np.exp(exponent - exponent.max())
-    return (full / full.sum())[reach : reach + len(cells)]
-
-
-def sum_gaussians(coordinates, values, sigmas, shape):
-    """[V, rows, cols, depth] of isotropic Gaussians."""
-    volume = np.zeros((values.shape[1], *shape))
-    for point, value, sigma in zip(coordinates, values, sigmas, strict=True):
-        row, col, depth = (
-            _weights(np.arange(size), x, sigma)
-            for x, size in zip(point, shape, strict=True)
-        )
-        block = row[:, None, None] * col[:, None] * depth
-        volume += value[:, None, None, None] * block
-    return volume
 
 
 def sum_densities(coordinates, values, covariances, shape):
@@ -47,15 +22,6 @@ def moments(volume):
     mean = np.einsum("abc,abci->i", volume, cells) / mass
     away = cells - mean
     return mass, mean, np.einsum("abc,abci,abcj->ij", volume, away, away) / mass
-
-
-def linearise(function, point, step=1e-5):
-    """Jacobian [3, 3] of a map of one point, by central differences."""
-    sides = [
-        (function(point + step * axis) - function(point - step * axis)) / (2 * step)
-        for axis in np.eye(3)
-    ]
-    return np.stack(sides, axis=-1)
 
 
 def project_density(places, matrix, centre, focal_length):

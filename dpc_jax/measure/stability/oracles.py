@@ -1,13 +1,15 @@
 """The equations written out in long double numpy; no code shared with the package.
 
 Every function takes real or complex arrays and makes its decisions on real parts alone,
-because an imaginary part of 1e-60 carries a derivative through it.
+because an imaginary part of 1e-60 carries a derivative through it. The tests of the
+renderer compare with these functions too.
 """
 
 import numpy as np
 
-from dpc_jax.measure.stability.cases.case import REAL
-
+# On x86 it has 64 bits of fraction and 15 of exponent, so the squares of 1e30 and 1e-30
+# are well within its range. On every machine it is at least float64.
+REAL, COMPLEX = np.longdouble, np.clongdouble
 Array = np.ndarray
 Number = Array | np.number | float
 Shape = tuple[int, int, int]
@@ -62,25 +64,26 @@ def angle(p: Array, q: Array) -> Array:
 def place(
     points: Array,
     q: Array,
-    focal: Number,
-    distance: Number,
+    focal: Number = 1.875,
+    distance: Number = 2.0,
     *,
     shape: Shape,
+    translation: Number = 0.0,
+    extent: float = 1.0,
     orthographic: bool = False,
 ) -> tuple[Array, Array]:
     """Continuous (row, col, depth) indices, 0 outside, and whether a point is inside.
 
-    A point nearer to the camera than a millionth of the extent, which is one, has no
-    image.
+    A point nearer to the camera than a millionth of the extent has no image.
     """
-    x, y, z = rotate(points, q).T
+    x, y, z = (rotate(points, q) + translation).T
     ahead = z + distance
     u, v, is_before = x, y, np.ones(len(points), bool)
     if not orthographic:
-        is_before = np.real(ahead) > 1e-6
+        is_before = np.real(ahead) > 1e-6 * extent
         safe = np.where(is_before, ahead, 1)
         u, v = focal * x / safe, focal * y / safe
-    shares = np.stack([v, u, z], axis=-1) + REAL(0.5)
+    shares = np.stack([v, u, z], axis=-1) / extent + REAL(0.5)
     is_inside = is_before & np.all((np.real(shares) >= 0) & (np.real(shares) <= 1), 1)
     coordinates = shares * np.array(shape) - REAL(0.5)
     return np.where(is_inside[:, None], coordinates, 0), is_inside
@@ -133,10 +136,11 @@ def smooth(volume: Array, sigma: Number) -> Array:
 
 
 def sum_gaussians(
-    coordinates: Array, masses: Array, sigmas: Array, shape: Shape
+    coordinates: Array, masses: Array, sigmas: Number, shape: Shape
 ) -> Array:
-    """Σ of separable Gaussians, point by point."""
+    """Σ of separable Gaussians, point by point; one sigma for all, or one each."""
     volume = np.zeros(shape)
+    sigmas = sigmas * np.ones(len(coordinates))
     for point, mass, sigma in zip(coordinates, masses, sigmas, strict=True):
         block = np.asarray(mass)
         for x, size in zip(point, shape, strict=True):
@@ -216,3 +220,160 @@ def terminate(occupancy: Array) -> tuple[Array, Array]:
 def find_opacity(occupancy: Array) -> Array:
     """Σ_k r_k, because 1 - Π(1 - o) would cancel."""
     return np.sum(terminate(occupancy)[0], axis=-1)
+
+
+def project(
+    points: Array,
+    rotation: Array,
+    sizes: Array,
+    scale: Number,
+    colors: Array,
+    translation: Number = 0.0,
+    focal: Number = 1.875,
+    distance: Number = 2.0,
+    background_depth: Number = 10.0,
+    background_color: Number = 1.0,
+    *,
+    shape: Shape,
+    method: str = "trilinear",
+    extent: float = 1.0,
+    orthographic: bool = False,
+) -> tuple[Array, Array, Array]:
+    """(silhouette, depth, color [rows, cols, C]) of one cloud; see `dpc_jax.project`.
+
+    Sizes are sigma, or covariances in the object's frame for the method "covariance".
+    """
+    where = {"shape": shape, "extent": extent, "orthographic": orthographic}
+    coordinates, is_inside = place(
+        *(points, rotation, focal, distance), translation=translation, **where
+    )
+    masses = np.where(is_inside, scale * np.ones(len(points)), 0)
+    if method == "covariance":
+        ahead = rotate(points, rotation) + translation + distance * np.eye(3)[2]
+        sizes = move_covariances(sizes, rotation, ahead, focal, shape=shape)
+
+    def fill(values):
+        if method == "covariance":
+            return sum_covariances(coordinates, values, sizes, shape)
+        if method == "gaussian":
+            return sum_gaussians(coordinates, values, sizes, shape)
+        return smooth(splat(coordinates, values, shape), sizes)
+
+    return end_rays(
+        fill(masses),
+        [fill(masses * channel) for channel in colors.T],
+        distance,
+        background_depth,
+        background_color,
+        extent=extent,
+    )
+
+
+def end_rays(
+    density: Array,
+    channels: list[Array],
+    distance: Number,
+    background_depth: Number = 10.0,
+    background_color: Number = 1.0,
+    *,
+    extent: float = 1.0,
+) -> tuple[Array, Array, Array]:
+    """Silhouette, depth and colour from the densities Σ f and Σ y·f."""
+    occupancy = clip(density)
+    probabilities, passed = terminate(occupancy)
+    num_cells = density.shape[2]
+    cells = ((np.arange(num_cells) + REAL(0.5)) / num_cells - REAL(0.5)) * extent
+    depth = np.sum(probabilities * (cells + distance), axis=-1)
+    # r·y with y = Σ y_i f_i / Σ f_i. Up to density 1 the factor o / Σ f is one, also in
+    # the limit of no density.
+    before = find_transparencies(occupancy)[..., :-1]
+    is_over = np.real(density) > 1
+    share = np.where(is_over, 1 / np.where(is_over, density, 1), 1)
+    color = [np.sum(before * share * channel, axis=-1) for channel in channels]
+    return (
+        np.sum(probabilities, axis=-1),
+        depth + passed * background_depth,
+        np.stack(color, axis=-1) + passed[..., None] * background_color,
+    )
+
+
+def move_covariances(
+    covariances: Array, rotation: Array, ahead: Array, focal: Number, *, shape: Shape
+) -> Array:
+    """S·J·R·Σ·Rᵀ·Jᵀ·S written out, where J is the Jacobian of (f·y/z, f·x/z, z)."""
+    axes = rotate(np.eye(3), rotation).T  # columns: where the axes go
+    moved = []
+    for (x, y, z), matrix in zip(ahead, covariances, strict=True):
+        slopes = np.array(
+            [
+                [0 * z, focal / z, -focal * y / (z * z)],
+                [focal / z, 0 * z, -focal * x / (z * z)],
+                [0 * z, 0 * z, 1 + 0 * z],
+            ]
+        )
+        stretch = np.array(shape)[:, None] / REAL(shape[0])
+        linear = stretch * _multiply(slopes, axes)
+        symmetric = (matrix + matrix.T) / 2
+        moved.append(_multiply(_multiply(linear, symmetric), linear.T))
+    return np.array(moved).reshape(-1, 3, 3)
+
+
+def _multiply(a, b):
+    return np.sum(a[:, :, None] * b[None], axis=1)
+
+
+def project_volume(
+    volume: Array,
+    colors: Array,
+    rotation: Array,
+    translation: Array,
+    focal: Number,
+    distance: Number,
+    background_depth: Number = 10.0,
+    background_color: Number = 1.0,
+    *,
+    shape: Shape,
+    extent: float = 1.0,
+    orthographic: bool = False,
+) -> tuple[Array, Array, Array]:
+    """(silhouette, depth, color [rows, cols, C]) of occupancies of the object frame.
+
+    See `dpc_jax.project_volume`: at every cell of the grid the tents of all cells.
+    """
+    centres = [((np.arange(n) + REAL(0.5)) / n - REAL(0.5)) * extent for n in shape]
+    v, u, z = (part.ravel() for part in np.meshgrid(*centres, indexing="ij"))
+    ahead = z + distance
+    is_ahead = np.ones(len(z), bool) if orthographic else np.real(ahead) > 1e-6 * extent
+    zoom = 1 if orthographic else np.where(is_ahead, ahead, 1) / focal
+    moved = np.stack([u * zoom, v * zoom, z], axis=-1) - translation
+    axes = rotate(np.eye(3), rotation)  # row i: where axis i goes
+    turned = np.sum(moved[:, None, :] * axes, axis=-1)
+    weights = [
+        _find_tents((turned[:, axis] + REAL(0.5)) * size - REAL(0.5), size)
+        for axis, size in enumerate(volume.shape)
+    ]
+
+    def sample(cells):
+        x, y, z = weights
+        spread = x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :]
+        values = np.sum(spread * cells, axis=(1, 2, 3))
+        return np.where(is_ahead, values, 0).reshape(shape)
+
+    return end_rays(
+        sample(volume),
+        [sample(volume * channel) for channel in np.moveaxis(colors, -1, 0)],
+        distance,
+        background_depth,
+        background_color,
+        extent=extent,
+    )
+
+
+def _find_tents(places, size):
+    """Weights [n, size] of the cells at each place, none beyond a cell from the rim."""
+    away = places[:, None] - np.arange(size)
+    real = np.real(away)
+    is_inside = (np.real(places) > -1) & (np.real(places) < size)
+    # At a kink, the side towards the higher index.
+    is_near = (real >= -1) & (real < 1) & is_inside[:, None]
+    return np.where(is_near, np.where(real >= 0, 1 - away, 1 + away), 0)

@@ -17,19 +17,13 @@ _MOMENTUM = 0.9  # Adam's decay of the mean gradient, its authors' value
 
 
 class Problem(NamedTuple):
-    """Silhouettes of one object, and the truth behind them."""
+    """Silhouettes of one object, the truth behind them, and where a descent starts."""
 
     targets: jax.Array  # [V, 32, 32] silhouettes
     poses: jax.Array  # [V, 4] true quaternions
     surface: jax.Array  # [M, 3] true points
     masses: jax.Array  # [N] of the points to find, in voxels
-
-
-class Start(NamedTuple):
-    """Where a descent starts: points [N, 3] and poses [V, 4]."""
-
-    points: jax.Array
-    poses: jax.Array
+    start: tuple[jax.Array, jax.Array]  # points [N, 3] and poses [V, 4]
 
 
 class Recipe(NamedTuple):
@@ -51,7 +45,7 @@ class Trace(NamedTuple):
     # [T + 1, N] of each point from its true place. They mean something only if there
     # are as many points as true points.
     distances: jax.Array
-    end: Start  # the last points and poses
+    end: tuple[jax.Array, jax.Array]  # the last points and poses
 
 
 def render_views(
@@ -64,14 +58,15 @@ def render_views(
 
 
 @functools.partial(jax.jit, static_argnames="every")
-def descend(problem: Problem, start: Start, recipe: Recipe, *, every: int) -> Trace:
-    """Follow a recipe from a start; T is a multiple of `every`.
+def descend(problem: Problem, recipe: Recipe, *, every: int) -> Trace:
+    """Follow a recipe from the start; T is a multiple of `every`.
 
     The error is measured after every so many iterations, so the trace has
     T / every + 1 entries.
     """
     # One dtype for all: with x64 the rates would bring in NumPy's float64.
-    dtype = start.points.dtype
+    start = problem.start
+    dtype = start[0].dtype
     recipe = jax.tree.map(lambda a: a.astype(dtype), recipe)
 
     def compute_loss(params, sigma):
@@ -85,7 +80,7 @@ def descend(problem: Problem, start: Start, recipe: Recipe, *, every: int) -> Tr
         count = count + 1
         mean = _average(mean, gradient, _MOMENTUM)
         square = _average(square, jax.tree.map(jnp.square, gradient), recipe.memory)
-        rates = Start(point_rates[:, None], pose_rates[:, None])
+        rates = point_rates[:, None], pose_rates[:, None]
 
         def move(param, rate, plain, m, s):
             m, s = m / (1 - _MOMENTUM**count), s / (1 - recipe.memory**count)
@@ -99,8 +94,9 @@ def descend(problem: Problem, start: Start, recipe: Recipe, *, every: int) -> Tr
     def measure(params):
         sharp = render_views(*params, masses=problem.masses, sigma=1.0)
         losses = jnp.sum((sharp - problem.targets) ** 2, axis=(1, 2))
-        angles = jax.vmap(quaternion.angle_between)(params.poses, problem.poses)
-        gaps = jnp.linalg.norm(params.points[:, None] - problem.surface[None], axis=-1)
+        points, poses = params
+        angles = jax.vmap(quaternion.angle_between)(poses, problem.poses)
+        gaps = jnp.linalg.norm(points[:, None] - problem.surface[None], axis=-1)
         chamfer = 100 * (jnp.mean(jnp.min(gaps, 1)) + jnp.mean(jnp.min(gaps, 0)))
         return losses, jnp.degrees(angles), chamfer, jnp.diagonal(gaps)
 

@@ -1,0 +1,137 @@
+"""The projection as one would first write it in JAX, and in PyTorch.
+
+The same silhouettes by the same steps as the engine: each point adds to its eight
+neighbours, products with the kernel's Toeplitz matrix smooth the volume, a product
+along each ray ends it. In JAX only the rotation and the camera are taken from the
+engine, and the product has its own derivative rule; in PyTorch every derivative is its
+own, and a batch is rendered at once.
+"""
+
+import importlib.util
+import itertools
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
+
+CORNERS = tuple(itertools.product((0, 1), repeat=3))
+
+Sample = tuple[jax.Array, jax.Array, jax.Array]
+"""Points [N, 3], rotation [4] and mass () in voxels of one cloud."""
+
+
+def render_plain(sample: Sample, sigma: jax.Array, *, side: int) -> jax.Array:
+    """Silhouette [side, side] of one cloud; sigma in voxels."""
+    points, rotation, mass = sample
+    camera = Camera()
+    moved = to_camera_frame(points, rotation, translation=None, camera=camera)
+    coordinates, is_inside = to_grid(moved, camera=camera, grid=VoxelGrid(side))
+    first = jnp.floor(coordinates)
+    fraction = coordinates - first
+    first = first.astype(jnp.int32) + 1  # a border of one cell catches the outside
+    padded = side + 2
+    volume = jnp.zeros(padded**3)
+    for corner in CORNERS:
+        weight = jnp.where(is_inside, mass, 0)
+        for axis, is_upper in enumerate(corner):
+            part = fraction[:, axis]
+            weight = weight * (part if is_upper else 1 - part)
+        row, col, depth = (first + jnp.array([corner])).T
+        volume = volume.at[(row * padded + col) * padded + depth].add(weight)
+    volume = volume.reshape(padded, padded, padded)[1:-1, 1:-1, 1:-1]
+    cells, far = jnp.arange(side), jnp.arange(-4 * side, 4 * side + 1)
+    kernel = jnp.exp(-0.5 * ((cells[:, None] - cells[None]) / sigma) ** 2)
+    kernel = kernel / jnp.sum(jnp.exp(-0.5 * (far / sigma) ** 2))
+    volume = jnp.matmul(kernel, volume @ kernel)
+    volume = (kernel @ volume.reshape(side, -1)).reshape(volume.shape)
+    return _end_rays(jnp.clip(volume, 0, 1))
+
+
+@jax.custom_vjp
+def _end_rays(occupancy):
+    return 1 - jnp.prod(1 - occupancy, axis=-1)
+
+
+def _end_rays_backward(occupancy, cotangent):
+    """Product of all other factors: by division, except where a factor is zero."""
+    free = 1 - occupancy
+    is_zero = free == 0
+    zeros = jnp.sum(is_zero, axis=-1, keepdims=True)
+    safe = jnp.where(is_zero, 1, free)
+    product = jnp.prod(safe, axis=-1, keepdims=True)
+    lone = jnp.where(is_zero & (zeros == 1), product, 0)
+    others = jnp.where(zeros == 0, product / safe, lone)
+    return (others * cotangent[..., None],)
+
+
+_end_rays.defvjp(lambda o: (_end_rays(o), o), _end_rays_backward)
+
+
+def has_torch() -> bool:
+    """Whether PyTorch is installed; asking does not load it."""
+    return importlib.util.find_spec("torch") is not None
+
+
+def make_torch_call(
+    arrays: tuple[np.ndarray, ...], targets: np.ndarray, *, sigma: float
+) -> Callable[[], list[np.ndarray]]:
+    """A call that gives the gradients of points, quaternions and masses in PyTorch."""
+    import torch  # pyright: ignore[reportMissingImports]  # optional
+
+    def call():
+        inputs = [torch.tensor(value, requires_grad=True) for value in arrays]
+        images = _render_in_torch(torch, inputs, sigma, targets.shape[-1])
+        ((images - torch.tensor(targets)) ** 2).sum().backward()
+        return [value.grad.numpy() for value in inputs]
+
+    return call
+
+
+def _render_in_torch(torch, inputs, sigma, side):
+    points, quaternions, masses = inputs
+    camera = Camera()
+    batch, padded = points.shape[0], side + 2
+    moved = torch.bmm(points, _turn_to_matrix(torch, quaternions).transpose(1, 2))
+    x, y, depth = moved.unbind(-1)
+    zoom = camera.focal_length / (depth + camera.distance)
+    place = (torch.stack([y * zoom, x * zoom, depth], -1) + 0.5) * side - 0.5
+    is_inside = ((place >= -0.5) & (place <= side - 0.5)).all(-1)
+    first = torch.floor(place)
+    fraction = place - first
+    first = (first.long() + 1).clamp(0, side)
+    mass = torch.where(is_inside, masses[:, None], torch.zeros(()))
+    start = torch.arange(batch)[:, None] * padded**3
+    indices, weights = [], []
+    for corner in CORNERS:
+        weight = mass
+        for axis, is_upper in enumerate(corner):
+            part = fraction[..., axis]
+            weight = weight * (part if is_upper else 1 - part)
+        row, col, depth = (first + torch.tensor(corner)).unbind(-1)
+        indices.append(start + (row * padded + col) * padded + depth)
+        weights.append(weight)
+    volume = torch.zeros(batch * padded**3).index_add(
+        0, torch.stack(indices).reshape(-1), torch.stack(weights).reshape(-1)
+    )
+    volume = volume.reshape(batch, padded, padded, padded)[:, 1:-1, 1:-1, 1:-1]
+    cells = torch.arange(side, dtype=torch.float32)
+    far = torch.arange(-4 * side, 4 * side + 1)
+    kernel = torch.exp(-0.5 * ((cells[:, None] - cells) / sigma) ** 2)
+    kernel = kernel / torch.exp(-0.5 * (far / sigma) ** 2).sum()
+    volume = kernel @ (volume @ kernel)
+    volume = (kernel @ volume.reshape(batch, side, -1)).reshape(volume.shape)
+    return 1 - torch.prod(1 - volume.clamp(0, 1), -1)
+
+
+def _turn_to_matrix(torch, quaternions):
+    """Rotation matrices [B, 3, 3] of quaternions wxyz [B, 4] of any length."""
+    w, x, y, z = (quaternions / quaternions.norm(dim=-1, keepdim=True)).unbind(-1)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return torch.stack([torch.stack(row, -1) for row in rows], -2)

@@ -1,0 +1,146 @@
+"""What a case is, tables of cases, and the outcome of one."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from dpc_jax.measure.stability import DTYPES
+
+WIDE = DTYPES[:2]
+IN_WIDE = {"dtypes": WIDE}  # the changes of a row that 16 bits cannot hold
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Case:
+    """One function at one input where it may break."""
+
+    name: str  # what is extreme about the input; unique within the subject
+    # Maps the inputs as arrays to an array or a tuple of arrays. Cases with the same
+    # function object and the same shapes share compiled programs.
+    function: Callable
+    # Float64 arrays. They are rounded to each dtype, and the oracle gets the rounded
+    # numbers, so that an error is the function's own.
+    inputs: tuple
+    # The same function in numpy, for real and complex long doubles (`oracles`). None
+    # takes the function itself in float64, where only rounding is in question.
+    oracle: Callable | None
+    # Largest error of the value, in units of the dtype's epsilon, relative to the
+    # largest magnitude in the oracle's output, or to `floor`.
+    value_tolerance: float
+    # The same for the gradient of Σ w·output to each input; None where the function has
+    # no gradient.
+    gradient_tolerance: float | None
+    because: str  # where the tolerances come from
+    floor: float = 0.0  # errors of the value are relative to at least this magnitude
+    # The same for the gradient; one number, or one for each input
+    gradient_floor: float | tuple[float, ...] = 0.0
+    # (inputs, weights) -> the gradients of Σ w·output, one for each input. None
+    # differentiates the oracle by complex steps. Kinks need it, to say which one-sided
+    # derivative is right.
+    slope: Callable | None = None
+    dtypes: tuple[str, ...] = DTYPES  # the case runs in these
+    # "checked", or "finite" if results in 16 bits only have to be finite
+    half: str = "checked"
+    limit: str = ""  # the documented limit that the case shows, if any
+    # False for numpy functions, which run without jit and gradient
+    is_traced: bool = True
+    terms: int = 0  # how long the sum is whose rounding is in question
+    is_slow: bool = False  # left out of the quick form
+
+    def __post_init__(self):
+        inputs = tuple(np.asarray(x, np.float64) for x in self.inputs)
+        object.__setattr__(self, "inputs", inputs)
+
+
+def make_cases(
+    title: str,
+    function: Callable,
+    oracle: Callable | None,
+    tolerances: tuple[float, float | None],
+    rows: Iterable[tuple],
+    **shared: Any,
+) -> list[Case]:
+    """The cases of one function from a table, one for each row.
+
+    A case is called "title: name", or "title" without a name. Tolerances are those of
+    the value and of the gradient. A row is (name, input, input, ...). A dict at its end
+    holds the fields of `Case` in which it differs from the others, for example an
+    oracle of its own; **shared are other fields that are the same for all.
+    """
+    value, gradient = tolerances
+    shared |= {"function": function, "oracle": oracle}
+    shared |= {"value_tolerance": value, "gradient_tolerance": gradient}
+    cases = []
+    for name, *inputs in rows:
+        changes = inputs.pop() if isinstance(inputs[-1], dict) else {}
+        name = f"{title}: {name}" if name else title
+        cases.append(Case(name=name, inputs=tuple(inputs), **shared | changes))
+    return cases
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """What became of a case in one dtype; errors are relative, tolerances too."""
+
+    subject: str
+    case: str
+    dtype: str
+    value_error: float  # the worst of all modes
+    value_tolerance: float | None  # None where the result only has to be finite
+    gradient_error: float | None = None  # None without a gradient
+    gradient_tolerance: float | None = None
+    is_finite: bool = True  # whether all values and gradients are
+    limit: str = ""  # the documented limit that the case shows, if any
+    because: str = ""  # where the tolerances come from
+    terms: int = 0  # as in `Case`
+    found: str = ""  # more about a failure
+
+    @property
+    def value_ratio(self) -> float | None:
+        """Error over tolerance of the value; None without a tolerance."""
+        return _divide(self.value_error, self.value_tolerance)
+
+    @property
+    def gradient_ratio(self) -> float | None:
+        """Error over tolerance of the gradient; None without a tolerance."""
+        return _divide(self.gradient_error, self.gradient_tolerance)
+
+    @property
+    def worst_ratio(self) -> float:
+        """The larger of both ratios; 0 without any."""
+        return max(self.value_ratio or 0.0, self.gradient_ratio or 0.0)
+
+    @property
+    def passes(self) -> bool:
+        """Whether the results are finite and the errors within the tolerances."""
+        ratios = [r for r in (self.value_ratio, self.gradient_ratio) if r is not None]
+        return self.is_finite and all(ratio <= 1 for ratio in ratios)  # not NaN
+
+    def describe_failure(self) -> str:
+        """One sentence on a row outside its tolerance."""
+        reasons = [] if self.is_finite else ["a value or gradient is not finite"]
+        for name, error, tolerance, ratio in (
+            ("value", self.value_error, self.value_tolerance, self.value_ratio),
+            (
+                *("gradient", self.gradient_error),
+                *(self.gradient_tolerance, self.gradient_ratio),
+            ),
+        ):
+            if ratio is not None and not ratio <= 1:
+                reasons.append(
+                    f"the error of the {name} is {error:.2e}, the tolerance "
+                    f"{tolerance:.2e}"
+                )
+        reasons += [self.found] * bool(self.found)
+        return f"{self.subject}, {self.case}, {self.dtype}: {' and '.join(reasons)}."
+
+
+def _divide(error, tolerance):
+    if error is None or tolerance is None:
+        return None
+    if tolerance == 0:
+        return 0.0 if error == 0 else math.inf
+    return error / tolerance

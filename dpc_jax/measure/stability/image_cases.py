@@ -1,0 +1,312 @@
+"""Whole images of clouds and of volumes of cells: poses, lenses, masses, empty rays."""
+
+import functools
+
+import jax.numpy as jnp
+import numpy as np
+
+from dpc_jax.measure.stability import oracles
+from dpc_jax.measure.stability.case import IN_WIDE, Case, make_cases
+from dpc_jax.render import Camera, VoxelGrid, project, project_volume
+
+ALL = ("silhouette", "depth", "color")
+SHAPE = (4, 3, 5)
+TURN, STILL = (0.8, 0.1, -0.3, 0.2), (1, 0, 0, 0)
+POINTS = np.array(
+    [[0.1, -0.2, 0.3], [-0.3, 0.25, -0.1], [0.05, 0.01, -0.35], [-0.1, -0.2, 0.13]]
+)
+COLORS = np.array([[0.1, 0.9], [0.5, 0.2], [0.0, 1.0], [0.7, 0.7]])
+CAMERA = {"translation": (0, 0, 0), "focal": 1.875, "distance": 2.0}
+CAMERA |= {"background_depth": 10.0, "background_color": (1.0, 0.25)}
+PLAIN = {"points": POINTS, "rotation": TURN, "sizes": 0.6, "scale": [0.6] * 4}
+PLAIN |= {"colors": COLORS, **CAMERA}
+MATRIX = oracles.rotate(np.eye(3), np.array(TURN)).T
+ONE = np.array([1e-12, 0, 0, 0])
+MANY = (1e-12, 1e-6, 1, 1e6)
+TILT = np.array([[0.5, 0.25, 0], [0.25, 0, -0.125], [0, -0.125, 0.25]])
+
+BEHIND = {
+    "limit": "what is behind, or within 1e-6 extents before the camera, is unseen"
+}
+BACKGROUND = {"limit": "a ray without density shows the background"}
+FULL = {"limit": "above density 1 a cell is full: the slope of its mass is zero"}
+FLOOR = {"limit": "below 0.02 voxels sigma has zero gradient"}
+ROUNDINGS = "coordinates of a few cells carry 30 roundings, kernels multiply them by "
+ROUNDINGS += "their slope, rays by their length"
+# Scenes that multiply roundings by more than that.
+TAILS = {
+    "gradient_tolerance": 4 * 1024,
+    "because": ROUNDINGS + "; of mass 1e6 the tails count, at exponents of 14",
+}
+NARROW = {
+    "gradient_tolerance": 400 * 1024,
+    "because": ROUNDINGS + "; so narrow a kernel has slopes of 1/2σ² = 400 a voxel",
+}
+# What differs from `PLAIN`, and the fields of `Case`.
+SCENES = (
+    ("plain", {}, {}),
+    ("no point near any ray", {"points": np.full((4, 3), 9.0)}, BACKGROUND),
+    ("one point of mass 1e-12", {"scale": ONE}, IN_WIDE),
+    ("one point of mass 1e-30", {"scale": ONE * 1e-18}, IN_WIDE),
+    ("the camera inside", {"distance": 0.0}, IN_WIDE | BEHIND),
+    ("mass 0", {"scale": [0] * 4}, BACKGROUND),
+    ("mass 1e6", {"scale": [1e6] * 4}, IN_WIDE | FULL | TAILS),
+    ("masses from 1e-12 to 1e6", {"scale": MANY}, IN_WIDE | FULL | TAILS),
+    ("colours 1e6", {"colors": COLORS * 1e6}, IN_WIDE),
+    ("colours 1e30", {"colors": COLORS * 1e30}, IN_WIDE),
+    ("colours 1e-30", {"colors": COLORS * 1e-30}, IN_WIDE),
+    ("colours below 0", {"colors": -COLORS}, {}),
+    ("sigma 0", {"sizes": 0.0}, FLOOR),
+    ("sigma 1e-30", {"sizes": 1e-30}, IN_WIDE | FLOOR),
+    ("sigma 0.05", {"sizes": 0.05}, NARROW),
+    ("sigma 1e3", {"sizes": 1e3}, IN_WIDE),
+    ("quaternion of length 1e-30", {"rotation": np.multiply(TURN, 1e-30)}, IN_WIDE),
+    ("quaternion of length 1e30", {"rotation": np.multiply(TURN, 1e30)}, IN_WIDE),
+    ("half turn", {"rotation": (0, 1, 0, 0)}, {}),
+    ("an object 1e6 wide", {"points": POINTS * 1e6}, IN_WIDE | BACKGROUND),
+    ("an object 1e-6 wide", {"points": POINTS * 1e-6 + [0.1, 0.07, 0.03]}, IN_WIDE),
+)
+
+
+def _tilt(sides):
+    """Covariances s²·(I + `TILT`)."""
+    return {"sizes": np.square(sides)[:, None, None] * (np.eye(3) + TILT)}
+
+
+COVARIANCES = (
+    # The others turn by a quaternion.
+    ("by a matrix", _tilt([0.6, 0.8, 1.0, 1.2]) | {"rotation": MATRIX}, {}),
+    ("plain", _tilt([0.6, 0.8, 1.0, 1.2]), {}),
+    ("mass 0", _tilt([0.6, 0.8, 1.0, 1.2]) | {"scale": [0] * 4}, BACKGROUND),
+    ("sizes over 1e6", _tilt([1e-3, 0.3, 30, 1e3]), IN_WIDE),
+)
+# The gradient to a place is a difference of two cells' readings, which the wide kernel
+# makes 3e-8 of what they are; so it is for the pose.
+TO_PLACES = {
+    "gradient_floor": (3e-8, 3e-8, 1e-30, 1e-30, 1e-30, 3e-8, 3e-8, 3e-8, 1e-30, 1e-30)
+}
+
+
+def render_cloud(
+    points,
+    rotation,
+    sizes,
+    scale,
+    colors,
+    translation,
+    focal,
+    distance,
+    background_depth=10.0,
+    background_color=1.0,
+    *,
+    method,
+    projection="perspective",
+    ray_rule="termination",
+    shape=SHAPE,
+):
+    """The three images of `project`; sizes are sigma () or [N], or covariances."""
+    is_covariance = jnp.ndim(sizes) == 3
+    image = project(
+        points,
+        rotation,
+        sigma=None if is_covariance else sizes,
+        covariance=sizes if is_covariance else None,
+        scale=scale,
+        colors=colors,
+        translation=translation,
+        camera=Camera(focal, distance, projection),
+        grid=VoxelGrid(shape),
+        signals=ALL,
+        method="auto" if is_covariance else method,
+        ray_rule=ray_rule,
+        background_depth=background_depth,
+        background_color=background_color,
+    )
+    return image.silhouette, image.depth, image.color
+
+
+def list_images() -> list[Case]:
+    """Cases of `project`, with the gradient to every input."""
+    cases = []
+    for method, scenes in (
+        *(("trilinear", SCENES), ("gaussian", SCENES), ("covariance", COVARIANCES)),
+    ):
+        rows = []
+        for name, changes, fields in scenes:
+            inputs = PLAIN | changes
+            if method == "gaussian":  # a size per point, which is what it is for
+                inputs["sizes"] = np.multiply(inputs["sizes"], [1, 1.5, 0.7, 1.1])
+            if (method, name) == ("trilinear", "sigma 1e3"):
+                fields = fields | TO_PLACES
+            rows.append((name, *inputs.values(), fields))
+        cases += make_cases(
+            method,
+            functools.partial(render_cloud, method=method),
+            functools.partial(oracles.project, shape=SHAPE, method=method),
+            (128, 1024),
+            rows,
+            because=ROUNDINGS,
+            half="finite",
+            gradient_floor=(1e-30,) * len(PLAIN),
+        )
+    return cases
+
+
+# Volumes of cells.
+CELLS = (2, 2, 4)  # of the grid, and of the volume
+# The translation along x that moves the volume's rim, half a cell beyond its border, to
+# the outermost samples on the right, of which the farthest is the last to be left.
+LAST = {"perspective": 0.25 * 2.375 / 1.875 + 0.75, "orthographic": 1.0}
+
+
+def _fill(shape):
+    """Occupancies from 0.1 to 0.9 and two channels of colour, without a pattern."""
+    numbers = np.arange(np.prod(shape))
+    volume = 0.1 + 0.8 * ((numbers * 13) % 31) / 31
+    colors = np.stack([(numbers * 7) % 11, (numbers * 5) % 17], axis=-1) / 16
+    return volume.reshape(shape), colors.reshape(*shape, 2)
+
+
+VOLUME, CELL_COLORS = _fill(CELLS)
+SOLID = {
+    "volume": VOLUME,
+    "colors": CELL_COLORS,
+    "rotation": TURN,
+    **CAMERA,
+    "translation": (0.03, -0.05, 0.02),
+}
+LONE, CHECKERS = np.eye(16)[6].reshape(CELLS), np.indices(CELLS).sum(0) % 2
+AWAY = {"limit": "a volume outside the view shows the background, without gradient"}
+CLIPPED = {"limit": "an occupancy above 1 is clipped: its slope is zero"}
+KINK = {"limit": "on a cell's centre the slope is that towards the higher index"}
+EMPTY = {"limit": "an occupancy of 0 has the slope of the inner side"}
+GRAZING = {
+    "value_tolerance": 8 * 1024,
+    "gradient_tolerance": 8 * 1024,
+    "because": "the samples are thousandths of the indices whose rounding they have",
+}
+# What differs from `SOLID`, and the fields of `Case`.
+CELL_SCENES = (
+    ("plain", {}, {}),
+    ("occupancies 0", {"volume": 0 * VOLUME}, EMPTY),
+    ("occupancies 1", {"volume": 0 * VOLUME + 1}, {}),
+    ("one full cell, the others empty", {"volume": LONE}, EMPTY),
+    ("full and empty cells in turn", {"volume": CHECKERS}, EMPTY),
+    ("occupancies 1e-30", {"volume": VOLUME * 1e-30}, IN_WIDE),
+    ("occupancies 1e6", {"volume": VOLUME * 1e6}, IN_WIDE | CLIPPED),
+    ("occupancies 1e30", {"volume": VOLUME * 1e30}, IN_WIDE | CLIPPED),
+    ("occupancies below 0", {"volume": -VOLUME}, {}),
+    ("occupancies from -3 to 5", {"volume": VOLUME * 10 - 4}, CLIPPED),
+    ("colours 1e30", {"colors": CELL_COLORS * 1e30}, IN_WIDE),
+    ("colours 1e-30", {"colors": CELL_COLORS * 1e-30}, IN_WIDE),
+    ("colours below 0", {"colors": -CELL_COLORS}, {}),
+    ("quaternion of length 1e-30", {"rotation": np.multiply(TURN, 1e-30)}, IN_WIDE),
+    ("quaternion of length 1e30", {"rotation": np.multiply(TURN, 1e30)}, IN_WIDE),
+    ("quaternion 0", {"rotation": np.zeros(4)}, {}),
+    ("half turn", {"rotation": (0, 1, 0, 0)}, {}),
+    ("turned by 1e-6", {"rotation": (1, 1e-6, 0, 0)}, IN_WIDE),
+    (
+        "samples on the cells' centres",
+        {"rotation": STILL, "translation": np.zeros(3)},
+        KINK,
+    ),
+    ("moved by 3", {"translation": (3, 0, 0)}, AWAY),
+    ("moved behind the camera", {"translation": (0, 0, -9)}, AWAY),
+    ("moved by 1e30", {"translation": (1e30, -1e30, 1e30)}, IN_WIDE | AWAY),
+    ("moved by 3e38", {"translation": (3e38, 3e38, -3e38)}, IN_WIDE | AWAY),
+    ("the camera inside", {"distance": 0.1}, BEHIND),
+    # By `TURN` a sample would lie on a cell's centre, but for rounding.
+    (
+        "the camera in the middle",
+        {"distance": 0.0, "rotation": (0.8, 0.13, -0.3, 0.21)},
+        BEHIND,
+    ),
+    ("the volume behind the camera", {"distance": -2.0}, BEHIND | AWAY),
+    ("distance 1e6, focal length 1e6", {"distance": 1e6, "focal": 1e6}, IN_WIDE),
+    ("distance 1e30", {"distance": 1e30}, IN_WIDE | AWAY),
+    ("focal length 1e-6", {"focal": 1e-6}, IN_WIDE | AWAY),
+    ("focal length 1e6", {"focal": 1e6}, IN_WIDE),
+    ("focal length 1e30", {"focal": 1e30}, IN_WIDE),
+)
+
+_ORTHOGRAPHIC = ("plain", "samples", "moved", "quaternion 0", "half")
+
+
+def _graze(projection):
+    """Rays on both sides of the rim, a thousandth of a cell from it."""
+    for side, step, fields in (("inside", -5e-4, GRAZING), ("outside", 5e-4, AWAY)):
+        moved = {"rotation": STILL, "translation": (LAST[projection] + step, 0.1, 0.07)}
+        name = f"the outermost ray a thousandth of a cell {side} of the rim"
+        yield name, moved, IN_WIDE | fields
+
+
+def _make_shape(name, shape, fields):
+    volume, colors = _fill(shape)
+    return name, {"volume": volume, "colors": colors}, fields
+
+
+SHAPES = (
+    _make_shape("one cell", (1, 1, 1), {}),
+    _make_shape("a rod of 32 cells", (1, 1, 32), {}),
+    _make_shape("a plate one cell thick", (5, 1, 4), {}),
+)
+
+
+def render_cells(
+    volume,
+    colors,
+    rotation,
+    translation,
+    focal,
+    distance,
+    background_depth,
+    background_color,
+    *,
+    projection,
+    ray_rule="termination",
+):
+    """The three images of `project_volume`."""
+    image = project_volume(
+        volume,
+        rotation,
+        colors=colors,
+        translation=translation,
+        camera=Camera(focal, distance, projection),
+        grid=VoxelGrid(CELLS),
+        signals=ALL,
+        ray_rule=ray_rule,
+        background_depth=background_depth,
+        background_color=background_color,
+    )
+    return image.silhouette, image.depth, image.color
+
+
+def list_cells() -> list[Case]:
+    """Cases of `project_volume`, with the gradient to every input."""
+    cases = []
+    # Orthographic rays differ from the others in where they are, and in that alone.
+    few = [row for row in CELL_SCENES if row[0].startswith(_ORTHOGRAPHIC)]
+    for projection, scenes in (
+        ("perspective", (*CELL_SCENES, *SHAPES)),
+        ("orthographic", few),
+    ):
+        is_flat = projection == "orthographic"
+        cases += make_cases(
+            projection,
+            functools.partial(render_cells, projection=projection),
+            functools.partial(
+                oracles.project_volume, shape=CELLS, orthographic=is_flat
+            ),
+            (128, 1024),
+            [
+                (name, *(SOLID | inputs).values(), fields)
+                for name, inputs, fields in (*scenes, *_graze(projection))
+            ],
+            because=ROUNDINGS,
+            half="finite",
+            gradient_floor=(1e-30,) * len(SOLID),
+        )
+    return cases
+
+
+CASES = {"image": list_images, "cells": list_cells}

@@ -1,0 +1,294 @@
+"""Runs cases in every dtype, under jit, vmap and grad, against the oracles."""
+
+import contextlib
+import importlib
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpc_jax.measure.stability import DTYPES, SUBJECTS
+from dpc_jax.measure.stability.case import Case, Row
+from dpc_jax.measure.stability.oracles import COMPLEX, REAL
+
+MODES = ("jit", "vmap")
+
+
+def list_cases(subject: str) -> list[Case]:
+    """The cases of a subject; names are unique within it.
+
+    Raises:
+      ValueError: two cases have one name.
+    """
+    module = importlib.import_module(f"{__package__}.{SUBJECTS[subject]}")
+    cases = module.CASES[subject]()
+    names = [case.name for case in cases]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(
+            f"Expected a name of its own for each case of {subject}, but "
+            f"{', '.join(twice)} came twice; rename one."
+        )
+    return cases
+
+
+def run_subject(
+    subject: str,
+    *,
+    dtypes: tuple[str, ...] | None = None,
+    out: Path = Path(),
+    quick: bool = False,
+    seed: int = 0,
+    tell: Callable[[str], None] = print,
+) -> tuple[list[Row], str]:
+    """Rows of a subject, and its own section of the report, which may be empty.
+
+    Args:
+      dtypes: of the cases; None for all.
+      out: the report's folder, for figures; it exists.
+      quick: whether to run a small version: under `vmap` alone, without slow cases, and
+        compiled without XLA's optimisations, which take most of the time.
+      seed: of the random draws.
+      tell: shows a line of text to whoever waits.
+    """
+    with _compile_quickly() if quick else contextlib.nullcontext():
+        if subject == "descent":
+            from dpc_jax.measure.stability import descents  # where asked
+
+            return descents.run(is_quick=quick, out=out, tell=tell)
+        if subject == "random":
+            from dpc_jax.measure.stability import draw_targets, random_draws
+
+            draws = random_draws.QUICK_DRAWS if quick else random_draws.DRAWS
+            targets = draw_targets.list_targets()
+            rows = random_draws.run(targets, draws=draws, seed=seed, tell=tell)
+            return list(rows), ""
+        cases = [c for c in list_cases(subject) if not (quick and c.is_slow)]
+        modes = MODES[1:] if quick else MODES
+        return list(run_cases(subject, cases, dtypes=dtypes, modes=modes)), ""
+
+
+@contextlib.contextmanager
+def _compile_quickly():
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", True)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_disable_most_optimizations", before)
+
+
+def run_cases(
+    subject: str,
+    cases: Iterable[Case],
+    *,
+    dtypes: tuple[str, ...] | None = None,
+    modes: tuple[str, ...] = MODES,
+) -> Iterator[Row]:
+    """Rows of all cases, in some dtypes or in all that a case names.
+
+    Cases that share a compiled program run one after another in the mode "jit", and at
+    once in the mode "vmap".
+    """
+    groups: dict[tuple, list[Case]] = {}
+    for case in cases:
+        has_gradient = case.gradient_tolerance is not None
+        key = (case.function, has_gradient, *(x.shape for x in case.inputs))
+        groups.setdefault(key, []).append(case)
+    for group in groups.values():
+        if not group[0].is_traced:
+            for case in group:
+                values = case.function(*case.inputs)
+                results = [([np.asarray(v, float) for v in _as_tuple(values)], ())]
+                yield _judge(subject, case, "float64", case.inputs, results, None)
+            continue
+        for dtype in dtypes or DTYPES:
+            chosen = [c for c in group if dtype in c.dtypes and _fits(c, dtype)]
+            if chosen:
+                yield from _run_group(subject, chosen, dtype, modes)
+
+
+def _fits(case, dtype) -> bool:
+    """Whether the dtype can hold the inputs at all."""
+    largest = float(jnp.finfo(dtype).max)
+    return all(np.all(np.abs(x) <= largest) for x in case.inputs)
+
+
+def _run_group(subject, group, dtype, modes):
+    call = _make_call(group[0])
+    with jax.enable_x64(dtype == "float64"):
+        inputs = [tuple(jnp.asarray(x, dtype) for x in c.inputs) for c in group]
+        results = [[] for _ in group]
+        if "jit" in modes:
+            single = jax.jit(call)
+            for result, arrays in zip(results, inputs, strict=True):
+                result.append(_fetch(single(*arrays)))
+        if "vmap" in modes:
+            stacked = [jnp.stack(arrays) for arrays in zip(*inputs, strict=True)]
+            together = _fetch(jax.jit(jax.vmap(call))(*stacked))
+            for i, result in enumerate(results):
+                result.append(jax.tree.map(lambda a, i=i: a[i], together))
+        rounded = [tuple(np.asarray(x, np.float64) for x in xs) for xs in inputs]
+    with jax.enable_x64(True):
+        wide = jax.jit(call)
+        references = [
+            _fetch(wide(*arrays)) if case.oracle is None else None
+            for case, arrays in zip(group, rounded, strict=True)
+        ]
+    for row in zip(group, rounded, results, references, strict=True):
+        case, arrays, found, reference = row
+        yield _judge(subject, case, dtype, arrays, found, reference)
+
+
+def _make_call(case):
+    """(outputs, gradients of Σ w·output) of a case's function."""
+
+    def total(*arrays):
+        outputs = _as_tuple(case.function(*arrays))
+        parts = [
+            jnp.sum(jnp.asarray(w, o.dtype) * o)
+            for w, o in zip(make_weights(outputs), outputs, strict=True)
+        ]
+        return sum(parts), outputs
+
+    def call(*arrays):
+        if case.gradient_tolerance is None:
+            return _as_tuple(case.function(*arrays)), ()
+        gradients, outputs = jax.grad(
+            total, argnums=tuple(range(len(arrays))), has_aux=True
+        )(*arrays)
+        return outputs, gradients
+
+    return call
+
+
+def _as_tuple(outputs: Any) -> tuple:
+    """The outputs as a tuple, also those of a function that returns one array."""
+    return tuple(outputs) if isinstance(outputs, tuple | list) else (outputs,)
+
+
+def _fetch(tree):
+    return jax.tree.map(lambda a: np.asarray(a, np.float64), jax.device_get(tree))
+
+
+def _judge(subject, case, dtype, inputs, results, reference):
+    """The row of one case; the reference is (outputs, gradients), or None."""
+    epsilon = float(jnp.finfo(dtype).eps)
+    only_finite = case.half == "finite" and dtype in ("bfloat16", "float16")
+
+    def scale(tolerance):
+        return None if tolerance is None or only_finite else tolerance * epsilon
+
+    if reference is None:
+        outputs = _as_tuple(case.oracle(*(np.asarray(x, REAL) for x in inputs)))
+    else:
+        outputs, slopes = reference
+    value_error = max(compare(v, outputs, dtype, floor=case.floor) for v, _ in results)
+    gradient_error = None
+    if case.gradient_tolerance is not None:
+        if case.slope is not None:
+            slopes = case.slope(inputs, make_weights(outputs))
+        elif reference is None:
+            slopes = differentiate_oracle(case.oracle, inputs, make_weights(outputs))
+        gradient_error = max(
+            compare(g, slopes, dtype, floor=case.gradient_floor) for _, g in results
+        )
+    return Row(
+        subject=subject,
+        case=case.name,
+        dtype=dtype,
+        value_error=value_error,
+        value_tolerance=scale(case.value_tolerance),
+        gradient_error=gradient_error,
+        gradient_tolerance=scale(case.gradient_tolerance),
+        is_finite=all(np.all(np.isfinite(a)) for a in jax.tree.leaves(results)),
+        limit=case.limit,
+        because=case.because,
+        terms=case.terms,
+    )
+
+
+def make_weights(outputs: Iterable[Any]) -> list[np.ndarray]:
+    """Fixed weights w for the sum Σ w·output whose gradient is compared.
+
+    They differ from entry to entry, so that errors of opposite sign do not cancel, and
+    have few binary digits, so that every dtype represents them exactly.
+    """
+    weights, start = [], 0
+    for output in outputs:
+        size = int(np.prod(np.shape(output)))
+        numbers = ((np.arange(start, start + size) * 29) % 64 - 24) / 32
+        weights.append(numbers.reshape(np.shape(output)))
+        start += size
+    return weights
+
+
+def differentiate_oracle(
+    oracle: Callable, inputs: Iterable[np.ndarray], weights: Iterable[np.ndarray]
+) -> tuple[np.ndarray, ...]:
+    """Gradient of Σ w·oracle(inputs) by complex steps, exact to long double.
+
+    f(x + ih) = f(x) + ih·f'(x) - O(h²), so the imaginary part over h is the derivative,
+    and nothing is subtracted that could cancel (Squire and Trapp, 1998). The oracles
+    make their comparisons on real parts.
+    """
+    inputs = tuple(inputs)
+    gradients = []
+    for place, array in enumerate(inputs):
+        gradient = np.zeros(array.shape, REAL)
+        for index in np.ndindex(array.shape):
+            size = abs(REAL(array[index]))
+            step = REAL(1e-60) * size if size else REAL("1e-2000")
+            moved = [np.asarray(x, COMPLEX) for x in inputs]
+            moved[place] = moved[place].copy()
+            moved[place][index] += 1j * step
+            outputs = _as_tuple(oracle(*moved))
+            gradient[index] = sum(
+                np.sum(w * np.imag(out) / step)
+                for w, out in zip(weights, outputs, strict=True)
+            )
+        gradients.append(gradient)
+    return tuple(gradients)
+
+
+def compare(
+    found: Sequence[np.ndarray],
+    expected: Sequence[np.ndarray],
+    dtype: str,
+    *,
+    floor: float | tuple[float, ...] = 0.0,
+) -> float:
+    """Largest error relative to the largest magnitude of its array, or to `floor`.
+
+    Errors below the dtype's smallest normal number count as zero, because processors
+    flush such numbers. An array of another shape, or with numbers that are not finite,
+    is infinitely wrong.
+
+    Raises:
+      FloatingPointError: the expected numbers are not finite.
+    """
+    tiny = float(jnp.finfo(dtype).tiny)
+    worst = 0.0
+    floors = floor if isinstance(floor, tuple) else (floor,) * len(expected)
+    for a, b, lowest in zip(found, expected, floors, strict=True):
+        if np.shape(a) != np.shape(b):
+            return math.inf
+        if np.size(b) == 0:
+            continue
+        if not np.all(np.isfinite(a)):
+            return math.inf
+        b = np.real(b).astype(REAL)
+        if not np.all(np.isfinite(b)):
+            raise FloatingPointError(
+                "Expected finite numbers of the oracle, but some are not finite; such "
+                "an oracle judges nothing, so correct it."
+            )
+        error = np.max(np.abs(np.asarray(a, REAL) - b))
+        scale = max(np.max(np.abs(b)), lowest)
+        if error > tiny:
+            worst = max(worst, float(error / scale) if scale > tiny else math.inf)
+    return worst
