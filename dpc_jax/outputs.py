@@ -157,3 +157,13 @@ def show_text(text: object) -> str:
         c if c.isprintable() else " " if c.isspace() else "\N{REPLACEMENT CHARACTER}"
         for c in str(text)
     )
+
+
+def explain(error: Exception) -> str:
+    """An error that ends a command, in one line; the system's own as a sentence."""
+    if isinstance(error, OSError) and error.filename and error.strerror:
+        return show_text(
+            f"{error.filename} cannot be read or written ({error.strerror}); make "
+            "room, or give another path."
+        )
+    return show_text(error)

@@ -685,6 +685,12 @@ def read_wrong_alignment(text):
     return attempt
 
 
+def name_no_file(folder, *, command, words):
+    make_workdir(folder)
+    with contextlib.chdir(folder):
+        return call(command, *words, "x" * 300)
+
+
 def predict_a_device(folder):
     return call(predict, f"--workdir={make_workdir(folder)}", "/dev/null")
 
@@ -750,6 +756,18 @@ COMMANDS = [
         "--out of 300 letters",
         write_into("x" * 300),
         "made or written (File name too long)",
+    ),
+    *(
+        Try(
+            f"a path that no file system takes, of {command.__name__}",
+            functools.partial(name_no_file, command=command, words=words),
+            "cannot be read or written (File name too long); make room, or give",
+        )
+        for command, words in (
+            (fit, []),
+            (predict, ["--workdir=run"]),
+            (paper, ["--no-training", "--page"]),
+        )
     ),
     Try(
         "predict of an image with a name of 251 letters",

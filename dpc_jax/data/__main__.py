@@ -148,20 +148,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         commands = {"fetch": _fetch, "show": _show, "check": _check}
         return commands[flags.command](flags)
     except (ValueError, RuntimeError, OSError) as error:
-        print(f"Error: {outputs.show_text(_explain(error))}", file=sys.stderr)
+        print(f"Error: {outputs.explain(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("Stopped; the same command continues.", file=sys.stderr)
         return 130
-
-
-def _explain(error):
-    if isinstance(error, OSError) and error.filename:
-        return (
-            f"{error.filename} cannot be read or written ({error.strerror}); make room "
-            "or give another folder."
-        )
-    return str(error)
 
 
 if __name__ == "__main__":

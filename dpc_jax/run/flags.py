@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 from dpc_jax.files import explaining_full_disk
-from dpc_jax.outputs import owning, show_text, try_folder
+from dpc_jax.outputs import explain, owning, try_folder
 
 
 def name_program(command: str) -> str:
@@ -83,8 +83,8 @@ def run_command(read: Callable[[], Task]) -> int:
     """
     try:
         task = read()
-    except ValueError as error:
-        _say_error(error)
+    except (ValueError, OSError) as error:
+        print(f"Error: {explain(error)}", file=sys.stderr)
         return 2
     except ModuleNotFoundError as error:
         if str(error.name).partition(".")[0] == "dpc_jax":
@@ -105,12 +105,8 @@ def run_command(read: Callable[[], Task]) -> int:
     except task.errors as error:
         if os.environ.get("DPC_JAX_TRACEBACK"):
             raise
-        _say_error(error)
+        print(f"Error: {explain(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print(task.interrupted, file=sys.stderr)
         return 130
-
-
-def _say_error(error: Exception):
-    print(f"Error: {show_text(error)}", file=sys.stderr)
