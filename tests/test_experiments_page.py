@@ -50,10 +50,10 @@ def make_results(request, *, without=()):
     return Results(request, outcomes, found)
 
 
-def read_row(table, category, label):
+def read_row(results, experiment, category, label):
     """Cells of a row by their heads."""
-    heads, rows = table
-    (row,) = (r for r in rows if r[:2] == [category, label])
+    heads, rows = tabulate(results, experiment, category)
+    (row,) = (r for r in rows if r[0] == label)
     return dict(zip(heads, row, strict=True))
 
 
@@ -63,36 +63,36 @@ CARS_AND_CHAIRS = Request(
 
 
 def test_the_paper_s_number_stands_beside_the_mean_and_spread_of_ours():
-    table = tabulate(make_results(CARS_AND_CHAIRS), KNOWN)
-    row = read_row(table, "chair", "Ours, 64²")
+    results = make_results(CARS_AND_CHAIRS)
+    row = read_row(results, KNOWN, "chair", "Ours, 64²")
     assert row[CHAMFER_PAPER] == "4.15"
     # 4.0 and 4.2: standard deviation 0.2 / √2.
     assert row[CHAMFER_OURS] == "4.10 ± 0.14 (n = 2)"
     assert (row["Runs"], row["Minutes"], row["Memory (GB)"]) == ("2", "2.0", "1.5")
-    mean = read_row(table, "mean", "Ours, 64²")
+    mean = read_row(results, KNOWN, "mean", "Ours, 64²")
     # The paper's cars and chairs, without its airplanes: (2.98 + 4.15) / 2.
     assert mean[CHAMFER_PAPER] == "3.57"
     assert mean[CHAMFER_OURS] == "3.60"  # chairs 4.1, cars 3.1
-    assert not any(head.startswith("Precision") for head in table[0])  # nobody's
+    assert not any(head.startswith("Precision") for head in row)  # nobody's
 
 
 def test_the_mean_shape_has_no_runs_and_no_poses():
     label = "Mean shape of the training set"
-    table = tabulate(make_results(CARS_AND_CHAIRS), UNKNOWN)
-    row = read_row(table, "car", label)
+    results = make_results(CARS_AND_CHAIRS)
+    row = read_row(results, UNKNOWN, "car", label)
     assert row[CHAMFER_OURS] == "6.50"
     assert row["Pose accuracy (%), ours"] == row["Pose accuracy (%), paper"] == "–"
     assert row["Runs"] == "measured on the data" and not row["Minutes"]
-    assert read_row(table, "chair", label)[CHAMFER_OURS] == "–"
-    assert read_row(table, "mean", label)[CHAMFER_OURS] == "–"
+    assert read_row(results, UNKNOWN, "chair", label)[CHAMFER_OURS] == "–"
+    assert read_row(results, UNKNOWN, "mean", label)[CHAMFER_OURS] == "–"
 
 
 def test_what_is_missing_says_so():
     results = make_results(CARS_AND_CHAIRS, without=("naive", "128-seed1"))
-    naive = read_row(tabulate(results, UNKNOWN), "car", "Ours-naive")
+    naive = read_row(results, UNKNOWN, "car", "Ours-naive")
     assert naive["Runs"] == "not run yet"
     assert (naive[CHAMFER_OURS], naive[CHAMFER_PAPER]) == ("–", "4.14")
-    long = read_row(tabulate(results, KNOWN), "car", "Ours, 128²")
+    long = read_row(results, KNOWN, "car", "Ours, 128²")
     assert (long["Runs"], long[CHAMFER_OURS]) == ("1 of 2", "2.00")
 
 

@@ -21,7 +21,7 @@ from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.reporting.comparison.curves import draw_comparison
 from dpc_jax.reporting.comparison.groups import ComparedRun, Group
 from dpc_jax.reporting.tables import format_table
-from dpc_jax.reporting.web.markup import embed_chart, make_table, read_asset
+from dpc_jax.reporting.web.markup import assemble_page, embed_chart, make_table
 
 INTRODUCTION = (
     "Insafutdinov and Dosovitskiy, Unsupervised Learning of Shape and Pose with "
@@ -72,7 +72,8 @@ class Page:
         """A table of cells as text."""
         self.markdown.append(format_table(heads, rows).rstrip("\n"))
         shown = [[html.escape(cell) for cell in row] for row in rows]
-        self.html.append(make_table(shown, [html.escape(head) for head in heads]))
+        titles = [html.escape(head) for head in heads]
+        self.html.append(make_table(shown, titles, kind="numbers"))
 
     def add_figure(self, path: Path, caption: str) -> None:
         """A picture of the page's folder."""
@@ -90,13 +91,8 @@ class Page:
     def write(self) -> Path:
         """Write index.html, its figures inside, and paper.md; the path of the first."""
         write_text(self.folder / "paper.md", "\n\n".join(self.markdown) + "\n")
-        return write_text(
-            self.folder / "index.html",
-            '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">'
-            f"<title>{TITLE}</title><style>{read_asset('page.css')}</style></head>\n"
-            f"<body>{''.join(self.html)}</body></html>\n",
-        )
+        page = assemble_page(TITLE, "".join(self.html))
+        return write_text(self.folder / "index.html", page)
 
     def publish(self, path: Path) -> Path:
         """Write the Markdown elsewhere, its figures into images/NAME/ beside it."""
@@ -136,7 +132,9 @@ def _add_experiment(page: Page, results: Results, experiment: Experiment) -> Non
     figures = page.folder / "figures" / experiment.name
     page.add_heading(experiment.title)
     page.add_text(f"{experiment.question} Paper: {experiment.table.place}.")
-    page.add_table(*tabulate(results, experiment))
+    categories = results.request.list_categories(experiment)
+    for category in [*categories, *[MEAN] * (len(categories) > 1)]:
+        page.add_table(*tabulate(results, experiment, category))
     page.add_text(say_difference(results, experiment))
     for remark in experiment.table.remarks:
         page.add_text(remark)
@@ -179,24 +177,22 @@ def _join(values: Iterator) -> str:
 
 
 def tabulate(
-    results: Results, experiment: Experiment
+    results: Results, experiment: Experiment, category: str
 ) -> tuple[list[str], list[list[str]]]:
-    """The table of an experiment: a line per category and row, then their means.
+    """The table of an experiment: a line for each row.
+
+    Args:
+      category: one, or "mean" of those that there are.
 
     Returns:
       The heads of the columns, and the cells.
     """
-    categories = results.request.list_categories(experiment)
-    places = [
-        (category, row)
-        for category in [*categories, *[MEAN] * (len(categories) > 1)]
-        for row in experiment.rows
-    ]
-    heads, columns = ["Category", "Method"], []
+    heads, columns = [category], [[row.label for row in experiment.rows]]
     for metric in experiment.metrics:
         heading = get_metric(metric).heading
-        paper = [results.find_published(experiment, r, c, metric) for c, r in places]
-        ours = [results.summarize(experiment, r, c, metric) for c, r in places]
+        where = [(experiment, row, category, metric) for row in experiment.rows]
+        paper = [results.find_published(*place) for place in where]
+        ours = [results.summarize(*place) for place in where]
         is_published = any(value is not None for value in paper)
         if is_published:
             heads.append(f"{heading}, paper")
@@ -204,18 +200,16 @@ def tabulate(
         if is_published or any(ours):  # columns without any number are left out
             heads.append(f"{heading}, ours")
             columns.append([format_summary(metric, summary) for summary in ours])
-    costs = [_describe_cost(results, experiment, row, c) for c, row in places]
-    rows = [
-        [category, row.label, *(column[i] for column in columns), *costs[i]]
-        for i, (category, row) in enumerate(places)
-    ]
-    return [*heads, "Runs", "Minutes", "Memory (GB)"], rows
+    rows = [list(cells) for cells in zip(*columns, strict=True)]
+    if category == MEAN:
+        return heads, rows
+    costs = [_describe_cost(results, experiment, r, category) for r in experiment.rows]
+    heads += ["Runs", "Minutes", "Memory (GB)"]
+    return heads, [a + b for a, b in zip(rows, costs, strict=True)]
 
 
 def _describe_cost(results: Results, experiment: Experiment, row: Row, category: str):
-    """Runs, minutes of training and memory; the mean has those of its categories."""
-    if category == MEAN:
-        return ["", "", ""]
+    """Runs, minutes of training and memory."""
     if absence := results.request.explain_absence(row):
         return [absence, "", ""]
     outcomes = results.list_outcomes(row, category)

@@ -110,7 +110,7 @@ def train_missing(
 def _train(job: Job, core: int, stop: threading.Event, program: Sequence[str]) -> str:
     """Train one run; why it failed, or "" where it did not."""
     name, started = job.run.name, time.monotonic()
-    print(f"{name}: begins", flush=True)
+    _say(f"{name}: begins")
     try:
         claim_workdir(job.workdir, job.config)
         start, status = _run(job, core, stop, program)
@@ -123,8 +123,13 @@ def _train(job: Job, core: int, stop: threading.Event, program: Sequence[str]) -
             problem = _read_failure(job.log, start, status)
     minutes = (time.monotonic() - started) / 60
     end = f"failed: {problem}" if problem else f"ended after {minutes:.1f} min"
-    print(f"{name} {end}", flush=True)
+    _say(f"{name} {end}")
     return problem
+
+
+def _say(text: str) -> None:
+    """Print a line in one piece: several threads do."""
+    print(f"{text}\n", end="", flush=True)
 
 
 def _run(job, core, stop, program) -> tuple[int, int]:
