@@ -17,7 +17,7 @@ from PIL import Image
 from report_pages import make_example
 
 from dpc_jax.evaluation.metrics import COMPARED_METRICS, MISSING, REQUIRED_METRICS
-from dpc_jax.reporting import figures, gallery, signals, tables
+from dpc_jax.reporting import figures, gallery, signals, spheres, tables
 from dpc_jax.reporting.examples import Example, SignalImages
 from dpc_jax.reporting.page import write_report
 from dpc_jax.reporting.web import viewer
@@ -337,11 +337,11 @@ def test_predictions_without_examples_are_refused(tmp_path):
 )
 def test_a_viewer_sees_the_side_its_angles_name(view, nearest):
     corners = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]], float)
-    assert np.argmax(gallery.view_points(corners, view)[:, 2]) == nearest
+    assert np.argmax(spheres.view_points(corners, view)[:, 2]) == nearest
 
 
 def test_seen_from_the_front_up_is_up_and_the_left_side_is_at_the_right():
-    up, left = gallery.view_points([[0.0, 0, 1], [0, 1.0, 0]], (0.0, 0.0))
+    up, left = spheres.view_points([[0.0, 0, 1], [0, 1.0, 0]], (0.0, 0.0))
     # Sines and cosines of 0, in float64.
     np.testing.assert_allclose(up, [0, 1, 0], atol=1e-15)
     np.testing.assert_allclose(left, [1, 0, 0], atol=1e-15)

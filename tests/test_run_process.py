@@ -1,11 +1,14 @@
-"""Compiled programs are kept between starts, where the user and the disk allow it."""
+"""Compiled programs are kept between starts; signals ask a run to save and stop."""
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 
 import pytest
+
+from dpc_jax.run.process import catch_signals
 
 COMPILE = """
 import jax, jax.numpy as jnp, sys, warnings
@@ -76,3 +79,23 @@ def test_a_damaged_program_is_compiled_again(first, tmp_path, damage):
         env=cleared | {"XDG_CACHE_HOME": str(tmp_path)},
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_sigterm_asks_to_stop_and_no_more():
+    before = signal.getsignal(signal.SIGTERM)
+    with catch_signals() as asked:
+        assert not asked.is_set()
+        signal.raise_signal(signal.SIGTERM)
+        assert asked.is_set()
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_ctrl_c_asks_to_stop_and_a_second_one_does_not_wait():
+    with pytest.raises(KeyboardInterrupt), catch_signals() as asked:
+        signal.raise_signal(signal.SIGINT)
+        assert asked.is_set()
+    with pytest.raises(KeyboardInterrupt), catch_signals():
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        raise AssertionError("it went on")
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

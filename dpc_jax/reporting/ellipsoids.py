@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dpc_jax.reporting.gallery import view_points
+from dpc_jax.reporting.spheres import view_points
 
 # How many standard deviations from its centre a Gaussian's surface is drawn.
 DEVIATIONS = 1.5
@@ -28,7 +28,7 @@ def draw_ellipsoids(
     Args:
       points: [N, 3], object frame. covariances: [N, 3, 3], in squares of its unit.
       colors: [N, 3] in [0, 1].
-      view_deg: azimuth and elevation of the viewer, as of `gallery.view_points`.
+      view_deg: azimuth and elevation of the viewer, as of `spheres.view_points`.
       half_width: of the picture, in units of the object.
     """
     axes = view_points(np.eye(3), view_deg)  # columns: right, up, towards the viewer

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from dpc_jax.reporting.examples import Example
+from dpc_jax.reporting.spheres import REAR, draw_cloud
 from dpc_jax.reporting.style import (
     INK,
     make_table_of_pictures,
@@ -15,8 +15,6 @@ from dpc_jax.reporting.style import (
     spell_name,
 )
 
-FRONT = (35.0, 25.0)  # azimuth, elevation in degrees: front and left, from above
-_REAR = (-130.0, 20.0)  # back and right side
 _SHOWN_SURFACE_POINTS = 2000  # about as many as are predicted, to compare fairly
 
 
@@ -59,14 +57,14 @@ def _draw_row(row, example: Example) -> None:
     row[2].imshow(example.predicted, cmap="gray", vmin=0.0, vmax=1.0)
     difference = silhouette_difference(example.predicted, example.target)
     row[3].imshow(difference, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-    draw_cloud(row[4], example.points, example.colors, FRONT)
-    draw_cloud(row[5], example.points, example.colors, _REAR)
+    row[4].imshow(draw_cloud(example.points, example.colors))
+    row[5].imshow(draw_cloud(example.points, example.colors, view_deg=REAR))
     if len(row) > 6:
         if example.surface is None:
             row[6].set_axis_off()
         else:
             step = max(1, len(example.surface) // _SHOWN_SURFACE_POINTS)
-            draw_cloud(row[6], example.surface[::step], None, FRONT)
+            row[6].imshow(draw_cloud(example.surface[::step]))
     label = spell_name(example.name)
     if example.pose_error_deg is not None:
         label += f"   pose error {example.pose_error_deg:.1f}°"
@@ -94,42 +92,3 @@ def silhouette_difference(predicted: np.ndarray, target: np.ndarray) -> np.ndarr
         c = np.arange(cols) * image.shape[1] // cols
         stretched.append(image[np.ix_(r, c)].astype(np.float64))
     return stretched[0] - stretched[1]
-
-
-def view_points(points: np.ndarray, view_deg: tuple[float, float]) -> np.ndarray:
-    """Points [N, 3] as right, up and nearness [N, 3] for a viewer.
-
-    Orthographic, z up. The view is azimuth and elevation in degrees; azimuth 0 looks at
-    the front (from +x), 90 at the left (from +y).
-    """
-    azimuth, elevation = np.radians(view_deg)
-    level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-    toward = np.cos(elevation) * level + np.sin(elevation) * np.array([0.0, 0.0, 1.0])
-    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    up = np.cross(toward, right)
-    return np.asarray(points, np.float64) @ np.stack([right, up, toward], axis=1)
-
-
-def draw_cloud(
-    axes: Axes,
-    points: np.ndarray,
-    colors: np.ndarray | None = None,
-    view_deg: tuple[float, float] = FRONT,
-) -> None:
-    """Points [N, 3] as a viewer sees them; near ones darker, or in their colour."""
-    seen = view_points(points, view_deg)
-    order = np.argsort(seen[:, 2])  # painter's order: far first
-    # Distances on a fixed scale, so that rows compare; 0 is far and 1 is near.
-    near = np.clip(seen[:, 2] + 0.5, 0.0, 1.0)[:, None]
-    if colors is None:
-        shade = np.array([0.80, 0.87, 0.94]) * (1 - near) + near * [0.03, 0.19, 0.42]
-    else:
-        colors = np.asarray(colors)
-        scale = 255.0 if colors.dtype == np.uint8 else 1.0
-        rgb = np.clip(colors / scale, 0.0, 1.0)
-        shade = rgb + (1.0 - rgb) * 0.45 * (1.0 - near)
-    size = np.clip(5000.0 / len(seen), 0.4, 6.0)
-    look = {"s": size, "c": shade[order], "linewidths": 0, "zorder": 2}
-    axes.scatter(seen[order, 0], seen[order, 1], **look)
-    axes.set(xlim=(-0.55, 0.55), ylim=(-0.55, 0.55), aspect="equal")
-    axes.set_facecolor("white")

@@ -8,9 +8,8 @@ import numpy as np
 from PIL import Image
 
 from dpc_jax.reporting.panels import draw_grid, write_animation
-from dpc_jax.reporting.spheres import draw_spheres, shade_depth
+from dpc_jax.reporting.spheres import FRONT, REAR, draw_cloud
 
-_FRONT, _REAR = (35.0, 25.0), (-130.0, 20.0)  # azimuth, elevation in degrees
 _STRIP, _FRAME, _INSET = 256, 300, 76  # sides of pictures, pixels
 _BAR = 8  # height of the bar that tells how far a frame is, pixels
 _REST, _MOVE = 600, 80  # how long a prediction and a frame between stay, milliseconds
@@ -31,7 +30,7 @@ def draw_strips(
     """
     rows = []
     for start, between, stop in zip(starts, clouds, stops, strict=True):
-        pictures = [_draw_cloud(cloud, _FRONT, _STRIP) for cloud in between]
+        pictures = [draw_cloud(cloud, size=_STRIP) for cloud in between]
         rows.append([start, *pictures, stop])
     last = len(clouds[0]) - 1
     middle = [f"{100 * i / last:.0f} % of the way" for i in range(1, last)]
@@ -64,7 +63,7 @@ def animate_tour(
 
 
 def _draw_frame(cloud, ends, *, share) -> np.ndarray:
-    sides = [_draw_cloud(cloud, view, _FRAME) for view in (_FRONT, _REAR)]
+    sides = [draw_cloud(cloud, view_deg=view, size=_FRAME) for view in (FRONT, REAR)]
     picture = np.concatenate(sides, axis=1)
     inputs = [
         np.array(
@@ -80,8 +79,3 @@ def _draw_frame(cloud, ends, *, share) -> np.ndarray:
     bar = np.full((_BAR, picture.shape[1], 3), _EMPTY, np.uint8)
     bar[:, : round(share * picture.shape[1])] = _FILLED
     return np.concatenate([picture, bar])
-
-
-def _draw_cloud(cloud, view_deg, size) -> np.ndarray:
-    colors = shade_depth(cloud, view_deg)
-    return draw_spheres(cloud, colors, view_deg=view_deg, radius=0.013, size=size)

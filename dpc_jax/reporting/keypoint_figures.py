@@ -9,10 +9,9 @@ from PIL import Image
 
 from dpc_jax.reporting import style
 from dpc_jax.reporting.panels import draw_grid
-from dpc_jax.reporting.spheres import draw_spheres, shade_depth
+from dpc_jax.reporting.spheres import FRONT, draw_spheres, shade_depth
 
 _COLUMNS = 6  # as in the paper
-_VIEW = (35.0, 25.0)  # azimuth, elevation in degrees: front and left, from above
 _SIDE, _INSET = 320, 84  # of a picture and of the input in its corner, pixels
 _PLAIN, _MARKED = 0.010, 0.021  # radii of the spheres, object units
 _COLORS = (
@@ -47,12 +46,12 @@ def draw_transfers(
 
 
 def _draw_cloud(image, cloud, found) -> np.ndarray:
-    colors = 0.35 * shade_depth(cloud, _VIEW) + 0.65 * np.array([0.80, 0.82, 0.85])
+    colors = 0.35 * shade_depth(cloud, FRONT) + 0.65 * np.array([0.80, 0.82, 0.85])
     radius = np.full(len(cloud), _PLAIN)
     for i, index in enumerate(found):
         colors[index] = _to_rgb(_COLORS[i % len(_COLORS)])
         radius[index] = _MARKED
-    picture = draw_spheres(cloud, colors, view_deg=_VIEW, radius=radius, size=_SIDE)
+    picture = draw_spheres(cloud, colors, view_deg=FRONT, radius=radius, size=_SIDE)
     inset = Image.fromarray(image).resize((_INSET, _INSET), Image.Resampling.BICUBIC)
     picture[:_INSET, :_INSET] = np.minimum(picture[:_INSET, :_INSET], np.array(inset))
     return picture

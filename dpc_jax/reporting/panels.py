@@ -75,9 +75,9 @@ def write_animation(
     *,
     milliseconds: Sequence[int] | int = 80,
 ) -> Path:
-    """Write frames uint8 [H, W, 3] as an endless GIF.
+    """Write frames uint8 [H, W, 3] as an endless GIF or WebP, by the path's suffix.
 
-    All frames share 128 colours, so that what does not change does not flicker.
+    All frames of a GIF share 128 colours: what does not change does not flicker.
 
     Args:
       milliseconds: that each frame stays, or all of them.
@@ -89,18 +89,20 @@ def write_animation(
         raise ValueError(
             "frames must be at least one, but there are none; pass pictures."
         )
-    spread = frames[:: 1 + len(frames) // 12]
-    sample = np.concatenate([frame[::2, ::2] for frame in spread])
-    palette = Image.fromarray(sample).quantize(128, method=Image.Quantize.MAXCOVERAGE)
-    pictures = [
-        Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
-        for frame in frames
-    ]
+    kind = Path(path).suffix[1:].upper()
+    pictures = [Image.fromarray(frame) for frame in frames]
+    if kind == "GIF":
+        spread = frames[:: 1 + len(frames) // 12]
+        sample = Image.fromarray(np.concatenate([f[::2, ::2] for f in spread]))
+        palette = sample.quantize(128, method=Image.Quantize.MAXCOVERAGE)
+        pictures = [
+            p.quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures
+        ]
     times = milliseconds if isinstance(milliseconds, int) else list(milliseconds)
     buffer = io.BytesIO()
     pictures[0].save(
         buffer,
-        format="GIF",
+        format=kind,
         save_all=True,
         append_images=pictures[1:],
         duration=times,

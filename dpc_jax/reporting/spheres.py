@@ -3,14 +3,61 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dpc_jax.reporting.gallery import view_points
-
+FRONT = (35.0, 25.0)  # azimuth, elevation in degrees: front and left, from above
+REAR = (-130.0, 20.0)  # back and right side
+_RADIUS = 0.012  # of the spheres of 2000 points, object units
 _REACH = 0.54  # of the picture from its middle, object units: box diagonal 1 fits in
 _FINER = 2  # times finer than asked for, then averaged: smooth edges
 _LIGHT = np.array([-0.45, 0.6, 0.66])  # from the upper left, towards the viewer
 _DEPTH = 0.8  # from the farthest to the nearest that colours tell apart
 _FADE = 0.45  # how far the colour of what is farthest fades to white
 _NEAR, _FAR = np.array([0.10, 0.29, 0.55]), np.array([0.62, 0.75, 0.88])
+
+
+def view_points(points: np.ndarray, view_deg: tuple[float, float]) -> np.ndarray:
+    """Points [N, 3] as right, up and nearness [N, 3] for a viewer.
+
+    Orthographic, z up. The view is azimuth and elevation in degrees; azimuth 0 looks at
+    the front (from +x), 90 at the left (from +y).
+    """
+    azimuth, elevation = np.radians(view_deg)
+    level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    toward = np.cos(elevation) * level + np.sin(elevation) * np.array([0.0, 0.0, 1.0])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    up = np.cross(toward, right)
+    return np.asarray(points, np.float64) @ np.stack([right, up, toward], axis=1)
+
+
+def draw_cloud(
+    points: ArrayLike,
+    colors: ArrayLike | None = None,
+    *,
+    view_deg: tuple[float, float] = FRONT,
+    size: int = 320,
+    fade_to: ArrayLike = (1.0, 1.0, 1.0),
+    is_clear: bool = False,
+) -> np.ndarray:
+    """Picture of points as `draw_spheres` draws it, the smaller the more there are.
+
+    Args:
+      colors: [N, 3] or [3], bytes or floats of 0 to 1; None for depth.
+    """
+    cloud = np.asarray(points, np.float64)
+    if colors is None:
+        paint = shade_depth(cloud, view_deg)
+    else:
+        scale = 255.0 if np.asarray(colors).dtype == np.uint8 else 1.0
+        paint = np.broadcast_to(np.asarray(colors) / scale, cloud.shape)
+    radius = _RADIUS * np.clip(np.sqrt(2000 / max(len(cloud), 1)), 0.5, 3.0)
+    return draw_spheres(
+        cloud,
+        np.clip(paint, 0.0, 1.0),
+        view_deg=view_deg,
+        radius=radius,
+        size=size,
+        fade_to=fade_to,
+        is_clear=is_clear,
+    )
 
 
 def shade_depth(points: ArrayLike, view_deg: tuple[float, float]) -> np.ndarray:
@@ -24,7 +71,7 @@ def draw_spheres(
     colors: ArrayLike,
     *,
     view_deg: tuple[float, float],
-    radius: ArrayLike = 0.012,
+    radius: ArrayLike = _RADIUS,
     size: int = 320,
     fade_to: ArrayLike = (1.0, 1.0, 1.0),
     is_clear: bool = False,
@@ -34,7 +81,7 @@ def draw_spheres(
     Args:
       points: [N, 3] in the object frame (z up). What lies outside is cut off.
       colors: [N, 3] of 0 to 1.
-      view_deg: azimuth and elevation, as of `gallery.view_points`.
+      view_deg: azimuth and elevation, as of `view_points`.
       radius: of the spheres in object units, one or [N].
       size: of the picture's side, pixels.
       fade_to: colour that far spheres fade to, 0 to 1.

@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation.metrics import format_metric
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.gallery import FRONT, silhouette_difference
-from dpc_jax.reporting.spheres import draw_spheres
+from dpc_jax.reporting.gallery import silhouette_difference
+from dpc_jax.reporting.spheres import FRONT, REAR, draw_cloud
 from dpc_jax.reporting.web.markup import embed_picture
 
-_REAR = (-130.0, 20.0)  # azimuth and elevation in degrees: back and right side
 _SIDE = 400  # pixels of a picture
 _SHOWN = 3000  # points of a true shape
 _FADE = (0.75, 0.79, 0.83)  # what is far fades to it; seen on white and on black
@@ -52,14 +51,12 @@ def _show_example(example: Example, index: int) -> str:
         shade.astype(np.uint8), "Silhouettes: red too much, blue missing"
     )
     pictures = f'<div class="pair">{pair}</div>'
-    cloud, colors = example.points, _PREDICTED
-    if example.colors is not None:
-        colors = np.asarray(example.colors, float)
-        colors /= 255 if np.asarray(example.colors).dtype == np.uint8 else 1
+    cloud = example.points
+    colors = _PREDICTED if example.colors is None else example.colors
     note = _note_chamfer(example.chamfer)
     pictures += _picture(cloud, colors, FRONT, "Predicted", note)
     if example.surface is None:
-        pictures += _picture(cloud, colors, _REAR, "Predicted, from behind")
+        pictures += _picture(cloud, colors, REAR, "Predicted, from behind")
     else:
         surface = np.asarray(example.surface)
         rows = np.linspace(0, len(surface) - 1, min(_SHOWN, len(surface))).astype(int)
@@ -88,16 +85,7 @@ def _picture(
     title: str,
     note: str = "",
 ) -> str:
-    points = np.asarray(points)
-    colors = np.broadcast_to(np.asarray(colors, float), points.shape)
-    radius = 0.013 * np.clip(np.sqrt(2000 / len(points)), 0.5, 3.0)
-    drawn = draw_spheres(
-        points,
-        np.clip(colors, 0, 1),
-        view_deg=view_deg,
-        radius=radius,
-        size=_SIDE,
-        fade_to=_FADE,
-        is_clear=True,
+    drawn = draw_cloud(
+        points, colors, view_deg=view_deg, size=_SIDE, fade_to=_FADE, is_clear=True
     )
     return embed_picture(drawn, title, note)
