@@ -21,6 +21,13 @@ MOST_TEXT = (
 )  # bytes of a text or JSON file; those that are read are far smaller
 
 
+class Damage(ValueError):
+    """A phrase saying what is wrong inside a file, for the error that names the file.
+
+    It never reaches the user by itself.
+    """
+
+
 def open_regular(path: str | os.PathLike, *, most: int | None = None) -> BufferedReader:
     """Open a file that a user names, to read: a regular one of at most `most` bytes.
 

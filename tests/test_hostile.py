@@ -34,7 +34,7 @@ from dpc_jax import compare, files, outputs, paper, predict
 from dpc_jax.config import build_config, check, replace_fields, to_json
 from dpc_jax.data import DataSpec, load_or_render, meshes, shards
 from dpc_jax.data import __main__ as data_command
-from dpc_jax.data.sets import obj_materials, photographs, plain_background, pose_files
+from dpc_jax.data.sets import mesh_folder, photographs, plain_background, pose_files
 from dpc_jax.data.sets.photographs import Request, read_photographs
 from dpc_jax.data.sets.pictures import read_picture
 from dpc_jax.learning.training.records import MetricLog
@@ -125,7 +125,7 @@ def look_at_a_mesh(folder, *, materials="a.mtl", texture=None, make=None):
     if make is not None:
         make(hurt)
     mesh = meshes.read_mesh(place)
-    return f"{face_colors(mesh)[0, :3]} {obj_materials.describe_flaw(place)}"
+    return f"{face_colors(mesh)[0, :3]} {mesh_folder.describe_flaw(place)}"
 
 
 def _put_beyond(path):

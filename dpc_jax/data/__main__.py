@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dpc_jax import files, outputs
-from dpc_jax.data.open.recipes import RECIPES
+from dpc_jax.data.open import RECIPES
 from dpc_jax.data.spec import KINDS
 
 

@@ -14,8 +14,7 @@ from trimesh.resolvers import FilePathResolver
 from trimesh.visual.color import uv_to_color
 
 from dpc_jax import files
-from dpc_jax.data.damage import Damage
-from dpc_jax.files import describe_error
+from dpc_jax.files import Damage, describe_error
 from dpc_jax.shapes.joining import join_pieces
 from dpc_jax.shapes.normalization import replace_vertices
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from dpc_jax.data import shards
-from dpc_jax.data.damage import Damage
 from dpc_jax.data.sources import Model, Source
+from dpc_jax.files import Damage
 
 SHARD_MODELS = (4, 64)  # fewest and most in a shard
 SHARD_BYTES = 64 << 20  # a worker holds one shard in memory

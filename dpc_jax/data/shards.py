@@ -23,7 +23,7 @@ import numpy as np
 
 from dpc_jax import files
 from dpc_jax.data.arrays import ROWS
-from dpc_jax.data.damage import Damage
+from dpc_jax.files import Damage
 
 RECORD = "record"  # member that says what the shard holds, as JSON
 KEPT_PAGES = 32 << 20  # bytes read before mapped pages are given back to the system

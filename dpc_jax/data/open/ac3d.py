@@ -13,11 +13,10 @@ from typing import NamedTuple
 import numpy as np
 import trimesh
 
-from dpc_jax.data.damage import Damage
 from dpc_jax.data.meshes import MOST_BYTES, find_beside
 from dpc_jax.data.open import polygons
 from dpc_jax.data.sets.pictures import open_picture
-from dpc_jax.files import describe_error, read_bytes
+from dpc_jax.files import Damage, describe_error, read_bytes
 from dpc_jax.shapes.joining import join_pieces
 
 GREY = (0.667, 0.667, 0.667)  # of a surface without a material

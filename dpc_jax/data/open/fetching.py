@@ -18,8 +18,7 @@ from pathlib import Path
 from dpc_jax import files
 from dpc_jax.data import meshes
 from dpc_jax.data.look import contact_sheet
-from dpc_jax.data.open import debian
-from dpc_jax.data.open.recipes import RECIPES
+from dpc_jax.data.open import RECIPES, debian
 from dpc_jax.data.progress import follow
 from dpc_jax.shapes.normalization import normalize
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,13 @@ import trimesh
 from dpc_jax import files
 from dpc_jax.data import meshes, splits
 from dpc_jax.data.rendering import RenderedSource
-from dpc_jax.data.sets import obj_materials
+from dpc_jax.data.sets import pictures
 from dpc_jax.data.sources import Model, complete
 from dpc_jax.data.spec import FEW
 from dpc_jax.shapes import procedural
 from dpc_jax.shapes.normalization import normalize
 
+BARE = "names no materials, rendered grey"
 SIDECARS = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".webp")
 
 
@@ -47,7 +49,7 @@ class MeshSource(RenderedSource):
         is_obj = model.path is not None and model.path.lower().endswith(".obj")
         if model.path is None or model.copy or not is_obj:
             return []
-        flaw = obj_materials.describe_flaw(model.path)
+        flaw = describe_flaw(model.path)
         return [flaw] if flaw else []
 
 
@@ -118,9 +120,7 @@ class MeshFolder(MeshSource):
 
     def describe_flaws(self, model: Model) -> list[str]:
         # an OBJ file without materials may have colours at its vertices
-        return [
-            flaw for flaw in super().describe_flaws(model) if flaw != obj_materials.BARE
-        ]
+        return [flaw for flaw in super().describe_flaws(model) if flaw != BARE]
 
 
 def _digest(path: Path) -> str:
@@ -129,3 +129,43 @@ def _digest(path: Path) -> str:
         return files.digest_file(path)
     except OSError as error:
         return files.digest_text(f"{path.name}: {files.describe_error(error)}")
+
+
+def describe_flaw(path: str | Path) -> str | None:
+    """What an OBJ file lacks of materials and textures, or None for nothing.
+
+    The model is rendered all the same, in the plain colours of its materials or in
+    grey. A texture that is no readable picture counts as missing.
+    """
+    path = Path(path)
+    with files.open_regular(path) as file:
+        head = file.read(1 << 20)  # materials are named before anything uses them
+    text = head.decode("utf-8", errors="replace")
+    libraries = re.findall(r"^mtllib[ \t]+(.+?)\s*$", text, re.MULTILINE)
+    if not libraries:
+        return BARE
+    content = _read_materials(path, libraries)
+    if content is None:
+        return f"lacks its materials {libraries[0]}, rendered grey"
+    if not re.search(r"^\s*newmtl[ \t]+\S", content, re.MULTILINE):
+        return f"has no material in {libraries[0]}, rendered grey"
+    images = re.findall(r"^\s*map_Kd[ \t]+(.+?)\s*$", content, re.MULTILINE)
+    places = [meshes.find_beside(path, name) for name in images]
+    lost = [
+        name
+        for name, place in zip(images, places, strict=True)
+        if place is None or not pictures.is_readable(place)
+    ]
+    if lost:
+        return f"lacks {len(lost)} of {len(images)} textures, {lost[0]} for one"
+    return None
+
+
+def _read_materials(path, libraries):
+    """Text of all material files that can be read; None where there is none."""
+    found = []
+    for name in libraries:
+        if place := meshes.find_beside(path, name):
+            with contextlib.suppress(OSError):
+                found.append(files.read_bytes(place, most=files.MOST_TEXT))
+    return "\n".join(map(meshes.decode_text, found)) if found else None

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dpc_jax import files
-from dpc_jax.data.damage import Damage
+from dpc_jax.files import Damage
 
 QUATERNIONS = "poses.json"
 TRANSFORMS = "transforms*.json"

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from dpc_jax import files
-from dpc_jax.data.damage import Damage
 from dpc_jax.data.splits import SPLITS
+from dpc_jax.files import Damage
 
 SYNONYMS = {"validation": "val", "valid": "val", "training": "train", "testing": "test"}
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from PIL import Image
 
-from dpc_jax.data.damage import Damage
 from dpc_jax.data.sets.pictures import MOST_PIXELS
+from dpc_jax.files import Damage
 
 MOST_SIDE = 1280  # pixels of a frame that is kept: a film in 720p stays as it is
 SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg")
