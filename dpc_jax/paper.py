@@ -138,7 +138,7 @@ def check_page(page: Path | None) -> None:
         wrong = f"{page} is a folder" if page.is_dir() else f"{above} is no folder"
         raise ValueError(
             f"--page must be a file to write, but {wrong}; write for example "
-            "--page=docs/paper.md."
+            "--page=paper.md."
         )
     if page.exists() and not read_text(page).startswith(f"# {TITLE}\n"):
         raise ValueError(
