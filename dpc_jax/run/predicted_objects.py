@@ -59,17 +59,6 @@ class PredictedObject(NamedTuple):
     seconds: float | None = None
 
 
-class _Shape(NamedTuple):
-    """An object in the network's frame; attributes as of `PredictedObject`."""
-
-    points: np.ndarray
-    colors: np.ndarray | None
-    poses: np.ndarray
-    silhouettes: np.ndarray
-    errors: np.ndarray | None = None
-    seconds: float | None = None
-
-
 def predict_objects(
     found: list[Photographs],
     config: Config,
@@ -103,40 +92,19 @@ def predict_objects(
     counts = [len(one.sources) for one in found]
     groups = np.split(np.arange(sum(counts)), np.cumsum(counts)[:-1])
     predictions, meshes = _find_surfaces(predictions, alignment, workdir)
-    shapes = [_read_shape(predictions, group) for group in groups]
+    predicted = [
+        _read_object(one, predictions, group)._replace(mesh=meshes[group[0]])
+        for one, group in zip(found, groups, strict=True)
+    ]
     if is_refined or max(counts) > 1:
         run = FinishedRun(config, network, state, alignment or identity_alignment())
-        _join_and_refine(shapes, groups, dataset, run, workdir, is_refined=is_refined)
-    predicted = []
-    for one, group, shape in zip(found, groups, shapes, strict=True):
-        points, colors, poses = shape.points, shape.colors, shape.poses
-        if num_points:
-            pairs = find_pairs(points, num_points - len(points))
-            points = np.concatenate([points, mix_pairs(points, pairs)])
-            if colors is not None:
-                colors = np.concatenate([colors, mix_pairs(colors, pairs)])
-        if alignment is not None:
-            points = align_points(alignment, points)
-            poses = align_poses(alignment, poses)
-        confidences = None
-        if predictions.candidates is not None:
-            confidences = _judge(shape, predictions, group, one.masks)
-        predicted.append(
-            PredictedObject(
-                photographs=one,
-                is_aligned=alignment is not None,
-                points=points,
-                colors=colors,
-                mesh=meshes[group[0]],
-                poses=None if config.pose.known else poses,
-                silhouettes=shape.silhouettes,
-                confidences=confidences,
-                cameras=[_describe_camera(predictions, row) for row in group],
-                errors=shape.errors,
-                seconds=shape.seconds,
-            )
+        _join_and_refine(
+            predicted, groups, dataset, run, workdir, is_refined=is_refined
         )
-    return predicted
+    return [
+        _finish(one, num_points, None if config.pose.known else one.poses, alignment)
+        for one in _judge_all(predicted, predictions, groups)
+    ]
 
 
 def _make_dataset(found: list[Photographs]) -> DataSet:
@@ -170,18 +138,50 @@ def _find_surfaces(
     return predictions, found
 
 
-def _read_shape(predictions: Predictions, group: np.ndarray) -> _Shape:
-    """As predicted from the first view; several views come together later."""
+def _read_object(one: Photographs, predictions: Predictions, group) -> PredictedObject:
+    """As predicted from its first view, in the network's frame."""
     colors = predictions.colors
-    return _Shape(
+    return PredictedObject(
+        photographs=one,
+        is_aligned=False,
         points=predictions.points[group[0], 0],
         colors=None if colors is None else colors[group[0], 0],
+        mesh=None,
         poses=predictions.poses[group, 0],
         silhouettes=predictions.silhouettes[group, 0],
+        confidences=None,
+        cameras=[_describe_camera(predictions, row) for row in group],
     )
 
 
-def _join_and_refine(shapes, groups, dataset, run: FinishedRun, workdir, *, is_refined):
+def _finish(
+    one: PredictedObject, num_points: int, poses, alignment: Alignment | None
+) -> PredictedObject:
+    """With as many points as are asked for, in the data's frame where it is known."""
+    points, colors = one.points, one.colors
+    if num_points:
+        pairs = find_pairs(points, num_points - len(points))
+        points = np.concatenate([points, mix_pairs(points, pairs)])
+        if colors is not None:
+            colors = np.concatenate([colors, mix_pairs(colors, pairs)])
+    if alignment is not None:
+        points = align_points(alignment, points)
+        poses = None if poses is None else align_poses(alignment, poses)
+    is_aligned = alignment is not None
+    return one._replace(
+        points=points, colors=colors, poses=poses, is_aligned=is_aligned
+    )
+
+
+def _join_and_refine(
+    predicted: list[PredictedObject],
+    groups,
+    dataset,
+    run: FinishedRun,
+    workdir: Path,
+    *,
+    is_refined: bool,
+):
     """Put in what several views say together, and what refinement finds."""
     # Only where asked for.
     from dpc_jax.learning.inference.codes import encode_all, make_coder
@@ -214,13 +214,13 @@ def _join_and_refine(shapes, groups, dataset, run: FinishedRun, workdir, *, is_r
         seconds = (time.perf_counter() - begun) / len(places)
         for place, one in zip(places, refined, strict=True):
             errors = np.stack([one.errors_before, one.errors])
-            shapes[place] = _Shape(
-                one.points,
-                one.colors,
-                one.poses,
-                one.silhouettes,
-                errors if is_refined else None,
-                seconds if is_refined else None,
+            predicted[place] = predicted[place]._replace(
+                points=one.points,
+                colors=one.colors,
+                poses=one.poses,
+                silhouettes=one.silhouettes,
+                errors=errors if is_refined else None,
+                seconds=seconds if is_refined else None,
             )
 
 
@@ -229,20 +229,25 @@ def _tell(done: int, total: int):
         print(f"Fitting to silhouettes: {done} of {total}", file=sys.stderr)
 
 
-def _judge(shape: _Shape, predictions: Predictions, group, masks) -> list[Confidence]:
-    assert predictions.candidates is not None
-    assert predictions.probabilities is not None
-    side = shape.silhouettes.shape[-1]
-    return [
-        measure_confidence(
-            shape.poses[i],
-            predictions.candidates[row, 0],
-            predictions.probabilities[row, 0],
-            shape.silhouettes[i],
-            resize(masks[i] / 255.0, side),
-        )
-        for i, row in enumerate(group)
-    ]
+def _judge_all(predicted, predictions: Predictions, groups) -> list[PredictedObject]:
+    """With the confidence in each view's pose; as they are without candidates."""
+    if predictions.candidates is None or predictions.probabilities is None:
+        return predicted
+    judged = []
+    for one, group in zip(predicted, groups, strict=True):
+        side = one.silhouettes.shape[-1]
+        confidences = [
+            measure_confidence(
+                one.poses[i],
+                predictions.candidates[row, 0],
+                predictions.probabilities[row, 0],
+                one.silhouettes[i],
+                resize(one.photographs.masks[i] / 255.0, side),
+            )
+            for i, row in enumerate(group)
+        ]
+        judged.append(one._replace(confidences=confidences))
+    return judged
 
 
 def _describe_camera(predictions: Predictions, row: int) -> dict[str, Any]:
