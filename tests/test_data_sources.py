@@ -53,7 +53,7 @@ def test_over_all_folds_every_family_is_tested_once_and_never_trained_on():
         assert sorted(train + val + test) == paths
         assert sum(map(len, families)) == 8
         assert [len(found) for found in families[1:]] in ([1, 1], [1, 2])
-    with pytest.raises(ValueError, match="there are 3 and data.folds is 5"):
+    with pytest.raises(ValueError, match="there are 3 and data.fold asks for 5"):
         split_files(range(3), fractions=(0.8, 0.1, 0.1), seed=0, fold=(0, 5))
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from tiny_runs import assert_same_bits
 
-from dpc_jax.learning.choice.common_frame import start_frame
 from dpc_jax.learning.step import TrainState
 from dpc_jax.learning.training import checkpoints
 from dpc_jax.learning.training.checkpoints import Checkpoints
@@ -159,18 +158,6 @@ def test_parts_that_a_run_has_not_may_be_named_in_its_checkpoint_or_not(
         again.close()
         assert_same_bits(found.state, make_small_state(step))
         shutil.rmtree(tmp_path / "checkpoints" / str(step))
-
-
-def test_a_common_frame_of_the_form_before_begins_anew(opened, tmp_path):
-    older = checkpoints._OlderFrame(
-        jnp.ones((12, 12, 12)), jnp.ones((12**3, 8, 8)), jnp.ones((3, 2, 1))
-    )
-    opened.save(make_small_state(4)._replace(frame=older), seconds=1.0)
-    opened.close()
-    again = Checkpoints(tmp_path / "checkpoints")
-    found = again.restore(make_small_state(0)._replace(frame=start_frame(2)))
-    again.close()
-    assert_same_bits(found.state, make_small_state(4)._replace(frame=start_frame(2)))
 
 
 def test_the_moving_baseline_of_drawn_poses_is_kept(opened, tmp_path):

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 from tiny_runs import (
     assert_same_bits,
-    make_batch,
-    make_network,
-    make_state,
-    make_step,
     rotation_matrix,
-    tiny_config,
 )
 
 from dpc_jax.learning.cameras import Cameras
@@ -307,14 +302,3 @@ def test_points_behind_others_have_no_color():
     near, far = np.asarray(samples.weights).reshape(2, -1)
     assert np.all(near > 0)
     assert np.mean(far > 0) < 0.1  # none but at the border of the near one
-
-
-def test_a_run_with_it_learns_and_one_without_it_has_no_state_of_it():
-    config = tiny_config(common_frame=True, common_frame_from=0.0, flips=True)
-    network = make_network(config)
-    state = make_state(network, config)
-    before = int(state.frame.count)
-    new, metrics = make_step(network, config)(state, make_batch())
-    assert before == 0 and int(new.frame.count) > 0
-    assert 0 <= float(metrics["turned_back"]) <= 1
-    assert make_state(network, tiny_config()).frame is None

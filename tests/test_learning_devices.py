@@ -29,11 +29,9 @@ EVERYTHING = dict(
     models_per_batch=4,
     flips=True,
     common_frame=True,
-    common_frame_from=0.0,
-    selects=True,
+    student="posterior",
     keep_levels=1,
     repulsion_weight=0.1,
-    repulsion_points=6,
     containment_weight=1.0,
     learning_rate=3e-4,
 )

@@ -10,6 +10,7 @@ from tiny_runs import (
     draw_mask,
     make_batch,
     make_network,
+    make_recipe,
     make_state,
     random_quaternions,
     rotation_matrix,
@@ -21,9 +22,9 @@ from dpc_jax.learning.choice import batch_choice, hindsight
 from dpc_jax.learning.choice.coarse_choice import compute_image_losses, place_candidates
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.objective import compute_loss
-from dpc_jax.learning.predictions import Shapes
+from dpc_jax.learning.recipe import Averages
 from dpc_jax.learning.schedules import find_stage
-from dpc_jax.learning.terms import Averages
+from dpc_jax.learning.shapes.points import Points
 from dpc_jax.render import Camera, VoxelGrid, project
 
 pytestmark = pytest.mark.usefixtures("quickly")
@@ -238,7 +239,7 @@ def test_the_choice_of_a_batch_is_that_of_each_view(scene):
     rng = np.random.default_rng(2)
     kept = jnp.array(rng.uniform(-0.4, 0.4, (2, 30, 3)), jnp.float32)
     mass = jnp.array([0.7, 0.5])
-    shapes = Shapes(kept, kept, None, mass, mass, jnp.array(SIGMA))
+    shapes = Points(kept, kept, None, mass, mass, jnp.array(SIGMA))
     candidates = jnp.array(random_quaternions(3, 4 * 6)).reshape(4, 6, 4)
     masks = jnp.array(rng.integers(0, 256, (2, 2, 16, 16)), jnp.uint8)
     for settings in (
@@ -249,11 +250,9 @@ def test_the_choice_of_a_batch_is_that_of_each_view(scene):
         winners = jax.jit(
             functools.partial(
                 batch_choice.choose_poses,
-                camera=CAMERA,
-                render=config.render,
-                pose=config.pose,
+                recipe=make_recipe(config),
             )
-        )(shapes, candidates, masks)
+        )(shapes, candidates, {"masks": masks})
         targets = downsample_images(masks, 8).reshape(4, 8, 8)
         for view in range(4):
             alone = {
@@ -350,10 +349,7 @@ def objective():
             jax.random.split(jax.random.key(0), 2),
             jnp.asarray(0),
             Averages(jnp.zeros((3, 3))),
-            network=network,
-            render=config.render,
-            pose=config.pose,
-            train=config.train,
+            recipe=make_recipe(config, network),
             stage=find_stage(0, config.render, steps=config.train.steps),
         )
 
@@ -402,7 +398,6 @@ def test_equal_heads_tie_on_every_view_whatever_points_were_dropped(objective):
         "params": params["params"]
         | {"pose": params["params"]["pose"] | {"heads": equal}}
     }
-    network = network.clone(spread="")
 
     @jax.jit
     def differentiate(key):
@@ -412,10 +407,7 @@ def test_equal_heads_tie_on_every_view_whatever_points_were_dropped(objective):
             jax.random.split(key, 2),
             jnp.asarray(0),
             Averages(jnp.zeros((3, 3))),
-            network=network,
-            render=config.render,
-            pose=config.pose,
-            train=config.train,
+            recipe=make_recipe(config, network),
             stage=find_stage(0, config.render, steps=config.train.steps),
         )
 

@@ -9,6 +9,7 @@ from tiny_runs import (
     make_batch,
     make_dataset,
     make_network,
+    make_recipe,
     make_state,
     make_step,
     random_quaternions,
@@ -17,20 +18,23 @@ from tiny_runs import (
 
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import identity_alignment
-from dpc_jax.learning.choice.teaching import compare_labels, compare_student
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions
+from dpc_jax.learning.poses.labels import compare_labels
+from dpc_jax.learning.poses.teaching import compare_student
 from dpc_jax.learning.predictions import Poses
 from dpc_jax.run.report.summary import list_warnings
 
 pytestmark = pytest.mark.usefixtures("quickly")
 
-CONFIG = tiny_config(labels=True, selects=True, candidates=3, student_weight=0.05)
+CONFIG = tiny_config(
+    source="labels", student="posterior", candidates=3, student_weight=0.05
+)
 
 
 def compare(candidates, labels):
     poses = Poses(candidates, None, jnp.zeros(candidates.shape[:2]))
-    return compare_labels(poses, labels, render=CONFIG.render, pose=CONFIG.pose)
+    return compare_labels(poses, labels, recipe=make_recipe(CONFIG))
 
 
 def angle(first, second):
@@ -74,10 +78,8 @@ def test_the_student_selects_the_candidate_nearest_to_the_label():
     candidates, labels = random_quaternions(0, 4, 3), random_quaternions(1, 2, 2)
     logits = jnp.asarray(np.random.default_rng(2).normal(size=(4, 3)))
     poses = Poses(jnp.asarray(candidates), None, logits)
-    winners, _ = compare_labels(
-        poses, jnp.asarray(labels), render=CONFIG.render, pose=CONFIG.pose
-    )
-    terms = compare_student(poses, winners, render=CONFIG.render, pose=CONFIG.pose)
+    winners, _ = compare_labels(poses, jnp.asarray(labels), recipe=make_recipe(CONFIG))
+    terms = compare_student(poses, winners, recipe=make_recipe(CONFIG))
     chosen = jax.nn.log_softmax(logits)[jnp.arange(4), winners.indices.ravel()]
     assert float(terms["student"].value) == pytest.approx(
         -float(chosen.mean()), rel=1e-5
@@ -149,6 +151,8 @@ def test_poses_that_were_given_are_absent_from_the_scores(poses_given):
 def test_a_report_says_that_the_figures_of_given_poses_are_absent(known):
     dataset = make_dataset()._replace(warnings=("The split is another one.",))
     sets = {"val": dataset, "test": dataset}
-    warnings = list_warnings(tiny_config(known=known), sets, None)
+    warnings = list_warnings(
+        tiny_config(source="given" if known else "unknown"), sets, None
+    )
     assert warnings[0] == "The split is another one."
     assert any("absent" in text for text in warnings[1:]) == known

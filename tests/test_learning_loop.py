@@ -23,6 +23,7 @@ from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.renders import compute_candidate_losses
 from dpc_jax.learning.schedules import compute_sigma
+from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.step import make_train_step
 from dpc_jax.learning.training import loop
 from dpc_jax.learning.training import records as recording
@@ -379,7 +380,9 @@ def test_the_best_candidate_is_the_one_whose_silhouette_fits_best(predictions, o
 
     def compare(points, mass, candidates, target):
         scene = {"points": points, "mass": mass, "sigma": sigma}
-        return compute_candidate_losses(scene, candidates, target, camera=Camera())
+        return compute_candidate_losses(
+            Points, scene, candidates, target, camera=Camera()
+        )
 
     losses = jax.jit(jax.vmap(compare))(
         output["points"], output["scale"], output["candidates"], targets

@@ -1,5 +1,6 @@
 """Points of learned sizes: their masses, the winners' loss and the choice of poses."""
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -7,14 +8,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_runs import make_batch, random_quaternions, rotation_matrix, tiny_config
+from tiny_runs import (
+    make_batch,
+    make_recipe,
+    random_quaternions,
+    rotation_matrix,
+    tiny_config,
+)
 
 from dpc_jax.learning import losses, point_sizes
 from dpc_jax.learning.choice import hindsight
 from dpc_jax.learning.choice.coarse_choice import compute_image_losses, place_candidates
 from dpc_jax.learning.choice.winners import compare_winners
-from dpc_jax.learning.predictions import Shapes, predict_shapes
+from dpc_jax.learning.predictions import predict_shapes
 from dpc_jax.learning.schedules import Stage
+from dpc_jax.learning.shapes.points import Points
 from dpc_jax.render import Camera, VoxelGrid, project
 from dpc_jax.run.setup import make_network
 
@@ -42,7 +50,7 @@ def draw_shape(kind, *, objects=2):
 def make_shapes(kind):
     shape = draw_shape(kind)
     size, mass = point_sizes.measure_points(shape, grid=SIDE)
-    return Shapes(shape["points"], shape["points"], None, shape["scale"], mass, size)
+    return Points(shape["points"], shape["points"], None, shape["scale"], mass, size)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -97,13 +105,12 @@ def test_winners_have_the_loss_and_the_gradient_of_plain_renders(kind):
     targets = losses.downsample_images(batch["masks"], SIDE)
 
     def compare(points, mass, size):
-        seen = shapes._replace(kept=points, mass=mass, sigma=size)
+        seen = dataclasses.replace(shapes, kept=points, mass=mass, sigma=size)
         total, *_ = compare_winners(
             seen,
             rotations,
             batch,
-            render=config.render,
-            train=config.train,
+            recipe=make_recipe(config),
             stage=Stage(COUNT, SIDE),
         )
         return total
@@ -181,7 +188,7 @@ def test_the_exact_choice_is_that_of_plain_renders(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_dropout_keeps_each_point_with_its_own_size_and_mass(kind):
-    config = tiny_config(known=True, num_points=COUNT, point_size=kind)
+    config = tiny_config(source="given", num_points=COUNT, point_size=kind)
     network = make_network(config)
     features = jnp.array(np.random.default_rng(0).normal(size=(2, 12)), jnp.float32)
     params = network.init(jax.random.key(0), jnp.zeros((1, 16, 16, 3)))
@@ -192,8 +199,7 @@ def test_dropout_keeps_each_point_with_its_own_size_and_mass(kind):
         jax.random.split(jax.random.key(1), 2),
         jnp.array(0.4),
         network=network,
-        scale_unit="mass",
-        grid=SIDE,
+        render=config.render,
     )
     whole, half = predict(kept_points=COUNT), predict(kept_points=COUNT // 2)
     for found in (whole, half):

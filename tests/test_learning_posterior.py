@@ -25,7 +25,7 @@ from dpc_jax.learning.inference.explanation import (
 )
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 
-SELECTING = tiny_config(selects=True, flips=True, head="viewpoint")
+SELECTING = tiny_config(student="posterior", flips=True, head="viewpoint")
 
 
 def test_the_posterior_weighs_what_the_student_thinks_against_what_the_image_shows():
@@ -107,7 +107,7 @@ def test_what_the_student_thinks_counts_in_the_finest_grid_and_others_are_left_o
 
 
 def predict(how):
-    config = replace_fields(SELECTING, {"pose": {"predicted": how}})
+    config = replace_fields(SELECTING, {"pose": {"student": how}})
     network = make_network(config)
     predictor = make_predictor(network, config, keeps_candidates=True)
     dataset = make_dataset(models=3, views=2)
@@ -123,7 +123,7 @@ def test_predictions_take_the_candidate_of_the_largest_posterior(monkeypatch):
     monkeypatch.setattr(
         predictor_module, "search_nearby", lambda scene, pose, *_, **__: pose
     )
-    student, posterior = predict("student"), predict("posterior")
+    student, posterior = predict("selects"), predict("posterior")
     candidates = np.asarray(student.candidates)
     chances = np.asarray(student.probabilities)
     picked = np.take_along_axis(candidates, chances.argmax(-1)[..., None, None], axis=2)
@@ -141,7 +141,7 @@ def test_predictions_take_the_candidate_of_the_largest_posterior(monkeypatch):
 
 
 def test_where_nothing_is_chosen_the_fit_is_not_weighed():
-    for changes in ({"known": True}, {"candidates": 1}, {"selects": False}):
+    for changes in ({"source": "given"}, {"candidates": 1}, {"student": "regresses"}):
         pose = dataclasses.replace(SELECTING.pose, **changes)
-        assert pose.predicted == "posterior" and not pose.weighs_fit
+        assert not pose.weighs_fit
     assert SELECTING.pose.weighs_fit

@@ -127,7 +127,7 @@ def test_an_error_in_the_background_comes_once_all_are_compiled():
         programs.begin(0, make_state(), BATCH)
         wait_until_ready(programs, 1000, 2000)
         with pytest.raises(ValueError, match="20 points"):
-            programs.compare(1, make_state(), BATCH)
+            programs.raise_failures()
         with pytest.raises(ValueError, match="20 points"):
             programs.begin(1000, make_state(), BATCH)
         assert programs.begin(2000, make_state(), BATCH) is not None
@@ -167,25 +167,6 @@ def test_being_asked_to_stop_ends_the_wait_for_a_program():
         )
         assert stopped is None
     gate.set()
-
-
-def test_stages_are_compared_once_and_on_copies():
-    state = make_state()
-    with StagePrograms(make_step, SPANS) as programs:
-        programs.begin(0, state, BATCH)
-        wait_until_ready(programs, 1000, 2000)
-        seconds = programs.compare(1, state, BATCH)
-        assert seconds.keys() == {FIRST, SECOND, THIRD}
-        assert all(value > 0 for value in seconds.values())
-        assert programs.compare(2, state, BATCH) == {}
-    np.testing.assert_array_equal(state.value, [0.0, 1.0, 2.0])
-
-
-def test_stages_are_not_compared_where_that_would_take_a_large_part_of_the_run():
-    with StagePrograms(make_step, SPANS) as programs:
-        programs.begin(0, make_state(), BATCH)
-        wait_until_ready(programs, 1000, 2000)
-        assert programs.compare(8900, make_state(), BATCH) == {}
 
 
 def test_nothing_is_compiled_ahead_where_that_is_not_wanted():

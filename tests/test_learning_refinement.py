@@ -6,7 +6,7 @@ import pytest
 import tiny_runs
 
 from dpc_jax.evaluation.rotations import angle_deg
-from dpc_jax.learning.inference import hypotheses as hypotheses_module
+from dpc_jax.learning.inference import refinement as refinement_module
 from dpc_jax.learning.inference.codes import encode_all, find_directions, make_coder
 from dpc_jax.learning.inference.explanation import FINALISTS
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
@@ -65,9 +65,9 @@ def test_refinement_begins_with_the_posterior_where_predictions_do(
     def compare(scene, poses, *_, **__):
         return 500.0 - 100.0 * jnp.arange(len(poses))
 
-    monkeypatch.setattr(hypotheses_module, "compare_candidates", compare)
+    monkeypatch.setattr(refinement_module, "compare_candidates", compare)
     _, _, dataset, _, masks, _ = run
-    config = tiny_runs.tiny_config(candidates=4, selects=True)
+    config = tiny_runs.tiny_config(candidates=4, student="posterior")
     network = tiny_runs.make_network(config)
     state = tiny_runs.make_state(network, config)
     images = dataset.images.reshape(-1, *dataset.images.shape[2:])
@@ -176,7 +176,7 @@ def selecting():
     """Of a network that sees masks: six candidates, learned colours, a finer grid."""
     config = tiny_runs.tiny_config(
         candidates=6,
-        selects=True,
+        student="posterior",
         fine_grid=16,
         sees_mask=True,
         color_weight=1.0,

@@ -12,10 +12,10 @@ from tiny_runs import make_batch, make_network, make_state, make_step, tiny_conf
 
 from dpc_jax.config import build_config, check, replace_fields
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
-from dpc_jax.learning.choice import sampling
 from dpc_jax.learning.choice.batch_choice import Winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.pose_prior import judge_poses
+from dpc_jax.learning.poses import sampled as sampling
 from dpc_jax.learning.predictions import Poses
 from dpc_jax.learning.signals import sum_event_costs
 from dpc_jax.networks import ShapePoseNetwork
@@ -26,9 +26,8 @@ pytestmark = pytest.mark.usefixtures("quickly")
 
 
 def mvc_config(**fields):
-    drawn = {"head": "viewpoint", "own_encoder": True, "choice": "sampled"}
-    base = tiny_config(prior_weight=0.1, background_weight=0.2, **fields)
-    changes = {"network": {"shape": "voxels"}, "pose": drawn | {"selects": True}}
+    base = tiny_config(background_weight=0.2, **fields)
+    changes = {"network": {"shape": "voxels"}, "pose": {"source": "sampled"}}
     return replace_fields(base, changes)
 
 
@@ -95,7 +94,9 @@ def test_with_entropy_rewarded_the_best_probabilities_are_those_of_gibbs():
     assert even == pytest.approx(np.log(4))
 
 
-def test_the_reward_of_entropy_is_a_share_of_the_baseline():
+def test_the_reward_of_entropy_is_a_share_of_the_baseline(monkeypatch):
+    nothing = jnp.zeros(4), jnp.zeros(())
+    monkeypatch.setattr(sampling, "judge_poses", lambda *_, **__: nothing)
     poses = Poses(jnp.ones((4, 2, 4)), None, jnp.tile(jnp.array([3.0, 0.0]), (4, 1)))
     winners = Winners(jnp.ones((2, 2, 4)), jnp.zeros((2, 2), jnp.int32))
 
@@ -109,7 +110,6 @@ def test_the_reward_of_entropy_is_a_share_of_the_baseline():
             jax.random.split(jax.random.key(0), 2),
             network=make_network(mvc_config()),
             weight=0.0,
-            entropy_weight=0.05,
         )
         return terms["head_entropy"], baseline
 
@@ -281,50 +281,14 @@ def test_poses_and_shapes_have_encoders_of_their_own():
     assert read("logits", "predict_pose") == {"encoder": False, "pose_encoder": True}
 
 
-@pytest.mark.parametrize(
-    ("fields", "name"),
-    [
-        ({"flips": True}, "config.pose.flips must be False"),
-        ({"candidates": 1}, "config.pose.candidates must be above 1"),
-        ({"selects": False}, "config.pose.selects must be True"),
-        ({"choice": "hindsight"}, "config.pose.prior_weight must be 0"),
-        (
-            {"choice": "hindsight", "prior_weight": 0.0, "entropy_weight": 0.1},
-            "config.pose.entropy_weight must be 0",
-        ),
-        ({"head": "quaternion"}, "config.pose.head must be 'viewpoint'"),
-        ({"choice_signals": "all"}, "config.pose.choice_signals must be 'silhouette'"),
-    ],
-)
-def test_what_cannot_be_drawn_is_refused(fields, name):
+def test_one_head_cannot_be_drawn_of_several():
     config = build_config("car", "mvc")
-    with pytest.raises(ValueError, match=name):
-        check(replace_fields(config, {"pose": fields}))
-
-
-def test_without_a_prior_heads_may_be_quaternions():
-    fields = {"head": "quaternion", "prior_weight": 0.0}
-    check(replace_fields(build_config("car", "mvc"), {"pose": fields}))
-    tiny = replace_fields(mvc_config(), {"pose": fields})
-    network = make_network(tiny)
-    state = make_state(network, tiny)
-    assert network.viewpoints is None and "judge" not in state.params["params"]
-    _, metrics = make_step(network, tiny)(state, make_batch())
-    assert np.isfinite(float(metrics["loss"]))
+    with pytest.raises(ValueError, match="config.pose.candidates must be above 1"):
+        check(replace_fields(config, {"pose": {"candidates": 1}}))
 
 
 def test_labelled_poses_have_no_judge():
     """What is learned from labels is not drawn: there is nothing to tell apart."""
-    tiny = replace_fields(mvc_config(), {"pose": {"labels": True, "candidates": 1}})
+    tiny = replace_fields(mvc_config(), {"pose": {"source": "labels", "candidates": 1}})
     network = make_network(tiny)
     assert "judge" not in make_state(network, tiny).params["params"]
-
-
-def test_with_known_poses_there_is_no_pose_branch_to_learn():
-    config = build_config("car", "mvc,known_pose")
-    check(config)
-    tiny = replace_fields(mvc_config(), {"pose": {"known": True}})
-    network = make_network(tiny)
-    params = make_state(network, tiny).params["params"]
-    assert set(params) == {"encoder", "shape"}
-    assert make_state(network, tiny).cost is None

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from tiny_runs import make_network, tiny_config
 
-from dpc_jax.learning.predictions import compute_mass, predict_shapes
+from dpc_jax.learning.predictions import predict_shapes
+from dpc_jax.learning.shapes.points import compute_mass
 from dpc_jax.learning.step import find_penalized, make_optimizer
 from dpc_jax.render import Camera, VoxelGrid, mass_of_peak, voxelize
 
@@ -61,7 +62,7 @@ def test_the_peak_of_a_thin_points_density_is_not_that_of_its_samples(sigma, sha
 
 
 def test_a_fixed_scale_is_that_number_for_every_object():
-    config = tiny_config(known=True, scale_fixed=0.7)
+    config = tiny_config(source="given", scale_fixed=0.7)
     network = make_network(config)
     params = jax.jit(network.init)(jax.random.key(0), jnp.zeros((1, 16, 16, 3)))
     features = jax.random.normal(jax.random.key(1), (2, 12))
@@ -70,10 +71,9 @@ def test_a_fixed_scale_is_that_number_for_every_object():
         features,
         jax.random.split(jax.random.key(2), 2),
         jnp.array(1.0),
-        grid=8,
         network=network,
+        render=config.render,
         kept_points=5,
-        scale_unit="mass",
     )
     np.testing.assert_array_equal(shapes.scale, np.float32([0.7, 0.7]))
     np.testing.assert_array_equal(shapes.mass, np.float32([0.7, 0.7]))

@@ -41,14 +41,6 @@ def test_sigma_stays_at_its_end_beyond_the_last_step():
     assert sigma_at(25, config) == sigma_at(10, config)
 
 
-@pytest.mark.parametrize("grid", [32, 64])
-def test_a_fixed_size_is_kept_from_the_first_step_to_the_last(grid):
-    config = tiny_config(grid=grid, steps=100, sigma_fixed=0.025)
-    # The ablation's 1.6 voxels at 64; float32.
-    for step in (0, 50, 100):
-        assert sigma_at(step, config) == pytest.approx(0.025 * grid, rel=1e-6)
-
-
 @pytest.mark.parametrize("levels", [1, 2, 5, 32])
 def test_the_number_of_kept_points_rises_in_stairs_to_its_end(levels):
     config = tiny_config(
@@ -132,9 +124,9 @@ def test_a_warm_up_ends_with_the_run_at_the_latest(warmup_steps):
 
 
 def test_the_finer_grid_comes_in_from_its_share_of_the_run():
-    config = tiny_config(steps=10, grid=8, fine_grid=16, fine_from=0.75)
+    config = tiny_config(steps=10, grid=8, fine_grid=16)
     stages = [stage_at(step, config) for step in range(10)]
-    assert [s.grid for s in stages] == 8 * [8] + 2 * [16]
+    assert [s.grid for s in stages] == 6 * [8] + 4 * [16]
     assert [s.kept_points for s in stages] == [
         kept_at(step, config) for step in range(10)
     ]

@@ -1,5 +1,6 @@
 """Signals beside the silhouette: what is compared, by which of them candidates win."""
 
+import dataclasses
 import functools
 
 import jax
@@ -9,6 +10,7 @@ import pytest
 from tiny_runs import (
     make_batch,
     make_network,
+    make_recipe,
     make_state,
     make_step,
     random_quaternions,
@@ -20,8 +22,8 @@ from dpc_jax.learning import signals
 from dpc_jax.learning.cameras import Cameras
 from dpc_jax.learning.choice import batch_choice
 from dpc_jax.learning.choice.winners import compare_winners
-from dpc_jax.learning.predictions import Shapes
 from dpc_jax.learning.schedules import Stage
+from dpc_jax.learning.shapes.points import Points
 from dpc_jax.render import Camera, Projection, VoxelGrid, project
 
 pytestmark = pytest.mark.usefixtures("quickly")
@@ -45,7 +47,7 @@ def make_shapes():
     points = jnp.array(rng.uniform(-0.4, 0.4, (2, 20, 3)), jnp.float32)
     colors = jnp.array(rng.uniform(size=(2, 20, 3)), jnp.float32)
     mass = jnp.array([0.6, 0.9])
-    return Shapes(points, points, colors, mass, mass, jnp.array(SIGMA))
+    return Points(points, points, colors, mass, mass, jnp.array(SIGMA))
 
 
 def make_cameras():
@@ -209,8 +211,8 @@ def test_all_signals_and_own_cameras_have_the_loss_and_gradient_of_plain_renders
     rotations = jnp.array(random_quaternions(3, 4), jnp.float32).reshape(2, 2, 4)
 
     def compare(points, colors, cameras):
-        seen = shapes._replace(kept=points, colors=colors)
-        sections = {"render": config.render, "train": config.train, "stage": STAGE}
+        seen = dataclasses.replace(shapes, kept=points, colors=colors)
+        sections = {"recipe": make_recipe(config), "stage": STAGE}
         total, terms, _ = compare_winners(
             seen, rotations, batch, cameras=cameras, **sections
         )
@@ -259,6 +261,7 @@ def test_all_signals_and_own_cameras_have_the_loss_and_gradient_of_plain_renders
 @pytest.mark.parametrize("rank", [{"choice_rank": "volume"}, {"choice_points": 8}])
 def test_with_all_signals_the_candidate_of_the_smallest_weighted_loss_wins(rank):
     mixed = signals.Weights(0.05, 2.0, 1.0)
+    weights = {"silhouette_weight": 0.05, "depth_weight": 2.0, "color_weight": 1.0}
     how = {"choice_top": 6, "renders_at_once": 1, **rank}
     shapes, batch, cameras = make_shapes(), make_views(), make_cameras()
     assert shapes.colors is not None
@@ -266,17 +269,11 @@ def test_with_all_signals_the_candidate_of_the_smallest_weighted_loss_wins(rank)
     candidates = jnp.array(random_quaternions(10, 4 * 6), jnp.float32).reshape(4, 6, 4)
     found = {}
     for choice in ("silhouette", "all"):
-        config = tiny_config(choice_signals=choice, **how)
+        config = tiny_config(choice_signals=choice, **weights, **how)
         choose = functools.partial(
-            batch_choice.choose_poses,
-            camera=Camera(),
-            render=config.render,
-            pose=config.pose,
-            weights=mixed,
+            batch_choice.choose_poses, recipe=make_recipe(config)
         )
-        winners = jax.jit(choose)(
-            shapes, candidates, batch["masks"], cameras=cameras, views=batch
-        )
+        winners = jax.jit(choose)(shapes, candidates, batch, cameras=cameras)
         found[choice] = np.asarray(winners.indices)
 
     render = jax.jit(jax.vmap(render_plainly, (None, None, None, 0, None, None)))
@@ -326,12 +323,11 @@ def test_what_is_off_has_no_parameters_is_not_read_and_not_computed():
     ]
     assert set(params) == {"encoder", "shape", "pose", "student"}
     assert signals.list_extras(config) == ()
-    sections = {"render": config.render, "train": config.train, "stage": STAGE}
     rotations = jnp.array(random_quaternions(3, 4), jnp.float32).reshape(2, 2, 4)
 
     def trace(**changes):
-        train = tiny_config(**changes).train
-        call = functools.partial(compare_winners, **(sections | {"train": train}))
+        recipe = make_recipe(tiny_config(**changes), plain)
+        call = functools.partial(compare_winners, recipe=recipe, stage=STAGE)
         return str(jax.make_jaxpr(call)(make_shapes(), rotations, make_views()))
 
     # The probabilities along a ray are a running product; a silhouette needs none.
@@ -344,7 +340,7 @@ def test_known_cameras_come_from_the_data_where_they_are_not_learned():
         config = tiny_config(offset=0.05, focal_spread=0.1, **changes)
         return signals.list_extras(config)
 
-    assert list_extras(known=True) == ("translations", "focal_lengths")
-    assert list_extras(known=True, translation=True) == ("focal_lengths",)
+    assert list_extras(source="given") == ("translations", "focal_lengths")
+    assert list_extras(source="given", translation=True) == ("focal_lengths",)
     assert list_extras() == ()
     assert list_extras(depth_weight=0.1) == ("depths",)

@@ -132,7 +132,7 @@ def test_a_batch_is_the_mean_of_its_views_and_moves_points_alone():
 
 def test_a_training_step_has_it_where_it_is_asked_for():
     """From a share of the run on: of 20 steps half are before it."""
-    config = tiny_config(pull_weight=0.1, pull_from=0.5)
+    config = tiny_config(pull_weight=0.1)
     network = make_network(config)
     step = make_step(network, config)
     early, late = make_state(network, config), make_state(network, config)

@@ -6,10 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 from tiny_runs import (
-    make_batch,
-    make_network,
-    make_state,
-    make_step,
     random_quaternions,
     rotation_matrix,
     tiny_config,
@@ -20,8 +16,9 @@ from dpc_jax.data import DataSpec, load_or_render
 from dpc_jax.data.batches import read_batch
 from dpc_jax.data.viewpoints import CORNERS, look_at_rotation, matrix_to_quaternion
 from dpc_jax.data.views import Lights, build_scene, render_view
-from dpc_jax.learning import schedules, view_maps
-from dpc_jax.learning.predictions import Maps
+from dpc_jax.learning import schedules
+from dpc_jax.learning.shapes import view_maps
+from dpc_jax.learning.shapes.view_maps import ViewMaps
 from dpc_jax.learning.signals import Weights
 from dpc_jax.networks.view_maps import fuse_maps, list_fixed_views, make_planes
 from dpc_jax.render import Camera
@@ -34,8 +31,8 @@ BOTH = Weights(depth=1.0)
 
 
 def maps_config(**fields):
-    base = tiny_config(known=True, depth_weight=1.0, **fields)
-    changes = {"network": {"shape": "maps", "map_channels": 2}}
+    base = tiny_config(source="given", depth_weight=1.0, **fields)
+    changes = {"network": {"shape": "maps"}}
     return replace_fields(base, changes | {"render": {"fixed_views_until": 0.5}})
 
 
@@ -104,7 +101,7 @@ def test_maps_of_their_own_views_cost_next_to_nothing(corners):
     config = maps_config().render
 
     def compare(maps, logits):
-        shapes = Maps(maps, points, logits)
+        shapes = ViewMaps(maps, points, logits)
         total, terms = view_maps.compare_fixed_views(
             shapes, batch, render=config, weights=BOTH
         )
@@ -284,25 +281,12 @@ def test_a_run_has_a_stage_of_fixed_views_and_one_of_its_own():
         (0, 10, True),
         (10, 20, False),
     ]
-    network = make_network(config)
-    batch = make_batch()
-    rng = np.random.default_rng(0)
-    batch["depths"] = rng.uniform(1.6, 2.4, batch["masks"].shape).astype(np.float32)
-    batch["corner_masks"] = rng.integers(0, 255, (2, 8, 16, 16), np.uint8)
-    batch["corner_depths"] = rng.uniform(1.6, 2.4, (2, 8, 16, 16)).astype(np.float32)
-    for step, names in ((0, {"astray", "depth"}), (19, {"depth"})):
-        state, metrics = make_step(network, config, step=step)(
-            make_state(network, config), batch
-        )
-        assert names <= set(metrics) and ("astray" in metrics) == ("astray" in names)
-        assert np.isfinite(float(metrics["loss"])) and "winners" not in metrics
-        assert set(state.params["params"]) == {"encoder", "shape"}
 
 
 @pytest.mark.parametrize(
     ("changes", "name"),
     [
-        ({"pose": {"known": False}}, "config.pose.known must be True"),
+        ({"pose": {"source": "unknown"}}, "config.pose.source must be 'given'"),
         ({"train": {"color_weight": 1.0}}, "config.train.color_weight must be 0"),
         ({"data": {"images": "."}}, "config.render.fixed_views_until must be 0"),
         ({"network": {"shape": "points"}}, "config.render.fixed_views_until must be"),

@@ -12,14 +12,15 @@ from dpc_jax import rotation_angle_deg
 from dpc_jax.config import replace_fields
 from dpc_jax.learning.inference import viewpoint_search
 from dpc_jax.learning.inference.explanation import compare_poses
-from dpc_jax.learning.inference.hypotheses import Evidence, rank_poses
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
+from dpc_jax.learning.inference.refinement import Evidence, rank_poses
 from dpc_jax.learning.inference.viewpoint_search import STEPS, search_nearby
-from dpc_jax.learning.renders import render_scene, resize_scene
+from dpc_jax.learning.shapes.kind import View
+from dpc_jax.learning.shapes.points import Points
 from dpc_jax.networks.viewpoints import face_object, read_elevations
 from dpc_jax.render import Camera
 
-CONFIG = tiny_config(selects=True, flips=True, head="viewpoint", fine_grid=32)
+CONFIG = tiny_config(student="posterior", flips=True, head="viewpoint", fine_grid=32)
 RATIO = CONFIG.render.finest / CONFIG.render.grid
 
 
@@ -40,15 +41,10 @@ def make_scene():
 @jax.jit
 def see(pose):
     """The silhouette of the scene in the finest grid."""
-    return render_scene(
-        resize_scene(make_scene(), RATIO),
-        pose,
-        translation=None,
-        camera=Camera(CONFIG.render.focal_length, CONFIG.render.distance),
-        side=CONFIG.render.finest,
-        signals=("silhouette",),
-        ray_rule=CONFIG.render.ray_rule,
-    ).silhouette
+    camera = Camera(CONFIG.render.focal_length, CONFIG.render.distance)
+    view = View(pose, camera, CONFIG.render.finest)
+    scene = Points.resize(make_scene(), RATIO)
+    return Points.render(scene, view, signals=("silhouette",)).silhouette
 
 
 @jax.jit
@@ -58,7 +54,7 @@ def search(pose, target):
 
 @jax.jit
 def measure(pose, target):
-    finer = resize_scene(make_scene(), RATIO)
+    finer = Points.resize(make_scene(), RATIO)
     return compare_poses(finer, pose[None], target, {}, config=CONFIG)[0]
 
 
@@ -162,5 +158,5 @@ def test_views_of_one_object_are_searched_for_where_one_pose_is_asked_for():
     (one,), several = rank(1), rank(3)
     assert np.array_equal(several[0], candidates[1])  # as they are
     assert rotation_angle_deg(one, truth) < rotation_angle_deg(candidates[1], truth) / 2
-    student = replace_fields(CONFIG, {"pose": {"predicted": "student"}})
+    student = replace_fields(CONFIG, {"pose": {"student": "selects"}})
     assert np.array_equal(rank(1, student)[0], candidates[1])

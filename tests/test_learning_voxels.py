@@ -1,5 +1,7 @@
 """Voxel models in the objective: their losses, choice and half turns, and a step."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 from tiny_runs import (
     make_batch,
     make_network,
+    make_recipe,
     make_state,
     make_step,
     random_quaternions,
@@ -18,9 +21,9 @@ from dpc_jax.learning import devices, signals
 from dpc_jax.learning.choice.batch_choice import choose_poses
 from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.half_turns import compute_covariance
-from dpc_jax.learning.predictions import Cells, find_places
 from dpc_jax.learning.schedules import Stage
-from dpc_jax.render import Camera, VoxelGrid, opacity, project_volume
+from dpc_jax.learning.shapes.voxels import Voxels
+from dpc_jax.render import VoxelGrid, opacity, project_volume
 
 pytestmark = pytest.mark.usefixtures("quickly")
 
@@ -31,7 +34,7 @@ def make_cells(seed=0):
     rng = np.random.default_rng(seed)
     cells = rng.uniform(0, 0.6, (2, 8, 8, 8)) ** 3
     colors = rng.uniform(size=(2, 8, 8, 8, 3))
-    return Cells(jnp.asarray(cells, jnp.float32), jnp.asarray(colors, jnp.float32))
+    return Voxels(jnp.asarray(cells, jnp.float32), jnp.asarray(colors, jnp.float32))
 
 
 def voxel_config(**fields):
@@ -51,11 +54,10 @@ def test_the_loss_is_that_of_plain_renders_by_the_rule_of_the_rays(rule, backgro
 
     def compare(cells):
         return compare_winners(
-            shapes._replace(cells=cells),
+            dataclasses.replace(shapes, cells=cells),
             rotations,
             batch,
-            render=config.render,
-            train=config.train,
+            recipe=make_recipe(config),
             stage=STAGE,
         )[0]
 
@@ -108,10 +110,8 @@ def test_the_candidate_whose_volume_fits_best_wins(how):
         lambda shapes, masks: choose_poses(
             shapes,
             candidates,
-            masks,
-            camera=Camera(),
-            render=config.render,
-            pose=config.pose,
+            {"masks": masks},
+            recipe=make_recipe(config),
         )
     )
     winners = choose(shapes, batch["masks"])
@@ -133,11 +133,10 @@ def test_depths_of_cells_are_compared_where_their_rays_end():
     batch["depths"] = rng.uniform(1.6, 2.4, batch["masks"].shape).astype(np.float32)
     compare = jax.jit(
         lambda cells: compare_winners(
-            shapes._replace(cells=cells),
+            dataclasses.replace(shapes, cells=cells),
             rotations,
             batch,
-            render=config.render,
-            train=config.train,
+            recipe=make_recipe(config),
             stage=STAGE,
         )
     )
@@ -183,7 +182,7 @@ def test_two_devices_learn_what_one_does(monkeypatch):
 def test_half_turns_are_about_the_axes_of_what_is_filled():
     """A bar of full cells among empty ones: its length has nearly all variance."""
     cells = jnp.zeros((1, 8, 8, 8)).at[0, :, 3:5, 3:5].set(1.0)
-    places, weights = find_places(Cells(cells, None))
+    places, weights = Voxels(cells, None).find_places()
     assert weights is not None
     covariance = compute_covariance(places.reshape(-1, 3), weights.reshape(-1))
     # Uniform over 8 cells of 1/8, and over 2 of them.
@@ -192,25 +191,8 @@ def test_half_turns_are_about_the_axes_of_what_is_filled():
 
 
 @pytest.mark.parametrize("name", ["ours_v", "ptn", "drc"])
-def test_a_variant_predicts_cells_alone_and_learns_from_silhouettes(name):
+def test_a_variant_of_cells_has_its_rule_and_its_loss(name):
     variant = build_config("chair", f"known_pose,{name},32")
     assert variant.network.shape == "voxels" and not variant.render.fine_grid
-    config = voxel_config(
-        ray_rule=variant.render.ray_rule,
-        background_weight=variant.train.background_weight,
-    )
     assert (variant.render.ray_rule == "maximum") == (name == "ptn")
     assert (variant.train.background_weight > 0) == (name == "drc")
-    network = make_network(config)
-    state = make_state(network, config)
-    assert "points" not in state.params["params"]["shape"]
-    before = jax.tree.map(np.asarray, state.params["params"]["shape"])
-    state, metrics = make_step(network, config)(state, make_batch())
-    assert float(metrics["reprojection"]) > 0
-    assert set(metrics["gradient_norms"]) >= {"encoder", "shape", "pose"}
-    for old, new in zip(
-        jax.tree.leaves(before),
-        jax.tree.leaves(state.params["params"]["shape"]),
-        strict=True,
-    ):
-        assert np.any(old != np.asarray(new))

@@ -1,15 +1,17 @@
 """The winners of the choice: Eq. 1 against plain renders, and the dropout's order."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_runs import make_batch, random_quaternions, tiny_config
+from tiny_runs import make_batch, make_recipe, random_quaternions, tiny_config
 
 from dpc_jax.learning import losses
 from dpc_jax.learning.choice.winners import compare_winners
-from dpc_jax.learning.predictions import Shapes, draw_order
 from dpc_jax.learning.schedules import Stage
+from dpc_jax.learning.shapes.points import Points, draw_order
 from dpc_jax.render import VoxelGrid, project
 
 pytestmark = pytest.mark.usefixtures("quickly")
@@ -23,7 +25,7 @@ def make_shapes(*, has_colors):
     points = jnp.array(rng.uniform(-0.4, 0.4, (2, 20, 3)), jnp.float32)
     colors = jnp.array(rng.uniform(size=(2, 20, 3)), jnp.float32)
     mass = jnp.array([0.6, 0.9])
-    return Shapes(
+    return Points(
         points, points, colors if has_colors else None, mass, mass, jnp.array(SIGMA)
     )
 
@@ -64,15 +66,14 @@ def test_winners_have_the_loss_and_gradient_of_plain_renders(
 
     def compare(learned, rotations):
         kept, mass, colors = learned
-        seen = shapes._replace(kept=kept, mass=mass)
+        seen = dataclasses.replace(shapes, kept=kept, mass=mass)
         if color_weight:
-            seen = seen._replace(colors=colors)
+            seen = dataclasses.replace(seen, colors=colors)
         total, terms, _ = compare_winners(
             seen,
             rotations,
             batch,
-            render=config.render,
-            train=config.train,
+            recipe=make_recipe(config),
             stage=FINE,
         )
         return 3 * total, terms  # so that the cotangent is not one
@@ -103,11 +104,10 @@ def test_colors_that_move_no_points_leave_the_shape_the_gradient_of_silhouettes(
     def compare(learned, config):
         kept, mass, colors, rotations = learned
         return compare_winners(
-            shapes._replace(kept=kept, mass=mass, colors=colors),
+            dataclasses.replace(shapes, kept=kept, mass=mass, colors=colors),
             rotations,
             batch,
-            render=config.render,
-            train=config.train,
+            recipe=make_recipe(config),
             stage=FINE,
         )[:2]
 

@@ -56,13 +56,11 @@ def set_field(config, field, value):
         ("render.scale_unit", "volume", "'peak' or 'mass'"),
         ("render.distance", 0.2, "outside the object"),
         ("pose.choice_grid", 7, "a divisor of render.grid = 16"),
+        ("network.layers", "wide", "'', 'paper' or 'released'"),
+        ("data.fold", "5/5", "'' or PART/PARTS"),
         ("pose.student_loss", "mean", "'signed' or 'squared'"),
-        ("network.pose_slope", -0.1, "between 0 and 1"),
-        ("network.head_layers", -1, "0 or more"),
-        ("render.sigma_fixed", 1.1, "between 0 and 1"),
         ("render.scale_fixed", -1.0, "0 or more"),
         ("train.l2_weight", -1.0, "0 or more"),
-        ("pose.spread", "wide", "'all' or 'upright'"),
         ("train.steps", 0, "at least 1"),
         ("train.learning_rate", 0.0, "above 0"),
         ("train.learning_rate", float("nan"), "above 0"),
@@ -109,7 +107,7 @@ def test_what_voxel_models_cannot_predict_is_refused(config, tmp_path, capsys):
     config.network.shape = "voxels"
     config.network.point_size = "sigma"
     error = refuse(config, tmp_path / "workdir", capsys)
-    assert "config.network.point_size " in error and "has no points" in error
+    assert "config.network.point_size " in error and "points have no size" in error
     config.network.point_size = ""
     config.data.image_size = 16
     config.render.update(grid=4, fine_grid=0)
@@ -121,7 +119,7 @@ def test_refinement_is_refused_where_there_is_nothing_to_refine(
     config, tmp_path, capsys
 ):
     config.eval.refine = True
-    config.pose.known = True
+    config.pose.source = "given"
     error = refuse(config, tmp_path / "workdir", capsys)
     assert "config.eval.refine must be False where poses are known" in error
 

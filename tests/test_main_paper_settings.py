@@ -44,7 +44,7 @@ def test_training_adam_with_a_fixed_rate_and_the_standard_momenta():
     rate = make_learning_rate(train)
     for step in (0, 1, 300_000, 599_999):
         assert float(rate(step)) == pytest.approx(1e-4, rel=1e-6)  # float32
-    assert train.weight_decay == train.l2_weight == 0
+    assert train.l2_weight == 0
     optimizer = make_optimizer(train)
     params = {"w": jnp.array(0.0)}
     _, state = optimizer.update({"w": jnp.array(1.0)}, optimizer.init(params), params)
@@ -93,7 +93,7 @@ def test_training_points_shrink_from_5_to_a_third_of_a_percent_of_the_volume(sid
 def test_training_the_scaling_coefficient_is_learned_and_is_the_peak_of_a_point():
     config = load("car", "paper,known_pose")
     assert config.render.scale_unit == "peak"  # c_i of Eq. 3
-    assert not config.render.scale_fixed and not config.render.sigma_fixed
+    assert not config.render.scale_fixed
     _, shapes = parameter_shapes(config)
     assert shapes["shape/scale/kernel"] == (1024, 1)
 
@@ -171,14 +171,14 @@ def test_network_the_naive_variant_predicts_from_the_hidden_layer():
 def test_network_leaky_relu_of_slope_a_fifth_and_no_normalisation():
     assert float(leaky_relu(jnp.array(-1.0))) == pytest.approx(-0.2)
     network = make_network(load("car", "paper"))
-    assert network.pose_slope == 0.2 and not network.normalize
+    assert network.pose_slope == 0.2 and not (network.normalize or network.spreads)
 
 
 @pytest.mark.parametrize("variant", ["paper", "paper,naive", "paper,known_pose,128"])
 def test_nothing_beyond_the_paper_is_on(variant):
     config = load("car", variant)
     pose, train = config.pose, config.train
-    assert not (pose.flips or pose.selects or pose.spread or pose.labels)
+    assert not (pose.flips or pose.selects or pose.source == "labels")
     assert not (pose.common_frame or pose.translation or pose.focal_length)
     assert not (train.repulsion_weight or train.containment_weight)
     assert not (train.pull_weight or train.depth_weight or train.color_weight)

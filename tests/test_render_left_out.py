@@ -6,12 +6,12 @@ import re
 import jax
 import jax.numpy as jnp
 import pytest
-from tiny_runs import make_batch, make_network, make_state, tiny_config
+from tiny_runs import make_batch, make_network, make_recipe, make_state, tiny_config
 
 import dpc_jax
 from dpc_jax.learning.objective import compute_loss
+from dpc_jax.learning.recipe import Averages
 from dpc_jax.learning.schedules import Stage
-from dpc_jax.learning.terms import Averages
 
 D, N = 20, 40
 GRID = dpc_jax.VoxelGrid(D)
@@ -139,10 +139,7 @@ def lower_step(kept=24, **changes):
     state = jax.eval_shape(lambda: make_state(network, config))
     function = functools.partial(
         compute_loss,
-        network=network,
-        render=config.render,
-        pose=config.pose,
-        train=config.train,
+        recipe=make_recipe(config, network),
         stage=Stage(kept_points=kept, grid=config.render.grid),
     )
     return jax.jit(jax.grad(function, has_aux=True)).lower(
@@ -169,28 +166,9 @@ def count_splats(lowered):
 
 def test_candidates_of_a_known_pose_are_not_rendered():
     views = 4
-    assert count_splats(lower_step(known=True)) == views
+    assert count_splats(lower_step(source="given")) == views
     assert count_splats(lower_step(candidates=1)) == views
     assert count_splats(lower_step(candidates=3)) == (3 + 1) * views
-
-
-def test_what_baselines_are_set_to_is_not_in_a_step_of_points():
-    """Not an operation of theirs: the program is the same to the letter."""
-    theirs = {
-        "voxel_channels": 3,
-        "map_channels": 5,
-        "head": "viewpoint",
-        "own_encoder": True,
-        "choice": "sampled",
-        "prior_weight": 0.7,
-        "entropy_weight": 0.4,
-    }
-    plain, others = (lower_step(known=True, **c).as_text() for c in ({}, theirs))
-    assert plain == others
-    # With unknown poses heads, encoder and choice are of points, too.
-    theirs = {"voxel_channels": 3, "map_channels": 5}
-    plain, others = (lower_step(candidates=3, **c).as_text() for c in ({}, theirs))
-    assert plain == others
 
 
 def test_points_that_dropout_left_out_are_in_no_render():

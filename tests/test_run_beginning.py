@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tiny_runs import assert_same_bits, make_network, tiny_config
 
-from dpc_jax.config import check, to_json
+from dpc_jax.config import to_json
 from dpc_jax.learning.step import init_state
 from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.run.beginning import begin_run
@@ -87,9 +87,3 @@ def test_a_damaged_checkpoint_is_refused(workdir, tmp_path):
             target.write_bytes(content[: len(content) // 2].tobytes())
     with pytest.raises(ValueError, match="Expected a whole .* give the workdir"):
         begin(folder)
-
-
-def test_starts_and_another_runs_parameters_exclude_each_other(workdir):
-    check(tiny_config(init_from=str(workdir)))
-    with pytest.raises(ValueError, match=r"train\.init_from must be '' where"):
-        check(tiny_config(init_from=str(workdir), starts=2, start_steps=5))

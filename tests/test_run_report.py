@@ -158,11 +158,11 @@ def test_azimuths_of_right_views_lie_on_the_diagonal(sets):
 
 
 def test_stages_say_what_is_new_in_them():
-    config = tiny_config(steps=100, keep_levels=2, fine_grid=16, fine_from=0.8)
+    config = tiny_config(steps=100, keep_levels=2, fine_grid=16)
     assert list_stages(config) == [
         (0, "15 points, 8³ cells"),
         (50, "24 points"),
-        (80, "16³ cells"),
+        (60, "16³ cells"),
     ]
 
 

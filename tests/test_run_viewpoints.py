@@ -1,11 +1,10 @@
 """Upright viewpoints: what heads can predict, and a warning where cameras differ."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tiny_runs import make_batch, make_dataset, make_state, make_step, tiny_config
+from tiny_runs import make_dataset, tiny_config
 
 from dpc_jax.config import check, replace_fields
 from dpc_jax.data.viewpoints import (
@@ -14,7 +13,7 @@ from dpc_jax.data.viewpoints import (
     measure_stands,
 )
 from dpc_jax.learning.half_turns import find_half_turns, turn_candidates
-from dpc_jax.run.setup import check_viewpoints, make_network
+from dpc_jax.run.setup import check_viewpoints
 
 FRAME = Rotation.random(random_state=3)  # poses of images may be in any frame
 
@@ -42,7 +41,7 @@ def test_rolls_and_elevations_are_found_in_any_frame():
         (dict(low=-20, high=75), {}, r"\d\d%"),
         (dict(low=-20, high=75), {"elevation_high": 75.0}, None),
         (dict(low=-20, high=75), {"head": "quaternion"}, None),
-        (dict(low=-20, high=75), {"known": True}, None),
+        (dict(low=-20, high=75), {"source": "given"}, None),
     ],
 )
 def test_cameras_that_heads_cannot_predict_are_warned_of(
@@ -74,18 +73,6 @@ def test_half_turns_of_upright_viewpoints_stay_upright():
     expected = matrix_to_quaternion(np.stack(heads + turned))
     overlap = np.abs(np.sum(np.asarray(found) * expected, axis=1))
     assert np.allclose(overlap, 1, atol=1e-6)
-
-
-def test_an_ensemble_of_viewpoints_learns_with_its_half_turns_and_a_frame(quickly):
-    settings = dict(flips=True, selects=True, common_frame=True, common_frame_from=0.0)
-    config = tiny_config(head="viewpoint", **settings)
-    assert config.pose.choices == 2 * config.pose.candidates == 6
-    network = make_network(config)
-    step, state = make_step(network, config), make_state(network, config)
-    assert state.frame.moments.shape == (3, 2, 1)
-    state, metrics = step(state, make_batch())
-    assert np.isfinite(metrics["loss"]) and metrics["winners"].max() < 6
-    assert jax.tree.all(jax.tree.map(lambda a: bool(jnp.isfinite(a).all()), state))
 
 
 def test_a_range_of_elevations_that_is_none_is_refused():

@@ -9,6 +9,7 @@ from quick_programs import compiling_quickly as compiling_quickly
 
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet
+from dpc_jax.learning.recipe import Recipe
 from dpc_jax.learning.schedules import find_stage
 from dpc_jax.learning.step import init_state, make_train_step, repeat_seed
 from dpc_jax.networks import ShapePoseNetwork
@@ -39,7 +40,7 @@ PLAIN = {
         head="quaternion",
         candidates=3,
         flips=False,
-        selects=False,
+        student="regresses",
         choice_rank="volume",
         choice_grid=0,
         choice_points=0,
@@ -54,19 +55,17 @@ PLAIN = {
         learning_rate=1e-3,
         warmup_steps=0,
         final_rate=1.0,
-        weight_decay=0.0,
         pull_weight=0.0,
         reseeds_points=False,
         repulsion_weight=0.0,
-        repulsion_points=0,
         containment_weight=0.0,
         color_weight=0.0,
         colors_move_points=True,
     ),
     "log": dict(every=1, examples=1),
     "run": dict(devices=1),
-    "network": dict(channels=2, hidden=12, shape_hidden=12, student_width=32)
-    | dict(normalize=False, tint=False, sees_mask=False),
+    "network": dict(channels=2, hidden=12, shape_hidden=12)
+    | dict(tint=False, sees_mask=False),
 }
 
 
@@ -79,6 +78,12 @@ def tiny_config(*, seed: int = 0, **changes) -> Config:
         config = replace_fields(config, {section: asked})
     assert not changes, f"no such fields: {changes}"
     return config
+
+
+def make_recipe(config: Config, network: ShapePoseNetwork | None = None) -> Recipe:
+    """What is static about the config's steps."""
+    network = network or make_network(config)
+    return Recipe(network, config.render, config.pose, config.train)
 
 
 def make_state(network: ShapePoseNetwork, config: Config):

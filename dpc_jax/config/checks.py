@@ -4,11 +4,6 @@ import dataclasses
 
 from dpc_jax.config.fields import COUNTABLE
 from dpc_jax.config.sections import Config
-from dpc_jax.config.system_checks import (
-    list_map_rules,
-    list_sampling_rules,
-    list_voxel_rules,
-)
 
 SOURCES = ("meshes", "shapenet", "renders", "images")  # folders that models come from
 
@@ -67,26 +62,11 @@ def _list_rules(config):
         bool(given) or train.models_per_batch <= data.models,
         f"at most data.models = {data.models}, the models to train on",
     )
-    yield (
-        "train.start_steps",
-        train.starts == 1 or train.start_steps < train.steps,
-        f"below train.steps = {train.steps} where train.starts is above 1",
-    )
-    yield (
-        "train.init_from",
-        train.starts == 1 or not train.init_from,
-        "'' where train.starts is above 1, because starts have their own parameters",
-    )
     low, high = config.pose.elevation_low, config.pose.elevation_high
     yield (
         "pose.elevation_high",
         low < high,
         f"above pose.elevation_low = {low} degrees",
-    )
-    yield (
-        "pose.labels",
-        not (config.pose.labels and config.pose.known),
-        "False where pose.known is set, because no pose is learned there",
     )
     yield (
         "run.devices",
@@ -104,9 +84,7 @@ def _list_rules(config):
         f"0, or a multiple of render.grid = {grid} that divides data.image_size = "
         f"{size}",
     )
-    yield from list_voxel_rules(config)
-    yield from list_map_rules(config)
-    yield from list_sampling_rules(config)
+    yield from _list_system_rules(config)
     yield from _list_signal_rules(config)
     yield (
         "pose.choice_grid",
@@ -121,20 +99,57 @@ def _list_folder_rules(config):
     has_folder = any(getattr(data, name) for name in SOURCES)
     is_free = has_folder and not (data.test_meshes or data.split_file)
     yield (
-        "data.folds",
-        not data.folds or data.folds > 1 and is_free,
-        "0, or above 1 with a folder of models (data.meshes, say) that is split by "
-        "seed and tested on itself",
-    )
-    yield (
         "data.fold",
-        data.fold < max(1, data.folds),
-        f"below data.folds = {data.folds}" if data.folds else "0 without data.folds",
+        is_free or not data.fold,
+        "'' unless there is a folder of models (data.meshes, say) that is split by "
+        "seed and tested on itself",
     )
     yield (
         "data.mix",
         data.mix <= 0 or bool(data.meshes or data.shapenet),
         "-1 or 0 without data.meshes or data.shapenet, to which shapes are added",
+    )
+
+
+def _list_system_rules(config):
+    """Rules of the systems the paper compares with: voxels, maps, drawn poses."""
+    data, train, render = config.data, config.train, config.render
+    shape, grid = config.network.shape, render.grid
+    until = render.fixed_views_until
+    yield (
+        "pose.candidates",
+        config.pose.source != "sampled" or config.pose.candidates > 1,
+        "above 1 with pose.source = 'sampled', which draws one head of several",
+    )
+    if shape != "points":
+        yield (
+            "render.grid",
+            grid >= 8 and grid & (grid - 1) == 0,
+            f"a power of two of at least 8 with network.shape = {shape!r}, because the "
+            "decoder doubles a side of 4",
+        )
+        yield (
+            "network.point_size",
+            not config.network.point_size,
+            f"'' with network.shape = {shape!r}, whose points have no size",
+        )
+    if shape != "maps":
+        expected = "0 unless network.shape = 'maps', which are seen from fixed views"
+        yield "render.fixed_views_until", not until, expected
+        return
+    for name, holds, expected in (
+        ("pose.source", config.pose.known, "'given'"),
+        ("train.color_weight", not train.color_weight, "0"),
+        ("render.ray_rule", render.ray_rule == "termination", "'termination'"),
+        ("train.background_weight", not train.background_weight, "0"),
+        ("train.silhouette_weight", train.silhouette_weight > 0, "above 0"),
+    ):
+        why = "points are drawn into pixels, no rays are cast, and masks are compared"
+        yield name, holds, f"{expected} with network.shape = 'maps': {why}"
+    yield (
+        "render.fixed_views_until",
+        not (until and (data.images or data.renders)),
+        "0 with data.images or data.renders, which have no views from fixed places",
     )
 
 

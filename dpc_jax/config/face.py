@@ -15,26 +15,6 @@ def to_config_dict(config: Config) -> ml_collections.ConfigDict:
     return ml_collections.ConfigDict(dataclasses.asdict(config))
 
 
-# What runs did before there was a field, where it is not the field's default; and
-# fields that were tried and taken out.
-_BEFORE = {
-    "data": {"copies": 1, "mix": 0},
-    "network": {"tint": False, "sees_mask": False},
-    "pose": {
-        "choice_rank": "volume",
-        "common_frame": False,
-        "head": "quaternion",
-        "predicted": "student",
-    },
-    "train": {
-        "colors_move_points": True,
-        "pull_weight": 0.0,
-        "reseeds_points": False,
-    },
-}
-_GONE = {"pose": ("choice_noise", "choice_noise_until")}
-
-
 def from_config_dict(edited: ml_collections.ConfigDict) -> Config:
     """The frozen record of an edited config.
 
@@ -50,17 +30,12 @@ def to_json(config: Config) -> str:
 
 
 def from_json(text: str) -> Config:
-    """The config of a workdir; fields that it did not know yet have their defaults.
+    """The config of a workdir; fields that it lacks have their defaults.
 
     Raises:
       ValueError: as `from_config_dict`, and for what is not JSON.
     """
-    values = json.loads(text)
-    for section, before in _BEFORE.items():
-        if isinstance(values, dict) and isinstance(values.get(section), dict):
-            kept = set(values[section]) - set(_GONE.get(section, ()))
-            values[section] = before | {name: values[section][name] for name in kept}
-    return _read(Config, values, "config")
+    return _read(Config, json.loads(text), "config")
 
 
 def _read(kind: type, values: Any, name: str) -> Any:

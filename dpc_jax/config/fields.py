@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import os
+import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -30,6 +31,19 @@ FOLDER = Allowed(
     lambda value: not value or os.path.isdir(value), "a folder that exists"
 )
 FILE = Allowed(lambda value: not value or os.path.isfile(value), "a file that exists")
+FOLD = Allowed(
+    lambda value: not value or bool(read_fold(value)),
+    "'' or PART/PARTS, the part of that many that is tested, from 0/2 on",
+)
+
+
+def read_fold(text: str) -> tuple[int, int] | None:
+    """(i, n) of "i/n", the i-th of n parts, counted from 0; None for other texts."""
+    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    if not found:
+        return None
+    part, parts = map(int, found.groups())
+    return (part, parts) if parts > 1 and part < parts else None
 
 
 def at_least(low: int) -> Allowed:

@@ -10,6 +10,7 @@ import dataclasses
 
 from dpc_jax.config.fields import (
     FILE,
+    FOLD,
     FOLDER,
     POSITIVE,
     Allowed,
@@ -24,9 +25,14 @@ CROPS = ("object", "view", "none")  # what shares one scale
 CHOICE_RANKS = ("volume", "image")  # what candidates are ranked in
 STUDENT_LOSSES = ("absolute", "signed", "squared")  # forms of the angular difference
 FRONTS = ("", "+x", "-x", "+z", "-z")
+LAYERS = ("", "paper", "released")  # "": normalised, and a wider student
 SHAPES = ("points", "voxels", "maps")  # what the shape branch predicts
 POSE_HEADS = ("quaternion", "viewpoint")  # what a head predicts
-CHOICES = ("hindsight", "sampled")  # how one of the candidates is chosen
+# Where poses come from: the ensemble in hindsight; the data, with none to learn; labels
+# in the data, learned beside shapes of the labelled poses; drawn heads (MVC).
+POSE_SOURCES = ("unknown", "given", "labels", "sampled")
+# A pose of its own, the likeliest candidate, or that weighed by how it fits the image.
+STUDENTS = ("regresses", "selects", "posterior")
 POINT_SIZES = ("", "sigma", "covariance")  # what is learned of each point's size
 _IMAGE_SIZE = Allowed(
     lambda size: size >= 16 and size & (size - 1) == 0,
@@ -47,8 +53,7 @@ class Data:
     test_meshes: str = field("", FOLDER)  # to test on; "": a part of the same source
     own_test: float = field(0.0, between(0, 0.5))  # share of the source tested apart
     split_file: str = field("", FILE)  # official ShapeNet split; "": found in folder
-    folds: int = field(0, at_least(0))  # parts, of which one is tested; 0: a tenth is
-    fold: int = field(0, at_least(0))  # which one
+    fold: str = field("", FOLD)  # "0/5": of five parts the first is tested; "": a tenth
     shapenet_front: str = field("", one_of(*FRONTS))  # models face
     ground_truth: str = field("", FOLDER)  # of MODEL.mat for the renders; "": found
     crop: str = field("object", one_of(*CROPS))  # share one scale
@@ -78,15 +83,9 @@ class Network:
     channels: int = field(16, at_least(1))  # of the first convolution (released code)
     hidden: int = field(512, at_least(1))  # of encoder and pose branches
     shape_hidden: int = field(512, at_least(1))  # of the shape branch's hidden layer
-    student_width: int = field(256, at_least(1))  # of its own layers (paper: 32)
-    normalize: bool = field(True)  # features of a sample after each encoder layer
-    encoder_blocks: int = field(0, at_least(0))  # 2 layers each; 0: down to 4×4 pixels
-    head_layers: int = field(2, at_least(0))  # hidden, of each pose head (naive: 0)
-    pose_slope: float = field(0.2, between(0, 1))  # leaky ReLU that pose heads share
+    layers: str = field("", one_of(*LAYERS))  # the paper's, or its code's; "": ours
     point_size: str = field("", one_of(*POINT_SIZES))  # learned of each point; "": none
     shape: str = field("points", one_of(*SHAPES))  # predicted; voxels: of render.grid
-    voxel_channels: int = field(16, at_least(1))  # of the volume of half the side
-    map_channels: int = field(48, at_least(1))  # of the largest maps (EPCG)
     tint: bool = field(True)  # colours see the mean colour of the image's object
     sees_mask: bool = field(True)  # beside the image, as a fourth channel
 
@@ -97,12 +96,10 @@ class Render:
 
     grid: int = field(32, at_least(1))  # side of volume and target silhouettes, voxels
     fine_grid: int = field(64, at_least(0))  # side for the late winners; 0: never
-    fine_from: float = field(0.6, between(0, 1))  # share of the run it is used from
     fixed_views_until: float = field(0.0, between(0, 1))  # share of the run (EPCG)
     num_points: int = field(2000, at_least(1))  # of a cloud (2000 at 32³ in the paper)
     sigma_start: float = field(0.05, between(0, 1))  # of the volume's side (§ Training)
     sigma_end: float = field(0.003, between(0, 1))  # of the volume's side
-    sigma_fixed: float = field(0.0, between(0, 1))  # of the side, all along; 0: falls
     anneal_until: float = field(0.8, above(0, 1))  # share of the run; both schedules
     keep_start: float = field(0.1, above(0, 1))  # share of points kept (§ Training)
     keep_end: float = field(1.0, above(0, 1))  # share of points kept
@@ -124,32 +121,38 @@ class Render:
 class Pose:
     """The pose candidates, and the student that learns from their winners."""
 
-    known: bool = field(False)  # read the poses from the data, learn none
-    labels: bool = field(False)  # learn poses from the data's, shapes with the data's
+    source: str = field("unknown", one_of(*POSE_SOURCES))  # where poses come from
     candidates: int = field(8, _HEADS)  # K heads (§ distilled ensemble)
     head: str = field("viewpoint", one_of(*POSE_HEADS))  # upright; quaternion: any
     elevation_low: float = field(-20.0, between(-90, 90))  # of viewpoints, degrees
     elevation_high: float = field(40.0, between(-90, 90))  # (§ Datasets)
-    own_encoder: bool = field(False)  # poses have an encoder of their own (MVC)
-    spread: str = field("all", one_of("", "all", "upright"))  # where the heads start
     flips: bool = field(True)  # also try each head after half turns of the object
-    selects: bool = field(True)  # student chooses a candidate; False: regresses a pose
-    choice: str = field("hindsight", one_of(*CHOICES))  # sampled: REINFORCE (MVC)
+    student: str = field("posterior", one_of(*STUDENTS))  # what it predicts
     choice_rank: str = field("image", one_of(*CHOICE_RANKS))  # first choice made in
     choice_grid: int = field(0, at_least(0))  # side in the first choice; 0: grid
     choice_points: int = field(250, at_least(0))  # of the first choice; 0: all
     choice_top: int = field(6, at_least(0))  # candidates compared exactly after it
     choice_signals: str = field("silhouette", one_of("silhouette", "all"))  # compared
     common_frame: bool = field(True)  # kinds turned round are turned, by colours
-    common_frame_from: float = field(0.2, between(0, 1))  # share of the run
-    predicted: str = field("posterior", one_of("student", "posterior"))  # pose
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     student_loss: str = field("absolute", one_of(*STUDENT_LOSSES))  # if it regresses
-    prior_weight: float = field(0.0, at_least(0))  # per pixel; of a judge (MVC)
-    entropy_weight: float = field(0.0, at_least(0))  # per nat, of mean cost (MVC)
     translation: bool = field(False)  # of each view, learned (released code)
     focal_length: bool = field(False)  # of each view, learned (released code)
-    gauge_weight: float = field(1.0, at_least(0))  # per pixel, of learned cameras' mean
+
+    @property
+    def known(self) -> bool:
+        """Whether poses are read from the data, and none are learned."""
+        return self.source == "given"
+
+    @property
+    def aligned(self) -> bool:
+        """Whether shapes are learned with the poses of the data, in its own frame."""
+        return self.source in ("given", "labels")
+
+    @property
+    def selects(self) -> bool:
+        """Whether the student chooses a candidate instead of regressing a pose."""
+        return self.student != "regresses" or self.source == "sampled"
 
     @property
     def heads(self) -> int:
@@ -159,27 +162,17 @@ class Pose:
         """
         if self.known:
             return 0
-        return self.candidates if self.selects or not self.labels else 1
-
-    @property
-    def given(self) -> bool:
-        """Whether shapes are learned with the poses of the data."""
-        return self.known or self.labels
-
-    @property
-    def samples(self) -> bool:
-        """Whether heads are drawn by their probabilities, which are learned."""
-        return self.choice == "sampled" and not self.given
+        return 1 if self.source == "labels" and not self.selects else self.candidates
 
     @property
     def half_turns(self) -> bool:
         """Whether half turns of the heads are candidates too: of an ensemble only."""
-        return self.flips and self.heads > 1
+        return self.flips and self.heads > 1 and self.source == "unknown"
 
     @property
     def elevations(self) -> tuple[float, float] | None:
         """Range of the cameras' elevations, degrees, that viewpoint heads are told."""
-        if self.head != "viewpoint":
+        if self.head != "viewpoint" and self.source != "sampled":
             return None
         return self.elevation_low, self.elevation_high
 
@@ -191,23 +184,23 @@ class Pose:
         """
         if not self.half_turns:
             return 1
-        return 2 if self.head == "viewpoint" else 4
+        return 2 if self.elevations else 4
 
     @property
     def finds_frame(self) -> bool:
         """Whether kinds of objects, if they are points, are turned to one frame."""
-        is_learned = not self.given and not self.samples
-        return self.common_frame and self.half_turns and is_learned
+        return self.common_frame and self.half_turns
 
     @property
     def weighs_fit(self) -> bool:
         """Whether predictions weigh how candidates fit the image's silhouette."""
-        return self.predicted == "posterior" and self.choices > 0 and not self.samples
+        is_drawn = self.source == "sampled"
+        return self.student == "posterior" and self.choices > 0 and not is_drawn
 
     @property
     def searches(self) -> bool:
         """Whether predicted viewpoints are then searched for nearby."""
-        return self.weighs_fit and self.head == "viewpoint"
+        return self.weighs_fit and self.elevations is not None
 
     @property
     def choices(self) -> int:
@@ -222,21 +215,16 @@ class Train:
     """Steps, batches, the optimiser and the weights of the losses."""
 
     steps: int = field(6300, at_least(1))  # in all; the schedules end there
-    starts: int = field(1, at_least(1))  # short ones, of which the best goes on
-    start_steps: int = field(700, at_least(1))  # of each
     init_from: str = field("")  # workdir of the run whose parameters are the first
     models_per_batch: int = field(4, at_least(1))  # (§ Training details)
     views_per_batch: int = field(4, at_least(1))  # of each model
     learning_rate: float = field(3e-4, POSITIVE)  # of Adam, at its peak
     warmup_steps: int = field(200, at_least(0))  # linear; at most all steps
     final_rate: float = field(0.02, between(0, 1))  # of the peak; 1: constant
-    weight_decay: float = field(0.0, at_least(0))  # decoupled (AdamW)
     l2_weight: float = field(0.0, at_least(0))  # of half the squared weights, see docs
     pull_weight: float = field(0.03, at_least(0))  # per pixel, of points outside
-    pull_from: float = field(0.5, between(0, 1))  # share of the run
     reseeds_points: bool = field(True)  # that hang alone, once training is done
     repulsion_weight: float = field(0.0, at_least(0))  # of points' mean energy, late
-    repulsion_points: int = field(500, at_least(0))  # that repel each other in a step
     containment_weight: float = field(30.0, at_least(0))  # of points beyond radius 1/2
     silhouette_weight: float = field(1.0, at_least(0))  # per pixel; 0: not compared
     background_weight: float = field(0.0, between(0, 1))  # event cost; 0: squares

@@ -36,9 +36,7 @@ VARIANTS: dict[str, Changes] = {
         "network": {
             "hidden": 1024,
             "shape_hidden": 1024,
-            "student_width": 32,
-            "normalize": False,
-            "encoder_blocks": 3,  # 7 layers at every size
+            "layers": "paper",
             "tint": False,
             "sees_mask": False,
         },
@@ -53,12 +51,10 @@ VARIANTS: dict[str, Changes] = {
         },
         "pose": {
             "head": "quaternion",
-            "predicted": "student",
+            "student": "regresses",
             "candidates": 4,
             "student_weight": 0.01,  # released code: 20 beside half the squares
-            "spread": "",
             "flips": False,
-            "selects": False,
             "choice_rank": "volume",
             "choice_grid": 0,
             "choice_points": 0,
@@ -80,19 +76,17 @@ VARIANTS: dict[str, Changes] = {
     },
     # One pose regressor (§ Estimating pose with a distilled ensemble).
     "naive": {
-        "network": {"head_layers": 0},  # from the branch's hidden layer (appendix)
-        "pose": {"head": "quaternion"}
-        | {"candidates": 1, "spread": "", "flips": False},
+        "pose": {"head": "quaternion", "candidates": 1},
     },
     # § Estimating shape with known pose.
-    "known_pose": {"pose": {"known": True}},
-    # Table 2, "GT pose": poses from labels, no half turns of what is known.
-    "gt_pose": {"pose": {"labels": True, "flips": False}},
+    "known_pose": {"pose": {"source": "given"}},
+    # Table 2, "GT pose": poses from labels.
+    "gt_pose": {"pose": {"source": "labels"}},
     # What the released code does differently, in the numbers of its experiments at 64
     # (docs/method.md); to be combined with "paper".
     "released": {
         "data": {"image_size": 128},  # of which the volume's targets are averaged
-        "network": {"encoder_blocks": 0, "pose_slope": 0.0},
+        "network": {"layers": "released"},
         "render": {
             "sigma_start": 3 / 64,
             "sigma_end": 0.2 / 64,
@@ -122,24 +116,13 @@ VARIANTS: dict[str, Changes] = {
     "mvc": {
         **_VOXELS,
         "train": {"background_weight": 0.2},
-        "pose": {
-            **_VOXELS["pose"],
-            "head": "viewpoint",
-            "predicted": "student",
-            "own_encoder": True,
-            "candidates": 8,
-            "selects": True,
-            "choice": "sampled",
-            "flips": False,
-            "prior_weight": 0.1,
-            "entropy_weight": 0.05,  # not theirs (docs/baselines.md)
-        },
+        "pose": {**_VOXELS["pose"], "source": "sampled", "candidates": 8},
     },
     "epcg": {
         "network": {"shape": "maps"},
         # Their second stage did not help (docs/baselines.md).
         "render": {"fine_grid": 0, "keep_levels": 1, "fixed_views_until": 1.0},
-        "pose": {"known": True},
+        "pose": {"source": "given"},
         "train": {"depth_weight": 1.0},
     },
     # § Network architecture and § Colored point clouds: other signals beside
@@ -157,12 +140,11 @@ PAPER_MODELS = {
 # "paper" that of its text stays.
 TUNED_RATES = {"ours_v": 1e-3, "ptn": 1e-3, "drc": 1e-3, "epcg": 1e-3}
 EXCLUSIVE = (
-    ("naive", "known_pose", "gt_pose"),  # how poses are learned
+    ("naive", "known_pose", "gt_pose", "mvc"),  # where poses come from
     ("32", "64", "128"),
     ("ours_v", "ptn", "drc", "mvc", "epcg"),
     ("epcg", "gt_pose"),  # learns no poses
     ("epcg", "naive"),
-    ("mvc", "naive"),  # draws one head of several
 )
 
 

@@ -73,7 +73,7 @@ def _take_fold(order, index, count):
     if count > len(order):
         raise ValueError(
             f"Expected at least as many families of files as folds, but there are "
-            f"{len(order)} and data.folds is {count}; set fewer folds or add files."
+            f"{len(order)} and data.fold asks for {count}; ask for fewer or add files."
         )
     first, last = (len(order) * i // count for i in (index, index + 1))
     return order[first:last], np.concatenate([order[last:], order[:first]])

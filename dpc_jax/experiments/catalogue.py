@@ -68,7 +68,7 @@ CONTAINED = {"train.containment_weight": 30.0}
 FRAME = PULL | CONTAINED | {"pose.common_frame": True}
 DEFAULTS = FRAME | {
     "pose.head": "viewpoint",
-    "pose.predicted": "posterior",
+    "pose.student": "posterior",
     "train.reseeds_points": True,
     "network.sees_mask": True,
 }
@@ -202,7 +202,7 @@ EXPERIMENTS = (
                 "Fixed σ",
                 "Fixed σ",
                 "known_pose,64",
-                {"render.sigma_fixed": 0.025},  # 1.6 of 64 voxels
+                {"render.sigma_start": 0.025, "render.sigma_end": 0.025},  # 1.6 of 64
                 "fixed-sigma",
             ),
             Row(

@@ -17,7 +17,7 @@ from dpc_jax.experiments.catalogue import EXPERIMENTS, Experiment, Row
 # What the paper's method has not, and rows of their own are for.
 _PLAIN = {
     "pose.head": "quaternion",
-    "pose.predicted": "student",
+    "pose.student": "selects",
     "pose.common_frame": False,
     "train.pull_weight": 0.0,
     "train.containment_weight": 1.0,
@@ -73,15 +73,12 @@ SIZES = {
             "network.channels": 4,
             "network.hidden": 32,
             "network.shape_hidden": 32,
-            "network.voxel_channels": 4,
-            "network.map_channels": 8,
             "render.keep_levels": 1,  # one stage, one program to compile
             "render.num_points": 200,
             "pose.choice_points": 0,
             "pose.choice_grid": 0,
             "train.steps": 10,  # enough to log, validate, save
             "train.warmup_steps": 2,
-            "train.repulsion_points": 50,
             "log.every": 5,
             "log.evaluate": 0,  # the last step has one anyhow
             "log.examples": 1,  # a report's pictures take as long as the training

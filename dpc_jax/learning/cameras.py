@@ -13,6 +13,7 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Pose
 from dpc_jax.learning.devices import AXIS
+from dpc_jax.learning.recipe import Recipe, Term
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera
 
@@ -79,6 +80,14 @@ def compute_gauge(cameras: Cameras, camera: Camera, *, pose: Pose) -> jax.Array:
         shares = cameras.focal_lengths / camera.focal_length
         means.append(jnp.mean(jnp.log(shares))[None])
     return jnp.sum(jax.lax.pmean(jnp.concatenate(means), AXIS) ** 2)
+
+
+def find_gauge(cameras: Cameras, *, recipe: Recipe) -> dict[str, Term]:
+    """The loss of `compute_gauge`, which has the weight of a silhouette's squares."""
+    if not (recipe.pose.translation or recipe.pose.focal_length):
+        return {}
+    gauge = compute_gauge(cameras, recipe.camera, pose=recipe.pose)
+    return {"gauge": Term(gauge, float(recipe.render.grid**2))}
 
 
 def list_own(cameras: Cameras, views: int) -> dict[str, jax.Array]:

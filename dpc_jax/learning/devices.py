@@ -107,6 +107,29 @@ def share(function: Callable, mesh: Mesh, in_specs: Any, out_specs: Any) -> Call
     )
 
 
+def share_padded(function: Callable, mesh: Mesh, in_specs: tuple) -> Callable:
+    """`share` of a function of a state and arrays of n objects; n need not divide.
+
+    All devices have as many objects: the last one is repeated, and cut off again.
+
+    Args:
+      in_specs: of the arguments, `WHOLE` ones as they are.
+    """
+    shared = share(function, mesh, in_specs=in_specs, out_specs=OBJECTS)
+
+    def pad(state, *arguments):
+        count = len(jax.tree.leaves(arguments[0])[0])
+        rows = jnp.minimum(jnp.arange(count + -count % mesh.size), count - 1)
+        padded = (
+            jax.tree.map(lambda a: a[rows], argument) if part == OBJECTS else argument
+            for argument, part in zip(arguments, in_specs[1:], strict=True)
+        )
+        output = shared(state, *padded)
+        return jax.tree.map(lambda array: array[:count], output)
+
+    return pad
+
+
 def take_own(array: jax.Array) -> jax.Array:
     """Inside `share`: this device's share of the leading axis."""
     size = array.shape[0] // jax.lax.axis_size(AXIS)

@@ -13,7 +13,7 @@ from jax.sharding import Mesh, NamedSharding
 from dpc_jax.config import Config, Train
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.objective import compute_loss
-from dpc_jax.learning.terms import Averages
+from dpc_jax.learning.recipe import Averages, Recipe
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.columns import sharing_columns
 
@@ -25,7 +25,7 @@ class TrainState(NamedTuple):
       step: () int32, steps done.
       params: of the network.
       optimizer: state of the optimiser.
-      covariance, cost, frame: see `terms.Averages`.
+      covariance, cost, frame: see `recipe.Averages`.
     """
 
     step: jax.Array
@@ -37,15 +37,12 @@ class TrainState(NamedTuple):
 
 
 def make_optimizer(train: Train) -> optax.GradientTransformation:
-    """Adam with the run's learning rate; AdamW where weight decay is asked for.
+    """Adam with the run's learning rate.
 
     With `l2_weight` the gradient of a penalty on weights is added before Adam, as in
     the released code.
     """
-    rate = schedules.make_learning_rate(train)
-    adam = optax.adam(rate)
-    if train.weight_decay:
-        adam = optax.adamw(rate, weight_decay=train.weight_decay)
+    adam = optax.adam(schedules.make_learning_rate(train))
     if train.l2_weight:
         penalty = optax.add_decayed_weights(train.l2_weight, mask=find_penalized)
         return optax.chain(penalty, adam)
@@ -91,7 +88,7 @@ def _init_whole(network, config, seed):
     images = jnp.zeros((1, size, size, network.inputs))
     params = network.init(jax.random.key(seed), images)
     optimizer = make_optimizer(config.train).init(params)
-    cost = jnp.zeros(()) if config.pose.samples else None
+    cost = jnp.zeros(()) if config.pose.source == "sampled" else None
     frame = None
     if config.pose.finds_frame and config.network.shape == "points":
         from dpc_jax.learning.choice.common_frame import start_frame  # where asked
@@ -146,6 +143,7 @@ def repeat_seed(seed: int, objects: int) -> np.ndarray:
 def _make_update(network, config, stage, parts, num_devices):
     """The step of one device, with its share of the batch."""
     optimizer = make_optimizer(config.train)
+    recipe = Recipe(network, config.render, config.pose, config.train)
     # Some steps of every record, and its last.
     cadence = math.gcd(10, config.log.every)
 
@@ -158,10 +156,7 @@ def _make_update(network, config, stage, parts, num_devices):
                 keys,
                 state.step,
                 Averages(state.covariance, state.cost, state.frame),
-                network=network,
-                render=config.render,
-                pose=config.pose,
-                train=config.train,
+                recipe=recipe,
                 stage=stage,
             )
         return loss / num_devices, aux

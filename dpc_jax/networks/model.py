@@ -24,9 +24,8 @@ class ShapePoseNetwork(nn.Module):
       num_points, shape_hidden, has_color, scale_fixed, point_size, first_size: of the
         `ShapeHead`.
       voxels: side of the volume that the `VoxelHead` predicts; 0 for points.
-      voxel_channels, contains_voxels: of it, channels and is_contained.
-      map_side, map_focal_length, map_distance, map_channels: of the `ViewMapHead`; 0
-        for no maps.
+      contains_voxels: its is_contained.
+      map_side, map_focal_length, map_distance: of the `ViewMapHead`; 0 for no maps.
       viewpoints: lowest and highest elevation, degrees, of heads that predict azimuth
         and elevation (`ViewpointEnsemble`); None for heads that predict quaternions.
       own_pose_encoder: poses are predicted from features of an encoder of their own,
@@ -37,7 +36,7 @@ class ShapePoseNetwork(nn.Module):
       num_classes: how many candidates the student selects from, turned ones included;
         0 for the paper's student, which regresses a pose.
       student_width: width of the student's own layers.
-      spread, head_layers, pose_slope: see `PoseEnsemble`.
+      spreads, head_layers, pose_slope: see `PoseEnsemble`.
       has_translation: predict where in the frame the object is.
       focal_length: around which that of a view is predicted; 0: it is not.
       is_tinted: colours of points are predicted from the mean colour of the image's
@@ -54,7 +53,7 @@ class ShapePoseNetwork(nn.Module):
     has_color: bool = False
     num_classes: int = 0
     student_width: int = 32
-    spread: str = ""
+    spreads: bool = False
     blocks: int = 0
     head_layers: int = 2
     pose_slope: float = 0.2
@@ -64,12 +63,10 @@ class ShapePoseNetwork(nn.Module):
     has_translation: bool = False
     focal_length: float = 0.0
     voxels: int = 0
-    voxel_channels: int = 16
     contains_voxels: bool = False
     map_side: int = 0
     map_focal_length: float = 1.875
     map_distance: float = 2.0
-    map_channels: int = 48
     viewpoints: tuple[float, float] | None = None
     own_pose_encoder: bool = False
     judges_poses: bool = False
@@ -80,6 +77,11 @@ class ShapePoseNetwork(nn.Module):
     def inputs(self) -> int:
         """How many channels an image has."""
         return 4 if self.sees_mask else 3
+
+    @property
+    def kind(self) -> str:
+        """Of the shapes that it predicts, as `network.shape` has it."""
+        return "voxels" if self.voxels else "maps" if self.map_side else "points"
 
     def setup(self) -> None:
         """Make the branches that this run learns."""
@@ -128,7 +130,7 @@ class ShapePoseNetwork(nn.Module):
         return PoseEnsemble(
             candidates=self.candidates,
             hidden=self.hidden,
-            spread=self.spread,
+            spreads=self.spreads,
             layers=self.head_layers,
             slope=self.pose_slope,
         )
@@ -139,7 +141,6 @@ class ShapePoseNetwork(nn.Module):
 
             return VoxelHead(
                 side=self.voxels,
-                channels=self.voxel_channels,
                 has_color=self.has_color,
                 normalize=self.normalize,
                 is_contained=self.contains_voxels,
@@ -151,7 +152,6 @@ class ShapePoseNetwork(nn.Module):
                 side=self.map_side,
                 focal_length=self.map_focal_length,
                 distance=self.map_distance,
-                channels=self.map_channels,
                 normalize=self.normalize,
             )
         return ShapeHead(

@@ -23,20 +23,6 @@ def spread_rotations(count: int) -> jax.Array:
     return jnp.asarray(np.stack(chosen[:count]), jnp.float32)
 
 
-def surround_object(count: int) -> jax.Array:
-    """`count` quaternions [count, 4] of level cameras around an upright object.
-
-    They are at elevation 0 and at equal steps of azimuth. The object's z is up, the
-    camera's y down.
-    """
-    half = -np.pi * np.arange(count) / count
-    c, s = np.cos(half), np.sin(half)
-    # (1, 1, 1, -1)/2 looks along -x, with +y of the object on the right. Its product
-    # with (c, 0, 0, s) turns the object about its own z first.
-    turned = np.stack([c + s, c + s, c - s, s - c], axis=-1) / 2
-    return jnp.asarray(turned, jnp.float32)
-
-
 class _QuaternionHead(nn.Module):
     """The layers that belong to one pose predictor alone: by default 32, 32, 4 units.
 
@@ -66,15 +52,15 @@ class PoseEnsemble(nn.Module):
     Attributes:
       candidates: K, the number of heads.
       hidden: width of the shared layer.
-      spread: where the heads start. "": near zero, as in the paper; "all": at rotations
-        spread over SO(3); "upright": at level cameras around the object.
+      spreads: whether the heads start at rotations spread over SO(3); near zero
+        otherwise, as in the paper.
       layers: hidden layers of each head, of 32 units; 0 in the naive variant.
       slope: of the leaky ReLU after the shared layer; 0 in the released code.
     """
 
     candidates: int
     hidden: int = 1024
-    spread: str = ""
+    spreads: bool = False
     layers: int = 2
     slope: float = 0.2
 
@@ -90,14 +76,10 @@ class PoseEnsemble(nn.Module):
             in_axes=(None, 0),  # pyright: ignore[reportArgumentType]
             out_axes=1,
         )
-        starts = {
-            "": lambda count: jnp.zeros((count, 4)),
-            "all": spread_rotations,
-            "upright": surround_object,
-        }
-        return heads(layers=self.layers, name="heads")(
-            x, starts[self.spread](self.candidates)
-        )
+        starts = jnp.zeros((self.candidates, 4))
+        if self.spreads:
+            starts = spread_rotations(self.candidates)
+        return heads(layers=self.layers, name="heads")(x, starts)
 
 
 class PoseStudent(nn.Module):

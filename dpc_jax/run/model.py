@@ -65,7 +65,7 @@ class Model:
 
     def align(self, predictions: Predictions) -> Alignment:
         """Canonical alignment, from predictions for the validation split."""
-        if self.config.pose.given:
+        if self.config.pose.aligned:
             return identity_alignment()  # learned in the data's own frame
         return evaluator.align(predictions, self.sets["val"])
 

@@ -10,7 +10,7 @@ from dpc_jax import config as configs
 from dpc_jax.config import Config
 from dpc_jax.learning.devices import make_mesh
 from dpc_jax.learning.step import describe_state
-from dpc_jax.learning.training import loop, starts
+from dpc_jax.learning.training import loop
 from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.training.records import MetricLog, NonFiniteError
 from dpc_jax.run.beginning import begin_run
@@ -212,12 +212,6 @@ def train_model(
     with contextlib.closing(checkpoints), catch_signals() as stop:
         if int(start.state.step) < model.config.train.steps:
             stops = job.agree_to_stop(stop.is_set)
-            if model.config.train.starts > 1 and int(start.state.step) == 0:
-                start = _try_starts(model, start, checkpoints, log, job, stops)
-                if start is None:
-                    first = begin_run(model.network, model.config, job)
-                    checkpoints.save(first, seconds=0.0)
-                    return loop.Outcome(first, 0.0, False)
             outcome = loop.train(
                 start.state,
                 model.sets["train"],
@@ -236,22 +230,3 @@ def train_model(
                 check=check_memory,
             )
     return outcome
-
-
-def _try_starts(model, start, checkpoints, log, job, should_stop):
-    """The start that goes on, kept as the first checkpoint; None where interrupted."""
-    found = starts.find_start(
-        start.state,
-        model.sets["train"],
-        network=model.network,
-        config=model.config,
-        should_stop=should_stop,
-        may_stop_waiting=job.processes == 1,
-    )
-    if found is None:
-        return None
-    chosen = {"start": found.index, "start_losses": list(found.losses)}
-    for record in [*found.records[:-1], found.records[-1] | chosen]:
-        log.write(record)
-    checkpoints.save(found.state, seconds=found.seconds)
-    return Restored(found.state, found.seconds, ())

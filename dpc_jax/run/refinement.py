@@ -23,9 +23,9 @@ from dpc_jax.learning.inference.codes import (
 )
 from dpc_jax.learning.inference.evaluator import arrange_truth
 from dpc_jax.learning.inference.explanation import FINALISTS
-from dpc_jax.learning.inference.hypotheses import Evidence
 from dpc_jax.learning.inference.predictor import arrange_views
 from dpc_jax.learning.inference.refinement import (
+    Evidence,
     RefineSettings,
     make_refiner,
     refine_all,

@@ -6,6 +6,7 @@ import numpy as np
 
 from dpc_jax.config import Config
 from dpc_jax.config.checks import SOURCES
+from dpc_jax.config.fields import read_fold
 from dpc_jax.data import DataSet, DataSpec, load_or_render
 from dpc_jax.data.viewpoints import measure_stands
 from dpc_jax.files import explaining_full_disk
@@ -16,40 +17,42 @@ _SLACK = 10.0  # degrees
 
 def make_network(config: Config) -> ShapePoseNetwork:
     """The network; what is not learned has no parameters."""
+    layers = config.network.layers
     return ShapePoseNetwork(
         num_points=config.render.num_points,
         candidates=config.pose.heads,
         channels=config.network.channels,
         hidden=config.network.hidden,
         shape_hidden=config.network.shape_hidden,
-        normalize=config.network.normalize,
+        normalize=not layers,
         num_classes=config.pose.choices,
-        student_width=config.network.student_width,
+        student_width=32 if layers else 256,
         has_color=config.train.color_weight > 0,
         sees_mask=config.network.sees_mask,
         is_tinted=config.network.tint
         and config.train.color_weight > 0
         and config.network.shape == "points",
-        spread=config.pose.spread,
-        blocks=config.network.encoder_blocks,
-        head_layers=config.network.head_layers,
-        pose_slope=config.network.pose_slope,
+        # Heads that are several start spread over SO(3); not in the paper.
+        spreads=not layers and config.pose.candidates > 1,
+        blocks=3 if layers == "paper" else 0,  # 7 convolutions at every size
+        # A single regressor is the paper's naive one, without layers of its own.
+        head_layers=2 if config.pose.candidates > 1 else 0,
+        pose_slope=0.0 if layers == "released" else 0.2,
         scale_fixed=config.render.scale_fixed,
         point_size=config.network.point_size,
         first_size=config.render.sigma_start,
         has_translation=config.pose.translation,
         focal_length=config.render.focal_length * config.pose.focal_length,
         voxels=config.render.grid if config.network.shape == "voxels" else 0,
-        voxel_channels=config.network.voxel_channels,
         # Given poses carve the corners away by themselves, upright ones of MVC do too.
-        contains_voxels=not (config.pose.given or config.pose.samples),
+        contains_voxels=config.pose.source == "unknown",
         map_side=config.render.grid if config.network.shape == "maps" else 0,
         map_focal_length=config.render.focal_length,
         map_distance=config.render.distance,
-        map_channels=config.network.map_channels,
         viewpoints=config.pose.elevations,
-        own_pose_encoder=config.pose.own_encoder,
-        judges_poses=config.pose.samples and config.pose.prior_weight > 0,
+        # As MVC has them.
+        own_pose_encoder=config.pose.source == "sampled",
+        judges_poses=config.pose.source == "sampled",
     )
 
 
@@ -124,12 +127,12 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
             "models."
         )
     lacking = [name for name, data in sets.items() if data.quaternions is None]
-    if config.pose.given and lacking:
-        name = "known" if config.pose.known else "labels"
+    if config.pose.aligned and lacking:
         raise ValueError(
-            f"Expected poses for every image, because config.pose.{name} is set, but "
+            f"Expected poses for every image, because config.pose.source is "
+            f"{config.pose.source!r}, but "
             f"the {' and '.join(lacking)} images have none; add poses.json or "
-            f"transforms.json to every object, or set --config.pose.{name}=False."
+            "transforms.json to every object, or set --config.pose.source=unknown."
         )
     if config.train.depth_weight and sets["train"].depths is None:
         raise ValueError(
@@ -200,8 +203,8 @@ def _split_folder(config, kind, shared):
     is_mesh = kind in ("meshes", "shapenet")
     names = ("copies", "stretch", "mix") if is_mesh else ()
     extra = {name: getattr(data, name) for name in names}
-    if data.folds:
-        source["fold"] = (data.fold, data.folds)
+    if data.fold:
+        source["fold"] = read_fold(data.fold)
     return {
         split: DataSpec(
             split=split, **source, **(extra if split == "train" else {}), **shared

@@ -68,8 +68,8 @@ class SplitSource(Source):
             return Division(models, self.split_by_seed(list(models)), None)
         if self.spec.fold is not None:
             raise ValueError(
-                f"data.folds must be 0 where an official split is used, but {official} "
-                "is one; set data.folds to 0."
+                f"data.fold must be '' where an official split is used, but {official} "
+                "is one; leave data.fold out."
             )
         sides = split_lists.read_split(official, self.synset)
         listed = set().union(*sides.values())

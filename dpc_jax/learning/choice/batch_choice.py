@@ -6,14 +6,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.config import Pose, Render
 from dpc_jax.learning.cameras import Cameras, list_own
-from dpc_jax.learning.choice.hindsight import Choice, choose_in_scene, find_image_places
+from dpc_jax.learning.choice.hindsight import choose_in_scene, place_in_image
 from dpc_jax.learning.losses import downsample_images
-from dpc_jax.learning.predictions import Cells, Shapes
-from dpc_jax.learning.renders import make_scenes
-from dpc_jax.learning.signals import SILHOUETTES, Weights, make_targets
-from dpc_jax.render import Camera
+from dpc_jax.learning.recipe import Recipe
+from dpc_jax.learning.shapes.kind import Choice, Shape
+from dpc_jax.learning.signals import SILHOUETTES, make_targets
 from dpc_jax.render.batch import map_renders
 
 
@@ -30,76 +28,73 @@ class Winners(NamedTuple):
 
 
 def choose_poses(
-    shapes: Shapes | Cells,
+    shapes: Shape,
     candidates: jax.Array,
-    masks: jax.Array,
+    batch: Mapping[str, jax.Array],
     *,
-    camera: Camera,
-    render: Render,
-    pose: Pose,
+    recipe: Recipe,
     cameras: Cameras = Cameras(),
-    views: Mapping[str, jax.Array] | None = None,
-    weights: Weights = SILHOUETTES,
 ) -> Winners:
     """Eq. 2 for all views of a batch, without gradient.
 
     Args:
       shapes: of B objects.
       candidates: [B·V, C, 4] quaternions.
-      masks: uint8 [B, V, S, S].
-      camera: see `project`.
-      render: the grid, and how many renders run side by side. pose: how candidates
-        are compared.
+      batch: masks uint8 [B, V, S, S] and, as the signals need them by which candidates
+        are compared at full resolution, images and depths: see `make_targets`.
       cameras: [B, V, ...] of the views, where they have their own.
-      views: masks and, as the weights need them, images and depths: see `make_targets`.
-      weights: of the signals by which candidates are compared at full resolution, if
-        `pose.choice_signals` is "all"; the silhouette alone otherwise.
     """
-    batch_size, per_object = masks.shape[:2]
-    total = batch_size * per_object
-    candidates = candidates.reshape(batch_size, per_object, -1, 4)
+    objects, per_object = batch["masks"].shape[:2]
+    candidates = candidates.reshape(objects, per_object, -1, 4)
     if candidates.shape[2] == 1:
-        indices = jnp.zeros((batch_size, per_object), jnp.int32)
+        indices = jnp.zeros((objects, per_object), jnp.int32)
         return Winners(candidates[:, :, 0], indices)
 
-    if pose.choice_signals == "silhouette":
-        weights = SILHOUETTES
-    how = Choice(
+    how, render, camera = _find_choice(recipe), recipe.render, recipe.camera
+    shapes, still, cameras = jax.lax.stop_gradient((shapes, candidates, cameras))
+    kind = type(shapes)
+    scene, shared = shapes.list_scenes()
+    if "color" not in how.weights.signals:
+        scene.pop("colors", None)
+    scene = {n: jnp.repeat(a, per_object, axis=0) for n, a in scene.items()}
+    total = objects * per_object
+    flat = still.reshape(total, -1, 4)
+    own = list_own(cameras, total)
+
+    def place(scene, candidates, own):
+        places = {"side": render.grid, "camera": camera, "how": how}
+        return place_in_image(kind, scene | shared, candidates, own, **places)
+
+    def choose(view):
+        scene, *rest = view
+        return choose_in_scene(kind, scene | shared, *rest, camera=camera, how=how)
+
+    places = jax.vmap(place)(scene, flat, own)
+    targets = downsample_images(batch["masks"], render.grid)
+    own |= _list_others(batch, render, how.weights)
+    targets = targets.reshape(total, *targets.shape[2:])
+    indices = map_renders(
+        choose,
+        (scene, flat, targets, places, own),
+        renders_at_once=render.renders_at_once,
+    ).reshape(objects, per_object)
+    poses = jnp.take_along_axis(candidates, indices[..., None, None], axis=2)[:, :, 0]
+    return Winners(poses, indices)
+
+
+def _find_choice(recipe):
+    """How a run's candidates are compared; by all its signals where it asks for it."""
+    pose, render = recipe.pose, recipe.render
+    by_all = pose.choice_signals == "all"
+    return Choice(
         pose.choice_rank,
         pose.choice_grid,
         pose.choice_points,
         pose.choice_top,
         render.renders_at_once,
-        weights,
+        recipe.weights if by_all else SILHOUETTES,
         render.ray_rule,
     )
-    shapes, still, cameras = jax.lax.stop_gradient((shapes, candidates, cameras))
-    scene, shared = make_scenes(shapes)
-    if "color" not in weights.signals:
-        scene.pop("colors", None)
-    scene = {n: jnp.repeat(a, per_object, axis=0) for n, a in scene.items()}
-    flat = still.reshape(total, -1, 4)
-    own = list_own(cameras, total)
-    places = jax.vmap(
-        lambda scene, candidates, own: find_image_places(
-            scene | shared, candidates, own, side=render.grid, camera=camera, how=how
-        )
-    )(scene, flat, own)
-    targets = downsample_images(masks, render.grid)
-    own |= _list_others(views or {}, render, weights)
-    targets = targets.reshape(total, *targets.shape[2:])
-
-    def choose(view):
-        scene, *rest = view
-        return choose_in_scene(scene | shared, *rest, camera=camera, how=how)
-
-    indices = map_renders(
-        choose,
-        (scene, flat, targets, places, own),
-        renders_at_once=render.renders_at_once,
-    ).reshape(batch_size, per_object)
-    poses = jnp.take_along_axis(candidates, indices[..., None, None], axis=2)[:, :, 0]
-    return Winners(poses, indices)
 
 
 def _list_others(views, render, weights):

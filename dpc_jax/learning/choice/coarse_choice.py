@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning import point_sizes
-from dpc_jax.learning.renders import Scene, compute_candidate_losses
+from dpc_jax.learning.renders import compute_candidate_losses
+from dpc_jax.learning.shapes.kind import Scene, Shape
 from dpc_jax.render import Camera, VoxelGrid
 from dpc_jax.render.camera import to_camera_frame, to_grid
 from dpc_jax.render.kernels import sample_gaussian
@@ -37,6 +38,7 @@ class ImagePoints(NamedTuple):
 
 
 def compute_coarse_losses(
+    kind: type[Shape],
     scene: Scene,
     candidates: jax.Array,
     target: jax.Array,
@@ -49,7 +51,7 @@ def compute_coarse_losses(
 ) -> jax.Array:
     """Loss [C] of each candidate in a coarser volume and with fewer points.
 
-    Arguments as of `hindsight.choose_candidate`, with the points in a scene.
+    Arguments as of `hindsight.choose_candidate`, with the points in a scene of theirs.
 
     Raises:
       ValueError: where the coarser volume does not divide the target.
@@ -66,6 +68,7 @@ def compute_coarse_losses(
         ratio,
     )
     return compute_candidate_losses(
+        kind,
         {"points": points[:count], "mass": coarse_mass, "sigma": coarse_sigma},
         candidates,
         coarse,

@@ -35,6 +35,7 @@ from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import find_half_turns
 from dpc_jax.render import Camera, quaternion
 
+BEGIN = 0.2  # share of a run from which objects are turned, once shapes have formed
 _POINTS = 1000  # of a shape, that are looked at
 _PRIOR = 500.0  # samples of the category's mean colours in each cell
 _FITTED = 400  # of these points, that are moved and scaled to fit

@@ -5,22 +5,16 @@ compared without gradient, and only the winner is rendered again with one.
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import CHOICE_RANKS
 from dpc_jax.learning.cameras import place_camera
-from dpc_jax.learning.choice.coarse_choice import (
-    ImagePoints,
-    compute_coarse_losses,
-    compute_image_losses,
-    place_candidates,
-    shrink_target,
-)
-from dpc_jax.learning.renders import Scene, compute_candidate_losses
-from dpc_jax.learning.signals import SILHOUETTES, Weights
+from dpc_jax.learning.renders import compute_candidate_losses
+from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
+from dpc_jax.learning.shapes.points import Points
 from dpc_jax.render import Camera, checks
 from dpc_jax.render.batch import check_renders_at_once
 from dpc_jax.render.devices import AUTOMATIC
@@ -88,67 +82,20 @@ def choose_candidate(
     checks.check_choice("choice_rank", choice_rank, CHOICE_RANKS, "choose one of these")
     how = Choice(choice_rank, choice_grid, choice_points, choice_top, renders_at_once)
     scene = {"points": points, "mass": mass, "sigma": sigma}
-    places = find_image_places(scene, candidates, {}, side=side, camera=camera, how=how)
-    return choose_in_scene(
-        scene, candidates, target, places, {}, camera=camera, how=how
+    places = place_in_image(
+        Points, scene, candidates, {}, side=side, camera=camera, how=how
     )
-
-
-class Choice(NamedTuple):
-    """How candidates are compared; static.
-
-    Attributes:
-      rank, grid, points, top, renders_at_once: as of `choose_candidate`.
-      weights, ray_rule: of the comparison at full resolution.
-    """
-
-    rank: str
-    grid: int
-    points: int
-    top: int
-    renders_at_once: int
-    weights: Weights = SILHOUETTES
-    ray_rule: str = "termination"
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether all candidates are compared at full resolution at once."""
-        return self.grid == self.points == 0
-
-
-def find_image_places(
-    scene: Scene,
-    candidates: jax.Array,
-    own: Mapping[str, Any],
-    *,
-    side: int,
-    camera: Camera,
-    how: Choice,
-) -> ImagePoints | None:
-    """Points in the image of each candidate; None where no image ranks them.
-
-    Args:
-      scene, candidates, own: of one view, see `choose_in_scene`.
-      side: of the target, in pixels.
-    """
-    if how.rank != "image" or how.is_exact or "cells" in scene:
-        return None
-    return place_candidates(
-        scene["points"],
-        candidates,
-        side=how.grid or side,
-        camera=place_camera(camera, own),
-        choice_points=how.points,
-        translation=own.get("translation"),
-        size=scene["sigma"],
+    return choose_in_scene(
+        Points, scene, candidates, target, places, {}, camera=camera, how=how
     )
 
 
 def choose_in_scene(
+    kind: type[Shape],
     scene: Scene,
     candidates: jax.Array,
     target: jax.Array,
-    places: ImagePoints | None,
+    places: Any,
     own: Mapping[str, Any],
     *,
     camera: Camera,
@@ -157,9 +104,9 @@ def choose_in_scene(
     """Eq. 2 for one view of checked arguments: index of the best candidate; ().
 
     Args:
-      scene: of one object, see `renders`.
+      kind, scene: of one object.
       candidates: [C, 4] quaternions. target: [D, D] silhouette.
-      places: of `find_image_places`. They come from outside of the loop over views:
+      places: of `place_in_image`. They come from outside of the loop over views:
         inside, XLA projects each point again for every pixel.
       own: what the view has of its own, see `list_own`; for signals other than the
         silhouette "others", their targets.
@@ -171,43 +118,27 @@ def choose_in_scene(
     }
     exactly = view | {"weights": how.weights, "ray_rule": how.ray_rule}
     exactly["others"] = own.get("others")
-    if _is_exact(scene, target, how):
-        losses = compute_candidate_losses(scene, candidates, target, **exactly)
+    coarse = kind.rank(scene, candidates, target, places, how=how, **view)
+    if coarse is None:
+        losses = compute_candidate_losses(kind, scene, candidates, target, **exactly)
         return jnp.argmin(losses)
-    if "cells" in scene:
-        # Volumes stay as they are, and are seen in a coarser grid.
-        coarse = compute_candidate_losses(
-            scene,
-            candidates,
-            shrink_target(target, how.grid),
-            ray_rule=how.ray_rule,
-            **view,
-        )
-    elif places is not None:
-        coarse = compute_image_losses(
-            places, scene["mass"], target, sigma=scene["sigma"], choice_grid=how.grid
-        )
-    else:
-        coarse = compute_coarse_losses(
-            scene,
-            candidates,
-            target,
-            choice_grid=how.grid,
-            choice_points=how.points,
-            **view,
-        )
     if how.top == 0:
         return jnp.argmin(coarse)
     _, best = jax.lax.top_k(-coarse, min(how.top, len(candidates)))
-    losses = compute_candidate_losses(scene, candidates[best], target, **exactly)
+    losses = compute_candidate_losses(kind, scene, candidates[best], target, **exactly)
     return best[jnp.argmin(losses)]
 
 
-def _is_exact(scene, target, how):
-    """Whether the first comparison is at full resolution already."""
-    has_all_cells = how.grid in (0, target.shape[0])
-    if "cells" in scene:
-        return has_all_cells
-    count = len(scene["points"])
-    has_all_points = min(how.points or count, count) == count
-    return how.is_exact or how.rank == "volume" and has_all_cells and has_all_points
+def place_in_image(
+    kind: type[Shape],
+    scene: Scene,
+    candidates: jax.Array,
+    own: Mapping[str, Any],
+    *,
+    side: int,
+    camera: Camera,
+    how: Choice,
+) -> Any:
+    """`Shape.place_in_image` of a view with what it has of its own."""
+    view = View(candidates[0], place_camera(camera, own), side, own.get("translation"))
+    return kind.place_in_image(scene, candidates, view, how)

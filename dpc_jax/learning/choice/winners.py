@@ -4,24 +4,18 @@ A view's gradient is computed right after its render, while the volume is in the
 processor's cache. So no volume is kept for a backward pass over the batch.
 """
 
-import dataclasses
 import functools
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.config import Render, Train
 from dpc_jax.learning.cameras import Cameras, list_own, place_camera
-from dpc_jax.learning.predictions import Cells, Maps, Shapes
-from dpc_jax.learning.renders import make_scenes, render_scene
+from dpc_jax.learning.recipe import Recipe
 from dpc_jax.learning.schedules import Stage
-from dpc_jax.learning.signals import (
-    Weights,
-    compare_images,
-    make_targets,
-    read_weights,
-)
+from dpc_jax.learning.shapes.kind import Shape, View
+from dpc_jax.learning.signals import Weights, make_targets
 from dpc_jax.render import Camera
 from dpc_jax.render.batch import map_renders
 
@@ -29,6 +23,7 @@ from dpc_jax.render.batch import map_renders
 class _Static(NamedTuple):
     """What is static about a comparison."""
 
+    kind: type[Shape]
     camera: tuple[float, float]  # focal length and distance
     grid: int
     weights: Weights
@@ -38,12 +33,11 @@ class _Static(NamedTuple):
 
 
 def compare_winners(
-    shapes: Shapes | Cells | Maps,
+    shapes: Shape,
     rotations: jax.Array,
-    batch: dict[str, jax.Array],
+    batch: Mapping[str, jax.Array],
     *,
-    render: Render,
-    train: Train,
+    recipe: Recipe,
     stage: Stage,
     cameras: Cameras = Cameras(),
 ) -> tuple[jax.Array, dict[str, jax.Array], jax.Array]:
@@ -57,18 +51,18 @@ def compare_winners(
       rotations: [B, V, 4] quaternions, the pose of each view.
       batch: masks uint8 [B, V, S, S], images uint8 [B, V, S, S, 3] and depths
         [B, V, S, S]: what the signals that have a weight need.
-      render, train: the base grid, the camera and the weights of the signals. stage:
-        the grid of the winners.
+      recipe: has the base grid, the camera and the weights of the signals. stage: the
+        grid of the winners.
       cameras: [B, V, ...] of the views, where they have their own.
 
     Returns:
       (() the weighted sum, which has the gradient; {name: ()} of its terms; [B·V] what
       each view has of the sum, without gradient).
     """
+    render, train, weights = recipe.render, recipe.train, recipe.weights
     num_views = rotations.shape[0] * rotations.shape[1]
     ratio = stage.grid / render.grid
-    weights = read_weights(train)
-    scene, shared = make_scenes(shapes, ratio)
+    scene, shared = shapes.list_scenes(ratio)
     learned = jax.tree.map(
         lambda array: jnp.repeat(array, rotations.shape[1], axis=0), scene
     ) | {"rotation": rotations.reshape(-1, 4)}
@@ -82,6 +76,7 @@ def compare_winners(
     for name, value in shared.items():
         given[name] = jnp.broadcast_to(jax.lax.stop_gradient(value), num_views)
     static = _Static(
+        type(shapes),
         (render.focal_length, render.distance),
         stage.grid,
         weights,
@@ -98,46 +93,20 @@ def compare_winners(
 
 def _compare_view(static, learned, given):
     """The weighted sum of a view's losses, and each of them."""
-    camera = place_camera(Camera(*static.camera), learned)
-    if "point_logits" in learned:
-        from dpc_jax.learning import view_maps  # of a baseline alone
-
-        drawn = view_maps.pseudo_render(
-            learned["points"],
-            learned["point_logits"],
-            learned["rotation"],
-            camera=camera,
-            side=static.grid,
-            translation=learned.get("translation"),
-        )
-        return view_maps.compare_render(
-            drawn, given["targets"], weights=static.weights, camera=camera
-        )
-
-    def render(signals, scene):
-        return render_scene(
-            scene,
-            scene["rotation"],
-            translation=scene.get("translation"),
-            camera=place_camera(Camera(*static.camera), scene),
-            side=static.grid,
-            signals=signals,
-            ray_rule=static.ray_rule,
-        )
-
-    scene, signals = given | learned, static.weights.renders
-    if "color" in signals and not static.colors_move_points:
-        # A pixel of a wrong colour would else be made white by moving its points off.
-        # The second render has the values of the first: one of the two is computed.
-        others = tuple(signal for signal in signals if signal != "color")
-        still = jax.lax.stop_gradient(scene) | {"colors": scene["colors"]}
-        colored = render(("color",), still)
-        image: Any = render(others, scene)  # a chex dataclass, which type checkers miss
-        image = dataclasses.replace(image, color=colored.color)
-    else:
-        image = render(signals, scene)
-    return compare_images(
-        image, given["targets"], weights=static.weights, camera=camera
+    scene = given | learned
+    view = View(
+        scene["rotation"],
+        place_camera(Camera(*static.camera), scene),
+        static.grid,
+        scene.get("translation"),
+        static.ray_rule,
+    )
+    return static.kind.compare_view(
+        scene,
+        view,
+        given["targets"],
+        weights=static.weights,
+        colors_move_shapes=static.colors_move_points,
     )
 
 

@@ -1,14 +1,14 @@
 """A cloud and the cameras of its views, learned by gradient descent."""
 
-import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 
+from dpc_jax.learning.cameras import place_camera
 from dpc_jax.learning.losses import repulsion_energy
 from dpc_jax.learning.signals import Weights, compare_images
 from dpc_jax.learning.silhouette_pull import pull_inside
@@ -71,32 +71,28 @@ def render_view(
     signals: tuple[str, ...],
     camera: Camera,
 ) -> Projection:
-    """One view: its rotation, and its translation and log_focal where it has them."""
+    """One view: its rotation, and its translation and focal length where it has any."""
     return project(
         cloud.points,
-        view["rotations"],
+        view["rotation"],
         sigma=sigma,
         scale=cloud.find_mass(side),
         colors=cloud.colors if "color" in signals else None,
-        translation=view.get("translations"),
-        camera=place_camera(view, camera),
+        translation=view.get("translation"),
+        camera=place_camera(camera, view),
         grid=VoxelGrid(side),
         signals=signals,
     )
 
 
-def place_camera(view: Mapping[str, jax.Array], camera: Camera) -> Camera:
-    """The camera of a view, with its own focal length where it has one."""
-    if "log_focal" not in view:
-        return camera
-    focal_length = camera.focal_length * jnp.exp(view["log_focal"])
-    return dataclasses.replace(camera, focal_length=focal_length)
-
-
-def list_cameras(cloud: Cloud) -> dict[str, jax.Array]:
+def list_views(cloud: Cloud, camera: Camera) -> dict[str, Any]:
     """What each view has of its own, by name, [V, ...]."""
-    found = {name: getattr(cloud, name) for name in _POSES}
-    return {name: array for name, array in found.items() if array is not None}
+    views: dict[str, Any] = {"rotation": cloud.rotations}
+    if cloud.translations is not None:
+        views["translation"] = cloud.translations
+    if cloud.log_focal is not None:
+        views["focal_length"] = camera.focal_length * jnp.exp(cloud.log_focal)
+    return views
 
 
 def compare_views(
@@ -118,7 +114,7 @@ def compare_views(
         return compare_images(image, images, weights=weights, camera=camera)[0]
 
     losses = map_renders(
-        compare, (list_cameras(cloud), dict(targets)), renders_at_once=AUTOMATIC
+        compare, (list_views(cloud, camera), dict(targets)), renders_at_once=AUTOMATIC
     )
     return losses / side**2
 
@@ -135,7 +131,7 @@ def render_all(
             cloud, view, sigma=sigma, side=side, signals=names, camera=camera
         ).silhouette
 
-    return map_renders(render, list_cameras(cloud), renders_at_once=AUTOMATIC)
+    return map_renders(render, list_views(cloud, camera), renders_at_once=AUTOMATIC)
 
 
 def find_losses(
@@ -157,7 +153,7 @@ def find_losses(
     def compare(candidate):
         image = render_view(
             cloud,
-            {"rotations": candidate},
+            {"rotation": candidate},
             sigma=sigma,
             side=side,
             signals=("silhouette",),
@@ -176,13 +172,13 @@ def pull(cloud: Cloud, outside: jax.Array, *, camera: Camera) -> jax.Array:
         own, distances = view
         return pull_inside(
             cloud.points,
-            own["rotations"],
+            own["rotation"],
             distances,
-            camera=place_camera(own, camera),
-            translation=own.get("translations"),
+            camera=place_camera(camera, own),
+            translation=own.get("translation"),
         )
 
-    return jnp.mean(jax.vmap(measure)((list_cameras(cloud), outside)))
+    return jnp.mean(jax.vmap(measure)((list_views(cloud, camera), outside)))
 
 
 def repel(cloud: Cloud, key: jax.Array) -> jax.Array:

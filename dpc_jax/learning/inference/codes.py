@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.config import Config
@@ -74,23 +73,13 @@ def make_coder(network: ShapePoseNetwork, config: Config) -> Callable:
 def make_shared(function: Callable, config: Config, *parts: Any) -> Callable:
     """Compile a function of a state and arrays of n objects, shared by the devices.
 
-    Every device has the whole network: there are few objects. The number of objects
-    need not divide.
+    Every device has the whole network: there are few objects.
 
     Args:
       parts: of the arguments after the state, `devices.OBJECTS` or `devices.WHOLE`.
     """
-    mesh = devices.make_mesh(config)
-    in_specs, out_specs = (devices.WHOLE, *parts), devices.OBJECTS
-    shared = devices.share(function, mesh, in_specs=in_specs, out_specs=out_specs)
-
-    def pad(state, first, *others):
-        count = len(jax.tree.leaves(first)[0])
-        rows = jnp.minimum(jnp.arange(count + -count % mesh.size), count - 1)
-        output = shared(state, jax.tree.map(lambda a: a[rows], first), *others)
-        return jax.tree.map(lambda array: array[:count], output)
-
-    return jax.jit(pad)
+    in_specs = (devices.WHOLE, *parts)
+    return jax.jit(devices.share_padded(function, devices.make_mesh(config), in_specs))
 
 
 def encode_all(

@@ -8,12 +8,9 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Config
 from dpc_jax.learning.cameras import place_camera
-from dpc_jax.learning.renders import (
-    Scene,
-    compute_candidate_losses,
-    render_scene,
-    resize_scene,
-)
+from dpc_jax.learning.renders import compute_candidate_losses
+from dpc_jax.learning.shapes import Shape, find_kind
+from dpc_jax.learning.shapes.kind import Scene, View
 from dpc_jax.learning.signals import (
     SILHOUETTES,
     Weights,
@@ -25,6 +22,11 @@ from dpc_jax.render import Camera
 
 FINALISTS = 4  # candidates of a view that are compared in the finest grid
 _SOURCES = {"depth": "depths", "color": "images"}  # arrays that signals are read from
+
+
+def kind_of(config: Config) -> type[Shape]:
+    """What the run's shapes are."""
+    return find_kind(config.network.shape)
 
 
 def list_compared(
@@ -88,7 +90,11 @@ def rank_finely(
     if ratio == 1:
         return best
     finer = compare_candidates(
-        resize_scene(scene, ratio), candidates[best], target, own, config=config
+        kind_of(config).resize(scene, ratio),
+        candidates[best],
+        target,
+        own,
+        config=config,
     )
     posteriors = find_posteriors(finer, probabilities[best])
     return best[jnp.argsort(-posteriors)]
@@ -119,19 +125,24 @@ def show_view(
         "depth": not config.data.images or bool(config.data.test_meshes),
         "color": "colors" in shown,
     }
-    image = render_scene(
-        resize_scene(shown, side / render.grid),
-        pose,
-        translation=own.get("translation"),
-        camera=camera,
-        side=side,
+    kind = kind_of(config)
+    image = kind.render(
+        kind.resize(shown, side / render.grid),
+        View(pose, camera, side, own.get("translation"), render.ray_rule),
         signals=tuple(name for name, holds in is_asked.items() if holds),
-        ray_rule=render.ray_rule,
         background_depth=find_background(camera.distance),
     )
     names = {"silhouettes": image.silhouette, "depths": image.depth}
     images = names | {"color_images": image.color}
     return {n: a for n, a in images.items() if a is not None}
+
+
+def weigh_finest(scene: Scene, config: Config) -> Scene:
+    """A scene for the finest grid, as dense as training renders last."""
+    kind, render = kind_of(config), config.render
+    return kind.resize(
+        kind.weigh_as_trained(scene, render), render.finest / render.grid
+    )
 
 
 def compare_poses(
@@ -156,6 +167,7 @@ def compare_poses(
     """
     render = config.render
     return compute_candidate_losses(
+        kind_of(config),
         scene,
         poses,
         target,

@@ -1,5 +1,6 @@
 """Predictions for a whole data set."""
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -16,9 +17,11 @@ from dpc_jax.learning.cameras import find_cameras, list_own
 from dpc_jax.learning.inference.explanation import (
     compare_candidates,
     compare_poses,
+    kind_of,
     list_compared,
     rank_finely,
     show_view,
+    weigh_finest,
 )
 from dpc_jax.learning.inference.viewpoint_search import search_nearby
 from dpc_jax.learning.losses import downsample_images
@@ -27,7 +30,6 @@ from dpc_jax.learning.predictions import (
     find_probabilities,
     make_inputs,
 )
-from dpc_jax.learning.renders import find_scenes, resize_scene, weigh_as_trained
 from dpc_jax.learning.signals import list_extras
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
@@ -45,7 +47,7 @@ class Predictions(NamedTuple):
         until `volumes.add_points`.
       colors: [M, V, N, 3], or None.
       poses: [M, V, 4], predicted: the student's quaternion, or that of the largest
-        posterior (`pose.predicted`), a viewpoint then searched for nearby; the given
+        posterior (`pose.student`), a viewpoint then searched for nearby; the given
         one where poses are known.
       candidate_poses: [M, V, 4], the candidate, turned or not, that fits the view best.
       winners: [M, V] its index; of head index % K, whether turned or not.
@@ -65,11 +67,11 @@ class Predictions(NamedTuple):
     """
 
     points: np.ndarray
-    colors: np.ndarray | None
     poses: np.ndarray
     candidate_poses: np.ndarray
     winners: np.ndarray
     silhouettes: np.ndarray
+    colors: np.ndarray | None = None
     depths: np.ndarray | None = None
     color_images: np.ndarray | None = None
     translations: np.ndarray | None = None
@@ -79,6 +81,30 @@ class Predictions(NamedTuple):
     costs: np.ndarray | None = None
     candidates: np.ndarray | None = None
     probabilities: np.ndarray | None = None
+
+
+class View(NamedTuple):
+    """One of n views, with what a network predicts for it.
+
+    Attributes:
+      scene, shown: of the shape, its points of the size that training has now, and of
+        that which the schedule ends with: so images compare over training.
+      pose: [4] of the student. chances: [C] that it gives to the candidates [C, 4].
+      given: [4], the pose of the data.
+      target: [D, D] silhouette in the base grid, own: what the view has of its own,
+        see `compare_poses`. fine_target, fine: the same in the finest grid.
+    """
+
+    scene: Any
+    shown: Any
+    pose: Any
+    chances: Any
+    given: Any
+    candidates: Any
+    target: Any
+    own: Any
+    fine_target: Any
+    fine: Any
 
 
 def make_predictor(
@@ -92,109 +118,102 @@ def make_predictor(
     those that a run does not have are left out, and so are candidates and their
     probabilities unless they are kept.
     """
-    render, pose = config.render, config.pose
 
     def predict(state, images, masks, quaternions, extras):
         with sharing_columns(devices.AXIS):
             inputs = make_inputs(images, masks, network=network)
-            output = network.apply(state.params, inputs)
-        assert isinstance(output, dict)
-        steps = config.train.steps
-        sigma = schedules.compute_sigma(state.step, render, steps=steps)
-        scene, shared = find_scenes(output, sigma, render=render)
-        # Images have the size that the schedule ends with: they compare over training.
-        last = schedules.compute_sigma(steps, render, steps=steps)
-        shown, shown_shared = find_scenes(output, last, render=render)
-        shown = weigh_as_trained(shown, render)
-        candidates, students = quaternions[:, None], quaternions
-        chances = jnp.ones((len(images), 1))
-        if not pose.known:
-            poses = complete_poses(output, state.covariance, pose=pose)
-            candidates, students = poses.candidates, poses.student
-            chances = find_probabilities(poses)
-            output |= {"candidates": candidates, "probabilities": chances}
-        targets = downsample_images(masks, render.grid)
-        cameras = find_cameras(output, extras, pose=pose)
-        views = {"images": images, "masks": masks, **extras}
-        cameras = list_own(cameras, len(images))
-        own = cameras | list_compared(views, render.grid, config)
-        fine = cameras | list_compared(views, render.finest, config)
-        fine_targets = downsample_images(masks, render.finest)
-        if "sigma" in scene:
-            output["sizes"] = scene["sigma"]
-
-        def explain(view):
-            scene, shown, taken, chances, given, candidates, *seen = view
-            target, own, fine_target, fine = seen
-            scene, shown = scene | shared, shown | shown_shared
-            winner = jnp.zeros((), jnp.int32)
-            if len(candidates) > 1:
-                losses = compare_candidates(
-                    scene, candidates, target, own, config=config
-                )
-                winner = jnp.argmin(losses)
-                if pose.weighs_fit:
-                    likeliest = rank_finely(
-                        scene,
-                        candidates,
-                        losses,
-                        chances,
-                        fine_target,
-                        fine,
-                        config=config,
-                    )
-                    taken = candidates[likeliest[0]]
-                    if pose.searches:
-                        taken = search_nearby(
-                            scene, taken, fine_target, fine, config=config
-                        )
-            images = show_view(shown, taken, own, config=config)
-            if not pose.known:
-                both = jnp.stack([taken, given])
-                weighed = weigh_as_trained(scene, render)
-                finer = resize_scene(weighed, render.finest / render.grid)
-                costs = compare_poses(finer, both, fine_target, own, config=config)
-                images = images | {"costs": costs}
-            return images, taken, winner
-
-        rendered, taken, winners = map_renders(
-            explain,
-            (scene, shown, students, chances, quaternions, candidates)
-            + (targets, own, fine_targets, fine),
-            renders_at_once=render.renders_at_once,
+            output: Any = network.apply(state.params, inputs)
+        views, shared = _list_views(
+            output,
+            state,
+            {"images": images, "masks": masks, **extras},
+            quaternions,
+            config=config,
         )
-        if "maps" in output:
-            from dpc_jax.learning.view_maps import sample_visible  # of a baseline
-
-            output["points"] = sample_visible(output)
-        result = {
-            "poses": taken,
-            "candidate_poses": jax.vmap(lambda q, k: q[k])(candidates, winners),
-            "winners": winners,
-        }
-        kept = ("points", "cells", "colors", "sizes", "translations", "focal_lengths")
-        if keeps_candidates:
-            kept = (*kept, "candidates", "probabilities")
-        return result | rendered | {n: output[n] for n in kept if n in output}
+        explained = map_renders(
+            functools.partial(_explain, shared=shared, config=config),
+            views,
+            renders_at_once=config.render.renders_at_once,
+        )
+        candidates = views.candidates
+        best = jax.vmap(lambda q, k: q[k])(candidates, explained["winners"])
+        result = explained | {"candidate_poses": best}
+        names = ("translations", "focal_lengths")
+        result |= {name: output[name] for name in names if name in output}
+        if keeps_candidates and not config.pose.known:
+            result |= {"candidates": candidates, "probabilities": views.chances}
+        return result | kind_of(config).find_evaluated(output, views.scene)
 
     mesh = devices.make_mesh(config)
-    shared = devices.share(
-        predict,
-        mesh,
-        in_specs=(find_parts(network, config, mesh), *[devices.OBJECTS] * 4),
-        out_specs=devices.OBJECTS,
-    )
-
-    def pad(state, *views):
-        """All devices have as many views; those that fill up are cut off again."""
-        count = len(views[0])
-        rows = jnp.minimum(jnp.arange(count + -count % mesh.size), count - 1)
-        output = shared(state, *jax.tree.map(lambda array: array[rows], views))
-        return jax.tree.map(lambda array: array[:count], output)
-
+    parts = find_parts(network, config, mesh)
     # Every process of a job gets all of it.
     whole = NamedSharding(mesh, devices.WHOLE) if jax.process_count() > 1 else None
-    return jax.jit(pad, out_shardings=whole)
+    in_specs = (parts, *[devices.OBJECTS] * 4)
+    return jax.jit(devices.share_padded(predict, mesh, in_specs), out_shardings=whole)
+
+
+def _list_views(output, state, arrays, quaternions, *, config):
+    """(`View` of all n, (scenes that they share, of scene and shown))."""
+    render, kind, steps = config.render, kind_of(config), config.train.steps
+    sigma, last = (
+        schedules.compute_sigma(step, render, steps=steps)
+        for step in (state.step, steps)
+    )
+    scene, shared = kind.read(output, sigma, render=render).list_scenes()
+    shown, shown_shared = kind.read(output, last, render=render).list_scenes()
+    shown = kind.weigh_as_trained(shown, render)
+    candidates, students = quaternions[:, None], quaternions
+    chances = jnp.ones((len(quaternions), 1))
+    if not config.pose.known:
+        poses = complete_poses(output, state.covariance, pose=config.pose)
+        candidates, students = poses.candidates, poses.student
+        chances = find_probabilities(poses)
+    cameras = list_own(find_cameras(output, arrays, pose=config.pose), len(quaternions))
+    (target, own), (fine_target, fine) = (
+        (
+            downsample_images(arrays["masks"], side),
+            cameras | list_compared(arrays, side, config),
+        )
+        for side in (render.grid, render.finest)
+    )
+    views = View(
+        *(scene, shown, students, chances, quaternions, candidates),
+        *(target, own, fine_target, fine),
+    )
+    return views, (shared, shown_shared)
+
+
+def _explain(view, *, shared, config):
+    """What one view is taken for: images, poses, winner, and what poses cost."""
+    scene, shown = view.scene | shared[0], view.shown | shared[1]
+    winner, taken = _choose(view, scene, config)
+    found = {"winners": winner, "poses": taken}
+    found |= show_view(shown, taken, view.own, config=config)
+    if not config.pose.known:
+        both = jnp.stack([taken, view.given])
+        finer = weigh_finest(scene, config)
+        found["costs"] = compare_poses(
+            finer, both, view.fine_target, view.own, config=config
+        )
+    return found
+
+
+def _choose(view, scene, config):
+    """(index of the candidate that fits best, the pose that is predicted)."""
+    candidates, pose = view.candidates, config.pose
+    if len(candidates) == 1:
+        return jnp.zeros((), jnp.int32), view.pose
+    losses = compare_candidates(scene, candidates, view.target, view.own, config=config)
+    winner, taken = jnp.argmin(losses), view.pose
+    if pose.weighs_fit:
+        fine = view.fine_target, view.fine
+        likeliest = rank_finely(
+            scene, candidates, losses, view.chances, *fine, config=config
+        )
+        taken = candidates[likeliest[0]]
+        if pose.searches:
+            taken = search_nearby(scene, taken, *fine, config=config)
+    return winner, taken
 
 
 def arrange_views(dataset: DataSet) -> tuple[np.ndarray, np.ndarray]:
@@ -273,8 +292,4 @@ def predict_all(
                 found[name] = np.empty((total, *part.shape[1:]), part.dtype)
             found[name][start : start + views_at_once] = part[: total - start]
     merged = {n: a.reshape(*models.shape, *a.shape[1:]) for n, a in found.items()}
-    colors = merged.pop("colors", None)
-    if "cells" in merged:
-        # The colours are of cells, and points are not found yet.
-        colors, merged["points"] = None, np.zeros((*models.shape, 0, 3))
-    return Predictions(colors=colors, **merged)
+    return Predictions(**merged)

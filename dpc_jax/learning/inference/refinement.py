@@ -21,19 +21,14 @@ from dpc_jax.config import Config
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.cameras import place_camera
 from dpc_jax.learning.inference.codes import make_shared
-from dpc_jax.learning.inference.hypotheses import (
-    Evidence,
-    list_hypotheses,
-    rank_poses,
-    take_best,
+from dpc_jax.learning.inference.explanation import (
+    compare_candidates,
+    kind_of,
+    rank_finely,
 )
+from dpc_jax.learning.inference.viewpoint_search import search_nearby
 from dpc_jax.learning.losses import downsample_images
-from dpc_jax.learning.renders import (
-    find_scenes,
-    render_scene,
-    resize_scene,
-    weigh_as_trained,
-)
+from dpc_jax.learning.shapes.kind import Scene, View
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera, quaternion
 from dpc_jax.render.batch import map_renders
@@ -52,7 +47,7 @@ class RefineSettings:
       code_pull: of a code one deviation away, per mean squared difference of pixels.
       pose_pull: of a pose one radian away, likewise.
       is_rechosen: whether each view's pose is first chosen among all candidates by the
-        shape that the views share, as the run's predictions are (`pose.predicted`) but
+        shape that the views share, as the run's predictions are (`pose.student`) but
         by silhouettes alone.
       hypotheses: of objects of one view, how many of its likeliest candidates are
         refined, each with a shape of its own; that of the least objective stays. A
@@ -69,6 +64,26 @@ class RefineSettings:
     hypotheses: int = 1
 
 
+class Evidence(NamedTuple):
+    """What n objects of V views are fitted to.
+
+    Attributes:
+      codes: [n, F] to begin with, with tints [n, F + 3]. poses: [n, V, 4].
+      candidates: [n, V, C, 4].
+      probabilities: [n, V, C] that the student gives to candidates.
+      masks: uint8 [n, V, S, S]. weights: [n, V] of views; 0 for one that fills up.
+      own: of views' cameras, translation [n, V, 3] and focal_length [n, V] by name.
+    """
+
+    codes: Any
+    poses: Any
+    candidates: Any
+    probabilities: Any
+    masks: Any
+    weights: Any
+    own: dict[str, Any]
+
+
 @functools.lru_cache(maxsize=8)  # of one run there are four
 def make_refiner(
     network: ShapePoseNetwork, config: Config, settings: RefineSettings
@@ -79,7 +94,7 @@ def make_refiner(
     silhouettes [n, V, D, D], and errors_before and errors [n, V]: mean squared
     differences of silhouettes, per pixel. Objects are shared out over the devices.
     """
-    render = config.render
+    render, kind = config.render, kind_of(config)
     side = render.finest
 
     def refine(state, evidence, directions):
@@ -88,15 +103,10 @@ def make_refiner(
         def decode(codes):
             shape = network.apply(state.params, codes, method="predict_shape")
             assert isinstance(shape, dict)
-            return shape, *find_scenes(shape, sigma, render=render)
+            read = kind.read(shape, sigma, render=render)
+            return shape, *read.list_scenes()
 
-        count = 1
-        if settings.is_rechosen or settings.hypotheses > 1:
-            scenes = decode(evidence.codes)[1:]
-            asked = settings.hypotheses
-            likeliest = rank_poses(*scenes, evidence, config, count=asked)
-            count = likeliest.shape[2]
-            evidence = list_hypotheses(evidence, likeliest)
+        evidence, count = _begin_anew(decode, evidence, settings, config)
         poses, targets = evidence.poses, downsample_images(evidence.masks, side)
 
         def compare(weights, turns):
@@ -104,7 +114,7 @@ def make_refiner(
             tints = evidence.codes.shape[1] - bent.shape[1]
             bent = jnp.pad(bent, ((0, 0), (0, tints)))
             shape, scenes, shared = decode(evidence.codes + bent)
-            scenes = weigh_as_trained(scenes, render)
+            scenes = kind.weigh_as_trained(scenes, render)
             images = _render_objects(
                 scenes, shared, turn(poses, turns), evidence.own, side, config
             )
@@ -127,15 +137,24 @@ def make_refiner(
         before, *_ = compare(*begun)
         found: Any = _descend(lambda x: jnp.sum(measure(x)), begun, settings)
         errors, images, shape = compare(*found)
-        result = {"points": shape["points"], "silhouettes": images, "errors": errors}
-        if "colors" in shape:
-            result["colors"] = shape["colors"]
+        result = {name: shape[name] for name in ("points", "colors") if name in shape}
+        result |= {"silhouettes": images, "errors": errors}
         result["poses"] = turn(poses, found[1])
         result = take_best(measure(found).reshape(-1, count), result)
         # The first hypothesis is what was predicted.
         return result | {"errors_before": before[::count]}
 
     return make_shared(refine, config, devices.OBJECTS, devices.WHOLE)
+
+
+def _begin_anew(decode, evidence, settings, config):
+    """(the evidence with poses chosen anew, hypotheses of an object), where asked."""
+    if not settings.is_rechosen and settings.hypotheses == 1:
+        return evidence, 1
+    _, scenes, shared = decode(evidence.codes)
+    asked = settings.hypotheses
+    likeliest = rank_poses(scenes, shared, evidence, config, count=asked)
+    return list_hypotheses(evidence, likeliest), likeliest.shape[2]
 
 
 def turn(poses: jax.Array, turns: jax.Array) -> jax.Array:
@@ -179,23 +198,23 @@ def _descend(measure, learned, settings: RefineSettings):
 
 def _render_objects(scenes, shared, poses, own, side, config):
     """Silhouettes [n, V, D, D] of n objects from V views each."""
-    render = config.render
+    render, kind = config.render, kind_of(config)
+    camera = Camera(render.focal_length, render.distance)
 
     def render_object(entry):
         scene, poses, own = entry
-        scene = resize_scene(scene | shared, side / render.grid)
+        scene = kind.resize(scene | shared, side / render.grid)
 
         def render_view(view):
             pose, own = view
-            return render_scene(
-                scene,
+            seen = View(
                 pose,
-                translation=own.get("translation"),
-                camera=place_camera(Camera(render.focal_length, render.distance), own),
-                side=side,
-                signals=("silhouette",),
-                ray_rule=render.ray_rule,
-            ).silhouette
+                place_camera(camera, own),
+                side,
+                own.get("translation"),
+                render.ray_rule,
+            )
+            return kind.render(scene, seen, signals=("silhouette",)).silhouette
 
         at_once = render.renders_at_once
         return map_renders(render_view, (poses, own), renders_at_once=at_once)
@@ -223,3 +242,67 @@ def refine_all(
         if on_progress:
             on_progress(min(start + at_once, total), total)
     return jax.tree.map(lambda *arrays: np.concatenate(arrays)[:total], *parts)
+
+
+def rank_poses(
+    scenes: Scene, shared: Scene, evidence: Evidence, config: Config, *, count: int
+) -> jax.Array:
+    """Of each view, the poses [n, V, F, 4] that its object's shape fits best.
+
+    By silhouettes: other signals are not at hand. Where predictions are posteriors so
+    are these. Else the student's pose is among the candidates, and counts as any. A
+    single one is searched for nearby as predictions are; of several, a fit has to
+    find out which is right, and moves them anyway.
+
+    Args:
+      scenes, shared: of n objects' shapes.
+      count: F, how many; fewer where there are fewer candidates or `FINALISTS`.
+    """
+    render = config.render
+    candidates, probabilities = evidence.candidates, evidence.probabilities
+    if not config.pose.weighs_fit:
+        candidates = jnp.concatenate([evidence.poses[:, :, None], candidates], axis=2)
+        probabilities = jnp.ones(candidates.shape[:-1])
+    targets = downsample_images(evidence.masks, render.grid)
+    fine_targets = downsample_images(evidence.masks, render.finest)
+
+    def rank(entry):
+        scene, *views = entry
+        return map_renders(
+            functools.partial(rank_view, {**scene, **shared}),
+            tuple(views),
+            renders_at_once=render.renders_at_once,
+        )
+
+    def rank_view(scene, view):
+        poses, probabilities, target, fine_target, own = view
+        losses = compare_candidates(scene, poses, target, own, config=config)
+        likeliest = rank_finely(
+            scene, poses, losses, probabilities, fine_target, own, config=config
+        )
+        if count == 1 and config.pose.searches:
+            best = poses[likeliest[0]]
+            return search_nearby(scene, best, fine_target, own, config=config)[None]
+        return poses[likeliest[:count]]
+
+    return map_renders(
+        rank,
+        (scenes, candidates, probabilities, targets, fine_targets, evidence.own),
+        renders_at_once=render.renders_at_once,
+    )
+
+
+def list_hypotheses(evidence: Evidence, likeliest: jax.Array) -> Evidence:
+    """Each object F times, with one of the likeliest poses [n, V, F, 4] each."""
+    count = likeliest.shape[2]
+    if count == 1:
+        return evidence._replace(poses=likeliest[:, :, 0])
+    repeated = jax.tree.map(lambda array: jnp.repeat(array, count, axis=0), evidence)
+    poses = jnp.swapaxes(likeliest, 1, 2)  # as many objects of V views
+    return repeated._replace(poses=poses.reshape(-1, *poses.shape[2:]))
+
+
+def take_best(costs: jax.Array, result: Any) -> Any:
+    """Of the arrays [n·H, ...] those of the least of the costs [n, H]."""
+    rows = jnp.arange(len(costs)) * costs.shape[1] + jnp.argmin(costs, axis=1)
+    return jax.tree.map(lambda array: array[rows], result)

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Config
-from dpc_jax.learning.inference.explanation import compare_candidates
-from dpc_jax.learning.renders import Scene, resize_scene, weigh_as_trained
+from dpc_jax.learning.inference.explanation import compare_candidates, weigh_finest
+from dpc_jax.learning.shapes.kind import Scene
 from dpc_jax.networks.viewpoints import read_elevations
 from dpc_jax.render import quaternion
 
@@ -39,8 +39,7 @@ def search_nearby(
       pose: [4] quaternion of an upright camera.
       target: [D, D] silhouette, own: see `compare_poses`; of the finest grid.
     """
-    render = config.render
-    finer = resize_scene(weigh_as_trained(scene, render), render.finest / render.grid)
+    finer = weigh_finest(scene, config)
     limits = config.pose.elevation_low, config.pose.elevation_high
     low, high = (jnp.deg2rad(angle) for angle in limits)
 

@@ -6,9 +6,9 @@ import functools
 import os
 import shutil
 import zlib
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -34,14 +34,6 @@ class Restored(NamedTuple):
     state: TrainState
     seconds: float
     damaged: tuple[int, ...]
-
-
-class _OlderFrame(NamedTuple):
-    """Parts of a common frame as saved before it remembered single shapes."""
-
-    points: Any
-    colors: Any
-    moments: Any
 
 
 class Checkpoints:
@@ -123,9 +115,6 @@ class Checkpoints:
     def restore(self, like: TrainState) -> Restored | None:
         """The newest checkpoint that can be read, or None where there is none.
 
-        Instead of a common frame of another form, from before, the state has one that
-        begins anew.
-
         Args:
           like: a state, or what `describe_state` says of it.
 
@@ -140,19 +129,11 @@ class Checkpoints:
         for step in reversed(self.steps()):
             # Whatever a damaged file makes orbax raise, the one before is tried.
             with contextlib.suppress(Exception):
-                saved = self._checkpointer.checkpointables_metadata(step).metadata
-                target = _list_parts(described, saved["state"])
-                older = _describe_older_frame(saved["state"].get("frame"), described)
-                if older:
-                    target["frame"] = older
-                loaded = self._checkpointer.load_checkpointables(
-                    step, {"state": target, "progress": progress}
-                )
+                target = {"state": _list_parts(described), "progress": progress}
+                loaded = self._checkpointer.load_checkpointables(step, target)
                 state = TrainState(**loaded["state"])
                 # Orbax notices a missing or short file, but not a changed byte.
                 if int(loaded["progress"]["checksum"]) == _checksum(state):
-                    if older:
-                        state = state._replace(frame=_make_zeros(described.frame))
                     return Restored(
                         state, float(loaded["progress"]["seconds"]), tuple(damaged)
                     )
@@ -188,31 +169,9 @@ def _standing_alone(folder) -> Iterator[ocp.Context | None]:
         checkpoint_manager.CheckpointManagerOptions = original
 
 
-def _list_parts(state: TrainState, names: Container[str] = ()) -> dict:
-    """The parts of a state by name: those that the run has, and those of these names.
-
-    A part that it has not, a later field of the state perhaps, is not saved: so states
-    from before there was that field are read. Some were saved with such names.
-    """
-    return {n: p for n, p in state._asdict().items() if p is not None or n in names}
-
-
-def _describe_older_frame(saved, described: TrainState) -> _OlderFrame | None:
-    """Of metadata of a common frame that has another form than that of a state."""
-    if described.frame is None or set(saved or ()) != set(_OlderFrame._fields):
-        return None
-    sharding = described.step.sharding  # each device has all of it
-    parts = (saved[name] for name in _OlderFrame._fields)
-    return _OlderFrame(
-        *(jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=sharding) for a in parts)
-    )
-
-
-def _make_zeros(described):
-    """Arrays of what is described."""
-    return jax.tree.map(
-        lambda a: jax.device_put(np.zeros(a.shape, a.dtype), a.sharding), described
-    )
+def _list_parts(state: TrainState) -> dict:
+    """The parts of a state by name, those that the run has."""
+    return {name: part for name, part in state._asdict().items() if part is not None}
 
 
 def _require_room(folder: Path, state: TrainState):

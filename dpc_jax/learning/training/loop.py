@@ -57,7 +57,6 @@ def train(
     validations_after: float = 0.0,
     prepare: Callable[[], object] | None = None,
     check: Callable[[jax.stages.Compiled], None] = lambda _: None,
-    until: int | None = None,
 ) -> Outcome:
     """Train from a state to the last step of the config.
 
@@ -84,24 +83,21 @@ def train(
       prepare: called in the background, once the programs of all stages are there: to
         compile what validation needs.
       check: is given the compiled step of each stage, and may refuse it by an error.
-      until: the step to end after instead, under the same schedules.
 
     Raises:
       NonFiniteError: at the first loss or gradient that is not finite, named with its
         step, and where the loss has grown far above that of the first step. Nothing is
         saved then: the last checkpoint is the last good state.
     """
-    start, steps, due = int(state.step), until or config.train.steps, config.log
+    start, steps, due = int(state.step), config.train.steps, config.log
     watch = Stopwatch(seconds)
     window = Window(start, seconds, heads=config.pose.heads)
-    spans = schedules.list_spans(config.render, steps=config.train.steps)
-    spans = schedules.cut_spans(spans, steps)
+    spans = schedules.list_spans(config.render, steps=steps)
     forecast = Forecast(
-        spans,
+        steps,
         start=start,
         validate_every=due.evaluate if evaluate else None,
         validations_after=validations_after,
-        waits=not compile_ahead,
     )
     make_step = functools.partial(make_train_step, network, config)
     stops_waiting = should_stop if may_stop_waiting else lambda: False
@@ -128,25 +124,22 @@ def train(
             progress.advance(done)
             stops, is_finished = should_stop(), done == steps
             is_last = stops or is_finished
-            if done == config.train.steps and config.train.reseeds_points:
+            if is_finished and config.train.reseeds_points:
                 state = _reseed(state, dataset, network, config, progress)
             if _is_due(done, due.every) or is_last:
                 log_steps(done, window.close(watch.seconds))
             if evaluate and (_is_due(done, due.evaluate) or is_finished):
                 window.check()
-                elapsed = round(watch.seconds, 3)
+                record = {"step": done, "seconds": round(watch.seconds, 3)}
                 with watch.paused(), forecast.timing_validation():
                     scores = evaluate(state)
-                log.write({"step": done, "seconds": elapsed, **scores})
-                found = describe_metrics(scores, share_digits=2)
-                progress.tell(f"Validation at step {done}: {found}")
+                _log_validation(log, progress, record, scores)
             if _is_due(done, due.checkpoint) or is_last:
                 window.check()
                 checkpoints.save(state, seconds=watch.seconds)
             if stops and not is_finished:
                 return Outcome(state, watch.seconds, False)
-            with window.waiting():
-                forecast.add_costs(programs.compare(done, state, batch))
+            programs.raise_failures()
     return Outcome(state, watch.seconds, True)
 
 
@@ -182,13 +175,19 @@ def _log_steps(log, forecast, progress, done, record):
     """Write a record, and show it with the time left."""
     log.write(record)
     forecast.add_rate(done, record["steps_per_second"])
-    forecast.add_wait(record.get("compile_seconds", 0.0))
     progress.report(
         done,
         loss=record["loss"],
         steps_per_second=record["steps_per_second"],
         seconds_left=forecast.compute_left(done),
     )
+
+
+def _log_validation(log, progress, record, scores):
+    """Write and show the scores of a validation."""
+    log.write(record | scores)
+    found = describe_metrics(scores, share_digits=2)
+    progress.tell(f"Validation at step {record['step']}: {found}")
 
 
 def make_batch(dataset: DataSet, step: int, config: Config) -> dict[str, Any]:

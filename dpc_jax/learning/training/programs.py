@@ -7,7 +7,6 @@ a program does not depend on where or when it was compiled.
 
 import contextlib
 import os
-import statistics
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -16,14 +15,12 @@ from concurrent.futures import TimeoutError as NotDone
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 from dpc_jax.learning.schedules import Span, Stage
 
 THREADS = "compile"  # begins the names of the threads that compile
 _NICENESS = 5  # of a program that nobody waits for, beyond that of training
 _POLL_SECONDS = 0.2  # between two looks at whether the run shall stop
-_ROUNDS = 3  # of calls that are timed
 _CACHE_HIT = "/jax/compilation_cache/cache_hits"
 _hits = threading.local()
 
@@ -68,7 +65,6 @@ class StagePrograms:
         self._pending: dict[Stage, Future] = {}
         self._stage: Stage | None = None
         self._program: Program | None = None
-        self._is_compared = False
         _listen()
 
     def __enter__(self):
@@ -131,53 +127,15 @@ class StagePrograms:
         """Have another function run in the background, after what waits there."""
         return self._background.submit(function)
 
-    def compare(self, done: int, state: Any, batch: Any) -> dict[Stage, float]:
-        """Seconds of a step in each stage from the current one on, measured once.
-
-        That is when all of them are compiled, and where it takes under a hundredth of
-        the run. Each program is called on a copy of the state: training is not changed.
-
-        Args:
-          done: steps done. state, batch: of the step after them, or the one before.
-
-        Returns:
-          Medians over calls in turn, so that other load meets all programs alike; empty
-          where nothing is measured, as in a job of several processes, whose calls have
-          to come in one order.
+    def raise_failures(self):
+        """Raise where a later stage's program cannot be made, rather than there.
 
         Raises:
-          Exception: whatever made the compilation of a later stage fail.
+          Exception: whatever made its compilation fail.
         """
-        pending = self._pending
-        calls = (len(pending) + 1) * (1 + _ROUNDS)
-        left = self._spans[-1].end - done
-        if self._is_compared or not all(future.done() for future in pending.values()):
-            return {}
-        self._is_compared = True
-        assert self._stage is not None and self._program is not None
-        programs = {self._stage: self._program.call}
-        programs |= {stage: found.result().call for stage, found in pending.items()}
-        if not pending or left < 100 * calls or jax.process_count() > 1:
-            return {}
-        seconds = {stage: [] for stage in programs}
-        for stage in [*programs] * (1 + _ROUNDS):
-            try:
-                inputs = self._copy_into(state, stage), batch
-                started = time.monotonic()
-                jax.block_until_ready(programs[stage](*inputs))
-            except jax.errors.JaxRuntimeError:  # no memory for a copy
-                return {}
-            seconds[stage].append(time.monotonic() - started)
-        # The first call of a program fills its memory.
-        return {stage: statistics.median(s[1:]) for stage, s in seconds.items()}
-
-    def _copy_into(self, state, stage):
-        """A copy of the state in the middle of a stage, as for the size of points."""
-        span = next(span for span in self._spans if span.stage == stage)
-        step = jnp.asarray((span.start + span.end) // 2, state.step.dtype)
-        step = jax.device_put(step, state.step.sharding)
-        copy = jax.tree.map(jnp.copy, state)
-        return jax.block_until_ready(copy._replace(step=step))
+        for pending in self._pending.values():
+            if pending.done():
+                pending.result()
 
     def _compile_ahead(self, step, structs):
         for span in self._spans:

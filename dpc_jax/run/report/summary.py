@@ -72,7 +72,7 @@ def report_run(
     metrics |= _count_costs(sets, outcome, data_seconds)
     heads = config.pose.heads
     metrics["candidates_alive"] = candidate_use.count_alive(shares) if heads else None
-    if test.dataset.quaternions is not None and not config.pose.given:
+    if test.dataset.quaternions is not None and not config.pose.aligned:
         metrics["alignment_inlier_share"] = alignment.inlier_share
     own = judged["own"][2] if "own" in judged else {}
     if own:
@@ -86,7 +86,7 @@ def report_run(
     shown = {"metrics": metrics, "records": records, "shares": shares}
     shown |= {"warnings": warnings, "title": f"dpc_jax: {workdir.name}"}
     path = _write_page(workdir / "report", config, sets, test, failures, shown)
-    if config.pose.given or sets["val"].quaternions is not None:
+    if config.pose.aligned or sets["val"].quaternions is not None:
         write_alignment(workdir, alignment)
     for warning in warnings:
         print(f"Warning: {warning}")

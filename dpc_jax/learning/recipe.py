@@ -1,10 +1,34 @@
-"""Losses with their weights, and what a step knows of the batches before."""
+"""What is static about a run's steps, and what a step hands on."""
 
 from typing import Any, NamedTuple
 
 import chex
 import jax
 import jax.numpy as jnp
+
+from dpc_jax.config import Pose, Render, Train
+from dpc_jax.learning.signals import Weights, read_weights
+from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.render import Camera
+
+
+class Recipe(NamedTuple):
+    """What is learned and how: the network and the sections that losses need."""
+
+    network: ShapePoseNetwork
+    render: Render
+    pose: Pose
+    train: Train
+
+    @property
+    def camera(self) -> Camera:
+        """Of views that have none of their own."""
+        return Camera(self.render.focal_length, self.render.distance)
+
+    @property
+    def weights(self) -> Weights:
+        """Of the signals."""
+        return read_weights(self.train)
 
 
 class Averages(NamedTuple):

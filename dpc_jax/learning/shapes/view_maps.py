@@ -5,16 +5,20 @@ a point lies: pixels are whole numbers. Coordinates learn from depths, logits fr
 masks. docs/baselines.md says what differs from their code.
 """
 
+import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 import optax
 
 from dpc_jax.config import Render
-from dpc_jax.learning.predictions import Maps
+from dpc_jax.learning.cameras import Cameras
+from dpc_jax.learning.recipe import Recipe
+from dpc_jax.learning.schedules import Stage
+from dpc_jax.learning.shapes.kind import Scene, Shape, View
 from dpc_jax.learning.signals import LOSSES, Weights, find_background, make_targets
 from dpc_jax.networks.view_maps import make_planes
 from dpc_jax.render import Camera, Projection, quaternion
@@ -23,6 +27,105 @@ FINER = 5  # cells of the pseudo-render along a pixel's side
 SAMPLES = 10_000  # points of a prediction, as many as of surfaces of voxel models
 _NEAREST = 0.1  # depth, in box diagonals, nearer than which no point is drawn
 _NO_POINT = -1.0  # logit of a pixel that no point falls into
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class ViewMaps(Shape):
+    """Predicted maps of B objects.
+
+    A scene has points [N, 3] and their point_logits [N].
+
+    Attributes:
+      maps: [B, 8, S, S, 3], see `ViewMapHead`.
+      points: [B, N, 3], theirs in the object frame.
+      logits: [B, N], above 0 of visible points.
+    """
+
+    maps: jax.Array
+    points: jax.Array
+    logits: jax.Array
+
+    def find_scale(self) -> jax.Array:
+        """Share of visible points, recorded where points have their scale."""
+        return jnp.mean(self.logits > 0, axis=1)
+
+    @classmethod
+    def read(
+        cls, output: Mapping[str, Any], sigma: jax.Array, *, render: Render
+    ) -> Self:
+        """Points of maps have no size to read."""
+        del sigma, render
+        return cls(output["maps"], output["points"], output["point_logits"])
+
+    def list_scenes(self, ratio: float = 1.0) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The scenes of a batch, which are the same in every grid."""
+        del ratio
+        return {"points": self.points, "point_logits": self.logits}, {}
+
+    def compare(
+        self,
+        rotations: jax.Array,
+        batch: Mapping[str, jax.Array],
+        cameras: Cameras,
+        *,
+        recipe: Recipe,
+        stage: Stage,
+    ) -> tuple[jax.Array, dict[str, jax.Array], jax.Array | None]:
+        """Each map with its own view in the first stage, pseudo-renders after it."""
+        if not stage.fixed_views:
+            return super().compare(
+                rotations, batch, cameras, recipe=recipe, stage=stage
+            )
+        total, parts = compare_fixed_views(
+            self, batch, render=recipe.render, weights=recipe.weights
+        )
+        return total, parts, None
+
+    @staticmethod
+    def find_evaluated(output: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
+        """Visible points."""
+        del scene
+        return {"points": sample_visible(output)}
+
+    @classmethod
+    def render(
+        cls,
+        scene: Scene,
+        view: View,
+        *,
+        signals: tuple[str, ...],
+        background_depth: jax.Array | float = 10.0,
+    ) -> Projection:
+        """A pseudo-render as images: a pixel with a visible point is covered."""
+        del signals
+        return show_render(_draw(scene, view), background=background_depth)
+
+    @classmethod
+    def compare_view(
+        cls,
+        scene: Scene,
+        view: View,
+        targets: Mapping[str, jax.Array],
+        *,
+        weights: Weights,
+        colors_move_shapes: bool = True,
+    ) -> tuple[jax.Array, dict[str, jax.Array]]:
+        """By the cross entropy of the mask, and by depths; see `compare_render`."""
+        del colors_move_shapes  # there are none
+        drawn = _draw(scene, view)
+        return compare_render(drawn, targets, weights=weights, camera=view.camera)
+
+
+def _draw(scene, view):
+    return pseudo_render(
+        scene["points"],
+        scene["point_logits"],
+        view.rotation,
+        camera=view.camera,
+        side=view.side,
+        translation=view.translation,
+    )
 
 
 class PseudoRender(NamedTuple):
@@ -126,7 +229,7 @@ def compare_render(
 
 
 def compare_fixed_views(
-    shapes: Maps,
+    shapes: ViewMaps,
     batch: Mapping[str, jax.Array],
     *,
     render: Render,

@@ -12,17 +12,42 @@ from which no other is tried any more (docs/baselines.md).
 import functools
 from collections.abc import Mapping
 
-import chex
 import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning.choice.batch_choice import Winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.pose_prior import judge_poses
+from dpc_jax.learning.poses.teaching import Lesson, Teaching, predict
 from dpc_jax.learning.predictions import Poses
+from dpc_jax.learning.recipe import Averages, Recipe, Term
 from dpc_jax.networks import ShapePoseNetwork
 
 _KEPT = 0.95  # of the baseline in a step
+PRIOR = 0.1  # weight of the judge's prior, per pixel of the silhouette
+ENTROPY = 0.05  # weight of a nat of entropy, in shares of the baseline
+
+
+def teach(lesson: Lesson, *, recipe: Recipe) -> tuple[Averages, Teaching]:
+    """One drawn candidate of each view; its cost teaches the probabilities."""
+    averages, poses = predict(lesson, recipe=recipe)
+    winners = draw_poses(poses, lesson.keys, views=lesson.features.shape[1])
+
+    def settle(costs, averages):
+        terms, cost = compare_drawn(
+            lesson.params,
+            poses,
+            winners,
+            costs,
+            averages.cost,
+            lesson.keys,
+            network=recipe.network,
+            weight=PRIOR * recipe.render.grid**2,
+        )
+        return averages._replace(cost=cost), terms
+
+    metrics = {"winners": winners.indices.reshape(-1)}
+    return averages, Teaching(winners.poses, {}, metrics, settle)
 
 
 def draw_poses(poses: Poses, keys: jax.Array, *, views: int) -> Winners:
@@ -53,35 +78,29 @@ def compare_drawn(
     *,
     network: ShapePoseNetwork,
     weight: float,
-    entropy_weight: float,
-) -> tuple[dict[str, tuple[jax.Array, chex.Numeric]], jax.Array]:
+) -> tuple[dict[str, Term], jax.Array]:
     """What probabilities learn, and the prior of the poses drawn.
 
     Args:
       params: of the network. poses: of B·V views. winners: those drawn.
       costs: [B·V] of the renders of these. baseline: (), of the steps before.
       keys: [B], of the objects.
-      weight: of the prior's losses beside these costs; 0 for none.
-      entropy_weight: of a nat of entropy, in shares of the baseline; 0 for none.
+      weight: of the prior's losses beside these costs.
 
     Returns:
-      ({name: (value, weight)} of losses, the new baseline).
+      (losses by name, the new baseline).
     """
-    terms = {}
-    if weight:
-        unlikely, judge = judge_poses(params, winners.poses, keys, network=network)
-        terms |= {"prior": (jnp.mean(unlikely), weight), "judge": (judge, 1.0)}
-        costs = costs + weight * unlikely
+    unlikely, judge = judge_poses(params, winners.poses, keys, network=network)
+    terms = {"prior": Term(jnp.mean(unlikely), weight), "judge": Term(judge, 1.0)}
+    costs = costs + weight * unlikely
     assert baseline is not None
     baseline = update_baseline(baseline, costs, axis=AXIS)
     indices = winners.indices.reshape(-1)
     assert poses.logits is not None
     loss = reinforce_loss(poses.logits, indices, costs, baseline)
-    terms |= {"reinforce": (loss, 1.0)}
-    if entropy_weight:
-        entropy = measure_entropy(poses.logits)
-        terms |= {"head_entropy": (entropy, -entropy_weight * baseline)}
-    return terms, baseline
+    entropy = measure_entropy(poses.logits)
+    terms |= {"reinforce": Term(loss, 1.0)}
+    return terms | {"head_entropy": Term(entropy, -ENTROPY * baseline)}, baseline
 
 
 def update_baseline(

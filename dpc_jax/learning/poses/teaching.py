@@ -1,0 +1,113 @@
+"""Which pose a view is rendered from, and what is learned of it: the common part.
+
+A source of poses is a function `teach` of these arguments, in a file of its own:
+`given`, `labels`, `unknown` (the ensemble in hindsight) and `sampled`.
+"""
+
+import functools
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dpc_jax.learning import losses
+from dpc_jax.learning.cameras import Cameras
+from dpc_jax.learning.choice.batch_choice import Winners
+from dpc_jax.learning.devices import AXIS
+from dpc_jax.learning.half_turns import average_covariance
+from dpc_jax.learning.predictions import Poses, predict_poses
+from dpc_jax.learning.recipe import Averages, Recipe, Term
+from dpc_jax.learning.shapes import Shape
+
+
+class Lesson(NamedTuple):
+    """What a source of poses is asked about.
+
+    Attributes:
+      params, batch, keys, step: as of `objective.compute_loss`.
+      features: [B, V, F] of the views. shapes, cameras: predicted.
+      averages: of the batches before.
+    """
+
+    params: Mapping
+    batch: dict[str, jax.Array]
+    features: jax.Array
+    shapes: Shape
+    cameras: Cameras
+    keys: jax.Array
+    step: jax.Array
+    averages: Averages
+
+
+Settle = Callable[[jax.Array | None, Averages], tuple[Averages, dict[str, Term]]]
+
+
+class Teaching(NamedTuple):
+    """What a batch teaches about poses.
+
+    Attributes:
+      rotations: [B, V, 4] that views are rendered from.
+      terms: losses of the poses by name. metrics: by name.
+      settle: of the costs [B·V] of these renders and the averages, those after this
+        batch and the losses that depend on the costs.
+    """
+
+    rotations: jax.Array
+    terms: dict[str, Term] = {}
+    metrics: dict[str, jax.Array] = {}
+    settle: Settle = lambda costs, averages: (averages, {})
+
+
+def teach_poses(lesson: Lesson, *, recipe: Recipe) -> tuple[Averages, Teaching]:
+    """Poses of a batch, and the averages after it; only its source is loaded."""
+    source = recipe.pose.source
+    if source == "given":
+        from dpc_jax.learning.poses.given import teach
+    elif source == "labels":
+        from dpc_jax.learning.poses.labels import teach
+    elif source == "sampled":
+        from dpc_jax.learning.poses.sampled import teach
+    else:
+        from dpc_jax.learning.poses.unknown import teach
+    return teach(lesson, recipe=recipe)
+
+
+def predict(lesson: Lesson, *, recipe: Recipe) -> tuple[Averages, Poses]:
+    """The candidates of all views, turned ones included, and the student's output."""
+    averages, pose = lesson.averages, recipe.pose
+    if pose.half_turns:
+        places, weights = lesson.shapes.find_places()
+        covariance = average_covariance(
+            averages.covariance, places, lesson.step, weights=weights, axis=AXIS
+        )
+        averages = averages._replace(covariance=covariance)
+    poses = predict_poses(
+        lesson.params,
+        lesson.features,
+        averages.covariance,
+        network=recipe.network,
+        pose=pose,
+    )
+    return averages, poses
+
+
+def compare_student(
+    poses: Poses, winners: Winners, *, recipe: Recipe
+) -> dict[str, Term]:
+    """The student's loss with the hindsight winners as teachers (§ distilled ensemble).
+
+    With logits it is the cross entropy of a student that selects (the default). A
+    single regressor (K = 1) needs no student.
+    """
+    pose = recipe.pose
+    if pose.heads < 2:
+        return {}
+    if poses.logits is not None:
+        loss = losses.selection_loss(poses.logits, winners.indices.reshape(-1))
+    else:
+        assert poses.student is not None
+        teachers = winners.poses.reshape(-1, 4)
+        compare = functools.partial(losses.student_loss, form=pose.student_loss)
+        loss = jnp.mean(jax.vmap(compare)(poses.student, teachers))
+    return {"student": Term(loss, pose.student_weight * recipe.render.grid**2)}

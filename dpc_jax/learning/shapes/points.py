@@ -1,0 +1,284 @@
+"""Point clouds: the shapes of the paper, with the size and the mass of their points.
+
+A scene has points [N, 3], their mass and sigma (`point_sizes`), and where they are
+compared colors [N, 3].
+"""
+
+import dataclasses
+import functools
+from collections.abc import Mapping
+from typing import Any, Self
+
+import jax
+import jax.numpy as jnp
+
+from dpc_jax.config import Render, Train
+from dpc_jax.learning import losses, point_sizes
+from dpc_jax.learning.cameras import Cameras
+from dpc_jax.learning.choice import coarse_choice
+from dpc_jax.learning.recipe import Recipe, Term
+from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
+from dpc_jax.render import Projection, project
+from dpc_jax.render.kernels import sample_gaussian
+
+PULL_FROM = 0.5  # share of a run; before it poses are too often wrong
+REPELLED = 500  # points that repel each other in a step, for the time that pairs take
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Points(Shape):
+    """Predicted clouds of B objects.
+
+    Attributes:
+      points: [B, N, 3], all predicted points.
+      kept: [B, n, 3], those that point dropout keeps.
+      colors: [B, n, 3] of the kept points, or None.
+      scale: [B] in (0, 1), the learned scaling coefficient.
+      mass: [B] of each point, voxels; [B, n] where sizes are learned.
+      sigma: () of each point, voxels; where sizes are learned, [B, n] of each kept
+        point, or the covariances [B, n, 3, 3] in voxels².
+    """
+
+    points: jax.Array
+    kept: jax.Array
+    colors: jax.Array | None
+    scale: jax.Array
+    mass: jax.Array
+    sigma: jax.Array
+
+    @classmethod
+    def read(
+        cls, output: Mapping[str, Any], sigma: jax.Array, *, render: Render
+    ) -> Self:
+        """All points that a network predicts; learned sizes take sigma's place."""
+        points, scale = output["points"], output["scale"]
+        if "sizes" in output:
+            size, mass = point_sizes.measure_points(output, grid=render.grid)
+        else:
+            size = sigma
+            mass = compute_mass(scale, sigma, scale_unit=render.scale_unit)
+        return cls(points, points, output.get("colors"), scale, mass, size)
+
+    def drop(self, keys: jax.Array, kept_points: int) -> Self:
+        """The clouds with some of their points, drawn with each object's key of [B].
+
+        One subset of points serves all views and candidates of an object, so that the
+        choice among candidates does not depend on which points were drawn.
+        """
+        order = jax.vmap(functools.partial(draw_order, count=self.points.shape[1]))(
+            keys
+        )
+        subset = order[:, :kept_points]
+        kept, colors = jax.tree.map(
+            lambda a: jnp.take_along_axis(a, subset[..., None], axis=1),
+            (self.points, self.colors),
+        )
+        size, mass = self.sigma, self.mass
+        if point_sizes.has_own_sizes(size):
+            size, mass = jax.tree.map(
+                jax.vmap(lambda array, rows: array[rows]),
+                (size, mass),
+                (subset, subset),
+            )
+        return dataclasses.replace(
+            self, kept=kept, colors=colors, mass=mass, sigma=size
+        )
+
+    def list_scenes(self, ratio: float = 1.0) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The scenes of a batch; a sigma of the schedule is shared."""
+        colors = {} if self.colors is None else {"colors": self.colors}
+        sigma, mass = point_sizes.scale_point_sizes(self.sigma, self.mass, ratio)
+        scene = {"points": self.kept, "mass": mass} | colors
+        if point_sizes.has_own_sizes(sigma):
+            return scene | {"sigma": sigma}, {}
+        return scene, {"sigma": sigma}
+
+    def find_places(self) -> tuple[jax.Array, jax.Array | None]:
+        """All kept points, alike."""
+        return self.kept, None
+
+    def find_scale(self) -> jax.Array:
+        """The learned one."""
+        return self.scale
+
+    def find_cloud(self) -> jax.Array:
+        """All points, those that dropout leaves out too."""
+        return self.points
+
+    def find_priors(self, step: jax.Array, *, train: Train) -> dict[str, Term]:
+        """Containment and repulsion, 0 where they have no weight yet."""
+        terms = {}
+        if train.containment_weight:
+            outside = jnp.mean(jax.vmap(losses.containment_loss)(self.points))
+            terms["containment"] = Term(outside, train.containment_weight)
+        if train.repulsion_weight:
+            # Ramped up over the second half, once shapes have formed.
+            ramp = jnp.maximum(0, 2 * (step / train.steps) - 1)
+            energy = jax.lax.cond(
+                ramp > 0,
+                lambda points: jnp.mean(jax.vmap(losses.repulsion_energy)(points)),
+                lambda _: jnp.zeros(()),
+                self.kept[:, :REPELLED],
+            )
+            # A mean, as the reprojection of all points is: the balance of the two is
+            # the same however many points there are.
+            terms["repulsion"] = Term(energy, train.repulsion_weight * ramp)
+        return terms
+
+    def find_pulls(
+        self,
+        rotations: jax.Array,
+        batch: Mapping[str, jax.Array],
+        cameras: Cameras,
+        step: jax.Array,
+        *,
+        recipe: Recipe,
+    ) -> dict[str, Term]:
+        """The pull into silhouettes, once these are seen from the right poses."""
+        if not recipe.train.pull_weight:
+            return {}
+        from dpc_jax.learning.silhouette_pull import pull_batch  # where it is asked for
+
+        side = recipe.render.grid
+        pull = jax.lax.cond(
+            step >= PULL_FROM * recipe.train.steps,
+            functools.partial(
+                pull_batch,
+                masks=batch["masks"],
+                side=side,
+                camera=recipe.camera,
+                cameras=cameras,
+            ),
+            lambda points, rotations: jnp.zeros(()),
+            self.kept,
+            rotations,
+        )
+        return {"pull": Term(pull, recipe.train.pull_weight * side**2)}
+
+    @staticmethod
+    def find_evaluated(output: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
+        """Points, and their colours and sizes where these are learned."""
+        found = {name: output[name] for name in ("points", "colors") if name in output}
+        return found | ({"sizes": scene["sigma"]} if "sigma" in scene else {})
+
+    @staticmethod
+    def resize(scene: Scene, ratio: float) -> Scene:
+        """Sizes and masses are in cells of the grid."""
+        sigma, mass = point_sizes.scale_point_sizes(
+            scene["sigma"], scene["mass"], ratio
+        )
+        return {**scene, "sigma": sigma, "mass": mass}
+
+    @staticmethod
+    def weigh_as_trained(scene: Scene, render: Render) -> Scene:
+        """A scene whose points have together the mass that training renders last.
+
+        Their masses were learned where dropout leaves a share of them out: with
+        `render.keep_end` below 1, outlines of all of them would be wider than the
+        images'.
+        """
+        return {**scene, "mass": render.keep_end * scene["mass"]}
+
+    @classmethod
+    def render(
+        cls,
+        scene: Scene,
+        view: View,
+        *,
+        signals: tuple[str, ...],
+        background_depth: jax.Array | float = 10.0,
+    ) -> Projection:
+        """Eqs. 2 to 5; see `project`."""
+        sigma, covariance = point_sizes.split_size(jnp.asarray(scene["sigma"]))
+        return project(
+            scene["points"],
+            view.rotation,
+            sigma=sigma,
+            covariance=covariance,
+            scale=scene["mass"],
+            colors=scene["colors"] if "color" in signals else None,
+            signals=signals,
+            background_depth=background_depth,
+            **view.arguments,
+        )
+
+    @staticmethod
+    def place_in_image(
+        scene: Scene, candidates: jax.Array, view: View, how: Choice
+    ) -> coarse_choice.ImagePoints | None:
+        """Points in the image of each candidate; None where no image ranks them."""
+        if how.rank != "image" or how.is_exact:
+            return None
+        return coarse_choice.place_candidates(
+            scene["points"],
+            candidates,
+            side=how.grid or view.side,
+            camera=view.camera,
+            choice_points=how.points,
+            translation=view.translation,
+            size=scene["sigma"],
+        )
+
+    @classmethod
+    def rank(
+        cls,
+        scene: Scene,
+        candidates: jax.Array,
+        target: jax.Array,
+        places: coarse_choice.ImagePoints | None,
+        *,
+        how: Choice,
+        **view: Any,
+    ) -> jax.Array | None:
+        """By optical depths in the image, or in a smaller volume; of fewer points."""
+        count = len(scene["points"])
+        has_all = how.grid in (0, target.shape[0]) and (how.points or count) >= count
+        if how.is_exact or how.rank == "volume" and has_all:
+            return None
+        if places is not None:
+            return coarse_choice.compute_image_losses(
+                places,
+                scene["mass"],
+                target,
+                sigma=scene["sigma"],
+                choice_grid=how.grid,
+            )
+        return coarse_choice.compute_coarse_losses(
+            cls,
+            scene,
+            candidates,
+            target,
+            choice_grid=how.grid,
+            choice_points=how.points,
+            **view,
+        )
+
+
+def draw_order(key: jax.Array, *, count: int) -> jax.Array:
+    """The indices 0 to count - 1 in random order, [count] int32.
+
+    One sort of single numbers: random bits above, the index below. This is several
+    times faster than `jax.random.permutation`, which sorts pairs, twice. Two indices
+    whose random bits agree stay in their order: of 2000, about one pair in a draw.
+    """
+    index_bits = max(1, (count - 1).bit_length())
+    bits = jax.random.bits(key, (count,), jnp.uint32) >> index_bits << index_bits
+    packed = jnp.sort(bits | jnp.arange(count, dtype=jnp.uint32))
+    return (packed & (2**index_bits - 1)).astype(jnp.int32)
+
+
+def compute_mass(scale: jax.Array, sigma: jax.Array, *, scale_unit: str) -> jax.Array:
+    """Mass of a point in voxels from the learned scaling coefficient in (0, 1).
+
+    With the unit "peak" the coefficient is the peak height c_i of Eq. 3, as sampled at
+    cell centres: at one, a point on a centre fills its cell, whatever its sigma. With
+    "mass" it is the integral of the point's density, as in the released code.
+
+    `mass_of_peak` is the same from a sigma of 0.7 on, to 0.1 %. It has the peak of the
+    density, not of its samples: under it points would fade away while the schedule
+    makes them thinner than a voxel.
+    """
+    if scale_unit == "mass":
+        return scale
+    return scale / sample_gaussian(jnp.zeros(()), sigma) ** 3

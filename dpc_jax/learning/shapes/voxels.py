@@ -1,0 +1,109 @@
+"""Volumes of occupancies: the shapes of Ours-V, PTN, DRC and MVC (docs/baselines.md).
+
+A scene has cells [D, D, D], and where they are compared colors [D, D, D, 3].
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Self
+
+import jax
+import jax.numpy as jnp
+
+from dpc_jax.config import Render
+from dpc_jax.learning.choice.coarse_choice import shrink_target
+from dpc_jax.learning.renders import compute_candidate_losses
+from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
+from dpc_jax.render import Projection, project_volume
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Voxels(Shape):
+    """Predicted volumes of B objects.
+
+    Attributes:
+      cells: [B, D, D, D] occupancies in the object frame, see `project_volume`.
+      colors: [B, D, D, D, 3], or None.
+    """
+
+    cells: jax.Array
+    colors: jax.Array | None
+
+    def find_scale(self) -> jax.Array:
+        """Mean occupancy, which is recorded where points have their scale."""
+        return jnp.mean(self.cells, axis=(1, 2, 3))
+
+    @classmethod
+    def read(
+        cls, output: Mapping[str, Any], sigma: jax.Array, *, render: Render
+    ) -> Self:
+        """Cells have no size to read."""
+        del sigma, render
+        return cls(output["cells"], output.get("colors"))
+
+    def list_scenes(self, ratio: float = 1.0) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The scenes of a batch, which are the same in every grid."""
+        del ratio
+        colors = {} if self.colors is None else {"colors": self.colors}
+        return {"cells": self.cells} | colors, {}
+
+    def find_places(self) -> tuple[jax.Array, jax.Array | None]:
+        """The centres of cells, by their occupancies."""
+        sides = self.cells.shape[1:]
+        axes = [(jnp.arange(side) + 0.5) / side - 0.5 for side in sides]
+        centers = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        weights = self.cells.reshape(len(self.cells), -1)
+        return jnp.broadcast_to(centers[None], (*weights.shape, 3)), weights
+
+    @staticmethod
+    def find_evaluated(output: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
+        """Cells; their surface has points once `volumes.add_points` finds them."""
+        del scene
+        return {
+            "cells": output["cells"],
+            "points": jnp.zeros((len(output["cells"]), 0, 3)),
+        }
+
+    @classmethod
+    def render(
+        cls,
+        scene: Scene,
+        view: View,
+        *,
+        signals: tuple[str, ...],
+        background_depth: jax.Array | float = 10.0,
+    ) -> Projection:
+        """See `project_volume`."""
+        return project_volume(
+            scene["cells"],
+            view.rotation,
+            colors=scene["colors"] if "color" in signals else None,
+            signals=signals,
+            background_depth=background_depth,
+            **view.arguments,
+        )
+
+    @classmethod
+    def rank(
+        cls,
+        scene: Scene,
+        candidates: jax.Array,
+        target: jax.Array,
+        places: None,
+        *,
+        how: Choice,
+        **view: Any,
+    ) -> jax.Array | None:
+        """Volumes stay as they are, and are seen in a coarser grid."""
+        del places
+        if how.grid in (0, target.shape[0]):
+            return None
+        return compute_candidate_losses(
+            cls,
+            scene,
+            candidates,
+            shrink_target(target, how.grid),
+            ray_rule=how.ray_rule,
+            **view,
+        )
