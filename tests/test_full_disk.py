@@ -78,11 +78,11 @@ def test_a_checkpoint_that_finds_no_room_leaves_the_one_before(tmp_path, monkeyp
     checkpoints = Checkpoints(tmp_path / "checkpoints")
     checkpoints.save(make_state(1), seconds=1.0)
 
-    def fail(step, _):
+    def fail(step, **_):
         (tmp_path / "checkpoints" / f"{step}.orbax-checkpoint-tmp").mkdir()
         raise ValueError(IN_CPP)
 
-    monkeypatch.setattr(checkpoints._checkpointer, "save_checkpointables", fail)
+    monkeypatch.setattr(checkpoints._manager, "save", fail)
     with pytest.raises(OSError, match="checkpoints must have room .* disk is full"):
         checkpoints.save(make_state(2), seconds=2.0)
     checkpoints.close()
@@ -93,12 +93,12 @@ def test_a_checkpoint_that_does_not_fit_is_not_begun(tmp_path, monkeypatch):
     checkpoints = Checkpoints(tmp_path / "checkpoints")
     checkpoints.save(make_state(1), seconds=1.0)
 
-    def fail(*_):
+    def fail(*_, **__):
         raise AssertionError("orbax was called")
 
     needed = sum(leaf.nbytes for leaf in jax.tree.leaves(make_state(2)))
     usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(checkpoints._checkpointer, "save_checkpointables", fail)
+    monkeypatch.setattr(checkpoints._manager, "save", fail)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=needed - 1))
     with pytest.raises(OSError, match="checkpoints must have room .* disk is full"):
         checkpoints.save(make_state(2), seconds=2.0)

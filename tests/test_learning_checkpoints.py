@@ -1,7 +1,6 @@
 """Checkpoints: whole, bit for bit, and the one before where the newest is damaged."""
 
 import gc
-import shutil
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +9,6 @@ import pytest
 from tiny_runs import assert_same_bits
 
 from dpc_jax.learning.step import TrainState
-from dpc_jax.learning.training import checkpoints
 from dpc_jax.learning.training.checkpoints import Checkpoints
 
 
@@ -140,24 +138,6 @@ def test_where_no_checkpoint_can_be_read_a_sentence_says_so(opened, tmp_path):
         ValueError, match=r"checkpoints, but none of them \(steps 6, 5\).*remove"
     ):
         reopen(tmp_path)
-
-
-def test_parts_that_a_run_has_not_may_be_named_in_its_checkpoint_or_not(
-    opened, tmp_path, monkeypatch
-):
-    """Of a state that had no such field yet, and of one that saved it as None."""
-    assert make_small_state(8).cost is None
-    opened.save(make_small_state(8), seconds=2.0)
-    monkeypatch.setattr(checkpoints, "_list_parts", TrainState._asdict)
-    opened.save(make_small_state(12), seconds=3.0)
-    opened.close()
-    monkeypatch.undo()
-    for step in (12, 8):
-        again = Checkpoints(tmp_path / "checkpoints")
-        found = again.restore(make_small_state(0))
-        again.close()
-        assert_same_bits(found.state, make_small_state(step))
-        shutil.rmtree(tmp_path / "checkpoints" / str(step))
 
 
 def test_the_moving_baseline_of_drawn_poses_is_kept(opened, tmp_path):

@@ -2,19 +2,17 @@
 
 import contextlib
 import errno
-import functools
 import os
 import shutil
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from absl import logging
-from orbax.checkpoint import checkpoint_manager
-from orbax.checkpoint import v1 as ocp
+from orbax import checkpoint as ocp
 
 from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning.step import TrainState
@@ -47,17 +45,23 @@ class Checkpoints:
         self._open()
 
     def _open(self):
-        every_step = ocp.training.save_decision_policies.FixedIntervalPolicy(1)
-        newest = ocp.training.preservation_policies.LatestN(KEPT)
         self._has_failed = False
-        with _standing_alone(self._folder) as context:
-            # Orbax's protocols ask for more than its own policies and pathlib have.
-            self._checkpointer = ocp.training.Checkpointer(
-                self._folder,  # pyright: ignore[reportArgumentType]
-                save_decision_policy=every_step,  # pyright: ignore[reportArgumentType]
-                preservation_policy=newest,  # pyright: ignore[reportArgumentType]
-                context=context,
+        self._folder.mkdir(parents=True, exist_ok=True)
+        processes = ocp.options.MultiprocessingOptions()
+        if jax.process_count() > 1:  # one writes and reads without waiting for others
+            own = jax.process_index()
+            processes = ocp.options.MultiprocessingOptions(
+                primary_host=own,
+                active_processes={own},
+                barrier_sync_key_prefix=f"own-{own}",
             )
+        options = ocp.CheckpointManagerOptions(
+            max_to_keep=KEPT,
+            create=False,
+            enable_async_checkpointing=False,
+            multiprocessing_options=processes,
+        )
+        self._manager = ocp.CheckpointManager(self._folder, options=options)
 
     def close(self):
         """Wait for what is being written.
@@ -69,7 +73,7 @@ class Checkpoints:
             if self._has_failed:  # orbax raises the same error once more
                 stack.enter_context(contextlib.suppress(Exception))
             stack.enter_context(explaining_full_disk(self._folder))
-            self._checkpointer.close()
+            self._manager.close()
 
     def save(self, state: TrainState, *, seconds: float):
         """Write the state under its step; does nothing where that step is saved.
@@ -80,14 +84,15 @@ class Checkpoints:
         step = int(state.step)
         if step in self.steps():
             return
-        saved = {
-            "state": _list_parts(state),
-            "progress": {"seconds": seconds, "checksum": _checksum(state)},
-        }
+        progress = {"seconds": seconds, "checksum": _checksum(state)}
+        saved = ocp.args.Composite(
+            state=ocp.args.StandardSave(_list_parts(state)),
+            progress=ocp.args.JsonSave(progress),
+        )
         try:
             with explaining_full_disk(self._folder):
                 _require_room(self._folder, state)
-                self._checkpointer.save_checkpointables(step, saved)
+                self._manager.save(step, args=saved, force=True)
         except Exception:
             self._has_failed = True
             for part in self._folder.glob(f"{step}.*"):  # of what is not whole
@@ -96,7 +101,7 @@ class Checkpoints:
 
     def steps(self) -> list[int]:
         """Steps with a whole checkpoint, oldest first."""
-        return sorted(c.step for c in self._checkpointer.checkpoints)
+        return sorted(self._manager.all_steps())
 
     def set_aside(self, steps: Iterable[int]):
         """Move checkpoints to damaged-checkpoint-STEP beside the folder.
@@ -124,19 +129,20 @@ class Checkpoints:
         described = jax.tree.map(
             lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=a.sharding), like
         )
-        progress = {"seconds": 0.0, "checksum": 0}
+        target = ocp.args.Composite(
+            state=ocp.args.StandardRestore(_list_parts(described)),
+            progress=ocp.args.JsonRestore(),
+        )
         damaged = []
         for step in reversed(self.steps()):
             # Whatever a damaged file makes orbax raise, the one before is tried.
             with contextlib.suppress(Exception):
-                target = {"state": _list_parts(described), "progress": progress}
-                loaded = self._checkpointer.load_checkpointables(step, target)
+                loaded = self._manager.restore(step, args=target)
                 state = TrainState(**loaded["state"])
                 # Orbax notices a missing or short file, but not a changed byte.
-                if int(loaded["progress"]["checksum"]) == _checksum(state):
-                    return Restored(
-                        state, float(loaded["progress"]["seconds"]), tuple(damaged)
-                    )
+                if loaded["progress"]["checksum"] == _checksum(state):
+                    seconds = float(loaded["progress"]["seconds"])
+                    return Restored(state, seconds, tuple(damaged))
             damaged.append(step)
         if damaged:
             raise ValueError(
@@ -147,30 +153,8 @@ class Checkpoints:
         return None
 
 
-@contextlib.contextmanager
-def _standing_alone(folder) -> Iterator[ocp.Context | None]:
-    """The context in which a process of a job uses orbax without waiting for others."""
-    if jax.process_count() == 1:
-        yield None
-        return
-    own = jax.process_index()
-    options = ocp.options.MultiprocessingOptions(
-        primary_host=own, active_processes={own}, barrier_sync_key_prefix=f"own-{own}"
-    )
-    # Orbax makes the folder for all processes or not at all, but its checkpointer has
-    # no argument that says so.
-    folder.mkdir(parents=True, exist_ok=True)
-    original = checkpoint_manager.CheckpointManagerOptions
-    making_none = functools.partial(original, create=False)
-    checkpoint_manager.CheckpointManagerOptions = making_none
-    try:
-        yield ocp.Context(multiprocessing_options=options)
-    finally:
-        checkpoint_manager.CheckpointManagerOptions = original
-
-
 def _list_parts(state: TrainState) -> dict:
-    """The parts of a state by name, those that the run has."""
+    """The parts of a state by name; one that the run has not is not saved."""
     return {name: part for name, part in state._asdict().items() if part is not None}
 
 
