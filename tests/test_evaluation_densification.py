@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from dpc_jax.evaluation.densification import densify, find_pairs, mix_pairs
+from dpc_jax.evaluation.density import densify, find_pairs, mix_pairs
 
 
 def make_sphere(count, seed=0):

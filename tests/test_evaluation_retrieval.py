@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dpc_jax.evaluation.chamfer import chamfer_distance
-from dpc_jax.evaluation.retrieval import ShapeIndex, spread_rows
+from dpc_jax.evaluation.training_shapes import ShapeIndex, spread_rows
 
 
 def make_boxes(count, seed=0, points=800):

@@ -6,7 +6,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from dpc_jax.evaluation.alignment import identity_alignment
-from dpc_jax.evaluation.densification import densify
+from dpc_jax.evaluation.density import densify
 from dpc_jax.evaluation.scores import score
 
 FRAME = Rotation.random(random_state=4)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dpc_jax.evaluation.silhouettes import mean_squared_difference
+from dpc_jax.evaluation.images import mean_squared_difference
 
 
 def test_images_of_any_sizes_are_compared_at_one():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dpc_jax.evaluation.stray_points import count_stray_points
+from dpc_jax.evaluation.density import count_stray_points
 
 
 def draw_surface(count=500, seed=0):

@@ -6,7 +6,7 @@ import pytest
 from dpc_jax.config import build_config, replace_fields
 from dpc_jax.data import load_or_render
 from dpc_jax.evaluation.chamfer import chamfer_distance
-from dpc_jax.evaluation.mean_shape import average_surfaces, take_fullest
+from dpc_jax.evaluation.training_shapes import average_surfaces, take_fullest
 from dpc_jax.experiments import results
 from dpc_jax.experiments.results import (
     Outcome,

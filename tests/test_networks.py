@@ -11,9 +11,9 @@ from tiny_runs import compiling_quickly, rotation_matrix
 
 from dpc_jax.networks import ImageEncoder, ShapeHead, ShapePoseNetwork
 from dpc_jax.networks.camera import BoundedHead
+from dpc_jax.networks.encoder import measure_tint
 from dpc_jax.networks.pose import PoseEnsemble, spread_rotations
 from dpc_jax.networks.shape import LARGEST_SIZE, SMALLEST_SIZE, bound_sizes
-from dpc_jax.networks.tint import measure_tint
 
 KEY = jax.random.key(0)
 

@@ -7,7 +7,7 @@ import pytest
 
 import dpc_jax
 from dpc_jax.measure.stability import oracles
-from dpc_jax.render.resolution import MASS_EXPONENT, scale_sizes
+from dpc_jax.render.projection import MASS_EXPONENT, scale_sizes
 
 SIDE, RATIO = 10, 3
 SIGMA, MASS = 1.2, 0.05  # voxels of the coarse grid; no cell comes near the clip

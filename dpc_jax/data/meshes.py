@@ -15,8 +15,7 @@ from trimesh.visual.color import uv_to_color
 
 from dpc_jax import files
 from dpc_jax.files import Damage, describe_error
-from dpc_jax.shapes.joining import join_pieces
-from dpc_jax.shapes.normalization import replace_vertices
+from dpc_jax.shapes.normalization import join_pieces, replace_vertices
 
 SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 MOST_BYTES = 1 << 29  # of a file: a mesh of some millions of faces

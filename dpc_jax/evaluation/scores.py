@@ -14,7 +14,7 @@ from dpc_jax.evaluation.chamfer import (
     chamfer_distances,
     check_points,
 )
-from dpc_jax.evaluation.densification import densify
+from dpc_jax.evaluation.density import densify
 from dpc_jax.evaluation.pose import pose_summary, rotation_angle_deg
 
 

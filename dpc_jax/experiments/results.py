@@ -14,7 +14,7 @@ import numpy as np
 from dpc_jax.config import Config
 from dpc_jax.data import load_or_render
 from dpc_jax.data.dataset import is_prepared
-from dpc_jax.evaluation.mean_shape import average_distance, find_mean_shape
+from dpc_jax.evaluation.training_shapes import average_distance, find_mean_shape
 from dpc_jax.experiments import correspondences, interpolation, point_sizes
 from dpc_jax.experiments.catalogue import Experiment, Row
 from dpc_jax.experiments.published import MEAN

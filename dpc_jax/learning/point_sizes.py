@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.render import mass_of_peak, quaternion
-from dpc_jax.render.resolution import scale_sizes
+from dpc_jax.render.projection import scale_sizes
 
 
 def measure_points(

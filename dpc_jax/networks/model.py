@@ -8,10 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.networks.camera import FOCAL_RANGE, TRANSLATION_RANGE, BoundedHead
-from dpc_jax.networks.encoder import ImageEncoder
+from dpc_jax.networks.encoder import TINT, ImageEncoder, measure_tint
 from dpc_jax.networks.pose import PoseEnsemble, PoseSelector, PoseStudent
 from dpc_jax.networks.shape import ShapeHead
-from dpc_jax.networks.tint import TINT, measure_tint
 
 
 class ShapePoseNetwork(nn.Module):

@@ -17,8 +17,8 @@ from dpc_jax.evaluation.alignment import (
     identity_alignment,
 )
 from dpc_jax.evaluation.confidence import Confidence, measure_confidence
-from dpc_jax.evaluation.densification import find_pairs, mix_pairs
-from dpc_jax.evaluation.silhouettes import resize
+from dpc_jax.evaluation.density import find_pairs, mix_pairs
+from dpc_jax.evaluation.images import resize
 from dpc_jax.learning.inference.predictor import (
     VIEWS_AT_ONCE,
     Predictions,

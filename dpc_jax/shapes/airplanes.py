@@ -6,8 +6,7 @@ import numpy as np
 import trimesh
 
 from dpc_jax.shapes import building_blocks as parts
-from dpc_jax.shapes.airplane_engines import make_engines, make_gear, wing_lead
-from dpc_jax.shapes.airplane_plans import draw_plan
+from dpc_jax.shapes.airplane_parts import draw_plan, make_engines, make_gear, wing_lead
 
 UPPER = np.array([1.0, 0.5])  # chords of a fin, shares of the lower one
 

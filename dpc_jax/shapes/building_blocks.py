@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
-from dpc_jax.shapes.joining import join_pieces
+from dpc_jax.shapes.normalization import join_pieces
 
 Color = tuple[int, ...]  # r, g, b in 0..255
 

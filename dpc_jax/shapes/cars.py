@@ -6,14 +6,14 @@ import numpy as np
 import trimesh
 
 from dpc_jax.shapes import building_blocks as parts
-from dpc_jax.shapes.car_details import (
+from dpc_jax.shapes.car_parts import (
     deck_height,
+    draw_plan,
     half_width,
     make_extras,
     make_lamps,
     make_wheels,
 )
-from dpc_jax.shapes.car_plans import draw_plan
 
 
 def make_car(rng: np.random.Generator) -> trimesh.Trimesh:

@@ -6,15 +6,15 @@ import numpy as np
 import trimesh
 
 from dpc_jax.shapes import building_blocks as parts
-from dpc_jax.shapes import chair_bases
-from dpc_jax.shapes.chair_plans import draw_plan
+from dpc_jax.shapes import chair_parts
+from dpc_jax.shapes.chair_parts import draw_plan
 
 BASE_MAKERS = {
-    "legs": chair_bases.make_legs,
-    "star": chair_bases.make_star,
-    "sled": chair_bases.make_sled,
-    "pedestal": chair_bases.make_pedestal,
-    "block": chair_bases.make_block,
+    "legs": chair_parts.make_legs,
+    "star": chair_parts.make_star,
+    "sled": chair_parts.make_sled,
+    "pedestal": chair_parts.make_pedestal,
+    "block": chair_parts.make_block,
 }
 
 

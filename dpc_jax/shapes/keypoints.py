@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import trimesh
 
-from dpc_jax.shapes import chair_plans
+from dpc_jax.shapes import chair_parts
 from dpc_jax.shapes.building_blocks import read_labels
 from dpc_jax.shapes.procedural import make_shape, seed_stream
 
@@ -76,7 +76,7 @@ def find_keypoints(category: str, seed: int) -> dict[str, Keypoint]:
         for name, (label, direction) in KEYPOINTS[category].items()
     }
     if category == "chair":
-        base = chair_plans.draw_plan(seed_stream(category, seed)).base
+        base = chair_parts.draw_plan(seed_stream(category, seed)).base
         if base not in FOUR_FOOTED:
             found = {n: point for n, point in found.items() if point.label != "leg"}
     return found

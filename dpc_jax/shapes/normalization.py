@@ -1,5 +1,6 @@
-"""Bringing a mesh to its place and size: box centre at the origin, box diagonal 1."""
+"""Meshes that are joined from pieces, and brought to their place and size."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -41,3 +42,13 @@ def face_colors(mesh: trimesh.Trimesh) -> np.ndarray:
     """Colours [F, 4] uint8 of a mesh without textures."""
     visual: Any = mesh.visual  # checkers think of textures, which have none
     return np.asarray(visual.face_colors)
+
+
+def join_pieces(
+    pieces: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices [N, 3], faces [F, 3] and colours [F, 4] of pieces that become one."""
+    vertices, faces, colors = zip(*pieces, strict=True)
+    starts = np.cumsum([0, *map(len, vertices)])[:-1]
+    faces = [part + start for part, start in zip(faces, starts, strict=True)]
+    return np.concatenate(vertices), np.concatenate(faces), np.concatenate(colors)

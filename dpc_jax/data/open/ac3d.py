@@ -17,7 +17,7 @@ from dpc_jax.data.meshes import MOST_BYTES, find_beside
 from dpc_jax.data.open import polygons
 from dpc_jax.data.sets.pictures import open_picture
 from dpc_jax.files import Damage, describe_error, read_bytes
-from dpc_jax.shapes.joining import join_pieces
+from dpc_jax.shapes.normalization import join_pieces
 
 GREY = (0.667, 0.667, 0.667)  # of a surface without a material
 # of a triangle, barycentric: its middle and six around it

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import trimesh
 
-from dpc_jax.shapes.joining import join_pieces
-from dpc_jax.shapes.normalization import face_colors
+from dpc_jax.shapes.normalization import face_colors, join_pieces
 
 
 class OpenModel(NamedTuple):

@@ -16,7 +16,7 @@ from dpc_jax.learning.shapes.kind import Scene, Shape
 from dpc_jax.render import Camera, VoxelGrid
 from dpc_jax.render.camera import to_camera_frame, to_grid
 from dpc_jax.render.kernels import sample_gaussian
-from dpc_jax.render.resolution import scale_sizes
+from dpc_jax.render.projection import scale_sizes
 
 _OUTSIDE = -2.0  # a place in the image from which no pixel is reached
 

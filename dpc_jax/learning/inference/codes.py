@@ -18,7 +18,7 @@ from dpc_jax.learning.predictions import (
     make_inputs,
 )
 from dpc_jax.networks import ShapePoseNetwork
-from dpc_jax.networks.tint import TINT
+from dpc_jax.networks.encoder import TINT
 
 IMAGES_AT_ONCE = 64
 COMPONENTS = 64  # directions in which codes differ that are told apart

@@ -6,9 +6,9 @@ from dpc_jax.data import DataSet
 from dpc_jax.evaluation import alignment as alignments
 from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation import scores
+from dpc_jax.evaluation.density import count_stray_points
 from dpc_jax.evaluation.failures import Failures, find_failures
-from dpc_jax.evaluation.silhouettes import mean_squared_difference
-from dpc_jax.evaluation.stray_points import count_stray_points
+from dpc_jax.evaluation.images import mean_squared_difference
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 
 

@@ -20,7 +20,7 @@ from dpc_jax.measure.benchmark.speed import measure_distance, render_ours
 from dpc_jax.measure.scenes import Scene
 from dpc_jax.measure.timing import time_interleaved
 from dpc_jax.render import compensate_widening
-from dpc_jax.render.resolution import scale_sizes
+from dpc_jax.render.projection import scale_sizes
 
 _MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
 ERRORS = ("error", "error_same_grid")  # ends of their names in a record

@@ -10,7 +10,7 @@ from dpc_jax.config import Config, to_config_dict
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation.alignment import Alignment
-from dpc_jax.evaluation.densification import DENSE_POINTS
+from dpc_jax.evaluation.density import DENSE_POINTS
 from dpc_jax.evaluation.failures import Failures
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
 from dpc_jax.learning import schedules

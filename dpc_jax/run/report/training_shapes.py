@@ -7,8 +7,7 @@ import numpy as np
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, align_points
 from dpc_jax.evaluation.chamfer import chamfer_distance
-from dpc_jax.evaluation.mean_shape import find_mean_shape
-from dpc_jax.evaluation.retrieval import ShapeIndex, spread_rows
+from dpc_jax.evaluation.training_shapes import ShapeIndex, find_mean_shape, spread_rows
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.reporting.examples import Neighbour, TrainingComparison
 

@@ -1,0 +1,132 @@
+"""What the training set alone could predict: its nearest shape and its mean shape.
+
+A network whose predictions are no better than the training shape nearest to the truth
+may have learned to copy; one whose predictions are all near the mean shape, to ignore
+its image (§ "What do single-view 3D reconstruction networks learn?", Tatarchenko et
+al., 2019, which retrieves in the same way). For the nearest, all training shapes are
+compared by few points, those that come nearest by more.
+
+The mean shape is where surfaces of training shapes are most often: the fullest cells of
+a fine grid, each with the mean of the surface points in it. How many cells are taken is
+tuned on validation shapes. It is told the true surfaces of the training set, the parts
+inside of objects too, which models that learn from views never see.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from dpc_jax.evaluation.chamfer import Chamfer, chamfer_distance
+
+_COARSE, _FINE = 64, 500  # points of a shape in the first and second comparison
+_SHORTLIST = 24  # training shapes that are compared a second time
+SIDE = 64  # cells of the unit cube along a side
+COUNTS = (500, 1000, 2000, 4000, 8000, 16_000)  # of cells, to choose from
+
+
+class ShapeIndex:
+    """Training shapes, to be searched.
+
+    Args:
+      surfaces: [P, 3] points of each shape, at least one shape; all in one frame.
+    """
+
+    def __init__(self, surfaces: Sequence[Any]):
+        self._surfaces = surfaces
+        coarse = [spread_rows(surface, _COARSE) for surface in surfaces]
+        self._coarse = np.stack(coarse).astype(np.float32)
+        self._fine: dict[int, tuple[np.ndarray, KDTree]] = {}
+
+    def find_nearest(self, points: np.ndarray) -> int:
+        """Index of the training shape of the smallest Chamfer distance to points.
+
+        Args:
+          points: [N, 3], a predicted cloud or points of a true surface.
+        """
+        rough = self._compare_roughly(spread_rows(points, _COARSE).astype(np.float32))
+        shortlist = np.argsort(rough, kind="stable")[:_SHORTLIST]
+        cloud = spread_rows(points, _FINE)
+        tree = KDTree(cloud)
+        distances = []
+        for index in shortlist.tolist():
+            surface, its_tree = self._read_fine(index)
+            there, back = tree.query(surface)[0], its_tree.query(cloud)[0]
+            distances.append(there.mean() + back.mean())
+        return int(shortlist[np.argmin(distances)])
+
+    def _compare_roughly(self, cloud):
+        """Chamfer distances [T] by few points: all pairs, in one matrix product."""
+        count, size, _ = self._coarse.shape
+        shapes = self._coarse.reshape(-1, 3)
+        square = (shapes**2).sum(-1)[:, None] - 2 * (shapes @ cloud.T)
+        square = (square + (cloud**2).sum(-1)).reshape(count, size, len(cloud))
+        nearest = square.min(axis=1), square.min(axis=2)
+        return sum(np.sqrt(np.maximum(n, 0)).mean(-1) for n in nearest)
+
+    def _read_fine(self, index):
+        if index not in self._fine:
+            surface = spread_rows(self._surfaces[index], _FINE)
+            self._fine[index] = surface, KDTree(surface)
+        return self._fine[index]
+
+
+def spread_rows(points: Any, count: int) -> np.ndarray:
+    """`count` of the points [N, 3], evenly spread over their order; repeated if fewer.
+
+    Points of a surface are drawn at random, so any of them are a fair sample.
+    """
+    rows = np.linspace(0, len(points) - 1, count).round().astype(int)
+    return np.asarray(points[rows], np.float64)
+
+
+def find_mean_shape(train: Sequence[Any], val: Sequence[Any]) -> np.ndarray:
+    """The cloud [N, 3] of the fullest cells, as many as suit the validation shapes.
+
+    Args:
+      train, val: [P, 3] points of the surface of each shape.
+    """
+    shares, places = average_surfaces(train)
+    clouds = [take_fullest(shares, places, count) for count in COUNTS]
+    return min(clouds, key=lambda cloud: average_distance(cloud, val).chamfer)
+
+
+def average_surfaces(
+    surfaces: Sequence[Any], *, side: int = SIDE
+) -> tuple[np.ndarray, np.ndarray]:
+    """How many surfaces pass each cell of the unit cube, and where.
+
+    Args:
+      surfaces: [P, 3] points of each shape.
+
+    Returns:
+      ([side³] share of the shapes, [side³, 3] mean place of their points; where there
+      is none, 0).
+    """
+    passed = np.zeros(side**3)
+    counts, sums = np.zeros(side**3), np.zeros((side**3, 3))
+    for surface in surfaces:
+        points = np.asarray(surface, np.float64)
+        cells = np.clip(np.floor((points + 0.5) * side), 0, side - 1).astype(int)
+        flat = np.ravel_multi_index(tuple(cells.T), (side,) * 3)
+        passed[np.unique(flat)] += 1
+        counts += np.bincount(flat, minlength=side**3)
+        for axis in range(3):
+            weights = points[:, axis]
+            sums[:, axis] += np.bincount(flat, weights, minlength=side**3)
+    return passed / len(surfaces), sums / np.maximum(counts, 1)[:, None]
+
+
+def take_fullest(shares: np.ndarray, places: np.ndarray, count: int) -> np.ndarray:
+    """The places of the `count` cells that most surfaces pass; fewer if they are."""
+    order = np.argsort(-shares, kind="stable")[:count]
+    return places[order[shares[order] > 0]]
+
+
+def average_distance(cloud: np.ndarray, surfaces: Sequence[Any]) -> Chamfer:
+    """Mean distances of one cloud [N, 3] from the surfaces [P, 3] of many shapes."""
+    found = [
+        chamfer_distance(cloud, surface, tree=KDTree(surface)) for surface in surfaces
+    ]
+    return Chamfer(*np.mean(found, axis=0).tolist())
