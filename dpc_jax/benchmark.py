@@ -53,10 +53,8 @@ def _measure(options):
     # Heavy: flags are read first.
     from dpc_jax.measure.benchmark.suite import run_benchmark
     from dpc_jax.render import use_all_cores
-    from dpc_jax.run.gpu import set_gpu_flags
     from dpc_jax.run.process import keep_freed_memory
 
-    set_gpu_flags()
     with contextlib.suppress(RuntimeError):  # a program of the caller's has begun
         use_all_cores()
     keep_freed_memory()

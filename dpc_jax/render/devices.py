@@ -1,16 +1,38 @@
 """Which devices a batch is rendered on, and how many renders at once suit them."""
 
+import functools
 import os
 import re
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import jax
+import jaxlib
 from jax.core import Tracer
 from jax.sharding import PartitionSpec
 
 AUTOMATIC = -1  # renders at once: one after the other on a CPU, all on another device
 AXIS = "examples"  # the mesh axis over which a batch is divided
+# Releases of jaxlib that compute some sums of products wrong on a CPU, in silence (jax
+# issue 39103), and the flag that keeps them from it.
+_WRONG = ("0.10.2",)
+_CURE = "--xla_cpu_experimental_ynn_fusion_type="
+
+
+@functools.cache
+def warn_of_wrong_results() -> None:
+    """Warn once where the installed jaxlib computes wrong results on this CPU."""
+    is_cured = _CURE in os.environ.get("XLA_FLAGS", "").split()
+    if jaxlib.__version__ not in _WRONG or is_cured or jax.default_backend() != "cpu":
+        return
+    warnings.warn(
+        f"jaxlib {jaxlib.__version__} computes some results wrong on a CPU (jax issue "
+        "39103); install another release of jax, which dpc_jax asks for, or set the "
+        f"environment variable XLA_FLAGS={_CURE} before Python starts.",
+        RuntimeWarning,
+        stacklevel=2,
+    )
 
 
 def use_all_cores(count: int | None = None) -> int:

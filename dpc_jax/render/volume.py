@@ -9,6 +9,7 @@ from jax.typing import ArrayLike
 
 from dpc_jax.render import arguments, quaternion, smoothing, splatting
 from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
+from dpc_jax.render.devices import warn_of_wrong_results
 from dpc_jax.render.exact import covariances, gaussians
 
 # Up to so many channels of colour, volumes are kept for the backward pass. Filling them
@@ -54,6 +55,7 @@ def place_points(
 
     Arguments and errors as of `project`. The result has the dtype of the points.
     """
+    warn_of_wrong_results()
     arguments.check_view(camera, grid, points.dtype)
     rotation, sigma, scale, covariance, translation = arguments.convert_scene(
         points, rotation, sigma, scale, covariance, translation

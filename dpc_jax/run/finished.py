@@ -15,7 +15,6 @@ from dpc_jax.learning.predictions import make_inputs
 from dpc_jax.learning.step import TrainState, describe_state
 from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.networks import ShapePoseNetwork
-from dpc_jax.run.gpu import set_gpu_flags
 from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
 from dpc_jax.run.setup import make_data_specs, make_network
 from dpc_jax.run.workdir import read_alignment, read_config
@@ -61,7 +60,6 @@ def restore_state(config: Config, workdir: Path) -> TrainState:
     Raises:
       ValueError: where there is no checkpoint, or none that can be read.
     """
-    set_gpu_flags()
     split_cores(config.train.models_per_batch)
     keep_freed_memory()
     keep_compiled_programs()

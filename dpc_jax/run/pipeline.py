@@ -15,7 +15,6 @@ from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.training.records import MetricLog, NonFiniteError
 from dpc_jax.run.beginning import begin_run
 from dpc_jax.run.flags import Task, run_command
-from dpc_jax.run.gpu import set_gpu_flags
 from dpc_jax.run.hosts.agreement import Job
 from dpc_jax.run.hosts.checkpoints import SharedCheckpoints, SilentLog
 from dpc_jax.run.hosts.joining import joining
@@ -75,7 +74,6 @@ def run(
     """
     configs.check(config)
     _check_tensorboard(config)
-    set_gpu_flags()
     processes = place.processes if place else 1
     objects = max(1, config.train.models_per_batch // processes)
     split_cores(objects, config.run.devices // processes)

@@ -1,7 +1,5 @@
-"""What a GPU needs is chosen without one: the extra to install, and XLA's flag."""
+"""launch/install.sh chooses what a GPU needs, also where there is none."""
 
-import importlib.metadata
-import importlib.util
 import os
 import stat
 import subprocess
@@ -9,10 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from dpc_jax.run import gpu
-
 ROOT = Path(__file__).parents[1]
-OPTION = "--xla_backend_extra_options=-nvptx-allow-ftz-atomics"
 # In place of Python: notes how it is called; an environment gets a copy of it.
 PYTHON = """#!/bin/sh
 echo "$@" >> "$CALLS"
@@ -110,41 +105,3 @@ def test_a_gpu_that_jax_cannot_use_is_left_out_in_a_sentence(shown, install):
     done, asked = install(f"echo '{shown}'")
     assert asked == ["."]
     assert "JAX needs driver 525 and compute capability 5.2, but" in done.stderr
-
-
-@pytest.mark.parametrize(
-    "version, needed",
-    [
-        ("0.10.1", False),
-        ("0.10.2", True),
-        ("0.10.2.dev20260601", True),
-        ("0.11.0", True),
-        ("0.11.1", False),
-        ("0.12.0", False),
-        ("unknown", False),
-    ],
-)
-def test_only_versions_with_the_slow_scatter_add_need_the_flag(version, needed):
-    assert gpu.needs_flag(version) == needed
-
-
-def test_the_flag_joins_those_that_are_given():
-    assert gpu.add_option("") == OPTION
-    assert gpu.add_option("--a=1") == f"--a=1 {OPTION}"
-    given = "--xla_backend_extra_options=-x --b=2"
-    joined = "--xla_backend_extra_options=-x,-nvptx-allow-ftz-atomics --b=2"
-    assert gpu.add_option(given) == joined
-    assert gpu.add_option(joined) == joined
-
-
-@pytest.mark.parametrize(
-    "plugin, version, is_set",
-    [(True, "0.10.2", True), (True, "0.11.1", False), (False, "0.10.2", False)],
-)
-def test_the_flag_is_set_for_gpus_alone(plugin, version, is_set, monkeypatch):
-    found = object() if plugin else None
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: found)
-    monkeypatch.setattr(importlib.metadata, "version", lambda name: version)
-    environment = {}
-    assert gpu.set_gpu_flags(environment) == is_set
-    assert environment == ({"XLA_FLAGS": OPTION} if is_set else {})

@@ -1,0 +1,43 @@
+"""The libraries compute right, and a release that does not is named."""
+
+import jax
+import jax.numpy as jnp
+import jaxlib
+import numpy as np
+import pytest
+
+from dpc_jax.render import devices
+
+
+@pytest.mark.parametrize("dtype, rows", [(np.float32, 32_769), (np.float64, 32_768)])
+def test_products_of_many_rows_are_those_of_numpy(dtype, rows):
+    draws = np.random.default_rng(0)
+    matrix, points = draws.normal(size=(3, 3)), draws.normal(size=(rows, 3))
+    with jax.enable_x64(dtype == np.float64):
+        m, p = jnp.asarray(matrix, dtype), jnp.asarray(points, dtype)
+        found = jax.jit(jax.vmap(lambda x: jnp.sum((m @ x) ** 2)))(p)
+    expected = np.sum((points @ matrix.T) ** 2, axis=1)
+    # Three squares of sums of three rounded products, relative to the largest of them.
+    bound = 30 * np.finfo(dtype).eps * np.sum(matrix**2) * np.sum(points**2, axis=1)
+    assert np.all(np.abs(np.asarray(found) - expected) <= bound)
+
+
+@pytest.mark.parametrize(
+    "version, flags, warns",
+    [
+        ("0.10.2", "", True),
+        ("0.10.2", "--xla_cpu_experimental_ynn_fusion_type=", False),
+        ("0.10.1", "", False),
+    ],
+)
+def test_a_release_that_computes_wrong_is_named_once(
+    version, flags, warns, monkeypatch, recwarn
+):
+    monkeypatch.setattr(jaxlib, "__version__", version)
+    monkeypatch.setenv("XLA_FLAGS", flags)
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
+    devices.warn_of_wrong_results.cache_clear()
+    for _ in range(2):
+        devices.warn_of_wrong_results()
+    devices.warn_of_wrong_results.cache_clear()
+    assert [str(w.message)[:13] for w in recwarn] == ["jaxlib 0.10.2"] * warns
