@@ -1,6 +1,7 @@
 """A full disk: a sentence that says so, what was whole stays, and the run goes on."""
 
 import errno
+import functools
 import os
 import shutil
 import subprocess
@@ -14,6 +15,7 @@ import pytest
 
 from dpc_jax.files import explaining_full_disk, is_disk_full
 from dpc_jax.learning.step import TrainState
+from dpc_jax.learning.training import records
 from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.learning.training.records import MetricLog
 
@@ -68,8 +70,9 @@ def test_the_innermost_folder_is_the_one_that_is_named(tmp_path):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux has /dev/full")
-def test_a_record_that_finds_no_room_says_so(tmp_path):
-    (tmp_path / "metrics.jsonl").symlink_to("/dev/full")
+def test_a_record_that_finds_no_room_says_so(tmp_path, monkeypatch):
+    full = functools.partial(os.open, "/dev/full")
+    monkeypatch.setattr(records, "open_own", lambda _, flags: full(flags))
     with pytest.raises(OSError, match=f"disk of {tmp_path} .* the disk is full"):
         MetricLog(tmp_path / "metrics.jsonl").write({"step": 1, "seconds": 0.5})
 
