@@ -475,11 +475,6 @@ def compare_over_a_page(folder):
     return call(compare, folder / "run", f"--out={folder}")
 
 
-def begin_paper_in_a_folder_of_others(folder):
-    (folder / "runs").mkdir()
-    return call(paper, f"--out={folder}", "--no-training", "--size=quick")
-
-
 def publish_over_another_page(folder):
     (folder / "notes.md").write_text("# Mine\n")
     page = f"--page={folder / 'notes.md'}"
@@ -730,11 +725,6 @@ COMMANDS = [
         "views.png, but it is an input",
     ),
     Try("compare over a page of the user's", compare_over_a_page, NOT_OURS),
-    Try(
-        "the paper's experiments in a folder with runs of others",
-        begin_paper_in_a_folder_of_others,
-        f"runs, but {NOT_OURS}",
-    ),
     Try(
         "the paper's experiments published over another page",
         publish_over_another_page,

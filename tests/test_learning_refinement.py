@@ -60,10 +60,10 @@ def test_codes_are_what_the_network_predicts_from(run):
 def test_refinement_begins_with_the_posterior_where_predictions_do(
     run, groups, monkeypatch
 ):
-    """The last candidate fits best, by more than the student's chances differ."""
+    """The first candidate fits best, by more than the student's chances differ."""
 
     def compare(scene, poses, *_, **__):
-        return 500.0 - 100.0 * jnp.arange(len(poses))
+        return 100.0 * jnp.arange(len(poses))
 
     monkeypatch.setattr(refinement_module, "compare_candidates", compare)
     _, _, dataset, _, masks, _ = run
@@ -75,7 +75,7 @@ def test_refinement_begins_with_the_posterior_where_predictions_do(
     evidence = join_views(found, masks, groups)
     joined = refine_objects(network, config, state, evidence, None)
     poses = np.concatenate([one.poses for one in joined])
-    assert angle_deg(poses, found.candidates[:, -1]).max() < 0.1
+    assert angle_deg(poses, found.candidates[:, 0]).max() < 0.1
     assert angle_deg(poses, found.poses).max() > 1  # of the student alone
 
 
