@@ -8,7 +8,6 @@ from dpc_jax.evaluation import rotations
 from dpc_jax.evaluation.candidates import (
     collapse_warning,
     count_alive,
-    winner_entropy,
     winner_share,
 )
 from dpc_jax.evaluation.pose import pose_accuracy, pose_summary, rotation_angle_deg
@@ -121,12 +120,6 @@ def test_winner_shares_count_the_views_each_candidate_wins():
     assert shares.tolist() == [0.25, 0.0, 0.75, 0.0]
     assert count_alive(shares) == 2
     assert count_alive(shares, threshold=0.5) == 1
-
-
-def test_entropy_runs_from_none_to_log2_of_the_number_of_candidates():
-    assert winner_entropy([0.0, 1.0, 0.0]) == 0.0
-    assert winner_entropy([0.25] * 4) == 2.0
-    assert winner_entropy([0.5, 0.25, 0.25]) == 1.5
 
 
 @pytest.mark.parametrize(

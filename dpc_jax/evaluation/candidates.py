@@ -33,16 +33,6 @@ def count_alive(shares: ArrayLike, *, threshold: float = ALIVE_THRESHOLD) -> int
     return int(np.sum(np.asarray(shares, np.float64) >= threshold))
 
 
-def winner_entropy(shares: ArrayLike) -> float:
-    """Entropy of the shares in bits: 0 if one always wins, log2 K if all win equally.
-
-    Two to this power is the effective number of candidates.
-    """
-    p = np.asarray(shares, np.float64)
-    p = p[p > 0.0]
-    return float(max(0.0, -np.sum(p * np.log2(p))))
-
-
 def collapse_warning(shares: ArrayLike) -> str | None:
     """A sentence if the ensemble has collapsed onto one candidate, else None.
 

@@ -1,6 +1,7 @@
 """Which devices a batch is rendered on, and how many renders at once suit them."""
 
 import functools
+import importlib.metadata
 import os
 import re
 import warnings
@@ -8,7 +9,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
-import jaxlib
 from jax.core import Tracer
 from jax.sharding import PartitionSpec
 
@@ -23,11 +23,12 @@ _CURE = "--xla_cpu_experimental_ynn_fusion_type="
 @functools.cache
 def warn_of_wrong_results() -> None:
     """Warn once where the installed jaxlib computes wrong results on this CPU."""
+    version = importlib.metadata.version("jaxlib")
     is_cured = _CURE in os.environ.get("XLA_FLAGS", "").split()
-    if jaxlib.__version__ not in _WRONG or is_cured or jax.default_backend() != "cpu":
+    if version not in _WRONG or is_cured or jax.default_backend() != "cpu":
         return
     warnings.warn(
-        f"jaxlib {jaxlib.__version__} computes some results wrong on a CPU (jax issue "
+        f"jaxlib {version} computes some results wrong on a CPU (jax issue "
         "39103); install another release of jax, which dpc_jax asks for, or set the "
         f"environment variable XLA_FLAGS={_CURE} before Python starts.",
         RuntimeWarning,
