@@ -79,6 +79,23 @@ def hold_a_linked_lock(folder):
         assert victim.read_text() == "mine"
 
 
+def hold_a_lock_with_two_names(folder):
+    victim = folder / "victim.txt"
+    victim.write_text("mine")
+    os.link(victim, folder / ".in-use")
+    try:
+        with hold_workdir(folder):
+            pass
+    finally:
+        assert victim.read_text() == "mine"
+
+
+def hold_a_lock_of_another_kind(folder, *, make):
+    make(folder / ".in-use")
+    with hold_workdir(folder):
+        pass
+
+
 def record_in_a_linked_file(folder):
     _link(folder, "metrics.jsonl")
     MetricLog(folder / "metrics.jsonl").write({"step": 1})
@@ -144,7 +161,7 @@ GREY, PLAIN = "[170 170 170] lacks its materials", "[255   0   0] lacks 1 of 1 t
 FRACTIONS = {"train": (1, 0, 0), "val": (8, 1, 1), "test": (0, 0, 1)}
 
 
-def load_meshes(folder, *, good=3, split="test", **bad):
+def load_meshes(folder, *, good=3, split="test", models=None, **bad):
     """What a set makes of boxes and of other files; `bad` has their content."""
     (folder / "set").mkdir()
     for i in range(good):
@@ -154,7 +171,7 @@ def load_meshes(folder, *, good=3, split="test", **bad):
         (folder / "set" / f"{name}.obj").write_text(text)
     spec = DataSpec(
         "car", folder=str(folder / "set"), split=split, views=2, image_size=16,
-        fractions=FRACTIONS[split],
+        fractions=FRACTIONS[split], models=models,
     )  # fmt: skip
     data = load_or_render(spec, cache_dir=folder / "cache", processes=1)
     return f"{len(data.names)} used, skipped {data.skipped}"
@@ -232,6 +249,23 @@ LINKED = "there is a link to another file; remove the link"
 DAMAGED = "as it was written, but it is damaged"
 FILES = [
     _try("a workdir's lock that is a link", hold_a_linked_lock, LINKED),
+    _try(
+        "a workdir's lock that has another name, too",
+        hold_a_lock_with_two_names,
+        "a hard link; remove the link",
+    ),
+    _try(
+        "a workdir's lock that is a pipe",
+        hold_a_lock_of_another_kind,
+        "a pipe or the like; remove it",
+        make=os.mkfifo,
+    ),
+    _try(
+        "a workdir's lock that is a folder",
+        hold_a_lock_of_another_kind,
+        "a pipe or the like; remove it",
+        make=os.mkdir,
+    ),
     _try("a shard's lock that is a link", claim_a_linked_lock, LINKED),
     _try("a run's records that are a link", record_in_a_linked_file, LINKED),
     _try(
@@ -302,6 +336,15 @@ FILES = [
         "1 used, skipped ()",
         good=10,
         split="val",
+        **{f"bad{i}": f"v {i} 0 0" for i in range(13)},
+    ),
+    _try(
+        "bad meshes that come before the good ones, of which a few are wanted",
+        load_meshes,
+        "3 used, skipped ()",
+        good=10,
+        split="train",
+        models=3,
         **{f"bad{i}": f"v {i} 0 0" for i in range(13)},
     ),
     _try(

@@ -75,7 +75,9 @@ class MeshFolder(MeshSource):
         )
         # Those that cannot be read are of the largest side, to be named and skipped.
         sides[int(np.argmax(spec.fractions))].extend(set(paths) - set(whole))
-        chosen = sorted(sides[splits.SPLITS.index(spec.split)])
+        # They come last, so that they take no place where not all are wanted.
+        side = sides[splits.SPLITS.index(spec.split)]
+        chosen = sorted(side, key=lambda path: (path in bad, path))
         if not chosen:
             raise ValueError(
                 f"Expected mesh files for the {spec.split} split of {folder}, but "
