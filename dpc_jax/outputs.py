@@ -79,8 +79,8 @@ def owning(
             if name in names[:number]:
                 raise ValueError(
                     f"Expected outputs of different names, but {folder / name} would "
-                    "be written twice; give the inputs one by one, each with an --out "
-                    "of its own."
+                    "be written twice; rename the input, or give several one by one, "
+                    "each with an --out of its own."
                 )
             _refuse_others(folder / name, name, written, inputs)
         write_json(folder / LIST, written | dict.fromkeys(names, ""))

@@ -42,7 +42,12 @@ from dpc_jax.outputs import show_text
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.gallery import draw_predictions
 from dpc_jax.run import predicted_objects, prediction, refinement
-from dpc_jax.run.workdir import claim_workdir, hold_workdir, read_alignment
+from dpc_jax.run.workdir import (
+    claim_workdir,
+    hold_workdir,
+    read_alignment,
+    read_config,
+)
 from dpc_jax.shapes.normalization import face_colors
 
 SECONDS = 60  # after which a try hangs
@@ -99,6 +104,16 @@ def hold_a_lock_of_another_kind(folder, *, make):
 def record_in_a_linked_file(folder):
     _link(folder, "metrics.jsonl")
     MetricLog(folder / "metrics.jsonl").write({"step": 1})
+
+
+def read_records(folder, *, make):
+    make(folder / "metrics.jsonl")
+    return MetricLog(folder / "metrics.jsonl").read()
+
+
+def read_deep_config(folder):
+    (folder / "config.json").write_text("[" * 100_000)
+    read_config(folder)
 
 
 def claim_a_linked_lock(folder):
@@ -267,6 +282,19 @@ FILES = [
         make=os.mkdir,
     ),
     _try("a shard's lock that is a link", claim_a_linked_lock, LINKED),
+    _try(
+        "a run's records that are a pipe",
+        read_records,
+        "a pipe, a device or the like",
+        make=os.mkfifo,
+    ),
+    _try(
+        "a run's records that are nested too deep",
+        read_records,
+        "[]",
+        make=lambda path: path.write_text("[" * 100_000),
+    ),
+    _try("a config that is nested too deep", read_deep_config, "nested too deep"),
     _try("a run's records that are a link", record_in_a_linked_file, LINKED),
     _try(
         "a link where a temporary file was foreseen",
@@ -748,7 +776,7 @@ COMMANDS = [
     Try(
         "predict of predictions.png, whose file would be the summary's",
         predicts("predictions.png"),
-        "out/predictions.json would be written twice; give the inputs one by one",
+        "out/predictions.json would be written twice; rename the input, or give several one",
     ),
     Try(
         "predict of two images of one name",

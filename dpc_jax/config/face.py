@@ -8,6 +8,7 @@ from typing import Any
 import ml_collections
 
 from dpc_jax.config.sections import Config
+from dpc_jax.files import parse_json
 
 
 def to_config_dict(config: Config) -> ml_collections.ConfigDict:
@@ -35,7 +36,7 @@ def from_json(text: str) -> Config:
     Raises:
       ValueError: as `from_config_dict`, and for what is not JSON.
     """
-    return _read(Config, json.loads(text), "config")
+    return _read(Config, parse_json(text), "config")
 
 
 def _read(kind: type, values: Any, name: str) -> Any:

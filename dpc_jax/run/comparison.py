@@ -1,7 +1,6 @@
 """Runs as a comparison shows them, read from their workdirs."""
 
 import dataclasses
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +8,7 @@ from pathlib import Path
 from flax.traverse_util import flatten_dict
 
 from dpc_jax.evaluation.metrics import MISSING
+from dpc_jax.files import read_json
 from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.outputs import show_text
 from dpc_jax.reporting.comparison.groups import ComparedRun, group_runs
@@ -82,7 +82,7 @@ def _read_metrics(path: Path) -> dict | None:
     if not path.is_file():
         return None
     try:
-        metrics = json.loads(path.read_text(encoding="utf-8"))
+        metrics = read_json(path)
         if isinstance(metrics, dict):
             return metrics
         problem = "they are no object"

@@ -1,6 +1,5 @@
 """The points that voxel models are judged by; loaded for these alone."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import numpy as np
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, align_points
 from dpc_jax.evaluation.surfaces import extract_surface
-from dpc_jax.files import describe_error
+from dpc_jax.files import describe_error, read_json
 from dpc_jax.learning.inference import volumes
 from dpc_jax.learning.inference.predictor import Predictions
 
@@ -46,7 +45,7 @@ def read_threshold(workdir: Path) -> float:
     threshold = volumes.FIRST_THRESHOLD
     if path.exists():
         try:
-            metrics = json.loads(path.read_text(encoding="utf-8"))
+            metrics = read_json(path)
             threshold = float(metrics["surface_threshold"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ValueError(

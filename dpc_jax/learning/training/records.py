@@ -10,7 +10,13 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from dpc_jax.files import explaining_full_disk, open_own, write_text
+from dpc_jax.files import (
+    explaining_full_disk,
+    open_own,
+    open_regular,
+    parse_json,
+    write_text,
+)
 
 _NOT_LOSSES = ("winners", "gradient_norms")
 # A loss so many times that of the first step means that training is lost (heuristic).
@@ -209,9 +215,11 @@ class MetricLog:
         """All records; a last line cut off by a kill is passed over."""
         records = []
         if self._path.exists():
-            for line in self._path.read_text(encoding="utf-8").splitlines():
+            with open_regular(self._path) as file:
+                text = file.read().decode("utf-8")
+            for line in text.splitlines():
                 try:
-                    records.append(json.loads(line))
+                    records.append(parse_json(line))
                 except json.JSONDecodeError:
                     continue
         return records
