@@ -294,6 +294,12 @@ FILES = [
         "[]",
         make=lambda path: path.write_text("[" * 100_000),
     ),
+    _try(
+        "lines of a run's records that are none",
+        read_records,
+        "[{'step': 1}]",
+        make=lambda path: path.write_bytes(b'5\n"x"\n{"step": "z"}\n\xff\n{"step": 1}'),
+    ),
     _try("a config that is nested too deep", read_deep_config, "nested too deep"),
     _try("a run's records that are a link", record_in_a_linked_file, LINKED),
     _try(
@@ -776,7 +782,7 @@ COMMANDS = [
     Try(
         "predict of predictions.png, whose file would be the summary's",
         predicts("predictions.png"),
-        "out/predictions.json would be written twice; rename the input, or give several one",
+        "out/predictions.json would be written twice; rename the input, or give several",
     ),
     Try(
         "predict of two images of one name",

@@ -156,6 +156,10 @@ def check_finite(metrics: dict, step: int):
             )
 
 
+def _has_step(record):
+    return isinstance(record.get("step", 0), int | float)
+
+
 def check_growth(first: float, loss: float, step: int):
     """Raise where the loss of a step is far above that of the first step.
 
@@ -212,17 +216,15 @@ class MetricLog:
             file.write(json.dumps(record) + "\n")
 
     def read(self) -> list[dict]:
-        """All records; a last line cut off by a kill is passed over."""
+        """All records; a line that is none, as one cut by a kill, is passed over."""
         records = []
         if self._path.exists():
             with open_regular(self._path) as file:
-                text = file.read().decode("utf-8")
+                text = file.read().decode("utf-8", "replace")
             for line in text.splitlines():
-                try:
+                with contextlib.suppress(json.JSONDecodeError):
                     records.append(parse_json(line))
-                except json.JSONDecodeError:
-                    continue
-        return records
+        return [r for r in records if isinstance(r, dict) and _has_step(r)]
 
     def cut_after(self, step: int):
         """Drop the records after a step: a resumed run writes them again."""
