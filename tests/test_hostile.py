@@ -782,7 +782,7 @@ COMMANDS = [
     Try(
         "predict of predictions.png, whose file would be the summary's",
         predicts("predictions.png"),
-        "out/predictions.json would be written twice; rename the input, or give several",
+        "out/predictions.json would be written twice; rename the input, or",
     ),
     Try(
         "predict of two images of one name",
@@ -983,6 +983,7 @@ CALLS = [
     *_give("one is -1.0", "sigma", np.array([1, 1, -1, 1, 1], "f4")),
     *_give("scale must be at least 0 voxels and finite, but it is -1.0", "scale", -1.0),
     *_give("but one is inf", "scale", np.full(5, np.inf, "f4")),
+    *_give("scale must be at least 0 voxels and finite", "scale", 1e308),
     *_give("without negative eigenvalues", "covariance", -_MATRICES, sigma=None),
     *_give("without negative", "covariance", _MATRICES - _SINGULAR, sigma=None),
     *_give("drawn", "covariance", _SINGULAR, sigma=None),

@@ -22,6 +22,7 @@ _ROTATION_ROUNDING = 0.02
 # Likewise the most negative eigenvalue of a covariance, by its largest entry.
 _COVARIANCE_ROUNDING = 1e-3
 _MOST_CELLS = 2**31 - 1  # gradients number them in int32
+_MOST_MASS = np.finfo(np.float32).max  # of a point; more overflows where points do not
 
 
 def check_real(
@@ -157,7 +158,9 @@ _RULES = {
     "sigma": _Rule(
         0, lambda v: (v >= 0) & (v < np.inf), _SIZE, "0 leaves each point in its cell"
     ),
-    "scale": _Rule(0, lambda v: (v >= 0) & (v < np.inf), _SIZE, "0 leaves a point out"),
+    "scale": _Rule(
+        0, lambda v: (v >= 0) & (v <= _MOST_MASS), _SIZE, "0 leaves a point out"
+    ),
     "covariance": _Rule(
         2,
         _are_covariances,

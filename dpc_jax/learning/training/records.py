@@ -152,7 +152,7 @@ def check_finite(metrics: dict, step: int):
             raise NonFiniteError(
                 f"Expected finite losses and gradients, but the {name} became "
                 f"{float(value)} at step {step}; start a run in another workdir with a "
-                "lower train.learning_rate. The last checkpoint is kept."
+                "lower train.learning_rate. Checkpoints saved until then stay."
             )
 
 
@@ -170,7 +170,7 @@ def check_growth(first: float, loss: float, step: int):
         raise NonFiniteError(
             f"Expected a loss that falls, but training diverged: the loss grew from "
             f"{first:.3g} to {loss:.3g} at step {step}; start a run in another workdir "
-            "with a lower train.learning_rate. The last checkpoint is kept."
+            "with a lower train.learning_rate. Checkpoints saved until then stay."
         )
 
 
