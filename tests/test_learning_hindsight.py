@@ -391,6 +391,7 @@ def test_equal_heads_tie_on_every_view_whatever_points_were_dropped(objective):
     # Candidates rendered with different subsets would differ: with one subset for all
     # of them the tie is exact, and the first head has the whole gradient.
     _, network, _, params = objective
+    network = network.clone(spreads=False)
     config = tiny_config(keep_start=0.3, keep_levels=1, keep_end=0.3)
     heads = params["params"]["pose"]["heads"]
     equal = jax.tree.map(lambda a: jnp.broadcast_to(a[:1], a.shape), heads)

@@ -8,7 +8,6 @@ from typing import Any
 import ml_collections
 
 from dpc_jax.config.sections import Config
-from dpc_jax.files import parse_json
 
 
 def to_config_dict(config: Config) -> ml_collections.ConfigDict:
@@ -36,7 +35,11 @@ def from_json(text: str) -> Config:
     Raises:
       ValueError: as `from_config_dict`, and for what is not JSON.
     """
-    return _read(Config, parse_json(text), "config")
+    try:
+        values = json.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deep to be read") from None
+    return _read(Config, values, "config")
 
 
 def _read(kind: type, values: Any, name: str) -> Any:
