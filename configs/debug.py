@@ -24,5 +24,5 @@ def get_config(variant: str | None = None):
     config = replace_fields(build_config("car", variant), SMALL)
     pose = {"candidates": min(config.pose.candidates, 2)}
     if config.pose.choice_points:
-        pose |= {"choice_grid": 8, "choice_points": 50, "choice_top": 4}
+        pose |= {"choice_points": 50, "choice_top": 4}
     return to_config_dict(replace_fields(config, {"pose": pose}))

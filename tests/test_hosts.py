@@ -31,7 +31,6 @@ FIELDS = {
     "render.fine_grid": 0,
     "render.keep_levels": 1,
     "render.num_points": 40,
-    "pose.choice_grid": 0,
     "pose.choice_points": 0,
 }
 LOST = "all 2 processes of the job must go on, but"

@@ -67,10 +67,8 @@ def find_losses(points, mass, candidates, target, sigma=SIGMA):
 @functools.partial(
     jax.jit,
     static_argnames=(
-        "choice_grid",
         "choice_points",
         "choice_top",
-        "choice_rank",
         "renders_at_once",
     ),
 )
@@ -96,7 +94,7 @@ def test_the_candidate_of_the_smallest_loss_wins(scene):
 def test_the_choice_does_not_depend_on_how_many_are_rendered_at_once(
     scene, renders_at_once
 ):
-    for static in ({}, {"choice_grid": 4, "choice_points": 10, "choice_top": 2}):
+    for static in ({}, {"choice_points": 10, "choice_top": 2}):
         assert choose(scene, renders_at_once=renders_at_once, **static) == choose(
             scene, **static
         )
@@ -118,40 +116,6 @@ def test_of_equal_candidates_the_first_wins(scene):
     # 2q is normalised to q exactly: powers of two do not round.
     np.testing.assert_array_equal(losses, losses[0])
     assert choose(scene, candidates=copies) == 0
-
-
-def test_a_look_at_a_coarse_volume_agrees_with_the_exact_choice_if_all_pass_it(scene):
-    for top in (6, 100):
-        assert choose(scene, choice_grid=4, choice_points=10, choice_top=top) == choose(
-            scene
-        )
-
-
-@pytest.mark.parametrize("grid, count", [(4, 30), (8, 10), (2, 7)])
-def test_without_an_exact_second_look_the_coarse_comparison_decides(scene, grid, count):
-    # Many candidates close together, so that their order depends on every detail.
-    near = random_quaternions(9) + 0.3 * random_quaternions(2, 200)
-    blocks = np.asarray(scene["target"]).reshape(grid, 8 // grid, grid, 8 // grid)
-    coarse = find_losses(
-        scene["points"][:count],
-        scene["mass"] * (30 / count) * (grid / 8) ** 3,
-        jnp.array(near),
-        jnp.array(blocks.mean((1, 3))),
-        sigma=SIGMA * grid / 8,
-    )
-    found = choose(
-        scene, candidates=jnp.array(near), choice_grid=grid, choice_points=count
-    )
-    assert found == np.argmin(coarse)
-
-
-def test_only_the_candidates_that_pass_the_coarse_look_can_win(scene):
-    alone = choose(scene, choice_grid=2, choice_points=3, choice_top=1)
-    assert alone == choose(scene, choice_grid=2, choice_points=3, choice_top=0)
-
-
-def test_more_first_points_than_there_are_means_all_of_them(scene):
-    assert choose(scene, choice_points=1000) == choose(scene)
 
 
 def splat_plainly(points, mass, candidate, *, side, sigma):
@@ -177,30 +141,28 @@ def splat_plainly(points, mass, candidate, *, side, sigma):
     return kernel @ depth @ kernel.T
 
 
-@pytest.mark.parametrize("grid, count", [(0, 30), (8, 10), (4, 30), (2, 7)])
-def test_an_image_ranks_by_the_optical_depth_of_splatted_points(scene, grid, count):
-    side = grid or 8
-    ratio = side / 8
+@pytest.mark.parametrize("count", [30, 7])
+def test_an_image_ranks_by_the_optical_depth_of_splatted_points(scene, count):
     places = place_candidates(
         scene["points"][:30],
         scene["candidates"],
-        side=side,
+        side=8,
         camera=CAMERA,
         choice_points=count,
     )
     found = compute_image_losses(
-        places, scene["mass"], scene["target"], sigma=jnp.array(SIGMA), choice_grid=grid
+        places, scene["mass"], scene["target"], sigma=jnp.array(SIGMA)
     )
-    blocks = np.asarray(scene["target"]).reshape(side, 8 // side, side, 8 // side)
+    target = np.asarray(scene["target"])
     for candidate, loss in zip(scene["candidates"], found, strict=True):
         depth = splat_plainly(
             scene["points"][:count],
-            float(scene["mass"]) * (30 / count) * ratio**2,
+            float(scene["mass"]) * (30 / count),
             candidate,
-            side=side,
-            sigma=SIGMA * ratio,
+            side=8,
+            sigma=SIGMA,
         )
-        expected = np.sum((1 - np.exp(-depth) - blocks.mean((1, 3))) ** 2)
+        expected = np.sum((1 - np.exp(-depth) - target) ** 2)
         # Rounding of float32 in some thirty points' places and weights.
         assert float(loss) == pytest.approx(expected, rel=1e-4)
 
@@ -215,7 +177,6 @@ def test_points_out_of_the_image_or_behind_the_camera_are_not_seen(scene):
             scene["mass"],
             scene["target"],
             sigma=jnp.array(SIGMA),
-            choice_grid=0,
         )
         for points in (
             scene["points"][:20],
@@ -227,7 +188,7 @@ def test_points_out_of_the_image_or_behind_the_camera_are_not_seen(scene):
 
 @pytest.mark.parametrize("renders_at_once", [0, 1, 4])
 def test_of_those_that_an_image_ranks_first_the_exact_best_wins(scene, renders_at_once):
-    image = {"choice_rank": "image", "renders_at_once": renders_at_once}
+    image = {"choice_points": 100, "renders_at_once": renders_at_once}
     assert choose(scene, choice_top=6, **image) == choose(scene)
     first = choose(scene, choice_top=0, **image)
     assert first == choose(scene, choice_top=1, **image)
@@ -242,26 +203,20 @@ def test_the_choice_of_a_batch_is_that_of_each_view(scene):
     shapes = Points(kept, kept, None, mass, mass, jnp.array(SIGMA))
     candidates = jnp.array(random_quaternions(3, 4 * 6)).reshape(4, 6, 4)
     masks = jnp.array(rng.integers(0, 256, (2, 2, 16, 16)), jnp.uint8)
-    for settings in (
-        {"choice_rank": "image", "choice_points": 12, "choice_top": 2},
-        {"choice_rank": "volume", "choice_grid": 4, "choice_top": 2},
-    ):
-        config = tiny_config(**settings, renders_at_once=1)
-        winners = jax.jit(
-            functools.partial(
-                batch_choice.choose_poses,
-                recipe=make_recipe(config),
-            )
-        )(shapes, candidates, {"masks": masks})
-        targets = downsample_images(masks, 8).reshape(4, 8, 8)
-        for view in range(4):
-            alone = {
-                "points": kept[view // 2],
-                "mass": mass[view // 2],
-                "candidates": candidates[view],
-                "target": targets[view],
-            }
-            assert choose(alone, **settings) == winners.indices.reshape(-1)[view]
+    settings = {"choice_points": 12, "choice_top": 2}
+    config = tiny_config(**settings, renders_at_once=1)
+    winners = jax.jit(
+        functools.partial(batch_choice.choose_poses, recipe=make_recipe(config))
+    )(shapes, candidates, {"masks": masks})
+    targets = downsample_images(masks, 8).reshape(4, 8, 8)
+    for view in range(4):
+        alone = {
+            "points": kept[view // 2],
+            "mass": mass[view // 2],
+            "candidates": candidates[view],
+            "target": targets[view],
+        }
+        assert choose(alone, **settings) == winners.indices.reshape(-1)[view]
 
 
 def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():

@@ -156,7 +156,7 @@ def test_an_image_ranks_by_the_widths_of_gaussians_along_rows_and_columns(kind):
     places = place_candidates(
         points, candidates, side=SIDE, camera=CAMERA, choice_points=0, size=size
     )
-    found = compute_image_losses(places, mass, target, sigma=size, choice_grid=0)
+    found = compute_image_losses(places, mass, target, sigma=size)
     squares = np.asarray(size, float)
     squares = squares**2 if kind == "sigma" else squares
     for candidate, loss in zip(candidates, found, strict=True):
@@ -178,7 +178,7 @@ def test_the_exact_choice_is_that_of_plain_renders(kind):
         return project(points, rotation, scale=mass, grid=grid, **named).silhouette
 
     images = jax.jit(functools.partial(jax.lax.map, render))(candidates)
-    for settings in ({}, {"choice_rank": "image", "choice_points": 250}):
+    for settings in ({}, {"choice_points": 250}):
         choose = functools.partial(
             hindsight.choose_candidate, camera=CAMERA, choice_top=4, **settings
         )

@@ -258,7 +258,7 @@ def test_all_signals_and_own_cameras_have_the_loss_and_gradient_of_plain_renders
         np.testing.assert_allclose(ours, theirs, atol=limit)
 
 
-@pytest.mark.parametrize("rank", [{"choice_rank": "volume"}, {"choice_points": 8}])
+@pytest.mark.parametrize("rank", [{}, {"choice_points": 8}])
 def test_with_all_signals_the_candidate_of_the_smallest_weighted_loss_wins(rank):
     mixed = signals.Weights(0.05, 2.0, 1.0)
     weights = {"silhouette_weight": 0.05, "depth_weight": 2.0, "color_weight": 1.0}

@@ -29,7 +29,7 @@ VARIANTS = {
     "defaults": (
         {"head": "viewpoint", "student": "posterior", "flips": True}
         | {"common_frame": True, "sees_mask": True, "fine_grid": 16}
-        | {"choice_rank": "image", "choice_points": 10, "choice_top": 3}
+        | {"choice_points": 10, "choice_top": 3}
         | {"pull_weight": 0.1, "repulsion_weight": 0.1, "containment_weight": 30.0},
         {"reprojection", "student", "pull", "repulsion", "containment", "turned_back"},
         {"pose", "student"},

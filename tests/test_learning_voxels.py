@@ -22,6 +22,7 @@ from dpc_jax.learning.choice.batch_choice import choose_poses
 from dpc_jax.learning.choice.winners import compare_winners
 from dpc_jax.learning.half_turns import compute_covariance
 from dpc_jax.learning.schedules import Stage
+from dpc_jax.learning.shapes import voxels
 from dpc_jax.learning.shapes.voxels import Voxels
 from dpc_jax.render import VoxelGrid, opacity, project_volume
 
@@ -99,11 +100,10 @@ def test_event_costs_of_a_ray_of_equal_cells_have_the_closed_form():
         np.testing.assert_allclose(slopes, slope, atol=5e-5)
 
 
-@pytest.mark.parametrize(
-    "how", [{"choice_grid": 0}, {"choice_grid": 4, "choice_top": 6}]
-)
-def test_the_candidate_whose_volume_fits_best_wins(how):
-    config = voxel_config(choice_rank="volume", renders_at_once=1, **how)
+@pytest.mark.parametrize("coarse_side", [16, 4])
+def test_the_candidate_whose_volume_fits_best_wins(coarse_side, monkeypatch):
+    monkeypatch.setattr(voxels, "COARSE_SIDE", coarse_side)
+    config = voxel_config(choice_top=6, renders_at_once=1)
     shapes, batch = make_cells(), make_batch()
     candidates = jnp.array(random_quaternions(10, 4 * 6), jnp.float32).reshape(4, 6, 4)
     choose = jax.jit(

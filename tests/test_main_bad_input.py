@@ -55,7 +55,6 @@ def set_field(config, field, value):
         ("render.sigma_start", -0.1, "between 0 and 1"),
         ("render.scale_unit", "volume", "'peak' or 'mass'"),
         ("render.distance", 0.2, "outside the object"),
-        ("pose.choice_grid", 7, "a divisor of render.grid = 16"),
         ("network.layers", "wide", "'', 'paper' or 'released'"),
         ("data.fold", "5/5", "'' or PART/PARTS"),
         ("pose.student_loss", "mean", "'signed' or 'squared'"),
@@ -111,7 +110,6 @@ def test_what_voxel_models_cannot_predict_is_refused(config, tmp_path, capsys):
     config.network.point_size = ""
     config.data.image_size = 16
     config.render.update(grid=4, fine_grid=0)
-    config.pose.choice_grid = 0
     assert "at least 8" in refuse(config, tmp_path / "workdir", capsys)
 
 

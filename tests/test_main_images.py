@@ -17,7 +17,7 @@ def run(folder, *options):
     fields = {
         "data.images": folder / "set", "data.cache_dir": folder / "cache",
         "data.image_size": 16, "render.grid": 8, "render.fine_grid": 0,
-        "pose.choice_grid": 0, "train.steps": 6, "train.models_per_batch": 2,
+        "train.steps": 6, "train.models_per_batch": 2,
         "train.warmup_steps": 1, "log.evaluate": 3, "log.examples": 1,
     }  # fmt: skip
     return subprocess.run(

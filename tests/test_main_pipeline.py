@@ -43,7 +43,6 @@ FIELDS = {
     "render.grid": 8,
     "render.fine_grid": 0,
     "render.num_points": 40,
-    "pose.choice_grid": 0,
     "pose.choice_points": 0,
 }
 TRACKED = {"log.tensorboard": True}
@@ -423,7 +422,7 @@ def predict_points(command, workdir):
 OTHER_PATHS = {
     "known": {"pose.source": "given", "train.color_weight": 0.1},
     "labels": {"pose.source": "labels"},
-    "voxels": {"network.shape": "voxels", "pose.choice_rank": "volume"},
+    "voxels": {"network.shape": "voxels"},
     "maps": {"network.shape": "maps", "pose.source": "given"},
     "other": {
         "pose.candidates": 1,

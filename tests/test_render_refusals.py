@@ -178,10 +178,8 @@ def choose(**changes):
         ),
         (lambda: choose(candidates=np.ones((0, 4), "f4")), "one candidate.*0 cand"),
         (lambda: choose(target=np.zeros((8, 4), "f4")), r"square.*\[8, 4\]"),
-        (lambda: choose(choice_grid=3), "choice_grid.*8.*3"),
         (lambda: choose(choice_points=-1), "choice_points.*-1"),
         (lambda: choose(choice_top=1.5), "choice_top.*1.5"),
-        (lambda: choose(choice_rank="flat"), "choice_rank.*flat"),
         (lambda: choose(renders_at_once=True), "renders_at_once.*True"),
     ],
 )

@@ -10,7 +10,6 @@ from dpc_jax.config.face import from_config_dict as from_config_dict
 from dpc_jax.config.face import from_json as from_json
 from dpc_jax.config.face import to_config_dict as to_config_dict
 from dpc_jax.config.face import to_json as to_json
-from dpc_jax.config.sections import CHOICE_RANKS as CHOICE_RANKS
 from dpc_jax.config.sections import CROPS as CROPS
 from dpc_jax.config.sections import FRONTS as FRONTS
 from dpc_jax.config.sections import Config as Config

@@ -86,11 +86,6 @@ def _list_rules(config):
     )
     yield from _list_system_rules(config)
     yield from _list_signal_rules(config)
-    yield (
-        "pose.choice_grid",
-        not config.pose.choice_grid or grid % config.pose.choice_grid == 0,
-        f"0 or a divisor of render.grid = {grid}",
-    )
 
 
 def _list_folder_rules(config):
@@ -175,7 +170,8 @@ def _list_signal_rules(config):
         not (train.depth_weight and data.images),
         "0 with data.images, which come without depths",
     )
-    is_exact = pose.choice_top or not (pose.choice_grid or pose.choice_points)
+    is_coarse = pose.choice_points or config.network.shape == "voxels"
+    is_exact = pose.choice_top or not is_coarse
     yield (
         "pose.choice_top",
         is_exact or pose.choice_signals == "silhouette",

@@ -22,7 +22,6 @@ from dpc_jax.config.fields import (
 )
 
 CROPS = ("object", "view", "none")  # what shares one scale
-CHOICE_RANKS = ("volume", "image")  # what candidates are ranked in
 STUDENT_LOSSES = ("absolute", "signed", "squared")  # forms of the angular difference
 FRONTS = ("", "+x", "-x", "+z", "-z")
 LAYERS = ("", "paper", "released")  # "": normalised, and a wider student
@@ -128,9 +127,7 @@ class Pose:
     elevation_high: float = field(40.0, between(-90, 90))  # (§ Datasets)
     flips: bool = field(True)  # also try each head after half turns of the object
     student: str = field("posterior", one_of(*STUDENTS))  # what it predicts
-    choice_rank: str = field("image", one_of(*CHOICE_RANKS))  # first choice made in
-    choice_grid: int = field(0, at_least(0))  # side in the first choice; 0: grid
-    choice_points: int = field(250, at_least(0))  # of the first choice; 0: all
+    choice_points: int = field(250, at_least(0))  # of a first choice; 0: there is none
     choice_top: int = field(6, at_least(0))  # candidates compared exactly after it
     choice_signals: str = field("silhouette", one_of("silhouette", "all"))  # compared
     common_frame: bool = field(True)  # kinds turned round are turned, by colours

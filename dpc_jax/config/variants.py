@@ -19,7 +19,6 @@ Changes = Mapping[str, Mapping[str, Any]]  # section: {field: value}
 _VOXELS = {
     "network": {"shape": "voxels"},
     "render": {"fine_grid": 0, "keep_levels": 1},
-    "pose": {"choice_rank": "volume", "choice_grid": 16, "choice_points": 0},
 }
 
 # Variants are applied in this order, whatever order they are
@@ -55,8 +54,6 @@ VARIANTS: dict[str, Changes] = {
             "candidates": 4,
             "student_weight": 0.01,  # released code: 20 beside half the squares
             "flips": False,
-            "choice_rank": "volume",
-            "choice_grid": 0,
             "choice_points": 0,
             "choice_top": 4,
             "common_frame": False,
@@ -116,7 +113,7 @@ VARIANTS: dict[str, Changes] = {
     "mvc": {
         **_VOXELS,
         "train": {"background_weight": 0.2},
-        "pose": {**_VOXELS["pose"], "source": "sampled", "candidates": 8},
+        "pose": {"source": "sampled", "candidates": 8},
     },
     "epcg": {
         "network": {"shape": "maps"},

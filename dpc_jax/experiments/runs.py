@@ -76,7 +76,6 @@ SIZES = {
             "render.keep_levels": 1,  # one stage, one program to compile
             "render.num_points": 200,
             "pose.choice_points": 0,
-            "pose.choice_grid": 0,
             "train.steps": 10,  # enough to log, validate, save
             "train.warmup_steps": 2,
             "log.every": 5,

@@ -87,8 +87,6 @@ def _find_choice(recipe):
     pose, render = recipe.pose, recipe.render
     by_all = pose.choice_signals == "all"
     return Choice(
-        pose.choice_rank,
-        pose.choice_grid,
         pose.choice_points,
         pose.choice_top,
         render.renders_at_once,

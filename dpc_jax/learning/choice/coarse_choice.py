@@ -1,8 +1,7 @@
 """A first, coarse choice among pose candidates. Not in the paper.
 
-Ranking all candidates by something cheap costs a fraction of the exact comparison,
-which is then made among the best few only. Cheap is a smaller volume with fewer points,
-or an image alone: all candidates of a view at once, without any volume.
+Ranking all candidates by an image of some points, without any volume, costs a fraction
+of the exact comparison, which is then made among the best few only.
 """
 
 from typing import NamedTuple
@@ -11,12 +10,9 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning import point_sizes
-from dpc_jax.learning.renders import compute_candidate_losses
-from dpc_jax.learning.shapes.kind import Scene, Shape
 from dpc_jax.render import Camera, VoxelGrid
 from dpc_jax.render.camera import to_camera_frame, to_grid
 from dpc_jax.render.kernels import sample_gaussian
-from dpc_jax.render.projection import scale_sizes
 
 _OUTSIDE = -2.0  # a place in the image from which no pixel is reached
 
@@ -35,47 +31,6 @@ class ImagePoints(NamedTuple):
     cols: jax.Array
     share: jax.Array
     sigmas: tuple[jax.Array, jax.Array] | None = None
-
-
-def compute_coarse_losses(
-    kind: type[Shape],
-    scene: Scene,
-    candidates: jax.Array,
-    target: jax.Array,
-    *,
-    camera: Camera,
-    choice_grid: int,
-    choice_points: int,
-    renders_at_once: int,
-    translation: jax.Array | None = None,
-) -> jax.Array:
-    """Loss [C] of each candidate in a coarser volume and with fewer points.
-
-    Arguments as of `hindsight.choose_candidate`, with the points in a scene of theirs.
-
-    Raises:
-      ValueError: where the coarser volume does not divide the target.
-    """
-    coarse = shrink_target(target, choice_grid)
-    points, mass, sigma = (scene[name] for name in ("points", "mass", "sigma"))
-    count = _count_points(points, choice_points)
-    # Fewer points carry the mass of all.
-    shared = mass * (points.shape[0] / count)
-    ratio = coarse.shape[0] / target.shape[0]
-    coarse_sigma, coarse_mass = point_sizes.scale_point_sizes(
-        point_sizes.take_points(sigma, count),
-        point_sizes.take_points(shared, count),
-        ratio,
-    )
-    return compute_candidate_losses(
-        kind,
-        {"points": points[:count], "mass": coarse_mass, "sigma": coarse_sigma},
-        candidates,
-        coarse,
-        camera=camera,
-        renders_at_once=renders_at_once,
-        translation=translation,
-    )
 
 
 def place_candidates(
@@ -99,7 +54,7 @@ def place_candidates(
       side: of the image, in pixels. camera, translation: see `project`.
       size: of points that have sizes of their own, see `point_sizes`.
     """
-    count = _count_points(points, choice_points)
+    count = min(choice_points or len(points), len(points))
     own = None
     if size is not None and point_sizes.has_own_sizes(size):
         own = point_sizes.take_points(size, count)
@@ -128,7 +83,6 @@ def compute_image_losses(
     target: jax.Array,
     *,
     sigma: jax.Array,
-    choice_grid: int,
 ) -> jax.Array:
     """Loss [C] of each candidate by the optical depth of its pixels alone.
 
@@ -138,23 +92,14 @@ def compute_image_losses(
     and columns are separate, the image is a product of two matrices.
 
     Args:
-      places: of the points, in an image of side `choice_grid`, or D where that is 0.
-      mass: () of each of all points, sigma: (), both in voxels of the target's grid.
+      places: of the points, in an image of side D.
+      mass: () of each of all points, sigma: (), both in voxels of a grid of side D.
         Points with sizes of their own have masses [N], and their places have the sizes.
       target: [D, D] silhouette.
-
-    Raises:
-      ValueError: where the coarser image does not divide the target.
     """
-    coarse = shrink_target(target, choice_grid)
-    side = coarse.shape[0]
     if places.sigmas is not None:
-        return _compare_depths(_sum_own_sizes(places, mass, target, side), coarse)
-    # The optical depth of a ray stays as it is in the finer grid.
-    coarse_sigma, coarse_mass = scale_sizes(
-        sigma, mass * places.share, side / target.shape[0], exponent=2
-    )
-    pixels = jnp.arange(side, dtype=target.dtype)
+        return _compare_depths(_sum_own_sizes(places, mass, target), target)
+    pixels = jnp.arange(target.shape[0], dtype=target.dtype)
 
     def weigh(centers):
         away = jnp.abs(centers[:, None, :] - pixels[None, :, None])
@@ -164,53 +109,30 @@ def compute_image_losses(
     pairs = (((2,), (2,)), ((0,), (0,)))
     depth = multiply(weigh(places.rows), weigh(places.cols), pairs)
     distances = jnp.abs(pixels[:, None] - pixels[None])
-    kernel = sample_gaussian(distances, jnp.asarray(coarse_sigma))
+    kernel = sample_gaussian(distances, jnp.asarray(sigma))
     for _ in range(2):
         depth = jnp.swapaxes(jnp.matmul(depth, kernel), 1, 2)
-    return _compare_depths(jnp.asarray(coarse_mass) * depth, coarse)
+    return _compare_depths(jnp.asarray(mass * places.share) * depth, target)
 
 
 def _compare_depths(depths, target):
-    """Loss [C] of the optical depths [C, d, d] of candidates."""
+    """Loss [C] of the optical depths [C, D, D] of candidates."""
     silhouettes = 1 - jnp.exp(-depths)
     return jnp.sum((silhouettes - target[None]) ** 2, axis=(1, 2))
 
 
-def _sum_own_sizes(places, mass, target, side):
-    """Optical depths [C, d, d] of Gaussians with sizes of their own."""
+def _sum_own_sizes(places, mass, target):
+    """Optical depths [C, D, D] of Gaussians with sizes of their own."""
     assert places.sigmas is not None
-    ratio = side / target.shape[0]
     mass = point_sizes.take_points(mass, places.rows.shape[1])
-    pixels = jnp.arange(side, dtype=target.dtype)[None, :, None]
+    pixels = jnp.arange(target.shape[0], dtype=target.dtype)[None, :, None]
 
     def weigh(centers, sigmas):
         weights = sample_gaussian(
-            pixels, ratio * sigmas[:, None, :], center=centers[:, None, :]
+            pixels, sigmas[:, None, :], center=centers[:, None, :]
         )
         return jnp.where(centers[:, None, :] == _OUTSIDE, 0, weights)
 
     rows, cols = map(weigh, (places.rows, places.cols), places.sigmas)
-    rows = rows * (mass * places.share * ratio**2)[None, None]
+    rows = rows * (mass * places.share)[None, None]
     return jnp.einsum("crn,csn->crs", rows, cols)
-
-
-def _count_points(points, choice_points):
-    return min(choice_points or points.shape[0], points.shape[0])
-
-
-def shrink_target(target: jax.Array, choice_grid: int) -> jax.Array:
-    """The target [D, D] as the coarser image [d, d] that it is compared in.
-
-    Raises:
-      ValueError: where d does not divide D.
-    """
-    side = target.shape[0]
-    if choice_grid and side % choice_grid:
-        raise ValueError(
-            f"choice_grid must divide the target's side {side}, but it is "
-            f"{choice_grid}; give for example half of the side."
-        )
-    coarse_side = choice_grid or side
-    factor = side // coarse_side
-    blocks = target.reshape(coarse_side, factor, coarse_side, factor)
-    return jnp.mean(blocks, axis=(1, 3))

@@ -10,7 +10,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.config import CHOICE_RANKS
 from dpc_jax.learning.cameras import place_camera
 from dpc_jax.learning.renders import compute_candidate_losses
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
@@ -28,20 +27,15 @@ def choose_candidate(
     *,
     sigma: jax.Array,
     camera: Camera,
-    choice_grid: int = 0,
     choice_points: int = 0,
     choice_top: int = 0,
-    choice_rank: str = "volume",
     renders_at_once: int = AUTOMATIC,
 ) -> jax.Array:
     """Eq. 2 for one view: index of the candidate with the smallest loss; ().
 
-    By default the exact minimum. With `choice_grid` or `choice_points`, candidates are
-    ranked in a coarser volume and with fewer points, then the best `choice_top` are
-    compared at full resolution; with 0 the coarse winner stands. With `choice_rank`
-    "image" they are ranked by the optical depth of each pixel, without a volume:
-    several times faster and, at the same resolution, at least as often right
-    (docs/log.md).
+    By default the exact minimum. With `choice_points`, candidates are first ranked by
+    the optical depth that so many points have in each pixel, without a volume; then the
+    best `choice_top` are compared exactly, or with 0 the first of the ranking stands.
 
     Args:
       points: [N, 3], object frame.
@@ -51,10 +45,8 @@ def choose_candidate(
       sigma: (), or [N] of each point, in voxels of the target's grid, or covariances
         [N, 3, 3] in voxels² (`project` has them as covariance).
       camera: see `project`.
-      choice_grid: side of the coarser volume or image, a divisor of D; 0 for D.
-      choice_points: largest number of points of the first comparison; 0 for all.
-      choice_top: how many candidates are then compared at full resolution.
-      choice_rank: "volume" or "image", what candidates are ranked in first.
+      choice_points: largest number of points of the ranking; 0: there is none.
+      choice_top: how many candidates are then compared exactly.
       renders_at_once: how many are rendered side by side, 0 for all; -1 takes one on a
         CPU and all on a GPU.
 
@@ -65,13 +57,8 @@ def choose_candidate(
     candidates = checks.check_array("candidates", candidates, (None, 4))
     target = checks.check_array("target", target, (None, None))
     side = target.shape[0]
-    counts = {
-        "choice_grid": choice_grid,
-        "choice_points": choice_points,
-        "choice_top": choice_top,
-    }
-    for name, count in counts.items():
-        checks.check_count(name, count)
+    checks.check_count("choice_points", choice_points)
+    checks.check_count("choice_top", choice_top)
     check_renders_at_once(renders_at_once)
     if not (len(points) and len(candidates) and side and target.shape == (side, side)):
         raise ValueError(
@@ -79,8 +66,7 @@ def choose_candidate(
             f"target, but it got {len(points)} points, {len(candidates)} candidates "
             f"and a target of shape {list(target.shape)}; give at least one of each."
         )
-    checks.check_choice("choice_rank", choice_rank, CHOICE_RANKS, "choose one of these")
-    how = Choice(choice_rank, choice_grid, choice_points, choice_top, renders_at_once)
+    how = Choice(choice_points, choice_top, renders_at_once)
     scene = {"points": points, "mass": mass, "sigma": sigma}
     places = place_in_image(
         Points, scene, candidates, {}, side=side, camera=camera, how=how

@@ -68,22 +68,15 @@ class Choice(NamedTuple):
     """How candidates are compared; static.
 
     Attributes:
-      rank, grid, points, top, renders_at_once: as of `hindsight.choose_candidate`.
+      points, top, renders_at_once: as of `hindsight.choose_candidate`.
       weights, ray_rule: of the comparison at full resolution.
     """
 
-    rank: str
-    grid: int
     points: int
     top: int
     renders_at_once: int
     weights: Weights = SILHOUETTES
     ray_rule: str = "termination"
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether all candidates are compared at full resolution at once."""
-        return self.grid == self.points == 0
 
 
 class Shape:

@@ -207,13 +207,13 @@ class Points(Shape):
     def place_in_image(
         scene: Scene, candidates: jax.Array, view: View, how: Choice
     ) -> coarse_choice.ImagePoints | None:
-        """Points in the image of each candidate; None where no image ranks them."""
-        if how.rank != "image" or how.is_exact:
+        """Some points in the image of each candidate; None without a first choice."""
+        if not how.points:
             return None
         return coarse_choice.place_candidates(
             scene["points"],
             candidates,
-            side=how.grid or view.side,
+            side=view.side,
             camera=view.camera,
             choice_points=how.points,
             translation=view.translation,
@@ -231,27 +231,12 @@ class Points(Shape):
         how: Choice,
         **view: Any,
     ) -> jax.Array | None:
-        """By optical depths in the image, or in a smaller volume; of fewer points."""
-        count = len(scene["points"])
-        has_all = how.grid in (0, target.shape[0]) and (how.points or count) >= count
-        if how.is_exact or how.rank == "volume" and has_all:
+        """By the optical depths of some points in the image."""
+        del candidates, how, view
+        if places is None:
             return None
-        if places is not None:
-            return coarse_choice.compute_image_losses(
-                places,
-                scene["mass"],
-                target,
-                sigma=scene["sigma"],
-                choice_grid=how.grid,
-            )
-        return coarse_choice.compute_coarse_losses(
-            cls,
-            scene,
-            candidates,
-            target,
-            choice_grid=how.grid,
-            choice_points=how.points,
-            **view,
+        return coarse_choice.compute_image_losses(
+            places, scene["mass"], target, sigma=scene["sigma"]
         )
 
 
