@@ -22,7 +22,7 @@ export JAX_PLATFORMS=cpu
 test -s "$folder/runs/debug-known_pose-seed0/report/index.html"
 # The command, and the config of the README by its name, with few models and steps.
 "$folder/empty/bin/dpc_jax" train --config=car --config.train.steps=4 \
-    --config.train.warmup_steps=0 --config.render.keep_levels=1 \
+    --config.render.keep_levels=1 \
     --config.data.models=8 --config.data.val_models=4 --config.data.test_models=4
 test -s "$folder/runs/car-seed0/report/index.html"
 "$folder/empty/bin/dpc_jax" compare runs

@@ -88,13 +88,6 @@ def test_both_versions_give_the_same_views(tmp_path):
     assert (first[..., 0] - first[..., 1]).max() > 50  # the nose is red
 
 
-def test_a_front_of_ones_own_is_obeyed(tmp_path):
-    write_tree(tmp_path, "model.obj", NAMES[:3])
-    options = dict(split="test", fractions=(0, 0, 1), shapenet_front="+z")
-    size = np.ptp(load(tmp_path, tmp_path / "cache", **options).surfaces[0], axis=0)
-    assert size[1] > 2 * size[0]
-
-
 def test_the_turns_are_rotations_that_keep_y_up():
     for turn in shapenet.TURNS.values():
         assert np.linalg.det(np.array(turn, float)) == pytest.approx(1)

@@ -43,17 +43,6 @@ def test_ground_truth_is_dense_even_and_on_the_surface():
     assert np.linalg.norm(points.mean(axis=0)) < 0.01
 
 
-def test_what_lies_inside_is_seen_by_no_one():
-    both = trimesh.util.concatenate([make_ball(), make_ball(0.2)])
-    everything = surfaces.make_ground_truth(both, SPEC)
-    seen = surfaces.make_ground_truth(both, change(surface_visible=True))
-    assert (np.linalg.norm(everything, axis=1) < 0.25).mean() > 0.1
-    assert np.linalg.norm(seen, axis=1).min() > 0.38
-    # and of the outside nothing is lost but what the voxels of the rim took with them
-    outside = everything[np.linalg.norm(everything, axis=1) > 0.38]
-    assert len(seen) == pytest.approx(len(outside), rel=0.002)
-
-
 @pytest.mark.parametrize("voxel", [0.0, 0.03])
 def test_points_that_are_seen_are_marked_and_all_stay(voxel):
     both = trimesh.util.concatenate([make_ball(), make_ball(0.2)])

@@ -7,7 +7,6 @@ from dpc_jax.evaluation.metrics import (
     METRICS,
     describe_metrics,
     format_metric,
-    get_metric,
     order_metrics,
 )
 
@@ -49,13 +48,6 @@ def test_a_line_of_text_leaves_out_what_is_not_known():
 )
 def test_values_are_shown_in_their_unit_and_rounding(name, value, text):
     assert format_metric(name, value) == text
-
-
-def test_scores_on_the_training_source_are_labelled_as_such():
-    metric = get_metric("own_pose_accuracy")
-    assert metric.heading == "Pose accuracy, training source (%)"
-    assert metric.factor == 100.0
-    assert get_metric("own_new").heading == "own_new"
 
 
 def test_known_metrics_come_in_the_registrys_order_and_the_others_after_them():

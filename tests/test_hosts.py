@@ -16,11 +16,9 @@ ROOT = Path(__file__).parents[1]
 STEPS = 24
 FIELDS = {
     "train.steps": STEPS,
-    "train.warmup_steps": 2,
     "log.every": 1,
     "log.evaluate": STEPS,
     "log.checkpoint": 8,
-    "log.examples": 1,
     "data.image_size": 16,
     "data.surface_points": 300,
     "data.processes": 1,

@@ -180,7 +180,7 @@ def selecting():
         fine_grid=16,
         sees_mask=True,
         color_weight=1.0,
-        tint=True,
+        colors_move_points=False,
     )
     network = tiny_runs.make_network(config)
     # Points have the size that the schedule ends with, as in images that are shown.

@@ -80,7 +80,11 @@ def reseed(state, batches, network, config):
 
 @pytest.mark.parametrize(
     "fields",
-    [{}, {"color_weight": 0.3, "tint": True}, {"point_size": "covariance"}],
+    [
+        {},
+        {"color_weight": 0.3, "colors_move_points": False},
+        {"point_size": "covariance"},
+    ],
     ids=["points", "colours", "covariances"],
 )
 def test_a_dead_point_is_as_another_one_and_the_rest_as_before(fields):
@@ -94,7 +98,7 @@ def test_a_dead_point_is_as_another_one_and_the_rest_as_before(fields):
     others = np.arange(24) != DEAD
     per_point = {"points", "colors", "sizes", "turns"} & set(before)
     assert len(per_point) == 1 + len(fields.get("point_size", "")) // 5 + (
-        "tint" in fields
+        "color_weight" in fields
     )
     twin = None
     for name in sorted(per_point, reverse=True):  # all of it is of one other point

@@ -83,44 +83,28 @@ def rates(*steps, **changes):
 
 
 def test_the_learning_rate_of_the_paper_is_constant():
-    # float32
-    assert rates(
-        0, 1, 500, 999, steps=1000, learning_rate=1e-4, warmup_steps=0, final_rate=1.0
-    ) == pytest.approx(4 * [1e-4], rel=1e-6)
+    found = rates(0, 1, 500, 999, steps=1000, learning_rate=1e-4, schedule="constant")
+    assert found == pytest.approx(4 * [1e-4], rel=1e-6)  # float32
 
 
 def test_the_learning_rate_warms_up_linearly_and_decays_as_a_cosine():
     first, second, peak, middle, last, after = rates(
-        0,
-        1,
-        100,
-        600,
-        1100,
-        2000,
-        steps=1100,
-        learning_rate=1e-2,
-        warmup_steps=100,
-        final_rate=0.1,
+        *(0, 1, 200, 700, 1200, 2000),
+        **dict(steps=1200, learning_rate=1e-2, schedule="cosine"),
     )
-    # float32; the first step already moves, by 1 / warmup_steps of the peak. The line
-    # of the warm-up reaches the peak at step 100.
-    assert first == pytest.approx(1e-4, rel=1e-5)
-    assert second == pytest.approx(1e-4 + 1e-2 * 0.99 / 100, rel=1e-5)
+    # float32; the first step already moves, by 1 / 200 of the peak. The line of the
+    # warm-up reaches the peak at step 200.
+    assert first == pytest.approx(5e-5, rel=1e-5)
+    assert second == pytest.approx(5e-5 + 1e-2 * 0.995 / 200, rel=1e-5)
     assert peak == pytest.approx(1e-2, rel=1e-5)
-    assert middle == pytest.approx(1e-2 * (1 + 0.1) / 2, rel=1e-4)
-    assert last == after == pytest.approx(1e-3, rel=1e-4)
+    assert middle == pytest.approx(1e-2 * (1 + 0.02) / 2, rel=1e-4)
+    assert last == after == pytest.approx(2e-4, rel=1e-4)
 
 
-def test_without_warm_up_the_first_step_has_the_peak_rate():
-    first, last = rates(0, 50, steps=50, learning_rate=2e-3, final_rate=0.5)
-    assert first == pytest.approx(2e-3, rel=1e-6)
-    assert last == pytest.approx(1e-3, rel=1e-5)
-
-
-@pytest.mark.parametrize("warmup_steps", [20, 500])
-def test_a_warm_up_ends_with_the_run_at_the_latest(warmup_steps):
-    found = rates(0, 10, 20, steps=20, warmup_steps=warmup_steps, learning_rate=1e-3)
-    assert np.all(np.isfinite(found)) and max(found) == pytest.approx(1e-3, rel=1e-5)
+@pytest.mark.parametrize("steps", [1, 4, 20])
+def test_the_warm_up_of_a_short_run_takes_a_fifth_of_it(steps):
+    found = rates(*range(steps), steps=steps, schedule="cosine", learning_rate=1e-3)
+    assert found[steps // 5] == max(found) == pytest.approx(1e-3, rel=1e-5)
 
 
 def test_the_finer_grid_comes_in_from_its_share_of_the_run():

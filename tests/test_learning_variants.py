@@ -35,8 +35,7 @@ VARIANTS = {
         {"pose", "student"},
     ),
     "known_pose,color": (
-        {"source": "given", "color_weight": 0.3, "colors_move_points": False}
-        | {"tint": True},
+        {"source": "given", "color_weight": 0.3, "colors_move_points": False},
         {"reprojection", "color"},
         set(),
     ),

@@ -57,7 +57,7 @@ def set_field(config, field, value):
         ("render.distance", 0.2, "outside the object"),
         ("network.layers", "wide", "'', 'paper' or 'released'"),
         ("data.fold", "5/5", "'' or PART/PARTS"),
-        ("pose.student_loss", "mean", "'signed' or 'squared'"),
+        ("pose.student", "mean", "'selects' or 'posterior'"),
         ("render.scale_fixed", -1.0, "0 or more"),
         ("train.l2_weight", -1.0, "0 or more"),
         ("train.steps", 0, "at least 1"),

@@ -240,11 +240,6 @@ def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
     assert [specs[s].copies for s in ("train", "val", "test")] == [0, 1, 1]
     folds = make_data_specs(change(config, "data", fold="2/5"))
     assert {spec.fold for spec in folds.values()} == {(2, 5)}
-    config = change(
-        config, "data", own_test=0.2
-    )  # of no meaning without another folder
-    assert make_data_specs(config) == specs
-    config = change(config, "data", own_test=0.0)
     config = change(config, "data", test_meshes="others")
     specs = make_data_specs(config)
     assert [specs[s].folder for s in ("train", "val", "test")] == [
@@ -257,11 +252,6 @@ def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
     specs = make_data_specs(config)
     assert [specs[s].copies for s in ("train", "val", "test")] == [3, 1, 1]
     assert set(specs) == {"train", "val", "test"}
-    config = change(config, "data", own_test=0.1)
-    specs = make_data_specs(config)
-    assert [specs[s].folder for s in ("own", "test")] == ["meshes", "others"]
-    assert specs["own"].split == "test" and specs["own"].copies == 1
-    assert specs["own"].fractions == specs["train"].fractions == (0.8, 0.1, 0.1)
     # All but the training set say what can be seen of their surfaces.
     assert [n for n, spec in specs.items() if not spec.surface_seen] == ["train"]
 

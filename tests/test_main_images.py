@@ -18,7 +18,7 @@ def run(folder, *options):
         "data.images": folder / "set", "data.cache_dir": folder / "cache",
         "data.image_size": 16, "render.grid": 8, "render.fine_grid": 0,
         "train.steps": 6, "train.models_per_batch": 2,
-        "train.warmup_steps": 1, "log.evaluate": 3, "log.examples": 1,
+        "log.evaluate": 3,
     }  # fmt: skip
     return subprocess.run(
         [*command, f"--workdir={folder / 'run'}"]

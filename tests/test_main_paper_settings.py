@@ -183,7 +183,7 @@ def test_nothing_beyond_the_paper_is_on(variant):
     assert not (train.repulsion_weight or train.containment_weight)
     assert not (train.pull_weight or train.depth_weight or train.color_weight)
     assert (train.silhouette_weight, train.background_weight) == (1, 0)
-    assert train.colors_move_points and not config.network.tint
+    assert train.colors_move_points
     assert not config.network.sees_mask
     assert config.network.shape == "points" and not config.network.point_size
     assert config.render.ray_rule == "termination"

@@ -426,7 +426,6 @@ OTHER_PATHS = {
     "maps": {"network.shape": "maps", "pose.source": "given"},
     "other": {
         "pose.candidates": 1,
-        "data.own_test": 0.3,
         "train.models_per_batch": 2,
     },
 }
@@ -443,7 +442,7 @@ OFTEN = ("known", "voxels")  # the others take as long, and touch less of their 
 def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
     command, name
 ):
-    short = {"train.steps": 2, "train.warmup_steps": 0, "render.keep_levels": 1}
+    short = {"train.steps": 2, "render.keep_levels": 1}
     fields = OTHER_PATHS[name]
     if name == "other":
         meshes = make_boxes(command.folder / "boxes", 6)
@@ -483,8 +482,4 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
         assert 0 <= metrics["pose_accuracy"] <= 1
         assert metrics["alignment_inlier_share"] is None
     if name == "other":
-        assert metrics["test_models"] == 2 and metrics["own_test_models"] == 1
-        assert metrics["own_chamfer"] != metrics["chamfer"]
-        assert "Objects of the training source: pose accuracy" in out
-        page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
-        assert "Chamfer distance, training source (×100)" in page
+        assert metrics["test_models"] == 2

@@ -51,8 +51,7 @@ PLAIN = {
         models_per_batch=2,
         views_per_batch=2,
         learning_rate=1e-3,
-        warmup_steps=0,
-        final_rate=1.0,
+        schedule="constant",
         pull_weight=0.0,
         reseeds_points=False,
         repulsion_weight=0.0,
@@ -60,10 +59,9 @@ PLAIN = {
         color_weight=0.0,
         colors_move_points=True,
     ),
-    "log": dict(every=1, examples=1),
+    "log": dict(every=1),
     "run": dict(devices=1),
-    "network": dict(channels=2, hidden=12, shape_hidden=12)
-    | dict(tint=False, sees_mask=False),
+    "network": dict(channels=2, hidden=12, shape_hidden=12) | dict(sees_mask=False),
 }
 
 

@@ -22,16 +22,15 @@ from dpc_jax.config.fields import (
 )
 
 CROPS = ("object", "view", "none")  # what shares one scale
-STUDENT_LOSSES = ("absolute", "signed", "squared")  # forms of the angular difference
-FRONTS = ("", "+x", "-x", "+z", "-z")
 LAYERS = ("", "paper", "released")  # "": normalised, and a wider student
 SHAPES = ("points", "voxels", "maps")  # what the shape branch predicts
 POSE_HEADS = ("quaternion", "viewpoint")  # what a head predicts
 # Where poses come from: the ensemble in hindsight; the data, with none to learn; labels
 # in the data, learned beside shapes of the labelled poses; drawn heads (MVC).
 POSE_SOURCES = ("unknown", "given", "labels", "sampled")
-# A pose of its own, the likeliest candidate, or that weighed by how it fits the image.
-STUDENTS = ("regresses", "selects", "posterior")
+# A pose of its own, by the paper's loss or by the squares of the released code; the
+# likeliest candidate, or that weighed by how it fits the image.
+STUDENTS = ("regresses", "squares", "selects", "posterior")
 POINT_SIZES = ("", "sigma", "covariance")  # what is learned of each point's size
 _IMAGE_SIZE = Allowed(
     lambda size: size >= 16 and size & (size - 1) == 0,
@@ -50,10 +49,8 @@ class Data:
     renders: str = field("", FOLDER)  # of the renders published with the paper, or ""
     images: str = field("", FOLDER)  # of your images, a folder of views per object
     test_meshes: str = field("", FOLDER)  # to test on; "": a part of the same source
-    own_test: float = field(0.0, between(0, 0.5))  # share of the source tested apart
     split_file: str = field("", FILE)  # official ShapeNet split; "": found in folder
     fold: str = field("", FOLD)  # "0/5": of five parts the first is tested; "": a tenth
-    shapenet_front: str = field("", one_of(*FRONTS))  # models face
     ground_truth: str = field("", FOLDER)  # of MODEL.mat for the renders; "": found
     crop: str = field("object", one_of(*CROPS))  # share one scale
     fill: float = field(0.85, between(0.1, 1))  # share of the frame that images fill
@@ -61,7 +58,6 @@ class Data:
     val_models: int = field(40, at_least(1))  # to validate on (20 of them align)
     test_models: int = field(100, at_least(1))  # to test on
     copies: int = field(0, at_least(0))  # of meshes, stretched; 0: to 300 in all
-    stretch: float = field(0.15, between(0, 0.99))  # largest, as a share of a side
     mix: int = field(-1, at_least(-1))  # procedural ones beside; -1: 300 if few meshes
     views: int = field(5, at_least(1))  # per model (§ Datasets)
     offset: float = field(0.0, between(0, 0.12))  # largest, of each axis; diagonals
@@ -69,7 +65,6 @@ class Data:
     image_size: int = field(64, _IMAGE_SIZE)  # pixels
     surface_points: int = field(10_000, at_least(1))  # ground truth, before thinning
     surface_voxel: float = field(0.0, between(0, 0.99))  # keeps one point each; 0: all
-    surface_visible: bool = field(False)  # ground truth seen from outside only
     seed: int = field(0, at_least(0))  # of shapes, split, views and lights
     cache_dir: str = field("data")  # folder where rendered sets are kept
     processes: int = field(0, at_least(0))  # that render; 0: one per core
@@ -85,7 +80,6 @@ class Network:
     layers: str = field("", one_of(*LAYERS))  # the paper's, or its code's; "": ours
     point_size: str = field("", one_of(*POINT_SIZES))  # learned of each point; "": none
     shape: str = field("points", one_of(*SHAPES))  # predicted; voxels: of render.grid
-    tint: bool = field(True)  # colours see the mean colour of the image's object
     sees_mask: bool = field(True)  # beside the image, as a fourth channel
 
 
@@ -132,7 +126,6 @@ class Pose:
     choice_signals: str = field("silhouette", one_of("silhouette", "all"))  # compared
     common_frame: bool = field(True)  # kinds turned round are turned, by colours
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
-    student_loss: str = field("absolute", one_of(*STUDENT_LOSSES))  # if it regresses
     translation: bool = field(False)  # of each view, learned (released code)
     focal_length: bool = field(False)  # of each view, learned (released code)
 
@@ -149,7 +142,7 @@ class Pose:
     @property
     def selects(self) -> bool:
         """Whether the student chooses a candidate instead of regressing a pose."""
-        return self.student != "regresses" or self.source == "sampled"
+        return self.source == "sampled" or self.student in ("selects", "posterior")
 
     @property
     def heads(self) -> int:
@@ -216,8 +209,7 @@ class Train:
     models_per_batch: int = field(4, at_least(1))  # (§ Training details)
     views_per_batch: int = field(4, at_least(1))  # of each model
     learning_rate: float = field(3e-4, POSITIVE)  # of Adam, at its peak
-    warmup_steps: int = field(200, at_least(0))  # linear; at most all steps
-    final_rate: float = field(0.02, between(0, 1))  # of the peak; 1: constant
+    schedule: str = field("cosine", one_of("cosine", "constant"))  # of that rate
     l2_weight: float = field(0.0, at_least(0))  # of half the squared weights, see docs
     pull_weight: float = field(0.03, at_least(0))  # per pixel, of points outside
     reseeds_points: bool = field(True)  # that hang alone, once training is done
@@ -227,7 +219,8 @@ class Train:
     background_weight: float = field(0.0, between(0, 1))  # event cost; 0: squares
     depth_weight: float = field(0.0, at_least(0))  # per pixel and diagonal; 0: none
     color_weight: float = field(0.0, at_least(0))  # per pixel; 0: no colours
-    colors_move_points: bool = field(False)  # their loss has a gradient for the shape
+    # Their loss has a gradient for the shape; else they see the image's mean colour.
+    colors_move_points: bool = field(False)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -237,7 +230,6 @@ class Log:
     every: int = field(100, at_least(1))  # lines of metrics.jsonl
     evaluate: int = field(1000, at_least(0))  # validations
     checkpoint: int = field(1000, at_least(0))  # checkpoints
-    examples: int = field(3, at_least(1))  # the report's worst, median and best views
     tensorboard: bool = field(False)  # event files too, in WORKDIR/tensorboard
 
 

@@ -36,7 +36,6 @@ VARIANTS: dict[str, Changes] = {
             "hidden": 1024,
             "shape_hidden": 1024,
             "layers": "paper",
-            "tint": False,
             "sees_mask": False,
         },
         "render": {
@@ -61,8 +60,7 @@ VARIANTS: dict[str, Changes] = {
         "train": {
             "steps": 600_000,
             "learning_rate": 1e-4,
-            "warmup_steps": 0,
-            "final_rate": 1.0,
+            "schedule": "constant",
             "pull_weight": 0.0,
             "reseeds_points": False,
             "repulsion_weight": 0.0,
@@ -90,7 +88,7 @@ VARIANTS: dict[str, Changes] = {
             "keep_start": 0.07,
             "scale_unit": "mass",
         },
-        "pose": {"student_loss": "squared", "student_weight": 40 / 64**2},
+        "pose": {"student": "squares", "student_weight": 40 / 64**2},
         "train": {"models_per_batch": 8, "l2_weight": 2e-3},
     },
     # § Training details: side of images and volume, and the number of points.

@@ -20,6 +20,7 @@ from dpc_jax.shapes.normalization import join_pieces, replace_vertices
 SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 MOST_BYTES = 1 << 29  # of a file: a mesh of some millions of faces
 MOST_PIXELS = 1 << 26  # of a texture: 8192 x 8192
+STRETCH = 0.15  # largest change of an axis in copies of a mesh, as a share of it
 PLAIN = np.array([170, 170, 170, 255], dtype=np.uint8)  # where a file has no colour
 
 
@@ -196,16 +197,11 @@ def _face_colors(part):
 
 
 def scale_randomly(
-    mesh: trimesh.Trimesh, *, seed: int | Sequence[int], stretch: float
+    mesh: trimesh.Trimesh, *, seed: int | Sequence[int]
 ) -> trimesh.Trimesh:
-    """Copy of a mesh, each axis stretched by a factor in [1 - stretch, 1 + stretch].
+    """Copy of a mesh, each axis stretched by a factor within `STRETCH` of one.
 
     An augmentation for small sets of files: proportions vary, the category stays.
     """
-    if not 0 <= stretch < 1:
-        raise ValueError(
-            f"stretch must be in [0, 1) for positive factors, but it is {stretch}; use "
-            "0.15."
-        )
-    factors = np.random.default_rng(seed).uniform(1 - stretch, 1 + stretch, 3)
+    factors = np.random.default_rng(seed).uniform(1 - STRETCH, 1 + STRETCH, 3)
     return replace_vertices(mesh, np.asarray(mesh.vertices, dtype=np.float64) * factors)

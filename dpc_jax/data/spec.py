@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from dpc_jax.config import CROPS, FRONTS, Data, Render
+from dpc_jax.config import CROPS, Data, Render
 from dpc_jax.data.splits import SPLITS
 
 KINDS = {  # of folders, and the class that reads each, in `dpc_jax.data.sets`
@@ -33,7 +33,6 @@ class DataSpec:
     models: int | None = None  # how many; None: all files of the folder's split
     fold: tuple | None = None  # (i, n): of n parts of the files the i-th is tested
     copies: int = 1  # per file, stretched but for the first; 0: up to `FEW` in all
-    stretch: float = Data.stretch  # of the stretched copies
     mix: int = 0  # procedural shapes beside the files; -1: `FEW` if these are fewer
     seed: int = Data.seed  # of the split, the shapes, the views and the lights
     views: int = Data.views  # per model (paper, section Experiments)
@@ -50,22 +49,16 @@ class DataSpec:
     surface_voxel: float = (
         Data.surface_voxel
     )  # one point is kept per voxel of this side; 0 for all
-    surface_visible: bool = (
-        Data.surface_visible
-    )  # only points that can be seen from outside
     surface_seen: bool = False  # also which points can be seen from outside
     kind: str = "meshes"  # of the folder, one of `KINDS`
     split_file: str | None = None  # official split; None: looked for in the folder
-    shapenet_front: str = (
-        Data.shapenet_front
-    )  # axis that the models face; "": as the version says
     ground_truth: str | None = None  # folder of the published ground truth
     crop: str = Data.crop  # of own images: one scale per "object", "view", or "none"
     fill: float = Data.fill  # share of the frame that an own image's object takes
 
     def __post_init__(self):
         allowed = {"split": SPLITS, "kind": KINDS, "crop": CROPS}
-        for name, known in (allowed | {"shapenet_front": FRONTS}).items():
+        for name, known in allowed.items():
             if getattr(self, name) not in known:
                 raise ValueError(
                     f"{name} must be one of {', '.join(map(repr, known))}, but it is "

@@ -18,8 +18,7 @@ def make_ground_truth(
 ) -> np.ndarray:
     """Points [P, 3] float32 that stand for the surface of a normalised mesh.
 
-    `spec.surface_points` are spread over it. With `spec.surface_visible` only those
-    that can be seen from outside are kept, with `spec.surface_voxel` one per voxel.
+    `spec.surface_points` are spread over it; `spec.surface_voxel` keeps one per voxel.
     """
     return make_marked_truth(mesh, spec, scene=scene)[0]
 
@@ -34,11 +33,9 @@ def make_marked_truth(
     """
     points = views.sample_surface(mesh, count=spec.surface_points, seed=spec.seed)
     seen = None
-    if spec.surface_visible or spec.surface_seen:
+    if spec.surface_seen:
         scene = scene or views.build_scene(mesh)
         seen = _find_visible(points, scene, distance=spec.distance)
-    if spec.surface_visible and seen is not None:
-        points, seen = points[seen], seen[seen]
     if spec.surface_voxel > 0:
         columns = points if seen is None else np.column_stack([points, seen])
         thinned = _thin_points(columns, voxel=spec.surface_voxel)

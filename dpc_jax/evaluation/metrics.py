@@ -14,7 +14,6 @@ from typing import Any, Literal
 MISSING = "–"
 # Prefixes of scores beside those of the test split as it is.
 _BESIDE = {
-    "own_": "training source",  # where another one is tested
     "refined_joined_": "all views of an object together, refined",
     "joined_": "all views of an object together",
     "refined_": "refined",

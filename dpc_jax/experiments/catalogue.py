@@ -73,7 +73,7 @@ DEFAULTS = FRAME | {
     "network.sees_mask": True,
 }
 CHOOSE_BY_ALL = {"pose.choice_signals": "all"}
-BESIDE = {"train.colors_move_points": False, "network.tint": True}
+BESIDE = {"train.colors_move_points": False}
 
 KINDS = {"": "hand-tuned σ", "sigma": "learned σ", "covariance": "learned covariance"}
 # Hand-tuned sigma at the end of a run, a share of the volume's side, by number of

@@ -23,7 +23,6 @@ _PLAIN = {
     "train.containment_weight": 1.0,
     "train.reseeds_points": False,
     "train.colors_move_points": True,
-    "network.tint": False,
     "network.sees_mask": False,
 }
 RESOLUTIONS = ("32", "64", "128")  # variants that set the side of images and volume
@@ -77,10 +76,8 @@ SIZES = {
             "render.num_points": 200,
             "pose.choice_points": 0,
             "train.steps": 10,  # enough to log, validate, save
-            "train.warmup_steps": 2,
             "log.every": 5,
             "log.evaluate": 0,  # the last step has one anyhow
-            "log.examples": 1,  # a report's pictures take as long as the training
         },
         budgets={
             # Images of half the side named, the least that the encoder takes, and

@@ -112,11 +112,7 @@ def _run_in(folder, config, job):
     state = outcome.state
     validated, threshold = model.find_points(model.predict(state, "val"))
     alignment = model.align(validated)
-    predictions = {
-        name: model.predict(state, name, frame=alignment, threshold=threshold)
-        for name in ("test", "own")
-        if name in sets
-    }
+    predictions = model.predict(state, "test", frame=alignment, threshold=threshold)
     if not job.is_first:
         return
     refined = None
@@ -222,7 +218,7 @@ def train_model(
                 may_stop_waiting=job.processes == 1,
                 seconds=start.seconds,
                 title=f"Training {workdir.name}",
-                validations_after=model.count_views("test", "own", "val")
+                validations_after=model.count_views("test", "val")
                 / model.count_views("val"),
                 prepare=functools.partial(model.compile_predictor, start.state),
                 check=check_memory,

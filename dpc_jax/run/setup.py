@@ -29,7 +29,7 @@ def make_network(config: Config) -> ShapePoseNetwork:
         student_width=32 if layers else 256,
         has_color=config.train.color_weight > 0,
         sees_mask=config.network.sees_mask,
-        is_tinted=config.network.tint
+        is_tinted=not config.train.colors_move_points
         and config.train.color_weight > 0
         and config.network.shape == "points",
         # Heads that are several start spread over SO(3); not in the paper.
@@ -57,11 +57,7 @@ def make_network(config: Config) -> ShapePoseNetwork:
 
 
 def make_data_specs(config: Config) -> dict[str, DataSpec]:
-    """Specifications of the splits "train", "val" and "test".
-
-    With `data.test_meshes`, objects of the training source may be tested apart: their
-    specification is "own".
-    """
+    """Specifications of the splits "train", "val" and "test"."""
     data = config.data
     shared = {
         "category": config.category,
@@ -74,7 +70,6 @@ def make_data_specs(config: Config) -> dict[str, DataSpec]:
         "focal_spread": data.focal_spread,
         "surface_points": data.surface_points,
         "surface_voxel": data.surface_voxel,
-        "surface_visible": data.surface_visible,
     }
     kind = next((name for name in SOURCES if getattr(data, name)), None)
     if kind is None:
@@ -84,20 +79,18 @@ def make_data_specs(config: Config) -> dict[str, DataSpec]:
     if config.render.fixed_views_until:
         specs["train"] = dataclasses.replace(specs["train"], corner_views=True)
     if data.test_meshes:
-        if data.own_test and kind:
-            specs["own"] = specs["test"]
         specs["test"] = DataSpec(
             split="test", folder=data.test_meshes, fractions=(0, 0, 1), **shared
         )
     for name, spec in specs.items():
         has_meshes = spec.folder is None or spec.kind in ("meshes", "shapenet")
-        if name != "train" and has_meshes and not data.surface_visible:
+        if name != "train" and has_meshes:
             specs[name] = dataclasses.replace(spec, surface_seen=True)
     return specs
 
 
 def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, DataSet]:
-    """The data sets of a run: "train", "val", "test", and "own" where asked for.
+    """The data sets of a run: "train", "val" and "test".
 
     Args:
       share: (i, n) of the i-th of n processes that prepare them together.
@@ -188,12 +181,11 @@ def _split_procedural(config, shared):
 def _split_folder(config, kind, shared):
     """Tenths of a folder validate and, without another folder for that, test."""
     data = config.data
-    tested = data.own_test if data.test_meshes else 0.1
+    tested = 0.0 if data.test_meshes else 0.1
     source = {
         "kind": kind,
         "folder": getattr(data, kind),
         "split_file": data.split_file or None,
-        "shapenet_front": data.shapenet_front,
         "ground_truth": data.ground_truth or None,
         "crop": data.crop,
         "fill": data.fill,
@@ -201,7 +193,7 @@ def _split_folder(config, kind, shared):
     }
     # Pictures cannot be stretched.
     is_mesh = kind in ("meshes", "shapenet")
-    names = ("copies", "stretch", "mix") if is_mesh else ()
+    names = ("copies", "mix") if is_mesh else ()
     extra = {name: getattr(data, name) for name in names}
     if data.fold:
         source["fold"] = read_fold(data.fold)

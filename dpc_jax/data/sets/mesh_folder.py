@@ -40,9 +40,7 @@ class MeshSource(RenderedSource):
         if model.copy:
             # normalised first, so that the factors meet sides of comparable length
             seed = [self.spec.seed, model.copy, int(model.digest[:8], 16)]
-            mesh = meshes.scale_randomly(
-                normalize(mesh), seed=seed, stretch=self.spec.stretch
-            )
+            mesh = meshes.scale_randomly(normalize(mesh), seed=seed)
         return normalize(mesh)
 
     def describe_flaws(self, model: Model) -> list[str]:

@@ -32,8 +32,6 @@ OFFICIAL = {
 }
 TURNS = {  # rows are the canonical axes (front, left, up) in the axes of the file
     "+x": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
-    "-x": ((-1, 0, 0), (0, 0, 1), (0, 1, 0)),
-    "+z": ((0, 0, 1), (1, 0, 0), (0, 1, 0)),
     "-z": ((0, 0, -1), (-1, 0, 0), (0, 1, 0)),
 }
 
@@ -123,8 +121,7 @@ class ShapeNet(SynsetSource, MeshSource):
 
     def find_turn(self, path: str) -> np.ndarray:
         version = 2 if Path(path).as_posix().endswith(LAYOUTS[2]) else 1
-        front = self.spec.shapenet_front or FRONTS[version]
-        return np.array(TURNS[front], dtype=np.float64)
+        return np.array(TURNS[FRONTS[version]], dtype=np.float64)
 
 
 def find_synset(folder: str | Path, category: str) -> Path:

@@ -108,6 +108,7 @@ def compare_student(
     else:
         assert poses.student is not None
         teachers = winners.poses.reshape(-1, 4)
-        compare = functools.partial(losses.student_loss, form=pose.student_loss)
+        form = "squared" if pose.student == "squares" else "absolute"
+        compare = functools.partial(losses.student_loss, form=form)
         loss = jnp.mean(jax.vmap(compare)(poses.student, teachers))
     return {"student": Term(loss, pose.student_weight * recipe.render.grid**2)}

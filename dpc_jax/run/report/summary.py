@@ -42,7 +42,7 @@ def report_run(
     sets: dict[str, DataSet],
     outcome: Outcome,
     *,
-    predictions: dict[str, Predictions],
+    predictions: Predictions,
     alignment: Alignment,
     records: list[dict],
     data_seconds: float,
@@ -52,18 +52,15 @@ def report_run(
     """Score the test sets, write WORKDIR/report, and print what is in it.
 
     Args:
-      sets: by name; "test", and "own" where objects of the training source are tested
-        apart. predictions: of these two.
+      sets: by name. predictions: of "test".
       outcome: of the training loop. records: of its log.
       data_seconds: spent on preparing the data.
       threshold: of the surfaces of a voxel model.
       refined: of `measure_refinement`, where it was asked for.
     """
-    judged = {
-        name: _judge(found, sets[name], config, alignment, threshold)
-        for name, found in predictions.items()
-    }
-    test, shares, values = judged["test"]
+    test, shares, values = _judge(
+        predictions, sets["test"], config, alignment, threshold
+    )
     failures = None
     if not config.pose.known:
         failures = evaluator.diagnose(*test[:2], alignment=alignment)
@@ -74,10 +71,6 @@ def report_run(
     metrics["candidates_alive"] = candidate_use.count_alive(shares) if heads else None
     if test.dataset.quaternions is not None and not config.pose.aligned:
         metrics["alignment_inlier_share"] = alignment.inlier_share
-    own = judged["own"][2] if "own" in judged else {}
-    if own:
-        metrics |= {f"own_{name}": value for name, value in own.items()}
-        metrics["own_test_models"] = len(sets["own"].names)
     metrics |= refined or {}
     if threshold is not None:
         metrics["surface_threshold"] = threshold
@@ -95,8 +88,6 @@ def report_run(
     )
     for line in describe_refined(refined or {}):
         print(line)
-    if own:
-        print(f"Objects of the training source: {describe_metrics(own)}.")
     print(f"Report: {path}")
 
 
@@ -123,9 +114,9 @@ def _judge(predictions, dataset, config, alignment, threshold):
 def _write_page(folder, config, sets, judged: Judged, failures, shown: dict) -> Path:
     """The report of the test set; `shown` are further arguments of `write_report`."""
     shapes = TrainingShapes.gather(sets)
-    examples, ranking = choose_examples(
-        judged, per_group=config.log.examples, shapes=shapes
-    )
+    # The worst, median and best are of different models where there are enough.
+    per_group = max(1, min(3, len(judged.dataset.names) // 3))
+    examples, ranking = choose_examples(judged, per_group=per_group, shapes=shapes)
     return write_report(
         folder,
         stages=list_stages(config),
