@@ -10,7 +10,7 @@ from absl import app, flags, logging
 from ml_collections import config_flags
 
 from dpc_jax.config import from_config_dict, resolve_flags
-from dpc_jax.run.flags import FlagParser
+from dpc_jax.run.flags import FlagParser, hush_jaxlib
 from dpc_jax.run.hosts.places import Place, find_place
 
 _CONFIG = config_flags.DEFINE_config_file(
@@ -95,6 +95,7 @@ def _explain(error: Exception) -> str:
 
 def main(_: list[str]):
     """Hand the parsed flags to the run."""
+    hush_jaxlib()
     from dpc_jax.run import pipeline, process  # heavy: flags are read first
 
     logging.set_verbosity(logging.ERROR)  # JAX tells of each accelerator not found

@@ -19,6 +19,15 @@ def name_program(command: str) -> str:
     return f"python -m dpc_jax.{'main' if command == 'train' else command}"
 
 
+def hush_jaxlib():
+    """Keep jaxlib's own log off the terminal; to be called before jax is loaded.
+
+    Version 0.10 prints a page of CPU features for each program that it reads from the
+    cache. Errors of XLA come as exceptions, so that none is lost.
+    """
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+
 class FlagParser(argparse.ArgumentParser):
     """A parser that raises instead of printing the list of all flags.
 
@@ -81,6 +90,7 @@ def run_command(read: Callable[[], Task]) -> int:
     raises ValueError, and 130 after Ctrl-C. With DPC_JAX_TRACEBACK in the environment
     errors of the task keep their traceback.
     """
+    hush_jaxlib()
     try:
         task = read()
     except (ValueError, OSError) as error:
