@@ -6,6 +6,7 @@ beside ours. The same command goes on where it was stopped.
 
 import argparse
 import sys
+from collections.abc import Callable
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -22,53 +23,52 @@ WRITES = ("index.html", "paper.md", "logs/", "figures/", "measured/")
 def make_parser() -> argparse.ArgumentParser:
     """The flags of the command."""
     parser = FlagParser("paper", description="The paper's tables and figures.")
-    parser.add_argument(
-        "--out", type=Path, default=Path("runs/paper"), help="folder (%(default)s)"
-    )
-    parser.add_argument(
-        "--experiment",
-        default="all",
-        metavar="NAMES",
-        help=f"all, or of {', '.join(NAMES)}, with commas between",
-    )
-    sizes = f"{', '.join(SIZES)} (%(default)s)"
-    parser.add_argument(
-        "--size", default="cpu", choices=SIZES, metavar="SIZE", help=sizes
-    )
-    parser.add_argument(
-        "--category", default="", metavar="NAMES", help="default: of the size"
-    )
-    parser.add_argument(
-        "--seeds", default="", metavar="N,N", help="default: of the size"
-    )
-    sources = f"{', '.join(SOURCES)} (%(default)s)"
-    parser.add_argument(
-        "--source",
-        default="procedural",
-        choices=SOURCES,
-        metavar="KIND",
-        help=sources,
-    )
-    folder = "of the source: meshes, ShapeNet or renders"
-    parser.add_argument("--folder", default="", metavar="DIR", help=folder)
-    parser.add_argument(
-        "--data",
-        type=Path,
-        metavar="DIR",
-        default=Path("data"),
-        help="keeps rendered data sets",
-    )
-    parser.add_argument(
-        "--page", type=Path, metavar="FILE", help="Markdown to write too"
-    )
-    only = "train only these; * stands for anything"
-    parser.add_argument("--only", default="*", metavar="RUNS", help=only)
-    at_once = "runs; default: as many as cores and memory allow"
-    parser.add_argument("--at-once", type=int, metavar="N", default=0, help=at_once)
-    parser.add_argument(
-        "--no-training", action="store_true", help="the page of what is there alone"
-    )
+    names, of_size = {"metavar": "NAMES", "default": ()}, "default: of the size"
+    add = parser.add_argument
+    add("--out", type=Path, default=Path("runs/paper"), help="folder (%(default)s)")
+    text = f"all, or of {', '.join(NAMES)}, with commas between"
+    add("--experiment", type=_reading_names(("all", *NAMES)), **names, help=text)
+    text = f"{', '.join(SIZES)} (%(default)s)"
+    add("--size", default="cpu", choices=SIZES, metavar="SIZE", help=text)
+    add("--category", type=_reading_names(CATEGORIES), **names, help=of_size)
+    add("--seeds", type=_read_seeds, default=(), metavar="N,N", help=of_size)
+    text = f"{', '.join(SOURCES)} (%(default)s)"
+    add("--source", default="procedural", choices=SOURCES, metavar="KIND", help=text)
+    text = "of the source: meshes, ShapeNet or renders"
+    add("--folder", default="", metavar="DIR", help=text)
+    text = "keeps rendered data sets"
+    add("--data", type=Path, default=Path("data"), metavar="DIR", help=text)
+    add("--page", type=Path, metavar="FILE", help="Markdown to write too")
+    text = "train only these; * stands for anything"
+    add("--only", default="*", metavar="RUNS", help=text)
+    text = "runs; default: as many as cores and memory allow"
+    add("--at-once", type=int, metavar="N", default=0, help=text)
+    text = "the page of what is there alone"
+    add("--no-training", action="store_true", help=text)
     return parser
+
+
+def _reading_names(known: tuple[str, ...]) -> Callable[[str], tuple[str, ...]]:
+    """A function that reads names with commas between."""
+
+    def read(text):
+        found = tuple(part.strip() for part in text.split(",")) if text else ()
+        if unknown := [name for name in found if name not in known]:
+            raise argparse.ArgumentTypeError(
+                f"names must be of {', '.join(known)}, not {unknown[0] or 'empty'}"
+            )
+        return found
+
+    return read
+
+
+def _read_seeds(text):
+    words = [part.strip() for part in text.split(",")] if text else []
+    if wrong := [word for word in words if not word.isdecimal()]:
+        raise argparse.ArgumentTypeError(
+            f"seeds must be whole numbers from 0 on, as in 0,1,2, not {wrong[0]!r}"
+        )
+    return tuple(sorted(set(map(int, words))))
 
 
 def make_request(options: argparse.Namespace) -> Request:
@@ -77,28 +77,16 @@ def make_request(options: argparse.Namespace) -> Request:
     Raises:
       ValueError: for flags that do not fit together.
     """
-    names = NAMES
-    if options.experiment != "all":
-        names = _split("--experiment", options.experiment, NAMES)
-    seeds = [part.strip() for part in options.seeds.split(",") if options.seeds]
-    if wrong := [word for word in seeds if not word.isdecimal()]:
-        raise ValueError(
-            "--seeds must be whole numbers from 0 on, but it has "
-            f"{wrong[0] or 'an empty one'}; write for example --seeds=0,1,2."
-        )
-    request = Request(
-        names,
-        options.size,
-        make_source(options.source, options.folder),
-        _split("--category", options.category, CATEGORIES),
-        tuple(sorted(set(map(int, seeds)))),
-    )
+    is_all = not options.experiment or "all" in options.experiment
+    names = NAMES if is_all else options.experiment
+    source = make_source(options.source, options.folder)
+    request = Request(names, options.size, source, options.category, options.seeds)
     made = {experiment.name for experiment in request.list_experiments()}
     missing = [name for name in names if name not in made]
-    if missing and options.experiment != "all":
+    if missing and not is_all:
         raise ValueError(
-            f"--category must fit --experiment={options.experiment}, but "
-            f"{missing[0]} is not made of {options.category}; leave one of them out."
+            f"--category must fit --experiment={','.join(names)}, but {missing[0]} is "
+            f"not made of {','.join(options.category)}; leave one of them out."
         )
     if options.at_once < 0:
         raise ValueError(
@@ -107,22 +95,6 @@ def make_request(options: argparse.Namespace) -> Request:
         )
     check_page(options.page)
     return request
-
-
-def _split(flag: str, text: str, known: tuple[str, ...]) -> tuple[str, ...]:
-    """The names of a flag, with commas between.
-
-    Raises:
-      ValueError: for a name that is not known.
-    """
-    found = [part.strip() for part in text.split(",")] if text else []
-    if unknown := [name for name in found if name not in known]:
-        raise ValueError(
-            f"{flag} must be of {', '.join(known)}, but it has "
-            f"{unknown[0] or 'an empty name'}; write for example "
-            f"{flag}={known[0]},{known[-1]}."
-        )
-    return tuple(found)
 
 
 def check_page(page: Path | None) -> None:
@@ -195,15 +167,15 @@ def main(arguments: list[str] | None = None) -> int:
 def _read(options):
     request = make_request(options)
     trained = choose_runs(request, options.only)
-    from dpc_jax.experiments.suite import Place, run_suite  # heavy: flags come first
-
-    place = Place(options.out, options.data, options.page)
+    from dpc_jax.experiments.suite import run_suite  # heavy: flags come first
 
     def work():
         page, failed = run_suite(
             request,
-            place,
-            set() if options.no_training else trained,
+            options.out,
+            trained=set() if options.no_training else trained,
+            cache=options.data,
+            page=options.page,
             at_once=options.at_once,
         )
         print(f"Page: {page}")

@@ -5,11 +5,13 @@ import pytest
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from dpc_jax.evaluation import icp, modes
+from dpc_jax.evaluation import icp
 from dpc_jax.evaluation.alignment import (
+    INLIER_DEG,
     align,
     align_points,
     align_poses,
+    find_modes,
     identity_alignment,
 )
 
@@ -78,7 +80,7 @@ def test_without_noise_the_vote_is_exact_even_at_half_turns(name):
     votes = Rotation.from_quat(
         truth.reshape(-1, 4), scalar_first=True
     ).inv() * Rotation.from_quat(predicted.reshape(-1, 4), scalar_first=True)
-    best = modes.find_modes(wxyz(votes))[0]
+    best = find_modes(wxyz(votes))[0]
     # The flipped 30 % weigh 5e-5 each and pull along the great circle of their own
     # half turn, where the mean is stationary: only rounding is left.
     assert gap_deg(best.rotation, FRAMES[name]) < 1e-4
@@ -89,21 +91,21 @@ def test_both_half_turns_are_found_as_modes_and_their_midpoint_is_not():
     predicted, truth, *_ = scene(Rotation.identity(), flips=0.4, noise_deg=3.0)
     relative = Rotation.from_quat(truth.reshape(-1, 4), scalar_first=True).inv()
     votes = relative * Rotation.from_quat(predicted.reshape(-1, 4), scalar_first=True)
-    first, second = modes.find_modes(wxyz(votes))[:2]
+    first, second = find_modes(wxyz(votes))[:2]
     assert gap_deg(first.rotation, Rotation.identity()) < 3.0
     assert gap_deg(second.rotation, HALF_TURN_Z) < 3.0
     assert (first.share, second.share) == pytest.approx((0.6, 0.4))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_no_mode_is_listed_twice(seed):
     # Scattered votes, whose sparse seeds slide into the modes found before.
     votes = Rotation.random(60, random_state=seed)
-    found = modes.find_modes(wxyz(votes), max_modes=20)
+    found = find_modes(wxyz(votes), max_modes=20)
     for index, mode in enumerate(found):
         rotation = Rotation.from_quat(mode.rotation, scalar_first=True)
         others = [other.rotation for other in found[index + 1 :]]
-        assert all(gap_deg(other, rotation) > modes.INLIER_DEG for other in others)
+        assert all(gap_deg(other, rotation) > INLIER_DEG for other in others)
 
 
 def test_the_shared_chamfer_is_that_of_the_turned_prediction():
@@ -166,14 +168,7 @@ def test_only_the_first_models_are_looked_at():
     np.testing.assert_array_equal(first.rotation, again.rotation)
 
 
-def test_the_same_arguments_give_the_same_bits():
-    arguments = scene(FRAMES["anything"], flips=0.3, noise_deg=5.0, models=3)
-    first, again = align(*arguments), align(*arguments)
-    np.testing.assert_array_equal(first.rotation, again.rotation)
-    assert first[1:] == again[1:]
-
-
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_poses_at_random_still_give_a_rotation(seed):
     predicted, truth, points, surfaces = scene(Rotation.identity(), models=3, seed=seed)
     predicted = wxyz(Rotation.random(15, random_state=seed)).reshape(3, 5, 4)
@@ -185,7 +180,7 @@ def test_poses_at_random_still_give_a_rotation(seed):
 
 def test_two_views_half_a_turn_apart_give_one_of_them_not_nan():
     q = np.array([[1.0, 0, 0, 0], [0, 0, 0, 1.0]])
-    best = modes.find_modes(q)[0].rotation
+    best = find_modes(q)[0].rotation
     # The other one weighs 5e-5 and lies where it pulls nowhere; 1e-3 degrees is ample.
     assert (
         min(gap_deg(best, Rotation.from_quat(r, scalar_first=True)) for r in q) < 1e-3

@@ -33,3 +33,23 @@ def test_without_a_covered_pixel_there_is_nothing_to_measure():
     assert images.color_psnr(np.zeros((2, 2, 3)), np.zeros((2, 2, 3)), nothing) is None
     assert images.mean_of_known([None, 1.0, 3.0]) == 2.0
     assert images.mean_of_known([None]) is None
+
+
+def test_images_of_any_sizes_are_compared_at_one():
+    rng = np.random.default_rng(0)
+    small, target = rng.uniform(size=(2, 4, 4))
+    expected = np.mean((small - target) ** 2)
+    for size in (4, 8, 32, 64):
+        scale = np.ones((size // 4, size // 4))
+        found = images.mean_squared_difference(np.kron(small, scale), target)
+        assert found == pytest.approx(expected, rel=1e-12)  # rounding of float64
+    # Four pixels of a checkerboard average to grey.
+    board = np.tile([[0.0, 1], [1, 0]], (2, 2))
+    assert images.mean_squared_difference(board, np.full((2, 2), 0.5), side=2) == 0
+    assert images.mean_squared_difference(board, np.zeros((4, 4)), side=4) == 0.5
+
+
+@pytest.mark.parametrize("shape", [(4, 6), (4,), (0, 0), (24, 24)])
+def test_an_image_that_cannot_be_brought_to_that_size_is_refused(shape):
+    with pytest.raises(ValueError, match="square image whose side divides 32"):
+        images.mean_squared_difference(np.zeros(shape), np.zeros((32, 32)))

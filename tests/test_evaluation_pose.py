@@ -1,16 +1,20 @@
-"""Pose error and quaternion helpers against scipy's rotations; ensemble shares."""
+"""Pose errors against scipy's rotations, kinds of wrong poses, shares of candidates."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
 from dpc_jax.evaluation import rotations
-from dpc_jax.evaluation.candidates import (
+from dpc_jax.evaluation.pose import (
+    KINDS,
     collapse_warning,
     count_alive,
+    find_failures,
+    pose_summary,
+    rotation_angle_deg,
     winner_share,
 )
-from dpc_jax.evaluation.pose import pose_accuracy, pose_summary, rotation_angle_deg
 
 
 def wxyz(rotation):
@@ -19,17 +23,6 @@ def wxyz(rotation):
 
 def random_pair(n=200):
     return Rotation.random(n, random_state=1), Rotation.random(n, random_state=2)
-
-
-def test_the_angle_equals_scipys():
-    a, b = random_pair()
-    # Angles of order 1 in float64 through different formulas; 1e-6 degrees is loose
-    # only because scipy's own path loses digits near 180 degrees.
-    np.testing.assert_allclose(
-        rotation_angle_deg(wxyz(a), wxyz(b)),
-        np.degrees((a * b.inv()).magnitude()),
-        atol=1e-6,
-    )
 
 
 def test_the_angle_sees_neither_sign_nor_length():
@@ -86,19 +79,6 @@ def test_quaternions_of_any_length_are_scipys_rotations_and_back():
     )
 
 
-@pytest.mark.parametrize("axis", np.eye(3).tolist() + [[1, 1, 0], [1, -2, 3]])
-def test_a_half_turn_survives_the_way_through_its_matrix(axis):
-    q = np.concatenate([[0.0], np.array(axis) / np.linalg.norm(axis)])
-    matrix = rotations.to_rotation(q).as_matrix()
-    back = rotations.to_quaternion(Rotation.from_matrix(matrix))
-    assert rotation_angle_deg(back, q) < 1e-6  # a square root of 1e-16 at worst
-
-
-def test_accuracy_counts_errors_up_to_the_threshold():
-    assert pose_accuracy([0.0, 30.0, 30.001, 180.0]) == 0.5
-    assert pose_accuracy([0.0, 30.0, 30.001, 180.0], threshold_deg=40.0) == 0.75
-
-
 def test_the_summary_names_accuracy_median_flips_and_histogram():
     got = pose_summary(np.array([[1.0, 2.0, 12.0], [40.0, 150.0, 180.0]]), bins=18)
     assert got.accuracy == 0.5
@@ -107,6 +87,9 @@ def test_the_summary_names_accuracy_median_flips_and_histogram():
     assert got.counts.sum() == 6
     assert got.counts[0] == 2
     assert got.edges_deg[[0, 1, -1]].tolist() == [0.0, 10.0, 180.0]
+    errors = [0.0, 30.0, 30.001, 180.0]
+    assert pose_summary(errors).accuracy == 0.5
+    assert pose_summary(errors, threshold_deg=40.0).accuracy == 0.75
 
 
 @pytest.mark.parametrize("errors", [[], [np.nan], [-1.0], [181.0]])
@@ -119,16 +102,6 @@ def test_winner_shares_count_the_views_each_candidate_wins():
     shares = winner_share(np.array([[0, 2], [2, 2]]), num_candidates=4)
     assert shares.tolist() == [0.25, 0.0, 0.75, 0.0]
     assert count_alive(shares) == 2
-    assert count_alive(shares, threshold=0.5) == 1
-
-
-@pytest.mark.parametrize(
-    ("winners", "words"),
-    [([], "at least one"), ([0.5], "integer"), ([-1], "-1 to -1"), ([4], "0 and 3")],
-)
-def test_winners_that_are_no_candidates_are_refused(winners, words):
-    with pytest.raises(ValueError, match=words):
-        winner_share(np.array(winners), num_candidates=4)
 
 
 def test_a_collapsed_ensemble_is_named_and_a_live_one_is_not():
@@ -153,3 +126,84 @@ def test_a_summary_without_bins_or_a_threshold_is_refused(wrong):
 def test_rotations_of_which_one_side_has_fewer_are_refused():
     with pytest.raises(ValueError, match=r"broadcast.*\(3, 4\) and \(2, 4\)"):
         rotation_angle_deg(np.ones((3, 4)), np.ones((2, 4)))
+
+
+# What wrong poses are, against poses made by angles.
+
+
+def look(azimuth, elevation):
+    return matrix_to_quaternion(look_at_rotation(*np.deg2rad([azimuth, elevation])))
+
+
+def shake(quaternions, degrees, seed=0):
+    """Rotations near these, by that angle about random axes."""
+    axes = np.random.default_rng(seed).normal(size=(len(quaternions), 3))
+    axes *= np.deg2rad(degrees) / np.linalg.norm(axes, axis=1, keepdims=True)
+    turned = Rotation.from_rotvec(axes) * Rotation.from_quat(
+        quaternions, scalar_first=True
+    )
+    return turned.as_quat(scalar_first=True)
+
+
+ANGLES = [(20, 25), (75, 10), (140, 35), (250, -15), (310, 30)]
+TRUE = np.stack([look(*angles) for angles in ANGLES])[:, None]
+
+
+def find_kinds(poses, degrees=10):
+    found = find_failures(shake(np.stack(poses), degrees)[:, None], TRUE)
+    return [KINDS[k] if k >= 0 else "right" for k in found.kinds[:, 0]]
+
+
+def test_views_are_sorted_by_the_pose_that_they_are_near_to():
+    assert find_kinds(TRUE[:, 0], 25) == ["right"] * 5
+    assert find_kinds([look(a + 180, e) for a, e in ANGLES]) == ["half turn"] * 5
+    # The same silhouette: azimuth to 180° - azimuth, elevation to its negative.
+    mirrored = find_kinds([look(180 - a, -e) for a, e in ANGLES])
+    # Seen from nearly in front, the mirror pose of level views is near a half turn.
+    assert set(mirrored) <= {"mirror pose", "half turn", "right"}
+    assert mirrored[0] == mirrored[2] == mirrored[4] == "mirror pose"
+    away = find_kinds([look(a + 90, e) for a, e in ANGLES])
+    assert away[0] == away[2] == "other"
+
+
+def test_a_half_turn_about_another_axis_is_told_from_one_about_up():
+    about_front = Rotation.from_rotvec([np.pi, 0, 0])
+    poses = Rotation.from_quat(TRUE[:, 0], scalar_first=True) * about_front
+    assert find_kinds(poses.as_quat(scalar_first=True)) == ["other half turn"] * 5
+
+
+def test_shares_are_of_wrong_views_and_lost_objects_of_all():
+    true = np.stack([TRUE[:, 0]] * 3)  # three objects of five views
+    predicted = true.copy()
+    for view in range(5):
+        predicted[0, view] = look(ANGLES[view][0] + 180, ANGLES[view][1])
+    predicted[1, 2] = look(180 - 140, -35)
+    costs = np.zeros((3, 5, 2))
+    costs[..., 1] = 1.0
+    costs[0, :2, 1] = -1.0  # the truth is cheaper in two
+    costs[2, :, 1] = -1.0  # right views do not count
+    found = find_failures(predicted, true, costs=costs)
+    np.testing.assert_array_equal(found.wrong_objects, [0])
+    assert found.metrics == pytest.approx(
+        {
+            "wrong_object_share": 1 / 3,
+            "wrong_half_turn_share": 5 / 6,
+            "wrong_mirror_share": 1 / 6,
+            "truth_cheaper_share": 2 / 6,
+        }
+    )
+
+
+def test_where_nothing_is_wrong_there_are_no_shares():
+    found = find_failures(TRUE, -TRUE, costs=np.zeros((5, 1, 2)))
+    assert found.metrics == {"wrong_object_share": 0.0} and (found.kinds == -1).all()
+
+
+def test_objects_of_a_single_view_are_not_lost_in_all():
+    wrong = np.stack([look(a + 180, e) for a, e in ANGLES])[:, None]
+    assert find_failures(wrong, TRUE).metrics["wrong_object_share"] == 0.0
+
+
+def test_poses_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match="Expected predicted and true poses"):
+        find_failures(TRUE[:, 0], TRUE[:, 0])

@@ -37,6 +37,9 @@ def test_poses_and_shapes_are_scored_in_the_object_frame():
     expected = np.tile([0.0, 10.0, 100.0, 180.0], (3, 1))
     # Angles through several float64 products; 2 atan2 keeps 1e-13 degrees per rounding.
     np.testing.assert_allclose(got.pose_errors_deg, expected, atol=1e-9)
+    assert {type(value) for value in got.metrics.values()} == {float}
+    assert got.best_candidate_errors_deg is None
+    assert not any(name.startswith(("best", "dense")) for name in got.metrics)
     assert got.metrics["pose_accuracy"] == 0.5
     assert got.metrics["pose_median_error_deg"] == pytest.approx(55.0, abs=1e-9)
     assert got.metrics["flip_share"] == 0.25
@@ -60,6 +63,10 @@ def test_dense_clouds_are_scored_beside_the_predicted_ones():
         predicted, truth, points, surfaces, alignment=ALIGNMENT, dense_points=300
     )
     assert {n: got.metrics[n] for n in plain.metrics} == plain.metrics
+    few = score(
+        predicted, truth, points, surfaces, alignment=ALIGNMENT, dense_points=80
+    )
+    assert few.metrics == plain.metrics  # they are dense already
     dense = [
         cdist(densify(o, 300), s)
         for views, s in zip(objects, surfaces, strict=True)
@@ -72,21 +79,6 @@ def test_dense_clouds_are_scored_beside_the_predicted_ones():
     assert got.metrics["dense_coverage"] == pytest.approx(coverage, rel=1e-9)
     assert got.metrics["dense_chamfer"] == pytest.approx(precision + coverage, rel=1e-9)
     assert got.metrics["dense_coverage"] < plain.metrics["coverage"]
-
-
-def test_clouds_that_are_dense_already_are_scored_once():
-    predicted, truth, points, surfaces, _ = scene()
-    got = score(
-        predicted, truth, points, surfaces, alignment=ALIGNMENT, dense_points=80
-    )
-    assert not any(name.startswith("dense") for name in got.metrics)
-
-
-def test_without_an_ensemble_nothing_is_said_about_candidates():
-    predicted, truth, points, surfaces, _ = scene()
-    got = score(predicted, truth, points, surfaces, alignment=ALIGNMENT)
-    assert got.best_candidate_errors_deg is None
-    assert not any(name.startswith("best_candidate") for name in got.metrics)
 
 
 def test_the_best_candidate_is_scored_apart_from_the_student():
@@ -113,12 +105,6 @@ def test_fewer_views_may_be_compared_and_surfaces_may_differ_in_size():
     got = score(predicted, truth, points, ragged, alignment=ALIGNMENT, chamfer_views=2)
     assert got.chamfers.shape == (3, 2, 2)
     assert got.pose_errors_deg.shape == (3, 4)
-
-
-def test_metrics_are_plain_numbers():
-    predicted, truth, points, surfaces, _ = scene()
-    got = score(predicted, truth, points, surfaces, alignment=ALIGNMENT)
-    assert {type(value) for value in got.metrics.values()} == {float}
 
 
 def test_a_diverged_network_is_named_not_averaged():

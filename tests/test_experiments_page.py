@@ -233,17 +233,23 @@ def test_a_second_command_of_the_same_folder_is_refused(tmp_path, capsys):
 @pytest.mark.parametrize(
     "flags, words",
     [
-        ("--experiment=shapes", "--experiment must be of known_pose"),
+        (
+            "--experiment=shapes",
+            "argument --experiment: names must be of all, known_pose",
+        ),
         ("--size=huge", "invalid choice: 'huge'"),
-        ("--category=boat", "--category must be of airplane, car, chair"),
-        ("--seeds=-1", "--seeds must be whole numbers"),
+        (
+            "--category=boat",
+            "--category: names must be of airplane, car, chair, not boat",
+        ),
+        ("--seeds=-1", "--seeds: seeds must be whole numbers"),
         ("--source=shapenet", "--folder must be a folder that exists"),
         ("--folder=here", "--folder must be left out"),
         ("--experiment=ablation --category=car", "is not made of car"),
         ("--experiment=depth --only=*-depth-*,boat-*", "boat-* fits none of its 36"),
         ("--experiment=known_pose,ablation --category=car", "ablation is not made"),
-        ("--category=,", "but it has an empty name"),
-        ("--seeds=0,", "but it has an empty one"),
+        ("--category=,", "not empty"),
+        ("--seeds=0,", "as in 0,1,2, not ''"),
         ("--only=", "but an empty name fits none"),
         ("--page=tests", "but tests is a folder"),
         ("--page=README.md/paper.md", "README.md is no folder"),

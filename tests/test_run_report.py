@@ -5,7 +5,7 @@ import pytest
 from tiny_runs import make_dataset, random_quaternions, tiny_config
 
 from dpc_jax.evaluation.alignment import identity_alignment
-from dpc_jax.evaluation.failures import find_failures
+from dpc_jax.evaluation.pose import find_failures
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions
 from dpc_jax.run.report.examples import (

@@ -20,9 +20,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dpc_jax.evaluation import icp, modes, rotations
+from dpc_jax.evaluation import icp, rotations
 from dpc_jax.evaluation.chamfer import check_points
 
+INLIER_DEG = 30.0  # a vote this near agrees: the threshold of pose accuracy
+_KERNEL_DEG = 15.0  # width of the robust weight, half of the above (heuristic)
+_MAX_STEPS, _TOLERANCE_DEG = 50, 1e-6  # of the robust mean
 _MODELS = 20  # paper: the first 20 validation models
 _MAX_VOTES = 1000  # views that vote where there are no shapes
 _RIVAL_SHARE = 0.5  # modes with half of the best mode's votes are rivals (heuristic)
@@ -84,9 +87,9 @@ def align(
     ]
 
     everyone = [pair for views in pairs for pair in views]
-    voted = _choose_mode(modes.find_modes(votes), everyone)
+    voted = _choose_mode(find_modes(votes), everyone)
     # A view far from the vote may have turned its shape with its pose: leave it out.
-    agree = rotations.angle_deg(votes, voted) <= modes.INLIER_DEG
+    agree = rotations.angle_deg(votes, voted) <= INLIER_DEG
     trusted = [
         pair
         for views, flags in zip(pairs, agree, strict=True)
@@ -98,7 +101,7 @@ def align(
     refined = icp.fit_rotation(trusted, voted)
     refined_chamfer = icp.shared_chamfer(trusted, refined)
     # ICP on poor shapes can wander off to where no pose agrees: that refines nothing.
-    near = rotations.angle_deg(refined, voted) <= modes.INLIER_DEG
+    near = rotations.angle_deg(refined, voted) <= INLIER_DEG
     if near and refined_chamfer < chamfer:
         rotation, chamfer = refined, refined_chamfer
 
@@ -120,7 +123,7 @@ def align_by_poses(predicted_poses: ArrayLike, true_poses: ArrayLike) -> Alignme
       ValueError: no view, or quaternions that are zero or not finite.
     """
     votes = _vote(predicted_poses, true_poses).reshape(-1, 4)[:_MAX_VOTES]
-    rotation = modes.find_modes(votes)[0].rotation
+    rotation = find_modes(votes)[0].rotation
     return Alignment(
         rotations.canonical_sign(rotation),
         *_measure_agreement(votes, rotation),
@@ -139,7 +142,7 @@ def _vote(predicted_poses: ArrayLike, true_poses: ArrayLike) -> np.ndarray:
 def _measure_agreement(votes, rotation) -> tuple[float, float]:
     """Share and spread of the votes near a rotation."""
     angles = rotations.angle_deg(votes, rotation)
-    inliers = angles[angles <= modes.INLIER_DEG]
+    inliers = angles[angles <= INLIER_DEG]
     spread = float(np.sqrt(np.mean(inliers**2))) if inliers.size else np.inf
     return inliers.size / angles.size, spread
 
@@ -166,7 +169,60 @@ def identity_alignment() -> Alignment:
     return Alignment(np.array([1.0, 0.0, 0.0, 0.0]), 1.0, 0.0, np.nan, np.nan, 0.0)
 
 
-def _choose_mode(found: list[modes.Mode], everyone: list[icp.CloudPair]) -> np.ndarray:
+class Mode(NamedTuple):
+    """A rotation [4] and the share of all votes within 30 degrees of it, 0 to 1."""
+
+    rotation: np.ndarray
+    share: float
+
+
+def _robust_mean(votes: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Mean rotation [4] of votes [n, 4] around a start [4], outliers left aside.
+
+    Iteratively re-weighted Markley mean with the Geman-McClure weight
+    1 / (1 + (angle / kernel)^2)^2: a vote 180 degrees off weighs 5e-5.
+    """
+    q = rotations.normalize(votes)
+    mean = rotations.canonical_sign(start)
+    for _ in range(_MAX_STEPS):
+        ratio = rotations.angle_deg(q, mean) / _KERNEL_DEG
+        refined = rotations.mean_rotation(q, weights=(1.0 + ratio**2) ** -2)
+        turn = rotations.angle_deg(refined, mean)
+        mean = refined
+        if turn < _TOLERANCE_DEG:
+            break
+    return mean
+
+
+def find_modes(votes: ArrayLike, *, max_modes: int = 6) -> list[Mode]:
+    """Modes of votes [n, 4], the one with the largest share first.
+
+    The vote with the most neighbours starts a robust mean; its neighbourhood is taken
+    away and the rest searched again. Networks without pose labels typically have two
+    modes, half a turn apart.
+    """
+    q = rotations.normalize(votes).reshape(-1, 4)
+    if len(q) == 0:
+        raise ValueError(
+            "votes must be at least one, but there are none; pass the poses of the "
+            "validation views."
+        )
+    near = rotations.angle_deg(q[:, None], q[None]) <= INLIER_DEG
+    left = np.ones(len(q), dtype=bool)
+    found: list[Mode] = []
+    while left.any() and len(found) < max_modes:
+        density = np.where(left, near.sum(axis=1), -1)
+        seed = int(np.argmax(density))
+        mean = _robust_mean(q, q[seed])
+        agree = rotations.angle_deg(q, mean) <= INLIER_DEG
+        left &= ~(agree | near[seed])
+        # A sparse seed can slide into a mode that is already known.
+        if all(rotations.angle_deg(mean, m.rotation) > INLIER_DEG for m in found):
+            found.append(Mode(mean, float(agree.mean())))
+    return sorted(found, key=lambda mode: -mode.share)
+
+
+def _choose_mode(found: list[Mode], everyone: list[icp.CloudPair]) -> np.ndarray:
     """The mode with most votes, unless a rival fits the shapes clearly better.
 
     With the votes split nearly evenly between two half turns, chance would decide. A

@@ -31,7 +31,6 @@ def chamfer_distance(
     ground_truth: ArrayLike,
     *,
     tree: KDTree | None = None,
-    workers: int = 1,
 ) -> Chamfer:
     """Eq. 6: Chamfer distance d_Chamf, of mean Euclidean (not squared) distances.
 
@@ -40,7 +39,6 @@ def chamfer_distance(
       ground_truth: [M, 3] points of the true surface, in the same frame and units.
       tree: the ground truth's own tree, where one shape is compared with many
         predictions; built here otherwise.
-      workers: threads of the search, -1 for all cores.
 
     Raises:
       ValueError: a cloud is empty, is not [., 3] or holds a non-finite coordinate, or
@@ -55,8 +53,8 @@ def chamfer_distance(
             f"tree must hold the {len(ground_truth)} ground truth points, but is a "
             f"tree of {tree.n}; build it from the same array."
         )
-    to_truth, _ = tree.query(predicted, workers=workers)
-    to_prediction, _ = KDTree(predicted).query(ground_truth, workers=workers)
+    to_truth, _ = tree.query(predicted)
+    to_prediction, _ = KDTree(predicted).query(ground_truth)
     return Chamfer(float(np.mean(to_truth)), float(np.mean(to_prediction)))
 
 

@@ -1,12 +1,9 @@
 """Where a cloud is too thin: midpoints that fill it, and points that hang alone.
 
-Neither is in the paper, whose clouds have 2000, 8000 and 16,000 points at 32, 64 and
-128. A network of few points leaves holes in a surface that more points would fill, and
-coverage pays for them (`chamfer`). Points nearby lie on the same surface, so that what
-is halfway between two of them lies near it, too.
-
-A point that no silhouette draws in, but each pushes out of the image, ends where the
-pushes cancel. Then it hangs in the same place of every predicted shape: it is stray.
+Neither is in the paper. A network of few points leaves holes in a surface that more
+points would fill; what is halfway between two neighbours lies near the surface, too. A
+point that each silhouette pushes out of the image ends where the pushes cancel: there
+it hangs in the same place of every predicted shape, stray.
 """
 
 import numpy as np
@@ -25,14 +22,8 @@ def densify(points: ArrayLike, count: int = DENSE_POINTS) -> np.ndarray:
     """The points [N, 3] and midpoints of neighbours behind them, [M, 3]; M ≤ count.
 
     The pairs are drawn among all of a point and one of its 16 nearest, always alike. A
-    cloud of that many points or more is returned as it is; one of very few has
-    fewer pairs than are asked for.
-
-    Args:
-      points: [N, 3]. count: of points, in all.
-
-    Raises:
-      ValueError: for no points, or one that is not finite.
+    cloud of `count` points or more is returned as it is; one of very few has fewer
+    pairs than are asked for. ValueError for no points, or one that is not finite.
     """
     points = check_points(points, name="points")
     pairs = find_pairs(points, count - len(points))
@@ -57,22 +48,15 @@ def mix_pairs(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     return (values[pairs[:, 0]] + values[pairs[:, 1]]) / 2
 
 
-def count_stray_points(
-    points: ArrayLike, *, reach: float = REACH, neighbors: int = NEIGHBORS
-) -> int:
-    """How many of points [N, 3] have fewer than some neighbours within their reach.
+def count_stray_points(points: ArrayLike) -> int:
+    """How many of points [N, 3] have fewer than four others within a tenth of the box.
 
-    Args:
-      points: in units in which the object's box has a diagonal of 1.
-      reach: in that unit.
-      neighbors: that a point of a surface has; clouds of fewer points have no others.
-
-    Raises:
-      ValueError: for points that are not finite, or of another shape.
+    Clouds of fewer points have no others. The unit is the diagonal of the object's box.
+    ValueError for points that are not finite, or of another shape.
     """
     cloud = check_points(points, name="points")
-    wanted = min(neighbors, len(cloud) - 1)
+    wanted = min(NEIGHBORS, len(cloud) - 1)
     if wanted < 1:
         return 0
     distances, _ = KDTree(cloud).query(cloud, k=wanted + 1)  # the first is itself
-    return int(np.sum(distances[:, -1] > reach))
+    return int(np.sum(distances[:, -1] > REACH))

@@ -25,11 +25,11 @@ class CloudPair(NamedTuple):
 
 
 class Matches(NamedTuple):
-    """Partners found under some rotation, from all pairs and both ways."""
+    """Partners from all pairs and both ways; each pair and each way weighs the same."""
 
     source: np.ndarray  # [n, 3] predicted points, network's frame
     target: np.ndarray  # [n, 3] their partners on the surfaces, object frame
-    weight: np.ndarray  # [n] so that each pair and each way counts the same
+    weight: np.ndarray  # [n]
 
 
 def pair_clouds(predicted: np.ndarray, surface: np.ndarray) -> CloudPair:

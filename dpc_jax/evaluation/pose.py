@@ -1,15 +1,20 @@
-"""Pose error: the angle between predicted and true rotation, and its summary."""
+"""Errors of poses, what wrong ones are near to, and which candidates win."""
 
 import numbers
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from dpc_jax.evaluation import rotations
 
 ACCURACY_THRESHOLD_DEG = 30.0  # paper, section Evaluation metrics
 FLIP_THRESHOLD_DEG = 150.0  # beyond it front and back count as exchanged
+KINDS = ("half turn", "other half turn", "mirror pose", "other")  # of wrong views
+ALIVE_SHARE = 0.01  # of the views, which a candidate that is alive wins
+_DOMINANT_SHARE = 0.95  # heuristic: beyond it the ensemble works like one regressor
+_ALONG, _ACROSS = np.diag([1.0, 1.0, -1.0]), np.diag([1.0, -1.0, 1.0])
 
 
 class PoseSummary(NamedTuple):
@@ -45,13 +50,6 @@ def rotation_angle_deg(first: ArrayLike, second: ArrayLike) -> np.ndarray:
     return rotations.angle_deg(first, second)
 
 
-def pose_accuracy(
-    errors_deg: ArrayLike, *, threshold_deg: float = ACCURACY_THRESHOLD_DEG
-) -> float:
-    """Share of errors within the threshold (paper, section Evaluation metrics)."""
-    return float(np.mean(_check_errors(errors_deg) <= threshold_deg))
-
-
 def pose_summary(
     errors_deg: ArrayLike,
     *,
@@ -69,23 +67,6 @@ def pose_summary(
       ValueError: there is no error, or one is not within 0 to 180 degrees, or there
         are no bins, or the threshold is not a number.
     """
-    errors = _check_errors(errors_deg)
-    if not (isinstance(bins, numbers.Integral) and bins > 0 and threshold_deg >= 0):
-        raise ValueError(
-            "bins must be a positive integer, and a threshold at least 0 degrees, but "
-            f"they are {bins!r} and {threshold_deg!r}; leave them out for 36 and 30."
-        )
-    counts, edges = np.histogram(errors, bins=bins, range=(0.0, 180.0))
-    return PoseSummary(
-        accuracy=pose_accuracy(errors, threshold_deg=threshold_deg),
-        median_error_deg=float(np.median(errors)),
-        flip_share=float(np.mean(errors > FLIP_THRESHOLD_DEG)),
-        counts=counts,
-        edges_deg=edges,
-    )
-
-
-def _check_errors(errors_deg: ArrayLike) -> np.ndarray:
     errors = np.asarray(errors_deg, dtype=np.float64).ravel()
     # Written so that NaN fails too; the slack is for rounding of 180 degrees.
     inside = (errors >= 0.0) & (errors <= 180.0 + 1e-9)
@@ -95,4 +76,113 @@ def _check_errors(errors_deg: ArrayLike) -> np.ndarray:
             f"{int((~inside).sum())} of {errors.size} are outside; take them from "
             f"rotation_angle_deg."
         )
-    return np.minimum(errors, 180.0)
+    if not (isinstance(bins, numbers.Integral) and bins > 0 and threshold_deg >= 0):
+        raise ValueError(
+            "bins must be a positive integer, and a threshold at least 0 degrees, but "
+            f"they are {bins!r} and {threshold_deg!r}; leave them out for 36 and 30."
+        )
+    errors = np.minimum(errors, 180.0)
+    counts, edges = np.histogram(errors, bins=bins, range=(0.0, 180.0))
+    return PoseSummary(
+        accuracy=float(np.mean(errors <= threshold_deg)),
+        median_error_deg=float(np.median(errors)),
+        flip_share=float(np.mean(errors > FLIP_THRESHOLD_DEG)),
+        counts=counts,
+        edges_deg=edges,
+    )
+
+
+class Failures(NamedTuple):
+    """What is wrong with the poses of a test set.
+
+    Attributes:
+      kinds: [n, V] index into `KINDS` of each wrong view; -1 of right ones.
+      wrong_objects: [k] indices of objects that are wrong in all their views, of which
+        there are at least two.
+      metrics: shares from 0 to 1: `wrong_half_turn_share`, `wrong_mirror_share` and
+        `truth_cheaper_share` of the wrong views, `wrong_object_share` of the objects;
+        without wrong views the first three are left out, and the third without costs.
+    """
+
+    kinds: np.ndarray
+    wrong_objects: np.ndarray
+    metrics: dict[str, float]
+
+
+def find_failures(
+    predicted: ArrayLike, true: ArrayLike, *, costs: ArrayLike | None = None
+) -> Failures:
+    """Sort the views that are wrong by more than 30° by what they are within 30° of.
+
+    A half turn about the up axis exchanges front and back. A silhouette under
+    orthographic projection is the same from the mirror pose: that of the object
+    mirrored left to right, in an image mirrored along the view. For an object that is
+    its own mirror image the pose K·R·M has it too, with K = diag(1, 1, -1) in the
+    camera frame and M = diag(1, -1, 1) in the object's: azimuth φ becomes 180° - φ, the
+    elevation changes its sign.
+
+    Args:
+      predicted, true: [n, V, 4] quaternions, object frame to camera.
+      costs: [n, V, 2] of each view's silhouette with the predicted shape, from the
+        predicted pose and from the true one.
+
+    Raises:
+      ValueError: for shapes that do not fit, or quaternions that are none.
+    """
+    if np.shape(predicted) != np.shape(true) or np.ndim(predicted) != 3:
+        raise ValueError(
+            "Expected predicted and true poses [n, V, 4], but their shapes are "
+            f"{np.shape(predicted)} and {np.shape(true)}; pass one of each view."
+        )
+    found = rotations.to_rotation(predicted)
+    wrong = rotations.angle_deg(predicted, true) > ACCURACY_THRESHOLD_DEG
+    kinds = np.where(wrong, len(KINDS) - 1, -1)
+    pose = rotations.to_rotation(true)
+    front, across, up = (Rotation.from_rotvec(np.pi * axis) for axis in np.eye(3))
+    mirrored = Rotation.from_matrix(_ALONG @ pose.as_matrix() @ _ACROSS)
+    # In the order of `KINDS`, of which the first that fits counts.
+    alternatives = [[pose * up], [pose * front, pose * across], [mirrored]]
+    for kind, others in reversed(list(enumerate(alternatives))):
+        away = [np.degrees((found * other.inv()).magnitude()) for other in others]
+        is_near = np.min(away, axis=0) <= ACCURACY_THRESHOLD_DEG
+        kinds = np.where(wrong & is_near, kind, kinds)
+    is_lost = wrong.all(axis=1) & (wrong.shape[1] > 1)
+    metrics = {"wrong_object_share": float(np.mean(is_lost))}
+    if wrong.any():
+        metrics["wrong_half_turn_share"] = float(np.mean(kinds[wrong] == 0))
+        metrics["wrong_mirror_share"] = float(np.mean(kinds[wrong] == 2))
+    if wrong.any() and costs is not None:
+        chosen, right = np.moveaxis(np.asarray(costs), -1, 0)
+        metrics["truth_cheaper_share"] = float(np.mean((right < chosen)[wrong]))
+    return Failures(kinds, np.flatnonzero(is_lost), metrics)
+
+
+def winner_share(winners: ArrayLike, *, num_candidates: int) -> np.ndarray:
+    """Share [K] of views that each candidate wins, from the winners' indices."""
+    indices = np.asarray(winners).ravel()
+    return np.bincount(indices, minlength=num_candidates) / indices.size
+
+
+def count_alive(shares: ArrayLike) -> int:
+    """How many candidates win at least a hundredth of the views."""
+    return int(np.sum(np.asarray(shares, np.float64) >= ALIVE_SHARE))
+
+
+def collapse_warning(shares: ArrayLike) -> str | None:
+    """A sentence if the ensemble has collapsed onto one candidate, else None.
+
+    An ensemble of one (K = 1) has nothing to collapse.
+    """
+    p = np.asarray(shares, np.float64)
+    if p.size <= 1:
+        return None
+    alive, leader = count_alive(p), int(np.argmax(p))
+    if alive >= 2 and p[leader] <= _DOMINANT_SHARE:
+        return None
+    return (
+        f"The pose ensemble has collapsed: candidate {leader} wins "
+        f"{100 * p[leader]:.1f} % of the views and {alive} of {p.size} win at least "
+        f"{100 * ALIVE_SHARE:g} %; it learns poses no better than a single "
+        f"regressor. More heads, initial quaternions that are farther apart, or "
+        f"another seed usually help."
+    )

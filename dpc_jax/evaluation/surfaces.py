@@ -74,19 +74,15 @@ def sample_surface(
 
 
 def tune_threshold(
-    volumes: Sequence[ArrayLike],
-    surfaces: Sequence[ArrayLike],
-    *,
-    thresholds: Sequence[float] = THRESHOLDS,
+    volumes: Sequence[ArrayLike], surfaces: Sequence[ArrayLike]
 ) -> float:
     """The threshold of the least mean Chamfer distance on validation shapes.
 
-    Every fourth is tried, then those beside the best of these.
+    Every fourth of `THRESHOLDS` is tried, then those beside the best of these.
 
     Args:
       volumes: [X, Y, Z] occupancies of each shape, in the frame of its surface.
       surfaces: [P, 3] points of each true surface.
-      thresholds: to choose from, sorted.
 
     Raises:
       ValueError: where there is no shape, or not one surface for each.
@@ -98,22 +94,16 @@ def tune_threshold(
         )
     trees = [KDTree(np.asarray(surface)) for surface in surfaces]
 
-    def measure(threshold):
-        return np.mean(
-            [
-                chamfer_distance(
-                    sample_surface(cells, threshold, count=_FEW), surface, tree=tree
-                ).chamfer
-                for cells, surface, tree in zip(volumes, surfaces, trees, strict=True)
-            ]
-        )
+    def measure(index):
+        distances = []
+        for cells, surface, tree in zip(volumes, surfaces, trees, strict=True):
+            points = sample_surface(cells, THRESHOLDS[index], count=_FEW)
+            distances.append(chamfer_distance(points, surface, tree=tree).chamfer)
+        return np.mean(distances)
 
-    found = {}
-    coarse = range(0, len(thresholds), 4)
-    for index in coarse:
-        found[index] = measure(thresholds[index])
+    found = {index: measure(index) for index in range(0, len(THRESHOLDS), 4)}
     best = min(found, key=lambda index: found[index])
-    for index in range(max(best - 3, 0), min(best + 4, len(thresholds))):
+    for index in range(max(best - 3, 0), min(best + 4, len(THRESHOLDS))):
         if index not in found:
-            found[index] = measure(thresholds[index])
-    return float(thresholds[min(found, key=lambda index: found[index])])
+            found[index] = measure(index)
+    return THRESHOLDS[min(found, key=lambda index: found[index])]

@@ -1,15 +1,12 @@
 """What the training set alone could predict: its nearest shape and its mean shape.
 
-A network whose predictions are no better than the training shape nearest to the truth
-may have learned to copy; one whose predictions are all near the mean shape, to ignore
-its image (§ "What do single-view 3D reconstruction networks learn?", Tatarchenko et
-al., 2019, which retrieves in the same way). For the nearest, all training shapes are
-compared by few points, those that come nearest by more.
+A network no better than the training shape nearest to the truth may have learned to
+copy; one whose predictions are all near the mean shape, to ignore its image
+(Tatarchenko et al., What do single-view 3D reconstruction networks learn?, 2019).
 
 The mean shape is where surfaces of training shapes are most often: the fullest cells of
 a fine grid, each with the mean of the surface points in it. How many cells are taken is
-tuned on validation shapes. It is told the true surfaces of the training set, the parts
-inside of objects too, which models that learn from views never see.
+tuned on validation shapes. It knows the true surfaces, the parts inside of objects too.
 """
 
 from collections.abc import Sequence

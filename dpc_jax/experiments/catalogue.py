@@ -16,50 +16,32 @@ from dpc_jax.experiments.published import CATEGORIES, PublishedTable
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """A line of a table.
+    """A line of a table."""
 
-    Attributes:
-      label: in our table.
-      published: name of the paper's row in the experiment's table; "" for none.
-      variant: the text after the colon of --config; None for the mean shape of the
-        training set, which is measured on the data instead of trained.
-      changes: "section.field": value, beside the variant.
-      tag: names the changes in the folder of the run; "" without changes.
-      budget: of the size; "" for that of the resolution.
-      is_long: whether a run takes over ten minutes at the size "cpu".
-    """
-
-    label: str
-    published: str = ""
+    label: str  # in our table
+    published: str = ""  # name of the paper's row in the experiment's table
+    # The text after the colon of --config; None for the mean shape of the training set,
+    # which is measured on the data instead of trained.
     variant: str | None = ""
+    # "section.field": value, beside the variant
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    tag: str = ""
-    budget: str = ""
-    is_long: bool = False
+    tag: str = ""  # names the changes in the folder of the run
+    budget: str = ""  # of the size; "" for that of the resolution
+    is_long: bool = False  # whether a run takes over ten minutes at the size "cpu"
 
 
 @dataclasses.dataclass(frozen=True)
 class Experiment:
-    """One table or figure of the paper.
+    """One table or figure of the paper."""
 
-    Attributes:
-      name: of --experiment.
-      title, question: of its section of the page.
-      table: the paper's numbers.
-      metrics: names of `metrics.json` that its table shows.
-      rows: what is trained.
-      categories: that it can be made of.
-      picture: of each row's own report that the page shows; "" for none.
-    """
-
-    name: str
-    title: str
+    name: str  # of --experiment
+    title: str  # of its section of the page
     question: str
-    table: PublishedTable
-    metrics: tuple[str, ...]
-    rows: tuple[Row, ...]
-    categories: tuple[str, ...] = CATEGORIES
-    picture: str = ""
+    table: PublishedTable  # the paper's numbers
+    metrics: tuple[str, ...]  # names of `metrics.json` that its table shows
+    rows: tuple[Row, ...]  # what is trained
+    categories: tuple[str, ...] = CATEGORIES  # that it can be made of
+    picture: str = ""  # of each row's own report that the page shows
 
 
 # What several rows change beside their variant.

@@ -1,20 +1,23 @@
 """§ Discovery of semantic correspondences: keypoints transferred by point indices.
 
-As in the paper, from two templates of the validation split to test shapes. Two things
-differ: keypoints are not marked by hand but follow from how the procedural shapes are
-made, and what the paper shows in pictures is also measured, over many template pairs.
+The point of one output unit tends to be on the same part of every object. As in the
+paper, keypoints are marked on two templates of the validation split, and the indices of
+the predicted points near them, in both templates, are looked up in test shapes. Two
+things differ: keypoints are not marked by hand but follow from how procedural shapes
+are made, and what the paper shows in pictures is also measured, over many pairs.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
 
 from dpc_jax.data import DataSet
 from dpc_jax.data.sources import open_source
 from dpc_jax.data.views import sample_faces
-from dpc_jax.evaluation import correspondences as transfers
 from dpc_jax.reporting import keypoint_figures
 from dpc_jax.run.finished import FinishedRun, load_split, predict_points, read_run
 from dpc_jax.run.setup import make_data_specs
@@ -38,7 +41,43 @@ MEASURES = {
     "distance": "Distance from the shape's own keypoint (box diagonals)",
     "follows": "How far points follow their keypoint (0: not, 1: all the way)",
 }
+Indices = Sequence[np.ndarray]  # for each of K keypoints the indices [n_k] of points
 Figures = list[tuple[Path, str]]  # with their captions
+
+
+class LabelledShapes(NamedTuple):
+    """Shapes of a split, their keypoints, and what a run predicts of them."""
+
+    images: np.ndarray  # uint8 [n, S, S, 3], the first view of each shape
+    clouds: np.ndarray  # [n, N, 3] predicted from it, in the object frame
+    seeds: np.ndarray  # [n] of the procedural shapes
+    keypoints: np.ndarray  # [n, K, 3] true ones; NaN where a shape has none
+
+
+class Transfer(NamedTuple):
+    """Where the points of K keypoints are in one cloud; NaN for a keypoint without any.
+
+    Attributes:
+      right: [K] share of the points whose nearest true surface belongs to the
+        keypoint's part, 0 to 1.
+      distance: [K] mean distance to the shape's own keypoint, object units; NaN where
+        the shape has none.
+      centre: [K, 3] of the points.
+    """
+
+    right: np.ndarray
+    distance: np.ndarray
+    centre: np.ndarray
+
+
+class _Pair(NamedTuple):
+    """Templates, and what is transferred from them."""
+
+    clouds: np.ndarray  # [T, N, 3]
+    keypoints: np.ndarray  # [T, K, 3]
+    places: np.ndarray  # [K, 3] mean keypoints
+    found: Indices
+    random: Indices  # as many
 
 
 def run(out: Path, workdir: Path) -> tuple[dict[str, float], Figures]:
@@ -57,51 +96,46 @@ def run(out: Path, workdir: Path) -> tuple[dict[str, float], Figures]:
     """
     finished = read_run(Path(workdir))
     labels = name_keypoints(finished)
-    templates = keep_complete(read_shapes(finished, "val"))
-    shapes = read_shapes(finished, "test")
+    templates, shapes = (read_shapes(finished, name) for name in ("val", "test"))
+    has_all = np.isfinite(templates.keypoints).all(axis=(1, 2))
+    templates = LabelledShapes(*(array[has_all] for array in templates))
+    near = [
+        label_points(cloud, finished.config.category, seed)
+        for cloud, seed in zip(shapes.clouds, shapes.seeds, strict=True)
+    ]
     pairs = draw_pairs(len(templates.seeds))
-    found = measure_pairs(templates, shapes, pairs, list(labels.values()))
-    measures = {
-        f"{text}: {METHODS[method]}": getattr(values, name)
-        for name, text in MEASURES.items()
-        for method, values in found.items()
-    }
-    bars = {
-        f"{METHODS[method]}: {100 * values.right:.0f} %": dict(
-            zip(labels, values.right_by_keypoint, strict=True)
+    rng = np.random.default_rng(0)
+    made = [_make_pair(templates, rows, rng) for rows in pairs]
+    values, bars = {}, {}
+    for method, title in METHODS.items():
+        results = [
+            _transfer(method, pair, shapes, near, list(labels.values()))
+            for pair in made
+        ]
+        right, distance, follows = map(np.array, zip(*results, strict=True))
+        means = np.nanmean(right), np.nanmean(distance), follows.mean()
+        values[title] = [float(mean) for mean in means]
+        shares = [_mean(column) for column in np.moveaxis(right, -1, 0)]
+        bars[f"{title}: {100 * means[0]:.0f} %"] = dict(
+            zip(labels, shares, strict=True)
         )
-        for method, values in found.items()
+    measures = {
+        f"{text}: {title}": found[place]
+        for place, text in enumerate(MEASURES.values())
+        for title, found in values.items()
     }
-    figures = [
+    drawn = _draw_pair(
+        out / "correspondences.png", templates, shapes, pairs[0], made[0]
+    )
+    parts = keypoint_figures.draw_shares(bars, out / "correspondences_parts.png")
+    return measures, [
         (
-            _draw_pair(out / "correspondences.png", templates, shapes, pairs[0]),
+            drawn,
             "Keypoints on two templates, and where points of the same index are on "
             "other shapes.",
         ),
-        (
-            keypoint_figures.draw_shares(bars, out / "correspondences_parts.png"),
-            "Share of transferred points on the right part, by keypoint.",
-        ),
+        (parts, "Share of transferred points on the right part, by keypoint."),
     ]
-    return measures, figures
-
-
-class LabelledShapes(NamedTuple):
-    """Shapes of a split, their keypoints, and what a run predicts of them.
-
-    Attributes:
-      images: uint8 [n, S, S, 3], the first view of each shape.
-      clouds: [n, N, 3] predicted from it, in the object frame.
-      seeds: of the procedural shapes, n of them.
-      keypoints: [n, K, 3] true ones; NaN where a shape has none.
-      category: of all of them.
-    """
-
-    images: np.ndarray
-    clouds: np.ndarray
-    seeds: list[int]
-    keypoints: np.ndarray
-    category: str
 
 
 def name_keypoints(run: FinishedRun) -> dict[str, str]:
@@ -122,35 +156,19 @@ def name_keypoints(run: FinishedRun) -> dict[str, str]:
 
 
 def read_shapes(run: FinishedRun, split: str) -> LabelledShapes:
-    """The shapes of the split "val" or "test" with a run's predictions.
-
-    Raises:
-      ValueError: as `name_keypoints`, or where the split cannot be used.
-    """
-    names, category = name_keypoints(run), run.config.category
+    """The shapes of the split "val" or "test" with a run's predictions."""
+    names, category = KEYPOINTS[run.config.category], run.config.category
     dataset = load_split(run, split)
     models = open_source(make_data_specs(run.config)[split]).list_models()
     known = {model.name: model.seed for model in models}
-    seeds = [known[name] for name in dataset.names]
+    seeds = np.array([known[name] for name in dataset.names])
     images, masks = read_first_views(dataset)
     missing = np.full(3, np.nan)
-    found = [find_keypoints(category, seed) for seed in seeds]
+    found = [find_keypoints(category, int(seed)) for seed in seeds]
     keypoints = np.array(
         [[f[n].position if n in f else missing for n in names] for f in found]
     )
-    clouds = predict_points(run, images, masks)
-    return LabelledShapes(images, clouds, seeds, keypoints, category)
-
-
-def keep_complete(shapes: LabelledShapes) -> LabelledShapes:
-    """The shapes that have all keypoints."""
-    rows = np.flatnonzero(np.isfinite(shapes.keypoints).all(axis=(1, 2)))
-    return shapes._replace(
-        images=shapes.images[rows],
-        clouds=shapes.clouds[rows],
-        seeds=[shapes.seeds[row] for row in rows],
-        keypoints=shapes.keypoints[rows],
-    )
+    return LabelledShapes(images, predict_points(run, images, masks), seeds, keypoints)
 
 
 def read_first_views(dataset: DataSet) -> tuple[np.ndarray, np.ndarray]:
@@ -159,15 +177,12 @@ def read_first_views(dataset: DataSet) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(dataset.images[rows]), np.asarray(dataset.masks[rows])
 
 
-def label_shapes(shapes: LabelledShapes) -> list[np.ndarray]:
-    """For each shape the label [N] of the true part nearest to each predicted point."""
-    found = []
-    for cloud, seed in zip(shapes.clouds, shapes.seeds, strict=True):
-        mesh = make_shape(shapes.category, seed)
-        surface, faces = sample_faces(mesh, count=SURFACE_POINTS)
-        labels = read_labels(mesh)[faces]
-        found.append(transfers.label_points(cloud, surface, labels))
-    return found
+def label_points(cloud: np.ndarray, category: str, seed: int) -> np.ndarray:
+    """The label [N] of the part of the true shape that is nearest to each point."""
+    mesh = make_shape(category, int(seed))
+    surface, faces = sample_faces(mesh, count=SURFACE_POINTS)
+    _, nearest = KDTree(surface).query(cloud)
+    return read_labels(mesh)[faces][nearest]
 
 
 def draw_pairs(count: int) -> np.ndarray:
@@ -185,92 +200,31 @@ def draw_pairs(count: int) -> np.ndarray:
     return np.array([rng.choice(count, 2, replace=False) for _ in range(PAIRS)])
 
 
-class Transferred(NamedTuple):
-    """How well one of `METHODS` does, over all pairs and shapes.
-
-    Attributes:
-      right: share of points whose nearest true surface belongs to the keypoint's part.
-      distance: to the shape's own keypoint, object units.
-      follows: see `measure_following`.
-      right_by_keypoint: K shares.
-    """
-
-    right: float
-    distance: float
-    follows: float
-    right_by_keypoint: list[float]
-
-
-class _Pair(NamedTuple):
-    """Templates, and what is transferred from them.
-
-    clouds: [T, N, 3]. keypoints: [T, K, 3]. places: [K, 3] their mean. found, random: K
-    arrays of indices, of equal lengths.
-    """
-
-    clouds: np.ndarray
-    keypoints: np.ndarray
-    places: np.ndarray
-    found: transfers.Indices
-    random: transfers.Indices
-
-
-def measure_pairs(
-    templates: LabelledShapes,
-    shapes: LabelledShapes,
-    pairs: np.ndarray,
-    labels: Sequence[str],
-) -> Mapping[str, Transferred]:
-    """Measures of the transfer from pairs of templates to all shapes, by method.
-
-    Args:
-      templates: validation shapes that have all keypoints. shapes: test shapes.
-      pairs: [P, T] rows of templates.
-      labels: of the parts of the K keypoints.
-    """
-    rng, near = np.random.default_rng(0), label_shapes(shapes)
-    made = [_make_pair(templates, rows, rng) for rows in pairs]
-    found = {}
-    for method in METHODS:
-        results = [_transfer(method, pair, shapes, near, labels) for pair in made]
-        right, distance, follows = map(np.array, zip(*results, strict=True))
-        found[method] = Transferred(
-            float(np.nanmean(right)),
-            float(np.nanmean(distance)),
-            float(follows.mean()),
-            [_mean(column) for column in np.moveaxis(right, -1, 0)],
-        )
-    return found
-
-
 def _mean(values: np.ndarray) -> float:
     """Mean of what is known; NaN where nothing is, without a warning."""
     known = values[np.isfinite(values)]
     return float(known.mean()) if known.size else float("nan")
 
 
-def _make_pair(templates, rows, rng) -> _Pair:
+def _make_pair(templates: LabelledShapes, rows, rng: np.random.Generator) -> _Pair:
     clouds, marks = templates.clouds[rows], templates.keypoints[rows]
-    found = transfers.select_indices(clouds, marks, radius=RADIUS, least=LEAST)
+    found = select_indices(clouds, marks, radius=RADIUS, least=LEAST)
     random = [rng.choice(clouds.shape[1], len(i), replace=False) for i in found]
     return _Pair(clouds, marks, marks.mean(axis=0), found, random)
 
 
-def _choose(method, pair: _Pair, cloud, own) -> transfers.Indices:
-    """The points of all keypoints in a cloud whose own keypoints are `own` [K, 3]."""
-    if method in ("index", "random"):
-        return pair.found if method == "index" else pair.random
-    counts = [len(index) for index in pair.found]
-    places = pair.places if method == "place" else own
-    return transfers.select_nearest(cloud, places, counts)
-
-
-def _transfer(method, pair: _Pair, shapes, point_labels, labels):
+def _transfer(method, pair: _Pair, shapes: LabelledShapes, point_labels, labels):
     """Shares and distances [S, K], and how the points follow, of one pair."""
+    counts = [len(index) for index in pair.found]
 
     def measure(cloud, own, near):
-        found = _choose(method, pair, cloud, own)
-        return transfers.measure_transfer(
+        if method in ("index", "random"):
+            found = pair.found if method == "index" else pair.random
+        else:
+            found = select_nearest(
+                cloud, pair.places if method == "place" else own, counts
+            )
+        return measure_transfer(
             cloud, found, point_labels=near, labels=labels, keypoints=own
         )
 
@@ -283,19 +237,91 @@ def _transfer(method, pair: _Pair, shapes, point_labels, labels):
         for item in zip(shapes.clouds, shapes.keypoints, point_labels, strict=True)
     ]
     moves = np.array([one.centre for one in moved]) - start
-    follows = transfers.measure_following(moves, shapes.keypoints - pair.places)
+    follows = measure_following(moves, shapes.keypoints - pair.places)
     return [one.right for one in moved], [one.distance for one in moved], follows
 
 
-def _draw_pair(path, templates, shapes, rows) -> Path:
+def select_indices(
+    templates: ArrayLike, keypoints: ArrayLike, *, radius: float, least: int = 1
+) -> list[np.ndarray]:
+    """Indices of the points that are near a keypoint in every template.
+
+    Args:
+      templates: [T, N, 3] predicted clouds.
+      keypoints: [T, K, 3] the keypoints of each template, in the same frame.
+      radius: how near, in object units.
+      least: points that a keypoint should have. Where fewer agree within the radius, it
+        becomes the smallest one within which so many do.
+
+    Returns:
+      For each of the K keypoints the indices [n_k], rising, n_k at least `least`.
+    """
+    clouds, marks = np.asarray(templates, float), np.asarray(keypoints, float)
+    # Near in every template is near in the one where a point is farthest.
+    away = np.linalg.norm(clouds[:, None] - marks[:, :, None], axis=-1).max(axis=0)
+    reach = np.maximum(radius, np.partition(away, least - 1, axis=-1)[:, least - 1])
+    return [np.flatnonzero(row <= r) for row, r in zip(away, reach, strict=True)]
+
+
+def select_nearest(
+    cloud: ArrayLike, positions: ArrayLike, counts: Sequence[int]
+) -> list[np.ndarray]:
+    """For each position [K, 3] the indices of that many points of a cloud near it.
+
+    A baseline: it transfers places instead of indices. None for a position of NaN.
+    """
+    points, places = np.asarray(cloud), np.asarray(positions)
+    away = np.linalg.norm(points - places[:, None], axis=-1)  # NaN where not known
+    return [
+        np.argpartition(row, count - 1)[:count] if row[0] >= 0 else np.zeros(0, int)
+        for row, count in zip(away, counts, strict=True)
+    ]
+
+
+def measure_transfer(
+    cloud: np.ndarray,
+    found: Indices,
+    *,
+    point_labels: np.ndarray,
+    labels: Sequence[str],
+    keypoints: np.ndarray,
+) -> Transfer:
+    """What became of K keypoints in one cloud.
+
+    Args:
+      cloud: [N, 3] in the object frame. found: K arrays of indices into it.
+      point_labels: [N] of the parts they are near. labels: of the K keypoints.
+      keypoints: [K, 3] of the shape itself; NaN where it has none.
+    """
+    right, distance, centre = [], [], []
+    for index, label, keypoint in zip(found, labels, keypoints, strict=True):
+        points = cloud[index] if len(index) else np.full((1, 3), np.nan)
+        centre.append(points.mean(axis=0))
+        distance.append(np.linalg.norm(points - keypoint, axis=-1).mean())
+        right.append(np.mean(point_labels[index] == label) if len(index) else np.nan)
+    return Transfer(np.array(right), np.array(distance), np.array(centre))
+
+
+def measure_following(moves: ArrayLike, true_moves: ArrayLike) -> float:
+    """How far points move with their keypoint from template to shape: 1 as far, 0 not.
+
+    It is the slope of the regression of the moves on the true moves [..., 3], without a
+    constant. Moves with NaN are left out; NaN where nothing moves.
+    """
+    moves, truth = np.asarray(moves, float), np.asarray(true_moves, float)
+    known = np.isfinite(moves + truth).all(axis=-1)
+    length = np.sum(truth[known] ** 2)
+    return float(np.sum(moves[known] * truth[known]) / length) if length > 0 else np.nan
+
+
+def _draw_pair(path, templates, shapes, rows, pair: _Pair) -> Path:
     """The templates and some test shapes with the points of a pair in colours."""
-    found = _make_pair(templates, rows, np.random.default_rng(0)).found
     count = min(SHOWN, len(shapes.seeds))
     shown = np.linspace(0, len(shapes.seeds) - 1, count).astype(int)
     return keypoint_figures.draw_transfers(
         np.concatenate([templates.images[rows], shapes.images[shown]]),
         np.concatenate([templates.clouds[rows], shapes.clouds[shown]]),
-        found,
+        pair.found,
         path,
         templates=len(rows),
     )

@@ -14,16 +14,12 @@ MEAN = "mean"  # of the three categories, as the paper prints it
 
 @dataclasses.dataclass(frozen=True)
 class PublishedTable:
-    """A table of the paper.
+    """A table of the paper."""
 
-    Attributes:
-      place: where it stands.
-      rows: method: {category or "mean": {metric: value}}.
-      remarks: sentences of the paper's text on it, and what is odd about its numbers.
-    """
-
-    place: str
+    place: str  # where it stands
+    # method: {category or "mean": {metric: value}}
     rows: Mapping[str, Mapping[str, Mapping[str, float]]]
+    # Sentences of the paper's text on it, and what is odd about its numbers.
     remarks: tuple[str, ...] = ()
 
     def find(self, method: str, category: str, metric: str) -> float | None:
@@ -41,6 +37,9 @@ class PublishedTable:
         return sum(found) / len(found) if found and None not in values else None
 
 
+_POSES = ("pose_accuracy", "pose_median_error_deg")
+
+
 def _by_category(metrics: tuple[str, ...], *lines) -> dict[str, dict[str, float]]:
     """{category: {metric: value}} of three lines of numbers and that of their mean."""
     names = (*CATEGORIES, MEAN)
@@ -54,18 +53,13 @@ def _chamfer(*values):
     return _by_category(("chamfer",), *((value,) for value in values))
 
 
-def _poses(*lines):
-    return _by_category(("pose_accuracy", "pose_median_error_deg"), *lines)
-
-
 def _shape_and_poses(*lines):
-    names = ("chamfer", "pose_accuracy", "pose_median_error_deg")
-    return _by_category(names, *lines)
+    return _by_category(("chamfer", *_POSES), *lines)
 
 
-def _parts(precision, coverage, chamfer):
-    values = {"precision": precision, "coverage": coverage, "chamfer": chamfer}
-    return {"chair": values}
+def _parts(*values):
+    names = ("precision", "coverage", "chamfer")
+    return {"chair": dict(zip(names, values, strict=True))}
 
 
 # Known pose; airplanes, cars, chairs, mean.
@@ -87,7 +81,6 @@ KNOWN_POSE = PublishedTable(
         "does not fit into 12 GB.",
     ),
 )
-EPCG_FROM_SILHOUETTES = 8.20  # mean Chamfer distance at 128, in the text
 
 UNKNOWN_POSE = PublishedTable(
     "Table 2, § Estimating shape and pose",
@@ -104,7 +97,9 @@ UNKNOWN_POSE = PublishedTable(
         "Ours": _shape_and_poses(
             (3.91, 0.75, 8.2), (3.47, 0.86, 5.0), (4.30, 0.86, 8.1), (3.89, 0.82, 7.1)
         ),
-        "GT pose": _poses((0.79, 10.7), (0.90, 7.4), (0.85, 11.2), (0.85, 10.0)),
+        "GT pose": _by_category(
+            _POSES, (0.79, 10.7), (0.90, 7.4), (0.85, 11.2), (0.85, 10.0)
+        ),
     },
     (
         "GT pose and the poses of MVC are those that Tulsiani et al. (2018) report.",

@@ -27,35 +27,22 @@ _VALIDATED = 20  # shapes that the mean shape is tuned on, as many as align
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """A run, and what came of it.
-
-    Attributes:
-      workdir: its folder.
-      config: of the run; None where it cannot work.
-      metrics: its `metrics.json`; None where it is not finished.
-      problem: why it is not finished, as far as that is known.
-    """
+    """A run, and what came of it."""
 
     run: Run
-    workdir: Path
-    config: Config | None = None
-    metrics: Mapping[str, Any] | None = None
-    problem: str = ""
+    workdir: Path  # its folder
+    config: Config | None = None  # None where it cannot work
+    metrics: Mapping[str, Any] | None = None  # None where it is not finished
+    problem: str = ""  # why it is not finished, as far as that is known
 
 
 @dataclasses.dataclass(frozen=True)
 class Summary:
-    """A measure over the seeds of a row.
-
-    Attributes:
-      mean: of the values.
-      spread: their standard deviation (n - 1); None of a single one.
-      count: n.
-    """
+    """A measure over the seeds of a row."""
 
     mean: float
-    spread: float | None
-    count: int
+    spread: float | None  # standard deviation (n - 1); None of a single value
+    count: int  # n
 
 
 def summarize(values: Iterable[Any]) -> Summary | None:
@@ -70,16 +57,11 @@ def summarize(values: Iterable[Any]) -> Summary | None:
 
 @dataclasses.dataclass(frozen=True)
 class Results:
-    """The outcomes of a request, by experiment, row and category.
-
-    Attributes:
-      request: what was asked for.
-      outcomes: by name of the run.
-      mean_shapes: metrics of the training set's mean shape, by category.
-    """
+    """The outcomes of a request, by experiment, row and category."""
 
     request: Request
-    outcomes: Mapping[str, Outcome]
+    outcomes: Mapping[str, Outcome]  # by name of the run
+    # Metrics of the training set's mean shape, by category.
     mean_shapes: Mapping[str, Mapping[str, Any]] = dataclasses.field(
         default_factory=dict
     )
@@ -89,14 +71,11 @@ class Results:
         runs = self.request.list_row_runs(row, category)
         return [self.outcomes[run.name] for run in runs]
 
-    def list_finished(
-        self, experiment: Experiment, category: str = ""
-    ) -> list[Outcome]:
-        """Finished runs of an experiment, of all categories or one, each once."""
-        categories = self.request.list_categories(experiment)
+    def list_finished(self, experiment: Experiment) -> list[Outcome]:
+        """Finished runs of an experiment, each once."""
         found = {
             outcome.run.name: outcome
-            for name in ([category] if category else categories)
+            for name in self.request.list_categories(experiment)
             for row in experiment.rows
             for outcome in self.list_outcomes(row, name)
             if outcome.metrics is not None
@@ -136,23 +115,21 @@ def measure_mean_shapes(results: Results, folder: Path) -> dict[str, dict[str, A
 
     It needs the data of a finished run. What was measured on the same data is read.
     """
-    found = {}
+    configs: dict[str, Config] = {}
     for experiment in results.request.list_experiments():
-        if all(row.variant is not None for row in experiment.rows):
-            continue
-        for category in results.request.list_categories(experiment):
-            done = results.list_finished(experiment, category)
-            configs = [o.config for o in done if o.config is not None]
-            if not configs or category in found:
-                continue
-            config = configs[0]
-            specs = {n: repr(s) for n, s in make_data_specs(config).items()}
-            path = folder / f"mean-shape-{category}.json"
-            try:
-                measure = functools.partial(measure_mean_shape, config)
-                found[category] = _keep(path, specs, measure)
-            except (ValueError, OSError) as error:
-                print(f"No mean shape of category {category}: {error}", flush=True)
+        if any(row.variant is None for row in experiment.rows):
+            for outcome in results.list_finished(experiment):
+                if outcome.config is not None:
+                    configs.setdefault(outcome.run.category, outcome.config)
+    found = {}
+    for category, config in configs.items():
+        specs = {n: repr(s) for n, s in make_data_specs(config).items()}
+        path = folder / f"mean-shape-{category}.json"
+        try:
+            measure = functools.partial(measure_mean_shape, config)
+            found[category] = _keep(path, specs, measure)
+        except (ValueError, OSError) as error:
+            print(f"No mean shape of category {category}: {error}", flush=True)
     return found
 
 
@@ -190,17 +167,11 @@ def measure_mean_shape(config: Config) -> dict[str, float]:
 
 @dataclasses.dataclass(frozen=True)
 class Analysis:
-    """What an experiment made of its finished runs.
+    """What an experiment made of its finished runs."""
 
-    Attributes:
-      measures: of each run, by name for people; of runs that were read together, one.
-      figures: pictures with captions; those of the first run.
-      problem: why it was not made; "" where it was.
-    """
-
-    measures: Sequence[Mapping[str, float]] = ()
-    figures: Sequence[tuple[Path, str]] = ()
-    problem: str = ""
+    measures: Sequence[Mapping[str, float]] = ()  # of each run, by name for people
+    figures: Sequence[tuple[Path, str]] = ()  # of the first run, with captions
+    problem: str = ""  # why it was not made; "" where it was
 
 
 _TOGETHER = {"points": point_sizes.draw_errors, "covariance": point_sizes.draw_shapes}
@@ -216,15 +187,14 @@ def analyze(results: Results, experiment: Experiment, folder: Path) -> Analysis:
     name, done = experiment.name, results.list_finished(experiment)
     if not done or name not in (_TOGETHER | _EACH):
         return Analysis()
-    workdirs = [outcome.workdir for outcome in done]
     try:
         if name in _TOGETHER:
-            figures = _TOGETHER[name](folder, workdirs)
+            figures = _TOGETHER[name](folder, [outcome.workdir for outcome in done])
             return Analysis(figures=figures)
-        made = []
-        for number, outcome in enumerate(done):
-            own = folder / outcome.run.name if number else folder
-            made.append(_analyze_one(_EACH[name], own, outcome))
+        made = [
+            _analyze_one(_EACH[name], folder / o.run.name if i else folder, o)
+            for i, o in enumerate(done)
+        ]
     except (ValueError, OSError) as error:
         return Analysis(problem=str(error))
     figures = [(folder / file, caption) for file, caption in made[0]["figures"]]

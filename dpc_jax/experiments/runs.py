@@ -12,7 +12,7 @@ from typing import Any
 
 from dpc_jax import config as configs
 from dpc_jax.config import Config, from_config_dict
-from dpc_jax.experiments.catalogue import EXPERIMENTS, Experiment, Row
+from dpc_jax.experiments.catalogue import EXPERIMENTS, NAMES, Experiment, Row
 
 # What the paper's method has not, and rows of their own are for.
 _PLAIN = {
@@ -30,32 +30,22 @@ RESOLUTIONS = ("32", "64", "128")  # variants that set the side of images and vo
 
 @dataclasses.dataclass(frozen=True)
 class Size:
-    """How large the runs of a --size are.
+    """How large the runs of a --size are."""
 
-    Attributes:
-      categories, seeds: unless others are asked for.
-      long_seeds: of the runs at 128, and of rows that say so.
-      variant: put before that of every row.
-      changes: "section.field": value, of every run.
-      budgets: the same for runs of a budget: the variant of `RESOLUTIONS` that they
-        have, or what their row says; "" for others.
-      left_out: tags of rows whose runs take too long.
-      fewer_points: numbers of points that rows say are divided by this.
-      environment: variables of the runs' processes.
-      shows_quality: whether figures say how well something works, and not only that it
-        runs.
-    """
-
-    categories: tuple[str, ...]
+    categories: tuple[str, ...]  # unless others are asked for
     seeds: tuple[int, ...]
-    long_seeds: tuple[int, ...]
-    variant: str = ""
+    long_seeds: tuple[int, ...]  # of the runs at 128, and of rows that say so
+    variant: str = ""  # put before that of every row
+    # "section.field": value, of every run
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    # The same for runs of a budget: the variant of `RESOLUTIONS` that they have, or
+    # what their row says; "" for others.
     budgets: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
-    left_out: frozenset[str] = frozenset()
-    fewer_points: int = 1
+    left_out: frozenset[str] = frozenset()  # tags of rows whose runs take too long
+    fewer_points: int = 1  # numbers of points that rows say are divided by this
+    # Variables of the runs' processes
     environment: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    shows_quality: bool = True
+    shows_quality: bool = True  # whether figures say more than that it runs
 
 
 SIZES = {
@@ -145,15 +135,10 @@ SOURCES = {  # and what they are called
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """Where the objects come from.
+    """Where the objects come from."""
 
-    Attributes:
-      kind: of `SOURCES`.
-      folder: that the kind needs; "" for procedural shapes.
-    """
-
-    kind: str = "procedural"
-    folder: str = ""
+    kind: str = "procedural"  # of `SOURCES`
+    folder: str = ""  # that the kind needs; "" for procedural shapes
 
     def list_changes(self, category: str) -> dict[str, Any]:
         """What a config of that category differs in.
@@ -185,19 +170,13 @@ class Source:
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """One training run.
+    """One training run."""
 
-    Attributes:
-      name: of its folder; runs of the same config have the same.
-      variant: the text after the colon of --config.
-      changes: ("section.field", value) to set after the variant.
-    """
-
-    name: str
+    name: str  # of its folder; runs of the same config have the same
     category: str
-    variant: str
+    variant: str  # the text after the colon of --config
     seed: int
-    changes: tuple[tuple[str, Any], ...]
+    changes: tuple[tuple[str, Any], ...]  # ("section.field", value), after the variant
 
     @property
     def config_path(self) -> Path:
@@ -235,20 +214,13 @@ def find_resolution(row: Row) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Request:
-    """What one command asks for.
+    """What one command asks for."""
 
-    Attributes:
-      names: of experiments.
-      size: of `SIZES`.
-      source: where objects come from.
-      categories, seeds: empty for those of the size.
-    """
-
-    names: tuple[str, ...] = tuple(e.name for e in EXPERIMENTS)
-    size: str = "cpu"
+    names: tuple[str, ...] = NAMES  # of experiments
+    size: str = "cpu"  # of `SIZES`
     source: Source = Source()
-    categories: tuple[str, ...] = ()
-    seeds: tuple[int, ...] = ()
+    categories: tuple[str, ...] = ()  # empty for those of the size
+    seeds: tuple[int, ...] = ()  # empty for those of the size
 
     def list_experiments(self) -> list[Experiment]:
         """The experiments, but for those that no category asked for has."""

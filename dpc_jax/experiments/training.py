@@ -27,20 +27,13 @@ _POLL_SECONDS = 0.5
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """A run to be trained.
-
-    Attributes:
-      run: what is trained.
-      config: that its flags stand for.
-      workdir: its folder.
-      log: file that its output is appended to.
-      environment: variables of its process, beside those of this one.
-    """
+    """A run to be trained."""
 
     run: Run
-    config: Config
-    workdir: Path
-    log: Path
+    config: Config  # that its flags stand for
+    workdir: Path  # its folder
+    log: Path  # file that its output is appended to
+    # Variables of its process, beside those of this one.
     environment: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def read_metrics(self) -> dict[str, Any] | None:

@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from dpc_jax.evaluation.candidates import count_alive
-from dpc_jax.evaluation.failures import KINDS
 from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.evaluation.pose import (
     ACCURACY_THRESHOLD_DEG,
     FLIP_THRESHOLD_DEG,
+    KINDS,
+    count_alive,
     pose_summary,
 )
 from dpc_jax.reporting import style
@@ -222,7 +222,7 @@ def draw_fit(records: Records, path: str | os.PathLike) -> Path:
     return style.save_figure(figure, path)
 
 
-# Colour and sign of right views and of each kind of wrong ones (`failures.KINDS`).
+# Colour and sign of right views and of each kind of wrong ones (`pose.KINDS`).
 _LOOKS = {
     -1: ("right", style.BLUE, "o"),
     0: (KINDS[0], style.RED, "s"),
@@ -239,7 +239,7 @@ class ViewPoses:
     true_deg: np.ndarray  # [n] azimuth, 0 to 360; 0 looks at the front
     predicted_deg: np.ndarray  # [n]
     errors_deg: np.ndarray  # [n] of the whole pose, 0 to 180
-    kinds: np.ndarray  # [n] index into `failures.KINDS`; -1 of right views
+    kinds: np.ndarray  # [n] index into `pose.KINDS`; -1 of right views
 
 
 def draw_azimuths(views: ViewPoses, path: str | os.PathLike) -> Path:

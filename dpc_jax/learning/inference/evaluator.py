@@ -4,11 +4,10 @@ import numpy as np
 
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation import alignment as alignments
-from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation import scores
 from dpc_jax.evaluation.density import count_stray_points
-from dpc_jax.evaluation.failures import Failures, find_failures
 from dpc_jax.evaluation.images import mean_squared_difference
+from dpc_jax.evaluation.pose import Failures, find_failures, winner_share
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 
 
@@ -98,7 +97,7 @@ def score(
     }
     result = result._replace(metrics=result.metrics | found)
     winners = predictions.winners % max(1, heads)
-    shares = candidate_use.winner_share(winners, num_candidates=max(1, heads))
+    shares = winner_share(winners, num_candidates=max(1, heads))
     return result, shares
 
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
-from dpc_jax.evaluation.failures import Failures
-from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG
+from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG, Failures
 from dpc_jax.evaluation.rotations import view_angles
 from dpc_jax.evaluation.scores import Scores
 from dpc_jax.learning.inference.evaluator import arrange_truth

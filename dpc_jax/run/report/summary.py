@@ -8,11 +8,10 @@ import numpy as np
 
 from dpc_jax.config import Config, to_config_dict
 from dpc_jax.data import DataSet
-from dpc_jax.evaluation import candidates as candidate_use
 from dpc_jax.evaluation.alignment import Alignment
 from dpc_jax.evaluation.density import DENSE_POINTS
-from dpc_jax.evaluation.failures import Failures
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
+from dpc_jax.evaluation.pose import Failures, collapse_warning, count_alive
 from dpc_jax.learning import schedules
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
@@ -68,7 +67,7 @@ def report_run(
     metrics |= failures.metrics if failures else {}
     metrics |= _count_costs(sets, outcome, data_seconds)
     heads = config.pose.heads
-    metrics["candidates_alive"] = candidate_use.count_alive(shares) if heads else None
+    metrics["candidates_alive"] = count_alive(shares) if heads else None
     if test.dataset.quaternions is not None and not config.pose.aligned:
         metrics["alignment_inlier_share"] = alignment.inlier_share
     metrics |= refined or {}
@@ -147,7 +146,7 @@ def list_warnings(
             "errors are absent."
         )
     if shares is not None:
-        warning = candidate_use.collapse_warning(shares)
+        warning = collapse_warning(shares)
         if warning and config.train.steps < _FEW_STEPS:
             warning += f" After {config.train.steps} steps that tells nothing yet."
         warnings += [warning] if warning else []

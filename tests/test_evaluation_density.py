@@ -1,4 +1,4 @@
-"""Denser clouds: midpoints of neighbours, no more than asked for, always the same."""
+"""Denser clouds: midpoints of neighbours. Stray points: those that hang alone."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from dpc_jax.evaluation.density import densify, find_pairs, mix_pairs
+from dpc_jax.evaluation.density import (
+    count_stray_points,
+    densify,
+    find_pairs,
+    mix_pairs,
+)
 
 
 def make_sphere(count, seed=0):
@@ -71,3 +76,28 @@ def test_colours_are_mixed_by_the_same_pairs_as_places():
 def test_what_is_no_cloud_is_refused(bad):
     with pytest.raises(ValueError, match="points"):
         densify(bad)
+
+
+def make_dense_sphere(count=500, seed=0):
+    return 0.75 * make_sphere(count, seed)
+
+
+def test_a_surface_has_none_and_points_away_from_it_are_counted():
+    surface = make_dense_sphere()
+    assert count_stray_points(surface) == 0
+    away = np.array([[0, 0, 0.61], [0.02, 0, 0.61], [0.5, 0, 0]])  # two side by side
+    assert count_stray_points(np.concatenate([surface, away])) == 3
+
+
+def test_a_group_of_five_is_a_part_of_the_shape():
+    group = np.array([0, 0, 0.6]) + 0.01 * make_dense_sphere(5, seed=1)
+    assert count_stray_points(np.concatenate([make_dense_sphere(), group])) == 0
+    assert count_stray_points(np.concatenate([make_dense_sphere(), group[:4]])) == 4
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_cloud_of_few_points_can_have_none_or_all(count):
+    near = 0.01 * make_dense_sphere(count)
+    assert count_stray_points(near) == 0
+    if count > 1:
+        assert count_stray_points(100 * near) == count
