@@ -8,7 +8,7 @@ import pytest
 from fake_packages import make_boxes, write_ac
 from PIL import Image
 
-from dpc_jax.data.open import ac3d, polygons
+from dpc_jax.data.open import ac3d
 
 HEAD = 'AC3Db\nMATERIAL "m" rgb 1 0.5 0.25  amb 1 1 1  emis 0 0 0  spec 0 0 0  shi 1  '
 
@@ -96,7 +96,7 @@ def test_dents_stay_open():
         turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         for corners in (outline, outline[::-1], np.roll(outline, 3, axis=0)):
             corners = corners @ turn + 7
-            faces = np.array(polygons.split_polygon(corners))
+            faces = np.array(ac3d.split_polygon(corners))
             assert len(faces) == len(corners) - 2
             part = ac3d.Part("", corners, faces, None)
             # overlapping or outside triangles would add up to more; float64
@@ -114,8 +114,8 @@ def test_a_dented_quad_is_cut_along_the_inner_diagonal(tmp_path):
 
 def test_a_polygon_that_crosses_itself_still_ends():
     bow = np.array([(0, 0, 0), (1, 1, 0), (1, 0, 0), (0, 1, 0), (0.5, 2, 0)])
-    assert len(polygons.split_polygon(bow)) == 3
-    assert len(polygons.split_polygon(np.zeros((6, 3)))) == 4
+    assert len(ac3d.split_polygon(bow)) == 3
+    assert len(ac3d.split_polygon(np.zeros((6, 3)))) == 4
 
 
 def test_textures_colour_faces_and_are_found_elsewhere(tmp_path):

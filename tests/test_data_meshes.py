@@ -5,7 +5,8 @@ import pytest
 import trimesh
 from PIL import Image
 
-from dpc_jax.data import meshes
+from dpc_jax.data import DataSpec, meshes
+from dpc_jax.data.sources import open_source
 from dpc_jax.shapes.normalization import normalize
 
 OBJ = """mtllib colours.mtl
@@ -51,10 +52,10 @@ def test_files_are_found_at_any_depth_and_in_order(tmp_path):
 
 
 def test_a_folder_without_meshes_and_no_folder_are_named(tmp_path):
-    with pytest.raises(ValueError, match=f"Expected mesh files .* in {tmp_path}"):
-        meshes.find_meshes(tmp_path)
-    with pytest.raises(ValueError, match="missing is not a folder"):
-        meshes.find_meshes(tmp_path / "missing")
+    for place, said in ((tmp_path, "mesh files .* in"), (tmp_path / "no", "no is not")):
+        source = open_source(DataSpec("car", folder=str(place)))
+        with pytest.raises(ValueError, match=f"Expected .*{said}"):
+            source.list_models()
 
 
 def test_colours_of_an_mtl_file_are_kept(tmp_path):

@@ -26,6 +26,7 @@ from dpc_jax.data import DataSpec, __main__
 from dpc_jax.data.open import fetching, sweethome3d
 from dpc_jax.data.sources import open_source
 from dpc_jax.data.splits import SPLITS
+from dpc_jax.files import claiming
 
 CHAIRS = [
     ("Chair", "plain", "Kitchen", ""),
@@ -101,10 +102,8 @@ def test_chairs_come_upright_with_colours_licence_and_origin(
     assert "3 models" in capsys.readouterr().out
     assert not list((tmp_path / "open").rglob(".making*"))
     # what is unpacked is gone, the package stays
-    assert sorted(p.name for p in (tmp_path / "open/packages").iterdir()) == [
-        "lock",
-        "sweethome3d-furniture_1.0-1_all.deb",
-    ]
+    (kept,) = (tmp_path / "open/packages").iterdir()
+    assert kept.name == "sweethome3d-furniture_1.0-1_all.deb"
 
 
 def test_chairs_kept_for_testing_and_loungers_stay_out_of_training(
@@ -362,13 +361,9 @@ def test_a_model_that_is_gone_or_cut_is_made_again_and_a_changed_one_is_kept(
 
 
 def test_two_at_once_do_not_meet(tmp_path, monkeypatch, capsys):
-    fcntl = pytest.importorskip("fcntl")
     store = install_commands(tmp_path, monkeypatch)
     write_furniture(store, CHAIRS)
-    packages = tmp_path / "open/packages"
-    packages.mkdir(parents=True)
-    with open(packages / "lock", "w") as file:
-        fcntl.flock(file, fcntl.LOCK_SH)  # nobody else can have it alone
+    with claiming(tmp_path / "open/packages/fetching"):
         assert fetch("chair", tmp_path) == 1
     assert "another process" in capsys.readouterr().err
     assert read_log(store) == []

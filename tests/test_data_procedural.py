@@ -54,37 +54,9 @@ def test_front_and_back_differ_in_silhouette_and_colour(category):
         assert (np.abs(front - back[:, ::-1]).max(axis=-1) > 30).sum() > 10
 
 
-def test_cars_have_the_proportions_of_cars():
-    sizes = np.array([procedural.make_shape("car", s).extents for s in range(60)])
-    length, width, height = sizes.T
-    # real cars: 2.0 to 2.9 times as long as wide (mirrors included here), 0.28 to 0.5
-    # times as high as long
-    assert (length / width > 1.7).all() and (length / width < 3.0).all()
-    assert (height / length > 0.22).all() and (height / length < 0.55).all()
-    assert np.ptp(height / length) > 0.15  # from sports car to van
-
-
-def test_a_car_shows_red_lamps_at_the_rear_and_none_in_front():
-    def count_red(seed, azimuth):
-        image = see("car", seed, azimuth, size=96).image.astype(int)
-        red, green, blue = np.moveaxis(image, -1, 0)
-        return ((red > 50) & (red > 3 * green) & (red > 3 * blue)).sum()
-
-    others = [s for s in range(24) if count_red(s, np.pi / 2) < 12]  # not painted red
-    assert len(others) > 10
-    for seed in others:
-        assert count_red(seed, np.pi) > 12
-        assert count_red(seed, 0.0) < 12
-
-
 def test_chairs_have_their_back_at_the_back_and_airplanes_their_fin():
     for category in ("chair", "airplane"):
         for seed in SEEDS:
             mesh = procedural.make_shape(category, seed)
             top = mesh.vertices[mesh.vertices[:, 2] > 0.9 * mesh.bounds[1, 2], 0]
             assert top.max() < 0.1, f"{category} {seed}"
-
-
-def test_an_unknown_category_is_named():
-    with pytest.raises(ValueError, match="car, chair, airplane, but it is 'boat'"):
-        procedural.make_shape("boat", 0)

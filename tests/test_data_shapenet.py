@@ -7,8 +7,8 @@ import pytest
 import trimesh
 from PIL import Image
 
-from dpc_jax.data import DataSpec, load_or_render
-from dpc_jax.data.sets import shapenet, split_lists
+from dpc_jax.data import DataSpec, load_or_render, splits
+from dpc_jax.data.sets import shapenet
 
 SYNSET = "02958343"
 NAMES = [f"{i:x}" * 8 for i in range(1, 8)]
@@ -169,11 +169,11 @@ def test_a_seeded_split_is_written_down_in_the_official_form(tmp_path):
     options = dict(fractions=(5, 1, 1), seed=3)
     named = {
         split: load(tmp_path / "net", tmp_path / "cache", split=split, **options).names
-        for split in split_lists.SPLITS
+        for split in splits.SPLITS
     }
     assert sorted(sum(named.values(), ())) == NAMES
     (path,) = (tmp_path / "cache").glob("car-split-*.csv")
-    read = split_lists.read_split(path, SYNSET)
+    read = splits.read_split(path, SYNSET)
     assert {split: tuple(sorted(names)) for split, names in read.items()} == named
     again = load(tmp_path / "net", tmp_path / "cache", split_file=str(path))
     assert set(again.names) == set(named["train"])
@@ -198,7 +198,7 @@ def test_three_forms_of_a_split_say_the_same(tmp_path):
     rows = [[0, SYNSET, SYNSET, n, s] for s, names in sides.items() for n in names]
     write_csv(tmp_path / "all.csv", rows)
     for name in ("all.csv", f"{SYNSET}.file", f"{SYNSET}_val.txt"):
-        assert split_lists.read_split(tmp_path / name, SYNSET) == sides
+        assert splits.read_split(tmp_path / name, SYNSET) == sides
 
 
 @pytest.mark.parametrize(
@@ -219,7 +219,7 @@ def test_three_forms_of_a_split_say_the_same(tmp_path):
 def test_a_split_file_that_cannot_be_used_is_named(tmp_path, name, text, message):
     (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ValueError, match=message) as error:
-        split_lists.read_split(tmp_path / name, SYNSET)
+        splits.read_split(tmp_path / name, SYNSET)
     assert name.split(".")[0].removesuffix("train") in str(error.value)
 
 

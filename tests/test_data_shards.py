@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dpc_jax.data import shards
+from dpc_jax.data.arrays import Stack
 
 
 def make_pieces(counts, *, split, seed=0):
@@ -17,7 +18,7 @@ def make_pieces(counts, *, split, seed=0):
     parts = [models[:split], models[split:]]
     empty = np.zeros((0, 2, 3), np.uint8)
     pieces = [np.concatenate([empty, *part]) for part in parts]
-    return models, shards.Stack(pieces, counts)
+    return models, Stack(pieces, counts)
 
 
 @pytest.mark.parametrize("split", [0, 1, 3, 5])
@@ -37,14 +38,14 @@ def test_a_stack_reads_like_an_array(split):
     np.testing.assert_array_equal(stack, whole)
     np.testing.assert_array_equal(stack / 2 > 60, whole / 2 > 60)
     np.testing.assert_array_equal(np.ptp(stack, axis=1), np.ptp(whole, axis=1))
-    assert stack[[1, 2], [0, 0]].dtype == np.uint8 and not stack.is_ragged
+    assert stack[[1, 2], [0, 0]].dtype == np.uint8
 
 
 @pytest.mark.parametrize("split", [0, 2, 4, 6])
 def test_models_of_a_ragged_stack_keep_their_rows(split):
     counts = [3, 0, 1, 5, 0, 2]
     models, stack = make_pieces(counts, split=split)
-    assert stack.is_ragged and stack.shape == (6, 5, 2, 3)
+    assert stack.shape == (6, 5, 2, 3)
     for read, model in zip(stack, models, strict=True):
         np.testing.assert_array_equal(read, model)
     np.testing.assert_array_equal(
@@ -112,18 +113,16 @@ def test_reading_a_large_set_needs_little_memory(tmp_path):
         path = tmp_path / f"shard-{number}.npz"
         shards.write_shard(path, {"masks": rows}, {})
     code = f"""
-import sys, types, numpy as np
-package = types.ModuleType("dpc_jax"); package.__path__ = [{shards.__file__!r}[:-15]]
-sys.modules["dpc_jax"] = package
-from dpc_jax.data import shards
+import numpy as np
+from dpc_jax.data import arrays, shards
 from pathlib import Path
 def measure():
     text = Path("/proc/self/status").read_text()
     return int(text.split("VmRSS:")[1].split()[0]) // 1024
 parts = [shards.map_shard(p) for p in sorted(Path({str(tmp_path)!r}).iterdir())]
-pages = shards.Pages([part.mapping for part in parts])
+pages = arrays.Pages([part.mapping for part in parts])
 pieces = [part.arrays["masks"] for part in parts]
-stack = shards.Stack(pieces, [4] * 40, pages)
+stack = arrays.Stack(pieces, [4] * 40, pages)
 start, most = measure(), 0
 for step in range(80):
     stack[np.full(4, step % 40), np.arange(4)]

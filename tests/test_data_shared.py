@@ -21,9 +21,9 @@ SPEC = dict(
 RENDER = f"""
 import sys, time
 from dpc_jax.data import DataSpec, load_or_render, shards
-from dpc_jax.data.sets import procedural_shapes
+from dpc_jax.data.sets import mesh_folder
 cache, notes, *stuck = sys.argv[1:]
-write, make = shards.write_shard, procedural_shapes.ProceduralShapes.make_arrays
+write, make = shards.write_shard, mesh_folder.ProceduralShapes.make_arrays
 made = 0
 
 def write_and_note(path, *arrays):
@@ -41,7 +41,7 @@ def make_slowly(self, model, index):
     return make(self, model, index)
 
 shards.write_shard = write_and_note
-procedural_shapes.ProceduralShapes.make_arrays = make_slowly
+mesh_folder.ProceduralShapes.make_arrays = make_slowly
 print("ready", flush=True)
 sys.stdin.readline()
 load_or_render(DataSpec(**{SPEC}), cache_dir=cache, processes=1, progress=False)

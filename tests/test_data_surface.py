@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from dpc_jax.data import DataSpec, load_or_render, surfaces, views
+from dpc_jax.data import DataSpec, load_or_render, rendering, views
 
 SPEC = DataSpec("car", models=1, surface_points=100_000, surface_voxel=0.01)
 
@@ -20,25 +20,25 @@ def make_ball(radius=0.4):
 def test_thinning_keeps_the_mean_of_each_voxel():
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.5, 0.5, (5000, 3))
-    thin = surfaces._thin_points(points, voxel=0.1)
+    thin = rendering._thin_points(points, voxel=0.1)
     means = {}
     for point in points:
         means.setdefault(tuple(np.floor(point / 0.1)), []).append(point)
     expected = [np.mean(means[key], axis=0) for key in sorted(means)]
     np.testing.assert_allclose(thin, expected, atol=1e-6)  # float32
     assert thin.dtype == np.float32
-    shuffled = surfaces._thin_points(rng.permutation(points), voxel=0.1)
+    shuffled = rendering._thin_points(rng.permutation(points), voxel=0.1)
     np.testing.assert_allclose(shuffled, thin, atol=1e-6)
 
 
 def test_ground_truth_is_dense_even_and_on_the_surface():
-    points = surfaces.make_ground_truth(make_ball(), SPEC)
+    points = rendering.make_ground_truth(make_ball(), SPEC)[0]
     # an even cover: about area / voxel², some more because voxels are cut obliquely
     area = 4 * np.pi * 0.16 / 1e-4
     assert area < len(points) < 2 * area
     radius = np.linalg.norm(points, axis=1)
     assert np.abs(radius - 0.4).max() < 0.01
-    again = surfaces.make_ground_truth(make_ball(), SPEC)
+    again = rendering.make_ground_truth(make_ball(), SPEC)[0]
     np.testing.assert_array_equal(points, again)
     assert np.linalg.norm(points.mean(axis=0)) < 0.01
 
@@ -47,10 +47,10 @@ def test_ground_truth_is_dense_even_and_on_the_surface():
 def test_points_that_are_seen_are_marked_and_all_stay(voxel):
     both = trimesh.util.concatenate([make_ball(), make_ball(0.2)])
     spec = change(surface_seen=True, surface_voxel=voxel)
-    points, seen = surfaces.make_marked_truth(both, spec)
+    points, seen = rendering.make_ground_truth(both, spec)
     assert seen is not None and seen.shape == points.shape[:1] and seen.dtype == bool
     np.testing.assert_array_equal(seen, np.linalg.norm(points, axis=1) > 0.3)
-    plain, none = surfaces.make_marked_truth(both, change(surface_voxel=voxel))
+    plain, none = rendering.make_ground_truth(both, change(surface_voxel=voxel))
     assert none is None
     np.testing.assert_array_equal(points, plain)
 
@@ -62,23 +62,12 @@ def test_a_point_is_seen_if_a_ray_over_the_rim_reaches_it():
     box.update_faces(~lid)
     points = np.array([[0.0, 0, -0.2], [0.19, 0, -0.1], [0, 0.2, 0]])
     scene = views.build_scene(box)
-    assert surfaces._find_visible(points, scene, distance=2.0).all()
+    assert rendering._find_visible(points, scene, distance=2.0).all()
     closed = trimesh.creation.box(extents=[0.4, 0.4, 0.4])
     hidden = np.array([[0.0, 0, 0.05], [0.1, 0.1, 0.1]])
-    assert not surfaces._find_visible(
+    assert not rendering._find_visible(
         hidden, views.build_scene(closed), distance=2.0
     ).any()
-
-
-def test_directions_are_spread_over_the_sphere():
-    directions = surfaces._spread_directions(128)
-    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
-    assert np.abs(directions.mean(axis=0)).max() < 0.01
-    nearest = np.sort(directions @ directions.T, axis=1)[:, -2]
-    # 128 caps of equal area have a radius of 10 degrees
-    angles = np.degrees(np.arccos(nearest))
-    assert angles.min() > 8 and angles.max() < 21
-    assert (np.abs(directions[:8].mean(axis=0)) < 0.6).all()
 
 
 def test_models_keep_their_own_numbers_of_points(tmp_path):
@@ -86,7 +75,7 @@ def test_models_keep_their_own_numbers_of_points(tmp_path):
     spec = DataSpec("chair", surface_voxel=0.02, **options)
     data = load_or_render(spec, cache_dir=tmp_path, processes=1, progress=False)
     sizes = [len(points) for points in data.surfaces]
-    assert len(set(sizes)) > 1 and data.surfaces.is_ragged
+    assert len(set(sizes)) > 1
     assert data.surfaces[0].shape == (sizes[0], 3)
     assert np.isfinite(data.surfaces[2]).all()
     with pytest.raises(ValueError, match="one by one"):

@@ -34,7 +34,7 @@ from dpc_jax import compare, files, outputs, paper, predict
 from dpc_jax.config import build_config, check, replace_fields, to_json
 from dpc_jax.data import DataSpec, load_or_render, meshes, shards
 from dpc_jax.data import __main__ as data_command
-from dpc_jax.data.sets import mesh_folder, photographs, plain_background, pose_files
+from dpc_jax.data.sets import masks, mesh_folder, photographs, pictures, pose_files
 from dpc_jax.data.sets.photographs import Request, read_photographs
 from dpc_jax.data.sets.pictures import read_picture
 from dpc_jax.learning.training.records import MetricLog
@@ -207,7 +207,7 @@ def read_an_image(folder, *, size=(8, 8), make=None, name="a.png"):
 def read_large_frames(folder):
     frames = [Image.new("P", (3000, 2000), i) for i in range(3)]
     frames[0].save(folder / "a.gif", save_all=True, append_images=frames[1:])
-    read = photographs._open_frames(folder / "a.gif")
+    read = pictures.read_frames(folder / "a.gif", photographs.MOST_FRAMES)
     return [frame.size for frame in read]
 
 
@@ -709,7 +709,7 @@ def ask_for_more_points_than_there_are(_):
 
 
 def find_mask(image):
-    return lambda _: plain_background.find_object(np.asarray(image, np.uint8))
+    return lambda _: masks.find_before_plain_background(np.asarray(image, np.uint8))
 
 
 def draw_spots():

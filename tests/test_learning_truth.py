@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tiny_runs
 
-from dpc_jax.data import shards
+from dpc_jax.data.arrays import Stack
 from dpc_jax.evaluation.alignment import (
     align_by_poses,
     align_poses,
@@ -25,7 +25,7 @@ def rag(dataset, counts):
 
     def cut(array):
         models = [rows[:count] for rows, count in zip(array, counts, strict=True)]
-        return shards.Stack([np.concatenate(models)], counts)
+        return Stack([np.concatenate(models)], counts)
 
     changed = {n: cut(getattr(dataset, n)) for n in ("images", "masks", "quaternions")}
     return dataset._replace(**changed)

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from dpc_jax.data import DataSpec
-from dpc_jax.data.sets import matting, plain_background, video
+from dpc_jax.data.sets import masks, pictures
 from dpc_jax.data.sets.photographs import MOST_FRAMES, Request, read_photographs
 from dpc_jax.data.viewpoints import look_at_rotation
 from dpc_jax.data.views import build_scene, draw_lights, render_view
@@ -69,7 +69,7 @@ def take_photograph(category, background, *, side):
 def test_masks_are_found_on_plain_backgrounds(background, category):
     """Noise, uneven light and a shadow cost little."""
     image, true = take_photograph(category, background, side=256)
-    found = plain_background.find_object(image)
+    found = masks.find_before_plain_background(image)
     assert found.shape == true.shape and found.dtype == np.float32
     overlap = ((found > 0.5) & true).sum() / ((found > 0.5) | true).sum()
     assert overlap > 0.85
@@ -79,7 +79,7 @@ def test_a_hole_that_shows_the_background_stays_open():
     image = np.full((96, 96, 3), 200, np.uint8)
     image[20:76, 20:76] = (150, 30, 30)
     image[36:60, 36:60] = 200  # seen through it
-    mask = plain_background.find_object(image) > 0.5
+    mask = masks.find_before_plain_background(image) > 0.5
     assert mask[28, 48] and not mask[48, 48] and not mask[5, 5]
 
 
@@ -140,7 +140,7 @@ def test_frames_of_a_video_are_taken_in_equal_steps_from_its_first_on(tmp_path):
     path = tmp_path / "turn.mkv"
     for count in (3, MOST_FRAMES, 7 * MOST_FRAMES):
         write_video(path, [Image.new("RGB", (32, 16), (i, 0, 0)) for i in range(count)])
-        frames = video.read_frames(path, MOST_FRAMES)
+        frames = pictures.read_frames(path, MOST_FRAMES)
         numbers = [frame.getpixel((0, 0))[0] for frame in frames]
         assert frames[0].size == (32, 16)
         assert len(numbers) == min(count, MOST_FRAMES) and numbers[0] == 0
@@ -211,13 +211,13 @@ def test_a_matting_network_is_used_where_its_weights_are_there(monkeypatch, tmp_
     assert covered[8, 8] and not covered[0, 0]
     fake_rembg(monkeypatch, weights=False)
     with pytest.raises(ValueError, match="nothing is downloaded.* into /models/u2net"):
-        matting.open_session()
+        masks.open_session()
 
 
 def test_without_the_library_matting_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "rembg", None)
     with pytest.raises(ValueError, match=r"pip install .dpc_jax\[masks\]"):
-        matting.open_session()
+        masks.open_session()
 
 
 def test_files_are_read_before_anything_heavy_is_loaded():

@@ -5,7 +5,7 @@ import pytest
 
 from dpc_jax.shapes import procedural
 from dpc_jax.shapes.building_blocks import read_labels
-from dpc_jax.shapes.keypoints import KEYPOINTS, find_keypoints
+from dpc_jax.shapes.keypoints import find_keypoints
 
 SEEDS = range(12)
 LABELS = {
@@ -92,12 +92,3 @@ def test_a_chair_has_leg_tips_on_the_floor_or_none_at_all():
         floor = procedural.make_shape("chair", seed).bounds[0, 2]
         # The tubes of a sled reach half their width below their ends' rims.
         assert all(height - floor < 0.04 for height in heights)
-
-
-def test_an_unknown_category_is_refused():
-    with pytest.raises(ValueError, match="it is 'boat'"):
-        find_keypoints("boat", 0)
-
-
-def test_every_category_has_keypoints():
-    assert set(KEYPOINTS) == set(procedural.CATEGORIES)

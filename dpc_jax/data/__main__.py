@@ -6,6 +6,7 @@ python -m dpc_jax.data check FOLDER        what is wrong with a set
 """
 
 import argparse
+import functools
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -38,22 +39,14 @@ def make_parser() -> argparse.ArgumentParser:
     show = commands.add_parser("show", help="what is in a set, with a sheet of it")
     check = commands.add_parser("check", help="what is wrong with a set")
     for command, models in ((show, 8), (check, None)):
-        command.add_argument(
-            "folder", help="a rendered set, a folder of them, of meshes or of images"
-        )
-        command.add_argument(
-            "--kind", choices=tuple(KINDS), help="of the folder; guessed if left out"
-        )
-        command.add_argument(
-            "--category",
-            help="of ShapeNet and the published renders, where there are several",
-        )
-        command.add_argument(
-            "--models",
-            type=int,
-            default=models,
-            help=f"of meshes or images, how many ({models or 'all'})",
-        )
+        add = command.add_argument
+        add("folder", help="a rendered set, a folder of them, of meshes or of images")
+        kinds = tuple(KINDS)
+        add("--kind", choices=kinds, help="of the folder; guessed if left out")
+        several = "of ShapeNet and the published renders, where there are several"
+        add("--category", help=several)
+        number = f"of meshes or images, how many ({models or 'all'})"
+        add("--models", type=int, default=models, help=number)
     show.add_argument("--out", help="picture to write (runs/FOLDER-sheet.png)")
     return parser
 
@@ -72,10 +65,10 @@ def _show(flags):
     """List sets; draw the sheet if there is only one."""
     from dpc_jax.data.look import overview
 
-    caches = overview.list_caches(flags.folder)
+    caches, open_set = _find_sets(flags)
     if len(caches) > 1:
         for path in caches:
-            with _open(path, flags) as opened:
+            with open_set(path) as opened:
                 _say(overview.describe_set(opened))
         print("Give one of them for a sheet of its pictures.")
         return 0
@@ -84,7 +77,7 @@ def _show(flags):
     out = Path(flags.out or Path("runs") / name)
     outputs.try_folder(out.parent)
     with outputs.owning(out.parent, [out.name]):
-        with _open(caches[0] if caches else flags.folder, flags) as opened:
+        with open_set(caches[0]) as opened:
             _say(overview.describe_set(opened))
             sheet = overview.draw_set(opened, models=flags.models)
             has_axes = opened.data.quaternions is not None
@@ -95,50 +88,41 @@ def _show(flags):
     return 0
 
 
-def _say(lines):
-    for line in lines:
-        print(outputs.show_text(line))
-
-
 def _check(flags):
     """Check sets; the status is 1 if an error was found."""
-    from dpc_jax.data.look import overview
+    from dpc_jax.data.look import checks, overview
 
-    caches = overview.list_caches(flags.folder)
+    caches, open_set = _find_sets(flags)
     failed = False
-    for path in caches or [flags.folder]:
+    for path in caches:
         try:
-            failed |= _check_one(path, flags)
+            with open_set(path) as opened:
+                _say(overview.describe_set(opened)[:1])
+                findings = checks.check_set(opened.data, opened.lens)
+                has_poses = opened.data.quaternions is not None
         except ValueError as error:
             if len(caches) < 2:
                 raise
-            _say([path.name, f"  error: {error}"])  # the others may be fine
-            failed = True
+            _say([path.name])  # the others may be fine
+            findings, has_poses = [f"error: {error}"], False
+        poses = "poses fit their masks" if has_poses else "no poses"
+        _say(f"  {text}" for text in findings or [f"no fault found; {poses}"])
+        failed |= any(text.startswith("error") for text in findings)
     return int(failed)
 
 
-def _check_one(path, flags):
-    """Print what is wrong with a set; return whether that is an error."""
-    from dpc_jax.data.look import inspection, overview
-
-    with _open(path, flags) as opened:
-        data = opened.data
-        _say(overview.describe_set(opened)[:1])
-        findings = inspection.check_set(data, opened.lens)
-    for finding in findings:
-        _say([f"  {finding.level}: {finding.text}"])
-    if not findings:
-        poses = "poses fit their masks" if data.quaternions is not None else "no poses"
-        print(f"  no fault found; {poses}")
-    return any(finding.level == "error" for finding in findings)
-
-
-def _open(path, flags):
+def _find_sets(flags):
+    """Folders of sets, and what opens one."""
     from dpc_jax.data.look import overview
 
-    return overview.open_set(
-        path, kind=flags.kind, category=flags.category, models=flags.models
-    )
+    caches = overview.list_caches(flags.folder) or [Path(flags.folder)]
+    options = dict(kind=flags.kind, category=flags.category, models=flags.models)
+    return caches, functools.partial(overview.open_set, **options)
+
+
+def _say(lines):
+    for line in lines:
+        print(outputs.show_text(line))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

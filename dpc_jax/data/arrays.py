@@ -1,15 +1,13 @@
 """What a data set has in memory, whichever source it comes from."""
 
+import mmap
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-ARRAYS = ("images", "masks", "depths", "quaternions", "surfaces")
-SEEN = "seen"  # a further array, of surfaces, if asked for
-# Further arrays, where views have their own.
-CAMERAS = ("translations", "focal_lengths")
-CORNERS = ("corner_masks", "corner_depths")  # further arrays, if asked for
-# Type and shape of a row of each; S, the image size, is 0 here and may be any.
+CORNERS = ("corner_masks", "corner_depths")  # arrays with a row per corner of a cube
+# Type and shape of a row of each array; S, the image size, is 0 here and may be any.
 ROWS: dict[str, tuple[str, tuple[int, ...]]] = {
     "images": ("|u1", (0, 0, 3)),
     "masks": ("|u1", (0, 0)),
@@ -22,13 +20,14 @@ ROWS: dict[str, tuple[str, tuple[int, ...]]] = {
     "corner_masks": ("|u1", (0, 0)),
     "corner_depths": ("<f4", (0, 0)),
 }
+KEPT_PAGES = 32 << 20  # bytes read before mapped pages are given back to the system
 
 
 class DataSet(NamedTuple):
-    """Views of M models at S pixels; arrays lie on disk and are read when indexed.
+    """Rendered views of M models; views and surfaces refer to the same object frame.
 
-    Arrays are `shards.Stack`s, which read like the arrays below, or plain arrays. Where
-    models differ in their number of views, V is the largest and `counts` has each.
+    Arrays are `Stack`s, which read like the arrays below, or plain arrays. Where models
+    differ in their number of views, V is the largest and `counts` has each.
 
     images: uint8 [M, V, S, S, 3], on white. masks: uint8 [M, V, S, S], 255 = covered.
     depths: float32 [M, V, S, S], metric z from the camera, 0 where nothing is covered;
@@ -71,3 +70,114 @@ class DataSet(NamedTuple):
     def rows(self, name: str, model: int) -> np.ndarray:
         """What an array with a row per view has of one model."""
         return np.asarray(getattr(self, name)[model])[: self.counts[model]]
+
+
+class Pages:
+    """Releases mapped pages after enough has been read, so that memory stays small.
+
+    The system would keep them as long as it has room, and would count a process that
+    has read 3 GB as 3 GB larger. A page that is wanted again comes from the file cache.
+    """
+
+    def __init__(self, mappings: Sequence[mmap.mmap] = ()):
+        self._mappings = mappings
+        self._read = 0
+
+    def count(self, size: int):
+        """Note that `size` bytes were read."""
+        self._read += size
+        if self._read > KEPT_PAGES and hasattr(mmap, "MADV_DONTNEED"):
+            self._read = 0
+            for mapping in self._mappings:
+                mapping.madvise(mmap.MADV_DONTNEED)
+
+
+class Stack(np.lib.mixins.NDArrayOperatorsMixin):
+    """Rows of many models over several shards, addressed by model and row.
+
+    It reads like an array [M, V, ...] of which model m has only `counts[m]` rows:
+    `stack[m]` is an array [counts[m], ...], `stack[m, v]` one row, and
+    `stack[models, rows]` gathers rows into memory, for index arrays of like shapes.
+    `shape[1]` is the largest count. Where all counts agree, everything else that an
+    array can do works too, by reading the whole into memory.
+    """
+
+    def __init__(
+        self,
+        pieces: Sequence[np.ndarray],
+        counts: Sequence[int],
+        pages: Pages | None = None,
+    ):
+        """pieces: the row arrays [R, ...] of the shards, in order; counts: [M]."""
+        self.counts = np.asarray(counts, dtype=np.int64)
+        self._pieces = pieces
+        self._pages = pages or Pages()
+        self._starts = np.concatenate([[0], np.cumsum(self.counts)])
+        self._edges = np.concatenate([[0], np.cumsum([len(p) for p in pieces])])
+        largest = int(self.counts.max(initial=0))
+        self.shape = (len(self.counts), largest, *pieces[0].shape[1:])
+        self.dtype = pieces[0].dtype
+        self.ndim = len(self.shape)
+
+    def __len__(self):
+        return len(self.counts)
+
+    def __iter__(self):
+        return (self[model] for model in range(len(self)))
+
+    def __getitem__(self, key):
+        model, *rest = key if isinstance(key, tuple) else (key,)
+        if isinstance(model, int | np.integer):
+            return self._read_model(model)[tuple(rest)]
+        if isinstance(key, slice):
+            return self._join(range(len(self))[key])
+        if isinstance(key, tuple) and len(key) == 2:
+            first, second = (np.asarray(part) for part in key)
+            if first.dtype.kind in "iu" and second.dtype.kind in "iu":
+                return self._gather(first, second)
+        return np.asarray(self)[key]
+
+    def __array__(self, dtype=None, copy=None):
+        return np.asarray(self._join(range(len(self))), dtype=dtype)
+
+    def __array_ufunc__(self, ufunc, method, *inputs, **options):
+        inputs = [np.asarray(x) if isinstance(x, Stack) else x for x in inputs]
+        return getattr(ufunc, method)(*inputs, **options)
+
+    def _read_model(self, model):
+        if not -len(self) <= model < len(self):
+            raise IndexError(f"model {model} of {len(self)}")
+        model = model % len(self)
+        start, stop = self._starts[model : model + 2]
+        shard = np.searchsorted(self._edges, start, "right") - 1
+        shard = min(shard, len(self._pieces) - 1)  # a last model without rows
+        rows = self._pieces[shard][start - self._edges[shard] :][: stop - start]
+        self._pages.count(rows.nbytes)
+        return rows
+
+    def _join(self, models):
+        if (self.counts != self.shape[1]).any():
+            raise ValueError(
+                "Expected models with equal numbers of rows, but they have "
+                f"{self.counts.min()} to {self.counts.max()}; read them one by one."
+            )
+        out = np.empty((len(models), *self.shape[1:]), self.dtype)
+        for place, model in enumerate(models):
+            out[place] = self._read_model(model)
+        return out
+
+    def _gather(self, models, rows):
+        models, rows = np.broadcast_arrays(models, rows)
+        if not ((models >= 0) & (models < len(self)) & (rows >= 0)).all():
+            raise IndexError(f"models of {len(self)} and rows counted from 0")
+        if (rows >= self.counts[models]).any():
+            raise IndexError("a row beyond the last of its model")
+        places = (self._starts[models] + rows).ravel()
+        shards = np.searchsorted(self._edges, places, "right") - 1
+        out = np.empty((*models.shape, *self.shape[2:]), self.dtype)
+        flat = out.reshape(-1, *self.shape[2:])
+        rows = places - self._edges[shards]
+        for i, (shard, row) in enumerate(np.stack([shards, rows], 1).tolist()):
+            flat[i] = self._pieces[shard][row]
+        self._pages.count(out.nbytes)
+        return out

@@ -23,9 +23,8 @@ def choose_batch(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which models [B] and which of their views [B, V] make the batch of a step.
 
-    Models are read from one endless sequence of seeded permutations, one per epoch,
-    `models_per_batch` at a time: every model comes once per epoch, and a batch that
-    straddles two epochs holds no model twice. Views are drawn without replacement; if a
+    Models come from an endless sequence of seeded permutations: each once per epoch,
+    none twice in a batch that straddles two. Views are drawn without replacement; if a
     model has fewer than the batch asks for, all of them come before any comes again.
     `num_views` is one number, or [num_models] where models differ.
 
@@ -64,10 +63,9 @@ def choose_batch(
 def _epoch_order(num_models, batch, seed, epoch):
     """Order of the models in one epoch.
 
-    The last batch of an epoch may reach into the next one. It then takes the first
-    models of that epoch's permutation that it does not hold yet. So an order depends on
-    the one before, back to the last epoch that started with a fresh batch, at most
-    `batch` epochs ago.
+    A batch that reaches into the next epoch takes the first models of its permutation
+    that it does not hold yet. So an order depends on the one before, back to the last
+    epoch that started with a fresh batch, at most `batch` epochs ago.
     """
     anchor = epoch
     while anchor * num_models % batch:
@@ -90,16 +88,10 @@ def read_batch(
     *,
     extras: Sequence[str] = (),
 ) -> dict[str, np.ndarray]:
-    """The views [B, V] of models [B], as stored; the device scales them to floats.
+    """The views [B, V] of models [B] in memory, as stored, by the names of `DataSet`.
 
-    Args:
-      extras: names of further arrays of `DataSet`: those with a row per view, of which
-        the batch has its views, and those of `CORNERS`, whole.
-
-    Returns:
-      Arrays in memory by name: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S]
-      and, where the poses are known, quaternions float32 [B, V, 4] (wxyz, object to
-      camera); then the extras, those that the set has.
+    They are images, masks, quaternions and the extras, as far as the set has them: of
+    arrays with a row per view those of the batch, of `CORNERS` all.
     """
     rows = np.asarray(models)[:, None]
     arrays = {name: getattr(dataset, name) for name in (*BATCH_ARRAYS, *extras)}

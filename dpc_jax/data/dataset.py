@@ -1,8 +1,7 @@
 """A data set on disk: prepared once, kept under a key of everything that made it.
 
-A cache folder holds shards, each written under a temporary name and renamed when whole,
-and last of all `spec.json`, which lists them with size and checksum. A folder without
-it was never finished, and preparing continues with the shards that are missing.
+A cache folder holds shards and, when all are there, `spec.json`, which lists them with
+size and checksum. Without it, preparing continues with the shards that are missing.
 """
 
 import concurrent.futures
@@ -16,20 +15,17 @@ from pathlib import Path
 
 from dpc_jax import files
 from dpc_jax.data import shards, workers
-from dpc_jax.data.arrays import ARRAYS, CAMERAS, CORNERS, SEEN
+from dpc_jax.data.arrays import ROWS as ROWS
 from dpc_jax.data.arrays import DataSet as DataSet
-from dpc_jax.data.progress import follow
-from dpc_jax.data.shard_plan import find_damage, name_shard, plan_shards
+from dpc_jax.data.arrays import Pages, Stack
 from dpc_jax.data.sources import Model, Source, open_source
 from dpc_jax.data.spec import DataSpec as DataSpec
+from dpc_jax.data.workers import follow
 from dpc_jax.outputs import show_text
 
 SHOWN = 20  # skipped models that are printed
 VERSION = 3  # raise it when rendering, the procedural shapes or the shards change
 PLACES = ("folder", "split_file", "ground_truth")  # fields that do not affect the bytes
-# Fields that affect them where they are not 0. Otherwise they are left out of the key,
-# so that sets from before there were such fields keep theirs.
-EXTRAS = ("offset", "focal_spread", "corner_views", "surface_seen", "fold", "mix")
 RECORD = "spec.json"  # the file that finishes a cache
 
 
@@ -43,8 +39,7 @@ def load_or_render(
 ) -> DataSet:
     """The data set of a specification, from the cache or prepared now.
 
-    Any number of processes may prepare one set in a shared folder: each shard is made
-    by one of them, and all return when the set is whole.
+    Any number of processes may prepare one set in a shared folder.
 
     Args:
       cache_dir: folder of the caches; created where missing.
@@ -62,9 +57,11 @@ def load_or_render(
     models = source.list_models()
     record = _describe(source, models)
     folder = locate_cache(source, models, cache_dir)
+    # not of the cache: what a split is called must not depend on when it was read
+    warnings = tuple(source.list_warnings())
     if (folder / RECORD).exists():
         try:
-            return _warn(read_cache(folder), source)
+            return read_cache(folder)._replace(warnings=warnings)
         except (OSError, ValueError, KeyError, TypeError) as error:
             print(f"The cache {folder} is damaged ({error}) and will be repaired.")
     try:
@@ -83,7 +80,7 @@ def load_or_render(
         files.remove_leftovers(folder)
         with contextlib.suppress(OSError):  # it is not empty
             folder.rmdir()
-    return _warn(read_cache(folder), source)
+    return read_cache(folder)._replace(warnings=warnings)
 
 
 def is_prepared(spec: DataSpec, cache_dir: str | Path) -> bool:
@@ -91,11 +88,6 @@ def is_prepared(spec: DataSpec, cache_dir: str | Path) -> bool:
     source = open_source(spec, cache_dir)
     folder = locate_cache(source, source.list_models(), cache_dir)
     return (folder / RECORD).exists()
-
-
-def _warn(data, source):
-    """Not of the cache: what a split is called must not depend on when it was read."""
-    return data._replace(warnings=tuple(source.list_warnings()))
 
 
 def locate_cache(
@@ -110,7 +102,7 @@ def locate_cache(
 def _describe(source, models):
     """Everything that determines the bytes, as JSON; the folder's place does not."""
     fields = vars(source.spec).items()
-    record = {k: v for k, v in fields if k not in PLACES and (v or k not in EXTRAS)}
+    record = {name: value for name, value in fields if name not in PLACES}
     record["version"] = VERSION
     record["sources"] = [[m.name, m.seed, m.copy, m.digest] for m in models]
     record["sidecars"] = source.list_sidecars()
@@ -118,8 +110,12 @@ def _describe(source, models):
 
 
 def _prepare(folder, source, models, share, processes, *, progress):
-    plan = plan_shards(source, models)
-    missing = [n for n in range(len(plan)) if not _is_whole(folder, plan, n)]
+    plan = workers.plan_shards(source, models)
+    missing = [
+        number
+        for number, indices in enumerate(plan)
+        if not workers.is_whole(folder, indices, number)
+    ]
     if not missing:
         return
     count = sum(len(plan[number]) for number in missing)
@@ -132,13 +128,11 @@ def _prepare(folder, source, models, share, processes, *, progress):
             f"Expected {needed / 1e9:.1f} GB free for {folder}, but there are "
             f"{free / 1e9:.1f}; free some or set another data.cache_dir."
         )
-    part, parts = share
-    first = len(missing) * part // parts
     results = workers.write_together(
         folder,
         source,
         models,
-        missing[first:] + missing[:first],
+        workers.rotate(missing, *share),
         processes=processes or _count_cores(),
     )
     label = f"{source.work} {source.spec.split} {source.spec.category}"
@@ -147,18 +141,9 @@ def _prepare(folder, source, models, share, processes, *, progress):
             pass
 
 
-def _is_whole(folder, plan, number):
-    """Whether a shard is there, undamaged and of these models; tells what is wrong."""
-    damage = find_damage(folder, plan[number], number)
-    if damage:
-        path = folder / name_shard(number)
-        print(f"The shard {path} is damaged ({damage}) and will be made again.")
-    return damage == ""
-
-
 def _finish(folder, source, models, record, *, progress):
-    plan = plan_shards(source, models)
-    paths = [folder / name_shard(number) for number in range(len(plan))]
+    plan = workers.plan_shards(source, models)
+    paths = [workers.locate_shard(folder, number) for number in range(len(plan))]
     parts = [shards.map_shard(path).record for path in paths]
     names, skipped, remarks = (
         [item for part in parts for item in part[key]]
@@ -184,7 +169,6 @@ def _finish(folder, source, models, record, *, progress):
 
 
 def _show_pairs(pairs):
-    """Names and what is said of them, as text that can be shown."""
     return tuple((show_text(name), show_text(text)) for name, text in pairs)
 
 
@@ -193,8 +177,8 @@ def _tell(title, pairs, count):
         print(f"{title} {len(pairs)} of {count} models:")
         for name, text in pairs[:SHOWN]:
             print(f"  {name}: {text}")
-        if len(pairs) > SHOWN:
-            print(f"  and {len(pairs) - SHOWN} more; spec.json lists all")
+    if len(pairs) > SHOWN:
+        print(f"  and {len(pairs) - SHOWN} more; spec.json lists all")
 
 
 def _count_cores():
@@ -234,9 +218,9 @@ def read_cache(folder: str | Path) -> DataSet:
     # zlib lets other threads run
     with concurrent.futures.ThreadPoolExecutor(_count_cores()) as pool:
         parts = [part for part in pool.map(check, record["shards"]) if part.arrays]
-    pages = shards.Pages([part.mapping for part in parts])
+    pages = Pages([part.mapping for part in parts])
     arrays = {}
-    for name in (*ARRAYS, SEEN, *CAMERAS, *CORNERS):
+    for name in ROWS:
         have = [name in part.arrays for part in parts]
         if any(have) != all(have):
             raise ValueError(
@@ -252,7 +236,7 @@ def read_cache(folder: str | Path) -> DataSet:
                     f"Expected as many rows of {name} in {folder} as its shards say, "
                     "but there are others; delete the folder."
                 )
-            arrays[name] = shards.Stack(pieces, counts, pages)
+            arrays[name] = Stack(pieces, counts, pages)
     return DataSet(
         **arrays,
         names=tuple(map(show_text, record["names"])),

@@ -26,27 +26,8 @@ PLAIN = np.array([170, 170, 170, 255], dtype=np.uint8)  # where a file has no co
 
 def find_meshes(folder: Path) -> list[Path]:
     """Mesh files below a folder, at any depth, sorted by path."""
-    if not folder.is_dir():
-        raise ValueError(
-            f"Expected a folder of mesh files, but {folder} is not a folder; check it."
-        )
-    paths = sorted(_iterate_meshes(folder))
-    if not paths:
-        raise ValueError(
-            f"Expected mesh files ({', '.join(SUFFIXES)}) in {folder}, but found none; "
-            "give another folder or convert the files."
-        )
-    return paths
-
-
-def holds_meshes(folder: Path) -> bool:
-    """Whether there is a mesh file below a folder."""
-    return any(True for _ in _iterate_meshes(folder))
-
-
-def _iterate_meshes(folder):
     found = (path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
-    return (path for path in found if path.is_file())
+    return sorted(path for path in found if path.is_file())
 
 
 def read_mesh(path: str | Path) -> trimesh.Trimesh:
@@ -117,9 +98,8 @@ def is_readable(path: Path) -> bool:
 def find_beside(mesh: Path, name: str) -> Path | None:
     """A file that a mesh file names, or None: a stranger's file may name anything.
 
-    It is looked for where it is said to be, and by its name beside the mesh. Nothing is
-    found outside of the mesh's folder and the one above, where ShapeNet keeps textures,
-    and nothing but regular files.
+    Regular files of the mesh's folder and the one above, where ShapeNet keeps textures,
+    are looked for where they are said to be, and by name beside the mesh.
     """
     name = name.strip().replace("\\", "/")
     # A mesh that is a link may have its textures beside the file that it stands for.

@@ -4,15 +4,19 @@ A new kind is a module in `dpc_jax/data/sets` with a subclass of `Source`, and a
 `KINDS` of `dpc_jax/data/spec.py`.
 """
 
-import abc
+import functools
 import importlib
+import json
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
+from dpc_jax import files
+from dpc_jax.data import splits
 from dpc_jax.data.spec import FEW, KINDS, SEEDS_PER_SPLIT, DataSpec
 from dpc_jax.data.splits import SPLITS
+from dpc_jax.outputs import show_text
 
-PROCEDURAL = "procedural_shapes.ProceduralShapes"  # where a specification has no folder
+PROCEDURAL = "mesh_folder.ProceduralShapes"  # where a specification has no folder
 
 
 class Model(NamedTuple):
@@ -32,15 +36,12 @@ class Model(NamedTuple):
     views: int
 
 
-class Source(Protocol):
-    """A kind of data set, opened from its specification.
+class Source:
+    """A kind of data set; folders are read when something is asked that needs them.
 
-    Opening is cheap: folders are read when something is asked that needs them, because
-    every render process opens the source again.
+    cache_dir: where what was found out may be kept.
     """
 
-    spec: DataSpec
-    cache_dir: str | Path | None  # where what was found out may be kept
     unit = "object"  # what its models are called in messages
     work = "Reading"  # what is done to make their arrays, likewise
     is_stretchable = False  # whether copies of its models can be stretched
@@ -48,11 +49,7 @@ class Source(Protocol):
     def __init__(self, spec: DataSpec, cache_dir: str | Path | None = None):
         self.spec = spec
         self.cache_dir = cache_dir
-
-    @property
-    def folder(self) -> Path:
-        """The folder of the specification."""
-        return Path(str(self.spec.folder))
+        self.folder = Path(str(spec.folder))
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
@@ -64,15 +61,14 @@ class Source(Protocol):
         """Fields of a `DataSpec` for somebody who only wants to look at a folder."""
         return {"category": category or "object"}
 
-    @abc.abstractmethod
     def list_models(self) -> list[Model]:
         """All models of the split, in order.
 
         Raises:
           ValueError: if there are none, naming the folder.
         """
+        raise NotImplementedError
 
-    @abc.abstractmethod
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
         """Arrays of one model by name, and remarks on what it lacks.
 
@@ -83,6 +79,7 @@ class Source(Protocol):
         Raises:
           ValueError: naming the file, if the model cannot be used.
         """
+        raise NotImplementedError
 
     def estimate_bytes(self, model: Model) -> int:
         """Size of a model's arrays."""
@@ -106,6 +103,104 @@ class Source(Protocol):
 
     def write_split(self, cache: Path):
         """Write a split of our own beside a cache folder, so that it can be reused."""
+
+
+class Division(NamedTuple):
+    """Models by name, names by split, and the split file if one was read."""
+
+    models: dict[str, Path]
+    sides: dict[str, list[str]]
+    official: Path | None
+
+
+class SplitSource(Source):
+    """A folder of models, split by an official list if there is one, or by seed."""
+
+    synset = ""  # eight digits of the category in official splits
+
+    def find_models(self) -> dict[str, Path]:
+        """Models that are there: `{name: path}`, in order."""
+        raise NotImplementedError
+
+    def identify_model(self, name: str, path: Path) -> tuple[int, str]:
+        """(number of views, digest) of a model."""
+        raise NotImplementedError
+
+    def expect_model(self, name: str) -> Path:
+        """Where a model that an official split names should lie."""
+        return self.folder / name
+
+    def find_split_file(self) -> Path | None:
+        """The official split, given or found."""
+        return Path(self.spec.split_file) if self.spec.split_file else None
+
+    def split_by_seed(self, names: list[str]) -> dict[str, list[str]]:
+        """A split of our own: `{split: names}`."""
+        spec = self.spec
+        sides = splits.split_files(
+            names, fractions=spec.fractions, seed=spec.seed, fold=spec.fold
+        )
+        return dict(zip(SPLITS, sides, strict=True))
+
+    @functools.cached_property
+    def division(self) -> Division:
+        """Models and splits, read when first asked for."""
+        found = self.find_models()
+        models = {show_text(name): path for name, path in found.items()}
+        if len(models) < len(found):
+            raise ValueError(
+                f"Expected names in {self.folder} that differ when they are shown, but "
+                "some differ in characters that cannot be shown alone; rename them."
+            )
+        official = self.find_split_file()
+        if official is None:
+            return Division(models, self.split_by_seed(list(models)), None)
+        if self.spec.fold is not None:
+            raise ValueError(
+                f"data.fold must be '' where an official split is used, but {official} "
+                "is one; leave data.fold out."
+            )
+        sides = splits.read_split(official, self.synset)
+        listed = set().union(*sides.values())
+        if not listed & models.keys():
+            raise ValueError(
+                f"Expected {official} to name models of {self.folder}, but none of its "
+                f"{len(listed)} is there; give the split file of this set."
+            )
+        # listed all the same, so that they are counted as damaged
+        missing = {name: self.expect_model(name) for name in listed - models.keys()}
+        return Division(models | missing, sides, official)
+
+    def list_models(self) -> list[Model]:
+        division, spec = self.division, self.spec
+        names = division.sides[spec.split]
+        if not names:
+            raise ValueError(
+                f"Expected models for the {spec.split} split of {spec.folder}, but "
+                f"there are none among its {len(division.models)}; add models or "
+                "change the split."
+            )
+        models = []
+        for name in names:
+            path = division.models[name]
+            views, digest = self.identify_model(name, path)
+            models.append(Model(name, str(path), 0, 0, digest, views))
+        return complete(models, spec)
+
+    def list_remarks(self) -> list[tuple[str, str]]:
+        models, sides, official = self.division
+        unlisted = len(models.keys() - set().union(*sides.values()))
+        if official is None or not unlisted:
+            return []
+        return [(str(official), f"leaves out {unlisted} models of the folder")]
+
+    def write_split(self, cache: Path):
+        """Write a seeded split as CATEGORY-split-KEY.csv beside a cache folder."""
+        if self.division.official is None:
+            sides = self.division.sides
+            key = files.digest_text(json.dumps(sides, sort_keys=True))[:12]
+            path = cache.with_name(f"{self.spec.category}-split-{key}.csv")
+            splits.write_split(path, sides, self.synset)
 
 
 def find_kind(kind: str | None) -> type[Source]:
@@ -140,10 +235,7 @@ def list_procedural(spec: DataSpec, count: int) -> list[Model]:
 
 
 def complete(models: list[Model], spec: DataSpec) -> list[Model]:
-    """Models of files, then their stretched copies, then procedural shapes.
-
-    At most `spec.models` of them.
-    """
+    """Models of files, stretched copies, procedural shapes: at most `spec.models`."""
     count = spec.copies or max(1, round(FEW / len(models)))
     copies = [
         model._replace(name=f"{model.name}#{copy}", copy=copy)

@@ -46,9 +46,7 @@ class DataSpec:
     extent: float = 1.0  # of the image plane
     supersample: int = 4  # rays per pixel along each axis
     surface_points: int = Data.surface_points  # ground truth per model, before thinning
-    surface_voxel: float = (
-        Data.surface_voxel
-    )  # one point is kept per voxel of this side; 0 for all
+    surface_voxel: float = Data.surface_voxel  # one point per voxel this wide; 0: all
     surface_seen: bool = False  # also which points can be seen from outside
     kind: str = "meshes"  # of the folder, one of `KINDS`
     split_file: str | None = None  # official split; None: looked for in the folder
@@ -77,29 +75,32 @@ class DataSpec:
 
     def _check_ranges(self):
         low, high = self.elevation
-        angles = "(low, high) with -90 < low <= high < 90 degrees"
+        index, count = self.fold or (0, 2)
         models = 1 if self.models is None else self.models  # None stands for all
-        counts = ("views", "image_size", "supersample", "surface_points")
-        ranges = [(name, getattr(self, name) >= 1, "at least 1") for name in counts]
-        if self.fold is not None:
-            (index, count), right = self.fold, "(i, n) with 0 <= i < n and n above 1"
-            ranges.append(("fold", 0 <= index < count and count > 1, right))
-        ranges += [
-            ("copies", self.copies >= 0, "at least 0"),
-            ("mix", self.mix >= -1, "at least -1"),
-            ("seed", self.seed >= 0, "at least 0"),
-            ("fill", 0.1 <= self.fill <= 1, "in [0.1, 1]"),
-            ("surface_voxel", 0 <= self.surface_voxel < 1, "in [0, 1)"),
-            ("focal_length", self.focal_length > 0, "above 0"),
-            ("offset", 0 <= self.offset < 0.5, "in [0, 0.5)"),
-            ("focal_spread", 0 <= self.focal_spread < 1, "in [0, 1)"),
-            ("extent", self.extent > 0, "above 0"),
+        ranges = {
+            "views": (self.views >= 1, "at least 1"),
+            "image_size": (self.image_size >= 1, "at least 1"),
+            "supersample": (self.supersample >= 1, "at least 1"),
+            "surface_points": (self.surface_points >= 1, "at least 1"),
+            "fold": (0 <= index < count > 1, "(i, n) with 0 <= i < n and n above 1"),
+            "copies": (self.copies >= 0, "at least 0"),
+            "mix": (self.mix >= -1, "at least -1"),
+            "seed": (self.seed >= 0, "at least 0"),
+            "fill": (0.1 <= self.fill <= 1, "in [0.1, 1]"),
+            "surface_voxel": (0 <= self.surface_voxel < 1, "in [0, 1)"),
+            "focal_length": (self.focal_length > 0, "above 0"),
+            "offset": (0 <= self.offset < 0.5, "in [0, 0.5)"),
+            "focal_spread": (0 <= self.focal_spread < 1, "in [0, 1)"),
+            "extent": (self.extent > 0, "above 0"),
             # the object reaches 0.5 from its centre
-            ("distance", self.distance > 0.5, "above 0.5, outside of the object"),
-            ("elevation", -90 < low <= high < 90, angles),
-            ("models", 1 <= models <= SEEDS_PER_SPLIT, f"in [1, {SEEDS_PER_SPLIT}]"),
-        ]
-        for name, is_right, expected in ranges:
+            "distance": (self.distance > 0.5, "above 0.5, outside of the object"),
+            "elevation": (
+                -90 < low <= high < 90,
+                "(low, high) with -90 < low <= high < 90 degrees",
+            ),
+            "models": (1 <= models <= SEEDS_PER_SPLIT, f"in [1, {SEEDS_PER_SPLIT}]"),
+        }
+        for name, (is_right, expected) in ranges.items():
             if not is_right:
                 raise ValueError(
                     f"{name} must be {expected}, but it is {getattr(self, name)}; "

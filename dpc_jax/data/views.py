@@ -153,13 +153,8 @@ def render_view(
     `supersample` rays per pixel are cast along each image axis.
 
     Raises:
-      ValueError: if the mesh has no faces, or a size is not positive.
+      ValueError: if the mesh has no faces.
     """
-    if image_size < 1 or supersample < 1:
-        raise ValueError(
-            "image_size and supersample must be at least 1, but they are "
-            f"{image_size} and {supersample}; ask for more pixels or rays."
-        )
     scene = build_scene(mesh) if isinstance(mesh, trimesh.Trimesh) else mesh
     rotation = np.asarray(rotation, dtype=np.float64)
     shift = np.asarray(translation, dtype=np.float64) + [0.0, 0.0, distance]

@@ -3,24 +3,26 @@
 import contextlib
 import json
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import trimesh
 from PIL import Image, ImageDraw
 
 from dpc_jax import files
-from dpc_jax.data import dataset
-from dpc_jax.data.look import contact_sheet, pose_conventions
+from dpc_jax.data import dataset, viewpoints, views
+from dpc_jax.data.look.checks import Lens, project_points, rotation_of
 from dpc_jax.data.sources import find_kind
 from dpc_jax.data.spec import KINDS, DataSpec
 
 TILE = 128  # pixels of a picture on the sheet
 VIEWS = 4  # of an object on the sheet
-NEAR, FAR = np.array([255.0, 220, 60]), np.array([20.0, 30, 120])  # colours of depth
+MESH_VIEWS = ((35, 20), (90, 5), (180, 10), (-60, 45))  # azimuth, elevation, degrees
 AXES = ((220, 0, 0), (0, 150, 0), (0, 60, 255))  # colours of front, left and up
 LISTED = 5  # skipped models that are named
+LINE, GAP = 12, 6  # pixels of a line of text, and between pictures
 
 
 class OpenSet(NamedTuple):
@@ -28,7 +30,7 @@ class OpenSet(NamedTuple):
 
     name: str
     data: dataset.DataSet
-    lens: pose_conventions.Lens
+    lens: Lens
     record: dict[str, Any]
     note: str
 
@@ -75,7 +77,7 @@ def open_set(
     with tempfile.TemporaryDirectory() as place:
         dataset.load_or_render(spec, cache_dir=place)
         (cache,) = list_caches(place)
-        note = f"prepared from {path} ({spec.kind}) to be looked at"
+        note = f"prepared from {path} ({kind}) to be looked at"
         if models is not None:
             note += f", at most {models} models"
         yield _read_set(cache, path.name, note)
@@ -86,9 +88,7 @@ def _read_set(cache, name, note):
     try:
         data = dataset.read_cache(cache)
         record = files.read_json(cache / dataset.RECORD)
-        lens = pose_conventions.Lens(
-            *(record[field] for field in pose_conventions.Lens._fields)
-        )
+        lens = Lens(*(record[field] for field in Lens._fields))
     except damages as error:
         raise ValueError(
             f"Expected the record of a set in {cache / dataset.RECORD}, but it is "
@@ -110,16 +110,15 @@ def _guess_kind(path):
 def describe_set(opened: OpenSet) -> list[str]:
     """Lines that say what a set holds."""
     data, record = opened.data, opened.record
-    counts = np.asarray(data.counts)
-    low, high = counts.min(), counts.max()
     size = data.images.shape[-2]
-    present = [name for name in dataset.ARRAYS if getattr(data, name) is not None]
+    present = [name for name in dataset.ROWS if getattr(data, name) is not None]
     # All models of a folder are looked at: there is no split yet.
     split = "" if opened.note else f"{record['split']} split, "
+    counts = sorted({int(min(data.counts)), int(max(data.counts))})
     lines = [
         f"{opened.name}: {len(data.names)} {record['category']} models, {split}"
-        f"{int(counts.sum())} views of {size} x {size} pixels",
-        "  views per model: " + " to ".join(map(str, sorted({low, high}))),
+        f"{int(sum(data.counts))} views of {size} x {size} pixels",
+        "  views per model: " + " to ".join(map(str, counts)),
         f"  arrays: {', '.join(present)}",
     ]
     if opened.note:
@@ -132,10 +131,9 @@ def describe_set(opened: OpenSet) -> list[str]:
         angles = np.stack(_read_angles(rows), axis=1)
         angles = angles[np.isfinite(angles).all(axis=1)]
         if len(angles):
-            low, high = angles[:, 1].min(), angles[:, 1].max()
             lines.append(
-                f"  elevation {low:.0f} to {high:.0f} degrees, "
-                f"roll up to {np.abs(angles[:, 2]).max():.0f}"
+                f"  elevation {angles[:, 1].min():.0f} to {angles[:, 1].max():.0f} "
+                f"degrees, roll up to {np.abs(angles[:, 2]).max():.0f}"
             )
     for title, pairs in (("skipped", data.skipped), ("remarks on", data.remarks)):
         if pairs:
@@ -150,8 +148,7 @@ def _read_angles(quaternions):
     Azimuth is counted from the object's front to its left, elevation upwards, and roll
     is by how much the image is turned clockwise from upright.
     """
-    rotation = pose_conventions.rotation_of(quaternions)
-    right, down, forward = np.moveaxis(rotation, (-2, -1), (0, 1))
+    right, down, forward = np.moveaxis(rotation_of(quaternions), (-2, -1), (0, 1))
     azimuth = np.arctan2(-forward[1], -forward[0])
     elevation = np.arcsin(np.clip(-forward[2], -1.0, 1.0))
     roll = np.arctan2(right[2], -down[2])
@@ -176,7 +173,7 @@ def draw_set(opened: OpenSet, *, models: int = 8) -> Image.Image:
             else:
                 pictures.append(np.full_like(pictures[-1], 255))
                 texts.append("")
-    return contact_sheet.arrange(pictures, texts, columns=columns)
+    return _arrange(pictures, texts, columns=columns)
 
 
 def _name_view(data, model, view):
@@ -190,35 +187,67 @@ def _name_view(data, model, view):
 
 def _draw_view(opened, model, view):
     """Image with axes, mask and depth side by side, uint8 [TILE, n TILE, 3]."""
-    data = opened.data
-    image = _scale(Image.fromarray(np.asarray(data.images[model][view])))
+    data, lens = opened.data, opened.lens
+    image = _scale(data.images[model][view])
     if data.quaternions is not None:
-        _draw_axes(image, data.quaternions[model][view], opened.lens)
+        _draw_axes(image, data.quaternions[model][view], lens)
     mask = np.asarray(data.masks[model][view])
-    tiles = [image, _scale(Image.fromarray(255 - mask).convert("RGB"))]
-    if data.depths is not None:
+    tiles = [image, _scale(255 - mask)]
+    if data.depths is not None:  # the nearer, the darker
         depth = np.asarray(data.depths[model][view], dtype=np.float64)
-        share = np.clip(np.nan_to_num(depth) - opened.lens.distance + 0.5, 0.0, 1.0)
-        colors = NEAR + (FAR - NEAR) * share[..., None]
-        colors[(mask == 0) & (depth == 0)] = 255
-        colors[~np.isfinite(depth)] = (255, 0, 255)
-        tiles.append(_scale(Image.fromarray(colors.astype(np.uint8))))
+        share = np.clip(np.nan_to_num(depth) - lens.distance + 0.5, 0.0, 1.0)
+        shade = np.where((mask == 0) & (depth == 0), 255, 40 + 180 * share)
+        tiles.append(_scale(shade.astype(np.uint8)))
     return np.concatenate([np.asarray(tile) for tile in tiles], axis=1)
 
 
-def _scale(picture):
+def _scale(pixels):
+    picture = Image.fromarray(np.asarray(pixels)).convert("RGB")
     smaller = picture.width > TILE
     way = Image.Resampling.BOX if smaller else Image.Resampling.NEAREST
     return picture.resize((TILE, TILE), way)
 
 
 def _draw_axes(picture, quaternion, lens):
-    rotation = pose_conventions.rotation_of(quaternion)
+    rotation = rotation_of(quaternion)
     if not np.isfinite(rotation).all():
         return
     ends = np.concatenate([np.zeros((1, 3)), 0.5 * np.eye(3)])
-    places, _ = pose_conventions.project_points(ends, rotation[None], lens)
-    pen = ImageDraw.Draw(picture)
-    middle, *tips = (tuple(place * TILE) for place in places[0])
+    places = project_points(ends, rotation[None], lens)[0]
+    middle, *tips = (tuple(place * TILE) for place in places)
     for tip, color in zip(tips, AXES, strict=True):
-        pen.line([middle, tip], fill=color, width=2)
+        ImageDraw.Draw(picture).line([middle, tip], fill=color, width=2)
+
+
+def draw_meshes(
+    meshes: Iterable[trimesh.Trimesh], texts: Sequence[str], *, size: int
+) -> Image.Image:
+    """Sheet of normalised meshes, three in a row, with a line of text under each.
+
+    Each is seen from four sides: half front, left, rear, above the right.
+    """
+    lights = views.Lights(
+        np.array([[0.3, 0.4, 0.86], [0.6, -0.7, 0.4]]), np.array([0.45, 0.2]), 0.35
+    )
+    strips = []
+    for mesh in meshes:
+        scene = views.build_scene(mesh)
+        turns = [viewpoints.look_at_rotation(*np.deg2rad(a)) for a in MESH_VIEWS]
+        options: dict[str, Any] = dict(lights=lights, image_size=size, supersample=3)
+        seen = [views.render_view(scene, turn, **options).image for turn in turns]
+        strips.append(np.concatenate(seen, axis=1))
+    return _arrange(strips, texts, columns=3)
+
+
+def _arrange(pictures, texts, *, columns):
+    """Pictures uint8 [H, W, 3] of one size in a grid, a line of text under each."""
+    height, width = pictures[0].shape[:2]
+    rows = -(-len(pictures) // columns)
+    size = columns * (width + GAP), rows * (height + LINE + GAP)
+    sheet = Image.new("RGB", size, "white")
+    pen = ImageDraw.Draw(sheet)
+    for i, (picture, text) in enumerate(zip(pictures, texts, strict=True)):
+        x, y = i % columns * (width + GAP), i // columns * (height + LINE + GAP)
+        sheet.paste(Image.fromarray(picture), (x, y))
+        pen.text((x + 2, y + height), text[: width // 6], fill="black")
+    return sheet

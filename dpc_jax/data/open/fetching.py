@@ -6,7 +6,6 @@ with licence and origin, and `families.json`, which keeps the variants of a desi
 one side of a split. `models.json` lists all models and is written last.
 """
 
-import contextlib
 import importlib
 import json
 import os
@@ -17,9 +16,9 @@ from pathlib import Path
 
 from dpc_jax import files
 from dpc_jax.data import meshes
-from dpc_jax.data.look import contact_sheet
-from dpc_jax.data.open import RECIPES, debian
-from dpc_jax.data.progress import follow
+from dpc_jax.data.look import overview
+from dpc_jax.data.open import RECIPES, packages
+from dpc_jax.data.workers import follow
 from dpc_jax.shapes.normalization import normalize
 
 VERSION = 1  # raise it when a converted mesh changes
@@ -45,11 +44,16 @@ def fetch_category(category: str, out: str | Path, *, progress: bool = True) -> 
             "choose one of them."
         )
     out = Path(out)
-    folder, packages = out / category, out / "packages"
-    packages.mkdir(parents=True, exist_ok=True)
-    with _lock(packages):
+    folder, place = out / category, out / "packages"
+    place.mkdir(parents=True, exist_ok=True)
+    with files.claiming(place / "fetching") as is_ours:
+        if not is_ours:
+            raise RuntimeError(
+                f"Expected to be alone in {out}, but another process is fetching into "
+                "it; wait for it to end, or give another folder."
+            )
         if not _is_complete(folder):
-            _make_folder(category, folder, packages, progress=progress)
+            _make_folder(category, folder, place, progress=progress)
         if progress:
             print(_describe_folder(folder))
     return folder
@@ -67,31 +71,13 @@ def _describe_folder(folder):
     return "\n".join([*lines, f"{folder}/sheet.png shows them"])
 
 
-@contextlib.contextmanager
-def _lock(packages):
-    try:
-        import fcntl
-    except ImportError:  # only on systems that have no apt either
-        yield
-        return
-    with open(packages / "lock", "w", opener=files.open_own) as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise RuntimeError(
-                f"Expected to be alone in {packages.parent}, but another process is "
-                "fetching into it; wait for it to end, or give another folder."
-            ) from None
-        yield
-
-
-def _make_folder(category, folder, packages, *, progress):
+def _make_folder(category, folder, place, *, progress):
     models, versions = [], {}
     for name in RECIPES[category]:
         module = importlib.import_module(f"dpc_jax.data.open.{name}")
-        path = debian.fetch_package(module.PACKAGE, packages)
-        root = debian.unpack_package(path, packages / module.PACKAGE)
-        versions[module.PACKAGE] = debian.read_version(path)
+        path = packages.fetch_package(module.PACKAGE, place)
+        root = packages.unpack_package(path, place / module.PACKAGE)
+        versions[module.PACKAGE] = path.stem.split("_")[1].replace("%3a", ":")
         found = _list_models(module, root, category, path)
         models += [(module, model) for model in found]
     folder.mkdir(exist_ok=True)
@@ -130,14 +116,15 @@ def _make_folder(category, folder, packages, *, progress):
     made = {"version": VERSION, "packages": versions, "models": records}
     files.write_json(folder / "models.json", made | {"skipped": skipped})
     for package in versions:
-        shutil.rmtree(packages / package)
+        shutil.rmtree(place / package)
 
 
 def _list_models(module, root, category, path):
+    found, reason = [], "it holds no models"
     try:
-        found, reason = module.list_models(root, category), "it holds no models"
+        found = module.list_models(root, category)
     except (OSError, KeyError, zipfile.BadZipFile) as error:
-        found, reason = [], error
+        reason = error
     if not found:
         raise RuntimeError(
             f"Expected the models of {module.PACKAGE} in {path}, but they are missing "
@@ -206,6 +193,6 @@ def _draw_sheet(folder, records):
         other = "" if family == Path(name).stem else f"  ({family})"
         texts.append(f"{name.removesuffix('.ply')}{other}")
     drawn = (meshes.read_mesh(folder / name) for name in names)
-    sheet = contact_sheet.draw_models(drawn, texts, size=SHEET_VIEW)
+    sheet = overview.draw_meshes(drawn, texts, size=SHEET_VIEW)
     with files.replacing(folder / "sheet.png") as partial:
         sheet.save(partial, format="png")

@@ -3,11 +3,10 @@
 import re
 from pathlib import Path
 
-import numpy as np
 import trimesh
 
 from dpc_jax.data.open import ac3d
-from dpc_jax.data.open.package_models import OpenModel
+from dpc_jax.data.open.packages import OpenModel, move_vertices
 
 PACKAGE = "flightgear-data-ai"
 EXTRAS = ("refueling", "lights", "light", "Lights")  # folders of parts, not planes
@@ -67,10 +66,8 @@ def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
             f"Expected an airplane in {path}, but found only discs and lights; "
             "leave it out."
         )
-    mesh = ac3d.join_parts(parts)
     # nose -x, y up
-    mesh.vertices = np.asarray(mesh.vertices)[:, [0, 2, 1]] * (-1.0, 1.0, 1.0)
-    return mesh
+    return move_vertices(ac3d.join_parts(parts), (0, 2, 1), (-1.0, 1.0, 1.0))
 
 
 def _is_motion(part):

@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 
 from dpc_jax.data import meshes
-from dpc_jax.data.open.package_models import OpenModel, extract_model
+from dpc_jax.data.open.packages import OpenModel, extract_model
 from dpc_jax.shapes.normalization import replace_vertices
 
 PACKAGE = "sweethome3d-furniture"

@@ -13,7 +13,7 @@ import trimesh
 
 from dpc_jax.data import meshes
 from dpc_jax.data.open import ac3d
-from dpc_jax.data.open.package_models import OpenModel, join_meshes
+from dpc_jax.data.open.packages import OpenModel, join_meshes, move_vertices
 from dpc_jax.files import describe_error
 
 PACKAGE = "torcs-data"
@@ -58,8 +58,8 @@ def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
         general = _read_parameters(game / f"categories/{own['Car/category']}.xml")
     values = {**general, **own}
     wheel = values.get("Graphic Objects/3d wheel directory", WHEEL)
-    wheel = _turn(ac3d.join_parts(ac3d.read_parts(game / f"wheels/{wheel}/wheel0.acc")))
-    pieces = [_turn(ac3d.join_parts(ac3d.read_parts(path)))]
+    wheel = _read_turned(game / f"wheels/{wheel}/wheel0.acc")
+    pieces = [_read_turned(path)]
     try:
         pieces += [
             _place_wheel(wheel, values, f"{end} {side} Wheel", f"{end} Axle")
@@ -74,10 +74,10 @@ def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
     return join_meshes(pieces)
 
 
-def _turn(mesh):
-    """A mesh with x forward and y up in the canonical frame."""
-    mesh.vertices = np.asarray(mesh.vertices)[:, [0, 2, 1]] * (1.0, -1.0, 1.0)
-    return mesh
+def _read_turned(path):
+    """A mesh, which has x forward and y up in its file, in the canonical frame."""
+    mesh = ac3d.join_parts(ac3d.read_parts(path))
+    return move_vertices(mesh, (0, 2, 1), (1.0, -1.0, 1.0))
 
 
 def _place_wheel(wheel, values, name, axle):
@@ -90,9 +90,7 @@ def _place_wheel(wheel, values, name, axle):
     left = values[f"{name}/ypos"]
     place = (values[f"{axle}/xpos"], left, radius - values[f"{name}/ride height"])
     scale = (2 * radius, np.copysign(width, left), 2 * radius)
-    wheel = wheel.copy()
-    wheel.vertices = np.asarray(wheel.vertices) * scale + place
-    return wheel
+    return move_vertices(wheel.copy(), scale=scale, shift=place)
 
 
 def _read_parameters(path):

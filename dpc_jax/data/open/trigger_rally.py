@@ -12,7 +12,12 @@ import numpy as np
 import trimesh
 
 from dpc_jax.data import meshes
-from dpc_jax.data.open.package_models import OpenModel, extract_model, join_meshes
+from dpc_jax.data.open.packages import (
+    OpenModel,
+    extract_model,
+    join_meshes,
+    move_vertices,
+)
 
 PACKAGE = "trigger-rally-data"
 PAINT = "_wrc"
@@ -51,19 +56,14 @@ def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
             wheel = _read_scaled(path.parent / general.get("wheelmodel"), size * radius)
             # its outer side, +x in the file, is turned outwards
             sign = (np.copysign(1.0, place[0]), 1.0, 1.0)
-            wheel.vertices = np.asarray(wheel.vertices) * sign + place
-            pieces.append(wheel)
+            pieces.append(move_vertices(wheel, scale=sign, shift=place))
     except (xml.etree.ElementTree.ParseError, AttributeError, TypeError) as error:
         raise ValueError(
             f"Expected a vehicle in {path}, but it cannot be read ({error}); repair it."
         ) from error
-    mesh = join_meshes(pieces)
     # y forward, z up
-    mesh.vertices = np.asarray(mesh.vertices)[:, [1, 0, 2]] * (1.0, -1.0, 1.0)
-    return mesh
+    return move_vertices(join_meshes(pieces), (1, 0, 2), (1.0, -1.0, 1.0))
 
 
 def _read_scaled(path, scale):
-    mesh = meshes.read_mesh(path)
-    mesh.vertices = np.asarray(mesh.vertices) * scale
-    return mesh
+    return move_vertices(meshes.read_mesh(path), scale=scale)

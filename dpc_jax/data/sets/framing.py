@@ -6,13 +6,14 @@ scaled so that the object fills a share of it; where position and lens of the ca
 known, the image is turned as if the camera had looked straight at the object.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
 from scipy import ndimage
 
+from dpc_jax.data import viewpoints
 from dpc_jax.data.sets.pose_files import Pose
 from dpc_jax.data.spec import DataSpec
 
@@ -166,7 +167,29 @@ def _turn_to_axis(direction):
     return np.eye(3) + cross + cross @ cross / (1.0 + cosine)
 
 
-def cut_frame(
+def cut_frames(
+    views: Iterable[tuple[np.ndarray, np.ndarray]],
+    frames: Sequence[Frame],
+    spec: DataSpec,
+) -> dict[str, np.ndarray]:
+    """Images, masks and, where they are known, quaternions of an object's views.
+
+    views: (image, mask) of each, as of `_cut_frame`, one in memory at a time.
+    """
+    cut = [
+        _cut_frame(image, mask, frame, image_size=spec.image_size)
+        for (image, mask), frame in zip(views, frames, strict=True)
+    ]
+    pictures, masks = map(np.stack, zip(*cut, strict=True))
+    arrays = {"images": pictures, "masks": masks}
+    if frames[0].rotation is not None:
+        rotations = np.array([frame.rotation for frame in frames])
+        quaternions = viewpoints.matrix_to_quaternion(rotations)
+        arrays["quaternions"] = quaternions.astype(np.float32)
+    return arrays
+
+
+def _cut_frame(
     image: np.ndarray, mask: np.ndarray, frame: Frame, *, image_size: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Image and mask as the camera of a frame sees them, by supersampling.

@@ -5,18 +5,15 @@ folder that holds images itself, and no folders of them, has one object per imag
 """
 
 import contextlib
-import os
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from dpc_jax import files
-from dpc_jax.data import splits, viewpoints
-from dpc_jax.data.sets import framing, pose_files
-from dpc_jax.data.sets.pictures import SUFFIXES, read_picture
-from dpc_jax.data.sets.split_source import SplitSource
-from dpc_jax.data.sources import Model
+from dpc_jax.data import splits
+from dpc_jax.data.sets import framing, masks, pose_files
+from dpc_jax.data.sets.pictures import SUFFIXES, read_picture, to_colors
+from dpc_jax.data.sources import Model, SplitSource
 from dpc_jax.data.spec import DataSpec
 
 FEWEST_OBJECTS = 3  # that can be split
@@ -57,10 +54,10 @@ class ImageFolder(SplitSource):
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
         """See `SplitSource.identify_model`; it changes with any file of the object."""
         images = list_images(path)
-        masks = [mask for image in images if (mask := _find_mask(image)) is not None]
+        beside = [file for image in images if (file := masks.find_mask_file(image))]
         poses = pose_files.find_pose_files(path)
         facts = []
-        for file in [*images, *masks, *poses]:
+        for file in [*images, *beside, *poses]:
             place = str(file.relative_to(path.parent)) if path.is_dir() else ""
             status = file.stat() if file.is_file() else None
             facts.append(
@@ -157,82 +154,13 @@ def read_views(
         frames = framing.frame_views(list(outlines.values()), given, spec)
     except ValueError as error:
         raise ValueError(f"In the poses of {place}: {error}") from None
-    cut = [
-        framing.cut_frame(*_read_image(path), frame, image_size=spec.image_size)
-        for path, frame in zip(outlines, frames, strict=True)
-    ]
-    pictures, masks = map(np.stack, zip(*cut, strict=True))
-    arrays = {"images": pictures, "masks": masks}
-    if poses is not None:
-        rotations = np.array([frame.rotation for frame in frames])
-        quaternions = viewpoints.matrix_to_quaternion(rotations)
-        arrays["quaternions"] = quaternions.astype(np.float32)
+    arrays = framing.cut_frames(map(_read_image, outlines), frames, spec)
     return list(outlines), arrays, notes
-
-
-class NoMaskError(ValueError):
-    """An image has neither an alpha channel nor a mask beside it."""
 
 
 def _read_image(path):
     """Colours uint8 and mask float32 (0 to 1) of an image file, upright."""
     image = read_picture(path)
-    mask = read_mask(image, path)
-    check_mask(mask, str(_find_mask(path) or path))
-    return np.asarray(image.convert("RGBA").convert("RGB")), mask
-
-
-def check_mask(mask: np.ndarray, source: str) -> None:
-    """Refuse a mask of 0 to 1 that tells no object from its background.
-
-    Raises:
-      ValueError: for a mask that is above one half everywhere or nowhere.
-    """
-    covered, most = mask > 0.5, float(mask.max())
-    if covered.any() and not covered.all():
-        return
-    problem = "covers the whole image" if covered.any() else "is empty"
-    if 0 < most <= 0.5:
-        problem = (
-            f"is nowhere more than {100 * most:.0f} % opaque, and what is half opaque "
-            "or less is background"
-        )
-    raise ValueError(
-        f"Expected a mask of the object in {source}, but it {problem}; make it again."
-    )
-
-
-def read_mask(image: Image.Image, path: Path) -> np.ndarray:
-    """The mask float32 [height, width] of 0 to 1 of an upright image of a file.
-
-    Raises:
-      NoMaskError: where it has neither an alpha channel nor a mask file.
-      ValueError: where the mask file has another size or cannot be read.
-    """
-    beside = _find_mask(path)
-    if beside is not None:
-        mask = read_picture(beside)
-        if mask.mode.startswith("I"):  # 16 bits, which Pillow would cut off at 255
-            mask = Image.fromarray((np.asarray(mask) >> 8).astype(np.uint8))
-        mask = np.asarray(mask.convert("L"))
-        if mask.shape != image.size[::-1]:
-            raise ValueError(
-                f"Expected {beside} of the size of {path.name}, {image.size}, but it "
-                f"has {mask.shape[::-1]}; make it again."
-            )
-    elif image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info:
-        mask = np.asarray(image.convert("RGBA"))[..., 3]
-    else:
-        raise NoMaskError(
-            f"Expected an alpha channel in {path} or {path.stem}_mask.png beside it, "
-            "but found neither; add a mask."
-        )
-    return mask.astype(np.float32) / 255.0
-
-
-def _find_mask(path):
-    for suffix in (".png", *SUFFIXES):
-        mask = path.with_name(f"{path.stem}_mask{suffix}")
-        if os.path.isfile(mask):  # False for a name that is too long, too
-            return mask
-    return None
+    mask = masks.read_mask(image, path)
+    masks.check_mask(mask, str(masks.find_mask_file(path) or path))
+    return to_colors(image), mask

@@ -1,4 +1,4 @@
-"""Mesh files as a source: as they are, and in stretched copies."""
+"""Meshes as a source: files as they are and in stretched copies, procedural shapes."""
 
 import contextlib
 import json
@@ -10,9 +10,9 @@ import trimesh
 
 from dpc_jax import files
 from dpc_jax.data import meshes, splits
-from dpc_jax.data.rendering import RenderedSource
+from dpc_jax.data.rendering import render_mesh
 from dpc_jax.data.sets import pictures
-from dpc_jax.data.sources import Model, complete
+from dpc_jax.data.sources import Model, Source, complete, list_procedural
 from dpc_jax.data.spec import FEW
 from dpc_jax.shapes import procedural
 from dpc_jax.shapes.normalization import normalize
@@ -21,9 +21,11 @@ BARE = "names no materials, rendered grey"
 SIDECARS = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".webp")
 
 
-class MeshSource(RenderedSource):
-    """A source whose models are mesh files, however they are listed."""
+class MeshSource(Source):
+    """A source whose models are meshes, all rendered in the same way."""
 
+    unit = "mesh"
+    work = "Rendering"
     is_stretchable = True
 
     def find_turn(self, path: str) -> np.ndarray | None:
@@ -31,6 +33,7 @@ class MeshSource(RenderedSource):
         return None
 
     def make_mesh(self, model: Model) -> trimesh.Trimesh:
+        """The normalised mesh of a model."""
         if model.path is None:
             return procedural.make_shape(self.spec.category, model.seed)
         mesh = meshes.read_mesh(model.path)
@@ -43,12 +46,32 @@ class MeshSource(RenderedSource):
             mesh = meshes.scale_randomly(normalize(mesh), seed=seed)
         return normalize(mesh)
 
-    def describe_flaws(self, model: Model) -> list[str]:
-        is_obj = model.path is not None and model.path.lower().endswith(".obj")
-        if model.path is None or model.copy or not is_obj:
-            return []
-        flaw = describe_flaw(model.path)
-        return [flaw] if flaw else []
+    def describe_flaws(self, path: str) -> str | None:
+        """What a file lacks, though it can be rendered."""
+        return describe_flaw(path) if path.lower().endswith(".obj") else None
+
+    def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
+        arrays = render_mesh(self.make_mesh(model), self.spec, index)
+        empty = int((~arrays["masks"].any(axis=(1, 2))).sum())
+        if empty:
+            raise ValueError(
+                f"Expected the object of {model.path or model.name} in all of its "
+                f"{self.spec.views} views, but {empty} are empty; one of its "
+                "coordinates may lie far off: repair or remove it."
+            )
+        flaw = None
+        if model.path is not None and not model.copy:
+            flaw = self.describe_flaws(model.path)
+        return arrays, [flaw] if flaw else []
+
+
+class ProceduralShapes(MeshSource):
+    """Shapes of a category; no two splits or seeds share one."""
+
+    is_stretchable = False
+
+    def list_models(self) -> list[Model]:
+        return list_procedural(self.spec, self.spec.models or 0)
 
 
 class MeshFolder(MeshSource):
@@ -56,11 +79,21 @@ class MeshFolder(MeshSource):
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        return meshes.holds_meshes(folder)
+        return bool(meshes.find_meshes(folder))
 
     def list_models(self) -> list[Model]:
         spec, folder = self.spec, self.folder
+        if not folder.is_dir():
+            raise ValueError(
+                f"Expected a folder of mesh files, but {folder} is not a folder; check "
+                "it."
+            )
         paths = meshes.find_meshes(folder)
+        if not paths:
+            raise ValueError(
+                f"Expected mesh files ({', '.join(meshes.SUFFIXES)}) in {folder}, but "
+                "found none; give another folder or convert the files."
+            )
         digests = {path: _digest(path) for path in paths}
         bad = self._find_unreadable(digests)
         whole = [path for path in paths if path not in bad] or paths
@@ -118,9 +151,10 @@ class MeshFolder(MeshSource):
             if path.is_file()
         ]
 
-    def describe_flaws(self, model: Model) -> list[str]:
+    def describe_flaws(self, path: str) -> str | None:
+        flaw = super().describe_flaws(path)
         # an OBJ file without materials may have colours at its vertices
-        return [flaw for flaw in super().describe_flaws(model) if flaw != BARE]
+        return None if flaw == BARE else flaw
 
 
 def _digest(path: Path) -> str:

@@ -12,21 +12,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from PIL import Image, ImageOps, ImageSequence
 
-from dpc_jax.data.sets import framing, matting, plain_background, video
-from dpc_jax.data.sets.image_folder import (
-    NoMaskError,
-    check_mask,
-    find_images,
-    read_mask,
-)
-from dpc_jax.data.sets.pictures import SUFFIXES, open_picture
+from dpc_jax.data.sets import framing, masks
+from dpc_jax.data.sets.image_folder import find_images
+from dpc_jax.data.sets.pictures import SUFFIXES, has_alpha, read_frames, to_colors
 from dpc_jax.data.spec import DataSpec
 from dpc_jax.outputs import show_text
 
 MASKS = ("given", "auto", "matting")  # where masks come from
-_MOVING = ("GIF", "WEBP", "PNG", "TIFF")  # of JPEG others are thumbnails
 MOST_FRAMES = 24  # of a moving picture, in equal steps: a turn in steps of 15°
 
 
@@ -92,9 +85,9 @@ def read_photographs(
 def _choose_finder(mask: str) -> Callable | None:
     """What finds a mask in an image's colours; None where it has to be given."""
     if mask == "auto":
-        return plain_background.find_object
+        return masks.find_before_plain_background
     if mask == "matting":
-        return functools.partial(matting.find_object, session=matting.open_session())
+        return functools.partial(masks.find_by_network, session=masks.open_session())
     return None
 
 
@@ -130,7 +123,10 @@ def _expand(path: Path) -> list[tuple[str, list[Path]]]:
 def _read_file(path: Path, finder, skipped) -> list[tuple[str, np.ndarray, np.ndarray]]:
     """(source, colours, mask) of each frame that can be used; others are noted."""
     try:
-        frames = _open_frames(path)
+        if not path.is_file():
+            problem = "is no regular file" if path.exists() else "is not there"
+            raise ValueError(f"Expected an image file, but {path} {problem}; check it.")
+        frames = read_frames(path, MOST_FRAMES)
     except (OSError, ValueError) as error:
         skipped.append((show_text(path), show_text(error).rstrip(".")))
         return []
@@ -140,50 +136,26 @@ def _read_file(path: Path, finder, skipped) -> list[tuple[str, np.ndarray, np.nd
         source += f", frame {number + 1}" * (len(frames) > 1)
         try:
             mask = _find_mask(frame, path, finder, is_alone=len(frames) == 1)
-            check_mask(mask, source)
+            masks.check_mask(mask, source)
         except (OSError, ValueError) as error:
             sentence = show_text(error).rstrip(".")
             skipped.append((source, _name_source(sentence, source)))
             continue
-        colors = np.asarray(frame.convert("RGBA").convert("RGB"))
-        views.append((source, colors, mask))
+        views.append((source, to_colors(frame), mask))
     return views
-
-
-def _open_frames(path: Path) -> list[Image.Image]:
-    """The frames of a file, upright; of a moving picture or video `MOST_FRAMES`.
-
-    These are shrunk as they are read, to keep all of them.
-    """
-    if not path.is_file():
-        problem = "is no regular file" if path.exists() else "is not there"
-        raise ValueError(f"Expected an image file, but {path} {problem}; check it.")
-    if path.suffix.lower() in video.SUFFIXES:
-        return video.read_frames(path, MOST_FRAMES)
-    with open_picture(path) as image:
-        is_moving = image.format in _MOVING
-        count = getattr(image, "n_frames", 1) if is_moving else 1
-        if count == 1:
-            return [ImageOps.exif_transpose(image)]
-        chosen = {int(i * count / MOST_FRAMES) for i in range(MOST_FRAMES)}
-        return [
-            video.shrink(ImageOps.exif_transpose(frame))
-            for number, frame in enumerate(ImageSequence.Iterator(image))
-            if number in chosen and number < count
-        ]
 
 
 def _find_mask(frame, path: Path, finder, *, is_alone: bool) -> np.ndarray:
     if finder is None:
         try:
-            return read_mask(frame, path)
-        except NoMaskError as error:
+            return masks.read_mask(frame, path)
+        except masks.NoMaskError as error:
             advice = ", or take --mask=auto for an object before a plain background."
-            raise NoMaskError(str(error).rstrip(".") + advice) from None
+            raise masks.NoMaskError(str(error).rstrip(".") + advice) from None
     if is_alone:
-        with contextlib.suppress(NoMaskError):
-            return read_mask(frame, path)
-    elif frame.mode in ("RGBA", "LA", "PA") or "transparency" in frame.info:
+        with contextlib.suppress(masks.NoMaskError):
+            return masks.read_mask(frame, path)
+    elif has_alpha(frame):
         alpha = np.asarray(frame.convert("RGBA"))[..., 3]
         if alpha.min() < 128:  # a moving picture may have an alpha channel of no use
             return alpha.astype(np.float32) / 255.0
@@ -198,9 +170,6 @@ def _name_source(sentence: str, source: str) -> str:
 def _frame(name, views, spec: DataSpec) -> Photographs:
     outlines = [framing.trace_outline(mask > 0.5) for _, _, mask in views]
     frames = framing.frame_views(outlines, None, spec)
-    cut = [
-        framing.cut_frame(colors, mask, frame, image_size=spec.image_size)
-        for (_, colors, mask), frame in zip(views, frames, strict=True)
-    ]
-    images, masks = map(np.stack, zip(*cut, strict=True))
-    return Photographs(name, tuple(source for source, _, _ in views), images, masks)
+    arrays = framing.cut_frames((view[1:] for view in views), frames, spec)
+    sources = tuple(source for source, _, _ in views)
+    return Photographs(name, sources, arrays["images"], arrays["masks"])

@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from dpc_jax import files
-from dpc_jax.data import meshes
-from dpc_jax.data.sets import split_lists
+from dpc_jax.data import meshes, splits
 from dpc_jax.data.sets.mesh_folder import MeshSource
-from dpc_jax.data.sets.split_source import SplitSource
+from dpc_jax.data.sources import SplitSource
 from dpc_jax.data.splits import SPLITS
 
 SYNSETS = {"airplane": "02691156", "car": "02958343", "chair": "03001627"}
@@ -66,7 +65,7 @@ class SynsetSource(SplitSource):
 
     def find_split_file(self) -> Path | None:
         given = super().find_split_file()
-        return given or split_lists.find_split(self.folder, self.synset)
+        return given or splits.find_split(self.folder, self.synset)
 
     def expect_model(self, name: str) -> Path:
         return self.place / name
@@ -93,7 +92,7 @@ class ShapeNet(SynsetSource, MeshSource):
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        return super().recognizes(folder) and meshes.holds_meshes(folder)
+        return super().recognizes(folder) and bool(meshes.find_meshes(folder))
 
     def find_models(self) -> dict[str, Path]:
         place, models, whole = self.place, {}, 0

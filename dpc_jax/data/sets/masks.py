@@ -1,16 +1,22 @@
-"""The mask of an object before a plain background, found from the image alone.
+"""Masks of images: given in a file, or found before a plain background or by a network.
 
-The background may be noisy and lit unevenly: a smooth surface is fitted to the colours
-along the border, in CIELAB, where distances are about as large as they look. What
-differs from it by more than Otsu's threshold is the object.
+The network is one of the library rembg, an extra: `pip install "dpc_jax[masks]"`. Its
+weights have to be on the disk: nothing is downloaded here.
 """
 
+import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
 from scipy import ndimage
 
+from dpc_jax.data.sets.pictures import SUFFIXES, has_alpha, read_picture
+
+# Of general objects, the best first, whose weights are free to use.
+NETWORKS = ("birefnet-general", "isnet-general-use", "u2net", "silueta", "u2netp")
+WEIGHTS = "https://github.com/danielgatis/rembg/releases/tag/v0.0.0"
 _SIDE = 512  # longest, of the image that is looked at: a mask is smooth beyond that
 _BORDER = 0.03  # of the image's shorter side, that shows background on all sides
 _LEAST_CONTRAST = 8.0  # of object and background in CIELAB; 2 is just noticeable
@@ -31,15 +37,112 @@ _LEAST_SHARE = 0.9
 _MOST_TOUCHED = 0.05
 
 
-def find_object(colors: np.ndarray) -> np.ndarray:
+class NoMaskError(ValueError):
+    """An image has neither an alpha channel nor a mask beside it."""
+
+
+def check_mask(mask: np.ndarray, source: str) -> None:
+    """Refuse a mask of 0 to 1 that tells no object from its background.
+
+    Raises:
+      ValueError: for a mask that is above one half everywhere or nowhere.
+    """
+    covered, most = mask > 0.5, float(mask.max())
+    if covered.any() and not covered.all():
+        return
+    problem = "covers the whole image" if covered.any() else "is empty"
+    if 0 < most <= 0.5:
+        problem = (
+            f"is nowhere more than {100 * most:.0f} % opaque, and what is half opaque "
+            "or less is background"
+        )
+    raise ValueError(
+        f"Expected a mask of the object in {source}, but it {problem}; make it again."
+    )
+
+
+def read_mask(image: Image.Image, path: Path) -> np.ndarray:
+    """The mask float32 [height, width] of 0 to 1 of an upright image of a file.
+
+    Raises:
+      NoMaskError: where it has neither an alpha channel nor a mask file.
+      ValueError: where the mask file has another size or cannot be read.
+    """
+    beside = find_mask_file(path)
+    if beside is not None:
+        mask = read_picture(beside)
+        if mask.mode.startswith("I"):  # 16 bits, which Pillow would cut off at 255
+            mask = Image.fromarray((np.asarray(mask) >> 8).astype(np.uint8))
+        mask = np.asarray(mask.convert("L"))
+        if mask.shape != image.size[::-1]:
+            raise ValueError(
+                f"Expected {beside} of the size of {path.name}, {image.size}, but it "
+                f"has {mask.shape[::-1]}; make it again."
+            )
+    elif has_alpha(image):
+        mask = np.asarray(image.convert("RGBA"))[..., 3]
+    else:
+        raise NoMaskError(
+            f"Expected an alpha channel in {path} or {path.stem}_mask.png beside it, "
+            "but found neither; add a mask."
+        )
+    return mask.astype(np.float32) / 255.0
+
+
+def find_mask_file(path: Path) -> Path | None:
+    """The mask that lies beside an image."""
+    for suffix in (".png", *SUFFIXES):
+        mask = path.with_name(f"{path.stem}_mask{suffix}")
+        if os.path.isfile(mask):  # False for a name that is too long, too
+            return mask
+    return None
+
+
+def open_session() -> Any:
+    """A session of the best of NETWORKS whose weights are there.
+
+    Raises:
+      ValueError: where rembg is not installed, or none of the weights is on the disk.
+    """
+    try:
+        from rembg import new_session  # pyright: ignore
+        from rembg.sessions import sessions_class  # pyright: ignore
+    except ImportError as error:
+        raise ValueError(
+            "Expected the library rembg for --mask=matting, but it cannot be loaded "
+            f'({error}); install it with: pip install "dpc_jax[masks]".'
+        ) from None
+    known = {one.name(): one for one in sessions_class}
+    for name in (name for name in NETWORKS if name in known):
+        if known[name].resolve_existing(f"{name}.onnx") is not None:
+            return new_session(name)
+    place = known["u2net"].model_dir() if "u2net" in known else os.path.expanduser("~")
+    raise ValueError(
+        "Expected the weights of a matting network on this disk, but there are none "
+        f"and nothing is downloaded here; put u2net.onnx of {WEIGHTS} into {place}."
+    )
+
+
+def find_by_network(colors: np.ndarray, session: Any) -> np.ndarray:
+    """The mask as of `find_before_plain_background`, by a session of `open_session`."""
+    from rembg import remove  # pyright: ignore
+
+    mask = remove(Image.fromarray(colors), session=session, only_mask=True)
+    return np.asarray(mask.convert("L"), np.float32) / 255.0
+
+
+def find_before_plain_background(colors: np.ndarray) -> np.ndarray:
     """The mask float32 [height, width] of 0 to 1 of an object, in a uint8 image.
+
+    The background may be noisy and lit unevenly: a smooth surface is fitted to the
+    colours along the border, in CIELAB, where distances are about as large as they
+    look. What differs from it by more than Otsu's threshold is the object.
 
     Raises:
       ValueError: where the background is not plain, or nothing stands out from it; the
         sentence begins with "Expected a plain background".
     """
-    # Here: this library takes a while, and few commands need it.
-    from skimage import color, filters
+    from skimage import color, filters  # it takes a while, and few commands need it
 
     height, width = colors.shape[:2]
     ratio = min(1.0, _SIDE / max(height, width))
@@ -134,12 +237,9 @@ def _discount_shadows(smooth, background):
 
 
 def _keep_largest(away, threshold):
-    """The largest connected part above a threshold, without specks and false holes.
+    """The largest connected part above a threshold, and its share of all such parts.
 
-    A hole that shows the background stays open.
-
-    Returns:
-      The mask, and the share that the part has of all that is above the threshold.
+    Specks are closed; a hole that shows the background stays open.
     """
     mask = np.asarray(ndimage.binary_opening(away > threshold), bool)
     found: Any = ndimage.label(mask, np.ones((3, 3)))

@@ -1,16 +1,19 @@
-"""Looking before training: what a check finds in sets that were damaged on purpose."""
+"""Looking before training: what show and check say of whole and of damaged sets."""
+
+import json
 
 import numpy as np
 import pytest
+from data_trees import write_photos, write_renders
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from dpc_jax import outputs
 from dpc_jax.data import DataSpec, __main__, load_or_render, viewpoints
-from dpc_jax.data.look import inspection, overview, pose_conventions
+from dpc_jax.data.look import checks, overview
 from dpc_jax.shapes import procedural
 
-LENS = pose_conventions.Lens(focal_length=1.875, distance=2.0, extent=1.0)
+LENS = checks.Lens(focal_length=1.875, distance=2.0, extent=1.0)
 MODELS, VIEWS, SIZE = 5, 4, 48
 
 
@@ -40,7 +43,7 @@ def damage(data, name, index, value):
 
 
 def read_findings(data):
-    return [f"{f.level}: {f.text}" for f in inspection.check_set(data, LENS)]
+    return checks.check_set(data, LENS)
 
 
 def restate(data, change):
@@ -127,7 +130,7 @@ def test_a_whole_set_has_no_fault(whole):
 
 
 def test_all_conventions_have_a_test():
-    assert set(WRONG) == {convention.name for convention in pose_conventions.OTHERS}
+    assert set(WRONG) == set(checks.OTHERS)
 
 
 @pytest.mark.parametrize("name", WRONG)
@@ -175,19 +178,6 @@ def test_a_wrong_scale_is_told(whole):
     assert any("5 of 5 objects have surface points whose box" in f for f in findings)
 
 
-def test_depth_that_is_not_along_the_axis_is_told(whole):
-    axis = ((np.arange(SIZE) + 0.5) / SIZE - 0.5) / LENS.focal_length
-    stretch = np.sqrt(1 + axis**2 + axis[:, None] ** 2)
-    (finding,) = read_findings(whole._replace(depths=whole.depths * stretch))
-    assert "length of the ray" in finding
-    shifted = np.where(whole.depths > 0, whole.depths + 0.1, 0)
-    (finding,) = read_findings(whole._replace(depths=shifted))
-    assert "off by 0.1" in finding
-    middle = np.where(whole.depths > 0, whole.depths - 2.0, 0)
-    findings = read_findings(whole._replace(depths=middle))
-    assert any("counted from the object's middle" in text for text in findings)
-
-
 # what is damaged, how, and what is said of it; a mask that is gone fits no pose
 ROW = (1, 2)
 DAMAGES = [
@@ -233,14 +223,9 @@ def test_tiny_masks_and_quaternions_of_another_length_are_told(whole):
     (finding,) = read_findings(doubled)  # they still turn the same way
     assert finding.startswith("error: 20 of 20 views") and "length 1" in finding
     assert finding.endswith("and 15 more")
-
-
-def test_a_set_without_one_usable_pose_is_told(whole):
-    for value in (np.nan, np.inf):
-        (finding,) = read_findings(
-            whole._replace(quaternions=np.full_like(whole.quaternions, value))
-        )
-        assert finding.startswith("error: 20 of 20 views with a quaternion with NaN")
+    nothing = whole._replace(quaternions=np.full_like(whole.quaternions, np.nan))
+    (finding,) = read_findings(nothing)  # no pose is left to be compared
+    assert finding.startswith("error: 20 of 20 views with a quaternion with NaN")
 
 
 def test_a_set_of_single_views_is_told(whole):
@@ -248,6 +233,12 @@ def test_a_set_of_single_views_is_told(whole):
     single = whole._replace(**{name: getattr(whole, name)[:, :1] for name in names})
     (finding,) = read_findings(single)
     assert finding.startswith("warning: 5 of 5 objects have fewer than two views")
+
+
+def test_depth_from_another_origin_is_told(whole):
+    middle = np.where(whole.depths > 0, whole.depths - 2.0, 0)
+    findings = read_findings(whole._replace(depths=middle))
+    assert any("20 of 20 views with no depth where" in text for text in findings)
 
 
 def test_angles_are_those_of_the_camera():
@@ -364,3 +355,43 @@ def test_a_folder_with_nothing_to_see_is_named(tmp_path, capsys):
             assert run(command, folder) == 1
             error = capsys.readouterr().err
             assert str(folder) in error and error.count("\n") == 1
+
+
+def test_what_is_left_out_is_told_by_name_with_its_file(tmp_path, capsys):
+    for i, name in enumerate("abcd"):
+        content, _ = write_photos(tmp_path / name, views=3, seed=i)
+        (tmp_path / name / "transforms.json").write_text(json.dumps(content))
+    (tmp_path / "b" / "transforms.json").write_text("{}")
+    assert run("check", tmp_path) == 0
+    out = capsys.readouterr().out
+    assert "warning: 1 of 4 objects left out as unusable: b" in out
+    assert f"{tmp_path}/b/transforms.json" in out
+
+
+def test_published_renders_are_checked_with_the_views_they_have(tmp_path, capsys):
+    folder = write_renders(tmp_path, ["one", "two", "three"])
+    (folder / "02958343" / "two" / "render_2.png").unlink()
+    assert run("check", folder) == 0
+    out = capsys.readouterr().out
+    assert "2 car models, 6 views" in out and "two" in out
+    (folder / "02691156").mkdir()
+    assert run("check", folder) == 1
+    assert "add --category" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [[], ["chekc"], ["check"], ["show", ".", "--x"]])
+def test_a_command_with_wrong_words_is_answered_by_one_sentence(words, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        run(*words)
+    error = capsys.readouterr().err
+    assert stopped.value.code == 2
+    assert error.startswith("Error: Expected a command") and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("text", ["{", "{}", "[]", '{"shards": []}', "\xff\x00"])
+def test_a_damaged_record_of_a_set_is_named(tmp_path, capsys, text):
+    (tmp_path / "spec.json").write_bytes(text.encode("latin-1"))
+    for command in ("show", "check"):
+        assert run(command, tmp_path) == 1
+        error = capsys.readouterr().err
+        assert str(tmp_path) in error and error.count("\n") == 1
