@@ -10,14 +10,8 @@ import numpy as np
 
 RED, GREEN, BLUE, GREY = (1, 0, 0), (0, 1, 0), (0, 0, 1), (0.5, 0.5, 0.5)
 BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-QUADS = (
-    (0, 1, 3, 2),
-    (4, 6, 7, 5),
-    (0, 4, 5, 1),
-    (2, 3, 7, 6),
-    (0, 2, 6, 4),
-    (1, 5, 7, 3),
-)
+QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1))
+QUADS += ((2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
 APT = """#!/bin/sh
 PATH=/usr/bin:/bin
@@ -108,10 +102,8 @@ def write_furniture(store, items):
     Front is +z, up is +y; with the extra "turned" the front is +x and the catalogue's
     rotation says so.
     """
-    straight, turned = (
-        [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
-        [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
-    )
+    straight = [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
+    turned = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     catalogue = ["# a comment", "id=Lib", "license=Creative Commons Attribution 3.0"]
     library = io.BytesIO()
     with zipfile.ZipFile(library, "w") as archive:

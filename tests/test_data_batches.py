@@ -92,15 +92,3 @@ def test_models_with_few_views_have_all_of_them_before_one_comes_again():
             seen[model] |= set(chosen.tolist())
     # 100 draws of 4 of 40 miss a view with a probability below 3e-5
     assert [len(views) for views in seen] == counts.tolist()
-
-
-def test_equal_counts_choose_as_one_number_does():
-    for step in range(20):
-        one = batches.choose_batch(
-            7, 5, seed=0, step=step, models_per_batch=3, views_per_batch=4
-        )
-        each = batches.choose_batch(
-            7, np.full(7, 5), seed=0, step=step, models_per_batch=3, views_per_batch=4
-        )
-        for first, second in zip(one, each, strict=True):
-            np.testing.assert_array_equal(first, second)

@@ -141,17 +141,6 @@ def test_the_shard_of_a_killed_process_is_taken_over(start, alone, tmp_path):
     assert_like_alone(tmp_path / "shared", alone)
 
 
-def test_a_set_that_a_killed_process_left_is_finished_by_the_next(start, alone):
-    killed = start("stuck")
-    killed.begin()
-    assert killed.read() == "stuck"
-    killed.end()
-    following = start()
-    following.begin()
-    assert following.read() == "whole"
-    assert sum(killed.count().values()) == 1 and sum(following.count().values()) == 9
-
-
 def test_processes_of_a_job_begin_at_different_shards(tmp_path, monkeypatch):
     begun = []
 

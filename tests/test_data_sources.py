@@ -4,8 +4,7 @@ import pytest
 import trimesh
 
 from dpc_jax.data import DataSpec, sources, split_files
-from dpc_jax.data.sources import Source, find_kind, open_source
-from dpc_jax.data.spec import KINDS
+from dpc_jax.data.sources import open_source
 from dpc_jax.data.splits import SPLITS
 
 
@@ -120,13 +119,6 @@ def test_an_empty_split_of_a_folder_is_named(tmp_path):
 def test_impossible_values_are_named(field, value):
     with pytest.raises(ValueError, match=field):
         DataSpec(**{"category": "car", "models": 3, field: value})
-
-
-def test_every_kind_of_folder_has_a_source_that_answers_all_questions():
-    for kind in KINDS:
-        made = find_kind(kind)
-        for name in ("recognizes", "list_models", "make_arrays"):
-            assert getattr(made, name) is not getattr(Source, name), (kind, name)
 
 
 def test_copies_of_what_has_no_meshes_are_refused(tmp_path):

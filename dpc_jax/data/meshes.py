@@ -56,34 +56,28 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
             reason = f"it cannot be read ({describe_error(error)})"
         if getattr(error, "name", None) == "charset_normalizer":  # trimesh's last try
             reason = "it is neither text nor whole"
-        raise ValueError(
-            f"Expected a readable mesh in {path}, but {reason}; repair or remove it."
-        ) from error
+        raise _refuse(path, "a readable mesh", reason) from error
     pieces = [piece for piece in pieces if piece is not None]
     if not pieces:
-        raise ValueError(
-            f"Expected a mesh with faces in {path}, but it has none; remove it."
-        )
+        raise _refuse(path, "a mesh with faces", "it has none")
     vertices, faces, colors = join_pieces(pieces)
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError(
-            f"Expected faces between {len(vertices)} vertices in {path}, but an index "
-            "is out of range; repair or remove the file."
-        )
+        between = f"faces between {len(vertices)} vertices"
+        raise _refuse(path, between, "an index is out of range")
     # only vertices that have a face: a stray one would spoil the box
     index, faces = np.unique(faces, return_inverse=True)
     used, faces = vertices[index], faces.reshape(-1, 3)
     if not np.isfinite(used).all():
-        raise ValueError(
-            f"Expected finite coordinates in {path}, but there is NaN or infinity; "
-            "repair or remove the file."
-        )
+        raise _refuse(path, "finite coordinates", "there is NaN or infinity")
     if not np.ptp(used, axis=0).max() > 0:
-        raise ValueError(
-            f"Expected a mesh with an extent in {path}, but all its vertices coincide; "
-            "remove the file."
-        )
+        raise _refuse(path, "a mesh with an extent", "all its vertices coincide")
     return trimesh.Trimesh(used, faces, face_colors=colors, process=False)
+
+
+def _refuse(path, expected, found):
+    return ValueError(
+        f"Expected {expected} in {path}, but {found}; repair or remove it."
+    )
 
 
 def is_readable(path: Path) -> bool:
@@ -179,9 +173,6 @@ def _face_colors(part):
 def scale_randomly(
     mesh: trimesh.Trimesh, *, seed: int | Sequence[int]
 ) -> trimesh.Trimesh:
-    """Copy of a mesh, each axis stretched by a factor within `STRETCH` of one.
-
-    An augmentation for small sets of files: proportions vary, the category stays.
-    """
+    """Copy of a mesh, each axis stretched by a factor within `STRETCH` of one."""
     factors = np.random.default_rng(seed).uniform(1 - STRETCH, 1 + STRETCH, 3)
     return replace_vertices(mesh, np.asarray(mesh.vertices, dtype=np.float64) * factors)

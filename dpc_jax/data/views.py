@@ -1,9 +1,7 @@
 """Views of a mesh by ray casting: shaded colour, antialiased mask, metric depth.
 
-Every pixel is sampled on a regular grid of `supersample` x `supersample` rays. Rays
-start at the camera with a direction whose z component (camera frame) is one, so the
-ray parameter of a hit *is* its depth. Shading is flat: one colour per face and view,
-computed before any ray is cast, which makes it cost nothing per ray.
+Rays start at the camera with a direction whose z component (camera frame) is one, so
+the ray parameter of a hit *is* its depth. Shading is flat: a colour per face and view.
 """
 
 import functools
@@ -91,11 +89,8 @@ def build_scene(mesh: trimesh.Trimesh) -> Scene:
 
 
 def _shade_faces(scene, *, eye, lights):
-    """Lambert shading, one colour per face [F, 3] in 0..255.
-
-    Normals are first turned towards the camera: files full of open shells have no
-    reliable outside, and a face must not be black because its corners run clockwise.
-    """
+    """Lambert shading, one colour per face [F, 3] in 0..255."""
+    # turned towards the camera: files full of open shells have no reliable outside
     facing = np.einsum("fc,fc->f", scene.normals, eye - scene.centroids)
     normals = np.where(facing[:, None] < 0, -scene.normals, scene.normals)
     diffuse = np.maximum(normals @ lights.towards.T, 0.0) @ lights.strength
@@ -104,10 +99,9 @@ def _shade_faces(scene, *, eye, lights):
 
 @functools.lru_cache(maxsize=4)
 def _camera_rays(image_size, focal_length, extent, supersample):
-    """Directions [k*k, S, S, 3] in the camera frame, z = 1; sub-samples come first.
+    """Directions [k*k, S, S, 3] in the camera frame, z = 1.
 
-    With sub-samples on the leading axis the box filter is a sum over one axis of
-    contiguous images, several times cheaper than a strided mean over small blocks.
+    Sub-samples come first: a sum over the first axis is several times cheaper.
     """
     count = image_size * supersample
     plane = ((np.arange(count) + 0.5) / count - 0.5) * extent / focal_length

@@ -88,9 +88,8 @@ def frame_views(
 def _frame_by_geometry(outlines, poses, spec):
     """Frames of cameras whose place and lens are known.
 
-    The middle of the object is the point nearest to the lines through the middles of
-    all masks; each camera is turned to look at it, and the scale is the one that fits
-    every view at its distance.
+    Each is turned to look at the point nearest to the lines through the middles of all
+    masks; the scale fits every view at its distance.
     """
     lenses = [
         _read_lens(pose.lens, outline.shape)
@@ -231,8 +230,7 @@ def _cut_frame(
 def _weigh_colors(image, mask, block):
     """Colours times coverage, and coverage [h, w, 4], as means over blocks of pixels.
 
-    They are weighted so that the colours of the background do not bleed in, and summed
-    a few rows at a time because a photograph in floats would fill the memory.
+    A few rows at a time: a whole photograph in floats would fill the memory.
     """
     height, width = (-(-side // block) for side in mask.shape)
     layers = np.zeros((height, width, 4), dtype=np.float32)
@@ -248,11 +246,7 @@ def _weigh_colors(image, mask, block):
 
 
 def _interpolate(layers, y, x):
-    """Bilinear samples of [h, w, c] at pixel coordinates; 0 outside of the image.
-
-    Pixel centres lie at halves; between the outermost centre and the edge of the image
-    the outermost pixel continues.
-    """
+    """Bilinear samples of [h, w, c] at pixel coordinates; 0 outside of the image."""
     height, width, channels = layers.shape
     inside = (y >= 0) & (y <= height) & (x >= 0) & (x <= width)
     samples = np.empty((*y.shape, channels), np.float32)

@@ -42,11 +42,7 @@ class NoMaskError(ValueError):
 
 
 def check_mask(mask: np.ndarray, source: str) -> None:
-    """Refuse a mask of 0 to 1 that tells no object from its background.
-
-    Raises:
-      ValueError: for a mask that is above one half everywhere or nowhere.
-    """
+    """Raise ValueError for a mask of 0 to 1 above one half everywhere or nowhere."""
     covered, most = mask > 0.5, float(mask.max())
     if covered.any() and not covered.all():
         return
@@ -191,11 +187,7 @@ def find_before_plain_background(colors: np.ndarray) -> np.ndarray:
 
 
 def _fit_background(lab):
-    """A quadratic surface [h, w, 3] through the border's colours, and the noise.
-
-    What lies off it is left out and the rest fitted again: an object may reach over the
-    border.
-    """
+    """A quadratic surface [h, w, 3] through the border's colours, and the noise."""
     height, width = lab.shape[:2]
     margin = max(2, round(_BORDER * min(height, width)))
     is_border = np.ones((height, width), bool)
@@ -206,7 +198,7 @@ def _fit_background(lab):
     # It begins with what most of the border has: its median colour.
     away = np.linalg.norm(values - np.median(values, axis=0), axis=1)
     kept = away <= max(float(np.median(away)) * 2.5, _MOST_NOISE)
-    for _ in range(_TRIMMINGS):
+    for _ in range(_TRIMMINGS):  # without what lies off: objects may reach there
         surface, *_ = np.linalg.lstsq(rows[kept], values[kept], rcond=None)
         away = np.linalg.norm(values - rows @ surface, axis=1)
         noise = float(np.median(away[kept]))
@@ -224,8 +216,7 @@ def _fit_background(lab):
 def _discount_shadows(smooth, background):
     """How far each pixel's colour is from the background's, shadows counted for less.
 
-    A shadow makes the background darker and hardly changes its hue; it is not darker
-    than some share of it.
+    A shadow makes the background darker by at most a share, and hardly changes its hue.
     """
     lightness = smooth[..., 0]
     base = np.maximum(background[..., 0], 1.0)

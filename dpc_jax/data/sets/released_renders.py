@@ -27,7 +27,6 @@ from dpc_jax.data.sources import Model
 FARTHEST = 10.0  # depth that the largest value of a depth file stands for
 GROUND_TRUTH = "gt/downsampled"  # where the released scripts put it, beside the renders
 TOLERANCE = 1e-3  # of the camera, in its own units
-AGAIN = "unpack the renders again"
 
 
 class ReleasedRenders(shapenet.SynsetSource):
@@ -82,7 +81,7 @@ class ReleasedRenders(shapenet.SynsetSource):
         if len(numbers) < spec.views:
             raise ValueError(
                 f"Expected {spec.views} views render_N.png in {place}, but found "
-                f"{len(numbers)}; set data.views lower or {AGAIN}."
+                f"{len(numbers)}; set data.views lower or unpack the renders again."
             )
         views = []
         for number in numbers:
@@ -122,20 +121,16 @@ def _read_pictures(place, number, image_size):
     path = place / f"render_{number}.png"
     picture = pictures.read_picture(path)
     if picture.mode != "RGBA" or picture.width != picture.height:
-        raise ValueError(
-            f"Expected a square image with alpha in {path}, but it is {picture.mode} "
-            f"of {picture.size}; {AGAIN}."
-        )
+        found = f"it is {picture.mode} of {picture.size}"
+        raise _refuse(path, "a square image with alpha", found)
     pixels = np.asarray(picture).astype(np.float32)
     covered = pixels[..., 3] / 255.0
     on_white = pixels[..., :3] * covered[..., None] + 255.0 * (1.0 - covered[..., None])
     path = place / f"depth_{number}.png"
     raw = np.asarray(pictures.read_picture(path))
     if raw.shape != covered.shape or raw.dtype.kind not in "iu" or raw.itemsize < 2:
-        raise ValueError(
-            f"Expected 16-bit depth of {covered.shape} in {path}, but it is "
-            f"{raw.dtype} {raw.shape}; {AGAIN}."
-        )
+        found = f"it is {raw.dtype} {raw.shape}"
+        raise _refuse(path, f"16-bit depth of {covered.shape}", found)
     metric = raw.astype(np.float32) * (FARTHEST / 65535.0)
     valid = (covered > 0) & (raw < 65535)
     weight = _shrink(np.where(valid, covered, 0.0), image_size)
@@ -158,10 +153,8 @@ def _read_camera(path, spec, *, width):
     extrinsic, position, lens = (content[n] for n in ("extrinsic", "pos", "K"))
     position = position.ravel()
     if extrinsic.shape != (4, 4) or position.shape != (3,) or lens.shape != (3, 3):
-        raise ValueError(
-            f"Expected extrinsic [4, 4], pos [3] and K [3, 3] in {path}, but got "
-            f"{extrinsic.shape}, {position.shape} and {lens.shape}; {AGAIN}."
-        )
+        found = f"got {extrinsic.shape}, {position.shape} and {lens.shape}"
+        raise _refuse(path, "extrinsic [4, 4], pos [3] and K [3, 3]", found)
     rotation, shift = extrinsic[:3, :3], extrinsic[:3, 3]
     flaws = [
         np.abs(rotation @ rotation.T - np.eye(3)).max(),
@@ -170,10 +163,8 @@ def _read_camera(path, spec, *, width):
         np.abs(shift[:2]).max(),  # it looks at the origin
     ]
     if not max(flaws) < TOLERANCE or shift[2] <= 0:
-        raise ValueError(
-            f"Expected a camera in {path} that looks at the origin from pos, but it is "
-            f"off by {max(flaws):.2g}; {AGAIN}."
-        )
+        found = f"it is off by {max(flaws):.2g}"
+        raise _refuse(path, "a camera that looks at the origin from pos", found)
     found = lens[0, 0] / width, shift[2]
     if np.abs(np.subtract(found, (spec.focal_length, spec.distance))).max() > 1e-2:
         raise ValueError(
@@ -187,10 +178,7 @@ def _read_camera(path, spec, *, width):
 def _read_ground_truth(path):
     points = _read_mat(path, ("points",))["points"]
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise ValueError(
-            f"Expected finite points [P, 3] in {path}, but got {points.shape}; "
-            "download the ground truth again."
-        )
+        raise _refuse(path, "finite points [P, 3]", f"got {points.shape}")
     return (points @ np.array(shapenet.TURNS["+x"]).T).astype(np.float32)
 
 
@@ -199,24 +187,21 @@ def _read_mat(path, names):
     from scipy.io import loadmat  # only these renders need it
 
     if not path.is_file():
-        raise ValueError(f"Expected the file {path}, but it is missing; {AGAIN}.")
+        raise ValueError(
+            f"Expected the file {path}, but it is missing; unpack the renders again."
+        )
+    expected = f"numbers {', '.join(names)}"
     try:
         content = loadmat(path)
-    except Exception as error:  # the reader raises anything at all on damaged files
-        raise ValueError(
-            f"Expected a MATLAB file in {path}, but got {type(error).__name__}: "
-            f"{error}; {AGAIN}."
-        ) from None
-    missing = [name for name in names if name not in content]
-    if missing:
-        raise ValueError(
-            f"Expected {', '.join(names)} in {path}, but {', '.join(missing)} is "
-            f"missing; {AGAIN}."
-        )
-    try:
         return {name: np.asarray(content[name], dtype=np.float64) for name in names}
-    except (ValueError, TypeError) as error:  # texts, cells, structures
-        raise ValueError(
-            f"Expected numbers in {', '.join(names)} of {path}, but they are something "
-            f"else ({error}); {AGAIN}."
-        ) from None
+    except KeyError as error:
+        raise _refuse(path, expected, f"{error} is missing") from None
+    except Exception as error:  # the reader raises anything at all on damaged files
+        found = f"got {type(error).__name__}: {error}"
+        raise _refuse(path, expected, found) from None
+
+
+def _refuse(path, expected, found):
+    return ValueError(
+        f"Expected {expected} in {path}, but {found}; unpack the renders again."
+    )
