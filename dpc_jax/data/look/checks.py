@@ -272,10 +272,11 @@ def _carve_block(rotations, masks, lens):
     return points
 
 
-def _grow(masks, cells):
+def _grow(masks, cells) -> np.ndarray:
     """Boolean masks [V, S, S], grown by a number of cells in all eight directions."""
     width = 2 * cells + 1
-    return ndimage.maximum_filter(masks, (1, width, width), mode="constant")
+    grown = ndimage.maximum_filter(masks, (1, width, width), mode="constant")
+    return np.asarray(grown)
 
 
 def _find_strays(data, lens):

@@ -139,7 +139,7 @@ def move_vertices(
     mesh: trimesh.Trimesh,
     axes: Sequence[int] = (0, 1, 2),
     scale: Sequence[float] | float = 1.0,
-    shift: Sequence[float] | None = None,
+    shift: Sequence[float] | np.ndarray | None = None,
 ) -> trimesh.Trimesh:
     """The mesh with its axes reordered, then scaled, then shifted, in place."""
     moved = np.asarray(mesh.vertices)[:, list(axes)] * scale
