@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from dpc_jax.measure.benchmark.plan import FULL, PARTS, QUICK
-from dpc_jax.run.flags import FlagParser, Task, run_command
+from dpc_jax.run.flags import FlagParser, Task, reading_names, run_command
 
 WRITES = ("benchmark.md", "benchmark.json", "error.png", "scaling.png")
 
@@ -25,11 +25,8 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--out", type=Path, default=Path("runs/benchmark"), help="folder (%(default)s)"
     )
-    parser.add_argument(
-        "--parts",
-        default=",".join(PARTS),
-        help=f"some of {','.join(PARTS)}; default: all",
-    )
+    text = f"some of {','.join(PARTS)}; default: all"
+    parser.add_argument("--parts", type=reading_names(PARTS), default=PARTS, help=text)
     return parser
 
 
@@ -58,12 +55,12 @@ def _measure(options):
     with contextlib.suppress(RuntimeError):  # a program of the caller's has begun
         use_all_cores()
     keep_freed_memory()
-    words = ["python", "-m", "dpc_jax.benchmark", f"--parts={options.parts}"]
+    words = ["python", "-m", "dpc_jax.benchmark", f"--parts={','.join(options.parts)}"]
     words += ["--quick"] * options.quick
     path = run_benchmark(
         options.out,
         plan=QUICK if options.quick else FULL,
-        parts=[part.strip() for part in options.parts.split(",") if part.strip()],
+        parts=options.parts,
         command=shlex.join(words),
     )
     print(f"Report: {path}")

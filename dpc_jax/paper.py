@@ -6,7 +6,6 @@ beside ours. The same command goes on where it was stopped.
 
 import argparse
 import sys
-from collections.abc import Callable
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from dpc_jax.experiments.catalogue import NAMES
 from dpc_jax.experiments.published import CATEGORIES, TITLE
 from dpc_jax.experiments.runs import SIZES, SOURCES, Request, Source
 from dpc_jax.files import read_text
-from dpc_jax.run.flags import FlagParser, Task, run_command
+from dpc_jax.run.flags import FlagParser, Task, reading_names, run_command
 
 # In --out; each run claims its own folder.
 WRITES = ("index.html", "paper.md", "logs/", "figures/", "measured/")
@@ -27,10 +26,10 @@ def make_parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--out", type=Path, default=Path("runs/paper"), help="folder (%(default)s)")
     text = f"all, or of {', '.join(NAMES)}, with commas between"
-    add("--experiment", type=_reading_names(("all", *NAMES)), **names, help=text)
+    add("--experiment", type=reading_names(("all", *NAMES)), **names, help=text)
     text = f"{', '.join(SIZES)} (%(default)s)"
     add("--size", default="cpu", choices=SIZES, metavar="SIZE", help=text)
-    add("--category", type=_reading_names(CATEGORIES), **names, help=of_size)
+    add("--category", type=reading_names(CATEGORIES), **names, help=of_size)
     add("--seeds", type=_read_seeds, default=(), metavar="N,N", help=of_size)
     text = f"{', '.join(SOURCES)} (%(default)s)"
     add("--source", default="procedural", choices=SOURCES, metavar="KIND", help=text)
@@ -46,20 +45,6 @@ def make_parser() -> argparse.ArgumentParser:
     text = "the page of what is there alone"
     add("--no-training", action="store_true", help=text)
     return parser
-
-
-def _reading_names(known: tuple[str, ...]) -> Callable[[str], tuple[str, ...]]:
-    """A function that reads names with commas between."""
-
-    def read(text):
-        found = tuple(part.strip() for part in text.split(",")) if text else ()
-        if unknown := [name for name in found if name not in known]:
-            raise argparse.ArgumentTypeError(
-                f"names must be of {', '.join(known)}, not {unknown[0] or 'empty'}"
-            )
-        return found
-
-    return read
 
 
 def _read_seeds(text):

@@ -1,8 +1,8 @@
 """Stiff and extreme cases: python -m dpc_jax.stability [--quick] [--subjects=...]
 
 Compares every public function with an oracle where it may break, and writes
-stability.md, stability.json, cases.md and figures into the folder of --out. Ends with
-status 1 if anything is outside its stated tolerance.
+stability.md, stability.json and cases.md into the folder of --out. Ends with status 1
+if anything is outside its stated tolerance.
 """
 
 import argparse
@@ -11,12 +11,11 @@ import sys
 import time
 from pathlib import Path
 
-from dpc_jax.measure.stability import DTYPES, SUBJECTS, check_names
-from dpc_jax.run.flags import FlagParser, Task, run_command
+from dpc_jax.measure.stability import DTYPES, SUBJECTS
+from dpc_jax.run.flags import FlagParser, Task, reading_names, run_command
 
 QUICK_DTYPES = ("float32",)
-WRITES = ("stability.md", "stability.json", "cases.md", "stability_rows.png")
-WRITES += ("stability_sums.png", "stability_descents.png")
+WRITES = ("stability.md", "stability.json", "cases.md")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -26,15 +25,10 @@ def main(arguments: list[str] | None = None) -> int:
       The exit status: 0, 1 if anything is outside its tolerance or cannot be written, 2
       for a wrong flag, 130 after Ctrl-C.
     """
-    return run_command(lambda: _read(arguments))
+    return run_command(lambda: _read(make_parser().parse_args(arguments)))
 
 
-def _read(arguments):
-    options = make_parser().parse_args(arguments)
-    if options.quick and options.dtypes is None:
-        options.dtypes = QUICK_DTYPES
-    check_names("subjects", options.subjects, tuple(SUBJECTS))
-    check_names("dtypes", options.dtypes, DTYPES)
+def _read(options):
     return Task(
         lambda: _measure(options),
         out=options.out,
@@ -57,20 +51,17 @@ def make_parser() -> argparse.ArgumentParser:
     )
     for flag, known in (("subjects", SUBJECTS), ("dtypes", DTYPES)):
         words = f"some of {','.join(known)}; default: all"
-        parser.add_argument(f"--{flag}", type=_split, help=words)
+        parser.add_argument(f"--{flag}", type=reading_names(known), help=words)
     parser.add_argument("--seed", type=int, default=0, help="of the random draws")
     return parser
-
-
-def _split(text):
-    return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
 def _write_command(options):
     words = ["python", "-m", "dpc_jax.stability", f"--seed={options.seed}"]
     words += ["--quick"] * options.quick
-    for flag, known in (("subjects", SUBJECTS), ("dtypes", DTYPES)):
-        words.append(f"--{flag}={','.join(getattr(options, flag) or known)}")
+    for flag in ("subjects", "dtypes"):
+        if names := getattr(options, flag):
+            words.append(f"--{flag}={','.join(names)}")
     return shlex.join(words)
 
 
@@ -83,24 +74,22 @@ def _measure(options):
     from dpc_jax.measure.timing import describe_machine
 
     options.out.mkdir(parents=True, exist_ok=True)
-    rows, section, seconds, path = [], "", {}, None
+    rows, seconds, path = [], {}, None
     about = {"seed": options.seed, "command": _write_command(options)}
     about["machine"] = describe_machine()
     # In the order of the report, whatever the order of the flag.
     subjects = [name for name in SUBJECTS if name in (options.subjects or SUBJECTS)]
-    names = ("dtypes", "out", "quick", "seed")
-    wanted = {name: getattr(options, name) for name in names}
+    wanted = {"quick": options.quick, "seed": options.seed}
+    wanted["dtypes"] = options.dtypes or (QUICK_DTYPES if options.quick else None)
     with ProgressReport("Stability", total=len(subjects)) as progress:
         for step, subject in enumerate(subjects, start=1):
             start = time.perf_counter()
-            found, text = run_subject(subject, tell=progress.tell, **wanted)
+            found = run_subject(subject, **wanted)
             seconds[subject] = time.perf_counter() - start
-            rows, section = rows + found, section + text
+            rows += found
             progress.tell(f"{step}/{len(subjects)} {subject}: {len(found)} rows")
             # After each one, so that an interrupted run keeps those that are done.
-            path = write_report(
-                options.out, rows, section=section, seconds=seconds, **about
-            )
+            path = write_report(options.out, rows, seconds=seconds, **about)
             progress.advance(step)
     failures = [row.describe_failure() for row in rows if not row.passes]
     for failure in failures:

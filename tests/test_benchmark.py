@@ -1,7 +1,6 @@
 """The benchmark measures what it says; no test here looks at a clock."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -30,9 +29,7 @@ def test_things_compared_take_turns_after_a_round_that_is_not_counted():
     seconds = timing.time_interleaved(calls, rounds=3)
     assert "".join(order) == "ab" * 4
     assert [len(v) for v in seconds.values()] == [3, 3]
-
-
-def test_a_call_over_its_budget_is_measured_once():
+    # A call over its budget is measured once.
     seconds = timing.time_interleaved({"a": dict}, rounds=5, budget_seconds=0.0)
     assert len(seconds["a"]) == 1
 
@@ -72,14 +69,6 @@ def test_scenes_are_the_same_every_time_and_fill_the_unit_ball():
         assert np.linalg.norm(one.pose) == pytest.approx(1)
         cosine = abs(one.pose @ one.target_pose)
         assert 20 < np.degrees(2 * np.arccos(cosine)) < 35
-
-
-def test_the_chairs_legs_are_thin():
-    chair = scenes.make_scenes(num_points=4000, num_sparse=1, seed=0)[1].points
-    low = chair[chair[:, 2] < np.quantile(chair[:, 2], 0.1)]
-    corner = low[(low[:, 0] > low[:, 0].mean()) & (low[:, 1] > low[:, 1].mean())]
-    assert len(corner) > 20
-    assert np.ptp(corner[:, :2], axis=0).max() < 0.03  # of a diagonal of 1
 
 
 def make_tiny_plan():
@@ -122,15 +111,10 @@ def test_a_cloud_of_pairs_loses_nothing_when_one_of_each_pair_is_kept():
     assert record["gradient_error"] < 1e-12
 
 
-def test_the_full_plan_asks_for_what_the_report_is_for():
-    labels = [s.label for s in accuracy.list_settings(plan.FULL)]
-    assert len(labels) == len(set(labels))
-    assert len({s.family for s in accuracy.list_settings(plan.FULL)}) <= 6  # curves
+def test_the_full_plan_has_settings_of_their_own_that_can_be_compared():
     settings = accuracy.list_settings(plan.FULL)
-    assert {s.dtype for s in settings} == {"float32", "float64", "bfloat16"}
-    assert {s.shape[0] for s in settings} == {32, 64, 128}
-    assert {s.share for s in settings} == {1, 2, 4, 8}
-    assert plan.FULL.rounds >= 5
+    assert len({s.label for s in settings}) == len(settings)
+    assert len({s.family for s in settings}) <= 6  # curves
     # Images are compared in blocks of the coarsest grid's pixels.
     for side in (*plan.FULL.sides, plan.FULL.reference_side, plan.FULL.base_side):
         assert side % min(plan.FULL.sides) == 0
@@ -238,15 +222,6 @@ def test_the_report_names_every_figure_it_shows_and_leaves_no_other_file(written
     assert "| 1.10 | 1.5 |" in text
 
 
-def test_the_json_is_strict_where_an_error_is_infinite(written):
-    def refuse(name):
-        raise AssertionError(name)
-
-    text = (written / "benchmark.json").read_text(encoding="utf-8")
-    data = json.loads(text, parse_constant=refuse)
-    assert data["error"][1]["image_error"] is None
-
-
 def test_the_peak_of_a_process_is_its_own_and_not_that_of_its_parent():
     ballast = np.ones(100_000_000)  # 0.8 GB here
     assert peak.read_peak() > ballast.nbytes
@@ -261,8 +236,8 @@ def test_a_failing_process_is_one_sentence():
 @pytest.mark.parametrize("parts", ["speed,sped", ""])
 def test_an_unknown_part_is_refused_in_a_sentence(parts, tmp_path, capsys):
     arguments = ["--quick", f"--parts={parts}", f"--out={tmp_path / 'new'}"]
-    assert benchmark.main(arguments) == 1
-    assert "Error: parts must be some of speed, error" in capsys.readouterr().err
+    assert benchmark.main(arguments) == 2
+    assert "names must be of speed, error, scaling, memory" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
 
 

@@ -50,6 +50,14 @@ def test_single_precision_far_from_the_origin_keeps_double_precision_distances()
     assert chamfer_distance(a, b).precision == 0.125
 
 
+@pytest.mark.parametrize("factor", [1e-150, 1e150])
+def test_clouds_of_extreme_sizes_have_distances_in_proportion(factor):
+    predicted, truth = clouds()
+    found = chamfer_distance(factor * predicted, factor * truth).chamfer
+    expected = factor * chamfer_distance(predicted, truth).chamfer
+    assert found == pytest.approx(expected, rel=1e-12)  # float64
+
+
 def test_a_tree_given_along_changes_nothing():
     predicted, truth = clouds()
     with_tree = chamfer_distance(predicted, truth, tree=KDTree(truth))

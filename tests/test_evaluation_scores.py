@@ -120,15 +120,6 @@ def test_arguments_that_do_not_fit_together_are_refused_in_a_sentence():
         score(predicted, truth, points, surfaces[:2], alignment=ALIGNMENT)
     with pytest.raises(ValueError, match="chamfer_views must be between 1 and 4"):
         score(predicted, truth, points, surfaces, alignment=ALIGNMENT, chamfer_views=5)
-    with pytest.raises(ValueError, match="best_candidate_poses must have the shape"):
-        score(
-            predicted,
-            truth,
-            points,
-            surfaces,
-            alignment=ALIGNMENT,
-            best_candidate_poses=predicted[:, :2],
-        )
 
 
 def test_given_poses_are_not_scored_but_the_shapes_are():

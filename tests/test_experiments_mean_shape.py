@@ -5,7 +5,6 @@ import pytest
 
 from dpc_jax.config import build_config, replace_fields
 from dpc_jax.data import load_or_render
-from dpc_jax.evaluation.chamfer import chamfer_distance
 from dpc_jax.evaluation.training_shapes import average_surfaces, take_fullest
 from dpc_jax.experiments import results
 from dpc_jax.experiments.results import (
@@ -50,16 +49,6 @@ def test_cells_count_shapes_once_and_have_the_mean_of_all_points():
     fullest = take_fullest(shares, places, 1)
     np.testing.assert_allclose(fullest, [[0.35, 0.3, 0.3]])
     assert len(take_fullest(shares, places, 8)) == 3  # empty cells are none
-
-
-def test_the_same_shape_every_time_is_its_own_mean():
-    rng = np.random.default_rng(0)
-    sphere = rng.normal(size=(4000, 3))
-    sphere *= 0.4 / np.linalg.norm(sphere, axis=1, keepdims=True)
-    shares, places = average_surfaces([sphere] * 3)
-    cloud = take_fullest(shares, places, 16_000)
-    # Cells of 1/64 with one mean each.
-    assert chamfer_distance(cloud, sphere).chamfer < 1 / 64
 
 
 def test_the_row_is_near_the_best_single_guess(config):

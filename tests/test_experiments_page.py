@@ -10,9 +10,9 @@ from PIL import Image
 from dpc_jax import paper
 from dpc_jax.config import to_json
 from dpc_jax.experiments import results as module
-from dpc_jax.experiments.catalogue import EXPERIMENTS, Row
-from dpc_jax.experiments.page import format_summary, list_measures, tabulate
-from dpc_jax.experiments.results import Outcome, Results, Summary, analyze, summarize
+from dpc_jax.experiments.catalogue import EXPERIMENTS
+from dpc_jax.experiments.page import list_measures, tabulate
+from dpc_jax.experiments.results import Outcome, Results, analyze
 from dpc_jax.experiments.runs import Request, Run
 from dpc_jax.run.workdir import hold_workdir
 
@@ -94,24 +94,6 @@ def test_what_is_missing_says_so():
     assert (naive[CHAMFER_OURS], naive[CHAMFER_PAPER]) == ("–", "4.14")
     long = read_row(results, KNOWN, "car", "Ours, 128²")
     assert (long["Runs"], long[CHAMFER_OURS]) == ("1 of 2", "2.00")
-
-
-def test_a_single_run_has_no_spread():
-    assert summarize([None, float("nan")]) is None
-    assert summarize([4.0, None]) == Summary(4.0, None, 1)
-    assert format_summary("chamfer", Summary(4.0, None, 1)) == "4.00"
-    text = format_summary("pose_accuracy", summarize([0.5, 0.6]))
-    assert text == "55.0 ± 7.1 (n = 2)"
-
-
-def test_a_method_becomes_a_row_by_one_declaration():
-    row = Row("PTN, 32²", "PTN, 32", "known_pose,32", {"train.steps": 9}, "ptn")
-    request = Request(("known_pose",), "quick")
-    (run,) = request.list_row_runs(row, "chair")
-    assert run.name == "chair-known_pose-32-ptn-seed0"
-    results = Results(request, {run.name: Outcome(run, None, metrics=make_up(run))})
-    assert results.summarize(KNOWN, row, "chair", "chamfer") == Summary(5.0, None, 1)
-    assert results.find_published(KNOWN, row, "chair", "chamfer") == 5.10
 
 
 def test_every_seed_is_analysed_once_and_the_mean_has_its_spread(tmp_path, monkeypatch):

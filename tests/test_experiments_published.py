@@ -50,9 +50,3 @@ def test_rows_name_rows_that_the_paper_has():
     for experiment in EXPERIMENTS:
         named = {row.published for row in experiment.rows if row.published}
         assert named == set(experiment.table.rows), experiment.name
-
-
-def test_a_number_that_the_paper_does_not_have_is_none():
-    assert UNKNOWN.find("GT pose", "car", "chamfer") is None
-    assert UNKNOWN.find("", "car", "chamfer") is None
-    assert KNOWN_POSE.find("Ours, 64", "boat", "chamfer") is None

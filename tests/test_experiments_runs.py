@@ -3,9 +3,7 @@
 import pytest
 
 from dpc_jax.experiments.catalogue import (
-    EXPERIMENTS,
     HAND_TUNED,
-    NAMES,
     Row,
     change_point_sizes,
 )
@@ -60,11 +58,6 @@ def test_the_full_size_is_the_paper_and_the_others_are_not():
     assert run.load_config().train.steps < 10_000
 
 
-def test_first_seeds_of_all_rows_come_before_second_ones():
-    seeds = [run.seed for run in Request(("unknown_pose",)).list_runs()]
-    assert seeds == sorted(seeds) and set(seeds) == {0, 1, 2}
-
-
 def test_long_runs_have_fewer_seeds_unless_some_are_asked_for():
     few = list_names("known_pose", categories=("car",))
     many = list_names("known_pose", categories=("car",), seeds=(0, 1))
@@ -73,22 +66,22 @@ def test_long_runs_have_fewer_seeds_unless_some_are_asked_for():
         assert sum(long in name for name in few) == 1
         assert sum(long in name for name in many) == 2
     assert sum("known_pose-64-seed" in name for name in few) == 3
+    # First seeds of all rows come before second ones.
+    seeds = [run.seed for run in Request(("unknown_pose",)).list_runs()]
+    assert seeds == sorted(seeds) and set(seeds) == {0, 1, 2}
 
 
 def test_the_flags_of_a_run_say_its_config():
-    row = Row("", variant="known_pose,64", changes={"render.keep_start": 1.0}, tag="a")
+    # What a row says comes before what the size says.
+    changes = {"render.keep_start": 1.0, "train.steps": 7}
+    row = Row("", variant="known_pose,64", changes=changes, tag="a")
     run = declare_run(row, "chair", 2, Request(size="quick"))
     flags = run.list_flags()
     assert flags[0].endswith("configs/chair.py:known_pose,64")
     assert {"--config.seed=2", "--config.render.keep_start=1.0"} <= set(flags)
     assert run.name == "chair-known_pose-64-a-seed2"
-    assert run.load_config().render.keep_start == 1.0
-
-
-def test_what_a_row_says_comes_before_what_the_size_says():
-    row = Row("", variant="known_pose", changes={"train.steps": 700}, tag="short")
-    run = declare_run(row, "car", 0, Request(size="cpu"))
-    assert run.load_config().train.steps == 700
+    config = run.load_config()
+    assert config.render.keep_start == 1.0 and config.train.steps == 7
 
 
 def test_a_source_is_read_from_its_folder(tmp_path):
@@ -124,9 +117,3 @@ def test_hand_tuned_runs_go_to_the_sigma_of_the_nearest_number_of_points():
     learned = change_point_sizes("covariance", 25)
     assert "render.sigma_end" not in learned
     assert learned["network.point_size"] == "covariance"
-
-
-def test_a_category_that_an_experiment_is_not_made_of_leaves_it_out():
-    names = [e.name for e in Request(categories=("airplane",)).list_experiments()]
-    assert names == ["known_pose", "unknown_pose"]
-    assert [e.name for e in EXPERIMENTS] == list(NAMES)

@@ -1,8 +1,8 @@
 """How far a prediction can be trusted without knowing the truth.
 
-Two signs, neither of which sees the truth: whether the ensemble's candidates agree on
-the pose, weighed by the student's probabilities, and how well the predicted silhouette
-covers the given one. What they are worth is in docs/predict.md.
+Two signs: whether the ensemble's candidates agree on the pose, weighed by the student's
+probabilities, and how well the predicted silhouette covers the given one.
+docs/predict.md says what they are worth.
 """
 
 from typing import NamedTuple
@@ -18,27 +18,17 @@ LEVELS = (("high", 0.7), ("fair", 0.5), ("low", 0.0))  # from which confidence
 
 
 class Confidence(NamedTuple):
-    """What is known of one view's prediction.
+    """What is known of one view's prediction."""
 
-    Attributes:
-      confidence: 0 to 1, agreement times the share for the silhouette.
-      agreement: probability of the candidates within 30 degrees of the pose.
-      mean: [4] quaternion, their mean by probability. spread_deg: how far all
-        candidates are from the pose: root mean square by probability.
-      overlap: intersection over union of the soft silhouettes.
-      error: squared difference of the silhouettes per pixel.
-      rival: [4], the likeliest candidate beyond 30 degrees; None where there is none.
-      rival_probability: of all candidates near it.
-    """
-
-    confidence: float
-    agreement: float
-    mean: np.ndarray
+    confidence: float  # 0 to 1, agreement times the share for the silhouette
+    agreement: float  # probability of the candidates within 30 degrees of the pose
+    mean: np.ndarray  # [4] quaternion, their mean by probability
+    # How far all candidates are from the pose: root mean square by probability.
     spread_deg: float
-    overlap: float
-    error: float
-    rival: np.ndarray | None
-    rival_probability: float
+    overlap: float  # intersection over union of the soft silhouettes
+    error: float  # squared difference of the silhouettes per pixel
+    rival: np.ndarray | None  # [4], the likeliest candidate beyond 30 degrees
+    rival_probability: float  # of all candidates near it
 
     @property
     def level(self) -> str:

@@ -40,11 +40,10 @@ def pair_clouds(predicted: np.ndarray, surface: np.ndarray) -> CloudPair:
 def best_rotation(
     source: np.ndarray, target: np.ndarray, *, weight: np.ndarray | None = None
 ) -> Rotation:
-    """Rotation that brings source [n, 3] nearest to target [n, 3], n > 1.
+    """Rotation that brings source [n, 3] nearest to target [n, 3], n > 1 (Kabsch).
 
-    Weighted least squares without translation (Kabsch): both frames share their origin,
-    the centre of the box. A reflection is never returned. Where the points lie on one
-    line any turn about it is as good, and one of them is returned.
+    Weighted least squares without translation: both frames share their origin. Where
+    the points lie on one line, any turn about it is as good and one of them comes.
     """
     with warnings.catch_warnings():
         # scipy warns of points on a line, as a collapsed network predicts them.
@@ -66,8 +65,8 @@ def shared_chamfer(pairs: Sequence[CloudPair], rotation: np.ndarray) -> float:
 def match(pairs: Sequence[CloudPair], rotation: np.ndarray) -> Matches:
     """Nearest neighbours within reach, from prediction to surface and back.
 
-    Both ways, as in the Chamfer distance: with the predictions alone as queries a cloud
-    that covers only a part of the surface could slide along it.
+    With the predictions alone as queries a cloud of a part could slide along the
+    surface.
     """
     matrix = rotations.to_rotation(rotation).as_matrix()
     found = []

@@ -10,13 +10,9 @@ COVERED = 0.5  # least share of a pixel for the pixel to count
 
 
 def depth_error(predicted: ArrayLike, true: ArrayLike, mask: ArrayLike) -> float | None:
-    """Mean absolute difference of depths over the pixels that the mask covers.
+    """Mean absolute difference of depths [..., D, D] where the mask [..., D, D] covers.
 
-    Args:
-      predicted, true: [..., D, D] metric z. mask: [..., D, D] in [0, 1].
-
-    Returns:
-      In units of depth; None where no pixel is covered.
+    None where no pixel is covered.
     """
     is_covered = np.asarray(mask) >= COVERED
     if not is_covered.any():
@@ -25,14 +21,9 @@ def depth_error(predicted: ArrayLike, true: ArrayLike, mask: ArrayLike) -> float
 
 
 def color_psnr(predicted: ArrayLike, true: ArrayLike, mask: ArrayLike) -> float | None:
-    """Peak signal-to-noise ratio over the pixels that the mask covers, in dB.
+    """Peak signal-to-noise ratio of [..., D, D, C] in [0, 1] where the mask covers, dB.
 
-    Args:
-      predicted, true: [..., D, D, C] in [0, 1]. mask: [..., D, D] in [0, 1].
-
-    Returns:
-      -10 log₁₀ of the mean squared difference, that of 1e-10 at most; None where no
-      pixel is covered.
+    That of a mean squared difference of 1e-10 at most; None where no pixel is covered.
     """
     is_covered = np.asarray(mask) >= COVERED
     if not is_covered.any():

@@ -21,11 +21,10 @@ from dpc_jax.evaluation.pose import pose_summary, rotation_angle_deg
 class Scores(NamedTuple):
     """The scores of a network on a test set; None where the truth is not known.
 
-    Metrics are plain floats: `pose_accuracy` (0 to 1), `pose_median_error_deg`,
-    `flip_share` (0 to 1), `chamfer`, `precision` and `coverage` (times 100); the first
-    two also of the best candidate, with the prefix `best_candidate_`. The last three
-    have the prefix `visible_` where only what can be seen of a surface counts, and
-    `dense_` where the predicted cloud is made denser first (`densify`).
+    Metrics are plain floats: `pose_accuracy` (0 to 1) and `pose_median_error_deg`, also
+    of the best candidate (`best_candidate_`), `flip_share` (0 to 1), and `chamfer`,
+    `precision` and `coverage` (times 100), also of what can be seen of a surface
+    (`visible_`) and of a predicted cloud that is made denser first (`dense_`).
     """
 
     metrics: dict[str, float]
@@ -88,7 +87,8 @@ def score(
             "flip_share": summary.flip_share,
         }
     if best_candidate_poses is not None:
-        best_errors = _score_candidates(best_candidate_poses, true_poses, alignment)
+        best_poses = align_poses(alignment, best_candidate_poses)
+        best_errors = rotation_angle_deg(best_poses, true_poses)
         best = pose_summary(best_errors)
         metrics["best_candidate_pose_accuracy"] = best.accuracy
         metrics["best_candidate_pose_median_error_deg"] = best.median_error_deg
@@ -131,16 +131,6 @@ def _read_seen(seen, model, count) -> np.ndarray:
             f"but seen has shape {is_seen.shape}; pass one for each."
         )
     return is_seen if is_seen.any() else np.ones(count, bool)
-
-
-def _score_candidates(poses, true_poses, alignment) -> np.ndarray:
-    """Errors [n, V] of the best candidates."""
-    if np.shape(poses) != np.shape(true_poses):
-        raise ValueError(
-            f"best_candidate_poses must have the shape {np.shape(true_poses)} of "
-            f"true_poses, but has {np.shape(poses)}; pass one winner for each view."
-        )
-    return rotation_angle_deg(align_poses(alignment, poses), true_poses)
 
 
 def _check(predicted_poses, true_poses, points, surfaces, chamfer_views) -> int:

@@ -34,11 +34,9 @@ METHODS = {  # how the points of a keypoint are found in a shape, and what it is
     "index": "same indices (the paper's way)",
     "random": "random indices",
     "place": "nearest to the templates' keypoint",
-    "own": "nearest to the true keypoint",
 }
 MEASURES = {
     "right": "Points on the right part (share)",
-    "distance": "Distance from the shape's own keypoint (box diagonals)",
     "follows": "How far points follow their keypoint (0: not, 1: all the way)",
 }
 Indices = Sequence[np.ndarray]  # for each of K keypoints the indices [n_k] of points
@@ -52,22 +50,6 @@ class LabelledShapes(NamedTuple):
     clouds: np.ndarray  # [n, N, 3] predicted from it, in the object frame
     seeds: np.ndarray  # [n] of the procedural shapes
     keypoints: np.ndarray  # [n, K, 3] true ones; NaN where a shape has none
-
-
-class Transfer(NamedTuple):
-    """Where the points of K keypoints are in one cloud; NaN for a keypoint without any.
-
-    Attributes:
-      right: [K] share of the points whose nearest true surface belongs to the
-        keypoint's part, 0 to 1.
-      distance: [K] mean distance to the shape's own keypoint, object units; NaN where
-        the shape has none.
-      centre: [K, 3] of the points.
-    """
-
-    right: np.ndarray
-    distance: np.ndarray
-    centre: np.ndarray
 
 
 class _Pair(NamedTuple):
@@ -95,7 +77,7 @@ def run(out: Path, workdir: Path) -> tuple[dict[str, float], Figures]:
         shapes have all keypoints. OSError: where files cannot be written.
     """
     finished = read_run(Path(workdir))
-    labels = name_keypoints(finished)
+    labels = list(name_keypoints(finished).values())
     templates, shapes = (read_shapes(finished, name) for name in ("val", "test"))
     has_all = np.isfinite(templates.keypoints).all(axis=(1, 2))
     templates = LabelledShapes(*(array[has_all] for array in templates))
@@ -103,39 +85,22 @@ def run(out: Path, workdir: Path) -> tuple[dict[str, float], Figures]:
         label_points(cloud, finished.config.category, seed)
         for cloud, seed in zip(shapes.clouds, shapes.seeds, strict=True)
     ]
-    pairs = draw_pairs(len(templates.seeds))
+    rows = draw_pairs(len(templates.seeds))
     rng = np.random.default_rng(0)
-    made = [_make_pair(templates, rows, rng) for rows in pairs]
-    values, bars = {}, {}
+    pairs = [_make_pair(templates, row, rng) for row in rows]
+    values = {}
     for method, title in METHODS.items():
-        results = [
-            _transfer(method, pair, shapes, near, list(labels.values()))
-            for pair in made
-        ]
-        right, distance, follows = map(np.array, zip(*results, strict=True))
-        means = np.nanmean(right), np.nanmean(distance), follows.mean()
-        values[title] = [float(mean) for mean in means]
-        shares = [_mean(column) for column in np.moveaxis(right, -1, 0)]
-        bars[f"{title}: {100 * means[0]:.0f} %"] = dict(
-            zip(labels, shares, strict=True)
-        )
+        found = [_transfer(method, pair, shapes, near, labels) for pair in pairs]
+        right, follows = map(np.array, zip(*found, strict=True))
+        values[title] = float(right.mean()), float(follows.mean())
     measures = {
         f"{text}: {title}": found[place]
         for place, text in enumerate(MEASURES.values())
         for title, found in values.items()
     }
-    drawn = _draw_pair(
-        out / "correspondences.png", templates, shapes, pairs[0], made[0]
-    )
-    parts = keypoint_figures.draw_shares(bars, out / "correspondences_parts.png")
-    return measures, [
-        (
-            drawn,
-            "Keypoints on two templates, and where points of the same index are on "
-            "other shapes.",
-        ),
-        (parts, "Share of transferred points on the right part, by keypoint."),
-    ]
+    path = _draw_pair(out / "correspondences.png", templates, shapes, rows[0], pairs[0])
+    caption = "Keypoints on two templates, and where points of the same index are on "
+    return measures, [(path, caption + "other shapes.")]
 
 
 def name_keypoints(run: FinishedRun) -> dict[str, str]:
@@ -200,12 +165,6 @@ def draw_pairs(count: int) -> np.ndarray:
     return np.array([rng.choice(count, 2, replace=False) for _ in range(PAIRS)])
 
 
-def _mean(values: np.ndarray) -> float:
-    """Mean of what is known; NaN where nothing is, without a warning."""
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if known.size else float("nan")
-
-
 def _make_pair(templates: LabelledShapes, rows, rng: np.random.Generator) -> _Pair:
     clouds, marks = templates.clouds[rows], templates.keypoints[rows]
     found = select_indices(clouds, marks, radius=RADIUS, least=LEAST)
@@ -214,31 +173,24 @@ def _make_pair(templates: LabelledShapes, rows, rng: np.random.Generator) -> _Pa
 
 
 def _transfer(method, pair: _Pair, shapes: LabelledShapes, point_labels, labels):
-    """Shares and distances [S, K], and how the points follow, of one pair."""
+    """Shares [S, K] of points on the right part, and how they follow, of one pair."""
     counts = [len(index) for index in pair.found]
 
-    def measure(cloud, own, near):
-        if method in ("index", "random"):
-            found = pair.found if method == "index" else pair.random
-        else:
-            found = select_nearest(
-                cloud, pair.places if method == "place" else own, counts
-            )
-        return measure_transfer(
-            cloud, found, point_labels=near, labels=labels, keypoints=own
-        )
+    def find(cloud):
+        if method == "place":
+            return select_nearest(cloud, pair.places, counts)
+        return pair.found if method == "index" else pair.random
 
-    # Where the points are in the templates; what they are near is not asked there.
-    nothing = np.full(pair.clouds.shape[1], "")
-    marked = zip(pair.clouds, pair.keypoints, strict=True)
-    start = np.mean([measure(*item, nothing).centre for item in marked], axis=0)
-    moved = [
-        measure(*item)
-        for item in zip(shapes.clouds, shapes.keypoints, point_labels, strict=True)
+    def centre(cloud):
+        return [cloud[index].mean(axis=0) for index in find(cloud)]
+
+    right = [
+        [np.mean(near[i] == label) for i, label in zip(find(c), labels, strict=True)]
+        for c, near in zip(shapes.clouds, point_labels, strict=True)
     ]
-    moves = np.array([one.centre for one in moved]) - start
-    follows = measure_following(moves, shapes.keypoints - pair.places)
-    return [one.right for one in moved], [one.distance for one in moved], follows
+    start = np.mean([centre(cloud) for cloud in pair.clouds], axis=0)
+    moves = np.array([centre(cloud) for cloud in shapes.clouds]) - start
+    return right, measure_following(moves, shapes.keypoints - pair.places)
 
 
 def select_indices(
@@ -268,38 +220,11 @@ def select_nearest(
 ) -> list[np.ndarray]:
     """For each position [K, 3] the indices of that many points of a cloud near it.
 
-    A baseline: it transfers places instead of indices. None for a position of NaN.
+    A baseline: it transfers places instead of indices.
     """
-    points, places = np.asarray(cloud), np.asarray(positions)
-    away = np.linalg.norm(points - places[:, None], axis=-1)  # NaN where not known
-    return [
-        np.argpartition(row, count - 1)[:count] if row[0] >= 0 else np.zeros(0, int)
-        for row, count in zip(away, counts, strict=True)
-    ]
-
-
-def measure_transfer(
-    cloud: np.ndarray,
-    found: Indices,
-    *,
-    point_labels: np.ndarray,
-    labels: Sequence[str],
-    keypoints: np.ndarray,
-) -> Transfer:
-    """What became of K keypoints in one cloud.
-
-    Args:
-      cloud: [N, 3] in the object frame. found: K arrays of indices into it.
-      point_labels: [N] of the parts they are near. labels: of the K keypoints.
-      keypoints: [K, 3] of the shape itself; NaN where it has none.
-    """
-    right, distance, centre = [], [], []
-    for index, label, keypoint in zip(found, labels, keypoints, strict=True):
-        points = cloud[index] if len(index) else np.full((1, 3), np.nan)
-        centre.append(points.mean(axis=0))
-        distance.append(np.linalg.norm(points - keypoint, axis=-1).mean())
-        right.append(np.mean(point_labels[index] == label) if len(index) else np.nan)
-    return Transfer(np.array(right), np.array(distance), np.array(centre))
+    away = np.linalg.norm(np.asarray(cloud) - np.asarray(positions)[:, None], axis=-1)
+    pairs = zip(away, counts, strict=True)
+    return [np.argpartition(row, count - 1)[:count] for row, count in pairs]
 
 
 def measure_following(moves: ArrayLike, true_moves: ArrayLike) -> float:

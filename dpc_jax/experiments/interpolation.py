@@ -22,14 +22,11 @@ COLUMNS = 5  # clouds of a drawn pair, its ends among them
 TOUR, TOUR_STEPS = 4, 10  # images of the animation, and its frames from one to the next
 CLOSEST = 5  # true shapes that are compared exactly
 SURFACE_POINTS = 2000  # of each true shape that clouds are compared with
-MEASURES = {
-    "largest_step": "Largest step over the mean step (1: steady)",
-    "detour": "Length of the points' ways over the distance of their ends",
-    "distance": "Distance of the ends (box diagonals)",
-    "nearest_ends": "Chamfer distance (×100) to the nearest other shape: the ends",
-    "nearest_halfway": "… of what is halfway",
-    "nearest_blended": "… of the mean of both ends' points",
-}
+MEASURES = (
+    "Largest step over the mean step (1: steady)",
+    "Chamfer distance (×100) to the nearest other shape: the ends",
+    "… of what is halfway",
+)
 
 
 def run(
@@ -42,7 +39,7 @@ def run(
       workdir: of a finished run, with known poses or without.
 
     Returns:
-      The measures by their names in `MEASURES`, and the figures with their captions.
+      The measures by their names, and the figures with their captions.
 
     Raises:
       ValueError: where the workdir holds no finished run, or too few test images.
@@ -53,8 +50,8 @@ def run(
     images, masks = read_first_views(dataset)
     pairs = draw_pairs(len(images))
     ways = np.array([interpolate(finished, images[p], masks[p]) for p in pairs])
-    found = measure_ways(ways) | measure_between(ways, pairs, dataset)
-    measures = {text: found[name] for name, text in MEASURES.items()}
+    found = measure_steps(ways), *measure_between(ways, pairs, dataset)
+    measures = dict(zip(MEASURES, found, strict=True))
 
     shown, columns = pairs[:DRAWN], np.linspace(0, STEPS, COLUMNS).astype(int)
     starts, stops = images[shown[:, 0]], images[shown[:, 1]]
@@ -105,45 +102,36 @@ def _walk(run, images, masks) -> np.ndarray:
     return points.reshape(count, TOUR_STEPS, *points.shape[1:])
 
 
-def measure_ways(ways: np.ndarray) -> dict[str, float]:
-    """How evenly the points move on their ways [P, F, N, 3], means over pairs.
+def measure_steps(ways: np.ndarray) -> float:
+    """How evenly the points move on their ways [P, F, N, 3]: a mean over pairs.
 
-    Returns:
-      `largest_step`: the frame that moves the points most, over the mean frame; 1 is
-      steady, F - 1 a jump. `detour`: length of the ways over the distance between their
-      ends, means over points; 1 is straight. `distance`: of the ends, object units.
+    The frame that moves points most, over the mean frame; 1 is steady, F - 1 a jump.
     """
     steps = np.linalg.norm(np.diff(ways, axis=1), axis=-1).mean(axis=-1)  # [P, F - 1]
-    direct = np.linalg.norm(ways[:, -1] - ways[:, 0], axis=-1).mean(axis=-1)
-    return {
-        "largest_step": float(np.mean(steps.max(axis=1) / steps.mean(axis=1))),
-        "detour": float(np.mean(steps.sum(axis=1) / direct)),
-        "distance": float(direct.mean()),
-    }
+    return float(np.mean(steps.max(axis=1) / steps.mean(axis=1)))
 
 
 def measure_between(
     ways: np.ndarray, pairs: np.ndarray, dataset: DataSet
-) -> dict[str, float | None]:
+) -> tuple[float | None, float | None]:
     """Whether what lies halfway is still a shape of the kind, means over pairs.
 
     Returns:
-      Chamfer distance ×100 to the nearest true shape of the set, the two of the pair
-      left out: `nearest_ends` of the ends of the way, `nearest_halfway` of its middle,
-      `nearest_blended` of the mean of both ends' points, which needs no network. None
-      where the set has no true shapes.
+      Chamfer distance ×100 of the ends of the way, and of its middle, to the nearest
+      true shape of the set, the two of the pair left out. None where the set has no
+      true shapes.
     """
-    names = ("nearest_ends", "nearest_halfway", "nearest_blended")
     if dataset.surfaces is None or len(dataset.names) < 3:
-        return dict.fromkeys(names)
+        return None, None
     surfaces = [_thin(np.asarray(surface)) for surface in dataset.surfaces]
     rows = []
     for way, pair in zip(ways, pairs, strict=True):
         others = [surface for i, surface in enumerate(surfaces) if i not in pair]
-        clouds = way[0], way[-1], way[len(way) // 2], (way[0] + way[-1]) / 2
-        first, last, halfway, blended = (_find_nearest(c, others) for c in clouds)
-        rows.append(((first + last) / 2, halfway, blended))
-    return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
+        clouds = way[0], way[-1], way[len(way) // 2]
+        first, last, halfway = (_find_nearest(cloud, others) for cloud in clouds)
+        rows.append(((first + last) / 2, halfway))
+    ends, middle = np.mean(rows, axis=0).tolist()
+    return ends, middle
 
 
 def _find_nearest(cloud, surfaces) -> float:

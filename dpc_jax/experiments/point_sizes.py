@@ -1,7 +1,7 @@
 """Hand-tuned and learned sizes of points (appendix "Towards part-based models")."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax
@@ -62,13 +62,6 @@ def draw_shapes(out: Path, workdirs: Sequence[Path]) -> Figures:
     for workdir in workdirs:
         runs.setdefault(read_config(workdir).network.point_size, workdir)
     shapes = {kind: predict_gaussians(workdir) for kind, workdir in runs.items()}
-    return draw_gaussians(out, shapes)
-
-
-def draw_gaussians(
-    out: Path, shapes: Mapping[str, Sequence[figures.Gaussians]]
-) -> Figures:
-    """The figures of shapes by kind of point size."""
     return [
         (
             figures.draw_silhouettes(shapes, out / "silhouettes.png"),
@@ -82,7 +75,7 @@ def draw_gaussians(
     ]
 
 
-def predict_gaussians(workdir: Path, *, shown: int = SHOWN) -> list[figures.Gaussians]:
+def predict_gaussians(workdir: Path) -> list[figures.Gaussians]:
     """Shapes of the first views of test objects, spread over the split.
 
     Clouds stand upright where that is known.
@@ -102,7 +95,7 @@ def predict_gaussians(workdir: Path, *, shown: int = SHOWN) -> list[figures.Gaus
     alignment = read_alignment(workdir)
     models, views = arrange_views(dataset)
     shapes = []
-    for row in np.linspace(0, len(models) - 1, min(shown, len(models))).astype(int):
+    for row in np.linspace(0, len(models) - 1, min(SHOWN, len(models))).astype(int):
         place = models[row, 0], views[row, 0]
         points, sizes = predictions.points[row, 0], covariances[row, 0]
         if alignment is not None:

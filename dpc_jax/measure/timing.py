@@ -19,14 +19,12 @@ def time_interleaved(
     *,
     rounds: int,
     budget_seconds: float = float("inf"),
-    clock: Callable[[], float] = time.perf_counter,
 ) -> dict[str, list[float]]:
     """Seconds of each call, round by round, all calls in each round.
 
     So a machine that is slow for a while is slow for all of them. An additional first
     round, which compiles, is not counted. Each call must return the arrays that it
     computes; after its first, one that took `budget_seconds` in all gets no other.
-    With `time.process_time` as its clock, other programs take no part.
     """
     for call in calls.values():
         jax.block_until_ready(call())
@@ -35,9 +33,9 @@ def time_interleaved(
         for name, call in calls.items():
             if seconds[name] and sum(seconds[name]) >= budget_seconds:
                 continue
-            start = clock()
+            start = time.perf_counter()
             jax.block_until_ready(call())
-            seconds[name].append(clock() - start)
+            seconds[name].append(time.perf_counter() - start)
     return seconds
 
 

@@ -1,13 +1,12 @@
-"""Figures of semantic correspondences: coloured points in clouds, shares in bars."""
+"""Figures of semantic correspondences: coloured points in clouds."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
-from dpc_jax.reporting import style
 from dpc_jax.reporting.panels import draw_grid
 from dpc_jax.reporting.spheres import FRONT, draw_spheres, shade_depth
 
@@ -59,29 +58,3 @@ def _draw_cloud(image, cloud, found) -> np.ndarray:
 
 def _to_rgb(text):
     return np.array([int(text[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
-
-
-def draw_shares(
-    shares: Mapping[str, Mapping[str, float]], path: str | os.PathLike
-) -> Path:
-    """Bars: the share of points on the right part, for each method and keypoint.
-
-    Args:
-      shares: method: {keypoint: share of 0 to 1}; NaN has no bar.
-    """
-    names = list(next(iter(shares.values())))
-    figure = style.make_figure(9.0, 3.4)
-    axes = figure.subplots()
-    width = 0.8 / len(shares)
-    for i, (method, values) in enumerate(shares.items()):
-        percent = 100.0 * np.array([values[name] for name in names])
-        places = np.arange(len(names)) + (i - (len(shares) - 1) / 2) * width
-        axes.bar(places, percent, width, color=style.SERIES[i], label=method)
-    style.label_axes(
-        axes, title="Transferred points on the right part", y_label="share (%)"
-    )
-    lines = [name.replace(" ", "\n") for name in names]
-    axes.set_xticks(np.arange(len(names)), lines)
-    axes.set_ylim(0.0, 100.0)
-    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-    return style.save_figure(figure, path)

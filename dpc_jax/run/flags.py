@@ -4,7 +4,7 @@ import argparse
 import functools
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
@@ -60,6 +60,21 @@ class FlagParser(argparse.ArgumentParser):
         if named := [w for w in words if w[0] == "-" and os.path.lexists(w)]:
             cure = f"write ./{named[0]} for the file whose name begins with -"
         raise ValueError(f"Expected flags as --help lists them, but {message}; {cure}.")
+
+
+def reading_names(known: Iterable[str]) -> Callable[[str], tuple[str, ...]]:
+    """A type of flag: some of the known names, with commas between."""
+    known = tuple(known)
+
+    def read(text):
+        found = tuple(part.strip() for part in text.split(","))
+        if unknown := [name for name in found if name not in known]:
+            raise argparse.ArgumentTypeError(
+                f"names must be of {', '.join(known)}, not {unknown[0] or 'empty'}"
+            )
+        return found
+
+    return read
 
 
 class Task(NamedTuple):

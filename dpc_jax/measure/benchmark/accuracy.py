@@ -66,13 +66,6 @@ def list_settings(plan: Plan) -> list[Setting]:
     return settings
 
 
-class _Outcome(NamedTuple):
-    """Silhouette [C, C] and gradient [N, 3], for all points together; float64."""
-
-    image: np.ndarray
-    gradient: np.ndarray
-
-
 def measure_scene(
     scene: Scene, sigma: float, *, plan: Plan, settings: list[Setting]
 ) -> list[dict[str, Any]]:
@@ -103,14 +96,14 @@ def measure_scene(
         # A point that stands for several has the gradient of them all.
         share = len(gradient) / len(scene.points)
         gradient = np.asarray(gradient, np.float64) * share
-        outcome = _Outcome(np.asarray(image, np.float64), gradient)
+        outcome = {"image": np.asarray(image, np.float64), "gradient": gradient}
         record: dict[str, Any] = {"scene": scene.name, "sigma": sigma}
         record |= {"family": setting.family, "setting": setting.label}
         references = {"": exact[side, side, side], "_same_grid": exact[setting.shape]}
         for kind in ("image", "gradient"):
             for suffix, reference in references.items():
-                value, true = getattr(outcome, kind), getattr(reference, kind)
-                error = measure_distance(value, true[: len(value)])
+                value = outcome[kind]
+                error = measure_distance(value, reference[kind][: len(value)])
                 record[f"{kind}_error{suffix}"] = error
             seconds = times[kind][setting.label]
             record[f"{kind}_seconds"] = float(np.median(seconds))
@@ -159,12 +152,12 @@ def _make_programs(method, shape, blocks):
     return jax.jit(render), jax.jit(jax.grad(compute_loss, has_aux=True))
 
 
-def _compute_exact(scene, sigma, shape, plan, target) -> _Outcome:
-    """The gaussian method in float64."""
+def _compute_exact(scene, sigma, shape, plan, target) -> dict[str, np.ndarray]:
+    """Image [C, C] and gradient [N, 3] of the gaussian method in float64."""
     setting = Setting("exact", "exact", "gaussian", shape, dtype="float64")
     _, call = _prepare(scene, sigma, setting, plan, target)
     gradient, image = call()
-    return _Outcome(np.asarray(image), np.asarray(gradient))
+    return {"image": np.asarray(image), "gradient": np.asarray(gradient)}
 
 
 def _compute_target(scene, sigma, plan) -> np.ndarray:

@@ -42,12 +42,8 @@ class Case:
     # derivative is right.
     slope: Callable | None = None
     dtypes: tuple[str, ...] = DTYPES  # the case runs in these
-    # "checked", or "finite" if results in 16 bits only have to be finite
-    half: str = "checked"
+    is_half_checked: bool = True  # or results in 16 bits only have to be finite
     limit: str = ""  # the documented limit that the case shows, if any
-    # False for numpy functions, which run without jit and gradient
-    is_traced: bool = True
-    terms: int = 0  # how long the sum is whose rounding is in question
     is_slow: bool = False  # left out of the quick form
 
     def __post_init__(self):
@@ -95,52 +91,36 @@ class Row:
     is_finite: bool = True  # whether all values and gradients are
     limit: str = ""  # the documented limit that the case shows, if any
     because: str = ""  # where the tolerances come from
-    terms: int = 0  # as in `Case`
     found: str = ""  # more about a failure
 
     @property
-    def value_ratio(self) -> float | None:
-        """Error over tolerance of the value; None without a tolerance."""
-        return _divide(self.value_error, self.value_tolerance)
-
-    @property
-    def gradient_ratio(self) -> float | None:
-        """Error over tolerance of the gradient; None without a tolerance."""
-        return _divide(self.gradient_error, self.gradient_tolerance)
-
-    @property
-    def worst_ratio(self) -> float:
-        """The larger of both ratios; 0 without any."""
-        return max(self.value_ratio or 0.0, self.gradient_ratio or 0.0)
+    def ratios(self) -> dict[str, float]:
+        """Error over tolerance of the value and of the gradient, where there is one."""
+        pairs = {
+            "value": (self.value_error, self.value_tolerance),
+            "gradient": (self.gradient_error, self.gradient_tolerance),
+        }
+        return {
+            name: error / tolerance if tolerance else math.inf if error else 0.0
+            for name, (error, tolerance) in pairs.items()
+            if error is not None and tolerance is not None
+        }
 
     @property
     def passes(self) -> bool:
         """Whether the results are finite and the errors within the tolerances."""
-        ratios = [r for r in (self.value_ratio, self.gradient_ratio) if r is not None]
-        return self.is_finite and all(ratio <= 1 for ratio in ratios)  # not NaN
+        return self.is_finite and all(r <= 1 for r in self.ratios.values())  # not NaN
 
     def describe_failure(self) -> str:
         """One sentence on a row outside its tolerance."""
         reasons = [] if self.is_finite else ["a value or gradient is not finite"]
-        for name, error, tolerance, ratio in (
-            ("value", self.value_error, self.value_tolerance, self.value_ratio),
-            (
-                *("gradient", self.gradient_error),
-                *(self.gradient_tolerance, self.gradient_ratio),
-            ),
-        ):
-            if ratio is not None and not ratio <= 1:
+        for name, ratio in self.ratios.items():
+            if not ratio <= 1:
+                error = getattr(self, f"{name}_error")
+                tolerance = getattr(self, f"{name}_tolerance")
                 reasons.append(
                     f"the error of the {name} is {error:.2e}, the tolerance "
                     f"{tolerance:.2e}"
                 )
         reasons += [self.found] * bool(self.found)
         return f"{self.subject}, {self.case}, {self.dtype}: {' and '.join(reasons)}."
-
-
-def _divide(error, tolerance):
-    if error is None or tolerance is None:
-        return None
-    if tolerance == 0:
-        return 0.0 if error == 0 else math.inf
-    return error / tolerance

@@ -22,15 +22,11 @@ LENGTHS = (
     # 1 / 9e37 is subnormal, which processors flush to zero.
     ("length 1.3e38", (0, 0, 9e37, -9e37), IN_WIDE),
     ("components from 1e-30 to 1", (1e-30, 1, 1e-15, -1e-3)),
-    ("-q", np.negative(PLAIN)),
     NEAR_IDENTITY,
-    ("half turn", (0, 1, -2, 3)),
 )
 PAIRS = (
     ("plain", PLAIN, (1, 2, 3, 4)),
     ("1e30 by 1e-30", np.multiply(PLAIN, 1e30), (1e-30, 2e-30, 3e-30, 4e-30)),
-    ("near identity, 1e-7", (1, 1e-7, 0, 0), (1, 0, -1e-7, 1e-7)),
-    ("half turns", (0, 1, 0, 0), (0, 0, 1, 0)),
 )
 BRANCHES = (
     ("w largest", (1, 0.1, -0.2, 0.3)),
@@ -42,12 +38,11 @@ BRANCHES = (
     ("1e-7 from a half turn", (1e-7, 1, -2, 3)),
     ("all four tie", (1, -1, 1, 1)),
     ("identity", IDENTITY),
-    NEAR_IDENTITY,
 )
 
 
 def _pass_through_matrix(q):
-    """To a matrix and back, as q·qᵀ, which is the same for q and -q."""
+    """As q·qᵀ, which is the same for q and -q."""
     back = jnp.asarray(quaternion.from_matrix(quaternion.to_matrix(q)))
     return jnp.outer(back, back)
 
@@ -171,11 +166,8 @@ SCENES = (
     ("distance 0", EYE, STILL, 0.5, 0.0, AT_EYE),
     ("one point behind the camera", EYE - [0, 0, 0.1], STILL, 0.5, 0.0, AT_EYE),
     ("one point 1e-7 before the plane", BEFORE, STILL, 0.5, 0.0, AT_EYE | IN_WIDE),
-    ("focal length 1e-3", CLOUD, TURN, 1e-3, 2.0, IN_WIDE),
     ("focal length 1e3, on the axis", CLOUD * [1e-4, 1e-4, 1], STILL, 1e3, 2.0),
     ("focal length 1e3 from 1e3", CLOUD, TURN, 1e3, 1024.0),
-    ("points 1e6 away", CLOUD + 1e6, TURN, 1.875, 2.0, AWAY),
-    ("points 1e30 away", CLOUD * 1e30, TURN, 1.875, 2.0, AWAY),
     ("points 3e38 away", np.sign(CLOUD) * 3e38, TURN, 1.875, 2.0, AWAY),
     ("object larger than the volume", CLOUD * 4, TURN, 1.875, 2.0, AWAY),
     ("quaternion of length 1e-30", CLOUD, TINY, 1.875, 2.0, IN_WIDE),
@@ -198,7 +190,7 @@ def list_cameras() -> list[Case]:
             because="30 roundings of numbers of a few cells; a point close to the eye "
             "multiplies them",
             floor=1.0,
-            half="finite",
+            is_half_checked=False,
         )
     return cases
 

@@ -1,6 +1,7 @@
 """Whole images of clouds and of volumes of cells: poses, lenses, masses, empty rays."""
 
 import functools
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,6 @@ from dpc_jax.measure.stability import oracles
 from dpc_jax.measure.stability.case import IN_WIDE, Case, make_cases
 from dpc_jax.render import Camera, VoxelGrid, project, project_volume
 
-ALL = ("silhouette", "depth", "color")
 SHAPE = (4, 3, 5)
 TURN, STILL = (0.8, 0.1, -0.3, 0.2), (1, 0, 0, 0)
 POINTS = np.array(
@@ -21,7 +21,6 @@ CAMERA |= {"background_depth": 10.0, "background_color": (1.0, 0.25)}
 PLAIN = {"points": POINTS, "rotation": TURN, "sizes": 0.6, "scale": [0.6] * 4}
 PLAIN |= {"colors": COLORS, **CAMERA}
 MATRIX = oracles.rotate(np.eye(3), np.array(TURN)).T
-ONE = np.array([1e-12, 0, 0, 0])
 MANY = (1e-12, 1e-6, 1, 1e6)
 TILT = np.array([[0.5, 0.25, 0], [0.25, 0, -0.125], [0, -0.125, 0.25]])
 
@@ -46,22 +45,16 @@ NARROW = {
 SCENES = (
     ("plain", {}, {}),
     ("no point near any ray", {"points": np.full((4, 3), 9.0)}, BACKGROUND),
-    ("one point of mass 1e-12", {"scale": ONE}, IN_WIDE),
-    ("one point of mass 1e-30", {"scale": ONE * 1e-18}, IN_WIDE),
+    ("one point of mass 1e-30", {"scale": [1e-30, 0, 0, 0]}, IN_WIDE),
     ("the camera inside", {"distance": 0.0}, IN_WIDE | BEHIND),
     ("mass 0", {"scale": [0] * 4}, BACKGROUND),
-    ("mass 1e6", {"scale": [1e6] * 4}, IN_WIDE | FULL | TAILS),
     ("masses from 1e-12 to 1e6", {"scale": MANY}, IN_WIDE | FULL | TAILS),
-    ("colours 1e6", {"colors": COLORS * 1e6}, IN_WIDE),
     ("colours 1e30", {"colors": COLORS * 1e30}, IN_WIDE),
-    ("colours 1e-30", {"colors": COLORS * 1e-30}, IN_WIDE),
     ("colours below 0", {"colors": -COLORS}, {}),
     ("sigma 0", {"sizes": 0.0}, FLOOR),
-    ("sigma 1e-30", {"sizes": 1e-30}, IN_WIDE | FLOOR),
     ("sigma 0.05", {"sizes": 0.05}, NARROW),
     ("sigma 1e3", {"sizes": 1e3}, IN_WIDE),
     ("quaternion of length 1e-30", {"rotation": np.multiply(TURN, 1e-30)}, IN_WIDE),
-    ("quaternion of length 1e30", {"rotation": np.multiply(TURN, 1e30)}, IN_WIDE),
     ("half turn", {"rotation": (0, 1, 0, 0)}, {}),
     ("an object 1e6 wide", {"points": POINTS * 1e6}, IN_WIDE | BACKGROUND),
     ("an object 1e-6 wide", {"points": POINTS * 1e-6 + [0.1, 0.07, 0.03]}, IN_WIDE),
@@ -75,9 +68,13 @@ def _tilt(sides):
 
 COVARIANCES = (
     # The others turn by a quaternion.
-    ("by a matrix", _tilt([0.6, 0.8, 1.0, 1.2]) | {"rotation": MATRIX}, {}),
-    ("plain", _tilt([0.6, 0.8, 1.0, 1.2]), {}),
-    ("mass 0", _tilt([0.6, 0.8, 1.0, 1.2]) | {"scale": [0] * 4}, BACKGROUND),
+    (
+        "by a matrix",
+        _tilt([0.6, 0.8, 1, 1.2]) | {"rotation": MATRIX},
+        {"is_slow": True},
+    ),
+    ("plain", _tilt([0.6, 0.8, 1, 1.2]), {}),
+    ("mass 0", _tilt([0.6, 0.8, 1, 1.2]) | {"scale": [0] * 4}, BACKGROUND),
     ("sizes over 1e6", _tilt([1e-3, 0.3, 30, 1e3]), IN_WIDE),
 )
 # The gradient to a place is a difference of two cells' readings, which the wide kernel
@@ -87,50 +84,47 @@ TO_PLACES = {
 }
 
 
+def _describe(
+    translation, focal, distance, depth=10.0, color=1.0, *, shape, projection, **rules
+) -> dict[str, Any]:
+    """What `project` and `project_volume` take alike."""
+    return {
+        "translation": translation,
+        "camera": Camera(focal, distance, projection),
+        "grid": VoxelGrid(shape),
+        "signals": ("silhouette", "depth", "color"),
+        "background_depth": depth,
+        "background_color": color,
+    } | rules
+
+
 def render_cloud(
     points,
     rotation,
     sizes,
     scale,
     colors,
-    translation,
-    focal,
-    distance,
-    background_depth=10.0,
-    background_color=1.0,
-    *,
+    *scene,
     method,
-    projection="perspective",
-    ray_rule="termination",
     shape=SHAPE,
+    projection="perspective",
+    **rules,
 ):
     """The three images of `project`; sizes are sigma () or [N], or covariances."""
-    is_covariance = jnp.ndim(sizes) == 3
-    image = project(
-        points,
-        rotation,
-        sigma=None if is_covariance else sizes,
-        covariance=sizes if is_covariance else None,
-        scale=scale,
-        colors=colors,
-        translation=translation,
-        camera=Camera(focal, distance, projection),
-        grid=VoxelGrid(shape),
-        signals=ALL,
-        method="auto" if is_covariance else method,
-        ray_rule=ray_rule,
-        background_depth=background_depth,
-        background_color=background_color,
-    )
+    how = _describe(*scene, shape=shape, projection=projection, **rules)
+    if jnp.ndim(sizes) == 3:
+        how["covariance"] = sizes
+    else:
+        how |= {"sigma": sizes, "method": method}
+    image = project(points, rotation, scale=scale, colors=colors, **how)
     return image.silhouette, image.depth, image.color
 
 
 def list_images() -> list[Case]:
     """Cases of `project`, with the gradient to every input."""
     cases = []
-    for method, scenes in (
-        *(("trilinear", SCENES), ("gaussian", SCENES), ("covariance", COVARIANCES)),
-    ):
+    tables = {"trilinear": SCENES, "gaussian": SCENES, "covariance": COVARIANCES}
+    for method, scenes in tables.items():
         rows = []
         for name, changes, fields in scenes:
             inputs = PLAIN | changes
@@ -146,7 +140,7 @@ def list_images() -> list[Case]:
             (128, 1024),
             rows,
             because=ROUNDINGS,
-            half="finite",
+            is_half_checked=False,
             gradient_floor=(1e-30,) * len(PLAIN),
         )
     return cases
@@ -193,15 +187,10 @@ CELL_SCENES = (
     ("one full cell, the others empty", {"volume": LONE}, EMPTY),
     ("full and empty cells in turn", {"volume": CHECKERS}, EMPTY),
     ("occupancies 1e-30", {"volume": VOLUME * 1e-30}, IN_WIDE),
-    ("occupancies 1e6", {"volume": VOLUME * 1e6}, IN_WIDE | CLIPPED),
     ("occupancies 1e30", {"volume": VOLUME * 1e30}, IN_WIDE | CLIPPED),
-    ("occupancies below 0", {"volume": -VOLUME}, {}),
     ("occupancies from -3 to 5", {"volume": VOLUME * 10 - 4}, CLIPPED),
     ("colours 1e30", {"colors": CELL_COLORS * 1e30}, IN_WIDE),
-    ("colours 1e-30", {"colors": CELL_COLORS * 1e-30}, IN_WIDE),
-    ("colours below 0", {"colors": -CELL_COLORS}, {}),
     ("quaternion of length 1e-30", {"rotation": np.multiply(TURN, 1e-30)}, IN_WIDE),
-    ("quaternion of length 1e30", {"rotation": np.multiply(TURN, 1e30)}, IN_WIDE),
     ("quaternion 0", {"rotation": np.zeros(4)}, {}),
     ("half turn", {"rotation": (0, 1, 0, 0)}, {}),
     ("turned by 1e-6", {"rotation": (1, 1e-6, 0, 0)}, IN_WIDE),
@@ -212,7 +201,6 @@ CELL_SCENES = (
     ),
     ("moved by 3", {"translation": (3, 0, 0)}, AWAY),
     ("moved behind the camera", {"translation": (0, 0, -9)}, AWAY),
-    ("moved by 1e30", {"translation": (1e30, -1e30, 1e30)}, IN_WIDE | AWAY),
     ("moved by 3e38", {"translation": (3e38, 3e38, -3e38)}, IN_WIDE | AWAY),
     ("the camera inside", {"distance": 0.1}, BEHIND),
     # By `TURN` a sample would lie on a cell's centre, but for rounding.
@@ -221,11 +209,9 @@ CELL_SCENES = (
         {"distance": 0.0, "rotation": (0.8, 0.13, -0.3, 0.21)},
         BEHIND,
     ),
-    ("the volume behind the camera", {"distance": -2.0}, BEHIND | AWAY),
     ("distance 1e6, focal length 1e6", {"distance": 1e6, "focal": 1e6}, IN_WIDE),
     ("distance 1e30", {"distance": 1e30}, IN_WIDE | AWAY),
     ("focal length 1e-6", {"focal": 1e-6}, IN_WIDE | AWAY),
-    ("focal length 1e6", {"focal": 1e6}, IN_WIDE),
     ("focal length 1e30", {"focal": 1e30}, IN_WIDE),
 )
 
@@ -240,44 +226,20 @@ def _graze(projection):
         yield name, moved, IN_WIDE | fields
 
 
-def _make_shape(name, shape, fields):
-    volume, colors = _fill(shape)
-    return name, {"volume": volume, "colors": colors}, fields
+def _fill_inputs(shape):
+    return dict(zip(("volume", "colors"), _fill(shape), strict=True))
 
 
 SHAPES = (
-    _make_shape("one cell", (1, 1, 1), {}),
-    _make_shape("a rod of 32 cells", (1, 1, 32), {}),
-    _make_shape("a plate one cell thick", (5, 1, 4), {}),
+    ("one cell", _fill_inputs((1, 1, 1)), {"is_slow": True}),
+    ("a plate one cell thick", _fill_inputs((5, 1, 4)), {"is_slow": True}),
 )
 
 
-def render_cells(
-    volume,
-    colors,
-    rotation,
-    translation,
-    focal,
-    distance,
-    background_depth,
-    background_color,
-    *,
-    projection,
-    ray_rule="termination",
-):
+def render_cells(volume, colors, rotation, *scene, projection, **rules):
     """The three images of `project_volume`."""
-    image = project_volume(
-        volume,
-        rotation,
-        colors=colors,
-        translation=translation,
-        camera=Camera(focal, distance, projection),
-        grid=VoxelGrid(CELLS),
-        signals=ALL,
-        ray_rule=ray_rule,
-        background_depth=background_depth,
-        background_color=background_color,
-    )
+    how = _describe(*scene, shape=CELLS, projection=projection, **rules)
+    image = project_volume(volume, rotation, colors=colors, **how)
     return image.silhouette, image.depth, image.color
 
 
@@ -303,7 +265,7 @@ def list_cells() -> list[Case]:
                 for name, inputs, fields in (*scenes, *_graze(projection))
             ],
             because=ROUNDINGS,
-            half="finite",
+            is_half_checked=False,
             gradient_floor=(1e-30,) * len(SOLID),
         )
     return cases

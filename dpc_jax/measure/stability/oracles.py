@@ -228,24 +228,21 @@ def project(
     sizes: Array,
     scale: Number,
     colors: Array,
-    translation: Number = 0.0,
-    focal: Number = 1.875,
-    distance: Number = 2.0,
-    background_depth: Number = 10.0,
-    background_color: Number = 1.0,
-    *,
+    *scene: Number,
     shape: Shape,
     method: str = "trilinear",
-    extent: float = 1.0,
-    orthographic: bool = False,
+    **lens,
 ) -> tuple[Array, Array, Array]:
     """(silhouette, depth, color [rows, cols, C]) of one cloud; see `dpc_jax.project`.
 
     Sizes are sigma, or covariances in the object's frame for the method "covariance".
+    The scene is translation, focal length, distance, background's depth and colour; the
+    lens is `extent` and `orthographic`.
     """
-    where = {"shape": shape, "extent": extent, "orthographic": orthographic}
+    translation, focal, distance, *background = scene
     coordinates, is_inside = place(
-        *(points, rotation, focal, distance), translation=translation, **where
+        *(points, rotation, focal, distance),
+        **({"shape": shape, "translation": translation} | lens),
     )
     masses = np.where(is_inside, scale * np.ones(len(points)), 0)
     if method == "covariance":
@@ -259,14 +256,9 @@ def project(
             return sum_gaussians(coordinates, values, sizes, shape)
         return smooth(splat(coordinates, values, shape), sizes)
 
-    return end_rays(
-        fill(masses),
-        [fill(masses * channel) for channel in colors.T],
-        distance,
-        background_depth,
-        background_color,
-        extent=extent,
-    )
+    channels = [fill(masses * channel) for channel in colors.T]
+    extent = lens.get("extent", 1.0)
+    return end_rays(fill(masses), channels, distance, *background, extent=extent)
 
 
 def end_rays(
@@ -302,16 +294,13 @@ def move_covariances(
 ) -> Array:
     """S·J·R·Σ·Rᵀ·Jᵀ·S written out, where J is the Jacobian of (f·y/z, f·x/z, z)."""
     axes = rotate(np.eye(3), rotation).T  # columns: where the axes go
+    stretch = np.array(shape)[:, None] / REAL(shape[0])
     moved = []
     for (x, y, z), matrix in zip(ahead, covariances, strict=True):
+        zoom, none = focal / z, 0 * z
         slopes = np.array(
-            [
-                [0 * z, focal / z, -focal * y / (z * z)],
-                [focal / z, 0 * z, -focal * x / (z * z)],
-                [0 * z, 0 * z, 1 + 0 * z],
-            ]
+            [[none, zoom, -zoom * y / z], [zoom, none, -zoom * x / z], [none, none, 1]]
         )
-        stretch = np.array(shape)[:, None] / REAL(shape[0])
         linear = stretch * _multiply(slopes, axes)
         symmetric = (matrix + matrix.T) / 2
         moved.append(_multiply(_multiply(linear, symmetric), linear.T))
@@ -329,9 +318,7 @@ def project_volume(
     translation: Array,
     focal: Number,
     distance: Number,
-    background_depth: Number = 10.0,
-    background_color: Number = 1.0,
-    *,
+    *background: Number,
     shape: Shape,
     extent: float = 1.0,
     orthographic: bool = False,
@@ -359,14 +346,8 @@ def project_volume(
         values = np.sum(spread * cells, axis=(1, 2, 3))
         return np.where(is_ahead, values, 0).reshape(shape)
 
-    return end_rays(
-        sample(volume),
-        [sample(volume * channel) for channel in np.moveaxis(colors, -1, 0)],
-        distance,
-        background_depth,
-        background_color,
-        extent=extent,
-    )
+    channels = [sample(volume * channel) for channel in np.moveaxis(colors, -1, 0)]
+    return end_rays(sample(volume), channels, distance, *background, extent=extent)
 
 
 def _find_tents(places, size):

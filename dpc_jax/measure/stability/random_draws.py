@@ -1,48 +1,105 @@
-"""Random draws: every function over all float32 numbers, and what must hold of it.
-
-Only `hypothesis`, an extra of the package, can draw: it is imported where it is used,
-so that the rest of the package runs without it.
-"""
+"""Random draws: every function over all float32 numbers, and what must hold of it."""
 
 import functools
-import importlib.util
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpc_jax.measure.stability.case import Row
-from dpc_jax.measure.stability.draw_targets import Range, Target
-
-DRAWS, QUICK_DRAWS = 10_000, 30
-MISSING = (
-    "random draws need the library hypothesis, but it is not installed; install it "
-    "with pip install 'dpc_jax[test]', or leave this subject out"
+from dpc_jax import render
+from dpc_jax.evaluation import (
+    align,
+    chamfer_distance,
+    pose_summary,
+    rotation_angle_deg,
 )
+from dpc_jax.learning import losses
+from dpc_jax.learning.choice import hindsight
+from dpc_jax.measure.stability.case import Row
+from dpc_jax.measure.stability.image_cases import (
+    CELLS,
+    SHAPE,
+    render_cells,
+    render_cloud,
+)
+from dpc_jax.measure.stability.runner import QUICKLY
+from dpc_jax.render import Camera, VoxelGrid, quaternion
+
+DRAWS, QUICK_DRAWS = 10_000, 100
+AT_ONCE = 500  # draws
+LARGEST = float(np.finfo(np.float32).max)
+EPSILON = float(np.finfo(np.float32).eps)
+_SMALLEST = 1e-45  # above zero, subnormal
 PROMISE = (
     "values and gradients are finite, and what the function promises holds; a "
     "documented refusal counts as an answer"
 )
 
 
-class _Broken(Exception):
-    """A draw broke a property; its arguments are the properties and the draw."""
+class Range(NamedTuple):
+    """Float32 arrays that are drawn for one input."""
+
+    shape: tuple[int, ...]
+    low: float = -LARGEST  # bounds; by default all finite numbers, subnormal ones too
+    high: float = LARGEST
+    # Bounds of the ordinary numbers that are mixed in; without them, every point would
+    # be out of sight.
+    usual: tuple[float, float] = (-0.5, 0.5)
+    smallest: float = 0.0  # smaller magnitudes become zero
+
+    def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """[count, *shape]: ordinary numbers alone, or extreme ones among them."""
+        size = (count, *self.shape)
+        ordinary = rng.uniform(*self.usual, size)
+        top = max(abs(self.low), abs(self.high))
+        extreme = np.exp(rng.uniform(np.log(_SMALLEST), np.log(top), size))
+        if self.low < 0:
+            extreme *= rng.choice((-1, 1), size)
+        special = rng.choice((self.low, self.high, 0, 1, -1, *self.usual), size)
+        kinds = rng.choice(3, size, p=(0.6, 0.25, 0.15))
+        kinds = np.where(rng.uniform(size=count) < 0.3, 0, kinds.T).T
+        numbers = np.choose(kinds, (ordinary, extreme, special))
+        numbers = np.clip(numbers, self.low, self.high).astype(np.float32)
+        return np.where(np.abs(numbers) < self.smallest, np.float32(0), numbers)
 
 
-def run(
-    targets: Iterable[Target], *, draws: int, seed: int, tell: Callable = print
+class Target(NamedTuple):
+    """A function, and what must hold for every draw."""
+
+    name: str  # as a user writes it
+    function: Callable  # maps the inputs as arrays to an array or a tree of arrays
+    inputs: tuple[Range, ...]  # their ranges
+    # (outputs, *inputs) -> whether what the function promises holds, beside that
+    # everything is finite
+    holds: Callable[..., Any] = lambda outputs, *inputs: True
+    limit: str = ""  # the documented range if it is not all finite numbers, and why
+    has_gradient: bool = True  # whether every input must have a finite gradient
+    # False for numpy functions, which may refuse a draw in a sentence
+    is_traced: bool = True
+
+
+def run(*, quick: bool, seed: int) -> Iterator[Row]:
+    """A row for each target, whose error is one if a draw broke it."""
+    draws = QUICK_DRAWS if quick else DRAWS
+    return run_targets(list_targets(), draws=draws, seed=seed, quick=quick)
+
+
+def run_targets(
+    targets: Iterable[Target], *, draws: int, seed: int = 0, quick: bool = True
 ) -> Iterator[Row]:
-    """A row for each target, whose error is one if a draw broke it.
-
-    The same seed makes the same draws.
-    """
-    if importlib.util.find_spec("hypothesis") is None:
-        yield Row("random", "all functions", "float32", 1.0, 0.0, found=MISSING)
-        return
+    """The rows of these targets; the same seed makes the same draws."""
     for target in targets:
-        found = draw_inputs(target, draws=draws, seed=seed)
-        tell(f"random, {target.name}: {'broken' if found else 'holds'}")
+        rng = np.random.default_rng(seed)
+        drawn = [wanted.draw(rng, draws) for wanted in target.inputs]
+        checks = _check_traced if target.is_traced else _check_plain
+        held = checks(target, drawn, quick=quick)
+        found = ""
+        if broken := [name for name, each in held.items() if not np.all(each)]:
+            first = int(np.argmin(held[broken[0]]))
+            shown = "; ".join(str(a[first].tolist()) for a in drawn)
+            found = f"{', '.join(broken)} did not hold for {shown}"
         yield Row(
             *("random", target.name, "float32", float(bool(found)), 0.0),
             limit=target.limit,
@@ -51,73 +108,14 @@ def run(
         )
 
 
-def draw_inputs(target: Target, *, draws: int, seed: int) -> str:
-    """Try draws on a target; of one that breaks it the simplest, in words, or ""."""
-    import hypothesis
-    from hypothesis import strategies
+def _check_traced(target: Target, drawn, *, quick) -> Mapping[str, np.ndarray]:
+    """Of each property whether each draw has it, by one compiled program.
 
-    check = make_check(target)
-
-    # No data base and a fixed seed: the same draws in every run.
-    @hypothesis.seed(seed)
-    @hypothesis.settings(
-        max_examples=draws,
-        deadline=None,
-        database=None,
-        derandomize=False,
-        report_multiple_bugs=False,
-        verbosity=hypothesis.Verbosity.quiet,
-        suppress_health_check=list(hypothesis.HealthCheck),  # pyright: ignore
-    )
-    @hypothesis.given(strategies.tuples(*(_draw_array(r) for r in target.inputs)))
-    def judge(arrays):
-        try:
-            found = check(*arrays)
-        except Exception as error:  # any exception that is not documented is a find
-            raise _Broken((f"{type(error).__name__}: {error}",), arrays) from error
-        broken = tuple(name for name, holds in found.items() if not holds)
-        if broken:
-            raise _Broken(broken, arrays)
-
-    try:
-        judge()
-    except _Broken as error:
-        broken, arrays = error.args
-        drawn = "; ".join(str(a.tolist()) for a in arrays)
-        return f"{', '.join(broken)} did not hold for {drawn}"
-    return ""
-
-
-def _draw_array(wanted: Range):
-    """A strategy of arrays of ordinary numbers, alone or mixed with extreme ones."""
-    from hypothesis import strategies
-    from hypothesis.extra import numpy as arrays
-
-    def make_elements(low, high):
-        low, high = float(np.float32(low)), float(np.float32(high))
-        numbers = strategies.floats(low, high, width=32)
-        floor = wanted.smallest
-        return numbers.map(lambda x: x if abs(x) >= floor else 0.0)
-
-    usual = make_elements(*wanted.usual)
-    either = strategies.one_of(usual, make_elements(wanted.low, wanted.high))
-    return strategies.one_of(
-        arrays.arrays(np.float32, wanted.shape, elements=either),
-        arrays.arrays(np.float32, wanted.shape, elements=usual),
-    )
-
-
-def make_check(target: Target) -> Callable[..., dict[str, bool]]:
-    """A function of drawn arrays that tells for each property whether it holds.
-
-    For a traced function it is one compiled program. The properties are finite outputs,
-    finite gradients of Σ ±output, and what the target promises.
+    The properties are finite outputs, finite gradients of Σ ±output, and what the
+    target promises.
     """
-    if not target.is_traced:
-        return functools.partial(_check_plain, target)
 
-    @jax.jit
-    def check(*arrays):
+    def check(arrays):
         if target.has_gradient:
             outputs, pull_back = jax.vjp(target.function, *arrays)
             gradients = pull_back(jax.tree.map(_alternate, outputs))
@@ -126,21 +124,29 @@ def make_check(target: Target) -> Callable[..., dict[str, bool]]:
         found = {"finite": _are_finite(outputs)}
         for place, gradient in enumerate(gradients):
             found[f"gradient of input {place}"] = _are_finite(gradient)
-        return found | {"its promise": target.holds(outputs, *arrays)}
+        return found | {"its promise": jnp.asarray(target.holds(outputs, *arrays))}
 
-    return lambda *arrays: jax.device_get(check(*arrays))
+    options = QUICKLY if quick else None
+    at_once = min(AT_ONCE, len(drawn[0]))
+    many = functools.partial(jax.lax.map, check, batch_size=at_once)
+    return jax.device_get(jax.jit(many, compiler_options=options)(drawn))
 
 
-def _check_plain(target, *arrays):
-    try:
-        outputs = target.function(*arrays)
-    except ValueError as error:
-        # "<Subject> must be <expected>, but <what came>; <what to do>."
-        says_all = ", but " in str(error) and "; " in str(error)
-        return {"refused in a sentence": says_all}
-    leaves = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(outputs)]
-    found = {"finite": all(np.isfinite(leaf).all() for leaf in leaves)}
-    return found | {"its promise": target.holds(outputs, *arrays)}
+def _check_plain(target: Target, drawn, *, quick) -> Mapping[str, np.ndarray]:
+    held = []
+    for arrays in zip(*drawn, strict=True):
+        try:
+            outputs = target.function(*arrays)
+        except ValueError as error:
+            # "<Subject> must be <expected>, but <what came>; <what to do>."
+            says_all = ", but " in str(error) and "; " in str(error)
+            held.append((says_all, says_all, says_all))
+            continue
+        leaves = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(outputs)]
+        is_finite = all(np.isfinite(leaf).all() for leaf in leaves)
+        held.append((True, is_finite, bool(target.holds(outputs, *arrays))))
+    names = ("refused in a sentence", "finite", "its promise")
+    return dict(zip(names, np.array(held).T, strict=True))
 
 
 def _are_finite(tree):
@@ -152,3 +158,212 @@ def _alternate(output):
     """Cotangents 1, -1, 1, ...: no cell's gradient can hide behind another's."""
     size = output.size
     return (1 - 2 * (jnp.arange(size) % 2)).reshape(output.shape).astype(output.dtype)
+
+
+# What functions promise.
+
+
+def anything(*_):
+    """For functions that promise finite numbers and no more."""
+    return True
+
+
+def is_share(values, *_):
+    """Whether all values are in [0, 1]."""
+    return jnp.all((values >= 0) & (values <= 1))
+
+
+def _shows_shares(images, *_):
+    return is_share(images[0])
+
+
+def _are_probabilities(found, *_):
+    cells, background = found
+    errors = jnp.abs(cells.sum(-1) + background - 1)
+    are_positive = jnp.all(cells >= 0) & jnp.all(background >= 0)
+    return are_positive & jnp.all(errors <= 16 * EPSILON)
+
+
+def _makes_no_mass(volume, coordinates, values):
+    return jnp.sum(volume) <= jnp.sum(jnp.abs(values)) * (1 + 64 * EPSILON)
+
+
+def _has_unit_length(q, *_):
+    return jnp.abs(jnp.sum(q**2) - 1) <= 16 * EPSILON
+
+
+def _is_orthogonal(matrix, *_):
+    return jnp.all(jnp.abs(matrix @ matrix.T - jnp.eye(3)) <= 32 * EPSILON)
+
+
+def _is_angle(angle, *_):
+    return (angle >= 0) & (angle <= np.float32(np.pi) * (1 + EPSILON))
+
+
+def _is_degrees(angles, *_):
+    return np.all((angles >= 0) & (angles <= 180))
+
+
+def _is_narrower(found, sigma):
+    return jnp.all((found >= 0) & (found <= sigma))
+
+
+def _is_positive(values, *_):
+    return jnp.all(jnp.asarray(values) >= -4 * EPSILON)
+
+
+def _is_cosine_loss(loss, *_):
+    return (loss >= -4 * EPSILON) & (loss <= 1)
+
+
+def _is_alignment(found, *_):
+    return abs(np.linalg.norm(found[0]) - 1) <= 1e-12 and not np.any(found[-1])
+
+
+# Functions as they are drawn for.
+
+
+def _project(points, rotation, sizes, *scene, method, projection, ray_rule):
+    """Of the covariances two as they were drawn, others positive semidefinite."""
+    if sizes.ndim == 3:
+        squares = jnp.einsum("nij,nkj->nik", sizes, sizes)
+        sizes = jnp.concatenate([sizes[:2], squares[2:]])
+    looks = {"method": method, "projection": projection, "ray_rule": ray_rule}
+    return render_cloud(points, rotation, sizes, *scene, **looks)
+
+
+def _voxelize(points, rotation, sigma, scale):
+    grid = VoxelGrid(SHAPE)
+    return render.voxelize(points, rotation, sigma=sigma, scale=scale, grid=grid)
+
+
+def _splat(coordinates, values):
+    return render.splat(coordinates, values, SHAPE)
+
+
+def _from_axis_angle(q, angle):
+    """With an axis that q turns."""
+    axis = jnp.squeeze(quaternion.rotate(jnp.eye(1, 3), q))
+    return quaternion.from_axis_angle(axis, angle)
+
+
+def _select(logits):
+    return losses.selection_loss(logits, jnp.array([0, 2]))
+
+
+def _choose(points, mass, candidates, target, sigma):
+    """The winner, as a share of the last one."""
+    options = {"sigma": sigma, "camera": Camera()}
+    winner = hindsight.choose_candidate(points, mass, candidates, target, **options)
+    return winner / (len(candidates) - 1)
+
+
+def _align(*arrays):
+    """What must be finite of an alignment; spread and rms are infinite far away."""
+    found = align(*arrays)
+    finite = (found.rotation, found.inlier_share, found.chamfer, found.icp_turn_deg)
+    return *finite, np.isnan([found.spread_deg, found.rms])
+
+
+_POINTS, _SIGMA = Range((5, 3)), Range((), 0, LARGEST, (0, 4))
+_SIGMAS, _SCALE = Range((5,), 0, LARGEST, (0, 4)), Range((5,), 0, 1e6, (0, 2))
+_TURN = Range((4,), smallest=1e-6, usual=(-1, 1))
+_STEEP_TURN = Range((4,), smallest=1e-30, usual=(-1, 1))
+_CAMERA = (
+    Range((3,)),  # translation
+    Range((), 1e-6, 1e6, (1, 2)),  # focal length
+    Range((), -1e6, 1e6, (0.5, 3)),  # distance
+    Range((), -1e6, 1e6, (0, 10)),  # depth of the background
+    Range((2,), -1e6, 1e6, (0, 1)),  # colour of the background
+)
+_SCENE = (_SCALE, Range((5, 2), -1e6, 1e6, (0, 1)), *_CAMERA)
+_CELLS = (Range(CELLS, -1e6, 1e6, (0, 1)), Range((*CELLS, 2), -1e6, 1e6, (0, 1)))
+_COVARIANCES = Range((5, 3, 3), -1e3, 1e3, (-1, 1))
+_SPLATS = (Range((5, 3), usual=(-1, 6)), Range((5,), -1e37, 1e37))
+_PEAKS = (Range((7,), -1e6, 1e6), Range((7,), 0, 1e10, (0, 3)))
+_RAYS = (Range((3, 7), 0, 1, (0, 1)),)
+_FACTORS = (Range((4,), -1e18, 1e18, (-1, 1)),) * 2
+_IMAGES, _ANY = (Range((4, 5), -1e18, 1e18, (0, 1)),) * 2, (Range((5, 3), -1e18, 1e18),)
+_CHOICE = (
+    *(_POINTS, Range((), 0, LARGEST, (0, 2)), Range((3, 4), usual=(-1, 1))),
+    *(Range((8, 8), 0, 1, (0, 1)), Range((), 0, LARGEST, (0, 3))),
+)
+_POSES, _CLOUDS = (Range((2, 2, 4), usual=(-1, 1)),) * 2, (Range((2, 5, 3)),) * 2
+_PERSPECTIVE = {"projection": "perspective", "ray_rule": "termination"}
+_FLAT = {"projection": "orthographic", "ray_rule": "maximum"}
+_LIMIT = (
+    "masses, occupancies, |colours|, |distance| and |background| ≤ 1e6, focal length "
+    "1e-6 to 1e6, |q| 0 or ≥ 1e-6: a gradient is a product of all these (and of "
+    "1/|q|), and must be a float32; any points, translation and sigma ≥ 0"
+)
+_KINDS = "; |covariance| ≤ 3e6, some of them indefinite, which is no covariance"
+_STEEP = "components 0 or ≥ 1e-30 (the gradient grows as 1/|q|)"
+_FAR = "coordinates ≤ 1e30, |q| 0 or ≥ 1e-6: the gradient grows as their quotient"
+_SQUARED, _REFUSED = "values ≤ 1e18: they are squared", "a zero quaternion is refused"
+
+
+def _projecting(method, rules, sizes, limit="") -> tuple:
+    inputs = (_POINTS, _TURN, sizes, *_SCENE)
+    function = functools.partial(_project, method=method, **rules)
+    name = ", ".join((f"project: {method}", *rules.values(), f"{sizes.shape} sizes"))
+    return name, function, inputs, _shows_shares, _LIMIT + limit
+
+
+# fmt: off
+_TRACED = (
+    _projecting("trilinear", _PERSPECTIVE, _SIGMA),
+    _projecting("trilinear", _FLAT, _SIGMA),
+    _projecting("gaussian", _PERSPECTIVE, _SIGMA),
+    _projecting("gaussian", _PERSPECTIVE, _SIGMAS),
+    _projecting("gaussian", _PERSPECTIVE, _COVARIANCES, _KINDS),
+    *((f"project_volume: {rules['projection']}",
+       functools.partial(render_cells, **rules), (*_CELLS, _TURN, *_CAMERA),
+       _shows_shares, _LIMIT) for rules in (_PERSPECTIVE, _FLAT)),
+    ("voxelize", _voxelize, (_POINTS, _TURN, _SIGMAS, _SCALE), is_share, _LIMIT),
+    ("splat", _splat, _SPLATS, _makes_no_mass,
+     "|values| ≤ 1e37: the sum of a cell must be a float32"),
+    ("smooth", render.smooth, (Range(SHAPE, -1e30, 1e30, (0, 1)), _SIGMA), anything,
+     "|volume| ≤ 1e30: sigma's gradient is a sum over all cells"),
+    ("compensate_widening", render.compensate_widening,
+     (Range((7,), 0, LARGEST, (0, 3)),), _is_narrower),
+    ("mass_of_peak", render.mass_of_peak, _PEAKS, anything,
+     "|peak| ≤ 1e6 and sigma ≤ 1e10: the mass grows as σ³"),
+    ("opacity", render.opacity, _RAYS, is_share, "occupancies in [0, 1], its domain"),
+    ("termination_probabilities", render.termination_probabilities, _RAYS,
+     _are_probabilities, "occupancies in [0, 1], its domain"),
+    ("quaternion.normalize", quaternion.normalize, (_STEEP_TURN,), _has_unit_length,
+     _STEEP),
+    ("quaternion.multiply", quaternion.multiply, _FACTORS, anything,
+     "components ≤ 1e18: products of larger ones are not float32"),
+    ("quaternion.to_matrix", quaternion.to_matrix, (_STEEP_TURN,), _is_orthogonal,
+     _STEEP),
+    ("quaternion.from_matrix", quaternion.from_matrix, (Range((3, 3), -1e37, 1e37),),
+     _has_unit_length, "entries ≤ 1e37 (a rotation has entries up to 1)"),
+    ("quaternion.rotate", quaternion.rotate,
+     (Range((5, 3), -1e30, 1e30), Range((4,), smallest=1e-6)), anything, _FAR),
+    ("quaternion.angle_between", quaternion.angle_between, (_STEEP_TURN,) * 2,
+     _is_angle, _STEEP),
+    ("quaternion.from_axis_angle", _from_axis_angle, (_STEEP_TURN, Range(())),
+     _has_unit_length, "unit axes (drawn as the turned x axis), any angle"),
+    ("reprojection_loss", losses.reprojection_loss, _IMAGES, _is_positive, _SQUARED),
+    ("student_loss", losses.student_loss, (_STEEP_TURN,) * 2, _is_cosine_loss, _STEEP),
+    ("selection_loss", _select, (Range((2, 3), -1e37, 1e37, (-3, 3)),), _is_positive,
+     "logits ≤ 1e37: the loss is their difference"),
+    ("repulsion_energy", losses.repulsion_energy, _ANY, anything, _SQUARED),
+    ("containment_loss", losses.containment_loss, _ANY, _is_positive, _SQUARED),
+    ("choose_candidate", _choose, _CHOICE, is_share, "", False),
+)
+_OF_NUMPY = (
+    ("rotation_angle_deg", rotation_angle_deg, _POSES, _is_degrees, _REFUSED),
+    ("pose_summary", pose_summary, (Range((7,), usual=(0, 180)),),
+     lambda found, _: is_share(found.accuracy), "errors outside 0° to 180° refused"),
+    ("chamfer_distance", chamfer_distance, (Range((6, 3)), _POINTS), _is_positive),
+    ("align", _align, (*_POSES, *_CLOUDS), _is_alignment, _REFUSED),
+)
+# fmt: on
+
+
+def list_targets() -> list[Target]:
+    """All functions that inputs are drawn for."""
+    plain = [Target(*row, is_traced=False) for row in _OF_NUMPY]
+    return [Target(*row) for row in _TRACED] + plain

@@ -2,7 +2,6 @@
 
 import functools
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -14,7 +13,7 @@ from dpc_jax.render.exact import covariances, gaussians
 
 SHAPE = (4, 3, 5)
 CROWD = 100_000
-KINK = "linear between cell centres: at one, the slope towards the higher index"
+KINK = {"limit": "linear between cell centres: at one, the slope to the higher index"}
 OUTSIDE = {
     "limit": "a point outside leaves no trace; of one inside, the share on cells "
     "outside is lost"
@@ -25,33 +24,23 @@ PLACE = [[0.3, 1.2, 2.7], [1.6, 0.4, 3.9], [2.1, 1.1, 0.2]]
 VALUES = np.array([1.0, -0.5, 2.0])
 ON_CENTRES = [[0, 1, 2], [3, 2, 4], [0, 0, 0]]
 BETWEEN = [[0.5, 1, 2], [0.5, 1.5, 2], [1.5, 0.5, 2.5]]
-FAR = [[-1e30, 0, 0], [1e30, 1, 1], [0, -20, 0]]
+AT_RIM = [[-0.5, 1, 2], [3.5, 2.5, 2], [-0.25, 2.25, 4.25]]
+FAR = [[-1e30, 0, 0], [1e30, 1, 1], [-1, 3, 5]]
 BESIDE = [[1e-7, 1, 2], [3, 2 - 1e-7, 4], [0, 0, 1e-7]]
-AT_BORDERS = (
-    ("on the volume's border, low", [[-0.5, 1, 2], [-0.5, -0.5, 2], [-0.5] * 3]),
-    ("on the volume's border, high", [[3.5, 1, 2], [3.5, 2.5, 2], [3.5, 2.5, 4.5]]),
-    ("within the outer half cell", [[-0.25, 1, 2], [3.25, 1, 2], [1, 2.25, 4.25]]),
-    ("one cell outside", [[-1, 1, 2], [4, 1, 2], [1, 3, 5]]),
-)
 SPLATS = (
     ("plain", PLACE, VALUES),
-    ("on cell centres", ON_CENTRES, VALUES, {"limit": KINK}),
+    ("on cell centres", ON_CENTRES, VALUES, KINK),
     ("on faces, edges and corners of cells", BETWEEN, VALUES),
-    *((name, place, VALUES, OUTSIDE) for name, place in AT_BORDERS),
+    ("on the volume's border and within the outer half cell", AT_RIM, VALUES, OUTSIDE),
     ("all outside, up to 1e30", FAR, VALUES, OUTSIDE | IN_WIDE),
     # 16 bits round to the centre.
     ("1e-7 beside a cell centre", BESIDE, VALUES, IN_WIDE),
     ("plain, of mass 0", PLACE, np.zeros(3)),
-    ("plain, of mass 1e-12", PLACE, VALUES * 1e-12),
-    ("plain, of mass 1e6", PLACE, VALUES * 1e6),
     ("plain, of masses from 1e-30 to 1e30", PLACE, [1e-30, 1.0, 1e30], IN_WIDE),
-    ("no point", np.zeros((0, 3)), np.zeros(0)),
-    ("one point", PLACE[:1], [1.0]),
+    ("no point", np.zeros((0, 3)), np.zeros(0), {"is_slow": True}),
 )
 GRIDS = (
     ((1, 1, 1), "a grid of one cell", [[0.25, -0.25, 0], [0, 0, 0.5]]),
-    ((1, 2, 6), "a grid of one row", [[0.25, 1.25, 3], [0, 0, 5.5]]),
-    ((1, 1, 5), "a grid 1 x 1 x 5", [[0.25, -0.25, 3], [0, 0, 0.5]]),
     ((3, 5, 7), "a grid of primes", [[0.25, 4.25, 6.4], [2, 0, 0.5]]),
 )
 VOLUME = np.cos(3.0 * np.arange(60)).reshape(SHAPE) + 1.5
@@ -59,18 +48,23 @@ VOLUME = np.cos(3.0 * np.arange(60)).reshape(SHAPE) + 1.5
 BROAD = {"gradient_floor": 1e-6}
 WIDTHS = (
     ("sigma 0", VOLUME, 0.0, FLOOR),
-    ("sigma 1e-30", VOLUME, 1e-30, FLOOR),
     ("sigma 1e-3", VOLUME, 1e-3, FLOOR),
     ("sigma -1", VOLUME, -1.0, NEGATIVE),
     ("sigma 0.17, where the neighbour counts", VOLUME, 0.17),
-    ("sigma 0.3", VOLUME, 0.3),
     ("sigma 0.5, where the formulas change", VOLUME, 0.5),
     ("sigma 1", VOLUME, 1.0),
     ("sigma 4", VOLUME, 4.0, BROAD),
     ("sigma 1e3", VOLUME, 1e3, BROAD),
-    ("sigma 1e12", VOLUME, 1e12, BROAD),
-    ("sigma 1e30", VOLUME, 1e30, BROAD),
     ("sigma 3e38", VOLUME, 3e38, BROAD),
+    *(
+        (
+            f"a grid of {len(x)} x {len(x[0])} x {len(x[0, 0])}",
+            x,
+            0.8,
+            {"is_slow": True},
+        )
+        for x in (VOLUME[:1, :1, :1], VOLUME[:2, :, :4])
+    ),
 )
 STEEP = {
     "gradient_tolerance": None,
@@ -79,7 +73,6 @@ STEEP = {
 PEAKS = (
     ("plain", 0.5, 1.5),
     ("sigma 1e-10", 1.0, 1e-10, IN_WIDE),
-    ("peak 1e-20, sigma 1e12", 1e-20, 1e12, IN_WIDE),
     ("peak 1e-20, sigma 1e13", 1e-20, 1e13, STEEP | IN_WIDE),
     ("peak 1e30, sigma 1e-15", 1e30, 1e-15, IN_WIDE),
     ("sigma 0", 1.0, 0.0),
@@ -88,7 +81,7 @@ AT_KINK = {"gradient_tolerance": None, "limit": "its slope jumps at 0.5 and 1 vo
 # Without a gradient at half a voxel, where the slope of the smaller sigma is taken, and
 # at one, where it is half of each side's. In 16 bits 0.500001 is the kink itself.
 COMPENSATED = (
-    *((f"sigma {s:g}", s) for s in (0.0, 1e-30, 0.3, 0.75, 2.0, 1e3, 1e12, 3e38)),
+    *((f"sigma {s:g}", s) for s in (0.0, 1e-30, 0.3, 0.75, 2.0, 3e38)),
     ("sigma 0.5", 0.5, AT_KINK),
     ("sigma 0.500001", 0.500001, IN_WIDE),
     ("sigma 1", 1.0, AT_KINK),
@@ -119,74 +112,45 @@ def _narrow(sigma):
 
 def list_splats() -> list[Case]:
     """Cases of the fast method: splatting, smoothing and masses."""
-    return [
-        *_list_splats(),
-        *_list_smooths(),
-        *make_cases(
-            "mass of a peak",
-            *(mass_of_peak, _find_mass, (8, 16), PEAKS),
-            because="five products",
-        ),
-        *make_cases(
-            "compensated widening",
-            *(compensate_widening, _narrow, (8, 64), COMPENSATED),
-            because="the root of a number between 1/2 and 1",
-        ),
-    ]
-
-
-def _list_splats():
-    because = "three weights of one rounding each, and their product"
+    cases = []
     tables = [(SHAPE, SPLATS)]
     tables += [(shape, [(name, place, [1, 2])]) for shape, name, place in GRIDS]
     for shape, rows in tables:
         oracle = functools.partial(oracles.splat, shape=shape)
-        function = _make_splat(shape)
-        yield from make_cases("splat", function, oracle, (8, 16), rows, because=because)
-    for name, value in {"": 1.0, ", mass 1e-12": 1e-12, ", mass 1e30": 1e30}.items():
-        yield from make_cases(
+        cases += make_cases(
+            *("splat", _make_splat(shape), oracle, (8, 16), rows),
+            because="three weights of one rounding each, and their product",
+        )
+    return [
+        *cases,
+        *make_cases(
             "splat",
             _crowd_mass,
             lambda coordinate, value: CROWD * value + 0 * np.sum(coordinate),
             (CROWD / 4, CROWD / 4),
-            [(f"1e5 coincident points{name}", [1.25, 1.5, 2.75], value)],
+            [("1e5 coincident points, mass 1e30", [1.25, 1.5, 2.75], 1e30)],
             # The gradient to the place is zero: what a point leaves on one side it
             # takes on the other.
-            gradient_floor=CROWD * value,
+            gradient_floor=CROWD * 1e30,
             because="equal terms all round the same way while the sum is between two "
             "powers of two: the last half of them errs by n/8, all of them by n/6",
             limit="sums in 16 bits stop growing at 2/epsilon: use float32",
             dtypes=WIDE,
-        )
-
-
-def _list_smooths():
-    because = "three passes of sums of five products, kernels of ten roundings; the "
-    because += "slope in sigma cancels where the kernel is wide"
-    grids = [
-        (
-            "a grid of " + " x ".join(map(str, shape)),
-            *(VOLUME.ravel()[: np.prod(shape)].reshape(shape), 0.8),
-            IN_WIDE,
-        )
-        for shape in ((1, 1, 1), (1, 1, 5), (1, 6, 1), (2, 3, 7))
-    ]
-    lone = np.zeros((19, 19, 19))
-    lone[9, 9, 9] = 1.0
-    middle = [(f"mass in the middle, sigma {s}", lone, s) for s in (0.05, 0.2, 0.75)]
-    return [
-        *make_cases(
-            "smooth",
-            *(smooth, oracles.smooth, (64, 256), [*WIDTHS, *grids]),
-            because=because,
-            half="finite",
         ),
         *make_cases(
-            "smooth",
-            lambda volume, sigma: jnp.sum(smooth(volume, sigma)),
-            *(lambda volume, _: np.sum(volume), (32, None), middle),
-            because="nine cells away is twelve deviations, 1e-31 of the mass",
-            dtypes=WIDE,
+            *("smooth", smooth, oracles.smooth, (64, 256), WIDTHS),
+            because="three passes of sums of five products, kernels of ten roundings; "
+            "the slope in sigma cancels where the kernel is wide",
+            is_half_checked=False,
+        ),
+        *make_cases(
+            *("mass of a peak", mass_of_peak, _find_mass, (8, 16), PEAKS),
+            because="five products",
+        ),
+        *make_cases(
+            *("compensated widening", compensate_widening, _narrow, (8, 64)),
+            COMPENSATED,
+            because="the root of a number between 1/2 and 1",
         ),
     ]
 
@@ -200,8 +164,7 @@ SIZES = (
     ("plain", CENTERS, MASSES, [0.6, 0.8, 1.0, 1.2]),
     ("from 1e-3 to 1e3", CENTERS, MASSES, [1e-3, 0.1, 10, 1e3], IN_WIDE),
     ("all 0", CENTERS, MASSES, [0, 0, 0, 0], ON_CELL),
-    ("from 1e-30 to 1e30", CENTERS, MASSES, [1e-30, 0.3, 1e15, 1e30], IN_WIDE),
-    ("up to 3e38", CENTERS, MASSES, [0.5, 1.0, 2.0, 3e38], IN_WIDE),
+    ("from 1e-30 to 3e38", CENTERS, MASSES, [1e-30, 0.3, 1e15, 3e38], IN_WIDE),
 )
 
 
@@ -218,8 +181,9 @@ ALONG_AXES = [
 FLAT = np.array([[1.0, 1, 0], [1, 1, 0], [0, 0, 1]])
 NEEDLE = np.outer([1.0, 0.5, -0.25], [1, 0.5, -0.25])
 INDEFINITE = [np.diag([1, 1, -1e-12]), np.diag([-1e-9, 1, 1]), FLAT, TURNED[0]]
-NOT_ABOVE = "a variance below zero counts as zero: the nearest cell, with zero gradient"
-BELOW = {"limit": NOT_ABOVE}
+BELOW = {
+    "limit": "a variance below zero counts as zero: the nearest cell, zero gradient"
+}
 THIN = {
     "value_tolerance": 1e4,
     "gradient_tolerance": 4e6,
@@ -256,128 +220,60 @@ def list_gaussians() -> list[Case]:
     """Cases of the basic method: sizes far apart, covariances singular and worse."""
     own_sizes = functools.partial(oracles.sum_gaussians, shape=SOLID)
     own_shapes = functools.partial(oracles.sum_covariances, shape=SOLID)
-    none = ("no point", np.zeros((0, 3)), np.zeros(0), np.zeros(0))
     matrices = [(name, CENTERS, MASSES, m, fields) for name, m, fields in COVARIANCES]
     return [
         *make_cases(
-            "sigma per point",
-            *(_sum_isotropic, own_sizes, (64, 256), SIZES),
+            *("sigma per point", _sum_isotropic, own_sizes, (64, 256), SIZES),
             because="three kernels of ten roundings, exponents up to 40 in size",
-            half="finite",
+            is_half_checked=False,
         ),
         *make_cases(
-            "sigma per point",
-            *(_sum_isotropic, own_sizes, (0, 0), [none]),
-            because="nothing is computed",
-        ),
-        *make_cases(
-            "covariance",
-            *(_sum_anisotropic, own_shapes, (256, 1024), matrices),
+            *("covariance", _sum_anisotropic, own_shapes, (256, 1024), matrices),
             because="a conditional variance cancels by its condition, three kernels "
             "follow",
-            half="finite",
             dtypes=WIDE,
         ),
     ]
 
 
-UNDERFLOW = "a product below the smallest normal float counts as zero"
-LONG = 4096
+LONG = 1024
 MIDDLE = np.linspace(0.1, 0.8, 6)
 # In 16 bits 1 - 1e-7 is 1, and in float16 1e-9 is 0: these are cases all the same.
 RAYS = {
     "plain": MIDDLE,
     "empty": np.zeros(6),
     "full": np.ones(6),
-    "one full cell, the first": np.eye(6)[0],
     "one full cell, the last": np.eye(6)[-1],
     "one full among others": np.where(np.arange(6) == 2, 1, MIDDLE),
     "two full among others": np.where(np.arange(6) % 3 == 1, 1, MIDDLE),
     "all at 1 - 1e-7": np.full(6, 1 - 1e-7),
-    "all at 1e-9": np.full(6, 1e-9),
     "all at 1e-30": np.full(6, 1e-30),
     "from 1e-30 to 1": np.array([1e-30, 1e-9, 0.5, 1e-20, 1, 1e-5]),
-    "one cell": np.array([0.3]),
     "one full cell alone": np.array([1.0]),
-    "4096 at 1e-9": np.full(LONG, 1e-9),
-    "4096 at 0.5": np.full(LONG, 0.5),
-    "4096 at 1e-3": np.full(LONG, 1e-3),
-    "4096 full": np.ones(LONG),
+    f"{LONG} at 1e-9": np.full(LONG, 1e-9),
+    f"{LONG} at 1e-3": np.full(LONG, 1e-3),
+    f"{LONG} full": np.ones(LONG),
 }
-SUMMED = ("plain", "all at 1 - 1e-7", "4096 at 1e-3", "two full among others")
-# The gradient is a product of all cells over one of them. In float32 the product of
-# these six is below 1e-38 and counts as zero, so that up to 1e-38 / 1e-7 is lost, of a
-# gradient of at most 1.
-OPACITY_CHANGES = {"all at 1 - 1e-7": {"gradient_floor": 1e-25, "limit": UNDERFLOW}}
 
 
 def list_rays() -> list[Case]:
     """Cases of termination and opacity; tolerances grow with the length of the ray."""
-    cases, because = [], "each cell rounds the product twice, at worst in one direction"
-    sums = {
-        "floor": 1.0,
-        "gradient_floor": 1.0,
-        "slope": lambda inputs, weights: (np.zeros(inputs[0].shape),),
-    }
-    for title, function, oracle, names, fields in (
-        (
-            *("probabilities", termination.termination_probabilities),
-            *(oracles.terminate, RAYS, {"slope": _differentiate_termination}),
-        ),
-        (
-            *("opacity", termination.opacity, oracles.find_opacity, RAYS),
-            {"slope": _differentiate_opacity},
-        ),
-        # The sum is one for every ray, so its gradient is zero; it is a difference of
-        # terms that are at most one.
-        (
-            *("sum and least of probabilities", _add_probabilities),
-            *(lambda ray: (1 + 0 * np.sum(ray), np.zeros(())), SUMMED, sums),
-        ),
+    cases = []
+    for title, function, oracle, floor in (
+        ("probabilities", termination.termination_probabilities, oracles.terminate, 0),
+        # A gradient of at most one, of which the oracle's sum leaves 1e-19 at zero.
+        ("opacity", termination.opacity, oracles.find_opacity, 1e-12),
     ):
-        for name in names:
-            length = len(RAYS[name])
-            changes = OPACITY_CHANGES.get(name, {}) if title == "opacity" else {}
+        for name, ray in RAYS.items():
             cases += make_cases(
-                *(title, function, oracle, (2 * length + 8, 8 * length + 16)),
-                [(name, RAYS[name], fields | changes)],
-                because=because,
-                dtypes=WIDE if length == LONG else DTYPES,
+                *(title, function, oracle, (2 * len(ray) + 8, 8 * len(ray) + 16)),
+                [(name, ray)],
+                because="each cell rounds the product twice, at worst in one direction",
+                dtypes=WIDE if len(ray) == LONG else DTYPES,
+                gradient_floor=floor,
+                is_slow=len(ray) == 1,
             )
     return cases
-
-
-def _add_probabilities(ray):
-    """The sum, which must be one, and the least probability if it is negative, or 0."""
-    cells, background = termination.termination_probabilities(ray)
-    below = jnp.minimum(jnp.min(cells), 0)
-    return jnp.sum(cells) + background, jax.lax.stop_gradient(below)
-
-
-# Written out, because complex steps would take 4096 sums of 4096 terms.
-def _differentiate_opacity(inputs, weights):
-    """Π_{u≠k}(1 - o_u): the product over the cells before k times that behind k."""
-    before, after = _multiply_sides(1 - inputs[0].astype(REAL))
-    return (float(weights[0]) * before * after,)
-
-
-def _differentiate_termination(inputs, weights):
-    """∂L/∂o_k = Π_{u<k}(1 - o_u)·(w_k - the weighted sum behind k)."""
-    (occupancy,), (cells, background) = inputs, weights
-    passes = 1 - occupancy.astype(REAL)
-    before, _ = _multiply_sides(passes)
-    behind, gradient = REAL(background), np.zeros(len(occupancy), REAL)
-    for k in reversed(range(len(occupancy))):
-        gradient[k] = before[k] * (cells[k] - behind)
-        behind = occupancy[k] * cells[k] + passes[k] * behind
-    return (gradient,)
-
-
-def _multiply_sides(passes):
-    ones = np.ones(1, passes.dtype)
-    before = np.cumprod(np.concatenate([ones, passes[:-1]]))
-    after = np.cumprod(np.concatenate([ones, passes[:0:-1]]))[::-1]
-    return before, after
 
 
 CASES = {"splat": list_splats, "gaussian": list_gaussians, "ray": list_rays}
