@@ -16,57 +16,31 @@ MASKS = ("given", "auto", "matting")  # of data.sets.photographs, which --help l
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """The flags of the command."""
+    """The flags of the command, with the names of `PredictRequest`."""
     parser = FlagParser(
         "predict",
         takes="IMAGE... --workdir=DIR",
         description="Images to point clouds and poses, with the network of a run.",
     )
-    parser.add_argument("--workdir", type=Path, required=True, help="of a trained run")
-    parser.add_argument("--out", type=Path, help="folder (WORKDIR/predictions)")
-    parser.add_argument(
-        "images",
-        nargs="+",
-        type=Path,
-        metavar="IMAGE",
-        help="files, moving pictures, folders of views",
-    )
-    parser.add_argument(
-        "--mask",
-        choices=MASKS,
-        default="given",
-        help="alpha or NAME_mask.png; auto: of a plain background (%(default)s)",
-    )
-    parser.add_argument(
-        "--views",
-        choices=("each", "one-object"),
-        default="each",
-        help="an object in each image, or one in all (%(default)s)",
-    )
-    parser.add_argument(
-        "--refine", action="store_true", help="fit shape and poses to the silhouettes"
-    )
-    parser.add_argument(
-        "--points",
-        type=int,
-        default=0,
-        metavar="N",
-        help="of clouds, more than are predicted, by midpoints",
-    )
-    parser.add_argument(
-        "--turntable", action="store_true", help="write NAME.gif of the cloud turning"
-    )
-    parser.add_argument(
-        "--data",
-        type=Path,
-        metavar="DIR",
-        help="of data, for --refine (WORKDIR/data)",
-    )
-    parser.add_argument(
-        "--crop",
-        choices=("object", "view", "none"),
-        help="square around object or view (as trained)",
-    )
+    add = parser.add_argument
+    add("--workdir", type=Path, required=True, help="of a trained run")
+    add("--out", type=Path, help="folder (WORKDIR/predictions)")
+    text = "files, moving pictures, folders of views"
+    add("paths", nargs="+", type=Path, metavar="IMAGE", help=text)
+    text = "alpha or NAME_mask.png; auto: of a plain background (%(default)s)"
+    add("--mask", choices=MASKS, default="given", help=text)
+    text = "an object in each image, or one in all (%(default)s)"
+    add("--views", choices=("each", "one-object"), default="each", help=text)
+    text = "fit shape and poses to the silhouettes"
+    add("--refine", dest="is_refined", action="store_true", help=text)
+    text = "of clouds, more than are predicted, by midpoints"
+    add("--points", dest="num_points", type=int, default=0, metavar="N", help=text)
+    text = "write NAME.gif of the cloud turning"
+    add("--turntable", dest="has_turntable", action="store_true", help=text)
+    text = "of data, for --refine (WORKDIR/data)"
+    add("--data", type=Path, metavar="DIR", help=text)
+    text = "square around object or view (as trained)"
+    add("--crop", choices=("object", "view", "none"), help=text)
     return parser
 
 
@@ -79,18 +53,8 @@ def _read(options):
     # Flags are read before what is heavy is loaded.
     from dpc_jax.run.prediction import SUMMARIES, PredictRequest, predict_images
 
-    request = PredictRequest(
-        options.images,
-        workdir=options.workdir,
-        out=options.out or options.workdir / "predictions",
-        crop=options.crop,
-        mask=options.mask,
-        is_one_object=options.views == "one-object",
-        is_refined=options.refine,
-        has_turntable=options.turntable,
-        num_points=options.points,
-        data=options.data,
-    )
+    options.out = options.out or options.workdir / "predictions"
+    request = PredictRequest(**vars(options))
     return Task(
         lambda: predict_images(request),
         out=request.out,

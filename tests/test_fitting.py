@@ -1,11 +1,10 @@
 """One object without a network: `dpc_jax.fit`, its search for poses, the command."""
 
 import json
-import subprocess
 import sys
+import types
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image
@@ -15,9 +14,9 @@ import dpc_jax
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
 from dpc_jax.evaluation import chamfer_distance
 from dpc_jax.evaluation.rotations import view_angles
-from dpc_jax.learning.fitting import pose_search
-from dpc_jax.learning.fitting.object_fit import FitSettings
-from dpc_jax.run.object_fitting import FitRequest, fit_folder, list_doubts
+from dpc_jax.fit import main
+from dpc_jax.learning.fitting import FitSettings, pose_search
+from dpc_jax.run.object_fitting import fit_folder, list_doubts
 
 # A few large steps; the points come from 0.45 away.
 SMALL = FitSettings(num_points=300, sides=(16, 32), steps=(60, 40), learning_rate=0.03)
@@ -43,30 +42,26 @@ def make_object():
     ).astype(np.float32)
 
 
-def take_views(points, count=VIEWS, *, side=32, elevation=20.0):
-    """Silhouettes [count, side, side] from all around, and the rotations."""
-    rotations = np.stack(
-        [
-            matrix_to_quaternion(
-                look_at_rotation(2 * np.pi * i / count, np.deg2rad(elevation))
-            )
-            for i in range(count)
-        ]
-    ).astype(np.float32)
-    images = dpc_jax.project_batch(
-        points,
-        rotations,
-        sigma=0.6,
-        scale=6 * (side / 32) ** 3,
-        grid=dpc_jax.VoxelGrid(side),
-    ).silhouette
-    return np.asarray(images), rotations
+def take_views(points, rotations, **more):
+    return dpc_jax.project_batch(
+        points, rotations, sigma=0.6, scale=6.0, grid=dpc_jax.VoxelGrid(32), **more
+    )
 
 
 @pytest.fixture(scope="module")
 def scene():
-    points = make_object()
-    return points, *take_views(points)
+    """Points, silhouettes [9, 32, 32] from all around, and the rotations."""
+    points, elevation = make_object(), np.deg2rad(20.0)
+    azimuths = 2 * np.pi * np.arange(VIEWS) / VIEWS
+    cameras = [look_at_rotation(azimuth, elevation) for azimuth in azimuths]
+    rotations = matrix_to_quaternion(np.stack(cameras)).astype(np.float32)
+    return points, np.asarray(take_views(points, rotations).silhouette), rotations
+
+
+@pytest.fixture(scope="module")
+def given(scene):
+    _, silhouettes, rotations = scene
+    return dpc_jax.fit(silhouettes, rotations=rotations, settings=SMALL)
 
 
 def measure_turns(found, true):
@@ -77,16 +72,10 @@ def measure_turns(found, true):
     return min(angles, key=np.median)
 
 
-@pytest.fixture(scope="module")
-def given(scene):
-    _, silhouettes, rotations = scene
-    return dpc_jax.fit(silhouettes, rotations=rotations, settings=SMALL)
-
-
 def test_with_given_poses_the_cloud_fills_the_silhouettes_and_lies_on_the_object(
     scene, given
 ):
-    points, silhouettes, rotations = scene
+    points, _, rotations = scene
     assert given.overlaps.mean() > 0.9
     np.testing.assert_allclose(given.rotations, rotations, atol=1e-6)
     assert given.colors is given.translations is given.focal_lengths is None
@@ -129,50 +118,30 @@ def test_rough_poses_become_better(scene):
     np.testing.assert_allclose(np.linalg.norm(fitted.rotations, axis=1), 1, atol=1e-5)
 
 
-def test_translations_are_learned_with_their_mean_held(scene):
+def test_translations_colors_and_depths_are_fitted_where_they_are_asked_for(scene):
+    """Translations with their mean held."""
     points, _, rotations = scene
     moves = np.zeros((VIEWS, 3), np.float32)
     moves[::2, 0], moves[1::2, 0] = 0.06, -0.06
-    moved = dpc_jax.project_batch(
+    images = take_views(
         points,
         rotations,
-        sigma=0.6,
-        scale=6.0,
         translation=moves,
-        grid=dpc_jax.VoxelGrid(32),
-    ).silhouette
-    fitted = dpc_jax.fit(
-        np.asarray(moved),
-        rotations=rotations,
-        learn=("translations",),
-        settings=ONE_SIDE,
+        colors=np.broadcast_to(np.float32([0.8, 0.1, 0.1]), points.shape),
+        signals=("silhouette", "color", "depth"),
     )
-    assert fitted.translations is not None
-    errors = fitted.translations[:, 0] - moves[:, 0]
-    assert np.abs(errors).mean() < 0.03
-    assert np.abs(fitted.translations.mean(axis=0)).max() < 0.02
-
-
-def test_colors_and_depths_are_fitted_where_they_are_given(scene):
-    points, silhouettes, rotations = scene
-    red = np.broadcast_to(np.float32([0.8, 0.1, 0.1]), points.shape)
-    images = dpc_jax.project_batch(
-        points,
-        rotations,
-        sigma=0.6,
-        scale=6.0,
-        colors=red,
-        grid=dpc_jax.VoxelGrid(32),
-        signals=("color", "depth"),
-    )
+    silhouettes = np.asarray(images.silhouette)
     fitted = dpc_jax.fit(
         silhouettes,
         rotations=rotations,
+        learn=("translations",),
         colors=np.clip(images.color, 0, 1),
         depths=np.where(silhouettes > 0.5, images.depth, 0),
         settings=ONE_SIDE,
     )
-    assert fitted.colors is not None
+    assert fitted.translations is not None and fitted.colors is not None
+    assert np.abs(fitted.translations[:, 0] - moves[:, 0]).mean() < 0.03
+    assert np.abs(fitted.translations.mean(axis=0)).max() < 0.03
     assert np.median(fitted.colors, axis=0) == pytest.approx([0.8, 0.1, 0.1], abs=0.15)
     assert fitted.overlaps.mean() > 0.85
 
@@ -188,15 +157,10 @@ def test_viewpoints_are_upright_and_in_equal_steps():
 def test_a_search_from_nothing_finds_most_poses(scene):
     """Of random rotations one in 130 is within 30° of the right one."""
     _, silhouettes, rotations = scene
-    images = {
-        side: jnp.asarray(take_views(make_object(), side=side)[0]) for side in (16, 32)
-    }
     found = pose_search.search_poses(
-        images.__getitem__,
+        {"masks": np.round(255 * silhouettes).astype(np.uint8)},
         jax.random.key(0),
-        searches=3,
-        rounds=60,
-        elevations=(-20.0, 40.0),
+        settings=FitSettings(searches=3, rounds=60),
         camera=dpc_jax.Camera(),
         tell=lambda *_: None,
     )
@@ -226,37 +190,33 @@ def test_a_search_from_nothing_finds_most_poses(scene):
     ],
 )
 def test_what_cannot_be_fitted_is_said_in_a_sentence(changes, words):
+    """By the function, though the command is loaded, which has its name."""
+    assert isinstance(dpc_jax.fit, types.ModuleType)
     arguments = {"silhouettes": np.ones((3, 32, 32)), "settings": SMALL} | changes
     with pytest.raises(ValueError, match=words):
         dpc_jax.fit(arguments.pop("silhouettes"), **arguments)
 
 
-@pytest.fixture(scope="module")
-def folder(scene, tmp_path_factory):
+def test_a_folder_of_images_becomes_files(scene, tmp_path, capsys):
     """Images with alpha, one more of them empty, and their poses."""
     _, silhouettes, rotations = scene
-    place = tmp_path_factory.mktemp("images")
-    poses = {}
-    for i, (mask, rotation) in enumerate(
-        zip([*silhouettes, 0 * silhouettes[0]], [*rotations, rotations[0]], strict=True)
-    ):
-        alpha = np.round(255 * mask).astype(np.uint8)
+    place, poses = tmp_path / "images", {}
+    place.mkdir()
+    for i in range(VIEWS + 1):
+        view = i % VIEWS
+        alpha = np.round(255 * silhouettes[view] * (i < VIEWS)).astype(np.uint8)
         colors = np.full((32, 32, 3), 90, np.uint8)
         Image.fromarray(np.dstack([colors, alpha])).save(place / f"{i}.png")
-        poses[f"{i}.png"] = rotation.tolist()
+        poses[f"{i}.png"] = rotations[view].tolist()
     (place / "poses.json").write_text(json.dumps(poses))
-    return place
-
-
-def test_a_folder_of_images_becomes_files(folder, tmp_path, capsys):
-    request = FitRequest(folder, tmp_path / "out", image_size=32, settings=SMALL)
-    fit_folder(request)
-    facts = json.loads((tmp_path / "out" / "fit.json").read_text())
+    out = tmp_path / "out"
+    fit_folder(place, out, image_size=32, crop="none", settings=SMALL)
+    facts = json.loads((out / "fit.json").read_text())
     assert set(facts["views"]) == {f"{i}.png" for i in range(VIEWS)}
     assert facts["overlap"] > 0.85 and facts["points"] == 300
     assert facts["views"]["3.png"]["azimuth_deg"] == pytest.approx(120, abs=1)
     for name in ("cloud.ply", "cloud.glb", "views.png", "curve.png"):
-        assert (tmp_path / "out" / name).stat().st_size > 0
+        assert (out / name).stat().st_size > 0
     shown = capsys.readouterr()
     assert "9.png" in shown.err and "is empty" in shown.err
     assert "Fitting: fitting at 16" in shown.out and "Overlap" in shown.out
@@ -285,30 +245,17 @@ def test_few_views_without_poses_and_views_not_explained_are_doubted():
         (". --speed=3", "unrecognized arguments"),
     ],
 )
-def test_a_wrong_command_is_answered_in_one_sentence(flags, words, scene, tmp_path):
-    from dpc_jax.fit import main
-
+def test_a_wrong_command_is_answered_in_one_sentence(
+    flags, words, scene, tmp_path, monkeypatch
+):
     mask = np.round(255 * scene[1][0]).astype(np.uint8)
     Image.fromarray(np.dstack([mask] * 4)).save(tmp_path / "0.png")
     (tmp_path / "objects" / "one").mkdir(parents=True)
     place, *rest = flags.split()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(tmp_path)
-        said = []
-        patch.setattr(sys.stderr, "write", said.append)
-        assert main([place, *rest]) in (1, 2)
+    said = []
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys.stderr, "write", said.append)
+    assert main([place, *rest]) in (1, 2)
     text = "".join(said)
     assert words in text and text.startswith("Error: ") and text.count("\n") == 1
     assert not list(tmp_path.glob("*-fit"))
-
-
-def test_the_function_keeps_its_name_when_the_command_is_loaded():
-    code = (
-        "import dpc_jax, dpc_jax.fit\n"
-        "try: dpc_jax.fit([[[2.0]]])\n"
-        "except ValueError as error: print(error)\n"
-    )
-    found = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert "silhouettes must lie between 0 and 1" in found.stdout

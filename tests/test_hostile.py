@@ -41,7 +41,8 @@ from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.outputs import show_text
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.gallery import draw_predictions
-from dpc_jax.run import predicted_objects, prediction, refinement
+from dpc_jax.run import prediction
+from dpc_jax.run.prediction import objects as predicted_objects
 from dpc_jax.run.workdir import (
     claim_workdir,
     hold_workdir,
@@ -662,21 +663,15 @@ def show_a_set_with_a_name_that_is_no_text(folder):
 
 
 def keep_codes(content):
-    """Refinement with a codes.npz of this content, where measuring gives ones."""
+    """Refinement with kept directions of this content, where measuring gives ones."""
 
     def attempt(folder):
-        whole = io.BytesIO()
-        np.savez(whole, step=3, directions=np.zeros((2, 5), np.float32))
-        (folder / "report").mkdir()
-        (folder / "report" / "codes.npz").write_bytes(content(whole.getvalue()))
-        state: Any = SimpleNamespace(step=3)
+        whole = np.zeros((2, 5), np.float32).tobytes()
+        (folder / "codes-3.f32").write_bytes(content(whole))
         ones = np.ones((2, 5), np.float32)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(refinement, "measure_directions", lambda *_: ones)
-            none: Any = lambda: None  # noqa: E731
-            for _ in range(2):  # what is measured is kept
-                found = refinement.read_directions(folder, none, state, none, width=5)
-        return found.sum()
+        read = predicted_objects.read_directions
+        read(folder, 3, 5, lambda: ones)
+        return read(folder, 3, 5, list).sum()  # what is measured is kept
 
     return attempt
 
@@ -691,12 +686,12 @@ def refine_with_a_cache_folder_of_others(folder):
         raise ValueError("Enough.")
 
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(predicted_objects, "read_config", lambda _: config)
         patch.setattr(predicted_objects, "make_network", stop)
         for data in (None, Path("/asked")):
             with contextlib.suppress(ValueError):
-                predicted_objects.predict_objects(
-                    [], config, folder, is_refined=True, data=data
-                )
+                request = prediction.PredictRequest([], folder, folder, data=data)
+                predicted_objects.predict_objects([], request)
     return [place.replace(str(folder), "RUN") for place in places]
 
 
@@ -704,7 +699,7 @@ def ask_for_more_points_than_there_are(_):
     said = io.StringIO()
     with contextlib.redirect_stderr(said):
         cloud: Any = SimpleNamespace(points=np.zeros((1200, 3)))
-        prediction._say_how_many([cloud], 10**8)
+        prediction.warn_of_few_points([cloud], 10**8)
     return said.getvalue()
 
 
@@ -862,9 +857,9 @@ COMMANDS = [
         show_a_set_with_a_name_that_is_no_text,
         "3 object models",
     ),
-    Try("refinement with a cut codes.npz", keep_codes(lambda c: c[:-90]), "10"),
-    Try("refinement with an empty codes.npz", keep_codes(lambda c: b""), "10"),
-    Try("refinement with a whole codes.npz", keep_codes(lambda c: c), "0.0"),
+    Try("refinement with cut directions of codes", keep_codes(lambda c: c[:-9]), "10"),
+    Try("refinement with empty directions of codes", keep_codes(lambda c: b""), "10"),
+    Try("refinement with whole directions of codes", keep_codes(lambda c: c), "0.0"),
     Try(
         "refinement with a workdir whose config names a folder for data",
         refine_with_a_cache_folder_of_others,

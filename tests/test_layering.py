@@ -177,10 +177,11 @@ def test_type_checkers_know_the_names_that_are_loaded_when_used():
     assert known == dpc_jax._NAMES
 
 
-def test_data_tools_and_render_processes_do_not_load_jax():
+def test_data_tools_render_processes_and_what_reads_photographs_do_not_load_jax():
     code = (
         "import sys, dpc_jax.data.__main__, dpc_jax.data.workers; "
-        "print([m for m in ('jax', 'flax') if m in sys.modules])"
+        "import dpc_jax.predict, dpc_jax.run.prediction; "
+        "print([m for m in ('jax', 'flax', 'matplotlib') if m in sys.modules])"
     )
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True
@@ -193,7 +194,7 @@ def test_a_run_of_point_clouds_does_not_load_what_baselines_need():
     code = """
 import sys
 import jax
-import dpc_jax.run.pipeline, dpc_jax.run.predicted_objects
+import dpc_jax.run.pipeline, dpc_jax.run.prediction.objects
 from dpc_jax.config import build_config
 from dpc_jax.learning import schedules, step
 from dpc_jax.run.setup import make_network
@@ -210,10 +211,10 @@ batch = {
 batch["seeds"] = jax.ShapeDtypeStruct(views[:1], "uint32")
 state = step.describe_state(network, config)
 jax.eval_shape(step.make_train_step(network, config, stage), state, batch)
-names = ("skimage", "dpc_jax.run.surfaces", "dpc_jax.evaluation.surfaces")
+names = ("skimage", "dpc_jax.evaluation.surfaces")
 names += ("dpc_jax.learning.inference.volumes", "dpc_jax.learning.pose_prior")
 names += ("dpc_jax.learning.shapes.view_maps", "dpc_jax.learning.shapes.voxels")
-names += ("dpc_jax.run.refinement", "dpc_jax.learning.inference.refinement")
+names += tuple(f"dpc_jax.learning.inference.{n}" for n in ("refinement", "refiner"))
 names += ("dpc_jax.learning.poses.sampled", "dpc_jax.learning.poses.labels")
 names += ("dpc_jax.learning.poses.given",)
 names += ("tensorboardX",)  # nor what no flag asks for

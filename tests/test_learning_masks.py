@@ -6,7 +6,6 @@ import pytest
 import tiny_runs
 from tiny_runs import compiling_quickly
 
-from dpc_jax.learning.inference.codes import encode_all, make_coder
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.predictions import encode_views, make_inputs
 
@@ -48,9 +47,9 @@ def test_all_that_reads_views_shows_masks_to_the_network_or_does_not(sees_mask):
         images, masks = dataset.images, dataset.masks
         first = images[:, 0], masks[:, 0]
         features = encode_views(state.params, images, masks, network=network)
-        codes = encode_all(make_coder(network, config), state, *first).codes
-        predictor = make_predictor(network, config)
-        whole = predict_all(predictor, state, dataset).points[:, 0]
+        predictor = make_predictor(network, config, keeps_evidence=True)
+        predicted = predict_all(predictor, state, dataset)
+        whole, codes = predicted.points[:, 0], predicted.codes[:, 0]
         inputs = make_inputs(*first, network=network)
         output = jax.jit(network.apply)(state.params, inputs)
         np.testing.assert_allclose(whole, output["points"], atol=1e-5)

@@ -5,6 +5,8 @@ Evaluation does not use that module: it wants float64 without switching JAX to 6
 and many small arrays of different shapes without compiling for each.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -85,3 +87,13 @@ def mean_rotation(
     rotations between them are equally good, and one of these comes.
     """
     return to_quaternion(to_rotation(quaternions).mean(weights))
+
+
+def describe_pose(quaternion: ArrayLike) -> dict[str, Any]:
+    """A pose, object to camera, as JSON files have it."""
+    azimuth, elevation = view_angles(quaternion)
+    return {
+        "quaternion": canonical_sign(quaternion).tolist(),
+        "azimuth_deg": azimuth,
+        "elevation_deg": elevation,
+    }

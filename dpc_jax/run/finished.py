@@ -11,6 +11,7 @@ import numpy as np
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet, load_or_render
 from dpc_jax.evaluation.alignment import Alignment, align_points
+from dpc_jax.learning.inference.predictor import VIEWS_AT_ONCE
 from dpc_jax.learning.predictions import make_inputs
 from dpc_jax.learning.step import TrainState, describe_state
 from dpc_jax.learning.training.checkpoints import Checkpoints
@@ -18,8 +19,6 @@ from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
 from dpc_jax.run.setup import make_data_specs, make_network
 from dpc_jax.run.workdir import read_alignment, read_config
-
-IMAGES_AT_ONCE = 64  # that are predicted
 
 
 class FinishedRun(NamedTuple):
@@ -103,23 +102,21 @@ def predict_points(
     With the weights `mix` [M, n] they are the clouds [M, N, 3] of mixtures of the
     images, see `ImageEncoder`; there should be few images then.
     """
+    decode = functools.partial(_decode, run.state.params, network=run.network)
     if mix is not None:
-        weights = jnp.asarray(mix, jnp.float32)
-        points = _decode(run.state.params, images, masks, weights, network=run.network)
+        points = decode(images, masks, jnp.asarray(mix, jnp.float32))
         return align_points(run.alignment, np.asarray(points))
     parts = []
-    for start in range(0, len(images), IMAGES_AT_ONCE):
+    for start in range(0, len(images), VIEWS_AT_ONCE):
         # The last batch repeats its last image: one program serves all.
-        rows = np.minimum(np.arange(start, start + IMAGES_AT_ONCE), len(images) - 1)
-        seen = images[rows], masks[rows]
-        points = _decode(run.state.params, *seen, None, network=run.network)
-        parts.append(np.asarray(points))
+        rows = np.minimum(np.arange(start, start + VIEWS_AT_ONCE), len(images) - 1)
+        parts.append(np.asarray(decode(images[rows], masks[rows])))
     points = np.concatenate(parts)[: len(images)]
     return align_points(run.alignment, points)
 
 
 @functools.partial(jax.jit, static_argnames="network")
-def _decode(params, images, masks, mix, *, network):
+def _decode(params, images, masks, mix=None, *, network):
     inputs = make_inputs(images, masks, network=network)
     features = network.apply(params, inputs, mix=mix, method="encode")
     return network.apply(params, features, method="predict_shape")["points"]

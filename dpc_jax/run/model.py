@@ -26,7 +26,9 @@ class Model:
     def __init__(self, config: Config, sets: dict[str, DataSet]):
         self.config, self.sets = config, sets
         self.network: ShapePoseNetwork = make_network(config)
-        self._predictor = make_predictor(self.network, config)
+        self._predictor = make_predictor(
+            self.network, config, keeps_evidence=config.eval.refine
+        )
 
     def count_views(self, *splits: str) -> int:
         """Views of splits, those that the run has."""
@@ -76,7 +78,8 @@ class Model:
         """
         if self.config.network.shape != "voxels":
             return predictions, None
-        from dpc_jax.run.surfaces import find_points  # needs libraries of its own
+        # It needs libraries of its own.
+        from dpc_jax.learning.inference.volumes import find_points
 
         return find_points(predictions, self.sets["val"], align=self.align)
 

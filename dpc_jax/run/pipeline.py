@@ -117,10 +117,19 @@ def _run_in(folder, config, job):
         return
     refined = None
     if config.eval.refine:
-        from dpc_jax.run.refinement import measure_refinement  # only where asked for
+        # Only where asked for.
+        from dpc_jax.learning.inference.refinement import measure_refinement
 
         print("Refining the test views.", flush=True)
-        refined = measure_refinement(model.network, config, state, sets, alignment)
+        refined = measure_refinement(
+            model.network,
+            config,
+            state,
+            sets["test"],
+            predictions,
+            validated=validated,
+            alignment=alignment,
+        )
     report_run(
         folder,
         config,

@@ -1,0 +1,42 @@
+"""Fits of single objects: what one is asked for. Loads nothing: --help is quick."""
+
+import dataclasses
+
+LEARNED = ("rotations", "translations", "focal_lengths")  # of the cameras
+POSES = ("auto", "given", "rough", "none")  # what a folder's poses are taken for
+
+
+@dataclasses.dataclass(frozen=True)
+class FitSettings:
+    """How an object is fitted.
+
+    Attributes:
+      num_points: of the cloud.
+      sides: of images and volume, coarse to fine; divisors of the images' side. Empty
+        for half of that side and all of it, 128 at most.
+      steps: of each side.
+      sigma: of the points at the first and last step of each side, voxels of its grid.
+      learning_rate: of the points, box diagonals; a tenth of it at the end of a side.
+      camera_share: the share of that rate that learned cameras have, radians, on the
+        first side and on the finer ones.
+      repulsion_weight: of the points, which spreads them over the surface.
+      pull_weight: of points outside of the silhouettes.
+      depth_weight, color_weight: per pixel, beside silhouettes; used where depths or
+        colours are given.
+      searches, rounds: of poses from nothing: the best of so many searches.
+      elevations: lowest and highest of the cameras, degrees, for that search.
+    """
+
+    num_points: int = 4000
+    sides: tuple[int, ...] = ()
+    steps: tuple[int, ...] = (300, 150)
+    sigma: tuple[float, float] = (2.0, 0.5)
+    learning_rate: float = 0.01
+    camera_share: tuple[float, float] = (0.1, 0.6)
+    repulsion_weight: float = 0.006
+    pull_weight: float = 1.0
+    depth_weight: float = 1.0
+    color_weight: float = 0.3
+    searches: int = 4
+    rounds: int = 100
+    elevations: tuple[float, float] = (-20.0, 40.0)

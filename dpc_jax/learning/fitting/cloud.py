@@ -1,4 +1,4 @@
-"""A cloud and the cameras of its views, learned by gradient descent."""
+"""A cloud and the cameras of its views as they are learned, and what they look like."""
 
 import functools
 from collections.abc import Mapping
@@ -6,21 +6,17 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import optax
 
 from dpc_jax.learning.cameras import place_camera
-from dpc_jax.learning.losses import repulsion_energy
-from dpc_jax.learning.signals import Weights, compare_images
-from dpc_jax.learning.silhouette_pull import pull_inside
-from dpc_jax.render import Camera, Projection, VoxelGrid, project
+from dpc_jax.learning.shapes.kind import View
+from dpc_jax.learning.shapes.points import Points
+from dpc_jax.learning.signals import Weights
+from dpc_jax.render import Camera
 from dpc_jax.render.batch import map_renders
 from dpc_jax.render.devices import AUTOMATIC
 
 BASE_SIDE = 32  # of the grid that masses are in; a finer one has them in its own voxels
 _POINTS = 2000  # that a mass of one voxel each is right for
-_REPELLED = 600  # points that repel each other in a step
-_COLOR_SHARE = 5.0  # rate of colours' logits, which have several units to go
-_POSES = ("rotations", "translations", "log_focal")
 
 
 class Cloud(NamedTuple):
@@ -52,6 +48,21 @@ class Cloud(NamedTuple):
         share = _POINTS / self.points.shape[0] * (side / BASE_SIDE) ** 3
         return jnp.exp(self.log_mass) * share
 
+    def make_scene(self, sigma: jax.Array | float, side: int) -> dict[str, jax.Array]:
+        """What `Points` render in a grid of that side."""
+        scene: dict[str, Any] = {"points": self.points, "sigma": sigma}
+        scene |= {"mass": self.find_mass(side)}
+        return scene if self.colors is None else scene | {"colors": self.colors}
+
+    def list_views(self, camera: Camera) -> dict[str, jax.Array]:
+        """What each view has of its own, by name, [V, ...]."""
+        views: dict[str, Any] = {"rotation": self.rotations}
+        if self.translations is not None:
+            views["translation"] = self.translations
+        if self.log_focal is not None:
+            views["focal_length"] = camera.focal_length * jnp.exp(self.log_focal)
+        return views
+
 
 def make_shell(key: jax.Array, count: int, radius: float = 0.45) -> jax.Array:
     """Points [count, 3], uniform on a sphere about the origin.
@@ -62,37 +73,10 @@ def make_shell(key: jax.Array, count: int, radius: float = 0.45) -> jax.Array:
     return radius * away / jnp.linalg.norm(away, axis=1, keepdims=True)
 
 
-def render_view(
-    cloud: Cloud,
-    view: Mapping[str, jax.Array],
-    *,
-    sigma: jax.Array | float,
-    side: int,
-    signals: tuple[str, ...],
-    camera: Camera,
-) -> Projection:
-    """One view: its rotation, and its translation and focal length where it has any."""
-    return project(
-        cloud.points,
-        view["rotation"],
-        sigma=sigma,
-        scale=cloud.find_mass(side),
-        colors=cloud.colors if "color" in signals else None,
-        translation=view.get("translation"),
-        camera=place_camera(camera, view),
-        grid=VoxelGrid(side),
-        signals=signals,
-    )
-
-
-def list_views(cloud: Cloud, camera: Camera) -> dict[str, Any]:
-    """What each view has of its own, by name, [V, ...]."""
-    views: dict[str, Any] = {"rotation": cloud.rotations}
-    if cloud.translations is not None:
-        views["translation"] = cloud.translations
-    if cloud.log_focal is not None:
-        views["focal_length"] = camera.focal_length * jnp.exp(cloud.log_focal)
-    return views
+def place(view: Mapping[str, jax.Array], camera: Camera, side: int) -> View:
+    """One of `Cloud.list_views`, in a grid of that side."""
+    own = place_camera(camera, view)
+    return View(view["rotation"], own, side, view.get("translation"))
 
 
 def compare_views(
@@ -105,18 +89,15 @@ def compare_views(
 ) -> jax.Array:
     """The loss of each view [V], per pixel of the targets (Eq. 1)."""
     side = targets["silhouette"].shape[-1]
+    scene = cloud.make_scene(sigma, side)
 
-    def compare(view):
-        own, images = view
-        image = render_view(
-            cloud, own, sigma=sigma, side=side, signals=weights.renders, camera=camera
-        )
-        return compare_images(image, images, weights=weights, camera=camera)[0]
+    def compare(entry):
+        view, images = entry
+        view = place(view, camera, side)
+        return Points.compare_view(scene, view, images, weights=weights)[0]
 
-    losses = map_renders(
-        compare, (list_views(cloud, camera), dict(targets)), renders_at_once=AUTOMATIC
-    )
-    return losses / side**2
+    entries = cloud.list_views(camera), dict(targets)
+    return map_renders(compare, entries, renders_at_once=AUTOMATIC) / side**2
 
 
 @functools.partial(jax.jit, static_argnames="side")
@@ -124,14 +105,13 @@ def render_all(
     cloud: Cloud, *, sigma: jax.Array | float, side: int, camera: Camera
 ) -> jax.Array:
     """Silhouettes of all views [V, side, side]."""
-    names = ("silhouette",)
+    scene = cloud.make_scene(sigma, side)
 
     def render(view):
-        return render_view(
-            cloud, view, sigma=sigma, side=side, signals=names, camera=camera
-        ).silhouette
+        view = place(view, camera, side)
+        return Points.render(scene, view, signals=("silhouette",)).silhouette
 
-    return map_renders(render, list_views(cloud, camera), renders_at_once=AUTOMATIC)
+    return map_renders(render, cloud.list_views(camera), renders_at_once=AUTOMATIC)
 
 
 def find_losses(
@@ -148,73 +128,12 @@ def find_losses(
       candidates: [K, 4] quaternions, the same for all views. silhouettes: [V, D, D].
     """
     side = silhouettes.shape[-1]
-    cloud = jax.lax.stop_gradient(cloud)
+    scene = jax.lax.stop_gradient(cloud.make_scene(sigma, side))
 
     def compare(candidate):
-        image = render_view(
-            cloud,
-            {"rotation": candidate},
-            sigma=sigma,
-            side=side,
-            signals=("silhouette",),
-            camera=camera,
-        ).silhouette
+        view = View(candidate, camera, side)
+        image = Points.render(scene, view, signals=("silhouette",)).silhouette
         assert image is not None
         return jnp.mean((image[None] - silhouettes) ** 2, axis=(1, 2))
 
     return map_renders(compare, candidates, renders_at_once=AUTOMATIC).T
-
-
-def pull(cloud: Cloud, outside: jax.Array, *, camera: Camera) -> jax.Array:
-    """`pull_inside` of all views in the mean; (). Outside is [V, D, D]."""
-
-    def measure(view):
-        own, distances = view
-        return pull_inside(
-            cloud.points,
-            own["rotation"],
-            distances,
-            camera=place_camera(camera, own),
-            translation=own.get("translation"),
-        )
-
-    return jnp.mean(jax.vmap(measure)((list_views(cloud, camera), outside)))
-
-
-def repel(cloud: Cloud, key: jax.Array) -> jax.Array:
-    """`repulsion_energy` of some of the points; ()."""
-    count = cloud.points.shape[0]
-    some = jax.random.choice(key, count, (min(count, _REPELLED),), replace=False)
-    return repulsion_energy(cloud.points[some])
-
-
-def make_optimizer(
-    *,
-    rate: optax.Schedule,
-    camera_rate: optax.Schedule,
-    learned: tuple[str, ...],
-) -> optax.GradientTransformation:
-    """Adam of the cloud, and of those cameras' parts that are learned.
-
-    Args:
-      rate, camera_rate: learning rates over steps. learned: names of `Cloud` among
-        those of cameras.
-    """
-
-    def label(path, _):
-        field = path[0].name
-        if field == "color_logits":
-            return "colors"
-        if field not in _POSES:
-            return "cloud"
-        return "camera" if field in learned else "given"
-
-    return optax.multi_transform(
-        {
-            "cloud": optax.adam(rate),
-            "colors": optax.adam(lambda step: _COLOR_SHARE * rate(step)),
-            "camera": optax.adam(camera_rate),
-            "given": optax.set_to_zero(),
-        },
-        lambda cloud: jax.tree_util.tree_map_with_path(label, cloud),
-    )

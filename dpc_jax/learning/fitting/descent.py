@@ -1,21 +1,31 @@
 """Gradient descent on a cloud and its cameras, coarse to fine."""
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 
-from dpc_jax.learning.fitting import cloud as clouds
-from dpc_jax.learning.fitting.settings import FitSettings
-from dpc_jax.learning.losses import containment_loss
+from dpc_jax.learning.fitting import FitSettings
+from dpc_jax.learning.fitting.cloud import Cloud, compare_views, place
+from dpc_jax.learning.losses import containment_loss, repulsion_energy
 from dpc_jax.learning.signals import Weights
+from dpc_jax.learning.silhouette_pull import measure_outside, pull_inside
 from dpc_jax.render import Camera, quaternion
 
 CHUNK = 10  # steps of one call
 _FINER_RATE = 0.4  # learning rate of a side over that of the one before
 _COARSE_END = 1.4  # size of points at the end of a coarser side over that of the last
+_REPELLED = 600  # points that repel each other in a step
+_COLOR_SHARE = 5.0  # rate of colours' logits, which have several units to go
+# What is learned of cameras, and the field of `Cloud` that has it.
+_CAMERAS = {
+    "rotations": "rotations",
+    "translations": "translations",
+    "focal_lengths": "log_focal",
+}
 
 
 class Stage(NamedTuple):
@@ -24,21 +34,41 @@ class Stage(NamedTuple):
     settings: FitSettings
     number: int  # of the side
     weights: Weights
-    learned: tuple[str, ...]  # of `Cloud`, of the cameras
+    learn: tuple[str, ...]  # of the cameras
 
     @property
     def steps(self) -> int:
         """Of this side."""
         return self.settings.steps[self.number]
 
-    @property
-    def is_last(self) -> bool:
-        """Whether no finer side follows."""
-        return self.number == len(self.settings.steps) - 1
+
+def descend(
+    cloud: Cloud,
+    targets: dict[str, jax.Array],
+    camera: Camera,
+    stage: Stage,
+    *,
+    on_progress: Callable[[int, float], None],
+) -> Cloud:
+    """All steps of a side.
+
+    Args:
+      targets: of all views at this side.
+      on_progress: called with the steps taken and the loss, without the priors.
+    """
+    outside = jax.lax.map(measure_outside, targets["silhouette"])
+    parameters: Any = cloud
+    state = _make_optimizer(stage).init(parameters)
+    for first in range(0, stage.steps, CHUNK):
+        cloud, state, loss = _advance(
+            cloud, state, jnp.asarray(first), targets, outside, camera, stage=stage
+        )
+        on_progress(min(first + CHUNK, stage.steps), float(loss))
+    return cloud
 
 
-def make_optimizer(stage: Stage) -> optax.GradientTransformation:
-    """Adam for the steps of a side, its rate falling to a tenth."""
+def _make_optimizer(stage: Stage) -> optax.GradientTransformation:
+    """Adam of the cloud and what is learned of cameras, its rate falling to a tenth."""
     settings, steps = stage.settings, stage.steps
     # A finer side begins near the end of the coarser one's.
     peak = settings.learning_rate * _FINER_RATE**stage.number
@@ -49,49 +79,69 @@ def make_optimizer(stage: Stage) -> optax.GradientTransformation:
         begun = 1.0 if stage.number else jnp.clip(5 * step / steps - 1.5, 0, 1)
         return settings.camera_share[min(stage.number, 1)] * begun * rate(step)
 
-    return clouds.make_optimizer(
-        rate=rate, camera_rate=camera_rate, learned=stage.learned
+    learned = {_CAMERAS[name] for name in stage.learn}
+
+    def label(path, _):
+        field = path[0].name
+        if field in _CAMERAS.values():
+            return "camera" if field in learned else "given"
+        return "colors" if field == "color_logits" else "cloud"
+
+    return optax.multi_transform(
+        {
+            "cloud": optax.adam(rate),
+            "colors": optax.adam(lambda step: _COLOR_SHARE * rate(step)),
+            "camera": optax.adam(camera_rate),
+            "given": optax.set_to_zero(),
+        },
+        lambda cloud: jax.tree_util.tree_map_with_path(label, cloud),
     )
+
+
+def _find_sigma(stage: Stage, number):
+    """Of a step; coarse sides end, and finer ones begin, with the same size."""
+    first, last = stage.settings.sigma
+    is_last = stage.number == len(stage.settings.steps) - 1
+    start = first if stage.number == 0 else 2 * _COARSE_END * last
+    end = last * (1.0 if is_last else _COARSE_END)
+    share = number / stage.steps
+    return start * (end / start) ** share
+
+
+def _pull(cloud: Cloud, outside, camera):
+    """`pull_inside` of all views in the mean; (). Outside is [V, D, D]."""
+
+    def measure(entry):
+        own, distances = entry
+        view = place(own, camera, distances.shape[-1])
+        return pull_inside(
+            cloud.points,
+            view.rotation,
+            distances,
+            camera=view.camera,
+            translation=view.translation,
+        )
+
+    return jnp.mean(jax.vmap(measure)((cloud.list_views(camera), outside)))
 
 
 @functools.partial(jax.jit, static_argnames="stage", donate_argnums=(0, 1))
-def advance(
-    cloud: clouds.Cloud,
-    state: optax.OptState,
-    first: jax.Array,
-    targets: dict[str, jax.Array],
-    outside: jax.Array,
-    camera: Camera,
-    *,
-    stage: Stage,
-) -> tuple[clouds.Cloud, optax.OptState, jax.Array]:
-    """A few steps of gradient descent; the last one's loss is without the priors.
-
-    Args:
-      first: () number of the first step. targets: of all views.
-      outside: [V, D, D], see `measure_outside`.
-    """
-    settings = stage.settings
-    optimizer = make_optimizer(stage)
-    # Coarse ones end, and finer ones begin, with the same size in the object.
-    start = (
-        settings.sigma[0] if stage.number == 0 else 2 * _COARSE_END * settings.sigma[1]
-    )
-    end = settings.sigma[1] * (1.0 if stage.is_last else _COARSE_END)
+def _advance(cloud, state, first, targets, outside, camera, *, stage):
+    """`CHUNK` steps from the first; cloud, optimizer's state, loss of the last."""
+    settings, optimizer = stage.settings, _make_optimizer(stage)
 
     def compare(cloud, number):
-        share = number / stage.steps
-        sigma = start * (end / start) ** share
-        loss = jnp.mean(
-            clouds.compare_views(
-                cloud, targets, sigma=sigma, weights=stage.weights, camera=camera
-            )
-        )
-        total = loss + settings.pull_weight * clouds.pull(cloud, outside, camera=camera)
+        sigma = _find_sigma(stage, number)
+        how = {"sigma": sigma, "weights": stage.weights, "camera": camera}
+        loss = jnp.mean(compare_views(cloud, targets, **how))
+        total = loss + settings.pull_weight * _pull(cloud, outside, camera)
         # Outside of the volume there is no gradient from images.
         total += containment_loss(cloud.points)
         if settings.repulsion_weight:
-            energy = clouds.repel(cloud, jax.random.key(number))
+            count, key = len(cloud.points), jax.random.key(number)
+            shape = (min(count, _REPELLED),)
+            some = jax.random.choice(key, count, shape, replace=False)
+            energy = repulsion_energy(cloud.points[some])
             total += settings.repulsion_weight * energy
         if cloud.translations is not None:
             total += jnp.sum(jnp.mean(cloud.translations, axis=0) ** 2)

@@ -14,17 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpc_jax.learning.fitting import cloud as clouds
-from dpc_jax.learning.fitting import pose_search
-from dpc_jax.learning.fitting.descent import CHUNK, Stage, advance, make_optimizer
-from dpc_jax.learning.fitting.settings import LEARNED, FitSettings
-from dpc_jax.learning.fitting.views import (
-    Views,
-    check_views,
-    list_targets,
-)
-from dpc_jax.learning.signals import Weights
-from dpc_jax.learning.silhouette_pull import measure_outside
+from dpc_jax.learning.fitting import LEARNED
+from dpc_jax.learning.fitting import FitSettings as FitSettings
+from dpc_jax.learning.fitting.cloud import Cloud, make_shell, render_all
+from dpc_jax.learning.fitting.descent import Stage, descend
+from dpc_jax.learning.fitting.pose_search import COARSE, FINE, search_poses
+from dpc_jax.learning.signals import Weights, make_targets
 from dpc_jax.render import Camera, arguments, checks, quaternion
 
 _FINEST = 128  # side, unless settings say another: a fit takes a minute of two cores
@@ -96,31 +91,98 @@ def fit(
       ValueError: for a wrong shape or range, an empty silhouette, or settings that do
         not fit the images.
     """
-    begin = time.perf_counter()
-    views = check_views(silhouettes, depths, colors)
-    if not settings.sides:
-        finest = min(views.masks.shape[-1], _FINEST)
-        settings = dataclasses.replace(settings, sides=(finest // 2, finest))
-    _check_settings(settings, views, learn, is_searched=rotations is None)
+    begin, tell = time.perf_counter(), on_progress or (lambda *_: None)
+    views = _check_views(silhouettes, depths, colors)
+    finest = min(views["masks"].shape[-1], _FINEST)
+    sides = settings.sides or (finest // 2, finest)
+    settings = dataclasses.replace(settings, sides=sides)
+    _check_settings(settings, views["masks"], learn, is_searched=rotations is None)
     arguments.check_camera(camera)
-    tell = on_progress or (lambda *_: None)
+    key = jax.random.key(seed)
     if rotations is None:
         learn = tuple(dict.fromkeys(("rotations", *learn)))
-        rotations = _search(views, camera, settings, seed, tell)
-    else:
-        rotations = np.asarray(
-            checks.check_array("rotations", rotations, (len(views.masks), 4))
+        rotations = search_poses(
+            views, key, settings=settings, camera=camera, tell=tell
         )
+    else:
+        shape = len(views["masks"]), 4
+        rotations = np.asarray(checks.check_array("rotations", rotations, shape))
         checks.check_values({"rotations": rotations})
-    fitting = _Fitting(views, camera, settings, learn, tell, begin)
-    cloud = fitting.start(rotations, jax.random.key(seed))
-    for number in range(len(settings.sides)):
-        cloud = fitting.run_side(cloud, number)
-    return fitting.finish(cloud)
+    weights = Weights(
+        1.0,
+        settings.depth_weight if "depths" in views else 0.0,
+        settings.color_weight if "images" in views else 0.0,
+    )
+    cloud = _begin(rotations, key, settings, learn, has_colors=bool(weights.color))
+    curve: list[dict[str, float]] = []
+    for number, side in enumerate(sides):
+        done, total = sum(settings.steps[:number]), sum(settings.steps)
+
+        def report(steps, loss, side=side, done=done, total=total):
+            step, seconds = steps + done, time.perf_counter() - begin
+            record = {"step": step, "seconds": seconds, "side": side, "loss": loss}
+            curve.append(record)
+            tell(f"fitting at {side}", step, total)
+
+        targets = make_targets(
+            views, side, signals=weights.signals, distance=float(camera.distance)
+        )
+        stage = Stage(settings, number, weights, learn)
+        cloud = descend(cloud, targets, camera, stage, on_progress=report)
+    return _finish(cloud, targets["silhouette"], settings, camera, curve)
 
 
-def _check_settings(settings: FitSettings, views: Views, learn, *, is_searched):
-    side = views.masks.shape[-1]
+def _check_views(silhouettes, depths, colors) -> dict[str, np.ndarray]:
+    """Masks uint8 [V, S, S] and what else there is, as `make_targets` reads views."""
+    masks = np.asarray(silhouettes)
+    side = masks.shape[-1] if masks.ndim else 0
+    if masks.ndim != 3 or masks.shape[1] != side or not masks.size:
+        raise ValueError(
+            "silhouettes must be square images [V, S, S], but their shape is "
+            f"{list(masks.shape)}; stack one image for each view."
+        )
+    views = {"masks": _to_bytes("silhouettes", masks)}
+    empty = np.flatnonzero(views["masks"].reshape(len(masks), -1).max(axis=1) < 128)
+    if len(empty):
+        raise ValueError(
+            "silhouettes must show the object in every view, but no pixel of view "
+            f"{empty[0]} is covered by half or more; leave such views out."
+        )
+    if depths is not None:
+        depths = checks.check_real("depths", depths, masks.shape)
+        views["depths"] = depths = np.asarray(depths, np.float32)
+        if not (np.isfinite(depths) & (depths >= 0)).all():
+            raise ValueError(
+                "depths must be finite and at least 0 (0: not measured), but some are "
+                "not; replace those by 0."
+            )
+    if colors is not None:
+        colors = np.asarray(colors)
+        if colors.shape != (*masks.shape, 3):
+            raise ValueError(
+                f"colors must be RGB images {[*masks.shape, 3]} like the silhouettes, "
+                f"but their shape is {list(colors.shape)}; give one image of three "
+                "channels for each view."
+            )
+        views["images"] = _to_bytes("colors", colors)
+    return views
+
+
+def _to_bytes(name, values) -> np.ndarray:
+    if values.dtype == np.uint8:
+        return values
+    values = values.astype(np.float32)
+    if not ((values >= 0) & (values <= 1)).all():  # NaN is neither
+        raise ValueError(
+            f"{name} must lie between 0 and 1, or be bytes of 0 to 255, but they reach "
+            f"from {values.min():.3g} to {values.max():.3g}; divide them by their "
+            "largest value."
+        )
+    return np.round(255 * values).astype(np.uint8)
+
+
+def _check_settings(settings: FitSettings, masks, learn, *, is_searched):
+    side = masks.shape[-1]
     for name in learn:
         checks.check_choice("learn", name, LEARNED, "name what of the cameras to learn")
     if len(settings.sides) != len(settings.steps):
@@ -133,9 +195,7 @@ def _check_settings(settings: FitSettings, views: Views, learn, *, is_searched):
             "settings.camera_share must be a pair, of the first side and of the finer "
             f"ones, but it is {settings.camera_share!r}; give for example (0.1, 0.6)."
         )
-    needed = set(settings.sides)
-    if is_searched:
-        needed |= {pose_search.COARSE.side, pose_search.FINE.side}
+    needed = {*settings.sides, *((COARSE.side, FINE.side) if is_searched else ())}
     if any(side % other for other in needed):
         raise ValueError(
             f"silhouettes must have a side that {sorted(needed)} divide, but it is "
@@ -143,106 +203,38 @@ def _check_settings(settings: FitSettings, views: Views, learn, *, is_searched):
         )
 
 
-def _search(views, camera, settings, seed, tell) -> np.ndarray:
-    def read_silhouettes(side):
-        return list_targets(views, side, signals=(), camera=camera)["silhouette"]
-
-    return pose_search.search_poses(
-        read_silhouettes,
-        jax.random.key(seed),
-        searches=settings.searches,
-        rounds=settings.rounds,
-        elevations=settings.elevations,
-        camera=camera,
-        tell=tell,
+def _begin(rotations, key, settings, learn, *, has_colors) -> Cloud:
+    views, count = len(rotations), settings.num_points
+    return Cloud(
+        make_shell(key, count),
+        jnp.zeros(()),
+        jnp.zeros((count, 3)) if has_colors else None,
+        jax.vmap(quaternion.normalize)(jnp.asarray(rotations, jnp.float32)),
+        jnp.zeros((views, 3)) if "translations" in learn else None,
+        jnp.zeros(views) if "focal_lengths" in learn else None,
     )
 
 
-class _Fitting:
-    """Gradient descent on one object's views, side after side."""
+def _finish(cloud: Cloud, silhouettes, settings, camera, curve) -> Fit:
+    """Render what was found beside what was given."""
+    side, sigma = settings.sides[-1], settings.sigma[1]
+    rendered = np.asarray(render_all(cloud, sigma=sigma, side=side, camera=camera))
+    true, found = np.asarray(silhouettes) >= 0.5, rendered >= 0.5
+    views = cloud.list_views(camera)
 
-    def __init__(self, views: Views, camera, settings, learn, tell, begin):
-        self.views, self.camera, self.settings = views, camera, settings
-        self.learn, self.tell, self.begin = learn, tell, begin
-        self.weights = Weights(
-            1.0,
-            settings.depth_weight if views.depths is not None else 0.0,
-            settings.color_weight if views.images is not None else 0.0,
-        )
-        self.curve: list[dict[str, float]] = []
-        self.total = sum(settings.steps)
+    def read(array):
+        return None if array is None else np.asarray(array)
 
-    def start(self, rotations: np.ndarray, key: jax.Array) -> clouds.Cloud:
-        count = len(rotations)
-        return clouds.Cloud(
-            clouds.make_shell(key, self.settings.num_points),
-            jnp.zeros(()),
-            jnp.zeros((self.settings.num_points, 3)) if self.weights.color else None,
-            jax.vmap(quaternion.normalize)(jnp.asarray(rotations, jnp.float32)),
-            jnp.zeros((count, 3)) if "translations" in self.learn else None,
-            jnp.zeros(count) if "focal_lengths" in self.learn else None,
-        )
-
-    def run_side(self, cloud: clouds.Cloud, number: int) -> clouds.Cloud:
-        """All steps of one of the sides."""
-        side, steps = self.settings.sides[number], self.settings.steps[number]
-        targets = list_targets(
-            self.views, side, signals=self.weights.signals, camera=self.camera
-        )
-        outside = jax.lax.map(measure_outside, targets["silhouette"])
-        stage = Stage(
-            self.settings,
-            number,
-            self.weights,
-            tuple(name.replace("focal_lengths", "log_focal") for name in self.learn),
-        )
-        parameters: Any = cloud
-        state = make_optimizer(stage).init(parameters)
-        done = sum(self.settings.steps[:number])
-        for first in range(0, steps, CHUNK):
-            cloud, state, loss = advance(
-                cloud,
-                state,
-                jnp.asarray(first),
-                targets,
-                outside,
-                self.camera,
-                stage=stage,
-            )
-            step = min(first + CHUNK, steps) + done
-            seconds = time.perf_counter() - self.begin
-            record = {"step": step, "seconds": seconds, "side": side}
-            self.curve.append(record | {"loss": float(loss)})
-            self.tell(f"fitting at {side}", step, self.total)
-        return cloud
-
-    def finish(self, cloud: clouds.Cloud) -> Fit:
-        """Render what was found beside what was given."""
-        side, sigma = self.settings.sides[-1], self.settings.sigma[1]
-        rendered = np.asarray(
-            clouds.render_all(cloud, sigma=sigma, side=side, camera=self.camera)
-        )
-        targets = list_targets(self.views, side, signals=(), camera=self.camera)
-        true = np.asarray(targets["silhouette"]) >= 0.5
-        found = rendered >= 0.5
-        overlaps = (found & true).sum((1, 2)) / (found | true).sum((1, 2))
-        focal = None
-        if cloud.log_focal is not None:
-            focal = np.asarray(self.camera.focal_length * jnp.exp(cloud.log_focal))
-
-        def read(array):
-            return None if array is None else np.asarray(array)
-
-        return Fit(
-            points=np.asarray(cloud.points),
-            colors=read(cloud.colors),
-            rotations=np.asarray(cloud.rotations),
-            translations=read(cloud.translations),
-            focal_lengths=focal,
-            scale=float(cloud.find_mass(side)),
-            sigma=sigma,
-            side=side,
-            silhouettes=rendered,
-            overlaps=overlaps,
-            curve=self.curve,
-        )
+    return Fit(
+        points=np.asarray(cloud.points),
+        colors=read(cloud.colors),
+        rotations=np.asarray(cloud.rotations),
+        translations=read(cloud.translations),
+        focal_lengths=read(views.get("focal_length")),
+        scale=float(cloud.find_mass(side)),
+        sigma=sigma,
+        side=side,
+        silhouettes=rendered,
+        overlaps=(found & true).sum((1, 2)) / (found | true).sum((1, 2)),
+        curve=curve,
+    )

@@ -11,7 +11,7 @@ ones, among more viewpoints.
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -19,13 +19,14 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from dpc_jax.learning.fitting import FitSettings
 from dpc_jax.learning.fitting.cloud import Cloud, compare_views, find_losses
-from dpc_jax.learning.signals import SILHOUETTES
+from dpc_jax.learning.signals import SILHOUETTES, make_targets
 from dpc_jax.networks.viewpoints import face_object
 from dpc_jax.render import Camera
 
 _STEPS = 5  # of the cloud in a round
-_RATE = 0.01
+_ADAM = optax.adam(0.01)
 
 
 class Level(NamedTuple):
@@ -51,75 +52,56 @@ COARSE = Level(16, 300, 24, 4, (2.0, 0.75), (4e-3, 2e-4))
 FINE = Level(32, 800, 36, 6, (1.5, 0.75), (4e-4, 1e-4))
 
 
-class Found(NamedTuple):
-    """Where a search has come to.
-
-    Attributes:
-      points: of its cloud. log_mass: of `Cloud`.
-      rotations: [V, 4], of each view the best viewpoint.
-      loss: its mean loss per pixel.
-    """
-
-    points: jax.Array
-    log_mass: jax.Array
-    rotations: jax.Array
-    loss: float
-
-
 def search_poses(
-    read_silhouettes: Callable[[int], jax.Array],
+    views: Mapping[str, np.ndarray],
     key: jax.Array,
     *,
-    searches: int,
-    rounds: int,
-    elevations: tuple[float, float],
+    settings: FitSettings,
     camera: Camera,
     tell: Callable[[str, int, int], None],
 ) -> np.ndarray:
     """The rotations [V, 4] that the best of several searches ends with.
 
     Args:
-      read_silhouettes: [V, side, side] of a side.
-      key: another one gives other searches. searches: how many.
-      rounds: of each, in coarse images; half as many in finer ones follow the best.
-      elevations: lowest and highest of the cameras, degrees.
+      views: with masks [V, S, S], of `make_targets`.
+      key: another one gives other searches.
+      settings: how many searches, of how many rounds in coarse images (half as many in
+        finer ones follow the best), and the range of elevations.
       tell: called with what is done, a count and a total.
     """
-    what, total = "searching for poses", searches + 1
+    what, searches = "searching for poses", settings.searches
+    names, distance = ("silhouette",), float(camera.distance)
+
+    def search(level, points, log_mass, key, rounds):
+        targets = make_targets(views, level.side, signals=names, distance=distance)
+        viewpoints = list_viewpoints(settings.elevations, level)
+        rotations = jnp.broadcast_to(viewpoints[0], (len(views["masks"]), 4))
+        return _search(
+            Cloud(points, log_mass, None, rotations, None, None),
+            targets["silhouette"],
+            viewpoints,
+            key,
+            level=level,
+            rounds=rounds,
+            camera=camera,
+        )
+
     found = []
     for number in range(searches):
-        tell(what, number, total)
+        tell(what, number, searches + 1)
         start, own = jax.random.split(jax.random.fold_in(key, number))
         points = 0.25 * jax.random.normal(start, (COARSE.num_points, 3))
-        found.append(
-            _search(
-                jnp.clip(points, -0.45, 0.45),
-                jnp.zeros(()),
-                read_silhouettes(COARSE.side),
-                list_viewpoints(elevations, COARSE),
-                own,
-                level=COARSE,
-                rounds=rounds,
-                camera=camera,
-            )
-        )
-    tell(what, searches, total)
-    best = min(found, key=lambda one: one.loss)
+        points = jnp.clip(points, -0.45, 0.45)
+        found.append(search(COARSE, points, jnp.zeros(()), own, settings.rounds))
+    tell(what, searches, searches + 1)
+    best, _ = min(found, key=lambda one: one[1])
     near, own = jax.random.split(jax.random.fold_in(key, searches))
     picks, noise = jax.random.split(near)
     chosen = jax.random.choice(picks, best.points, (FINE.num_points,))
     spread = 0.5 / COARSE.side * jax.random.normal(noise, chosen.shape)
-    last = _search(
-        chosen + spread,
-        best.log_mass,
-        read_silhouettes(FINE.side),
-        list_viewpoints(elevations, FINE),
-        own,
-        level=FINE,
-        rounds=(rounds + 1) // 2,
-        camera=camera,
-    )
-    tell(what, total, total)
+    rounds = (settings.rounds + 1) // 2
+    last, _ = search(FINE, chosen + spread, best.log_mass, own, rounds)
+    tell(what, searches + 1, searches + 1)
     return np.asarray(last.rotations)
 
 
@@ -136,28 +118,22 @@ def list_viewpoints(elevations: tuple[float, float], level: Level) -> jax.Array:
 
 
 def _search(
-    points, log_mass, silhouettes, viewpoints, key, *, level, rounds, camera
-) -> Found:
-    rotations = jnp.broadcast_to(viewpoints[0], (len(silhouettes), 4))
-    cloud = Cloud(points, log_mass, None, rotations, None, None)
-    state = _optimizer().init((points, log_mass))
+    cloud: Cloud, silhouettes, viewpoints, key, *, level: Level, rounds: int, camera
+) -> tuple[Cloud, float]:
+    """(a cloud with the best viewpoint of each view, its mean loss per pixel)."""
+    state = _ADAM.init((cloud.points, cloud.log_mass))
     losses = jnp.zeros((len(silhouettes), len(viewpoints)))
     for number, own in enumerate(jax.random.split(key, rounds)):
         share = number / max(rounds - 1, 1)
         sigma, temperature = (
-            jnp.asarray(first * (last / first) ** share, points.dtype)
+            jnp.asarray(first * (last / first) ** share, cloud.points.dtype)
             for first, last in (level.sigma, level.temperature)
         )
         cloud, state, losses = _run_round(
             cloud, state, own, sigma, temperature, silhouettes, viewpoints, camera
         )
     best = viewpoints[jnp.argmin(losses, axis=1)]
-    loss = float(jnp.mean(jnp.min(losses, axis=1)))
-    return Found(cloud.points, cloud.log_mass, best, loss)
-
-
-def _optimizer():
-    return optax.adam(_RATE)
+    return cloud._replace(rotations=best), float(jnp.mean(jnp.min(losses, axis=1)))
 
 
 @jax.jit
@@ -182,7 +158,7 @@ def _run_round(cloud, state, key, sigma, temperature, silhouettes, viewpoints, c
             return jnp.mean(compare_all(posed))
 
         learned = cloud.points, cloud.log_mass
-        updates, state = _optimizer().update(jax.grad(compare)(learned), state)
+        updates, state = _ADAM.update(jax.grad(compare)(learned), state)
         moved: Any = optax.apply_updates(learned, updates)
         points, log_mass = moved
         return (cloud._replace(points=points, log_mass=log_mass), state), None

@@ -1,14 +1,27 @@
 """Scores of predictions, as far as the truth is known."""
 
+from typing import NamedTuple
+
+import jax
 import numpy as np
 
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation import alignment as alignments
-from dpc_jax.evaluation import scores
+from dpc_jax.evaluation import images, scores
 from dpc_jax.evaluation.density import count_stray_points
-from dpc_jax.evaluation.images import mean_squared_difference
 from dpc_jax.evaluation.pose import Failures, find_failures, winner_share
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
+from dpc_jax.learning.signals import find_background, make_targets
+
+MISSED = 0.1  # least share of a pixel that is hit for it to have a depth
+# What `measure_images` and `measure_cameras` can find.
+MEASURES = (
+    "depth_error",
+    "depth_error_percent",
+    "color_psnr",
+    "translation_error",
+    "focal_length_error_percent",
+)
 
 
 def arrange_truth(
@@ -24,14 +37,6 @@ def arrange_truth(
         None if poses is None else np.asarray(poses[models, views]),
         None if surfaces is None else [surfaces[int(m)] for m in models[:, 0]],
     )
-
-
-def arrange_seen(dataset: DataSet) -> list[np.ndarray] | None:
-    """Which points [P] of n surfaces can be seen; None where that is not known."""
-    if dataset.seen is None or dataset.surfaces is None:
-        return None
-    models, _ = arrange_views(dataset)
-    return [np.asarray(dataset.seen[int(m)]) for m in models[:, 0]]
 
 
 def align(predictions: Predictions, dataset: DataSet) -> alignments.Alignment:
@@ -63,8 +68,8 @@ def score(
     which part of a surface can be seen, distances from and to that part have the prefix
     `visible_`. Every set gets `silhouette_iou`, the mean overlap of predicted
     silhouettes with the masks from 0 to 1; `projection_error`, the mean squared
-    difference of the two per pixel, both averaged to 32×32 pixels; and `stray_points`,
-    how many a predicted shape has in the mean.
+    difference of the two per pixel, averaged to 32×32 pixels (appendix "Towards
+    part-based models"); and `stray_points`, how many a predicted shape has in the mean.
 
     Args:
       heads: K, of the ensemble; 0 where poses are known.
@@ -75,6 +80,10 @@ def score(
       dense_points: see `scores.score`.
     """
     poses, surfaces = arrange_truth(dataset)
+    models, _ = arrange_views(dataset)
+    seen = None
+    if dataset.seen is not None and surfaces is not None:
+        seen = [np.asarray(dataset.seen[int(m)]) for m in models[:, 0]]
     result = scores.score(
         None if poses_given else predictions.poses,
         poses,
@@ -83,22 +92,24 @@ def score(
         alignment=alignment,
         best_candidate_poses=None if poses_given else predictions.candidate_poses,
         chamfer_views=chamfer_views,
-        seen=arrange_seen(dataset),
+        seen=seen,
         dense_points=dense_points,
     )
     clouds = np.asarray(predictions.points)[:, :chamfer_views]
-    stray = [
-        count_stray_points(clouds[index]) for index in np.ndindex(clouds.shape[:2])
+    stray = [count_stray_points(cloud) for row in clouds for cloud in row]
+    errors = [
+        images.mean_squared_difference(predicted, mask)
+        for _, predicted, mask in _list_silhouettes(predictions, dataset)
     ]
     found = {
         "silhouette_iou": float(measure_overlaps(predictions, dataset).mean()),
-        "projection_error": measure_projection_error(predictions, dataset),
+        "projection_error": float(np.mean(errors)),
         "stray_points": float(np.mean(stray)),
     }
     result = result._replace(metrics=result.metrics | found)
-    winners = predictions.winners % max(1, heads)
-    shares = winner_share(winners, num_candidates=max(1, heads))
-    return result, shares
+    heads = max(1, heads)
+    winners = predictions.winners % heads
+    return result, winner_share(winners, num_candidates=heads)
 
 
 def diagnose(
@@ -116,32 +127,122 @@ def diagnose(
     return find_failures(found, poses, costs=predictions.costs)
 
 
-def measure_projection_error(predictions: Predictions, dataset: DataSet) -> float:
-    """Mean squared difference per pixel of silhouettes, each from its predicted pose.
-
-    The figure of appendix "Towards part-based models" has it over the number of points.
-    """
-    models, views = arrange_views(dataset)
-    errors = [
-        mean_squared_difference(
-            predictions.silhouettes[index],
-            np.asarray(dataset.masks[models[index], views[index]]) / 255.0,
-        )
-        for index in np.ndindex(models.shape)
-    ]
-    return float(np.mean(errors))
-
-
 def measure_overlaps(predictions: Predictions, dataset: DataSet) -> np.ndarray:
     """Intersection over union [n, V] of soft silhouettes with the masks, 0 to 1."""
+    overlaps = np.empty(predictions.silhouettes.shape[:2])
+    for index, predicted, mask in _list_silhouettes(predictions, dataset):
+        target = images.resize(mask, len(predicted))
+        union = np.maximum(predicted, target).sum()
+        overlaps[index] = np.minimum(predicted, target).sum() / max(union, 1e-9)
+    return overlaps
+
+
+def _list_silhouettes(predictions, dataset):
+    """Of each view its index, the predicted silhouette, the mask from 0 to 1."""
     models, views = arrange_views(dataset)
-    side = predictions.silhouettes.shape[-1]
-    overlaps = np.empty(models.shape)
     for index in np.ndindex(models.shape):
         mask = np.asarray(dataset.masks[models[index], views[index]]) / 255.0
-        step = mask.shape[0] // side
-        target = mask.reshape(side, step, side, step).mean(axis=(1, 3))
-        seen = predictions.silhouettes[index]
-        union = np.maximum(seen, target).sum()
-        overlaps[index] = np.minimum(seen, target).sum() / max(union, 1e-9)
-    return overlaps
+        yield index, predictions.silhouettes[index], mask
+
+
+class ViewImages(NamedTuple):
+    """Images of one view by signal, [D, D] or [D, D, 3], at the size of the renders.
+
+    Depths are of what is hit, without the background that is mixed in where they are
+    compared in training: an opacity that is too low is an error of the silhouette, not
+    of depth. Where less than `MISSED` is hit they are the background's. What is
+    measured is the share of each pixel that the object covers and whose depth is known.
+    """
+
+    measured: np.ndarray
+    targets: dict[str, np.ndarray]
+    rendered: dict[str, np.ndarray]
+
+
+def read_view(
+    predictions: Predictions, dataset: DataSet, row: int, place: int, *, distance: float
+) -> ViewImages:
+    """Renders of one view, in the layout of predictions, and what they should be."""
+    models, views = arrange_views(dataset)
+    found = {
+        "silhouette": predictions.silhouettes,
+        "depth": None if dataset.depths is None else predictions.depths,
+        "color": predictions.color_images,
+    }
+    rendered = {n: a[row, place] for n, a in found.items() if a is not None}
+    side = predictions.silhouettes.shape[-1]
+    arrays = {
+        name: np.asarray(getattr(dataset, name)[models[row, place], views[row, place]])
+        for name in ("masks", "images", "depths")
+        if getattr(dataset, name) is not None
+    }
+    with jax.default_device(jax.local_devices(backend="cpu")[0]):
+        made = make_targets(arrays, side, signals=tuple(rendered), distance=distance)
+    targets = {name: np.asarray(image) for name, image in made.items()}
+    measured = targets.pop("measured", targets["silhouette"])
+    if "depth" in rendered:
+        pairs = (targets, measured), (rendered, rendered["silhouette"])
+        for shown, share in pairs:
+            background = find_background(distance)
+            shown["depth"] = remove_background(shown["depth"], share, background)
+    return ViewImages(measured, targets, rendered)
+
+
+def remove_background(
+    depth: np.ndarray, share: np.ndarray, background: float
+) -> np.ndarray:
+    """The depth [D, D] of what is hit, from one mixed with that of the background.
+
+    Args:
+      share: [D, D] of each pixel that is hit.
+    """
+    of_hit = background + (depth - background) / np.maximum(share, MISSED)
+    return np.where(share >= MISSED, of_hit, background)
+
+
+def measure_images(
+    predictions: Predictions, dataset: DataSet, *, distance: float
+) -> dict[str, float]:
+    """Mean over the views of depth error and colour PSNR, those that there are.
+
+    Depths are seen from the predicted pose, so an error of the pose is one of depth;
+    `depth_error_percent` is in hundredths of the object's box diagonal, which is 1. A
+    pixel that the prediction misses has the error of the background.
+    """
+    if predictions.depths is None and predictions.color_images is None:
+        return {}
+    depths, colors = [], []
+    for row, place in np.ndindex(predictions.silhouettes.shape[:2]):
+        view = read_view(predictions, dataset, row, place, distance=distance)
+        found, true = view.rendered, view.targets
+        if "depth" in found:
+            pair = found["depth"], true["depth"]
+            depths.append(images.depth_error(*pair, view.measured))
+        if "color" in found:
+            pair = found["color"], true["color"]
+            colors.append(images.color_psnr(*pair, true["silhouette"]))
+    error, ratio = images.mean_of_known(depths), images.mean_of_known(colors)
+    metrics = {} if ratio is None else {"color_psnr": ratio}
+    if error is None:
+        return metrics
+    return {"depth_error": error, "depth_error_percent": 100 * error} | metrics
+
+
+def measure_cameras(predictions: Predictions, dataset: DataSet) -> dict[str, float]:
+    """Mean errors of learned translations and focal lengths whose truth is known.
+
+    `translation_error` is a distance in box diagonals, in the camera frame, as it is: a
+    shape predicted off the centre moves every view's translation by as much.
+    `focal_length_error_percent` is of the true one.
+    """
+    models, views = arrange_views(dataset)
+    metrics = {}
+    if predictions.translations is not None and dataset.translations is not None:
+        true = np.asarray(dataset.translations[models, views])
+        away = np.linalg.norm(predictions.translations - true, axis=-1)
+        metrics["translation_error"] = float(away.mean())
+    if predictions.focal_lengths is not None and dataset.focal_lengths is not None:
+        true = np.asarray(dataset.focal_lengths[models, views])
+        shares = np.abs(predictions.focal_lengths / true - 1)
+        metrics["focal_length_error_percent"] = 100 * float(shares.mean())
+    return metrics

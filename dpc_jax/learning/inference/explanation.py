@@ -1,13 +1,14 @@
-"""What a trained network makes of a view: how candidates fit it, and its images."""
+"""How well poses explain a view: which candidates are likeliest, and what is near."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Config
 from dpc_jax.learning.cameras import place_camera
+from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.renders import compute_candidate_losses
 from dpc_jax.learning.shapes import Shape, find_kind
 from dpc_jax.learning.shapes.kind import Scene, View
@@ -18,10 +19,27 @@ from dpc_jax.learning.signals import (
     make_targets,
     read_weights,
 )
-from dpc_jax.render import Camera
+from dpc_jax.networks.viewpoints import read_elevations
+from dpc_jax.render import Camera, Projection, quaternion
 
 FINALISTS = 4  # candidates of a view that are compared in the finest grid
+STEPS = (4.0, 2.8, 2.0)  # degrees that a viewpoint is moved by, one after the other
+_SLACK = 1e-3  # radians that an elevation may lie beyond its range by rounding
 _SOURCES = {"depth": "depths", "color": "images"}  # arrays that signals are read from
+
+
+class Sight(NamedTuple):
+    """What a view shows, at the side D of a grid.
+
+    Attributes:
+      target: [D, D] silhouette.
+      camera: what the view's camera has of its own: translation [3], focal_length ().
+      others: {signal: target} that candidates are compared by, too.
+    """
+
+    target: Any
+    camera: Mapping[str, Any]
+    others: Mapping[str, Any] = {}
 
 
 def kind_of(config: Config) -> type[Shape]:
@@ -29,112 +47,138 @@ def kind_of(config: Config) -> type[Shape]:
     return find_kind(config.network.shape)
 
 
-def list_compared(
-    views: Mapping[str, jax.Array], side: int, config: Config
-) -> dict[str, Any]:
-    """Targets of the signals besides silhouettes that candidates are compared by.
+def look(
+    arrays: Mapping[str, jax.Array],
+    cameras: Mapping[str, jax.Array],
+    side: int,
+    config: Config,
+) -> Sight:
+    """The sights of n views, averaged down to a grid of that side.
 
     Args:
-      views: images, masks and what else there is of n views, by name.
-      side: D of the grid.
-
-    Returns:
-      {"others": {signal: targets [n, ...]}}, or nothing.
+      arrays: images, masks and what else there is of the views, by name. What training
+        chooses candidates by and the data lack (depths of own images) is left out.
     """
-    if config.pose.choice_signals == "silhouette" or config.pose.heads < 2:
-        return {}
-    names = [name for name in read_weights(config.train).signals if name in _SOURCES]
-    present = tuple(name for name in names if _SOURCES[name] in views)
-    distance = config.render.distance
-    return {"others": make_targets(views, side, signals=present, distance=distance)}
+    others = {}
+    if config.pose.choice_signals == "all" and config.pose.heads > 1:
+        weighted = read_weights(config.train).signals
+        names = tuple(n for n in weighted if _SOURCES.get(n) in arrays)
+        distance = config.render.distance
+        others = make_targets(arrays, side, signals=names, distance=distance)
+    return Sight(downsample_images(arrays["masks"], side), cameras, others)
+
+
+def measure_silhouettes(
+    scene: Scene,
+    poses: jax.Array,
+    sight: Sight,
+    *,
+    config: Config,
+    weights: Weights = SILHOUETTES,
+) -> jax.Array:
+    """Losses [n] of a shape seen from poses [n, 4]: sums of squared differences.
+
+    Args:
+      scene: of the shape, sizes in voxels of the sight's grid.
+      weights: of silhouettes and the sight's other signals.
+    """
+    render = config.render
+    return compute_candidate_losses(
+        kind_of(config),
+        scene,
+        poses,
+        sight.target,
+        camera=place_camera(Camera(render.focal_length, render.distance), sight.camera),
+        renders_at_once=render.renders_at_once,
+        translation=sight.camera.get("translation"),
+        others=sight.others,
+        weights=weights,
+        ray_rule=render.ray_rule,
+    )
+
+
+def compare_candidates(
+    scene: Scene, candidates: jax.Array, sight: Sight, *, config: Config
+) -> jax.Array:
+    """Losses [C] of candidates [C, 4] by the signals that training chooses by."""
+    weights = SILHOUETTES
+    if config.pose.choice_signals == "all":
+        trained = read_weights(config.train)
+        others = {n: getattr(trained, n) for n in _SOURCES if n in sight.others}
+        weights = Weights(trained.silhouette, **others)
+        weights = weights if weights.signals else SILHOUETTES
+    return measure_silhouettes(scene, candidates, sight, config=config, weights=weights)
 
 
 def find_posteriors(losses: jax.Array, probabilities: jax.Array) -> jax.Array:
     """Logarithms [C] of candidates' posteriors, but for a constant.
 
     What the student thinks of an image is the prior, how a candidate's render fits the
-    image the likelihood: P(c)·exp(-loss(c)), as of pixels with errors of
-    variance 1/2.
-
-    Args:
-      losses: [C] sums of squared differences. probabilities: [C] of the student.
+    image the likelihood: P(c)·exp(-loss(c)), as of pixels with errors of variance 1/2.
     """
     tiny = jnp.finfo(probabilities.dtype).tiny
     return jnp.log(jnp.maximum(probabilities, tiny)) - losses
 
 
-def rank_finely(
+def find_likeliest(
     scene: Scene,
     candidates: jax.Array,
     losses: jax.Array,
     probabilities: jax.Array,
-    target: jax.Array,
-    own: dict[str, Any],
+    fine: Sight,
     *,
+    count: int,
     config: Config,
 ) -> jax.Array:
-    """Indices [F] of the likeliest candidates, that of the largest posterior first.
+    """The poses [count, 4] of the largest posteriors, the likeliest first.
 
     The `FINALISTS` of the base grid are compared in the finest one: poses and their
     mirror poses differ by little more than a pixel of the former. Each of its pixels
-    counts, so that the image weighs more against the student's probabilities.
+    counts, so that the image weighs more against the student's probabilities. A single
+    viewpoint is then searched for nearby; of several a fit has to find out which is
+    right, and moves them anyway.
 
     Args:
       scene: of the shape, sizes in voxels of the base grid.
       candidates: [C, 4]. losses: [C] in the base grid. probabilities: [C].
-      target: [D, D] silhouette, own: see `compare_poses`; of the finest grid.
+      fine: what the view shows in the finest grid.
+      count: how many; fewer where there are fewer candidates or `FINALISTS`.
     """
     ratio = config.render.finest / config.render.grid
     posteriors = find_posteriors(losses, probabilities)
     _, best = jax.lax.top_k(posteriors, min(FINALISTS, len(candidates)))
-    if ratio == 1:
-        return best
-    finer = compare_candidates(
-        kind_of(config).resize(scene, ratio),
-        candidates[best],
-        target,
-        own,
-        config=config,
-    )
-    posteriors = find_posteriors(finer, probabilities[best])
-    return best[jnp.argsort(-posteriors)]
+    if ratio != 1:
+        finer = kind_of(config).resize(scene, ratio)
+        losses = compare_candidates(finer, candidates[best], fine, config=config)
+        posteriors = find_posteriors(losses, probabilities[best])
+        best = best[jnp.argsort(-posteriors)]
+    if count == 1 and config.pose.searches:
+        return search_nearby(scene, candidates[best[0]], fine, config=config)[None]
+    return candidates[best[:count]]
 
 
-def show_view(
-    shown: dict[str, jax.Array],
+def render_finest(
+    scene: Scene,
     pose: jax.Array,
-    own: dict[str, Any],
+    own: Mapping[str, Any],
     *,
+    signals: tuple[str, ...] = ("silhouette",),
     config: Config,
-) -> dict[str, jax.Array]:
-    """Images of a shape from a pose [4].
+) -> Projection:
+    """A shape in the finest grid, seen from a pose [4].
 
     Args:
-      shown: scene of the shape, sizes in voxels of the base grid.
-      own: what the view has of its own: translation [3], focal_length ().
-
-    Returns:
-      {"silhouettes", "depths", "color_images"} in the finest grid that training
-      renders in; depths and colours where there are any.
+      scene: sizes in voxels of the base grid. own: see `Sight.camera`.
     """
-    render = config.render
+    render, kind = config.render, kind_of(config)
     camera = place_camera(Camera(render.focal_length, render.distance), own)
-    side = render.finest
-    is_asked = {
-        "silhouette": True,
-        "depth": not config.data.images or bool(config.data.test_meshes),
-        "color": "colors" in shown,
-    }
-    kind = kind_of(config)
-    image = kind.render(
-        kind.resize(shown, side / render.grid),
-        View(pose, camera, side, own.get("translation"), render.ray_rule),
-        signals=tuple(name for name, holds in is_asked.items() if holds),
+    move, side = own.get("translation"), render.finest
+    return kind.render(
+        kind.resize(scene, side / render.grid),
+        View(pose, camera, side, move, render.ray_rule),
+        signals=signals,
         background_depth=find_background(camera.distance),
     )
-    names = {"silhouettes": image.silhouette, "depths": image.depth}
-    images = names | {"color_images": image.color}
-    return {n: a for n, a in images.items() if a is not None}
 
 
 def weigh_finest(scene: Scene, config: Config) -> Scene:
@@ -145,58 +189,52 @@ def weigh_finest(scene: Scene, config: Config) -> Scene:
     )
 
 
-def compare_poses(
-    scene: Scene,
-    poses: jax.Array,
-    target: jax.Array,
-    own: dict[str, Any],
-    *,
-    config: Config,
-    weights: Weights = SILHOUETTES,
+def search_nearby(
+    scene: Scene, pose: jax.Array, fine: Sight, *, config: Config
 ) -> jax.Array:
-    """Losses [n] of a shape seen from poses [n, 4], at full resolution.
+    """The viewpoint [4] near a predicted one that explains the image best.
 
-    By default sums of squared differences of the silhouette; with weights also of the
-    others that the view has.
+    A head says a viewpoint by features of the whole image, a few degrees off; outlines
+    in the finest grid tell single degrees. A pattern search: of the four viewpoints a
+    step of azimuth or elevation away, the best one is taken if it is better; then the
+    step is smaller. Elevations stay in the range of the heads. Not in the paper.
 
     Args:
       scene: of the shape, sizes in voxels of the base grid.
-      target: [D, D] silhouette.
-      own: what the view has of its own: translation [3], focal_length (), others
-        {signal: target}.
+      pose: [4] quaternion of an upright camera.
     """
-    render = config.render
-    return compute_candidate_losses(
-        kind_of(config),
-        scene,
-        poses,
-        target,
-        camera=place_camera(Camera(render.focal_length, render.distance), own),
-        renders_at_once=render.renders_at_once,
-        translation=own.get("translation"),
-        others=own.get("others"),
-        weights=weights,
-        ray_rule=render.ray_rule,
+    finer = weigh_finest(scene, config)
+    limits = config.pose.elevation_low, config.pose.elevation_high
+    low, high = (jnp.deg2rad(angle) for angle in limits)
+
+    def take_step(found, step):
+        pose, cost = found
+        neighbours = list_neighbours(pose, step)
+        costs = compare_candidates(finer, neighbours, fine, config=config)
+        elevations = read_elevations(neighbours)
+        is_allowed = (elevations >= low - _SLACK) & (elevations <= high + _SLACK)
+        costs = jnp.where(is_allowed, costs, jnp.inf)
+        best = jnp.argmin(costs)
+        is_better = costs[best] < cost
+        pose = jnp.where(is_better, neighbours[best], pose)
+        return (pose, jnp.where(is_better, costs[best], cost)), None
+
+    start = compare_candidates(finer, pose[None], fine, config=config)[0]
+    steps = jnp.deg2rad(jnp.asarray(STEPS, pose.dtype))
+    (pose, _), _ = jax.lax.scan(take_step, (pose, start), steps)
+    return pose
+
+
+def list_neighbours(pose: jax.Array, step: jax.Array) -> jax.Array:
+    """The viewpoints [4, 4] a step (radians) of azimuth or elevation away."""
+    halves = jnp.stack([step, -step]) / 2
+    cos, sin, zero = jnp.cos(halves), jnp.sin(halves), jnp.zeros(2, pose.dtype)
+    about_up = jnp.stack([cos, zero, zero, sin], axis=-1)  # the object's z
+    about_side = jnp.stack([cos, sin, zero, zero], axis=-1)  # the camera's x
+    multiply = quaternion.multiply
+    return jnp.concatenate(
+        [
+            jax.vmap(lambda turn: multiply(pose, turn))(about_up),
+            jax.vmap(lambda turn: multiply(turn, pose))(about_side),
+        ]
     )
-
-
-def compare_candidates(
-    scene: Scene,
-    candidates: jax.Array,
-    target: jax.Array,
-    own: dict[str, Any],
-    *,
-    config: Config,
-) -> jax.Array:
-    """Losses [C] of candidates [C, 4] by the signals that training chooses by.
-
-    Of those, one that the data lack (the depths of own images) is left out. Arguments
-    as of `compare_poses`.
-    """
-    others, weights = own.get("others", {}), SILHOUETTES
-    if config.pose.choice_signals == "all":
-        wanted = read_weights(config.train)._asdict()
-        kept = {n: w for n, w in wanted.items() if n in others or n == "silhouette"}
-        weights = Weights(**(dict.fromkeys(wanted, 0.0) | kept))
-        weights = weights if weights.signals else SILHOUETTES
-    return compare_poses(scene, candidates, target, own, config=config, weights=weights)

@@ -15,17 +15,17 @@ from dpc_jax.evaluation.alignment import Alignment, place_poses
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.cameras import find_cameras, list_own
 from dpc_jax.learning.inference.explanation import (
+    Sight,
     compare_candidates,
-    compare_poses,
+    find_likeliest,
     kind_of,
-    list_compared,
-    rank_finely,
-    show_view,
+    look,
+    measure_silhouettes,
+    render_finest,
     weigh_finest,
 )
-from dpc_jax.learning.inference.viewpoint_search import search_nearby
-from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.predictions import (
+    Poses,
     complete_poses,
     find_probabilities,
     make_inputs,
@@ -34,6 +34,7 @@ from dpc_jax.learning.signals import list_extras
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.columns import sharing_columns
+from dpc_jax.networks.encoder import TINT
 from dpc_jax.render.batch import map_renders
 
 VIEWS_AT_ONCE = 64  # that are predicted: a batch of a data set
@@ -62,8 +63,9 @@ class Predictions(NamedTuple):
       costs: [M, V, 2] of the silhouette in the finest grid as seen from the predicted
         pose and from the true one; without a frame (`predict_all`) of no meaning.
       cells: [M, V, D, D, D], the occupancies that voxel models predict; else None.
-      candidates: [M, V, C, 4], turned ones included, and probabilities: [M, V, C] that
-        the student gives them, alike where it does not select. Only where asked for.
+      candidates: [M, V, C, 4], turned ones included; probabilities: [M, V, C] that the
+        student gives them, alike where it does not select; codes: [M, V, F] that shapes
+        are decoded from, tints at the end. Only where asked for.
     """
 
     points: np.ndarray
@@ -81,139 +83,137 @@ class Predictions(NamedTuple):
     costs: np.ndarray | None = None
     candidates: np.ndarray | None = None
     probabilities: np.ndarray | None = None
+    codes: np.ndarray | None = None
 
 
-class View(NamedTuple):
+class _Entry(NamedTuple):
     """One of n views, with what a network predicts for it.
 
     Attributes:
       scene, shown: of the shape, its points of the size that training has now, and of
         that which the schedule ends with: so images compare over training.
-      pose: [4] of the student. chances: [C] that it gives to the candidates [C, 4].
-      given: [4], the pose of the data.
-      target: [D, D] silhouette in the base grid, own: what the view has of its own,
-        see `compare_poses`. fine_target, fine: the same in the finest grid.
+      poses: predicted, or given ones; chances: [C] of the candidates.
+      true: [4], the pose of the data.
+      base, fine: what the view shows, in the base grid and in the finest.
     """
 
     scene: Any
     shown: Any
-    pose: Any
+    poses: Poses
     chances: Any
-    given: Any
-    candidates: Any
-    target: Any
-    own: Any
-    fine_target: Any
-    fine: Any
+    true: Any
+    base: Sight
+    fine: Sight
 
 
 def make_predictor(
-    network: ShapePoseNetwork, config: Config, *, keeps_candidates: bool = False
+    network: ShapePoseNetwork, config: Config, *, keeps_evidence: bool = False
 ) -> Callable:
     """The compiled function (state, images, masks, quaternions, extras) -> dict.
 
     It runs over the devices. For n views: images uint8 [n, S, S, 3], masks uint8
     [n, S, S], quaternions [n, 4], extras: arrays [n, ...] of `list_extras`, those there
     are. The dictionary has the fields of `Predictions`, with one leading axis [n];
-    those that a run does not have are left out, and so are candidates and their
-    probabilities unless they are kept.
+    those that a run does not have are left out. Candidates, their probabilities and
+    codes, which confidence and refinement need, are in it where they are kept.
     """
 
     def predict(state, images, masks, quaternions, extras):
+        inputs = make_inputs(images, masks, network=network)
         with sharing_columns(devices.AXIS):
-            inputs = make_inputs(images, masks, network=network)
-            output: Any = network.apply(state.params, inputs)
-        views, shared = _list_views(
-            output,
-            state,
-            {"images": images, "masks": masks, **extras},
-            quaternions,
-            config=config,
-        )
-        explained = map_renders(
+            output: Any = network.apply(state.params, inputs, method=_say_all)
+        arrays = {"images": images, "masks": masks, **extras}
+        entries, shared = _list_entries(output, state, arrays, quaternions, config)
+        found = map_renders(
             functools.partial(_explain, shared=shared, config=config),
-            views,
+            entries,
             renders_at_once=config.render.renders_at_once,
         )
-        candidates = views.candidates
-        best = jax.vmap(lambda q, k: q[k])(candidates, explained["winners"])
-        result = explained | {"candidate_poses": best}
-        names = ("translations", "focal_lengths")
-        result |= {name: output[name] for name in names if name in output}
-        if keeps_candidates and not config.pose.known:
-            result |= {"candidates": candidates, "probabilities": views.chances}
-        return result | kind_of(config).find_evaluated(output, views.scene)
+        candidates = entries.poses.candidates
+        best = jax.vmap(lambda poses, winner: poses[winner])
+        found |= {"candidate_poses": best(candidates, found["winners"])}
+        if keeps_evidence:
+            found |= {"candidates": candidates, "probabilities": entries.chances}
+            found |= {"codes": output["codes"]}
+        cameras = ("translations", "focal_lengths")
+        found |= {name: output[name] for name in cameras if name in output}
+        return found | kind_of(config).find_evaluated(output, entries.scene)
 
     mesh = devices.make_mesh(config)
-    parts = find_parts(network, config, mesh)
     # Every process of a job gets all of it.
     whole = NamedSharding(mesh, devices.WHOLE) if jax.process_count() > 1 else None
-    in_specs = (parts, *[devices.OBJECTS] * 4)
+    in_specs = (find_parts(network, config, mesh), *[devices.OBJECTS] * 4)
     return jax.jit(devices.share_padded(predict, mesh, in_specs), out_shardings=whole)
 
 
-def _list_views(output, state, arrays, quaternions, *, config):
-    """(`View` of all n, (scenes that they share, of scene and shown))."""
+def _say_all(network, images):
+    """All that the network predicts of images, and the codes of their shapes."""
+    features = network.encode(images)
+    codes = features[:, : network.hidden]
+    if network.is_tinted:
+        codes = jnp.concatenate([codes, features[:, -TINT:]], axis=1)
+    poses = network.predict_pose(features) | network.predict_camera(features)
+    return network.predict_shape(features) | poses | {"codes": codes}
+
+
+def _list_entries(output, state, arrays, quaternions, config):
+    """(`_Entry` of all n, (scenes that they share, of scene and shown))."""
     render, kind, steps = config.render, kind_of(config), config.train.steps
-    sigma, last = (
-        schedules.compute_sigma(step, render, steps=steps)
+    (scene, shared), (shown, shown_shared) = (
+        kind.read(
+            output,
+            schedules.compute_sigma(step, render, steps=steps),
+            render=render,
+        ).list_scenes()
         for step in (state.step, steps)
     )
-    scene, shared = kind.read(output, sigma, render=render).list_scenes()
-    shown, shown_shared = kind.read(output, last, render=render).list_scenes()
-    shown = kind.weigh_as_trained(shown, render)
-    candidates, students = quaternions[:, None], quaternions
-    chances = jnp.ones((len(quaternions), 1))
-    if not config.pose.known:
+    if config.pose.known:
+        poses = Poses(quaternions[:, None], quaternions, None)
+    else:
         poses = complete_poses(output, state.covariance, pose=config.pose)
-        candidates, students = poses.candidates, poses.student
-        chances = find_probabilities(poses)
     cameras = list_own(find_cameras(output, arrays, pose=config.pose), len(quaternions))
-    (target, own), (fine_target, fine) = (
-        (
-            downsample_images(arrays["masks"], side),
-            cameras | list_compared(arrays, side, config),
-        )
-        for side in (render.grid, render.finest)
+    entries = _Entry(
+        scene,
+        kind.weigh_as_trained(shown, render),
+        poses,
+        find_probabilities(poses),
+        quaternions,
+        look(arrays, cameras, render.grid, config),
+        look(arrays, cameras, render.finest, config),
     )
-    views = View(
-        *(scene, shown, students, chances, quaternions, candidates),
-        *(target, own, fine_target, fine),
-    )
-    return views, (shared, shown_shared)
+    return entries, (shared, shown_shared)
 
 
-def _explain(view, *, shared, config):
+def _explain(entry, *, shared, config):
     """What one view is taken for: images, poses, winner, and what poses cost."""
-    scene, shown = view.scene | shared[0], view.shown | shared[1]
-    winner, taken = _choose(view, scene, config)
-    found = {"winners": winner, "poses": taken}
-    found |= show_view(shown, taken, view.own, config=config)
+    scene, shown = entry.scene | shared[0], entry.shown | shared[1]
+    candidates, taken = entry.poses.candidates, entry.poses.student
+    losses = jnp.zeros(1)
+    if len(candidates) > 1:
+        losses = compare_candidates(scene, candidates, entry.base, config=config)
+    if config.pose.weighs_fit:
+        known = candidates, losses, entry.chances, entry.fine
+        (taken,) = find_likeliest(scene, *known, count=1, config=config)
+    found = {"winners": jnp.argmin(losses), "poses": taken}
+    found |= _show(shown, taken, entry.fine.camera, config)
     if not config.pose.known:
-        both = jnp.stack([taken, view.given])
-        finer = weigh_finest(scene, config)
-        found["costs"] = compare_poses(
-            finer, both, view.fine_target, view.own, config=config
-        )
+        finer, both = weigh_finest(scene, config), jnp.stack([taken, entry.true])
+        found["costs"] = measure_silhouettes(finer, both, entry.fine, config=config)
     return found
 
 
-def _choose(view, scene, config):
-    """(index of the candidate that fits best, the pose that is predicted)."""
-    candidates, pose = view.candidates, config.pose
-    if len(candidates) == 1:
-        return jnp.zeros((), jnp.int32), view.pose
-    losses = compare_candidates(scene, candidates, view.target, view.own, config=config)
-    winner, taken = jnp.argmin(losses), view.pose
-    if pose.weighs_fit:
-        fine = view.fine_target, view.fine
-        likeliest = rank_finely(
-            scene, candidates, losses, view.chances, *fine, config=config
-        )
-        taken = candidates[likeliest[0]]
-        if pose.searches:
-            taken = search_nearby(scene, taken, *fine, config=config)
-    return winner, taken
+def _show(shown, pose, own, config):
+    """Images of a shape from a pose [4]: silhouettes, depths and colours if any."""
+    is_asked = {
+        "silhouette": True,
+        "depth": not config.data.images or bool(config.data.test_meshes),
+        "color": "colors" in shown,
+    }
+    signals = tuple(name for name, holds in is_asked.items() if holds)
+    image = render_finest(shown, pose, own, signals=signals, config=config)
+    images = {"silhouettes": image.silhouette, "depths": image.depth}
+    images["color_images"] = image.color
+    return {n: a for n, a in images.items() if a is not None}
 
 
 def arrange_views(dataset: DataSet) -> tuple[np.ndarray, np.ndarray]:
@@ -233,20 +233,19 @@ def compile_predictor(predictor: Any, state: TrainState, config: Config):
     """Compile the predictor for `predict_all`; the cache of programs has it then.
 
     Args:
-      predictor: of `make_predictor`.
       state: one of the same shapes and devices; its values are not read.
     """
 
-    def describe(*shape, dtype):
+    def describe(*shape, dtype: Any = np.float32):
         return jax.ShapeDtypeStruct((VIEWS_AT_ONCE, *shape), dtype)
 
-    size = config.data.image_size
-    ends = {"depths": (size, size), "translations": (3,), "focal_lengths": ()}
+    square = (config.data.image_size,) * 2
+    ends = {"depths": square, "translations": (3,), "focal_lengths": ()}
     views = (
-        describe(size, size, 3, dtype=np.uint8),
-        describe(size, size, dtype=np.uint8),
-        describe(4, dtype=np.float32),
-        {n: describe(*ends[n], dtype=np.float32) for n in list_extras(config)},
+        describe(*square, 3, dtype=np.uint8),
+        describe(*square, dtype=np.uint8),
+        describe(4),
+        {name: describe(*ends[name]) for name in list_extras(config)},
     )
     held = jax.tree.map(
         lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=a.sharding), state
@@ -266,10 +265,12 @@ def predict_all(
     """Run the predictor over a data set in equal batches (the last one is padded).
 
     Views are read batch by batch: a set may be larger than the memory. The layout is
-    that of `arrange_views`; poses that are not given are the identity. Of the extras,
-    arrays of the data set as of `list_extras`, those that it has are read. The frame
-    is that of the network, in which the true poses are compared with the predicted
-    ones; None where the network's frame is that of the data.
+    that of `arrange_views`; poses that are not given are the identity.
+
+    Args:
+      extras: arrays as of `list_extras`; those that the set has are read.
+      frame: of the network, in which true poses are compared with predicted ones; None
+        where it is that of the data.
     """
     models, views = arrange_views(dataset)
     total = models.size

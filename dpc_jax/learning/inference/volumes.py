@@ -1,5 +1,7 @@
 """Points of predicted volumes, so that voxel models are judged as point clouds are."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from dpc_jax.data import DataSet
@@ -23,27 +25,49 @@ def add_points(
     return predictions._replace(points=points)
 
 
-def choose_threshold(
-    predictions: Predictions, dataset: DataSet, alignment: Alignment
-) -> float:
-    """The threshold of the least Chamfer distance on validation shapes.
+def find_points(
+    predictions: Predictions,
+    validation: DataSet,
+    *,
+    align: Callable[[Predictions], Alignment],
+) -> tuple[Predictions, float]:
+    """Predictions with points of their surfaces, and the threshold that gave them.
+
+    It is the one of the least Chamfer distance on validation shapes.
 
     Args:
-      predictions: for the set, with cells. dataset: with true surfaces.
-      alignment: from the network's frame to that of the surfaces.
+      predictions: for the validation split.
+      validation: that split. Without true shapes the threshold stays the first one.
+      align: of predictions with points.
     """
-    cells = predictions.cells
-    assert cells is not None
-    models, _ = arrange_views(dataset)
-    chosen = range(min(_SHAPES, len(models)))
-    turned = [
-        # Into the network's frame, where the cells are.
-        align_points(_invert(alignment), np.asarray(dataset.surfaces[int(m)]))
-        for m in models[: len(chosen), 0]
-    ]
-    return surfaces.tune_threshold([cells[row, 0] for row in chosen], turned)
+    threshold, cells = FIRST_THRESHOLD, predictions.cells
+    if validation.surfaces is not None and cells is not None:
+        alignment = align(add_points(predictions, threshold, count=2000))
+        conjugate = np.array([1, -1, -1, -1]) * alignment.rotation
+        back = alignment._replace(rotation=conjugate)  # to where the cells are
+        models = arrange_views(validation)[0][:_SHAPES, 0]
+        threshold = surfaces.tune_threshold(
+            [views[0] for views in cells[: len(models)]],
+            [align_points(back, np.asarray(validation.surfaces[m])) for m in models],
+        )
+    return add_points(predictions, threshold), threshold
 
 
-def _invert(alignment):
-    conjugate = np.array([1, -1, -1, -1]) * alignment.rotation
-    return alignment._replace(rotation=conjugate)
+def find_surface(
+    predictions: Predictions,
+    row: int,
+    threshold: float,
+    alignment: Alignment,
+    *,
+    place: int = 0,
+) -> tuple[np.ndarray, ...] | None:
+    """Vertices [V, 3] and faces [F, 3] of a row's view; None where there is none.
+
+    Args:
+      place: of the view in its row.
+      alignment: from the network's frame, in which the cells are, to the data's.
+    """
+    assert predictions.cells is not None
+    cells = predictions.cells[row, place]
+    vertices, faces = surfaces.extract_surface(cells, threshold)
+    return (align_points(alignment, vertices), faces) if len(faces) else None

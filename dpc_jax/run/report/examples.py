@@ -11,9 +11,8 @@ from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
 from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG, Failures
 from dpc_jax.evaluation.rotations import view_angles
 from dpc_jax.evaluation.scores import Scores
-from dpc_jax.learning.inference.evaluator import arrange_truth
+from dpc_jax.learning.inference.evaluator import arrange_truth, read_view
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
-from dpc_jax.learning.inference.view_images import read_view
 from dpc_jax.reporting.examples import Example, SignalImages
 from dpc_jax.reporting.figures import ViewPoses
 from dpc_jax.run.report.training_shapes import TrainingShapes
@@ -169,7 +168,8 @@ def make_example(
     surface = None if dataset.surfaces is None else np.asarray(dataset.surfaces[model])
     mesh, neighbours = None, ()
     if threshold is not None:
-        from dpc_jax.run.surfaces import find_surface  # needs libraries of its own
+        # It needs libraries of its own.
+        from dpc_jax.learning.inference.volumes import find_surface
 
         mesh = find_surface(predictions, row, threshold, alignment, place=place)
     points = align_points(alignment, predictions.points[row, place])
@@ -197,9 +197,9 @@ def make_example(
 def _list_signals(predictions, dataset, row, place, distance):
     """The rendered images of a view beside those of the data, by name."""
     seen = read_view(predictions, dataset, row, place, distance=distance)
-    opacity = seen.rendered["silhouette"]
+    mask, opacity = seen.targets["silhouette"], seen.rendered["silhouette"]
     return {
-        name: SignalImages(seen.targets[name], image, seen.mask, opacity)
+        name: SignalImages(seen.targets[name], image, mask, opacity)
         for name, image in seen.rendered.items()
     }
 

@@ -15,11 +15,6 @@ from dpc_jax.evaluation.pose import Failures, collapse_warning, count_alive
 from dpc_jax.learning import schedules
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
-from dpc_jax.learning.inference.view_images import (
-    MEASURES,
-    measure_cameras,
-    measure_images,
-)
 from dpc_jax.learning.training.loop import Outcome
 from dpc_jax.reporting.page import write_report
 from dpc_jax.run.report.examples import (
@@ -63,7 +58,7 @@ def report_run(
     failures = None
     if not config.pose.known:
         failures = evaluator.diagnose(*test[:2], alignment=alignment)
-    metrics = dict.fromkeys((*REQUIRED_METRICS, *MEASURES)) | values
+    metrics = dict.fromkeys((*REQUIRED_METRICS, *evaluator.MEASURES)) | values
     metrics |= failures.metrics if failures else {}
     metrics |= _count_costs(sets, outcome, data_seconds)
     heads = config.pose.heads
@@ -106,8 +101,12 @@ def _judge(predictions, dataset, config, alignment, threshold):
     judged = Judged(
         predictions, dataset, alignment, scores, overlaps, distance, threshold
     )
-    metrics = scores.metrics | measure_images(predictions, dataset, distance=distance)
-    return judged, shares, metrics | measure_cameras(predictions, dataset)
+    metrics = (
+        scores.metrics
+        | evaluator.measure_images(predictions, dataset, distance=distance)
+        | evaluator.measure_cameras(predictions, dataset)
+    )
+    return judged, shares, metrics
 
 
 def _write_page(folder, config, sets, judged: Judged, failures, shown: dict) -> Path:

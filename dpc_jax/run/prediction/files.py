@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from dpc_jax.evaluation import rotations
 from dpc_jax.evaluation.confidence import Confidence, describe
+from dpc_jax.evaluation.rotations import describe_pose
 from dpc_jax.files import write_text
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.gallery import draw_predictions
 from dpc_jax.reporting.page import write_files
-from dpc_jax.run.predicted_objects import PredictedObject
+from dpc_jax.run.prediction.objects import PredictedObject
 
 SHOWN = 16  # views in the picture
 
@@ -29,11 +29,14 @@ def write_predictions(
     out.mkdir(parents=True, exist_ok=True)
     entries, examples = [], []
     for one in predicted:
-        name, views = one.photographs.name, describe_views(one)
+        name, views = one.photographs.name, _describe_views(one)
         shown = [_make_example(one, i) for i in range(len(views))]
         write_files(shown[0], out / name)
-        text = json.dumps(_join_views(one, views), indent=2) + "\n"
-        write_text(out / f"{name}.json", text)
+        facts: dict[str, Any] = {"frame": "object" if one.is_aligned else "network"}
+        if one.seconds is not None:
+            facts["refine_seconds"] = round(one.seconds, 2)
+        facts |= views[0] if len(views) == 1 else {"views": views}
+        write_text(out / f"{name}.json", json.dumps(facts, indent=2) + "\n")
         if has_turntable:
             from dpc_jax.reporting.turntable import write_turntable
 
@@ -44,46 +47,30 @@ def write_predictions(
     return entries, picture
 
 
-def describe_views(one: PredictedObject) -> list[dict[str, Any]]:
+def _describe_views(one: PredictedObject) -> list[dict[str, Any]]:
     """What is known of each view, with a sentence for people."""
     views = []
     for i, source in enumerate(one.photographs.sources):
-        facts: dict[str, Any] = {"source": source}
-        facts |= _describe_pose(None if one.poses is None else one.poses[i])
+        file, _, frame = source.partition(", frame ")
+        name = Path(file).name + (f", frame {frame}" if frame else "")
+        facts: dict[str, Any] = {"source": source, "quaternion": None}
+        text = "its shape alone; this run was given poses, none is found."
+        if one.poses is not None:
+            facts |= describe_pose(one.poses[i])
+            angles = facts["azimuth_deg"], facts["elevation_deg"]
+            text = "seen from azimuth {:.0f}°, elevation {:.0f}°.".format(*angles)
         facts |= one.cameras[i]
-        sentence = [f"{Path(source.split(', frame ')[0]).name}:"]
-        if ", frame " in source:
-            sentence = [f"{sentence[0][:-1]}, frame {source.split(', frame ')[1]}:"]
-        if one.poses is None:
-            sentence.append("its shape alone; this run was given poses, none is found.")
-        else:
-            sentence.append(
-                f"seen from azimuth {facts['azimuth_deg']:.0f}°, elevation "
-                f"{facts['elevation_deg']:.0f}°."
-            )
+        sentence = [f"{name}:", text]
         if one.confidences is not None:
             facts |= _describe_confidence(one.confidences[i])
             sentence.append(describe(one.confidences[i]))
         if one.errors is not None:
             before, after = map(float, one.errors[:, i])
             facts["silhouette_error"] = {"before": before, "after": after}
-            sentence.append(
-                f"Refined: silhouette error {before:.4f} to {after:.4f} per pixel."
-            )
+            text = f"Refined: silhouette error {before:.4f} to {after:.4f} per pixel."
+            sentence.append(text)
         views.append(facts | {"sentence": " ".join(sentence)})
     return views
-
-
-def _describe_pose(quaternion) -> dict[str, Any]:
-    """Facts of a pose; a run on known poses predicts none."""
-    if quaternion is None:
-        return {"quaternion": None}
-    azimuth, elevation = rotations.view_angles(quaternion)
-    return {
-        "quaternion": rotations.canonical_sign(quaternion).tolist(),  # object to camera
-        "azimuth_deg": azimuth,
-        "elevation_deg": elevation,
-    }
 
 
 def _describe_confidence(found: Confidence) -> dict[str, Any]:
@@ -97,22 +84,14 @@ def _describe_confidence(found: Confidence) -> dict[str, Any]:
     }
 
 
-def _join_views(one: PredictedObject, views: list[dict]) -> dict[str, Any]:
-    """What NAME.json holds: of one view its facts, of several a list."""
-    facts: dict[str, Any] = {"frame": "object" if one.is_aligned else "network"}
-    if one.seconds is not None:
-        facts["refine_seconds"] = round(one.seconds, 2)
-    return facts | (views[0] if len(views) == 1 else {"views": views})
-
-
 def _make_example(one: PredictedObject, view: int) -> Example:
-    names = one.photographs.name, f"{one.photographs.name}, view {view + 1}"
+    name, several = one.photographs.name, len(one.photographs.sources) > 1
     predicted = one.silhouettes[view]
     if one.poses is None:
         # Rendered from no pose of this view, so that a picture leaves it blank.
         predicted = np.full_like(predicted, np.nan)
     return Example(
-        name=names[len(one.photographs.sources) > 1],
+        name=f"{name}, view {view + 1}" if several else name,
         image=one.photographs.images[view],
         target=one.photographs.masks[view] / 255,
         predicted=predicted,

@@ -9,11 +9,13 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from dpc_jax.config import Config
 from dpc_jax.data.sets import photographs
 from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.data.spec import DataSpec
+from dpc_jax.files import write_text
 from dpc_jax.outputs import owning, show_text
 from dpc_jax.run.workdir import read_config
 
@@ -23,7 +25,7 @@ SENTENCES = 20  # that are printed; predictions.json has all
 
 @dataclasses.dataclass(frozen=True)
 class PredictRequest:
-    """What predictions are asked for.
+    """What predictions are asked for; the flags of the command by their names here.
 
     Attributes:
       paths: image files, moving pictures, folders of views of an object or of such
@@ -33,7 +35,7 @@ class PredictRequest:
         image's own framing; None is as in training. A network that was trained on
         renders expects their framing: a distance of two box diagonals.
       mask: of `photographs.MASKS`.
-      is_one_object: whether all images show one object.
+      views: "each" image shows an object, or all of them "one-object".
       is_refined: whether shape and poses are fitted to the silhouettes.
       has_turntable: whether an animated picture of each cloud is written.
       num_points: of each cloud, no fewer than are predicted; 0 for those.
@@ -45,7 +47,7 @@ class PredictRequest:
     out: Path
     crop: str | None = None
     mask: str = "given"
-    is_one_object: bool = False
+    views: str = "each"
     is_refined: bool = False
     has_turntable: bool = False
     num_points: int = 0
@@ -68,56 +70,45 @@ def predict_images(request: PredictRequest):
             f"it is {request.num_points}; give for example --points=8000."
         )
     config = read_config(request.workdir)
-    if 0 < request.num_points < _count_points(config):
+    # Surfaces of volumes can be sampled by any number.
+    count = config.render.num_points if config.network.shape == "points" else 0
+    if 0 < request.num_points < count:
         raise ValueError(
-            f"--points must be at least {_count_points(config)}, the points that "
+            f"--points must be at least {count}, the points that "
             f"{request.workdir} predicts, but it is {request.num_points}; leave it "
             "out, or give more, which are put between these."
         )
     if request.is_refined:
         _check_ability(config, "--refine")
     found, skipped = photographs.read_photographs(
-        photographs.Request(request.paths, request.mask, request.is_one_object),
-        make_spec(config, request.crop),
+        photographs.Request(request.paths, request.mask, request.views == "one-object"),
+        _make_spec(config, request.crop),
     )
     for source, reason in skipped:
         print(f"Warning: {source} was left out: {reason}.", file=sys.stderr)
     if any(len(one.sources) > 1 for one in found):
         _check_ability(config, "Several views of an object together")
-    names = list_outputs(found, has_turntable=request.has_turntable)
-    inputs = [file for one in found for file in one.files]
-    with owning(request.out, names, inputs=inputs):
-        _warn_of_frame(request.workdir)
-        _predict(request, config, found, skipped, started)
-
-
-def list_outputs(found: Sequence[Photographs], *, has_turntable: bool) -> list[str]:
-    """Names of the files that predictions are written to."""
-    ends = ["ply", "glb", "json"] + ["gif"] * has_turntable
+    ends = ["ply", "glb", "json"] + ["gif"] * request.has_turntable
     names = [f"{one.name}.{end}" for one in found for end in ends]
-    return [*names, *SUMMARIES]
+    inputs = [file for one in found for file in one.files]
+    with owning(request.out, [*names, *SUMMARIES], inputs=inputs):
+        _warn_of_frame(request.workdir)
+        _predict(request, found, skipped, started)
 
 
-def _predict(request, config, found: list[Photographs], skipped, started):
+def _predict(request: PredictRequest, found: list[Photographs], skipped, started):
     # These load JAX, which takes seconds.
-    from dpc_jax.run.predicted_objects import predict_objects
-    from dpc_jax.run.prediction_files import write_predictions
+    from dpc_jax.run.prediction.files import write_predictions
+    from dpc_jax.run.prediction.objects import predict_objects
 
-    predicted = predict_objects(
-        found,
-        config,
-        request.workdir,
-        is_refined=request.is_refined,
-        num_points=request.num_points,
-        data=request.data,
-    )
-    _say_how_many(predicted, request.num_points)
+    predicted = predict_objects(found, request)
+    warn_of_few_points(predicted, request.num_points)
     entries, picture = write_predictions(
         predicted, request.out, has_turntable=request.has_turntable
     )
     # Refinement is timed on its own; all else is in here too.
     seconds = time.perf_counter() - started
-    write_summary(request, entries, skipped, seconds)
+    _write_summary(request, entries, skipped, seconds)
     for entry in entries[:SENTENCES]:
         print(entry["sentence"])
     if len(entries) > SENTENCES:
@@ -130,7 +121,7 @@ def _predict(request, config, found: list[Photographs], skipped, started):
     print(f"Picture: {show_text(picture)}")
 
 
-def _say_how_many(predicted, asked: int):
+def warn_of_few_points(predicted: Sequence[Any], asked: int):
     """Tell where clouds have fewer points than are asked for."""
     fewest = min(len(one.points) for one in predicted)
     if fewest < asked:
@@ -141,12 +132,8 @@ def _say_how_many(predicted, asked: int):
         )
 
 
-def write_summary(
-    request: PredictRequest, entries: list[dict], skipped: list, seconds: float
-) -> Path:
+def _write_summary(request: PredictRequest, entries, skipped, seconds: float):
     """OUT/predictions.json: every view, and what was left out."""
-    from dpc_jax.files import write_text
-
     content = {
         "workdir": show_text(request.workdir),
         "refined": request.is_refined,
@@ -155,10 +142,10 @@ def write_summary(
         "left_out": [{"source": s, "reason": f"{reason}."} for s, reason in skipped],
     }
     text = json.dumps(content, indent=2) + "\n"
-    return write_text(request.out / "predictions.json", text)
+    write_text(request.out / "predictions.json", text)
 
 
-def make_spec(config: Config, crop: str | None) -> DataSpec:
+def _make_spec(config: Config, crop: str | None) -> DataSpec:
     """How images are framed for a run; see `PredictRequest.crop`."""
     if crop is None:
         crop = config.data.crop if config.data.images else "none"
@@ -172,11 +159,6 @@ def make_spec(config: Config, crop: str | None) -> DataSpec:
         focal_length=config.render.focal_length,
         distance=config.render.distance,
     )
-
-
-def _count_points(config: Config) -> int:
-    """Of a predicted cloud; surfaces of volumes can be sampled by any number."""
-    return config.render.num_points if config.network.shape == "points" else 0
 
 
 def _check_ability(config: Config, what: str):
@@ -193,17 +175,14 @@ def _check_ability(config: Config, what: str):
 
 def _warn_of_frame(workdir: Path):
     report, name = workdir / "report", show_text(workdir)
-    if (report / "alignment.json").is_file():
-        return
-    if (report / "metrics.json").is_file():
-        print(
-            f"Note: {name} was trained on images without poses, so points and poses "
-            "are in the frame that its network found: it may be turned or mirrored.",
-            file=sys.stderr,
-        )
-        return
-    print(
+    text = (
         f"Warning: {name} has no report/alignment.json, so points and poses are in "
-        "the network's own frame; finish the run first.",
-        file=sys.stderr,
+        "the network's own frame; finish the run first."
     )
+    if (report / "metrics.json").is_file():
+        text = (
+            f"Note: {name} was trained on images without poses, so points and poses "
+            "are in the frame that its network found: it may be turned or mirrored."
+        )
+    if not (report / "alignment.json").is_file():
+        print(text, file=sys.stderr)

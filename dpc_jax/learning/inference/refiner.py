@@ -1,0 +1,220 @@
+"""Shape and poses fitted to silhouettes, beginning with a prediction. Not in the paper.
+
+Free points would fit a single silhouette perfectly and be worse from every other side.
+So the shape changes through its code alone, along the directions in which codes of
+validation views differ, and each is pulled back by its usual deviation: the most
+probable code, given the silhouettes. Poses turn freely. Several views of an object
+share a code; they begin with the mean of theirs.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from dpc_jax.config import Config
+from dpc_jax.learning import devices, schedules
+from dpc_jax.learning.inference.explanation import (
+    FINALISTS,
+    Sight,
+    compare_candidates,
+    find_likeliest,
+    kind_of,
+    render_finest,
+)
+from dpc_jax.learning.losses import downsample_images
+from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.render import quaternion
+from dpc_jax.render.batch import map_renders
+
+STEPS = 40  # of Adam
+POSE_RATE, CODE_RATE = 0.02, 0.2  # radians, deviations; both fall to a twentieth
+# Of a pose one radian and a code one deviation away, per mean squared difference of
+# pixels.
+POSE_PULL, CODE_PULL = 0.01, 1e-4
+
+
+class Evidence(NamedTuple):
+    """What n objects of V views are fitted to.
+
+    Attributes:
+      codes: [n, F] to begin with, tints at the end. poses: [n, V, 4], predicted.
+      candidates: [n, V, C, 4].
+      probabilities: [n, V, C] that the student gives to candidates.
+      masks: uint8 [n, V, S, S]. weights: [n, V] of views; 0 for one that fills up.
+      cameras: of views, translation [n, V, 3] and focal_length [n, V] by name.
+    """
+
+    codes: Any
+    poses: Any
+    candidates: Any
+    probabilities: Any
+    masks: Any
+    weights: Any
+    cameras: dict[str, Any]
+
+
+def make_refiner(network: ShapePoseNetwork, config: Config) -> Callable:
+    """The compiled function (state, evidence, directions [k, F]) -> dict of arrays.
+
+    It has points [n, N, 3], colors [n, N, 3] where they are learned, poses [n, V, 4],
+    silhouettes [n, V, D, D], and errors [n, 2, V], before and after: mean squared
+    differences of silhouettes, per pixel. Objects are shared out over the devices.
+
+    Without directions (k is 0) nothing is refined: objects are decoded from their
+    codes. Of several views of an object, and where predictions weigh the fit, each
+    view's pose is chosen first among all candidates, by the shape that they share. A
+    single view is refined from the likeliest few, each with a shape of its own, and
+    that of the least objective stays: a shape has to be bent further to fit a pose that
+    is wrong.
+    """
+
+    def refine(state, evidence, directions):
+        decode = functools.partial(_decode, state, network=network, config=config)
+        poses = _choose_poses(decode, evidence, len(directions) > 0, config)
+        fit = functools.partial(_fit, decode, evidence, directions, config)
+        found = jax.lax.map(fit, jnp.moveaxis(poses, 2, 0))
+        best = jnp.argmin(found.pop("costs"), axis=0), jnp.arange(len(poses))
+        before = found.pop("before")[0]  # the first hypothesis is what was predicted
+        result = {name: array[best] for name, array in found.items()}
+        return result | {"errors": jnp.stack([before, result["errors"]], axis=1)}
+
+    # Every device has the whole network: there are few objects.
+    parts = devices.WHOLE, devices.OBJECTS, devices.WHOLE
+    return jax.jit(devices.share_padded(refine, devices.make_mesh(config), parts))
+
+
+def _decode(state, codes, *, network, config):
+    """(what is predicted of codes, the scenes of it, what they share)."""
+    sigma = schedules.compute_sigma(state.step, config.render, steps=config.train.steps)
+    shape = network.apply(state.params, codes, method="predict_shape")
+    read = kind_of(config).read(shape, sigma, render=config.render)
+    return shape, *read.list_scenes()
+
+
+def _choose_poses(decode, evidence, is_bent, config):
+    """The poses [n, V, H, 4] that views are refined from.
+
+    By silhouettes: other signals are not at hand. Where predictions are posteriors so
+    are these. Else the predicted pose is among the candidates, and counts as any.
+    """
+    is_alone = evidence.poses.shape[1] == 1
+    if is_alone and not config.pose.weighs_fit:
+        return evidence.poses[:, :, None]
+    _, scenes, shared = decode(evidence.codes)
+    candidates, probabilities = evidence.candidates, evidence.probabilities
+    if not config.pose.weighs_fit:
+        candidates = jnp.concatenate([evidence.poses[:, :, None], candidates], axis=2)
+        probabilities = jnp.ones(candidates.shape[:-1])
+    base, fine = (
+        Sight(downsample_images(evidence.masks, side), evidence.cameras)
+        for side in (config.render.grid, config.render.finest)
+    )
+    count = FINALISTS if is_alone and is_bent else 1
+    at_once = config.render.renders_at_once
+
+    def rank(entry):
+        scene, *views = entry
+        scene = {**scene, **shared}
+
+        def rank_view(view):
+            candidates, probabilities, base, fine = view
+            losses = compare_candidates(scene, candidates, base, config=config)
+            known = candidates, losses, probabilities, fine
+            return find_likeliest(scene, *known, count=count, config=config)
+
+        return map_renders(rank_view, tuple(views), renders_at_once=at_once)
+
+    entries = scenes, candidates, probabilities, base, fine
+    return map_renders(rank, entries, renders_at_once=at_once)
+
+
+def _fit(decode, evidence: Evidence, directions, config, poses):
+    """Shapes and poses of least objective, begun with poses [n, V, 4]; see `refine`.
+
+    The objective is beside them as costs [n].
+    """
+    targets = downsample_images(evidence.masks, config.render.finest)
+
+    def compare(bent):
+        weights, turns = bent
+        changes = weights @ directions  # tints stay
+        tints = evidence.codes.shape[1] - changes.shape[1]
+        shape, scenes, shared = decode(
+            evidence.codes + jnp.pad(changes, ((0, 0), (0, tints)))
+        )
+        scenes = kind_of(config).weigh_as_trained(scenes, config.render)
+        turned = turn(poses, turns)
+        images = _render(scenes, shared, turned, evidence.cameras, config)
+        errors = jnp.mean((images - targets) ** 2, axis=(2, 3))
+        known = {n: shape[n] for n in ("points", "colors") if n in shape}
+        return known | {"silhouettes": images, "errors": errors, "poses": turned}
+
+    def measure(bent):
+        weights, turns = bent
+        pulls = POSE_PULL * jnp.sum(turns**2, axis=-1)
+        views = jnp.maximum(jnp.sum(evidence.weights, axis=1), 1)
+        errors = compare(bent)["errors"]
+        total = jnp.sum(evidence.weights * (errors + pulls), axis=1)
+        return (total + CODE_PULL * jnp.sum(weights**2, axis=1)) / views
+
+    begun: Any = (
+        jnp.zeros((len(poses), len(directions))),
+        jnp.zeros_like(poses[..., 1:]),
+    )
+    found = _descend(measure, begun) if len(directions) else begun
+    before = compare(begun)["errors"]
+    return compare(found) | {"costs": measure(found), "before": before}
+
+
+def _render(scenes, shared, poses, cameras, config):
+    """Silhouettes [n, V, D, D] of n objects from V views each."""
+    at_once = config.render.renders_at_once
+
+    def render_object(entry):
+        scene, *views = entry
+
+        def render_view(view):
+            return render_finest(scene | shared, *view, config=config).silhouette
+
+        return map_renders(render_view, tuple(views), renders_at_once=at_once)
+
+    entries = scenes, poses, cameras
+    return map_renders(render_object, entries, renders_at_once=at_once)
+
+
+def turn(poses: jax.Array, turns: jax.Array) -> jax.Array:
+    """Quaternions [..., 4] after small rotations [..., 3] in the camera frame.
+
+    A turn is twice the tangent of half its angle along its axis: near zero, radians.
+    """
+    ones = jnp.ones((*turns.shape[:-1], 1), turns.dtype)
+    small = jnp.concatenate([ones, turns / 2], axis=-1).reshape(-1, 4)
+
+    def apply(small, pose):
+        return quaternion.normalize(quaternion.multiply(small, pose))
+
+    return jax.vmap(apply)(small, poses.reshape(-1, 4)).reshape(poses.shape)
+
+
+def _descend(measure, bent):
+    """The codes' weights and the turns of poses of the least objective."""
+
+    def fall(peak):
+        return optax.adam(optax.cosine_decay_schedule(peak, STEPS, 0.05))
+
+    optimizer = optax.multi_transform(
+        {"codes": fall(CODE_RATE), "turns": fall(POSE_RATE)}, ("codes", "turns")
+    )
+    slope = jax.grad(lambda bent: jnp.sum(measure(bent)))
+
+    def step(carry, _):
+        bent, state = carry
+        updates, state = optimizer.update(slope(bent), state)
+        return (optax.apply_updates(bent, updates), state), None
+
+    (bent, _), _ = jax.lax.scan(step, (bent, optimizer.init(bent)), length=STEPS)
+    return bent

@@ -1,0 +1,284 @@
+"""What the last checkpoint of a run makes of photographs."""
+
+import contextlib
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dpc_jax.config import replace_fields
+from dpc_jax.data import DataSet
+from dpc_jax.data.sets.photographs import Photographs
+from dpc_jax.evaluation.alignment import (
+    Alignment,
+    align_points,
+    align_poses,
+    identity_alignment,
+)
+from dpc_jax.evaluation.confidence import Confidence, measure_confidence
+from dpc_jax.evaluation.density import find_pairs, mix_pairs
+from dpc_jax.evaluation.images import resize
+from dpc_jax.files import describe_error, read_bytes, read_json, write_bytes
+from dpc_jax.learning.inference.predictor import (
+    VIEWS_AT_ONCE,
+    Predictions,
+    make_predictor,
+    predict_all,
+)
+from dpc_jax.run.finished import FinishedRun, load_split, restore_state
+from dpc_jax.run.prediction import PredictRequest
+from dpc_jax.run.setup import make_network
+from dpc_jax.run.workdir import read_alignment, read_config
+
+_MOST_KEPT = 2**28  # bytes of the directions of codes
+
+
+class PredictedObject(NamedTuple):
+    """An object as predicted, in the frame of the data where that is known.
+
+    Attributes:
+      photographs: its views.
+      points: [N, 3]. colors: [N, 3] or None.
+      poses: [V, 4], or None where the run predicts none.
+      silhouettes: [V, D, D].
+      cameras: of each view, what the run has learned of it by name.
+      mesh: vertices and faces of a surface that a voxel model predicts, or None.
+      is_aligned: whether the frame is that of the data.
+      confidences: of each view; None without an ensemble.
+      errors: [2, V] of silhouettes before and after refinement, per pixel, or None.
+      seconds: that its refinement took, compilation shared out, or None.
+    """
+
+    photographs: Photographs
+    points: np.ndarray
+    colors: np.ndarray | None
+    poses: np.ndarray | None
+    silhouettes: np.ndarray
+    cameras: list[dict[str, Any]]
+    mesh: tuple[np.ndarray, ...] | None = None
+    is_aligned: bool = False
+    confidences: list[Confidence] | None = None
+    errors: np.ndarray | None = None
+    seconds: float | None = None
+
+
+def predict_objects(
+    found: list[Photographs], request: PredictRequest
+) -> list[PredictedObject]:
+    """Predict all objects; several views of one together.
+
+    Validation images for refinement are kept in the folder `data`, or in the workdir:
+    the workdir may be a stranger's, and its config names folders that are not.
+
+    Raises:
+      ValueError: where the checkpoints cannot be read, or refinement lacks the run's
+        validation images.
+    """
+    workdir = request.workdir
+    # All devices of this machine share the views.
+    here: dict = {"run": {"devices": 0}, "train": {"models_per_batch": VIEWS_AT_ONCE}}
+    here["data"] = {"cache_dir": str(request.data or workdir / "data")}
+    config = replace_fields(read_config(workdir), here)
+    alignment = read_alignment(workdir)
+    run = FinishedRun(
+        config,
+        make_network(config),
+        restore_state(config, workdir),
+        alignment or identity_alignment(),
+    )
+    predictor = make_predictor(
+        run.network, config, keeps_evidence=not config.pose.known
+    )
+    dataset = _make_dataset(found)
+    predictions = predict_all(predictor, run.state, dataset)
+    predicted, groups = _list_objects(found, predictions, run, workdir)
+
+    width = run.network.hidden
+
+    def measure_directions():
+        from dpc_jax.learning.inference.refinement import find_directions
+
+        validated = predict_all(predictor, run.state, load_split(run, "val"))
+        assert validated.codes is not None
+        return find_directions(validated.codes[..., :width])
+
+    if request.is_refined or len(predicted) < len(dataset.names):
+        directions = np.zeros((0, width), np.float32)
+        if request.is_refined:
+            report, step = workdir / "report", int(run.state.step)
+            directions = read_directions(report, step, width, measure_directions)
+        masks = dataset.masks[:, 0]
+        _join_and_refine(predicted, groups, predictions, masks, run, directions)
+    if config.pose.heads > 1:
+        predicted = [
+            one._replace(confidences=_judge(one, predictions, group))
+            for one, group in zip(predicted, groups, strict=True)
+        ]
+    if config.pose.known:
+        predicted = [one._replace(poses=None) for one in predicted]
+    return [_finish(one, request.num_points, alignment) for one in predicted]
+
+
+def _make_dataset(found: list[Photographs]) -> DataSet:
+    """Every view as an object of its own."""
+    return DataSet(
+        images=np.concatenate([one.images for one in found])[:, None],
+        masks=np.concatenate([one.masks for one in found])[:, None],
+        depths=None,
+        quaternions=None,
+        surfaces=None,
+        names=tuple(source for one in found for source in one.sources),
+        skipped=(),
+    )
+
+
+def _list_objects(
+    found: list[Photographs], predictions: Predictions, run: FinishedRun, workdir: Path
+) -> tuple[list[PredictedObject], list[np.ndarray]]:
+    """Objects as predicted from their first view, in the network's frame.
+
+    Returns:
+      (objects, the rows of predictions that are views of each).
+    """
+    meshes: dict[int, Any] = {}
+    ends = np.cumsum([len(one.sources) for one in found])
+    groups = np.split(np.arange(ends[-1]), ends[:-1])
+    if predictions.cells is not None:
+        # They need libraries of their own.
+        from dpc_jax.learning.inference import volumes
+
+        threshold = read_threshold(workdir, otherwise=volumes.FIRST_THRESHOLD)
+        predictions = volumes.add_points(predictions, threshold)
+        meshes = {
+            row: volumes.find_surface(predictions, row, threshold, run.alignment)
+            for row, *_ in groups
+        }
+    colors = predictions.colors
+    objects = [
+        PredictedObject(
+            photographs=one,
+            points=predictions.points[group[0], 0],
+            colors=None if colors is None else colors[group[0], 0],
+            poses=predictions.poses[group, 0],
+            silhouettes=predictions.silhouettes[group, 0],
+            cameras=[_describe_camera(predictions, row) for row in group],
+            mesh=meshes.get(group[0]),
+        )
+        for one, group in zip(found, groups, strict=True)
+    ]
+    return objects, groups
+
+
+def read_threshold(workdir: Path, *, otherwise: float) -> float:
+    """The threshold of surfaces that a finished run has tuned; before, another.
+
+    Raises:
+      ValueError: where the run's metrics cannot be read.
+    """
+    path = workdir / "report" / "metrics.json"
+    if not path.exists():
+        return otherwise
+    try:
+        return float(read_json(path)["surface_threshold"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(
+            f"Expected the threshold of surfaces in {path}, but it cannot be read "
+            f"({describe_error(error)}); start the command that began the run again."
+        ) from None
+
+
+def _describe_camera(predictions: Predictions, row: int) -> dict[str, Any]:
+    """What NAME.json holds of the camera, where a run has learned it."""
+    facts: dict[str, Any] = {}
+    if predictions.translations is not None:  # in the camera frame, box diagonals
+        facts["translation"] = predictions.translations[row, 0].tolist()
+    if predictions.focal_lengths is not None:  # of an image 1 wide
+        facts["focal_length"] = float(predictions.focal_lengths[row, 0])
+    return facts
+
+
+def read_directions(
+    report: Path, step: int, width: int, measure: Callable[[], np.ndarray]
+) -> np.ndarray:
+    """How codes of a run vary [k, width] at a step: kept in its report, or measured."""
+    path = report / f"codes-{step}.f32"
+    with contextlib.suppress(OSError, ValueError):
+        kept = np.frombuffer(read_bytes(path, most=_MOST_KEPT), np.float32)
+        if len(kept) and np.isfinite(kept).all():
+            return kept.reshape(-1, width)
+    directions = measure()
+    path.parent.mkdir(exist_ok=True)
+    write_bytes(path, directions.tobytes())
+    return directions
+
+
+def _join_and_refine(
+    predicted: list[PredictedObject],
+    groups: list[np.ndarray],
+    predictions: Predictions,
+    masks: np.ndarray,
+    run: FinishedRun,
+    directions: np.ndarray,
+):
+    """Put in what several views say together, and what refinement finds."""
+    from dpc_jax.learning.inference.refinement import join_views, refine_objects
+    from dpc_jax.learning.inference.refiner import make_refiner  # only where asked for
+
+    refiner, is_refined = make_refiner(run.network, run.config), len(directions) > 0
+    widths: dict[int, list[int]] = {}  # of about as many views, together
+    for place, group in enumerate(groups):
+        if is_refined or len(group) > 1:
+            widths.setdefault((len(group) - 1).bit_length(), []).append(place)
+    for places in widths.values():
+        begun = time.perf_counter()
+        evidence = join_views(predictions, masks, [groups[p] for p in places])
+        refined = refine_objects(
+            refiner, run.state, evidence, directions, on_progress=_tell
+        )
+        seconds = (time.perf_counter() - begun) / len(places)
+        for place, found in zip(places, refined, strict=True):
+            costs = {} if is_refined else {"errors": None}
+            costs |= {"seconds": seconds if is_refined else None}
+            predicted[place] = predicted[place]._replace(**(found | costs))
+
+
+def _tell(done: int, total: int):
+    if total > 1:
+        print(f"Fitting to silhouettes: {done} of {total}", file=sys.stderr)
+
+
+def _judge(one: Any, found: Any, group: np.ndarray) -> list[Confidence]:
+    """The confidence in each view's pose."""
+    side = one.silhouettes.shape[-1]
+    views = zip(
+        one.poses,
+        found.candidates[group, 0],
+        found.probabilities[group, 0],
+        one.silhouettes,
+        [resize(mask / 255.0, side) for mask in one.photographs.masks],
+        strict=True,
+    )
+    return [measure_confidence(*view) for view in views]
+
+
+def _finish(
+    one: PredictedObject, num_points: int, alignment: Alignment | None
+) -> PredictedObject:
+    """With as many points as are asked for, in the data's frame where it is known.
+
+    Points between neighbours are as in `densify`.
+    """
+    points, colors, poses = one.points, one.colors, one.poses
+    pairs = find_pairs(points, num_points - len(points))
+    points = np.concatenate([points, mix_pairs(points, pairs)])
+    if colors is not None:
+        colors = np.concatenate([colors, mix_pairs(colors, pairs)])
+    one = one._replace(points=points, colors=colors)
+    if alignment is None:
+        return one
+    points = align_points(alignment, points)
+    poses = None if poses is None else align_poses(alignment, poses)
+    return one._replace(points=points, poses=poses, is_aligned=True)
