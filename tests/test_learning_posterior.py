@@ -57,9 +57,11 @@ def see(pose):
     return Sight(render_finest(make_scene(), pose, {}, config=CONFIG).silhouette, {})
 
 
-@jax.jit
-def search(pose, sight):
-    return search_nearby(make_scene(), pose, sight, config=CONFIG)
+@functools.partial(jax.jit, static_argnames=("copies", "config"))
+def search(pose, sight, *, copies=1, config=CONFIG):
+    scene = make_scene()
+    scene["points"] = jnp.tile(scene["points"], (copies, 1))
+    return search_nearby(scene, pose, sight, config=config)
 
 
 @jax.jit
@@ -141,17 +143,22 @@ def test_of_several_viewpoints_none_is_searched_for_nearby():
 
 
 def test_candidates_are_compared_by_the_signals_of_training_that_are_there():
-    scene, sight = make_scene() | {"colors": jnp.full((60, 3), 0.2)}, see(TRUTH)
+    scene, poses = make_scene() | {"colors": jnp.full((60, 3), 0.2)}, face(50.0, 10.0)
     changes = {"pose": {"choice_signals": "all"}, "train": {"color_weight": 0.5}}
     config = replace_fields(CONFIG, changes)
-    colored = sight._replace(others={"color": jnp.ones((32, 32, 3))})
-    poses = jnp.stack([TRUTH, RIVAL])
-    compare = jax.jit(
-        lambda sight: compare_candidates(scene, poses, sight, config=config)
-    )
-    plain = measure_silhouettes(scene, poses, sight, config=config)
-    np.testing.assert_allclose(compare(sight), plain, rtol=1e-6)
-    assert (compare(colored) > plain + 1).all()
+
+    @jax.jit
+    def compare(sight):
+        colored = sight._replace(others={"color": jnp.ones((32, 32, 3))})
+        plain = measure_silhouettes(scene, poses[None], sight, config=config)
+        sights = sight, colored
+        return plain, *(
+            compare_candidates(scene, poses[None], one, config=config) for one in sights
+        )
+
+    plain, without, with_colors = compare(see(TRUTH))
+    np.testing.assert_allclose(without, plain, rtol=1e-6)
+    assert with_colors > plain + 1
 
 
 def test_an_elevation_is_read_from_the_pose_of_any_azimuth():
@@ -186,14 +193,10 @@ def test_a_viewpoint_some_degrees_off_comes_nearer_to_the_truth(start):
 def test_points_weigh_as_much_together_as_those_that_training_renders_last():
     """Twice each point, and half of them kept: the outlines of the scene itself."""
     sight, start = see(face(-120.0, 25.0)), face(-116.0, 19.0)
-    scene = make_scene()
-    twice = {**scene, "points": jnp.tile(scene["points"], (2, 1))}
     half = replace_fields(CONFIG, {"render": {"keep_end": 0.5}})
-    found, of_all = (
-        jax.jit(functools.partial(search_nearby, twice, config=config))(start, sight)
-        for config in (half, CONFIG)
-    )
+    found = search(start, sight, copies=2, config=half)
     np.testing.assert_allclose(found, search(start, sight), atol=1e-6)
+    of_all = search(start, sight, copies=2)
     assert np.abs(of_all - found).max() > 1e-3  # outlines that are wider find another
 
 
@@ -202,7 +205,7 @@ def test_elevations_stay_in_the_range_of_the_heads():
     start, sight = face(50.0, high), see(face(50.0, high + 8.0))
     assert np.rad2deg(read_elevations(search(start, sight))) <= high + 0.1
     free = replace_fields(CONFIG, {"pose": {"elevation_high": high + 30.0}})
-    wider = search_nearby(make_scene(), start, sight, config=free)
+    wider = search(start, sight, config=free)
     assert np.rad2deg(read_elevations(wider)) > high + 3
 
 

@@ -235,14 +235,13 @@ def measure_cameras(predictions: Predictions, dataset: DataSet) -> dict[str, flo
     shape predicted off the centre moves every view's translation by as much.
     `focal_length_error_percent` is of the true one.
     """
-    models, views = arrange_views(dataset)
-    metrics = {}
-    if predictions.translations is not None and dataset.translations is not None:
-        true = np.asarray(dataset.translations[models, views])
-        away = np.linalg.norm(predictions.translations - true, axis=-1)
+    views, metrics = arrange_views(dataset), {}
+    found, true = predictions.translations, dataset.translations
+    if found is not None and true is not None:
+        away = np.linalg.norm(found - np.asarray(true[views]), axis=-1)
         metrics["translation_error"] = float(away.mean())
-    if predictions.focal_lengths is not None and dataset.focal_lengths is not None:
-        true = np.asarray(dataset.focal_lengths[models, views])
-        shares = np.abs(predictions.focal_lengths / true - 1)
+    found, true = predictions.focal_lengths, dataset.focal_lengths
+    if found is not None and true is not None:
+        shares = np.abs(found / np.asarray(true[views]) - 1)
         metrics["focal_length_error_percent"] = 100 * float(shares.mean())
     return metrics

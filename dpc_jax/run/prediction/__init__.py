@@ -4,7 +4,6 @@ This module loads no JAX: what is wrong with the files is said before that.
 """
 
 import dataclasses
-import json
 import sys
 import time
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ from dpc_jax.config import Config
 from dpc_jax.data.sets import photographs
 from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.data.spec import DataSpec
-from dpc_jax.files import write_text
+from dpc_jax.files import write_json
 from dpc_jax.outputs import owning, show_text
 from dpc_jax.run.workdir import read_config
 
@@ -141,8 +140,7 @@ def _write_summary(request: PredictRequest, entries, skipped, seconds: float):
         "images": entries,
         "left_out": [{"source": s, "reason": f"{reason}."} for s, reason in skipped],
     }
-    text = json.dumps(content, indent=2) + "\n"
-    write_text(request.out / "predictions.json", text)
+    write_json(request.out / "predictions.json", content)
 
 
 def _make_spec(config: Config, crop: str | None) -> DataSpec:

@@ -1,6 +1,5 @@
 """The files of predictions: clouds, figures of each object, pictures."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from dpc_jax.evaluation.confidence import Confidence, describe
 from dpc_jax.evaluation.rotations import describe_pose
-from dpc_jax.files import write_text
+from dpc_jax.files import write_json
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.gallery import draw_predictions
 from dpc_jax.reporting.page import write_files
@@ -36,7 +35,7 @@ def write_predictions(
         if one.seconds is not None:
             facts["refine_seconds"] = round(one.seconds, 2)
         facts |= views[0] if len(views) == 1 else {"views": views}
-        write_text(out / f"{name}.json", json.dumps(facts, indent=2) + "\n")
+        write_json(out / f"{name}.json", facts)
         if has_turntable:
             from dpc_jax.reporting.turntable import write_turntable
 

@@ -40,7 +40,7 @@ class PredictedObject(NamedTuple):
     """An object as predicted, in the frame of the data where that is known.
 
     Attributes:
-      photographs: its views.
+      photographs: its views. rows: of predictions, that these are.
       points: [N, 3]. colors: [N, 3] or None.
       poses: [V, 4], or None where the run predicts none.
       silhouettes: [V, D, D].
@@ -53,6 +53,7 @@ class PredictedObject(NamedTuple):
     """
 
     photographs: Photographs
+    rows: np.ndarray
     points: np.ndarray
     colors: np.ndarray | None
     poses: np.ndarray | None
@@ -94,8 +95,7 @@ def predict_objects(
     )
     dataset = _make_dataset(found)
     predictions = predict_all(predictor, run.state, dataset)
-    predicted, groups = _list_objects(found, predictions, run, workdir)
-
+    predicted = _list_objects(found, predictions, run, workdir)
     width = run.network.hidden
 
     def measure_directions():
@@ -111,15 +111,14 @@ def predict_objects(
             report, step = workdir / "report", int(run.state.step)
             directions = read_directions(report, step, width, measure_directions)
         masks = dataset.masks[:, 0]
-        _join_and_refine(predicted, groups, predictions, masks, run, directions)
-    if config.pose.heads > 1:
-        predicted = [
-            one._replace(confidences=_judge(one, predictions, group))
-            for one, group in zip(predicted, groups, strict=True)
-        ]
-    if config.pose.known:
-        predicted = [one._replace(poses=None) for one in predicted]
-    return [_finish(one, request.num_points, alignment) for one in predicted]
+        _join_and_refine(predicted, predictions, masks, run, directions)
+    for place, one in enumerate(predicted):
+        if config.pose.heads > 1:
+            one = one._replace(confidences=_judge(one, predictions))
+        if config.pose.known:
+            one = one._replace(poses=None)
+        predicted[place] = _finish(one, request.num_points, alignment)
+    return predicted
 
 
 def _make_dataset(found: list[Photographs]) -> DataSet:
@@ -137,12 +136,8 @@ def _make_dataset(found: list[Photographs]) -> DataSet:
 
 def _list_objects(
     found: list[Photographs], predictions: Predictions, run: FinishedRun, workdir: Path
-) -> tuple[list[PredictedObject], list[np.ndarray]]:
-    """Objects as predicted from their first view, in the network's frame.
-
-    Returns:
-      (objects, the rows of predictions that are views of each).
-    """
+) -> list[PredictedObject]:
+    """Objects as predicted from their first view, in the network's frame."""
     meshes: dict[int, Any] = {}
     ends = np.cumsum([len(one.sources) for one in found])
     groups = np.split(np.arange(ends[-1]), ends[:-1])
@@ -157,19 +152,24 @@ def _list_objects(
             for row, *_ in groups
         }
     colors = predictions.colors
-    objects = [
+    cameras = {  # in the camera frame, box diagonals; of an image 1 wide
+        "translation": predictions.translations,
+        "focal_length": predictions.focal_lengths,
+    }
+    learned = {name: a for name, a in cameras.items() if a is not None}
+    return [
         PredictedObject(
             photographs=one,
-            points=predictions.points[group[0], 0],
-            colors=None if colors is None else colors[group[0], 0],
-            poses=predictions.poses[group, 0],
-            silhouettes=predictions.silhouettes[group, 0],
-            cameras=[_describe_camera(predictions, row) for row in group],
-            mesh=meshes.get(group[0]),
+            rows=rows,
+            points=predictions.points[rows[0], 0],
+            colors=None if colors is None else colors[rows[0], 0],
+            poses=predictions.poses[rows, 0],
+            silhouettes=predictions.silhouettes[rows, 0],
+            cameras=[{n: a[i, 0].tolist() for n, a in learned.items()} for i in rows],
+            mesh=meshes.get(rows[0]),
         )
-        for one, group in zip(found, groups, strict=True)
+        for one, rows in zip(found, groups, strict=True)
     ]
-    return objects, groups
 
 
 def read_threshold(workdir: Path, *, otherwise: float) -> float:
@@ -190,16 +190,6 @@ def read_threshold(workdir: Path, *, otherwise: float) -> float:
         ) from None
 
 
-def _describe_camera(predictions: Predictions, row: int) -> dict[str, Any]:
-    """What NAME.json holds of the camera, where a run has learned it."""
-    facts: dict[str, Any] = {}
-    if predictions.translations is not None:  # in the camera frame, box diagonals
-        facts["translation"] = predictions.translations[row, 0].tolist()
-    if predictions.focal_lengths is not None:  # of an image 1 wide
-        facts["focal_length"] = float(predictions.focal_lengths[row, 0])
-    return facts
-
-
 def read_directions(
     report: Path, step: int, width: int, measure: Callable[[], np.ndarray]
 ) -> np.ndarray:
@@ -217,7 +207,6 @@ def read_directions(
 
 def _join_and_refine(
     predicted: list[PredictedObject],
-    groups: list[np.ndarray],
     predictions: Predictions,
     masks: np.ndarray,
     run: FinishedRun,
@@ -229,12 +218,13 @@ def _join_and_refine(
 
     refiner, is_refined = make_refiner(run.network, run.config), len(directions) > 0
     widths: dict[int, list[int]] = {}  # of about as many views, together
-    for place, group in enumerate(groups):
-        if is_refined or len(group) > 1:
-            widths.setdefault((len(group) - 1).bit_length(), []).append(place)
+    for place, one in enumerate(predicted):
+        if is_refined or len(one.rows) > 1:
+            widths.setdefault((len(one.rows) - 1).bit_length(), []).append(place)
     for places in widths.values():
         begun = time.perf_counter()
-        evidence = join_views(predictions, masks, [groups[p] for p in places])
+        groups = [predicted[place].rows for place in places]
+        evidence = join_views(predictions, masks, groups)
         refined = refine_objects(
             refiner, run.state, evidence, directions, on_progress=_tell
         )
@@ -250,13 +240,13 @@ def _tell(done: int, total: int):
         print(f"Fitting to silhouettes: {done} of {total}", file=sys.stderr)
 
 
-def _judge(one: Any, found: Any, group: np.ndarray) -> list[Confidence]:
+def _judge(one: Any, found: Any) -> list[Confidence]:
     """The confidence in each view's pose."""
     side = one.silhouettes.shape[-1]
     views = zip(
         one.poses,
-        found.candidates[group, 0],
-        found.probabilities[group, 0],
+        found.candidates[one.rows, 0],
+        found.probabilities[one.rows, 0],
         one.silhouettes,
         [resize(mask / 255.0, side) for mask in one.photographs.masks],
         strict=True,
