@@ -1,8 +1,8 @@
 """Stiff and extreme cases: python -m dpc_jax.stability [--quick] [--subjects=...]
 
 Compares every public function with an oracle where it may break, and writes
-stability.md, stability.json and cases.md into the folder of --out. Ends with status 1
-if anything is outside its stated tolerance.
+stability.md and stability.json into the folder of --out. Ends with status 1 if anything
+is outside its stated tolerance.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from dpc_jax.measure.stability import DTYPES, SUBJECTS
 from dpc_jax.run.flags import FlagParser, Task, reading_names, run_command
 
 QUICK_DTYPES = ("float32",)
-WRITES = ("stability.md", "stability.json", "cases.md")
+WRITES = ("stability.md", "stability.json")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -132,19 +132,6 @@ def make_record(setting, seconds, error, sigma=1.0, scene="car"):
     return record
 
 
-def test_the_soonest_is_the_fastest_that_is_good_enough():
-    records = [
-        make_record("rough", 1e-3, 0.2),
-        make_record("right", 2e-3, 0.01),
-        make_record("slow", 9e-3, 1e-6),
-        make_record("rough", 1e-3, 0.2, sigma=0.3),
-        make_record("less rough", 2e-3, 0.1, sigma=0.3),
-    ]
-    none, good = accuracy.find_soonest(records, kind="image")
-    assert (good["setting"], good["reached"]) == ("right", True)
-    assert (none["setting"], none["reached"]) == ("less rough", False)
-
-
 def test_scenes_are_taken_together_by_their_medians():
     records = [
         make_record("one", seconds, error, scene=scene)

@@ -67,7 +67,7 @@ def test_the_paper_s_number_stands_beside_the_mean_and_spread_of_ours():
     row = read_row(results, KNOWN, "chair", "Ours, 64²")
     assert row[CHAMFER_PAPER] == "4.15"
     # 4.0 and 4.2: standard deviation 0.2 / √2.
-    assert row[CHAMFER_OURS] == "4.10 ± 0.14 (n = 2)"
+    assert row[CHAMFER_OURS] == "4.10 ± 0.14"
     assert (row["Runs"], row["Minutes"], row["Memory (GB)"]) == ("2", "2.0", "1.5")
     mean = read_row(results, KNOWN, "mean", "Ours, 64²")
     # The paper's cars and chairs, without its airplanes: (2.98 + 4.15) / 2.
@@ -113,7 +113,7 @@ def test_every_seed_is_analysed_once_and_the_mean_has_its_spread(tmp_path, monke
     }
     found = analyze(Results(request, outcomes), TRANSFER, tmp_path / "figures")
     assert len(calls) == 3
-    assert list_measures(found) == [("Share", "0.8 ± 0.1 (n = 3)")]
+    assert list_measures(found) == [("Share", "0.8 ± 0.1")]
     ((picture, caption),) = found.figures
     assert picture.read_text().endswith("seed0") and caption == "A picture."
     again = analyze(Results(request, outcomes), TRANSFER, tmp_path / "figures")

@@ -11,10 +11,10 @@ from pathlib import Path
 
 from PIL import Image
 
-from dpc_jax.evaluation.metrics import MISSING, get_metric
+from dpc_jax.evaluation.metrics import MISSING, format_metric, get_metric
 from dpc_jax.experiments.catalogue import NAMES, Experiment, Row
 from dpc_jax.experiments.published import MEAN, TITLE
-from dpc_jax.experiments.results import Analysis, Results, Summary, analyze, summarize
+from dpc_jax.experiments.results import Analysis, Results, analyze
 from dpc_jax.experiments.runs import SIZES, SOURCES
 from dpc_jax.files import write_text
 from dpc_jax.learning.training.records import MetricLog
@@ -28,8 +28,8 @@ INTRODUCTION = (
     "Differentiable Point Clouds (NeurIPS 2018). The paper's numbers are of ShapeNet "
     "after 600,000 steps; ours are of the runs listed, and each table says how these "
     "differ. So compare rows within a column, not the columns. Ours are mean ± "
-    "standard deviation over n seeds; one run has no spread. Minutes are wall clock, "
-    "beside whatever else the machine did."
+    "standard deviation over the runs, which differ in the seed; one run has no "
+    "spread. Minutes are wall clock, beside whatever else the machine did."
 )
 ONLY_RUNS = (
     "These runs have a few steps and tiny networks. They show that every experiment "
@@ -190,69 +190,55 @@ def tabulate(
     heads, columns = [category], [[row.label for row in experiment.rows]]
     for metric in experiment.metrics:
         heading = get_metric(metric).heading
-        where = [(experiment, row, category, metric) for row in experiment.rows]
-        paper = [results.find_published(*place) for place in where]
-        ours = [results.summarize(*place) for place in where]
+        paper = [
+            results.find_published(experiment, row, category, metric)
+            for row in experiment.rows
+        ]
+        ours = [
+            format_metric(metric, results.find_mean(experiment, row, metric))
+            if category == MEAN
+            else results.make_group(row, category).describe(metric)
+            for row in experiment.rows
+        ]
         is_published = any(value is not None for value in paper)
         if is_published:
             heads.append(f"{heading}, paper")
-            columns.append([format_value(metric, value) for value in paper])
-        if is_published or any(ours):  # columns without any number are left out
+            columns.append([format_metric(metric, value) for value in paper])
+        if is_published or set(ours) != {MISSING}:  # others have no number
             heads.append(f"{heading}, ours")
-            columns.append([format_summary(metric, summary) for summary in ours])
+            columns.append(ours)
     rows = [list(cells) for cells in zip(*columns, strict=True)]
     if category == MEAN:
         return heads, rows
-    costs = [_describe_cost(results, experiment, r, category) for r in experiment.rows]
+    costs = [_describe_cost(results, row, category) for row in experiment.rows]
     heads += ["Runs", "Minutes", "Memory (GB)"]
     return heads, [a + b for a, b in zip(rows, costs, strict=True)]
 
 
-def _describe_cost(results: Results, experiment: Experiment, row: Row, category: str):
+def _describe_cost(results: Results, row: Row, category: str) -> list[str]:
     """Runs, minutes of training and memory."""
     if absence := results.request.explain_absence(row):
         return [absence, "", ""]
     outcomes = results.list_outcomes(row, category)
-    done = [outcome for outcome in outcomes if outcome.metrics is not None]
-    if not done:
+    group = results.make_group(row, category)
+    if not group.runs:
         failed = any(outcome.problem for outcome in outcomes)
         return ["failed" if failed else "not run yet", "", ""]
-    runs = str(len(done))
-    if len(done) < len(outcomes):
+    runs = str(len(group.runs))
+    if len(group.runs) < len(outcomes):
         runs += f" of {len(outcomes)}"
-    seconds = results.summarize(experiment, row, category, "train_seconds")
-    memory = results.summarize(experiment, row, category, "peak_memory_gb")
+    seconds, memory = map(group.summarize, ("train_seconds", "peak_memory_gb"))
     minutes = MISSING if seconds is None else f"{seconds.mean / 60:.1f}"
     return [runs, minutes, MISSING if memory is None else f"{memory.mean:.1f}"]
 
 
-def format_value(metric: str, value: float | None) -> str:
-    """A number in the unit and rounding of its metric; an en dash for None."""
-    if value is None:
-        return MISSING
-    known = get_metric(metric)
-    return format(known.factor * value, known.format)
-
-
-def format_summary(metric: str, summary: Summary | None) -> str:
-    """Mean ± standard deviation (n = runs); of a single value the value alone."""
-    if summary is None:
-        return MISSING
-    mean = format_value(metric, summary.mean)
-    if summary.spread is None:
-        return mean
-    return f"{mean} ± {format_value(metric, summary.spread)} (n = {summary.count})"
-
-
 def list_measures(analysis: Analysis) -> list[tuple[str, str]]:
     """The measures of an analysis: their means over its runs, with the spread."""
-    rows = []
+    runs = [ComparedRun("", metrics=measures) for measures in analysis.measures]
+    group, rows = Group("", tuple(runs)), []
     for name in analysis.measures[0]:
-        found = summarize(measures.get(name) for measures in analysis.measures)
-        if found is not None:
-            spread = (
-                f" ± {found.spread:.2g} (n = {found.count})" if found.spread else ""
-            )
+        if found := group.summarize(name):
+            spread = f" ± {found.spread:.2g}" if found.spread else ""
             rows.append((name, f"{found.mean:.3g}{spread}"))
     return rows
 

@@ -1,11 +1,10 @@
-"""What finished runs gave: means over seeds, measured rows, analyses kept in DIR."""
+"""What finished runs gave: groups of seeds, measured rows, analyses kept in DIR."""
 
 import dataclasses
 import functools
 import json
-import math
 import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from dpc_jax.experiments.catalogue import Experiment, Row
 from dpc_jax.experiments.published import MEAN
 from dpc_jax.experiments.runs import Request, Run
 from dpc_jax.files import digest_text, write_json
+from dpc_jax.reporting.comparison.groups import ComparedRun, Group
 from dpc_jax.run.setup import make_data_specs
 
 _VALIDATED = 20  # shapes that the mean shape is tuned on, as many as align
@@ -34,25 +34,6 @@ class Outcome:
     config: Config | None = None  # None where it cannot work
     metrics: Mapping[str, Any] | None = None  # None where it is not finished
     problem: str = ""  # why it is not finished, as far as that is known
-
-
-@dataclasses.dataclass(frozen=True)
-class Summary:
-    """A measure over the seeds of a row."""
-
-    mean: float
-    spread: float | None  # standard deviation (n - 1); None of a single value
-    count: int  # n
-
-
-def summarize(values: Iterable[Any]) -> Summary | None:
-    """Mean and spread of the values that are numbers; None where there are none."""
-    numbers = [float(v) for v in values if isinstance(v, int | float)]
-    numbers = [number for number in numbers if math.isfinite(number)]
-    if not numbers:
-        return None
-    spread = statistics.stdev(numbers) if len(numbers) > 1 else None
-    return Summary(statistics.fmean(numbers), spread, len(numbers))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,23 +63,22 @@ class Results:
         }
         return list(found.values())
 
-    def summarize(
-        self, experiment: Experiment, row: Row, category: str, metric: str
-    ) -> Summary | None:
-        """A measure of a row; of "mean", the mean over categories if all have it."""
-        if category == MEAN:
-            parts = [
-                self.summarize(experiment, row, name, metric)
-                for name in self.request.list_categories(experiment)
-            ]
-            means = [part.mean for part in parts if part is not None]
-            if not parts or len(means) < len(parts):
-                return None
-            return Summary(statistics.fmean(means), None, 1)
+    def make_group(self, row: Row, category: str) -> Group:
+        """The finished runs of a row; of the mean shape a run of its metrics."""
         if row.variant is None:
-            return summarize([self.mean_shapes.get(category, {}).get(metric)])
-        outcomes = self.list_outcomes(row, category)
-        return summarize((o.metrics or {}).get(metric) for o in outcomes)
+            found = {row.label: self.mean_shapes.get(category)}
+        else:
+            outcomes = self.list_outcomes(row, category)
+            found = {o.run.name: o.metrics for o in outcomes}
+        runs = [ComparedRun(n, metrics=m) for n, m in found.items() if m is not None]
+        return Group(row.label, tuple(runs))
+
+    def find_mean(self, experiment: Experiment, row: Row, metric: str) -> float | None:
+        """The mean of a measure over the categories if all have it."""
+        categories = self.request.list_categories(experiment)
+        found = [self.make_group(row, name).summarize(metric) for name in categories]
+        means = [summary.mean for summary in found if summary is not None]
+        return statistics.fmean(means) if means and None not in found else None
 
     def find_published(
         self, experiment: Experiment, row: Row, category: str, metric: str

@@ -24,7 +24,6 @@ from dpc_jax.render.projection import scale_sizes
 
 _MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
 ERRORS = ("error", "error_same_grid")  # ends of their names in a record
-SOON = 0.01  # the report names the fastest settings with at most this error
 
 
 class Setting(NamedTuple):
@@ -180,21 +179,3 @@ def take_scenes_together(records: list[dict]) -> list[dict]:
         medians = {n: float(np.median([r[n] for r in group])) for n in names}
         together.append(group[0] | medians)
     return together
-
-
-def find_soonest(records: list[dict], *, kind: str, suffix: str = "") -> list[dict]:
-    """For each sigma the fastest setting with at most an error of `SOON`.
-
-    Records are those of `take_scenes_together`. If none is that accurate, it is the
-    most accurate one and `reached` is False. The kind is "image" or "gradient"; the
-    suffix "_same_grid" takes the error against the exact result on the same grid.
-    """
-    name, clock = f"{kind}_error{suffix}", f"{kind}_seconds"
-    rows = []
-    for sigma in sorted({record["sigma"] for record in records}):
-        group = [record for record in records if record["sigma"] == sigma]
-        good = [r for r in group if r[name] <= SOON]
-        best = min(good or group, key=lambda r: r[clock if good else name])
-        row = {"sigma": sigma, "setting": best["setting"], "reached": bool(good)}
-        rows.append(row | {"error": best[name], "seconds": best[clock]})
-    return rows

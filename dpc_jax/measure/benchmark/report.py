@@ -84,9 +84,6 @@ def _write_error(out, results) -> list[str]:
         "![Error against run time](error.png)",
         "Medians over all σ (largest in brackets):",
         _tabulate_settings(records),
-        f"Fastest setting with at most {accuracy.SOON:.0%} error; in brackets the most "
-        "accurate, where none is accurate enough:",
-        _tabulate_soonest(records),
     ]
 
 
@@ -104,22 +101,6 @@ def _tabulate_settings(records) -> str:
         rows.append(cells)
     heads = [head for k in _KINDS for head in (f"{k} error", "same grid", "ms")]
     return format_table(["setting", *heads], rows)
-
-
-def _tabulate_soonest(records) -> str:
-    columns = []
-    for kind in _KINDS:
-        for suffix in ("", "_same_grid"):
-            found = accuracy.find_soonest(records, kind=kind, suffix=suffix)
-            cells = []
-            for row in found:
-                ms = f"{1e3 * row['seconds']:.2f} ms"
-                cell = f"{row['setting']}: {_percent(row['error'])}, {ms}"
-                cells.append(cell if row["reached"] else f"({cell})")
-            columns.append(cells)
-    sigmas = [f"{row['sigma']:g}" for row in found]
-    heads = ("σ", "image", "same grid", "gradient", "same grid")
-    return format_table(heads, zip(sigmas, *columns, strict=True), align="lllll")
 
 
 def draw_errors(records: Sequence[dict[str, Any]], path: Path) -> Path:
@@ -146,7 +127,7 @@ def draw_errors(records: Sequence[dict[str, Any]], path: Path) -> Path:
                 if family == "other dtypes":  # nothing joins these
                     look["linestyle"] = ""
                 axes.plot(*zip(*sorted(chosen), strict=True), label=family, **look)
-            axes.axhline(accuracy.SOON, color=style.MUTED, ls="--", lw=0.8)
+            axes.axhline(0.01, color=style.MUTED, ls="--", lw=0.8)
             axes.set(xscale="log", yscale="log")
             axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
             axes.xaxis.set_major_formatter("{x:g}")

@@ -86,21 +86,16 @@ def _make_batch_call(work: Work, sigma, *, side) -> Callable[[], Any]:
     mesh = choose_mesh(None, batch_size=len(work.points))
     if mesh is not None and len(work.points) % mesh.size == 0:
         arrays = place(arrays, mesh, PartitionSpec(mesh.axis_names))
-    gradient = _compile_batch_gradient(side)
-    return lambda: gradient(arrays[:3], arrays[3], jnp.asarray(sigma, jnp.float32))
 
-
-@functools.lru_cache
-def _compile_batch_gradient(side):
-    def compute_loss(inputs, targets, sigma):
+    @jax.jit
+    @jax.grad
+    def gradient(inputs, targets, sigma):
         points, rotations, masses = inputs
-        grid = VoxelGrid(side)
-        images = project_batch(
-            points, rotations, sigma=sigma, scale=masses, grid=grid
-        ).silhouette
+        looks = {"sigma": sigma, "scale": masses, "grid": VoxelGrid(side)}
+        images = project_batch(points, rotations, **looks).silhouette
         return jnp.sum((images - targets) ** 2)
 
-    return jax.jit(jax.grad(compute_loss))
+    return lambda: gradient(arrays[:3], arrays[3], jnp.asarray(sigma, jnp.float32))
 
 
 def prepare_render(case: Case, *, seed: int, method: str = "auto") -> Callable[[], Any]:

@@ -2,7 +2,6 @@
 
 import functools
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -47,24 +46,6 @@ def _pass_through_matrix(q):
     return jnp.outer(back, back)
 
 
-def _compose_many(step):
-    """Product of 10⁵ equal rotations, normalised each time as training does."""
-
-    def turn(_, q):
-        return quaternion.normalize(quaternion.multiply(step, q))
-
-    start = jnp.array(quaternion.IDENTITY, step.dtype)
-    return jax.lax.fori_loop(0, 100_000, turn, start)
-
-
-def _compose_many_exactly(step):
-    """One rotation by 10⁵ times the angle."""
-    step = oracles.normalize(step)
-    sine = oracles.root_sum(step[1:])
-    half = np.arctan(sine / step[0]) * 100_000
-    return np.concatenate([[np.cos(half)], np.sin(half) * step[1:] / sine])
-
-
 def _square(q):
     return np.outer(oracles.normalize(q), oracles.normalize(q))
 
@@ -102,7 +83,6 @@ ANGLES = (
 AXIS = (0.0, -0.6, 0.8)
 ABOUT = {"0": 0.0, "1e-30": 1e-30, "a half turn": np.pi, "1e4": 1e4}
 TURNS = [(name, AXIS, angle) for name, angle in ABOUT.items()]
-STEP = (np.cos(0.05), 0, 0.6 * np.sin(0.05), 0.8 * np.sin(0.05))
 
 
 def list_rotations() -> list[Case]:
@@ -126,12 +106,6 @@ def list_rotations() -> list[Case]:
         *make(
             "from axis and angle",
             *(quaternion.from_axis_angle, _turn_about, (4, 8), TURNS),
-            dtypes=WIDE,
-        ),
-        *make(
-            "product of 1e5 rotations",
-            *(_compose_many, _compose_many_exactly, (4e5, None), [("", STEP)]),
-            because="four roundings for each product, at worst all in one direction",
             dtypes=WIDE,
         ),
     ]

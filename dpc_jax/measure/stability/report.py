@@ -1,4 +1,4 @@
-"""The report: stability.md, stability.json and cases.md."""
+"""The report: stability.md, and stability.json with every row."""
 
 import dataclasses
 import importlib.metadata
@@ -45,7 +45,6 @@ def write_report(
         "rows": [dataclasses.asdict(row) | {"passes": row.passes} for row in rows],
     }
     write_json(out / "stability.json", data)
-    write_text(out / "cases.md", _write_rows(rows))
     libraries = ", ".join(f"{name} {version}" for name, version in versions.items())
     blocks = [
         "# Stability on stiff and extreme cases",
@@ -58,7 +57,7 @@ def write_report(
         "with the gradient to every input, against an oracle in long double. Errors "
         "are relative to the largest magnitude of the output. *Worst* is error over "
         "tolerance: at most 1 passes. *Finite only* counts results that only have to "
-        "be finite. Every row is in [cases.md](cases.md).",
+        "be finite. Every row is in stability.json.",
         _summarize(rows),
         "Wall time (s): " + ", ".join(f"{k} {v:.0f}" for k, v in seconds.items()) + ".",
         _list_limits(rows),
@@ -105,30 +104,3 @@ def _list_limits(rows) -> str:
     return "## Documented limits\n\n" + format_table(
         ("subject", "documented limit", "cases"), lines
     )
-
-
-def _write_rows(rows) -> str:
-    lines = ["# Every case", "", "Errors are relative, tolerances in brackets.", ""]
-    heads = ("case", "dtype", "value error", "gradient error", "finite", "passes")
-    heads = (*heads, "limit", "where the tolerance comes from")
-    for subject in dict.fromkeys(row.subject for row in rows):
-        cells = [
-            (
-                *(row.case, row.dtype),
-                _format_pair(row.value_error, row.value_tolerance),
-                _format_pair(row.gradient_error, row.gradient_tolerance),
-                "yes" if row.is_finite else "**no**",
-                "yes" if row.passes else "**no**",
-                *(row.limit or _NONE, row.because),
-            )
-            for row in rows
-            if row.subject == subject
-        ]
-        lines += [f"## {subject.capitalize()}", "", format_table(heads, cells)]
-    return "\n".join(lines)
-
-
-def _format_pair(error, tolerance) -> str:
-    if error is None:
-        return _NONE
-    return f"{error:.1e} ({_NONE if tolerance is None else f'{tolerance:.1e}'})"
