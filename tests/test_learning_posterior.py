@@ -19,7 +19,6 @@ from dpc_jax.learning.inference.explanation import (
     compare_candidates,
     find_likeliest,
     find_posteriors,
-    list_neighbours,
     measure_silhouettes,
     render_finest,
     search_nearby,
@@ -166,15 +165,6 @@ def test_an_elevation_is_read_from_the_pose_of_any_azimuth():
     read = read_elevations(3 * face(azimuths.ravel(), elevations.ravel()))  # any length
     # The slope of arcsin is 1/cos 85° = 11 at the steepest, times float32's 1e-7.
     np.testing.assert_allclose(np.rad2deg(read), elevations.ravel(), atol=1e-3)
-
-
-def test_neighbours_are_a_step_of_azimuth_or_elevation_away():
-    found = list_neighbours(TRUTH, jnp.deg2rad(4.0))
-    places = [(54.0, 10.0), (46.0, 10.0), (50.0, 14.0), (50.0, 6.0)]
-    expected = jnp.stack([face(*place) for place in places])
-    angles = rotation_angle_deg(found[:, None], expected)
-    # Each is one of them; in which order does not matter.
-    assert (np.min(angles, axis=0) < 0.1).all() and (np.min(angles, axis=1) < 0.1).all()
 
 
 @pytest.mark.parametrize("start", [(53.0, 12.0), (46.0, 14.0), (50.0, 2.0)])

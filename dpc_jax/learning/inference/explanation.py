@@ -209,7 +209,7 @@ def search_nearby(
 
     def take_step(found, step):
         pose, cost = found
-        neighbours = list_neighbours(pose, step)
+        neighbours = _list_neighbours(pose, step)
         costs = compare_candidates(finer, neighbours, fine, config=config)
         elevations = read_elevations(neighbours)
         is_allowed = (elevations >= low - _SLACK) & (elevations <= high + _SLACK)
@@ -225,7 +225,7 @@ def search_nearby(
     return pose
 
 
-def list_neighbours(pose: jax.Array, step: jax.Array) -> jax.Array:
+def _list_neighbours(pose, step) -> jax.Array:
     """The viewpoints [4, 4] a step (radians) of azimuth or elevation away."""
     halves = jnp.stack([step, -step]) / 2
     cos, sin, zero = jnp.cos(halves), jnp.sin(halves), jnp.zeros(2, pose.dtype)
