@@ -35,6 +35,14 @@ CHAIRS = [
 ]
 
 
+@pytest.fixture
+def store(tmp_path, monkeypatch):
+    """Where the fake commands find packages: three chairs, for a start."""
+    store = install_commands(tmp_path, monkeypatch)
+    write_furniture(store, CHAIRS)
+    return store
+
+
 def fetch(category, tmp_path):
     return __main__.main(["fetch", category, "--out", str(tmp_path / "open")])
 
@@ -101,10 +109,8 @@ def test_chairs_come_upright_with_colours_licence_and_origin(
 
 
 def test_chairs_kept_for_testing_and_loungers_stay_out_of_training(
-    tmp_path, monkeypatch
+    tmp_path, store, monkeypatch
 ):
-    store = install_commands(tmp_path, monkeypatch)
-    write_furniture(store, CHAIRS)
     monkeypatch.setattr(sweethome3d, "RESERVED", ("Lib-round",))
     monkeypatch.setattr(sweethome3d, "LEFT_OUT", {"Lib-high": "no back"})
     assert fetch("chair", tmp_path) == 0
@@ -189,9 +195,7 @@ def test_airplanes_lose_their_discs_and_keep_their_families(tmp_path, monkeypatc
         assert sum(len(side) for side in sides) == len(set.union(*sides)) == 5
 
 
-def test_a_second_call_does_nothing(tmp_path, monkeypatch):
-    store = install_commands(tmp_path, monkeypatch)
-    write_furniture(store, CHAIRS)
+def test_a_second_call_does_nothing(tmp_path, store, monkeypatch):
     assert fetch("chair", tmp_path) == 0
     assert read_log(store) == ["download sweethome3d-furniture", "dpkg-deb -x"]
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "open/chair").rglob("*")}
@@ -202,9 +206,7 @@ def test_a_second_call_does_nothing(tmp_path, monkeypatch):
     assert after == before
 
 
-def test_a_conversion_that_was_stopped_goes_on(tmp_path, monkeypatch, capsys):
-    store = install_commands(tmp_path, monkeypatch)
-    write_furniture(store, CHAIRS)
+def test_a_conversion_that_was_stopped_goes_on(tmp_path, store, monkeypatch, capsys):
     make, made = sweethome3d.make_mesh, []
 
     def stop_at_second(model, folder):
@@ -232,9 +234,7 @@ def test_a_conversion_that_was_stopped_goes_on(tmp_path, monkeypatch, capsys):
     assert not list(folder.glob(".making*"))
 
 
-def test_a_download_that_was_cut_goes_on(tmp_path, monkeypatch, capsys):
-    store = install_commands(tmp_path, monkeypatch)
-    write_furniture(store, CHAIRS)
+def test_a_download_that_was_cut_goes_on(tmp_path, store, capsys):
     (store / "fails").write_text(
         "E: Failed to fetch http://host/x  Could not resolve\n"
     )
@@ -248,9 +248,7 @@ def test_a_download_that_was_cut_goes_on(tmp_path, monkeypatch, capsys):
     assert not list((tmp_path / "open/packages").glob("*.partial"))
 
 
-def test_an_unpacking_that_was_cut_starts_anew(tmp_path, monkeypatch):
-    store = install_commands(tmp_path, monkeypatch)
-    write_furniture(store, CHAIRS)
+def test_an_unpacking_that_was_cut_starts_anew(tmp_path, store):
     left = tmp_path / "open/packages/sweethome3d-furniture.tmp/usr"
     left.mkdir(parents=True)
     (left / "half").write_text("")
@@ -324,10 +322,8 @@ def test_a_damaged_model_is_skipped_and_named(tmp_path, monkeypatch, capsys):
 
 
 def test_a_model_that_is_gone_or_cut_is_made_again_and_a_changed_one_is_kept(
-    tmp_path, monkeypatch
+    tmp_path, store
 ):
-    store = install_commands(tmp_path, monkeypatch)
-    write_furniture(store, CHAIRS)
     assert fetch("chair", tmp_path) == 0
     folder = tmp_path / "open/chair/train"
     data = {p.name: p.read_bytes() for p in folder.glob("*.ply")}
@@ -341,9 +337,7 @@ def test_a_model_that_is_gone_or_cut_is_made_again_and_a_changed_one_is_kept(
     assert len(read_json(folder / "families.json")) == 3
 
 
-def test_two_at_once_do_not_meet(tmp_path, monkeypatch, capsys):
-    store = install_commands(tmp_path, monkeypatch)
-    write_furniture(store, CHAIRS)
+def test_two_at_once_do_not_meet(tmp_path, store, capsys):
     with claiming(tmp_path / "open/packages/fetching"):
         assert fetch("chair", tmp_path) == 1
     assert "another process" in capsys.readouterr().err

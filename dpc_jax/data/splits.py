@@ -148,22 +148,24 @@ def read_split(path: Path, synset: str) -> dict[str, list[str]]:
     readers = {".csv": lambda path: _read_csv(path, synset), ".file": _read_table}
     try:
         sides = readers.get(path.suffix, _read_texts)(path)
-    except (UnicodeDecodeError, csv.Error) as error:
+        listed = Counter(model for side in sides.values() for model in side)
+        if not listed:
+            raise Damage(f"found none with the splits {', '.join(SPLITS)}")
+        if twice := sorted(model for model, count in listed.items() if count > 1):
+            raise Damage(f"{twice[0]} is there twice")
+    except (
+        ValueError,
+        csv.Error,
+        StopIteration,
+        AttributeError,
+        RuntimeError,
+    ) as error:
+        reason = f"it cannot be read ({error or 'it ends too early'})"
         raise ValueError(
-            f"Expected text in {path}, but it cannot be read ({error}); give another "
-            "file."
+            f"Expected models of {synset} by split in {path}, but "
+            f"{error if isinstance(error, Damage) else reason}; repair it or give "
+            "another split file."
         ) from None
-    listed = Counter(model for side in sides.values() for model in side)
-    if not listed:
-        raise ValueError(
-            f"Expected models of {synset} with the splits {', '.join(SPLITS)} in "
-            f"{path}, but found none; give the split file of this synset."
-        )
-    if twice := sorted(model for model, count in listed.items() if count > 1):
-        raise ValueError(
-            f"Expected every model once in {path}, but {twice[0]} is there twice; "
-            "repair it."
-        )
     return sides
 
 
@@ -173,18 +175,12 @@ def _read_csv(path, synset):
         rows = csv.DictReader(file)
         missing = {"synsetId", "modelId", "split"} - set(rows.fieldnames or ())
         if missing:
-            raise ValueError(
-                f"Expected the columns synsetId, modelId and split in {path}, but "
-                f"{', '.join(sorted(missing))} is missing; give another file."
-            )
+            raise Damage(f"its column {', '.join(sorted(missing))} is missing")
         for row in rows:
             side = SYNONYMS.get(row["split"], row["split"])
             if (row["synsetId"] or "").zfill(8) == synset and side in sides:
                 if not row["modelId"]:
-                    raise ValueError(
-                        f"Expected a modelId in every row of {path}, but line "
-                        f"{rows.line_num} has none; repair it."
-                    )
+                    raise Damage(f"line {rows.line_num} has no modelId")
                 sides[side].append(row["modelId"])
     return sides
 
@@ -192,17 +188,12 @@ def _read_csv(path, synset):
 def _read_texts(path):
     stem = next((s for s in SPLITS if path.stem.endswith(s)), None)
     if stem is None:
-        raise ValueError(
-            f"Expected a file named SYNSET_train.txt, SYNSET_val.txt or "
-            f"SYNSET_test.txt, but got {path}; name the split in its name."
-        )
+        raise Damage("it is named otherwise than SYNSET_train.txt, _val and _test")
     sides = {}
     for split in SPLITS:
         sibling = path.with_name(f"{path.stem.removesuffix(stem)}{split}{path.suffix}")
         if not sibling.is_file():
-            raise ValueError(
-                f"Expected {sibling} beside {path}, but it is missing; add it."
-            )
+            raise Damage(f"{sibling.name} beside it is missing")
         lines = sibling.read_text(encoding="utf-8").split()
         sides[split] = [line.rsplit("/", 1)[-1] for line in lines]
     return sides
@@ -226,17 +217,11 @@ def _read_table(path):
             return {read(): read() for _ in range(count)}
         raise Damage(f"a value of the unknown kind {kind!r}")
 
-    try:
-        table: Any = read()
-        return {
-            split: [text for _, text in sorted(table.get(split, {}).items())]
-            for split in SPLITS
-        }
-    except (ValueError, StopIteration, AttributeError, RuntimeError) as error:
-        raise ValueError(
-            f"Expected a table of splits in {path}, but it cannot be read "
-            f"({error or 'it ends too early'}); give another split file."
-        ) from None
+    table: Any = read()
+    return {
+        split: [text for _, text in sorted(table.get(split, {}).items())]
+        for split in SPLITS
+    }
 
 
 def write_split(path: Path, sides: dict[str, list[str]], synset: str):

@@ -151,9 +151,8 @@ def _check_model(
         rows = data.rows("quaternions", model).astype(np.float64)
         broken = ~np.all(np.isfinite(rows), axis=1)
         yield ("error", "a quaternion with NaN or infinity"), broken
-        length = np.linalg.norm(np.where(broken[:, None], 0.5, rows), axis=1)
-        bent = np.abs(length - 1.0) > LENGTH_FLAW
-        yield ("error", "a quaternion that is not of length 1"), bent
+        bent = np.abs(np.linalg.norm(rows, axis=1) - 1.0) > LENGTH_FLAW
+        yield ("error", "a quaternion that is not of length 1"), bent & ~broken
     if data.surfaces is not None:
         points = np.asarray(data.surfaces[model])
         if not np.isfinite(points).all() or len(points) == 0:
@@ -205,19 +204,18 @@ def _check_poses(data, lens):
 
 def _choose_models(data):
     """Models to try conventions on, spread over the set."""
-    finite = [
+    has_surface = data.surfaces is not None
+    usable = [
         m
         for m in range(len(data.names))
-        if data.counts[m] >= (1 if data.surfaces is not None else 3)
-        and np.isfinite(np.asarray(data.quaternions[m])).all()
+        if data.counts[m] >= (1 if has_surface else 3)
+        and np.isfinite(rotation_of(data.rows("quaternions", m))).all()
         and np.asarray(data.masks[m]).any()
-        and (data.surfaces is None or _read_surface(data, m) is not None)
+        and not (has_surface and _read_surface(data, m) is None)
     ]
-    if not finite:
-        return []
     count = max(1, TRIED_VIEWS // int(max(1, np.max(data.counts))))
-    places = np.linspace(0, len(finite) - 1, min(count, len(finite))).round()
-    return [finite[int(place)] for place in places]
+    places = np.linspace(0, len(usable) - 1, min(count, len(usable))).round()
+    return [usable[int(place)] for place in places]
 
 
 def _read_surface(data, model):
@@ -301,19 +299,15 @@ def _find_strays(data, lens):
 
 
 def rotation_of(quaternions: np.ndarray, convention: Convention = STORED) -> np.ndarray:
-    """Rotation matrices [..., 3, 3] of stored quaternions [..., 4] of any length.
-
-    They are NaN where a quaternion is not finite, and the identity where it is zero.
-    """
+    """Rotation matrices [..., 3, 3] of stored quaternions [..., 4]; NaN for broken."""
     q = np.asarray(quaternions, dtype=np.float64)
-    finite = np.all(np.isfinite(q), axis=-1, keepdims=True)
-    identity = np.roll([1.0, 0, 0, 0], -1 if convention.last else 0)
-    q = np.where(finite & q.any(axis=-1, keepdims=True), q, identity)
-    # The squares of extreme components would overflow or vanish.
-    q = q / np.abs(q).max(axis=-1, keepdims=True)
-    turns = Rotation.from_quat(q, scalar_first=not convention.last)
+    size = np.abs(q).max(axis=-1, keepdims=True)
+    broken = ~((size > 1e-9) & (size < 1e9))  # NaN, zero, or squares that overflow
+    turns = Rotation.from_quat(
+        np.where(broken, 1.0, q), scalar_first=not convention.last
+    )
     turns = (turns.inv() if convention.inverse else turns).as_matrix()
-    turns = np.where(finite[..., None], turns, np.nan)
+    turns = np.where(broken[..., None], np.nan, turns)
     return convention.camera @ turns @ convention.object
 
 

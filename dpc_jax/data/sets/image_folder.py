@@ -69,7 +69,7 @@ class ImageFolder(SplitSource):
         return 4 * self.spec.image_size**2 * model.views
 
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
-        return read_object(Path(str(model.path)), self.spec)
+        return read_views(Path(str(model.path)), self.spec)[1:]
 
 
 def _list_objects(folder):
@@ -111,19 +111,13 @@ def find_images(folder: Path) -> list[Path]:
     return sorted(p for p in found if p.is_file() and not p.stem.endswith("_mask"))
 
 
-def read_object(place: Path, spec: DataSpec) -> tuple[dict[str, np.ndarray], list[str]]:
-    """The views of one object, and a sentence on each that is left out.
-
-    A view without a usable mask, or without a pose where others have one, is left out.
-    """
-    _, arrays, notes = read_views(place, spec)
-    return arrays, notes
-
-
 def read_views(
     place: Path, spec: DataSpec
 ) -> tuple[list[Path], dict[str, np.ndarray], list[str]]:
-    """The files whose views are used, and what `read_object` gives."""
+    """The files whose views are used, the views, and a sentence on each other file.
+
+    A view without a usable mask, or without a pose where others have one, is left out.
+    """
     images, notes, outlines, poses = list_images(place), [], {}, None
     if found := pose_files.find_pose_files(place):
         poses = pose_files.read_poses(found)

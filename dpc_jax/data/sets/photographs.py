@@ -7,7 +7,7 @@ cannot be used is named. This module loads no JAX: a bad file is told at once.
 import contextlib
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -65,7 +65,12 @@ def read_photographs(
       ValueError: where nothing can be used, two objects would have the same name, or
         masks cannot be made.
     """
-    finder = _choose_finder(request.mask)
+    finder = None  # of a mask in an image's colours; None where it has to be given
+    if request.mask == "auto":
+        finder = masks.find_before_plain_background
+    elif request.mask == "matting":
+        session = masks.open_session()
+        finder = functools.partial(masks.find_by_network, session=session)
     objects, skipped = [], []
     for name, files in _list_objects(request):
         views = [view for file in files for view in _read_file(file, finder, skipped)]
@@ -80,15 +85,6 @@ def read_photographs(
             f"{len(skipped)} can; of the first: {first}."
         )
     return objects, skipped
-
-
-def _choose_finder(mask: str) -> Callable | None:
-    """What finds a mask in an image's colours; None where it has to be given."""
-    if mask == "auto":
-        return masks.find_before_plain_background
-    if mask == "matting":
-        return functools.partial(masks.find_by_network, session=masks.open_session())
-    return None
 
 
 def _list_objects(request: Request) -> list[tuple[str, list[Path]]]:
@@ -139,7 +135,9 @@ def _read_file(path: Path, finder, skipped) -> list[tuple[str, np.ndarray, np.nd
             masks.check_mask(mask, source)
         except (OSError, ValueError) as error:
             sentence = show_text(error).rstrip(".")
-            skipped.append((source, _name_source(sentence, source)))
+            if show_text(path) not in sentence:
+                sentence = f"{source}: {sentence}"
+            skipped.append((source, sentence))
             continue
         views.append((source, to_colors(frame), mask))
     return views
@@ -160,11 +158,6 @@ def _find_mask(frame, path: Path, finder, *, is_alone: bool) -> np.ndarray:
         if alpha.min() < 128:  # a moving picture may have an alpha channel of no use
             return alpha.astype(np.float32) / 255.0
     return finder(np.asarray(frame.convert("RGB")))
-
-
-def _name_source(sentence: str, source: str) -> str:
-    """A sentence that names its image."""
-    return sentence if source.split(",")[0] in sentence else f"{source}: {sentence}"
 
 
 def _frame(name, views, spec: DataSpec) -> Photographs:
