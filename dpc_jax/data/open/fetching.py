@@ -7,7 +7,6 @@ one side of a split. `models.json` lists all models and is written last.
 """
 
 import importlib
-import json
 import os
 import shutil
 import tempfile
@@ -26,23 +25,18 @@ SHEET_VIEW = 96  # pixels
 SCRATCH = ".making-"  # begins the names of temporary folders
 
 
-def fetch_category(category: str, out: str | Path, *, progress: bool = True) -> Path:
+def fetch_category(category: str, out: str | Path) -> Path:
     """Make the folder OUT/CATEGORY of open meshes, or complete it; return its path.
 
     A second call does nothing. Packages stay in OUT/packages; their unpacked files are
     removed again. A model that was changed in between is kept as NAME.ply.changed.
 
     Raises:
-      ValueError: for another category, or if no model can be read.
+      ValueError: if no model can be read.
       RuntimeError: if a command, the network or a package is missing or damaged, or
         another process is working in the folder.
       OSError: if a file cannot be written.
     """
-    if category not in RECIPES:
-        raise ValueError(
-            f"category must be one of {', '.join(RECIPES)}, but it is {category!r}; "
-            "choose one of them."
-        )
     out = Path(out)
     folder, place = out / category, out / "packages"
     place.mkdir(parents=True, exist_ok=True)
@@ -53,14 +47,13 @@ def fetch_category(category: str, out: str | Path, *, progress: bool = True) -> 
                 "it; wait for it to end, or give another folder."
             )
         if not _is_complete(folder):
-            _make_folder(category, folder, place, progress=progress)
-        if progress:
-            print(_describe_folder(folder))
+            _make_folder(category, folder, place)
+        print(_describe_folder(folder))
     return folder
 
 
 def _describe_folder(folder):
-    record = json.loads((folder / "models.json").read_text(encoding="utf-8"))
+    record = files.read_json(folder / "models.json")
     lines = []
     for side in ("train", "test", "reserved"):
         listed = [m for m in record["models"].values() if m["side"] == side]
@@ -71,7 +64,7 @@ def _describe_folder(folder):
     return "\n".join([*lines, f"{folder}/sheet.png shows them"])
 
 
-def _make_folder(category, folder, place, *, progress):
+def _make_folder(category, folder, place):
     models, versions = [], {}
     for name in RECIPES[category]:
         module = importlib.import_module(f"dpc_jax.data.open.{name}")
@@ -85,20 +78,14 @@ def _make_folder(category, folder, place, *, progress):
         shutil.rmtree(scratch)
     skipped, records = {}, {}
 
-    def make_all():
-        for module, model in models:
-            package = f"{module.PACKAGE} {versions[module.PACKAGE]}"
-            try:
-                record = _make_model(module, model, folder, package)
-                records[f"{model.side}/{model.name}.ply"] = record
-            except ValueError as error:
-                skipped[model.name] = str(error)
-            yield model.name
-
-    for _ in follow(
-        make_all(), count=len(models), label=f"Converting {category}", progress=progress
-    ):
-        pass
+    label = f"Converting {category}"
+    for module, model in follow(models, count=len(models), label=label, progress=True):
+        package = f"{module.PACKAGE} {versions[module.PACKAGE]}"
+        try:
+            record = _make_model(module, model, folder, package)
+            records[f"{model.side}/{model.name}.ply"] = record
+        except ValueError as error:
+            skipped[model.name] = str(error)
     if not records:
         first = next(iter(skipped.values()), "the packages hold none")
         raise ValueError(
@@ -164,7 +151,7 @@ def _make_model(module, model, folder, package):
 def _read_record(path):
     """The record beside a model that is unchanged, or None."""
     try:
-        record = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+        record = files.read_json(path.with_suffix(".json"))
         expected = VERSION, files.digest_file(path)
         return record if (record["version"], record["sha256"]) == expected else None
     except (OSError, ValueError, KeyError, TypeError):
@@ -173,7 +160,7 @@ def _read_record(path):
 
 def _is_complete(folder):
     try:
-        record = json.loads((folder / "models.json").read_text(encoding="utf-8"))
+        record = files.read_json(folder / "models.json")
         names, sides = record["models"], {n.split("/")[0] for n in record["models"]}
         return (
             record["version"] == VERSION
