@@ -140,6 +140,10 @@ class Stack(np.lib.mixins.NDArrayOperatorsMixin):
     def __array__(self, dtype=None, copy=None):
         return np.asarray(self._join(range(len(self))), dtype=dtype)
 
+    def __array_ufunc__(self, ufunc, method, *inputs, **options):
+        inputs = [np.asarray(x) if isinstance(x, Stack) else x for x in inputs]
+        return getattr(ufunc, method)(*inputs, **options)
+
     def _read_model(self, model):
         if not -len(self) <= model < len(self):
             raise IndexError(f"model {model} of {len(self)}")

@@ -201,7 +201,7 @@ def _write_in_processes(folder, source, models, numbers, count):
                 log.seek(0)
                 tail = log.read().decode("utf-8", errors="replace")[-2000:].strip()
                 if status == os.EX_IOERR:
-                    raise OSError(tail.splitlines()[-1])
+                    raise OSError(tail.rsplit("\n", 1)[-1])
                 raise RuntimeError(
                     "Expected a render process to end well, but it ended with status "
                     f"{status}; set data.processes to 1 to look closer. Its last "

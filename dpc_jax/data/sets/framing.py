@@ -91,11 +91,10 @@ def _frame_by_geometry(outlines, poses, spec):
     Each is turned to look at the point nearest to the lines through the middles of all
     masks; the scale fits every view at its distance.
     """
-    lenses = [
-        _read_lens(pose.lens, outline.shape)
+    cameras = [
+        (outline, pose, _read_lens(pose.lens, outline.shape))
         for pose, outline in zip(poses, outlines, strict=True)
     ]
-    cameras = list(zip(outlines, poses, lenses, strict=True))
     lines = []
     for outline, pose, lens in cameras:
         ray = np.linalg.solve(lens, [*outline.middle, 1.0])
@@ -103,7 +102,7 @@ def _frame_by_geometry(outlines, poses, spec):
     positions = np.array([pose.position for pose in poses])
     middle = _find_meeting_point(positions, np.array(lines))
 
-    turns, reaches, ranges = [], [], []
+    turned, widths = [], []
     for outline, pose, lens in cameras:
         towards = pose.rotation @ (middle - pose.position)
         away = np.linalg.norm(towards)
@@ -115,17 +114,14 @@ def _frame_by_geometry(outlines, poses, spec):
         turn = _turn_to_axis(towards / away)
         rays = np.concatenate([outline.border, np.ones((1, outline.border.shape[1]))])
         seen = turn @ np.linalg.solve(lens, rays)
-        turns.append(turn)
-        ranges.append(away)
-        reaches.append(np.abs(seen[:2] / seen[2]).max())
-    # an object of size s at range r looks like one of size 1 at r / s
-    widths = 2.0 * np.array(reaches) * np.array(ranges) / spec.fill
-    size = widths.max() * spec.focal_length / spec.distance
+        # an object of size s at range r looks like one of size 1 at r / s
+        widths.append(2.0 * np.abs(seen[:2] / seen[2]).max() * away / spec.fill)
+        turned.append((lens @ turn.T, turn @ pose.rotation, away))
+    size = max(widths) * spec.focal_length / spec.distance
     frames = []
-    for pose, lens, turn, away in zip(poses, lenses, turns, ranges, strict=True):
+    for homography, rotation, away in turned:
         side = size * spec.distance / (spec.focal_length * away)
-        homography = lens @ turn.T @ np.diag([side, side, 1.0])
-        frames.append(Frame(homography, turn @ pose.rotation))
+        frames.append(Frame(homography @ np.diag([side, side, 1.0]), rotation))
     return frames
 
 
