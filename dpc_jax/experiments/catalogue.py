@@ -113,6 +113,7 @@ _POSES = ("pose_accuracy", "pose_median_error_deg")
 _PARTS = ("chamfer", "precision", "coverage")
 _PIXELS = ("projection_error", "silhouette_iou", "chamfer")
 
+# fmt: off
 EXPERIMENTS = (
     Experiment(
         "known_pose",
@@ -131,18 +132,10 @@ EXPERIMENTS = (
             Row("Ours-V, 64²", "Ours-V, 64", "known_pose,64,ours_v", is_long=True),
             Row("Ours, 64²", "Ours, 64", "known_pose,64"),
             Row("EPCG, 32²", variant="known_pose,32,epcg"),
-            Row(
-                "EPCG, 32², second stage from 5/6",
-                variant="known_pose,32,epcg",
-                changes={"render.fixed_views_until": 5 / 6},
-                tag="two-stages",
-            ),
-            Row(
-                "EPCG, 32², masks alone",
-                variant="known_pose,32,epcg",
-                changes={"train.depth_weight": 0.0},
-                tag="masks",
-            ),
+            Row("EPCG, 32², second stage from 5/6", variant="known_pose,32,epcg",
+                changes={"render.fixed_views_until": 5 / 6}, tag="two-stages"),
+            Row("EPCG, 32², masks alone", variant="known_pose,32,epcg",
+                changes={"train.depth_weight": 0.0}, tag="masks"),
             Row("EPCG, 128²", "EPCG, 128", "known_pose,128,epcg"),
             Row("Ours, 128²", "Ours, 128", "known_pose,128"),
         ),
@@ -173,27 +166,15 @@ EXPERIMENTS = (
         _PARTS,
         (
             Row("Full, 8000 points", "Full", "known_pose,64"),
-            Row(
-                "No dropout",
-                "No drop.",
-                "known_pose,64",
-                {"render.keep_start": 1.0},
-                "no-dropout",
-            ),
-            Row(
-                "Fixed σ",
-                "Fixed σ",
-                "known_pose,64",
-                {"render.sigma_start": 0.025, "render.sigma_end": 0.025},  # 1.6 of 64
-                "fixed-sigma",
-            ),
-            Row(
-                "Fixed scale",
-                "Fixed scale",
-                "known_pose,64",
-                {"render.scale_fixed": 1.0},  # a voxel's mass; the paper gives none
-                "fixed-scale",
-            ),
+            Row("No dropout", "No drop.", "known_pose,64", {"render.keep_start": 1.0},
+                "no-dropout"),
+            # 1.6 voxels of 64³
+            Row("Fixed σ", "Fixed σ", "known_pose,64",
+                {"render.sigma_start": 0.025, "render.sigma_end": 0.025},
+                "fixed-sigma"),
+            # A voxel's mass, because the paper gives none
+            Row("Fixed scale", "Fixed scale", "known_pose,64",
+                {"render.scale_fixed": 1.0}, "fixed-scale"),
             *map(_count_points, (4000, 2000, 1000)),
         ),
         categories=("chair",),
@@ -224,31 +205,18 @@ EXPERIMENTS = (
         ("chamfer", *_POSES, "flip_share", "color_psnr"),
         (
             Row("Silhouettes", budget="signals"),
-            Row(
-                "With colour, chosen by silhouettes", variant="color", budget="signals"
-            ),
-            Row(
-                "With colour, chosen by both",
-                variant="color",
-                changes=CHOOSE_BY_ALL,
-                tag="choose-by-all",
-                budget="signals",
-            ),
+            Row("With colour, chosen by silhouettes", variant="color",
+                budget="signals"),
+            Row("With colour, chosen by both", variant="color", changes=CHOOSE_BY_ALL,
+                tag="choose-by-all", budget="signals"),
             _DEFAULTS,
-            Row(
-                "Defaults of this package, with colour, chosen by both",
-                variant="color",
-                changes=DEFAULTS | BESIDE | CHOOSE_BY_ALL,
-                tag="defaults",
-            ),
+            Row("Defaults of this package, with colour, chosen by both",
+                variant="color", changes=DEFAULTS | BESIDE | CHOOSE_BY_ALL,
+                tag="defaults"),
             _SILHOUETTES,
             Row("Known pose, with colour", variant="known_pose,32,color"),
-            Row(
-                "Known pose, with colour that moves no points",
-                variant="known_pose,32,color",
-                changes=BESIDE,
-                tag="beside",
-            ),
+            Row("Known pose, with colour that moves no points",
+                variant="known_pose,32,color", changes=BESIDE, tag="beside"),
         ),
         categories=("car", "chair"),
         picture="signals.png",
@@ -261,31 +229,16 @@ EXPERIMENTS = (
         ("chamfer", "visible_chamfer", *_POSES, "depth_error_percent"),
         (
             _SILHOUETTES,
-            Row(
-                "Known pose, contained, silhouettes",
-                variant="known_pose,32",
-                changes=CONTAINED,
-                tag="contained",
-            ),
-            Row(
-                "Known pose, contained, with depth",
-                variant="known_pose,32,depth",
-                changes=CONTAINED,
-                tag="contained",
-            ),
-            Row(
-                "Known pose, contained, depth alone",
-                variant="known_pose,32,depth",
+            Row("Known pose, contained, silhouettes", variant="known_pose,32",
+                changes=CONTAINED, tag="contained"),
+            Row("Known pose, contained, with depth", variant="known_pose,32,depth",
+                changes=CONTAINED, tag="contained"),
+            Row("Known pose, contained, depth alone", variant="known_pose,32,depth",
                 changes=CONTAINED | {"train.silhouette_weight": 0.0},
-                tag="contained-alone",
-            ),
+                tag="contained-alone"),
             _DEFAULTS,
-            Row(
-                "Defaults of this package, with depth, chosen by both",
-                variant="depth",
-                changes=DEFAULTS | CHOOSE_BY_ALL,
-                tag="defaults",
-            ),
+            Row("Defaults of this package, with depth, chosen by both", variant="depth",
+                changes=DEFAULTS | CHOOSE_BY_ALL, tag="defaults"),
         ),
         categories=("car", "chair"),
         picture="signals.png",
@@ -309,4 +262,5 @@ EXPERIMENTS = (
         categories=("chair",),
     ),
 )
+# fmt: on
 NAMES = tuple(experiment.name for experiment in EXPERIMENTS)

@@ -51,7 +51,7 @@ def run(
     pairs = draw_pairs(len(images))
     ways = np.array([interpolate(finished, images[p], masks[p]) for p in pairs])
     found = measure_steps(ways), *measure_between(ways, pairs, dataset)
-    measures = dict(zip(MEASURES, found, strict=True))
+    measures: dict[str, float | None] = dict(zip(MEASURES, found, strict=True))
 
     shown, columns = pairs[:DRAWN], np.linspace(0, STEPS, COLUMNS).astype(int)
     starts, stops = images[shown[:, 0]], images[shown[:, 1]]

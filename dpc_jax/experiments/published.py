@@ -57,8 +57,8 @@ def _shape_and_poses(*lines):
     return _by_category(("chamfer", *_POSES), *lines)
 
 
-def _parts(*values):
-    names = ("precision", "coverage", "chamfer")
+def _parts(*values: float) -> dict[str, dict[str, float]]:
+    names: tuple[str, ...] = ("precision", "coverage", "chamfer")
     return {"chair": dict(zip(names, values, strict=True))}
 
 

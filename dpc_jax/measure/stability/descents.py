@@ -22,6 +22,7 @@ from dpc_jax.measure.stability.case import Row
 from dpc_jax.measure.stability.runner import QUICKLY
 from dpc_jax.render import Camera, VoxelGrid, project, quaternion
 
+Array = jax.Array | np.ndarray
 VIEWS = 6
 OFF_DEG = 30.0  # of the first poses from the true ones
 BEST, STAGED = "Adam, σ 2 → 0.5", "Adam, heavy points first"
@@ -81,20 +82,20 @@ class Problem(NamedTuple):
 class Recipe(NamedTuple):
     """How to descend; all of it traced, so that one program serves every recipe."""
 
-    sigmas: jax.Array  # [T] standard deviation of a point at each iteration, voxels
-    point_rates: jax.Array  # [T, N] learning rate of each point, in object units
-    pose_rates: jax.Array  # [T, V] learning rate of each pose, in units of a quaternion
-    is_adam: jax.Array  # () whether to take Adam's direction instead of the gradient
-    memory: jax.Array  # () Adam's decay of the mean square
+    sigmas: Array  # [T] standard deviation of a point at each iteration, voxels
+    point_rates: Array  # [T, N] learning rate of each point, in object units
+    pose_rates: Array  # [T, V] learning rate of each pose, in units of a quaternion
+    is_adam: Array  # () whether to take Adam's direction instead of the gradient
+    memory: Array  # () Adam's decay of the mean square
 
 
 class Errors(NamedTuple):
     """Errors before the first iteration, and after the last."""
 
-    losses: np.ndarray  # [2, V] reprojection loss of each view at sigma one
-    angles: np.ndarray  # [2, V] of the poses, degrees
-    chamfer: np.ndarray  # [2] in the paper's units (×100)
-    distances: np.ndarray  # [2, N] of each point from its true place
+    losses: Array  # [2, V] reprojection loss of each view at sigma one
+    angles: Array  # [2, V] of the poses, degrees
+    chamfer: Array  # [2] in the paper's units (×100)
+    distances: Array  # [2, N] of each point from its true place
 
 
 def run(*, quick: bool, seed: int = 0) -> Iterator[Row]:
@@ -273,7 +274,7 @@ def _make_recipe(plan, ends: tuple[float, float], rate) -> Recipe:
     return Recipe(
         np.geomspace(*ends, plan.steps),
         np.tile(rates, (1, plan.points)),
-        *(pose_rates, rate is None, _MEMORY),
+        *(pose_rates, np.array(rate is None), np.array(_MEMORY)),
     )
 
 

@@ -267,7 +267,7 @@ def _align(*arrays):
 
 _POINTS, _SIGMA = Range((5, 3)), Range((), 0, LARGEST, (0, 4))
 _SIGMAS, _SCALE = Range((5,), 0, LARGEST, (0, 4)), Range((5,), 0, 1e6, (0, 2))
-_TURN = Range((4,), smallest=1e-6, usual=(-1, 1))
+_TURN = Range((4,), -1e37, 1e37, smallest=1e-6, usual=(-1, 1))
 _STEEP_TURN = Range((4,), smallest=1e-30, usual=(-1, 1))
 _CAMERA = (
     Range((3,)),  # translation
@@ -293,7 +293,7 @@ _PERSPECTIVE = {"projection": "perspective", "ray_rule": "termination"}
 _FLAT = {"projection": "orthographic", "ray_rule": "maximum"}
 _LIMIT = (
     "masses, occupancies, |colours|, |distance| and |background| ≤ 1e6, focal length "
-    "1e-6 to 1e6, |q| 0 or ≥ 1e-6: a gradient is a product of all these (and of "
+    "1e-6 to 1e6, |q| 0 or 1e-6 to 1e37: a gradient is a product of all these (and of "
     "1/|q|), and must be a float32; any points, translation and sigma ≥ 0"
 )
 _KINDS = "; |covariance| ≤ 3e6, some of them indefinite, which is no covariance"
@@ -310,7 +310,7 @@ def _projecting(method, rules, sizes, limit="") -> tuple:
 
 
 # fmt: off
-_TRACED = (
+_TRACED: tuple[tuple[Any, ...], ...] = (
     _projecting("trilinear", _PERSPECTIVE, _SIGMA),
     _projecting("trilinear", _FLAT, _SIGMA),
     _projecting("gaussian", _PERSPECTIVE, _SIGMA),
@@ -353,7 +353,7 @@ _TRACED = (
     ("containment_loss", losses.containment_loss, _ANY, _is_positive, _SQUARED),
     ("choose_candidate", _choose, _CHOICE, is_share, "", False),
 )
-_OF_NUMPY = (
+_OF_NUMPY: tuple[tuple[Any, ...], ...] = (
     ("rotation_angle_deg", rotation_angle_deg, _POSES, _is_degrees, _REFUSED),
     ("pose_summary", pose_summary, (Range((7,), usual=(0, 180)),),
      lambda found, _: is_share(found.accuracy), "errors outside 0° to 180° refused"),
