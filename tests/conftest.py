@@ -1,28 +1,31 @@
-"""Settings shared by all tests."""
+"""Settings shared by all tests.
+
+They are in the environment, so that the processes which tests start have them too, and a
+value that is set already wins: `XLA_FLAGS= tests/run.sh` compiles as users do.
+"""
 
 import os
 import tempfile
 
 import hypothesis
-import jax
 import pytest
-from quick_programs import compiling_quickly, use_older_loops
 
-# Broadcasting over a missing axis is a mistake waiting to happen: say the axis. In the
-# environment, so that the processes which tests start have it too.
-os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
-# Here jax is loaded already, and reads the environment no more.
-jax.config.update("jax_numpy_rank_promotion", os.environ["JAX_NUMPY_RANK_PROMOTION"])
-
-use_older_loops()
-
-# Runs over several devices are tested with CPU devices: tests/test_learning_devices.py.
-jax.config.update("jax_num_cpu_devices", 4)
-
-# Commands keep compiled programs in the user's cache folder, but not those of tests.
-if "XDG_CACHE_HOME" not in os.environ:
-    _CACHE = tempfile.TemporaryDirectory(prefix="dpc_jax-tests-")
-    os.environ["XDG_CACHE_HOME"] = _CACHE.name
+_FOLDER = tempfile.TemporaryDirectory(prefix="dpc_jax-tests-")
+_SETTINGS = {
+    # Broadcasting over a missing axis is a mistake waiting to happen: say the axis.
+    "JAX_NUMPY_RANK_PROMOTION": "raise",
+    # A program is compiled once for all workers and for all processes that they start.
+    "JAX_COMPILATION_CACHE_DIR": f"{_FOLDER.name}/programs",
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    # Most programs run once or twice. Compiled with little effort, and with XLA's older
+    # way of writing loops, they are the same up to rounding and take half the time.
+    "XLA_FLAGS": "--xla_backend_optimization_level=0"
+    " --xla_cpu_use_fusion_emitters=false"
+    " --xla_cpu_parallel_codegen_split_count=1",
+    # Commands keep what they have downloaded or compiled in the user's cache folder.
+    "XDG_CACHE_HOME": _FOLDER.name,
+}
 
 # A first example compiles, so a deadline would measure the compiler.
 hypothesis.settings.register_profile("local", deadline=None)
@@ -34,13 +37,30 @@ hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "local")
 _LONGEST = ("test_main_pipeline.py", "test_stability.py")
 
 
+def pytest_configure():
+    """Set the environment before jax reads it; workers inherit it from the first."""
+    for name, value in _SETTINGS.items():
+        os.environ.setdefault(name, value)
+    import jax
+
+    # Runs over several devices are tested with CPU devices: tests/test_learning_devices.py.
+    jax.config.update("jax_num_cpu_devices", 4)
+
+
+@pytest.fixture(scope="module")
+def quickly():
+    """What all programs have."""
+
+
 def pytest_collection_modifyitems(items):
     """Begin with the longest files."""
     items.sort(key=lambda item: item.path.name not in _LONGEST)
 
 
-@pytest.fixture(scope="module")
-def quickly():
-    """For files whose programs run once or twice: compiling takes longest there."""
-    with compiling_quickly():
-        yield
+@pytest.fixture(scope="module", autouse=True)
+def free_programs():
+    """A worker keeps the compiled programs of one file at a time."""
+    yield
+    import jax
+
+    jax.clear_caches()
