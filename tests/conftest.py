@@ -1,7 +1,7 @@
 """Settings shared by all tests.
 
-They are in the environment, so that the processes which tests start have them too, and a
-value that is set already wins: `XLA_FLAGS= tests/run.sh` compiles as users do.
+They are in the environment, so that the processes which tests start have them too. What
+is set already wins: `XLA_FLAGS= tests/run.sh` compiles as users do.
 """
 
 import os
@@ -43,7 +43,7 @@ def pytest_configure():
         os.environ.setdefault(name, value)
     import jax
 
-    # Runs over several devices are tested with CPU devices: tests/test_learning_devices.py.
+    # For runs over several devices: tests/test_learning_devices.py.
     jax.config.update("jax_num_cpu_devices", 4)
 
 

@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
-# Install what is missing, then check style and types: tests/lint.sh
+# Install what is missing, then check style, types and floors of imports: tests/lint.sh
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . launch/install.sh "[lint]"
 "$VENV/bin/ruff" check .
 "$VENV/bin/ruff" format --check .
 "$VENV/bin/pyright" --pythonpath "$VENV/bin/python"
+"$VENV/bin/lint-imports" --no-cache

@@ -88,7 +88,7 @@ def alone():
 def test_any_number_of_devices_gives_the_loss_of_one(alone, count):
     losses, _, metrics = train(configure(count))
     # The sums are the same in another order: twenty steps of rounding in float32.
-    np.testing.assert_allclose(losses, alone[0], rtol=1e-5)
+    np.testing.assert_allclose(losses, alone[0], rtol=3e-5)
     np.testing.assert_array_equal(metrics["winners"], alone[2]["winners"])
     for name, norm in alone[2]["gradient_norms"].items():
         found = float(metrics["gradient_norms"][name])

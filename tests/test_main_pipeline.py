@@ -1,11 +1,11 @@
 """The whole command: it reports, and what stops it on the way changes nothing."""
 
-import fcntl
 import json
 import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import warnings
@@ -15,25 +15,25 @@ import jax
 import numpy as np
 import pytest
 import trimesh
+from config_files import load_editable
 from orbax.checkpoint import v1 as ocp
 from PIL import Image
-from quick_programs import QUICK_ENVIRONMENT
 
 from dpc_jax import predict, rotation_angle_deg
+from dpc_jax.config import from_config_dict
 from dpc_jax.data.dataset import read_cache
 from dpc_jax.data.viewpoints import look_at_rotation
 from dpc_jax.evaluation.metrics import get_metric
-from dpc_jax.run import tensorboard
+from dpc_jax.run import pipeline, tensorboard
 
 ROOT = Path(__file__).parents[1]
-# Two signals fall within it, each of them up to 60 steps later than it is meant.
-STEPS = 200
-EVALUATED = 120
+STEPS = 60  # two signals fall within them
+EVALUATED = 40
 FIELDS = {
     "train.steps": STEPS,
     "log.every": 1,
     "log.evaluate": EVALUATED,
-    "log.checkpoint": 40,
+    "log.checkpoint": 10,
     "data.image_size": 16,
     "data.surface_points": 300,
     "data.processes": 1,
@@ -50,54 +50,60 @@ TIMED = ("seconds", "steps_per_second", "compile_seconds")
 
 
 class Command:
-    """The main command on one data cache, with compiled programs kept between runs."""
+    """The main command on one data cache."""
 
     def __init__(self, folder):
         self.folder = folder
-        # Compiling takes longest here.
-        self.environment = os.environ | QUICK_ENVIRONMENT
-        self.environment |= {
-            "JAX_PLATFORMS": "cpu",
-            "JAX_COMPILATION_CACHE_DIR": str(folder / "programs"),
-            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-            "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-        }
+        self.fields = FIELDS | {"data.cache_dir": str(folder / "data")}
 
-    def start(self, workdir, **changes):
-        fields = FIELDS | {"data.cache_dir": self.folder / "data"} | changes
-        process = subprocess.Popen(
+    def start(self, workdir, **options):
+        return subprocess.Popen(
             [sys.executable, "-m", "dpc_jax.main", f"--config={ROOT}/configs/debug.py"]
             + [f"--workdir={workdir}"]
-            + [f"--config.{name}={value}" for name, value in fields.items()],
-            stdout=subprocess.PIPE,
+            + [f"--config.{n}={v}" for n, v in (self.fields | TRACKED).items()],
             stderr=subprocess.PIPE,
-            env=self.environment,
+            env=os.environ | {"JAX_PLATFORMS": "cpu"},
             cwd=self.folder,
+            **options,
         )
-        return process
 
-    def run(self, workdir, **changes):
-        process = self.start(workdir, **changes)
+    def run(self, workdir):
+        process = self.start(workdir, stdout=subprocess.PIPE)
         out, error = process.communicate(timeout=1200)
         assert process.returncode == 0, error.decode()
         return out.decode()
 
-    def signal_at(self, workdir, step, signum, **changes):
+    def signal_at(self, workdir, step, signum):
         """Send a signal when a step is reported; gives status, what it says after it.
 
-        The pipe holds some 60 lines: without a reader the run cannot get far beyond
-        the step, so that the signal always falls within the training.
+        It prints into a socket that holds a few lines: without a reader the run cannot
+        get far beyond the step, so that the signal always falls within the training.
         """
-        process = self.start(workdir, **changes)
-        fcntl.fcntl(process.stdout, fcntl.F_SETPIPE_SZ, 4096)
-        seen = b""
-        while f"step {step}/".encode() not in seen:
-            read = os.read(process.stdout.fileno(), 64)
-            assert read, process.communicate()[1].decode()
-            seen += read
-        process.send_signal(signum)
-        out, error = process.communicate(timeout=1200)
-        return process.returncode, (seen + out).decode(), error.decode()
+        ours, theirs = socket.socketpair()
+        theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1)  # the least there is
+        with ours, theirs:
+            process = self.start(workdir, stdout=theirs)
+            theirs.close()
+            seen = b""
+            while f"step {step}/".encode() not in seen:
+                read = ours.recv(64)
+                assert read, process.communicate()[1].decode()
+                seen += read
+            process.send_signal(signum)
+            while read := ours.recv(4096):
+                seen += read
+            error = process.communicate(timeout=1200)[1]
+        return process.returncode, seen.decode(), error.decode()
+
+    def run_here(self, workdir, **changes):
+        """The same in this process, which need not start."""
+        config = load_editable("debug")
+        fields = self.fields | {"run.devices": 1} | changes
+        config.update_from_flattened_dict(fields)
+        status = pipeline.run_guarded(
+            from_config_dict(config), config_path="debug.py", workdir=str(workdir)
+        )
+        assert status == 0
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +115,7 @@ def command(tmp_path_factory):
 def finished(command):
     """A run that nothing stopped: its workdir and what it printed."""
     workdir = command.folder / "unbroken"
-    return workdir, command.run(workdir, **TRACKED)
+    return workdir, command.run(workdir)
 
 
 def read_events(workdir):
@@ -171,8 +177,7 @@ def test_the_report_has_every_number_and_picture_that_is_promised(finished):
     assert not re.search(r"""(src|href)=["']?(https?:)?//""", page)
     clouds = sorted((report / "points").iterdir())
     assert {path.suffix for path in clouds} == {".ply", ".glb"}
-    # Three views of different models each: the worst, the median, the best.
-    assert len(clouds) == 2 * 9
+    assert len(clouds) == 2 * 3  # of the worst, the median and the best view
     assert (report / "worst_objects.png").stat().st_size > 1000
     for path in clouds:
         vertices = np.asarray(trimesh.load_scene(path).to_geometry().vertices)
@@ -193,27 +198,29 @@ def test_the_curve_has_a_line_a_step_and_validations_with_their_seconds(finished
 
 def test_plain_lines_tell_how_far_the_run_is_where_there_is_no_terminal(finished):
     _, out = finished
-    assert f"step 100/{STEPS}, loss " in out and " s left" in out
+    assert f"step 50/{STEPS}, loss " in out and " s left" in out
     assert f"Validation at step {EVALUATED}" in out
     assert "\x1b" not in out and "\r" not in out
     assert out.rstrip().endswith("report/index.html")
 
 
-def test_a_finished_run_started_again_only_reports_again(command, finished):
+def test_a_finished_run_started_again_only_reports_again(command, finished, capsys):
     workdir, _ = finished
     records = (workdir / "metrics.jsonl").read_bytes()
     before = json.loads((workdir / "report" / "metrics.json").read_text())
     (workdir / "report" / "index.html").unlink()
-    out = command.run(workdir)
-    assert "loss" not in out
+    command.run_here(workdir)
+    assert "loss" not in capsys.readouterr().out
     assert (workdir / "metrics.jsonl").read_bytes() == records
     assert (workdir / "report" / "index.html").exists()
     after = json.loads((workdir / "report" / "metrics.json").read_text())
-    # The time of the last checkpoint is not in it.
-    measured_anew = ("data_seconds", "peak_memory_gb", "train_seconds")
-    assert {n: v for n, v in after.items() if n not in measured_anew} == {
-        n: v for n, v in before.items() if n not in measured_anew
-    }
+    # The time of the last checkpoint is not in it; sums on four devices round
+    anew = {"data_seconds", "peak_memory_gb", "train_seconds"}
+    assert after.keys() == before.keys()
+    for name in after.keys() - anew:
+        value = before[name]
+        same = value if value is None else pytest.approx(value, rel=1e-5)
+        assert after[name] == same, name
 
 
 @pytest.fixture(scope="module")
@@ -224,13 +231,13 @@ def interrupted(command):
     """
     workdir, said = command.folder / "broken", {}
     # Not a multiple of any interval, so that what is saved is due to the signal.
-    said["interrupted"] = command.signal_at(workdir, 7, signal.SIGINT, **TRACKED)
+    said["interrupted"] = command.signal_at(workdir, 5, signal.SIGINT)
     said["saved"] = list_checkpoints(workdir)
     said["last record"] = stopped = read_records(workdir)[-1]["step"]
     said["report"] = (workdir / "report").exists()
 
-    target = stopped + 45  # a checkpoint later, and lines after it
-    said["killed"] = command.signal_at(workdir, target, signal.SIGKILL, **TRACKED)
+    target = stopped + 22  # two checkpoints later, and lines after them
+    said["killed"] = command.signal_at(workdir, target, signal.SIGKILL)
     # A kill may also cut a line short.
     with open(workdir / "metrics.jsonl", "a", encoding="utf-8") as file:
         file.write('{"step": 1')
@@ -240,7 +247,7 @@ def interrupted(command):
         (p for p in folder.rglob("*") if p.is_file()), key=lambda p: p.stat().st_size
     )
     os.truncate(largest, largest.stat().st_size // 2)
-    said["finished"] = command.run(workdir, **TRACKED)
+    said["finished"] = command.run(workdir)
     return workdir, said
 
 
@@ -257,7 +264,7 @@ def test_ctrl_c_saves_the_step_reports_nothing_and_says_in_its_status_what_it_wa
     status, _, error = said["interrupted"]
     assert status == 130 and "start again in the same workdir" in error
     assert said["saved"] == [said["last record"]] and not said["report"]
-    assert 7 <= said["last record"] < STEPS
+    assert 5 <= said["last record"] < STEPS
 
 
 def test_a_killed_run_goes_on_from_the_last_whole_checkpoint_and_says_so(interrupted):
@@ -303,7 +310,7 @@ def test_predicting_test_images_gives_what_the_report_scored(
     test = read_cache(cache)
     page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
     cards = re.findall(r"<b>(\S+), view (\d+)</b>.*?pose error ([\d.]+)°", page)
-    assert len(cards) == 9
+    assert len(cards) == 3
     places = [(test.names.index(name), int(view)) for name, view, _ in cards]
     names = [f"{test.names[model]}_view_{view}" for model, view in places]
     images = [
@@ -315,7 +322,7 @@ def test_predicting_test_images_gives_what_the_report_scored(
     ]
     out = tmp_path / "out"
     assert predict.main([f"--workdir={workdir}", f"--out={out}", *images]) == 0
-    assert "9 of 9 images" in capsys.readouterr().out
+    assert "3 of 3 images" in capsys.readouterr().out
     truth = np.stack([test.quaternions[place] for place in places])
     facts = [json.loads((out / f"{name}.json").read_text()) for name in names]
     assert {fact["frame"] for fact in facts} == {"object"}
@@ -325,7 +332,7 @@ def test_predicting_test_images_gives_what_the_report_scored(
     # gets whiter. That moves a barely trained network a little, and of two candidates
     # that fit alike it may take the other one.
     away = np.abs(errors - [float(e) for *_, e in cards])
-    assert (away < 3).sum() >= 8, away
+    assert (away < 3).sum() >= 2, away
     for name in names:
         cloud = trimesh.load(out / f"{name}.ply")
         shown = trimesh.load(workdir / "report" / "points" / f"{name}.ply")
@@ -339,7 +346,7 @@ def test_predicting_test_images_gives_what_the_report_scored(
         axis = [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
         np.testing.assert_allclose(look[2], axis, atol=1e-6)
     assert (out / "predictions.png").stat().st_size > 1000
-    assert (out / f"{names[3]}.glb").is_file()
+    assert (out / f"{names[-1]}.glb").is_file()
 
 
 def test_images_of_no_use_are_named_and_the_others_predicted(
@@ -389,14 +396,6 @@ def test_views_of_one_object_are_refined_together(finished, tmp_path, capsys):
     assert list(workdir.glob("report/codes-*.f32"))  # the next time reads it
 
 
-def test_a_refused_command_has_a_status_and_one_line_on_stderr(command):
-    process = command.start(command.folder / "refused", **{"train.stepz": 3})
-    out, error = process.communicate(timeout=1200)
-    assert process.returncode == 2 and out == b""
-    assert error.startswith(b"Error: ") and error.count(b"\n") == 1
-    assert b"Traceback" not in error
-
-
 def make_boxes(folder, count):
     folder.mkdir()
     for i in range(count):
@@ -404,17 +403,12 @@ def make_boxes(folder, count):
     return str(folder)
 
 
-def predict_points(command, workdir):
+def predict_points(workdir):
     """The points that a run predicts of a grey square, [N, 3]."""
     image = np.zeros((16, 16, 4), np.uint8)
     image[4:12, 5:11] = (90, 90, 90, 255)
-    path = workdir / "square.png"
-    Image.fromarray(image).save(path)
-    subprocess.run(
-        [sys.executable, "-m", "dpc_jax.predict", f"--workdir={workdir}", str(path)],
-        check=True,
-        env=command.environment,
-    )
+    path = save_drawing(workdir / "square.png", image)
+    assert predict.main([f"--workdir={workdir}", path]) == 0
     return np.asarray(trimesh.load(workdir / "predictions" / "square.ply").vertices)
 
 
@@ -440,7 +434,7 @@ OFTEN = ("known", "voxels")  # the others take as long, and touch less of their 
     ],
 )
 def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
-    command, name
+    command, name, capsys
 ):
     short = {"train.steps": 2, "render.keep_levels": 1}
     fields = OTHER_PATHS[name]
@@ -449,7 +443,8 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
         others = make_boxes(command.folder / "others", 2)
         fields = fields | {"data.meshes": meshes, "data.test_meshes": others}
     workdir = command.folder / name
-    out = command.run(workdir, **fields, **short)
+    command.run_here(workdir, **fields, **short)
+    out = capsys.readouterr().out
     metrics = json.loads((workdir / "report" / "metrics.json").read_text())
     assert np.isfinite(metrics["chamfer"])
     if name == "known":
@@ -464,7 +459,7 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
         assert [r["step"] for r in records if "loss" in r] == [1, 2]
     if name == "voxels":
         assert 0 < metrics["surface_threshold"] < 1
-        found = predict_points(command, workdir)
+        found = predict_points(workdir)
         assert found.shape == (10_000, 3)
         for glb in (workdir / "predictions", workdir / "report" / "points"):
             (read, *_) = trimesh.load_scene(next(glb.glob("*.glb"))).geometry.values()
@@ -474,7 +469,7 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
         assert np.linalg.norm(found, axis=1).max() < 1  # of a turned unit cube
     if name == "maps":
         # All eight maps' visible points, or one of them as often.
-        assert predict_points(command, workdir).shape == (8 * 8 * 8, 3)
+        assert predict_points(workdir).shape == (8 * 8 * 8, 3)
         found = (workdir / "predictions" / "predictions.json").read_text()
         (entry,) = json.loads(found)["images"]
         assert entry["quaternion"] is None and "its shape alone" in entry["sentence"]

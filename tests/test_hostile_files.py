@@ -1,0 +1,243 @@
+"""Files of a stranger: shards, records, meshes, images, poses, locks."""
+
+import os
+import socket
+
+import numpy as np
+import pytest
+import trimesh
+from hostile import Table, losing_rights, run_try
+from PIL import Image
+
+from dpc_jax import files
+from dpc_jax.data import DataSpec, load_or_render, meshes, shards
+from dpc_jax.data.sets import mesh_folder, photographs, pictures, pose_files
+from dpc_jax.data.sets.pictures import read_picture
+from dpc_jax.learning.training.records import MetricLog
+from dpc_jax.run.workdir import hold_workdir, read_alignment, read_config
+from dpc_jax.shapes.normalization import face_colors
+
+TABLE = Table()
+tries = TABLE.tries
+
+FACE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n"
+RED = "newmtl red\nKd 1 0 0\n"
+LINKED = "there is a link to another file; remove the link"
+DEEP = "[" * 100_000
+
+
+def _link(folder, name, link=os.symlink):
+    """A user's file, and a link to it where a file of this package should be."""
+    victim = folder / "victim.txt"
+    victim.write_text("mine")
+    link(victim, folder / name)
+    return victim
+
+
+@tries(LINKED, link=os.symlink)
+@tries("a hard link; remove the link", link=os.link)
+def hold_a_linked_lock(folder, *, link):
+    victim = _link(folder, ".in-use", link)
+    try:
+        with hold_workdir(folder):
+            pass
+    finally:
+        assert victim.read_text() == "mine"
+
+
+@tries("a pipe or the like; remove it", make=os.mkfifo)
+@tries("a pipe or the like; remove it", make=os.mkdir)
+def hold_a_lock_of_another_kind(folder, *, make):
+    make(folder / ".in-use")
+    with hold_workdir(folder):
+        pass
+
+
+@tries(LINKED)
+def claim_a_linked_lock(folder):
+    _link(folder, ".shard.claim")
+    with files.claiming(folder / "shard"):
+        pass
+
+
+@tries(LINKED)
+def record_in_a_linked_file(folder):
+    _link(folder, "metrics.jsonl")
+    MetricLog(folder / "metrics.jsonl").write({"step": 1})
+
+
+@tries("a pipe, a device or the like", content=None)
+@tries("[]", content=DEEP.encode())
+@tries("[{'step': 1}]", content=b'5\n"x"\n{"step": "z"}\n\xff\n{"step": 1}')
+def read_records(folder, *, content):
+    path = folder / "metrics.jsonl"
+    os.mkfifo(path) if content is None else path.write_bytes(content)
+    return MetricLog(path).read()
+
+
+@tries("nested too deep")
+def read_a_deep_config(folder):
+    (folder / "config.json").write_text(DEEP)
+    read_config(folder)
+
+
+@tries("[0.0, 0.0, 0.0, 0.0] is no unit quaternion", text='{"rotation": [0, 0, 0, 0]}')
+@tries("Expected a rot", text="[1]")
+def read_a_wrong_alignment(folder, *, text):
+    (folder / "report").mkdir()
+    (folder / "report" / "alignment.json").write_text(text)
+    return read_alignment(folder)
+
+
+@tries("mine")
+def write_beside_a_linked_temporary_file(folder):
+    name = f".notes.{socket.gethostname()}.{os.getpid()}{files.TEMPORARY}"
+    victim = _link(folder, name)
+    files.write_text(folder / "notes", "new")
+    return victim.read_text()
+
+
+POINTERS = np.full((2, 4), 1e9, np.float32)
+PACKED = {"masks": np.zeros((2, 3, 3), np.uint8), "save": np.savez_compressed}
+DAMAGED = "as it was written, but it is damaged"
+
+
+@tries(DAMAGED, quaternions=POINTERS)
+@tries(DAMAGED, quaternions=POINTERS, read=shards.read_record)
+@tries(DAMAGED, masks=np.zeros((2, 9), np.uint8))
+@tries("masks is float64 (2, 3, 3)", masks=np.zeros((2, 3, 3), np.float64))
+@tries("does not lie in it as it is", **PACKED)
+def read_a_shard(folder, *, read=shards.map_shard, save=np.savez, **members):
+    """A stranger's shard. Of objects, it would supply the addresses of what is run."""
+    record = np.frombuffer(b'{"names": ["a"]}', np.uint8)
+    path = folder / "shard-00000.npz"
+    save(path, **{"record": record} | members)
+    if "masks" not in members:
+        path.write_bytes(path.read_bytes().replace(b"'<f4'", b"'|O' "))
+    return read(path)
+
+
+def _write_red(path):
+    path.write_text(RED)
+
+
+def _link_to_zeros(path):
+    path.symlink_to("/dev/zero")
+
+
+def _fill(path):
+    path.touch()
+    os.truncate(path, files.MOST_TEXT + 1)  # holes: it takes no room on the disk
+
+
+GREY, PLAIN = "[170 170 170] lacks its materials", "[255   0   0] lacks 1 of 1 textures"
+
+
+@tries(GREY, make=os.mkfifo)
+@tries(PLAIN, texture="t.png", make=os.mkfifo)
+@tries(GREY, materials="/dev/zero")
+@tries(GREY, make=_link_to_zeros)
+@tries(GREY, make=_fill)
+@tries(GREY, materials="../../a.mtl", make=_write_red)
+@tries("[255   0   0] None", materials="../a.mtl", make=_write_red)
+@tries(GREY, materials="/etc/passwd")
+def look_at_a_mesh(folder, *, materials="a.mtl", texture=None, make=None):
+    """Colour of a mesh, and what it lacks. `make` puts what hurts in a path's place."""
+    place = folder / "above" / "here" / "a.obj"
+    place.parent.mkdir(parents=True)
+    place.write_text(f"mtllib {materials}\n{FACE}")
+    if texture:
+        place.with_suffix(".mtl").write_text(f"{RED}map_Kd {texture}\n")
+    if make is not None:
+        make(place.parent / (texture or materials))
+    mesh = meshes.read_mesh(place)
+    return f"{face_colors(mesh)[0, :3]} {mesh_folder.describe_flaw(place)}"
+
+
+FRACTIONS = {"train": (1, 0, 0), "val": (8, 1, 1), "test": (0, 0, 1)}
+FAR = {"far": "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1e30\nf 1 2 3\nf 2 3 4\n"}
+BAD = {f"bad{i}": f"v {i} 0 0" for i in range(13)}
+
+
+@tries("3 used, skipped (('far.obj'", bad=FAR)
+@tries("skipped (('far.obj'", bad=FAR, split="train")
+@tries("1 used, skipped ()", bad=BAD, good=10, split="val")
+@tries("3 used, skipped ()", bad=BAD, good=10, split="train", models=3)
+@tries("4 used", bad={"-rf": FACE})
+def load_meshes(folder, *, bad, good=3, split="test", models=None):
+    """What a set makes of boxes and of other files."""
+    (folder / "set").mkdir()
+    for i in range(good):
+        box = trimesh.creation.box((1, 2, 3 + i))
+        box.export(folder / "set" / f"box{i}.ply")
+    for name, text in bad.items():
+        (folder / "set" / f"{name}.obj").write_text(text)
+    return _load(folder, split=split, fractions=FRACTIONS[split], models=models)
+
+
+def _load(folder, **options):
+    spec = DataSpec(
+        "car", folder=str(folder / "set"), views=2, image_size=16, **options
+    )
+    data = load_or_render(spec, cache_dir=folder / "cache", processes=1)
+    return f"{len(data.names)} used, skipped {data.skipped}"
+
+
+@tries("box0.ply, but it cannot be read (Permission denied)", closed="set/box0.ply")
+@tries("set another data.cache_dir", closed="cache")
+def load_meshes_without_rights(_, *, closed):
+    with losing_rights() as (shared, lose):
+        load_meshes(shared, bad={}, good=2)
+        box = trimesh.creation.box((2, 2, 5))
+        box.export(shared / "set" / "more.ply")
+        (shared / "cache").chmod(0o777)
+        (shared / closed).chmod(0o555 if closed == "cache" else 0)
+        lose()
+        return _load(shared, split="test", fractions=FRACTIONS["test"])
+
+
+@tries("permission denied", read=read_picture)
+@tries("Permission denied", read=lambda path: pose_files.read_poses([path]))
+def read_without_rights(_, *, read):
+    with losing_rights() as (shared, lose):
+        path = shared / "poses.json"
+        path.write_text("{}")
+        path.chmod(0)
+        lose()
+        return read(path)
+
+
+@tries("a pipe, a device or the like")
+def read_a_mesh_that_is_a_pipe(folder):
+    os.mkfifo(folder / "a.ply")
+    return meshes.read_mesh(folder / "a.ply")
+
+
+@tries("at most 67,108,864 pixels in the image", size=(12000, 12000))
+@tries("a pipe, a device or the like", make=os.mkfifo)
+@tries("size=8x8", name="-a.png")
+def read_an_image(folder, *, size=(8, 8), make=None, name="a.png"):
+    path = folder / name
+    Image.new("1", size).save(path) if make is None else make(path)
+    return read_picture(path)
+
+
+@tries("[(1000, 667), (1000, 667), (1000, 667)]")
+def read_large_frames(folder):
+    frames = [Image.new("P", (3000, 2000), i) for i in range(3)]
+    frames[0].save(folder / "a.gif", save_all=True, append_images=frames[1:])
+    read = pictures.read_frames(folder / "a.gif", photographs.MOST_FRAMES)
+    return [frame.size for frame in read]
+
+
+@tries("it holds a list, not names", text="[1, 2]")
+@tries("cannot be read", text=f'{{"a": [1{"0" * 400}, 0, 0, 0]}}')
+@tries("nested too deep", text=DEEP)
+def read_poses(folder, *, text):
+    (folder / "poses.json").write_text(text)
+    return pose_files.read_poses([folder / "poses.json"])
+
+
+@pytest.mark.parametrize("attempt, says", TABLE)
+def test_a_file_is_read_or_refused_in_a_sentence(attempt, says, tmp_path):
+    run_try(attempt, says, tmp_path)
