@@ -18,13 +18,8 @@ python="${PYTHON:-python3}"
 "$folder/empty/bin/python" -m pip install --quiet "$folder"/dist/dpc_jax-*.whl
 cd "$folder"
 export JAX_PLATFORMS=cpu
-"$folder/empty/bin/python" -m dpc_jax.main --config=debug:known_pose
+"$folder/empty/bin/dpc_jax" train --config=debug:known_pose
 test -s "$folder/runs/debug-known_pose-seed0/report/index.html"
-# The command, and the config of the README by its name, with few models and steps.
-"$folder/empty/bin/dpc_jax" train --config=car --config.train.steps=4 \
-    --config.render.keep_levels=1 \
-    --config.data.models=8 --config.data.val_models=4 --config.data.test_models=4
-test -s "$folder/runs/car-seed0/report/index.html"
 "$folder/empty/bin/dpc_jax" compare runs
 test -s "$folder/runs/comparison/index.html"
 "$folder/empty/bin/python" -c "import dpc_jax, pathlib; assert '$folder/empty' in dpc_jax.__file__"

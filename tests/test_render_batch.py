@@ -1,23 +1,19 @@
 """A batch in one call: equal to one at a time, on one device or several."""
 
 import functools
-import json
 import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from quick_programs import QUICK_ENVIRONMENT
 
 import dpc_jax
 from dpc_jax.render import devices
 
-SCRIPT = Path(__file__).with_name("batch_on_devices.py")
 B, N, D, C = 3, 12, 8, 2
 GRID = dpc_jax.VoxelGrid(D)
 RNG = np.random.default_rng(7)
@@ -216,56 +212,3 @@ def test_all_cores_are_those_of_the_process_unless_the_environment_says(before, 
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True
     )
     assert done.stdout.split() == [str(found)] * 2, done.stderr
-
-
-@pytest.fixture(scope="module")
-def on_devices():
-    """What the process with four devices found."""
-    # Float64, and without optimisations, because each program runs once.
-    settings = {"JAX_ENABLE_X64": "1"} | QUICK_ENVIRONMENT
-    done = subprocess.run(
-        [sys.executable, SCRIPT],
-        capture_output=True,
-        text=True,
-        env=os.environ | settings,
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
-
-
-# On how many of the four devices the result lies.
-PLACES = {
-    "as many each": 4,
-    "not divisible": 3,  # two each
-    "fewer than devices": 2,
-    "one": 1,
-    "all at once": 4,
-    "two at once": 3,
-    "compiled": 3,
-    "gradient": None,
-    "compiled gradient": None,
-    "gradient of what is shared": None,
-    "two devices": 2,
-    "another device": 1,
-    "arrays elsewhere": 4,
-    "default device": 1,
-    "mesh": 4,
-    "explicit mesh": 4,
-    "explicit mesh, not divisible": 4,
-    "shard_map": 2,
-    "pmap": None,
-    "vmap": None,
-    "nothing": None,
-}
-
-
-@pytest.mark.parametrize("case", PLACES)
-def test_on_four_devices_a_batch_is_that_of_one_at_a_time(case, on_devices):
-    found = on_devices[case]
-    assert found["difference"] < 1e-12  # float64, some hundred operations
-    if PLACES[case]:
-        assert found["devices"] == PLACES[case]
-
-
-def test_every_case_of_the_process_is_looked_at(on_devices):
-    assert set(on_devices) == set(PLACES)

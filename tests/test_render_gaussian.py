@@ -50,16 +50,6 @@ def test_a_point_of_size_zero_falls_on_the_nearest_cell_and_a_tie_is_shared():
     assert np.count_nonzero(volume) == 3
 
 
-def test_an_isotropic_covariance_is_that_sigma():
-    rng, coordinates, values = make_points()
-    sigmas = rng.choice([0.1, 0.5, 1.0, 3.0], 30)
-    matrices = np.eye(3) * sigmas[:, None, None] ** 2
-    with jax.enable_x64(True):
-        volume = fill_covariances(coordinates, values, matrices)
-        expected = fill(coordinates, values, sigmas)
-    np.testing.assert_allclose(volume, expected, atol=1e-14)
-
-
 def test_a_well_sampled_covariance_gives_the_continuous_density():
     rng, coordinates, values = make_points()
     half = rng.normal(size=(30, 3, 3)) * rng.uniform(0.3, 2, (30, 1, 1))
@@ -259,24 +249,3 @@ def test_perspective_zooms_a_covariance_by_its_derivative():
     np.testing.assert_allclose(
         moved[0], np.diag([9 * 0.75**2, 4 * 0.75**2, 16.0]), rtol=1e-14
     )
-
-
-@pytest.mark.parametrize("distance", [1.5, 2.0, 4.0])
-def test_the_linear_perspective_of_a_covariance_is_close_for_small_points(distance):
-    # Moments of 200,000 projected samples: noise below 1 %. What is left out is of
-    # relative order (sigma / z)², here (0.05 / 1.5)² = 0.1 %.
-    rng = np.random.default_rng(0)
-    half = rng.normal(size=(3, 3)) * 0.03
-    matrix, centre = half @ half.T, np.array([0.2, -0.1, distance])
-    samples = rng.multivariate_normal(centre, matrix, 200_000)
-    x, y, z = samples.T
-    image = np.stack([1.8 * y / z, 1.8 * x / z, z], axis=-1)
-    with jax.enable_x64(True):
-        moved = covariances.move_covariance(
-            jnp.asarray(matrix[None]),
-            jnp.asarray(centre[None]),
-            jnp.eye(3),
-            camera=dpc_jax.Camera(1.8, distance),
-            grid=dpc_jax.VoxelGrid(16),
-        )
-    np.testing.assert_allclose(moved[0], np.cov(image.T), rtol=0.03, atol=3e-6)

@@ -163,31 +163,6 @@ def test_sizes_of_zero_among_others_have_no_slope_and_spoil_none():
     assert np.sum(slope * away) == pytest.approx((sides[0] - sides[1]) / 2e-6, abs=1e-7)
 
 
-def test_cells_with_an_equal_maximum_share_the_gradient():
-    # Two points on the middles of two cells of one pixel, a third cell fainter.
-    points = jnp.array([[0.125, 0.125, z] for z in (0.125, -0.125, 0.375)])
-
-    @jax.jit
-    @jax.value_and_grad
-    def differentiate(scale):
-        return jnp.sum(
-            dpc_jax.project(
-                points,
-                jnp.eye(3),
-                sigma=0.0,
-                scale=scale,
-                camera=dpc_jax.Camera(projection="orthographic"),
-                grid=dpc_jax.VoxelGrid(4),
-                ray_rule="maximum",
-            ).silhouette
-        )
-
-    with compiling_quickly():
-        value, slope = differentiate(jnp.array([0.5, 0.5, 0.25]))
-    assert value == 0.5
-    np.testing.assert_array_equal(slope, [0.5, 0.5, 0.0])
-
-
 # Standard deviation over distance; a round point in the middle, at the corner of the
 # image, and one at the corner that is 1 : 1 : 5 long along the axis of view.
 FOCAL, DISTANCE = 1.875, 2.0

@@ -34,28 +34,6 @@ def render(inputs, method="trilinear", ray_rule="termination"):
     return image.silhouette, dpc_jax.voxelize(*where, **options)
 
 
-@pytest.mark.parametrize("name", ["points", "sigma", "scale"])
-def test_the_maximum_along_a_ray_has_the_gradient_of_the_fullest_cell(name):
-    with jax.enable_x64(True), compiling_quickly():
-        inputs = {k: jnp.asarray(v) for k, v in make_inputs().items()}
-        away = np.random.default_rng(2).normal(size=inputs[name].shape)
-        _, gradients = differentiate_maximum(inputs)
-        slope = np.sum(np.asarray(gradients[name]) * away)
-        sides = [
-            float(differentiate_maximum(inputs | {name: inputs[name] + by * away})[0])
-            for by in (1e-7, -1e-7)
-        ]
-        numeric = (sides[0] - sides[1]) / 2e-7
-    assert slope == pytest.approx(numeric, rel=1e-5, abs=1e-5)
-
-
-@jax.jit
-@jax.value_and_grad
-def differentiate_maximum(inputs):
-    image, _ = render(inputs, ray_rule="maximum")
-    return jnp.sum(image * jnp.cos(jnp.arange(image.size)).reshape(image.shape))
-
-
 def make_single():
     return {k: jnp.asarray(v, "f4") for k, v in make_inputs().items()}
 
