@@ -28,7 +28,8 @@ from dpc_jax.data.sets.photographs import Request, read_photographs
 from dpc_jax.outputs import show_text
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.gallery import draw_predictions
-from dpc_jax.run import predicted_objects, prediction, refinement
+from dpc_jax.run import prediction
+from dpc_jax.run.prediction import objects as predicted_objects
 from dpc_jax.run.workdir import claim_workdir
 
 TABLE = Table()
@@ -255,23 +256,17 @@ def show_a_set_with_a_name_that_is_no_text(folder):
     return said.getvalue()
 
 
-@tries("10", cut=lambda content: content[:-90])
+@tries("10", cut=lambda content: content[:-9])
 @tries("10", cut=lambda content: b"")
 @tries("0.0", cut=lambda content: content)
 def refine_with_codes(folder, *, cut):
-    """Refinement with a codes.npz of this content, where measuring gives ones."""
-    whole = io.BytesIO()
-    np.savez(whole, step=3, directions=np.zeros((2, 5), np.float32))
-    (folder / "report").mkdir()
-    (folder / "report" / "codes.npz").write_bytes(cut(whole.getvalue()))
-    state: Any = SimpleNamespace(step=3)
-    none: Any = lambda: None  # noqa: E731
+    """Refinement with kept directions of this content, where measuring gives ones."""
+    whole = np.zeros((2, 5), np.float32).tobytes()
+    (folder / "codes-3.f32").write_bytes(cut(whole))
     ones = np.ones((2, 5), np.float32)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(refinement, "measure_directions", lambda *_: ones)
-        for _ in range(2):  # what is measured is kept
-            found = refinement.read_directions(folder, none, state, none, width=5)
-    return found.sum()
+    read = predicted_objects.read_directions
+    read(folder, 3, 5, lambda: ones)
+    return read(folder, 3, 5, list).sum()  # what is measured is kept
 
 
 @tries("['RUN/data', '/asked']")
@@ -285,12 +280,12 @@ def refine_with_a_cache_folder_of_others(folder):
         raise ValueError("Enough.")
 
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(predicted_objects, "read_config", lambda _: config)
         patch.setattr(predicted_objects, "make_network", stop)
         for data in (None, Path("/asked")):
             with contextlib.suppress(ValueError):
-                predicted_objects.predict_objects(
-                    [], config, folder, is_refined=True, data=data
-                )
+                request = prediction.PredictRequest([], folder, folder, data=data)
+                predicted_objects.predict_objects([], request)
     return [place.replace(str(folder), "RUN") for place in places]
 
 
@@ -299,7 +294,7 @@ def ask_for_more_points_than_there_are(_):
     said = io.StringIO()
     with contextlib.redirect_stderr(said):
         cloud: Any = SimpleNamespace(points=np.zeros((1200, 3)))
-        prediction._say_how_many([cloud], 10**8)
+        prediction.warn_of_few_points([cloud], 10**8)
     assert "1,200 points" in said.getvalue()
     return said.getvalue()
 
