@@ -267,10 +267,10 @@ def _align(*arrays):
 
 _POINTS, _SIGMA = Range((5, 3)), Range((), 0, LARGEST, (0, 4))
 _SIGMAS, _SCALE = Range((5,), 0, LARGEST, (0, 4)), Range((5,), 0, 1e6, (0, 2))
-_TURN = Range((4,), -1e37, 1e37, smallest=1e-6, usual=(-1, 1))
+_TURN = Range((4,), smallest=1e-6, usual=(-1, 1))
 _STEEP_TURN = Range((4,), smallest=1e-30, usual=(-1, 1))
 _CAMERA = (
-    Range((3,)),  # translation
+    Range((3,), -1e30, 1e30),  # translation
     Range((), 1e-6, 1e6, (1, 2)),  # focal length
     Range((), -1e6, 1e6, (0.5, 3)),  # distance
     Range((), -1e6, 1e6, (0, 10)),  # depth of the background
@@ -293,8 +293,9 @@ _PERSPECTIVE = {"projection": "perspective", "ray_rule": "termination"}
 _FLAT = {"projection": "orthographic", "ray_rule": "maximum"}
 _LIMIT = (
     "masses, occupancies, |colours|, |distance| and |background| ≤ 1e6, focal length "
-    "1e-6 to 1e6, |q| 0 or 1e-6 to 1e37: a gradient is a product of all these (and of "
-    "1/|q|), and must be a float32; any points, translation and sigma ≥ 0"
+    "1e-6 to 1e6, |q| 0 or ≥ 1e-6: a gradient is a product of all these (and of "
+    "1/|q|), and must be a float32; any points and sigma ≥ 0; |translation| ≤ 1e30: "
+    "one that brings a point of 3e38 back into view gives q a gradient beyond float32"
 )
 _KINDS = "; |covariance| ≤ 3e6, some of them indefinite, which is no covariance"
 _STEEP = "components 0 or ≥ 1e-30 (the gradient grows as 1/|q|)"
