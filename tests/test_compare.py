@@ -10,10 +10,10 @@ from tiny_runs import tiny_config
 
 from dpc_jax import compare
 from dpc_jax.config import replace_fields, to_json
-from dpc_jax.reporting.comparison import curves
-from dpc_jax.reporting.comparison.groups import ComparedRun, find_best, group_runs
-from dpc_jax.reporting.comparison.page import write_comparison
-from dpc_jax.run.comparison import find_workdirs, read_runs
+from dpc_jax.reporting import comparison, style
+from dpc_jax.reporting.comparison import write_comparison
+from dpc_jax.reporting.groups import ComparedRun, find_best, group_runs
+from dpc_jax.run.comparison import find_workdirs, name_absent, read_runs
 
 
 def write_run(folder, *, seed=0, accuracy=None, **changes):
@@ -90,14 +90,14 @@ def test_the_page_has_each_run_its_settings_and_its_curves_and_fetches_nothing(
     out = tmp_path / "out"
     assert compare.main([str(runs), f"--out={out}"]) == 0
     printed = capsys.readouterr().out
-    assert "| car, 3 seeds | 93.0 ± 3.6 |" in printed
-    assert "car-long-seed0 is not finished: step 10 of 40." in printed
+    assert "| car, 3 seeds | ▸ 93.0 ± 3.6 |" in printed
+    assert "| car-long-seed0 (step 10 of 40) | – |" in printed
     page = (out / "index.html").read_text(encoding="utf-8")
     for folder in runs.iterdir():
         assert folder.name in page
         assert re.search(rf'id="line-\d-chamfer-{folder.name}"', page)
     assert "<mark>pose.candidates 1</mark>" in page
-    assert "step 10 of 40" in page and "1.5 ± 0.0" in page  # minutes
+    assert "step 10 of 40" in page and "90 ± 0" in page  # seconds
     assert not re.search(r"""(src|href)=["'](https?:)?//""", page)
     assert (out / "curves.png").stat().st_size > 1000
 
@@ -110,10 +110,10 @@ def test_thirty_groups_have_looks_of_their_own_and_no_last_point_is_cut(
         ComparedRun(f"a-rather-long-name-{i}", fields={"x": i}, records=lines)
         for i in range(30)
     )
-    looks = {tuple(curves._look(index).values()) for index in range(30)}
+    looks = {tuple(comparison._look(index).values()) for index in range(30)}
     assert len(looks) == 30
     drawn = []
-    monkeypatch.setattr(curves.style, "save_figure", lambda f, path: drawn.append(f))
+    monkeypatch.setattr(style, "save_figure", lambda f, path: drawn.append(f))
     page = write_comparison(tmp_path, groups).read_text(encoding="utf-8")
     assert page.count("-legend") >= 30
     (figure,) = drawn
@@ -129,6 +129,19 @@ def test_runs_of_the_same_name_are_told_apart_by_their_folders(tmp_path):
     folders = [write_run(tmp_path / name / "car-seed0") for name in ("old", "new")]
     names = [run.name for run in read_runs(find_workdirs(folders))]
     assert names == ["old/car-seed0", "new/car-seed0"]
+
+
+def test_a_comparison_says_whose_figures_are_absent():
+    def name(**metrics):
+        runs = [ComparedRun(n, metrics=m, fields={"n": n}) for n, m in metrics.items()]
+        return name_absent(group_runs(runs))
+
+    whole = {"pose_accuracy": 1.0, "chamfer": 2.0}
+    assert name(a=whole) == ""
+    said = name(a=whole, b=whole | {"pose_accuracy": None})
+    assert "is absent: b had no truth" in said and "given the poses" in said
+    # A column that no run has figures for is none; nor has an unfinished run any yet.
+    assert name(known={"chamfer": 2.0}) == "" and name(a=whole, b={}) == ""
 
 
 def refuse(arguments, capsys):

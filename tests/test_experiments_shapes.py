@@ -19,8 +19,8 @@ from dpc_jax.evaluation.alignment import identity_alignment
 from dpc_jax.experiments import correspondences, interpolation, point_sizes
 from dpc_jax.learning.predictions import make_inputs
 from dpc_jax.learning.training.checkpoints import Checkpoints
-from dpc_jax.reporting import point_sizes as figures
-from dpc_jax.reporting.ellipsoids import DEVIATIONS, draw_ellipsoids
+from dpc_jax.reporting import paper_figures as figures
+from dpc_jax.reporting.clouds import DEVIATIONS, draw_ellipsoids
 from dpc_jax.run.finished import load_split, predict_points, read_run
 from dpc_jax.run.workdir import claim_workdir, write_alignment
 

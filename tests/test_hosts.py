@@ -169,6 +169,7 @@ def test_two_processes_begin_with_what_another_run_has_learned(command, alone):
     assert read_losses(one)[1] != alone[1]
 
 
+@pytest.mark.slow
 def test_processes_with_other_configs_are_refused_and_nothing_is_written(command):
     workdir = command.folder / "differing"
     for process in command.start_two(workdir, second={"train.learning_rate": 0.5}):

@@ -4,11 +4,25 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dpc_jax.reporting.panels import draw_grid, write_animation
-from dpc_jax.reporting.spheres import draw_spheres, shade_depth
+from dpc_jax.reporting.clouds import draw_spheres, shade_depth, view_points
+from dpc_jax.reporting.gallery import (
+    FRAMES,
+    draw_grid,
+    silhouette_difference,
+    write_animation,
+    write_turntable,
+)
 
 FRONT = (0.0, 0.0)
 RED, BLUE = [1.0, 0, 0], [0, 0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("view", "nearest"), [((0, 0), 0), ((90, 0), 1), ((123, 90), 2), ((180, 0), 3)]
+)
+def test_a_viewer_sees_the_side_its_angles_name(view, nearest):
+    corners = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]], float)
+    assert np.argmax(view_points(corners, view)[:, 2]) == nearest
 
 
 def test_a_sphere_is_a_disc_of_its_size_at_its_place():
@@ -51,6 +65,15 @@ def test_a_grid_has_its_pictures_in_reading_order_and_leaves_holes_empty(tmp_pat
         draw_grid([], path)
 
 
+def test_the_difference_is_positive_where_the_prediction_is_too_large():
+    target, predicted = np.zeros((2, 2)), np.zeros((4, 4))
+    predicted[0, 0], target[1, 1] = 1.0, 0.5
+    got = silhouette_difference(predicted, target)
+    assert got.shape == (4, 4)
+    assert got[0, 0] == 1.0
+    assert np.all(got[2:, 2:] == -0.5)
+
+
 def test_an_animation_repeats_without_end_and_keeps_its_times(tmp_path):
     frames = [np.full((16, 16, 3), shade, np.uint8) for shade in (0, 120, 240)]
     path = write_animation(frames, tmp_path / "a.gif", milliseconds=[500, 80, 80])
@@ -63,5 +86,20 @@ def test_an_animation_repeats_without_end_and_keeps_its_times(tmp_path):
             shades.append(int(np.array(animation.convert("L"))[8, 8]))
     assert times == [500, 80, 80]
     np.testing.assert_allclose(shades, [0, 120, 240], atol=2)  # of 128 colours
-    with pytest.raises(ValueError, match="frames must be at least one"):
-        write_animation([], path)
+
+
+@pytest.mark.parametrize("kind", ["gif", "webp"])
+def test_a_turntable_turns_once_in_the_colours_that_are_given(tmp_path, kind):
+    points = np.random.default_rng(0).normal(size=(60, 3)) * [0.2, 0.05, 0.05]
+    path = tmp_path / f"cloud.{kind}"
+    write_turntable(path, points, np.broadcast_to(RED, points.shape), size=160)
+    with Image.open(path) as image:
+        assert image.n_frames == FRAMES
+        first = np.asarray(image.convert("RGB"), int)
+        image.seek(FRAMES // 4)
+        quarter = np.asarray(image.convert("RGB"), int)
+    # A rod looks wider from its side than from its end.
+    widths = [np.ptp(np.nonzero((a[..., 1] < 200).any(0))[0]) for a in (first, quarter)]
+    assert abs(widths[0] - widths[1]) > 5
+    middle = first[80, 80]
+    assert middle[0] > 1.5 * middle[1:].max()  # what is far fades towards white

@@ -10,18 +10,15 @@ from pathlib import Path
 import pytest
 
 from dpc_jax.config import Config, replace_fields
-from dpc_jax.run.hosts.agreement import Job, _list_versions, _name_differences
+from dpc_jax.run.hosts.agreement import Job, list_versions, name_differences
 from dpc_jax.run.hosts.places import Place, find_in_slurm, find_place
 
 ROOT = Path(__file__).parents[1]
 
 
-def test_flags_give_a_place():
+def test_flags_give_a_place_in_a_job_of_several(monkeypatch):
     assert find_place("node01:7777", 4, 3) == Place("node01:7777", 4, 3)
     assert find_place("[::1]:7777", 2, 0) == Place("[::1]:7777", 2, 0)
-
-
-def test_a_job_of_one_process_is_none(monkeypatch):
     assert find_place("node01:7777", 1, 0) is None
     monkeypatch.delenv("SLURM_STEP_NODELIST", raising=False)
     assert find_place(None, None, None) is None
@@ -81,13 +78,13 @@ def test_a_slurm_task_without_others_is_on_its_own():
 def test_what_processes_differ_in_is_named_and_what_may_differ_is_not():
     config = Config("car")
     changes = {"data": dict(cache_dir="/other"), "train": dict(steps=7)}
-    told = [_list_versions(config), _list_versions(replace_fields(config, changes))]
-    assert _name_differences(told) == (
+    told = [list_versions(config), list_versions(replace_fields(config, changes))]
+    assert name_differences(told) == (
         "process 1 differs from process 0 in config.train.steps (6300 there, 7 here)"
     )
-    assert _name_differences([told[0], told[0]]) == ""
+    assert name_differences([told[0], told[0]]) == ""
     old = told[0] | {"the version of jax": "0.1"}
-    assert "the version of jax" in _name_differences([told[0], told[0], old])
+    assert "the version of jax" in name_differences([told[0], told[0], old])
 
 
 def test_a_process_on_its_own_waits_for_nobody():
@@ -138,13 +135,12 @@ with joining(Place(address, 2, process)) as job:
 """
 
 
-@pytest.mark.parametrize("devices", [1, 2])
-def test_two_processes_tell_each_other_fail_together_and_stop_at_one_step(devices):
+def test_two_processes_tell_each_other_fail_together_and_stop_at_one_step():
     command = [sys.executable, "-c", JOB]
     address = f"127.0.0.1:{find_port()}"
     started = [
         subprocess.Popen(
-            [*command, str(process), address, str(devices)],
+            [*command, str(process), address, "2"],
             stderr=subprocess.PIPE,
             text=True,
             cwd=ROOT,
@@ -163,15 +159,15 @@ def test_two_processes_tell_each_other_fail_together_and_stop_at_one_step(device
     assert 5 <= found[0]["steps"] <= 7
 
 
-def start(*flags, seconds=2):
-    """The main command as one process of a job; it has this long to find the others."""
+def start(*flags):
+    """The main command as one process of a job; it has 2 s to find the others."""
     return subprocess.run(
         [sys.executable, "-m", "dpc_jax.main", f"--config={ROOT}/configs/debug.py"]
         + list(flags),
         capture_output=True,
         text=True,
         timeout=300,
-        env=os.environ | {"JAX_PLATFORMS": "cpu", "DPC_JAX_JOIN_SECONDS": str(seconds)},
+        env=os.environ | {"JAX_PLATFORMS": "cpu", "DPC_JAX_JOIN_SECONDS": "2"},
     )
 
 
@@ -181,21 +177,19 @@ def find_port():
         return found.getsockname()[1]
 
 
-def test_a_coordinator_that_does_not_answer_is_named_with_the_time_waited(tmp_path):
+@pytest.mark.parametrize(
+    ("process", "missing"),
+    [(0, "not all of them came"), (1, "process 0 did not answer")],
+)
+def test_processes_that_do_not_come_are_waited_for_only_so_long(
+    tmp_path, process, missing
+):
     address = f"127.0.0.1:{find_port()}"
-    flags = [f"--coordinator={address}", "--processes=2", f"--workdir={tmp_path / 'w'}"]
-    done = start(*flags, "--process=1")
+    flags = [f"--coordinator={address}", "--processes=2", f"--process={process}"]
+    done = start(*flags, f"--workdir={tmp_path / 'w'}")
     assert done.returncode == 1
-    assert f"process 0, at {address}, but it did not answer within 2 s" in done.stderr
-    assert done.stderr.count("\n") == 1 and not (tmp_path / "w").exists()
-
-
-def test_processes_that_do_not_come_are_waited_for_only_so_long(tmp_path):
-    address = f"127.0.0.1:{find_port()}"
-    flags = [f"--coordinator={address}", "--processes=2", f"--workdir={tmp_path / 'w'}"]
-    done = start(*flags, "--process=0", seconds=1)
-    assert done.returncode == 1
-    assert "must have 2 processes, but not all of them came within 1 s" in done.stderr
+    said = f"the job at {address} must have 2 processes, but {missing} within 2 s"
+    assert f"Process {process}: {said}; start all of them" in done.stderr
     assert done.stderr.count("\n") == 1 and not (tmp_path / "w").exists()
 
 
@@ -208,3 +202,33 @@ def test_a_port_that_is_taken_is_said_so(tmp_path):
     assert done.returncode == 1
     assert f"Expected process 0 to open {address} to the other" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+# The client finds that the coordinator is gone while the process is about to say what
+# it found itself: both happen where process 0, told to end, is the quicker one.
+SCRIPT = """
+import ctypes, os, sys, threading, time
+from dpc_jax.run.hosts.aborts import speaking_for_jax
+
+try:
+    with speaking_for_jax(lambda text: "process 0 has ended") as speak_itself:
+        if sys.argv[1] == "told":
+            speak_itself()
+        os.write(2, b"JAX distributed service detected fatal errors: gone\\n")
+        threading.Thread(target=ctypes.CDLL(None).abort, daemon=True).start()
+        time.sleep(0.5)
+        raise ValueError("process 1 differs")
+except ValueError as error:
+    print(f"Error: {error}", file=sys.stderr, flush=True)
+    os._exit(1)
+"""
+
+
+@pytest.mark.parametrize(
+    "told, said", [("told", "process 1 differs"), ("untold", "process 0 has ended")]
+)
+def test_a_process_that_says_itself_why_it_ends_is_let_finish(told, said):
+    command = [sys.executable, "-c", SCRIPT, told]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert ended.stderr == f"Error: {said}\n"

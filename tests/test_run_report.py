@@ -18,7 +18,7 @@ from dpc_jax.run.report.examples import (
     list_worst,
 )
 from dpc_jax.run.report.summary import list_stages, list_warnings
-from dpc_jax.run.report.training_shapes import TrainingShapes, compare_with_training
+from dpc_jax.run.report.training_shapes import TrainingShapes
 
 
 def test_worst_median_and_best_are_of_different_objects_and_no_view_comes_twice():
@@ -129,7 +129,7 @@ def test_neighbours_are_training_shapes_and_a_copy_is_seen_as_one(sets):
     judged, shapes, examples, _ = show(sets)
     near, mean = examples[0].neighbours
     assert near.title == "Nearest training shape" and near.chamfer < mean.chamfer
-    found = compare_with_training(*judged[:3], shapes)
+    found = shapes.compare(*judged[:3])
     assert found.objects == 6
     assert found.to_truth["Prediction"] == 0
     assert found.to_truth["Nearest training shape"] > 0
@@ -141,7 +141,6 @@ def test_neighbours_are_training_shapes_and_a_copy_is_seen_as_one(sets):
         shapes.find_nearest(np.asarray(judged.dataset.surfaces[0]), 60),
         sets["train"].surfaces[4],
     )
-    assert compare_with_training(*judged[:3], None) is None
 
 
 def test_azimuths_of_right_views_lie_on_the_diagonal(sets):

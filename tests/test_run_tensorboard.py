@@ -9,6 +9,7 @@ from tiny_runs import make_dataset
 
 from dpc_jax.learning.inference.predictor import Predictions
 from dpc_jax.learning.training.records import MetricLog
+from dpc_jax.run import tensorboard
 from dpc_jax.run.tensorboard import (
     PICTURE,
     TensorBoardLog,
@@ -20,8 +21,11 @@ STEPS = (5, 10, 15, 20)
 
 
 @pytest.fixture
-def make_log(tmp_path):
-    """Opens the log of a run as a start of it does."""
+def make_log(tmp_path, monkeypatch):
+    """Opens the log of a run as a start of it does; its pictures show their step."""
+    monkeypatch.setattr(
+        tensorboard, "draw_validation", lambda step, _: np.full((4, 6, 3), step, "u1")
+    )
 
     def make():
         return TensorBoardLog(tmp_path / "metrics.jsonl", tmp_path / "tensorboard")
@@ -38,16 +42,12 @@ def validation_record(step):
     return {"step": step, "seconds": step / 2, "pose_accuracy": 0.5, "chamfer": None}
 
 
-def make_picture(step):
-    return np.full((4, 6, 3), step, np.uint8)
-
-
 def train(log, *steps):
     """What the training loop does; every tenth step is validated."""
     for step in steps:
         log.write(train_record(step))
         if step % 10 == 0:
-            log.show(step, make_picture(step))
+            log.show_validation(step, step, None)
             log.write(validation_record(step))
 
 
@@ -76,7 +76,7 @@ def expected_tensorboard():
     return found
 
 
-def test_tensorboard_has_every_number_share_and_picture(make_log, tmp_path):
+def test_tensorboard_has_every_number_share_and_picture_by_seconds(make_log, tmp_path):
     log = make_log()
     log.cut_after(0)
     train(log, *STEPS)
@@ -86,6 +86,10 @@ def test_tensorboard_has_every_number_share_and_picture(make_log, tmp_path):
     assert len(events) == len(expected_tensorboard()) + 2
     assert set(events) == expected_tensorboard()
     assert [step for step, *_ in events] == sorted(step for step, *_ in events)
+    (path,) = (tmp_path / "tensorboard").iterdir()
+    times = {e.step: e.wall_time for e in read_events(path) if e.summary.value}
+    for step in STEPS:  # of training
+        assert times[step] - times[5] == pytest.approx((step - 5) / 2, abs=1e-3)
 
 
 def test_a_run_that_goes_on_leaves_each_step_once_in_tensorboard(make_log, tmp_path):
@@ -117,17 +121,6 @@ def test_a_log_that_tensorboard_joins_later_is_shown_from_its_start(make_log, tm
     assert events == expected_tensorboard() - {(10, PICTURE, 10)}
 
 
-def test_tensorboard_counts_its_time_in_seconds_of_training(make_log, tmp_path):
-    log = make_log()
-    log.cut_after(0)
-    train(log, *STEPS)
-    log.close()
-    (path,) = (tmp_path / "tensorboard").iterdir()
-    times = {e.step: e.wall_time for e in read_events(path) if e.summary.value}
-    for step in STEPS:
-        assert times[step] - times[5] == pytest.approx((step - 5) / 2, abs=1e-3)
-
-
 def test_a_picture_shows_input_truth_and_prediction_of_each_view():
     dataset = make_dataset(models=3, views=2)
     silhouettes = np.zeros((3, 2, 8, 8))
@@ -135,10 +128,10 @@ def test_a_picture_shows_input_truth_and_prediction_of_each_view():
     fields = dict.fromkeys(Predictions._fields)
     predictions = Predictions(**fields | {"silhouettes": silhouettes})
     picture = draw_validation(predictions, dataset)
-    assert picture.shape == (3 * 64 + 2 * 2, 3 * 64 + 2 * 2, 3)
+    assert picture.shape == (3 * 66, 3 * 66, 3)
     for column in range(3):
-        left = 66 * column
-        tiles = [picture[66 * row :, left:][:64, :64] for row in range(3)]
+        left = 66 * column + 1
+        tiles = [picture[66 * row + 1 :, left:][:64, :64] for row in range(3)]
         np.testing.assert_array_equal(tiles[0][::4, ::4], dataset.images[column, 0])
         np.testing.assert_array_equal(tiles[1][::4, ::4, 0], dataset.masks[column, 0])
         assert np.all(tiles[2][:32] == 255) and np.all(tiles[2][32:] == 0)

@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 from dpc_jax.data import DataSet
 from dpc_jax.data.sources import open_source
 from dpc_jax.data.views import sample_faces
-from dpc_jax.reporting import keypoint_figures
+from dpc_jax.reporting import paper_figures
 from dpc_jax.run.finished import FinishedRun, load_split, predict_points, read_run
 from dpc_jax.run.setup import make_data_specs
 from dpc_jax.shapes.building_blocks import read_labels
@@ -243,7 +243,7 @@ def _draw_pair(path, templates, shapes, rows, pair: _Pair) -> Path:
     """The templates and some test shapes with the points of a pair in colours."""
     count = min(SHOWN, len(shapes.seeds))
     shown = np.linspace(0, len(shapes.seeds) - 1, count).astype(int)
-    return keypoint_figures.draw_transfers(
+    return paper_figures.draw_transfers(
         np.concatenate([templates.images[rows], shapes.images[shown]]),
         np.concatenate([templates.clouds[rows], shapes.clouds[shown]]),
         pair.found,

@@ -12,7 +12,7 @@ import numpy as np
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.chamfer import chamfer_distance
 from dpc_jax.experiments.correspondences import read_first_views
-from dpc_jax.reporting import interpolation_figures
+from dpc_jax.reporting import paper_figures
 from dpc_jax.run.finished import FinishedRun, load_split, predict_points, read_run
 
 PAIRS = 12  # of test images that are measured
@@ -56,10 +56,10 @@ def run(
     shown, columns = pairs[:DRAWN], np.linspace(0, STEPS, COLUMNS).astype(int)
     starts, stops = images[shown[:, 0]], images[shown[:, 1]]
     strip, animation = out / "interpolation.png", out / "interpolation.gif"
-    interpolation_figures.draw_strips(starts, ways[:DRAWN, columns], stops, strip)
+    paper_figures.draw_strips(starts, ways[:DRAWN, columns], stops, strip)
     tour = pairs[:, 0][:TOUR]
     walk = _walk(finished, images[tour], masks[tour])
-    interpolation_figures.animate_tour(images[tour], walk, animation)
+    paper_figures.animate_tour(images[tour], walk, animation)
     caption = "Shapes between two test images, mixed in the first shared layer."
     return measures, [(strip, caption), (animation, "The same, moving.")]
 

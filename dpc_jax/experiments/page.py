@@ -18,10 +18,10 @@ from dpc_jax.experiments.results import Analysis, Results, analyze
 from dpc_jax.experiments.runs import SIZES, SOURCES
 from dpc_jax.files import write_text
 from dpc_jax.learning.training.records import MetricLog
-from dpc_jax.reporting.comparison.curves import draw_comparison
-from dpc_jax.reporting.comparison.groups import ComparedRun, Group
-from dpc_jax.reporting.tables import format_table
-from dpc_jax.reporting.web.markup import assemble_page, embed_chart, make_table
+from dpc_jax.reporting.comparison import draw_comparison
+from dpc_jax.reporting.groups import ComparedRun, Group
+from dpc_jax.reporting.tables import format_table, make_table
+from dpc_jax.reporting.web.markup import assemble_page, embed_chart
 
 INTRODUCTION = (
     "Insafutdinov and Dosovitskiy, Unsupervised Learning of Shape and Pose with "

@@ -18,7 +18,7 @@ from dpc_jax.learning.inference.predictor import (
     make_predictor,
     predict_all,
 )
-from dpc_jax.reporting import point_sizes as figures
+from dpc_jax.reporting import paper_figures as figures
 from dpc_jax.run.finished import restore_state
 from dpc_jax.run.setup import make_data_specs, make_network
 from dpc_jax.run.workdir import read_alignment, read_config

@@ -19,7 +19,7 @@ from dpc_jax.experiments.catalogue import Experiment, Row
 from dpc_jax.experiments.published import MEAN
 from dpc_jax.experiments.runs import Request, Run
 from dpc_jax.files import digest_text, write_json
-from dpc_jax.reporting.comparison.groups import ComparedRun, Group
+from dpc_jax.reporting.groups import ComparedRun, Group
 from dpc_jax.run.setup import make_data_specs
 
 _VALIDATED = 20  # shapes that the mean shape is tuned on, as many as align

@@ -1,14 +1,13 @@
 """Point clouds and surfaces as files: PLY for point cloud tools, GLB for viewers."""
 
-import json
 import os
-import struct
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dpc_jax.files import write_bytes
+from dpc_jax.reporting.examples import Example
 
 _RADIUS = 0.008  # object units; a third of the spacing of 2000 points on a car
 _PLAIN_COLOR = (0.36, 0.53, 0.73)  # sRGB, for points that carry no colour
@@ -19,8 +18,8 @@ _FACES = np.array(  # counter-clockwise seen from outside
     + [[1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
 )
 # The object frame has z up and x to the front, glTF y up and z to the front: the three
-# axes change places, which is this unit quaternion (xyzw, as glTF orders it).
-_UPRIGHT = [-0.5, -0.5, -0.5, 0.5]
+# axes change places.
+_UPRIGHT = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], float)
 
 
 def write_ply(
@@ -39,9 +38,7 @@ def write_ply(
     points, colors = _check_cloud(points, colors)
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
     header += [f"property float {axis}" for axis in "xyz"]
-    rows = np.ascontiguousarray(points, "<f4").view(
-        "u1"
-    )  # a row of bytes for each point
+    rows = np.ascontiguousarray(points, "<f4").view("u1")  # a row for each point
     if colors is not None:
         header += [f"property uchar {name}" for name in ("red", "green", "blue")]
         rows = np.hstack([rows, _bytes(colors)])
@@ -88,9 +85,9 @@ def write_glb(
     linear = np.where(colors <= 0.04045, colors / 12.92, curve)
     rgba = np.full((len(points), 4), 255, dtype="u1")
     rgba[:, :3] = _bytes(linear)
-    faces = _FACES + corners * np.arange(len(points))[:, None, None]
+    faces = (_FACES + corners * np.arange(len(points))[:, None, None]).reshape(-1, 3)
     colors = np.repeat(rgba, corners, axis=0)
-    return write_bytes(path, _assemble_glb(position, normal, colors, faces, "points"))
+    return _write_mesh(path, position, normal, faces, colors, "points")
 
 
 def write_surface(
@@ -115,57 +112,39 @@ def write_surface(
             "Expected a surface with faces, but there are none; a GLB file cannot hold "
             "an empty mesh."
         )
-    # Of each vertex the mean direction of its faces, by their areas.
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    normals = np.zeros_like(vertices)
-    np.add.at(normals, faces, np.cross(b - a, c - a)[:, None])
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals /= np.where(length > 0, length, 1)
     rgba = np.full((len(vertices), 4), 255, dtype="u1")
     rgba[:, :3] = _bytes(np.array(_PLAIN_COLOR) ** 2.2)  # nearly linear light
-    arrays = vertices.astype("<f4"), normals.astype("<f4"), rgba, faces
-    return write_bytes(path, _assemble_glb(*arrays, "surface"))
+    return _write_mesh(path, vertices, None, faces, rgba, "surface")
 
 
-def _assemble_glb(position, normal, colors, faces, name) -> bytes:
-    """One mesh of vertices with normals and colours [V, 4], and faces of indices."""
-    parts = [
-        (position, 5126, "VEC3", 34962),
-        (normal, 5126, "VEC3", 34962),
-        (colors, 5121, "VEC4", 34962),
-        (faces.reshape(-1).astype("<u4"), 5125, "SCALAR", 34963),
-    ]
-    views, accessors, offset = [], [], 0
-    for index, (array, component, kind, target) in enumerate(parts):
-        place = {"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes}
-        views.append(place | {"target": target})
-        content = {"componentType": component, "count": len(array), "type": kind}
-        accessors.append({"bufferView": index} | content)
-        offset += array.nbytes
-    accessors[0]["min"] = parts[0][0].min(axis=0).tolist()
-    accessors[0]["max"] = parts[0][0].max(axis=0).tolist()
-    accessors[2]["normalized"] = True
-    attributes = {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}
-    primitive = {"attributes": attributes, "indices": 3, "material": 0}
-    # The default material is metal, which is black where nothing is reflected.
-    surface = {"metallicFactor": 0.0, "roughnessFactor": 0.8}
-    scene = {
-        "asset": {"version": "2.0", "generator": "dpc_jax"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": name, "rotation": _UPRIGHT}],
-        "meshes": [{"primitives": [primitive]}],
-        "materials": [{"pbrMetallicRoughness": surface}],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": offset}],
-    }
-    text = json.dumps(scene, separators=(",", ":")).encode("ascii")
-    text += b" " * (-len(text) % 4)
-    binary = b"".join(array.tobytes() for array, *_ in parts)  # multiples of 4 bytes
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
-    chunks += struct.pack("<II", len(binary), 0x004E4942) + binary
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+def write_files(example: Example, stem: Path):
+    """STEM.ply of an example's points, and STEM.glb of them or of its surface."""
+    write_ply(stem.with_name(f"{stem.name}.ply"), example.points, example.colors)
+    glb = stem.with_name(f"{stem.name}.glb")
+    if example.mesh is not None:
+        write_surface(glb, *example.mesh)
+    else:
+        write_glb(glb, example.points, example.colors)
+
+
+def _write_mesh(path, vertices, normals, faces, colors, name) -> Path:
+    """A mesh with colours [V, 4]; without normals it is shaded smoothly."""
+    import trimesh  # takes half a second to load: clouds as PLY do without
+
+    mesh = trimesh.Trimesh(
+        vertices, faces, vertex_normals=normals, vertex_colors=colors, process=False
+    )
+    scene = trimesh.Scene()
+    scene.add_geometry(mesh, geom_name=name, node_name=name, transform=_UPRIGHT)
+
+    def finish(tree):
+        # The default material is metal, which is black where nothing is reflected.
+        surface = {"metallicFactor": 0.0, "roughnessFactor": 0.8}
+        tree["materials"] = [{"pbrMetallicRoughness": surface}]
+        tree["meshes"][0]["primitives"][0]["material"] = 0
+
+    options = {"include_normals": True, "tree_postprocessor": finish}
+    return write_bytes(path, scene.export(file_type="glb", **options))
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:

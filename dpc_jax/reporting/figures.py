@@ -22,18 +22,39 @@ from dpc_jax.evaluation.pose import (
 from dpc_jax.reporting import style
 
 # Metrics drawn over run time, with the text at their axis.
-_CURVES = {
+AXIS_TEXTS = {
     "pose_accuracy": "views within 30° (%)",
     "pose_median_error_deg": "degrees",
     "chamfer": "mean distance × 100",
     "silhouette_iou": "of the images (%)",
+    "projection_error": "squares per pixel",
     "stray_points": "of a shape",
     "candidates_alive": "win at least 1 % of the views",
     "loss": "loss (log scale)",
 }
+_CURVES = tuple(name for name in AXIS_TEXTS if name != "projection_error")
 
 Records = Sequence[Mapping[str, Any]]
 Stages = Sequence[tuple[int, str]]
+
+
+def find_curve(records: Records, metric: str) -> tuple[np.ndarray, np.ndarray]:
+    """Seconds and values, in the metric's unit, where both are finite, by time."""
+    pairs = [(line.get("seconds"), line.get(metric)) for line in records]
+    table = np.array(pairs, dtype=np.float64).reshape(-1, 2)  # None becomes NaN
+    table = table[np.isfinite(table).all(axis=1)]
+    seconds, values = table[np.argsort(table[:, 0], kind="stable")].T
+    return seconds, get_metric(metric).factor * values
+
+
+def limit_metric(axes: Axes, metric: str) -> None:
+    """The y axis of a metric's curves: shares whole, all but the loss from zero."""
+    if get_metric(metric).unit == "%":
+        axes.set_ylim(0.0, 100.0)
+    elif metric != "loss":
+        axes.set_ylim(0.0, 1.08 * max(axes.dataLim.y1, 1e-9))
+    elif 0.0 < axes.dataLim.y0 < np.inf:
+        axes.set_yscale("log")
 
 
 def draw_curves(
@@ -45,24 +66,28 @@ def draw_curves(
     """What a run records over its run time, a panel for each measure that is recorded.
 
     Poses, shapes and the overlap of silhouettes are of validation, at one size of the
-    points and one grid; how many pose candidates are alive and the loss
-    are of training, where both change with its stages.
+    points and one grid; how many pose candidates are alive and the loss are of
+    training, where both change with its stages.
 
     Args:
       records: lines of `metrics.jsonl` with `seconds`. Values that are missing or not
         finite are not drawn.
-      path: where to.
       stages: the step that each stage of the schedule begins with and what is new in
         it, drawn as vertical lines.
     """
-    lines = [_count_alive(line) for line in records]
-    found = {metric: _series(lines, metric) for metric in _CURVES}
+    lines = [
+        line | {"candidates_alive": count_alive(line["head_shares"])}
+        if line.get("head_shares") is not None
+        else line
+        for line in map(dict, records)
+    ]
+    found = {metric: find_curve(lines, metric) for metric in _CURVES}
     shown = [m for m, (seconds, _) in found.items() if seconds.size] or ["loss"]
     figure = style.make_figure(9.0, 3.0 * -(-len(shown) // 2))
     panels = style.make_panels(figure, len(shown))
     latest = max(found[metric][0].max(initial=0.0) for metric in shown)
     for axes, metric in zip(panels, shown, strict=True):
-        title, y_label = get_metric(metric).label, _CURVES[metric]
+        title, y_label = get_metric(metric).label, AXIS_TEXTS[metric]
         style.label_axes(axes, title=title, x_label="run time (s)", y_label=y_label)
         _draw_curve(axes, metric, *found[metric])
         axes.set_xlim(0.0, 1.03 * latest or 1.0)
@@ -70,32 +95,16 @@ def draw_curves(
     return style.save_figure(figure, path)
 
 
-def _count_alive(line: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The record with the number of candidates alive, where it has their shares."""
-    shares = line.get("head_shares")
-    return line if shares is None else {**line, "candidates_alive": count_alive(shares)}
-
-
 def _draw_curve(axes: Axes, metric: str, seconds: np.ndarray, values: np.ndarray):
-    values = get_metric(metric).factor * values
-    if seconds.size == 0:
-        place = {"transform": axes.transAxes, "ha": "center", "color": style.MUTED}
-        axes.text(0.5, 0.5, "not recorded", **place)
-        axes.set(xticks=[], yticks=[])
-        return
     if metric == "loss":
         _draw_loss(axes, seconds, values)
     elif metric == "candidates_alive":
         axes.step(seconds, values, where="post", color=style.BLUE, lw=1.5)
+        axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
     else:
         look = {"color": style.BLUE, "ms": 3.5, "clip_on": False, "zorder": 3}
         axes.plot(seconds, values, "o-", **look)
-    if get_metric(metric).unit == "%":
-        axes.set_ylim(0.0, 100.0)
-    elif metric != "loss":
-        axes.set_ylim(0.0, 1.08 * max(axes.dataLim.y1, 1e-9))
-    if metric == "candidates_alive":
-        axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
+    limit_metric(axes, metric)
 
 
 def _mark_stages(axes: Axes, lines: Records, stages: Stages, *, named: bool) -> None:
@@ -118,15 +127,6 @@ def _mark_stages(axes: Axes, lines: Records, stages: Stages, *, named: bool) -> 
             )
 
 
-def _series(lines: Records, key: str) -> tuple[np.ndarray, np.ndarray]:
-    """Seconds and values of the records that hold a finite value, in order of time."""
-    pairs = [(line.get("seconds"), line.get(key)) for line in lines]
-    table = np.array(pairs, dtype=np.float64).reshape(-1, 2)  # None becomes NaN
-    table = table[np.isfinite(table).all(axis=1)]
-    seconds, values = table[np.argsort(table[:, 0], kind="stable")].T
-    return seconds, values
-
-
 def _draw_loss(axes: Axes, seconds: np.ndarray, values: np.ndarray) -> None:
     """The loss, faint where it is noisy, under its running mean."""
     window = max(1, values.size // 40)
@@ -136,8 +136,6 @@ def _draw_loss(axes: Axes, seconds: np.ndarray, values: np.ndarray) -> None:
         values = np.convolve(values, kernel, mode="valid")
         seconds = np.convolve(seconds, kernel, mode="valid")
     axes.plot(seconds, values, color=style.BLUE, lw=1.5)
-    if np.all(values > 0.0):
-        axes.set_yscale("log")
 
 
 def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
@@ -170,10 +168,7 @@ def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
     )
     axes.set(xlim=(0.0, 180.0), xticks=range(0, 181, 30))
     axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
-    # Below, because bars may be high anywhere.
-    look = {"frameon": False, "fontsize": 9, "ncols": 3}
-    handles = [*marks, axes.patches[-1]]
-    figure.legend(handles=handles, loc="outside lower center", **look)
+    style.add_legend(figure, handles=[*marks, axes.patches[-1]], ncols=3)
     return style.save_figure(figure, path)
 
 
@@ -199,7 +194,7 @@ def draw_candidates(shares: ArrayLike, path: str | os.PathLike) -> Path:
     )
     axes.xaxis.set_major_locator(MaxNLocator("auto", integer=True))
     axes.set_ylim(0.0, max(1.15 * percent.max(initial=0.0), 1.0))
-    figure.legend(frameon=False, fontsize=9, loc="outside lower center")
+    style.add_legend(figure)
     return style.save_figure(figure, path)
 
 
@@ -213,7 +208,7 @@ def draw_fit(records: Records, path: str | os.PathLike) -> Path:
     title = "Difference of silhouettes"
     style.label_axes(axes, title=title, x_label="run time (s)", y_label="per pixel")
     for index, side in enumerate(dict.fromkeys(line["side"] for line in records)):
-        seconds, values = _series([r for r in records if r["side"] == side], "loss")
+        seconds, values = find_curve([r for r in records if r["side"] == side], "loss")
         color = style.SERIES[index % len(style.SERIES)]
         axes.plot(seconds, values, color=color, label=f"{side}² pixels")
     axes.set_yscale("log")
@@ -268,6 +263,5 @@ def draw_azimuths(views: ViewPoses, path: str | os.PathLike) -> Path:
         style.label_axes(axes, title=title, x_label=x_label, y_label=y_label)
         axes.set(xlim=(0, 360), xticks=range(0, 361, 90), ylim=(0, top))
         axes.set_yticks(range(0, top + 1, top // 6 if top == 180 else 90))
-    look = {"frameon": False, "fontsize": 9, "ncols": len(_LOOKS)}
-    figure.legend(loc="outside lower center", **look)
+    style.add_legend(figure, ncols=len(_LOOKS))
     return style.save_figure(figure, path)

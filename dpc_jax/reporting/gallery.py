@@ -1,21 +1,78 @@
-"""Pictures of predictions: input, silhouettes, and the cloud from two directions."""
+"""Pictures in a labelled grid, or one after another; predictions as such a grid."""
 
+import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib import colormaps
+from numpy.typing import ArrayLike
+from PIL import Image
 
+from dpc_jax.files import write_bytes
+from dpc_jax.reporting import style
+from dpc_jax.reporting.clouds import FRONT, REAR, draw_cloud
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.spheres import REAR, draw_cloud
-from dpc_jax.reporting.style import (
-    INK,
-    make_table_of_pictures,
-    save_figure,
-    spell_name,
-)
 
+FRAMES = 36  # of a whole turn
+_ELEVATION = 20.0  # of the viewer of a turntable, degrees
 _SHOWN_SURFACE_POINTS = 2000  # about as many as are predicted, to compare fairly
+
+
+def draw_grid(
+    rows: Sequence[Sequence[np.ndarray | None]],
+    path: str | os.PathLike,
+    *,
+    titles: Sequence[str] = (),
+    labels: Sequence[str] = (),
+    framed: int = 0,
+    size: float = 1.9,
+    has_few_colors: bool = False,
+) -> Path:
+    """Write pictures as a grid; None leaves a place empty.
+
+    Args:
+      rows: of pictures [S, S] of 0 to 1, or [S, S, 3], all of one length.
+      titles: of the columns. labels: of the rows, below the first picture.
+      framed: how many pictures of the first row get a dark frame.
+      size: of a picture, inches.
+      has_few_colors: 256, in a third of the bytes: hardly a difference for clouds.
+
+    Raises:
+      ValueError: there are no pictures.
+    """
+    if not rows or not rows[0]:
+        raise ValueError(
+            "rows must hold at least one picture, but there are none; pass pictures."
+        )
+    height = size * len(rows) * (1.12 if labels else 1.02) + (0.3 if titles else 0.05)
+    figure = style.make_figure(size * len(rows[0]), height, is_close=True)
+    grid = figure.subplots(len(rows), len(rows[0]), squeeze=False)
+    for axes, picture in zip(grid.flat, (p for row in rows for p in row), strict=True):
+        if picture is None:
+            axes.set_axis_off()
+        else:
+            style.show_picture(axes, picture)
+    for axes in grid[0, :framed]:
+        axes.spines[:].set(color=style.INK, linewidth=2.2)
+    for axes, title in zip(grid[0], titles, strict=False):
+        axes.set_title(title, fontsize=9, color=style.INK)
+    for axes, label in zip(grid[:, 0], labels, strict=False):
+        # However long it is, the layout keeps room for its height alone.
+        axes.set_xlabel(" ", fontsize=7.5)
+        text = {"va": "top", "fontsize": 7.5, "color": style.INK}
+        axes.text(0, -0.03, label, transform=axes.transAxes, **text).set_in_layout(
+            False
+        )
+    style.save_figure(figure, path)
+    if has_few_colors:
+        buffer = io.BytesIO()
+        with Image.open(path) as drawn:
+            few = drawn.convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE)
+        few.save(buffer, format="PNG", optimize=True)
+        write_bytes(path, buffer.getvalue())
+    return Path(path)
 
 
 def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Path:
@@ -30,57 +87,34 @@ def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Pa
     Raises:
       ValueError: there are no examples.
     """
-    if not examples:
-        raise ValueError(
-            "examples must be at least one, but there are none; pass predictions."
-        )
     titles = "input|target|predicted|difference|shape, front|shape, rear".split("|")
     if any(example.surface is not None for example in examples):
         titles.append("true shape")
-    size = 1.45
-    height = size * len(examples) * 1.12 + 0.35
-    figure = make_table_of_pictures(size * len(titles) + 0.2, height)
-    grid = figure.subplots(len(examples), len(titles), squeeze=False)
-    for row, example in zip(grid, examples, strict=True):
-        _draw_row(row, example)
-    for axes, title in zip(grid[0], titles, strict=True):
-        axes.set_title(title, fontsize=9, color=INK)
-    return save_figure(figure, path)
-
-
-def _draw_row(row, example: Example) -> None:
-    for axes in row:
-        axes.set(xticks=[], yticks=[])
-        axes.spines[:].set_color("#d5dbe1")
-    row[0].imshow(example.image)
-    row[1].imshow(example.target, cmap="gray", vmin=0.0, vmax=1.0)
-    row[2].imshow(example.predicted, cmap="gray", vmin=0.0, vmax=1.0)
-    difference = silhouette_difference(example.predicted, example.target)
-    row[3].imshow(difference, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-    row[4].imshow(draw_cloud(example.points, example.colors))
-    row[5].imshow(draw_cloud(example.points, example.colors, view_deg=REAR))
-    if len(row) > 6:
-        if example.surface is None:
-            row[6].set_axis_off()
-        else:
+    rows, labels = [], []
+    for example in examples:
+        cloud = example.points, example.colors
+        row = [
+            example.image,
+            example.target,
+            example.predicted,
+            draw_difference(example),
+        ]
+        row += [draw_cloud(*cloud), draw_cloud(*cloud, view_deg=REAR), None]
+        if example.surface is not None:
             step = max(1, len(example.surface) // _SHOWN_SURFACE_POINTS)
-            row[6].imshow(draw_cloud(example.surface[::step]))
-    label = spell_name(example.name)
-    if example.pose_error_deg is not None:
-        label += f"   pose error {example.pose_error_deg:.1f}°"
-    # However long it is, the layout keeps room for its height alone.
-    row[0].set_xlabel(" ", fontsize=7.5)
-    below = row[0].annotate(
-        label,
-        (0, 0),
-        xycoords="axes fraction",
-        xytext=(0, -3),
-        textcoords="offset points",
-        va="top",
-        fontsize=7.5,
-        color=INK,
-    )
-    below.set_in_layout(False)
+            row[-1] = draw_cloud(example.surface[::step])
+        rows.append(row[: len(titles)])
+        error = example.pose_error_deg
+        what = "" if error is None else f"   pose error {error:.1f}°"
+        labels.append(style.spell_name(example.name) + what)
+    return draw_grid(rows, path, titles=titles, labels=labels, size=1.45)
+
+
+def draw_difference(example: Example) -> np.ndarray:
+    """Of the silhouettes, uint8 [S, S, 3]: red too large, blue too small."""
+    difference = silhouette_difference(example.predicted, example.target)
+    colors = colormaps["RdBu_r"].with_extremes(bad="white")((difference + 1) / 2)
+    return np.rint(255 * colors[..., :3]).astype(np.uint8)
 
 
 def silhouette_difference(predicted: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -92,3 +126,53 @@ def silhouette_difference(predicted: np.ndarray, target: np.ndarray) -> np.ndarr
         c = np.arange(cols) * image.shape[1] // cols
         stretched.append(image[np.ix_(r, c)].astype(np.float64))
     return stretched[0] - stretched[1]
+
+
+def write_turntable(
+    path: Path, points: ArrayLike, colors: ArrayLike | None = None, *, size: int = 320
+) -> Path:
+    """A cloud that turns without end, as GIF or WebP by the suffix of the path.
+
+    Args:
+      points: [N, 3] in the object frame, z up.
+      colors: [N, 3] of 0 to 1, or None for depth.
+    """
+    azimuths = FRONT[0] + np.arange(FRAMES) * 360.0 / FRAMES
+    views = [(azimuth, _ELEVATION) for azimuth in azimuths]
+    frames = [draw_cloud(points, colors, view_deg=view, size=size) for view in views]
+    return write_animation(frames, path)
+
+
+def write_animation(
+    frames: Sequence[np.ndarray],
+    path: str | os.PathLike,
+    *,
+    milliseconds: Sequence[int] | int = 80,
+) -> Path:
+    """Write frames uint8 [H, W, 3] as an endless GIF or WebP, by the path's suffix.
+
+    All frames of a GIF share 128 colours: what does not change does not flicker.
+
+    Args:
+      milliseconds: that each frame stays, or all of them.
+    """
+    kind = Path(path).suffix[1:].upper()
+    pictures = [Image.fromarray(frame) for frame in frames]
+    if kind == "GIF":
+        spread = frames[:: 1 + len(frames) // 12]
+        sample = Image.fromarray(np.concatenate([f[::2, ::2] for f in spread]))
+        palette = sample.quantize(128, method=Image.Quantize.MAXCOVERAGE)
+        pictures = [
+            p.quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures
+        ]
+    buffer = io.BytesIO()
+    pictures[0].save(
+        buffer,
+        format=kind,
+        save_all=True,
+        append_images=pictures[1:],
+        duration=milliseconds if isinstance(milliseconds, int) else list(milliseconds),
+        loop=0,
+        optimize=False,
+    )
+    return write_bytes(path, buffer.getvalue())

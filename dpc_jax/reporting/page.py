@@ -1,12 +1,12 @@
 """The report of a run: one HTML page that opens anywhere, with its data beside it."""
 
 import functools
-import html
 import json
 import math
 import os
 import re
 from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,75 @@ from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation import metrics as registry
 from dpc_jax.files import write_text
-from dpc_jax.reporting import export, figures, gallery, signals
+from dpc_jax.reporting import figures
 from dpc_jax.reporting.examples import Example, TrainingComparison
-from dpc_jax.reporting.web import cards, sections, viewer
-from dpc_jax.reporting.web.markup import assemble_page, embed_chart, make_table
+from dpc_jax.reporting.export import write_files
+from dpc_jax.reporting.gallery import draw_predictions
+from dpc_jax.reporting.signals import draw_signals
+from dpc_jax.reporting.tables import make_table
+from dpc_jax.reporting.web import cards, viewer
+from dpc_jax.reporting.web.markup import assemble_page, embed_chart, show_hint
+
+_NAMED = 30  # objects
+# Title of a section, and how to read it.
+CAPTIONS = {
+    "predictions": (
+        "Predictions on test views",
+        "Views that the network never trained on. All shapes are lit and seen from the "
+        "same direction, whatever the input's; numbers below them are Chamfer "
+        "distances (× 100) to the true shape, where there is one.",
+    ),
+    "worst_objects": (
+        "The worst objects",
+        "What is wrong with them says what to mend: the difference is red where the "
+        "prediction is too large and blue where it is too small, both as seen from the "
+        "predicted pose; the true shape is on the right.",
+    ),
+    "pose_errors": (
+        "Pose errors",
+        "The angle between predicted and true pose over all test views. Good poses "
+        "pile up at the left, blue bars count as accurate; a second pile near 180°, in "
+        "amber, are views with front and back exchanged.",
+    ),
+    "azimuths": (
+        "Pose errors over azimuth",
+        "Each point is a test view. A band at the top left, or on a dotted line at the "
+        "right, over a range of azimuths is a part of the poses that the network has "
+        "learned the wrong way round; single points are single objects.",
+    ),
+    "training_shapes": (
+        "Beside the training set",
+        "Chamfer distances (× 100) to true shapes and to predictions from the first "
+        "view of each object. A network that copies predicts shapes much nearer to a "
+        "training shape than to the truth. One that ignores its input is no nearer to "
+        "the truth than the mean shape, and its predictions of different objects, in "
+        "the last line, are nearer to each other than the true shapes are. Training "
+        "shapes are true surfaces, parts inside of objects too; the network learns "
+        "from images.",
+    ),
+    "curves": (
+        "Over run time",
+        "Poses, Chamfer distance, silhouettes and stray points are of validation, "
+        "those of which the truth is known: the same size of "
+        "points and the same grid all along, so these curves mean the same from left "
+        "to right. The loss does not: at the dotted lines the number of points and the "
+        "grid change, and between them the points become smaller, so it may climb "
+        "while everything improves. An accuracy that settles near 50 % hints at "
+        "flipped poses; a curve still moving at its right end asks for more steps.",
+    ),
+    "candidates": (
+        "Pose candidates",
+        "How often each member of the pose ensemble explains a view best. Grey bars "
+        "win less than 1 % and have stopped learning; with a single bar left the "
+        "ensemble works like one regressor.",
+    ),
+    "signals": (
+        "Rendered images",
+        "Each signal as the data have it, as the prediction looks from its predicted "
+        "pose, and the difference: red is too large or too far, blue too small or too "
+        "near, and for colours the brighter, the more they differ.",
+    ),
+}
 
 
 def write_report(
@@ -68,60 +133,37 @@ def write_report(
     values = _plain_metrics(metrics)
     text = json.dumps(values, indent=2, sort_keys=True, allow_nan=False) + "\n"
     write_text(folder / "metrics.json", text)
-    parts = []
+    parts = [_begin(title, values, warnings)]
     if examples:
         # One picture of all, for other pages; this one shows them larger.
-        gallery.draw_predictions(examples, folder / "predictions.png")
+        draw_predictions(examples, folder / "predictions.png")
         parts += [
             viewer.show_clouds(examples),
-            sections.introduce("predictions", ranking),
+            _introduce("predictions", ranking),
             cards.show_examples(examples),
             _write_clouds(examples, folder / "points"),
         ]
-    parts.append(_show_worst(folder, *worst))
-    parts.append(_draw(folder, "pose_errors", figures.draw_pose_errors, pose_errors))
-    parts.append(_draw(folder, "azimuths", figures.draw_azimuths, view_poses))
-    if pose_errors is not None:
-        parts.append(sections.describe_failures(values, lost))
-    if comparison:
-        parts.append(sections.introduce("training_shapes"))
-        parts.append(sections.compare_with_training(comparison))
     draw_curves = functools.partial(figures.draw_curves, stages=stages)
-    parts.append(_draw(folder, "curves", draw_curves, records or None))
-    parts.append(_draw(folder, "candidates", figures.draw_candidates, shares))
-    shown = _list_with_signals(examples)
-    parts.append(_draw(folder, "signals", signals.draw_signals, shown, is_photo=True))
-    parts.append(sections.list_metrics(values))
+    rendered = [e for e in examples if set(e.signals) - {"silhouette"}]
+    parts += [
+        _draw(folder, "worst_objects", draw_predictions, *worst, is_photo=True),
+        _draw(folder, "pose_errors", figures.draw_pose_errors, pose_errors),
+        _draw(folder, "azimuths", figures.draw_azimuths, view_poses),
+        "" if pose_errors is None else _describe_failures(values, lost),
+        _compare_with_training(comparison) if comparison else "",
+        _draw(folder, "curves", draw_curves, records),
+        _draw(folder, "candidates", figures.draw_candidates, shares),
+        _draw(folder, "signals", draw_signals, rendered, is_photo=True),
+        _list_metrics(values),
+    ]
     if config_text:
-        parts.append(sections.show_config(config_text))
+        parts.append(
+            "<h2>Configuration</h2><details><summary>Show the settings of this run"
+            f"</summary><pre>{escape(config_text)}</pre></details>\n"
+        )
     if examples:
         parts.append(viewer.embed_scripts(examples))
-    page = _assemble(title, values, warnings, parts)
-    return write_text(folder / "index.html", page)
-
-
-def _draw(folder, name, draw, data, *, is_photo: bool = False) -> str:
-    """A section with a figure; "" where there are no data for it."""
-    if data is None:
-        return ""
-    path = draw(data, folder / f"{name}.png")
-    title, _ = sections.CAPTIONS[name]
-    return sections.introduce(name) + embed_chart(path, title, is_photo=is_photo)
-
-
-def _show_worst(folder: Path, examples: Sequence[Example], ranking: str) -> str:
-    """The section of the worst objects; "" without any."""
-    if not examples:
-        return ""
-    path = gallery.draw_predictions(examples, folder / "worst_objects.png")
-    title, _ = sections.CAPTIONS["worst_objects"]
-    start = sections.introduce("worst_objects", ranking)
-    return start + embed_chart(path, title, is_photo=True)
-
-
-def _list_with_signals(examples: Sequence[Example]) -> list[Example] | None:
-    """Examples with renders of more than the silhouette; None if there are none."""
-    return [e for e in examples if set(e.signals) - {"silhouette"}] or None
+    return write_text(folder / "index.html", assemble_page(title, "".join(parts)))
 
 
 def _plain_metrics(metrics: Mapping[str, Any]) -> dict[str, Any]:
@@ -148,17 +190,32 @@ def _plain_metrics(metrics: Mapping[str, Any]) -> dict[str, Any]:
     return plain
 
 
-def _assemble(title, values, warnings, parts) -> str:
-    """The page: warnings, the headline metrics as tiles, then the sections."""
-    notes = "".join(f'<p class="warning">{html.escape(note)}</p>' for note in warnings)
+def _begin(title, values, warnings) -> str:
+    """The heading, warnings, and the headline metrics as tiles."""
+    notes = "".join(f'<p class="warning">{escape(note)}</p>' for note in warnings)
     shown = (*registry.HEADLINE_METRICS, "silhouette_iou")  # known of every set
     tiles = ""
     for name in registry.order_metrics(n for n in shown if values.get(n) is not None):
-        value = html.escape(registry.format_metric(name, values[name]))
-        heading = html.escape(registry.get_metric(name).heading)
+        value = escape(registry.format_metric(name, values[name]))
+        heading = escape(registry.get_metric(name).heading)
         tiles += f'<div class="tile"><b>{value}</b><span>{heading}</span></div>'
-    top = f'<h1>{html.escape(title)}</h1>\n{notes}<div class="tiles">{tiles}</div>\n'
-    return assemble_page(title, top + "".join(parts))
+    return f'<h1>{escape(title)}</h1>\n{notes}<div class="tiles">{tiles}</div>\n'
+
+
+def _introduce(name: str, more: str = "") -> str:
+    """The title of a section, and how to read it."""
+    title, caption = CAPTIONS[name]
+    text = f"{more} {caption}" if more else caption
+    return f"<h2>{escape(title)}</h2><p>{escape(text)}</p>"
+
+
+def _draw(folder, name, draw, data, more: str = "", *, is_photo: bool = False) -> str:
+    """A section with a figure; "" where there are no data for it."""
+    if data is None or (isinstance(data, Sequence) and not data):
+        return ""
+    path = draw(data, folder / f"{name}.png")
+    chart = embed_chart(path, CAPTIONS[name][0], is_photo=is_photo)
+    return _introduce(name, more) + chart
 
 
 def _write_clouds(examples: Sequence[Example], folder: Path) -> str:
@@ -168,22 +225,12 @@ def _write_clouds(examples: Sequence[Example], folder: Path) -> str:
         stem = _file_name(example.name, taken)
         write_files(example, folder / stem)
         links = [f'<a href="points/{stem}.{k.lower()}">{k}</a>' for k in ("GLB", "PLY")]
-        rows.append((html.escape(viewer.name_example(example)), " ".join(links)))
+        rows.append((escape(viewer.name_example(example)), " ".join(links)))
     return (
         "<details><summary>The same shapes as files</summary><p>GLB opens in any 3D "
         "viewer, PLY in point cloud tools; both are in the object frame of the data "
         f"set.</p>{make_table(rows)}</details>\n"
     )
-
-
-def write_files(example: Example, stem: Path):
-    """STEM.ply of an example's points, and STEM.glb of them or of its surface."""
-    export.write_ply(stem.with_name(f"{stem.name}.ply"), example.points, example.colors)
-    glb = stem.with_name(f"{stem.name}.glb")
-    if example.mesh is not None:
-        export.write_surface(glb, *example.mesh)
-    else:
-        export.write_glb(glb, example.points, example.colors)
 
 
 def _file_name(name: str, taken: set[str]) -> str:
@@ -194,3 +241,56 @@ def _file_name(name: str, taken: set[str]) -> str:
         unique, count = f"{stem}_{count}", count + 1
     taken.add(unique.lower())
     return unique
+
+
+def _compare_with_training(comparison: TrainingComparison) -> str:
+    """Distances to the true shapes and to the predictions."""
+    parts = comparison.to_truth, comparison.to_prediction
+    rows = [
+        (escape(name), *(registry.format_metric("chamfer", p.get(name)) for p in parts))
+        for name in dict.fromkeys([*parts[0], *parts[1]])
+    ]
+    heads = ("", "to the true shape", "to the prediction")
+    count = comparison.objects
+    note = f"Means over {count} test {'object' if count == 1 else 'objects'}."
+    table = make_table(rows, heads, kind="numbers")
+    return _introduce("training_shapes") + table + show_hint(note)
+
+
+def _describe_failures(values: Mapping[str, Any], lost: Sequence[str]) -> str:
+    """What the wrong views are, and which objects are wrong in all of theirs."""
+    names = (
+        "wrong_half_turn_share",
+        "wrong_mirror_share",
+        "truth_cheaper_share",
+        "wrong_object_share",
+    )
+    known = [name for name in names if values.get(name) is not None]
+    rows = [_make_row(name, values[name]) for name in known]
+    text = f"<h3>What the wrong views are</h3>{make_table(rows)}" if rows else ""
+    if lost:
+        shown = ", ".join(lost[:_NAMED]) + (", ..." if len(lost) > _NAMED else "")
+        text += f"<p>Wrong in all views: {escape(shown)}.</p>"
+    return text
+
+
+def _list_metrics(values: Mapping[str, Any]) -> str:
+    """A table of all metrics, each with its meaning."""
+    rows = []
+    for name in registry.order_metrics(values):
+        better = registry.get_metric(name).higher_is_better
+        more = {None: "", True: "; higher is better", False: "; lower is better"}
+        rows.append(_make_row(name, values[name], more[better]))
+    return (
+        "<h2>All metrics</h2><p>Of the test split; the same numbers, unrounded and "
+        'with shares from 0 to 1, are in <a href="metrics.json">metrics.json</a>.</p>'
+        + make_table(rows)
+    )
+
+
+def _make_row(name: str, value: Any, more: str = "") -> tuple[str, str, str]:
+    """A metric with its value and its meaning."""
+    metric = registry.get_metric(name)
+    hint = metric.hint + more if metric.hint else ""
+    shown = escape(registry.format_metric(name, value))
+    return escape(metric.heading), shown, show_hint(hint)

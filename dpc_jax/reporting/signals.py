@@ -8,12 +8,18 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import Normalize
 
+from dpc_jax.reporting import style
 from dpc_jax.reporting.examples import Example, SignalImages
-from dpc_jax.reporting.style import INK, make_figure, save_figure, spell_name
 
 _EMPTY = "#eef1f4"  # the background of depths
 _DEPTH_DIFFERENCE = 0.25  # box diagonals at the ends of the scale
 _SIZE = 1.2  # inches, of an image
+_UNITS = {
+    "depth": "depth (box diagonals)",
+    "depth difference": "nearer – farther",
+    "silhouette difference": "missing – too much",
+    "color difference": "same – other colour",
+}
 
 
 def draw_signals(examples: Sequence[Example], path: str | os.PathLike) -> Path:
@@ -25,107 +31,72 @@ def draw_signals(examples: Sequence[Example], path: str | os.PathLike) -> Path:
     on one scale for all rows; the background is grey. The difference of colours is
     their distance, black for none.
 
-    Raises:
-      ValueError: there are no examples, or they have no such images.
+    Args:
+      examples: at least one, all with images of the same signals.
     """
-    names = list(examples[0].signals) if examples else []
-    if not names:
-        raise ValueError(
-            "examples must be at least one with images of signals, but there are none; "
-            "pass predictions with their renders."
-        )
+    names = list(examples[0].signals)
     columns, rows = 1 + 3 * len(names), len(examples)
-    figure = make_figure(_SIZE * columns, _SIZE * rows * 1.1 + 0.8)
+    figure = style.make_figure(_SIZE * columns, _SIZE * rows * 1.1 + 0.8)
     cells = figure.add_gridspec(rows + 1, columns, height_ratios=[1] * rows + [0.35])
     limits = _find_depths(examples)
-    scales = {}
+    titles = ["input"]
+    for name in names:
+        titles += [f"{name}, {what}" for what in ("target", "rendered", "difference")]
+    scales = {}  # (image, its first column, the one after)
     for number, example in enumerate(examples):
         row = [figure.add_subplot(cells[number, i]) for i in range(columns)]
-        scales |= _draw_row(row, example, names, limits)
-        if number == 0:
-            _name_columns(row, names)
+        style.show_picture(row[0], example.image)
+        label = style.spell_name(example.name)
+        row[0].set_xlabel(label, fontsize=7, color=style.INK, loc="left")
+        for first, name in zip(range(1, columns, 3), names, strict=True):
+            shown = _DRAWINGS[name](row[first:], example.signals[name], limits)
+            for scale, image in shown.items():
+                part = (2, 3) if scale.endswith("difference") else (0, 2)
+                scales[scale] = (image, first + part[0], first + part[1])
+        for axes, title in zip(row, titles if number == 0 else (), strict=False):
+            axes.set_title(title, fontsize=7, color=style.INK)
     for name, (image, first, last) in scales.items():
         frame = figure.add_subplot(cells[rows, first:last])
         frame.set_axis_off()
         bar_axes = frame.inset_axes((0.05, 0.6, 0.9, 0.25))
         bar = figure.colorbar(image, cax=bar_axes, orientation="horizontal")
-        bar.ax.tick_params(labelsize=7, colors=INK)
-        bar.set_label(_UNITS[name], fontsize=7, color=INK)
-    return save_figure(figure, path)
-
-
-def _draw_row(row, example, names, limits):
-    """One example; returns {scale: (image, its first column, the one after)}."""
-    for axes in row:
-        axes.set(xticks=[], yticks=[])
-        axes.spines[:].set_color("#d5dbe1")
-    row[0].imshow(example.image)
-    row[0].set_xlabel(spell_name(example.name), fontsize=7, color=INK, loc="left")
-    scales = {}
-    for place, name in enumerate(names):
-        first = 1 + 3 * place
-        drawn = _DRAWINGS[name](row[first : first + 3], example.signals[name], limits)
-        for scale, image in drawn.items():
-            part = (2, 3) if scale.endswith("difference") else (0, 2)
-            scales[scale] = (image, first + part[0], first + part[1])
-    return scales
-
-
-def _name_columns(row, names):
-    titles = ["input"]
-    for name in names:
-        titles += [f"{name}, {what}" for what in ("target", "rendered", "difference")]
-    for axes, title in zip(row, titles, strict=True):
-        axes.set_title(title, fontsize=7, color=INK)
-
-
-_UNITS = {
-    "depth": "depth (box diagonals)",
-    "depth difference": "nearer – farther",
-    "silhouette difference": "missing – too much",
-    "color difference": "same – other colour",
-}
+        bar.ax.tick_params(labelsize=7, colors=style.INK)
+        bar.set_label(_UNITS[name], fontsize=7, color=style.INK)
+    return style.save_figure(figure, path)
 
 
 def _find_depths(examples):
-    """Smallest and largest depth of what the true masks cover."""
+    """A scale from the smallest to the largest depth of what the true masks cover."""
     found = [e.signals["depth"] for e in examples if "depth" in e.signals]
-    values = [s.target[s.mask >= 0.5] for s in found]
-    joined = np.concatenate([*values, np.zeros(0)])
-    return (float(joined.min()), float(joined.max())) if joined.size else (1.5, 2.5)
+    values = np.concatenate([*(s.target[s.mask >= 0.5] for s in found), np.zeros(0)])
+    return Normalize(values.min(), values.max()) if values.size else Normalize(1.5, 2.5)
 
 
 def _draw_silhouette(cells, images: SignalImages, _):
-    for axes, image in zip(cells, (images.target, images.predicted), strict=False):
-        axes.imshow(image, cmap="gray", vmin=0.0, vmax=1.0)
-    away = images.predicted - images.target
-    shown = cells[2].imshow(away, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-    return {"silhouette difference": shown}
+    style.show_picture(cells[0], images.target)
+    style.show_picture(cells[1], images.predicted)
+    away, look = images.predicted - images.target, {"cmap": "RdBu_r", "vmin": -1.0}
+    return {"silhouette difference": style.show_picture(cells[2], away, **look)}
 
 
-def _draw_depth(cells, images: SignalImages, limits):
-    colors = colormaps["viridis_r"].with_extremes(bad=_EMPTY)
-    scale = Normalize(*limits)
-    shown = None
-    for axes, image, share in (
-        (cells[0], images.target, images.mask),
-        (cells[1], images.predicted, images.opacity),
-    ):
-        seen = np.ma.masked_where(share < 0.5, image)
-        shown = axes.imshow(seen, cmap=colors, norm=scale)
+def _draw_depth(cells, images: SignalImages, scale):
+    look = {"cmap": colormaps["viridis_r"].with_extremes(bad=_EMPTY), "norm": scale}
+    target = np.ma.masked_where(images.mask < 0.5, images.target)
+    style.show_picture(cells[0], target, **look)
+    seen = np.ma.masked_where(images.opacity < 0.5, images.predicted)
+    shown = style.show_picture(cells[1], seen, **look)
     away = np.ma.masked_where(images.mask < 0.5, images.predicted - images.target)
-    differences = colormaps["RdBu_r"].with_extremes(bad=_EMPTY)
-    limit = _DEPTH_DIFFERENCE
-    found = cells[2].imshow(away, cmap=differences, vmin=-limit, vmax=limit)
-    return {"depth": shown, "depth difference": found}
+    look = {"cmap": colormaps["RdBu_r"].with_extremes(bad=_EMPTY)}
+    look |= {"norm": Normalize(-_DEPTH_DIFFERENCE, _DEPTH_DIFFERENCE)}
+    difference = style.show_picture(cells[2], away, **look)
+    return {"depth": shown, "depth difference": difference}
 
 
 def _draw_color(cells, images: SignalImages, _):
-    for axes, image in zip(cells, (images.target, images.predicted), strict=False):
-        axes.imshow(np.clip(image, 0.0, 1.0))
+    style.show_picture(cells[0], np.clip(images.target, 0.0, 1.0))
+    style.show_picture(cells[1], np.clip(images.predicted, 0.0, 1.0))
     away = np.sqrt(np.mean((images.predicted - images.target) ** 2, axis=-1))
-    shown = cells[2].imshow(away, cmap="gray", vmin=0.0, vmax=0.5)
-    return {"color difference": shown}
+    return {"color difference": style.show_picture(cells[2], away, vmax=0.5)}
 
 
 _DRAWINGS = {"silhouette": _draw_silhouette, "depth": _draw_depth, "color": _draw_color}

@@ -6,7 +6,7 @@ Figures are made by hand (no pyplot), so nothing global changes and threads may 
 import io
 import os
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,34 +19,35 @@ from numpy.typing import ArrayLike
 from dpc_jax.files import write_bytes
 
 INK, MUTED, GRID = "#22303c", "#8795a1", "#e6eaee"
+FRAME = "#d5dbe1"  # of a picture
 # Colours of series, in the order in which they are given out.
 BLUE, RED, GREEN, AMBER = "#2f7ebc", "#d1495b", "#3a9d6e", "#e0a030"
 SERIES = (BLUE, RED, GREEN, AMBER, "#7b5ea7", "#5f6c77", "#56b4c9", "#8c5a3c")
 
-_LINES = (("-", "o"), ("--", "s"), (":", "^"))  # once the colours are used up
+# Once the colours are used up.
+_LINES = (("-", "o"), ("--", "s"), (":", "^"), ("-.", "D"))
 
 
 def pick_series(number: int) -> dict[str, str]:
-    """How a line is drawn, for `Axes.plot`: no two of the first 24 look the same."""
+    """How a line is drawn, for `Axes.plot`: no two of the first 32 look the same."""
     turn = number // len(SERIES)
     line, marker = _LINES[turn % len(_LINES)]
     color = SERIES[number % len(SERIES)]
     return {"color": color, "linestyle": line, "marker": marker}
 
 
-def make_figure(width: float, height: float) -> Figure:
-    """An empty figure of that size in inches, laid out by its content."""
+def make_figure(width: float, height: float, *, is_close: bool = False) -> Figure:
+    """An empty figure of that size in inches, laid out by its content.
+
+    Args:
+      is_close: whether its axes, pictures in rows, stand close to each other.
+    """
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
-    return figure
-
-
-def make_table_of_pictures(width: float, height: float) -> Figure:
-    """An empty figure whose axes, pictures in rows, will stand close to each other."""
-    figure = make_figure(width, height)
-    gaps = dict.fromkeys(("w_pad", "h_pad", "wspace", "hspace"), 0.02)
-    top = 1 - 0.06 / height  # what is above a title, or its letters are cut
-    figure.set_layout_engine(ConstrainedLayoutEngine(**gaps, rect=(0, 0, 1, top)))
+    if is_close:
+        gaps = dict.fromkeys(("w_pad", "h_pad", "wspace", "hspace"), 0.02)
+        top = 1 - 0.06 / height  # what is above a title, or its letters are cut
+        figure.set_layout_engine(ConstrainedLayoutEngine(**gaps, rect=(0, 0, 1, top)))
     return figure
 
 
@@ -60,6 +61,14 @@ def make_panels(
     for axes in grid.flat[count:]:
         axes.set_visible(False)
     return list(grid.flat[:count])
+
+
+def show_picture(axes: Axes, picture: ArrayLike, **look: Any) -> Any:
+    """A picture without ticks; one without colours, of 0 to 1, is grey by default."""
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set_color(FRAME)
+    limits = {} if "norm" in look else {"vmin": 0.0, "vmax": 1.0}
+    return axes.imshow(picture, **({"cmap": "gray"} | limits | look))
 
 
 def label_axes(
@@ -85,6 +94,12 @@ def set_ticks(axes: Axes, values: ArrayLike, spec: str = "g") -> None:
     places = np.asarray(values, np.float64)
     axes.set_xticks(places, [format(place, spec) for place in places])
     axes.set_xticks([], minor=True)
+
+
+def add_legend(figure: Figure, **more: Any):
+    """A legend below all panels, where no curve can run into it."""
+    look = {"loc": "outside lower center", "frameon": False, "fontsize": 9}
+    return figure.legend(**look | more)
 
 
 def spell_name(name: str) -> str:

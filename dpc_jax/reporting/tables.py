@@ -1,10 +1,10 @@
-"""Markdown tables of any rows."""
+"""Tables of any rows: Markdown, and HTML."""
 
 import re
 from collections.abc import Iterable, Sequence
 
-# What a column of numbers holds: digits first, but for bold print; or nothing.
-_NUMBER = re.compile(r"\**[-+]?(\d|inf|nan|–)|$")
+# What a column of numbers holds: digits first, but for marks; or nothing.
+_NUMBER = re.compile(r"(\*\*|▸ )?[-+]?(\d|inf|nan|–)|$")
 
 
 def format_table(
@@ -18,14 +18,8 @@ def format_table(
         escaped, line breaks become spaces.
       align: one letter per column, "l" or "r"; by default columns of numbers are
         aligned right, others left.
-
-    Raises:
-      TypeError: a row, or `align`, is of another length than the heads.
     """
     cells = [[_escape(cell) for cell in row] for row in rows]
-    for line in [*cells, align or heads]:
-        if len(line) != len(heads):
-            raise TypeError(f"{len(heads)} columns, but cells {list(line)}")
     columns = list(zip(*cells, strict=True)) or [("",)] * len(heads)
     letters = align or [
         "r" if all(map(_NUMBER.match, column)) and any(column) else "l"
@@ -38,3 +32,18 @@ def format_table(
 
 def _escape(cell: object) -> str:
     return " ".join(str(cell).replace("|", "\\|").split())
+
+
+def make_table(
+    rows: Iterable[Iterable[str]], heads: Iterable[str] = (), *, kind: str = ""
+) -> str:
+    """An HTML table of cells that are HTML; the second column holds numbers.
+
+    Args:
+      kind: class of the table; "numbers" where all columns after the first hold some.
+    """
+    lines = ["".join(f"<th>{head}</th>" for head in heads)]
+    lines += ["".join(f"<td>{cell}</td>" for cell in row) for row in rows]
+    body = "".join(f"<tr>{line}</tr>" for line in lines if line)
+    named = f' class="{kind}"' if kind else ""
+    return f'<div class="wide"><table{named}>{body}</table></div>\n'

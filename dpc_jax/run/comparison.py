@@ -11,12 +11,12 @@ from dpc_jax.evaluation.metrics import MISSING
 from dpc_jax.files import read_json
 from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.outputs import show_text
-from dpc_jax.reporting.comparison.groups import ComparedRun, group_runs
-from dpc_jax.reporting.comparison.page import (
-    COLUMNS,
+from dpc_jax.reporting.comparison import (
+    list_columns,
     tabulate_groups,
     write_comparison,
 )
+from dpc_jax.reporting.groups import ComparedRun, Group, group_runs
 from dpc_jax.run.workdir import FREE_FIELDS, read_config
 
 # What does not make two runs differ: the variant is a name of other settings.
@@ -46,20 +46,18 @@ def find_workdirs(folders: Sequence[Path]) -> list[Path]:
 def read_runs(workdirs: Sequence[Path]) -> list[ComparedRun]:
     """What the workdirs hold, finished or not.
 
+    Runs have the names of their folders, with those above them where two are alike.
+
     Raises:
       ValueError: where a config or the metrics of a report cannot be read.
     """
-    names = _name_apart(workdirs)
-    return [_read_run(*pair) for pair in zip(workdirs, names, strict=True)]
-
-
-def _name_apart(workdirs):
-    """The folders' names, with those above them where two are alike."""
-    names = [show_text(path.name) for path in workdirs]
-    if len(set(names)) == len(names):
-        return names
-    above = Path(os.path.commonpath(workdirs))
-    return [show_text(path.relative_to(above).as_posix()) for path in workdirs]
+    names = [path.name for path in workdirs]
+    if len(set(names)) < len(names):
+        above = Path(os.path.commonpath(workdirs))
+        names = [path.relative_to(above).as_posix() for path in workdirs]
+    return [
+        _read_run(*pair) for pair in zip(workdirs, map(show_text, names), strict=True)
+    ]
 
 
 def _read_run(workdir: Path, name: str) -> ComparedRun:
@@ -94,22 +92,21 @@ def _read_metrics(path: Path) -> dict | None:
     )
 
 
-def name_absent(rows: dict[str, dict]) -> str:
-    """What a dash in the table of these runs means; "" where there is none."""
-    shown = [n for n in COLUMNS if any(m.get(n) is not None for m in rows.values())]
+def name_absent(groups: Sequence[Group]) -> str:
+    """What a dash in the table of finished runs means; "" where there is none."""
+    columns = list_columns(groups)
+    finished = [run for group in groups for run in group.runs if run.metrics]
     lacking = [
-        run
-        for run, metrics in rows.items()
-        if any(metrics.get(name) is None for name in shown)
+        run.name
+        for run in finished
+        if any(run.metrics.get(name) is None for name in columns)
     ]
     if not lacking:
         return ""
-    named = ", ".join(lacking[:_NAMED])
-    if len(lacking) > _NAMED:
-        named += f" and {len(lacking) - _NAMED} others"
+    others = f" and {len(lacking) - _NAMED} others" if len(lacking) > _NAMED else ""
     return (
-        f"{MISSING} is absent: {named} had no truth to compare with, or "
-        "was given the poses and predicted none."
+        f"{MISSING} is absent: {', '.join(lacking[:_NAMED])}{others} had no truth to "
+        "compare with, or was given the poses and predicted none."
     )
 
 
@@ -120,12 +117,8 @@ def compare_runs(workdirs: Sequence[Path], out: Path):
       ValueError: where there are no runs, or what they hold cannot be read.
       OSError: where the page cannot be written.
     """
-    runs = read_runs(find_workdirs(workdirs))
-    groups = group_runs(runs)
+    groups = group_runs(read_runs(find_workdirs(workdirs)))
     print(tabulate_groups(groups))
-    if absent := name_absent({r.name: dict(r.metrics) for r in runs if r.metrics}):
+    if absent := name_absent(groups):
         print(absent)
-    for run in runs:
-        if run.unfinished:
-            print(f"{run.name} is not finished: {run.unfinished}.")
     print(f"Page: {show_text(write_comparison(out, groups))}")

@@ -19,9 +19,9 @@ from dpc_jax.learning.training.progress import CountReport
 from dpc_jax.outputs import show_text
 from dpc_jax.render import Camera
 from dpc_jax.reporting.examples import Example
+from dpc_jax.reporting.export import write_files
 from dpc_jax.reporting.figures import draw_fit
 from dpc_jax.reporting.gallery import draw_predictions
-from dpc_jax.reporting.page import write_files
 from dpc_jax.run.process import keep_compiled_programs
 
 SHOWN = 8  # views in the picture, spread over all

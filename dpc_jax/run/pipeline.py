@@ -9,26 +9,21 @@ from pathlib import Path
 from dpc_jax import config as configs
 from dpc_jax.config import Config
 from dpc_jax.learning.devices import make_mesh
-from dpc_jax.learning.step import describe_state
-from dpc_jax.learning.training import loop
-from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.training.records import MetricLog, NonFiniteError
-from dpc_jax.run.beginning import begin_run
 from dpc_jax.run.flags import Task, run_command
 from dpc_jax.run.hosts.agreement import Job
-from dpc_jax.run.hosts.checkpoints import SharedCheckpoints, SilentLog
+from dpc_jax.run.hosts.checkpoints import SilentLog
 from dpc_jax.run.hosts.joining import joining
 from dpc_jax.run.hosts.places import Place
-from dpc_jax.run.memory import check_memory
 from dpc_jax.run.model import Model, Show
 from dpc_jax.run.process import (
-    catch_signals,
     keep_compiled_programs,
     keep_freed_memory,
     split_cores,
 )
 from dpc_jax.run.report.summary import report_run
 from dpc_jax.run.setup import load_sets
+from dpc_jax.run.training import train_model
 from dpc_jax.run.workdir import claim_workdir, hold_workdir, make_workdir
 
 
@@ -73,7 +68,12 @@ def run(
       NonFiniteError: where training breaks.
     """
     configs.check(config)
-    _check_tensorboard(config)
+    if config.log.tensorboard and importlib.util.find_spec("tensorboardX") is None:
+        raise ValueError(
+            "config.log.tensorboard must be left out where tensorboardX is not "
+            "installed, but it is True; install it with pip install "
+            "'dpc_jax[tensorboard]', or leave the flag out."
+        )
     processes = place.processes if place else 1
     objects = max(1, config.train.models_per_batch // processes)
     split_cores(objects, config.run.devices // processes)
@@ -144,15 +144,6 @@ def _run_in(folder, config, job):
     )
 
 
-def _check_tensorboard(config):
-    if config.log.tensorboard and importlib.util.find_spec("tensorboardX") is None:
-        raise ValueError(
-            "config.log.tensorboard must be left out where tensorboardX is not "
-            "installed, but it is True; install it with pip install "
-            "'dpc_jax[tensorboard]', or leave the flag out."
-        )
-
-
 def _open_log(folder: Path, config, job: Job) -> tuple[MetricLog, Show | None]:
     """The log of a run, to be closed, and what is shown its validations."""
     if not job.is_first:
@@ -171,65 +162,3 @@ def _name_workdir(config, config_path):
     variant = config.variant.replace(",", "-")
     parts = (Path(config_path).stem, variant, f"seed{config.seed}")
     return Path("runs") / "-".join(part for part in parts if part)
-
-
-def restore_run(
-    model: Model, checkpoints: Checkpoints, log: MetricLog, job: Job
-) -> Restored:
-    """The newest checkpoint that can be read, or step 0; the log is cut to fit.
-
-    Raises:
-      ValueError: if there are checkpoints, yet none can be read; as `begin_run`.
-    """
-    restored = checkpoints.restore(describe_state(model.network, model.config))
-    for step in restored.damaged if restored else ():
-        print(f"The checkpoint of step {step} is damaged; the one before is used.")
-    if restored:
-        checkpoints.set_aside(restored.damaged)
-        step = int(restored.state.step)
-        print(f"Going on from the checkpoint of step {step}.", flush=True)
-    else:
-        restored = Restored(begin_run(model.network, model.config, job), 0.0, ())
-    log.cut_after(int(restored.state.step))
-    return restored
-
-
-def train_model(
-    model: Model, workdir: Path, log: MetricLog, job: Job, *, show: Show | None = None
-) -> loop.Outcome:
-    """Train to the last step, or until SIGTERM or Ctrl-C asks to save and stop.
-
-    Args:
-      log: that records are written to. show: what is shown each validation.
-
-    Raises:
-      ValueError: if there are checkpoints, yet none can be read, or a step needs more
-        memory than the device has.
-      NonFiniteError: where training breaks.
-    """
-    folder = workdir / "checkpoints"
-    is_shared = job.processes > 1
-    checkpoints = SharedCheckpoints(folder, job) if is_shared else Checkpoints(folder)
-    start = restore_run(model, checkpoints, log, job)
-    outcome = loop.Outcome(start.state, start.seconds, True)
-    with contextlib.closing(checkpoints), catch_signals() as stop:
-        if int(start.state.step) < model.config.train.steps:
-            stops = job.agree_to_stop(stop.is_set)
-            outcome = loop.train(
-                start.state,
-                model.sets["train"],
-                network=model.network,
-                config=model.config,
-                checkpoints=checkpoints,
-                log=log,
-                evaluate=functools.partial(model.validate, show=show),
-                should_stop=stops,
-                may_stop_waiting=job.processes == 1,
-                seconds=start.seconds,
-                title=f"Training {workdir.name}",
-                validations_after=model.count_views("test", "val")
-                / model.count_views("val"),
-                prepare=functools.partial(model.compile_predictor, start.state),
-                check=check_memory,
-            )
-    return outcome

@@ -24,10 +24,9 @@ def keep_freed_memory() -> None:
     """Have glibc keep what a step frees for the next one.
 
     By default blocks of some megabytes go back to the system and come again page by
-    page: 10,000 page faults and a quarter of the CPU time of a step of configs/car.py.
-    Threads of other devices than the first allocate from heaps of 64 MB, which glibc
-    unmaps when they are empty, unless there is room to pad the one before: 6,000 faults
-    and 11 ms of a step in some starts, and none in others. Without glibc nothing
+    page, which takes a quarter of the CPU time of a step of configs/car.py. Threads of
+    other devices than the first allocate from heaps of 64 MB, which glibc unmaps when
+    they are empty, unless there is room to pad the one before. Without glibc nothing
     happens.
     """
     with contextlib.suppress(OSError, AttributeError):  # another C library

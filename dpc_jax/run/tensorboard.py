@@ -25,7 +25,7 @@ from dpc_jax.learning.training.records import MetricLog
 PICTURE = "validation/input_target_predicted"  # its name in TensorBoard
 _VIEWS = 8  # in a picture
 _SIDE = 64  # of a tile at least, pixels
-_GAP = 2  # pixels between tiles
+_MARGIN = ((1, 1), (1, 1), (0, 0))  # grey pixels around a tile
 _HEAD = struct.Struct("<QI")  # length of an event, and its check sum
 _TAIL = 4  # bytes of the check sum after it
 _FLUSH_SECONDS = 5.0  # between two, each of which waits for the disk
@@ -65,7 +65,12 @@ class TensorBoardLog(MetricLog):
         records = self.read()
         self._folder.mkdir(parents=True, exist_ok=True)
         old = sorted(self._folder.glob("events.out.tfevents.*"))
-        shown = {e.step: e for path in old for e in read_events(path) if _is_shown(e)}
+        pictures = {
+            event.step: event
+            for path in old
+            for event in read_events(path)
+            if any(value.HasField("image") for value in event.summary.value)
+        }
         self._origin = time.time() - (records[-1]["seconds"] if records else 0.0)
         # The name is the time in whole seconds: two starts may share it.
         self._writer = EventsWriter(
@@ -73,32 +78,26 @@ class TensorBoardLog(MetricLog):
         )
         for record in records:
             self._add_record(record)
-            if event := shown.pop(record["step"], None):
+            if event := pictures.pop(record["step"], None):
                 self._add(event.summary, event.step)
         self._flush()
         for path in old:
             path.unlink()
 
-    def show(self, step: int, picture: np.ndarray):
-        """Show the picture uint8 [H, W, 3] of a validation."""
-        self._add(summary.image(PICTURE, picture, dataformats="HWC"), step)
-        self._flush()
-
     def show_validation(self, step: int, predictions: Predictions, dataset: DataSet):
         """Show some views of a validation."""
-        self.show(step, draw_validation(predictions, dataset))
+        picture = draw_validation(predictions, dataset)
+        self._add(summary.image(PICTURE, picture, dataformats="HWC"), step)
+        self._flush()
 
     def close(self):
         """Close the event file."""
         if self._writer is not None:
             self._writer.close()
 
-    def _get_writer(self) -> EventsWriter:
-        assert self._writer is not None  # `cut_after` comes first
-        return self._writer
-
     def _flush(self):
-        self._get_writer().flush()
+        assert self._writer is not None  # `cut_after` comes first
+        self._writer.flush()
         self._flushed = time.monotonic()
 
     def _add_record(self, record):
@@ -115,7 +114,8 @@ class TensorBoardLog(MetricLog):
         event = Event(
             wall_time=self._origin + self._seconds, step=step, summary=content
         )
-        self._get_writer().write_event(event)
+        assert self._writer is not None
+        self._writer.write_event(event)
 
 
 def _make_histogram(name: str, shares: list[float]):
@@ -144,10 +144,6 @@ def read_events(path: Path) -> Iterator[Event]:
             yield Event.FromString(data[start : start + length])
 
 
-def _is_shown(event: Event) -> bool:
-    return any(value.HasField("image") for value in event.summary.value)
-
-
 def draw_validation(predictions: Predictions, dataset: DataSet) -> np.ndarray:
     """Views of models spread over the set, side by side, as uint8 [H, W, 3].
 
@@ -165,22 +161,11 @@ def draw_validation(predictions: Predictions, dataset: DataSet) -> np.ndarray:
             np.round(255 * predicted).astype(np.uint8),
         )
         side = max(_SIDE, len(tiles[0]))
-        columns.append(_join([_enlarge(tile, side) for tile in tiles], axis=0))
-    return _join(columns, axis=1)
-
-
-def _enlarge(tile: np.ndarray, side: int) -> np.ndarray:
-    """A square picture, grey or in colours, as [side, side, 3]; pixels stay squares."""
-    rows = np.arange(side) * len(tile) // side
-    if tile.ndim == 2:
-        tile = np.repeat(tile[..., None], 3, axis=-1)
-    return tile[rows][:, rows]
-
-
-def _join(pictures: list[np.ndarray], *, axis: int) -> np.ndarray:
-    """Pictures in a row or column, with gaps between."""
-    shape = list(pictures[0].shape)
-    shape[axis] = _GAP
-    gap = np.full(shape, 128, np.uint8)
-    parts = [part for picture in pictures for part in (gap, picture)][1:]
-    return np.concatenate(parts, axis=axis)
+        column = []
+        for tile in tiles:
+            rows = np.arange(side) * len(tile) // side  # pixels stay squares
+            tile = np.atleast_3d(tile)[rows][:, rows]
+            tile = np.broadcast_to(tile, (side, side, 3))
+            column.append(np.pad(tile, _MARGIN, constant_values=128))
+        columns.append(np.concatenate(column))
+    return np.concatenate(columns, axis=1)

@@ -66,15 +66,16 @@ def claim_workdir(workdir: Path, config: Config) -> Path:
     path = workdir / "config.json"
     if path.exists():
         other = read_config(workdir)  # of a run: what is not may be anybody's
-        if _has_begun(workdir):
-            _refuse_other(workdir, other, config)
+        made = [workdir / "checkpoints", workdir / "metrics.jsonl"]
+        differing = list_differences(other, config)
+        if differing and any(one.exists() for one in made):
+            raise ValueError(
+                f"The workdir {workdir} must belong to this config, but it was made by "
+                f"another one, which differs in {', '.join(differing)}; give another "
+                "--workdir=DIR or the old values (--config.SECTION.FIELD=VALUE)."
+            )
     write_text(path, to_json(config))
     return workdir
-
-
-def _has_begun(workdir):
-    """Whether there is anything that another config must not go on with."""
-    return (workdir / "checkpoints").exists() or (workdir / "metrics.jsonl").exists()
 
 
 @contextlib.contextmanager
@@ -93,10 +94,12 @@ def hold_workdir(workdir: Path) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             file.seek(0)
+            holder = file.read()
+            name = f"process {holder}" if holder else "a process on another machine"
             raise ValueError(
                 f"The workdir {workdir} must be used by one command at a time, but "
-                f"{_name_holder(file.read())} is using it; wait for "
-                "it to end, or give another --workdir=DIR."
+                f"{name} is using it; wait for it to end, or give another "
+                "--workdir=DIR."
             ) from None
         except OSError:
             pass
@@ -107,10 +110,6 @@ def hold_workdir(workdir: Path) -> Iterator[None]:
             yield
         finally:
             file.truncate(0)
-
-
-def _name_holder(written):
-    return f"process {written}" if written else "a process on another machine"
 
 
 def list_differences(old: Config, new: Config) -> list[str]:
@@ -127,16 +126,6 @@ def list_differences(old: Config, new: Config) -> list[str]:
         for name in sorted(now)
         if there[name] != now[name] and not name.startswith(FREE_FIELDS)
     ]
-
-
-def _refuse_other(workdir, old, new):
-    """Refuse a config that would not go on with the run in the workdir."""
-    if differing := list_differences(old, new):
-        raise ValueError(
-            f"The workdir {workdir} must belong to this config, but it was made by "
-            f"another one, which differs in {', '.join(differing)}; give another "
-            "--workdir=DIR or the old values (--config.SECTION.FIELD=VALUE)."
-        )
 
 
 def read_config(workdir: Path) -> Config:

@@ -5,13 +5,12 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib import colormaps
 from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation.metrics import format_metric
+from dpc_jax.reporting.clouds import FRONT, REAR, draw_cloud
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.gallery import silhouette_difference
-from dpc_jax.reporting.spheres import FRONT, REAR, draw_cloud
+from dpc_jax.reporting.gallery import draw_difference
 from dpc_jax.reporting.web.markup import embed_picture
 
 _SIDE = 400  # pixels of a picture
@@ -29,27 +28,10 @@ def show_examples(examples: Sequence[Example]) -> str:
     return text
 
 
-def describe_example(example: Example) -> str:
-    """Its errors in a line; "" where none is known."""
-    found = (
-        ("pose error", "pose_median_error_deg", example.pose_error_deg, "°"),
-        ("Chamfer distance", "chamfer", example.chamfer, ""),
-        ("silhouette overlap", "silhouette_iou", example.overlap, " %"),
-    )
-    return " · ".join(
-        f"{label} {format_metric(metric, value)}{unit}"
-        for label, metric, value, unit in found
-        if value is not None
-    )
-
-
 def _show_example(example: Example, index: int) -> str:
     pair = embed_picture(np.asarray(example.image), "Input")
-    difference = silhouette_difference(example.predicted, example.target)
-    shade = np.rint(255 * colormaps["RdBu_r"]((difference + 1) / 2)[..., :3])
-    pair += embed_picture(
-        shade.astype(np.uint8), "Silhouettes: red too much, blue missing"
-    )
+    about = "Silhouettes: red too much, blue missing"
+    pair += embed_picture(draw_difference(example), about)
     pictures = f'<div class="pair">{pair}</div>'
     cloud = example.points
     colors = _PREDICTED if example.colors is None else example.colors
@@ -61,11 +43,19 @@ def _show_example(example: Example, index: int) -> str:
         surface = np.asarray(example.surface)
         rows = np.linspace(0, len(surface) - 1, min(_SHOWN, len(surface))).astype(int)
         pictures += _picture(surface[rows], _OTHER, FRONT, "True")
-    for neighbour in example.neighbours:
-        note = _note_chamfer(neighbour.chamfer)
-        shape = neighbour.points, _OTHER, FRONT, neighbour.title
-        pictures += _picture(*shape, note)
-    facts = html.escape(describe_example(example))
+    for near in example.neighbours:
+        note = _note_chamfer(near.chamfer)
+        pictures += _picture(near.points, _OTHER, FRONT, near.title, note)
+    found = (
+        ("pose error", "pose_median_error_deg", example.pose_error_deg, "°"),
+        ("Chamfer distance", "chamfer", example.chamfer, ""),
+        ("silhouette overlap", "silhouette_iou", example.overlap, " %"),
+    )
+    facts = " · ".join(
+        f"{label} {format_metric(metric, value)}{unit}"
+        for label, metric, value, unit in found
+        if value is not None
+    )
     return (
         f'<article class="card"><header><b>{html.escape(example.name)}</b>'
         f'<span class="hint">{facts}</span>'

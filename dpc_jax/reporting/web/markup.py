@@ -1,9 +1,8 @@
-"""Pieces of HTML: the page, tables, charts and pictures that lie inside it."""
+"""Pieces of HTML: the page, charts and pictures that lie inside it."""
 
 import base64
 import html
 import io
-from collections.abc import Iterable, Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -31,21 +30,6 @@ def assemble_page(title: str, body: str, *, style: str = "") -> str:
         f"<style>{read_asset('page.css')}{style}</style></head>\n"
         f"<body>{body}</body></html>\n"
     )
-
-
-def make_table(
-    rows: Iterable[Sequence[str]], heads: Sequence[str] = (), *, kind: str = ""
-) -> str:
-    """A table of cells that are HTML; the second column holds numbers.
-
-    Args:
-      kind: class of the table; "numbers" where all columns after the first hold some.
-    """
-    lines = ["".join(f"<th>{head}</th>" for head in heads)] if heads else []
-    lines += ["".join(f"<td>{cell}</td>" for cell in row) for row in rows]
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    named = f' class="{kind}"' if kind else ""
-    return f'<div class="wide"><table{named}>{body}</table></div>\n'
 
 
 def show_hint(text: str) -> str:

@@ -80,9 +80,8 @@ class Job:
                 f"{here} and all {self.processes} together {all_devices}; start all of "
                 "them with the same command."
             )
-        told = self.gather(json.dumps(_list_versions(config)))
-        differing = _name_differences([json.loads(text) for text in told])
-        if differing:
+        told = self.gather(json.dumps(list_versions(config)))
+        if differing := name_differences([json.loads(text) for text in told]):
             raise ValueError(
                 "All processes of a job must have the same config and versions, but "
                 f"{differing}; start all of them with the same command from the same "
@@ -152,26 +151,19 @@ class Job:
         return stops
 
 
-def _list_versions(config) -> dict:
-    versions = {f"the version of {n}": importlib.metadata.version(n) for n in PACKAGES}
-    versions["the code of dpc_jax"] = _digest_code()[:12]
-    fields = flatten_dict(dataclasses.asdict(config), sep=".")
-    return versions | {
-        f"config.{name}": value
-        for name, value in fields.items()
-        if name not in FREE_FIELDS
-    }
-
-
-def _digest_code() -> str:
-    """SHA-256 of the package's files: an editable installation has one version only."""
+def list_versions(config: Config) -> dict[str, Any]:
+    """What all processes must have alike: versions of libraries, code, and config."""
+    told = {f"the version of {n}": importlib.metadata.version(n) for n in PACKAGES}
+    # An editable installation has one version only.
     root, digest = Path(__file__).parents[2], hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
-    return digest.hexdigest()
+    told["the code of dpc_jax"] = digest.hexdigest()[:12]
+    fields = flatten_dict(dataclasses.asdict(config), sep=".").items()
+    return told | {f"config.{n}": v for n, v in fields if n not in FREE_FIELDS}
 
 
-def _name_differences(told: list[dict]) -> str:
+def name_differences(told: list[dict]) -> str:
     """What the processes differ in, and "" where they do not."""
     first, parts = told[0], []
     for process, other in enumerate(told[1:], start=1):

@@ -21,6 +21,11 @@ from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.run.hosts.agreement import Job
 
 
+def open_checkpoints(folder: Path, job: Job) -> Checkpoints:
+    """The checkpoints in a folder, of one process or of several."""
+    return SharedCheckpoints(folder, job) if job.processes > 1 else Checkpoints(folder)
+
+
 class SharedCheckpoints(Checkpoints):
     """Checkpoints of a job; the state may be spread over the devices of all processes.
 
@@ -39,10 +44,6 @@ class SharedCheckpoints(Checkpoints):
         """Wait for what is being written."""
         if self._job.is_first:
             super().close()
-
-    def steps(self) -> list[int]:
-        """Steps with a whole checkpoint, oldest first; of process 0 alone."""
-        return super().steps() if self._job.is_first else []
 
     def save(self, state: TrainState, *, seconds: float):
         """Write the state under its step; does nothing where that step is saved.

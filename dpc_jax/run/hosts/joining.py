@@ -13,7 +13,6 @@ import os
 import re
 import socket
 import sys
-import time
 from collections.abc import Iterator
 
 import jax
@@ -44,14 +43,13 @@ def joining(place: Place | None) -> Iterator[Job]:
         yield Job()
         return
     seconds = _read_seconds("JOIN", JOIN_SECONDS)
-    words = _Words(place, seconds)
+    words, job = _Words(place, seconds), Job(place.processes, place.process)
     with speaking_for_jax(words.explain) as speak_itself:
         try:
             _connect(place, seconds)
             words.has_joined = True
             if place.process:
                 sys.stdout = open(os.devnull, "w")
-            job = Job(place.processes, place.process)
             yield job
             job.wait("end")
             jax.distributed.shutdown()
@@ -63,7 +61,10 @@ def joining(place: Place | None) -> Iterator[Job]:
             if words.is_loss(error):
                 raise OSError(words.explain(str(error))) from None
             if words.has_joined:
-                _await_same_end(Job(place.processes, place.process), status)
+                # Let the others say what stops them too, before they see this one go.
+                name = "end" if status == 130 else "failure"  # Ctrl-C: after saving
+                with contextlib.suppress(jax.errors.JaxRuntimeError, KeyboardInterrupt):
+                    job.wait(name, seconds=5)
             raise
 
 
@@ -84,31 +85,20 @@ def _leave(status):
     os._exit(status)
 
 
-def _await_same_end(job, status):
-    """Let the others say what stops them too, before they see this process go."""
-    name = "end" if status == 130 else "failure"  # Ctrl-C ends what is saved
-    with contextlib.suppress(jax.errors.JaxRuntimeError, KeyboardInterrupt):
-        job.wait(name, seconds=5)
-
-
 def _connect(place, seconds):
-    """Start the service in process 0, wait for it in the others, and meet there."""
+    """Start the service in process 0, and meet the others there."""
     # jax would catch SIGTERM for itself, so that it did not end a process that renders.
     jax.config.update("jax_enable_preemption_service", False)
     logging.getLogger("jax").setLevel(logging.ERROR)
-    started = time.monotonic()
-    if place.process:
-        _await_coordinator(place.coordinator, seconds)
-    else:
+    if not place.process:
         _check_port(place.coordinator)
-    left = seconds - (time.monotonic() - started)
     try:
         jax.distributed.initialize(
             place.coordinator,
             place.processes,
             place.process,
             cluster_detection_method="deactivate",
-            initialization_timeout=max(1, int(left)),
+            initialization_timeout=seconds,
             heartbeat_timeout_seconds=_read_seconds("HEARTBEAT", HEARTBEAT_SECONDS),
         )
     except jax.errors.JaxRuntimeError as error:
@@ -120,7 +110,7 @@ def _connect(place, seconds):
 
 
 def _check_port(address):
-    """Refuse a port that is taken: jaxlib 0.10.2 crashes where it cannot have it."""
+    """Refuse a port that is taken: jaxlib crashes where it cannot have it."""
     port = int(address.rpartition(":")[2])
     try:
         socket.create_server(
@@ -136,29 +126,10 @@ def _check_port(address):
         ) from None
 
 
-def _await_coordinator(address, seconds):
-    """Return once somebody listens there."""
-    host, _, port = address.rpartition(":")
-    started = time.monotonic()
-    while True:
-        try:
-            with socket.create_connection((host.strip("[]"), int(port)), timeout=5):
-                return
-        except OSError as error:
-            waited = time.monotonic() - started
-            if waited >= seconds:
-                raise OSError(
-                    f"Expected the coordinator, process 0, at {address}, but it did "
-                    f"not answer within {waited:.0f} s ({error.strerror or error}); "
-                    "start process 0, or correct --coordinator."
-                ) from None
-        time.sleep(0.3)
-
-
 class _Words:
     """Sentences for what jax says when the processes of a job do not come together."""
 
-    def __init__(self, place, seconds):
+    def __init__(self, place: Place, seconds: int):
         self._place, self._seconds = place, seconds
         self.has_joined = False
 
@@ -192,7 +163,7 @@ class _Words:
             reason = re.search(r"absl::Status: (.*)", text)
             found = f"that failed ({reason[1] if reason else text.strip()[-300:]})"
         elif process:
-            found = f"it did not let this one in within {self._seconds} s"
+            found = f"process 0 did not answer within {self._seconds} s"
         else:
             found = f"not all of them came within {self._seconds} s"
         return (

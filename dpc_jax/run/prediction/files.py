@@ -9,8 +9,8 @@ from dpc_jax.evaluation.confidence import Confidence, describe
 from dpc_jax.evaluation.rotations import describe_pose
 from dpc_jax.files import write_json
 from dpc_jax.reporting.examples import Example
+from dpc_jax.reporting.export import write_files
 from dpc_jax.reporting.gallery import draw_predictions
-from dpc_jax.reporting.page import write_files
 from dpc_jax.run.prediction.objects import PredictedObject
 
 SHOWN = 16  # views in the picture
@@ -37,7 +37,7 @@ def write_predictions(
         facts |= views[0] if len(views) == 1 else {"views": views}
         write_json(out / f"{name}.json", facts)
         if has_turntable:
-            from dpc_jax.reporting.turntable import write_turntable
+            from dpc_jax.reporting.gallery import write_turntable
 
             write_turntable(out / f"{name}.gif", one.points, shown[0].colors)
         entries += [{"object": name, **view} for view in views]

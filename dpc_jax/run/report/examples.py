@@ -97,7 +97,7 @@ def choose_examples(
     models, _ = arrange_views(judged.dataset)
     badness, measure = judged.rank_views()
     examples = [
-        make_example(judged, *chosen, shapes=shapes)
+        _make_example(judged, *chosen, shapes=shapes)
         for chosen in choose_views(badness, models, per_group=per_group)
     ]
     return examples, f"The worst, median and best of all test views by {measure}."
@@ -129,7 +129,7 @@ def list_worst(judged: Judged) -> tuple[list[Example], str]:
     examples = []
     for row, place in choose_worst(badness, models):
         # Its picture shows no surface of a voxel model.
-        example = make_example(judged._replace(threshold=None), "", row, place)
+        example = _make_example(judged._replace(threshold=None), "", row, place)
         note = _describe(judged.scores, models == models[row, place], example)
         examples.append(dataclasses.replace(example, name=f"{example.name}: {note}"))
     return examples, (
@@ -152,7 +152,7 @@ def _describe(scores: Scores, own: np.ndarray, example: Example) -> str:
     return ", ".join(parts)
 
 
-def make_example(
+def _make_example(
     judged: Judged,
     group: str,
     row: int,
@@ -160,7 +160,7 @@ def make_example(
     *,
     shapes: TrainingShapes | None = None,
 ) -> Example:
-    """A view, and what is shown of it; see `choose_examples`."""
+    """What is shown of a view."""
     predictions, dataset, alignment, scores, overlaps, distance, threshold = judged
     models, views = arrange_views(dataset)
     model, view = models[row, place], views[row, place]
@@ -173,6 +173,11 @@ def make_example(
 
         mesh = find_surface(predictions, row, threshold, alignment, place=place)
     points = align_points(alignment, predictions.points[row, place])
+    seen = read_view(predictions, dataset, row, place, distance=distance)
+    mask, opacity = seen.targets["silhouette"], seen.rendered["silhouette"]
+    chamfer = None  # of the views that it was measured of
+    if scores.chamfers is not None and place < scores.chamfers.shape[1]:
+        chamfer = 100 * float(scores.chamfers[row, place].sum())
     if shapes is not None and surface is not None:
         neighbours = shapes.list_neighbours(surface, len(points))
     several = dataset.counts[model] > 1
@@ -186,29 +191,15 @@ def make_example(
         pose_error_deg=None if errors is None else float(errors[row, place]),
         mesh=mesh,
         surface=surface,
-        signals=_list_signals(predictions, dataset, row, place, distance),
+        signals={
+            name: SignalImages(seen.targets[name], image, mask, opacity)
+            for name, image in seen.rendered.items()
+        },
         group=group,
-        chamfer=_find_chamfer(scores, row, place),
+        chamfer=chamfer,
         overlap=float(overlaps[row, place]),
         neighbours=neighbours,
     )
-
-
-def _list_signals(predictions, dataset, row, place, distance):
-    """The rendered images of a view beside those of the data, by name."""
-    seen = read_view(predictions, dataset, row, place, distance=distance)
-    mask, opacity = seen.targets["silhouette"], seen.rendered["silhouette"]
-    return {
-        name: SignalImages(seen.targets[name], image, mask, opacity)
-        for name, image in seen.rendered.items()
-    }
-
-
-def _find_chamfer(scores, row, place) -> float | None:
-    """The Chamfer distance of a view (times 100), where it was measured."""
-    if scores.chamfers is None or place >= scores.chamfers.shape[1]:
-        return None
-    return 100 * float(scores.chamfers[row, place].sum())
 
 
 def list_view_poses(judged: Judged, failures: Failures | None) -> ViewPoses | None:
@@ -218,13 +209,13 @@ def list_view_poses(judged: Judged, failures: Failures | None) -> ViewPoses | No
     if poses is None or failures is None or errors is None:
         return None
     found = align_poses(judged.alignment, judged.predictions.poses)
+    true_deg, predicted_deg = (
+        np.array([view_angles(pose)[0] for pose in np.reshape(one, (-1, 4))])
+        for one in (poses, found)
+    )
     return ViewPoses(
-        true_deg=_list_azimuths(poses),
-        predicted_deg=_list_azimuths(found),
+        true_deg=true_deg,
+        predicted_deg=predicted_deg,
         errors_deg=np.asarray(errors).ravel(),
         kinds=failures.kinds.ravel(),
     )
-
-
-def _list_azimuths(poses) -> np.ndarray:
-    return np.array([view_angles(pose)[0] for pose in np.reshape(poses, (-1, 4))])

@@ -23,7 +23,7 @@ from dpc_jax.run.report.examples import (
     list_view_poses,
     list_worst,
 )
-from dpc_jax.run.report.training_shapes import TrainingShapes, compare_with_training
+from dpc_jax.run.report.training_shapes import TrainingShapes
 from dpc_jax.run.setup import collect_warnings
 from dpc_jax.run.workdir import write_alignment
 
@@ -43,7 +43,7 @@ def report_run(
     threshold: float | None = None,
     refined: dict[str, Any] | None = None,
 ):
-    """Score the test sets, write WORKDIR/report, and print what is in it.
+    """Score the test set, write WORKDIR/report, and print what is in it.
 
     Args:
       sets: by name. predictions: of "test".
@@ -52,27 +52,35 @@ def report_run(
       threshold: of the surfaces of a voxel model.
       refined: of `measure_refinement`, where it was asked for.
     """
-    test, shares, values = _judge(
-        predictions, sets["test"], config, alignment, threshold
-    )
-    failures = None
-    if not config.pose.known:
-        failures = evaluator.diagnose(*test[:2], alignment=alignment)
-    metrics = dict.fromkeys((*REQUIRED_METRICS, *evaluator.MEASURES)) | values
-    metrics |= failures.metrics if failures else {}
-    metrics |= _count_costs(sets, outcome, data_seconds)
+    test = sets["test"]
+    judged, failures, shares = _judge(predictions, test, config, alignment, threshold)
+    metrics = _list_metrics(judged, config) | (failures.metrics if failures else {})
+    metrics |= _count_costs(sets, outcome, data_seconds) | (refined or {})
     heads = config.pose.heads
     metrics["candidates_alive"] = count_alive(shares) if heads else None
-    if test.dataset.quaternions is not None and not config.pose.aligned:
-        metrics["alignment_inlier_share"] = alignment.inlier_share
-    metrics |= refined or {}
-    if threshold is not None:
-        metrics["surface_threshold"] = threshold
     shares = shares if heads > 1 else None
     warnings = list_warnings(config, sets, shares)
-    shown = {"metrics": metrics, "records": records, "shares": shares}
-    shown |= {"warnings": warnings, "title": f"dpc_jax: {workdir.name}"}
-    path = _write_page(workdir / "report", config, sets, test, failures, shown)
+    shapes = TrainingShapes.gather(sets)
+    # The worst, median and best are of different models where there are enough.
+    per_group = max(1, min(3, len(test.names) // 3))
+    examples, ranking = choose_examples(judged, per_group=per_group, shapes=shapes)
+    path = write_report(
+        workdir / "report",
+        title=f"dpc_jax: {workdir.name}",
+        metrics=metrics,
+        records=records,
+        stages=list_stages(config),
+        examples=examples,
+        ranking=ranking,
+        worst=list_worst(judged),
+        pose_errors=judged.scores.pose_errors_deg,  # None: no such figure
+        view_poses=list_view_poses(judged, failures),
+        lost=_name_lost(failures, test),
+        comparison=shapes and shapes.compare(predictions, test, alignment),
+        shares=shares,
+        warnings=warnings,
+        config_text=str(to_config_dict(config)),
+    )
     if config.pose.aligned or sets["val"].quaternions is not None:
         write_alignment(workdir, alignment)
     for warning in warnings:
@@ -86,7 +94,7 @@ def report_run(
 
 
 def _judge(predictions, dataset, config, alignment, threshold):
-    """A judged set, the share [K] of its views that each head wins, its metrics."""
+    """A judged set, what is wrong in it, the share [K] of views that each head wins."""
     scores, shares = evaluator.score(
         predictions,
         dataset,
@@ -96,38 +104,26 @@ def _judge(predictions, dataset, config, alignment, threshold):
         # Maps and volumes are judged by ten thousand points already.
         dense_points=DENSE_POINTS if config.network.shape == "points" else 0,
     )
-    distance = config.render.distance
     overlaps = evaluator.measure_overlaps(predictions, dataset)
+    distance = config.render.distance
     judged = Judged(
         predictions, dataset, alignment, scores, overlaps, distance, threshold
     )
-    metrics = (
-        scores.metrics
-        | evaluator.measure_images(predictions, dataset, distance=distance)
-        | evaluator.measure_cameras(predictions, dataset)
-    )
-    return judged, shares, metrics
+    failures = None
+    if not config.pose.known:
+        failures = evaluator.diagnose(predictions, dataset, alignment=alignment)
+    return judged, failures, shares
 
 
-def _write_page(folder, config, sets, judged: Judged, failures, shown: dict) -> Path:
-    """The report of the test set; `shown` are further arguments of `write_report`."""
-    shapes = TrainingShapes.gather(sets)
-    # The worst, median and best are of different models where there are enough.
-    per_group = max(1, min(3, len(judged.dataset.names) // 3))
-    examples, ranking = choose_examples(judged, per_group=per_group, shapes=shapes)
-    return write_report(
-        folder,
-        stages=list_stages(config),
-        examples=examples,
-        ranking=ranking,
-        worst=list_worst(judged),
-        pose_errors=judged.scores.pose_errors_deg,  # None: no such figure
-        view_poses=list_view_poses(judged, failures),
-        lost=_name_lost(failures, judged.dataset),
-        comparison=compare_with_training(*judged[:3], shapes),
-        config_text=str(to_config_dict(config)),
-        **shown,
-    )
+def _list_metrics(judged: Judged, config: Config) -> dict[str, Any]:
+    """Metrics of a judged set, None where there is nothing to measure."""
+    predictions, dataset, alignment, scores, _, distance, threshold = judged
+    metrics = dict.fromkeys((*REQUIRED_METRICS, *evaluator.MEASURES)) | scores.metrics
+    metrics |= evaluator.measure_images(predictions, dataset, distance=distance)
+    metrics |= evaluator.measure_cameras(predictions, dataset)
+    has_frame = dataset.quaternions is not None and not config.pose.aligned
+    metrics["alignment_inlier_share"] = alignment.inlier_share if has_frame else None
+    return metrics | ({} if threshold is None else {"surface_threshold": threshold})
 
 
 def list_warnings(
@@ -138,49 +134,36 @@ def list_warnings(
     Args:
       sets: by name. shares: [K] of views that each head wins; None without an ensemble.
     """
-    warnings = collect_warnings(config, sets) + _name_left_out(sets["test"])
+    warnings, test = collect_warnings(config, sets), sets["test"]
+    if test.quaternions is None:
+        warnings.append(
+            "The test images come without poses and true shapes: pose errors, Chamfer "
+            "distance, precision and coverage are left out."
+        )
+    elif test.surfaces is None:
+        warnings.append(
+            "The test images come without true shapes: Chamfer distance, precision and "
+            "coverage are left out."
+        )
     if config.pose.known:
         warnings.append(
             "This run was given the poses and learned none: pose accuracy and pose "
             "errors are absent."
         )
-    if shares is not None:
-        warning = collapse_warning(shares)
-        if warning and config.train.steps < _FEW_STEPS:
+    if shares is not None and (warning := collapse_warning(shares)):
+        if config.train.steps < _FEW_STEPS:
             warning += f" After {config.train.steps} steps that tells nothing yet."
-        warnings += [warning] if warning else []
-    for one, many, pairs in (
-        (
-            "1 model was skipped",
-            "{} models were skipped",
-            [s for data in sets.values() for s in data.skipped],
-        ),
-        (
-            "1 remark on the data",
-            "{} remarks on the data",
-            [r for data in sets.values() for r in data.remarks],
-        ),
+        warnings.append(warning)
+    for one, many, field in (
+        ("1 model was skipped", "{} models were skipped", "skipped"),
+        ("1 remark on the data", "{} remarks on the data", "remarks"),
     ):
+        pairs = [pair for data in sets.values() for pair in getattr(data, field)]
         if pairs:
             text = one if len(pairs) == 1 else many.format(len(pairs))
             named = "; ".join(f"{name}: {reason}" for name, reason in pairs[:10])
             warnings.append(f"{text} ({named}).")
     return warnings
-
-
-def _name_left_out(dataset) -> list[str]:
-    """A sentence on the metrics that a test set has no truth for."""
-    if dataset.quaternions is None:
-        return [
-            "The test images come without poses and true shapes: pose errors, Chamfer "
-            "distance, precision and coverage are left out."
-        ]
-    if dataset.surfaces is None:
-        return [
-            "The test images come without true shapes: Chamfer distance, precision and "
-            "coverage are left out."
-        ]
-    return []
 
 
 def describe_refined(refined: dict[str, Any]) -> list[str]:
@@ -190,19 +173,13 @@ def describe_refined(refined: dict[str, Any]) -> list[str]:
         "joined_": "All views of an object together",
         "refined_joined_": "Together and refined",
     }
-    return [
-        f"{title}: "
-        + describe_metrics(
-            {
-                name: refined[start + name]
-                for name in ("pose_accuracy", "pose_median_error_deg", "chamfer")
-                if start + name in refined
-            }
-        )
-        + "."
-        for start, title in titles.items()
-        if any(name.startswith(start) for name in refined)
-    ]
+    lines = []
+    for start, title in titles.items():
+        names = ("pose_accuracy", "pose_median_error_deg", "chamfer")
+        found = {n: refined[start + n] for n in names if start + n in refined}
+        if found:
+            lines.append(f"{title}: {describe_metrics(found)}.")
+    return lines
 
 
 def _name_lost(failures: Failures | None, dataset: DataSet) -> list[str]:
@@ -224,7 +201,6 @@ def _count_costs(sets, outcome, data_seconds) -> dict:
         "steps": int(outcome.state.step),
         "train_models": len(sets["train"].names),
         "test_models": len(sets["test"].names),
-        "alignment_inlier_share": None,
     }
 
 

@@ -65,61 +65,40 @@ class TrainingShapes(NamedTuple):
             for title, cloud in clouds.items()
         )
 
-
-def compare_with_training(
-    predictions: Predictions,
-    dataset: DataSet,
-    alignment: Alignment,
-    shapes: TrainingShapes | None,
-) -> TrainingComparison | None:
-    """Predictions from the first views of test objects against both baselines.
-
-    None without true shapes.
-    """
-    if shapes is None:
-        return None
-    models, _ = arrange_views(dataset)
-    rows = _spread(len(models), OBJECTS)
-    surfaces = [np.asarray(dataset.surfaces[m]) for m in models[rows, 0]]
-    clouds = [align_points(alignment, predictions.points[row, 0]) for row in rows]
-    found = [
-        _compare_object(surfaces, clouds, place, shapes) for place in range(len(rows))
-    ]
-
-    def average(part):
-        names = found[0][part]
-        return {n: 100 * float(np.mean([f[part][n] for f in found])) for n in names}
-
-    return TrainingComparison(len(rows), average(0), average(1))
-
-
-def _compare_object(surfaces, clouds, place, shapes: TrainingShapes):
-    """Chamfer distances by name to the true shape of an object, and to the predicted.
-
-    The other object of the last is the next one in the list.
-    """
-    surface, cloud = surfaces[place], clouds[place]
-    count, other = len(cloud), (place + 1) % len(clouds)
-    nearest = shapes.surfaces[shapes.index.find_nearest(cloud)]
-    pairs = {
-        "Prediction": ((cloud, surface), None),
-        "Nearest training shape": (
-            (shapes.find_nearest(surface, count), surface),
-            (cloud, np.asarray(nearest)),
-        ),
-        "Mean training shape": ((shapes.mean, surface), (cloud, shapes.mean)),
-    }
-    if other != place:
-        both = [spread_rows(surfaces[i], count) for i in (place, other)]
-        pairs["The same of another object"] = (both, (cloud, clouds[other]))
-    return [
-        {
-            name: chamfer_distance(*both[part]).chamfer
-            for name, both in pairs.items()
-            if both[part] is not None
-        }
-        for part in (0, 1)
-    ]
+    def compare(
+        self, predictions: Predictions, dataset: DataSet, alignment: Alignment
+    ) -> TrainingComparison:
+        """Predictions from the first views of test objects against both baselines."""
+        models, _ = arrange_views(dataset)
+        rows = _spread(len(models), OBJECTS)
+        surfaces = [np.asarray(dataset.surfaces[m]) for m in models[rows, 0]]
+        clouds = [align_points(alignment, predictions.points[row, 0]) for row in rows]
+        to_truth, to_prediction = {}, {}
+        for i, (surface, cloud) in enumerate(zip(surfaces, clouds, strict=True)):
+            count, other = len(cloud), (i + 1) % len(clouds)
+            nearest = self.surfaces[self.index.find_nearest(cloud)]
+            truth = {
+                "Prediction": (cloud, surface),
+                "Nearest training shape": (self.find_nearest(surface, count), surface),
+                "Mean training shape": (self.mean, surface),
+            }
+            predicted = {
+                "Nearest training shape": (cloud, np.asarray(nearest)),
+                "Mean training shape": (cloud, self.mean),
+            }
+            if other != i:
+                name = "The same of another object"
+                pair = spread_rows(surface, count), spread_rows(surfaces[other], count)
+                truth[name], predicted[name] = pair, (cloud, clouds[other])
+            for found, pairs in ((to_truth, truth), (to_prediction, predicted)):
+                for name, pair in pairs.items():
+                    distance = 100 * chamfer_distance(*pair).chamfer
+                    found.setdefault(name, []).append(distance)
+        means = [
+            {name: float(np.mean(values)) for name, values in found.items()}
+            for found in (to_truth, to_prediction)
+        ]
+        return TrainingComparison(len(rows), *means)
 
 
 def _spread(count: int, wanted: int) -> np.ndarray:

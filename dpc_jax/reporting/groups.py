@@ -33,10 +33,27 @@ class ComparedRun:
 
 
 class Summary(NamedTuple):
-    """Mean of a measure over seeds; the standard deviation (n - 1), None of one."""
+    """A measure over seeds.
+
+    Attributes:
+      mean: of the values.
+      spread: their standard deviation (n - 1); None of a single one.
+      count: n.
+    """
 
     mean: float
     spread: float | None
+    count: int
+
+
+def summarize(values: Iterable[Any]) -> Summary | None:
+    """Mean and spread of the values that are numbers; None where there are none."""
+    numbers = [float(v) for v in values if isinstance(v, int | float)]
+    numbers = [number for number in numbers if math.isfinite(number)]
+    if not numbers:
+        return None
+    spread = statistics.stdev(numbers) if len(numbers) > 1 else None
+    return Summary(statistics.fmean(numbers), spread, len(numbers))
 
 
 @dataclass(frozen=True)
@@ -55,24 +72,15 @@ class Group:
 
     def summarize(self, metric: str) -> Summary | None:
         """The measure over the finished runs that have it; None where none has."""
-        found = [run.metrics.get(metric) for run in self.runs]
-        values = [
-            float(v) for v in found if isinstance(v, int | float) and math.isfinite(v)
-        ]
-        if not values:
-            return None
-        spread = statistics.stdev(values) if len(values) > 1 else None
-        return Summary(statistics.fmean(values), spread)
+        return summarize(run.metrics.get(metric) for run in self.runs)
 
     def describe(self, metric: str) -> str:
         """The measure as people read it: "91.0 ± 0.4"."""
         summary = self.summarize(metric)
         if summary is None:
             return MISSING
-        mean = format_metric(metric, summary.mean)
-        if summary.spread is None:
-            return mean
-        return f"{mean} ± {format_metric(metric, summary.spread)}"
+        shown = [format_metric(metric, v) for v in summary[:2] if v is not None]
+        return " ± ".join(shown)
 
 
 def group_runs(runs: Iterable[ComparedRun]) -> list[Group]:
@@ -85,9 +93,11 @@ def group_runs(runs: Iterable[ComparedRun]) -> list[Group]:
     groups = []
     for members in found.values():
         ordered = tuple(sorted(members, key=lambda run: (run.seed, run.name)))
-        fields = ordered[0].fields
-        differs = {n: v for n, v in fields.items() if n in common and v != common[n]}
-        groups.append(Group(_strip_seed(ordered), ordered, differs))
+        first = ordered[0]
+        name = re.sub(r"-?seed\d+$", "", first.name) or first.name
+        fields = first.fields.items()
+        differs = {n: v for n, v in fields if n in common and v != common[n]}
+        groups.append(Group(name, ordered, differs))
     return groups
 
 
@@ -98,27 +108,17 @@ def find_common(settings: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """
     common = {}
     for name in dict.fromkeys(name for fields in settings for name in fields):
-        counts = collections.Counter(repr(fields.get(name)) for fields in settings)
-        if len(counts) > 1:
-            most = max(counts, key=lambda text: counts[text])
-            values = (fields.get(name) for fields in settings)
-            common[name] = next(value for value in values if repr(value) == most)
+        values = {repr(fields.get(name)): fields.get(name) for fields in settings}
+        if len(values) > 1:
+            counts = collections.Counter(repr(fields.get(name)) for fields in settings)
+            common[name] = values[counts.most_common(1)[0][0]]
     return common
-
-
-def _strip_seed(runs: Sequence[ComparedRun]) -> str:
-    return re.sub(r"-?seed\d+$", "", runs[0].name) or runs[0].name
 
 
 def find_best(groups: Sequence[Group], metric: str) -> Group | None:
     """The group of the best mean; None where there is nothing to choose from."""
     better = get_metric(metric).higher_is_better
-    means = {
-        i: s.mean
-        for i, g in enumerate(groups)
-        if (s := g.summarize(metric)) is not None
-    }
-    if better is None or len(set(means.values())) < 2:
+    found = [(s.mean, group) for group in groups if (s := group.summarize(metric))]
+    if better is None or len({mean for mean, _ in found}) < 2:
         return None
-    choose = max if better else min
-    return groups[choose(means, key=lambda i: means[i])]
+    return (max if better else min)(found, key=lambda pair: pair[0])[1]

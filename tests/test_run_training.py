@@ -1,8 +1,10 @@
-"""A run that begins with the parameters of another one."""
+"""A run that begins with the parameters of another one; memory of the device."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from tiny_runs import assert_same_bits, make_network, tiny_config
@@ -10,8 +12,8 @@ from tiny_runs import assert_same_bits, make_network, tiny_config
 from dpc_jax.config import to_json
 from dpc_jax.learning.step import init_state
 from dpc_jax.learning.training.checkpoints import Checkpoints
-from dpc_jax.run.beginning import begin_run
 from dpc_jax.run.hosts.agreement import Job
+from dpc_jax.run.training import begin_run, check_memory
 
 pytestmark = pytest.mark.usefixtures("quickly")
 CONFIG = tiny_config()
@@ -48,11 +50,6 @@ def test_parameters_are_the_other_runs_and_all_else_begins_anew(workdir, capsys)
     assert said == f"Beginning with the parameters of {workdir}, step 7.\n"
 
 
-def test_without_it_the_seed_alone_decides():
-    state = begin_run(make_network(CONFIG), CONFIG, Job())
-    assert_same_bits(state, init_state(make_network(CONFIG), CONFIG))
-
-
 def test_a_run_of_other_sizes_is_refused_by_the_fields_that_differ(workdir):
     with pytest.raises(ValueError) as caught:
         begin(workdir, shape_hidden=10, num_points=20, learning_rate=0.5)
@@ -87,3 +84,29 @@ def test_a_damaged_checkpoint_is_refused(workdir, tmp_path):
             target.write_bytes(content[: len(content) // 2].tobytes())
     with pytest.raises(ValueError, match="Expected a whole .* give the workdir"):
         begin(folder)
+
+
+MB = 2**20
+
+
+def compile_copies(count):
+    """A program that holds its megabyte of input and `count` more of output."""
+    vector = jax.ShapeDtypeStruct((MB // 4,), "float32")
+    return jax.jit(lambda x: [x + i for i in range(count)]).lower(vector).compile()
+
+
+def test_a_program_that_needs_more_than_the_device_has_is_refused(monkeypatch):
+    check_memory(compile_copies(8))  # a CPU does not tell its memory
+    stats = {"bytes_limit": 4 * MB}
+    device = SimpleNamespace(memory_stats=lambda: stats)
+    monkeypatch.setattr(jax, "local_devices", lambda: [device])
+    check_memory(compile_copies(2))
+    with pytest.raises(ValueError, match="fit into the device.s memory") as refused:
+        check_memory(compile_copies(8))
+    assert "renders_at_once=4" in str(refused.value)
+    assert "models_per_batch lower" in str(refused.value)
+    # What a program takes over from its input counts once.
+    vector = jax.ShapeDtypeStruct((3 * MB // 4,), "float32")
+    check_memory(jax.jit(jnp.negative, donate_argnums=0).lower(vector).compile())
+    with pytest.raises(ValueError):
+        check_memory(jax.jit(jnp.negative).lower(vector).compile())

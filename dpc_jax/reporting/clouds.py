@@ -1,4 +1,4 @@
-"""Point clouds as pictures of small shaded spheres, drawn with NumPy alone."""
+"""Point clouds as pictures of shaded spheres or ellipsoids, drawn with NumPy alone."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,10 +8,13 @@ REAR = (-130.0, 20.0)  # back and right side
 _RADIUS = 0.012  # of the spheres of 2000 points, object units
 _REACH = 0.54  # of the picture from its middle, object units: box diagonal 1 fits in
 _FINER = 2  # times finer than asked for, then averaged: smooth edges
-_LIGHT = np.array([-0.45, 0.6, 0.66])  # from the upper left, towards the viewer
+# From the upper left, towards the viewer: right, up, nearness.
+_LIGHT = np.array([-0.45, 0.6, 0.66]) / np.linalg.norm([-0.45, 0.6, 0.66])
 _DEPTH = 0.8  # from the farthest to the nearest that colours tell apart
 _FADE = 0.45  # how far the colour of what is farthest fades to white
 _NEAR, _FAR = np.array([0.10, 0.29, 0.55]), np.array([0.62, 0.75, 0.88])
+# How many standard deviations from its centre a Gaussian's surface is drawn.
+DEVIATIONS = 1.5
 
 
 def view_points(points: np.ndarray, view_deg: tuple[float, float]) -> np.ndarray:
@@ -130,7 +133,60 @@ def _cover_pixels(seen, colors, radii, scale, side):
     which, place = np.nonzero(covered)
     towards = np.sqrt(1.0 - square[covered])
     across = np.stack([x[0, place], -y[0, place]]) / pixel_radii[which, 0]
-    light = _LIGHT / np.linalg.norm(_LIGHT)
-    lit = light[:2] @ across + light[2] * towards
+    lit = _LIGHT[:2] @ across + _LIGHT[2] * towards
     shade = (0.55 + 0.45 * np.maximum(lit, 0.0))[:, None]
     return (rows * side + cols)[covered], colors[which] * shade
+
+
+def draw_ellipsoids(
+    points: ArrayLike,
+    covariances: ArrayLike,
+    colors: ArrayLike,
+    *,
+    view_deg: tuple[float, float],
+    side: int = 320,
+    half_width: float = 0.6,
+) -> np.ndarray:
+    """A picture [side, side, 3] in [0, 1] of Gaussians, orthographic, z up.
+
+    The nearest surface that a pixel's ray meets is shown, shaded as if lit from the
+    upper left.
+
+    Args:
+      points: [N, 3], object frame. covariances: [N, 3, 3], in squares of its unit.
+      colors: [N, 3] in [0, 1].
+      view_deg: azimuth and elevation of the viewer, as of `view_points`.
+      half_width: of the picture, in units of the object.
+    """
+    axes = view_points(np.eye(3), view_deg)  # columns: right, up, towards the viewer
+    centers = view_points(np.asarray(points), view_deg)
+    turned = np.einsum("ji,njk,kl->nil", axes, np.asarray(covariances, float), axes)
+    # A variance of exactly zero has no surface.
+    turned += 1e-9 * np.eye(3)
+    place = (np.arange(side) + 0.5) / side * 2 - 1
+    right, up = np.meshgrid(half_width * place, -half_width * place)
+    nearest, picture = np.full((side, side), -np.inf), np.ones((side, side, 3))
+    shades = np.asarray(colors, float)
+    for center, covariance, color in zip(centers, turned, shades, strict=True):
+        depth, normals = _meet(right - center[0], up - center[1], covariance)
+        depth = depth + center[2]
+        is_seen = depth > nearest  # NaN, where the ray passes by, is not
+        lit = 0.35 + 0.65 * np.clip(normals[is_seen] @ _LIGHT, 0, 1)
+        picture[is_seen] = lit[:, None] * color
+        nearest[is_seen] = depth[is_seen]
+    return np.clip(picture, 0, 1)
+
+
+def _meet(right, up, covariance):
+    """Where rays first meet the surface: depth [...] (NaN: never) and normals.
+
+    The surface is xᵀ·A·x = k² with A the inverse covariance, a quadratic in the depth.
+    """
+    a = np.linalg.inv(covariance)
+    linear = a[0, 2] * right + a[1, 2] * up
+    rest = a[0, 0] * right**2 + 2 * a[0, 1] * right * up + a[1, 1] * up**2
+    square = linear**2 - a[2, 2] * (rest - DEVIATIONS**2)
+    root = np.sqrt(np.where(square >= 0, square, np.nan))
+    depth = (root - linear) / a[2, 2]
+    normals = np.stack([right, up, depth], axis=-1) @ a
+    return depth, normals / np.linalg.norm(normals, axis=-1, keepdims=True)

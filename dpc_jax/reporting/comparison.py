@@ -1,0 +1,234 @@
+"""The page of a comparison: one table, and one figure of all curves."""
+
+import html
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from dpc_jax.evaluation.metrics import format_metric, get_metric
+from dpc_jax.files import write_text
+from dpc_jax.reporting import style
+from dpc_jax.reporting.figures import AXIS_TEXTS, find_curve, limit_metric
+from dpc_jax.reporting.groups import ComparedRun, Group, find_best, find_common
+from dpc_jax.reporting.tables import format_table, make_table
+from dpc_jax.reporting.web.markup import assemble_page
+
+# Columns of the table; one without any number is left out.
+COLUMNS = (
+    "pose_accuracy",
+    "pose_median_error_deg",
+    "best_candidate_pose_accuracy",
+    "chamfer",
+    "precision",
+    "coverage",
+    "silhouette_iou",
+    "train_seconds",
+    "peak_memory_gb",
+)
+# All of validation: the loss of training says nothing between settings.
+PANELS = (
+    "pose_accuracy",
+    "pose_median_error_deg",
+    "silhouette_iou",  # of sets without poses
+    "chamfer",
+    "projection_error",
+)
+_LEGEND_ROW = 0.2  # inches
+_HOW_TO_READ = (
+    "Validation during training, over wall clock. The runs of a group have one colour. "
+    "Point at a row of the table to see its curves alone, click to keep them."
+)
+# Beside what all pages have in common.
+_STYLE = """
+:root{--mark:#fff0c9;--over:#eaf2f9}
+@media (prefers-color-scheme:dark){:root{--mark:#4a3d17;--over:#26313a}}
+.wide svg{width:100%;min-width:34rem;height:auto;display:block}
+td,th{vertical-align:top;white-space:nowrap}th{white-space:normal}
+tr:has(.group) td{padding-top:.7rem;font-weight:600}
+tr:has(.run){color:var(--soft);font-size:.82rem}.run{padding-left:1.1rem}
+tr.picked td{background:var(--over)}
+td:first-child{min-width:10rem;white-space:normal}
+mark{background:var(--mark);color:var(--ink);border-radius:.3rem;padding:.05rem .4rem;
+font:.78rem ui-monospace,monospace;display:inline-block;margin:.1rem .25rem .1rem 0;
+overflow-wrap:anywhere}
+svg.faded [id^="line-"]{opacity:.1}
+"""
+# Pointing at a row shows its curves alone; without a script all are shown.
+_SCRIPT = """
+const figure=document.querySelector("svg");
+const rows=[...document.querySelectorAll("[data-group]")].map(e=>
+[e.dataset.group,e.closest("tr")]);
+const lines=name=>document.querySelectorAll(`svg [id^="line-${name}"]`);
+function pick(index){figure.classList.toggle("faded",index!==null);
+lines("").forEach(l=>l.style.opacity="");
+if(index!==null)lines(`${index}-`).forEach(l=>l.style.opacity="1");
+rows.forEach(([group,row])=>row.classList.toggle("picked",group===index));}
+let kept=null;
+rows.forEach(([group,row])=>{row.onmouseenter=()=>pick(group);
+row.onmouseleave=()=>pick(kept);
+row.onclick=()=>{kept=kept===group?null:group;pick(kept);};});
+"""
+
+
+def write_comparison(folder: Path, groups: Sequence[Group]) -> Path:
+    """Write index.html, curves.png and curves.svg into a folder; the path of the page.
+
+    Args:
+      groups: at least one.
+    """
+    curves = draw_comparison(groups, folder / "curves.png").read_text("utf-8")
+    count = sum(len(group.runs) for group in groups)
+    title = f"{count} runs side by side" if count > 1 else "One run"
+    common = find_common([group.runs[0].fields for group in groups])
+    summary = "<summary>The settings where nothing is marked</summary>"
+    body = (
+        f"<h1>{title}</h1>\n<p>{html.escape(_explain(groups))}</p>\n"
+        f"{_show_table(groups)}"
+        + (f"<details>{summary}{_mark(common)}</details>\n" if common else "")
+        + f"<h2>Error against run time</h2><p>{_HOW_TO_READ}</p>\n"
+        f'<div class="wide chart">{curves[curves.index("<svg") :]}</div>\n'
+        f"<script>{_SCRIPT}</script>"
+    )
+    page = assemble_page(title, body, style=_STYLE)
+    return write_text(folder / "index.html", page)
+
+
+def tabulate_groups(groups: Sequence[Group]) -> str:
+    """The table as Markdown, without the settings, for a terminal."""
+    heads, rows = _tabulate(groups)
+    return format_table(heads, [cells for _, _, cells in rows])
+
+
+def list_columns(groups: Sequence[Group]) -> list[str]:
+    """The metrics that some run has."""
+    found = [n for n in COLUMNS if any(g.summarize(n) is not None for g in groups)]
+    return found or ["train_seconds"]
+
+
+def _tabulate(groups: Sequence[Group]):
+    """Heads, and rows: the group's index, the run of several or None, cells of text."""
+    columns = list_columns(groups)
+    best = {name: find_best(groups, name) for name in columns}
+    rows: list[tuple[int, ComparedRun | None, list[str]]] = []
+    for index, group in enumerate(groups):
+        runs = group.runs if len(group.runs) > 1 else ()
+        name = f"{group.name}, {len(runs)} seeds" if runs else _name(group.runs[0])
+        cells = [
+            ("▸ " if best[metric] is group else "") + group.describe(metric)
+            for metric in columns
+        ]
+        rows.append((index, None, [name, *cells]))
+        for run in runs:
+            values = [run.metrics.get(metric) for metric in columns]
+            cells = map(format_metric, columns, values)
+            rows.append((index, run, [_name(run), *cells]))
+    return ["Run", *(get_metric(name).heading for name in columns)], rows
+
+
+def _name(run: ComparedRun) -> str:
+    return run.name + (f" ({run.unfinished})" if run.unfinished else "")
+
+
+def _show_table(groups: Sequence[Group]) -> str:
+    heads, rows = _tabulate(groups)
+    shown = []
+    for index, run, (name, *cells) in rows:
+        kind, differs = ("run", {}) if run else ("group", groups[index].differs)
+        first = f'<div class="{kind}" data-group="{index}">{html.escape(name)}</div>'
+        shown.append([first + _mark(differs), *map(html.escape, cells)])
+    return make_table(shown, map(html.escape, heads), kind="numbers")
+
+
+def _explain(groups: Sequence[Group]) -> str:
+    """How to read the table; only what it has."""
+    parts = ["Figures of the test split."]
+    if any(len(group.runs) > 1 for group in groups):
+        parts.append(
+            "Runs that differ in the seed alone stand together, under their mean ± "
+            "standard deviation (n − 1)."
+        )
+    if any(group.differs for group in groups):
+        parts.append("Marked: settings that most others have otherwise.")
+    if any(find_best(groups, name) for name in COLUMNS):
+        parts.append("▸ is the best of its column, whatever the spread.")
+    if unfinished := [run for g in groups for run in g.runs if run.unfinished]:
+        parts.append(f"Not finished: {len(unfinished)}.")
+    return " ".join(parts)
+
+
+def _mark(settings: Mapping[str, object]) -> str:
+    texts = (
+        f"{name} {value if isinstance(value, str) and value else repr(value)}"
+        for name, value in settings.items()
+    )
+    return "".join(f"<mark>{html.escape(text)}</mark>" for text in texts)
+
+
+def draw_comparison(
+    groups: Sequence[Group], path: Path, *, metrics: Sequence[str] = PANELS
+) -> Path:
+    """Draw error against run time as PATH.png and PATH.svg; the path of the second.
+
+    The lines of group i have ids in the SVG that begin with "line-i-", those of its
+    entry in the legend too.
+
+    Args:
+      groups: a colour and line style for each.
+      metrics: a panel for each that is recorded; where none is, the loss.
+    """
+    recorded = {
+        n for g in groups for run in g.runs for line in run.records for n in line
+    }
+    metrics = [name for name in metrics if name in recorded] or ["loss"]
+    columns, width = min(2, len(metrics)), 11.0
+    longest = max(len(group.name) for group in groups) + 8
+    names = min(len(groups), max(1, int(width / (0.075 * longest))))  # in a row
+    height = 3.3 * -(-len(metrics) // columns) + _LEGEND_ROW * -(-len(groups) // names)
+    figure = style.make_figure(width, height)
+    panels = style.make_panels(figure, len(metrics), columns=columns)
+    for axes, metric in zip(panels, metrics, strict=True):
+        title, text = get_metric(metric).label, AXIS_TEXTS.get(metric, "")
+        style.label_axes(axes, title=title, x_label="run time (min)", y_label=text)
+        for index, group in enumerate(groups):
+            for run in group.runs:
+                _draw_run(axes, run, metric, index)
+        latest = float(axes.dataLim.x1)
+        axes.set_xlim(0.0, 1.02 * latest if latest > 0 else 1.0)
+        limit_metric(axes, metric)
+    handles = []
+    for index, group in enumerate(groups):
+        seeds = f" ({len(group.runs)} seeds)" if len(group.runs) > 1 else ""
+        label = style.spell_name(group.name) + seeds
+        handles.append(Line2D([], [], lw=2.0, label=label, **_look(index)))
+    legend = style.add_legend(figure, handles=handles, ncols=names, handlelength=3.2)
+    for index, line in enumerate(legend.get_lines()):
+        line.set_gid(f"line-{index}-legend")
+    style.save_figure(figure, path)
+    buffer = io.StringIO()
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "curves"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return write_text(path.with_suffix(".svg"), buffer.getvalue())
+
+
+def _look(index: int) -> dict[str, str]:
+    look = style.pick_series(index)
+    return {"color": look["color"], "linestyle": look["linestyle"]}
+
+
+def _draw_run(axes: Axes, run: ComparedRun, metric: str, index: int) -> None:
+    seconds, values = find_curve(run.records, metric)
+    (line,) = axes.plot(
+        seconds / 60,
+        values,
+        lw=1.3,
+        marker="o",
+        markevery=slice(len(values) - 1, None),
+        ms=3.5,
+        clip_on=False,  # the last point lies on the edge
+        **_look(index),
+    )
+    line.set_gid(f"line-{index}-{metric}-{run.name}")

@@ -1,0 +1,225 @@
+"""Figures of the paper's experiments: correspondences, interpolation, point sizes."""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.colors import to_rgb
+from PIL import Image
+
+from dpc_jax.reporting import style
+from dpc_jax.reporting.clouds import (
+    FRONT,
+    REAR,
+    draw_cloud,
+    draw_ellipsoids,
+    draw_spheres,
+    shade_depth,
+)
+from dpc_jax.reporting.gallery import draw_grid, write_animation
+
+_COLUMNS = 6  # as in the paper
+_PLAIN, _MARKED = 0.010, 0.021  # radii of the spheres, object units
+_COLORS = (
+    "#e6194b", "#3cb44b", "#ffb000", "#4363d8", "#f06a1d", "#911eb4",
+    "#1fb8c4", "#f032e6", "#8db600", "#7a4a1e", "#008080", "#000075",
+)  # fmt: skip
+# Sides of pictures, pixels: of a cloud, of one in a strip, of one in an animation.
+_SIDE, _STRIP, _FRAME = 320, 256, 300
+_INSET = 80  # of an input in the corner of a cloud
+_BAR = 8  # height of the bar that tells how far a frame is, pixels
+_REST, _MOVE = 600, 80  # how long a prediction and a frame between stay, milliseconds
+_FILLED, _EMPTY = (47, 126, 188), (222, 228, 234)
+
+
+def draw_transfers(
+    images: Sequence[np.ndarray] | np.ndarray,
+    clouds: Sequence[np.ndarray] | np.ndarray,
+    found: Sequence[np.ndarray],
+    path: str | os.PathLike,
+    *,
+    templates: int,
+) -> Path:
+    """Clouds in which the points of each keypoint have one colour (the paper's Fig. 7).
+
+    Args:
+      images: uint8 [S, S, 3], the input of each cloud, shown in its corner.
+      clouds: [N, 3] in the object frame.
+      found: for each keypoint the indices of its points.
+      templates: how many of the first clouds are templates, which get a frame.
+    """
+    pictures: list[np.ndarray | None] = []
+    for image, cloud in zip(images, clouds, strict=True):
+        colors = 0.35 * shade_depth(cloud, FRONT) + 0.65 * np.array([0.80, 0.82, 0.85])
+        radius = np.full(len(cloud), _PLAIN)
+        for i, index in enumerate(found):
+            colors[index], radius[index] = to_rgb(_COLORS[i % len(_COLORS)]), _MARKED
+        look = {"view_deg": FRONT, "radius": radius, "size": _SIDE}
+        pictures.append(_inset(draw_spheres(cloud, colors, **look), image))
+    pictures += [None] * (-len(pictures) % _COLUMNS)
+    rows = [pictures[i : i + _COLUMNS] for i in range(0, len(pictures), _COLUMNS)]
+    titles = ["template"] * templates
+    return draw_grid(rows, path, titles=titles, framed=templates, has_few_colors=True)
+
+
+def _inset(picture: np.ndarray, *images: np.ndarray) -> np.ndarray:
+    """The picture with one input in its upper left corner, and another in the right."""
+    for image, place in zip(
+        images, (slice(_INSET), slice(-_INSET, None)), strict=False
+    ):
+        small = Image.fromarray(image).resize(
+            (_INSET, _INSET), Image.Resampling.BICUBIC
+        )
+        corner = picture[:_INSET, place]
+        corner[:] = np.minimum(corner, np.array(small))
+    return picture
+
+
+def draw_strips(
+    starts: Sequence[np.ndarray] | np.ndarray,
+    clouds: Sequence[np.ndarray] | np.ndarray,
+    stops: Sequence[np.ndarray] | np.ndarray,
+    path: str | os.PathLike,
+) -> Path:
+    """A row for each pair: input A, clouds from A to B, input B (the paper's figure).
+
+    Args:
+      starts, stops: inputs uint8 [S, S, 3] of each pair.
+      clouds: [F, N, 3] of each pair in the object frame, A first and B last.
+    """
+    rows = []
+    for start, between, stop in zip(starts, clouds, stops, strict=True):
+        pictures = [draw_cloud(cloud, size=_STRIP) for cloud in between]
+        rows.append([start, *pictures, stop])
+    last = len(clouds[0]) - 1
+    middle = [f"{100 * i / last:.0f} % of the way" for i in range(1, last)]
+    titles = ["input A", "prediction A", *middle, "prediction B", "input B"]
+    return draw_grid(rows, path, titles=titles, has_few_colors=True)
+
+
+def animate_tour(
+    images: Sequence[np.ndarray] | np.ndarray,
+    clouds: np.ndarray,
+    path: str | os.PathLike,
+) -> Path:
+    """An endless GIF from one input's shape to the next and back to the first.
+
+    Each frame shows the cloud from the front and from the rear, the inputs that it is
+    between, and how far it has come.
+
+    Args:
+      images: uint8 [S, S, 3], n inputs.
+      clouds: [n, F, N, 3] in the object frame; row i goes from input i, at its first
+        frame, towards input i + 1, which is the first frame of the next row.
+    """
+    count, steps = clouds.shape[:2]
+    frames = []
+    for i, step in np.ndindex(count, steps):
+        sides = [
+            draw_cloud(clouds[i, step], view_deg=view, size=_FRAME)
+            for view in (FRONT, REAR)
+        ]
+        ends = images[i], images[(i + 1) % count]
+        picture = _inset(np.concatenate(sides, axis=1), *ends)
+        bar = np.full((_BAR, picture.shape[1], 3), _EMPTY, np.uint8)
+        bar[:, : round(step / steps * picture.shape[1])] = _FILLED
+        frames.append(np.concatenate([picture, bar]))
+    times = [_REST if i % steps == 0 else _MOVE for i in range(len(frames))]
+    return write_animation(frames, path, milliseconds=times)
+
+
+# Kinds of point sizes, with their labels.
+LABELS = {
+    "": "hand-tuned isotropic",
+    "sigma": "learned isotropic",
+    "covariance": "learned full covariance",
+}
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """One predicted shape, and its silhouette beside the true one."""
+
+    image: np.ndarray  # [S, S, 3] uint8, what the network saw
+    target: np.ndarray  # [S, S] true silhouette, 0 to 1
+    predicted: np.ndarray  # [D, D] rendered silhouette, 0 to 1
+    points: np.ndarray  # [N, 3] object frame
+    covariances: np.ndarray  # [N, 3, 3] object frame, in squares of its unit
+
+
+def draw_silhouettes(
+    shapes: Mapping[str, Sequence[Gaussians]], path: str | os.PathLike
+) -> Path:
+    """Silhouettes of each kind of size under the input and the target.
+
+    Args:
+      shapes: by kind of point size ("", "sigma" or "covariance"), of the same views.
+    """
+    kinds = [kind for kind in LABELS if kind in shapes]
+    given = shapes[kinds[0]]
+    rows = {"input": [s.image for s in given], "target": [s.target for s in given]}
+    rows |= {LABELS[kind]: [s.predicted for s in shapes[kind]] for kind in kinds}
+    return draw_grid(list(rows.values()), path, labels=list(rows))
+
+
+def draw_gaussians(
+    shapes: Mapping[str, Sequence[Gaussians]], path: str | os.PathLike
+) -> Path:
+    """Gaussians of each kind of size as shaded ellipsoids, under the input.
+
+    A point has one colour in every column. Arguments as of `draw_silhouettes`.
+    """
+    kinds = [kind for kind in LABELS if kind in shapes]
+    rows = {"input": [s.image for s in shapes[kinds[0]]]}
+    for kind in kinds:
+        rows[LABELS[kind]] = [
+            draw_ellipsoids(
+                shape.points,
+                shape.covariances,
+                _pick_colors(len(shape.points)),
+                view_deg=FRONT,
+            )
+            for shape in shapes[kind]
+        ]
+    return draw_grid(list(rows.values()), path, labels=list(rows), size=2.3)
+
+
+def _pick_colors(count):
+    """Distinct colours of points: hues by the golden ratio."""
+    hues = (np.arange(count) * 0.618034) % 1
+    angles = 2 * np.pi * (hues[:, None] + np.array([0, 1 / 3, 2 / 3]))
+    return np.clip(0.62 + 0.33 * np.cos(angles), 0, 1)
+
+
+def draw_projection_errors(
+    errors: Mapping[str, Mapping[int, Sequence[float]]], path: str | os.PathLike
+) -> Path:
+    """Projection error over the number of points; a dot for each run, a line of means.
+
+    Args:
+      errors: by kind of point size, then number of points: the errors of its runs.
+    """
+    figure = style.make_figure(7.0, 4.2)
+    axes = figure.subplots()
+    colors = dict(zip(LABELS, style.SERIES, strict=False))
+    for kind, runs in errors.items():
+        places = sorted(runs)
+        means = [float(np.mean(runs[count])) for count in places]
+        axes.plot(places, means, "o-", color=colors[kind], label=LABELS[kind], lw=1.8)
+        for count in places:
+            dots = [count] * len(runs[count])
+            axes.plot(dots, runs[count], ".", color=colors[kind], alpha=0.5)
+    style.label_axes(
+        axes,
+        title="Projection error over the number of points",
+        x_label="points",
+        y_label="projection error per pixel",
+        grid="both",
+    )
+    axes.set_xscale("log")
+    style.set_ticks(axes, sorted({count for runs in errors.values() for count in runs}))
+    axes.set_ylim(0.0, 1.1 * axes.dataLim.y1)
+    axes.legend(frameon=False, fontsize=9)
+    return style.save_figure(figure, path)

@@ -1,0 +1,174 @@
+"""The training of a run: its first or last saved state, then steps until the end."""
+
+import contextlib
+import functools
+from pathlib import Path
+
+import jax
+
+from dpc_jax.config import Config, from_json, replace_fields, to_json
+from dpc_jax.learning.step import TrainState, describe_state, init_state
+from dpc_jax.learning.training import loop
+from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
+from dpc_jax.learning.training.records import MetricLog
+from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.run.hosts.agreement import Job
+from dpc_jax.run.hosts.checkpoints import open_checkpoints
+from dpc_jax.run.model import Model, Show
+from dpc_jax.run.process import catch_signals
+from dpc_jax.run.setup import make_network
+from dpc_jax.run.workdir import list_differences, read_config
+
+# Fields that make_network reads.
+_OF_NETWORK = (
+    *("network.", "pose.", "render.num_points", "render.grid", "render.scale_fixed"),
+    *("train.color_weight", "data.image_size"),
+)
+_GB = 1e9
+
+
+def train_model(
+    model: Model, workdir: Path, log: MetricLog, job: Job, *, show: Show | None = None
+) -> loop.Outcome:
+    """Train to the last step, or until SIGTERM or Ctrl-C asks to save and stop.
+
+    Args:
+      log: that records are written to. show: what is shown each validation.
+
+    Raises:
+      ValueError: if there are checkpoints, yet none can be read, or a step needs more
+        memory than the device has.
+      NonFiniteError: where training breaks.
+    """
+    checkpoints = open_checkpoints(workdir / "checkpoints", job)
+    start = _restore_run(model, checkpoints, log, job)
+    with contextlib.closing(checkpoints), catch_signals() as stop:
+        if int(start.state.step) >= model.config.train.steps:
+            return loop.Outcome(start.state, start.seconds, True)
+        return loop.train(
+            start.state,
+            model.sets["train"],
+            network=model.network,
+            config=model.config,
+            checkpoints=checkpoints,
+            log=log,
+            evaluate=functools.partial(model.validate, show=show),
+            should_stop=job.agree_to_stop(stop.is_set),
+            may_stop_waiting=job.processes == 1,
+            seconds=start.seconds,
+            title=f"Training {workdir.name}",
+            validations_after=model.count_views("test", "val")
+            / model.count_views("val"),
+            prepare=functools.partial(model.compile_predictor, start.state),
+            check=check_memory,
+        )
+
+
+def _restore_run(
+    model: Model, checkpoints: Checkpoints, log: MetricLog, job: Job
+) -> Restored:
+    """The newest checkpoint that can be read, or step 0; the log is cut to fit."""
+    restored = checkpoints.restore(describe_state(model.network, model.config))
+    for step in restored.damaged if restored else ():
+        print(f"The checkpoint of step {step} is damaged; the one before is used.")
+    if restored:
+        checkpoints.set_aside(restored.damaged)
+        step = int(restored.state.step)
+        print(f"Going on from the checkpoint of step {step}.", flush=True)
+    else:
+        restored = Restored(begin_run(model.network, model.config, job), 0.0, ())
+    log.cut_after(int(restored.state.step))
+    return restored
+
+
+def begin_run(network: ShapePoseNetwork, config: Config, job: Job) -> TrainState:
+    """The state at step 0, on the run's devices.
+
+    With `train.init_from` it has the parameters of the last checkpoint of that workdir.
+    Optimiser, schedules and what was seen of the category begin anew.
+
+    Raises:
+      ValueError: where that workdir holds no checkpoint that can be read, or one of a
+        network with other parameters.
+    """
+    state = init_state(network, config)
+    if not config.train.init_from:
+        return state
+    workdir = Path(config.train.init_from)
+    # Only process 0 has to see the folder.
+    text = job.do_first(lambda: to_json(read_config(workdir)))
+    other = from_json(job.gather(text or "")[0])
+    here = {
+        "run": {"devices": config.run.devices},
+        "train": {"models_per_batch": config.train.models_per_batch},
+    }
+    like = describe_state(make_network(other), replace_fields(other, here))
+
+    def measure(params):
+        return jax.tree.map(lambda a: (a.shape, a.dtype), params)
+
+    if measure(like.params) != measure(state.params):
+        listed = list_differences(other, config)
+        differing = [text for text in listed if text.startswith(_OF_NETWORK)]
+        raise ValueError(
+            "train.init_from must be the workdir of a run whose network has the same "
+            f"parameters as this one's, but {workdir} differs in "
+            f"{', '.join(differing)}; give another, or its values "
+            "(--config.SECTION.FIELD=VALUE)."
+        )
+    found = _restore_other(workdir / "checkpoints", like, job)
+    print(f"Beginning with the parameters of {workdir}, step {int(found.step)}.")
+    return state._replace(params=found.params)
+
+
+def _restore_other(folder: Path, like: TrainState, job: Job) -> TrainState:
+    """The last state of another run; nothing is made in its folder."""
+    missing = ValueError(
+        f"Expected a checkpoint of the run of train.init_from in {folder}, but there "
+        "is none; give the workdir of a run that has saved one."
+    )
+
+    def check():
+        if not folder.is_dir():
+            raise missing
+
+    job.do_first(check)
+    with contextlib.closing(open_checkpoints(folder, job)) as checkpoints:
+        try:
+            found = checkpoints.restore(like)
+        except ValueError:  # whose advice is for a run's own folder
+            raise ValueError(
+                "Expected a whole checkpoint of the run of train.init_from in "
+                f"{folder}, but none of them could be read; give the workdir of "
+                "another run."
+            ) from None
+    if found is None:
+        raise missing
+    return found.state
+
+
+def check_memory(program: jax.stages.Compiled) -> None:
+    """Refuse a compiled step that the device's memory cannot hold, before it runs.
+
+    Where the device does not tell its memory, as a CPU, nothing happens.
+
+    Raises:
+      ValueError: where the compiler's own layout needs more than there is.
+    """
+    limit = (jax.local_devices()[0].memory_stats() or {}).get("bytes_limit")
+    layout = program.memory_analysis()
+    if limit is None or layout is None:
+        return
+    needed = (
+        layout.argument_size_in_bytes
+        + layout.output_size_in_bytes
+        + layout.temp_size_in_bytes
+        - layout.alias_size_in_bytes
+    )
+    if needed > limit:
+        raise ValueError(
+            f"A training step must fit into the device's memory of {limit / _GB:.1f} "
+            f"GB, but its program needs {needed / _GB:.1f} GB; set "
+            "--config.render.renders_at_once=4 to render fewer views side by side, or "
+            "--config.train.models_per_batch lower."
+        )
