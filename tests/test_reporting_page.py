@@ -213,16 +213,14 @@ def test_clouds_reach_the_page_as_they_are_and_errors_with_them():
     assert count == 3 * 2000
 
 
-def test_curves_bear_missing_quantities(tmp_path):
-    all_of_them = figures.draw_curves(RECORDS, tmp_path / "all.png").read_bytes()
-    loss_alone = figures.draw_curves(RECORDS[:1], tmp_path / "loss.png").read_bytes()
-    assert picture(all_of_them).shape[0] == 2 * picture(loss_alone).shape[0]
+def test_curves_have_a_panel_for_what_is_recorded(tmp_path):
+    drawn = figures.draw_curves(RECORDS, tmp_path / "all.png").read_bytes()
+    alone = figures.draw_curves(RECORDS[:1], tmp_path / "loss.png").read_bytes()
+    assert picture(drawn).shape[0] == 2 * picture(alone).shape[0]
     figures.draw_curves([], tmp_path / "none.png")
     many = [{"seconds": t, "loss": 0.0} for t in range(200)]  # no logarithm of zero
     figures.draw_curves(many, tmp_path / "zero.png")
-
-
-def test_a_single_curve_takes_the_whole_picture(tmp_path):
+    # A single curve takes the whole picture.
     lines = [{"seconds": t, "side": 64, "loss": 1 / t} for t in range(1, 5)]
     for draw in (figures.draw_fit, figures.draw_curves):
         drawn = picture(draw(lines, tmp_path / "one.png").read_bytes())
