@@ -157,7 +157,8 @@ def test_on_a_disk_that_is_really_full_nothing_is_lost_and_saving_goes_on(tmp_pa
         capture_output=True,
         text=True,
         cwd=Path(__file__).parent,
-        env=os.environ | {"JAX_PLATFORMS": "cpu"},
+        # Without jaxlib's remarks on programs of the cache.
+        env=os.environ | {"JAX_PLATFORMS": "cpu", "TF_CPP_MIN_LOG_LEVEL": "3"},
     )
     sentence, *rest = done.stdout.splitlines() or [done.stderr]
     assert "the disk is full; free some" in sentence

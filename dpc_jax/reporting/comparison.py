@@ -4,6 +4,7 @@ import html
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -115,14 +116,15 @@ def _tabulate(groups: Sequence[Group]):
     best = {name: find_best(groups, name) for name in columns}
     rows: list[tuple[int, ComparedRun | None, list[str]]] = []
     for index, group in enumerate(groups):
-        runs = group.runs if len(group.runs) > 1 else ()
-        name = f"{group.name}, {len(runs)} seeds" if runs else _name(group.runs[0])
+        runs = list(group.runs)
+        several = len(runs) > 1
+        name = f"{group.name}, {len(runs)} seeds" if several else _name(runs[0])
         cells = [
             ("▸ " if best[metric] is group else "") + group.describe(metric)
             for metric in columns
         ]
         rows.append((index, None, [name, *cells]))
-        for run in runs:
+        for run in runs if several else ():
             values = [run.metrics.get(metric) for metric in columns]
             cells = map(format_metric, columns, values)
             rows.append((index, run, [_name(run), *cells]))
@@ -214,7 +216,7 @@ def draw_comparison(
     return write_text(path.with_suffix(".svg"), buffer.getvalue())
 
 
-def _look(index: int) -> dict[str, str]:
+def _look(index: int) -> dict[str, Any]:
     look = style.pick_series(index)
     return {"color": look["color"], "linestyle": look["linestyle"]}
 

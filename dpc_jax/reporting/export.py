@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -144,7 +145,8 @@ def _write_mesh(path, vertices, normals, faces, colors, name) -> Path:
         tree["meshes"][0]["primitives"][0]["material"] = 0
 
     options = {"include_normals": True, "tree_postprocessor": finish}
-    return write_bytes(path, scene.export(file_type="glb", **options))
+    data: Any = scene.export(file_type="glb", **options)
+    return write_bytes(path, data)
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:

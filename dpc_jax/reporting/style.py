@@ -67,8 +67,9 @@ def show_picture(axes: Axes, picture: ArrayLike, **look: Any) -> Any:
     """A picture without ticks; one without colours, of 0 to 1, is grey by default."""
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_color(FRAME)
-    limits = {} if "norm" in look else {"vmin": 0.0, "vmax": 1.0}
-    return axes.imshow(picture, **({"cmap": "gray"} | limits | look))
+    settings: dict[str, Any] = {"cmap": "gray"}
+    settings |= {} if "norm" in look else {"vmin": 0.0, "vmax": 1.0}
+    return axes.imshow(picture, **settings | look)
 
 
 def label_axes(
