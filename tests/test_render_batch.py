@@ -33,9 +33,6 @@ def sum_images(images):
     return sum(w * jnp.sum(images[n] ** 2) for n, w in weights.items())
 
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
-
 def assert_close(found, right):
     assert jax.tree.structure(found) == jax.tree.structure(right)
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(right), strict=True):

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_runs import compiling_quickly
 
 import dpc_jax
 from dpc_jax.render import kernels
@@ -94,12 +93,11 @@ def test_a_flat_covariance_turned_a_little_has_a_gradient():
     # A line along x, turned so that its depth variance is 1e-19: the factors of an
     # order of axes that is not its own overflow.
     line = jnp.diag(jnp.array([1.0, 0, 0]))
-    with compiling_quickly():
-        value, slopes = sum_silhouette(line, jnp.array([0, 0.5, 0, 4555501056.0]))
-        level, expected = sum_silhouette(line, jnp.array([0.0, 0, 0, 1]))
-        # Variance 0 along x, yet "correlated" with y and z.
-        matrix = jnp.diag(jnp.array([1.0, 0, 0])) - 1
-        others = sum_silhouette(matrix, jnp.array([0, -1, -5.7e19, 0]))
+    value, slopes = sum_silhouette(line, jnp.array([0, 0.5, 0, 4555501056.0]))
+    level, expected = sum_silhouette(line, jnp.array([0.0, 0, 0, 1]))
+    # Variance 0 along x, yet "correlated" with y and z.
+    matrix = jnp.diag(jnp.array([1.0, 0, 0])) - 1
+    others = sum_silhouette(matrix, jnp.array([0, -1, -5.7e19, 0]))
     np.testing.assert_allclose(value, level, rtol=1e-6)  # the tilt is 2e-10
     np.testing.assert_allclose(slopes[0], expected[0], rtol=1e-5, atol=1e-6)
     assert all(np.all(np.isfinite(a)) for a in jax.tree.leaves((slopes, others)))
@@ -218,7 +216,7 @@ def test_covariances_turn_with_the_object():
     matrices = half @ half.transpose(0, 2, 1) + np.eye(3)
     points = rng.uniform(-0.2, 0.2, (6, 3))
     quaternion = rng.normal(size=4)
-    with jax.enable_x64(True), compiling_quickly():
+    with jax.enable_x64(True):
         turn = np.asarray(dpc_jax.quaternion.to_matrix(jnp.asarray(quaternion)))
         shared = {
             "scale": 3.0,

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_runs import compiling_quickly
 
 import dpc_jax
 from dpc_jax.render.exact import covariances
@@ -74,7 +73,7 @@ def test_without_perspective_an_isotropic_covariance_is_that_sigma():
     variances = scene["sigmas"][:, None] ** 2 / sizes**2
     matrices = np.eye(3) * variances[:, None, :]
     options = {"kind": "orthographic", "method": "gaussian"}
-    with jax.enable_x64(True), compiling_quickly():
+    with jax.enable_x64(True):
         scene = to_x64(scene)
         image = render(scene, covariance=to_x64(matrices), **options)
         expected = render(scene, scene["sigmas"], **options)
@@ -113,7 +112,7 @@ def render_cloud(points, sigma, method):
 
 @pytest.mark.parametrize("sigma", [1.0, 3.0])
 def test_compensated_widening_brings_the_fast_method_to_the_basic_one(sigma):
-    with jax.enable_x64(True), compiling_quickly():
+    with jax.enable_x64(True):
         points = jnp.asarray(np.random.default_rng(5).normal(size=(500, 3)) * 0.1)
         sizes = jnp.asarray(sigma), dpc_jax.compensate_widening(sigma)
         exact = np.asarray(render_cloud(points, sizes[0], "gaussian"))
@@ -143,7 +142,7 @@ def test_compensated_sigmas_grow_without_jumps_or_infinite_slopes():
 
 def test_sizes_of_zero_among_others_have_no_slope_and_spoil_none():
     scene = make_scene()
-    with jax.enable_x64(True), compiling_quickly():
+    with jax.enable_x64(True):
         scene = to_x64(scene)
         sigmas = scene.pop("sigmas")
 
@@ -219,7 +218,7 @@ def test_a_volume_under_perspective_is_as_far_from_exact_as_its_linearisation():
         camera=dpc_jax.Camera(FOCAL, DISTANCE),
         grid=dpc_jax.VoxelGrid(side),
     )
-    with jax.enable_x64(True), compiling_quickly():
+    with jax.enable_x64(True):
         volume = jax.jit(fill)(
             jnp.asarray(point[None]), jnp.asarray(turn), covariance=matrix[None]
         )

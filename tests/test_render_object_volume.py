@@ -7,12 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tiny_runs import compiling_quickly
 
 import dpc_jax
 from dpc_jax.measure.stability import oracles
-
-pytestmark = pytest.mark.usefixtures("quickly")
 
 ALL = ("silhouette", "depth", "color", "termination")
 IDENTITY = jnp.array([1.0, 0.0, 0.0, 0.0])
@@ -44,7 +41,7 @@ def render_all(scene, kind):
 @pytest.mark.parametrize("kind", ["perspective", "orthographic"])
 def test_images_equal_the_written_equations_in_float64(kind):
     scene = make_scene()
-    with jax.enable_x64(True), compiling_quickly():
+    with jax.enable_x64(True):
         image = render_all(scene, kind)
     names = ("volume", "colors", "rotation", "translation")
     expected = oracles.project_volume(

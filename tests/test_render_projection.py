@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tiny_runs import compiling_quickly
 
 import dpc_jax
 from dpc_jax.measure.stability import oracles
@@ -43,7 +42,7 @@ def render_all(scene, sigma, kind):
 @pytest.mark.parametrize("sigma", [0.0, 0.7, 1.9])
 def test_images_equal_the_written_equations_in_float64(kind, sigma):
     s = make_scene()
-    with jax.enable_x64(True), compiling_quickly():
+    with jax.enable_x64(True):
         image = render_all(s, sigma, kind)
     expected = oracles.project(
         *(s["points"], s["rotation"], sigma, s["scale"], s["colors"]),

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_runs import compiling_quickly
 
 import dpc_jax
 
@@ -39,15 +38,13 @@ def make_single():
 
 
 def test_the_maximum_along_a_ray_is_that_of_its_occupancies():
-    with compiling_quickly():
-        silhouette, occupancy = render(make_single(), ray_rule="maximum")
+    silhouette, occupancy = render(make_single(), ray_rule="maximum")
     np.testing.assert_array_equal(silhouette, np.max(occupancy, axis=-1))
 
 
 @pytest.mark.parametrize("method", ["trilinear", "gaussian"])
 def test_a_volume_and_its_terminations_give_the_silhouette(method):
-    with compiling_quickly():
-        silhouette, occupancy = render(make_single(), method=method)
+    silhouette, occupancy = render(make_single(), method=method)
     assert occupancy.shape == GRID.shape
     ends, background = dpc_jax.termination_probabilities(occupancy)
     # Rounding of a sum and a product over nine cells.
@@ -59,12 +56,11 @@ def test_a_volume_and_its_terminations_give_the_silhouette(method):
 @pytest.mark.parametrize("channels", [1, 3, 7])
 def test_colours_of_any_number_of_channels_come_one_by_one(method, channels):
     colors = np.random.default_rng(4).uniform(size=(COUNT, channels)).astype("f4")
-    with compiling_quickly():
-        image = render_colors(make_single(), colors, method)
-        assert image.shape == (10, 12, channels)
-        for i in range(0, channels, 3):
-            one = render_colors(make_single(), colors[:, i : i + 1], method)
-            np.testing.assert_allclose(image[..., i], one[..., 0], atol=1e-6)
+    image = render_colors(make_single(), colors, method)
+    assert image.shape == (10, 12, channels)
+    for i in range(0, channels, 3):
+        one = render_colors(make_single(), colors[:, i : i + 1], method)
+        np.testing.assert_allclose(image[..., i], one[..., 0], atol=1e-6)
 
 
 @functools.partial(jax.jit, static_argnames="method")
