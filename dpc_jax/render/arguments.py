@@ -84,7 +84,7 @@ def check_camera(camera: Camera) -> None:
         "camera.distance": camera.distance,
     }
     for name, value in numbers.items():
-        checks.check_number(name, value)
+        checks.check_real(name, value, ())
     checks.check_values(numbers)
 
 
@@ -127,38 +127,30 @@ def check_signals(
 
 
 def convert_colors(
-    colors: ArrayLike | None, count: int, background: tuple[ArrayLike, ArrayLike]
-) -> jax.Array | None:
-    """Convert the colours of `count` points to an array [N, C]; None stays None.
-
-    Also refuse a depth and a colour of the background that have a wrong shape.
-    """
-    return _convert_colors(colors, (count,), "one row per point", background)
-
-
-def convert_cell_colors(
     colors: ArrayLike | None,
     shape: tuple[int, ...],
     background: tuple[ArrayLike, ArrayLike],
 ) -> jax.Array | None:
-    """The same for colours of the cells of a volume, [X, Y, Z, C]."""
-    return _convert_colors(colors, shape, "one colour per cell", background)
+    """Convert the colours of points (N,) or of cells (X, Y, Z) to an array [*shape, C].
 
-
-def _convert_colors(colors, shape, what, background):
+    None stays None. Also refuse a depth and a colour of the background that have a
+    wrong shape.
+    """
+    wanted, each = "[N, C]", "one row per point"
+    if len(shape) > 1:
+        wanted, each = "[X, Y, Z, C]", "one colour per cell"
     shapes: list[tuple] = [()]
     if colors is not None:
-        hint = f"give {what}"
+        hint = f"give {each}"
         colors = checks.check_real("colors", colors, (*shape, "C"), hint=hint)
         if colors.shape[-1] == 0:
-            wanted = "[N, C]" if len(shape) == 1 else "[X, Y, Z, C]"
             raise ValueError(
                 f"colors must have shape {wanted} with C >= 1, but they have "
                 f"{list(colors.shape)}; leave them out where there are none."
             )
         shapes.append(colors.shape[-1:])
     background_depth, background_color = background
-    checks.check_number("background_depth", background_depth)
+    checks.check_real("background_depth", background_depth, ())
     hint = "pass one number, or one per channel of the colors"
     checks.check_real("background_color", background_color, *shapes, hint=hint)
     return colors

@@ -59,11 +59,6 @@ def check_array(
     return array
 
 
-def check_number(name: str, value: ArrayLike | None) -> jax.Array:
-    """Convert one real number to an array of shape ()."""
-    return check_real(name, value, ())
-
-
 def check_choice(name: str, value: str, choices: Sequence[str], hint: str) -> None:
     """Refuse a word that is not among the choices."""
     if value not in choices:

@@ -72,7 +72,7 @@ def project_volume(
         signals, ray_rule, has_colors=has_colors, of_colors="[X, Y, Z, C]"
     )
     background = background_depth, background_color
-    colors = arguments.convert_cell_colors(colors, volume.shape, background)
+    colors = arguments.convert_colors(colors, volume.shape, background)
     colors = None if colors is None else colors.astype(volume.dtype)
     rotation, translation = arguments.convert_pose(rotation, translation, volume.dtype)
     coordinates, is_seen = _place_samples(

@@ -102,7 +102,7 @@ def project(
     points = arguments.convert_points(points)
     arguments.check_signals(signals, ray_rule, has_colors=colors is not None)
     background = background_depth, background_color
-    colors = arguments.convert_colors(colors, points.shape[0], background)
+    colors = arguments.convert_colors(colors, points.shape[:1], background)
     scene = place_points(
         points, rotation, sigma, scale, covariance, translation, camera, grid, method
     )

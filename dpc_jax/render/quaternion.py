@@ -136,5 +136,5 @@ def angle_between(first: jax.Array, second: jax.Array) -> jax.Array:
 def from_axis_angle(axis: jax.Array, angle: jax.Array) -> jax.Array:
     """Quaternion [4] that turns by `angle` radians about the unit vector `axis` [3]."""
     axis = checks.check_array("axis", axis, (3,))
-    half = checks.check_number("angle", angle).astype(axis.dtype) / 2
+    half = checks.check_real("angle", angle, ()).astype(axis.dtype) / 2
     return jnp.concatenate([jnp.cos(half)[None], jnp.sin(half) * axis])

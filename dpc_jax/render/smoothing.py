@@ -39,7 +39,7 @@ def smooth(volume: jax.Array, sigma: jax.Array) -> jax.Array:
     """
     volume = checks.check_array("volume", volume, (None, None, None))
     checks.check_sides("the volume's shape", volume.shape)
-    number = checks.check_number("sigma", sigma)
+    number = checks.check_real("sigma", sigma, ())
     checks.check_values({"sigma": sigma})
     return _smooth(volume, number.astype(volume.dtype))
 
