@@ -72,13 +72,12 @@ batch["seeds"] = jax.ShapeDtypeStruct(views[:1], "uint32")
 state = step.describe_state(network, config)
 jax.eval_shape(step.make_train_step(network, config, stage), state, batch)
 names = ("skimage", "dpc_jax.evaluation.surfaces")
-names += ("dpc_jax.learning.inference.volumes", "dpc_jax.learning.pose_prior")
+names += ("dpc_jax.learning.inference.volumes",)
 names += ("dpc_jax.learning.shapes.view_maps", "dpc_jax.learning.shapes.voxels")
 names += tuple(f"dpc_jax.learning.inference.{n}" for n in ("refinement", "refiner"))
 names += ("dpc_jax.learning.poses.sampled", "dpc_jax.learning.poses.labels")
-names += ("dpc_jax.learning.poses.given",)
 names += ("tensorboardX",)  # nor what no flag asks for
-names += tuple(f"dpc_jax.networks.{n}" for n in ("voxels", "view_maps", "pose_judge"))
+names += tuple(f"dpc_jax.networks.{n}" for n in ("voxels", "view_maps"))
 print([name for name in names if name in sys.modules])
 """
     result = subprocess.run(

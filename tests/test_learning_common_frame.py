@@ -11,10 +11,9 @@ from tiny_runs import (
     rotation_matrix,
 )
 
-from dpc_jax.learning.cameras import Cameras
-from dpc_jax.learning.choice import common_frame, seen_colors, seen_shapes
-from dpc_jax.learning.choice.batch_choice import Winners
+from dpc_jax.learning.choice import common_frame, seen_colors
 from dpc_jax.learning.choice.common_frame import turn_back
+from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import find_half_turns, turn_candidates
 from dpc_jax.render import Camera, quaternion
@@ -63,7 +62,7 @@ def turn(winners, points, images, masks, frame, is_due, heads=HEADS):
             COVARIANCE,
             frame,
             camera=Camera(),
-            cameras=Cameras(),
+            cameras={},
             heads=heads,
             is_due=is_due,
         )
@@ -116,6 +115,9 @@ def test_a_shape_that_fits_the_category_better_turned_is_turned_back():
     assert float(share) == 0
     assert_same_bits(kept, right[0])
     wrong = exchange_ends(*right)
+    early, _, share = turn(*wrong, frame, False)  # not due yet
+    assert float(share) == 0
+    assert_same_bits(early, wrong[0])
     found, _, share = turn(*wrong, frame, True)
     assert float(share) == 1
     # As silhouettes see it: the turned shape from the new poses is the old one.
@@ -172,17 +174,17 @@ def draw_plane(rng, *, wing, tail):
 
 def remember(clouds):
     """Shapes and their number, as a frame has them."""
-    shapes = jnp.stack([seen_shapes.count_points(points) for points in clouds])
-    room = seen_shapes.OBJECTS - len(clouds)
+    shapes = jnp.stack([common_frame.count_points(points) for points in clouds])
+    room = common_frame.OBJECTS - len(clouds)
     return jnp.pad(shapes, ((0, room), (0, 0))), jnp.array(len(clouds))
 
 
 def compare_ends(remembered, points):
     """What points gain by the half turns that exchange the ends of a plane."""
     turns = find_half_turns(COVARIANCE)
-    ways = seen_shapes.list_ways(COVARIANCE, is_upright=False)
-    scores = seen_shapes.judge_cells(points, *remembered)
-    fits = seen_shapes.compare_places(points, turns, ways, scores)
+    ways = common_frame.list_ways(COVARIANCE, is_upright=False)
+    scores = common_frame.judge_cells(points, *remembered)
+    fits = common_frame.compare_places(points, turns, ways, scores)
     return np.asarray(fits[1:3] - fits[0])
 
 
@@ -199,7 +201,7 @@ def test_a_kind_fits_the_category_wherever_in_its_box_its_parts_are(monkeypatch)
     right = draw_plane(rng, wing=0.1, tail=-0.18)
     assert compare_ends(usual, right).max() < 0
     assert compare_ends(usual, right * ABOUT_X).max() > 0
-    monkeypatch.setattr(seen_shapes, "_SHIFTS", (0.0,))
+    monkeypatch.setattr(common_frame, "_SHIFTS", (0.0,))
     assert compare_ends(usual, right * ABOUT_X).max() < 0
 
 
@@ -209,40 +211,36 @@ def test_a_kind_that_is_turned_round_does_not_judge_itself(monkeypatch):
     kind = [draw_plane(rng, wing=0.1, tail=-0.18) * ABOUT_X for _ in range(8)]
     assert compare_ends(remember(usual + kind), kind[0]).max() > 0
     # As many as its own are left out; with more of them, it agrees with itself.
-    monkeypatch.setattr(seen_shapes, "_ALIKE", 0.0)
+    monkeypatch.setattr(common_frame, "_ALIKE", 0.0)
     assert compare_ends(remember(usual + 4 * kind), kind[0]).max() < 0
 
 
 def test_where_nothing_was_seen_yet_nothing_is_gained():
-    none = jnp.zeros((seen_shapes.OBJECTS, seen_shapes.CELLS**3)), jnp.array(0)
+    none = jnp.zeros((common_frame.OBJECTS, common_frame.CELLS**3)), jnp.array(0)
     points = draw_plane(np.random.default_rng(0), wing=0.1, tail=-0.18)
     np.testing.assert_array_equal(compare_ends(none, points), 0)
 
 
-def test_the_last_objects_replace_the_first():
-    frame = common_frame.start_frame()
-    for seed in range(seen_shapes.OBJECTS // 64 + 1):
-        objects = make_objects(64, thick=True, ends=(GREY, GREY), seed=seed)
-        _, frame, _ = turn(*objects, frame, False)
-    assert int(frame.count) == seen_shapes.OBJECTS + 64
-    newest = jax.vmap(seen_shapes.count_points)(objects[1])
-    assert_same_bits(frame.shapes[:64], newest)
-
-
-def test_of_a_batch_larger_than_what_is_remembered_the_last_objects_are():
-    size = seen_shapes.OBJECTS + 32
+def test_the_last_objects_are_remembered(monkeypatch):
+    monkeypatch.setattr(common_frame, "OBJECTS", 16)
+    size = common_frame.OBJECTS + 4
     objects = make_objects(size, thick=True, ends=(GREY, GREY))
     _, frame, _ = turn(*objects, common_frame.start_frame(), False)
-    newest = jax.vmap(seen_shapes.count_points)(objects[1])
+    newest = jax.vmap(common_frame.count_points)(objects[1])
     assert int(frame.count) == size
-    # Object i is in row i, and the last 32 begin anew.
-    assert_same_bits(frame.shapes[:32], newest[seen_shapes.OBJECTS :])
-    assert_same_bits(frame.shapes[32:], newest[32 : seen_shapes.OBJECTS])
+    # Object i is in row i, and the last 4 begin anew; the next ones come behind.
+    assert_same_bits(frame.shapes[:4], newest[16:])
+    assert_same_bits(frame.shapes[4:], newest[4:16])
+    objects = make_objects(8, thick=True, ends=(GREY, GREY))
+    _, after, _ = turn(*objects, frame, False)
+    newest = jax.vmap(common_frame.count_points)(objects[1])
+    assert_same_bits(after.shapes[4:12], newest)
+    assert_same_bits(after.shapes[12:], frame.shapes[12:])
 
 
 def test_ways_are_level_where_cameras_are_upright():
     covariance = jnp.array([[3.0, 1, 0.5], [1, 2, 0.1], [0.5, 0.1, 9]])
-    ways = np.asarray(seen_shapes.list_ways(covariance, is_upright=True))
+    ways = np.asarray(common_frame.list_ways(covariance, is_upright=True))
     assert ways.shape == (2, 3)
     np.testing.assert_array_equal(ways[:, 2], 0)
     # float32, of products of numbers of size one
@@ -268,14 +266,6 @@ def test_colors_that_tell_nothing_turn_nothing():
     frame = learn_frame(thick=True, ends=draw_ends)
     right = make_objects(4, thick=True, ends=draw_ends, seed=9)
     assert float(turn(*right, frame, True)[2]) == 0
-
-
-def test_nothing_is_turned_before_it_is_due():
-    frame = learn_frame(thick=True, ends=(GREY, GREY))
-    wrong = exchange_ends(*make_objects(2, thick=True, ends=(GREY, GREY), seed=5))
-    kept, _, share = turn(*wrong, frame, False)
-    assert float(share) == 0
-    assert_same_bits(kept, wrong[0])
 
 
 def test_a_color_has_the_same_bin_however_dark_it_is():

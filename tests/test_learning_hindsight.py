@@ -18,13 +18,16 @@ from tiny_runs import (
 )
 
 from dpc_jax.learning import half_turns
-from dpc_jax.learning.choice import batch_choice, hindsight
+from dpc_jax.learning.choice import hindsight
 from dpc_jax.learning.choice.coarse_choice import compute_image_losses, place_candidates
 from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.objective import compute_loss
+from dpc_jax.learning.poses.labels import compare_labels
+from dpc_jax.learning.poses.teaching import compare_student
+from dpc_jax.learning.predictions import Poses
 from dpc_jax.learning.recipe import Averages
 from dpc_jax.learning.schedules import find_stage
-from dpc_jax.learning.shapes.points import Points
+from dpc_jax.learning.shapes.kind import View
 from dpc_jax.render import Camera, VoxelGrid, project
 
 pytestmark = pytest.mark.usefixtures("quickly")
@@ -64,14 +67,10 @@ def find_losses(points, mass, candidates, target, sigma=SIGMA):
     return render_losses(points, mass, candidates, target, sigma=sigma)
 
 
-@functools.partial(
-    jax.jit,
-    static_argnames=(
-        "choice_points",
-        "choice_top",
-        "renders_at_once",
-    ),
-)
+OPTIONS = ("choice_points", "choice_top", "renders_at_once")
+
+
+@functools.partial(jax.jit, static_argnames=OPTIONS)
 def compute_choice(arrays, **static):
     return hindsight.choose_candidate(**arrays, sigma=SIGMA, camera=CAMERA, **static)
 
@@ -90,28 +89,15 @@ def test_the_candidate_of_the_smallest_loss_wins(scene):
     assert choose(scene) == np.argmin(losses)
 
 
-@pytest.mark.parametrize("renders_at_once", [0, 4])
-def test_the_choice_does_not_depend_on_how_many_are_rendered_at_once(
-    scene, renders_at_once
+def test_permuting_the_candidates_permutes_the_winner_and_of_equal_ones_the_first_wins(
+    scene,
 ):
-    for static in ({}, {"choice_points": 10, "choice_top": 2}):
-        assert choose(scene, renders_at_once=renders_at_once, **static) == choose(
-            scene, **static
-        )
-
-
-def test_permuting_the_candidates_permutes_the_winner(scene):
     winner = choose(scene)
-    for seed in range(3):
-        order = np.random.default_rng(seed).permutation(6)
-        found = choose(scene, candidates=scene["candidates"][order])
-        assert order[found] == winner
-
-
-def test_of_equal_candidates_the_first_wins(scene):
-    winner = scene["candidates"][choose(scene)]
+    order = np.random.default_rng(0).permutation(6)
+    assert order[choose(scene, candidates=scene["candidates"][order])] == winner
+    best = scene["candidates"][winner]
     # The same rotation five times, once with the other sign: equal losses.
-    copies = jnp.stack([winner, winner, -winner, winner, 2 * winner])
+    copies = jnp.stack([best, best, -best, best, 2 * best])
     losses = find_losses(**scene | {"candidates": copies})
     # 2q is normalised to q exactly: powers of two do not round.
     np.testing.assert_array_equal(losses, losses[0])
@@ -143,26 +129,15 @@ def splat_plainly(points, mass, candidate, *, side, sigma):
 
 @pytest.mark.parametrize("count", [30, 7])
 def test_an_image_ranks_by_the_optical_depth_of_splatted_points(scene, count):
-    places = place_candidates(
-        scene["points"][:30],
-        scene["candidates"],
-        side=8,
-        camera=CAMERA,
-        choice_points=count,
-    )
+    view = View(scene["candidates"], CAMERA, 8)
+    places = place_candidates(scene["points"][:30], view, choice_points=count)
     found = compute_image_losses(
         places, scene["mass"], scene["target"], sigma=jnp.array(SIGMA)
     )
-    target = np.asarray(scene["target"])
+    points, mass = scene["points"][:count], float(scene["mass"]) * (30 / count)
     for candidate, loss in zip(scene["candidates"], found, strict=True):
-        depth = splat_plainly(
-            scene["points"][:count],
-            float(scene["mass"]) * (30 / count),
-            candidate,
-            side=8,
-            sigma=SIGMA,
-        )
-        expected = np.sum((1 - np.exp(-depth) - target) ** 2)
+        depth = splat_plainly(points, mass, candidate, side=8, sigma=SIGMA)
+        expected = np.sum((1 - np.exp(-depth) - np.asarray(scene["target"])) ** 2)
         # Rounding of float32 in some thirty points' places and weights.
         assert float(loss) == pytest.approx(expected, rel=1e-4)
 
@@ -170,10 +145,11 @@ def test_an_image_ranks_by_the_optical_depth_of_splatted_points(scene, count):
 def test_points_out_of_the_image_or_behind_the_camera_are_not_seen(scene):
     far = jnp.array([[0.0, 0, -3], [2, 0, 0], [0, -2, 0], [0, 0, 0.8]])
     turn = jnp.array([[1.0, 0, 0, 0]])
-    rank = functools.partial(place_candidates, side=8, camera=CAMERA, choice_points=0)
     losses = [
         compute_image_losses(
-            rank(points, turn)._replace(share=jnp.array(1.0)),
+            place_candidates(points, View(turn, CAMERA, 8), choice_points=0)._replace(
+                share=jnp.array(1.0)
+            ),
             scene["mass"],
             scene["target"],
             sigma=jnp.array(SIGMA),
@@ -186,7 +162,7 @@ def test_points_out_of_the_image_or_behind_the_camera_are_not_seen(scene):
     np.testing.assert_array_equal(losses[0], losses[1])
 
 
-@pytest.mark.parametrize("renders_at_once", [0, 1, 4])
+@pytest.mark.parametrize("renders_at_once", [0, 4])
 def test_of_those_that_an_image_ranks_first_the_exact_best_wins(scene, renders_at_once):
     image = {"choice_points": 100, "renders_at_once": renders_at_once}
     assert choose(scene, choice_top=6, **image) == choose(scene)
@@ -194,29 +170,6 @@ def test_of_those_that_an_image_ranks_first_the_exact_best_wins(scene, renders_a
     assert first == choose(scene, choice_top=1, **image)
     losses = np.asarray(find_losses(**scene))
     assert losses[choose(scene, choice_top=3, **image)] <= losses[first]
-
-
-def test_the_choice_of_a_batch_is_that_of_each_view(scene):
-    rng = np.random.default_rng(2)
-    kept = jnp.array(rng.uniform(-0.4, 0.4, (2, 30, 3)), jnp.float32)
-    mass = jnp.array([0.7, 0.5])
-    shapes = Points(kept, kept, None, mass, mass, jnp.array(SIGMA))
-    candidates = jnp.array(random_quaternions(3, 4 * 6)).reshape(4, 6, 4)
-    masks = jnp.array(rng.integers(0, 256, (2, 2, 16, 16)), jnp.uint8)
-    settings = {"choice_points": 12, "choice_top": 2}
-    config = tiny_config(**settings, renders_at_once=1)
-    winners = jax.jit(
-        functools.partial(batch_choice.choose_poses, recipe=make_recipe(config))
-    )(shapes, candidates, {"masks": masks})
-    targets = downsample_images(masks, 8).reshape(4, 8, 8)
-    for view in range(4):
-        alone = {
-            "points": kept[view // 2],
-            "mass": mass[view // 2],
-            "candidates": candidates[view],
-            "target": targets[view],
-        }
-        assert choose(alone, **settings) == winners.indices.reshape(-1)[view]
 
 
 def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():
@@ -238,16 +191,11 @@ def test_half_turns_are_unit_turns_by_180_degrees_about_the_principal_axes():
         np.testing.assert_allclose(rotation_matrix(turn), expected, atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    "covariance", [np.zeros((3, 3)), np.eye(3), np.diag([1, 0, 0])]
-)
-def test_half_turns_of_a_cloud_without_distinct_axes_are_still_half_turns(covariance):
-    turns = np.asarray(half_turns.find_half_turns(jnp.array(covariance, jnp.float32)))
+@pytest.mark.parametrize("axes", [(0, 0, 0), (1, 1, 1), (1, 0, 0)])
+def test_half_turns_of_a_cloud_without_distinct_axes_are_still_half_turns(axes):
+    turns = np.asarray(half_turns.find_half_turns(jnp.diag(jnp.array(axes, float))))
     assert np.all(turns[1:, 0] == 0)
-    np.testing.assert_allclose(np.linalg.norm(turns, axis=-1), 1, atol=1e-6)
-    for i in range(4):
-        for j in range(i):
-            assert abs(turns[i] @ turns[j]) < 1e-6
+    np.testing.assert_allclose(turns @ turns.T, np.eye(4), atol=1e-6)
 
 
 def test_turned_candidate_i_is_head_i_mod_k_after_a_turn_of_the_object():
@@ -342,34 +290,44 @@ def test_heads_that_never_win_get_no_gradient_and_those_that_win_get_one(objecti
         np.testing.assert_array_equal(norms > 0, np.isin(np.arange(3), winners))
 
 
-def test_equal_heads_tie_on_every_view_whatever_points_were_dropped(objective):
-    # Candidates rendered with different subsets would differ: with one subset for all
-    # of them the tie is exact, and the first head has the whole gradient.
-    _, network, _, params = objective
-    network = network.clone(spreads=False)
-    config = tiny_config(keep_start=0.3, keep_levels=1, keep_end=0.3)
-    heads = params["params"]["pose"]["heads"]
-    equal = jax.tree.map(lambda a: jnp.broadcast_to(a[:1], a.shape), heads)
-    params = {
-        "params": params["params"]
-        | {"pose": params["params"]["pose"] | {"heads": equal}}
-    }
+# Labels in place of images.
 
-    @jax.jit
-    def differentiate(key):
-        return jax.grad(compute_loss, has_aux=True)(
-            params,
-            make_batch(),
-            jax.random.split(key, 2),
-            jnp.asarray(0),
-            Averages(jnp.zeros((3, 3))),
-            recipe=make_recipe(config, network),
-            stage=find_stage(0, config.render, steps=config.train.steps),
+
+def angle(first, second):
+    """In radians, by the trace of the relative rotation, in float64."""
+    cosine = abs(first @ second) / np.linalg.norm(first) / np.linalg.norm(second)
+    return 2 * np.arccos(min(1.0, cosine))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_of_each_view_the_candidate_nearest_to_the_label_learns_and_is_selected(sign):
+    config = tiny_config(source="labels", student="posterior", student_weight=0.05)
+    recipe = make_recipe(config)
+    candidates, labels = random_quaternions(0, 4, 3), random_quaternions(1, 2, 2)
+    logits = jnp.asarray(np.random.default_rng(2).normal(size=(4, 3)))
+
+    def compare(candidates):
+        poses = Poses(candidates, None, logits)
+        winners, terms = compare_labels(
+            poses, jnp.asarray(sign * labels), recipe=recipe
         )
+        terms |= compare_student(poses, winners, recipe=recipe)
+        return terms["labels"].value, (winners, terms)
 
-    for seed in range(3):
-        gradient, (metrics, _) = differentiate(jax.random.key(seed))
-        np.testing.assert_array_equal(metrics["winners"], 0)
-        kernel = gradient["params"]["pose"]["heads"]["Dense_2"]["kernel"]
-        assert np.linalg.norm(kernel[0]) > 0
-        np.testing.assert_array_equal(kernel[1:], 0)
+    differentiate = jax.value_and_grad(compare, has_aux=True)
+    (_, (winners, terms)), gradient = differentiate(jnp.asarray(candidates))
+    targets = labels.reshape(4, 4)
+    angles = np.array(
+        [[angle(candidates[i, k], targets[i]) for k in range(3)] for i in range(4)]
+    )
+    nearest = angles.argmin(1)
+    np.testing.assert_array_equal(winners.indices.ravel(), nearest)
+    np.testing.assert_array_equal(winners.poses, (sign * labels).astype(np.float32))
+    loss, weight = terms["labels"]
+    assert float(loss) == pytest.approx(angles.min(1).mean(), rel=1e-5)  # float32
+    assert weight == 0.05 * config.render.grid**2
+    learns = np.abs(gradient).max(-1) > 0
+    np.testing.assert_array_equal(learns, np.eye(3, dtype=bool)[nearest])
+    chosen = jax.nn.log_softmax(logits)[jnp.arange(4), nearest]
+    expected = -float(chosen.mean())
+    assert float(terms["student"].value) == pytest.approx(expected, rel=1e-5)

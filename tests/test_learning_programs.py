@@ -1,5 +1,6 @@
 """Programs of later stages compile while the first one trains; nothing else changes."""
 
+import functools
 import os
 import subprocess
 import sys
@@ -42,7 +43,7 @@ def make_step(stage):
 
 
 class Watched:
-    """Makes the steps of stages, and notes in which thread and in which order."""
+    """Makes the steps of stages, and notes in which thread, how nice, it does so."""
 
     def __init__(self, fails=(), waits_for=None):
         self.fails, self.waits_for = fails, waits_for
@@ -51,9 +52,8 @@ class Watched:
 
     def __call__(self, stage):
         self.threads[stage] = threading.get_ident()
-        self.niceness[stage] = os.getpriority(
-            os.PRIO_PROCESS, threading.get_native_id()
-        )
+        thread = threading.get_native_id()
+        self.niceness[stage] = os.getpriority(os.PRIO_PROCESS, thread)
         if self.waits_for and stage != FIRST:
             self.waits_for.wait()
         if stage in self.fails:
@@ -67,22 +67,22 @@ def wait_until_ready(programs, *steps):
             time.sleep(0.01)
 
 
-def begin(programs, step, state=None, batch=BATCH):
-    program = programs.begin(step, state or make_state(), batch)
-    assert program is not None
-    return program
-
-
-def test_later_stages_are_compiled_before_they_begin():
-    with StagePrograms(make_step, SPANS) as programs:
+def test_later_stages_are_compiled_before_they_begin_in_threads_that_give_way():
+    make = Watched()
+    with StagePrograms(make, SPANS) as programs:
         assert programs.find(0) is None
-        programs.begin(0, make_state(), BATCH)
+        programs.begin(0, state := make_state(), BATCH)
         wait_until_ready(programs, 1000, 2000)
         for step, points in ((0, 10), (1000, 20), (2500, 30)):
-            program = programs.find(step) or begin(programs, step)
-            _, metrics = program.call(make_state(), BATCH)
+            program = programs.find(step) or programs.begin(step, state, BATCH)
+            _, metrics = program(old := make_state(), BATCH)
             assert int(metrics["points"]) == points
             assert programs.find(step) is program
+            assert old.value.is_deleted()  # its memory was taken
+    assert make.threads[SECOND] == make.threads[THIRD] != make.threads[FIRST]
+    if sys.platform == "linux":
+        assert make.niceness[SECOND] > make.niceness[FIRST]
+        assert make.niceness[THIRD] == make.niceness[SECOND]
 
 
 def test_a_run_that_goes_on_compiles_no_stage_that_is_over():
@@ -93,32 +93,15 @@ def test_a_run_that_goes_on_compiles_no_stage_that_is_over():
     assert set(make.threads) == {SECOND, THIRD}
 
 
-def test_what_nobody_waits_for_compiles_in_threads_that_give_way():
-    make = Watched()
-    with StagePrograms(make, SPANS) as programs:
-        programs.begin(0, make_state(), BATCH)
-        wait_until_ready(programs, 1000, 2000)
-    assert make.threads[SECOND] == make.threads[THIRD] != make.threads[FIRST]
-    if sys.platform == "linux":
-        assert make.niceness[SECOND] > make.niceness[FIRST]
-        assert make.niceness[THIRD] == make.niceness[SECOND]
-
-
-def test_a_compiled_step_takes_the_memory_of_the_old_state():
-    with StagePrograms(make_step, SPANS) as programs:
-        begin(programs, 0, state := make_state()).call(state, BATCH)
-    assert state.value.is_deleted()
-
-
 def test_shardings_of_state_and_batch_are_kept():
     mesh = jax.make_mesh((1,), ("objects",))
     spec = jax.NamedSharding(mesh, jax.P())
     state, batch = jax.device_put((make_state(), BATCH), spec)
     with StagePrograms(make_step, SPANS) as programs:
-        state, _ = begin(programs, 0, state, batch).call(state, batch)
+        state, _ = programs.begin(0, state, batch)(state, batch)
         assert state.value.sharding.is_equivalent_to(spec, 1)
         wait_until_ready(programs, 1000)
-        state, _ = begin(programs, 1000, state, batch).call(state, batch)
+        state, _ = programs.begin(1000, state, batch)(state, batch)
     np.testing.assert_array_equal(state.value, [8.0, 9.0, 10.0])
 
 
@@ -143,38 +126,22 @@ def test_a_program_that_the_check_refuses_is_never_called():
             programs.begin(0, make_state(), BATCH)
 
 
-def test_a_stage_that_has_to_wait_behind_another_is_compiled_at_once():
+def test_nobody_waits_behind_another_stage_or_longer_than_asked():
     gate = threading.Event()
     make = Watched(waits_for=gate)
     with StagePrograms(make, SPANS) as programs:
         programs.begin(0, make_state(), BATCH)
         while SECOND not in make.threads:  # it compiles, and the third waits behind it
             time.sleep(0.01)
+        answers = iter([False, False, True])
+        should_stop = functools.partial(next, answers)
+        start = 1000, make_state(), BATCH
+        assert programs.begin(*start, should_stop=should_stop) is None
         opened = threading.Timer(0.5, gate.set)
         opened.start()
         programs.begin(2000, make_state(), BATCH)
         opened.join()
     assert make.threads[THIRD] != make.threads[SECOND]
-
-
-def test_being_asked_to_stop_ends_the_wait_for_a_program():
-    gate = threading.Event()
-    with StagePrograms(Watched(waits_for=gate), SPANS) as programs:
-        programs.begin(0, make_state(), BATCH)
-        answers = iter([False, False, True])
-        stopped = programs.begin(
-            1000, make_state(), BATCH, should_stop=lambda: next(answers)
-        )
-        assert stopped is None
-    gate.set()
-
-
-def test_nothing_is_compiled_ahead_where_that_is_not_wanted():
-    make = Watched()
-    with StagePrograms(make, SPANS, ahead=False) as programs:
-        programs.begin(0, make_state(), BATCH)
-        programs.begin(1000, make_state(), BATCH)
-    assert set(make.threads) == {FIRST, SECOND}
 
 
 LEAVE = """
@@ -207,7 +174,18 @@ with programs:
 """
 
 
-def run_script(end, *, wait="pass", after="pass"):
+@pytest.mark.parametrize(
+    ("wait", "after", "end"),
+    [
+        # A process that ends while XLA compiles ends cleanly: here a quarter of a
+        # second into a compilation of more than one.
+        ("begun.wait(); time.sleep(0.25)", "pass", "sys.exit(3)"),
+        # A command leaves without waiting for the compiler. It would never end: this
+        # compilation lasts an hour.
+        ("pass", "time.sleep(3600)", "leave(3)"),
+    ],
+)
+def test_a_process_ends_while_its_programs_compile(wait, after, end):
     done = subprocess.run(
         [sys.executable, "-c", LEAVE.format(end=end, wait=wait, after=after)],
         capture_output=True,
@@ -216,15 +194,4 @@ def run_script(end, *, wait="pass", after="pass"):
         cwd=Path(__file__).parent,
         timeout=120,
     )
-    return done.returncode, done.stderr
-
-
-def test_a_process_that_ends_while_xla_compiles_ends_cleanly():
-    # A quarter of a second into a compilation of more than one.
-    wait = "begun.wait(); time.sleep(0.25)"
-    assert run_script("sys.exit(3)", wait=wait) == (3, "")
-
-
-def test_a_command_leaves_without_waiting_for_the_compiler():
-    # It would never end: this compilation lasts an hour.
-    assert run_script("leave(4)", after="time.sleep(3600)") == (4, "")
+    assert (done.returncode, done.stderr) == (3, "")

@@ -13,7 +13,7 @@ from tiny_runs import (
     tiny_config,
 )
 
-from dpc_jax.config import Config, build_config, replace_fields
+from dpc_jax.config import replace_fields
 from dpc_jax.evaluation.density import count_stray_points
 from dpc_jax.learning import devices
 from dpc_jax.learning.predictions import encode_views
@@ -41,14 +41,6 @@ def test_a_point_is_dead_that_hangs_alone_in_most_clouds(lone, dead):
     shares = np.asarray(reseeding.measure_lone(jnp.array(clouds)))
     np.testing.assert_allclose(shares[DEAD], lone / len(clouds), rtol=1e-6)
     assert np.flatnonzero(shares > 0.5).tolist() == dead
-
-
-def test_dead_points_have_living_ones_weights():
-    dead = jnp.zeros(30, bool).at[jnp.array([2, 7, 8])].set(True)
-    sources = np.asarray(reseeding.choose_sources(jax.random.key(0), dead))
-    own = np.arange(30)
-    np.testing.assert_array_equal(sources[~np.asarray(dead)], own[~np.asarray(dead)])
-    assert not set(sources[[2, 7, 8]]) & {2, 7, 8}
 
 
 def predict(state, batch, network):
@@ -138,11 +130,9 @@ def test_on_four_devices_the_same_points_begin_anew(monkeypatch):
     np.testing.assert_allclose(*found, rtol=1e-6, atol=1e-7)
 
 
-@pytest.mark.parametrize("asked", [True, False])
-def test_a_run_that_asks_for_it_ends_without_points_that_hang_alone(tmp_path, asked):
+def test_a_run_ends_without_points_that_hang_alone(tmp_path):
     """The last checkpoint is of the state that is validated and returned."""
-    state, network, config = start(steps=3, learning_rate=1e-6)
-    config = replace_fields(config, {"train": {"reseeds_points": asked}})
+    state, network, config = start(steps=3, learning_rate=1e-6, keep_levels=1)
     seen = []
     checkpoints = Checkpoints(tmp_path / "checkpoints")
     outcome = loop.train(
@@ -153,17 +143,11 @@ def test_a_run_that_asks_for_it_ends_without_points_that_hang_alone(tmp_path, as
         checkpoints=checkpoints,
         log=MetricLog(tmp_path / "metrics.jsonl"),
         evaluate=lambda state: seen.append(jax.tree.map(np.array, state)) or {},
-        compile_ahead=False,
     )
     shape = predict(outcome.state, make_batch(models=4), network)
     lone = [count_stray_points(cloud) for cloud in np.asarray(shape["points"])]
-    assert max(lone) == (0 if asked else 1)
+    assert max(lone) == 0
     assert_same_bits(seen[-1], outcome.state)
     saved = checkpoints.restore(describe_state(network, config)).state
     checkpoints.close()
     assert_same_bits(saved, outcome.state)
-
-
-def test_only_points_are_reseeded_and_not_in_the_papers_settings():
-    assert Config("car").train.reseeds_points
-    assert not build_config("car", "paper").train.reseeds_points

@@ -1,9 +1,12 @@
-"""Schedules over a run: the paper's ends, at every resolution and length."""
+"""Schedules over a run, the learned scale, and the penalty on weights."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_runs import tiny_config
+from tiny_runs import make_network, tiny_config
 
+from dpc_jax.learning.predictions import predict_shapes
 from dpc_jax.learning.schedules import (
     compute_sigma,
     count_kept_points,
@@ -11,6 +14,13 @@ from dpc_jax.learning.schedules import (
     list_spans,
     make_learning_rate,
 )
+from dpc_jax.learning.shapes.points import compute_mass
+from dpc_jax.learning.step import find_penalized, make_optimizer
+from dpc_jax.render import Camera, VoxelGrid, mass_of_peak, voxelize
+
+pytestmark = pytest.mark.usefixtures("quickly")
+
+SIDE = 33  # odd: the origin is a cell's centre
 
 
 def sigma_at(step, config):
@@ -21,24 +31,13 @@ def kept_at(step, config):
     return count_kept_points(step, config.render, steps=config.train.steps)
 
 
-def stage_at(step, config):
-    return find_stage(step, config.render, steps=config.train.steps)
-
-
-@pytest.mark.parametrize("grid", [8, 32, 64, 128])
-@pytest.mark.parametrize("steps", [1, 10, 600_000])
+@pytest.mark.parametrize("grid", [8, 128])
+@pytest.mark.parametrize("steps", [1, 600_000])
 def test_sigma_goes_from_five_to_a_third_of_a_percent_of_the_volume(grid, steps):
     config = tiny_config(grid=grid, steps=steps, sigma_start=0.05, sigma_end=0.003)
-    # float32, relative.
-    assert sigma_at(0, config) == pytest.approx(0.05 * grid, rel=1e-5)
-    assert sigma_at(steps, config) == pytest.approx(0.003 * grid, rel=1e-5)
-    middle = sigma_at(steps / 2, config)
-    assert middle == pytest.approx(0.0265 * grid, rel=1e-5)
-
-
-def test_sigma_stays_at_its_end_beyond_the_last_step():
-    config = tiny_config(steps=10)
-    assert sigma_at(25, config) == sigma_at(10, config)
+    shares = {0: 0.05, steps / 2: 0.0265, steps: 0.003, 2 * steps: 0.003}
+    for step, share in shares.items():  # float32, relative
+        assert sigma_at(step, config) == pytest.approx(share * grid, rel=1e-5)
 
 
 @pytest.mark.parametrize("levels", [1, 2, 5, 32])
@@ -56,71 +55,20 @@ def test_the_number_of_kept_points_rises_in_stairs_to_its_end(levels):
     assert np.all(np.abs(kept - line)[inner] <= 0.93 * 2000 / levels / 2 + 1)
 
 
-def test_without_dropout_all_points_are_rendered_by_one_program_per_grid():
-    config = tiny_config(steps=100, num_points=50, keep_start=1.0, keep_levels=32)
-    assert {kept_at(step, config) for step in range(100)} == {50}
-    assert len(list_spans(config.render, steps=100)) == 1
-
-
-def test_the_last_stair_keeps_the_end_value_and_at_least_one_point_is_left():
-    config = tiny_config(num_points=40, keep_start=0.1, keep_end=0.5, keep_levels=3)
-    assert kept_at(config.train.steps - 1, config) == 20
-    assert kept_at(config.train.steps + 5, config) == 20
-    few = tiny_config(num_points=3, keep_start=1e-3, keep_end=1e-3, keep_levels=1)
-    assert kept_at(0, few) == 1
-
-
-def test_a_run_shorter_than_its_stairs_ends_with_all_points():
-    config = tiny_config(steps=3, keep_levels=32)
-    assert kept_at(2, config) <= config.render.num_points
-    longer = tiny_config(steps=32, keep_levels=32)
-    assert kept_at(31, longer) == longer.render.num_points
-
-
-def rates(*steps, **changes):
-    schedule = make_learning_rate(tiny_config(**changes).train)
-    return [float(schedule(step)) for step in steps]
-
-
-def test_the_learning_rate_of_the_paper_is_constant():
-    found = rates(0, 1, 500, 999, steps=1000, learning_rate=1e-4, schedule="constant")
-    assert found == pytest.approx(4 * [1e-4], rel=1e-6)  # float32
-
-
-def test_the_learning_rate_warms_up_linearly_and_decays_as_a_cosine():
-    first, second, peak, middle, last, after = rates(
-        *(0, 1, 200, 700, 1200, 2000),
-        **dict(steps=1200, learning_rate=1e-2, schedule="cosine"),
-    )
-    # float32; the first step already moves, by 1 / 200 of the peak. The line of the
-    # warm-up reaches the peak at step 200.
-    assert first == pytest.approx(5e-5, rel=1e-5)
-    assert second == pytest.approx(5e-5 + 1e-2 * 0.995 / 200, rel=1e-5)
-    assert peak == pytest.approx(1e-2, rel=1e-5)
-    assert middle == pytest.approx(1e-2 * (1 + 0.02) / 2, rel=1e-4)
-    assert last == after == pytest.approx(2e-4, rel=1e-4)
-
-
-@pytest.mark.parametrize("steps", [1, 4, 20])
-def test_the_warm_up_of_a_short_run_takes_a_fifth_of_it(steps):
-    found = rates(*range(steps), steps=steps, schedule="cosine", learning_rate=1e-3)
-    assert found[steps // 5] == max(found) == pytest.approx(1e-3, rel=1e-5)
-
-
-def test_the_finer_grid_comes_in_from_its_share_of_the_run():
-    config = tiny_config(steps=10, grid=8, fine_grid=16)
-    stages = [stage_at(step, config) for step in range(10)]
-    assert [s.grid for s in stages] == 6 * [8] + 4 * [16]
-    assert [s.kept_points for s in stages] == [
-        kept_at(step, config) for step in range(10)
-    ]
-
-
-def test_without_a_finer_grid_a_run_has_a_stage_for_each_stair_only():
-    config = tiny_config(steps=10, keep_levels=3)
-    stages = {stage_at(step, config) for step in range(10)}
-    assert len(stages) == 3
-    assert {s.grid for s in stages} == {8}
+@pytest.mark.parametrize(
+    ("fields", "step", "kept"),
+    [
+        (dict(num_points=40, keep_start=0.1, keep_end=0.5, keep_levels=3), 19, 20),
+        (dict(num_points=40, keep_start=0.1, keep_end=0.5, keep_levels=3), 25, 20),
+        (dict(num_points=3, keep_start=1e-3, keep_end=1e-3, keep_levels=1), 0, 1),
+        (dict(num_points=24, steps=32, keep_levels=32), 31, 24),
+        (dict(num_points=50, keep_start=1.0, keep_levels=32), 0, 50),
+    ],
+)
+def test_the_last_stair_keeps_the_end_value_and_at_least_one_point_is_left(
+    fields, step, kept
+):
+    assert kept_at(step, tiny_config(**fields)) == kept
 
 
 @pytest.mark.parametrize("until", [0.5, 0.8])
@@ -131,7 +79,142 @@ def test_size_and_dropout_reach_their_ends_before_the_run_does(until):
     last = int(until * 100)
     end = config.render.sigma_end * config.render.grid
     assert sigma_at(last, config) == pytest.approx(end, rel=1e-6)
-    assert sigma_at(99, config) == pytest.approx(end, rel=1e-6)
     assert sigma_at(last // 2, config) > 1.2 * end
     assert kept_at(last, config) == 1000
     assert kept_at(last * 3 // 4 - 1, config) < 1000
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        dict(steps=10, grid=8, fine_grid=16),
+        dict(steps=10, keep_levels=3),
+        dict(steps=100, keep_start=1.0, keep_levels=32),
+        dict(steps=20, keep_levels=1, fixed_views_until=0.5),
+    ],
+)
+def test_spans_are_the_stages_of_the_steps_in_their_order(fields):
+    config = tiny_config(**fields)
+    render, steps = config.render, config.train.steps
+    stages = [find_stage(step, render, steps=steps) for step in range(steps)]
+    spans = list_spans(render, steps=steps)
+    assert [s.stage for s in spans for _ in range(s.start, s.end)] == stages
+    assert len(spans) == len(set(stages))
+    fine = fields.get("fine_grid", 8)
+    assert [s.grid for s in stages] == [
+        fine if step >= 0.6 * steps else 8 for step in range(steps)
+    ]
+    half = fields.get("fixed_views_until", 0) * steps
+    assert [s.fixed_views for s in stages] == [step < half for step in range(steps)]
+
+
+def rates(*steps, **changes):
+    schedule = make_learning_rate(tiny_config(**changes).train)
+    return [float(schedule(step)) for step in steps]
+
+
+def test_the_learning_rate_is_constant_or_warms_up_and_decays_as_a_cosine():
+    constant = rates(0, 1, 999, steps=1000, learning_rate=1e-4, schedule="constant")
+    assert constant == pytest.approx(3 * [1e-4], rel=1e-6)  # float32
+    found = rates(
+        *(0, 1, 200, 700, 1200, 2000),
+        **dict(steps=1200, learning_rate=1e-2, schedule="cosine"),
+    )
+    # The first step already moves, by 1 / 200 of the peak. The line of the warm-up
+    # reaches the peak at step 200.
+    second = 5e-5 + 1e-2 * 0.995 / 200
+    expected = [5e-5, second, 1e-2, 1e-2 * 1.02 / 2, 2e-4, 2e-4]
+    assert found == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("steps", [1, 4, 20])
+def test_the_warm_up_of_a_short_run_takes_a_fifth_of_it(steps):
+    found = rates(*range(steps), steps=steps, schedule="cosine", learning_rate=1e-3)
+    assert found[steps // 5] == max(found) == pytest.approx(1e-3, rel=1e-5)
+
+
+# The learned scale.
+
+
+def occupy(scale, sigma, unit):
+    """The volume of one point at a cell's centre."""
+    mass = compute_mass(jnp.array(scale), jnp.array(sigma), scale_unit=unit)
+    return voxelize(
+        jnp.zeros((1, 3)),
+        jnp.array([1.0, 0, 0, 0]),
+        sigma=sigma,
+        scale=mass,
+        camera=Camera(projection="orthographic"),
+        grid=VoxelGrid(SIDE),
+    )
+
+
+@pytest.mark.parametrize(("scale", "sigma"), [(0.3, 0.2), (0.9, 1.0), (0.9, 1.6)])
+def test_a_point_fills_its_cell_by_the_coefficient_or_all_cells_in_unit_mass(
+    scale, sigma
+):
+    volume = occupy(scale, sigma, "peak")
+    middle = SIDE // 2
+    assert float(volume[middle, middle, middle]) == pytest.approx(scale, rel=1e-4)
+    # Its neighbour as Eq. 3 says: c·exp(-1 / 2σ²).
+    beside = float(volume[middle, middle, middle + 1])
+    assert beside == pytest.approx(scale * np.exp(-0.5 / sigma**2), rel=1e-3)
+    volume = occupy(scale, sigma, "mass")
+    assert float(jnp.sum(volume)) == pytest.approx(scale, rel=1e-4)
+
+
+@pytest.mark.parametrize(("sigma", "share"), [(1.6, 1.0), (0.7, 1.0), (0.2, 0.126)])
+def test_the_peak_of_a_thin_points_density_is_not_that_of_its_samples(sigma, share):
+    density = mass_of_peak(1.0, sigma)
+    samples = compute_mass(jnp.array(1.0), jnp.array(sigma), scale_unit="peak")
+    # Of a thin point the sample at its centre is its mass: (2π)^1.5·0.2³ = 0.126.
+    assert float(density / samples) == pytest.approx(share, rel=1e-3)
+
+
+def test_a_fixed_scale_is_that_number_for_every_object():
+    config = tiny_config(source="given", scale_fixed=0.7)
+    network = make_network(config)
+    params = jax.jit(network.init)(jax.random.key(0), jnp.zeros((1, 16, 16, 3)))
+    shapes = predict_shapes(
+        params,
+        jax.random.normal(jax.random.key(1), (2, 12)),
+        jax.random.split(jax.random.key(2), 2),
+        jnp.array(1.0),
+        network=network,
+        render=config.render,
+        kept_points=5,
+    )
+    np.testing.assert_array_equal(shapes.scale, np.float32([0.7, 0.7]))
+    np.testing.assert_array_equal(shapes.mass, np.float32([0.7, 0.7]))
+    assert "scale" not in params["params"]["shape"]
+
+
+def test_the_penalty_is_half_the_squared_weights_in_the_loss_before_adam():
+    """Of weights of encoder and shape only."""
+    rng = np.random.default_rng(0)
+    leaves = ("kernel", "bias")
+    params = {
+        "params": {
+            name: {leaf: jnp.asarray(rng.normal(size=3)) for leaf in leaves}
+            for name in ("encoder", "shape", "pose")
+        }
+    }
+    chosen = find_penalized(params)
+    assert chosen["params"] == {
+        name: {"kernel": name != "pose", "bias": False} for name in params["params"]
+    }
+
+    def penalty(tree):
+        squares = jax.tree.map(lambda a, on: jnp.sum(a**2) * on, tree, chosen)
+        return 0.5 * 0.01 * sum(jax.tree.leaves(squares))
+
+    plain, ours = (
+        make_optimizer(tiny_config(l2_weight=weight).train) for weight in (0.0, 0.01)
+    )
+    gradient = jax.tree.map(jnp.cos, params)
+    whole = jax.tree.map(jnp.add, gradient, jax.grad(penalty)(params))
+    expected, _ = plain.update(whole, plain.init(params), params)
+    found, _ = ours.update(gradient, ours.init(params), params)
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), found, expected
+    )

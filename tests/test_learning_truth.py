@@ -1,9 +1,12 @@
 """Evaluation where poses or shapes are not known, or models differ in their views."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import tiny_runs
 
+from dpc_jax.data import DataSet
 from dpc_jax.data.arrays import Stack
 from dpc_jax.evaluation.alignment import (
     align_by_poses,
@@ -14,10 +17,15 @@ from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.evaluation.scores import score
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import (
+    Predictions,
     arrange_views,
     make_predictor,
     predict_all,
 )
+from dpc_jax.learning.losses import downsample_images
+from dpc_jax.learning.shapes.kind import View
+from dpc_jax.learning.shapes.points import Points
+from dpc_jax.render import Camera
 
 
 def rag(dataset, counts):
@@ -46,12 +54,39 @@ def trained():
             begun = last if step is None else last._replace(step=np.int32(step))
             return predict_all(predictor, begun, dataset, views_at_once=4, **more)
 
-        yield dataset, whole, predict
+        images = jnp.array(dataset.images.reshape(9, 16, 16, 3) / 127.5 - 1, "float32")
+        yield dataset, whole, predict, jax.jit(network.apply)(state.params, images)
+
+
+def test_every_view_has_its_own_predictions_and_its_best_candidate(trained):
+    dataset, whole, _, output = trained
+    assert whole.silhouettes.shape == (3, 3, 8, 8) and whole.colors is None
+    # Nine views at once, not four: float32 sums in another order.
+    np.testing.assert_allclose(
+        whole.points.reshape(9, 24, 3), output["points"], atol=1e-5
+    )
+    np.testing.assert_allclose(whole.poses.reshape(9, 4), output["student"], atol=1e-5)
+    render = tiny_runs.tiny_config().render
+    targets = downsample_images(dataset.masks.reshape(9, 16, 16), 8)
+
+    def compare(points, mass, candidates, target):
+        scene = {"points": points, "mass": mass}
+        scene["sigma"] = jnp.array(render.sigma_end * render.grid)
+        view = View(candidates, Camera(), 8)
+        return Points.compare_candidates(scene, view, {"silhouette": target})
+
+    losses = jax.jit(jax.vmap(compare))(
+        output["points"], output["scale"], output["candidates"], targets
+    )
+    winners = np.argmin(losses, axis=1)
+    np.testing.assert_array_equal(whole.winners.ravel(), winners)
+    best = np.asarray(output["candidates"])[np.arange(9), winners]
+    np.testing.assert_allclose(whole.candidate_poses.reshape(9, 4), best, atol=1e-5)
 
 
 def test_true_poses_are_compared_in_the_frame_of_the_network(trained):
     """The predicted poses, told as true ones in another frame, cost the same."""
-    dataset, whole, predict = trained
+    dataset, whole, predict, _ = trained
     turn = tiny_runs.random_quaternions(5)
     frame = identity_alignment()._replace(rotation=turn)
     told = dataset._replace(quaternions=align_poses(frame, whole.poses))
@@ -69,14 +104,14 @@ def test_true_poses_are_compared_in_the_frame_of_the_network(trained):
 
 def test_images_do_not_change_with_the_schedule_but_costs_do(trained):
     """So that errors of silhouettes can be compared over training."""
-    dataset, last, predict = trained
+    dataset, last, predict, _ = trained
     first = predict(dataset, step=0)
     np.testing.assert_array_equal(first.silhouettes, last.silhouettes)
     assert np.all(np.abs(first.costs / last.costs - 1) > 1e-3)
 
 
 def test_a_diagnosis_needs_true_poses(trained):
-    dataset, whole, _ = trained
+    dataset, whole, _, _ = trained
     frame = identity_alignment()
     found = evaluator.diagnose(whole, dataset, alignment=frame)
     assert found is not None and "wrong_object_share" in found.metrics
@@ -84,29 +119,20 @@ def test_a_diagnosis_needs_true_poses(trained):
     assert evaluator.diagnose(whole, without, alignment=frame) is None
 
 
-def test_views_of_unequal_models_are_predicted_one_by_one(trained):
-    dataset, whole, predict = trained
-    few = predict(rag(dataset, [3, 1, 2]))
-    models, views = arrange_views(rag(dataset, [3, 1, 2]))
-    assert models.ravel().tolist() == [0, 0, 0, 1, 2, 2]
-    assert views.ravel().tolist() == [0, 1, 2, 0, 0, 1] and models.shape == (6, 1)
-    for row, (model, view) in enumerate(zip(models[:, 0], views[:, 0], strict=True)):
-        # float32; the batches differ in their composition
-        np.testing.assert_allclose(
-            few.points[row, 0], whole.points[model, view], atol=1e-5
-        )
-        np.testing.assert_allclose(
-            few.silhouettes[row, 0], whole.silhouettes[model, view], atol=1e-4
-        )
-
-
-def test_scores_of_single_views_are_those_of_their_models(trained):
-    dataset, whole, predict = trained
+def test_views_of_unequal_models_are_predicted_and_scored_one_by_one(trained):
+    dataset, whole, predict, _ = trained
     options = dict(alignment=identity_alignment(), heads=3)
     equal, _ = evaluator.score(whole, dataset, **options)
     ragged = rag(dataset, [3, 1, 2])
-    single, _ = evaluator.score(predict(ragged), ragged, **options)
+    few = predict(ragged)
+    single, _ = evaluator.score(few, ragged, **options)
     kept = [(0, 0), (0, 1), (0, 2), (1, 0), (2, 0), (2, 1)]
+    models, views = arrange_views(ragged)
+    assert list(zip(models.ravel(), views.ravel(), strict=True)) == kept
+    assert models.shape == (6, 1)
+    points = np.stack([whole.points[place] for place in kept])
+    # float32; the batches differ in their composition
+    np.testing.assert_allclose(few.points[:, 0], points, atol=1e-5)
     np.testing.assert_allclose(
         single.pose_errors_deg[:, 0],
         [equal.pose_errors_deg[place] for place in kept],
@@ -123,7 +149,7 @@ def test_scores_of_single_views_are_those_of_their_models(trained):
 
 
 def test_without_shapes_chamfer_is_left_out_and_overlap_given(trained):
-    dataset, whole, _ = trained
+    dataset, whole, _, _ = trained
     dataset = dataset._replace(surfaces=None)
     alignment = evaluator.align(whole, dataset)
     assert np.isnan(alignment.chamfer)
@@ -139,7 +165,7 @@ def test_without_shapes_chamfer_is_left_out_and_overlap_given(trained):
 
 
 def test_without_poses_only_the_overlap_is_left(trained):
-    dataset, _, predict = trained
+    dataset, _, predict, _ = trained
     dataset = dataset._replace(quaternions=None, surfaces=None)
     predictions = predict(dataset)
     result, shares = evaluator.score(
@@ -171,3 +197,34 @@ def test_the_mode_of_the_votes_aligns_where_there_are_no_shapes():
     assert found.inlier_share == pytest.approx(0.85, abs=0.05)
     errors = score(poses[3:], truth[3:], np.zeros((17, 5, 4, 3)), None, alignment=found)
     assert errors.metrics["pose_accuracy"] == 1
+
+
+def predict_truth(dataset: DataSet) -> Predictions:
+    """Predictions that repeat the given poses."""
+    poses = np.asarray(dataset.quaternions)
+    points = np.asarray(dataset.surfaces)[:, None].repeat(poses.shape[1], axis=1)
+    sides = np.asarray(dataset.masks) / 255.0
+    return Predictions(
+        points=points,
+        colors=None,
+        poses=poses,
+        candidate_poses=poses,
+        winners=np.zeros(poses.shape[:2], int),
+        silhouettes=sides,
+    )
+
+
+@pytest.mark.parametrize("poses_given", [False, True])
+def test_poses_that_were_given_are_absent_from_the_scores(poses_given):
+    dataset = tiny_runs.make_dataset()
+    result, _ = evaluator.score(
+        predict_truth(dataset),
+        dataset,
+        alignment=identity_alignment(),
+        heads=0,
+        poses_given=poses_given,
+    )
+    assert result.metrics["chamfer"] == pytest.approx(0, abs=1e-6)
+    has_poses = any("pose" in name for name in result.metrics)
+    assert has_poses != poses_given
+    assert (result.pose_errors_deg is None) == poses_given

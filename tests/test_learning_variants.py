@@ -16,7 +16,7 @@ from tiny_runs import (
     tiny_config,
 )
 
-from dpc_jax.config import check
+from dpc_jax.config import check, replace_fields
 from dpc_jax.learning import signals
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.training.checkpoints import Checkpoints
@@ -44,10 +44,17 @@ VARIANTS = {
         {"reprojection", "labels", "student"},
         {"pose", "student"},
     ),
-    "mvc": (
-        {"shape": "voxels", "source": "sampled", "background_weight": 0.2},
-        {"reprojection", "prior", "judge", "reinforce", "head_entropy"},
+    "mvc,color": (
+        {"shape": "voxels", "source": "sampled", "background_weight": 0.2}
+        | {"color_weight": 0.3},
+        {"reprojection", "color", "prior", "judge", "reinforce", "head_entropy"},
         {"pose", "pose_encoder", "student", "judge"},
+    ),
+    "cameras, depth alone": (
+        {"silhouette_weight": 0.0, "depth_weight": 1.0, "translation": True}
+        | {"choice_signals": "all"},
+        {"depth", "gauge", "student"},
+        {"pose", "student", "translation", "focal"},
     ),
     "epcg": (
         {"shape": "maps", "source": "given", "depth_weight": 1.0}
@@ -82,6 +89,8 @@ def go_on(step, state, batch, count):
 def test_a_variant_learns_goes_on_from_a_checkpoint_and_predicts(name, tmp_path):
     fields, losses, branches = VARIANTS[name]
     config = tiny_config(**fields)
+    if config.pose.translation:  # the camera has a field of the other name, too
+        config = replace_fields(config, {"pose": {"focal_length": True}})
     check(config)
     network, batch = make_network(config), make_views(config)
     first, step = make_state(network, config), make_step(network, config)
@@ -112,6 +121,7 @@ def test_a_variant_learns_goes_on_from_a_checkpoint_and_predicts(name, tmp_path)
     predictions = predict_all(make_predictor(network, config), last, make_dataset())
     assert predictions.silhouettes.shape == (3, 3, *[config.render.finest] * 2)
     assert (predictions.cells is None) == (config.network.shape != "voxels")
-    assert (predictions.colors is None) == (not config.train.color_weight)
+    has_colors = config.train.color_weight and config.network.shape == "points"
+    assert (predictions.colors is None) == (not has_colors)
     for array in predictions:
         assert array is None or np.isfinite(array).all()

@@ -6,7 +6,6 @@ several pose candidates alone, and its focal lengths begin above the true one.
 
 import dataclasses
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,33 +16,23 @@ from dpc_jax.learning.recipe import Recipe, Term
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera
 
-
-class Cameras(NamedTuple):
-    """Cameras of views; what is None is the config's, for all views.
-
-    Attributes:
-      translations: [..., 3] of the object in the camera frame, box diagonals.
-      focal_lengths: [...], of an image 1 wide.
-    """
-
-    translations: jax.Array | None = None
-    focal_lengths: jax.Array | None = None
+# What views have of their own; what is missing is the config's, for all views:
+# "translation" [..., 3] of the object in the camera frame, box diagonals, and
+# "focal_length" [...] of an image 1 wide.
+Cameras = Mapping[str, jax.Array]
 
 
 def find_cameras(
     predicted: Mapping[str, jax.Array], given: Mapping[str, jax.Array], *, pose: Pose
-) -> Cameras:
-    """The cameras of views: learned, or with known poses those of the data set.
+) -> dict[str, jax.Array]:
+    """The `Cameras` of views: learned, or with known poses those of the data set.
 
     Args:
       predicted: output of the network. given: arrays of the views, those they have.
     """
-    if not pose.known:
-        given = {}
-    return Cameras(
-        predicted.get("translations", given.get("translations")),
-        predicted.get("focal_lengths", given.get("focal_lengths")),
-    )
+    arrays = {**(given if pose.known else {}), **predicted}
+    names = {"translation": "translations", "focal_length": "focal_lengths"}
+    return {own: arrays[name] for own, name in names.items() if name in arrays}
 
 
 def predict_cameras(
@@ -53,7 +42,7 @@ def predict_cameras(
     *,
     network: ShapePoseNetwork,
     pose: Pose,
-) -> Cameras:
+) -> dict[str, jax.Array]:
     """The cameras of views from their features [B, V, F]; see `find_cameras`."""
     predicted = {}
     if pose.translation or pose.focal_length:
@@ -65,37 +54,28 @@ def predict_cameras(
     return find_cameras(predicted, given, pose=pose)
 
 
-def compute_gauge(cameras: Cameras, camera: Camera, *, pose: Pose) -> jax.Array:
-    """How far learned cameras of a batch are from the config's in the mean; ().
+def find_gauge(cameras: Cameras, *, recipe: Recipe) -> dict[str, Term]:
+    """How far learned cameras of a batch are from the config's in the mean, as a loss.
 
-    Squared, of translations and of logarithms of focal lengths, over all devices.
-    Images leave these means free: a larger or displaced shape undoes them.
+    Squared, of translations and of logarithms of focal lengths, over all devices, with
+    the weight of a silhouette's squares. Images leave these means free: a larger or
+    displaced shape undoes them.
     """
     means = []
-    if pose.translation:
-        assert cameras.translations is not None
-        means.append(jnp.mean(cameras.translations.reshape(-1, 3), axis=0))
-    if pose.focal_length:
-        assert cameras.focal_lengths is not None
-        shares = cameras.focal_lengths / camera.focal_length
+    if recipe.pose.translation:
+        means.append(jnp.mean(cameras["translation"].reshape(-1, 3), axis=0))
+    if recipe.pose.focal_length:
+        shares = cameras["focal_length"] / recipe.camera.focal_length
         means.append(jnp.mean(jnp.log(shares))[None])
-    return jnp.sum(jax.lax.pmean(jnp.concatenate(means), AXIS) ** 2)
-
-
-def find_gauge(cameras: Cameras, *, recipe: Recipe) -> dict[str, Term]:
-    """The loss of `compute_gauge`, which has the weight of a silhouette's squares."""
-    if not (recipe.pose.translation or recipe.pose.focal_length):
+    if not means:
         return {}
-    gauge = compute_gauge(cameras, recipe.camera, pose=recipe.pose)
+    gauge = jnp.sum(jax.lax.pmean(jnp.concatenate(means), AXIS) ** 2)
     return {"gauge": Term(gauge, float(recipe.render.grid**2))}
 
 
-def list_own(cameras: Cameras, views: int) -> dict[str, jax.Array]:
-    """What views have of their own, by name, with one leading axis of all views."""
-    found = {"translation": cameras.translations, "focal_length": cameras.focal_lengths}
-    present = {name: a for name, a in found.items() if a is not None}
-    ends = {"translation": (3,), "focal_length": ()}
-    return {name: a.reshape(views, *ends[name]) for name, a in present.items()}
+def flatten_views(arrays: Mapping[str, jax.Array]) -> dict[str, jax.Array]:
+    """Arrays [B, V, ...] by name with one leading axis of all views, [B·V, ...]."""
+    return {name: a.reshape(-1, *a.shape[2:]) for name, a in arrays.items()}
 
 
 def place_camera(camera: Camera, own: Mapping[str, jax.Array]) -> Camera:

@@ -74,7 +74,7 @@ def find_own(objects: int) -> slice:
 
 
 def assemble(rows: dict[str, np.ndarray], config: Config) -> dict[str, Any]:
-    """The batch of which every process has read its own rows."""
+    """The batch of which every process has read its own rows, see `find_own`."""
     if jax.process_count() == 1:
         return dict(rows)
     parts = NamedSharding(make_mesh(config), OBJECTS)
@@ -137,24 +137,21 @@ def take_own(array: jax.Array) -> jax.Array:
 
 
 def sum_whole(tree: Any, parts: Any) -> Any:
-    """Inside `share`: arrays of which every device has the whole, summed over them."""
-    arrays, structure = jax.tree.flatten(tree)
-    is_whole = [part == WHOLE for part in structure.flatten_up_to(parts)]
-    summed = iter(sum_together([a for a, w in zip(arrays, is_whole, strict=True) if w]))
-    return structure.unflatten(
-        [next(summed) if w else a for a, w in zip(arrays, is_whole, strict=True)]
-    )
-
-
-def sum_together(tree: Any) -> Any:
-    """Inside `share`: arrays summed over the devices, in one exchange.
+    """Inside `share`: arrays of which every device has the whole, summed over them.
 
     Joined to one array first: between processes each exchange costs about a
     millisecond, and XLA's own exchange of many arrays takes four times as long as that
     of one (docs/log.md).
     """
-    flat, restore = ravel_pytree(tree)
-    return restore(jax.lax.psum(flat, AXIS))
+    arrays, structure = jax.tree.flatten(tree)
+    is_whole = [part == WHOLE for part in structure.flatten_up_to(parts)]
+    flat, restore = ravel_pytree(
+        [a for a, w in zip(arrays, is_whole, strict=True) if w]
+    )
+    summed = iter(restore(jax.lax.psum(flat, AXIS)))
+    return structure.unflatten(
+        [next(summed) if w else a for a, w in zip(arrays, is_whole, strict=True)]
+    )
 
 
 def compute_norms(
@@ -162,10 +159,9 @@ def compute_norms(
 ) -> dict[str, jax.Array]:
     """Inside `share`: roots of the sums of all squares of partitioned arrays; ().
 
-    Reading every gradient once more takes a tenth of a step. Where
-    `is_measured` () is false, the results are -1, or NaN where a vector among the
-    arrays (the gradient of a layer's biases) is not finite: a cheap sign that others
-    are not.
+    Reading every gradient once more takes a tenth of a step. Where `is_measured` () is
+    false, the results are -1, or NaN where a vector among the arrays (the gradient of a
+    layer's biases) is not finite: a cheap sign that others are not.
     """
 
     def select(name, is_chosen):
@@ -178,7 +174,8 @@ def compute_norms(
         return sum((jnp.sum(jnp.square(array)) for array in chosen), jnp.zeros(()))
 
     def measure():
-        shared = sum_together({name: sum_squares(name, False) for name in trees})
+        shared = {name: sum_squares(name, False) for name in trees}
+        shared = sum_whole(shared, dict.fromkeys(trees, WHOLE))
         return {n: jnp.sqrt(sum_squares(n, True) + shared[n]) for n in trees}
 
     def look():

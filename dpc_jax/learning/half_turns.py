@@ -12,50 +12,39 @@ from dpc_jax.render import quaternion
 
 
 def average_covariance(
-    covariance: jax.Array,
-    points: jax.Array,
-    step: jax.Array,
-    *,
-    weights: jax.Array | None = None,
-    axis: str | None = None,
+    covariance: jax.Array, current: jax.Array, step: jax.Array
 ) -> jax.Array:
-    """The running covariance [3, 3] after one more batch of points [..., 3].
-
-    Weights are [...], of each point; None for all alike.
+    """The running covariance [3, 3] after one more batch, whose own is `current`.
 
     The plain mean at first, then an exponential average over a hundred batches.
-    Devices along a named axis, each with its share of the batch, get that of all.
     """
     weight = jnp.maximum(0.01, 1 / (step + 1))
-    if weights is not None:
-        weights = weights.reshape(-1)
-    current = compute_covariance(points.reshape(-1, 3), weights, axis=axis)
     return (1 - weight) * covariance + weight * current
 
 
 def compute_covariance(
     points: jax.Array, weights: jax.Array | None = None, *, axis: str | None = None
 ) -> jax.Array:
-    """Covariance [3, 3] of points [N, 3], without gradient; the rest as above."""
-    points, weights = jax.lax.stop_gradient((points, weights))
-    if weights is not None:
-        return _weigh_covariance(points, weights, axis)
-    centre = _average(jnp.mean(points, axis=0, keepdims=True), axis)
-    away = points - centre
-    moments = jnp.matmul(away.T, away, precision="highest") / points.shape[0]
-    return _average(moments, axis)
+    """Covariance [3, 3] of points [..., 3], without gradient.
 
+    Args:
+      weights: [...], of each point; None for all alike.
+      axis: that names devices, each with its share of the points; they get that of all.
+    """
+    points = jax.lax.stop_gradient(points.reshape(-1, 3))
 
-def _weigh_covariance(points, weights, axis):
-    total = _average(jnp.sum(weights), axis)
+    def average(value):
+        return value if axis is None else jax.lax.pmean(value, axis)
+
+    if weights is None:
+        away = points - average(jnp.mean(points, axis=0, keepdims=True))
+        moments = jnp.matmul(away.T, away, precision="highest") / points.shape[0]
+        return average(moments)
+    weights = jax.lax.stop_gradient(weights.reshape(-1))
+    total = average(jnp.sum(weights))
     shares = (weights / jnp.maximum(total, jnp.finfo(weights.dtype).tiny))[:, None]
-    centre = _average(jnp.sum(shares * points, axis=0, keepdims=True), axis)
-    away = points - centre
-    return _average(jnp.matmul((shares * away).T, away, precision="highest"), axis)
-
-
-def _average(value, axis):
-    return value if axis is None else jax.lax.pmean(value, axis)
+    away = points - average(jnp.sum(shares * points, axis=0, keepdims=True))
+    return average(jnp.matmul((shares * away).T, away, precision="highest"))
 
 
 def find_half_turns(covariance: jax.Array, count: int = 4) -> jax.Array:
@@ -73,10 +62,7 @@ def find_half_turns(covariance: jax.Array, count: int = 4) -> jax.Array:
 
 
 def turn_candidates(candidates: jax.Array, turns: jax.Array) -> jax.Array:
-    """Each candidate after each turn of the object.
-
-    Args:
-      candidates: [K, 4] quaternions. turns: [T, 4].
+    """Each candidate [K, 4] after each turn [T, 4] of the object.
 
     Returns:
       [T·K, 4]; candidate i of the result comes from head i % K.

@@ -6,7 +6,9 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from dpc_jax.render import checks, quaternion
+from dpc_jax.render import Camera, checks, quaternion
+
+_NEAREST = 0.1  # to the camera, of points that are pulled, box diagonals
 
 
 def reprojection_loss(predicted: jax.Array, target: jax.Array) -> jax.Array:
@@ -52,8 +54,7 @@ def geodesic_loss(predicted: jax.Array, label: jax.Array) -> jax.Array:
     the predicted quaternion), so that large errors shrink as fast as small ones; at
     exactly 0 it is zero, and at 180°, a kink, that towards +label. The label gets none.
     """
-    label = jax.lax.stop_gradient(label)
-    return quaternion.angle_between(predicted, label)
+    return quaternion.angle_between(predicted, jax.lax.stop_gradient(label))
 
 
 def selection_loss(logits: jax.Array, winners: jax.Array) -> jax.Array:
@@ -146,6 +147,60 @@ def containment_loss(points: jax.Array, *, radius: float = 0.5) -> jax.Array:
     is_beyond = square > radius**2
     length = jnp.sqrt(jnp.where(is_beyond, square, 1))
     return jnp.sum(jnp.where(is_beyond, (length - radius) ** 2, 0))
+
+
+def measure_outside(silhouette: jax.Array) -> jax.Array:
+    """Distance of each pixel from the nearest one that is covered by half or more.
+
+    The exact Euclidean distance [D, D] of a silhouette [D, D], in widths of the image,
+    one axis after the other; 0 where it is covered. Where nothing is covered it is that
+    to the far end of an image twice as large, everywhere.
+    """
+    side = silhouette.shape[-1]
+    steps = jnp.arange(side)
+    squares = ((steps[:, None] - steps[None]) ** 2).astype(silhouette.dtype)
+    far = jnp.where(silhouette >= 0.5, 0, 2.0 * side**2)
+    by_rows = jnp.min(far[None] + squares[:, :, None], axis=1)
+    both = jnp.min(by_rows[:, None] + squares[None], axis=2)
+    return jnp.sqrt(jnp.minimum(both, 2.0 * side**2)) / side
+
+
+def pull_inside(
+    points: jax.Array,
+    rotation: jax.Array,
+    outside: jax.Array,
+    *,
+    camera: Camera,
+    translation: jax.Array | None = None,
+) -> jax.Array:
+    """Mean distance of projected points [N, 3] from a silhouette, in image widths; ().
+
+    Not in the paper. A point alone in an empty part of an image has next to no gradient
+    from the squares of silhouettes: wherever it moves, the image around it stays as
+    blank. So it hangs there; this distance tells it where to go. Of points beside the
+    image it is the border's, and the way there along both axes; those behind the camera
+    or just before it are told nothing.
+
+    Args:
+      outside: [D, D] of `measure_outside`. rotation, camera, translation: see
+        `project`.
+    """
+    side = outside.shape[-1]
+    moved = quaternion.rotate(points, rotation)
+    if translation is not None:
+        moved = moved + translation[None]
+    ahead = moved[:, 2] + camera.distance
+    is_seen = ahead > _NEAREST
+    depth = camera.distance if camera.projection == "orthographic" else ahead
+    zoom = camera.focal_length / jnp.where(is_seen, depth, 1)
+    places = (moved[:, :2] * zoom[:, None] + 0.5) * side - 0.5  # column, row
+    inside = jnp.clip(places, 0, side - 1)
+    column, row = inside.T
+    distances = jax.scipy.ndimage.map_coordinates(
+        outside, [row, column], order=1, mode="nearest"
+    )
+    beside = jnp.sum(jnp.abs(places - inside), axis=1) / side
+    return jnp.mean(jnp.where(is_seen, distances + beside, 0))
 
 
 def downsample_images(images: jax.Array, size: int) -> jax.Array:

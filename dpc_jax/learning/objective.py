@@ -29,13 +29,11 @@ def compute_loss(
     `devices.share`, with a device's share of a batch of the run.
 
     Args:
-      params: of the network.
+      params: of the network. step: ().
       batch: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S], quaternions
         [B, V, 4] (read only where poses are given), what `list_extras` names, and
         corner_masks and corner_depths [B, 8, S, S] in stages of fixed views.
-      keys: [B], for the point dropout of each object.
-      step: ().
-      averages: of the batches before.
+      keys: [B], of each object. averages: of the batches before.
       recipe: what is learned, static. stage: of the schedule, static.
 
     Returns:
@@ -61,12 +59,12 @@ def compute_loss(
     metrics = {"scale": jnp.mean(shapes.find_scale())}
     gauge = find_gauge(cameras, recipe=recipe)
     lesson = Lesson(params, batch, features, shapes, cameras, keys, step, averages)
-    averages, poses = teach_poses(lesson, recipe=recipe)
+    poses = teach_poses(lesson, recipe=recipe)
     compared, parts, costs = shapes.compare(
         poses.rotations, batch, cameras, recipe=recipe, stage=stage
     )
     pulls = shapes.find_pulls(poses.rotations, batch, cameras, step, recipe=recipe)
-    averages, settled = poses.settle(costs, averages)
+    averages, settled = poses.settle(costs)
     priors = shapes.find_priors(step, train=recipe.train)
     terms = priors | gauge | poses.terms | pulls | settled
     metrics |= poses.metrics | parts | {n: term.value for n, term in terms.items()}

@@ -19,12 +19,16 @@ from dpc_jax.render.projection import scale_sizes
 def measure_points(
     shape: Mapping[str, jax.Array], *, grid: int
 ) -> tuple[jax.Array, jax.Array]:
-    """(size, mass) of points of learned sizes, of B objects.
+    """(size, mass) of points of learned sizes, of B objects in a grid.
 
     The learned scale is here the peak height c_i of Eq. 3, whatever
     `render.scale_unit`: between the bounds of a size the masses that show at all span
     six powers of ten. A mass is c·(2π)^{3/2}·√|Σ|, so that a Gaussian that is thinner
     than a voxel fills its share of the cells and no more.
+
+    A covariance is R·diag(s²)·Rᵀ of the widths and the turn of a point. A quaternion of
+    any length makes seven numbers for six: overcomplete, as the paper says, but without
+    the discontinuities of angles, and positive definite for all values.
 
     Args:
       shape: of `ShapeHead`. grid: side of the volume, in voxels.
@@ -32,29 +36,18 @@ def measure_points(
     Returns:
       ([B, N] sigmas in voxels, or [B, N, 3, 3] covariances in voxels²; [B, N] voxels).
     """
+
+    def make_covariance(widths, turn):
+        # Entry by entry: as a matrix product of 3 × 3 it took longer on a CPU.
+        scaled = quaternion.to_matrix(turn) * widths[None]
+        return jnp.sum(scaled[:, None] * scaled[None], axis=-1)
+
     widths = grid * shape["sizes"]
     product = jnp.prod(jnp.broadcast_to(widths, (*widths.shape[:-1], 3)), axis=-1)
     mass = mass_of_peak(shape["scale"][:, None], jnp.ones(())) * product
     if "turns" not in shape:
         return widths[..., 0], mass
     return jax.vmap(jax.vmap(make_covariance))(widths, shape["turns"]), mass
-
-
-def make_covariance(widths: jax.Array, turn: jax.Array) -> jax.Array:
-    """R·diag(s²)·Rᵀ, [3, 3], of standard deviations [3] and a quaternion [4].
-
-    The quaternion, of any length, turns the axes of the point to the object's. Seven
-    numbers for six: overcomplete, as the paper says, but without the discontinuities of
-    angles, and positive definite for all values.
-    """
-    # Entry by entry: as a matrix product of 3 × 3 it took longer on a CPU.
-    scaled = quaternion.to_matrix(turn) * widths[None]
-    return jnp.sum(scaled[:, None] * scaled[None], axis=-1)
-
-
-def split_size(size: jax.Array) -> tuple[jax.Array | None, jax.Array | None]:
-    """(sigma, covariance) as `project` takes them: the one that it is not is None."""
-    return (None, size) if jnp.ndim(size) == 3 else (size, None)
 
 
 def scale_point_sizes(
@@ -79,14 +72,13 @@ def take_points(size: jax.Array, count: int) -> jax.Array:
 def find_image_sigmas(
     size: jax.Array, rotation: jax.Array, zoom: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Standard deviations of points [N] along rows and columns of the image.
+    """Standard deviations of points along rows and columns of the image, [N] each.
 
     An approximation for ranking: of a covariance the direction within the image and the
     local shear of perspective are left out.
 
     Args:
-      size: [N] or [N, 3, 3], see the module. rotation: [4]. zoom: [N], focal length
-        over depth.
+      size: [N] or [N, 3, 3]. rotation: [4]. zoom: [N], focal length over depth.
     """
     if jnp.ndim(size) == 1:
         return size, size

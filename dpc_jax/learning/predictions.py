@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Pose, Render
-from dpc_jax.learning import half_turns
+from dpc_jax.learning.half_turns import find_half_turns, turn_candidates
 from dpc_jax.learning.shapes import Shape, find_kind
 from dpc_jax.networks import ShapePoseNetwork
 
@@ -26,31 +26,29 @@ class Poses(NamedTuple):
     logits: jax.Array | None
 
 
-def scale_images(images: jax.Array) -> jax.Array:
-    """Bytes 0..255 to the network's [-1, 1]."""
-    return images.astype(jnp.float32) / 127.5 - 1
-
-
 def make_inputs(
     images: jax.Array, masks: jax.Array, *, network: ShapePoseNetwork
 ) -> jax.Array:
-    """What the network sees of images uint8 [..., S, S, 3] with masks [..., S, S]."""
-    inputs = scale_images(images)
+    """What the network sees of images uint8 [..., S, S, 3] with masks [..., S, S].
+
+    Bytes 0 to 255 become numbers from -1 to 1.
+    """
+    inputs = images.astype(jnp.float32) / 127.5 - 1
     if not network.sees_mask:
         return inputs
-    return jnp.concatenate([inputs, scale_images(masks)[..., None]], axis=-1)
+    own = masks.astype(jnp.float32) / 127.5 - 1
+    return jnp.concatenate([inputs, own[..., None]], axis=-1)
 
 
 def encode_views(
     params: Mapping, images: jax.Array, masks: jax.Array, *, network: ShapePoseNetwork
 ) -> jax.Array:
     """Features [B, V, F] of images uint8 [B, V, S, S, 3] with masks [B, V, S, S]."""
-    batch_size, views = images.shape[:2]
     inputs = make_inputs(images, masks, network=network)
     flat = inputs.reshape(-1, *inputs.shape[2:])
     features = network.apply(params, flat, method="encode")
     assert isinstance(features, jax.Array)
-    return features.reshape(batch_size, views, -1)
+    return features.reshape(*images.shape[:2], -1)
 
 
 def predict_shapes(
@@ -74,25 +72,6 @@ def predict_shapes(
     return shapes.drop(keys, kept_points)
 
 
-def predict_poses(
-    params: Mapping,
-    features: jax.Array,
-    covariance: jax.Array,
-    *,
-    network: ShapePoseNetwork,
-    pose: Pose,
-) -> Poses:
-    """Pose candidates of n views from their features [..., F].
-
-    Args:
-      covariance: [3, 3] of predicted points, whose axes the half turns are about.
-    """
-    features = features.reshape(-1, features.shape[-1])
-    output = network.apply(params, features, method="predict_pose")
-    assert isinstance(output, dict)
-    return complete_poses(output, covariance, pose=pose)
-
-
 def complete_poses(
     output: dict[str, jax.Array], covariance: jax.Array, *, pose: Pose
 ) -> Poses:
@@ -100,14 +79,13 @@ def complete_poses(
 
     Args:
       output: of the network: candidates [n, K, 4], and student [n, 4] or logits [n, C].
-      covariance: [3, 3], see `predict_poses`.
+      covariance: [3, 3] of predicted points, whose axes the half turns are about.
     """
     candidates, student = output["candidates"], output.get("student")
     logits = output.get("logits")
     if pose.half_turns:
-        turns = half_turns.find_half_turns(covariance, pose.turns)
-        turn = jax.vmap(half_turns.turn_candidates, (0, None))
-        candidates = turn(candidates, turns)
+        turns = find_half_turns(covariance, pose.turns)
+        candidates = jax.vmap(turn_candidates, (0, None))(candidates, turns)
     if logits is not None:
         chosen = jnp.argmax(logits, axis=-1)
         student = jnp.take_along_axis(candidates, chosen[:, None, None], axis=1)[:, 0]

@@ -37,8 +37,7 @@ def count_kept_points(step: int, render: Render, *, steps: int) -> int:
     program of its own, compiled when first reached.
     """
     levels = render.keep_levels
-    annealed = render.anneal_until * steps
-    level = min(int(step * levels / annealed), levels - 1)
+    level = min(int(step * levels / (render.anneal_until * steps)), levels - 1)
     # The middle of the stair lies on the line; the last stair keeps the end value.
     done = 1.0 if level == levels - 1 else (level + 0.5) / levels
     share = render.keep_start + done * (render.keep_end - render.keep_start)
@@ -83,14 +82,13 @@ def list_spans(render: Render, *, steps: int) -> tuple[Span, ...]:
     def find(step):
         return find_stage(step, render, steps=steps)
 
-    spans: list[Span] = []
-    while not spans or spans[-1].end < steps:
-        start = spans[-1].end if spans else 0
+    spans, start = [], 0
+    while start < steps:
         stage = find(start)
-        later = bisect.bisect(
-            range(start, steps), False, key=lambda s: find(s) != stage
-        )
+        rest = range(start, steps)
+        later = bisect.bisect(rest, False, key=lambda s, own=stage: find(s) != own)
         spans.append(Span(start, start + later, stage))
+        start += later
     return tuple(spans)
 
 

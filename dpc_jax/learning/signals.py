@@ -161,14 +161,11 @@ def compare_images(
 def sum_event_costs(
     silhouette: jax.Array, target: jax.Array, *, background: float
 ) -> jax.Array:
-    """Ray consistency with a mask (Tulsiani et al., CVPR 2017), over all pixels; ().
+    """Ray consistency [D, D] with a mask (Tulsiani et al., CVPR 2017), all pixels; ().
 
     It costs 1 that the ray of an object's pixel passes, and `background` that the ray
     of another one is stopped: m·(1 - S) + background·(1 - m)·S for a pixel of which the
-    object covers the share m.
-
-    Args:
-      silhouette: [D, D], S, the probability that a ray is stopped. target: [D, D], m.
+    object covers the share m, and whose ray is stopped with probability S.
     """
     missed = jnp.sum(target * (1 - silhouette))
     return missed + background * jnp.sum((1 - target) * silhouette)
@@ -188,8 +185,7 @@ def compare_depths(
     whose depth was measured.
 
     Args:
-      image: has its termination. targets: of `make_targets`.
-      camera: of the render.
+      image: has its termination. targets: of `make_targets`. camera: of the render.
       is_alone: where no silhouettes are compared, depths have to teach the outline. The
         squared difference of mean depths is added then, the background's included, by
         which rays that miss an object or hit beside it are wrong.

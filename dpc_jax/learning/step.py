@@ -37,11 +37,7 @@ class TrainState(NamedTuple):
 
 
 def make_optimizer(train: Train) -> optax.GradientTransformation:
-    """Adam with the run's learning rate.
-
-    With `l2_weight` the gradient of a penalty on weights is added before Adam, as in
-    the released code.
-    """
+    """Adam; `l2_weight` adds the gradient of a penalty before, as the released code."""
     adam = optax.adam(schedules.make_learning_rate(train))
     if train.l2_weight:
         penalty = optax.add_decayed_weights(train.l2_weight, mask=find_penalized)
@@ -85,8 +81,9 @@ def describe_state(network: ShapePoseNetwork, config: Config) -> TrainState:
 
 def _init_whole(network, config, seed):
     size = config.data.image_size
-    images = jnp.zeros((1, size, size, network.inputs))
-    params = network.init(jax.random.key(seed), images)
+    params = network.init(
+        jax.random.key(seed), jnp.zeros((1, size, size, network.inputs))
+    )
     optimizer = make_optimizer(config.train).init(params)
     cost = jnp.zeros(()) if config.pose.source == "sampled" else None
     frame = None
@@ -168,7 +165,7 @@ def _make_update(network, config, stage, parts, num_devices):
         (loss, (metrics, averages)), grads = jax.value_and_grad(
             compute_share, has_aux=True
         )(state.params, batch, keys, state)
-        winners = {k: metrics.pop(k) for k in ("winners",) if k in metrics}
+        winners = metrics.pop("winners", {})
         metrics = {name: value / num_devices for name, value in metrics.items()}
         metrics["loss"] = loss
         grads, metrics = devices.sum_whole(
@@ -176,7 +173,8 @@ def _make_update(network, config, stage, parts, num_devices):
         )
         updates, opt_state = optimizer.update(grads, state.optimizer, state.params)
         params = optax.apply_updates(state.params, updates)
-        metrics |= jax.lax.all_gather(winners, devices.AXIS, tiled=True)
+        if recipe.pose.heads:
+            metrics["winners"] = jax.lax.all_gather(winners, devices.AXIS, tiled=True)
         metrics["gradient_norms"] = devices.compute_norms(
             grads["params"],
             parts.params["params"],

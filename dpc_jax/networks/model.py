@@ -7,9 +7,15 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.networks.camera import FOCAL_RANGE, TRANSLATION_RANGE, BoundedHead
 from dpc_jax.networks.encoder import TINT, ImageEncoder, measure_tint
-from dpc_jax.networks.pose import PoseEnsemble, PoseSelector, PoseStudent
+from dpc_jax.networks.pose import (
+    FOCAL_RANGE,
+    TRANSLATION_RANGE,
+    BoundedHead,
+    PoseEnsemble,
+    PoseSelector,
+    PoseStudent,
+)
 from dpc_jax.networks.shape import ShapeHead
 
 
@@ -91,7 +97,7 @@ class ShapePoseNetwork(nn.Module):
         if self.candidates and self.own_pose_encoder:
             self.pose_encoder = self._make_encoder()
         if self.candidates and self.judges_poses:
-            from dpc_jax.networks.pose_judge import PoseJudge  # of a baseline alone
+            from dpc_jax.networks.viewpoints import PoseJudge  # where asked
 
             self.judge = PoseJudge()
         student: dict[str, Any] = {
@@ -109,22 +115,14 @@ class ShapePoseNetwork(nn.Module):
             self.focal = BoundedHead(outputs=1, bound=FOCAL_RANGE)
 
     def _make_encoder(self):
-        return ImageEncoder(
-            channels=self.channels,
-            hidden=self.hidden,
-            normalize=self.normalize,
-            blocks=self.blocks,
-        )
+        return ImageEncoder(self.channels, self.hidden, self.normalize, self.blocks)
 
     def _make_pose_heads(self):
         if self.viewpoints:
             from dpc_jax.networks.viewpoints import ViewpointEnsemble  # where asked
 
             return ViewpointEnsemble(
-                candidates=self.candidates,
-                elevations=self.viewpoints,
-                hidden=self.hidden,
-                slope=self.pose_slope,
+                self.candidates, self.viewpoints, self.hidden, self.pose_slope
             )
         return PoseEnsemble(
             candidates=self.candidates,

@@ -1,4 +1,9 @@
-"""The pose branches: an ensemble of K heads and the student distilled from it."""
+"""The pose branches: an ensemble of K heads, the student distilled from it, cameras.
+
+The last, where in the frame the object is and the focal length, are not in the paper.
+The released code has both: one layer to three numbers, tanh, times 0.15, and a focal
+length of 2 plus a sigmoid, which cannot reach the true 1.875.
+"""
 
 import flax.linen as nn
 import jax
@@ -6,6 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.networks.encoder import conv_init, leaky_relu
+
+# Half of the ranges that the camera heads can reach; the data sets stay within.
+TRANSLATION_RANGE = 0.15  # box diagonals, each axis
+FOCAL_RANGE = 0.3  # share of the config's focal length
 
 
 def spread_rotations(count: int) -> jax.Array:
@@ -121,3 +130,23 @@ class PoseSelector(nn.Module):
         x = nn.leaky_relu(x, self.slope)
         x = leaky_relu(nn.Dense(self.width, kernel_init=conv_init)(x))
         return nn.Dense(self.num_classes, kernel_init=conv_init)(x)
+
+
+class BoundedHead(nn.Module):
+    """Small numbers around 0 of an image: a hidden layer, a linear one, tanh.
+
+    Attributes:
+      outputs: how many numbers. bound: what their size stays below.
+      width: of the hidden layer.
+    """
+
+    outputs: int
+    bound: float
+    width: int = 32
+
+    @nn.compact
+    def __call__(self, features: jax.Array) -> jax.Array:
+        """Features [B, F] to [B, outputs] in (-bound, bound), at first near 0."""
+        x = leaky_relu(nn.Dense(self.width, kernel_init=conv_init)(features))
+        x = nn.Dense(self.outputs, kernel_init=nn.initializers.normal(0.05))(x)
+        return self.bound * nn.tanh(x)

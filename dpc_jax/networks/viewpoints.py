@@ -1,14 +1,15 @@
 """Pose heads that predict viewpoints of upright cameras. Not in the paper.
 
-As Multi-view Consistency (Tulsiani et al., 2018) they are told what range elevations
-have and that images are upright: a head predicts azimuth and elevation alone.
+As Multi-view Consistency (MVC; Tulsiani et al., 2018) they are told what range
+elevations have and that images are upright: a head predicts azimuth and elevation
+alone. The judge is of MVC itself.
 """
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.networks.encoder import conv_init
+from dpc_jax.networks.encoder import conv_init, leaky_relu
 
 
 class ViewpointEnsemble(nn.Module):
@@ -40,6 +41,18 @@ class ViewpointEnsemble(nn.Module):
         azimuths = 2 * jnp.pi * (shares[:, 0] + sectors[None])
         low, high = (jnp.deg2rad(angle) for angle in self.elevations)
         return face_object(azimuths, low + (high - low) * shares[:, 1])
+
+
+class PoseJudge(nn.Module):
+    """Tells predicted poses from drawn ones: layers of 10, 10 and 1 unit."""
+
+    @nn.compact
+    def __call__(self, quaternions: jax.Array) -> jax.Array:
+        """Unit quaternions [n, 4] to logits [n], above 0 for poses taken as drawn."""
+        x = quaternions
+        for _ in range(2):
+            x = leaky_relu(nn.Dense(10, kernel_init=conv_init)(x))
+        return nn.Dense(1, kernel_init=conv_init)(x)[:, 0]
 
 
 def face_object(azimuths: jax.Array, elevations: jax.Array) -> jax.Array:

@@ -59,8 +59,8 @@ class VoxelHead(nn.Module):
         cells = DoublingConv(1, stddev=0.02, name="cells")(x)[..., 0]
         shape = {"cells": nn.sigmoid(cells + start)}
         if self.is_contained:
-            x, y, z = np.indices((self.side,) * 3) + 0.5 - self.side / 2
-            is_inside = x**2 + y**2 + z**2 <= (self.side / 2) ** 2
+            places = np.indices((self.side,) * 3) + 0.5 - self.side / 2
+            is_inside = np.sum(places**2, axis=0) <= (self.side / 2) ** 2
             shape["cells"] = jnp.where(is_inside[None], shape["cells"], 0)
         if self.has_color:
             colors = DoublingConv(3, stddev=0.02, name="colors")(x)

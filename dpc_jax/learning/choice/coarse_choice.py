@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning import point_sizes
-from dpc_jax.render import Camera, VoxelGrid
+from dpc_jax.learning.shapes.kind import View
+from dpc_jax.render import VoxelGrid
 from dpc_jax.render.camera import to_camera_frame, to_grid
 from dpc_jax.render.kernels import sample_gaussian
 
@@ -35,12 +36,9 @@ class ImagePoints(NamedTuple):
 
 def place_candidates(
     points: jax.Array,
-    candidates: jax.Array,
+    view: View,
     *,
-    side: int,
-    camera: Camera,
     choice_points: int,
-    translation: jax.Array | None = None,
     size: jax.Array | None = None,
 ) -> ImagePoints:
     """Project the first `choice_points` points (0: all) from each candidate's pose.
@@ -50,20 +48,19 @@ def place_candidates(
     project each point again for every pixel of its row and column.
 
     Args:
-      points: [N, 3]. candidates: [C, 4] quaternions.
-      side: of the image, in pixels. camera, translation: see `project`.
+      points: [N, 3]. view: of the candidates.
       size: of points that have sizes of their own, see `point_sizes`.
     """
     count = min(choice_points or len(points), len(points))
-    own = None
+    camera, own = view.camera, None
     if size is not None and point_sizes.has_own_sizes(size):
         own = point_sizes.take_points(size, count)
 
     def place(candidate):
         moved = to_camera_frame(
-            points[:count], candidate, translation=translation, camera=camera
+            points[:count], candidate, translation=view.translation, camera=camera
         )
-        seen = to_grid(moved, camera=camera, grid=VoxelGrid(side))
+        seen = to_grid(moved, camera=camera, grid=VoxelGrid(view.side))
         rows, cols, _ = seen.coordinates.T
         places = [jnp.where(seen.inside, axis, _OUTSIDE) for axis in (rows, cols)]
         if own is None:
@@ -72,7 +69,7 @@ def place_candidates(
         zoom = jnp.asarray(camera.focal_length) / ahead
         return *places, point_sizes.find_image_sigmas(own, candidate, zoom)
 
-    rows, cols, sigmas = jax.vmap(place)(candidates)
+    rows, cols, sigmas = jax.vmap(place)(view.rotation)
     share = jnp.asarray(points.shape[0] / count, rows.dtype)
     return ImagePoints(rows, cols, share, sigmas)
 
@@ -97,8 +94,13 @@ def compute_image_losses(
         Points with sizes of their own have masses [N], and their places have the sizes.
       target: [D, D] silhouette.
     """
+
+    def compare(depths):
+        silhouettes = 1 - jnp.exp(-depths)
+        return jnp.sum((silhouettes - target[None]) ** 2, axis=(1, 2))
+
     if places.sigmas is not None:
-        return _compare_depths(_sum_own_sizes(places, mass, target), target)
+        return compare(_sum_own_sizes(places, mass, target))
     pixels = jnp.arange(target.shape[0], dtype=target.dtype)
 
     def weigh(centers):
@@ -112,13 +114,7 @@ def compute_image_losses(
     kernel = sample_gaussian(distances, jnp.asarray(sigma))
     for _ in range(2):
         depth = jnp.swapaxes(jnp.matmul(depth, kernel), 1, 2)
-    return _compare_depths(jnp.asarray(mass * places.share) * depth, target)
-
-
-def _compare_depths(depths, target):
-    """Loss [C] of the optical depths [C, D, D] of candidates."""
-    silhouettes = 1 - jnp.exp(-depths)
-    return jnp.sum((silhouettes - target[None]) ** 2, axis=(1, 2))
+    return compare(jnp.asarray(mass * places.share) * depth)
 
 
 def _sum_own_sizes(places, mass, target):

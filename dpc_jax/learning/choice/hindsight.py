@@ -5,18 +5,119 @@ compared without gradient, and only the winner is rendered again with one.
 """
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.learning.cameras import place_camera
-from dpc_jax.learning.renders import compute_candidate_losses
-from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
+from dpc_jax.learning.cameras import Cameras, flatten_views
+from dpc_jax.learning.losses import downsample_images
+from dpc_jax.learning.recipe import Recipe
+from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View, place_view
 from dpc_jax.learning.shapes.points import Points
+from dpc_jax.learning.signals import SILHOUETTES, make_targets
 from dpc_jax.render import Camera, checks
-from dpc_jax.render.batch import check_renders_at_once
+from dpc_jax.render.batch import check_renders_at_once, map_renders
 from dpc_jax.render.devices import AUTOMATIC
+
+
+class Winners(NamedTuple):
+    """The candidates that explain the views of a batch best.
+
+    Attributes:
+      poses: [B, V, 4] quaternions.
+      indices: [B, V] int32; candidate i belongs to head i % K.
+    """
+
+    poses: jax.Array
+    indices: jax.Array
+
+
+def choose_poses(
+    shapes: Shape,
+    candidates: jax.Array,
+    batch: Mapping[str, jax.Array],
+    cameras: Cameras,
+    *,
+    recipe: Recipe,
+) -> Winners:
+    """Eq. 2 for all views of a batch, without gradient.
+
+    Args:
+      shapes: of B objects. candidates: [B·V, C, 4] quaternions.
+      batch: masks uint8 [B, V, S, S] and, as the signals need them by which candidates
+        are compared at full resolution, images and depths: see `make_targets`.
+      cameras: [B, V, ...] of the views.
+    """
+    objects, per_object = batch["masks"].shape[:2]
+    candidates = candidates.reshape(objects, per_object, -1, 4)
+    if candidates.shape[2] == 1:
+        indices = jnp.zeros((objects, per_object), jnp.int32)
+        return Winners(candidates[:, :, 0], indices)
+
+    pose, render, camera = recipe.pose, recipe.render, recipe.camera
+    weights = recipe.weights if pose.choice_signals == "all" else SILHOUETTES
+    at_once = render.renders_at_once
+    how = Choice(pose.choice_points, pose.choice_top, at_once, weights)
+    shapes, still, cameras = jax.lax.stop_gradient((shapes, candidates, cameras))
+    kind = type(shapes)
+    scene, shared = shapes.list_scenes()
+    if "color" not in weights.signals:
+        scene.pop("colors", None)
+    scene = {n: jnp.repeat(a, per_object, axis=0) for n, a in scene.items()}
+    flat = still.reshape(objects * per_object, -1, 4)
+
+    def see(candidates, own):
+        return place_view(candidates, own, render.grid, camera, render.ray_rule)
+
+    def place(scene, candidates, own):
+        return kind.place_in_image(scene | shared, see(candidates, own), how)
+
+    def choose(inputs):
+        scene, candidates, targets, places, own = inputs
+        view = see(candidates, own)
+        return choose_in_scene(kind, scene | shared, view, targets, places, how)
+
+    own = flatten_views(cameras)
+    # Outside of the loop over views: inside, XLA projects each point again for every
+    # pixel.
+    places = jax.vmap(place)(scene, flat, own)
+    targets = {"silhouette": downsample_images(batch["masks"], render.grid)}
+    if others := tuple(name for name in weights.signals if name != "silhouette"):
+        distance = render.distance
+        targets |= make_targets(batch, render.grid, signals=others, distance=distance)
+    indices = map_renders(
+        choose,
+        (scene, flat, flatten_views(targets), places, own),
+        renders_at_once=at_once,
+    ).reshape(objects, per_object)
+    poses = jnp.take_along_axis(candidates, indices[..., None, None], axis=2)[:, :, 0]
+    return Winners(poses, indices)
+
+
+def choose_in_scene(
+    kind: type[Shape],
+    scene: Scene,
+    view: View,
+    targets: Mapping[str, jax.Array],
+    places: Any,
+    how: Choice,
+) -> jax.Array:
+    """Eq. 2 for one view of checked arguments: index of its best candidate; ()."""
+    coarse = kind.rank(scene, view, targets["silhouette"], places, how)
+    if coarse is not None and how.top == 0:
+        return jnp.argmin(coarse)
+
+    def compare(view):
+        at_once = how.renders_at_once
+        return kind.compare_candidates(
+            scene, view, targets, weights=how.weights, renders_at_once=at_once
+        )
+
+    if coarse is None:
+        return jnp.argmin(compare(view))
+    _, best = jax.lax.top_k(-coarse, min(how.top, len(view.rotation)))
+    return best[jnp.argmin(compare(view._replace(rotation=view.rotation[best])))]
 
 
 def choose_candidate(
@@ -68,63 +169,6 @@ def choose_candidate(
         )
     how = Choice(choice_points, choice_top, renders_at_once)
     scene = {"points": points, "mass": mass, "sigma": sigma}
-    places = place_in_image(
-        Points, scene, candidates, {}, side=side, camera=camera, how=how
-    )
-    return choose_in_scene(
-        Points, scene, candidates, target, places, {}, camera=camera, how=how
-    )
-
-
-def choose_in_scene(
-    kind: type[Shape],
-    scene: Scene,
-    candidates: jax.Array,
-    target: jax.Array,
-    places: Any,
-    own: Mapping[str, Any],
-    *,
-    camera: Camera,
-    how: Choice,
-) -> jax.Array:
-    """Eq. 2 for one view of checked arguments: index of the best candidate; ().
-
-    Args:
-      kind, scene: of one object.
-      candidates: [C, 4] quaternions. target: [D, D] silhouette.
-      places: of `place_in_image`. They come from outside of the loop over views:
-        inside, XLA projects each point again for every pixel.
-      own: what the view has of its own, see `list_own`; for signals other than the
-        silhouette "others", their targets.
-    """
-    view = {
-        "camera": place_camera(camera, own),
-        "renders_at_once": how.renders_at_once,
-        "translation": own.get("translation"),
-    }
-    exactly = view | {"weights": how.weights, "ray_rule": how.ray_rule}
-    exactly["others"] = own.get("others")
-    coarse = kind.rank(scene, candidates, target, places, how=how, **view)
-    if coarse is None:
-        losses = compute_candidate_losses(kind, scene, candidates, target, **exactly)
-        return jnp.argmin(losses)
-    if how.top == 0:
-        return jnp.argmin(coarse)
-    _, best = jax.lax.top_k(-coarse, min(how.top, len(candidates)))
-    losses = compute_candidate_losses(kind, scene, candidates[best], target, **exactly)
-    return best[jnp.argmin(losses)]
-
-
-def place_in_image(
-    kind: type[Shape],
-    scene: Scene,
-    candidates: jax.Array,
-    own: Mapping[str, Any],
-    *,
-    side: int,
-    camera: Camera,
-    how: Choice,
-) -> Any:
-    """`Shape.place_in_image` of a view with what it has of its own."""
-    view = View(candidates[0], place_camera(camera, own), side, own.get("translation"))
-    return kind.place_in_image(scene, candidates, view, how)
+    view = View(candidates, camera, side)
+    places = Points.place_in_image(scene, view, how)
+    return choose_in_scene(Points, scene, view, {"silhouette": target}, places, how)

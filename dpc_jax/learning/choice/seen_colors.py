@@ -41,7 +41,7 @@ def see_object(
     """Samples of all views of an object; a colour weighs less the more of it there is.
 
     Args:
-      points: [N, 3]. own: of V views, their rotation and what `list_own` names.
+      points: [N, 3]. own: of V views, their rotation and their `Cameras`.
       images: uint8 [V, S, S, 3]. masks: uint8 [V, S, S].
     """
     see = functools.partial(_see_view, camera=camera)
@@ -56,14 +56,11 @@ def see_object(
 
 def _see_view(points, own, image, mask, *, camera):
     """Bins [N] of the colours of points in a view, and weights [N]: 0 if hidden."""
+    camera, side = place_camera(camera, own), image.shape[0]
     moved = to_camera_frame(
-        points,
-        own["rotation"],
-        translation=own.get("translation"),
-        camera=place_camera(camera, own),
+        points, own["rotation"], translation=own.get("translation"), camera=camera
     )
-    side = image.shape[0]
-    seen = to_grid(moved, camera=place_camera(camera, own), grid=VoxelGrid(_IMAGE))
+    seen = to_grid(moved, camera=camera, grid=VoxelGrid(_IMAGE))
     rows, cols, _ = seen.coordinates.T
 
     def find_pixel(side):

@@ -10,9 +10,13 @@ import optax
 
 from dpc_jax.learning.fitting import FitSettings
 from dpc_jax.learning.fitting.cloud import Cloud, compare_views, place
-from dpc_jax.learning.losses import containment_loss, repulsion_energy
+from dpc_jax.learning.losses import (
+    containment_loss,
+    measure_outside,
+    pull_inside,
+    repulsion_energy,
+)
 from dpc_jax.learning.signals import Weights
-from dpc_jax.learning.silhouette_pull import measure_outside, pull_inside
 from dpc_jax.render import Camera, quaternion
 
 CHUNK = 10  # steps of one call

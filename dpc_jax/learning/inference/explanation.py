@@ -7,11 +7,9 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Config
-from dpc_jax.learning.cameras import place_camera
 from dpc_jax.learning.losses import downsample_images
-from dpc_jax.learning.renders import compute_candidate_losses
 from dpc_jax.learning.shapes import Shape, find_kind
-from dpc_jax.learning.shapes.kind import Scene, View
+from dpc_jax.learning.shapes.kind import Scene, View, place_view
 from dpc_jax.learning.signals import (
     SILHOUETTES,
     Weights,
@@ -68,6 +66,14 @@ def look(
     return Sight(downsample_images(arrays["masks"], side), cameras, others)
 
 
+def see(
+    rotation: jax.Array, own: Mapping[str, Any], side: int, *, config: Config
+) -> View:
+    """A view of the run's shapes with what its camera has of its own."""
+    camera = Camera(config.render.focal_length, config.render.distance)
+    return place_view(rotation, own, side, camera, config.render.ray_rule)
+
+
 def measure_silhouettes(
     scene: Scene,
     poses: jax.Array,
@@ -82,18 +88,12 @@ def measure_silhouettes(
       scene: of the shape, sizes in voxels of the sight's grid.
       weights: of silhouettes and the sight's other signals.
     """
-    render = config.render
-    return compute_candidate_losses(
-        kind_of(config),
+    return kind_of(config).compare_candidates(
         scene,
-        poses,
-        sight.target,
-        camera=place_camera(Camera(render.focal_length, render.distance), sight.camera),
-        renders_at_once=render.renders_at_once,
-        translation=sight.camera.get("translation"),
-        others=sight.others,
+        see(poses, sight.camera, sight.target.shape[0], config=config),
+        {"silhouette": sight.target, **sight.others},
         weights=weights,
-        ray_rule=render.ray_rule,
+        renders_at_once=config.render.renders_at_once,
     )
 
 
@@ -171,13 +171,11 @@ def render_finest(
       scene: sizes in voxels of the base grid. own: see `Sight.camera`.
     """
     render, kind = config.render, kind_of(config)
-    camera = place_camera(Camera(render.focal_length, render.distance), own)
-    move, side = own.get("translation"), render.finest
     return kind.render(
-        kind.resize(scene, side / render.grid),
-        View(pose, camera, side, move, render.ray_rule),
+        kind.resize(scene, render.finest / render.grid),
+        see(pose, own, render.finest, config=config),
         signals=signals,
-        background_depth=find_background(camera.distance),
+        background_depth=find_background(render.distance),
     )
 
 

@@ -13,7 +13,7 @@ from dpc_jax.config import Config
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, place_poses
 from dpc_jax.learning import devices, schedules
-from dpc_jax.learning.cameras import find_cameras, list_own
+from dpc_jax.learning.cameras import find_cameras
 from dpc_jax.learning.inference.explanation import (
     Sight,
     compare_candidates,
@@ -171,7 +171,7 @@ def _list_entries(output, state, arrays, quaternions, config):
         poses = Poses(quaternions[:, None], quaternions, None)
     else:
         poses = complete_poses(output, state.covariance, pose=config.pose)
-    cameras = list_own(find_cameras(output, arrays, pose=config.pose), len(quaternions))
+    cameras = find_cameras(output, arrays, pose=config.pose)
     entries = _Entry(
         scene,
         kind.weigh_as_trained(shown, render),

@@ -4,32 +4,30 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning import losses
-from dpc_jax.learning.choice.batch_choice import Winners
+from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.poses.teaching import Lesson, Teaching, compare_student, predict
 from dpc_jax.learning.predictions import Poses
-from dpc_jax.learning.recipe import Averages, Recipe, Term
+from dpc_jax.learning.recipe import Recipe, Term
 
 
-def teach(lesson: Lesson, *, recipe: Recipe) -> tuple[Averages, Teaching]:
+def teach(lesson: Lesson, *, recipe: Recipe) -> Teaching:
     """The labels, which the nearest candidate of each view learns."""
     averages, poses = predict(lesson, recipe=recipe)
     winners, terms = compare_labels(poses, lesson.batch["quaternions"], recipe=recipe)
     metrics = {"winners": winners.indices.reshape(-1)}
     terms |= compare_student(poses, winners, recipe=recipe)
-    return averages, Teaching(winners.poses, terms, metrics)
+    return Teaching(winners.poses, terms, metrics, lambda _: (averages, {}))
 
 
 def compare_labels(
     poses: Poses, labels: jax.Array, *, recipe: Recipe
 ) -> tuple[Winners, dict[str, Term]]:
-    """The candidates nearest to the labels [B, V, 4], and their loss.
+    """The candidates nearest to the labels [B, V, 4] by their angle, and their loss.
 
-    The hindsight choice with labels in place of images: of each view's candidates the
-    nearest one learns, by the angle to its label.
+    It is the hindsight choice with labels in place of images.
     """
-    targets = labels.reshape(-1, 4)
     to_label = jax.vmap(losses.geodesic_loss, in_axes=(0, None))
-    angles = jax.vmap(to_label)(poses.candidates, targets)
+    angles = jax.vmap(to_label)(poses.candidates, labels.reshape(-1, 4))
     nearest = jnp.argmin(angles, axis=1)
     loss = jnp.mean(jnp.take_along_axis(angles, nearest[:, None], axis=1))
     winners = Winners(labels, nearest.reshape(labels.shape[:2]))

@@ -5,6 +5,10 @@ drawn has the ordinary gradient of its loss; the probabilities p of the heads ha
 of the expected loss, of which (cost - baseline)·∇log p of the head drawn is an unbiased
 sample (Williams, 1992), whatever the baseline.
 
+The heads may agree on one side of the object. A judge that learns against them tells
+predicted poses from poses drawn as the views were: azimuths uniform, elevations uniform
+in their range, no roll (Goodfellow et al., 2014).
+
 Not theirs is the entropy of p as a reward: without it all views soon agree on one head,
 from which no other is tried any more (docs/baselines.md).
 """
@@ -14,40 +18,43 @@ from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
+import optax
 
-from dpc_jax.learning.choice.batch_choice import Winners
+from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
-from dpc_jax.learning.pose_prior import judge_poses
 from dpc_jax.learning.poses.teaching import Lesson, Teaching, predict
 from dpc_jax.learning.predictions import Poses
-from dpc_jax.learning.recipe import Averages, Recipe, Term
+from dpc_jax.learning.recipe import Recipe, Term
 from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.networks.viewpoints import face_object
 
 _KEPT = 0.95  # of the baseline in a step
 PRIOR = 0.1  # weight of the judge's prior, per pixel of the silhouette
 ENTROPY = 0.05  # weight of a nat of entropy, in shares of the baseline
 
 
-def teach(lesson: Lesson, *, recipe: Recipe) -> tuple[Averages, Teaching]:
+def teach(lesson: Lesson, *, recipe: Recipe) -> Teaching:
     """One drawn candidate of each view; its cost teaches the probabilities."""
     averages, poses = predict(lesson, recipe=recipe)
     winners = draw_poses(poses, lesson.keys, views=lesson.features.shape[1])
+    logits, indices = poses.logits, winners.indices.reshape(-1)
+    before = averages.cost
+    assert logits is not None and before is not None
 
-    def settle(costs, averages):
-        terms, cost = compare_drawn(
-            lesson.params,
-            poses,
-            winners,
-            costs,
-            averages.cost,
-            lesson.keys,
-            network=recipe.network,
-            weight=PRIOR * recipe.render.grid**2,
+    def settle(costs):
+        unlikely, judge = judge_poses(
+            lesson.params, winners.poses, lesson.keys, network=recipe.network
         )
-        return averages._replace(cost=cost), terms
+        weight = PRIOR * recipe.render.grid**2
+        terms = {"prior": Term(jnp.mean(unlikely), weight), "judge": Term(judge)}
+        costs = costs + weight * unlikely
+        baseline = update_baseline(before, costs, axis=AXIS)
+        loss = reinforce_loss(logits, indices, costs, baseline)
+        terms["reinforce"] = Term(loss)
+        terms["head_entropy"] = Term(measure_entropy(logits), -ENTROPY * baseline)
+        return averages._replace(cost=baseline), terms
 
-    metrics = {"winners": winners.indices.reshape(-1)}
-    return averages, Teaching(winners.poses, {}, metrics, settle)
+    return Teaching(winners.poses, {}, {"winners": indices}, settle)
 
 
 def draw_poses(poses: Poses, keys: jax.Array, *, views: int) -> Winners:
@@ -66,41 +73,6 @@ def draw_poses(poses: Poses, keys: jax.Array, *, views: int) -> Winners:
         poses.candidates, indices.reshape(-1)[:, None, None], axis=1
     )
     return Winners(drawn.reshape(-1, views, 4), indices.astype(jnp.int32))
-
-
-def compare_drawn(
-    params: Mapping,
-    poses: Poses,
-    winners: Winners,
-    costs: jax.Array,
-    baseline: jax.Array | None,
-    keys: jax.Array,
-    *,
-    network: ShapePoseNetwork,
-    weight: float,
-) -> tuple[dict[str, Term], jax.Array]:
-    """What probabilities learn, and the prior of the poses drawn.
-
-    Args:
-      params: of the network. poses: of B·V views. winners: those drawn.
-      costs: [B·V] of the renders of these. baseline: (), of the steps before.
-      keys: [B], of the objects.
-      weight: of the prior's losses beside these costs.
-
-    Returns:
-      (losses by name, the new baseline).
-    """
-    unlikely, judge = judge_poses(params, winners.poses, keys, network=network)
-    terms = {"prior": Term(jnp.mean(unlikely), weight), "judge": Term(judge, 1.0)}
-    costs = costs + weight * unlikely
-    assert baseline is not None
-    baseline = update_baseline(baseline, costs, axis=AXIS)
-    indices = winners.indices.reshape(-1)
-    assert poses.logits is not None
-    loss = reinforce_loss(poses.logits, indices, costs, baseline)
-    entropy = measure_entropy(poses.logits)
-    terms |= {"reinforce": Term(loss, 1.0)}
-    return terms | {"head_entropy": Term(entropy, -ENTROPY * baseline)}, baseline
 
 
 def update_baseline(
@@ -136,3 +108,53 @@ def measure_entropy(logits: jax.Array) -> jax.Array:
     """Mean entropy () of the probabilities of logits [n, K]; nats, 0 to ln K."""
     chances = jax.nn.log_softmax(logits)
     return -jnp.mean(jnp.sum(jnp.exp(chances) * chances, axis=-1))
+
+
+def judge_poses(
+    params: Mapping,
+    quaternions: jax.Array,
+    keys: jax.Array,
+    *,
+    network: ShapePoseNetwork,
+) -> tuple[jax.Array, jax.Array]:
+    """What predicted poses lose [B·V], and what the judge loses ().
+
+    Both are cross entropies in nats. The first has no gradient by the judge, the second
+    none by the poses.
+
+    Args:
+      params: of the network, the judge's among them.
+      quaternions: [B, V, 4], of any length but zero. keys: [B], of the objects.
+    """
+    own = jax.vmap(functools.partial(jax.random.fold_in, data=2))(keys)
+    draw = functools.partial(
+        _draw_prior, views=quaternions.shape[1], elevations=network.viewpoints
+    )
+    drawn, signs = jax.vmap(draw)(own)
+    length = jnp.linalg.norm(quaternions, axis=-1, keepdims=True)
+    # q and -q are one pose: neither sign may give it away.
+    predicted = (signs * quaternions / length).reshape(-1, 4)
+
+    def judge(params, poses, label):
+        logits = network.apply(params, poses, method="judge_poses")
+        assert isinstance(logits, jax.Array)
+        labels = jnp.full_like(logits, label)
+        return optax.losses.sigmoid_binary_cross_entropy(logits, labels)
+
+    stop = jax.lax.stop_gradient
+    losses = judge(stop(params), predicted, 1.0)
+    found = judge(params, stop(predicted), 0.0)
+    right = judge(params, drawn.reshape(-1, 4), 1.0)
+    return losses, jnp.mean(found) + jnp.mean(right)
+
+
+def _draw_prior(key, *, views, elevations):
+    """Poses [V, 4] by the prior, and random signs [V, 1] for the predicted ones."""
+    azimuths, heights, signs, others = jax.random.split(key, 4)
+    low, high = (jnp.deg2rad(angle) for angle in elevations)
+    poses = face_object(
+        jax.random.uniform(azimuths, (views,), maxval=2 * jnp.pi),
+        jax.random.uniform(heights, (views,), minval=low, maxval=high),
+    )
+    own = jax.random.rademacher(signs, (views, 1), jnp.float32)
+    return own * poses, jax.random.rademacher(others, (views, 1), jnp.float32)

@@ -1,7 +1,7 @@
 """Which pose a view is rendered from, and what is learned of it: the common part.
 
 A source of poses is a function `teach` of these arguments, in a file of its own:
-`given`, `labels`, `unknown` (the ensemble in hindsight) and `sampled`.
+`labels`, `unknown` (the ensemble in hindsight) and `sampled`.
 """
 
 import functools
@@ -13,10 +13,10 @@ import jax.numpy as jnp
 
 from dpc_jax.learning import losses
 from dpc_jax.learning.cameras import Cameras
-from dpc_jax.learning.choice.batch_choice import Winners
+from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
-from dpc_jax.learning.half_turns import average_covariance
-from dpc_jax.learning.predictions import Poses, predict_poses
+from dpc_jax.learning.half_turns import average_covariance, compute_covariance
+from dpc_jax.learning.predictions import Poses, complete_poses
 from dpc_jax.learning.recipe import Averages, Recipe, Term
 from dpc_jax.learning.shapes import Shape
 
@@ -25,9 +25,8 @@ class Lesson(NamedTuple):
     """What a source of poses is asked about.
 
     Attributes:
-      params, batch, keys, step: as of `objective.compute_loss`.
+      params, batch, keys, step, averages: as of `objective.compute_loss`.
       features: [B, V, F] of the views. shapes, cameras: predicted.
-      averages: of the batches before.
     """
 
     params: Mapping
@@ -40,7 +39,7 @@ class Lesson(NamedTuple):
     averages: Averages
 
 
-Settle = Callable[[jax.Array | None, Averages], tuple[Averages, dict[str, Term]]]
+Settle = Callable[[jax.Array | None], tuple[Averages, dict[str, Term]]]
 
 
 class Teaching(NamedTuple):
@@ -49,22 +48,23 @@ class Teaching(NamedTuple):
     Attributes:
       rotations: [B, V, 4] that views are rendered from.
       terms: losses of the poses by name. metrics: by name.
-      settle: of the costs [B·V] of these renders and the averages, those after this
-        batch and the losses that depend on the costs.
+      settle: of the costs [B·V] of these renders, the averages after this batch and the
+        losses that depend on the costs.
     """
 
     rotations: jax.Array
-    terms: dict[str, Term] = {}
-    metrics: dict[str, jax.Array] = {}
-    settle: Settle = lambda costs, averages: (averages, {})
+    terms: dict[str, Term]
+    metrics: dict[str, jax.Array]
+    settle: Settle
 
 
-def teach_poses(lesson: Lesson, *, recipe: Recipe) -> tuple[Averages, Teaching]:
-    """Poses of a batch, and the averages after it; only its source is loaded."""
+def teach_poses(lesson: Lesson, *, recipe: Recipe) -> Teaching:
+    """Poses of a batch; only their source is loaded."""
     source = recipe.pose.source
-    if source == "given":
-        from dpc_jax.learning.poses.given import teach
-    elif source == "labels":
+    if source == "given":  # § Estimating shape with known pose
+        poses = lesson.batch["quaternions"]
+        return Teaching(poses, {}, {}, lambda _: (lesson.averages, {}))
+    if source == "labels":
         from dpc_jax.learning.poses.labels import teach
     elif source == "sampled":
         from dpc_jax.learning.poses.sampled import teach
@@ -78,18 +78,13 @@ def predict(lesson: Lesson, *, recipe: Recipe) -> tuple[Averages, Poses]:
     averages, pose = lesson.averages, recipe.pose
     if pose.half_turns:
         places, weights = lesson.shapes.find_places()
-        covariance = average_covariance(
-            averages.covariance, places, lesson.step, weights=weights, axis=AXIS
-        )
+        current = compute_covariance(places, weights, axis=AXIS)
+        covariance = average_covariance(averages.covariance, current, lesson.step)
         averages = averages._replace(covariance=covariance)
-    poses = predict_poses(
-        lesson.params,
-        lesson.features,
-        averages.covariance,
-        network=recipe.network,
-        pose=pose,
-    )
-    return averages, poses
+    features = lesson.features.reshape(-1, lesson.features.shape[-1])
+    output = recipe.network.apply(lesson.params, features, method="predict_pose")
+    assert isinstance(output, dict)
+    return averages, complete_poses(output, averages.covariance, pose=pose)
 
 
 def compare_student(
@@ -97,8 +92,7 @@ def compare_student(
 ) -> dict[str, Term]:
     """The student's loss with the hindsight winners as teachers (§ distilled ensemble).
 
-    With logits it is the cross entropy of a student that selects (the default). A
-    single regressor (K = 1) needs no student.
+    With logits it is the cross entropy of a student that selects; K = 1 has no student.
     """
     pose = recipe.pose
     if pose.heads < 2:

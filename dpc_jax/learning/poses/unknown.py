@@ -1,20 +1,16 @@
 """Poses that an ensemble finds, its winner chosen in hindsight (Eq. 2)."""
 
-from dpc_jax.learning.choice.batch_choice import choose_poses
+from dpc_jax.learning.choice.hindsight import choose_poses
 from dpc_jax.learning.poses.teaching import Lesson, Teaching, compare_student, predict
-from dpc_jax.learning.recipe import Averages, Recipe
+from dpc_jax.learning.recipe import Recipe
 
 
-def teach(lesson: Lesson, *, recipe: Recipe) -> tuple[Averages, Teaching]:
+def teach(lesson: Lesson, *, recipe: Recipe) -> Teaching:
     """The candidates that explain the views best, which teach the student."""
     averages, poses = predict(lesson, recipe=recipe)
-    batch, pose = lesson.batch, recipe.pose
+    batch, cameras, pose = lesson.batch, lesson.cameras, recipe.pose
     winners = choose_poses(
-        lesson.shapes,
-        poses.candidates,
-        batch,
-        recipe=recipe,
-        cameras=lesson.cameras,
+        lesson.shapes, poses.candidates, batch, cameras, recipe=recipe
     )
     metrics, cloud = {}, lesson.shapes.find_cloud()
     if pose.finds_frame and cloud is not None:
@@ -28,11 +24,11 @@ def teach(lesson: Lesson, *, recipe: Recipe) -> tuple[Averages, Teaching]:
             averages.covariance,
             averages.frame,
             camera=recipe.camera,
-            cameras=lesson.cameras,
+            cameras=cameras,
             heads=pose.heads,
             is_due=lesson.step >= common_frame.BEGIN * recipe.train.steps,
         )
         averages = averages._replace(frame=frame)
     metrics["winners"] = winners.indices.reshape(-1)
     terms = compare_student(poses, winners, recipe=recipe)
-    return averages, Teaching(winners.poses, terms, metrics)
+    return Teaching(winners.poses, terms, metrics, lambda _: (averages, {}))

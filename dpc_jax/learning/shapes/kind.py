@@ -6,17 +6,21 @@ kind does not say itself, it does as here.
 """
 
 import dataclasses
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Self
 
 import jax
+import jax.numpy as jnp
 
 from dpc_jax.config import Render, Train
-from dpc_jax.learning.cameras import Cameras
+from dpc_jax.learning.cameras import Cameras, flatten_views, place_camera
 from dpc_jax.learning.recipe import Recipe, Term
 from dpc_jax.learning.schedules import Stage
-from dpc_jax.learning.signals import SILHOUETTES, Weights, compare_images
+from dpc_jax.learning.signals import SILHOUETTES, Weights, compare_images, make_targets
 from dpc_jax.render import Camera, Projection, VoxelGrid
+from dpc_jax.render.batch import map_renders
+from dpc_jax.render.devices import AUTOMATIC
 
 Scene = Mapping[str, jax.Array]
 
@@ -25,7 +29,7 @@ class View(NamedTuple):
     """From where and how a scene is seen.
 
     Attributes:
-      rotation: [4] object to camera.
+      rotation: [4] object to camera, or [C, 4] of pose candidates.
       camera: of the view. side: of a cubic grid.
       translation: [3] of the object in the camera frame, or None.
       ray_rule: see `project`.
@@ -40,18 +44,12 @@ class View(NamedTuple):
     @property
     def held(self) -> "View":
         """The view without gradient."""
-        stop = jax.lax.stop_gradient
-        camera = self.camera
+        stop, camera = jax.lax.stop_gradient, self.camera
         if isinstance(camera.focal_length, jax.Array):  # a view's own
             own = stop(camera.focal_length)
             camera = dataclasses.replace(camera, focal_length=own)
-        return View(
-            stop(self.rotation),
-            camera,
-            self.side,
-            stop(self.translation),
-            self.ray_rule,
-        )
+        rotation, translation = stop((self.rotation, self.translation))
+        return self._replace(rotation=rotation, camera=camera, translation=translation)
 
     @property
     def arguments(self) -> dict[str, Any]:
@@ -64,19 +62,26 @@ class View(NamedTuple):
         }
 
 
+def place_view(
+    rotation: jax.Array, own: Mapping[str, Any], side: int, camera: Camera, rule: str
+) -> View:
+    """A view with what it has of its own of its camera, see `Cameras`."""
+    camera = place_camera(camera, own)
+    return View(rotation, camera, side, own.get("translation"), rule)
+
+
 class Choice(NamedTuple):
     """How candidates are compared; static.
 
     Attributes:
       points, top, renders_at_once: as of `hindsight.choose_candidate`.
-      weights, ray_rule: of the comparison at full resolution.
+      weights: of the signals of the comparison at full resolution.
     """
 
     points: int
     top: int
     renders_at_once: int
     weights: Weights = SILHOUETTES
-    ray_rule: str = "termination"
 
 
 class Shape:
@@ -84,14 +89,14 @@ class Shape:
 
     def find_scale(self) -> jax.Array:
         """[B], the figure that is recorded of shapes."""
-        raise TypeError("a kind has its own")
+        raise NotImplementedError
 
     @classmethod
     def read(
         cls, output: Mapping[str, Any], sigma: jax.Array, *, render: Render
     ) -> Self:
         """All that a network predicts; sigma () of the schedule, of the base grid."""
-        raise TypeError("a kind has its own")
+        raise NotImplementedError
 
     def drop(self, keys: jax.Array, kept_points: int) -> Self:
         """The shapes with the dropout of training, by the objects' keys [B]."""
@@ -104,11 +109,11 @@ class Shape:
         Args:
           ratio: of the grid that they are rendered in to the base grid.
         """
-        raise TypeError("a kind has its own")
+        raise NotImplementedError
 
     def find_places(self) -> tuple[jax.Array, jax.Array | None]:
         """Where the matter is: places [B, n, 3], and weights [B, n] or None."""
-        raise TypeError("a kind has its own")
+        raise NotImplementedError
 
     def find_cloud(self) -> jax.Array | None:
         """All points [B, N, 3], where one frame can be found by them for all kinds."""
@@ -140,12 +145,51 @@ class Shape:
         recipe: Recipe,
         stage: Stage,
     ) -> tuple[jax.Array, dict[str, jax.Array], jax.Array | None]:
-        """Eq. 1 of all views from their poses; see `winners.compare_winners`."""
-        from dpc_jax.learning.choice.winners import compare_winners
+        """Eq. 1: differences of rendered images and views, averaged over the views.
 
-        return compare_winners(
-            self, rotations, batch, recipe=recipe, stage=stage, cameras=cameras
+        The sum of a finer image is divided by its pixels per pixel of the base grid, so
+        that losses are comparable over the whole run.
+
+        Args:
+          rotations: [B, V, 4] quaternions, the pose of each view.
+          batch: masks uint8 [B, V, S, S], images uint8 [B, V, S, S, 3] and depths
+            [B, V, S, S]: what the signals that have a weight need.
+          cameras: [B, V, ...] of the views.
+
+        Returns:
+          (() the weighted sum, which has the gradient; {name: ()} of its terms; [B·V]
+          what each view has of the sum, without gradient).
+        """
+        render, weights, camera = recipe.render, recipe.weights, recipe.camera
+        count, views = rotations.shape[0] * rotations.shape[1], rotations.shape[1]
+        ratio = stage.grid / render.grid
+        scene, shared = self.list_scenes(ratio)
+        learned = jax.tree.map(lambda array: jnp.repeat(array, views, axis=0), scene)
+        learned |= {"rotation": rotations.reshape(-1, 4)} | flatten_views(cameras)
+        targets = make_targets(
+            batch, stage.grid, signals=weights.signals, distance=render.distance
         )
+        given: dict[str, Any] = {"targets": flatten_views(targets)}
+        for name, value in shared.items():
+            given[name] = jnp.broadcast_to(jax.lax.stop_gradient(value), count)
+        kind, colors_move_shapes = type(self), recipe.train.colors_move_points
+
+        def compare_view(learned, given):
+            scene, rule = given | learned, render.ray_rule
+            view = place_view(scene["rotation"], scene, stage.grid, camera, rule)
+            return kind.compare_view(
+                scene,
+                view,
+                given["targets"],
+                weights=weights,
+                colors_move_shapes=colors_move_shapes,
+            )
+
+        result: Any = sum_views(compare_view, render.renders_at_once, learned, given)
+        total, terms, costs = result
+        share = 1 / count / ratio**2
+        terms = jax.tree.map(lambda value: value * share, terms)
+        return total * share, terms, costs / ratio**2
 
     @staticmethod
     def find_evaluated(output: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
@@ -154,7 +198,7 @@ class Shape:
         Args:
           output: of the network. scene: what each of the n has of its own.
         """
-        raise TypeError("a kind has its own")
+        raise NotImplementedError
 
     @staticmethod
     def resize(scene: Scene, ratio: float) -> Scene:
@@ -178,7 +222,7 @@ class Shape:
         background_depth: jax.Array | float = 10.0,
     ) -> Projection:
         """The images of a scene; see `project`."""
-        raise TypeError("a kind has its own")
+        raise NotImplementedError
 
     @classmethod
     def compare_view(
@@ -209,30 +253,84 @@ class Shape:
             image = cls.render(scene, view, signals=signals)
         return compare_images(image, targets, weights=weights, camera=view.camera)
 
+    @classmethod
+    def compare_candidates(
+        cls,
+        scene: Scene,
+        view: View,
+        targets: Mapping[str, jax.Array],
+        *,
+        weights: Weights = SILHOUETTES,
+        renders_at_once: int = AUTOMATIC,
+    ) -> jax.Array:
+        """Losses [C] of the view's candidates, compared with one target by images.
+
+        Args:
+          scene: with sizes in voxels of the target's grid.
+          targets: of `make_targets`, as the weights of the signals need them.
+          renders_at_once: how many are rendered side by side, see `map_renders`.
+        """
+
+        def compute_loss(candidate):
+            seen = view._replace(rotation=candidate)
+            image = cls.render(scene, seen, signals=weights.renders)
+            return compare_images(image, targets, weights=weights, camera=view.camera)[
+                0
+            ]
+
+        return map_renders(compute_loss, view.rotation, renders_at_once=renders_at_once)
+
     @staticmethod
-    def place_in_image(
-        scene: Scene, candidates: jax.Array, view: View, how: Choice
-    ) -> Any:
+    def place_in_image(scene: Scene, view: View, how: Choice) -> Any:
         """What a batch finds of all views at once, for `rank`; None for nothing."""
-        del scene, candidates, view, how
+        del scene, view, how
 
     @classmethod
     def rank(
-        cls,
-        scene: Scene,
-        candidates: jax.Array,
-        target: jax.Array,
-        places: Any,
-        *,
-        how: Choice,
-        **view: Any,
+        cls, scene: Scene, view: View, target: jax.Array, places: Any, how: Choice
     ) -> jax.Array | None:
-        """First, coarse losses [C] of candidates; None where the exact ones come first.
+        """First, coarse losses [C] of the view's candidates by a silhouette [D, D].
 
-        Args:
-          places: of `place_in_image`. view: as of `compute_candidate_losses`.
+        None where the exact ones come first; places are those of `place_in_image`.
         """
-        raise TypeError("a kind has its own")
+        raise NotImplementedError
+
+
+@functools.partial(jax.custom_vjp, nondiff_argnums=(0, 1))
+def sum_views(
+    compare: Callable, renders_at_once: int, learned: dict[str, Any], given: Any
+) -> Any:
+    """Σ of what `compare(learned, given)` gives of views, (cost, terms), and costs.
+
+    The gradient is that of the summed costs. A view's is computed right after its
+    render, while the volume is in the processor's cache: so no volume is kept for a
+    backward pass over the batch.
+    """
+    return _sum_entries(*_map_views(compare, renders_at_once, learned, given))
+
+
+def _map_views(function, renders_at_once, *inputs):
+    return map_renders(
+        lambda view: function(*view), inputs, renders_at_once=renders_at_once
+    )
+
+
+def _sum_entries(costs: jax.Array, terms: Any) -> Any:
+    return jnp.sum(costs), jax.tree.map(jnp.sum, terms), costs
+
+
+def _sum_views_forward(compare, renders_at_once, learned, given):
+    call = jax.value_and_grad(compare, has_aux=True)
+    result, gradient = _map_views(call, renders_at_once, learned, given)
+    return _sum_entries(*result), gradient
+
+
+def _sum_views_backward(compare, renders_at_once, gradient, cotangent):
+    del compare, renders_at_once
+    return jax.tree.map(lambda part: cotangent[0] * part, gradient), None
+
+
+sum_views.defvjp(_sum_views_forward, _sum_views_backward)
 
 
 def find_kind(name: str) -> type[Shape]:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Render, Train
 from dpc_jax.learning import losses, point_sizes
-from dpc_jax.learning.cameras import Cameras
+from dpc_jax.learning.cameras import Cameras, flatten_views, place_camera
 from dpc_jax.learning.choice import coarse_choice
 from dpc_jax.learning.recipe import Recipe, Term
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
@@ -66,21 +66,16 @@ class Points(Shape):
         One subset of points serves all views and candidates of an object, so that the
         choice among candidates does not depend on which points were drawn.
         """
-        order = jax.vmap(functools.partial(draw_order, count=self.points.shape[1]))(
-            keys
-        )
-        subset = order[:, :kept_points]
+        draw = functools.partial(draw_order, count=self.points.shape[1])
+        subset = jax.vmap(draw)(keys)[:, :kept_points]
         kept, colors = jax.tree.map(
             lambda a: jnp.take_along_axis(a, subset[..., None], axis=1),
             (self.points, self.colors),
         )
         size, mass = self.sigma, self.mass
         if point_sizes.has_own_sizes(size):
-            size, mass = jax.tree.map(
-                jax.vmap(lambda array, rows: array[rows]),
-                (size, mass),
-                (subset, subset),
-            )
+            take = jax.vmap(lambda array, rows: array[rows])
+            size, mass = take(size, subset), take(mass, subset)
         return dataclasses.replace(
             self, kept=kept, colors=colors, mass=mass, sigma=size
         )
@@ -135,26 +130,38 @@ class Points(Shape):
         *,
         recipe: Recipe,
     ) -> dict[str, Term]:
-        """The pull into silhouettes, once these are seen from the right poses."""
+        """The pull into silhouettes, once these are seen from the right poses.
+
+        Its mean over all views has a gradient to the points alone.
+        """
         if not recipe.train.pull_weight:
             return {}
-        from dpc_jax.learning.silhouette_pull import pull_batch  # where it is asked for
+        masks, side = batch["masks"], recipe.render.grid
 
-        side = recipe.render.grid
-        pull = jax.lax.cond(
+        def measure(points, view, silhouette):
+            return losses.pull_inside(
+                points,
+                view["rotation"],
+                losses.measure_outside(silhouette),
+                camera=place_camera(recipe.camera, view),
+                translation=view.get("translation"),
+            )
+
+        def pull(points, rotations):
+            silhouettes = losses.downsample_images(masks, side).reshape(-1, side, side)
+            own = flatten_views({"rotation": rotations, **cameras})
+            own = jax.lax.stop_gradient(own)
+            shared = jnp.repeat(points, masks.shape[1], axis=0)
+            return jnp.mean(jax.vmap(measure)(shared, own, silhouettes))
+
+        value = jax.lax.cond(
             step >= PULL_FROM * recipe.train.steps,
-            functools.partial(
-                pull_batch,
-                masks=batch["masks"],
-                side=side,
-                camera=recipe.camera,
-                cameras=cameras,
-            ),
+            pull,
             lambda points, rotations: jnp.zeros(()),
             self.kept,
             rotations,
         )
-        return {"pull": Term(pull, recipe.train.pull_weight * side**2)}
+        return {"pull": Term(value, recipe.train.pull_weight * side**2)}
 
     @staticmethod
     def find_evaluated(output: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
@@ -190,12 +197,13 @@ class Points(Shape):
         background_depth: jax.Array | float = 10.0,
     ) -> Projection:
         """Eqs. 2 to 5; see `project`."""
-        sigma, covariance = point_sizes.split_size(jnp.asarray(scene["sigma"]))
+        size = jnp.asarray(scene["sigma"])
+        is_covariance = size.ndim == 3
         return project(
             scene["points"],
             view.rotation,
-            sigma=sigma,
-            covariance=covariance,
+            sigma=None if is_covariance else size,
+            covariance=size if is_covariance else None,
             scale=scene["mass"],
             colors=scene["colors"] if "color" in signals else None,
             signals=signals,
@@ -205,39 +213,30 @@ class Points(Shape):
 
     @staticmethod
     def place_in_image(
-        scene: Scene, candidates: jax.Array, view: View, how: Choice
+        scene: Scene, view: View, how: Choice
     ) -> coarse_choice.ImagePoints | None:
         """Some points in the image of each candidate; None without a first choice."""
         if not how.points:
             return None
         return coarse_choice.place_candidates(
-            scene["points"],
-            candidates,
-            side=view.side,
-            camera=view.camera,
-            choice_points=how.points,
-            translation=view.translation,
-            size=scene["sigma"],
+            scene["points"], view, choice_points=how.points, size=scene["sigma"]
         )
 
     @classmethod
     def rank(
         cls,
         scene: Scene,
-        candidates: jax.Array,
+        view: View,
         target: jax.Array,
         places: coarse_choice.ImagePoints | None,
-        *,
         how: Choice,
-        **view: Any,
     ) -> jax.Array | None:
         """By the optical depths of some points in the image."""
-        del candidates, how, view
+        del view, how
         if places is None:
             return None
-        return coarse_choice.compute_image_losses(
-            places, scene["mass"], target, sigma=scene["sigma"]
-        )
+        mass, sigma = scene["mass"], scene["sigma"]
+        return coarse_choice.compute_image_losses(places, mass, target, sigma=sigma)
 
 
 def draw_order(key: jax.Array, *, count: int) -> jax.Array:

@@ -21,7 +21,7 @@ from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.shapes.kind import Scene, Shape, View
 from dpc_jax.learning.signals import LOSSES, Weights, find_background, make_targets
 from dpc_jax.networks.view_maps import make_planes
-from dpc_jax.render import Camera, Projection, quaternion
+from dpc_jax.render import Projection, quaternion
 
 FINER = 5  # cells of the pseudo-render along a pixel's side
 SAMPLES = 10_000  # points of a prediction, as many as of surfaces of voxel models
@@ -77,16 +77,15 @@ class ViewMaps(Shape):
             return super().compare(
                 rotations, batch, cameras, recipe=recipe, stage=stage
             )
-        total, parts = compare_fixed_views(
-            self, batch, render=recipe.render, weights=recipe.weights
-        )
-        return total, parts, None
+        return *compare_fixed_views(self, batch, recipe=recipe), None
 
     @staticmethod
     def find_evaluated(output: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
-        """Visible points."""
+        """Visible points, spread evenly over all of them."""
         del scene
-        return {"points": sample_visible(output)}
+        points, logits = output["points"], output["point_logits"]
+        choose = functools.partial(choose_visible, count=min(SAMPLES, points.shape[1]))
+        return {"points": jax.vmap(choose)(points, logits)}
 
     @classmethod
     def render(
@@ -99,7 +98,11 @@ class ViewMaps(Shape):
     ) -> Projection:
         """A pseudo-render as images: a pixel with a visible point is covered."""
         del signals
-        return show_render(_draw(scene, view), background=background_depth)
+        drawn = pseudo_render(scene["points"], scene["point_logits"], view)
+        silhouette = (drawn.counts > 0).astype(drawn.logits.dtype)
+        depth = background_depth + silhouette * (drawn.depths - background_depth)
+        images = {"silhouette": silhouette, "depth": depth}
+        return Projection(**images)
 
     @classmethod
     def compare_view(
@@ -111,21 +114,22 @@ class ViewMaps(Shape):
         weights: Weights,
         colors_move_shapes: bool = True,
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
-        """By the cross entropy of the mask, and by depths; see `compare_render`."""
+        """By the cross entropy of the mask, and by absolute differences of depth.
+
+        The latter where the object covers at least half of the pixel and one point is
+        nearest.
+        """
         del colors_move_shapes  # there are none
-        drawn = _draw(scene, view)
-        return compare_render(drawn, targets, weights=weights, camera=view.camera)
-
-
-def _draw(scene, view):
-    return pseudo_render(
-        scene["points"],
-        scene["point_logits"],
-        view.rotation,
-        camera=view.camera,
-        side=view.side,
-        translation=view.translation,
-    )
+        drawn = pseudo_render(scene["points"], scene["point_logits"], view)
+        masks = _cross_entropy(drawn.logits, targets["silhouette"])
+        total, terms = weights.silhouette * masks, {LOSSES["silhouette"]: masks}
+        if weights.depth:
+            depths, is_known = _read_depths(targets, view.camera.distance)
+            is_compared = is_known & (drawn.counts == 1)
+            away = jnp.abs(drawn.depths - jnp.where(is_known, depths, 0))
+            terms[LOSSES["depth"]] = jnp.sum(jnp.where(is_compared, away, 0))
+            total += weights.depth * terms[LOSSES["depth"]]
+        return total, terms
 
 
 class PseudoRender(NamedTuple):
@@ -143,27 +147,17 @@ class PseudoRender(NamedTuple):
     counts: jax.Array
 
 
-def pseudo_render(
-    points: jax.Array,
-    logits: jax.Array,
-    rotation: jax.Array,
-    *,
-    camera: Camera,
-    side: int,
-    translation: jax.Array | None = None,
-) -> PseudoRender:
+def pseudo_render(points: jax.Array, logits: jax.Array, view: View) -> PseudoRender:
     """Points [N, 3] of logits [N], drawn into cells of a fifth of a pixel.
 
     Of each pixel's cells the nearest inverse depth, the top logit and the largest count
     are kept, each on its own. Points that are not visible (logit below 0) are averaged,
     where no visible one is.
-
-    Args:
-      rotation: [4] object to camera. translation: [3] in the camera frame.
     """
-    seen = quaternion.rotate(points, rotation)
-    if translation is not None:
-        seen = seen + translation[None]
+    camera, side = view.camera, view.side
+    seen = quaternion.rotate(points, view.rotation)
+    if view.translation is not None:
+        seen = seen + view.translation[None]
     depth = seen[:, 2] + camera.distance
     is_before = depth > _NEAREST
     depth = jnp.where(is_before, depth, 1)
@@ -191,49 +185,8 @@ def pseudo_render(
     )
 
 
-def show_render(render: PseudoRender, *, background: jax.Array | float) -> Projection:
-    """A pseudo-render as images: a pixel with a visible point is covered."""
-    silhouette = (render.counts > 0).astype(render.logits.dtype)
-    depth = background + silhouette * (render.depths - background)
-    images = {"silhouette": silhouette, "depth": depth}
-    return Projection(**images)
-
-
-def compare_render(
-    render: PseudoRender,
-    targets: Mapping[str, jax.Array],
-    *,
-    weights: Weights,
-    camera: Camera,
-) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Differences of a pseudo-render from a view, summed over pixels.
-
-    Cross entropy of the mask, and absolute difference of depth, the latter where the
-    object covers at least half of the pixel and one point is nearest.
-
-    Args:
-      targets: of `make_targets`. weights: of the two. camera: of the view.
-
-    Returns:
-      (() the weighted sum, {name of the loss: ()}).
-    """
-    masks = _cross_entropy(render.logits, targets["silhouette"])
-    total, terms = weights.silhouette * masks, {LOSSES["silhouette"]: masks}
-    if weights.depth:
-        depths, is_known = _read_depths(targets, camera)
-        is_compared = is_known & (render.counts == 1)
-        away = jnp.abs(render.depths - jnp.where(is_known, depths, 0))
-        terms[LOSSES["depth"]] = jnp.sum(jnp.where(is_compared, away, 0))
-        total += weights.depth * terms[LOSSES["depth"]]
-    return total, terms
-
-
 def compare_fixed_views(
-    shapes: ViewMaps,
-    batch: Mapping[str, jax.Array],
-    *,
-    render: Render,
-    weights: Weights,
+    shapes: ViewMaps, batch: Mapping[str, jax.Array], *, recipe: Recipe
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Their first stage: each map against its own view; mean over objects and views.
 
@@ -246,10 +199,11 @@ def compare_fixed_views(
     Returns:
       (() the weighted sum, {name of the loss: ()}).
     """
+    weights, distance = recipe.weights, recipe.render.distance
     views = {"masks": batch["corner_masks"], "depths": batch["corner_depths"]}
     side = shapes.maps.shape[-2]
     signals = ("silhouette", "depth")
-    targets = make_targets(views, side, signals=signals, distance=render.distance)
+    targets = make_targets(views, side, signals=signals, distance=distance)
     count = shapes.maps.shape[0] * shapes.maps.shape[1]
     logits = shapes.logits.reshape(targets["silhouette"].shape)
     masks = _cross_entropy(logits, targets["silhouette"]) / count
@@ -258,23 +212,11 @@ def compare_fixed_views(
     terms = {LOSSES["silhouette"]: masks, "astray": astray}
     total = weights.silhouette * masks + astray
     if weights.depth:
-        camera = Camera(render.focal_length, render.distance)
-        depths, is_known = _read_depths(targets, camera)
+        depths, is_known = _read_depths(targets, distance)
         away = jnp.where(is_known, jnp.abs(shapes.maps[..., 2] - depths), 0)
         terms[LOSSES["depth"]] = jnp.sum(away) / count
         total += weights.depth * terms[LOSSES["depth"]]
     return total, terms
-
-
-def sample_visible(output: Mapping[str, jax.Array]) -> jax.Array:
-    """The points [B, n, 3] that predictions are judged by: visible ones.
-
-    Args:
-      output: of the network, with points and point_logits.
-    """
-    count = min(SAMPLES, output["points"].shape[1])
-    choose = functools.partial(choose_visible, count=count)
-    return jax.vmap(choose)(output["points"], output["point_logits"])
 
 
 def choose_visible(points: jax.Array, logits: jax.Array, *, count: int) -> jax.Array:
@@ -300,9 +242,9 @@ def _cross_entropy(logits, masks):
     return jnp.sum(optax.losses.sigmoid_binary_cross_entropy(logits, masks))
 
 
-def _read_depths(targets, camera):
+def _read_depths(targets, distance):
     """Depths of a view, and which pixels have one: at least half was measured."""
-    background, measured = find_background(camera.distance), targets["measured"]
+    background, measured = find_background(distance), targets["measured"]
     is_known = measured >= 0.5
     nearer = targets["depth"] - background  # times the share that is measured
     return background + nearer / jnp.where(is_known, measured, 1), is_known

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Render
-from dpc_jax.learning.renders import compute_candidate_losses
+from dpc_jax.learning.losses import average_blocks
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
 from dpc_jax.render import Projection, project_volume
 
@@ -88,26 +88,15 @@ class Voxels(Shape):
 
     @classmethod
     def rank(
-        cls,
-        scene: Scene,
-        candidates: jax.Array,
-        target: jax.Array,
-        places: None,
-        *,
-        how: Choice,
-        **view: Any,
+        cls, scene: Scene, view: View, target: jax.Array, places: None, how: Choice
     ) -> jax.Array | None:
         """Volumes stay as they are, and are seen in a coarser grid."""
         del places
-        factor = target.shape[0] // COARSE_SIDE
-        if factor < 2:
+        if target.shape[0] < 2 * COARSE_SIDE:
             return None
-        blocks = target.reshape(COARSE_SIDE, factor, COARSE_SIDE, factor)
-        return compute_candidate_losses(
-            cls,
+        return cls.compare_candidates(
             scene,
-            candidates,
-            jnp.mean(blocks, axis=(1, 3)),
-            ray_rule=how.ray_rule,
-            **view,
+            view._replace(side=COARSE_SIDE),
+            {"silhouette": average_blocks(target, COARSE_SIDE)},
+            renders_at_once=how.renders_at_once,
         )

@@ -1,6 +1,7 @@
 """The training loop: steps, log, validation, checkpoints, and a clean way out."""
 
 import functools
+import time
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
@@ -12,9 +13,8 @@ from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.learning import devices, schedules, signals
 from dpc_jax.learning.step import TrainState, make_train_step, repeat_seed
 from dpc_jax.learning.training import reseeding
-from dpc_jax.learning.training.forecast import Forecast
 from dpc_jax.learning.training.programs import StagePrograms
-from dpc_jax.learning.training.progress import ProgressReport
+from dpc_jax.learning.training.progress import Forecast, ProgressReport
 from dpc_jax.learning.training.records import MetricLog, Stopwatch, Window
 from dpc_jax.networks import ShapePoseNetwork
 
@@ -53,9 +53,8 @@ def train(
     seconds: float = 0.0,
     title: str = "Training",
     may_stop_waiting: bool = True,
-    compile_ahead: bool = True,
     validations_after: float = 0.0,
-    prepare: Callable[[], object] | None = None,
+    prepare: Callable[[], object] = lambda: None,
     check: Callable[[jax.stages.Compiled], None] = lambda _: None,
 ) -> Outcome:
     """Train from a state to the last step of the config.
@@ -76,8 +75,6 @@ def train(
         processes have to stop after the same one.
       seconds: training time spent before this call.
       title: of the progress bar.
-      compile_ahead: whether the programs of later stages compile in the background;
-        the results are the same.
       validations_after: how many validations what follows training takes as long as,
         for the time left.
       prepare: called in the background, once the programs of all stages are there: to
@@ -90,8 +87,7 @@ def train(
         saved then: the last checkpoint is the last good state.
     """
     start, steps, due = int(state.step), config.train.steps, config.log
-    watch = Stopwatch(seconds)
-    window = Window(start, seconds, heads=config.pose.heads)
+    watch, window = Stopwatch(seconds), Window(start, seconds, heads=config.pose.heads)
     spans = schedules.list_spans(config.render, steps=steps)
     forecast = Forecast(
         steps,
@@ -103,10 +99,9 @@ def train(
     stops_waiting = should_stop if may_stop_waiting else lambda: False
     with (
         ProgressReport(title, total=steps, start=start) as progress,
-        StagePrograms(make_step, spans, ahead=compile_ahead, check=check) as programs,
+        StagePrograms(make_step, spans, check=check) as programs,
     ):
         log_steps = functools.partial(_log_steps, log, forecast, progress)
-        to_prepare = [prepare] if prepare and compile_ahead else []
         for done in range(start + 1, steps + 1):
             batch = make_batch(dataset, done - 1, config)
             program = programs.find(done - 1) or _begin_stage(
@@ -117,9 +112,9 @@ def train(
                     log_steps(done - 1, window.close(watch.seconds))
                 checkpoints.save(state, seconds=watch.seconds)
                 return Outcome(state, watch.seconds, False)
-            if to_prepare:
-                programs.run_ahead(to_prepare.pop())
-            state, metrics = program.call(state, batch)
+            if done == start + 1:
+                programs.run_ahead(prepare)
+            state, metrics = program(state, batch)
             window.add(metrics)
             progress.advance(done)
             stops, is_finished = should_stop(), done == steps
@@ -130,10 +125,7 @@ def train(
                 log_steps(done, window.close(watch.seconds))
             if evaluate and (_is_due(done, due.evaluate) or is_finished):
                 window.check()
-                record = {"step": done, "seconds": round(watch.seconds, 3)}
-                with watch.paused(), forecast.timing_validation():
-                    scores = evaluate(state)
-                _log_validation(log, progress, record, scores)
+                _validate(evaluate, state, watch, forecast, log, progress)
             if _is_due(done, due.checkpoint) or is_last:
                 window.check()
                 checkpoints.save(state, seconds=watch.seconds)
@@ -147,11 +139,19 @@ def _begin_stage(programs, step_state_batch, progress, window, should_stop):
     """The program of the stage that begins; None where asked to stop meanwhile."""
     if programs.is_ready(step_state_batch[0]):
         return programs.begin(*step_state_batch)
-    with window.waiting(), progress.compiling() as finish:
-        program = programs.begin(*step_state_batch, should_stop=should_stop)
-        if program is not None:
-            finish(was_read=program.was_read)
-    return program
+    with window.waiting(), progress.compiling():
+        return programs.begin(*step_state_batch, should_stop=should_stop)
+
+
+def _validate(evaluate, state, watch, forecast, log, progress):
+    """Write and show the scores of a validation."""
+    step, seconds, started = int(state.step), watch.seconds, time.monotonic()
+    with watch.paused():
+        scores = evaluate(state)
+    forecast.add_validation(time.monotonic() - started)
+    log.write({"step": step, "seconds": round(seconds, 3)} | scores)
+    found = describe_metrics(scores, share_digits=2)
+    progress.tell(f"Validation at step {step}: {found}")
 
 
 def _reseed(state, dataset, network, config, progress):
@@ -181,13 +181,6 @@ def _log_steps(log, forecast, progress, done, record):
         steps_per_second=record["steps_per_second"],
         seconds_left=forecast.compute_left(done),
     )
-
-
-def _log_validation(log, progress, record, scores):
-    """Write and show the scores of a validation."""
-    log.write(record | scores)
-    found = describe_metrics(scores, share_digits=2)
-    progress.tell(f"Validation at step {record['step']}: {found}")
 
 
 def make_batch(dataset: DataSet, step: int, config: Config) -> dict[str, Any]:

@@ -8,11 +8,10 @@ a program does not depend on where or when it was compiled.
 import contextlib
 import os
 import threading
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotDone
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 
@@ -21,22 +20,9 @@ from dpc_jax.learning.schedules import Span, Stage
 THREADS = "compile"  # begins the names of the threads that compile
 _NICENESS = 5  # of a program that nobody waits for, beyond that of training
 _POLL_SECONDS = 0.2  # between two looks at whether the run shall stop
-_CACHE_HIT = "/jax/compilation_cache/cache_hits"
-_hits = threading.local()
 
-
-class Program(NamedTuple):
-    """A compiled training step.
-
-    Attributes:
-      call: (state, batch) -> (state, metrics); the old state's memory goes to the new.
-      seconds: that it took to make.
-      was_read: from the persistent cache instead of compiled.
-    """
-
-    call: Callable
-    seconds: float
-    was_read: bool
+# (state, batch) -> (state, metrics); the old state's memory goes to the new one.
+Program = Callable[[Any, Any], tuple[Any, dict]]
 
 
 class StagePrograms:
@@ -46,8 +32,6 @@ class StagePrograms:
       make_step: gives the jitted step of a stage, a function (state, batch) ->
         (state, metrics) that donates the state and keeps its shardings.
       spans: of the run's stages.
-      ahead: whether later stages compile in the background; False compiles each when
-        it is reached.
       check: is given each compiled step, and may refuse it by an error.
     """
 
@@ -56,24 +40,18 @@ class StagePrograms:
         make_step: Callable[[Stage], Any],
         spans: Sequence[Span],
         *,
-        ahead: bool = True,
         check: Callable[[jax.stages.Compiled], None] = lambda _: None,
     ):
-        self._make_step, self._spans, self._ahead = make_step, tuple(spans), ahead
-        self._check = check
+        self._make_step, self._spans, self._check = make_step, tuple(spans), check
         self._background = _start_thread(_lower_priority)
         self._pending: dict[Stage, Future] = {}
         self._stage: Stage | None = None
         self._program: Program | None = None
-        _listen()
 
     def __enter__(self):
         return self
 
     def __exit__(self, *_):
-        self.close()
-
-    def close(self):
         """Give up what has not begun to compile, and wait for nothing."""
         self._background.shutdown(wait=False, cancel_futures=True)
 
@@ -109,8 +87,10 @@ class StagePrograms:
             front = _start_thread()
             own = front.submit(self._compile, stage, structs)
             front.shutdown(wait=False)
-        if self._ahead:
-            self._compile_ahead(step, structs)
+        for span in self._spans:
+            if span.start > step and span.stage not in self._pending:
+                later = self._background.submit(self._compile, span.stage, structs)
+                self._pending[span.stage] = later
         while not should_stop():
             with contextlib.suppress(NotDone):
                 self._program = own.result(timeout=_POLL_SECONDS)
@@ -123,9 +103,9 @@ class StagePrograms:
         pending = self._pending.get(self._find_stage(step))
         return pending is not None and pending.done()
 
-    def run_ahead(self, function: Callable[[], Any]) -> Future:
+    def run_ahead(self, function: Callable[[], Any]):
         """Have another function run in the background, after what waits there."""
-        return self._background.submit(function)
+        self._background.submit(function)
 
     def raise_failures(self):
         """Raise where a later stage's program cannot be made, rather than there.
@@ -137,19 +117,11 @@ class StagePrograms:
             if pending.done():
                 pending.result()
 
-    def _compile_ahead(self, step, structs):
-        for span in self._spans:
-            if span.start > step and span.stage not in self._pending:
-                self._pending[span.stage] = self._background.submit(
-                    self._compile, span.stage, structs
-                )
-
     def _compile(self, stage, structs) -> Program:
         """Compile the program of a stage, or read it from the persistent cache."""
-        started, _hits.count = time.monotonic(), 0
-        call = self._make_step(stage).lower(*structs).compile()
-        self._check(call)
-        return Program(call, time.monotonic() - started, _hits.count > 0)
+        program = self._make_step(stage).lower(*structs).compile()
+        self._check(program)
+        return program
 
     def _find_stage(self, step):
         return next(s.stage for s in self._spans if s.start <= step < s.end)
@@ -178,18 +150,3 @@ def _lower_priority():
         thread = threading.get_native_id()
         own = os.getpriority(os.PRIO_PROCESS, thread)
         os.setpriority(os.PRIO_PROCESS, thread, own + _NICENESS)
-
-
-_is_listening = threading.Event()
-
-
-def _listen():
-    """Have JAX tell each thread of the programs that it read from the cache."""
-    if not _is_listening.is_set():
-        _is_listening.set()
-        jax.monitoring.register_event_listener(_count_hit)
-
-
-def _count_hit(event: str, **_):
-    if event == _CACHE_HIT:
-        _hits.count = getattr(_hits, "count", 0) + 1

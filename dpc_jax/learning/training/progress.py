@@ -1,19 +1,31 @@
-"""What a person sees of a long run: a bar on a terminal, plain lines elsewhere."""
+"""What a person sees of a long run: a bar on a terminal, lines elsewhere, time left."""
 
 import contextlib
+import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
+MEMORY_SECONDS = 60.0  # after which what a step took counts 1/e: stages differ
+
 
 class Display:
     """Bars on a terminal, where there is one; use as a context manager."""
 
-    _bar: Progress | None = None
+    def __init__(self):
+        self._bar: Progress | None = None
+        if sys.stdout.isatty():
+            self._bar = Progress(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TextColumn("{task.completed}/{task.total}"),
+                TextColumn("{task.fields[text]}"),
+                console=Console(file=sys.stdout),
+            )
 
     def __enter__(self):
         if self._bar is not None:
@@ -36,15 +48,9 @@ class ProgressReport(Display):
     """Shows how far a run is; use as a context manager."""
 
     def __init__(self, title: str, *, total: int, start: int = 0):
+        super().__init__()
         self._title, self._total = title, total
-        if sys.stdout.isatty():
-            self._bar = Progress(
-                TextColumn("{task.description}"),
-                BarColumn(),
-                TextColumn("{task.completed}/{task.total}"),
-                TextColumn("{task.fields[text]}"),
-                console=Console(file=sys.stdout),
-            )
+        if self._bar is not None:
             self._task = self._bar.add_task(
                 title, total=total, completed=start, text=""
             )
@@ -73,26 +79,17 @@ class ProgressReport(Display):
         print(f"{self._title}: {', '.join(filter(None, parts))}", flush=True)
 
     @contextlib.contextmanager
-    def compiling(self) -> Iterator[Callable[..., None]]:
-        """Say "compiling" inside the context, and at its end how long it took.
-
-        Yields:
-          A function to call at the end, `finish(was_read=...)`: whether the program was
-          read from the cache.
-        """
+    def compiling(self) -> Iterator[None]:
+        """Say "compiling" inside the context, and at its end how long it took."""
         started, before = time.monotonic(), ""
         if self._bar is not None:
             before = self._bar.tasks[0].fields["text"]
             self._bar.update(self._task, text="compiling")
         else:
             print(f"{self._title}: compiling", flush=True)
-
-        def finish(*, was_read: bool):
-            how = "read from the cache of compiled programs" if was_read else "compiled"
-            seconds = time.monotonic() - started
-            self.tell(f"{self._title}: {how} in {seconds:.1f} s")
-
-        yield finish
+        yield
+        seconds = time.monotonic() - started
+        self.tell(f"{self._title}: compiling took {seconds:.1f} s")
         if self._bar is not None:
             self._bar.update(self._task, text=before)
 
@@ -104,23 +101,16 @@ class CountReport(Display):
     """
 
     def __init__(self, title: str):
-        self._title = title
-        self._started = time.monotonic()
+        super().__init__()
+        self._title, self._started = title, time.monotonic()
         self._told: dict[str, int] = {}
         self._tasks: dict[str, Any] = {}
-        if sys.stdout.isatty():
-            self._bar = Progress(
-                TextColumn("{task.description}"),
-                BarColumn(),
-                TextColumn("{task.completed}/{task.total}"),
-                console=Console(file=sys.stdout),
-            )
 
     def report(self, part: str, done: int, total: int):
         """Show that so much of a part is done."""
         if self._bar is not None:
             if part not in self._tasks:
-                self._tasks[part] = self._bar.add_task(part, total=total)
+                self._tasks[part] = self._bar.add_task(part, total=total, text="")
             self._bar.update(self._tasks[part], completed=done)
             return
         tenth = 10 * done // max(total, 1)
@@ -128,3 +118,48 @@ class CountReport(Display):
             self._told[part] = tenth
             seconds = time.monotonic() - self._started
             print(f"{self._title}: {part}, {done}/{total}, {seconds:.0f} s", flush=True)
+
+
+class Forecast:
+    """The seconds left of a run: its steps, its validations, and what comes after.
+
+    Args:
+      steps: of the run. start: steps done before this start.
+      validate_every: steps; None without validation. The last step has one too.
+      validations_after: how many validations what follows training takes as long as.
+    """
+
+    def __init__(
+        self,
+        steps: int,
+        *,
+        start: int = 0,
+        validate_every: int | None = None,
+        validations_after: float = 0.0,
+    ):
+        self._steps, self._done = steps, start
+        self._every, self._after = validate_every, validations_after
+        self._seconds = self._counted = self._validation = 0.0
+
+    def add_rate(self, done: int, steps_per_second: float):
+        """Take the rate of the steps since the last call, of which `done` is last."""
+        count = done - self._done
+        seconds = count / max(steps_per_second, 1e-9)
+        kept = math.exp(-seconds / MEMORY_SECONDS)
+        self._seconds = kept * self._seconds + seconds
+        self._counted = kept * self._counted + count
+        self._done = done
+
+    def add_validation(self, seconds: float):
+        """Take the time of one; the shortest counts: one may wait for compilation."""
+        self._validation = min(self._validation or seconds, seconds)
+
+    def compute_left(self, done: int) -> float | None:
+        """Seconds until the end; None as long as no step has been timed."""
+        if not self._counted:
+            return None
+        pace, validations = self._seconds / self._counted, self._after
+        if self._every is not None and done < self._steps:
+            every = self._every or self._steps
+            validations += -(-self._steps // every) - done // every
+        return pace * (self._steps - done) + validations * self._validation

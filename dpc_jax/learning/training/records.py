@@ -79,11 +79,10 @@ class Window:
         That step has finished while this one runs: reading its metrics is free.
 
         Raises:
-          NonFiniteError: where they are not finite, or the loss has diverged.
+          NonFiniteError: as `check_step`.
         """
+        self.check()
         self._metrics.append(metrics)
-        if len(self._metrics) > 1:
-            self._check(len(self._metrics) - 2)
 
     @contextlib.contextmanager
     def waiting(self) -> Iterator[None]:
@@ -98,18 +97,13 @@ class Window:
         """Check the last step too.
 
         Raises:
-          NonFiniteError: where its loss or a gradient is not finite, or the loss has
-            diverged.
+          NonFiniteError: as `check_step`.
         """
         if self._metrics:
-            self._check(len(self._metrics) - 1)
-
-    def _check(self, index):
-        metrics, step = self._metrics[index], self._step + index
-        check_finite(metrics, step)
-        if self._first is None:
-            self._first = float(metrics["loss"])
-        check_growth(self._first, float(metrics["loss"]), step)
+            metrics = self._metrics[-1]
+            check_step(metrics, self._step + len(self._metrics) - 1, first=self._first)
+            if self._first is None:
+                self._first = float(metrics["loss"])
 
     def close(self, seconds: float) -> dict:
         """The record of the window; a new window starts.
@@ -122,7 +116,7 @@ class Window:
           seconds: of training until now.
 
         Raises:
-          NonFiniteError: as `check`.
+          NonFiniteError: as `check_step`.
         """
         self.check()
         done = self._step + len(self._metrics)
@@ -137,11 +131,11 @@ class Window:
         return record
 
 
-def check_finite(metrics: dict, step: int):
-    """Raise where a step's loss or gradient is not finite, naming the first culprit.
+def check_step(metrics: dict, step: int, *, first: float | None):
+    """Raise where a loss or gradient is not finite, or the loss far above the first.
 
     Raises:
-      NonFiniteError: with the step (counted from 0) and the name.
+      NonFiniteError: with the step (counted from 0) and the first culprit's name.
     """
     losses = [name for name in metrics if name not in _NOT_LOSSES]
     values = {f"{n} loss": metrics[n] for n in sorted(losses, key="loss".__eq__)}
@@ -154,19 +148,8 @@ def check_finite(metrics: dict, step: int):
                 f"{float(value)} at step {step}; start a run in another workdir with a "
                 "lower train.learning_rate. Checkpoints saved until then stay."
             )
-
-
-def _has_step(record):
-    return isinstance(record.get("step", 0), int | float)
-
-
-def check_growth(first: float, loss: float, step: int):
-    """Raise where the loss of a step is far above that of the first step.
-
-    Raises:
-      NonFiniteError: with both losses and the step (counted from 0).
-    """
-    if abs(loss) > _DIVERGED * max(abs(first), _LEAST):
+    loss = float(metrics["loss"])
+    if first is not None and abs(loss) > _DIVERGED * max(abs(first), _LEAST):
         raise NonFiniteError(
             f"Expected a loss that falls, but training diverged: the loss grew from "
             f"{first:.3g} to {loss:.3g} at step {step}; start a run in another workdir "
@@ -224,14 +207,18 @@ class MetricLog:
             for line in text.splitlines():
                 with contextlib.suppress(json.JSONDecodeError):
                     records.append(parse_json(line))
-        return [r for r in records if isinstance(r, dict) and _has_step(r)]
+        return [
+            record
+            for record in records
+            if isinstance(record, dict)
+            and isinstance(record.get("step", 0), int | float)
+        ]
 
     def cut_after(self, step: int):
         """Drop the records after a step: a resumed run writes them again."""
-        kept = [r for r in self.read() if r["step"] <= step]
-        if not self._path.exists():
-            return
-        write_text(self._path, "".join(json.dumps(r) + "\n" for r in kept))
+        if self._path.exists():
+            kept = [r for r in self.read() if r["step"] <= step]
+            write_text(self._path, "".join(json.dumps(r) + "\n" for r in kept))
 
     def close(self):
         """Do nothing: each record is on disk already."""

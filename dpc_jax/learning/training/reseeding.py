@@ -50,9 +50,16 @@ def reseed_points(
     def replace(state, dead):
         key = jax.random.fold_in(jax.random.key(config.seed % 2**32), state.step)
         choose, shift = jax.random.split(jax.random.fold_in(key, len(dead)))
-        sources = choose_sources(choose, dead)
+        # Of each point the one whose weights it has: its own, or a living one's.
+        logits = jnp.where(dead, -jnp.inf, 0.0)
+        living = jax.random.categorical(choose, logits, shape=dead.shape)
+        sources = jnp.where(dead, living, jnp.arange(len(dead)))
         params, optimizer = take_points((state.params, state.optimizer), sources)
-        params = _move_apart(shift, params, sources)
+        # Two points at one place are one; trained on, they would never part.
+        noise = _APART * jax.random.normal(shift, (len(dead), 3)) * dead[:, None]
+        bias = params["params"]["shape"]["points"]["bias"]
+        moved = bias + noise.reshape(-1).astype(bias.dtype)
+        params["params"]["shape"]["points"]["bias"] = moved
         return state._replace(params=params, optimizer=optimizer)
 
     # Whole on every process, so that each decides the same.
@@ -64,17 +71,13 @@ def reseed_points(
     if not 0 < count < len(dead):
         return state, 0
     # Where the step's program, compiled ahead, has them.
-    like = describe_state(network, config)
-    places = jax.tree.map(lambda leaf: leaf.sharding, like)
+    places = jax.tree.map(lambda a: a.sharding, describe_state(network, config))
     run = jax.jit(replace, donate_argnums=0, out_shardings=places)
     return run(state, dead), count
 
 
 def measure_lone(clouds: jax.Array) -> jax.Array:
-    """In what share [N] of clouds [B, N, 3] each point hangs alone.
-
-    Alone is what `evaluation.density` counts, by the same distance.
-    """
+    """In what share [N] of clouds [B, N, 3] each point hangs alone (`density`)."""
 
     def find_stray(points):
         # Axis by axis, so that the N² distances are counted and never stored.
@@ -83,13 +86,6 @@ def measure_lone(clouds: jax.Array) -> jax.Array:
         return near < min(NEIGHBORS, len(points) - 1)
 
     return jnp.mean(jax.lax.map(find_stray, clouds), axis=0)
-
-
-def choose_sources(key: jax.Array, dead: jax.Array) -> jax.Array:
-    """Of each point [N] the one whose weights it has: its own, or a living one's."""
-    logits = jnp.where(dead, -jnp.inf, 0.0)
-    living = jax.random.categorical(key, logits, shape=dead.shape)
-    return jnp.where(dead, living, jnp.arange(len(dead)))
 
 
 def take_points(tree: Any, sources: jax.Array) -> Any:
@@ -107,16 +103,3 @@ def take_points(tree: Any, sources: jax.Array) -> Any:
         return rows[..., sources, :].reshape(leaf.shape)
 
     return jax.tree_util.tree_map_with_path(take, tree)
-
-
-def _move_apart(key, params, sources):
-    """Two points at one place are one; trained on, they would never part."""
-    is_new = sources != jnp.arange(len(sources))
-    noise = _APART * jax.random.normal(key, (len(sources), 3)) * is_new[:, None]
-
-    def move(path, leaf):
-        keys = [getattr(key, "key", None) for key in path]
-        is_bias = "shape" in keys and keys[-2:] == ["points", "bias"]
-        return leaf + noise.reshape(-1).astype(leaf.dtype) if is_bias else leaf
-
-    return jax.tree_util.tree_map_with_path(move, params)
