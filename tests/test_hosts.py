@@ -43,6 +43,7 @@ class Command:
         self.environment = os.environ | QUICK_ENVIRONMENT
         self.environment |= {
             "JAX_PLATFORMS": "cpu",
+            "TF_CPP_MIN_LOG_LEVEL": "3",  # jax, loaded here, has set another
             # A machine that stands still for a while must not end a test.
             "DPC_JAX_JOIN_SECONDS": "600",
             "DPC_JAX_HEARTBEAT_SECONDS": "600",
