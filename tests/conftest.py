@@ -47,11 +47,6 @@ def pytest_configure():
     jax.config.update("jax_num_cpu_devices", 4)
 
 
-@pytest.fixture(scope="module")
-def quickly():
-    """What all programs have."""
-
-
 def pytest_collection_modifyitems(items):
     """Begin with the longest files."""
     items.sort(key=lambda item: item.path.name not in _LONGEST)

@@ -17,9 +17,6 @@ from dpc_jax.measure.benchmark import (
     suite,
 )
 
-# Each program here runs once or twice.
-pytestmark = pytest.mark.usefixtures("quickly")
-
 TINY = plan.Case(batch=2, points=40, side=8, sigma=1.0)
 
 

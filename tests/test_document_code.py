@@ -14,7 +14,6 @@ from document_pages import NOTEBOOK, ROOT, list_blocks, list_commands
 
 from dpc_jax.commands import COMMANDS as SHORT
 
-pytestmark = pytest.mark.usefixtures("quickly")
 COMMANDS = list_commands()
 NAMES = [f"{page} {' '.join(words)}" for page, words in COMMANDS]
 WITH_PYTHON = sorted({block.page for block in list_blocks("python")})

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
-from tiny_runs import compiling_quickly, make_network, make_state, tiny_config
+from tiny_runs import make_network, make_state, tiny_config
 
 from dpc_jax.config import replace_fields, to_json
 from dpc_jax.evaluation.alignment import identity_alignment
@@ -50,8 +50,7 @@ def write_run(folder, config):
 def finished(tmp_path_factory):
     """A run, read back from its workdir."""
     folder = tmp_path_factory.mktemp("finished")
-    with compiling_quickly():
-        return read_run(write_run(folder, make_config(folder)))
+    return read_run(write_run(folder, make_config(folder)))
 
 
 @pytest.fixture(autouse=True)
@@ -59,8 +58,6 @@ def reading_once(finished, monkeypatch):
     """Every workdir holds that run, which need not be restored again."""
     for module in (correspondences, interpolation):
         monkeypatch.setattr(module, "read_run", lambda workdir: finished)
-    with compiling_quickly():
-        yield
 
 
 def test_clouds_are_those_of_the_network_in_the_object_frame(finished):

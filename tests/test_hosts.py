@@ -10,7 +10,6 @@ import time
 from pathlib import Path
 
 import pytest
-from quick_programs import QUICK_ENVIRONMENT
 
 ROOT = Path(__file__).parents[1]
 STEPS = 24
@@ -40,8 +39,7 @@ class Command:
     def __init__(self, folder):
         self.folder, self.started = folder, []
         # Most of the time goes into compiling programs that run for a second.
-        self.environment = os.environ | QUICK_ENVIRONMENT
-        self.environment |= {
+        self.environment = os.environ | {
             "JAX_PLATFORMS": "cpu",
             "TF_CPP_MIN_LOG_LEVEL": "3",  # jax, loaded here, has set another
             # A machine that stands still for a while must not end a test.

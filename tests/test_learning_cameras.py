@@ -10,7 +10,6 @@ from dpc_jax.config import Pose, replace_fields
 from dpc_jax.learning import devices
 from dpc_jax.learning.cameras import find_gauge
 
-pytestmark = pytest.mark.usefixtures("quickly")
 RNG = np.random.default_rng(0)
 CAMERAS = {
     "translation": jnp.asarray(RNG.normal(0.02, 0.1, (4, 2, 3)), jnp.float32),

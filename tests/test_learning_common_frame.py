@@ -5,7 +5,6 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from tiny_runs import (
     assert_same_bits,
     rotation_matrix,
@@ -18,7 +17,6 @@ from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import find_half_turns, turn_candidates
 from dpc_jax.render import Camera, quaternion
 
-pytestmark = pytest.mark.usefixtures("quickly")
 COVARIANCE = jnp.diag(jnp.array([1.0, 2.0, 4.0]))  # the axes are x, y and z
 HEADS, SIDE = 2, 32
 YELLOW, RED, GREY = (240, 220, 40), (220, 30, 30), (128, 128, 128)

@@ -34,8 +34,6 @@ from dpc_jax.render import (
     project_volume,
 )
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 DISTANCE, SIDE, COUNT = 2.0, 8, 12
 RENDERED = {"silhouette": "silhouette", "depth": "termination", "color": "color"}
 ALL = {"silhouette_weight": 0.5, "depth_weight": 2.0, "color_weight": 0.3}

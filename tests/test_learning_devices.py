@@ -38,10 +38,6 @@ EVERYTHING = dict(
 )
 
 
-# Each program here runs some twenty steps at most.
-pytestmark = pytest.mark.usefixtures("quickly")
-
-
 @pytest.fixture(autouse=True, scope="module")
 def shared_layers():
     """Weights of the tiny network are shared as those of a large one are."""

@@ -30,8 +30,6 @@ from dpc_jax.learning.schedules import find_stage
 from dpc_jax.learning.shapes.kind import View
 from dpc_jax.render import Camera, VoxelGrid, project
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 CAMERA = Camera()
 SIGMA = 0.6  # voxels
 

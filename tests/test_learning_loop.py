@@ -27,8 +27,6 @@ NETWORK = make_network(CONFIG)
 DATASET = make_dataset()
 SCORES = {"pose_accuracy": 0.5, "pose_median_error_deg": 45.0, "chamfer": 7.0}
 
-# Each program here runs a few steps.
-pytestmark = pytest.mark.usefixtures("quickly")
 
 _compile = functools.lru_cache(loop.make_train_step)
 

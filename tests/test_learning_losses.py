@@ -19,8 +19,6 @@ from dpc_jax.learning.losses import (
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.render import Camera, quaternion
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 # float64 oracles against float32 results of order one: a few ulps of 6e-8.
 ROUNDING = 1e-6
 TEACHER = random_quaternions(3)

@@ -2,13 +2,10 @@
 
 import jax
 import numpy as np
-import pytest
 import tiny_runs
 
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.predictions import encode_views, make_inputs
-
-pytestmark = pytest.mark.usefixtures("quickly")
 
 
 def make_run(sees_mask):

@@ -27,7 +27,6 @@ from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.networks.viewpoints import face_object, read_elevations
 
-pytestmark = pytest.mark.usefixtures("quickly")
 CONFIG = tiny_config(student="posterior", flips=True, head="viewpoint", fine_grid=32)
 RATIO = CONFIG.render.finest / CONFIG.render.grid
 UNSEARCHED = replace_fields(CONFIG, {"pose": {"head": "quaternion"}})

@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from quick_programs import QUICK_ENVIRONMENT
 
 from dpc_jax.learning.schedules import Span, Stage
 from dpc_jax.learning.training.programs import StagePrograms
@@ -190,7 +189,6 @@ def test_a_process_ends_while_its_programs_compile(wait, after, end):
         [sys.executable, "-c", LEAVE.format(end=end, wait=wait, after=after)],
         capture_output=True,
         text=True,
-        env=os.environ | QUICK_ENVIRONMENT,
         cwd=Path(__file__).parent,
         timeout=120,
     )

@@ -24,13 +24,6 @@ ALONE = [np.array([i]) for i in range(9)]
 TOGETHER = [np.array([0, 1, 2]), np.array([3, 4, 5]), np.array([6, 7, 8])]
 
 
-@pytest.fixture(autouse=True)
-def quick_programs():
-    """Each program here runs a few times only."""
-    with tiny_runs.compiling_quickly():
-        yield
-
-
 class Run:
     """An untrained network, and what it says of three objects in three views."""
 
@@ -70,8 +63,7 @@ def gather(objects, name):
 
 @pytest.fixture(scope="module")
 def run():
-    with tiny_runs.compiling_quickly():
-        return Run()
+    return Run()
 
 
 @pytest.fixture(scope="module")
@@ -79,8 +71,7 @@ def selecting():
     """Of a network that sees masks: six candidates, learned colours, a finer grid."""
     changes = {"candidates": 6, "student": "posterior", "fine_grid": 16}
     changes |= {"sees_mask": True, "color_weight": 1.0, "colors_move_points": False}
-    with tiny_runs.compiling_quickly():
-        return Run(**changes)
+    return Run(**changes)
 
 
 def test_shapes_move_along_the_directions_alone(run):

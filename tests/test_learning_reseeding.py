@@ -22,7 +22,6 @@ from dpc_jax.learning.training import loop, reseeding
 from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.learning.training.records import MetricLog
 
-pytestmark = pytest.mark.usefixtures("quickly")
 DEAD = 5  # index of a point
 
 

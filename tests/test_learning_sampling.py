@@ -15,8 +15,6 @@ from dpc_jax.learning.predictions import Poses
 from dpc_jax.networks.viewpoints import ViewpointEnsemble, face_object
 from dpc_jax.render import quaternion
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 CONFIG = tiny_config(background_weight=0.2, shape="voxels", source="sampled")
 NETWORK = make_network(CONFIG)
 

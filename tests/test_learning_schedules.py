@@ -18,8 +18,6 @@ from dpc_jax.learning.shapes.points import compute_mass
 from dpc_jax.learning.step import find_penalized, make_optimizer
 from dpc_jax.render import Camera, VoxelGrid, mass_of_peak, voxelize
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 SIDE = 33  # odd: the origin is a cell's centre
 
 

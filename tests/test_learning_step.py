@@ -21,8 +21,6 @@ from tiny_runs import (
 from dpc_jax.learning.shapes import points as points_module
 from dpc_jax.learning.shapes.points import Points
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 
 class Run(NamedTuple):
     """A compiled step with its first state."""

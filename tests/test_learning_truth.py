@@ -45,17 +45,16 @@ def trained():
     network = tiny_runs.make_network(config)
     state = tiny_runs.make_state(network, config)
     last = state._replace(step=np.int32(config.train.steps))  # of the same weights
-    with tiny_runs.compiling_quickly():
-        predictor = make_predictor(network, config)
-        dataset = tiny_runs.make_dataset(models=3, views=3)
-        whole = predict_all(predictor, last, dataset, views_at_once=4)
+    predictor = make_predictor(network, config)
+    dataset = tiny_runs.make_dataset(models=3, views=3)
+    whole = predict_all(predictor, last, dataset, views_at_once=4)
 
-        def predict(dataset, step=None, **more):
-            begun = last if step is None else last._replace(step=np.int32(step))
-            return predict_all(predictor, begun, dataset, views_at_once=4, **more)
+    def predict(dataset, step=None, **more):
+        begun = last if step is None else last._replace(step=np.int32(step))
+        return predict_all(predictor, begun, dataset, views_at_once=4, **more)
 
-        images = jnp.array(dataset.images.reshape(9, 16, 16, 3) / 127.5 - 1, "float32")
-        yield dataset, whole, predict, jax.jit(network.apply)(state.params, images)
+    images = jnp.array(dataset.images.reshape(9, 16, 16, 3) / 127.5 - 1, "float32")
+    yield dataset, whole, predict, jax.jit(network.apply)(state.params, images)
 
 
 def test_every_view_has_its_own_predictions_and_its_best_candidate(trained):

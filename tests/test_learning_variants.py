@@ -21,8 +21,6 @@ from dpc_jax.learning import signals
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.training.checkpoints import Checkpoints
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 # fields; losses beside the sum, and branches of the network, that there are then
 VARIANTS = {
     "paper": ({}, {"reprojection", "student"}, {"pose", "student"}),

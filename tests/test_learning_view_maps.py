@@ -24,8 +24,6 @@ from dpc_jax.learning.signals import Weights
 from dpc_jax.networks.view_maps import fuse_maps, list_fixed_views, make_planes
 from dpc_jax.render import Camera
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 CAMERA = Camera()
 IDENTITY = jnp.array([1.0, 0.0, 0.0, 0.0])
 BOTH = Weights(depth=1.0)

@@ -11,7 +11,6 @@ def test_steps_are_measured_of_the_config_for_cars():
     assert build_config("car", None, step_profile.CAR) == load("car")
 
 
-@pytest.mark.usefixtures("quickly")
 def test_a_step_has_costs_of_its_program_and_a_time():
     config = replace_fields(
         build_config("debug", None),

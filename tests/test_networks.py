@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_runs import compiling_quickly, rotation_matrix
+from tiny_runs import rotation_matrix
 
 from dpc_jax.networks import ImageEncoder, ShapeHead, ShapePoseNetwork
 from dpc_jax.networks.encoder import measure_tint
@@ -27,8 +27,7 @@ def shapes_of(module, *inputs):
 
 def run(module, inputs):
     """Output of a module with fresh parameters, in one compiled call."""
-    with compiling_quickly():
-        return jax.jit(module.init_with_output)(KEY, inputs)[0]
+    return jax.jit(module.init_with_output)(KEY, inputs)[0]
 
 
 def image_shape(size):
@@ -83,12 +82,11 @@ def test_a_mixture_of_images_is_made_after_the_first_dense_layer():
     def is_dense(module, _):
         return isinstance(module, nn.Dense)
 
-    with compiling_quickly():
-        variables = encoder.init(KEY, images)
-        alone = encoder.apply(variables, images)
-        mixed, seen = encoder.apply(
-            variables, images, mix=mix, capture_intermediates=is_dense
-        )
+    variables = encoder.init(KEY, images)
+    alone = encoder.apply(variables, images)
+    mixed, seen = encoder.apply(
+        variables, images, mix=mix, capture_intermediates=is_dense
+    )
     # Weights of 0 and 1 leave each image's activations as they are.
     np.testing.assert_array_equal(mixed[:2], alone)
     first, second = (seen["intermediates"][f"Dense_{i}"]["__call__"] for i in (0, 1))
@@ -189,10 +187,9 @@ def test_a_tint_adds_one_number_per_point_and_reaches_colours_alone():
         return module.predict_shape(seen) | rest
 
     images = jnp.zeros((1, 16, 16, 3))
-    with compiling_quickly():
-        params = jax.jit(network.init)(KEY, images)
-        apply = jax.jit(nn.apply(predict, network))
-        dark, light = (apply(params, jnp.full((1, 3), tint)) for tint in (-1.0, 1.0))
+    params = jax.jit(network.init)(KEY, images)
+    apply = jax.jit(nn.apply(predict, network))
+    dark, light = (apply(params, jnp.full((1, 3), tint)) for tint in (-1.0, 1.0))
     changed = {name for name in dark if not np.array_equal(dark[name], light[name])}
     assert changed == {"colors"}
     assert np.all(np.asarray(light["colors"]) > np.asarray(dark["colors"]))
@@ -283,8 +280,7 @@ def test_normalisation_of_a_blank_image_is_finite_with_a_finite_gradient():
             images
         )
 
-    with compiling_quickly():
-        value, gradient = differentiate(jnp.zeros((1, 16, 16, 3)))
+    value, gradient = differentiate(jnp.zeros((1, 16, 16, 3)))
     assert np.isfinite(value) and np.all(np.isfinite(gradient))
 
 

@@ -7,8 +7,6 @@ import pytest
 
 from dpc_jax.networks.voxels import DoublingConv, VoxelHead
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 
 def test_a_doubling_is_a_transposed_convolution_of_kernel_4_and_stride_2():
     x = jax.random.normal(jax.random.key(0), (2, 4, 4, 4, 3))

@@ -15,7 +15,6 @@ from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.run.hosts.agreement import Job
 from dpc_jax.run.training import begin_run, check_memory
 
-pytestmark = pytest.mark.usefixtures("quickly")
 CONFIG = tiny_config()
 
 

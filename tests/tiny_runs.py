@@ -5,7 +5,6 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-from quick_programs import compiling_quickly as compiling_quickly
 
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet
@@ -84,8 +83,7 @@ def make_recipe(config: Config, network: ShapePoseNetwork | None = None) -> Reci
 
 def make_state(network: ShapePoseNetwork, config: Config):
     """The state at step 0."""
-    with compiling_quickly():
-        return init_state(network, config)
+    return init_state(network, config)
 
 
 def make_step(network: ShapePoseNetwork, config: Config, *, step: int = 0):
