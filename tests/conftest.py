@@ -1,7 +1,7 @@
 """Settings shared by all tests.
 
 They are in the environment, so that the processes which tests start have them too. What
-is set already wins: `XLA_FLAGS= tests/run.sh` compiles as users do.
+is set already wins: `XLA_FLAGS= tests/run.sh tests` compiles as users do.
 """
 
 import os

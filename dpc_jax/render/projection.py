@@ -131,7 +131,9 @@ def project_signals(
     if "silhouette" in signals:
         is_product = ray_rule == "termination"
         images["silhouette"] = (
-            termination.opacity(occupancy) if is_product else jnp.max(occupancy, -1)
+            termination.opacity(occupancy)
+            if is_product
+            else termination.fullest(occupancy)
         )
     if set(signals) == {"silhouette"}:
         return Projection(**images)
