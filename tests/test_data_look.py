@@ -208,15 +208,6 @@ def test_depth_from_another_origin_is_told(whole):
     assert any("20 of 20 views with no depth where" in text for text in findings)
 
 
-def test_angles_are_those_of_the_camera():
-    for azimuth, elevation, roll in ((0, 0, 0), (130, 35, 0), (-75, -20, 40)):
-        rotation = viewpoints.look_at_rotation(*np.deg2rad((azimuth, elevation)))
-        # the camera turned to the left sees the object turned clockwise
-        rotation = Rotation.from_euler("z", roll, degrees=True).as_matrix() @ rotation
-        angles = overview._read_angles(viewpoints.matrix_to_quaternion(rotation))
-        np.testing.assert_allclose(angles, (azimuth, elevation, roll), atol=1e-9)
-
-
 def run(*arguments):
     return __main__.main([str(argument) for argument in arguments])
 

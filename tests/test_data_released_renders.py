@@ -123,5 +123,5 @@ def test_a_folder_without_renders_is_named(tmp_path):
     (tmp_path / "02958343" / "empty").mkdir(parents=True)
     with pytest.raises(ValueError, match="render_0.png.*in .*02958343"):
         load(tmp_path, tmp_path / "cache")
-    with pytest.raises(ValueError, match="02958343 .car. in .*nowhere"):
+    with pytest.raises(ValueError, match="nowhere is not a folder"):
         load(tmp_path / "nowhere", tmp_path / "cache")

@@ -1,6 +1,5 @@
 """The data set on disk: whole or absent, the same for any number of processes."""
 
-import json
 import os
 import shutil
 import subprocess
@@ -290,14 +289,6 @@ def test_progress_is_shown_in_lines_where_there_is_no_terminal(tmp_path, capsys)
     lines = capsys.readouterr().out.splitlines()
     assert 8 <= len(lines) <= 11
     assert "20/20 models" in lines[-1] and "/s" in lines[-1] and "left" in lines[-1]
-
-
-def test_the_record_says_what_the_set_is_made_of(tmp_path):
-    load(tmp_path)
-    (folder,) = tmp_path.iterdir()
-    record = json.loads((folder / "spec.json").read_text())
-    assert record["image_size"] == 16 and record["category"] == "car"
-    assert len(record["names"]) == 3 and record["elevation"] == [-20.0, 40.0]
 
 
 def test_choosing_batches_needs_no_trimesh():

@@ -6,11 +6,9 @@ A new kind is a module in `dpc_jax/data/sets` with a subclass of `Source`, and a
 
 import functools
 import importlib
-import json
 from pathlib import Path
 from typing import NamedTuple
 
-from dpc_jax import files
 from dpc_jax.data import splits
 from dpc_jax.data.spec import FEW, KINDS, SEEDS_PER_SPLIT, DataSpec
 from dpc_jax.data.splits import SPLITS
@@ -134,17 +132,22 @@ class SplitSource(Source):
         """The official split, given or found."""
         return Path(self.spec.split_file) if self.spec.split_file else None
 
-    def split_by_seed(self, names: list[str]) -> dict[str, list[str]]:
+    def split_by_seed(self, models: dict[str, Path]) -> dict[str, list[str]]:
         """A split of our own: `{split: names}`."""
         spec = self.spec
         sides = splits.split_files(
-            names, fractions=spec.fractions, seed=spec.seed, fold=spec.fold
+            list(models), fractions=spec.fractions, seed=spec.seed, fold=spec.fold
         )
         return dict(zip(SPLITS, sides, strict=True))
 
     @functools.cached_property
     def division(self) -> Division:
         """Models and splits, read when first asked for."""
+        if not self.folder.is_dir():
+            raise ValueError(
+                f"Expected a folder of {self.spec.kind}, but {self.folder} is not a "
+                "folder; check it."
+            )
         found = self.find_models()
         models = {show_text(name): path for name, path in found.items()}
         if len(models) < len(found):
@@ -154,7 +157,7 @@ class SplitSource(Source):
             )
         official = self.find_split_file()
         if official is None:
-            return Division(models, self.split_by_seed(list(models)), None)
+            return Division(models, self.split_by_seed(models), None)
         if self.spec.fold is not None:
             raise ValueError(
                 f"data.fold must be '' where an official split is used, but {official} "
@@ -193,14 +196,6 @@ class SplitSource(Source):
         if official is None or not unlisted:
             return []
         return [(str(official), f"leaves out {unlisted} models of the folder")]
-
-    def write_split(self, cache: Path):
-        """Write a seeded split as CATEGORY-split-KEY.csv beside a cache folder."""
-        if self.division.official is None:
-            sides = self.division.sides
-            key = files.digest_text(json.dumps(sides, sort_keys=True))[:12]
-            path = cache.with_name(f"{self.spec.category}-split-{key}.csv")
-            splits.write_split(path, sides, self.synset)
 
 
 def find_kind(kind: str | None) -> type[Source]:

@@ -2,8 +2,7 @@
 
 import dataclasses
 
-from dpc_jax.config import CROPS, Data, Render
-from dpc_jax.data.splits import SPLITS
+from dpc_jax.config import Data, Render
 
 KINDS = {  # of folders, and the class that reads each, in `dpc_jax.data.sets`
     # A folder of an unknown kind is the first that recognizes it.
@@ -55,54 +54,8 @@ class DataSpec:
     fill: float = Data.fill  # share of the frame that an own image's object takes
 
     def __post_init__(self):
-        allowed = {"split": SPLITS, "kind": KINDS, "crop": CROPS}
-        for name, known in allowed.items():
-            if getattr(self, name) not in known:
-                raise ValueError(
-                    f"{name} must be one of {', '.join(map(repr, known))}, but it is "
-                    f"{getattr(self, name)!r}; choose one of them."
-                )
-        if self.kind != type(self).kind and self.folder is None:
+        if self.models is not None and not 1 <= self.models <= SEEDS_PER_SPLIT:
             raise ValueError(
-                f"folder must name one for kind {self.kind!r}, but it is None; give it."
+                f"models must be in [1, {SEEDS_PER_SPLIT}], but it is {self.models}; "
+                "change it."
             )
-        if self.folder is None and self.models is None:
-            raise ValueError(
-                "models must be a number for procedural shapes, which have no end, but "
-                "it is None; set models or give a folder."
-            )
-        self._check_ranges()
-
-    def _check_ranges(self):
-        low, high = self.elevation
-        index, count = self.fold or (0, 2)
-        models = 1 if self.models is None else self.models  # None stands for all
-        ranges = {
-            "views": (self.views >= 1, "at least 1"),
-            "image_size": (self.image_size >= 1, "at least 1"),
-            "supersample": (self.supersample >= 1, "at least 1"),
-            "surface_points": (self.surface_points >= 1, "at least 1"),
-            "fold": (0 <= index < count > 1, "(i, n) with 0 <= i < n and n above 1"),
-            "copies": (self.copies >= 0, "at least 0"),
-            "mix": (self.mix >= -1, "at least -1"),
-            "seed": (self.seed >= 0, "at least 0"),
-            "fill": (0.1 <= self.fill <= 1, "in [0.1, 1]"),
-            "surface_voxel": (0 <= self.surface_voxel < 1, "in [0, 1)"),
-            "focal_length": (self.focal_length > 0, "above 0"),
-            "offset": (0 <= self.offset < 0.5, "in [0, 0.5)"),
-            "focal_spread": (0 <= self.focal_spread < 1, "in [0, 1)"),
-            "extent": (self.extent > 0, "above 0"),
-            # the object reaches 0.5 from its centre
-            "distance": (self.distance > 0.5, "above 0.5, outside of the object"),
-            "elevation": (
-                -90 < low <= high < 90,
-                "(low, high) with -90 < low <= high < 90 degrees",
-            ),
-            "models": (1 <= models <= SEEDS_PER_SPLIT, f"in [1, {SEEDS_PER_SPLIT}]"),
-        }
-        for name, (is_right, expected) in ranges.items():
-            if not is_right:
-                raise ValueError(
-                    f"{name} must be {expected}, but it is {getattr(self, name)}; "
-                    "change it."
-                )

@@ -18,16 +18,7 @@ def look_at_rotation(azimuth: float, elevation: float) -> np.ndarray:
 
     The camera sits in the direction (cos el cos az, cos el sin az, sin el) of the
     object frame (z up); its axes are x right, y down, z forward. Angles are radians.
-
-    Raises:
-      ValueError: for an elevation at a pole, where "upright" has no meaning.
     """
-    if not abs(elevation) < np.pi / 2 - 1e-9:
-        raise ValueError(
-            "elevation must lie strictly between -pi/2 and pi/2 because a camera at a "
-            f"pole has no upright direction, but it is {elevation}; move it off the "
-            "pole."
-        )
     cos_a, sin_a = np.cos(azimuth), np.sin(azimuth)
     cos_e, sin_e = np.cos(elevation), np.sin(elevation)
     forward = -np.array([cos_e * cos_a, cos_e * sin_a, sin_e])

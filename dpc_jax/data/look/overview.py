@@ -125,34 +125,11 @@ def describe_set(opened: OpenSet) -> list[str]:
         lines.append(f"  {opened.note}")
     elif record.get("folder"):
         lines.append(f"  made from: {record['folder']}")
-    if data.quaternions is not None:
-        models = range(len(data.names))
-        rows = np.concatenate([data.rows("quaternions", model) for model in models])
-        angles = np.stack(_read_angles(rows), axis=1)
-        angles = angles[np.isfinite(angles).all(axis=1)]
-        if len(angles):
-            lines.append(
-                f"  elevation {angles[:, 1].min():.0f} to {angles[:, 1].max():.0f} "
-                f"degrees, roll up to {np.abs(angles[:, 2]).max():.0f}"
-            )
     for title, pairs in (("skipped", data.skipped), ("remarks on", data.remarks)):
         if pairs:
             lines.append(f"  {title} {len(pairs)} models:")
             lines += [f"    {name}: {text}" for name, text in pairs[:LISTED]]
     return lines
-
-
-def _read_angles(quaternions):
-    """(azimuth, elevation, roll) in degrees of a camera; NaN for a broken pose.
-
-    Azimuth is counted from the object's front to its left, elevation upwards, and roll
-    is by how much the image is turned clockwise from upright.
-    """
-    right, down, forward = np.moveaxis(rotation_of(quaternions), (-2, -1), (0, 1))
-    azimuth = np.arctan2(-forward[1], -forward[0])
-    elevation = np.arcsin(np.clip(-forward[2], -1.0, 1.0))
-    roll = np.arctan2(right[2], -down[2])
-    return np.rad2deg(azimuth), np.rad2deg(elevation), np.rad2deg(roll)
 
 
 def draw_set(opened: OpenSet, *, models: int = 8) -> Image.Image:
@@ -169,20 +146,11 @@ def draw_set(opened: OpenSet, *, models: int = 8) -> Image.Image:
         for view in range(columns):
             if view < data.counts[model]:
                 pictures.append(_draw_view(opened, model, view))
-                texts.append(_name_view(data, model, view))
+                texts.append(f"{data.names[model][:20]} {view}")
             else:
                 pictures.append(np.full_like(pictures[-1], 255))
                 texts.append("")
     return _arrange(pictures, texts, columns=columns)
-
-
-def _name_view(data, model, view):
-    name = f"{data.names[model][:20]} {view}"
-    if data.quaternions is None:
-        return name
-    azimuth, elevation, roll = _read_angles(data.quaternions[model][view])
-    text = f"{name}: az {azimuth:.0f} el {elevation:.0f}"
-    return text if abs(roll) < 1 else f"{text} roll {roll:.0f}"
 
 
 def _draw_view(opened, model, view):

@@ -38,11 +38,11 @@ class ImageFolder(SplitSource):
             )
         return models
 
-    def split_by_seed(self, names: list[str]) -> dict[str, list[str]]:
+    def split_by_seed(self, models: dict[str, Path]) -> dict[str, list[str]]:
         """See `SplitSource.split_by_seed`; all splits hold one or two objects."""
-        if len(names) < FEWEST_OBJECTS:
-            return dict.fromkeys(splits.SPLITS, names)
-        return super().split_by_seed(names)
+        if len(models) < FEWEST_OBJECTS:
+            return dict.fromkeys(splits.SPLITS, list(models))
+        return super().split_by_seed(models)
 
     def list_remarks(self) -> list[tuple[str, str]]:
         models, _, official = self.division
@@ -74,10 +74,6 @@ class ImageFolder(SplitSource):
 
 def _list_objects(folder):
     """Folders of views, or images, by name."""
-    if not folder.is_dir():
-        raise ValueError(
-            f"Expected a folder of images, but {folder} is not a folder; check it."
-        )
     if pose_files.find_pose_files(folder):
         return {folder.resolve().name: folder}
     folders = (place for place in sorted(folder.iterdir()) if place.is_dir())

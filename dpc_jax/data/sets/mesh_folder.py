@@ -1,6 +1,7 @@
 """Meshes as a source: files as they are and in stretched copies, procedural shapes."""
 
 import contextlib
+import functools
 import json
 import re
 from pathlib import Path
@@ -12,7 +13,7 @@ from dpc_jax import files
 from dpc_jax.data import meshes, splits
 from dpc_jax.data.rendering import render_mesh
 from dpc_jax.data.sets import pictures
-from dpc_jax.data.sources import Model, Source, complete, list_procedural
+from dpc_jax.data.sources import Model, Source, SplitSource, list_procedural
 from dpc_jax.data.spec import FEW
 from dpc_jax.shapes import procedural
 from dpc_jax.shapes.normalization import normalize
@@ -74,74 +75,71 @@ class ProceduralShapes(MeshSource):
         return list_procedural(self.spec, self.spec.models or 0)
 
 
-class MeshFolder(MeshSource):
+class MeshFolder(SplitSource, MeshSource):
     """Mesh files at any depth of a folder, in the canonical frame, split by seed."""
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
         return bool(meshes.find_meshes(folder))
 
-    def list_models(self) -> list[Model]:
-        spec, folder = self.spec, self.folder
-        if not folder.is_dir():
-            raise ValueError(
-                f"Expected a folder of mesh files, but {folder} is not a folder; check "
-                "it."
-            )
-        paths = meshes.find_meshes(folder)
+    def find_models(self) -> dict[str, Path]:
+        paths = meshes.find_meshes(self.folder)
         if not paths:
             raise ValueError(
-                f"Expected mesh files ({', '.join(meshes.SUFFIXES)}) in {folder}, but "
-                "found none; give another folder or convert the files."
+                f"Expected mesh files ({', '.join(meshes.SUFFIXES)}) in {self.folder}, "
+                "but found none; give another folder or convert the files."
             )
-        digests = {path: _digest(path) for path in paths}
-        bad = self._find_unreadable(digests)
-        whole = [path for path in paths if path not in bad] or paths
+        return {path.relative_to(self.folder).as_posix(): path for path in paths}
+
+    @functools.cached_property
+    def digests(self) -> dict[Path, str]:
+        """Digest of each file of the folder."""
+        return {path: _digest(path) for path in meshes.find_meshes(self.folder)}
+
+    def identify_model(self, name: str, path: Path) -> tuple[int, str]:
+        return self.spec.views, self.digests[path]
+
+    def find_split_file(self) -> Path | None:
+        """None: official lists are of ShapeNet."""
+
+    def split_by_seed(self, models: dict[str, Path]) -> dict[str, list[str]]:
+        """See `SplitSource.split_by_seed`; the variants of a design stay together."""
+        names = {path: name for name, path in models.items()}
+        bad = self._find_unreadable(models)
+        whole = [path for path in names if path not in bad] or list(names)
         sides = splits.split_files(
             whole,
-            fractions=spec.fractions,
-            seed=spec.seed,
-            groups=splits.group_variants(whole, [digests[path] for path in whole]),
-            fold=spec.fold,
+            fractions=self.spec.fractions,
+            seed=self.spec.seed,
+            groups=splits.group_variants(whole, [self.digests[p] for p in whole]),
+            fold=self.spec.fold,
         )
-        # Those that cannot be read are of the largest side, to be named and skipped.
-        sides[int(np.argmax(spec.fractions))].extend(set(paths) - set(whole))
-        # They come last, so that they take no place where not all are wanted.
-        side = sides[splits.SPLITS.index(spec.split)]
-        chosen = sorted(side, key=lambda path: (path in bad, path))
-        if not chosen:
-            raise ValueError(
-                f"Expected mesh files for the {spec.split} split of {folder}, but "
-                f"there are none ({len(paths)} files split by {spec.fractions}); add "
-                "files or change the fractions."
-            )
-        models = [
-            Model(name, str(path), 0, 0, digests[path], spec.views)
-            for path in chosen
-            if (name := path.relative_to(folder).as_posix())
-        ]
-        return complete(models, spec)
+        # Those that cannot be read are of the largest side, to be named and skipped,
+        # and last, so that they take no place where not all are wanted.
+        largest = sides[int(np.argmax(self.spec.fractions))]
+        largest.extend(sorted(set(names) - set(whole)))
+        found = ([names[path] for path in side] for side in sides)
+        return dict(zip(splits.SPLITS, found, strict=True))
 
-    def _find_unreadable(self, digests: dict[Path, str]) -> set[Path]:
+    def _find_unreadable(self, models: dict[str, Path]) -> set[Path]:
         """Files that cannot be read, so that no side of a small split is all of them.
 
         Kept in the cache's folder, because reading all takes a while. In a folder of
         more than `FEW` files, some are of no account.
         """
-        if len(digests) > FEW:
+        if len(models) > FEW:
             return set()
-        names = {path.relative_to(self.folder).as_posix(): path for path in digests}
-        facts = [list(names), list(digests.values()), self.list_sidecars()]
+        facts = [list(models), list(self.digests.values()), self.list_sidecars()]
         kept = f"unreadable-{files.digest_text(json.dumps(facts))[:12]}.json"
         if self.cache_dir:
             with contextlib.suppress(OSError, ValueError, TypeError):
                 known = files.read_json(Path(self.cache_dir) / kept)
-                return {names[name] for name in known if name in names}
-        bad = [n for n, path in names.items() if not meshes.is_readable(path)]
+                return {models[name] for name in known if name in models}
+        bad = [n for n, path in models.items() if not meshes.is_readable(path)]
         if self.cache_dir:
             with contextlib.suppress(OSError):  # nobody depends on it
                 files.write_json(Path(self.cache_dir) / kept, bad)
-        return {names[name] for name in bad}
+        return {models[name] for name in bad}
 
     def list_sidecars(self) -> list[tuple[str, str]]:
         found = (p for p in self.folder.rglob("*") if p.suffix.lower() in SIDECARS)
