@@ -57,12 +57,6 @@ def test_a_caller_may_write_into_its_batch():
     assert (choose(0)[0] >= 0).all()
 
 
-@pytest.mark.parametrize("batch, views", [(11, 3), (0, 3), (4, 6), (4, 0)])
-def test_a_batch_larger_than_the_data_is_refused(batch, views):
-    with pytest.raises(ValueError, match="must be in"):
-        choose(0, batch=batch, views_per_batch=views)
-
-
 def test_reading_picks_each_model_with_its_own_views():
     tags = np.arange(6)[:, None] * 10 + np.arange(4)
     spread = np.broadcast_to(tags[..., None, None], (6, 4, 2, 2)).astype(np.uint8)

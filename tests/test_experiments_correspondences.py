@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dpc_jax.data.views import sample_faces
+from dpc_jax.data.views import sample_surface
 from dpc_jax.experiments import correspondences
 from dpc_jax.shapes.building_blocks import read_labels
 from dpc_jax.shapes.procedural import make_shape
@@ -64,7 +64,7 @@ def test_following_is_one_for_points_that_move_as_far_and_zero_for_still_ones():
 
 def test_points_have_the_labels_of_the_part_that_they_lie_on():
     mesh = make_shape("chair", 4)
-    points, faces = sample_faces(mesh, count=300, seed=1)
+    points, faces = sample_surface(mesh, count=300, seed=1)
     found = correspondences.label_points(points, "chair", 4)
     # Where parts touch, a point may be nearer to the other.
     assert np.mean(found == read_labels(mesh)[faces]) > 0.95

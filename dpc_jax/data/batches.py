@@ -27,23 +27,9 @@ def choose_batch(
     none twice in a batch that straddles two. Views are drawn without replacement; if a
     model has fewer than the batch asks for, all of them come before any comes again.
     `num_views` is one number, or [num_models] where models differ.
-
-    Raises:
-      ValueError: if the batch wants more models than there are, or more views than
-        the one number of all models.
     """
-    if not 1 <= models_per_batch <= num_models:
-        raise ValueError(
-            f"models_per_batch must be in [1, {num_models}], the number of models, but "
-            f"it is {models_per_batch}; make the batch smaller or add models."
-        )
     counts = np.broadcast_to(np.asarray(num_views), num_models)
     most = int(counts.max())
-    if views_per_batch < 1 or np.ndim(num_views) == 0 and views_per_batch > most:
-        raise ValueError(
-            f"views_per_batch must be in [1, {most}], the number of views per model, "
-            f"but it is {views_per_batch}; use fewer or add views."
-        )
     epoch, place = divmod(step * models_per_batch, num_models)
     stop = place + models_per_batch
     models = _epoch_order(num_models, models_per_batch, seed, epoch)[place:stop]

@@ -78,7 +78,7 @@ def make_ground_truth(
     The second array comes with `spec.surface_seen` alone, else None; a thinned point is
     seen where at least half of those that it stands for are.
     """
-    points = views.sample_surface(mesh, count=spec.surface_points, seed=spec.seed)
+    points, _ = views.sample_surface(mesh, count=spec.surface_points, seed=spec.seed)
     seen = None
     if spec.surface_seen:
         scene = scene or views.build_scene(mesh)

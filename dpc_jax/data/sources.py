@@ -42,7 +42,6 @@ class Source:
 
     unit = "object"  # what its models are called in messages
     work = "Reading"  # what is done to make their arrays, likewise
-    is_stretchable = False  # whether copies of its models can be stretched
 
     def __init__(self, spec: DataSpec, cache_dir: str | Path | None = None):
         self.spec = spec
@@ -206,18 +205,8 @@ def find_kind(kind: str | None) -> type[Source]:
 
 
 def open_source(spec: DataSpec, cache_dir: str | Path | None = None) -> Source:
-    """The source that a specification asks for.
-
-    Raises:
-      ValueError: if copies are wanted of what cannot be stretched.
-    """
-    made = find_kind(None if spec.folder is None else spec.kind)
-    if spec.copies > 1 and not made.is_stretchable:
-        raise ValueError(
-            "copies must be 1 where there are no mesh files to stretch, but it is "
-            f"{spec.copies}; set data.copies to 1."
-        )
-    return made(spec, cache_dir)
+    """The source that a specification asks for."""
+    return find_kind(None if spec.folder is None else spec.kind)(spec, cache_dir)
 
 
 def list_procedural(spec: DataSpec, count: int) -> list[Model]:

@@ -41,15 +41,9 @@ def split_files(
     over all i each group is tested once.
 
     Raises:
-      ValueError: if the fractions are not three shares with a positive sum, or there
-        are fewer groups than parts.
+      ValueError: if there are fewer groups than parts.
     """
     shares = np.asarray(fractions, dtype=np.float64)
-    if shares.shape != (3,) or not (shares >= 0).all() or not shares.sum() > 0:
-        raise ValueError(
-            "fractions must be three shares (train, val, test), none negative and not "
-            f"all zero, but they are {fractions}; use (0.8, 0.1, 0.1) for instance."
-        )
     members = {}
     for path, key in sorted(zip(paths, groups or paths, strict=True)):
         members.setdefault(key, []).append(path)

@@ -67,15 +67,7 @@ def draw_lights(rng: np.random.Generator) -> Lights:
 
 
 def build_scene(mesh: trimesh.Trimesh) -> Scene:
-    """Make a mesh ready for `render_view`; colours are its face colours.
-
-    Raises:
-      ValueError: if the mesh has no faces.
-    """
-    if len(mesh.faces) == 0:
-        raise ValueError(
-            "Expected a mesh with faces to render, but there are none; skip it."
-        )
+    """Make a mesh ready for `render_view`; colours are its face colours."""
     vertices = np.ascontiguousarray(mesh.vertices, dtype=np.float32)
     faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
     embree = rtcore_scene.EmbreeScene()  # pyright: ignore[reportAttributeAccessIssue]
@@ -145,9 +137,6 @@ def render_view(
     `rotation` [3, 3] takes the object frame to the camera frame, where `translation`
     [3] moves the object; that and `distance` are in the units of the mesh.
     `supersample` rays per pixel are cast along each image axis.
-
-    Raises:
-      ValueError: if the mesh has no faces.
     """
     scene = build_scene(mesh) if isinstance(mesh, trimesh.Trimesh) else mesh
     rotation = np.asarray(rotation, dtype=np.float64)
@@ -185,22 +174,15 @@ def render_view(
 
 
 def sample_surface(
-    mesh: trimesh.Trimesh, *, count: int = 10_000, seed: int = 0
-) -> np.ndarray:
-    """Points [count, 3] float32 spread over the surface, uniform by area.
+    mesh: trimesh.Trimesh, *, count: int, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points [count, 3] float32, uniform by area, and the face [count] of each.
 
     Open shells and interiors are part of the surface.
 
     Raises:
       ValueError: if the mesh has no area.
     """
-    return sample_faces(mesh, count=count, seed=seed)[0]
-
-
-def sample_faces(
-    mesh: trimesh.Trimesh, *, count: int, seed: int = 0
-) -> tuple[np.ndarray, np.ndarray]:
-    """The points of `sample_surface`, and the face [count] that each lies on."""
     rng = np.random.default_rng(seed)
     corners = np.asarray(mesh.vertices, dtype=np.float64)[np.asarray(mesh.faces)]
     edges = corners[:, 1:] - corners[:, :1]

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 
 from dpc_jax.data import DataSet
 from dpc_jax.data.sources import open_source
-from dpc_jax.data.views import sample_faces
+from dpc_jax.data.views import sample_surface
 from dpc_jax.reporting import paper_figures
 from dpc_jax.run.finished import FinishedRun, load_split, predict_points, read_run
 from dpc_jax.run.setup import make_data_specs
@@ -145,7 +145,7 @@ def read_first_views(dataset: DataSet) -> tuple[np.ndarray, np.ndarray]:
 def label_points(cloud: np.ndarray, category: str, seed: int) -> np.ndarray:
     """The label [N] of the part of the true shape that is nearest to each point."""
     mesh = make_shape(category, int(seed))
-    surface, faces = sample_faces(mesh, count=SURFACE_POINTS)
+    surface, faces = sample_surface(mesh, count=SURFACE_POINTS)
     _, nearest = KDTree(surface).query(cloud)
     return read_labels(mesh)[faces][nearest]
 

@@ -35,8 +35,8 @@ def make_scenes(*, num_points: int, num_sparse: int, seed: int) -> list[Scene]:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     cloud = 0.45 * directions * rng.uniform(0, 1, (num_sparse, 1)) ** (1 / 3)
     clouds = (
-        ("car", sample(car), 4000 / num_points),
-        ("chair", sample(_make_chair()), 3000 / num_points),
+        ("car", sample(car)[0], 4000 / num_points),
+        ("chair", sample(_make_chair())[0], 3000 / num_points),
         ("block", block, 5000 / num_points),
         ("sparse", cloud, 3.0),
     )

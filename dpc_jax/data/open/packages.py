@@ -1,7 +1,4 @@
-"""Debian packages, fetched and unpacked with the ordinary commands and without root.
-
-What is in them: models, archives, and the pieces that meshes are joined from.
-"""
+"""Debian packages, fetched and unpacked with the ordinary commands and without root."""
 
 import os
 import shutil
@@ -13,8 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 import trimesh
-
-from dpc_jax.shapes.normalization import face_colors, join_pieces
 
 NO_NETWORK = ("resolve", "connect", "Failed to fetch", "timed out", "unreachable")
 
@@ -125,14 +120,6 @@ def extract_model(archive: Path, member: str, folder: Path) -> Path:
         names = [name for name in content.namelist() if name.startswith(beside)]
         content.extractall(folder, names)
     return folder / member
-
-
-def join_meshes(pieces: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """One mesh of several, with their face colours."""
-    vertices, faces, colors = join_pieces(
-        [(piece.vertices, piece.faces, face_colors(piece)) for piece in pieces]
-    )
-    return trimesh.Trimesh(vertices, faces, face_colors=colors, process=False)
 
 
 def move_vertices(

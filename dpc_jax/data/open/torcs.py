@@ -7,13 +7,14 @@ leaves out is in the parameters of its category.
 import re
 import xml.etree.ElementTree
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
 
 from dpc_jax.data import meshes
 from dpc_jax.data.open import ac3d
-from dpc_jax.data.open.packages import OpenModel, join_meshes, move_vertices
+from dpc_jax.data.open.packages import OpenModel, move_vertices
 from dpc_jax.files import describe_error
 
 PACKAGE = "torcs-data"
@@ -71,7 +72,8 @@ def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
             f"Expected {error} in {path.with_suffix('.xml')}, but it is missing; "
             "repair the file."
         ) from error
-    return join_meshes(pieces)
+    joined: Any = trimesh.util.concatenate(pieces)
+    return joined
 
 
 def _read_turned(path):

@@ -15,7 +15,6 @@ from dpc_jax.data import meshes
 from dpc_jax.data.open.packages import (
     OpenModel,
     extract_model,
-    join_meshes,
     move_vertices,
 )
 
@@ -62,7 +61,8 @@ def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
             f"Expected a vehicle in {path}, but it cannot be read ({error}); repair it."
         ) from error
     # y forward, z up
-    return move_vertices(join_meshes(pieces), (1, 0, 2), (1.0, -1.0, 1.0))
+    joined: Any = trimesh.util.concatenate(pieces)
+    return move_vertices(joined, (1, 0, 2), (1.0, -1.0, 1.0))
 
 
 def _read_scaled(path, scale):

@@ -27,7 +27,6 @@ class MeshSource(Source):
 
     unit = "mesh"
     work = "Rendering"
-    is_stretchable = True
 
     def find_turn(self, path: str) -> np.ndarray | None:
         """Rotation [3, 3] to the canonical frame; None if files are in it already."""
@@ -68,8 +67,6 @@ class MeshSource(Source):
 
 class ProceduralShapes(MeshSource):
     """Shapes of a category; no two splits or seeds share one."""
-
-    is_stretchable = False
 
     def list_models(self) -> list[Model]:
         return list_procedural(self.spec, self.spec.models or 0)
