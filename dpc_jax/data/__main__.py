@@ -25,6 +25,12 @@ class _Parser(argparse.ArgumentParser):
         sys.exit(2)
 
 
+def _count(text):
+    if int(text) < 1:
+        raise argparse.ArgumentTypeError(f"it is {text}, below 1")
+    return int(text)
+
+
 def make_parser() -> argparse.ArgumentParser:
     """The flags of the command."""
     started = sys.argv[0] == "dpc_jax data"
@@ -46,7 +52,7 @@ def make_parser() -> argparse.ArgumentParser:
         several = "of ShapeNet and the published renders, where there are several"
         add("--category", help=several)
         number = f"of meshes or images, how many ({models or 'all'})"
-        add("--models", type=int, default=models, help=number)
+        add("--models", type=_count, default=models, help=number)
     show.add_argument("--out", help="picture to write (runs/FOLDER-sheet.png)")
     return parser
 

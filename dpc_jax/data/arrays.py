@@ -168,10 +168,11 @@ class Stack(np.lib.mixins.NDArrayOperatorsMixin):
 
     def _gather(self, models, rows):
         models, rows = np.broadcast_arrays(models, rows)
-        if not ((models >= 0) & (models < len(self)) & (rows >= 0)).all():
-            raise IndexError(f"models of {len(self)} and rows counted from 0")
-        if (rows >= self.counts[models]).any():
-            raise IndexError("a row beyond the last of its model")
+        ends = self.counts[np.clip(models, 0, len(self) - 1)]
+        if not (
+            (models >= 0) & (models < len(self)) & (rows >= 0) & (rows < ends)
+        ).all():
+            raise IndexError("a model or a row beyond the last, or below 0")
         places = (self._starts[models] + rows).ravel()
         shards = np.searchsorted(self._edges, places, "right") - 1
         out = np.empty((*models.shape, *self.shape[2:]), self.dtype)

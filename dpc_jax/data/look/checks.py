@@ -23,9 +23,7 @@ STRAY = 0.9  # share of a surface inside its own mask: above 0.99 for right pose
 CLEARER = 0.02  # by which another convention must fit better
 NAMED = 5  # offenders that a finding names
 TRIED_VIEWS, TRIED_POINTS = 64, 10_000  # that conventions are tried on
-GRID = (
-    64  # silhouettes of so many points are compared on at most this many cells a side
-)
+GRID = 64  # most cells a side that silhouettes of so many points are compared on
 HULL_REACH, HULL_CELLS = 0.55, 40  # half side and cells a side of a carved block
 
 

@@ -36,7 +36,7 @@ class Photographs(NamedTuple):
     sources: tuple[str, ...]
     images: np.ndarray
     masks: np.ndarray
-    files: tuple[Path, ...] = ()
+    files: tuple[Path, ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +75,7 @@ def read_photographs(
     for name, files in _list_objects(request):
         views = [view for file in files for view in _read_file(file, finder, skipped)]
         if views:
-            objects.append(_frame(name, views, spec)._replace(files=tuple(files)))
+            objects.append(_frame(name, views, tuple(files), spec))
     if not objects:
         first = skipped[0][1]
         if len(skipped) == 1:
@@ -160,9 +160,9 @@ def _find_mask(frame, path: Path, finder, *, is_alone: bool) -> np.ndarray:
     return finder(np.asarray(frame.convert("RGB")))
 
 
-def _frame(name, views, spec: DataSpec) -> Photographs:
+def _frame(name, views, files, spec: DataSpec) -> Photographs:
     outlines = [framing.trace_outline(mask > 0.5) for _, _, mask in views]
     frames = framing.frame_views(outlines, None, spec)
     arrays = framing.cut_frames((view[1:] for view in views), frames, spec)
     sources = tuple(source for source, _, _ in views)
-    return Photographs(name, sources, arrays["images"], arrays["masks"])
+    return Photographs(name, sources, arrays["images"], arrays["masks"], files)
