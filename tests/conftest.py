@@ -23,6 +23,8 @@ _SETTINGS = {
     "XLA_FLAGS": "--xla_backend_optimization_level=0"
     " --xla_cpu_use_fusion_emitters=false"
     " --xla_cpu_parallel_codegen_split_count=1",
+    # Pages on each program of the cache would fill the pipes that tests read late.
+    "TF_CPP_MIN_LOG_LEVEL": "3",
     # Commands keep what they have downloaded or compiled in the user's cache folder.
     "XDG_CACHE_HOME": _FOLDER.name,
 }

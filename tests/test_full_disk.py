@@ -157,8 +157,7 @@ def test_on_a_disk_that_is_really_full_nothing_is_lost_and_saving_goes_on(tmp_pa
         capture_output=True,
         text=True,
         cwd=Path(__file__).parent,
-        # Without jaxlib's remarks on programs of the cache.
-        env=os.environ | {"JAX_PLATFORMS": "cpu", "TF_CPP_MIN_LOG_LEVEL": "3"},
+        env=os.environ | {"JAX_PLATFORMS": "cpu"},
     )
     sentence, *rest = done.stdout.splitlines() or [done.stderr]
     assert "the disk is full; free some" in sentence

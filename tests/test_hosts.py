@@ -41,7 +41,6 @@ class Command:
         # Most of the time goes into compiling programs that run for a second.
         self.environment = os.environ | {
             "JAX_PLATFORMS": "cpu",
-            "TF_CPP_MIN_LOG_LEVEL": "3",  # jax, loaded here, has set another
             # A machine that stands still for a while must not end a test.
             "DPC_JAX_JOIN_SECONDS": "600",
             "DPC_JAX_HEARTBEAT_SECONDS": "600",

@@ -144,8 +144,7 @@ def test_two_processes_tell_each_other_fail_together_and_stop_at_one_step():
             stderr=subprocess.PIPE,
             text=True,
             cwd=ROOT,
-            # Without jaxlib's remarks on programs of the cache.
-            env=os.environ | {"JAX_PLATFORMS": "cpu", "TF_CPP_MIN_LOG_LEVEL": "3"},
+            env=os.environ | {"JAX_PLATFORMS": "cpu"},
         )
         for process in range(2)
     ]
