@@ -107,7 +107,7 @@ def test_winner_shares_count_the_views_each_candidate_wins():
 def test_a_collapsed_ensemble_is_named_and_a_live_one_is_not():
     assert collapse_warning([0.5, 0.5]) is None
     assert collapse_warning([0.95, 0.05]) is None
-    assert "candidate 1 wins 96.0 %" in collapse_warning([0.04, 0.96])
+    assert "head 1 wins 96.0 %" in collapse_warning([0.04, 0.96])
     # Two members are alive by name only: the second wins half a per cent.
     assert "1 of 2 win at least 1 %" in collapse_warning([0.995, 0.005])
     # One below the limit of dominance, but the twelve others live by name only.

@@ -51,10 +51,12 @@ def test_parameters_are_the_other_runs_and_all_else_begins_anew(workdir, capsys)
 
 def test_a_run_of_other_sizes_is_refused_by_the_fields_that_differ(workdir):
     with pytest.raises(ValueError) as caught:
-        begin(workdir, shape_hidden=10, num_points=20, learning_rate=0.5)
+        colors = {"color_weight": 0.3, "colors_move_points": False}
+        begin(workdir, shape_hidden=10, num_points=20, learning_rate=0.5, **colors)
     said = str(caught.value)
     assert "network.shape_hidden (12 there, 10 now)" in said
     assert "render.num_points (24 there, 20 now)" in said
+    assert "train.colors_move_points (True there, False now)" in said
     assert "learning_rate" not in said and "steps" not in said
     assert said.endswith("(--config.SECTION.FIELD=VALUE).")
 

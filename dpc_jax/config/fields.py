@@ -33,7 +33,7 @@ FOLDER = Allowed(
 FILE = Allowed(lambda value: not value or os.path.isfile(value), "a file that exists")
 FOLD = Allowed(
     lambda value: not value or bool(read_fold(value)),
-    "'' or PART/PARTS, the part of that many that is tested, from 0/2 on",
+    "'' or PART/PARTS: of so many parts that one is tested, counted from 0",
 )
 
 

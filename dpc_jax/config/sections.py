@@ -25,11 +25,11 @@ CROPS = ("object", "view", "none")  # what shares one scale
 LAYERS = ("", "paper", "released")  # "": normalised, and a wider student
 SHAPES = ("points", "voxels", "maps")  # what the shape branch predicts
 POSE_HEADS = ("quaternion", "viewpoint")  # what a head predicts
-# Where poses come from: the ensemble in hindsight; the data, with none to learn; labels
-# in the data, learned beside shapes of the labelled poses; drawn heads (MVC).
+# Where poses come from: the ensemble in hindsight; the data, none to learn (the variant
+# known_pose); the data, and a regressor learns them (gt_pose); drawn heads (mvc).
 POSE_SOURCES = ("unknown", "given", "labels", "sampled")
-# A pose of its own, by the paper's loss or by the squares of the released code; the
-# likeliest candidate, or that weighed by how it fits the image.
+# A pose of its own, by the paper's angle (q and -q alike) or by the released code's
+# squares of it; the likeliest candidate, or that weighed by how it fits the image.
 STUDENTS = ("regresses", "squares", "selects", "posterior")
 POINT_SIZES = ("", "sigma", "covariance")  # what is learned of each point's size
 _IMAGE_SIZE = Allowed(

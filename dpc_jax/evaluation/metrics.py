@@ -126,7 +126,6 @@ HEADLINE_METRICS = tuple(n for n, m in METRICS.items() if m.role == "headline")
 REQUIRED_METRICS = tuple(
     n for n, m in METRICS.items() if m.role in ("headline", "required")
 )
-COMPARED_METRICS = tuple(name for name, m in METRICS.items() if m.role)
 SUMMARY_METRICS = tuple(name for name, m in METRICS.items() if m.short)
 
 

@@ -180,9 +180,8 @@ def collapse_warning(shares: ArrayLike) -> str | None:
     if alive >= 2 and p[leader] <= _DOMINANT_SHARE:
         return None
     return (
-        f"The pose ensemble has collapsed: candidate {leader} wins "
+        f"The pose ensemble has collapsed: head {leader} wins "
         f"{100 * p[leader]:.1f} % of the views and {alive} of {p.size} win at least "
         f"{100 * ALIVE_SHARE:g} %; it learns poses no better than a single "
-        f"regressor. More heads, initial quaternions that are farther apart, or "
-        f"another seed usually help."
+        f"regressor. More heads (pose.candidates) or another seed usually help."
     )

@@ -31,8 +31,8 @@ def compute_loss(
     Args:
       params: of the network. step: ().
       batch: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S], quaternions
-        [B, V, 4] (read only where poses are given), what `list_extras` names, and
-        corner_masks and corner_depths [B, 8, S, S] in stages of fixed views.
+        [B, V, 4] (read where poses are given or labelled), what `list_extras` names,
+        and corner_masks and corner_depths [B, 8, S, S] in stages of fixed views.
       keys: [B], of each object. averages: of the batches before.
       recipe: what is learned, static. stage: of the schedule, static.
 

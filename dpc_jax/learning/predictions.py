@@ -1,4 +1,4 @@
-"""What the network predicts for a batch: shapes, pose candidates, masses."""
+"""What the network predicts for a batch: shapes, pose candidates, cameras."""
 
 from collections.abc import Mapping
 from typing import NamedTuple

@@ -145,7 +145,7 @@ def collect_warnings(config: Config, sets: dict[str, DataSet]) -> list[str]:
 def check_viewpoints(config: Config, sets: dict[str, DataSet]) -> list[str]:
     """A warning where the given poses are not those that viewpoint heads can predict.
 
-    Own images alone may have such poses; they are not learned from here.
+    Own images alone may have such poses.
     """
     told = config.pose.elevations
     if not config.data.images or not told or config.pose.known:

@@ -19,10 +19,10 @@ from dpc_jax.run.process import catch_signals
 from dpc_jax.run.setup import make_network
 from dpc_jax.run.workdir import list_differences, read_config
 
-# Fields that make_network reads.
+# Fields that the shapes of parameters depend on.
 _OF_NETWORK = (
     *("network.", "pose.", "render.num_points", "render.grid", "render.scale_fixed"),
-    *("train.color_weight", "data.image_size"),
+    *("train.color_weight", "train.colors_move_points", "data.image_size"),
 )
 _GB = 1e9
 

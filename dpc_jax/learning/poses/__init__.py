@@ -1,1 +1,1 @@
-"""Where the poses of a batch come from: a file for each of `pose.source`."""
+"""Where the poses of a batch come from: a file for each way of learning them."""

@@ -1,7 +1,8 @@
 """Which pose a view is rendered from, and what is learned of it: the common part.
 
 A source of poses is a function `teach` of these arguments, in a file of its own:
-`labels`, `unknown` (the ensemble in hindsight) and `sampled`.
+`labels`, `unknown` (the ensemble in hindsight) and `sampled`. Poses that are given need
+none.
 """
 
 import functools
