@@ -115,6 +115,25 @@ def test_gradients_are_measured_when_asked_and_else_looked_at(bad):
     assert float(measured(False)) == pytest.approx(expected, nan_ok=True)
 
 
+def test_volumes_are_learned_on_two_devices_as_on_one():
+    found = []
+    for count in (1, 2):
+        config = tiny_config(shape="voxels")
+        config = replace_fields(config, {"run": {"devices": count}})
+        network = make_network(config)
+        state, metrics = make_step(network, config)(
+            make_state(network, config), make_batch()
+        )
+        parts = jax.tree.leaves(state.params["params"]["shape"])
+        assert any(not part.is_fully_replicated for part in parts) == (count == 2)
+        found.append(jax.tree.map(np.asarray, (metrics["loss"], parts)))
+    (one, first), (two, second) = found
+    np.testing.assert_allclose(two, one, rtol=1e-5)
+    for a, b in zip(first, second, strict=True):
+        # A step of Adam is 1e-3; sums over two devices differ in the last digits.
+        np.testing.assert_allclose(a, b, atol=1e-4)
+
+
 def test_large_layers_and_their_moments_are_shared_by_columns():
     _, state, _ = compile_step(4)
     kernel = state.params["params"]["shape"]["points"]["kernel"]

@@ -67,6 +67,8 @@ def make_views(config):
     """A batch with all that a config reads."""
     rng, batch = np.random.default_rng(0), make_batch()
     size = batch["masks"].shape[-1]
+    if config.pose.source in ("unknown", "sampled"):  # learned from images alone
+        del batch["quaternions"]
     if "depths" in signals.list_extras(config):
         batch["depths"] = rng.uniform(1.6, 2.4, batch["masks"].shape).astype(np.float32)
     if signals.list_corners(config):
