@@ -13,7 +13,7 @@ from dpc_jax.data import DataSpec, __main__, load_or_render, viewpoints
 from dpc_jax.data.look import checks, overview
 from dpc_jax.shapes import procedural
 
-LENS = checks.Lens(focal_length=1.875, distance=2.0, extent=1.0)
+LENS = checks.Lens(focal_length=1.875, distance=2.0)
 MODELS, VIEWS, SIZE = 5, 4, 48
 
 

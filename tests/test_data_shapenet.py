@@ -12,7 +12,7 @@ from dpc_jax.data.sets import shapenet
 
 SYNSET = "02958343"
 NAMES = [f"{i:x}" * 8 for i in range(1, 8)]
-SPEC = dict(category="car", kind="shapenet", views=1, image_size=16, supersample=2)
+SPEC = dict(category="car", kind="shapenet", views=1, image_size=16)
 LAYOUTS = ["model.obj", "models/model_normalized.obj"]
 FRONTS = {"model.obj": (1, 0, 0), "models/model_normalized.obj": (0, 0, -1)}
 

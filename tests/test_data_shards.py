@@ -25,9 +25,7 @@ def make_pieces(counts, *, split, seed=0):
 def test_a_stack_reads_like_an_array(split):
     models, stack = make_pieces([4] * 5, split=split)
     whole = np.stack(models)
-    assert (stack.shape, stack.ndim, stack.dtype, len(stack)) == (
-        whole.shape, 4, np.uint8, 5,
-    )  # fmt: skip
+    assert (stack.shape, stack.dtype, len(stack)) == (whole.shape, np.uint8, 5)
     keys = [
         0, -1, np.int64(3), (2, 1), (np.int64(1), 0, 1), (4, slice(1, 3)),
         slice(1, 4), slice(None, None, 2), (np.array([3, 0, 4]), np.array([1, 3, 0])),
@@ -36,8 +34,6 @@ def test_a_stack_reads_like_an_array(split):
     for key in keys:
         np.testing.assert_array_equal(stack[key], whole[key])
     np.testing.assert_array_equal(stack, whole)
-    np.testing.assert_array_equal(stack / 2 > 60, whole / 2 > 60)
-    np.testing.assert_array_equal(np.ptp(stack, axis=1), np.ptp(whole, axis=1))
     assert stack[[1, 2], [0, 0]].dtype == np.uint8
 
 

@@ -12,7 +12,7 @@ from dpc_jax.files import claiming
 
 MODELS = 40  # in ten shards
 SPEC = dict(
-    category="car", models=MODELS, views=1, image_size=16, supersample=1,
+    category="car", models=MODELS, views=1, image_size=16,
     surface_points=20,
 )  # fmt: skip
 

@@ -136,7 +136,7 @@ def test_lights_are_one_to_three_and_come_from_all_sides():
 
 def test_viewpoints_are_drawn_as_in_the_paper():
     """Azimuth uniform in 360 degrees, elevation in [-20, 40]."""
-    spec = DataSpec("car", models=1, views=400, image_size=2, supersample=1)
+    spec = DataSpec("car", models=1, views=400, image_size=2)
     arrays = rendering.render_mesh(procedural.make_shape("car", 0), spec, 0)
     turns = Rotation.from_quat(arrays["quaternions"], scalar_first=True).as_matrix()
     away = -turns[:, 2]  # the camera's place, z forward

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from config_files import load, parameter_shapes
 
+from dpc_jax.data.spec import ELEVATIONS
 from dpc_jax.learning.schedules import (
     compute_sigma,
     count_kept_points,
@@ -35,7 +36,7 @@ def test_datasets_three_categories_five_random_views_and_the_published_counts(
         assert spec.category == category
         assert spec.views == 5
         # "[-20°, 40°]"; azimuths are drawn from all 360° (tests/test_data_views.py).
-        assert spec.elevation == (-20.0, 40.0)
+        assert ELEVATIONS == (-20.0, 40.0)
 
 
 def test_training_adam_with_a_fixed_rate_and_the_standard_momenta():

@@ -6,7 +6,6 @@ python -m dpc_jax.data check FOLDER        what is wrong with a set
 """
 
 import argparse
-import functools
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -67,63 +66,56 @@ def _fetch(flags):
     return 0
 
 
-def _show(flags):
-    """List sets; draw the sheet if there is only one."""
+def _look(flags):
+    """List sets, and check them or draw the only one; the status is 1 for errors."""
     from dpc_jax.data.look import overview
 
-    caches, open_set = _find_sets(flags)
-    if len(caches) > 1:
-        for path in caches:
-            with open_set(path) as opened:
-                _say(overview.describe_set(opened))
+    paths = overview.list_caches(flags.folder) or [Path(flags.folder)]
+    options = dict(kind=flags.kind, category=flags.category, models=flags.models)
+    failed = False
+    for path in paths:
+        try:
+            with overview.open_set(path, **options) as opened:
+                lines = overview.describe_set(opened)
+                if flags.command == "check":
+                    failed |= _check(opened, lines[0])
+                else:
+                    _say(lines)
+                    if len(paths) == 1:
+                        _draw(opened, flags)
+        except ValueError as error:
+            if len(paths) == 1:
+                raise
+            _say([path.name, f"  error: {error}"])  # the others may be fine
+            failed = True
+    if flags.command == "show" and len(paths) > 1:
         print("Give one of them for a sheet of its pictures.")
-        return 0
+    return int(failed)
+
+
+def _check(opened, title):
+    """Say what is wrong with a set; whether that is an error."""
+    from dpc_jax.data.look import checks
+
+    _say([title])
+    findings = checks.check_set(opened.data, opened.lens)
+    poses = "no poses" if opened.data.quaternions is None else "poses fit their masks"
+    _say(f"  {text}" for text in findings or [f"no fault found; {poses}"])
+    return any(text.startswith("error") for text in findings)
+
+
+def _draw(opened, flags):
+    from dpc_jax.data.look import overview
+
     # Among what commands make, not into a folder of data that may be anybody's.
     name = f"{Path(flags.folder).resolve().name}-sheet.png"
     out = Path(flags.out or Path("runs") / name)
     outputs.try_folder(out.parent)
-    with outputs.owning(out.parent, [out.name]):
-        with open_set(caches[0]) as opened:
-            _say(overview.describe_set(opened))
-            sheet = overview.draw_set(opened, models=flags.models)
-            has_axes = opened.data.quaternions is not None
-        with files.replacing(out) as partial:
-            sheet.save(partial, format="png")
+    with outputs.owning(out.parent, [out.name]), files.replacing(out) as partial:
+        sheet = overview.draw_set(opened, models=flags.models)
+        sheet.save(partial, format="png")
     axes = "; red is the front, green the left, blue the top"
-    _say([f"  {out} shows some{axes * has_axes}"])
-    return 0
-
-
-def _check(flags):
-    """Check sets; the status is 1 if an error was found."""
-    from dpc_jax.data.look import checks, overview
-
-    caches, open_set = _find_sets(flags)
-    failed = False
-    for path in caches:
-        try:
-            with open_set(path) as opened:
-                _say(overview.describe_set(opened)[:1])
-                findings = checks.check_set(opened.data, opened.lens)
-                has_poses = opened.data.quaternions is not None
-        except ValueError as error:
-            if len(caches) < 2:
-                raise
-            _say([path.name])  # the others may be fine
-            findings, has_poses = [f"error: {error}"], False
-        poses = "poses fit their masks" if has_poses else "no poses"
-        _say(f"  {text}" for text in findings or [f"no fault found; {poses}"])
-        failed |= any(text.startswith("error") for text in findings)
-    return int(failed)
-
-
-def _find_sets(flags):
-    """Folders of sets, and what opens one."""
-    from dpc_jax.data.look import overview
-
-    caches = overview.list_caches(flags.folder) or [Path(flags.folder)]
-    options = dict(kind=flags.kind, category=flags.category, models=flags.models)
-    return caches, functools.partial(overview.open_set, **options)
+    _say([f"  {out} shows some{axes * (opened.data.quaternions is not None)}"])
 
 
 def _say(lines):
@@ -135,8 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; print a failure as a sentence."""
     flags = make_parser().parse_args(arguments)
     try:
-        commands = {"fetch": _fetch, "show": _show, "check": _check}
-        return commands[flags.command](flags)
+        return _fetch(flags) if flags.command == "fetch" else _look(flags)
     except (ValueError, RuntimeError, OSError) as error:
         print(f"Error: {outputs.explain(error)}", file=sys.stderr)
         return 1

@@ -92,14 +92,14 @@ class Pages:
                 mapping.madvise(mmap.MADV_DONTNEED)
 
 
-class Stack(np.lib.mixins.NDArrayOperatorsMixin):
+class Stack:
     """Rows of many models over several shards, addressed by model and row.
 
     It reads like an array [M, V, ...] of which model m has only `counts[m]` rows:
     `stack[m]` is an array [counts[m], ...], `stack[m, v]` one row, and
     `stack[models, rows]` gathers rows into memory, for index arrays of like shapes.
-    `shape[1]` is the largest count. Where all counts agree, everything else that an
-    array can do works too, by reading the whole into memory.
+    `shape[1]` is the largest count. Where all counts agree, other indices and
+    `np.asarray` work too, by reading the whole into memory.
     """
 
     def __init__(
@@ -117,20 +117,17 @@ class Stack(np.lib.mixins.NDArrayOperatorsMixin):
         largest = int(self.counts.max(initial=0))
         self.shape = (len(self.counts), largest, *pieces[0].shape[1:])
         self.dtype = pieces[0].dtype
-        self.ndim = len(self.shape)
 
     def __len__(self):
         return len(self.counts)
 
     def __iter__(self):
-        return (self[model] for model in range(len(self)))
+        return (self._read_model(model) for model in range(len(self)))
 
     def __getitem__(self, key):
         model, *rest = key if isinstance(key, tuple) else (key,)
         if isinstance(model, int | np.integer):
             return self._read_model(model)[tuple(rest)]
-        if isinstance(key, slice):
-            return self._join(range(len(self))[key])
         if isinstance(key, tuple) and len(key) == 2:
             first, second = (np.asarray(part) for part in key)
             if first.dtype.kind in "iu" and second.dtype.kind in "iu":
@@ -138,16 +135,15 @@ class Stack(np.lib.mixins.NDArrayOperatorsMixin):
         return np.asarray(self)[key]
 
     def __array__(self, dtype=None, copy=None):
-        return np.asarray(self._join(range(len(self))), dtype=dtype)
-
-    def __array_ufunc__(self, ufunc, method, *inputs, **options):
-        inputs = [np.asarray(x) if isinstance(x, Stack) else x for x in inputs]
-        return getattr(ufunc, method)(*inputs, **options)
+        if (self.counts != self.shape[1]).any():
+            raise ValueError(
+                "Expected models with equal numbers of rows, but they have "
+                f"{self.counts.min()} to {self.counts.max()}; read them one by one."
+            )
+        return np.stack(list(self)).astype(dtype or self.dtype, copy=False)
 
     def _read_model(self, model):
-        if not -len(self) <= model < len(self):
-            raise IndexError(f"model {model} of {len(self)}")
-        model = model % len(self)
+        model = range(len(self))[model]
         start, stop = self._starts[model : model + 2]
         shard = np.searchsorted(self._edges, start, "right") - 1
         shard = min(shard, len(self._pieces) - 1)  # a last model without rows
@@ -155,30 +151,16 @@ class Stack(np.lib.mixins.NDArrayOperatorsMixin):
         self._pages.count(rows.nbytes)
         return rows
 
-    def _join(self, models):
-        if (self.counts != self.shape[1]).any():
-            raise ValueError(
-                "Expected models with equal numbers of rows, but they have "
-                f"{self.counts.min()} to {self.counts.max()}; read them one by one."
-            )
-        out = np.empty((len(models), *self.shape[1:]), self.dtype)
-        for place, model in enumerate(models):
-            out[place] = self._read_model(model)
-        return out
-
     def _gather(self, models, rows):
         models, rows = np.broadcast_arrays(models, rows)
-        ends = self.counts[np.clip(models, 0, len(self) - 1)]
-        if not (
-            (models >= 0) & (models < len(self)) & (rows >= 0) & (rows < ends)
-        ).all():
+        ends = self.counts[models]
+        if min(models.min(), rows.min()) < 0 or (rows >= ends).any():
             raise IndexError("a model or a row beyond the last, or below 0")
-        places = (self._starts[models] + rows).ravel()
+        places = self._starts[models] + rows
         shards = np.searchsorted(self._edges, places, "right") - 1
         out = np.empty((*models.shape, *self.shape[2:]), self.dtype)
-        flat = out.reshape(-1, *self.shape[2:])
-        rows = places - self._edges[shards]
-        for i, (shard, row) in enumerate(np.stack([shards, rows], 1).tolist()):
-            flat[i] = self._pieces[shard][row]
+        for shard in np.unique(shards):
+            here = shards == shard
+            out[here] = self._pieces[shard][places[here] - self._edges[shard]]
         self._pages.count(out.nbytes)
         return out

@@ -19,6 +19,7 @@ from dpc_jax.data.arrays import ROWS as ROWS
 from dpc_jax.data.arrays import DataSet as DataSet
 from dpc_jax.data.arrays import Pages, Stack
 from dpc_jax.data.sources import Model, Source, open_source
+from dpc_jax.data.spec import ELEVATIONS, SUPERSAMPLE
 from dpc_jax.data.spec import DataSpec as DataSpec
 from dpc_jax.data.workers import follow
 from dpc_jax.outputs import show_text
@@ -103,7 +104,8 @@ def _describe(source, models):
     """Everything that determines the bytes, as JSON; the folder's place does not."""
     fields = vars(source.spec).items()
     record = {name: value for name, value in fields if name not in PLACES}
-    record["version"] = VERSION
+    record |= {"elevation": ELEVATIONS, "supersample": SUPERSAMPLE}
+    record |= {"extent": 1.0, "version": VERSION}  # of the image plane
     record["sources"] = [[m.name, m.seed, m.copy, m.digest] for m in models]
     record["sidecars"] = source.list_sidecars()
     return record

@@ -8,10 +8,10 @@ import numpy as np
 import trimesh
 
 from dpc_jax.data import viewpoints, views
-from dpc_jax.data.spec import DataSpec
+from dpc_jax.data.spec import ELEVATIONS, DataSpec
 from dpc_jax.data.splits import SPLITS
 
-CAMERA = ("image_size", "focal_length", "distance", "extent", "supersample")
+CAMERA = ("image_size", "focal_length", "distance")
 VIEWPOINTS = 128  # on the viewing sphere; more of them uncover next to nothing
 CLEARANCE = 1e-4  # of the box diagonal: how far before a point a hit may lie
 
@@ -31,7 +31,7 @@ def render_mesh(
     for number in range(spec.views):
         own = {name: rows[number] for name, rows in cameras.items()}
         azimuth = rng.uniform(0.0, 2.0 * np.pi)
-        elevation = np.deg2rad(rng.uniform(*spec.elevation))
+        elevation = np.deg2rad(rng.uniform(*ELEVATIONS))
         rotation = viewpoints.look_at_rotation(azimuth, elevation)
         lights = views.draw_lights(rng)
         view = views.render_view(scene, rotation, lights=lights, **(camera | own))

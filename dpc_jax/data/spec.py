@@ -12,6 +12,8 @@ KINDS = {  # of folders, and the class that reads each, in `dpc_jax.data.sets`
     "images": "image_folder.ImageFolder",
 }
 SEEDS_PER_SPLIT = 1_000_000
+ELEVATIONS = (-20.0, 40.0)  # degrees, uniform, as in the paper; azimuth: all 360
+SUPERSAMPLE = 4  # rays per pixel along each axis: masks have 17 levels
 FEW = 300  # models of a folder, below which copies and procedural shapes are added
 
 
@@ -35,15 +37,12 @@ class DataSpec:
     mix: int = 0  # procedural shapes beside the files; -1: `FEW` if these are fewer
     seed: int = Data.seed  # of the split, the shapes, the views and the lights
     views: int = Data.views  # per model (paper, section Experiments)
-    elevation: tuple = (-20.0, 40.0)  # degrees, uniform; azimuth is uniform in 360
     image_size: int = Data.image_size  # pixels
     focal_length: float = Render.focal_length
     distance: float = Render.distance  # camera to object, in box diagonals
     offset: float = Data.offset  # of the object from the axis of view, see `Data`
     focal_spread: float = Data.focal_spread  # share that a view's focal length varies
     corner_views: bool = False  # also from the corners of a cube (EPCG)
-    extent: float = 1.0  # of the image plane
-    supersample: int = 4  # rays per pixel along each axis
     surface_points: int = Data.surface_points  # ground truth per model, before thinning
     surface_voxel: float = Data.surface_voxel  # one point per voxel this wide; 0: all
     surface_seen: bool = False  # also which points can be seen from outside

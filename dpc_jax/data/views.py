@@ -13,6 +13,7 @@ import trimesh
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 
+from dpc_jax.data.spec import SUPERSAMPLE
 from dpc_jax.shapes.normalization import face_colors
 
 WHITE = 255.0
@@ -90,13 +91,13 @@ def _shade_faces(scene, *, eye, lights):
 
 
 @functools.lru_cache(maxsize=4)
-def _camera_rays(image_size, focal_length, extent, supersample):
+def _camera_rays(image_size, focal_length, supersample):
     """Directions [k*k, S, S, 3] in the camera frame, z = 1.
 
     Sub-samples come first: a sum over the first axis is several times cheaper.
     """
     count = image_size * supersample
-    plane = ((np.arange(count) + 0.5) / count - 0.5) * extent / focal_length
+    plane = ((np.arange(count) + 0.5) / count - 0.5) / focal_length
     plane = plane.reshape(image_size, supersample).T  # [k, S]
     shape = (supersample, supersample, image_size, image_size)
     rays = np.ones((*shape, 3), dtype=np.float32)
@@ -105,14 +106,14 @@ def _camera_rays(image_size, focal_length, extent, supersample):
     return rays.reshape(supersample**2, image_size, image_size, 3)
 
 
-def _crop_box(scene, rotation, image_size, focal_length, shift, extent):
+def _crop_box(scene, rotation, image_size, focal_length, shift):
     """Rows and columns (start, stop) outside of which no ray can hit the mesh."""
     seen = scene.vertices @ rotation.T + shift
     depth = seen[:, 2]
     if depth.min() <= 1e-3 * shift[2]:
         return 0, image_size, 0, image_size  # behind the camera: no bound, cast all
     plane = seen[:, :2] * (focal_length / depth)[:, None]
-    cells = (plane / extent + 0.5) * image_size
+    cells = (plane + 0.5) * image_size
     low = np.clip(np.floor(cells.min(axis=0)) - 1, 0, image_size).astype(int)
     high = np.clip(np.ceil(cells.max(axis=0)) + 1, 0, image_size).astype(int)
     return low[1], high[1], low[0], high[0]
@@ -127,13 +128,12 @@ def render_view(
     focal_length: float = 1.875,
     distance: float = 2.0,
     translation: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
-    extent: float = 1.0,
-    supersample: int = 4,
+    supersample: int = SUPERSAMPLE,
 ) -> View:
     """Render one view of a mesh, preferably made a `Scene` once for many views.
 
     u = focal x / z and v = focal y / z with z = z_rotated + distance; the image of
-    `image_size` pixels a side spans [-extent/2, extent/2] in u and v, row 0 at the top.
+    `image_size` pixels a side spans [-1/2, 1/2] in u and v, row 0 at the top.
     `rotation` [3, 3] takes the object frame to the camera frame, where `translation`
     [3] moves the object; that and `distance` are in the units of the mesh.
     `supersample` rays per pixel are cast along each image axis.
@@ -147,9 +147,9 @@ def render_view(
     depth = np.zeros((image_size, image_size), dtype=np.float32)
 
     top, bottom, left, right = _crop_box(
-        scene, rotation, image_size, focal_length, shift, extent
+        scene, rotation, image_size, focal_length, shift
     )
-    rays = _camera_rays(image_size, float(focal_length), float(extent), supersample)
+    rays = _camera_rays(image_size, float(focal_length), supersample)
     rays = rays[:, top:bottom, left:right]
     shape = rays.shape[:3]
     directions = rays.reshape(-1, 3) @ rotation.astype(np.float32)

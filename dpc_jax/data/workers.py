@@ -4,8 +4,8 @@ Nobody hands out work: every process goes through the shards that are missing, e
 another place, and makes those that it can claim. So processes that know nothing of each
 other share a set in the same way as the workers of one command.
 
-Workers are plain Python processes. They read on their input what to make, and report
-with a line per model. They are not forked, because jax runs threads.
+Workers are plain Python processes, which read on their input what to make: forks would
+meet the threads of jax, and `multiprocessing` would import the caller's script again.
 """
 
 import contextlib
@@ -76,16 +76,14 @@ def is_whole(folder: Path, indices: range, number: int) -> bool:
 
 def write_shards(
     folder: Path, source: Source, models: Sequence[Model], numbers: Sequence[int]
-) -> Generator[int]:
-    """Make those shards that nobody else has made or is at work on.
-
-    Yields the index of each model that is done.
-    """
+) -> Generator[None]:
+    """Make those shards that nobody else has made or is at work on, and yield."""
     plan = plan_shards(source, models)
     for number in numbers:
         with claiming(path := locate_shard(folder, number)) as is_ours:
             if is_ours and not path.exists():
-                yield from _write_shard(path, source, models, plan[number])
+                _write_shard(path, source, models, plan[number])
+        yield
 
 
 def _write_shard(path, source, models, indices):
@@ -98,17 +96,14 @@ def _write_shard(path, source, models, indices):
             arrays, remarks = source.make_arrays(models[index], index)
         except ValueError as error:
             record["skipped"].append([name, str(error)])
-        else:
-            record["names"].append(name)
-            record["remarks"] += [[name, remark] for remark in remarks]
-            for key, array in arrays.items():
-                rows.setdefault(key, []).append(array)
-        if index < indices.stop - 1:
-            yield index
+            continue
+        record["names"].append(name)
+        record["remarks"] += [[name, remark] for remark in remarks]
+        for key, array in arrays.items():
+            rows.setdefault(key, []).append(array)
     record["counts"] = {key: [len(a) for a in part] for key, part in rows.items()}
     joined = {key: np.concatenate(part) for key, part in rows.items()}
     shards.write_shard(path, joined, record)
-    yield indices.stop - 1  # done when it is safely on disk
 
 
 def write_together(
@@ -122,33 +117,25 @@ def write_together(
     """Make the shards that nobody else makes, then wait for those of the others.
 
     A shard that another process has begun and given up is taken over. Yields the index
-    of each model when it is done, whoever made it.
+    of each model once its shard is on disk, whoever made it.
     """
     plan, missing = plan_shards(source, models), list(numbers)
+    count = sum(len(plan[number]) for number in missing)
+    processes = min(processes, len(missing)) if count > INLINE else 1
     while missing:
-        done = set()
-        count = sum(len(plan[number]) for number in missing)
-        if processes == 1 or count <= INLINE:
-            results = write_shards(folder, source, models, missing)
+        if processes > 1:
+            work = _write_in_processes(folder, source, models, missing, processes)
         else:
-            workers = min(processes, len(missing))
-            results = _write_in_processes(folder, source, models, missing, workers)
-        with contextlib.closing(results):
-            for index in results:
-                done.add(index)
-                yield index
-        for number in missing:
-            if locate_shard(folder, number).exists():
-                yield from (index for index in plan[number] if index not in done)
-        missing = [n for n in missing if not locate_shard(folder, n).exists()]
-        while missing and not any(_is_free(folder, number) for number in missing):
+            work = write_shards(folder, source, models, missing)
+        with contextlib.closing(work):
+            for _ in work:
+                made = [n for n in missing if locate_shard(folder, n).exists()]
+                missing = [number for number in missing if number not in made]
+                for number in made:
+                    yield from plan[number]
+        processes = 1  # few are left: others are at work on them, or have given up
+        if missing:
             time.sleep(0.2)
-
-
-def _is_free(folder, number):
-    """Whether nobody is at work on a shard: it is there, or was given up."""
-    with claiming(locate_shard(folder, number)) as is_free:
-        return is_free
 
 
 def rotate(numbers: Sequence[int], part: int, parts: int) -> list[int]:
@@ -158,62 +145,54 @@ def rotate(numbers: Sequence[int], part: int, parts: int) -> list[int]:
 
 
 def work():
-    """Body of a worker: make shards, with a line on stdout per model."""
+    """Body of a worker: make the shards that its input names."""
+    parent = os.getppid()
     try:
-        for index in write_shards(*pickle.load(sys.stdin.buffer)):
-            sys.stdout.write(f"{index}\n")  # in one piece: others write there, too
-            sys.stdout.flush()
+        for _ in write_shards(*pickle.load(sys.stdin.buffer)):
+            if os.getppid() != parent:  # it was killed
+                break
     except OSError as error:
         print(error, file=sys.stderr)
         sys.exit(os.EX_IOERR)
 
 
 def _write_in_processes(folder, source, models, numbers, count):
-    """`write_shards` by worker processes; however it ends, no worker outlives it."""
+    """As `write_shards`, by workers; however it ends, none of them outlives it."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    reader, writer = os.pipe()
-    workers, logs = [], []
+    workers = []
     with contextlib.ExitStack() as stack:
-        lines = stack.enter_context(open(reader, encoding="utf-8"))
-        try:
-            for _ in range(count):
-                logs.append(stack.enter_context(tempfile.TemporaryFile()))
-                worker = subprocess.Popen(
-                    [sys.executable, "-c", BOOT],
-                    stdin=subprocess.PIPE,
-                    stdout=writer,
-                    stderr=logs[-1],
-                    env={**os.environ, **threads},
-                    start_new_session=True,  # we handle Ctrl-C and stop them
-                )
-                stack.callback(_end, worker)
-                workers.append(worker)
-        finally:
-            os.close(writer)  # so that the lines end with the last worker
-        for part, worker in enumerate(workers):
-            with contextlib.suppress(BrokenPipeError):  # then its status tells why
-                mine = rotate(numbers, part, count)
-                pickle.dump((folder, source, models, mine), worker.stdin)
-                worker.stdin.close()
-        yield from map(int, lines)
-        for worker, log in zip(workers, logs, strict=True):
-            if status := worker.wait():
+        for part in range(count):
+            task, log = (
+                stack.enter_context(tempfile.TemporaryFile()) for _ in range(2)
+            )
+            pickle.dump((folder, source, models, rotate(numbers, part, count)), task)
+            task.seek(0)
+            worker = subprocess.Popen(
+                [sys.executable, "-c", BOOT],
+                stdin=task,
+                stdout=log,
+                stderr=log,
+                env={**os.environ, **threads},
+                start_new_session=True,  # we handle Ctrl-C and stop them
+            )
+            stack.callback(worker.wait)
+            stack.callback(worker.terminate)  # does nothing to one that has ended
+            workers.append((worker, log))
+        while any(worker.poll() is None for worker, _ in workers):
+            time.sleep(0.1)
+            yield
+        for worker, log in workers:
+            if worker.returncode:
                 log.seek(0)
                 tail = log.read().decode("utf-8", errors="replace")[-2000:].strip()
-                if status == os.EX_IOERR:
+                if worker.returncode == os.EX_IOERR:
                     raise OSError(tail.rsplit("\n", 1)[-1])
                 raise RuntimeError(
                     "Expected a render process to end well, but it ended with status "
-                    f"{status}; set data.processes to 1 to look closer. Its last "
-                    f"words:\n{tail}."
+                    f"{worker.returncode}; set data.processes to 1 to look closer. Its "
+                    f"last words:\n{tail}."
                 )
-
-
-def _end(worker):
-    worker.terminate()  # does nothing to one that has ended
-    worker.wait()
-    with contextlib.suppress(BrokenPipeError):
-        worker.stdin.close()
+    yield
 
 
 def follow(

@@ -28,11 +28,10 @@ HULL_REACH, HULL_CELLS = 0.55, 40  # half side and cells a side of a carved bloc
 
 
 class Lens(NamedTuple):
-    """The camera of a data set: of an image plane `extent` wide."""
+    """The camera of a data set."""
 
     focal_length: float
     distance: float
-    extent: float
 
 
 class Convention(NamedTuple):
@@ -320,7 +319,7 @@ def project_points(points: np.ndarray, rotations: np.ndarray, lens: Lens) -> np.
     seen = np.asarray(points, dtype=np.float64) @ back
     depth = seen[..., 2] + lens.distance
     safe = np.where(depth > 1e-6, depth, 1.0)
-    place = seen[..., :2] / safe[..., None] * (lens.focal_length / lens.extent) + 0.5
+    place = seen[..., :2] / safe[..., None] * lens.focal_length + 0.5
     return np.where((depth > 1e-6)[..., None], place, 9.0)
 
 
