@@ -61,6 +61,10 @@ def test_objects_of_any_number_of_views_make_one_set(tmp_path):
     assert data.names == ("a", "b", "c") and data.counts.tolist() == [1, 3, 7]
     assert data.images.shape == (3, 7, 32, 32, 3)
     assert data.quaternions is data.surfaces is data.depths is None
+    # images side by side are objects of one view
+    data = load(tmp_path / "set" / "c", tmp_path / "cache")
+    assert data.names == tuple(f"view{i}" for i in range(7))
+    assert (data.counts == 1).all()
 
 
 def test_alpha_and_mask_files_say_the_same(tmp_path):
@@ -72,14 +76,6 @@ def test_alpha_and_mask_files_say_the_same(tmp_path):
     np.testing.assert_array_equal(first.images, second.images)
     # the room behind the object is gone
     assert (np.asarray(first.images)[np.asarray(first.masks) == 0] == 255).all()
-
-
-def test_images_side_by_side_are_objects_of_one_view(tmp_path):
-    folder = tmp_path / "set"
-    write_object(folder, views=5)
-    data = load(folder, tmp_path / "cache")
-    assert data.names == tuple(f"view{i}" for i in range(5))
-    assert (data.counts == 1).all()
 
 
 @pytest.mark.parametrize("crop", ["object", "view", "none"])
@@ -142,13 +138,11 @@ def test_quaternions_come_with_their_views(tmp_path):
         rotations = write_object(place, views=3, seed=i)
         write_quaternions(place, rotations)
     data = load(tmp_path / "set", tmp_path / "cache")
-    for i in range(3):
-        for view in range(3):
-            angle = 2 * np.pi * view / 3 + i
-            expected = look_at(2 * np.array([np.cos(angle), np.sin(angle), 0.3]))
-            np.testing.assert_allclose(
-                rotate(data.quaternions[i, view]), expected, atol=1e-6
-            )
+    for i, view in np.ndindex(3, 3):
+        angle = 2 * np.pi * view / 3 + i
+        expected = look_at(2 * np.array([np.cos(angle), np.sin(angle), 0.3]))
+        found = rotate(data.quaternions[i, view])
+        np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("convention", ["opengl", "opencv"])
@@ -232,17 +226,6 @@ def test_a_view_without_a_usable_mask_is_left_out_and_named(tmp_path, harm, mess
     assert name == "b" and re.search(message, remark)
 
 
-def test_an_object_without_any_usable_view_is_skipped(tmp_path):
-    for name in "abcd":
-        write_object(tmp_path / "set" / name)
-    for path in (tmp_path / "set" / "c").iterdir():
-        path.write_bytes(b"no image")
-    data = load(tmp_path / "set", tmp_path / "cache")
-    assert data.names == ("a", "b", "d")
-    ((name, reason),) = data.skipped
-    assert name == "c" and "view0.png" in reason
-
-
 def test_poses_for_some_objects_only_are_refused(tmp_path):
     for name in "abc":
         rotations = write_object(tmp_path / "set" / name)
@@ -281,9 +264,9 @@ def test_a_pose_file_that_cannot_be_used_is_named(tmp_path, name, text, message)
     assert str(tmp_path / "set" / "a") in str(error.value)
 
 
-def test_an_object_with_a_damaged_pose_file_is_skipped_and_the_others_stay(tmp_path):
-    """Also where nothing but the damaged file says which images there are."""
-    for i, name in enumerate("abcde"):
+def test_an_object_without_any_usable_view_is_skipped_and_the_others_stay(tmp_path):
+    """Also where nothing but a damaged pose file says which images there are."""
+    for i, name in enumerate("abcdef"):
         content, _ = write_photos(tmp_path / "set" / name, views=3, seed=i)
         (tmp_path / "set" / name / "transforms.json").write_text(json.dumps(content))
     (tmp_path / "set" / "b" / "transforms.json").write_text('{"frames": [')
@@ -292,11 +275,14 @@ def test_an_object_with_a_damaged_pose_file_is_skipped_and_the_others_stay(tmp_p
     for path in place.glob("*.png"):
         path.rename(place / "images" / path.name)
     (place / "transforms.json").write_text('{"fl_x": 3}')
+    for path in (tmp_path / "set" / "f").glob("*.png"):
+        path.write_bytes(b"no image")
     data = load(tmp_path / "set", tmp_path / "cache")
     assert data.names == ("a", "c", "e")
-    assert [name for name, _ in data.skipped] == ["b", "d"]
+    files = {"b": "transforms.json", "d": "transforms.json", "f": "view0.png"}
+    assert dict(data.skipped).keys() == files.keys()
     for name, reason in data.skipped:
-        assert f"{name}/transforms.json" in reason
+        assert f"{name}/{files[name]}" in reason
 
 
 def test_cameras_that_look_away_are_refused(tmp_path):

@@ -234,16 +234,12 @@ def test_a_download_that_was_cut_goes_on(tmp_path, store, capsys):
     assert error.count("\n") == 1
     assert "sweethome3d-furniture" in error and "connect to the network" in error
     (store / "fails").unlink()
+    left = tmp_path / "open/packages/sweethome3d-furniture.tmp/usr"
+    left.mkdir(parents=True)  # of an unpacking that was cut, too
+    (left / "half").write_text("")
     assert fetch("chair", tmp_path) == 0
     assert "resumed" in read_log(store)
     assert not list((tmp_path / "open/packages").glob("*.partial"))
-
-
-def test_an_unpacking_that_was_cut_starts_anew(tmp_path, store):
-    left = tmp_path / "open/packages/sweethome3d-furniture.tmp/usr"
-    left.mkdir(parents=True)
-    (left / "half").write_text("")
-    assert fetch("chair", tmp_path) == 0
 
 
 BOTH = ("apt-get", "dpkg-deb")
@@ -270,15 +266,6 @@ def test_what_is_missing_is_told_in_one_sentence(
     for word in words:
         assert word in error
     assert not (tmp_path / "open/chair").exists()
-
-
-def test_a_package_put_there_by_hand_needs_no_apt(tmp_path, monkeypatch):
-    store = install_commands(tmp_path, monkeypatch, commands=("dpkg-deb",))
-    packages = tmp_path / "open/packages"
-    packages.mkdir(parents=True)
-    write_furniture(packages, CHAIRS)
-    assert fetch("chair", tmp_path) == 0
-    assert read_log(store) == ["dpkg-deb -x"]
 
 
 def test_damaged_and_foreign_packages_are_named(tmp_path, monkeypatch, capsys):
@@ -328,15 +315,8 @@ def test_a_model_that_is_gone_or_cut_is_made_again_and_a_changed_one_is_kept(
     assert len(read_json(folder / "families.json")) == 3
 
 
-def test_two_at_once_do_not_meet(tmp_path, store, capsys):
-    with claiming(tmp_path / "open/packages/fetching"):
-        assert fetch("chair", tmp_path) == 1
-    assert "another process" in capsys.readouterr().err
-    assert read_log(store) == []
-
-
 @pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="no dpkg-deb here")
-def test_a_real_package_is_unpacked_by_the_real_command(tmp_path, monkeypatch):
+def test_a_real_package_put_there_by_hand_is_unpacked(tmp_path, monkeypatch, capsys):
     path = os.environ["PATH"]
     store = install_commands(tmp_path, monkeypatch, commands=("apt-get",))
     tree, packages = tmp_path / "tree", tmp_path / "open/packages"
@@ -355,7 +335,11 @@ def test_a_real_package_is_unpacked_by_the_real_command(tmp_path, monkeypatch):
         check=True,
         capture_output=True,
     )
+    with claiming(packages / "fetching"):
+        assert fetch("chair", tmp_path) == 1
+    assert "another process" in capsys.readouterr().err
     assert fetch("chair", tmp_path) == 0
+    assert read_log(store) == []  # the package that lay there was enough
     assert len(list((tmp_path / "open/chair/train").glob("*.ply"))) == 3
 
 

@@ -76,9 +76,6 @@ def test_what_is_written_is_mapped_and_numpy_reads_it(tmp_path):
             np.testing.assert_array_equal(loaded[name], array, strict=True)
             assert not shard.arrays[name].flags.writeable
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
-    first = path.read_bytes()
-    shards.write_shard(path, arrays, {"names": ["ä", "b"]})
-    assert path.read_bytes() == first
 
 
 def test_any_changed_byte_of_the_arrays_is_noticed(tmp_path):

@@ -49,35 +49,14 @@ print("whole", flush=True)
 """
 
 
-class Renderer:
-    """Another process that renders the set."""
+def read(process):
+    return process.stdout.readline().strip()
 
-    def __init__(self, cache, notes, *stuck):
-        self.notes = notes
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", RENDER, str(cache), str(notes), *stuck],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert self.read() == "ready"
 
-    def begin(self):
-        self.process.stdin.write("\n")
-        self.process.stdin.flush()
-
-    def read(self):
-        return self.process.stdout.readline().strip()
-
-    def count(self):
-        """How often this process wrote each shard."""
-        if not self.notes.exists():
-            return collections.Counter()
-        return collections.Counter(self.notes.read_text().split())
-
-    def end(self):
-        self.process.kill()
-        self.process.communicate()
+def count(folder):
+    """How often each shard was written, by each process."""
+    paths = sorted(folder.glob("notes-*"))
+    return [collections.Counter(path.read_text().split()) for path in paths]
 
 
 @pytest.fixture
@@ -87,12 +66,22 @@ def start(tmp_path):
 
     def start(*stuck):
         notes = tmp_path / f"notes-{len(started)}"
-        started.append(Renderer(tmp_path / "shared", notes, *stuck))
+        notes.touch()
+        words = sys.executable, "-c", RENDER, tmp_path / "shared", notes, *stuck
+        options = dict(stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        started.append(subprocess.Popen(words, **options))
+        assert read(started[-1]) == "ready"
         return started[-1]
 
     yield start
-    for renderer in started:
-        renderer.end()
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def begin(process):
+    process.stdin.write("\n")
+    process.stdin.flush()
 
 
 @pytest.fixture(scope="module")
@@ -115,29 +104,26 @@ def assert_like_alone(cache, alone):
 
 
 def test_two_processes_render_each_shard_once(start, alone, tmp_path):
-    renderers = [start(), start()]
-    for renderer in renderers:
-        renderer.begin()
-    assert [renderer.read() for renderer in renderers] == ["whole", "whole"]
-    counts = [renderer.count() for renderer in renderers]
-    assert all(counts), "one process did all the work"
-    assert sum(counts, collections.Counter()) == dict.fromkeys(
-        (path.name for path in alone.glob("shard-*.npz")), 1
-    )
+    processes = [start(), start()]
+    for process in processes:
+        begin(process)
+    assert [read(process) for process in processes] == ["whole", "whole"]
+    first, second = count(tmp_path)
+    assert first and second, "one process did all the work"
+    assert first + second == {path.name: 1 for path in alone.glob("shard-*.npz")}
     assert_like_alone(tmp_path / "shared", alone)
 
 
 def test_the_shard_of_a_killed_process_is_taken_over(start, alone, tmp_path):
     killed, other = start("stuck"), start()
-    killed.begin()
-    assert killed.read() == "stuck"
-    other.begin()
-    while sum(other.count().values()) < 8:  # all but what the first has and had
-        assert other.process.poll() is None
-    killed.end()
-    assert other.read() == "whole"
-    assert sum((killed.count() + other.count()).values()) == 10
-    assert sum(other.count().values()) == 9
+    begin(killed)
+    assert read(killed) == "stuck"
+    begin(other)
+    while sum(count(tmp_path)[1].values()) < 8:  # all but what the first has and had
+        assert other.poll() is None
+    killed.kill()
+    assert read(other) == "whole"
+    assert [sum(notes.values()) for notes in count(tmp_path)] == [1, 9]
     assert_like_alone(tmp_path / "shared", alone)
 
 
