@@ -19,6 +19,8 @@ from dpc_jax import files
 from dpc_jax.files import Damage, describe_error, read_json
 
 SPLITS = ("train", "val", "test")
+# What tables of another form raise, and the end of one within a value.
+_FAULTS = (ValueError, csv.Error, StopIteration, AttributeError, RuntimeError)
 SYNONYMS = {"validation": "val", "valid": "val", "training": "train", "testing": "test"}
 
 
@@ -84,12 +86,15 @@ def _take_fold(order, index, count):
     return order[first:last], np.concatenate([order[last:], order[:first]])
 
 
-def group_variants(paths: Sequence[Path], digests: Sequence[str]) -> list[str]:
+def group_variants(paths: Sequence[Path], digests: Sequence[str]) -> list[int]:
     """One key per file; files of equal content or of one family share it.
 
     Families are read from `families.json` in a file's folder, which maps file names to
     families. Without it, only equal files belong together.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     named = {}
     for place in {path.parent for path in paths}:
         listed = place / "families.json"
@@ -103,19 +108,15 @@ def group_variants(paths: Sequence[Path], digests: Sequence[str]) -> list[str]:
                 f"Expected {listed} to map file names to families, but it cannot be "
                 f"read ({describe_error(error)}); repair or remove it."
             ) from error
-    # two families that share a file are one: each key points to the one it joined
-    joined = {}
-
-    def find(key):
-        while key in joined:
-            key = joined[key]
-        return key
-
-    for path, digest in zip(paths, digests, strict=True):
-        first, second = find(named.get(path, digest)), find(digest)
-        if first != second:
-            joined[second] = first
-    return [find(digest) for digest in digests]
+    # two families that share a file are one
+    numbers = {}
+    pairs = [
+        [numbers.setdefault(key, len(numbers)) for key in (named.get(path, own), own)]
+        for path, own in zip(paths, digests, strict=True)
+    ]
+    links = coo_array((np.ones(len(pairs)), np.transpose(pairs)), 2 * [len(numbers)])
+    _, parts = connected_components(links, directed=False)
+    return [int(parts[own]) for _, own in pairs]
 
 
 def find_split(folder: Path, synset: str) -> Path | None:
@@ -147,13 +148,7 @@ def read_split(path: Path, synset: str) -> dict[str, list[str]]:
             raise Damage(f"found none with the splits {', '.join(SPLITS)}")
         if twice := sorted(model for model, count in listed.items() if count > 1):
             raise Damage(f"{twice[0]} is there twice")
-    except (
-        ValueError,
-        csv.Error,
-        StopIteration,
-        AttributeError,
-        RuntimeError,
-    ) as error:
+    except _FAULTS as error:
         reason = f"it cannot be read ({error or 'it ends too early'})"
         raise ValueError(
             f"Expected models of {synset} by split in {path}, but "

@@ -29,7 +29,7 @@ def fetch_category(category: str, out: str | Path) -> Path:
     """Make the folder OUT/CATEGORY of open meshes, or complete it; return its path.
 
     A second call does nothing. Packages stay in OUT/packages; their unpacked files are
-    removed again. A model that was changed in between is kept as NAME.ply.changed.
+    removed again. A model that was changed in between is made again.
 
     Raises:
       ValueError: if no model can be read.
@@ -48,20 +48,22 @@ def fetch_category(category: str, out: str | Path) -> Path:
             )
         if not _is_complete(folder):
             _make_folder(category, folder, place)
-        print(_describe_folder(folder))
+    record = files.read_json(folder / "models.json")
+    for side, families in _list_families(record["models"]).items():
+        number = len(set(families.values()))
+        print(f"{folder}/{side}: {len(families)} models, {number} families")
+    for name, why in record["skipped"].items():
+        print(f"skipped {name}: {why}")
+    print(f"{folder}/sheet.png shows them")
     return folder
 
 
-def _describe_folder(folder):
-    record = files.read_json(folder / "models.json")
-    lines = []
-    for side in ("train", "test", "reserved"):
-        listed = [m for m in record["models"].values() if m["side"] == side]
-        if listed:
-            families = len({model["family"] for model in listed})
-            lines.append(f"{folder}/{side}: {len(listed)} models, {families} families")
-    lines += [f"skipped {name}: {why}" for name, why in record["skipped"].items()]
-    return "\n".join([*lines, f"{folder}/sheet.png shows them"])
+def _list_families(records):
+    """{side: {file: family}} of {"side/file": record}, what is to train on first."""
+    sides = {side: {} for side in ("train", "test", "reserved")}
+    for name, record in records.items():
+        sides[record["side"]][Path(name).name] = record["family"]
+    return {side: families for side, families in sides.items() if families}
 
 
 def _make_folder(category, folder, place):
@@ -92,12 +94,7 @@ def _make_folder(category, folder, place):
             f"Expected models of {category} in {', '.join(versions)}, but none can be "
             f"used; see why for the first: {first}"
         )
-    for side in sorted({record["side"] for record in records.values()}):
-        families = {
-            Path(name).name: record["family"]
-            for name, record in records.items()
-            if record["side"] == side
-        }
+    for side, families in _list_families(records).items():
         files.write_json(folder / side / "families.json", families)
     _draw_sheet(folder, records)
     made = {"version": VERSION, "packages": versions, "models": records}
@@ -124,11 +121,8 @@ def _make_model(module, model, folder, package):
     """Write a model and the file beside it, unless they are there; its record."""
     path = folder / model.side / f"{model.name}.ply"
     path.parent.mkdir(exist_ok=True)
-    beside = path.with_suffix(".json")
     if record := _read_record(path):
         return record
-    if path.exists() and beside.exists():
-        path.replace(path.with_name(f"{path.name}.changed"))
     with tempfile.TemporaryDirectory(dir=folder, prefix=SCRATCH) as scratch:
         mesh = normalize(module.make_mesh(model, Path(scratch)))
         partial = Path(scratch) / "mesh.ply"
@@ -144,7 +138,7 @@ def _make_model(module, model, folder, package):
             "sha256": files.digest_file(partial),
         }
         os.replace(partial, path)
-    files.write_json(beside, record)
+    files.write_json(path.with_suffix(".json"), record)
     return record
 
 
@@ -161,12 +155,11 @@ def _read_record(path):
 def _is_complete(folder):
     try:
         record = files.read_json(folder / "models.json")
-        names, sides = record["models"], {n.split("/")[0] for n in record["models"]}
+        places = [f"{side}/families.json" for side in _list_families(record["models"])]
         return (
             record["version"] == VERSION
-            and all(_read_record(folder / name) for name in names)
-            and all((folder / side / "families.json").is_file() for side in sides)
-            and (folder / "sheet.png").is_file()
+            and all(_read_record(folder / name) for name in record["models"])
+            and all((folder / name).is_file() for name in [*places, "sheet.png"])
         )
     except (OSError, ValueError, KeyError, TypeError):
         return False
@@ -174,11 +167,11 @@ def _is_complete(folder):
 
 def _draw_sheet(folder, records):
     names = sorted(records, key=lambda n: (records[n]["side"], records[n]["family"], n))
-    texts = []
-    for name in names:
-        family = records[name]["family"]
-        other = "" if family == Path(name).stem else f"  ({family})"
-        texts.append(f"{name.removesuffix('.ply')}{other}")
+    families = [records[name]["family"] for name in names]
+    texts = [
+        name.removesuffix(".ply") + f"  ({family})" * (family != Path(name).stem)
+        for name, family in zip(names, families, strict=True)
+    ]
     drawn = (meshes.read_mesh(folder / name) for name in names)
     sheet = overview.draw_meshes(drawn, texts, size=SHEET_VIEW)
     with files.replacing(folder / "sheet.png") as partial:

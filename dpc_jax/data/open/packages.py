@@ -35,7 +35,8 @@ def fetch_package(name: str, folder: Path) -> Path:
     A file NAME_VERSION.deb that somebody has put there is used as it is. What was
     downloaded before an interruption is kept, and apt continues from there.
     """
-    if found := _find_package(name, folder):
+    pattern = f"{name}_*.deb"
+    if found := max(folder.glob(pattern), default=None):
         return found
     hint = f"put the file {name}_VERSION.deb from any Debian mirror into {folder}"
     _expect_command("apt-get", f"it comes with Debian and Ubuntu; elsewhere {hint}")
@@ -43,27 +44,21 @@ def fetch_package(name: str, folder: Path) -> Path:
     partial.mkdir(parents=True, exist_ok=True)
     print(f"Fetching the package {name} with apt-get", flush=True)
     status, errors = _run(["apt-get", "download", name], folder=partial)
-    found = _find_package(name, partial)
+    found = max(partial.glob(pattern), default=None)
     if status != 0 or found is None:
+        advice = "fix that and run this again"
         if "Unable to locate" in errors or "No packages found" in errors:
-            advice = f"run `apt-get update` once as root, or {hint}"
+            advice = "run `apt-get update` once as root"
         elif any(word in errors for word in NO_NETWORK):
-            advice = f"connect to the network and run this again, or {hint}"
-        else:
-            advice = f"fix that and run this again, or {hint}"
+            advice = "connect to the network and run this again"
         raise RuntimeError(
             f"Expected apt-get to download {name}, but it failed "
-            f"({_name_error(errors)}); {advice}."
+            f"({_name_error(errors)}); {advice}, or {hint}."
         )
     path = folder / found.name
     os.replace(found, path)
     shutil.rmtree(partial, ignore_errors=True)
     return path
-
-
-def _find_package(name, folder):
-    """The last by name, or None."""
-    return max(folder.glob(f"{name}_*.deb"), default=None)
 
 
 def unpack_package(path: Path, folder: Path) -> Path:
