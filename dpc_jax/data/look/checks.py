@@ -87,11 +87,10 @@ def check_set(data: DataSet, lens: Lens) -> list[str]:
     """What is wrong with a data set, each beginning with "error: " or "warning: "."""
     found, findings = {}, []
     for model, name in enumerate(data.names):
-        for fault, views in _check_model(data, lens, model):
-            places = [name]
-            if views is not None:
-                places = [f"{name} view {view}" for view in np.flatnonzero(views)]
-            found.setdefault(fault, []).extend(places)
+        for level, kind, views in _check_model(data, lens, model):
+            places = [f"{name} view {view}" for view in np.flatnonzero(views)]
+            places = [name] if kind.startswith("have ") else places
+            found.setdefault((level, kind), []).extend(places)
     for (level, kind), places in sorted(found.items()):
         what = f"{int(np.sum(data.counts))} views with {kind}"
         if kind.startswith("have "):
@@ -99,12 +98,9 @@ def check_set(data: DataSet, lens: Lens) -> list[str]:
         if places:
             findings.append(f"{level}: {len(places)} of {what}: {_name(places)}")
     findings += _check_poses(data, lens)
-    if data.skipped:
-        findings.append(
-            f"warning: {len(data.skipped)} of {len(data.names) + len(data.skipped)} "
-            "objects left out as unusable: "
-            f"{_name([name for name, _ in data.skipped])}; show tells why"
-        )
+    if lost := [name for name, _ in data.skipped]:
+        what = f"{len(lost)} of {len(data.names) + len(lost)} objects left out"
+        findings.append(f"warning: {what} as unusable: {_name(lost)}; show tells why")
     return findings
 
 
@@ -116,46 +112,46 @@ def _name(places):
 
 def _check_model(
     data: DataSet, lens: Lens, model: int
-) -> Iterator[tuple[tuple[str, str], Any]]:
-    """((level, fault), which views have it or None for the object as a whole)."""
+) -> Iterator[tuple[str, str, Any]]:
+    """(level, fault, which views have it); what objects "have" is of the whole one."""
     masks, images = data.rows("masks", model), data.rows("images", model)
     if len(masks) < 2:
-        yield ("warning", "have fewer than two views"), None
+        yield "warning", "have fewer than two views", None
     share = masks.mean(axis=(1, 2)) / 255.0
     small = (share > 0) & (share < SMALL)
-    yield ("error", "an empty mask"), share == 0
-    yield ("warning", f"a mask below {SMALL:.1%} of the image"), small
-    yield ("error", "a mask that fills the image"), share > FULL
+    yield "error", "an empty mask", share == 0
+    yield "warning", f"a mask below {SMALL:.1%} of the image", small
+    yield "error", "a mask that fills the image", share > FULL
     covered = masks > 127
     cut = covered[:, [0, -1]].any((1, 2)) | covered[:, :, [0, -1]].any((1, 2))
-    yield ("error", "an object cut by the frame"), cut & (share <= FULL)
+    yield "error", "an object cut by the frame", cut & (share <= FULL)
     outside, inside = masks == 0, masks == 255
     light = (images.mean(axis=-1) * outside).sum((1, 2))
     dark = light < WHITE * outside.sum((1, 2))
-    yield ("warning", "a background that is not white"), dark
+    yield "warning", "a background that is not white", dark
     blank = ((images.min(axis=-1) == 255) | ~inside).all((1, 2)) & inside.any((1, 2))
-    yield ("warning", "an object as white as its background"), blank
+    yield "warning", "an object as white as its background", blank
     if data.depths is not None:
         depths = data.rows("depths", model)
         broken = ~np.isfinite(depths)
-        yield ("error", "a depth with NaN or infinity"), broken.any((1, 2))
+        yield "error", "a depth with NaN or infinity", broken.any((1, 2))
         missing = covered & ~broken & (depths <= 0)
-        yield ("error", "no depth where the mask is covered"), missing.any((1, 2))
+        yield "error", "no depth where the mask is covered", missing.any((1, 2))
         # a shape of box diagonal 1 reaches half of it to both sides
         off = covered & (depths > 0) & ~broken & (abs(depths - lens.distance) > 0.55)
-        yield ("error", "depth beyond where the object is"), off.any((1, 2))
+        yield "error", "depth beyond where the object is", off.any((1, 2))
     if data.quaternions is not None:
         rows = data.rows("quaternions", model).astype(np.float64)
         broken = ~np.all(np.isfinite(rows), axis=1)
-        yield ("error", "a quaternion with NaN or infinity"), broken
+        yield "error", "a quaternion with NaN or infinity", broken
         bent = np.abs(np.linalg.norm(rows, axis=1) - 1.0) > LENGTH_FLAW
-        yield ("error", "a quaternion that is not of length 1"), bent & ~broken
+        yield "error", "a quaternion that is not of length 1", bent & ~broken
     if data.surfaces is not None:
         points = np.asarray(data.surfaces[model])
         if not np.isfinite(points).all() or len(points) == 0:
-            yield ("error", "have surface points with NaN or none"), None
+            yield "error", "have surface points with NaN or none", None
         elif not 0.5 < np.linalg.norm(np.ptp(points, axis=0)) < 1.1:
-            yield ("warning", "have surface points whose box diagonal is not 1"), None
+            yield "warning", "have surface points whose box diagonal is not 1", None
 
 
 def _check_poses(data, lens):
@@ -176,10 +172,10 @@ def _check_poses(data, lens):
     if best > stored + CLEARER:
         near = np.flatnonzero(np.greater(scores, best - CLEARER / 4))
         names = [list(others)[place] for place in near]
-        text = f"the poses follow another convention: {' or '.join(names)}"
+        text = f"another convention: {' or '.join(names)}"
         if best < enough:
-            text = "the poses follow no convention known here; the nearest is "
-            text += names[0]
+            text = f"no convention known here; the nearest is {names[0]}"
+        text = f"the poses follow {text}"
         return [
             f"error: {text} ({measure} {best:.2f}); as stored, which should be wxyz, "
             "object to camera, x right, y down, z forward, it is "
@@ -193,10 +189,8 @@ def _check_poses(data, lens):
             f"{enough} and more) under any convention known here; check scale, centre "
             "and camera."
         ]
-    if not strays:
-        return []
     text = f"{len(strays)} of {count} views whose pose puts the object beside its mask"
-    return [f"error: {text}: {_name(strays)}"]
+    return [f"error: {text}: {_name(strays)}"] if strays else []
 
 
 def _choose_models(data):
@@ -215,14 +209,12 @@ def _choose_models(data):
     return [usable[int(place)] for place in places]
 
 
-def _read_surface(data, model):
-    """Some of a model's surface points, or None if there are none to be used."""
-    if data.surfaces is None:
-        return None
-    points = np.asarray(data.surfaces[model])
+def _read_surface(data, model, count=TRIED_POINTS):
+    """About so many of a model's surface points; None if there are none to be used."""
+    points = [] if data.surfaces is None else np.asarray(data.surfaces[model])
     if len(points) == 0 or not np.isfinite(points).all():
         return None
-    return points[:: max(1, len(points) // TRIED_POINTS)]
+    return points[:: max(1, len(points) // count)]
 
 
 def _score(data, model, convention, lens):
@@ -278,10 +270,9 @@ def _find_strays(data, lens):
     """Views whose pose puts a tenth of the surface and more beside the mask."""
     strays = []
     for model, name in enumerate(data.names):
-        surface = _read_surface(data, model)
+        surface = _read_surface(data, model, 1000)
         if surface is None:
             continue
-        surface = surface[:: max(1, len(surface) // 1000)]
         masks = _grow(data.rows("masks", model) > 0, 1)
         rotations = rotation_of(data.rows("quaternions", model))
         rows, columns, inside = _find_cells(surface, rotations, masks.shape[-1], lens)

@@ -37,10 +37,9 @@ class OpenSet(NamedTuple):
 
 def list_caches(path: str | Path) -> list[Path]:
     """The finished caches that a path is or holds, sorted; there may be none."""
-    path = Path(path)
-    if (path / dataset.RECORD).is_file():
-        return [path]
-    return sorted(p.parent for p in path.glob(f"*/{dataset.RECORD}"))
+    places = [Path(path), *sorted(Path(path).glob("*/"))]
+    found = [place for place in places if (place / dataset.RECORD).is_file()]
+    return found[:1] if places[0] in found else found
 
 
 @contextlib.contextmanager
@@ -66,30 +65,23 @@ def open_set(
             f"Expected a folder with a data set, but {path} is not a folder; check it."
         )
     kind = kind or _guess_kind(path)
-    spec = DataSpec(
-        **find_kind(kind).suggest_fields(path, category),
-        folder=str(path),
-        fractions=(1, 0, 0),
-        kind=kind,
-        models=models,
-        image_size=TILE,
-    )
+    fields = find_kind(kind).suggest_fields(path, category)
+    fields |= dict(folder=str(path), fractions=(1, 0, 0), kind=kind)
+    spec = DataSpec(**fields, models=models, image_size=TILE)
+    note = f"prepared from {path} ({kind}) to be looked at"
+    note += "" if models is None else f", at most {models} models"
     with tempfile.TemporaryDirectory() as place:
         dataset.load_or_render(spec, cache_dir=place)
         (cache,) = list_caches(place)
-        note = f"prepared from {path} ({kind}) to be looked at"
-        if models is not None:
-            note += f", at most {models} models"
         yield _read_set(cache, path.name, note)
 
 
 def _read_set(cache, name, note):
-    damages = (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError)
     try:
         data = dataset.read_cache(cache)
         record = files.read_json(cache / dataset.RECORD)
         lens = Lens(*(record[field] for field in Lens._fields))
-    except damages as error:
+    except (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
         raise ValueError(
             f"Expected the record of a set in {cache / dataset.RECORD}, but it is "
             f"damaged ({type(error).__name__}: {error}); train again to repair it."
@@ -114,7 +106,7 @@ def describe_set(opened: OpenSet) -> list[str]:
     present = [name for name in dataset.ROWS if getattr(data, name) is not None]
     # All models of a folder are looked at: there is no split yet.
     split = "" if opened.note else f"{record['split']} split, "
-    counts = sorted({int(min(data.counts)), int(max(data.counts))})
+    counts = sorted({min(data.counts), max(data.counts)})
     lines = [
         f"{opened.name}: {len(data.names)} {record['category']} models, {split}"
         f"{int(sum(data.counts))} views of {size} x {size} pixels",
@@ -140,7 +132,7 @@ def draw_set(opened: OpenSet, *, models: int = 8) -> Image.Image:
     data = opened.data
     count = min(models, len(data.names))
     chosen = np.linspace(0, len(data.names) - 1, count).round().astype(int)
-    columns = int(min(VIEWS, np.max(data.counts)))
+    columns = int(min(VIEWS, data.counts.max()))
     pictures, texts = [], []
     for model in chosen:
         for view in range(columns):
@@ -200,8 +192,8 @@ def draw_meshes(
     strips = []
     for mesh in meshes:
         scene = views.build_scene(mesh)
-        turns = [viewpoints.look_at_rotation(*np.deg2rad(a)) for a in MESH_VIEWS]
         options: dict[str, Any] = dict(lights=lights, image_size=size, supersample=3)
+        turns = [viewpoints.look_at_rotation(*np.deg2rad(a)) for a in MESH_VIEWS]
         seen = [views.render_view(scene, turn, **options).image for turn in turns]
         strips.append(np.concatenate(seen, axis=1))
     return _arrange(strips, texts, columns=3)
@@ -210,12 +202,12 @@ def draw_meshes(
 def _arrange(pictures, texts, *, columns):
     """Pictures uint8 [H, W, 3] of one size in a grid, a line of text under each."""
     height, width = pictures[0].shape[:2]
-    rows = -(-len(pictures) // columns)
-    size = columns * (width + GAP), rows * (height + LINE + GAP)
+    right, down = width + GAP, height + LINE + GAP
+    size = columns * right, -(-len(pictures) // columns) * down
     sheet = Image.new("RGB", size, "white")
     pen = ImageDraw.Draw(sheet)
     for i, (picture, text) in enumerate(zip(pictures, texts, strict=True)):
-        x, y = i % columns * (width + GAP), i // columns * (height + LINE + GAP)
+        x, y = i % columns * right, i // columns * down
         sheet.paste(Image.fromarray(picture), (x, y))
         pen.text((x + 2, y + height), text[: width // 6], fill="black")
     return sheet
