@@ -34,14 +34,24 @@ class Model(NamedTuple):
     views: int
 
 
-class Source:
-    """A kind of data set; folders are read when something is asked that needs them.
+class Division(NamedTuple):
+    """Models by name, names by split, and the split file if one was read."""
 
-    cache_dir: where what was found out may be kept.
+    models: dict[str, Path]
+    sides: dict[str, list[str]]
+    official: Path | None
+
+
+class Source:
+    """A kind of data set: a folder of models that are split by a list or by seed.
+
+    Folders are read when something is asked that needs them. cache_dir: where what was
+    found out may be kept.
     """
 
     unit = "object"  # what its models are called in messages
     work = "Reading"  # what is done to make their arrays, likewise
+    synset = ""  # eight digits of the category in official splits
 
     def __init__(self, spec: DataSpec, cache_dir: str | Path | None = None):
         self.spec = spec
@@ -51,19 +61,23 @@ class Source:
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
         """Whether a folder seems to hold this kind of data set."""
-        return False
+        raise NotImplementedError
 
     @classmethod
     def suggest_fields(cls, folder: Path, category: str | None) -> dict:
         """Fields of a `DataSpec` for somebody who only wants to look at a folder."""
         return {"category": category or "object"}
 
-    def list_models(self) -> list[Model]:
-        """All models of the split, in order.
+    def find_models(self) -> dict[str, Path]:
+        """Models that are there: `{name: path}`, in order.
 
         Raises:
           ValueError: if there are none, naming the folder.
         """
+        raise NotImplementedError
+
+    def identify_model(self, name: str, path: Path) -> tuple[int, str]:
+        """(number of views, digest) of a model."""
         raise NotImplementedError
 
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
@@ -85,43 +99,6 @@ class Source:
         if spec.surface_voxel > 0:  # surfaces are about as large as their boxes' sides
             points = min(points, round(2 / spec.surface_voxel**2))
         return 8 * spec.image_size**2 * model.views + 12 * points
-
-    def list_remarks(self) -> list[tuple[str, str]]:
-        """(file or folder, remark) pairs on the data set as a whole."""
-        return []
-
-    def list_warnings(self) -> list[str]:
-        """Sentences on the data set that a reader of results has to know."""
-        return []
-
-    def list_sidecars(self) -> list[tuple[str, str]]:
-        """(relative path, SHA-256) of files that models share: materials, textures."""
-        return []
-
-    def write_split(self, cache: Path):
-        """Write a split of our own beside a cache folder, so that it can be reused."""
-
-
-class Division(NamedTuple):
-    """Models by name, names by split, and the split file if one was read."""
-
-    models: dict[str, Path]
-    sides: dict[str, list[str]]
-    official: Path | None
-
-
-class SplitSource(Source):
-    """A folder of models, split by an official list if there is one, or by seed."""
-
-    synset = ""  # eight digits of the category in official splits
-
-    def find_models(self) -> dict[str, Path]:
-        """Models that are there: `{name: path}`, in order."""
-        raise NotImplementedError
-
-    def identify_model(self, name: str, path: Path) -> tuple[int, str]:
-        """(number of views, digest) of a model."""
-        raise NotImplementedError
 
     def expect_model(self, name: str) -> Path:
         """Where a model that an official split names should lie."""
@@ -174,6 +151,11 @@ class SplitSource(Source):
         return Division(models | missing, sides, official)
 
     def list_models(self) -> list[Model]:
+        """All models of the split, in order.
+
+        Raises:
+          ValueError: if there are none, naming the folder.
+        """
         division, spec = self.division, self.spec
         names = division.sides[spec.split]
         if not names:
@@ -190,11 +172,23 @@ class SplitSource(Source):
         return complete(models, spec)
 
     def list_remarks(self) -> list[tuple[str, str]]:
+        """(file or folder, remark) pairs on the data set as a whole."""
         models, sides, official = self.division
         unlisted = len(models.keys() - set().union(*sides.values()))
         if official is None or not unlisted:
             return []
         return [(str(official), f"leaves out {unlisted} models of the folder")]
+
+    def list_warnings(self) -> list[str]:
+        """Sentences on the data set that a reader of results has to know."""
+        return []
+
+    def list_sidecars(self) -> list[tuple[str, str]]:
+        """(relative path, SHA-256) of files that models share: materials, textures."""
+        return []
+
+    def write_split(self, cache: Path):
+        """Write a split of our own beside a cache folder, so that it can be reused."""
 
 
 def find_kind(kind: str | None) -> type[Source]:

@@ -13,13 +13,13 @@ from dpc_jax import files
 from dpc_jax.data import splits
 from dpc_jax.data.sets import framing, masks, pose_files
 from dpc_jax.data.sets.pictures import SUFFIXES, read_picture, to_colors
-from dpc_jax.data.sources import Model, SplitSource
+from dpc_jax.data.sources import Model, Source
 from dpc_jax.data.spec import DataSpec
 
 FEWEST_OBJECTS = 3  # that can be split
 
 
-class ImageFolder(SplitSource):
+class ImageFolder(Source):
     """A user's own images, cut out and scaled as if taken by the data set's camera."""
 
     @classmethod
@@ -27,7 +27,7 @@ class ImageFolder(SplitSource):
         return any(path.suffix.lower() in SUFFIXES for path in folder.rglob("*"))
 
     def find_models(self) -> dict[str, Path]:
-        """See `SplitSource.find_models`; poses are given for all objects or none."""
+        """See `Source.find_models`; poses are given for all objects or none."""
         models = _list_objects(self.folder)
         posed = [path for path in models.values() if pose_files.find_pose_files(path)]
         if posed and len(posed) < len(models):
@@ -39,7 +39,7 @@ class ImageFolder(SplitSource):
         return models
 
     def split_by_seed(self, models: dict[str, Path]) -> dict[str, list[str]]:
-        """See `SplitSource.split_by_seed`; all splits hold one or two objects."""
+        """See `Source.split_by_seed`; all splits hold one or two objects."""
         if len(models) < FEWEST_OBJECTS:
             return dict.fromkeys(splits.SPLITS, list(models))
         return super().split_by_seed(models)
@@ -52,7 +52,7 @@ class ImageFolder(SplitSource):
         return super().list_remarks()
 
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
-        """See `SplitSource.identify_model`; it changes with any file of the object."""
+        """See `Source.identify_model`; it changes with any file of the object."""
         images = list_images(path)
         beside = [file for image in images if (file := masks.find_mask_file(image))]
         poses = pose_files.find_pose_files(path)

@@ -13,7 +13,7 @@ from dpc_jax import files
 from dpc_jax.data import meshes, splits
 from dpc_jax.data.rendering import render_mesh
 from dpc_jax.data.sets import pictures
-from dpc_jax.data.sources import Model, Source, SplitSource, list_procedural
+from dpc_jax.data.sources import Model, Source, list_procedural
 from dpc_jax.data.spec import FEW
 from dpc_jax.shapes import procedural
 from dpc_jax.shapes.normalization import normalize
@@ -27,6 +27,7 @@ class MeshSource(Source):
 
     unit = "mesh"
     work = "Rendering"
+    remarks_on_bare = True  # whether a file without materials lacks something
 
     def find_turn(self, path: str) -> np.ndarray | None:
         """Rotation [3, 3] to the canonical frame; None if files are in it already."""
@@ -46,10 +47,6 @@ class MeshSource(Source):
             mesh = meshes.scale_randomly(normalize(mesh), seed=seed)
         return normalize(mesh)
 
-    def describe_flaws(self, path: str) -> str | None:
-        """What a file lacks, though it can be rendered."""
-        return describe_flaw(path) if path.lower().endswith(".obj") else None
-
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
         arrays = render_mesh(self.make_mesh(model), self.spec, index)
         empty = int((~arrays["masks"].any(axis=(1, 2))).sum())
@@ -60,9 +57,9 @@ class MeshSource(Source):
                 "coordinates may lie far off: repair or remove it."
             )
         flaw = None
-        if model.path is not None and not model.copy:
-            flaw = self.describe_flaws(model.path)
-        return arrays, [flaw] if flaw else []
+        if model.path and not model.copy and model.path.lower().endswith(".obj"):
+            flaw = describe_flaw(model.path)
+        return arrays, [flaw] if flaw and (flaw != BARE or self.remarks_on_bare) else []
 
 
 class ProceduralShapes(MeshSource):
@@ -71,9 +68,14 @@ class ProceduralShapes(MeshSource):
     def list_models(self) -> list[Model]:
         return list_procedural(self.spec, self.spec.models or 0)
 
+    def list_remarks(self) -> list[tuple[str, str]]:
+        return []
 
-class MeshFolder(SplitSource, MeshSource):
+
+class MeshFolder(MeshSource):
     """Mesh files at any depth of a folder, in the canonical frame, split by seed."""
+
+    remarks_on_bare = False  # an OBJ file may have colours at its vertices
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
@@ -100,7 +102,7 @@ class MeshFolder(SplitSource, MeshSource):
         """None: official lists are of ShapeNet."""
 
     def split_by_seed(self, models: dict[str, Path]) -> dict[str, list[str]]:
-        """See `SplitSource.split_by_seed`; the variants of a design stay together."""
+        """See `Source.split_by_seed`; the variants of a design stay together."""
         names = {path: name for name, path in models.items()}
         bad = self._find_unreadable(models)
         whole = [path for path in names if path not in bad] or list(names)
@@ -145,11 +147,6 @@ class MeshFolder(SplitSource, MeshSource):
             for path in sorted(found)
             if path.is_file()
         ]
-
-    def describe_flaws(self, path: str) -> str | None:
-        flaw = super().describe_flaws(path)
-        # an OBJ file without materials may have colours at its vertices
-        return None if flaw == BARE else flaw
 
 
 def _digest(path: Path) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from dpc_jax import files
 from dpc_jax.data import meshes, splits
 from dpc_jax.data.sets.mesh_folder import MeshSource
-from dpc_jax.data.sources import SplitSource
+from dpc_jax.data.sources import Source
 from dpc_jax.data.splits import SPLITS
 
 SYNSETS = {"airplane": "02691156", "car": "02958343", "chair": "03001627"}
@@ -36,7 +36,7 @@ TURNS = {  # rows are the canonical axes (front, left, up) in the axes of the fi
 }
 
 
-class SynsetSource(SplitSource):
+class SynsetSource(Source):
     """A source that keeps each category in the folder of its synset."""
 
     @classmethod
@@ -122,7 +122,7 @@ class ShapeNet(SynsetSource, MeshSource):
         return self.place / name / LAYOUTS[1]
 
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
-        """See `SplitSource.identify_model`; reading the contents would take hours."""
+        """See `Source.identify_model`; reading the contents would take hours."""
         sizes = files.list_sizes([path, path.with_suffix(".mtl")])
         text = f"{path.parent.parent.name}/{path.parent.name} {sizes}"
         return self.spec.views, files.digest_text(text)
