@@ -102,7 +102,7 @@ def _read_beside(path):
 
 def _read_photograph(path):
     spec = DataSpec("car", kind="images", folder=".", image_size=8)
-    photographs.read_photographs(photographs.Request([path]), spec)
+    photographs.read_photographs([path], spec)
 
 
 def _read_shard(path):

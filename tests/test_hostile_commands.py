@@ -24,7 +24,7 @@ from dpc_jax.config import replace_fields, to_json
 from dpc_jax.data import DataSpec
 from dpc_jax.data import __main__ as data_command
 from dpc_jax.data.sets import masks
-from dpc_jax.data.sets.photographs import Request, read_photographs
+from dpc_jax.data.sets.photographs import read_photographs
 from dpc_jax.outputs import show_text
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.gallery import draw_predictions
@@ -231,7 +231,7 @@ def name_files_in_bytes_of_all_kinds(folder):
     names.append("車".encode())
     paths = [draw_image(folder / os.fsdecode(name + b".png")) for name in names]
     spec = DataSpec("car", kind="images", folder=".", image_size=16, crop="object")
-    found, _ = read_photographs(Request([folder]), spec)
+    found, _ = read_photographs([folder], spec)
     (one,) = found
     shown = [*one.sources, *(show_text(path) for path in paths)]
     text = "".join(shown)

@@ -10,7 +10,7 @@ from PIL import Image
 
 from dpc_jax.data import DataSpec
 from dpc_jax.data.sets import masks, pictures
-from dpc_jax.data.sets.photographs import MOST_FRAMES, Request, read_photographs
+from dpc_jax.data.sets.photographs import MOST_FRAMES, read_photographs
 from dpc_jax.data.viewpoints import look_at_rotation
 from dpc_jax.data.views import build_scene, draw_lights, render_view
 from dpc_jax.shapes.procedural import make_shape
@@ -29,7 +29,7 @@ def draw_disc(*, side=40, center=(20, 17), radius=9, alpha=True):
 
 
 def read(*paths, mask="given", is_one_object=False, spec=SPEC):
-    return read_photographs(Request(paths, mask, is_one_object), spec)
+    return read_photographs(paths, spec, mask=mask, is_one_object=is_one_object)
 
 
 def measure_overlap(found, true):

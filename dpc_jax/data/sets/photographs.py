@@ -5,7 +5,6 @@ cannot be used is named. This module loads no JAX: a bad file is told at once.
 """
 
 import contextlib
-import dataclasses
 import functools
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,40 +38,34 @@ class Photographs(NamedTuple):
     files: tuple[Path, ...]
 
 
-@dataclasses.dataclass(frozen=True)
-class Request:
-    """What is to be read.
+def read_photographs(
+    paths: Sequence[Path],
+    spec: DataSpec,
+    *,
+    mask: str = "given",
+    is_one_object: bool = False,
+) -> tuple[list[Photographs], list[tuple[str, str]]]:
+    """The objects that can be used, and (source, sentence) of what is left out.
 
-    Attributes:
+    Args:
       paths: image files, moving pictures, videos, and folders of the views of one
         object, or of such folders.
       mask: of `MASKS`. "given": alpha channel or mask file; "auto": where there is
         neither, the object before a plain background; "matting": by a network.
       is_one_object: whether all of it shows the same object.
-    """
-
-    paths: Sequence[Path]
-    mask: str = "given"
-    is_one_object: bool = False
-
-
-def read_photographs(
-    request: Request, spec: DataSpec
-) -> tuple[list[Photographs], list[tuple[str, str]]]:
-    """The objects that can be used, and (source, sentence) of what is left out.
 
     Raises:
       ValueError: where nothing can be used, two objects would have the same name, or
         masks cannot be made.
     """
     finder = None  # of a mask in an image's colours; None where it has to be given
-    if request.mask == "auto":
+    if mask == "auto":
         finder = masks.find_before_plain_background
-    elif request.mask == "matting":
+    elif mask == "matting":
         session = masks.open_session()
         finder = functools.partial(masks.find_by_network, session=session)
     objects, skipped = [], []
-    for name, files in _list_objects(request):
+    for name, files in _list_objects(paths, is_one_object):
         views = [view for file in files for view in _read_file(file, finder, skipped)]
         if views:
             objects.append(_frame(name, views, tuple(files), spec))
@@ -87,10 +80,10 @@ def read_photographs(
     return objects, skipped
 
 
-def _list_objects(request: Request) -> list[tuple[str, list[Path]]]:
+def _list_objects(paths, is_one_object) -> list[tuple[str, list[Path]]]:
     """(name, files) of each object."""
-    found = [pair for path in request.paths for pair in _expand(path)]
-    if request.is_one_object:
+    found = [pair for path in paths for pair in _expand(path)]
+    if is_one_object:
         name = found[0][0] if len(found) == 1 else "object"
         return [(name, [file for _, files in found for file in files])]
     names = [name for name, _ in found]

@@ -80,8 +80,10 @@ def predict_images(request: PredictRequest):
     if request.is_refined:
         _check_ability(config, "--refine")
     found, skipped = photographs.read_photographs(
-        photographs.Request(request.paths, request.mask, request.views == "one-object"),
+        request.paths,
         _make_spec(config, request.crop),
+        mask=request.mask,
+        is_one_object=request.views == "one-object",
     )
     for source, reason in skipped:
         print(f"Warning: {source} was left out: {reason}.", file=sys.stderr)
