@@ -2,7 +2,7 @@
 
 Cost: 571 s on one core beside another run, 3 GB. Reached on 100 test cars, seeds 0 to
 2, November 2026: pose accuracy 0.978, 0.972, 0.990, median error 1.7, 1.6, 1.6 degrees,
-Chamfer 2.83, 2.84, 2.82; with `pose.choice_top=3`, a tenth faster, the default then.
+Chamfer 2.83, 2.84, 2.82, all with `pose.choice_top=3`, which is a tenth faster.
 ":paper" is the paper's setting: a GPU and days, never run to the end.
 """
 

@@ -10,7 +10,8 @@ import types
 from pathlib import Path
 
 from dpc_jax.learning.fitting import LEARNED, POSES, FitSettings
-from dpc_jax.run.flags import FlagParser, Task, run_command
+from dpc_jax.run.flags import FlagParser
+from dpc_jax.run.task import Task, run_command
 
 _DEFAULT = FitSettings()
 

@@ -10,8 +10,9 @@ from absl import app, flags, logging
 from ml_collections import config_flags
 
 from dpc_jax.config import from_config_dict, resolve_flags
-from dpc_jax.run.flags import FlagParser, hush_jaxlib
+from dpc_jax.run.flags import FlagParser
 from dpc_jax.run.hosts.places import Place, find_place
+from dpc_jax.run.task import hush_jaxlib
 
 _CONFIG = config_flags.DEFINE_config_file(
     "config",

@@ -13,7 +13,8 @@ from dpc_jax.experiments.catalogue import NAMES
 from dpc_jax.experiments.published import CATEGORIES, TITLE
 from dpc_jax.experiments.runs import SIZES, SOURCES, Request, Source
 from dpc_jax.files import read_text
-from dpc_jax.run.flags import FlagParser, Task, reading_names, run_command
+from dpc_jax.run.flags import FlagParser, reading_names
+from dpc_jax.run.task import Task, run_command
 
 # In --out; each run claims its own folder.
 WRITES = ("index.html", "paper.md", "logs/", "figures/", "measured/")

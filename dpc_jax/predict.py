@@ -10,7 +10,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from dpc_jax.run.flags import FlagParser, Task, run_command
+from dpc_jax.run.flags import FlagParser
+from dpc_jax.run.task import Task, run_command
 
 MASKS = ("given", "auto", "matting")  # of data.sets.photographs, which --help loads not
 

@@ -1,5 +1,6 @@
 """The command dpc_jax: the same as python -m, and quick."""
 
+import argparse
 import importlib
 import os
 import subprocess
@@ -8,7 +9,7 @@ import sys
 import pytest
 
 from dpc_jax import commands
-from dpc_jax.run import flags
+from dpc_jax.run.task import run_command
 
 LINES, COLUMNS = 24, 80  # of a terminal as it opens
 
@@ -37,6 +38,20 @@ def test_help_fits_a_screen(name, monkeypatch):
     assert max(map(len, lines)) <= COLUMNS
     if not name:
         assert all(f"  {command} " in text for command in commands.COMMANDS)
+
+
+@pytest.mark.parametrize("name", commands.COMMANDS)
+def test_every_flag_says_what_it_is_for(name, monkeypatch):
+    seen, original = [], argparse.ArgumentParser.add_argument
+
+    def add(self, *names, **settings):
+        seen.append(names)
+        assert settings.get("help"), names
+        return original(self, *names, **settings)
+
+    monkeypatch.setattr(argparse.ArgumentParser, "add_argument", add)
+    make_parser(name)
+    assert len(seen) > 1
 
 
 def test_flags_are_known_before_anything_heavy_is_loaded():
@@ -114,11 +129,11 @@ def test_a_library_that_is_not_installed_is_said_in_one_sentence(capsys):
     def read(name):
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-    assert flags.run_command(lambda: read("ml_collections")) == 1
+    assert run_command(lambda: read("ml_collections")) == 1
     said = capsys.readouterr().err
     assert said.startswith(
         "Error: Expected the package's libraries, but ml_collections"
     )
     assert "activate the environment" in said and said.count("\n") == 1
     with pytest.raises(ModuleNotFoundError):  # a defect of ours
-        flags.run_command(lambda: read("dpc_jax.none"))
+        run_command(lambda: read("dpc_jax.none"))

@@ -21,7 +21,7 @@ from dpc_jax.learning.predictions import make_inputs
 from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.reporting import paper_figures as figures
 from dpc_jax.reporting.clouds import DEVIATIONS, draw_ellipsoids
-from dpc_jax.run.finished import load_split, predict_points, read_run
+from dpc_jax.run.trained import load_split, load_trained, predict_points
 from dpc_jax.run.workdir import claim_workdir, write_alignment
 
 TURN = Rotation.from_euler("z", 30, degrees=True)
@@ -50,14 +50,14 @@ def write_run(folder, config):
 def finished(tmp_path_factory):
     """A run, read back from its workdir."""
     folder = tmp_path_factory.mktemp("finished")
-    return read_run(write_run(folder, make_config(folder)))
+    return load_trained(write_run(folder, make_config(folder)))
 
 
 @pytest.fixture(autouse=True)
 def reading_once(finished, monkeypatch):
     """Every workdir holds that run, which need not be restored again."""
     for module in (correspondences, interpolation):
-        monkeypatch.setattr(module, "read_run", lambda workdir: finished)
+        monkeypatch.setattr(module, "load_trained", lambda workdir: finished)
 
 
 def test_clouds_are_those_of_the_network_in_the_object_frame(finished):
@@ -131,7 +131,7 @@ def test_pairs_are_of_different_images():
 def test_a_run_that_has_not_ended_is_refused(tmp_path):
     claim_workdir(tmp_path / "run", make_config(tmp_path))
     with pytest.raises(ValueError, match="Expected a finished run in"):
-        read_run(tmp_path / "run")
+        load_trained(tmp_path / "run")
 
 
 def test_shapes_without_known_parts_are_refused(finished, tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from config_files import load, parameter_shapes
 
-from dpc_jax.data.spec import ELEVATIONS
+from dpc_jax.config import ELEVATIONS
 from dpc_jax.learning.schedules import (
     compute_sigma,
     count_kept_points,

@@ -64,16 +64,8 @@ def _read(kind: type, values: Any, name: str) -> Any:
             read[field] = _read(wanted, value, path)
         else:
             read[field] = _convert(wanted, value, path)
-    if missing := [
-        name
-        for name, field in fields.items()
-        if name not in read
-        and field.default is dataclasses.MISSING
-        and field.default_factory is dataclasses.MISSING
-    ]:
-        raise ValueError(
-            f"{name} must have the field {missing[0]}, but it is missing; add it."
-        )
+    if kind is Config and "category" not in read:  # all others have defaults
+        raise ValueError(f"{name} must have the field category, but it is missing.")
     return kind(**read)
 
 

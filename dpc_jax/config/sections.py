@@ -32,6 +32,8 @@ POSE_SOURCES = ("unknown", "given", "labels", "sampled")
 # squares of it; the likeliest candidate, or that weighed by how it fits the image.
 STUDENTS = ("regresses", "squares", "selects", "posterior")
 POINT_SIZES = ("", "sigma", "covariance")  # what is learned of each point's size
+# Of the cameras of rendered views, degrees, uniform (§ Datasets); azimuths: all 360.
+ELEVATIONS = (-20.0, 40.0)
 _IMAGE_SIZE = Allowed(
     lambda size: size >= 16 and size & (size - 1) == 0,
     "a power of two of at least 16 pixels, because the encoder halves it down to 4",
@@ -117,8 +119,8 @@ class Pose:
     source: str = field("unknown", one_of(*POSE_SOURCES))  # where poses come from
     candidates: int = field(8, _HEADS)  # K heads (§ distilled ensemble)
     head: str = field("viewpoint", one_of(*POSE_HEADS))  # upright; quaternion: any
-    elevation_low: float = field(-20.0, between(-90, 90))  # of viewpoints, degrees
-    elevation_high: float = field(40.0, between(-90, 90))  # (§ Datasets)
+    elevation_low: float = field(ELEVATIONS[0], between(-90, 90))  # that heads predict
+    elevation_high: float = field(ELEVATIONS[1], between(-90, 90))  # degrees
     flips: bool = field(True)  # also try each head after half turns of the object
     student: str = field("posterior", one_of(*STUDENTS))  # what it predicts
     choice_points: int = field(250, at_least(0))  # of a first choice; 0: there is none

@@ -7,8 +7,9 @@ reference has 1e5 points on each mesh, thinned to one per voxel of 0.01.
 import numpy as np
 import trimesh
 
+from dpc_jax.config import ELEVATIONS
 from dpc_jax.data import viewpoints, views
-from dpc_jax.data.spec import ELEVATIONS, DataSpec
+from dpc_jax.data.spec import DataSpec
 from dpc_jax.data.splits import SPLITS
 
 CAMERA = ("image_size", "focal_length", "distance")

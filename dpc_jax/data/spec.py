@@ -12,7 +12,6 @@ KINDS = {  # of folders, and the class that reads each, in `dpc_jax.data.sets`
     "images": "image_folder.ImageFolder",
 }
 SEEDS_PER_SPLIT = 1_000_000
-ELEVATIONS = (-20.0, 40.0)  # degrees, uniform, as in the paper; azimuth: all 360
 SUPERSAMPLE = 4  # rays per pixel along each axis: masks have 17 levels
 FEW = 300  # models of a folder, below which copies and procedural shapes are added
 

@@ -19,8 +19,8 @@ from dpc_jax.data import DataSet
 from dpc_jax.data.sources import open_source
 from dpc_jax.data.views import sample_surface
 from dpc_jax.reporting import paper_figures
-from dpc_jax.run.finished import FinishedRun, load_split, predict_points, read_run
 from dpc_jax.run.setup import make_data_specs
+from dpc_jax.run.trained import TrainedNetwork, load_split, load_trained, predict_points
 from dpc_jax.shapes.building_blocks import read_labels
 from dpc_jax.shapes.keypoints import KEYPOINTS, find_keypoints
 from dpc_jax.shapes.procedural import make_shape
@@ -76,7 +76,7 @@ def run(out: Path, workdir: Path) -> tuple[dict[str, float], Figures]:
       ValueError: where the workdir holds no such run, or too few of its validation
         shapes have all keypoints. OSError: where files cannot be written.
     """
-    finished = read_run(Path(workdir))
+    finished = load_trained(Path(workdir))
     labels = list(name_keypoints(finished).values())
     templates, shapes = (read_shapes(finished, name) for name in ("val", "test"))
     has_all = np.isfinite(templates.keypoints).all(axis=(1, 2))
@@ -103,7 +103,7 @@ def run(out: Path, workdir: Path) -> tuple[dict[str, float], Figures]:
     return measures, [(path, caption + "other shapes.")]
 
 
-def name_keypoints(run: FinishedRun) -> dict[str, str]:
+def name_keypoints(run: TrainedNetwork) -> dict[str, str]:
     """The keypoints of a run's category by name, each with the label of its part.
 
     Raises:
@@ -120,7 +120,7 @@ def name_keypoints(run: FinishedRun) -> dict[str, str]:
     return {name: label for name, (label, _) in KEYPOINTS[category].items()}
 
 
-def read_shapes(run: FinishedRun, split: str) -> LabelledShapes:
+def read_shapes(run: TrainedNetwork, split: str) -> LabelledShapes:
     """The shapes of the split "val" or "test" with a run's predictions."""
     names, category = KEYPOINTS[run.config.category], run.config.category
     dataset = load_split(run, split)

@@ -13,7 +13,7 @@ from dpc_jax.data import DataSet
 from dpc_jax.evaluation.chamfer import chamfer_distance
 from dpc_jax.experiments.correspondences import read_first_views
 from dpc_jax.reporting import paper_figures
-from dpc_jax.run.finished import FinishedRun, load_split, predict_points, read_run
+from dpc_jax.run.trained import TrainedNetwork, load_split, load_trained, predict_points
 
 PAIRS = 12  # of test images that are measured
 DRAWN = 6  # of them, as in the paper
@@ -45,7 +45,7 @@ def run(
       ValueError: where the workdir holds no finished run, or too few test images.
       OSError: where files cannot be written.
     """
-    finished = read_run(Path(workdir))
+    finished = load_trained(Path(workdir))
     dataset = load_split(finished, "test")
     images, masks = read_first_views(dataset)
     pairs = draw_pairs(len(images))
@@ -79,7 +79,9 @@ def draw_pairs(count: int) -> np.ndarray:
     return order[: 2 * min(PAIRS, count // 2)].reshape(-1, 2)
 
 
-def interpolate(run: FinishedRun, images: np.ndarray, masks: np.ndarray) -> np.ndarray:
+def interpolate(
+    run: TrainedNetwork, images: np.ndarray, masks: np.ndarray
+) -> np.ndarray:
     """Clouds [STEPS + 1, N, 3] in the object frame, from one image to another.
 
     Args:

@@ -19,8 +19,8 @@ from dpc_jax.learning.inference.predictor import (
     predict_all,
 )
 from dpc_jax.reporting import paper_figures as figures
-from dpc_jax.run.finished import restore_state
 from dpc_jax.run.setup import make_data_specs, make_network
+from dpc_jax.run.trained import restore_state
 from dpc_jax.run.workdir import read_alignment, read_config
 
 SHOWN = 5  # chairs in a figure

@@ -8,8 +8,9 @@ from dpc_jax.experiments.page import make_page
 from dpc_jax.experiments.results import Outcome, Results, measure_mean_shapes
 from dpc_jax.experiments.runs import SIZES, Request
 from dpc_jax.experiments.training import Job, choose_cores, train_missing
-from dpc_jax.run.process import catch_signals
-from dpc_jax.run.workdir import hold_workdir, make_workdir
+from dpc_jax.learning.inference.predictor import VIEWS_AT_ONCE
+from dpc_jax.run.process import catch_signals, prepare_process
+from dpc_jax.run.workdir import hold_workdir
 
 
 def run_suite(
@@ -39,7 +40,7 @@ def run_suite(
       OSError: where DIR cannot be written.
       KeyboardInterrupt: where Ctrl-C stopped it; the runs have saved.
     """
-    make_workdir(folder)
+    prepare_process(VIEWS_AT_ONCE)  # the networks of finished runs are asked here
     with hold_workdir(folder), catch_signals() as stop:
         jobs, problems = _plan(request, folder, cache)
         if asked := [job for name, job in jobs.items() if name in trained]:

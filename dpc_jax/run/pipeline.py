@@ -10,21 +10,17 @@ from dpc_jax import config as configs
 from dpc_jax.config import Config
 from dpc_jax.learning.devices import make_mesh
 from dpc_jax.learning.training.records import MetricLog, NonFiniteError
-from dpc_jax.run.flags import Task, run_command
 from dpc_jax.run.hosts.agreement import Job
-from dpc_jax.run.hosts.checkpoints import SilentLog
 from dpc_jax.run.hosts.joining import joining
 from dpc_jax.run.hosts.places import Place
-from dpc_jax.run.model import Model, Show
-from dpc_jax.run.process import (
-    keep_compiled_programs,
-    keep_freed_memory,
-    split_cores,
-)
+from dpc_jax.run.hosts.writing import SilentLog
+from dpc_jax.run.learner import Learner, Show
+from dpc_jax.run.process import prepare_process
 from dpc_jax.run.report.summary import report_run
 from dpc_jax.run.setup import load_sets
-from dpc_jax.run.training import train_model
-from dpc_jax.run.workdir import claim_workdir, hold_workdir, make_workdir
+from dpc_jax.run.task import Task, run_command
+from dpc_jax.run.training import train_learner
+from dpc_jax.run.workdir import claim_workdir, hold_workdir
 
 
 def run_guarded(
@@ -76,15 +72,12 @@ def run(
         )
     processes = place.processes if place else 1
     objects = max(1, config.train.models_per_batch // processes)
-    split_cores(objects, config.run.devices // processes)
-    keep_freed_memory()
-    keep_compiled_programs()
+    prepare_process(objects, config.run.devices // processes)
     folder = Path(workdir or _name_workdir(config, config_path))
     with joining(place) as job, contextlib.ExitStack() as held:
         job.check_same(config)
 
         def take_workdir():
-            make_workdir(folder)
             held.enter_context(hold_workdir(folder))
             claim_workdir(folder, config)
 
@@ -99,47 +92,32 @@ def _run_in(folder, config, job):
     sets = load_sets(config, share=(job.process, job.processes))
     data_seconds = time.monotonic() - started
 
-    model = Model(config, sets)
+    learner = Learner(config, sets)
     log, show = _open_log(folder, config, job)
     with contextlib.closing(log):
-        outcome = train_model(model, folder, log, job, show=show)
+        outcome = train_learner(learner, folder, log, job, show=show)
     if not outcome.is_finished:
         print(
             f"Stopped and saved at step {int(outcome.state.step)}; start again in the "
             "same workdir to go on."
         )
         return
-    state = outcome.state
-    validated, threshold = model.find_points(model.predict(state, "val"))
-    alignment = model.align(validated)
-    predictions = model.predict(state, "test", frame=alignment, threshold=threshold)
+    found = learner.evaluate_test(outcome.state)
     if not job.is_first:
         return
     refined = None
     if config.eval.refine:
-        # Only where asked for.
-        from dpc_jax.learning.inference.refinement import measure_refinement
-
-        print("Refining the test views.", flush=True)
-        refined = measure_refinement(
-            model.network,
-            config,
-            state,
-            sets["test"],
-            predictions,
-            validated=validated,
-            alignment=alignment,
-        )
+        refined = learner.refine_test(outcome.state, found)
     report_run(
         folder,
         config,
         sets,
         outcome,
-        predictions=predictions,
-        alignment=alignment,
+        predictions=found.predictions,
+        alignment=found.alignment,
         records=log.read(),
         data_seconds=data_seconds,
-        threshold=threshold,
+        threshold=found.threshold,
         refined=refined,
     )
 

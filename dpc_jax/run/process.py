@@ -20,6 +20,23 @@ from dpc_jax.render.devices import count_cores, read_settings, use_all_cores
 _KEPT_DAYS = 30  # of a compiled program
 
 
+def prepare_process(objects: int, devices: int = 0):
+    """Set the process up for work on all cores, before jax is first used.
+
+    CPU cores become devices of jax, unless it has begun, or XLA_FLAGS or its own
+    setting say how many there are. Freed memory and compiled programs are kept.
+
+    Args:
+      objects: of a batch, that the devices share.
+      devices: how many; 0 for as many cores as divide the objects.
+    """
+    if not read_settings():
+        with contextlib.suppress(RuntimeError):  # jax has begun
+            use_all_cores(devices or find_share(objects, count_cores()))
+    keep_freed_memory()
+    keep_compiled_programs()
+
+
 def keep_freed_memory() -> None:
     """Have glibc keep what a step frees for the next one.
 
@@ -35,21 +52,6 @@ def keep_freed_memory() -> None:
         libc.mallopt(mmap_max, 0)
         libc.mallopt(trim_threshold, 2**31 - 1)
         libc.mallopt(top_pad, 64 * 2**20)
-
-
-def split_cores(objects: int, devices: int = 0):
-    """Have jax take CPU cores as devices, as many as can share the objects of a batch.
-
-    To be called before jax is first used; afterwards, or where XLA_FLAGS or jax's own
-    setting say how many there are, nothing changes.
-
-    Args:
-      objects: that are shared.
-      devices: how many instead; 0 for as many cores as divide the objects.
-    """
-    if not read_settings():
-        with contextlib.suppress(RuntimeError):  # jax has begun
-            use_all_cores(devices or find_share(objects, count_cores()))
 
 
 def keep_compiled_programs() -> Path | None:

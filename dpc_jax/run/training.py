@@ -13,8 +13,8 @@ from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.hosts.agreement import Job
-from dpc_jax.run.hosts.checkpoints import open_checkpoints
-from dpc_jax.run.model import Model, Show
+from dpc_jax.run.hosts.writing import open_checkpoints
+from dpc_jax.run.learner import Learner, Show
 from dpc_jax.run.process import catch_signals
 from dpc_jax.run.setup import make_network
 from dpc_jax.run.workdir import list_differences, read_config
@@ -27,8 +27,13 @@ _OF_NETWORK = (
 _GB = 1e9
 
 
-def train_model(
-    model: Model, workdir: Path, log: MetricLog, job: Job, *, show: Show | None = None
+def train_learner(
+    learner: Learner,
+    workdir: Path,
+    log: MetricLog,
+    job: Job,
+    *,
+    show: Show | None = None,
 ) -> loop.Outcome:
     """Train to the last step, or until SIGTERM or Ctrl-C asks to save and stop.
 
@@ -41,34 +46,34 @@ def train_model(
       NonFiniteError: where training breaks.
     """
     checkpoints = open_checkpoints(workdir / "checkpoints", job)
-    start = _restore_run(model, checkpoints, log, job)
+    start = _restore_run(learner, checkpoints, log, job)
     with contextlib.closing(checkpoints), catch_signals() as stop:
-        if int(start.state.step) >= model.config.train.steps:
+        if int(start.state.step) >= learner.config.train.steps:
             return loop.Outcome(start.state, start.seconds, True)
         return loop.train(
             start.state,
-            model.sets["train"],
-            network=model.network,
-            config=model.config,
+            learner.sets["train"],
+            network=learner.network,
+            config=learner.config,
             checkpoints=checkpoints,
             log=log,
-            evaluate=functools.partial(model.validate, show=show),
+            evaluate=functools.partial(learner.validate, show=show),
             should_stop=job.agree_to_stop(stop.is_set),
             may_stop_waiting=job.processes == 1,
             seconds=start.seconds,
             title=f"Training {workdir.name}",
-            validations_after=model.count_views("test", "val")
-            / model.count_views("val"),
-            prepare=functools.partial(model.compile_predictor, start.state),
+            validations_after=learner.count_views("test", "val")
+            / learner.count_views("val"),
+            prepare=functools.partial(learner.compile_predictor, start.state),
             check=check_memory,
         )
 
 
 def _restore_run(
-    model: Model, checkpoints: Checkpoints, log: MetricLog, job: Job
+    learner: Learner, checkpoints: Checkpoints, log: MetricLog, job: Job
 ) -> Restored:
     """The newest checkpoint that can be read, or step 0; the log is cut to fit."""
-    restored = checkpoints.restore(describe_state(model.network, model.config))
+    restored = checkpoints.restore(describe_state(learner.network, learner.config))
     for step in restored.damaged if restored else ():
         print(f"The checkpoint of step {step} is damaged; the one before is used.")
     if restored:
@@ -76,7 +81,7 @@ def _restore_run(
         step = int(restored.state.step)
         print(f"Going on from the checkpoint of step {step}.", flush=True)
     else:
-        restored = Restored(begin_run(model.network, model.config, job), 0.0, ())
+        restored = Restored(begin_run(learner.network, learner.config, job), 0.0, ())
     log.cut_after(int(restored.state.step))
     return restored
 

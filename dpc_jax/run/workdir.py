@@ -33,12 +33,43 @@ FREE_FIELDS = (
 _ALIGNMENT = Path("report") / "alignment.json"
 
 
-def make_workdir(workdir: Path):
-    """Make the folder of a run where there is none.
+@contextlib.contextmanager
+def hold_workdir(workdir: Path) -> Iterator[None]:
+    """Make the workdir, and keep other commands from training in it meanwhile.
+
+    The lock is the kernel's: it ends with the process, also after kill -9. File systems
+    that know no locks are used without one.
 
     Raises:
+      ValueError: where another process holds it, naming that process.
       OSError: where it cannot be made or written.
     """
+    _make_workdir(workdir)
+    path = workdir / ".in-use"
+    with open(path, "a+", encoding="utf-8", opener=open_own) as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            holder = file.read()
+            name = f"process {holder}" if holder else "a process on another machine"
+            raise ValueError(
+                f"The workdir {workdir} must be used by one command at a time, but "
+                f"{name} is using it; wait for it to end, or give another "
+                "--workdir=DIR."
+            ) from None
+        except OSError:
+            pass
+        file.truncate(0)
+        file.write(f"{os.getpid()} on {socket.gethostname()}")
+        file.flush()
+        try:
+            yield
+        finally:
+            file.truncate(0)
+
+
+def _make_workdir(workdir: Path):
     try:
         workdir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -62,7 +93,6 @@ def claim_workdir(workdir: Path, config: Config) -> Path:
       ValueError: where another config made it.
       OSError: where it cannot be written.
     """
-    make_workdir(workdir)
     path = workdir / "config.json"
     if path.exists():
         other = read_config(workdir)  # of a run: what is not may be anybody's
@@ -76,40 +106,6 @@ def claim_workdir(workdir: Path, config: Config) -> Path:
             )
     write_text(path, to_json(config))
     return workdir
-
-
-@contextlib.contextmanager
-def hold_workdir(workdir: Path) -> Iterator[None]:
-    """Keep other commands from training in a workdir for as long as the context lasts.
-
-    The lock is the kernel's: it ends with the process, also after kill -9. File systems
-    that know no locks are used without one.
-
-    Raises:
-      ValueError: where another process holds it, naming that process.
-    """
-    path = workdir / ".in-use"
-    with open(path, "a+", encoding="utf-8", opener=open_own) as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
-            holder = file.read()
-            name = f"process {holder}" if holder else "a process on another machine"
-            raise ValueError(
-                f"The workdir {workdir} must be used by one command at a time, but "
-                f"{name} is using it; wait for it to end, or give another "
-                "--workdir=DIR."
-            ) from None
-        except OSError:
-            pass
-        file.truncate(0)
-        file.write(f"{os.getpid()} on {socket.gethostname()}")
-        file.flush()
-        try:
-            yield
-        finally:
-            file.truncate(0)
 
 
 def list_differences(old: Config, new: Config) -> list[str]:

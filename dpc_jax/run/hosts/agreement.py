@@ -20,7 +20,7 @@ from dpc_jax.config import Config
 # For what process 0 does alone while the others wait for it, and for slow hosts.
 PATIENCE_SECONDS = 4 * 3600
 # What may differ between the processes of a job.
-FREE_FIELDS = ("data.cache_dir", "data.processes")
+OWN_FIELDS = ("data.cache_dir", "data.processes")
 PACKAGES = ("dpc_jax", "jax", "jaxlib", "flax", "optax", "numpy")
 
 _Result = TypeVar("_Result")
@@ -160,7 +160,7 @@ def list_versions(config: Config) -> dict[str, Any]:
         digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
     told["the code of dpc_jax"] = digest.hexdigest()[:12]
     fields = flatten_dict(dataclasses.asdict(config), sep=".").items()
-    return told | {f"config.{n}": v for n, v in fields if n not in FREE_FIELDS}
+    return told | {f"config.{n}": v for n, v in fields if n not in OWN_FIELDS}
 
 
 def name_differences(told: list[dict]) -> str:

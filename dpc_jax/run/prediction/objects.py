@@ -28,9 +28,10 @@ from dpc_jax.learning.inference.predictor import (
     make_predictor,
     predict_all,
 )
-from dpc_jax.run.finished import FinishedRun, load_split, restore_state
 from dpc_jax.run.prediction import PredictRequest
+from dpc_jax.run.process import prepare_process
 from dpc_jax.run.setup import make_network
+from dpc_jax.run.trained import TrainedNetwork, load_split, restore_state
 from dpc_jax.run.workdir import read_alignment, read_config
 
 _MOST_KEPT = 2**28  # bytes of the directions of codes
@@ -83,8 +84,9 @@ def predict_objects(
     here: dict = {"run": {"devices": 0}, "train": {"models_per_batch": VIEWS_AT_ONCE}}
     here["data"] = {"cache_dir": str(request.data or workdir / "data")}
     config = replace_fields(read_config(workdir), here)
+    prepare_process(VIEWS_AT_ONCE)
     alignment = read_alignment(workdir)
-    run = FinishedRun(
+    run = TrainedNetwork(
         config,
         make_network(config),
         restore_state(config, workdir),
@@ -135,7 +137,10 @@ def _make_dataset(found: list[Photographs]) -> DataSet:
 
 
 def _list_objects(
-    found: list[Photographs], predictions: Predictions, run: FinishedRun, workdir: Path
+    found: list[Photographs],
+    predictions: Predictions,
+    run: TrainedNetwork,
+    workdir: Path,
 ) -> list[PredictedObject]:
     """Objects as predicted from their first view, in the network's frame."""
     meshes: dict[int, Any] = {}
@@ -209,7 +214,7 @@ def _join_and_refine(
     predicted: list[PredictedObject],
     predictions: Predictions,
     masks: np.ndarray,
-    run: FinishedRun,
+    run: TrainedNetwork,
     directions: np.ndarray,
 ):
     """Put in what several views say together, and what refinement finds."""

@@ -1,4 +1,4 @@
-"""What process 0 of a job writes for all: checkpoints and the log.
+"""What process 0 of a job writes for all: the checkpoints and the log.
 
 Each class has the face of the one that a process on its own uses, and every process
 calls it at the same steps. Only process 0 needs the workdir.

@@ -1,6 +1,7 @@
-"""What a run learns, with its data sets: prediction, alignment, validation."""
+"""A network with its data sets: prediction, alignment, validation, test."""
 
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
@@ -20,8 +21,28 @@ from dpc_jax.run.setup import make_network
 Show = Callable[[int, Predictions, DataSet], None]
 
 
-class Model:
-    """What a run learns, with its data sets: the network and how it is judged."""
+class Evaluation(NamedTuple):
+    """What a trained network makes of the test split.
+
+    Attributes:
+      predictions: for the split.
+      alignment: from the network's frame to the object frame.
+      threshold: of the surfaces of a voxel model; None for other shapes.
+      validated: predictions for the validation split, which gave both.
+    """
+
+    predictions: Predictions
+    alignment: Alignment
+    threshold: float | None
+    validated: Predictions
+
+
+class Learner:
+    """A network with its data sets: what it predicts of them, and how good that is.
+
+    Attributes:
+      config: of the run. sets: by their splits. network: that learns.
+    """
 
     def __init__(self, config: Config, sets: dict[str, DataSet]):
         self.config, self.sets = config, sets
@@ -103,3 +124,29 @@ class Model:
             chamfer_views=1,
         )
         return result.metrics
+
+    def evaluate_test(self, state: TrainState) -> Evaluation:
+        """Predictions for the test split, with what the validation split tells of them.
+
+        All processes of a job must call it.
+        """
+        validated, threshold = self.find_points(self.predict(state, "val"))
+        alignment = self.align(validated)
+        predictions = self.predict(state, "test", frame=alignment, threshold=threshold)
+        return Evaluation(predictions, alignment, threshold, validated)
+
+    def refine_test(self, state: TrainState, found: Evaluation) -> dict[str, Any]:
+        """Figures of the test views fitted to their silhouettes."""
+        # Only where asked for.
+        from dpc_jax.learning.inference.refinement import measure_refinement
+
+        print("Refining the test views.", flush=True)
+        return measure_refinement(
+            self.network,
+            self.config,
+            state,
+            self.sets["test"],
+            found.predictions,
+            validated=found.validated,
+            alignment=found.alignment,
+        )

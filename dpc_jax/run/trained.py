@@ -1,4 +1,4 @@
-"""A finished run, read back from its workdir to ask its network for shapes."""
+"""The network of a run, read back from its workdir to ask it for shapes."""
 
 import functools
 from pathlib import Path
@@ -16,16 +16,15 @@ from dpc_jax.learning.predictions import make_inputs
 from dpc_jax.learning.step import TrainState, describe_state
 from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.networks import ShapePoseNetwork
-from dpc_jax.run.process import keep_compiled_programs, keep_freed_memory, split_cores
 from dpc_jax.run.setup import make_data_specs, make_network
 from dpc_jax.run.workdir import read_alignment, read_config
 
 
-class FinishedRun(NamedTuple):
-    """What a run has learned, on one device.
+class TrainedNetwork(NamedTuple):
+    """What a run has learned.
 
     Attributes:
-      config, network, state: of the run, at its last checkpoint.
+      config: of the run. network, state: at its last checkpoint.
       alignment: from the network's frame to the object frame.
     """
 
@@ -35,8 +34,8 @@ class FinishedRun(NamedTuple):
     alignment: Alignment
 
 
-def read_run(workdir: Path) -> FinishedRun:
-    """The run of a workdir.
+def load_trained(workdir: Path) -> TrainedNetwork:
+    """The network of the finished run of a workdir, on one device.
 
     Raises:
       ValueError: where the workdir holds no finished run, or it cannot be read.
@@ -49,19 +48,17 @@ def read_run(workdir: Path) -> FinishedRun:
             "has no report/alignment.json; start the command that began the run again, "
             "or take another run."
         )
-    state = restore_state(config, workdir)
-    return FinishedRun(config, make_network(config), state, alignment)
+    return TrainedNetwork(
+        config, make_network(config), restore_state(config, workdir), alignment
+    )
 
 
 def restore_state(config: Config, workdir: Path) -> TrainState:
-    """The last state of a run, after setting up the process as for training.
+    """The last state of a run, on the devices that its config asks for.
 
     Raises:
       ValueError: where there is no checkpoint, or none that can be read.
     """
-    split_cores(config.train.models_per_batch)
-    keep_freed_memory()
-    keep_compiled_programs()
     like = describe_state(make_network(config), config)
     folder = workdir / "checkpoints"
     restored = None
@@ -77,21 +74,21 @@ def restore_state(config: Config, workdir: Path) -> TrainState:
     return restored.state
 
 
-def load_split(run: FinishedRun, split: str) -> DataSet:
+def load_split(trained: TrainedNetwork, split: str) -> DataSet:
     """The split "val" or "test" of a run's data, from its cache or prepared now.
 
     Raises:
       ValueError: where it cannot be used. OSError: where it cannot be written.
     """
-    data = run.config.data
-    spec = make_data_specs(run.config)[split]
+    data = trained.config.data
+    spec = make_data_specs(trained.config)[split]
     return load_or_render(
         spec, cache_dir=data.cache_dir, processes=data.processes or None
     )
 
 
 def predict_points(
-    run: FinishedRun,
+    trained: TrainedNetwork,
     images: np.ndarray,
     masks: np.ndarray,
     *,
@@ -102,17 +99,17 @@ def predict_points(
     With the weights `mix` [M, n] they are the clouds [M, N, 3] of mixtures of the
     images, see `ImageEncoder`; there should be few images then.
     """
-    decode = functools.partial(_decode, run.state.params, network=run.network)
+    decode = functools.partial(_decode, trained.state.params, network=trained.network)
     if mix is not None:
         points = decode(images, masks, jnp.asarray(mix, jnp.float32))
-        return align_points(run.alignment, np.asarray(points))
+        return align_points(trained.alignment, np.asarray(points))
     parts = []
     for start in range(0, len(images), VIEWS_AT_ONCE):
         # The last batch repeats its last image: one program serves all.
         rows = np.minimum(np.arange(start, start + VIEWS_AT_ONCE), len(images) - 1)
         parts.append(np.asarray(decode(images[rows], masks[rows])))
     points = np.concatenate(parts)[: len(images)]
-    return align_points(run.alignment, points)
+    return align_points(trained.alignment, points)
 
 
 @functools.partial(jax.jit, static_argnames="network")
