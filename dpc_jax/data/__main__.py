@@ -39,7 +39,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(dest="command", required=True)
     fetch = commands.add_parser("fetch", help="open meshes, from Debian packages")
-    fetch.add_argument("category", choices=tuple(RECIPES))
+    fetch.add_argument("category", choices=tuple(RECIPES), help="of the meshes")
     fetch.add_argument("--out", default="data/open", help="folder (%(default)s)")
     show = commands.add_parser("show", help="what is in a set, with a sheet of it")
     check = commands.add_parser("check", help="what is wrong with a set")
