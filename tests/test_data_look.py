@@ -181,7 +181,7 @@ def test_a_damaged_view_is_named(whole, name, index, value, said):
     assert not any("convention" in text for text in findings)
 
 
-def test_quaternions_of_another_length_and_of_none_are_told(whole):
+def test_quaternions_of_another_length_and_of_none_and_single_views_are_told(whole):
     doubled = whole._replace(quaternions=whole.quaternions * 2)
     (finding,) = read_findings(doubled)  # they still turn the same way
     assert finding.startswith("error: 20 of 20 views") and "length 1" in finding
@@ -190,8 +190,6 @@ def test_quaternions_of_another_length_and_of_none_are_told(whole):
     (finding,) = read_findings(nothing)  # no pose is left to be compared
     assert finding.startswith("error: 20 of 20 views with a quaternion with NaN")
 
-
-def test_a_set_of_single_views_is_told(whole):
     names = ("images", "masks", "depths", "quaternions")
     single = whole._replace(**{name: getattr(whole, name)[:, :1] for name in names})
     (finding,) = read_findings(single)

@@ -49,10 +49,10 @@ def count_renders(monkeypatch):
 
 
 def test_a_set_holds_what_it_says(tmp_path):
-    data = load(tmp_path)
-    assert data.images.shape == (3, 2, 16, 16, 3) and data.images.dtype == np.uint8
-    assert data.masks.shape == (3, 2, 16, 16) and data.masks.dtype == np.uint8
-    assert data.depths.shape == (3, 2, 16, 16) and data.depths.dtype == np.float32
+    data = load(tmp_path, image_size=32)
+    assert data.images.shape == (3, 2, 32, 32, 3) and data.images.dtype == np.uint8
+    assert data.masks.shape == (3, 2, 32, 32) and data.masks.dtype == np.uint8
+    assert data.depths.shape == (3, 2, 32, 32) and data.depths.dtype == np.float32
     assert data.quaternions.shape == (3, 2, 4) and data.surfaces.shape == (3, 50, 3)
     covered = np.asarray(data.masks) > 0
     assert covered.any(axis=(2, 3)).all()
@@ -60,17 +60,11 @@ def test_a_set_holds_what_it_says(tmp_path):
     assert (np.abs(data.depths[covered] - 2.0) < 0.5).all()
     assert (data.depths[~covered] == 0).all()
     assert not data.images[0].flags.writeable
-
-
-def test_stored_poses_project_the_surface_into_the_stored_masks(tmp_path):
-    data = load(tmp_path, image_size=32)
     for model, view in np.ndindex(3, 2):
         pose, mask = data.quaternions[model, view], data.masks[model, view]
         # a point at the rim can fall between the samples of its pixel
         assert share_inside(data.surfaces[model], pose, mask) > 0.97
-        rotation = rotate(pose)
-        elevation = np.rad2deg(np.arcsin(-rotation[2, 2]))
-        assert -20.001 < elevation < 40.001 and abs(rotation[0, 2]) < 1e-6
+        assert abs(rotate(pose)[0, 2]) < 1e-6  # upright
 
 
 def test_a_second_call_renders_nothing(tmp_path, count_renders):

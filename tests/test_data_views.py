@@ -192,11 +192,16 @@ def test_a_floor_that_reaches_behind_the_camera_fills_the_bottom_of_the_image():
     assert (mask[rows < 0.051 - 1 / 32] == 0).all()
 
 
-def test_an_object_outside_of_the_image_leaves_it_white():
+def test_an_object_outside_of_the_image_and_one_without_area():
     mesh = trimesh.creation.icosphere(subdivisions=1, radius=0.1)
     mesh.apply_translation((0.0, 0.0, 1.5))
     view = render(mesh, turn_to(0, 0), image_size=32)
     assert (view.image == 255).all() and not view.mask.any() and not view.depth.any()
+    line = trimesh.Trimesh(
+        [[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], process=False
+    )
+    with pytest.raises(ValueError, match="area"):
+        views.sample_surface(line, count=9)
 
 
 def test_surface_points_lie_on_the_surface_in_proportion_to_area():
@@ -218,14 +223,6 @@ def test_surface_points_lie_on_the_surface_in_proportion_to_area():
         points, views.sample_surface(box, count=20_000, seed=3)[0]
     )
     assert (points != views.sample_surface(box, count=20_000, seed=4)[0]).any()
-
-
-def test_a_mesh_without_area_is_refused():
-    line = trimesh.Trimesh(
-        [[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], process=False
-    )
-    with pytest.raises(ValueError, match="area"):
-        views.sample_surface(line, count=9)
 
 
 def make_ball(radius=0.4):

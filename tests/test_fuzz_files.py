@@ -133,10 +133,7 @@ READERS = {  # name of a file: what makes it whole, what reads it
     "a.mtl": (lambda: MTL, _read_beside),
     "t.png": (functools.partial(_save_image, "PNG"), _read_beside),
     "shard-00000.npz": (_save_shard, _read_shard),
-    "poses.json": (
-        lambda: b'{"a.png": [1, 0, 0, 0], "b": [0, 1.5, 0, 0]}',
-        _read_poses,
-    ),
+    "poses.json": (lambda: POSES, _read_poses),
     "transforms.json": (lambda: TRANSFORMS, _read_poses),
 }
 
