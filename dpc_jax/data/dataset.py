@@ -224,22 +224,16 @@ def read_cache(folder: str | Path) -> DataSet:
     pages = Pages([part.mapping for part in parts])
     arrays = {}
     for name in ROWS:
-        have = [name in part.arrays for part in parts]
-        if any(have) != all(have):
+        having = [part for part in parts if name in part.arrays]
+        counts = [n for part in having for n in part.record["counts"][name]]
+        pieces = [part.arrays[name] for part in having]
+        fits = len(having) == len(parts) and sum(counts) == sum(map(len, pieces))
+        if having and not (fits and min(counts) >= 0):
             raise ValueError(
-                f"Expected {name} in all shards of {folder} or in none, but some have "
-                "them; delete the folder."
+                f"Expected as many rows of {name} in all shards of {folder} as these "
+                "say, but there are others; delete the folder."
             )
-        arrays[name] = None
-        if any(have):
-            counts = [n for part in parts for n in part.record["counts"][name]]
-            pieces = [part.arrays[name] for part in parts]
-            if min(counts) < 0 or sum(counts) != sum(map(len, pieces)):
-                raise ValueError(
-                    f"Expected as many rows of {name} in {folder} as its shards say, "
-                    "but there are others; delete the folder."
-                )
-            arrays[name] = Stack(pieces, counts, pages)
+        arrays[name] = Stack(pieces, counts, pages) if having else None
     return DataSet(
         **arrays,
         names=tuple(map(show_text, record["names"])),

@@ -46,10 +46,10 @@ class ImageFolder(Source):
 
     def list_remarks(self) -> list[tuple[str, str]]:
         models, _, official = self.division
-        if official is None and len(models) < FEWEST_OBJECTS:
-            text = "has too few objects to split: all splits hold them all"
-            return [(str(self.folder), text)]
-        return super().list_remarks()
+        if official or len(models) >= FEWEST_OBJECTS:
+            return super().list_remarks()
+        text = "has too few objects to split: all splits hold them all"
+        return [(str(self.folder), text)]
 
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
         """See `Source.identify_model`; it changes with any file of the object."""

@@ -43,15 +43,13 @@ class NoMaskError(ValueError):
 
 def check_mask(mask: np.ndarray, source: str) -> None:
     """Raise ValueError for a mask of 0 to 1 above one half everywhere or nowhere."""
-    covered, most = mask > 0.5, float(mask.max())
-    if covered.any() and not covered.all():
+    most = float(mask.max())
+    if mask.min() <= 0.5 < most:
         return
-    problem = "covers the whole image" if covered.any() else "is empty"
+    problem = "covers the whole image" if most > 0.5 else "is empty"
     if 0 < most <= 0.5:
-        problem = (
-            f"is nowhere more than {100 * most:.0f} % opaque, and what is half opaque "
-            "or less is background"
-        )
+        problem = f"is nowhere more than {100 * most:.0f} % opaque, and what is half "
+        problem += "opaque or less is background"
     raise ValueError(
         f"Expected a mask of the object in {source}, but it {problem}; make it again."
     )

@@ -81,11 +81,13 @@ class SynsetSource(Source):
         found = "{:,}, {:,} and {:,} models".format(*counts)
         name = f"by {official}" if official else f"by seed {self.spec.seed}"
         text = f"{self.folder} is split {name} (train, val, test: {found})"
+        other = "an official list"
         if known:
-            text += ", not by the official list ({:,}, {:,}, {:,})".format(*known[0])
-        else:
-            text += ", not by an official list"
-        return [f"{text}: the figures cannot be compared with published ones."]
+            other = "the official list ({:,}, {:,}, {:,})".format(*known[0])
+        return [
+            f"{text}, not by {other}: the figures cannot be compared with "
+            "published ones."
+        ]
 
     def write_split(self, cache: Path):
         """Write a seeded split as CATEGORY-split-KEY.csv beside a cache folder."""
