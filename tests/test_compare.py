@@ -37,7 +37,7 @@ def runs(tmp_path):
     folder = tmp_path / "runs"
     for seed, accuracy in enumerate((0.90, 0.92, 0.97)):
         write_run(folder / f"car-seed{seed}", seed=seed, accuracy=accuracy)
-    one = {"candidates": 1}
+    one = {"num_heads": 1}
     write_run(folder / "car-naive-seed0", accuracy=0.4, v="naive", pose=one)
     write_run(folder / "car-long-seed0", train={"steps": 40})
     return folder
@@ -60,7 +60,7 @@ def test_seeds_of_one_config_share_a_row_with_their_mean_and_spread(runs):
 def test_what_most_groups_have_otherwise_is_marked_and_no_more(runs):
     groups = {g.name: g for g in group_runs(read_runs(find_workdirs([runs])))}
     assert groups["car"].differs == {}
-    assert groups["car-naive"].differs == {"pose.candidates": 1}
+    assert groups["car-naive"].differs == {"pose.num_heads": 1}
     assert groups["car-long"].differs == {"train.steps": 40}
 
 
@@ -96,7 +96,7 @@ def test_the_page_has_each_run_its_settings_and_its_curves_and_fetches_nothing(
     for folder in runs.iterdir():
         assert folder.name in page
         assert re.search(rf'id="line-\d-chamfer-{folder.name}"', page)
-    assert "<mark>pose.candidates 1</mark>" in page
+    assert "<mark>pose.num_heads 1</mark>" in page
     assert "step 10 of 40" in page and "90 ± 0" in page  # seconds
     assert not re.search(r"""(src|href)=["'](https?:)?//""", page)
     assert (out / "curves.png").stat().st_size > 1000

@@ -53,7 +53,7 @@ def test_the_full_size_is_the_paper_and_the_others_are_not():
     configs = {run.name: run.load_config() for run in request.list_runs()}
     assert {config.train.steps for config in configs.values()} == {600_000}
     assert configs["car-paper-known_pose-128-seed0"].render.num_points == 16_000
-    assert configs["car-paper-naive-seed0"].pose.candidates == 1
+    assert configs["car-paper-naive-seed0"].pose.num_heads == 1
     (run,) = Request(("interpolation",), size="cpu", seeds=(0,)).list_runs()
     assert run.load_config().train.steps < 10_000
 

@@ -244,7 +244,7 @@ def test_predictions_are_moved_where_heads_say_viewpoints_alone(head):
 
 
 def test_where_nothing_is_chosen_the_fit_is_not_weighed():
-    for changes in ({"source": "given"}, {"candidates": 1}, {"student": "regresses"}):
+    for changes in ({"source": "given"}, {"num_heads": 1}, {"student": "regresses"}):
         pose = dataclasses.replace(CONFIG.pose, **changes)
         assert not pose.weighs_fit
     assert CONFIG.pose.weighs_fit

@@ -69,7 +69,7 @@ def run():
 @pytest.fixture(scope="module")
 def selecting():
     """Of a network that sees masks: six candidates, learned colours, a finer grid."""
-    changes = {"candidates": 6, "student": "posterior", "fine_grid": 16}
+    changes = {"num_heads": 6, "student": "posterior", "fine_grid": 16}
     changes |= {"sees_mask": True, "color_weight": 1.0, "colors_move_points": False}
     return Run(**changes)
 

@@ -15,7 +15,8 @@ from dpc_jax.learning.predictions import Poses
 from dpc_jax.networks.viewpoints import ViewpointEnsemble, face_object
 from dpc_jax.render import quaternion
 
-CONFIG = tiny_config(background_weight=0.2, shape="voxels", source="sampled")
+DRAWN = {"source": "sampled", "head": "viewpoint", "student": "selects"}
+CONFIG = tiny_config(background_weight=0.2, shape="voxels", **DRAWN)
 NETWORK = make_network(CONFIG)
 
 

@@ -44,7 +44,7 @@ VARIANTS = {
     ),
     "mvc,color": (
         {"shape": "voxels", "source": "sampled", "background_weight": 0.2}
-        | {"color_weight": 0.3},
+        | {"color_weight": 0.3, "head": "viewpoint", "student": "selects"},
         {"reprojection", "color", "prior", "judge", "reinforce", "head_entropy"},
         {"pose", "pose_encoder", "student", "judge"},
     ),

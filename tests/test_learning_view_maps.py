@@ -267,7 +267,9 @@ def test_batches_have_the_corner_views_of_their_objects(tmp_path):
         ("epcg", {"train": {"color_weight": 1.0}}, "train.color_weight must be 0"),
         ("epcg", {"data": {"images": "."}}, "render.fixed_views_until must be 0"),
         ("epcg", {"network": {"shape": "points"}}, "render.fixed_views_until must be"),
-        ("mvc", {"pose": {"candidates": 1}}, "pose.candidates must be above 1"),
+        ("mvc", {"pose": {"num_heads": 1}}, "pose.num_heads must be above 1"),
+        ("mvc", {"pose": {"head": "quaternion"}}, "pose.head must be 'viewpoint'"),
+        ("mvc", {"pose": {"student": "squares"}}, "pose.student must be 'selects'"),
     ],
 )
 def test_what_a_baseline_cannot_do_is_refused(variant, changes, name):

@@ -42,7 +42,7 @@ def set_field(config, field, value):
 @pytest.mark.parametrize(
     "field, value, says",
     [
-        ("pose.candidates", 0, "at least 1 (K heads), but it is 0"),
+        ("pose.num_heads", 0, "at least 1 (K heads), but it is 0"),
         ("train.views_per_batch", 6, "at most data.views = 5"),
         ("train.models_per_batch", 13, "at most data.models = 12"),
         ("data.image_size", 48, "power of two"),
@@ -178,9 +178,9 @@ def test_a_workdir_of_another_config_is_refused_naming_what_differs(
     (workdir / "metrics.jsonl").write_text('{"step": 5, "seconds": 1}\n')
     before = (workdir / "config.json").read_text()
     config.train.steps = 21
-    config.pose.candidates = 3
+    config.pose.num_heads = 3
     error = refuse(config, workdir, capsys)
-    assert "pose.candidates (2 there, 3 now), train.steps (20 there, 21 now)" in error
+    assert "pose.num_heads (2 there, 3 now), train.steps (20 there, 21 now)" in error
     assert (workdir / "config.json").read_text() == before
 
 

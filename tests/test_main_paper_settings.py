@@ -142,7 +142,7 @@ def test_network_with_colours_the_shape_branch_has_6n_outputs():
 
 def test_network_four_pose_heads_of_two_layers_behind_a_shared_one():
     config = load("car", "paper")
-    assert config.pose.candidates == config.pose.heads == 4
+    assert config.pose.num_heads == config.pose.learned_heads == 4
     _, shapes = parameter_shapes(config)
     kernels = {n: s for n, s in shapes.items() if n.endswith("kernel")}
     assert {n: s for n, s in kernels.items() if n.startswith("pose/")} == {
@@ -191,4 +191,4 @@ def test_nothing_beyond_the_paper_is_on(variant):
     assert config.render.ray_rule == "termination"
     assert config.render.anneal_until == 1 and config.data.copies == 1
     # All four candidates are compared exactly, whatever ranks them first.
-    assert pose.choice_top >= pose.candidates
+    assert pose.choice_top >= pose.num_heads

@@ -419,7 +419,7 @@ OTHER_PATHS = {
     "voxels": {"network.shape": "voxels"},
     "maps": {"network.shape": "maps", "pose.source": "given"},
     "other": {
-        "pose.candidates": 1,
+        "pose.num_heads": 1,
         "train.models_per_batch": 2,
     },
 }

@@ -35,7 +35,7 @@ def image_shape(size):
 
 
 def network_shapes(**changes):
-    values = dict(num_points=10, candidates=4, channels=2, hidden=8, shape_hidden=8)
+    values = dict(num_points=10, num_heads=4, channels=2, hidden=8, shape_hidden=8)
     return shapes_of(ShapePoseNetwork(**values | changes), image_shape(16))
 
 
@@ -105,7 +105,7 @@ def test_an_image_size_that_cannot_be_halved_to_four_is_refused_in_a_sentence(si
 
 
 def test_the_heads_are_one_module_with_a_leading_axis_of_k_and_layers_32_32_4():
-    shapes = network_shapes(candidates=5, hidden=48)
+    shapes = network_shapes(num_heads=5, hidden=48)
     heads = {n: s for n, s in shapes.items() if n.startswith("pose/heads")}
     assert heads == {
         "pose/heads/Dense_0/kernel": (5, 48, 32),
@@ -118,7 +118,7 @@ def test_the_heads_are_one_module_with_a_leading_axis_of_k_and_layers_32_32_4():
 
 
 def test_each_head_starts_from_random_numbers_of_its_own():
-    ensemble = PoseEnsemble(candidates=3, hidden=8)
+    ensemble = PoseEnsemble(num_heads=3, hidden=8)
     params = jax.jit(ensemble.init)(KEY, jnp.ones((1, 8)))
     kernels = params["params"]["heads"]["Dense_0"]["kernel"]
     for a, b in itertools.combinations(kernels, 2):
@@ -131,8 +131,8 @@ POSE = {"pose", "student"}
 @pytest.mark.parametrize(
     ("fields", "branches"),
     [
-        ({"candidates": 0}, set()),  # known poses
-        ({"candidates": 1}, {"pose"}),  # a single regressor is its own student
+        ({"num_heads": 0}, set()),  # known poses
+        ({"num_heads": 1}, {"pose"}),  # a single regressor is its own student
         ({}, POSE),
         ({"num_classes": 12}, POSE),
         ({"has_translation": True}, POSE | {"translation"}),
@@ -153,10 +153,10 @@ def test_a_single_regressor_is_its_own_student_and_one_that_selects_has_logits()
         ShapePoseNetwork, num_points=4, channels=2, hidden=8, shape_hidden=8
     )
     images = jnp.ones((2, 16, 16, 3))
-    single = run(make(candidates=1), images)
+    single = run(make(num_heads=1), images)
     assert single["candidates"].shape == (2, 1, 4)
     np.testing.assert_array_equal(single["student"], single["candidates"][:, 0])
-    selecting = run(make(candidates=3, num_classes=12), images)
+    selecting = run(make(num_heads=3, num_classes=12), images)
     assert selecting["logits"].shape == (2, 12) and "student" not in selecting
 
 
@@ -177,7 +177,7 @@ def test_a_tint_adds_one_number_per_point_and_reaches_colours_alone():
     colored, tinted = network_shapes(**learns), network_shapes(**learns, is_tinted=True)
     assert {**colored, "shape/tint": (1, 10, 1)} == tinted
     network = ShapePoseNetwork(
-        num_points=10, candidates=2, channels=2, hidden=8, shape_hidden=8, **learns
+        num_points=10, num_heads=2, channels=2, hidden=8, shape_hidden=8, **learns
     ).clone(is_tinted=True)
     features = jax.random.normal(KEY, (1, 8))
 
@@ -236,7 +236,7 @@ def test_initial_rotations_are_spread_over_so3(count, least):
 
 
 def test_heads_start_near_their_rotations_yet_depend_on_the_image():
-    ensemble = PoseEnsemble(candidates=4, hidden=64, spreads=True)
+    ensemble = PoseEnsemble(num_heads=4, hidden=64, spreads=True)
     features = jax.random.normal(KEY, (20, 64))
     candidates = np.asarray(run(ensemble, features))
     assert candidates.shape == (20, 4, 4)
@@ -248,7 +248,7 @@ def test_heads_start_near_their_rotations_yet_depend_on_the_image():
 
 
 def test_heads_that_are_not_spread_start_from_zero():
-    ensemble = PoseEnsemble(candidates=4, hidden=64)
+    ensemble = PoseEnsemble(num_heads=4, hidden=64)
     candidates = run(ensemble, jnp.zeros((1, 64)))
     # No bias at first: without features there is no quaternion either.
     np.testing.assert_array_equal(candidates, jnp.zeros((1, 4, 4)))
@@ -331,7 +331,7 @@ def test_camera_heads_start_near_the_middle_and_stay_in_range():
 
 def test_a_focal_length_is_predicted_around_that_of_the_config():
     network = ShapePoseNetwork(
-        num_points=4, candidates=0, channels=2, hidden=8, focal_length=1.875
+        num_points=4, num_heads=0, channels=2, hidden=8, focal_length=1.875
     )
     output = run(network, jax.random.normal(jax.random.key(1), (3, 16, 16, 3)))
     assert set(output) == {"points", "scale", "focal_lengths"}
@@ -345,7 +345,7 @@ def test_an_encoder_that_sees_masks_has_a_fourth_channel_and_refuses_three():
         shapes_of(
             ShapePoseNetwork(
                 num_points=10,
-                candidates=4,
+                num_heads=4,
                 channels=2,
                 hidden=8,
                 shape_hidden=8,

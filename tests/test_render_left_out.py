@@ -167,8 +167,8 @@ def count_splats(lowered):
 def test_candidates_of_a_known_pose_are_not_rendered():
     views = 4
     assert count_splats(lower_step(source="given")) == views
-    assert count_splats(lower_step(candidates=1)) == views
-    assert count_splats(lower_step(candidates=3)) == (3 + 1) * views
+    assert count_splats(lower_step(num_heads=1)) == views
+    assert count_splats(lower_step(num_heads=3)) == (3 + 1) * views
 
 
 def test_points_that_dropout_left_out_are_in_no_render():

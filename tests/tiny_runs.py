@@ -37,7 +37,7 @@ PLAIN = {
     ),
     "pose": dict(
         head="quaternion",
-        candidates=3,
+        num_heads=3,
         flips=False,
         student="regresses",
         choice_points=0,

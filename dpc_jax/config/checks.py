@@ -111,11 +111,14 @@ def _list_system_rules(config):
     data, train, render = config.data, config.train, config.render
     shape, grid = config.network.shape, render.grid
     until = render.fixed_views_until
-    yield (
-        "pose.candidates",
-        config.pose.source != "sampled" or config.pose.candidates > 1,
-        "above 1 with pose.source = 'sampled', which draws one head of several",
-    )
+    is_sampled = config.pose.source == "sampled"
+    for name, holds, expected in (
+        ("num_heads", config.pose.num_heads > 1, "above 1"),
+        ("head", config.pose.head == "viewpoint", "'viewpoint'"),
+        ("student", config.pose.student == "selects", "'selects'"),
+    ):
+        why = "with pose.source = 'sampled', which draws one of several upright heads"
+        yield f"pose.{name}", not is_sampled or holds, f"{expected} {why}"
     if shape != "points":
         yield (
             "render.grid",

@@ -1,8 +1,8 @@
 """Every setting of a run: its default, its unit and the values that are allowed.
 
 The defaults are those of the quick default runs. `dpc_jax.config.variants` has the
-paper's values. A field has one name everywhere: `--config.pose.candidates=8` on the
-command line, `config.pose.candidates` in Python. Functions take the sections that they
+paper's values. A field has one name everywhere: `--config.pose.num_heads=8` on the
+command line, `config.pose.num_heads` in Python. Functions take the sections that they
 need.
 """
 
@@ -21,7 +21,7 @@ from dpc_jax.config.fields import (
     one_of,
 )
 
-CROPS = ("object", "view", "none")  # what shares one scale
+CROPS = ("object", "view", "none")  # images that are scaled alike
 LAYERS = ("", "paper", "released")  # "": normalised, and a wider student
 SHAPES = ("points", "voxels", "maps")  # what the shape branch predicts
 POSE_HEADS = ("quaternion", "viewpoint")  # what a head predicts
@@ -54,7 +54,7 @@ class Data:
     split_file: str = field("", FILE)  # official ShapeNet split; "": found in folder
     fold: str = field("", FOLD)  # "0/5": of five parts the first is tested; "": a tenth
     ground_truth: str = field("", FOLDER)  # of MODEL.mat for the renders; "": found
-    crop: str = field("object", one_of(*CROPS))  # share one scale
+    crop: str = field("object", one_of(*CROPS))  # images scaled alike
     fill: float = field(0.85, between(0.1, 1))  # share of the frame that images fill
     models: int = field(1000, at_least(1))  # procedural models to train on
     val_models: int = field(40, at_least(1))  # to validate on (20 of them align)
@@ -90,7 +90,7 @@ class Render:
     """Volume, points and camera of the projection."""
 
     grid: int = field(32, at_least(1))  # side of volume and target silhouettes, voxels
-    fine_grid: int = field(64, at_least(0))  # side for the late winners; 0: never
+    fine_grid: int = field(64, at_least(0))  # of winners after 60 % of steps; 0: never
     fixed_views_until: float = field(0.0, between(0, 1))  # share of the run (EPCG)
     num_points: int = field(2000, at_least(1))  # of a cloud (2000 at 32³ in the paper)
     sigma_start: float = field(0.05, between(0, 1))  # of the volume's side (§ Training)
@@ -99,7 +99,8 @@ class Render:
     keep_start: float = field(0.1, above(0, 1))  # share of points kept (§ Training)
     keep_end: float = field(1.0, above(0, 1))  # share of points kept
     keep_levels: int = field(4, at_least(1))  # stairs of that schedule; a program each
-    ray_rule: str = field("termination", one_of("termination", "maximum"))  # of a ray
+    # What a ray makes of its occupancies: Eq. 5, or their maximum, as PTN.
+    ray_rule: str = field("termination", one_of("termination", "maximum"))
     scale_unit: str = field("mass", one_of("peak", "mass"))  # of the learned scale
     scale_fixed: float = field(0.0, at_least(0))  # in that unit; 0: learned
     focal_length: float = field(1.875, POSITIVE)  # of an image 1 wide
@@ -117,16 +118,17 @@ class Pose:
     """The pose candidates, and the student that learns from their winners."""
 
     source: str = field("unknown", one_of(*POSE_SOURCES))  # where poses come from
-    candidates: int = field(8, _HEADS)  # K heads (§ distilled ensemble)
-    head: str = field("viewpoint", one_of(*POSE_HEADS))  # upright; quaternion: any
+    num_heads: int = field(8, _HEADS)  # K heads (§ distilled ensemble)
+    head: str = field("viewpoint", one_of(*POSE_HEADS))  # upright, or any rotation
     elevation_low: float = field(ELEVATIONS[0], between(-90, 90))  # that heads predict
     elevation_high: float = field(ELEVATIONS[1], between(-90, 90))  # degrees
     flips: bool = field(True)  # also try each head after half turns of the object
     student: str = field("posterior", one_of(*STUDENTS))  # what it predicts
-    choice_points: int = field(250, at_least(0))  # of a first choice; 0: there is none
-    choice_top: int = field(6, at_least(0))  # candidates compared exactly after it
-    choice_signals: str = field("silhouette", one_of("silhouette", "all"))  # compared
-    common_frame: bool = field(True)  # kinds turned round are turned, by colours
+    choice_points: int = field(250, at_least(0))  # that rank candidates; 0: no ranking
+    choice_top: int = field(6, at_least(0))  # candidates then compared exactly
+    # Signals that the candidates' exact comparison sees: of all that have a weight.
+    choice_signals: str = field("silhouette", one_of("silhouette", "all"))
+    common_frame: bool = field(True)  # reversed objects are turned back
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     translation: bool = field(False)  # of each view, learned (released code)
     focal_length: bool = field(False)  # of each view, learned (released code)
@@ -144,27 +146,27 @@ class Pose:
     @property
     def selects(self) -> bool:
         """Whether the student chooses a candidate instead of regressing a pose."""
-        return self.source == "sampled" or self.student in ("selects", "posterior")
+        return self.student in ("selects", "posterior")
 
     @property
-    def heads(self) -> int:
+    def learned_heads(self) -> int:
         """K heads that are learned: none where poses are known.
 
         One where labels are learned without a student that selects.
         """
         if self.known:
             return 0
-        return 1 if self.source == "labels" and not self.selects else self.candidates
+        return 1 if self.source == "labels" and not self.selects else self.num_heads
 
     @property
     def half_turns(self) -> bool:
         """Whether half turns of the heads are candidates too: of an ensemble only."""
-        return self.flips and self.heads > 1 and self.source == "unknown"
+        return self.flips and self.learned_heads > 1 and self.source == "unknown"
 
     @property
     def elevations(self) -> tuple[float, float] | None:
         """Range of the cameras' elevations, degrees, that viewpoint heads are told."""
-        if self.head != "viewpoint" and self.source != "sampled":
+        if self.head != "viewpoint":
             return None
         return self.elevation_low, self.elevation_high
 
@@ -186,8 +188,7 @@ class Pose:
     @property
     def weighs_fit(self) -> bool:
         """Whether predictions weigh how candidates fit the image's silhouette."""
-        is_drawn = self.source == "sampled"
-        return self.student == "posterior" and self.choices > 0 and not is_drawn
+        return self.student == "posterior" and self.choices > 0
 
     @property
     def searches(self) -> bool:
@@ -197,9 +198,9 @@ class Pose:
     @property
     def choices(self) -> int:
         """How many candidates a selecting student chooses among; 0: it regresses."""
-        if not self.selects or self.heads < 2:
+        if not self.selects or self.learned_heads < 2:
             return 0
-        return self.heads * self.turns
+        return self.learned_heads * self.turns
 
 
 @dataclasses.dataclass(frozen=True)
@@ -212,9 +213,9 @@ class Train:
     views_per_batch: int = field(4, at_least(1))  # of each model
     learning_rate: float = field(3e-4, POSITIVE)  # of Adam, at its peak
     schedule: str = field("cosine", one_of("cosine", "constant"))  # of that rate
-    l2_weight: float = field(0.0, at_least(0))  # of half the squared weights, see docs
+    l2_weight: float = field(0.0, at_least(0))  # half squared weights (released code)
     pull_weight: float = field(0.03, at_least(0))  # per pixel, of points outside
-    reseeds_points: bool = field(True)  # that hang alone, once training is done
+    reseeds_points: bool = field(True)  # isolated ones, once training is done
     repulsion_weight: float = field(0.0, at_least(0))  # of points' mean energy, late
     containment_weight: float = field(30.0, at_least(0))  # of points beyond radius 1/2
     silhouette_weight: float = field(1.0, at_least(0))  # per pixel; 0: not compared

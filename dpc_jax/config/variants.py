@@ -50,7 +50,7 @@ VARIANTS: dict[str, Changes] = {
         "pose": {
             "head": "quaternion",
             "student": "regresses",
-            "candidates": 4,
+            "num_heads": 4,
             "student_weight": 0.01,  # released code: 20 beside half the squares
             "flips": False,
             "choice_points": 0,
@@ -71,7 +71,7 @@ VARIANTS: dict[str, Changes] = {
     },
     # One pose regressor (§ Estimating pose with a distilled ensemble).
     "naive": {
-        "pose": {"head": "quaternion", "candidates": 1},
+        "pose": {"head": "quaternion", "num_heads": 1},
     },
     # § Estimating shape with known pose.
     "known_pose": {"pose": {"source": "given"}},
@@ -112,7 +112,12 @@ VARIANTS: dict[str, Changes] = {
     "mvc": {
         **_VOXELS,
         "train": {"background_weight": 0.2},
-        "pose": {"source": "sampled", "candidates": 8},
+        "pose": {
+            "source": "sampled",
+            "num_heads": 8,
+            "head": "viewpoint",
+            "student": "selects",
+        },
     },
     "epcg": {
         "network": {"shape": "maps"},

@@ -183,5 +183,5 @@ def collapse_warning(shares: ArrayLike) -> str | None:
         f"The pose ensemble has collapsed: head {leader} wins "
         f"{100 * p[leader]:.1f} % of the views and {alive} of {p.size} win at least "
         f"{100 * ALIVE_SHARE:g} %; it learns poses no better than a single "
-        f"regressor. More heads (pose.candidates) or another seed usually help."
+        f"regressor. More heads (pose.num_heads) or another seed usually help."
     )

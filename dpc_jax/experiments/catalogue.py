@@ -54,6 +54,7 @@ DEFAULTS = FRAME | {
     "train.reseeds_points": True,
     "network.sees_mask": True,
 }
+DRAWN = {"pose.head": "viewpoint", "pose.student": "selects"}
 CHOOSE_BY_ALL = {"pose.choice_signals": "all"}
 BESIDE = {"train.colors_move_points": False}
 
@@ -149,7 +150,7 @@ EXPERIMENTS = (
         (
             _MEAN_SHAPE,
             Row("GT pose", "GT pose", "gt_pose"),
-            Row("MVC", "MVC", "mvc", {"pose.head": "viewpoint"}),
+            Row("MVC", "MVC", "mvc", DRAWN),
             Row("Ours-V", variant="ours_v"),
             Row("Ours-naive", "Ours-naive", "naive"),
             Row("Ours", "Ours"),

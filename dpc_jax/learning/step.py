@@ -173,7 +173,7 @@ def _make_update(network, config, stage, parts, num_devices):
         )
         updates, opt_state = optimizer.update(grads, state.optimizer, state.params)
         params = optax.apply_updates(state.params, updates)
-        if recipe.pose.heads:
+        if recipe.pose.learned_heads:
             metrics["winners"] = jax.lax.all_gather(winners, devices.AXIS, tiled=True)
         metrics["gradient_norms"] = devices.compute_norms(
             grads["params"],

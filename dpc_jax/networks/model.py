@@ -23,7 +23,7 @@ class ShapePoseNetwork(nn.Module):
     """Encoder, shape branch, and pose branches.
 
     Only what a run learns has parameters: there is no pose branch where poses are known
-    (`candidates` 0), no student where K = 1, and no colours unless asked for.
+    (`num_heads` 0), no student where K = 1, and no colours unless asked for.
 
     Attributes:
       num_points, shape_hidden, has_color, scale_fixed, point_size, first_size: of the
@@ -36,7 +36,7 @@ class ShapePoseNetwork(nn.Module):
       own_pose_encoder: poses are predicted from features of an encoder of their own,
         which come behind those of shapes.
       judges_poses: have a `PoseJudge`.
-      candidates: K, the number of pose predictors; 0 where poses are known.
+      num_heads: K, the number of pose predictors; 0 where poses are known.
       channels, hidden, normalize, blocks: of the `ImageEncoder`.
       num_classes: how many candidates the student selects from, turned ones included;
         0 for the paper's student, which regresses a pose.
@@ -50,7 +50,7 @@ class ShapePoseNetwork(nn.Module):
     """
 
     num_points: int
-    candidates: int
+    num_heads: int
     channels: int = 16
     hidden: int = 1024
     shape_hidden: int = 1024
@@ -92,11 +92,11 @@ class ShapePoseNetwork(nn.Module):
         """Make the branches that this run learns."""
         self.encoder = self._make_encoder()
         self.shape = self._make_shape_head()
-        if self.candidates:
+        if self.num_heads:
             self.pose = self._make_pose_heads()
-        if self.candidates and self.own_pose_encoder:
+        if self.num_heads and self.own_pose_encoder:
             self.pose_encoder = self._make_encoder()
-        if self.candidates and self.judges_poses:
+        if self.num_heads and self.judges_poses:
             from dpc_jax.networks.viewpoints import PoseJudge  # where asked
 
             self.judge = PoseJudge()
@@ -105,9 +105,9 @@ class ShapePoseNetwork(nn.Module):
             "width": self.student_width,
             "slope": self.pose_slope,
         }
-        if self.candidates > 1 and self.num_classes:
+        if self.num_heads > 1 and self.num_classes:
             self.student = PoseSelector(num_classes=self.num_classes, **student)
-        elif self.candidates > 1:
+        elif self.num_heads > 1:
             self.student = PoseStudent(**student)
         if self.has_translation:
             self.translation = BoundedHead(outputs=3, bound=TRANSLATION_RANGE)
@@ -122,10 +122,10 @@ class ShapePoseNetwork(nn.Module):
             from dpc_jax.networks.viewpoints import ViewpointEnsemble  # where asked
 
             return ViewpointEnsemble(
-                self.candidates, self.viewpoints, self.hidden, self.pose_slope
+                self.num_heads, self.viewpoints, self.hidden, self.pose_slope
             )
         return PoseEnsemble(
-            candidates=self.candidates,
+            num_heads=self.num_heads,
             hidden=self.hidden,
             spreads=self.spreads,
             layers=self.head_layers,
@@ -169,7 +169,7 @@ class ShapePoseNetwork(nn.Module):
         """
         chex.assert_axis_dimension(images, -1, self.inputs)
         features = self.encoder(images, mix=mix)
-        if self.candidates and self.own_pose_encoder:
+        if self.num_heads and self.own_pose_encoder:
             others = self.pose_encoder(images, mix=mix)
             features = jnp.concatenate([features, others], axis=-1)
         if self.is_tinted:
@@ -191,12 +191,12 @@ class ShapePoseNetwork(nn.Module):
         selects. With K = 1 the single regressor is its own student. Where poses are
         known, the dictionary is empty.
         """
-        if not self.candidates:
+        if not self.num_heads:
             return {}
         features = self._leave_tint(features)
         features = features[..., -self.hidden :]  # of the pose encoder, if there is one
         poses = self.pose(features)
-        if self.candidates == 1:
+        if self.num_heads == 1:
             return {"candidates": poses, "student": poses[:, 0]}
         output = "logits" if self.num_classes else "student"
         return {"candidates": poses, output: self.student(features)}
@@ -227,6 +227,6 @@ class ShapePoseNetwork(nn.Module):
         """All predictions for images [B, S, S, 3], or 4; also makes the parameters."""
         features = self.encode(images)
         poses = self.predict_pose(features) | self.predict_camera(features)
-        if self.is_initializing() and self.candidates and self.judges_poses:
+        if self.is_initializing() and self.num_heads and self.judges_poses:
             self.judge_poses(poses["candidates"][:, 0])  # makes its parameters
         return self.predict_shape(features) | poses

@@ -59,7 +59,7 @@ class PoseEnsemble(nn.Module):
     """K pose predictors behind one shared hidden layer, as one vmapped module.
 
     Attributes:
-      candidates: K, the number of heads.
+      num_heads: K, the number of heads.
       hidden: width of the shared layer.
       spreads: whether the heads start at rotations spread over SO(3); near zero
         otherwise, as in the paper.
@@ -67,7 +67,7 @@ class PoseEnsemble(nn.Module):
       slope: of the leaky ReLU after the shared layer; 0 in the released code.
     """
 
-    candidates: int
+    num_heads: int
     hidden: int = 1024
     spreads: bool = False
     layers: int = 2
@@ -85,9 +85,9 @@ class PoseEnsemble(nn.Module):
             in_axes=(None, 0),  # pyright: ignore[reportArgumentType]
             out_axes=1,
         )
-        starts = jnp.zeros((self.candidates, 4))
+        starts = jnp.zeros((self.num_heads, 4))
         if self.spreads:
-            starts = spread_rotations(self.candidates)
+            starts = spread_rotations(self.num_heads)
         return heads(layers=self.layers, name="heads")(x, starts)
 
 

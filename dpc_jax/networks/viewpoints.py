@@ -19,12 +19,12 @@ class ViewpointEnsemble(nn.Module):
     each head can reach all azimuths.
 
     Attributes:
-      candidates: K, the number of heads.
+      num_heads: K, the number of heads.
       elevations: lowest and highest, degrees.
       hidden: width of the layer. slope: of the leaky ReLU after it.
     """
 
-    candidates: int
+    num_heads: int
     elevations: tuple[float, float]
     hidden: int = 1024
     slope: float = 0.2
@@ -35,9 +35,9 @@ class ViewpointEnsemble(nn.Module):
         x = nn.Dense(self.hidden, kernel_init=conv_init)(features)
         x = nn.leaky_relu(x, self.slope)
         init = nn.initializers.variance_scaling(0.1, "fan_in", "normal")
-        x = nn.Dense(2 * self.candidates, kernel_init=init, name="heads")(x)
-        shares = nn.sigmoid(x).reshape(-1, 2, self.candidates)
-        sectors = jnp.arange(self.candidates) / self.candidates
+        x = nn.Dense(2 * self.num_heads, kernel_init=init, name="heads")(x)
+        shares = nn.sigmoid(x).reshape(-1, 2, self.num_heads)
+        sectors = jnp.arange(self.num_heads) / self.num_heads
         azimuths = 2 * jnp.pi * (shares[:, 0] + sectors[None])
         low, high = (jnp.deg2rad(angle) for angle in self.elevations)
         return face_object(azimuths, low + (high - low) * shares[:, 1])

@@ -119,7 +119,7 @@ class Learner:
             predictions,
             self.sets["val"],
             alignment=self.align(predictions),
-            heads=self.config.pose.heads,
+            heads=self.config.pose.learned_heads,
             poses_given=self.config.pose.known,
             chamfer_views=1,
         )

@@ -20,7 +20,7 @@ def make_network(config: Config) -> ShapePoseNetwork:
     layers = config.network.layers
     return ShapePoseNetwork(
         num_points=config.render.num_points,
-        candidates=config.pose.heads,
+        num_heads=config.pose.learned_heads,
         channels=config.network.channels,
         hidden=config.network.hidden,
         shape_hidden=config.network.shape_hidden,
@@ -33,10 +33,10 @@ def make_network(config: Config) -> ShapePoseNetwork:
         and config.train.color_weight > 0
         and config.network.shape == "points",
         # Heads that are several start spread over SO(3); not in the paper.
-        spreads=not layers and config.pose.candidates > 1,
+        spreads=not layers and config.pose.learned_heads > 1,
         blocks=3 if layers == "paper" else 0,  # 7 convolutions at every size
         # A single regressor is the paper's naive one, without layers of its own.
-        head_layers=2 if config.pose.candidates > 1 else 0,
+        head_layers=2 if config.pose.learned_heads > 1 else 0,
         pose_slope=0.0 if layers == "released" else 0.2,
         scale_fixed=config.render.scale_fixed,
         point_size=config.network.point_size,

@@ -58,7 +58,7 @@ def look(
         chooses candidates by and the data lack (depths of own images) is left out.
     """
     others = {}
-    if config.pose.choice_signals == "all" and config.pose.heads > 1:
+    if config.pose.choice_signals == "all" and config.pose.learned_heads > 1:
         weighted = read_weights(config.train).signals
         names = tuple(n for n in weighted if _SOURCES.get(n) in arrays)
         distance = config.render.distance

@@ -96,7 +96,7 @@ def compare_student(
     With logits it is the cross entropy of a student that selects; K = 1 has no student.
     """
     pose = recipe.pose
-    if pose.heads < 2:
+    if pose.learned_heads < 2:
         return {}
     if poses.logits is not None:
         loss = losses.selection_loss(poses.logits, winners.indices.reshape(-1))

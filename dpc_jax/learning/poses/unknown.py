@@ -25,7 +25,7 @@ def teach(lesson: Lesson, *, recipe: Recipe) -> Teaching:
             averages.frame,
             camera=recipe.camera,
             cameras=cameras,
-            heads=pose.heads,
+            heads=pose.learned_heads,
             is_due=lesson.step >= common_frame.BEGIN * recipe.train.steps,
         )
         averages = averages._replace(frame=frame)

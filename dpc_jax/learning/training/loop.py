@@ -87,7 +87,10 @@ def train(
         saved then: the last checkpoint is the last good state.
     """
     start, steps, due = int(state.step), config.train.steps, config.log
-    watch, window = Stopwatch(seconds), Window(start, seconds, heads=config.pose.heads)
+    watch, window = (
+        Stopwatch(seconds),
+        Window(start, seconds, heads=config.pose.learned_heads),
+    )
     spans = schedules.list_spans(config.render, steps=steps)
     forecast = Forecast(
         steps,

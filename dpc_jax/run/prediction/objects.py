@@ -115,7 +115,7 @@ def predict_objects(
         masks = dataset.masks[:, 0]
         _join_and_refine(predicted, predictions, masks, run, directions)
     for place, one in enumerate(predicted):
-        if config.pose.heads > 1:
+        if config.pose.learned_heads > 1:
             one = one._replace(confidences=_judge(one, predictions))
         if config.pose.known:
             one = one._replace(poses=None)

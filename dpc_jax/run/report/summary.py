@@ -56,7 +56,7 @@ def report_run(
     judged, failures, shares = _judge(predictions, test, config, alignment, threshold)
     metrics = _list_metrics(judged, config) | (failures.metrics if failures else {})
     metrics |= _count_costs(sets, outcome, data_seconds) | (refined or {})
-    heads = config.pose.heads
+    heads = config.pose.learned_heads
     metrics["candidates_alive"] = count_alive(shares) if heads else None
     shares = shares if heads > 1 else None
     warnings = list_warnings(config, sets, shares)
@@ -99,7 +99,7 @@ def _judge(predictions, dataset, config, alignment, threshold):
         predictions,
         dataset,
         alignment=alignment,
-        heads=config.pose.heads,
+        heads=config.pose.learned_heads,
         poses_given=config.pose.known,
         # Maps and volumes are judged by ten thousand points already.
         dense_points=DENSE_POINTS if config.network.shape == "points" else 0,
