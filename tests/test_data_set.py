@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -128,6 +129,27 @@ def test_ctrl_c_ends_the_workers(tmp_path, monkeypatch):
     # Whole shards stay, to go on from; nothing says that the set is whole.
     left = [path.name for path in tmp_path.rglob("*")]
     assert "spec.json" not in left and not [n for n in left if n.endswith(".tmp")]
+
+
+def test_workers_of_a_killed_process_end_with_their_shard(tmp_path):
+    spec = SMALL | {"models": 400, "views": 20}  # 16 shards of about a second
+    code = f"""
+from dpc_jax.data import DataSpec, load_or_render
+load_or_render(DataSpec(**{spec}), cache_dir={str(tmp_path)!r}, processes=2)
+"""
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.DEVNULL)
+    while not list(tmp_path.rglob("shard-*.npz")):
+        assert parent.poll() is None
+        time.sleep(0.05)
+    parent.kill()
+    parent.wait()
+    idle = 0
+    while (
+        idle < 3
+    ):  # between two shards, a worker that goes on claims none for a moment
+        time.sleep(0.2)
+        idle = 0 if list(tmp_path.rglob(".*.claim")) else idle + 1
+    assert len(list(tmp_path.rglob("shard-*.npz"))) < 8
 
 
 def test_what_a_killed_process_left_is_removed_and_never_read(tmp_path):
