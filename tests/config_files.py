@@ -1,16 +1,36 @@
 """The configs of configs/, and the parameters of their networks."""
 
+import contextlib
 import importlib.util
+import io
+import sys
 from pathlib import Path
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
+from absl import flags
 
-from dpc_jax.config import from_config_dict, replace_fields
+from dpc_jax import main
+from dpc_jax.config import check, from_config_dict, replace_fields
 from dpc_jax.run.setup import make_network
 
 FOLDER = Path(__file__).parents[1] / "configs"
 NAMES = sorted(path.stem for path in FOLDER.glob("*.py"))
+# Of a run of seconds, for the command line.
+TINY = {
+    "log.every": 1,
+    "data.image_size": 16,
+    "data.surface_points": 300,
+    "data.processes": 1,
+    "network.channels": 2,
+    "network.hidden": 16,
+    "network.shape_hidden": 16,
+    "render.grid": 8,
+    "render.fine_grid": 0,
+    "render.num_points": 40,
+    "pose.choice_points": 0,
+}
 
 
 def load(name, variant=None):
@@ -31,6 +51,29 @@ def load_editable(name, variant=None):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module.get_config(variant) if variant is not None else module.get_config()
+
+
+def refuse_flags(arguments):
+    """What the command says where it refuses its flags, and None where it does not."""
+    argv = ["main.py", *arguments]
+    before = set(flags.FLAGS)
+    with (
+        # Values of config fields are found in sys.argv by the flags library.
+        mock.patch.object(sys, "argv", argv),
+        contextlib.redirect_stderr(io.StringIO()) as error,
+    ):
+        try:
+            main._parse(argv)
+            check(from_config_dict(main._CONFIG.value))
+        except SystemExit as caught:
+            assert caught.code == 2
+            return error.getvalue()
+        except ValueError as caught:  # is said by the command as a sentence
+            return f"Error: {caught}\n"
+        finally:
+            flags.FLAGS.unparse_flags()
+            for name in set(flags.FLAGS) - before:
+                delattr(flags.FLAGS, name)
 
 
 def parameter_shapes(config):

@@ -1,8 +1,6 @@
 """Names of shipped configs on the command line, in place of paths."""
 
 import runpy
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -34,14 +32,3 @@ def test_the_shipped_configs_are_those_of_the_folder():
 )
 def test_only_the_name_after_config_becomes_a_path(given, expected):
     assert resolve_flags(["main", *given]) == ["main", *expected]
-
-
-def test_a_name_that_is_no_config_is_refused_in_one_sentence(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-m", "dpc_jax.main", "--config=bus"],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-    )
-    assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert done.stderr.startswith("Error: ") and len(done.stderr.splitlines()) == 1

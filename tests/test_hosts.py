@@ -10,25 +10,15 @@ import time
 from pathlib import Path
 
 import pytest
+from config_files import TINY
 
 ROOT = Path(__file__).parents[1]
 STEPS = 24
-FIELDS = {
+FIELDS = TINY | {
     "train.steps": STEPS,
-    "log.every": 1,
     "log.evaluate": STEPS,
     "log.checkpoint": 8,
-    "data.image_size": 16,
-    "data.surface_points": 300,
-    "data.processes": 1,
-    "network.channels": 2,
-    "network.hidden": 16,
-    "network.shape_hidden": 16,
-    "render.grid": 8,
-    "render.fine_grid": 0,
     "render.keep_levels": 1,
-    "render.num_points": 40,
-    "pose.choice_points": 0,
 }
 LOST = "all 2 processes of the job must go on, but"
 

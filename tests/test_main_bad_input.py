@@ -2,14 +2,11 @@
 
 import importlib.util
 import os
-import sys
 
 import pytest
-from absl import flags
-from config_files import load_editable
+from config_files import FOLDER, load_editable, refuse_flags
 from tiny_runs import make_dataset
 
-from dpc_jax import main
 from dpc_jax.config import from_config_dict
 from dpc_jax.run import pipeline, setup
 from dpc_jax.run.workdir import FREE_FIELDS, claim_workdir
@@ -56,7 +53,6 @@ def set_field(config, field, value):
         ("render.scale_unit", "volume", "'peak' or 'mass'"),
         ("render.distance", 0.2, "outside the object"),
         ("network.layers", "wide", "'', 'paper' or 'released'"),
-        ("data.fold", "5/5", "'' or PART/PARTS"),
         ("pose.student", "mean", "'selects' or 'posterior'"),
         ("render.scale_fixed", -1.0, "0 or more"),
         ("train.l2_weight", -1.0, "0 or more"),
@@ -64,7 +60,6 @@ def set_field(config, field, value):
         ("train.learning_rate", 0.0, "above 0"),
         ("train.learning_rate", float("nan"), "above 0"),
         ("data.meshes", "/nowhere/at/all", "a folder that exists"),
-        ("data.test_meshes", "/nowhere/at/all", "a folder that exists"),
         ("seed", -1, "0 or more"),
         ("train.depth_weight", -0.1, "0 or more"),
         ("train.silhouette_weight", -1.0, "0 or more"),
@@ -102,6 +97,10 @@ SMALL = {"data.image_size": 16, "render.grid": 4, "render.fine_grid": 0}
     [
         ({"data.images": "HERE", "train.depth_weight": 0.1}, "0 with data.images"),
         ({"data.images": "HERE", "data.offset": 0.1}, "rendered already"),
+        (
+            {"data.images": "HERE", "data.shapenet": "HERE"},
+            "data.images must be '' where data.shapenet",
+        ),
         (VOXELS | {"network.point_size": "sigma"}, "points have no size"),
         (VOXELS | SMALL, "at least 8"),
         (
@@ -127,11 +126,20 @@ def test_what_does_not_go_together_is_refused(config, tmp_path, capsys, changes,
         assert str(tmp_path) in error
 
 
-def test_depths_asked_of_a_set_without_are_refused(config, monkeypatch):
-    config.train.depth_weight = 0.1
-    made = make_dataset(models=4, views=5)._replace(depths=None)
+@pytest.mark.parametrize(
+    ("field", "value", "lacks", "says"),
+    [
+        ("train.depth_weight", 0.1, "depths", "Expected depths for every image"),
+        ("pose.source", "given", "quaternions", "the train and val and test images"),
+    ],
+)
+def test_what_is_asked_of_a_set_without_it_is_refused(
+    config, monkeypatch, field, value, lacks, says
+):
+    set_field(config, field, value)
+    made = make_dataset(models=4, views=5)._replace(**{lacks: None})
     monkeypatch.setattr(setup, "load_or_render", lambda *_, **__: made)
-    with pytest.raises(ValueError, match="Expected depths for every image"):
+    with pytest.raises(ValueError, match=says):
         setup.load_sets(from_config_dict(config))
 
 
@@ -208,30 +216,7 @@ def test_what_does_not_change_the_result_may_differ(config, tmp_path, field):
 # What the command line refuses before a config is there.
 
 
-@pytest.fixture
-def parse(monkeypatch, capsys):
-    """Parses arguments as the command does; gives the line on stderr."""
-
-    def call(*arguments):
-        argv = ["main.py", *arguments]
-        # Overrides of config fields are found in sys.argv by the flags library.
-        monkeypatch.setattr(sys, "argv", argv)
-        with pytest.raises(SystemExit) as caught:
-            main._parse(argv)
-        error = capsys.readouterr().err
-        assert caught.value.code == 2
-        assert error.startswith("Error: ") and error.count("\n") == 1
-        assert "Traceback" not in error
-        return error
-
-    before = set(flags.FLAGS)
-    yield call
-    flags.FLAGS.unparse_flags()
-    for name in set(flags.FLAGS) - before:
-        delattr(flags.FLAGS, name)
-
-
-DEBUG = f"--config={main.__file__.replace('dpc_jax/main.py', 'configs/debug.py')}"
+DEBUG = f"--config={FOLDER / 'debug.py'}"
 
 
 # ml_collections 1.1 loads a config file by a method that Python has deprecated.
@@ -246,10 +231,13 @@ DEBUG = f"--config={main.__file__.replace('dpc_jax/main.py', 'configs/debug.py')
         ([DEBUG, "car"], ["Expected only flags, but car was given"]),
         ([], ["write for example --config=configs/car.py"]),
         (["--config=configs/plane.py"], ["configs/plane.py"]),
+        (["--config=bus"], ["bus"]),
         ([f"{DEBUG}:fast"], ["paper, naive, known_pose", "but it has fast;"]),
     ],
     ids=lambda arguments: " ".join(arguments).replace(DEBUG, "DEBUG"),
 )
-def test_a_command_line_that_says_nothing_is_refused(parse, arguments, says):
-    error = parse(*arguments)
+def test_a_command_line_that_says_nothing_is_refused(arguments, says):
+    error = refuse_flags(arguments)
+    assert error.startswith("Error: ") and error.count("\n") == 1
+    assert "Traceback" not in error
     assert all(words in error for words in says)

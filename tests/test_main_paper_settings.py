@@ -60,14 +60,6 @@ def test_training_sixteen_samples_are_four_views_of_four_objects():
 
 
 @pytest.mark.parametrize("side, points", SIDES.items())
-def test_training_the_volume_has_the_side_of_the_images(side, points):
-    config = load("car", f"paper,{side}")
-    assert config.data.image_size == config.render.grid == side
-    assert config.render.num_points == points
-    assert not config.render.fine_grid
-
-
-@pytest.mark.parametrize("side, points", SIDES.items())
 def test_training_dropout_falls_from_90_percent_to_none_over_the_run(side, points):
     config = load("car", f"paper,{side}")
     render, steps = config.render, config.train.steps

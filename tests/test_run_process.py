@@ -1,7 +1,6 @@
 """Compiled programs are kept between starts; signals ask a run to save and stop."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -64,24 +63,6 @@ def test_the_user_s_own_settings_come_first(tmp_path):
 def test_where_nothing_can_be_kept_everything_is_compiled(tmp_path):
     (tmp_path / "file").write_text("no folder")
     assert start(tmp_path / "file") == ["None", "compiled"]
-
-
-@pytest.mark.parametrize("damage", [b"", b"not a program"])
-def test_a_damaged_program_is_compiled_again(first, tmp_path, damage):
-    home, _ = first
-    shutil.copytree(home / "dpc_jax", tmp_path / "dpc_jax")
-    programs = list((tmp_path / "dpc_jax" / "programs").glob("*-cache"))
-    assert programs
-    for path in programs:
-        path.write_bytes(damage)
-    cleared = {n: v for n, v in os.environ.items() if "COMPILATION_CACHE" not in n}
-    done = subprocess.run(
-        [sys.executable, "-c", COMPILE.replace("error", "ignore")],
-        capture_output=True,
-        text=True,
-        env=cleared | {"XDG_CACHE_HOME": str(tmp_path)},
-    )
-    assert done.returncode == 0, done.stderr
 
 
 def test_sigterm_asks_to_stop_and_no_more():

@@ -53,20 +53,26 @@ class Data:
     test_meshes: str = field("", FOLDER)  # to test on; "": a part of the same source
     split_file: str = field("", FILE)  # official ShapeNet split; "": found in folder
     fold: str = field("", FOLD)  # "0/5": of five parts the first is tested; "": a tenth
-    ground_truth: str = field("", FOLDER)  # of MODEL.mat for the renders; "": found
-    crop: str = field("object", one_of(*CROPS))  # images scaled alike
+    ground_truth: str = field("", FOLDER)  # of MODEL.mat files; "": beside the renders
+    # What has a scale of its own: an object, each view, or nothing ("none").
+    crop: str = field("object", one_of(*CROPS))
     fill: float = field(0.85, between(0.1, 1))  # share of the frame that images fill
     models: int = field(1000, at_least(1))  # procedural models to train on
-    val_models: int = field(40, at_least(1))  # to validate on (20 of them align)
+    val_models: int = field(40, at_least(1))  # to validate on; 20 of them align
     test_models: int = field(100, at_least(1))  # to test on
-    copies: int = field(0, at_least(0))  # of meshes, stretched; 0: to 300 in all
-    mix: int = field(-1, at_least(-1))  # procedural ones beside; -1: 300 if few meshes
+    # Of each mesh, stretched; 0: as many as make 300 models.
+    copies: int = field(0, at_least(0))
+    # Procedural models that are added to meshes; -1: 300 where there are few meshes.
+    mix: int = field(-1, at_least(-1))
     views: int = field(5, at_least(1))  # per model (§ Datasets)
-    offset: float = field(0.0, between(0, 0.12))  # largest, of each axis; diagonals
-    focal_spread: float = field(0.0, between(0, 0.25))  # of a view's focal length
+    # Largest shift of an object along each axis, box diagonals.
+    offset: float = field(0.0, between(0, 0.12))
+    # Largest change of a view's focal length, as a share of it.
+    focal_spread: float = field(0.0, between(0, 0.25))
     image_size: int = field(64, _IMAGE_SIZE)  # pixels
     surface_points: int = field(10_000, at_least(1))  # ground truth, before thinning
-    surface_voxel: float = field(0.0, between(0, 0.99))  # keeps one point each; 0: all
+    # Side of the cells that keep one point of the ground truth each; 0: all are kept.
+    surface_voxel: float = field(0.0, between(0, 0.99))
     seed: int = field(0, at_least(0))  # of shapes, split, views and lights
     cache_dir: str = field("data")  # folder where rendered sets are kept
     processes: int = field(0, at_least(0))  # that render; 0: one per core
@@ -80,8 +86,10 @@ class Network:
     hidden: int = field(512, at_least(1))  # of encoder and pose branches
     shape_hidden: int = field(512, at_least(1))  # of the shape branch's hidden layer
     layers: str = field("", one_of(*LAYERS))  # the paper's, or its code's; "": ours
-    point_size: str = field("", one_of(*POINT_SIZES))  # learned of each point; "": none
-    shape: str = field("points", one_of(*SHAPES))  # predicted; voxels: of render.grid
+    # What is learned of the size of each point; "": nothing.
+    point_size: str = field("", one_of(*POINT_SIZES))
+    # What is predicted; voxels have the side `render.grid`.
+    shape: str = field("points", one_of(*SHAPES))
     sees_mask: bool = field(True)  # beside the image, as a fourth channel
 
 
@@ -91,7 +99,8 @@ class Render:
 
     grid: int = field(32, at_least(1))  # side of volume and target silhouettes, voxels
     fine_grid: int = field(64, at_least(0))  # of winners after 60 % of steps; 0: never
-    fixed_views_until: float = field(0.0, between(0, 1))  # share of the run (EPCG)
+    # Share of the run that compares views from a cube's corners (EPCG).
+    fixed_views_until: float = field(0.0, between(0, 1))
     num_points: int = field(2000, at_least(1))  # of a cloud (2000 at 32³ in the paper)
     sigma_start: float = field(0.05, between(0, 1))  # of the volume's side (§ Training)
     sigma_end: float = field(0.003, between(0, 1))  # of the volume's side
@@ -105,7 +114,8 @@ class Render:
     scale_fixed: float = field(0.0, at_least(0))  # in that unit; 0: learned
     focal_length: float = field(1.875, POSITIVE)  # of an image 1 wide
     distance: float = field(2.0, _DISTANCE)  # camera to object, box diagonals
-    renders_at_once: int = field(-1, at_least(-1))  # 0: all; -1: 1 on CPU, 0 on GPU
+    # Views rendered side by side; 0: all; -1: one on a CPU, all on a GPU.
+    renders_at_once: int = field(-1, at_least(-1))
 
     @property
     def finest(self) -> int:
@@ -120,8 +130,9 @@ class Pose:
     source: str = field("unknown", one_of(*POSE_SOURCES))  # where poses come from
     num_heads: int = field(8, _HEADS)  # K heads (§ distilled ensemble)
     head: str = field("viewpoint", one_of(*POSE_HEADS))  # upright, or any rotation
-    elevation_low: float = field(ELEVATIONS[0], between(-90, 90))  # that heads predict
-    elevation_high: float = field(ELEVATIONS[1], between(-90, 90))  # degrees
+    # Range of elevations that viewpoint heads predict, degrees.
+    elevation_low: float = field(ELEVATIONS[0], between(-90, 90))
+    elevation_high: float = field(ELEVATIONS[1], between(-90, 90))
     flips: bool = field(True)  # also try each head after half turns of the object
     student: str = field("posterior", one_of(*STUDENTS))  # what it predicts
     choice_points: int = field(250, at_least(0))  # that rank candidates; 0: no ranking
@@ -214,13 +225,18 @@ class Train:
     learning_rate: float = field(3e-4, POSITIVE)  # of Adam, at its peak
     schedule: str = field("cosine", one_of("cosine", "constant"))  # of that rate
     l2_weight: float = field(0.0, at_least(0))  # half squared weights (released code)
-    pull_weight: float = field(0.03, at_least(0))  # per pixel, of points outside
-    reseeds_points: bool = field(True)  # isolated ones, once training is done
-    repulsion_weight: float = field(0.0, at_least(0))  # of points' mean energy, late
+    # Of points that project outside the silhouette, per pixel.
+    pull_weight: float = field(0.03, at_least(0))
+    # Points that hang alone are placed anew beside others after the last step.
+    reseeds_points: bool = field(True)
+    # Of the mean energy by which points repel each other, late in the run.
+    repulsion_weight: float = field(0.0, at_least(0))
     containment_weight: float = field(30.0, at_least(0))  # of points beyond radius 1/2
     silhouette_weight: float = field(1.0, at_least(0))  # per pixel; 0: not compared
-    background_weight: float = field(0.0, between(0, 1))  # event cost; 0: squares
-    depth_weight: float = field(0.0, at_least(0))  # per pixel and diagonal; 0: none
+    # Cost of a ray that ends in the background (DRC); 0: squared differences.
+    background_weight: float = field(0.0, between(0, 1))
+    # Per pixel, of depths in box diagonals; 0: none are compared.
+    depth_weight: float = field(0.0, at_least(0))
     color_weight: float = field(0.0, at_least(0))  # per pixel; 0: no colours
     # Their loss has a gradient for the shape; else they see the image's mean colour.
     colors_move_points: bool = field(False)
@@ -230,9 +246,9 @@ class Train:
 class Log:
     """Steps between records, 0 is never; and the tools that show them."""
 
-    every: int = field(100, at_least(1))  # lines of metrics.jsonl
-    evaluate: int = field(1000, at_least(0))  # validations
-    checkpoint: int = field(1000, at_least(0))  # checkpoints
+    every: int = field(100, at_least(1))  # steps between lines of metrics.jsonl
+    evaluate: int = field(1000, at_least(0))  # steps between validations
+    checkpoint: int = field(1000, at_least(0))  # steps between checkpoints
     tensorboard: bool = field(False)  # event files too, in WORKDIR/tensorboard
 
 
