@@ -5,30 +5,18 @@ Nothing heavy is loaded for --help or for a wrong flag.
 
 import importlib
 import sys
-from typing import NamedTuple
+from types import ModuleType
 
-
-class Command(NamedTuple):
-    """A command.
-
-    Attributes:
-      module: that it starts, as `python -m` does.
-      text: what it does, for --help.
-    """
-
-    module: str
-    text: str
-
-
+# What each does, for --help.
 COMMANDS = {
-    "train": Command("dpc_jax.main", "train, evaluate, report; goes on where stopped"),
-    "predict": Command("dpc_jax.predict", "images to 3D shapes, by a trained run"),
-    "fit": Command("dpc_jax.fit", "images of one object to 3D, without training"),
-    "data": Command("dpc_jax.data.__main__", "fetch data sets, show and check them"),
-    "compare": Command("dpc_jax.compare", "runs side by side, as a page"),
-    "paper": Command("dpc_jax.paper", "the paper's tables and figures"),
-    "benchmark": Command("dpc_jax.benchmark", "error against run time"),
-    "stability": Command("dpc_jax.stability", "what happens in extreme cases"),
+    "train": "train, evaluate, report; goes on where stopped",
+    "predict": "images to 3D shapes, by a trained run",
+    "fit": "images of one object to 3D, without training",
+    "data": "fetch data sets, show and check them",
+    "compare": "runs side by side, as a page",
+    "paper": "the paper's tables and figures",
+    "benchmark": "error against run time",
+    "stability": "what happens in extreme cases",
 }
 _HELP = """usage: dpc_jax COMMAND [flags]
 
@@ -43,10 +31,16 @@ same (of train: dpc_jax.main). A first run, in a few minutes:
 """
 
 
+def load_module(name: str) -> ModuleType:
+    """The module of a command, which `python -m` starts."""
+    others = {"train": "main", "data": "data.__main__"}
+    return importlib.import_module(f"dpc_jax.{others.get(name, name)}")
+
+
 def describe() -> str:
     """The text of --help."""
     width = max(map(len, COMMANDS)) + 2
-    lines = [f"  {name:{width}}{command.text}" for name, command in COMMANDS.items()]
+    lines = [f"  {name:{width}}{text}" for name, text in COMMANDS.items()]
     return _HELP.format(commands="\n".join(lines))
 
 
@@ -70,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         # Flags of a config are found in sys.argv, and a command's own name, too.
         sys.argv = [f"dpc_jax {name}", *rest]
-        module = importlib.import_module(COMMANDS[name].module)
+        module = load_module(name)
         return module.start() if name == "train" else module.main(rest)
     except KeyboardInterrupt:
         print("Interrupted.", file=sys.stderr)

@@ -1,7 +1,6 @@
 """The command dpc_jax: the same as python -m, and quick."""
 
 import argparse
-import importlib
 import os
 import subprocess
 import sys
@@ -25,7 +24,7 @@ def start(*words, **environment):
 
 
 def make_parser(name):
-    return importlib.import_module(commands.COMMANDS[name].module).make_parser()
+    return commands.load_module(name).make_parser()
 
 
 @pytest.mark.parametrize("name", ["", *commands.COMMANDS])
@@ -56,11 +55,11 @@ def test_every_flag_says_what_it_is_for(name, monkeypatch):
 
 def test_flags_are_known_before_anything_heavy_is_loaded():
     code = """
-import importlib, sys
-from dpc_jax.commands import COMMANDS
+import sys
+from dpc_jax.commands import COMMANDS, load_module
 assert "numpy" not in sys.modules and "absl" not in sys.modules
-for command in COMMANDS.values():
-    importlib.import_module(command.module).make_parser().format_help()
+for command in COMMANDS:
+    load_module(command).make_parser().format_help()
 heavy = "jax scipy trimesh matplotlib flax optax orbax rich tensorboardX PIL"
 print([name for name in heavy.split() if name in sys.modules])
 """
@@ -95,7 +94,7 @@ def test_both_forms_of_a_command_say_the_same_with_the_same_status(
 ):
     monkeypatch.setattr(sys, "argv", ["dpc_jax", *words])
     name, *flags = words
-    module = importlib.import_module(commands.COMMANDS[name].module)
+    module = commands.load_module(name)
     said = []
     for start, arguments in ((commands.main, words), (module.main, flags)):
         assert start(list(arguments)) == expected

@@ -13,6 +13,7 @@ import pytest
 from document_pages import NOTEBOOK, ROOT, list_blocks, list_commands
 
 from dpc_jax.commands import COMMANDS as SHORT
+from dpc_jax.commands import load_module
 
 COMMANDS = list_commands()
 NAMES = [f"{page} {' '.join(words)}" for page, words in COMMANDS]
@@ -35,7 +36,7 @@ def find_module(words):
     if first in ("python", ".venv/bin/python"):
         return rest[1], rest[2:]
     if first == "dpc_jax" and rest[:1] and rest[0] in SHORT:
-        return SHORT[rest[0]].module.removesuffix(".__main__"), rest[1:]
+        return load_module(rest[0]).__name__.removesuffix(".__main__"), rest[1:]
     scripts = {"launch/run.sh": "dpc_jax.main", "launch/data.sh": "dpc_jax.data"}
     if first in scripts:
         return scripts[first], rest

@@ -165,8 +165,8 @@ def test_a_workdir_that_is_a_file_is_refused_and_the_file_is_left_alone(
 ):
     path = tmp_path / "notes.txt"
     path.write_text("mine")
-    assert "give a folder that can be written" in refuse(config, path, capsys)
-    assert "cannot be made" in refuse(config, path / "below", capsys)
+    for workdir in (path, path / "below"):
+        assert "cannot be made or written" in refuse(config, workdir, capsys)
     assert path.read_text() == "mine"
 
 
@@ -175,7 +175,7 @@ def test_a_workdir_that_cannot_be_written_is_refused(
 ):
     # Root may write anywhere, so that permissions alone would not show it.
     monkeypatch.setattr(os, "access", lambda *_: False)
-    assert "cannot be written" in refuse(config, tmp_path, capsys)
+    assert "written (Permission denied)" in refuse(config, tmp_path, capsys)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -73,7 +73,12 @@ def make_data_specs(config: Config) -> dict[str, DataSpec]:
     }
     kind = next((name for name in SOURCES if getattr(data, name)), None)
     if kind is None:
-        specs = _split_procedural(config, shared)
+        models = {"train": data.models, "val": data.val_models}
+        models["test"] = data.test_models
+        specs = {
+            split: DataSpec(split=split, models=count, **shared)
+            for split, count in models.items()
+        }
     else:
         specs = _split_folder(config, kind, shared)
     if config.render.fixed_views_until:
@@ -169,15 +174,6 @@ def check_viewpoints(config: Config, sets: dict[str, DataSet]) -> list[str]:
     ]
 
 
-def _split_procedural(config, shared):
-    data = config.data
-    counts = {"train": data.models, "val": data.val_models, "test": data.test_models}
-    return {
-        split: DataSpec(split=split, models=count, **shared)
-        for split, count in counts.items()
-    }
-
-
 def _split_folder(config, kind, shared):
     """Tenths of a folder validate and, without another folder for that, test."""
     data = config.data
@@ -191,15 +187,14 @@ def _split_folder(config, kind, shared):
         "fill": data.fill,
         "fractions": (0.9 - tested, 0.1, tested),
     }
-    # Pictures cannot be stretched.
-    is_mesh = kind in ("meshes", "shapenet")
-    names = ("copies", "mix") if is_mesh else ()
-    extra = {name: getattr(data, name) for name in names}
     if data.fold:
         source["fold"] = read_fold(data.fold)
-    return {
-        split: DataSpec(
-            split=split, **source, **(extra if split == "train" else {}), **shared
-        )
+    specs = {
+        split: DataSpec(split=split, **source, **shared)
         for split in ("train", "val", "test")
     }
+    if kind in ("meshes", "shapenet"):  # pictures cannot be stretched
+        specs["train"] = dataclasses.replace(
+            specs["train"], copies=data.copies, mix=data.mix
+        )
+    return specs

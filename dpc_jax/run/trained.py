@@ -14,8 +14,8 @@ from dpc_jax.evaluation.alignment import Alignment, align_points
 from dpc_jax.learning.inference.predictor import VIEWS_AT_ONCE
 from dpc_jax.learning.predictions import make_inputs
 from dpc_jax.learning.step import TrainState, describe_state
-from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.run.hosts.writing import restore_last
 from dpc_jax.run.setup import make_data_specs, make_network
 from dpc_jax.run.workdir import read_alignment, read_config
 
@@ -60,18 +60,7 @@ def restore_state(config: Config, workdir: Path) -> TrainState:
       ValueError: where there is no checkpoint, or none that can be read.
     """
     like = describe_state(make_network(config), config)
-    folder = workdir / "checkpoints"
-    restored = None
-    if folder.is_dir():
-        checkpoints = Checkpoints(folder)
-        restored = checkpoints.restore(like)
-        checkpoints.close()
-    if restored is None:
-        raise ValueError(
-            f"Expected a checkpoint in {folder}, but there is none; start the command "
-            "that began the run again."
-        )
-    return restored.state
+    return restore_last(workdir / "checkpoints", like)
 
 
 def load_split(trained: TrainedNetwork, split: str) -> DataSet:

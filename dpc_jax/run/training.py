@@ -13,7 +13,7 @@ from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.hosts.agreement import Job
-from dpc_jax.run.hosts.writing import open_checkpoints
+from dpc_jax.run.hosts.writing import open_checkpoints, restore_last
 from dpc_jax.run.learner import Learner, Show
 from dpc_jax.run.process import catch_signals
 from dpc_jax.run.setup import make_network
@@ -121,35 +121,9 @@ def begin_run(network: ShapePoseNetwork, config: Config, job: Job) -> TrainState
             f"{', '.join(differing)}; give another, or its values "
             "(--config.SECTION.FIELD=VALUE)."
         )
-    found = _restore_other(workdir / "checkpoints", like, job)
+    found = restore_last(workdir / "checkpoints", like, job)
     print(f"Beginning with the parameters of {workdir}, step {int(found.step)}.")
     return state._replace(params=found.params)
-
-
-def _restore_other(folder: Path, like: TrainState, job: Job) -> TrainState:
-    """The last state of another run; nothing is made in its folder."""
-    missing = ValueError(
-        f"Expected a checkpoint of the run of train.init_from in {folder}, but there "
-        "is none; give the workdir of a run that has saved one."
-    )
-
-    def check():
-        if not folder.is_dir():
-            raise missing
-
-    job.do_first(check)
-    with contextlib.closing(open_checkpoints(folder, job)) as checkpoints:
-        try:
-            found = checkpoints.restore(like)
-        except ValueError:  # whose advice is for a run's own folder
-            raise ValueError(
-                "Expected a whole checkpoint of the run of train.init_from in "
-                f"{folder}, but none of them could be read; give the workdir of "
-                "another run."
-            ) from None
-    if found is None:
-        raise missing
-    return found.state
 
 
 def check_memory(program: jax.stages.Compiled) -> None:

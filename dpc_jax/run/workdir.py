@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import errno
 import fcntl
 import json
 import os
@@ -72,16 +73,13 @@ def hold_workdir(workdir: Path) -> Iterator[None]:
 def _make_workdir(workdir: Path):
     try:
         workdir.mkdir(parents=True, exist_ok=True)
+        if not os.access(workdir, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as error:
         raise OSError(
-            f"Expected to make the folder {workdir}, but it cannot be made "
-            f"({error.strerror}); give a folder that can be written."
+            f"Expected to write in the folder {workdir}, but it cannot be made or "
+            f"written ({error.strerror}); give another --workdir=DIR."
         ) from None
-    if not os.access(workdir, os.W_OK):
-        raise OSError(
-            f"Expected to write in the folder {workdir}, but it cannot be written; "
-            "give another."
-        )
 
 
 def claim_workdir(workdir: Path, config: Config) -> Path:

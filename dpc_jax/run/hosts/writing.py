@@ -4,6 +4,7 @@ Each class has the face of the one that a process on its own uses, and every pro
 calls it at the same steps. Only process 0 needs the workdir.
 """
 
+import contextlib
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -24,6 +25,35 @@ from dpc_jax.run.hosts.agreement import Job
 def open_checkpoints(folder: Path, job: Job) -> Checkpoints:
     """The checkpoints in a folder, of one process or of several."""
     return SharedCheckpoints(folder, job) if job.processes > 1 else Checkpoints(folder)
+
+
+def restore_last(folder: Path, like: TrainState, job: Job = Job()) -> TrainState:
+    """The last state of a run that is not gone on with; nothing is made in its folder.
+
+    Raises:
+      ValueError: where there is no checkpoint, or none that can be read.
+    """
+    missing = ValueError(
+        f"Expected a checkpoint in {folder}, but there is none; give the workdir of a "
+        "run that has saved one."
+    )
+
+    def check():
+        if not folder.is_dir():
+            raise missing
+
+    job.do_first(check)  # only process 0 has to see the folder
+    with contextlib.closing(open_checkpoints(folder, job)) as checkpoints:
+        try:
+            found = checkpoints.restore(like)
+        except ValueError:  # whose advice is for a run's own folder
+            raise ValueError(
+                f"Expected a whole checkpoint in {folder}, but none of them could be "
+                "read; give the workdir of another run."
+            ) from None
+    if found is None:
+        raise missing
+    return found.state
 
 
 class SharedCheckpoints(Checkpoints):
