@@ -6,17 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from dpc_jax.shapes import building_blocks as parts
-from dpc_jax.shapes.building_blocks import (
-    BLACK,
-    Part,
-    bar,
-    box,
-    circle,
-    loft,
-    mirror,
-    panel,
-    tube,
-)
 
 KINDS = ("airliner", "bizjet", "light", "fighter")
 KIND_SHARES = (0.4, 0.2, 0.2, 0.2)
@@ -80,7 +69,7 @@ def wing_lead(plan: Plan, share: float) -> np.ndarray:
     )
 
 
-def make_engines(plan: Plan, rng: np.random.Generator) -> list[Part]:
+def make_engines(plan: Plan, rng: np.random.Generator) -> list[parts.Part]:
     """Under the wings, at the tail, a propeller, or one or two nozzles."""
     makers = {
         "airliner": _make_wing_engines,
@@ -100,8 +89,8 @@ def _make_wing_engines(plan, rng):
         centre = lead - [0.0, 0.0, 1.25 * size]
         pieces += _make_nacelle(centre + [0.06, 0, 0], 0.12, size, plan.accent)
         ends = centre + [0.0, 0, 0.4 * size], lead - [0.05, 0, 0]
-        pieces.append(bar(*ends, width=0.008, height=0.05, color=plan.body))
-    return mirror(pieces)
+        pieces.append(parts.bar(*ends, width=0.008, height=0.05, color=plan.body))
+    return parts.mirror(pieces)
 
 
 def _make_tail_engines(plan, rng):
@@ -109,7 +98,9 @@ def _make_tail_engines(plan, rng):
     centre = np.array([-0.2, 1.75 * r, 0.5 * r])
     pod = _make_nacelle(centre, 0.14, rng.uniform(0.42, 0.52) * r, plan.accent)
     ends = centre - [0.05, r, 0], centre - [0.05, 0, 0]
-    return mirror([*pod, bar(*ends, width=0.07, height=0.012, color=plan.body)])
+    return parts.mirror(
+        [*pod, parts.bar(*ends, width=0.07, height=0.012, color=plan.body)]
+    )
 
 
 def _make_propeller(plan, rng):
@@ -119,10 +110,12 @@ def _make_propeller(plan, rng):
     blade = reach * np.array([0.0, np.cos(turn), np.sin(turn)])
     hub = np.array([0.515, 0, z])
     ends, last = ((0.5, 0, z), (0.54, 0, z)), 0.02 * r
-    spinner = tube(*ends, 0.25 * r, radius_stop=last, color=plan.accent)
+    spinner = parts.tube(*ends, 0.25 * r, radius_stop=last, color=plan.accent)
     return [
         spinner,
-        bar(hub - blade, hub + blade, width=0.02, height=0.008, color=BLACK),
+        parts.bar(
+            hub - blade, hub + blade, width=0.02, height=0.008, color=parts.BLACK
+        ),
     ]
 
 
@@ -130,39 +123,43 @@ def _make_nozzles(plan, rng):
     r = plan.radius
     side = 0.0 if rng.uniform() < 0.4 else 0.6 * r
     ends, last = ((-0.48, side, 0), (-0.53, side, 0)), 0.5 * r
-    nozzle = [tube(*ends, 0.62 * r, radius_stop=last, color=BLACK, sides=10)]
-    intake = box((-0.05, 1.0 * r, -0.5 * r), (0.16, 1.5 * r, 0.4 * r), color=plan.body)
-    return [*(mirror(nozzle) if side else nozzle), *mirror([intake])]
+    nozzle = [
+        parts.tube(*ends, 0.62 * r, radius_stop=last, color=parts.BLACK, sides=10)
+    ]
+    intake = parts.box(
+        (-0.05, 1.0 * r, -0.5 * r), (0.16, 1.5 * r, 0.4 * r), color=plan.body
+    )
+    return [*(parts.mirror(nozzle) if side else nozzle), *parts.mirror([intake])]
 
 
 def _make_nacelle(front, length, radius, color):
     """Engine pod: its open front is a dark disc."""
     front = np.asarray(front, float)
-    ring = circle(10)
+    ring = parts.circle(10)
     rings = []
     for share, size in ((0.0, 0.85), (0.15, 1.0), (0.6, 0.95), (1.0, 0.55)):
         offset = np.column_stack([np.full(10, -share * length), radius * size * ring])
         rings.append(front + offset)
     disc = np.column_stack([np.zeros(10), 0.75 * radius * ring])
     return [
-        loft(rings, color=color),
-        panel(front + [0.001, 0, 0] + disc, color=BLACK),
+        parts.loft(rings, color=color),
+        parts.panel(front + [0.001, 0, 0] + disc, color=parts.BLACK),
     ]
 
 
-def make_gear(plan: Plan) -> list[Part]:
+def make_gear(plan: Plan) -> list[parts.Part]:
     """Fixed gear of a light airplane: two main wheels and one at the nose."""
     r, low = plan.radius, -plan.radius - 0.09
-    strut = functools.partial(tube, radius=0.008, color=plan.body, sides=6)
+    strut = functools.partial(parts.tube, radius=0.008, color=plan.body, sides=6)
     main, nose = np.array([0.08, 0.15, low]), np.array([0.38, 0.0, low])
 
     def wheel(centre, half_width, radius):
         side = np.array([0, half_width, 0])
-        return tube(centre - side, centre + side, radius, color=BLACK)
+        return parts.tube(centre - side, centre + side, radius, color=parts.BLACK)
 
     legs = [strut((0.08, 0.4 * r, -0.8 * r), main), wheel(main, 0.012, 0.03)]
     return [
-        *mirror(legs),
+        *parts.mirror(legs),
         strut((0.38, 0, -0.5 * r), nose),
         wheel(nose, 0.01, 0.026),
     ]
