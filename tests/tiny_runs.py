@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet
@@ -104,11 +105,10 @@ def random_quaternions(seed: int, *shape: int) -> np.ndarray:
 
 
 def rotation_matrix(quaternion) -> np.ndarray:
-    """Rotation matrix [3, 3] of a quaternion, by Rodrigues' formula in float64."""
-    w, *v = np.asarray(quaternion, np.float64) / np.linalg.norm(quaternion)
-    x, y, z = v
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+    """Rotation matrix [3, 3] of a quaternion, by scipy."""
+    return Rotation.from_quat(
+        np.asarray(quaternion, np.float64), scalar_first=True
+    ).as_matrix()
 
 
 def draw_mask(points, quaternion, *, size: int = IMAGE_SIZE, radius=1.0) -> np.ndarray:

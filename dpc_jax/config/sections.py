@@ -260,7 +260,7 @@ class Eval:
 
 
 @dataclasses.dataclass(frozen=True)
-class Run:
+class Machine:
     """What of the machine a run uses; results agree to rounding."""
 
     devices: int = field(0, at_least(0))  # that share a batch's objects; 0: all
@@ -280,4 +280,4 @@ class Config:
     train: Train = Train()
     log: Log = Log()
     eval: Eval = Eval()
-    run: Run = Run()
+    run: Machine = Machine()

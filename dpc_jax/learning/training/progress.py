@@ -5,7 +5,6 @@ import math
 import sys
 import time
 from collections.abc import Iterator
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -92,32 +91,6 @@ class ProgressReport(Display):
         self.tell(f"{self._title}: compiling took {seconds:.1f} s")
         if self._bar is not None:
             self._bar.update(self._task, text=before)
-
-
-class CountReport(Display):
-    """Shows how far several parts of a work are; use as a context manager.
-
-    On a terminal each part has a bar; elsewhere a line for every tenth of it.
-    """
-
-    def __init__(self, title: str):
-        super().__init__()
-        self._title, self._started = title, time.monotonic()
-        self._told: dict[str, int] = {}
-        self._tasks: dict[str, Any] = {}
-
-    def report(self, part: str, done: int, total: int):
-        """Show that so much of a part is done."""
-        if self._bar is not None:
-            if part not in self._tasks:
-                self._tasks[part] = self._bar.add_task(part, total=total, text="")
-            self._bar.update(self._tasks[part], completed=done)
-            return
-        tenth = 10 * done // max(total, 1)
-        if tenth > self._told.get(part, -1):
-            self._told[part] = tenth
-            seconds = time.monotonic() - self._started
-            print(f"{self._title}: {part}, {done}/{total}, {seconds:.0f} s", flush=True)
 
 
 class Forecast:
