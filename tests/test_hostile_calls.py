@@ -1,4 +1,4 @@
-"""Calls of the public functions with numbers that make no image, and config fields."""
+"""Calls of the public functions with numbers that make no image."""
 
 from collections.abc import Callable
 
@@ -9,7 +9,6 @@ import pytest
 from hostile import Table, run_try
 
 import dpc_jax
-from dpc_jax.config import build_config, check, replace_fields
 
 TABLE = Table()
 tries = TABLE.tries
@@ -123,14 +122,6 @@ def differentiate(_, *, transform: Callable, function=dpc_jax.project):
     except TypeError as error:
         return error
     return "differentiated"
-
-
-@tries("must be at most 2,147,483,647", section="train", steps=10**20)
-@tries("works", section="train", steps=1)
-@tries("a folder that exists", section="data", meshes="m" * 300)
-def check_fields(_, *, section, **fields):
-    check(replace_fields(build_config("car"), {section: fields}))
-    return "works"
 
 
 @pytest.mark.parametrize("attempt, says", TABLE)

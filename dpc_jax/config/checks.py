@@ -63,11 +63,8 @@ def _list_rules(config):
         f"at most data.models = {data.models}, the models to train on",
     )
     low, high = config.pose.elevation_low, config.pose.elevation_high
-    yield (
-        "pose.elevation_high",
-        low < high,
-        f"above pose.elevation_low = {low} degrees",
-    )
+    above = f"above pose.elevation_low = {low} degrees"
+    yield "pose.elevation_high", low < high, above
     yield (
         "run.devices",
         not config.run.devices or train.models_per_batch % config.run.devices == 0,
