@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from dpc_jax.render import Projection as Projection
     from dpc_jax.render import VoxelGrid as VoxelGrid
     from dpc_jax.render import compensate_widening as compensate_widening
+    from dpc_jax.render import count_blocks as count_blocks
     from dpc_jax.render import estimate_memory as estimate_memory
     from dpc_jax.render import mass_of_peak as mass_of_peak
     from dpc_jax.render import opacity as opacity
@@ -45,8 +46,8 @@ if TYPE_CHECKING:
 
 _RENDER = (
     "Camera MemoryEstimate Projection VoxelGrid compensate_widening estimate_memory "
-    "mass_of_peak opacity project project_batch project_volume quaternion smooth "
-    "splat termination_probabilities use_all_cores voxelize"
+    "count_blocks mass_of_peak opacity project project_batch project_volume quaternion "
+    "smooth splat termination_probabilities use_all_cores voxelize"
 )
 _NETWORKS = "ImageEncoder PoseEnsemble PoseStudent ShapeHead ShapePoseNetwork"
 _NAMES = {  # public name: the module that it is loaded from

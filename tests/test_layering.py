@@ -107,6 +107,7 @@ def test_the_public_names_are_these():
         "chamfer_distance",
         "choose_candidate",
         "compensate_widening",
+        "count_blocks",
         "estimate_memory",
         "mass_of_peak",
         "opacity",

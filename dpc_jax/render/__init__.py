@@ -2,6 +2,7 @@
 
 from dpc_jax.render import quaternion as quaternion
 from dpc_jax.render.batch import project_batch as project_batch
+from dpc_jax.render.blocks.capacity import count_blocks as count_blocks
 from dpc_jax.render.camera import Camera as Camera
 from dpc_jax.render.camera import VoxelGrid as VoxelGrid
 from dpc_jax.render.devices import use_all_cores as use_all_cores

@@ -3,11 +3,11 @@
 import jax
 from jax.typing import ArrayLike, DTypeLike
 
-from dpc_jax.render import checks
+from dpc_jax.render import checks, splines
 from dpc_jax.render.camera import Camera, VoxelGrid
 
 SIGNALS = ("silhouette", "depth", "color", "termination")
-METHODS = ("auto", "trilinear", "gaussian")
+METHODS = ("auto", *splines.ORDERS, "gaussian")
 RAY_RULES = ("termination", "maximum")
 _POSES = "use jax.vmap over several poses"
 _SIZES = "pass a scalar or one value per point"
@@ -89,17 +89,35 @@ def check_camera(camera: Camera) -> None:
 
 
 def choose_method(
-    method: str, sigma: jax.Array | None, covariance: jax.Array | None
+    method: str,
+    sigma: jax.Array | None,
+    covariance: jax.Array | None,
+    shape: tuple[int, int, int],
 ) -> str:
     """Resolve "auto", and refuse a method that cannot draw these sizes."""
     checks.check_choice("method", method, METHODS, "'auto' chooses from the arguments")
-    is_shared = sigma is not None and sigma.ndim == 0
     if method == "auto":
+        is_shared = sigma is not None and sigma.ndim == 0
         return "trilinear" if is_shared else "gaussian"
-    if method == "trilinear" and not is_shared:
+    if method == "gaussian":
+        return method
+    if sigma is None or sigma.ndim:
         raise ValueError(
-            "sigma must be one number with the method 'trilinear', which smooths all "
+            f"sigma must be one number with the method {method!r}, which smooths all "
             "points alike, but a size per point came; pass method='gaussian' or 'auto'."
+        )
+    order = splines.ORDERS[method]
+    if order > 1 and min(shape) <= order:
+        raise ValueError(
+            f"grid must have at least {order + 1} cells along each side for the method "
+            f"{method!r}, but its shape is {shape}; make it finer."
+        )
+    least = splines.find_least(order)
+    if order > 1 and checks.is_known(sigma) and float(sigma) < least:
+        raise ValueError(
+            f"sigma must be at least {least:.3f} voxels with the method {method!r}, "
+            f"whose splines are as wide, but it is {float(sigma):g}; pass "
+            "method='trilinear' or a finer grid."
         )
     return method
 

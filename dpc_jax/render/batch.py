@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax.sharding import PartitionSpec
 
 from dpc_jax.render import arguments, checks
+from dpc_jax.render.blocks import capacity
 from dpc_jax.render.camera import Camera, VoxelGrid
 from dpc_jax.render.devices import AUTOMATIC, choose_mesh, find_platform, place
 from dpc_jax.render.projection import Projection, project
@@ -38,6 +39,7 @@ def project_batch(
     ray_rule: str = "termination",
     background_depth: chex.Numeric = 10.0,
     background_color: chex.Numeric = 1.0,
+    max_blocks: int | None = None,
     renders_at_once: int = AUTOMATIC,
     devices: Sequence[Any] | None = None,
 ) -> Projection:
@@ -60,6 +62,8 @@ def project_batch(
       camera: its focal length and distance are () shared or [B].
       grid, signals, method, ray_rule, background_depth, background_color: shared, as
         in `project`.
+      max_blocks: as in `project`, for each example; None counts those of the example
+        that touches most.
       renders_at_once: how many renders a device makes side by side: 1 keeps a CPU's
         cache, 0 (all) fills a GPU, -1 takes what suits the device; static.
       devices: JAX's, to render on; static. None for all of this process, or the one
@@ -95,6 +99,12 @@ def project_batch(
     shared, own = _sort_inputs(values, batch_size=batch_size)
     checks.check_values(values | {"rotations": rotations})
     own["rotation"] = rotations
+    if max_blocks is None and method != "gaussian" and _has_one_size(shared, own):
+        max_blocks = capacity.count_room(
+            lambda: _count_blocks(shared, own, projection=camera.projection, grid=grid),
+            grid.shape,
+            (shared, own),
+        )
     shared["background_depth"] = background_depth
     shared["background_color"] = background_color
     mesh = choose_mesh(devices, batch_size=batch_size)
@@ -113,6 +123,7 @@ def project_batch(
         signals=tuple(signals),
         method=method,
         ray_rule=ray_rule,
+        max_blocks=max_blocks,
     )
 
 
@@ -187,6 +198,33 @@ def _pad_examples(own, *, mesh):
     )
 
 
+def _has_one_size(shared, own):
+    """Whether each example has one sigma for all of its points."""
+    if "sigma" in own:
+        return own["sigma"].ndim == 1
+    return "sigma" in shared and jnp.ndim(shared["sigma"]) == 0
+
+
+def _take_camera(values, projection):
+    """(the other values by name, the camera)."""
+    values = dict(values)
+    focal_length = values.pop("camera.focal_length")
+    return values, Camera(focal_length, values.pop("camera.distance"), projection)
+
+
+@functools.partial(jax.jit, static_argnames=("projection", "grid"))
+def _count_blocks(shared, own, *, projection, grid):
+    """The most blocks that an example touches, ()."""
+    names = ("points", "rotation", "sigma", "translation")
+
+    def count_one(one):
+        values, camera = _take_camera(shared | one, projection)
+        known = {name: values[name] for name in names if name in values}
+        return capacity.count_blocks(**known, camera=camera, grid=grid)
+
+    return jnp.max(jax.lax.map(count_one, own), initial=0)
+
+
 @functools.partial(
     jax.jit,
     static_argnames=(
@@ -198,6 +236,7 @@ def _pad_examples(own, *, mesh):
         "signals",
         "method",
         "ray_rule",
+        "max_blocks",
     ),
 )
 def _render_batch(
@@ -205,9 +244,7 @@ def _render_batch(
 ):
     def render_share(shared, own):
         def render_one(one):
-            values = shared | one
-            focal_length = values.pop("camera.focal_length")
-            camera = Camera(focal_length, values.pop("camera.distance"), projection)
+            values, camera = _take_camera(shared | one, projection)
             return project(**values, camera=camera, **static)
 
         return map_renders(render_one, own, renders_at_once=renders_at_once)

@@ -86,7 +86,7 @@ def check_values(values: Mapping[str, Any]) -> None:
       values: arguments of `project` by name, of the right shapes; with leading axes
         for many. Those without a rule pass.
     """
-    known = {n: v for n, v in values.items() if n in _RULES and _is_known(v)}
+    known = {n: v for n, v in values.items() if n in _RULES and is_known(v)}
     for name, value in jax.device_get(known).items():
         value, rule = np.asarray(value), _RULES[name]
         if name.startswith("rotation") and value.shape[-1] == 4:
@@ -101,7 +101,8 @@ def check_values(values: Mapping[str, Any]) -> None:
             )
 
 
-def _is_known(value):
+def is_known(value: Any) -> bool:
+    """Whether all numbers of a tree are known: not traced, and on this machine."""
     leaves = jax.tree.leaves(value)
     return bool(leaves) and not any(
         isinstance(leaf, Tracer)

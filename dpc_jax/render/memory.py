@@ -9,7 +9,7 @@ from jax.typing import ArrayLike
 from dpc_jax.render.projection import project
 
 # Arguments that a program is compiled for; all others are its inputs.
-_STATIC = ("grid", "signals", "method", "ray_rule")
+_STATIC = ("grid", "signals", "method", "ray_rule", "max_blocks")
 
 
 class MemoryEstimate(NamedTuple):

@@ -1,5 +1,6 @@
 """From points to the volume that rays go through: the transform T_c and Eq. 3."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -7,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from dpc_jax.render import arguments, quaternion, smoothing, splatting
+from dpc_jax.render import arguments, quaternion, smoothing, splatting, splines
 from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
 from dpc_jax.render.devices import warn_of_wrong_results
 from dpc_jax.render.exact import covariances, gaussians
@@ -18,7 +19,9 @@ from dpc_jax.render.exact import covariances, gaussians
 _KEPT_CHANNELS = 4
 
 
-class Scene(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Scene:
     """Points in the grid, with all parameters of their densities."""
 
     coordinates: jax.Array  # [N, 3] continuous (row, col, depth) index
@@ -26,7 +29,8 @@ class Scene(NamedTuple):
     is_inside: jax.Array  # [N] bool, in the volume and in front of the camera
     sigma: jax.Array | None  # () or [N] in voxels
     covariance: jax.Array | None  # [N, 3, 3] in the grid's axes, voxels²
-    method: str  # "trilinear" or "gaussian"
+    # "gaussian", or one of `splines.ORDERS`
+    method: str = dataclasses.field(metadata={"static": True})
 
 
 class Volume(NamedTuple):
@@ -60,7 +64,7 @@ def place_points(
     rotation, sigma, scale, covariance, translation = arguments.convert_scene(
         points, rotation, sigma, scale, covariance, translation
     )
-    method = arguments.choose_method(method, sigma, covariance)
+    method = arguments.choose_method(method, sigma, covariance, grid.shape)
     moved = to_camera_frame(points, rotation, translation=translation, camera=camera)
     coordinates, is_inside = to_grid(moved, camera=camera, grid=grid)
     if covariance is not None:
@@ -84,7 +88,7 @@ def fill_volume(
     gives after Eq. 5. Colours are [N, C]; the shape is (rows, cols, depth).
     """
     colors = None if colors is None else colors.astype(scene.coordinates.dtype)
-    sum_densities = _sum_trilinear if scene.method == "trilinear" else _sum_exact
+    sum_densities = _sum_exact if scene.method == "gaussian" else _sum_splatted
     density, map_colors = sum_densities(scene, colors, shape)
 
     def sum_colors(reached):
@@ -114,30 +118,39 @@ def _clip_unit_jvp(primals, tangents):
     return clip_unit(density), jnp.where(passes, tangent, 0)
 
 
-def _sum_trilinear(scene, colors, shape):
-    """Σ f_i by the fast method, [rows, cols, depth], and its sums over colours.
+def _sum_splatted(scene, colors, shape):
+    """Σ f_i by the fast methods, [rows, cols, depth], and its sums over colours.
 
     The latter as map_colors(function), which gives [C, ...], function(Σ y_i·f_i) of
     each channel. One channel's volume is there at a time; the backward pass keeps those
     of few channels, and fills those of many again.
     """
 
+    order = splines.ORDERS[scene.method]
+    sigma = splines.narrow(scene.sigma, order)
+
     def fill(mass):
-        volume = splatting.splat(scene.coordinates, mass, shape)
-        return smoothing.smooth(volume, scene.sigma)
+        if order == 1:
+            volume = splatting.splat(scene.coordinates, mass, shape)
+        else:
+            mass = jnp.where(scene.is_inside, mass, 0)
+            volume = splines.splat(scene.coordinates, mass, shape, order)
+        return smoothing.smooth(volume, sigma)
 
     def map_colors(function):
-        def call(channel):
-            return function(fill(scene.mass * channel))
-
-        is_many = colors.shape[1] > _KEPT_CHANNELS
-        return jax.lax.map(jax.checkpoint(call) if is_many else call, colors.T)
+        return map_channels(lambda c: function(fill(scene.mass * c)), colors)
 
     return fill(scene.mass), map_colors
 
 
+def map_channels(function: Callable, colors: jax.Array) -> jax.Array:
+    """function(channel [N]) of each channel of colours [N, C], one after the other."""
+    is_many = colors.shape[1] > _KEPT_CHANNELS
+    return jax.lax.map(jax.checkpoint(function) if is_many else function, colors.T)
+
+
 def _sum_exact(scene, colors, shape):
-    """Σ f_i by the basic method; same result as `_sum_trilinear`."""
+    """Σ f_i by the basic method; exact, slower than `_sum_splatted`."""
     values = scene.mass[:, None]
     if colors is not None:
         values = jnp.concatenate([values, values * colors], axis=1)

@@ -1,0 +1,137 @@
+"""How many blocks there is room for, and where blocks are worth it."""
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import chex
+import jax
+import jax.numpy as jnp
+
+from dpc_jax.render import arguments, checks, splines
+from dpc_jax.render.blocks import touched
+from dpc_jax.render.camera import Camera, VoxelGrid
+from dpc_jax.render.volume import Scene, place_points
+
+# Blocks are counted unasked in grids of at least so many cells, and taken where they
+# are at most this share of all. A cell of a block takes three times as long as one of
+# the whole volume, and at 64³ the whole volume is as quick (two CPU cores).
+_COUNTED_FROM = 128**3
+_MOST_SHARE = 1 / 4
+# Up to so many cells the whole volume steps in where blocks do not do.
+_SMALL_UP_TO = 128**3
+
+
+class Room(NamedTuple):
+    """Static room for blocks; counted, where it is known to do."""
+
+    max_blocks: int
+    is_counted: bool
+
+
+def count_blocks(
+    points: jax.Array,
+    rotation: jax.Array,
+    *,
+    sigma: chex.Numeric,
+    translation: jax.Array | None = None,
+    camera: Camera = Camera(),
+    grid: VoxelGrid = VoxelGrid(64),
+    method: str = "trilinear",
+) -> jax.Array:
+    """How many blocks of 8³ cells a cloud and its smoothing touch, () int32.
+
+    For `max_blocks` take the largest count of several poses and a fifth to spare:
+
+        counts = jax.vmap(lambda q: dpc_jax.count_blocks(points, q, sigma=0.6))(poses)
+        max_blocks = int(1.2 * counts.max())
+
+    The result is all blocks of the grid where blocks cannot draw what is asked, because
+    the smoothing reaches beyond the next one. Arguments and errors as of `project`.
+    """
+    scene = place_points(
+        arguments.convert_points(points),
+        rotation,
+        sigma,
+        1.0,
+        None,
+        translation,
+        camera,
+        grid,
+        method,
+    )
+    return _count(scene, shape=grid.shape)
+
+
+@functools.partial(jax.jit, static_argnames="shape")
+def _count(scene, *, shape):
+    total, order = math.prod(touched.divide(shape)), splines.ORDERS[scene.method]
+    sigma = splines.narrow(scene.sigma, order)
+    places = scene.coordinates, scene.is_inside, sigma
+    blocks = touched.find_blocks(*places, shape, order, total)
+    is_narrow = touched.is_narrow(sigma, scene.coordinates.dtype, order)
+    return jnp.where(is_narrow, blocks.count, total)
+
+
+def choose_room(
+    scene: Scene, shape: tuple[int, int, int], max_blocks: int | None
+) -> Room | None:
+    """The room to render a scene with; None for the whole volume.
+
+    Raises:
+      ValueError: for a room that is no positive integer, or that does not fit into
+        memory, and for one that comes with a size per point.
+    """
+    if max_blocks is not None:
+        _check_max_blocks(max_blocks, scene.method)
+    if scene.method not in splines.ORDERS or min(shape) < touched.BLOCK:
+        return None
+    is_counted = max_blocks is None
+    if max_blocks is None:
+        max_blocks = count_room(
+            lambda: _count(scene, shape=shape),
+            shape,
+            (scene.coordinates, scene.mass, scene.sigma),
+        )
+    if max_blocks is None or max_blocks >= math.prod(touched.divide(shape)):
+        return None
+    sides = (max_blocks, *[touched.BLOCK] * 3)
+    checks.check_room("max_blocks", sides, scene.coordinates.dtype)
+    return Room(max_blocks, is_counted)
+
+
+def count_room(
+    count: Callable[[], jax.Array], shape: tuple[int, int, int], numbers: Any
+) -> int | None:
+    """Room for as many blocks as `count` finds, unasked.
+
+    None where some of the numbers are not known, or where blocks would not be quicker.
+    """
+    if math.prod(shape) < _COUNTED_FROM or not checks.is_known(numbers):
+        return None
+    found = int(count())
+    if found > _MOST_SHARE * math.prod(touched.divide(shape)):
+        return None
+    # Up to a quarter of an octave, so that few programs are compiled.
+    steps = math.ceil(4 * math.log2(max(found, 1)) - 1e-9)
+    return max(found, math.ceil(2 ** (steps / 4)))
+
+
+def _check_max_blocks(max_blocks, method):
+    if not (checks.is_count(max_blocks) and max_blocks > 0):
+        raise ValueError(
+            f"max_blocks must be None or a positive integer, but it is {max_blocks!r}; "
+            "dpc_jax.count_blocks counts those of a cloud."
+        )
+    if method not in splines.ORDERS:
+        raise ValueError(
+            "max_blocks must come with one sigma for all points and one of the methods "
+            f"{tuple(splines.ORDERS)}, but the method is {method!r}; leave max_blocks "
+            "out."
+        )
+
+
+def is_small(shape: tuple[int, int, int]) -> bool:
+    """Whether the whole volume can step in where blocks do not do."""
+    return math.prod(shape) <= _SMALL_UP_TO

@@ -1,0 +1,218 @@
+"""Eq. 4 and 5 in blocks: along a ray inside of each block, then over its blocks.
+
+The blocks of a column come one after the other, nearest first. So what lies before a
+block is a product over a part of a run of blocks. Empty space lets every ray through
+and takes no part.
+
+Blocks are [M, 8, 8, 8] as (depth, row, col), columns of blocks [num, 8, 8].
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dpc_jax.render.blocks.touched import BLOCK
+
+_IN_BOUNDS = "promise_in_bounds"
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Columns:
+    """Which column of blocks each of M blocks belongs to."""
+
+    index: jax.Array  # [M], `num` for a free slot
+    num: int = dataclasses.field(metadata={"static": True})
+    most: int = dataclasses.field(metadata={"static": True})  # blocks in a column
+
+    def is_next(self, step: int | jax.Array) -> tuple[jax.Array, jax.Array]:
+        """([M] slot `step` away, [M] bool whether it is of the same column)."""
+        slot = jnp.arange(len(self.index)) + step
+        safe = slot.clip(0, len(self.index) - 1)
+        return safe, (slot == safe) & (self.index[safe] == self.index)
+
+    def add_up(self, values: jax.Array) -> jax.Array:
+        """Sum values [M, ...] of blocks in each column, [num, ...]."""
+        sums = jnp.zeros((self.num + 1, *values.shape[1:]), values.dtype)
+        return sums.at[self.index].add(values, mode=_IN_BOUNDS)[:-1]
+
+    def read(self, values: jax.Array) -> jax.Array:
+        """Values [num, ...] of each block's column, [M, ...]; 0 for a free slot."""
+        extra = jnp.zeros((1, *values.shape[1:]), values.dtype)
+        return jnp.concatenate([values, extra])[self.index]
+
+
+def find_columns(ids: jax.Array, counts: tuple[int, int, int]) -> Columns:
+    """Columns of blocks [M] by their ascending numbers."""
+    # A free slot's number is one more than the last block's.
+    return Columns(ids // counts[2], counts[0] * counts[1], counts[2])
+
+
+def opacity(occupancy: jax.Array, columns: Columns) -> jax.Array:
+    """1 - Π(1 - o) of all rays, as `termination.opacity` of the dense volume."""
+    united = occupancy
+    while united.shape[1] > 1:
+        half = united.shape[1] // 2
+        united = _unite(united[:, :half], united[:, half:])
+    return _unite_columns(united[:, 0], columns)
+
+
+def _unite(near, far):
+    return near + far * (1 - near)  # 1 - (1 - a)(1 - b), and nothing cancels
+
+
+@jax.custom_vjp
+def _unite_columns(united, columns):
+    """1 - Π(1 - u) over the blocks [M, 8, 8] of each column."""
+    runs = _scan(_unite, united, columns, -1)
+    _, goes_on = columns.is_next(1)
+    return columns.add_up(jnp.where(_spread(goes_on), 0, runs))
+
+
+def _unite_columns_forward(united, columns):
+    return _unite_columns(united, columns), (united, columns)
+
+
+def _unite_columns_backward(residuals, cotangent):
+    """Product over the other blocks: those before and those after."""
+    united, columns = residuals
+    clear = 1 - united
+    others = _pass_before(clear, columns, -1) * _pass_before(clear, columns, 1)
+    return columns.read(cotangent) * others, None
+
+
+_unite_columns.defvjp(_unite_columns_forward, _unite_columns_backward)
+
+
+def _scan(combine: Callable, values: Any, columns: Columns, step: int) -> Any:
+    """Combine values [M, 8, 8] of each block with those of all before it (-1) or after.
+
+    By doubling, in a loop: unrolled, XLA computes each turn again for both its readers.
+    """
+
+    def double(turn, values):
+        slots, is_joined = columns.is_next(step * 2**turn)
+        joined = combine(jax.tree.map(lambda v: v[slots], values), values)
+        return jax.tree.map(
+            lambda new, old: jnp.where(_spread(is_joined), new, old), joined, values
+        )
+
+    turns = (columns.most - 1).bit_length()
+    return jax.lax.fori_loop(0, turns, double, values)
+
+
+def _pass_before(clear, columns, step):
+    """Product of `clear` over the blocks before (-1) or after (1) each one."""
+    slots, is_joined = columns.is_next(step)
+    products = _scan(jnp.multiply, clear, columns, step)
+    return jnp.where(_spread(is_joined), products[slots], 1)
+
+
+def _spread(flags):
+    return flags[:, None, None]
+
+
+def fullest(occupancy: jax.Array, columns: Columns, depth: int) -> jax.Array:
+    """The largest occupancy of all rays of `depth` cells; equals share its slope."""
+    peak = jnp.max(jax.lax.stop_gradient(occupancy), axis=1)
+    peaks = jnp.zeros((columns.num + 1, *peak.shape[1:]), peak.dtype)
+    peaks = peaks.at[columns.index].max(peak, mode=_IN_BOUNDS)
+    # Two computations of one number may differ by rounding.
+    rounding = 4 * jnp.finfo(peak.dtype).eps
+    is_peak = occupancy >= (peaks * (1 - rounding))[columns.index][:, None]
+    share = is_peak.astype(peak.dtype)
+    num_peaks = columns.add_up(jnp.sum(share, axis=1))
+    num_peaks = jnp.where(peaks[:-1] > 0, num_peaks, depth)
+    mean = columns.add_up(jnp.sum(share * occupancy, axis=1)) / num_peaks.clip(1)
+    # The value is the largest one, not a mean of those near to it.
+    return mean + jax.lax.stop_gradient(peaks[:-1] - mean)
+
+
+class Rays(NamedTuple):
+    """As `termination.Rays`, for the cells of blocks and for columns of them."""
+
+    ends: jax.Array  # [M, 8, 8, 8], r_k, that a ray ends in a cell
+    background: jax.Array  # [num, 8, 8], that it passes all
+    reached: jax.Array  # [M, 8, 8, 8], that it reaches a cell
+
+
+def end_rays(occupancy: jax.Array, columns: Columns) -> Rays:
+    """Eq. 4 of the paper: ray termination, r_k = o_k·Π_{u<k}(1 - o_u)."""
+    clear = 1 - occupancy
+    passed = [jnp.ones_like(clear[:, 0])]
+    for k in range(BLOCK):
+        passed.append(passed[-1] * clear[:, k])
+    before, background = _pass_columns(passed[-1], columns)
+    reached = before[:, None] * jnp.stack(passed[:-1], axis=1)
+    return Rays(occupancy * reached, background, reached)
+
+
+@jax.custom_vjp
+def _pass_columns(clear, columns):
+    """([M, 8, 8] product over the blocks before each one, [num, 8, 8] over all)."""
+    before = _pass_before(clear, columns, -1)
+    _, goes_on = columns.is_next(1)
+    is_empty = jnp.ones(columns.num + 1, clear.dtype)
+    is_empty = is_empty.at[columns.index].set(0, mode=_IN_BOUNDS)[:-1]
+    whole = columns.add_up(jnp.where(_spread(goes_on), 0, before * clear))
+    return before, whole + _spread(is_empty)
+
+
+def _pass_columns_forward(clear, columns):
+    before, whole = _pass_columns(clear, columns)
+    return (before, whole), (clear, before, columns)
+
+
+def _pass_columns_backward(residuals, cotangents):
+    """By the recursion s_j = c_{j+1} + T_{j+1}·s_{j+1}, exact where a T is zero.
+
+    c is the cotangent of the products before a block, and s of the last block that of
+    the whole column. The derivative with respect to T_j is s_j times the product before
+    it. The recursion's steps are combined in pairs, as maps s → a + b·s.
+    """
+    clear, before, columns = residuals
+    slots, goes_on = columns.is_next(1)
+    goes_on = _spread(goes_on)
+    to_before, to_whole = cotangents
+    add = jnp.where(goes_on, to_before[slots], columns.read(to_whole))
+    times = jnp.where(goes_on, clear[slots], 0)
+
+    def combine(farther, nearer):
+        (a_far, b_far), (a, b) = farther, nearer
+        return a + b * a_far, b * b_far
+
+    sums, _ = _scan(combine, (add, times), columns, 1)
+    return before * sums, None
+
+
+_pass_columns.defvjp(_pass_columns_forward, _pass_columns_backward)
+
+
+def lay_out_image(
+    columns: jax.Array, counts: tuple[int, int, int], shape: tuple[int, int, int]
+) -> jax.Array:
+    """[rows, cols, ...] from columns of blocks [num, 8, 8, ...]."""
+    rest = columns.shape[3:]
+    image = columns.reshape(*counts[:2], BLOCK, BLOCK, *rest)
+    image = jnp.moveaxis(image, 2, 1)  # [blocks, row, blocks, col, ...]
+    image = image.reshape(counts[0] * BLOCK, counts[1] * BLOCK, *rest)
+    return image[: shape[0], : shape[1]]
+
+
+def lay_out_volume(
+    cells: jax.Array,
+    ids: jax.Array,
+    counts: tuple[int, int, int],
+    shape: tuple[int, int, int],
+) -> jax.Array:
+    """[rows, cols, depth] from blocks [M, 8, 8, 8], zero where there are none."""
+    total = counts[0] * counts[1] * counts[2]
+    volume = jnp.zeros((total + 1, *cells.shape[1:]), cells.dtype)
+    volume = volume.at[ids].set(cells, mode=_IN_BOUNDS)[:-1]
+    volume = volume.reshape(*counts, BLOCK, BLOCK, BLOCK)
+    volume = volume.transpose(0, 4, 1, 5, 2, 3)
+    volume = volume.reshape([count * BLOCK for count in counts])
+    return volume[: shape[0], : shape[1], : shape[2]]

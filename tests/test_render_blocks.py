@@ -1,0 +1,264 @@
+"""A volume stored as touched blocks: the images and gradients of the whole volume."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dpc_jax
+from dpc_jax.render.blocks import capacity
+
+ALL = ("silhouette", "depth", "color", "termination")
+# Relative to the largest entry: sums of some hundred terms in another order.
+ROUNDING = {"float32": 1e-5, "float64": 1e-12}
+
+
+def make_inputs(dtype, *, sigma, scale=2.0, count=400):
+    """A flat ellipsoid's surface, with points on cell centres, faces and outside."""
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(count, 3))
+    points *= [0.25, 0.12, 0.1] / np.linalg.norm(points, axis=1, keepdims=True)
+    points[:4] = [[0.3, 0.3, 0.3], [0.5, 0, 0], [2, 0, 0], [0, 0, -0.499]]
+    points[4:8] = (np.floor(points[4:8] * 40) + 0.5) / 40
+    inputs = {
+        "points": points,
+        "rotation": rng.normal(size=4),
+        "sigma": sigma,
+        "scale": scale,
+        "colors": rng.uniform(size=(count, 3)),
+        "translation": [0.01, -0.02, 0.03],
+        "background_depth": 9.0,
+        "background_color": 0.5,
+    }
+    return {name: jnp.asarray(value, dtype) for name, value in inputs.items()}
+
+
+def count(inputs, grid, method="trilinear"):
+    names = ("points", "rotation", "sigma", "translation")
+    given = {name: inputs[name] for name in names}
+    return dpc_jax.count_blocks(**given, grid=grid, method=method)
+
+
+def render_both_ways(inputs, *, max_blocks, **static):
+    """Images, and the gradients of a weighted sum of them. Inside of jit."""
+
+    @jax.jit
+    def render(inputs):
+        def sum_images(inputs):
+            images = dpc_jax.project(**inputs, max_blocks=max_blocks, **static)
+            weights = np.random.default_rng(1)
+            terms = [
+                jnp.vdot(image, jnp.asarray(weights.normal(size=image.shape)))
+                for image in jax.tree.leaves(images)
+            ]
+            return sum(terms).astype(inputs["points"].dtype), images
+
+        return jax.grad(sum_images, has_aux=True)(inputs)
+
+    grads, images = render(inputs)
+    return images, grads
+
+
+def assert_same(found, right, dtype):
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(right), strict=True):
+        assert a.dtype == b.dtype == dtype
+        atol = ROUNDING[dtype] * max(np.abs(b).max(), 1e-3)
+        np.testing.assert_allclose(a, b, rtol=0, atol=atol)
+
+
+@pytest.mark.parametrize(
+    "dtype, shape, sigma, scale, signals, options",
+    [
+        ("float32", 40, 0.5, 2.0, ("silhouette",), {"ray_rule": "maximum"}),
+        ("float32", 40, 0.6, 9.0, ALL, {}),
+        ("float64", 40, 0.5, 2.0, ("silhouette",), {}),
+        ("float64", 40, 0.8, 2.0, ("silhouette",), {"method": "quadratic"}),
+        ("float64", (44, 37, 50), 0.8, 2.0, ("depth",), {"method": "cubic"}),
+        # No side divides into blocks.
+        ("float64", (44, 37, 50), 0.8, 0.01, ALL, {"ray_rule": "maximum"}),
+        ("float64", (44, 37, 50), 0.0, 1.0, ("depth", "color"), {}),
+        # Each cell is the fullest; full cells; points that take away.
+        ("float64", 40, 0.4, 0.0, ("silhouette",), {"ray_rule": "maximum"}),
+        ("float64", 40, 0.4, 500.0, ALL, {}),
+        ("float64", 40, 0.4, -1.0, ("silhouette", "depth"), {}),
+    ],
+)
+def test_blocks_have_the_images_and_gradients_of_the_whole_volume(
+    dtype, shape, sigma, scale, signals, options
+):
+    with jax.enable_x64(dtype == "float64"):
+        grid = dpc_jax.VoxelGrid(shape)
+        inputs = make_inputs(dtype, sigma=sigma, scale=max(scale, 0))
+        needed = int(count(inputs, grid, options.get("method", "trilinear")))
+        assert 0 < needed < 0.7 * math.prod(-(-side // 8) for side in grid.shape)
+        inputs["scale"] = jnp.asarray(scale, dtype)
+        static = {"grid": grid, "signals": signals} | options
+        right = render_both_ways(inputs, max_blocks=None, **static)
+        found = render_both_ways(inputs, max_blocks=needed, **static)
+        assert_same(found, right, dtype)
+
+
+def test_second_derivatives_are_those_of_the_whole_volume():
+    inputs = make_inputs("float32", sigma=0.6, count=30)
+    grid = dpc_jax.VoxelGrid(32)
+
+    def find_slope(sigma, max_blocks):
+        def sum_image(points):
+            image = dpc_jax.project(
+                points,
+                inputs["rotation"],
+                sigma=sigma,
+                grid=grid,
+                max_blocks=max_blocks,
+            ).silhouette
+            return jnp.sum(image**2)
+
+        return jnp.sum(jax.grad(sum_image)(inputs["points"]) ** 2)
+
+    found, right = (
+        jax.jit(jax.grad(lambda s, m=m: find_slope(s, m)))(inputs["sigma"])
+        for m in (60, None)
+    )
+    np.testing.assert_allclose(found, right, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "sigma, max_blocks", [(0.5, 3), (0.5, 20), (2.0, 100), (1e30, 100)]
+)
+def test_a_cloud_that_does_not_fit_is_drawn_in_the_whole_volume(sigma, max_blocks):
+    inputs = make_inputs("float32", sigma=sigma)
+    grid = dpc_jax.VoxelGrid(40)
+    assert int(count(inputs, grid)) > max_blocks
+    static = {"grid": grid, "signals": ("silhouette", "depth")}
+    right = render_both_ways(inputs, max_blocks=None, **static)
+    found = render_both_ways(inputs, max_blocks=max_blocks, **static)
+    assert_same(found, right, "float32")
+
+
+def test_where_the_whole_volume_is_too_large_what_does_not_fit_is_not_a_number():
+    inputs = make_inputs("float32", sigma=0.5)
+    grid = dpc_jax.VoxelGrid((136, 136, 136))
+    needed = int(count(inputs, grid))
+    for room, is_right in ((needed - 1, False), (needed, True)):
+        images, _ = render_both_ways(
+            inputs, max_blocks=room, grid=grid, signals=("silhouette", "depth")
+        )
+        for image in jax.tree.leaves(images):
+            assert np.isfinite(image).all() == is_right
+            assert np.isnan(image).all() != is_right
+
+
+def test_known_numbers_of_a_large_grid_are_drawn_in_as_many_blocks_as_they_need(
+    monkeypatch,
+):
+    """And none are counted in a trace, in a small grid, or where all are touched."""
+    inputs = make_inputs("float32", sigma=0.5)
+    rooms = []
+    choose = capacity.choose_room
+    monkeypatch.setattr(
+        capacity, "choose_room", lambda *a: rooms.append(choose(*a)) or rooms[-1]
+    )
+    for side, sigma, is_jitted in (
+        (128, 0.5, False),
+        (128, 0.5, True),
+        (64, 0.5, False),
+        (128, 3.0, False),
+    ):
+        grid = dpc_jax.VoxelGrid(side)
+        given = inputs | {"sigma": jnp.float32(sigma)}
+        render = lambda given, grid=grid: dpc_jax.project(**given, grid=grid)  # noqa: E731
+        rooms.clear()
+        image = (jax.jit(render) if is_jitted else render)(given).silhouette
+        if (side, sigma, is_jitted) == (128, 0.5, False):
+            (room,) = rooms
+            needed = int(count(given, grid))
+            assert needed <= room.max_blocks <= 1.2 * needed and room.is_counted
+            found = image
+        else:
+            assert rooms == [None]
+        if is_jitted:
+            assert_same(found, image, "float32")
+
+
+def test_a_batch_has_room_for_the_example_that_touches_most():
+    inputs = make_inputs("float32", sigma=0.5)
+    grid = dpc_jax.VoxelGrid(128)
+    points = jnp.stack([inputs["points"], 0.3 * inputs["points"]])
+    poses = jnp.stack([inputs["rotation"]] * 2)
+
+    def render(points, poses):
+        return dpc_jax.project_batch(points, poses, sigma=0.5, grid=grid)
+
+    # Traced numbers are drawn in the whole volume.
+    assert_same(render(points, poses), jax.jit(render)(points, poses), "float32")
+
+
+def test_blocks_take_less_memory():
+    inputs = make_inputs("float32", sigma=0.5)
+    del inputs["colors"]
+    temporary = [
+        dpc_jax.estimate_memory(
+            **inputs,
+            grid=dpc_jax.VoxelGrid(144),
+            max_blocks=max_blocks,
+            gradient=True,
+        ).temporary
+        for max_blocks in (None, 300)
+    ]
+    # 300 of 5832 blocks.
+    assert temporary[1] < temporary[0] / 8
+
+
+def test_points_that_are_not_there_leave_the_image_empty():
+    outside = jnp.array([[3.0, 0, 0], [jnp.nan, 0, 0]])
+    for points in (outside, outside[:0]):
+        render = jax.jit(
+            lambda points: dpc_jax.project(
+                points,
+                jnp.array([1.0, 0, 0, 0]),
+                sigma=0.5,
+                grid=dpc_jax.VoxelGrid(32),
+                signals=("silhouette", "depth"),
+                max_blocks=5,
+            )
+        )
+        images = render(points)
+        np.testing.assert_array_equal(images.silhouette, 0)
+        np.testing.assert_array_equal(images.depth, 10)
+
+
+@pytest.mark.parametrize(
+    "max_blocks, options, words",
+    [
+        (0, {}, "a positive integer"),
+        (2.5, {}, "a positive integer"),
+        (True, {}, "a positive integer"),
+        (9, {"method": "gaussian"}, "one sigma for all points"),
+        (2**31 // 729, {"grid": dpc_jax.VoxelGrid(2000)}, "fit into"),
+    ],
+)
+def test_a_wrong_room_is_refused_with_one_sentence(max_blocks, options, words):
+    with pytest.raises(ValueError, match=words):
+        jax.eval_shape(
+            lambda p: dpc_jax.project(
+                p, jnp.eye(3), sigma=0.5, max_blocks=max_blocks, **options
+            ),
+            jnp.zeros((4, 3)),
+        )
+
+
+def test_room_for_all_blocks_is_the_whole_volume():
+    points, grid = make_inputs("float32", sigma=0.5)["points"], dpc_jax.VoxelGrid(32)
+
+    def write_program(max_blocks):
+        return str(
+            jax.make_jaxpr(
+                lambda p: dpc_jax.project(
+                    p, jnp.eye(3), sigma=0.5, grid=grid, max_blocks=max_blocks
+                )
+            )(points)
+        )
+
+    assert write_program(63) != write_program(64) == write_program(None)
