@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from dpc_jax.files import explaining_full_disk
+from dpc_jax.learning.recipe import Averages
 from dpc_jax.learning.step import TrainState
 from dpc_jax.learning.training import records
 from dpc_jax.learning.training.checkpoints import Checkpoints
@@ -28,7 +29,7 @@ def make_state(step):
         step=jnp.asarray(step, jnp.int32),
         params={"params": {"a": jnp.array(values, jnp.float32)}},
         optimizer=(jnp.asarray(step, jnp.int32),),
-        covariance=jnp.eye(3),
+        averages=Averages(jnp.eye(3)),
     )
 
 

@@ -8,7 +8,7 @@ from tiny_runs import make_recipe, tiny_config
 
 from dpc_jax.config import Pose, replace_fields
 from dpc_jax.learning import devices
-from dpc_jax.learning.cameras import find_gauge
+from dpc_jax.learning.cameras import anchor_cameras
 
 RNG = np.random.default_rng(0)
 CAMERAS = {
@@ -18,20 +18,23 @@ CAMERAS = {
 
 
 def measure(cameras, count, **learned):
-    """The gauge and its gradient; a training step averages over devices like this."""
+    """The loss and its gradient; a training step averages over devices like this."""
     config = replace_fields(tiny_config(), {"run": {"devices": count}})
     mesh = devices.make_mesh(config)
 
     def compare(cameras):
         recipe = make_recipe(config)._replace(pose=Pose(**learned))
-        return find_gauge(cameras, recipe=recipe)["gauge"].value[None] / mesh.size
+        return (
+            anchor_cameras(cameras, recipe=recipe)["camera_mean"].value[None]
+            / mesh.size
+        )
 
     shared = devices.share(compare, mesh, (devices.OBJECTS,), devices.OBJECTS)
     return jax.value_and_grad(lambda cameras: jnp.sum(shared(cameras)))(cameras)
 
 
 @pytest.mark.parametrize("count", [1, 4])
-def test_the_gauge_is_the_squared_mean_of_all_views_of_all_devices(count):
+def test_the_loss_of_cameras_is_the_squared_mean_of_all_views_of_all_devices(count):
     moved = np.asarray(CAMERAS["translation"], np.float64).reshape(-1, 3)
     shares = np.log(np.asarray(CAMERAS["focal_length"], np.float64) / 1.875)
     value, gradient = measure(CAMERAS, count, translation=True, focal_length=True)

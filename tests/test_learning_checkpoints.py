@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from tiny_runs import assert_same_bits
 
+from dpc_jax.learning.recipe import Averages
 from dpc_jax.learning.step import TrainState
 from dpc_jax.learning.training.checkpoints import Checkpoints
 
@@ -20,8 +21,7 @@ def make_small_state(step):
         step=jnp.asarray(step, jnp.int32),
         params={"params": {"a": jnp.array(rng.normal(size=(30, 40)), jnp.float32)}},
         optimizer=(jnp.asarray(step, jnp.int32), {"mu": jnp.full((5,), 1e-30)}),
-        covariance=jnp.eye(3) * step,
-        cost=jnp.asarray(step / 16),
+        averages=Averages(jnp.eye(3) * step, jnp.asarray(step / 16)),
     )
 
 
@@ -74,7 +74,7 @@ def test_the_newest_comes_back_bit_for_bit_and_the_one_before_is_kept(tmp_path):
         assert restored.seconds == 3 / 4
         assert {2, 3} <= set(kept.steps()) <= {2, 3, 6}
         # Saving a step again does nothing.
-        kept.save(make_small_state(3)._replace(cost=jnp.zeros(())), seconds=99.0)
+        kept.save(make_small_state(3)._replace(params={}), seconds=99.0)
     with reopen(tmp_path) as (_, restored):
         assert_same_bits(restored.state, make_small_state(3))
 

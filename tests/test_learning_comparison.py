@@ -16,7 +16,7 @@ from tiny_runs import (
     tiny_config,
 )
 
-from dpc_jax.learning import point_sizes, signals
+from dpc_jax.learning import batches, point_sizes, signals
 from dpc_jax.learning.choice.coarse_choice import compute_image_losses, place_candidates
 from dpc_jax.learning.choice.hindsight import choose_poses
 from dpc_jax.learning.half_turns import compute_covariance
@@ -390,7 +390,7 @@ def test_what_is_off_has_no_parameters_is_not_read_and_not_computed():
 )
 def test_known_cameras_come_from_the_data_where_they_are_not_learned(fields, extras):
     config = tiny_config(offset=0.05, focal_spread=0.1, **fields)
-    assert signals.list_extras(config) == extras
+    assert batches.list_extras(config) == extras
 
 
 # Sizes, dropout, cells.

@@ -167,8 +167,9 @@ def test_views_are_predicted_on_all_devices_as_on_one(alone):
     found = []
     for count in (1, 4):  # nine views, seven at once: neither fits four devices
         config, state, _ = compile_step(count)
-        covariance = np.asarray(alone[1][-1].covariance)
-        state = state._replace(covariance=covariance)
+        covariance = np.asarray(alone[1][-1].averages.covariance)
+        averages = state.averages._replace(covariance=covariance)
+        state = state._replace(averages=averages)
         predictor = make_predictor(make_network(config), config)
         found.append(predict_all(predictor, state, dataset, views_at_once=7))
     one, four = found

@@ -20,14 +20,14 @@ from tiny_runs import (
 from dpc_jax.learning import half_turns
 from dpc_jax.learning.choice import hindsight
 from dpc_jax.learning.choice.coarse_choice import compute_image_losses, place_candidates
-from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.objective import compute_loss
 from dpc_jax.learning.poses.labels import compare_labels
-from dpc_jax.learning.poses.teaching import compare_student
+from dpc_jax.learning.poses.source import compare_student
 from dpc_jax.learning.predictions import Poses
 from dpc_jax.learning.recipe import Averages
 from dpc_jax.learning.schedules import find_stage
 from dpc_jax.learning.shapes.kind import View
+from dpc_jax.learning.signals import downsample_images
 from dpc_jax.render import Camera, VoxelGrid, project
 
 CAMERA = Camera()

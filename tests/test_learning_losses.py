@@ -8,7 +8,6 @@ from scipy import ndimage
 from tiny_runs import make_batch, make_recipe, random_quaternions, tiny_config
 
 from dpc_jax.learning.losses import (
-    downsample_images,
     geodesic_loss,
     measure_outside,
     pull_inside,
@@ -17,6 +16,7 @@ from dpc_jax.learning.losses import (
     student_loss,
 )
 from dpc_jax.learning.shapes.points import Points
+from dpc_jax.learning.signals import downsample_images
 from dpc_jax.render import Camera, quaternion
 
 # float64 oracles against float32 results of order one: a few ulps of 6e-8.

@@ -15,7 +15,7 @@ from dpc_jax.learning.inference import explanation, predictor
 from dpc_jax.learning.inference.explanation import (
     FINALISTS,
     STEPS,
-    Sight,
+    Observation,
     compare_candidates,
     find_likeliest,
     find_posteriors,
@@ -52,28 +52,30 @@ def make_scene():
 @jax.jit
 def see(pose):
     """What the scene shows in the finest grid."""
-    return Sight(render_finest(make_scene(), pose, {}, config=CONFIG).silhouette, {})
+    return Observation(
+        render_finest(make_scene(), pose, {}, config=CONFIG).silhouette, {}
+    )
 
 
 @functools.partial(jax.jit, static_argnames=("copies", "config"))
-def search(pose, sight, *, copies=1, config=CONFIG):
+def search(pose, observation, *, copies=1, config=CONFIG):
     scene = make_scene()
     scene["points"] = jnp.tile(scene["points"], (copies, 1))
-    return search_nearby(scene, pose, sight, config=config)
+    return search_nearby(scene, pose, observation, config=config)
 
 
 @jax.jit
-def measure(poses, sight):
+def measure(poses, observation):
     """Losses in the finest grid."""
     scene = Points.resize(make_scene(), RATIO)
-    return measure_silhouettes(scene, poses, sight, config=CONFIG)
+    return measure_silhouettes(scene, poses, observation, config=CONFIG)
 
 
 @functools.partial(jax.jit, static_argnames=("count", "config"))
-def take_likeliest(candidates, losses, sight, *, count, config=UNSEARCHED):
+def take_likeliest(candidates, losses, observation, *, count, config=UNSEARCHED):
     """Of the scene, where the student thinks nothing."""
     alike = jnp.full(len(candidates), 1 / len(candidates))
-    known = candidates, losses, alike, sight
+    known = candidates, losses, alike, observation
     return find_likeliest(make_scene(), *known, count=count, config=config)
 
 
@@ -98,11 +100,11 @@ def test_the_posterior_weighs_what_the_student_thinks_against_the_image(
 def test_the_likeliest_few_are_compared_in_the_finest_grid():
     """In the order of their losses there, whatever the base grid says of them."""
     poses = [face(45.0, 5.0), RIVAL, face(52.0, 12.0), face(80.0, 0.0), TRUTH]
-    candidates, sight = jnp.stack(poses), see(TRUTH)
+    candidates, observation = jnp.stack(poses), see(TRUTH)
     losses = jnp.array([2.2, 2.0, 2.5, 1.5, 9.0])  # the truth is left out
     few = jnp.array([0, 1, 2, 3])
-    found = take_likeliest(candidates, losses, sight, count=FINALISTS)
-    order = jnp.argsort(measure(candidates[few], sight))
+    found = take_likeliest(candidates, losses, observation, count=FINALISTS)
+    order = jnp.argsort(measure(candidates[few], observation))
     assert np.array_equal(found, candidates[few][order])
     assert np.array_equal(found[0], candidates[2])
 
@@ -117,7 +119,7 @@ def test_what_the_student_thinks_counts_in_the_finest_grid(monkeypatch):
     chances = jnp.array([0.5, 0.3, 0.1, 0.06, 0.02, 0.02])
 
     def take(losses, config=UNSEARCHED):
-        known = candidates, jnp.array(losses), chances, Sight(None, {})
+        known = candidates, jnp.array(losses), chances, Observation(None, {})
         found = find_likeliest(make_scene(), *known, count=1, config=config)
         return int(found[0, 1])
 
@@ -128,11 +130,11 @@ def test_what_the_student_thinks_counts_in_the_finest_grid(monkeypatch):
 
 
 def test_of_several_viewpoints_none_is_searched_for_nearby():
-    candidates, sight = (
+    candidates, observation = (
         jnp.stack([RIVAL, face(47.0, 12.0), face(130.0, 5.0)]),
         see(TRUTH),
     )
-    known = candidates, measure(candidates, sight), sight
+    known = candidates, measure(candidates, observation), observation
     several = take_likeliest(*known, count=3, config=CONFIG)
     assert np.array_equal(several[0], candidates[1])  # as they are
     (one,) = take_likeliest(*known, count=1, config=CONFIG)
@@ -146,12 +148,13 @@ def test_candidates_are_compared_by_the_signals_of_training_that_are_there():
     config = replace_fields(CONFIG, changes)
 
     @jax.jit
-    def compare(sight):
-        colored = sight._replace(others={"color": jnp.ones((32, 32, 3))})
-        plain = measure_silhouettes(scene, poses[None], sight, config=config)
-        sights = sight, colored
+    def compare(observation):
+        colored = observation._replace(others={"color": jnp.ones((32, 32, 3))})
+        plain = measure_silhouettes(scene, poses[None], observation, config=config)
+        observations = observation, colored
         return plain, *(
-            compare_candidates(scene, poses[None], one, config=config) for one in sights
+            compare_candidates(scene, poses[None], one, config=config)
+            for one in observations
         )
 
     plain, without, with_colors = compare(see(TRUTH))
@@ -168,33 +171,33 @@ def test_an_elevation_is_read_from_the_pose_of_any_azimuth():
 
 @pytest.mark.parametrize("start", [(53.0, 12.0), (46.0, 14.0), (50.0, 2.0)])
 def test_a_viewpoint_some_degrees_off_comes_nearer_to_the_truth(start):
-    sight, pose = see(TRUTH), face(*start)
-    found = search(pose, sight)
+    observation, pose = see(TRUTH), face(*start)
+    found = search(pose, observation)
     before, after = (float(rotation_angle_deg(q, TRUTH)) for q in (pose, found))
     # The last step leaves at most half of it on either axis, 1.4° in all, where the
     # loss falls towards the truth; these starts are 3.6 to 8 degrees off.
     assert after < 0.5 * before and after < 2.5
-    worse, better = measure(jnp.stack([pose, found]), sight)
+    worse, better = measure(jnp.stack([pose, found]), observation)
     assert better < worse
-    assert np.array_equal(search(TRUTH, sight), TRUTH)
+    assert np.array_equal(search(TRUTH, observation), TRUTH)
 
 
 def test_points_weigh_as_much_together_as_those_that_training_renders_last():
     """Twice each point, and half of them kept: the outlines of the scene itself."""
-    sight, start = see(face(-120.0, 25.0)), face(-116.0, 19.0)
+    observation, start = see(face(-120.0, 25.0)), face(-116.0, 19.0)
     half = replace_fields(CONFIG, {"render": {"keep_end": 0.5}})
-    found = search(start, sight, copies=2, config=half)
-    np.testing.assert_allclose(found, search(start, sight), atol=1e-6)
-    of_all = search(start, sight, copies=2)
+    found = search(start, observation, copies=2, config=half)
+    np.testing.assert_allclose(found, search(start, observation), atol=1e-6)
+    of_all = search(start, observation, copies=2)
     assert np.abs(of_all - found).max() > 1e-3  # outlines that are wider find another
 
 
 def test_elevations_stay_in_the_range_of_the_heads():
     high = CONFIG.pose.elevation_high
-    start, sight = face(50.0, high), see(face(50.0, high + 8.0))
-    assert np.rad2deg(read_elevations(search(start, sight))) <= high + 0.1
+    start, observation = face(50.0, high), see(face(50.0, high + 8.0))
+    assert np.rad2deg(read_elevations(search(start, observation))) <= high + 0.1
     free = replace_fields(CONFIG, {"pose": {"elevation_high": high + 30.0}})
-    wider = search(start, sight, config=free)
+    wider = search(start, observation, config=free)
     assert np.rad2deg(read_elevations(wider)) > high + 3
 
 

@@ -65,10 +65,11 @@ def test_a_record_is_the_mean_over_its_steps_of_what_they_measured():
         return metrics | {"winners": np.array(winners)}
 
     found = summarize(
-        [step(3, 2.0, 0, 3, astray=np.float32(2)), step(1, -1.0, 7, 11)], heads=3
+        [step(3, 2.0, 0, 3, pixel_deviation=np.float32(2)), step(1, -1.0, 7, 11)],
+        heads=3,
     )
     shares = [0.5, 0.25, 0.25]  # turned candidates count for their head
-    expected = {"loss": 2.0, "astray": 2.0, "gradient_norm_shape": 2.0}
+    expected = {"loss": 2.0, "pixel_deviation": 2.0, "gradient_norm_shape": 2.0}
     assert found == expected | {"head_shares": shares}
 
 

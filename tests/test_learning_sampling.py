@@ -165,10 +165,10 @@ def test_a_step_has_all_terms_with_their_weights(state):
     new, metrics = make_step(NETWORK, CONFIG)(copy(state), make_batch())
     pixels = CONFIG.render.grid**2
     cost = metrics["reprojection"] + 0.1 * pixels * metrics["prior"]
-    assert float(new.cost) == pytest.approx(0.05 * float(cost), rel=1e-5)
+    assert float(new.averages.cost) == pytest.approx(0.05 * float(cost), rel=1e-5)
     rest = metrics["judge"] + metrics["reinforce"]
     # The reward of entropy is a share of the baseline.
-    reward = 0.05 * new.cost * metrics["head_entropy"]
+    reward = 0.05 * new.averages.cost * metrics["head_entropy"]
     assert float(metrics["loss"]) == pytest.approx(float(cost + rest - reward))
 
 

@@ -169,19 +169,6 @@ def test_repulsion_comes_in_over_the_second_half_and_is_0_before(monkeypatch):
         assert float(slope[0, 0]) == pytest.approx(4 * (ramp > 0), rel=1e-2)
 
 
-def test_repulsion_weighs_as_much_against_images_however_many_points_there_are():
-    train = tiny_config(steps=20, repulsion_weight=0.1).train
-    half = jnp.asarray(np.random.default_rng(0).normal(size=(1, 600, 3)), jnp.float32)
-    whole = jnp.concatenate([half, half + 1e-3], axis=1)
-
-    def find(points):
-        sizes = jnp.ones(1), jnp.ones(1), jnp.ones(())
-        term = Points(points, points, None, *sizes).find_priors(20, train=train)
-        return float(term["repulsion"].value * term["repulsion"].weight)
-
-    assert find(whole) == pytest.approx(find(half), rel=1e-6)
-
-
 @pytest.fixture(scope="module")
 def known():
     """Known poses, and colour: one run learns both."""

@@ -22,9 +22,9 @@ from dpc_jax.learning.inference.predictor import (
     make_predictor,
     predict_all,
 )
-from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.shapes.kind import View
 from dpc_jax.learning.shapes.points import Points
+from dpc_jax.learning.signals import downsample_images
 from dpc_jax.render import Camera
 
 

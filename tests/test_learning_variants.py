@@ -17,7 +17,7 @@ from tiny_runs import (
 )
 
 from dpc_jax.config import check, replace_fields
-from dpc_jax.learning import signals
+from dpc_jax.learning import batches
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.training.checkpoints import Checkpoints
 
@@ -51,13 +51,13 @@ VARIANTS = {
     "cameras, depth alone": (
         {"silhouette_weight": 0.0, "depth_weight": 1.0, "translation": True}
         | {"choice_signals": "all"},
-        {"depth", "gauge", "student"},
+        {"depth", "camera_mean", "student"},
         {"pose", "student", "translation", "focal"},
     ),
     "epcg": (
         {"shape": "maps", "source": "given", "depth_weight": 1.0}
         | {"fixed_views_until": 1.0},
-        {"astray", "depth"},
+        {"pixel_deviation", "depth"},
         set(),
     ),
 }
@@ -69,9 +69,9 @@ def make_views(config):
     size = batch["masks"].shape[-1]
     if config.pose.source in ("unknown", "sampled"):  # learned from images alone
         del batch["quaternions"]
-    if "depths" in signals.list_extras(config):
+    if "depths" in batches.list_extras(config):
         batch["depths"] = rng.uniform(1.6, 2.4, batch["masks"].shape).astype(np.float32)
-    if signals.list_corners(config):
+    if batches.list_corners(config):
         corners = len(batch["masks"]), 8, size, size
         batch["corner_masks"] = rng.integers(0, 255, corners, np.uint8)
         batch["corner_depths"] = rng.uniform(1.6, 2.4, corners).astype(np.float32)

@@ -109,14 +109,14 @@ def test_maps_of_their_own_views_cost_next_to_nothing(corners):
         return view_maps.compare_fixed_views(shapes, batch, recipe=recipe)
 
     _, terms = compare(maps, logits)
-    assert float(terms["astray"]) == pytest.approx(0, abs=1e-6)
+    assert float(terms["pixel_deviation"]) == pytest.approx(0, abs=1e-6)
     # Only pixels of the rim, half covered, whose depth was left at the plane.
     rim = np.sum((masks < 255) & (masks >= 128)) / 8
     assert float(terms["depth"]) < 0.3 * rim + 1e-4
     worse, _ = compare(maps.at[..., 2].add(0.1), logits)
     assert float(worse) > float(compare(maps, logits)[0]) + 10
     shifted = compare(maps.at[..., 0].add(0.01), logits)[1]
-    assert float(shifted["astray"]) == pytest.approx(0.01 * 32**2, rel=1e-4)
+    assert float(shifted["pixel_deviation"]) == pytest.approx(0.01 * 32**2, rel=1e-4)
 
 
 def test_fused_maps_drawn_in_each_fixed_view_are_the_maps_again(corners):

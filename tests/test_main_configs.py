@@ -247,7 +247,7 @@ def test_every_source_reaches_all_splits_with_what_belongs_to_it(source):
 )
 def test_cells_are_contained_where_poses_have_to_be_found(variant, is_contained):
     network = make_network(load("chair", variant))
-    assert network.voxels and network.contains_voxels == is_contained
+    assert network.shape_kind == "voxels" and network.contains_voxels == is_contained
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from tiny_runs import make_batch, make_network, make_recipe, make_state, tiny_co
 
 import dpc_jax
 from dpc_jax.learning.objective import compute_loss
-from dpc_jax.learning.recipe import Averages
 from dpc_jax.learning.schedules import Stage
 
 D, N = 20, 40
@@ -147,7 +146,7 @@ def lower_step(kept=24, **changes):
         make_batch(),
         jax.random.split(jax.random.key(0), 2),
         0,
-        Averages(state.covariance),
+        state.averages,
     )
 
 

@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet
+from dpc_jax.learning.batches import repeat_seed
 from dpc_jax.learning.recipe import Recipe
 from dpc_jax.learning.schedules import find_stage
-from dpc_jax.learning.step import init_state, make_train_step, repeat_seed
+from dpc_jax.learning.step import init_state, make_train_step
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.setup import make_network as make_network
 

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Pose
 from dpc_jax.learning.devices import AXIS
-from dpc_jax.learning.recipe import Recipe, Term
+from dpc_jax.learning.losses import Term
+from dpc_jax.learning.recipe import Recipe
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera
 
@@ -32,7 +33,7 @@ def find_cameras(
     """
     arrays = {**(given if pose.known else {}), **predicted}
     names = {"translation": "translations", "focal_length": "focal_lengths"}
-    return {own: arrays[name] for own, name in names.items() if name in arrays}
+    return {one: arrays[many] for one, many in names.items() if many in arrays}
 
 
 def predict_cameras(
@@ -54,7 +55,7 @@ def predict_cameras(
     return find_cameras(predicted, given, pose=pose)
 
 
-def find_gauge(cameras: Cameras, *, recipe: Recipe) -> dict[str, Term]:
+def anchor_cameras(cameras: Cameras, *, recipe: Recipe) -> dict[str, Term]:
     """How far learned cameras of a batch are from the config's in the mean, as a loss.
 
     Squared, of translations and of logarithms of focal lengths, over all devices, with
@@ -69,8 +70,8 @@ def find_gauge(cameras: Cameras, *, recipe: Recipe) -> dict[str, Term]:
         means.append(jnp.mean(jnp.log(shares))[None])
     if not means:
         return {}
-    gauge = jnp.sum(jax.lax.pmean(jnp.concatenate(means), AXIS) ** 2)
-    return {"gauge": Term(gauge, float(recipe.render.grid**2))}
+    loss = jnp.sum(jax.lax.pmean(jnp.concatenate(means), AXIS) ** 2)
+    return {"camera_mean": Term(loss, float(recipe.render.grid**2))}
 
 
 def flatten_views(arrays: Mapping[str, jax.Array]) -> dict[str, jax.Array]:
@@ -78,8 +79,8 @@ def flatten_views(arrays: Mapping[str, jax.Array]) -> dict[str, jax.Array]:
     return {name: a.reshape(-1, *a.shape[2:]) for name, a in arrays.items()}
 
 
-def place_camera(camera: Camera, own: Mapping[str, jax.Array]) -> Camera:
+def place_camera(camera: Camera, per_view: Mapping[str, jax.Array]) -> Camera:
     """The camera of a view, with its own focal length where it has one."""
-    if "focal_length" not in own:
+    if "focal_length" not in per_view:
         return camera
-    return dataclasses.replace(camera, focal_length=own["focal_length"])
+    return dataclasses.replace(camera, focal_length=per_view["focal_length"])

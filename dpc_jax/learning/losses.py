@@ -1,14 +1,35 @@
 """Losses: reprojection (Eq. 1), the student's (§ distilled ensemble), priors."""
 
 import functools
+from typing import NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import optax
 
 from dpc_jax.render import Camera, checks, quaternion
 
+_RADIUS = 0.5  # of the sphere that an object of box diagonal 1 lies in
+# Distance below which the energy of a pair levels off, so that coincident points have
+# a finite one.
+_SOFTENING = 0.02
 _NEAREST = 0.1  # to the camera, of points that are pulled, box diagonals
+
+
+class Term(NamedTuple):
+    """One loss: its value and its weight in the sum."""
+
+    value: jax.Array
+    weight: chex.Numeric = 1.0
+
+
+def sum_terms(terms: dict[str, Term]) -> jax.Array:
+    """The weighted sum; ()."""
+    total = jnp.zeros(())
+    for term in terms.values():
+        total = total + term.weight * term.value
+    return total
 
 
 def reprojection_loss(predicted: jax.Array, target: jax.Array) -> jax.Array:
@@ -67,7 +88,7 @@ def selection_loss(logits: jax.Array, winners: jax.Array) -> jax.Array:
     return jnp.mean(entropies)
 
 
-def repulsion_energy(points: jax.Array, *, softening: float = 0.02) -> jax.Array:
+def repulsion_energy(points: jax.Array) -> jax.Array:
     """Mean Coulomb energy 1/r of the pairs of a cloud; (). Not in the paper.
 
     Silhouettes cannot tell a solid from its shell. Charges in a bounded region settle
@@ -75,8 +96,6 @@ def repulsion_energy(points: jax.Array, *, softening: float = 0.02) -> jax.Array
 
     Args:
       points: [N, 3], N >= 2.
-      softening: distance below which the energy levels off, so that coincident points
-        have a finite one.
 
     Raises:
       ValueError: for fewer points.
@@ -87,7 +106,7 @@ def repulsion_energy(points: jax.Array, *, softening: float = 0.02) -> jax.Array
             f"repulsion_energy needs at least two points, but it got {count}; a single "
             "one has no energy."
         )
-    return _sum_energies(points, jnp.asarray(softening, points.dtype))
+    return _sum_energies(points, jnp.asarray(_SOFTENING, points.dtype))
 
 
 @jax.custom_vjp
@@ -137,16 +156,16 @@ def _repel_pairs(points, softening):
     return energies, [slope * axis for axis in away]
 
 
-def containment_loss(points: jax.Array, *, radius: float = 0.5) -> jax.Array:
+def containment_loss(points: jax.Array) -> jax.Array:
     """Squared distance of points [N, 3] beyond a sphere, summed; (). Not in the paper.
 
     An object of box diagonal 1 lies within radius 1/2. A point that has left the image
     of every view gets no other gradient and would stay where it is for good.
     """
     square = jnp.sum(points**2, axis=-1)
-    is_beyond = square > radius**2
+    is_beyond = square > _RADIUS**2
     length = jnp.sqrt(jnp.where(is_beyond, square, 1))
-    return jnp.sum(jnp.where(is_beyond, (length - radius) ** 2, 0))
+    return jnp.sum(jnp.where(is_beyond, (length - _RADIUS) ** 2, 0))
 
 
 def measure_outside(silhouette: jax.Array) -> jax.Array:
@@ -201,15 +220,3 @@ def pull_inside(
     )
     beside = jnp.sum(jnp.abs(places - inside), axis=1) / side
     return jnp.mean(jnp.where(is_seen, distances + beside, 0))
-
-
-def downsample_images(images: jax.Array, size: int) -> jax.Array:
-    """Average bytes [..., S, S] over blocks, to [..., size, size] in [0, 1]."""
-    return average_blocks(images.astype(jnp.float32), size) / 255
-
-
-def average_blocks(images: jax.Array, size: int) -> jax.Array:
-    """Means of the square blocks of images [..., S, S], to [..., size, size]."""
-    factor = images.shape[-1] // size
-    blocks = images.reshape(*images.shape[:-2], size, factor, size, factor)
-    return jnp.mean(blocks, axis=(-3, -1))

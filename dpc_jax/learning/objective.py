@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning import schedules
-from dpc_jax.learning.cameras import find_gauge, predict_cameras
-from dpc_jax.learning.poses.teaching import Lesson, teach_poses
+from dpc_jax.learning.cameras import anchor_cameras, predict_cameras
+from dpc_jax.learning.losses import sum_terms
+from dpc_jax.learning.poses.source import ForwardPass, find_poses
 from dpc_jax.learning.predictions import encode_views, predict_shapes
-from dpc_jax.learning.recipe import Averages, Recipe, sum_terms
+from dpc_jax.learning.recipe import Averages, Recipe
 
 
 def compute_loss(
@@ -57,15 +58,17 @@ def compute_loss(
         params, features, batch, network=network, pose=recipe.pose
     )
     metrics = {"scale": jnp.mean(shapes.find_scale())}
-    gauge = find_gauge(cameras, recipe=recipe)
-    lesson = Lesson(params, batch, features, shapes, cameras, keys, step, averages)
-    poses = teach_poses(lesson, recipe=recipe)
+    anchor = anchor_cameras(cameras, recipe=recipe)
+    forward = ForwardPass(
+        params, batch, features, shapes, cameras, keys, step, averages
+    )
+    poses = find_poses(forward, recipe=recipe)
     compared, parts, costs = shapes.compare(
         poses.rotations, batch, cameras, recipe=recipe, stage=stage
     )
     pulls = shapes.find_pulls(poses.rotations, batch, cameras, step, recipe=recipe)
-    averages, settled = poses.settle(costs)
+    averages, cost_terms = poses.find_cost_terms(costs)
     priors = shapes.find_priors(step, train=recipe.train)
-    terms = priors | gauge | poses.terms | pulls | settled
+    terms = priors | anchor | poses.terms | pulls | cost_terms
     metrics |= poses.metrics | parts | {n: term.value for n, term in terms.items()}
     return compared + sum_terms(terms), (metrics, averages)

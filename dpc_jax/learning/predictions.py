@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Pose, Render
 from dpc_jax.learning.half_turns import find_half_turns, turn_candidates
-from dpc_jax.learning.shapes import Shape, find_kind
+from dpc_jax.learning.shapes import Shape, find_shape_class
 from dpc_jax.networks import ShapePoseNetwork
 
 
@@ -68,7 +68,7 @@ def predict_shapes(
     """
     output = network.apply(params, features, method="predict_shape")
     assert isinstance(output, dict)
-    shapes = find_kind(network.kind).read(output, sigma, render=render)
+    shapes = find_shape_class(network.shape_kind).read(output, sigma, render=render)
     return shapes.drop(keys, kept_points)
 
 

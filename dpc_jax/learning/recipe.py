@@ -2,9 +2,7 @@
 
 from typing import Any, NamedTuple
 
-import chex
 import jax
-import jax.numpy as jnp
 
 from dpc_jax.config import Pose, Render, Train
 from dpc_jax.learning.signals import Weights, read_weights
@@ -44,18 +42,3 @@ class Averages(NamedTuple):
     covariance: jax.Array
     cost: jax.Array | None = None
     frame: Any = None  # its module is loaded where it is asked for
-
-
-class Term(NamedTuple):
-    """One loss: its value and its weight in the sum."""
-
-    value: jax.Array
-    weight: chex.Numeric = 1.0
-
-
-def sum_terms(terms: dict[str, Term]) -> jax.Array:
-    """The weighted sum; ()."""
-    total = jnp.zeros(())
-    for term in terms.values():
-        total = total + term.weight * term.value
-    return total

@@ -13,6 +13,9 @@ from dpc_jax.config import Render, Train
 # Share of a run from which winners are rendered in the fine grid. A later start leaves
 # fewer steps for outlines; an earlier one costs time while shapes still form.
 FINE_FROM = 0.6
+# Shares of a run from which shapes have formed: objects are turned to one frame.
+FRAME_FROM = 0.2
+PULL_FROM = 0.5  # before it poses are too often wrong to pull points into silhouettes
 # Steps until the peak rate: Adam's moments settle. Of short runs at most a fifth.
 WARMUP = 200
 FINAL_RATE = 0.02  # share of the peak at the end
@@ -42,6 +45,11 @@ def count_kept_points(step: int, render: Render, *, steps: int) -> int:
     done = 1.0 if level == levels - 1 else (level + 0.5) / levels
     share = render.keep_start + done * (render.keep_end - render.keep_start)
     return max(1, round(share * render.num_points))
+
+
+def ramp_repulsion(step: chex.Numeric, *, steps: int) -> jax.Array:
+    """The share of the repulsion's weight: 0 until shapes have formed, at the half."""
+    return jnp.maximum(0, 2 * (step / steps) - 1)
 
 
 class Stage(NamedTuple):

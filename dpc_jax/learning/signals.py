@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.config import Config, Train
-from dpc_jax.learning.losses import average_blocks, downsample_images, reprojection_loss
+from dpc_jax.config import Train
+from dpc_jax.learning.losses import reprojection_loss
 from dpc_jax.render import Camera, Projection, VoxelGrid
 
 # Signals, and the names of their losses.
@@ -68,25 +68,21 @@ def read_weights(train: Train) -> Weights:
     )
 
 
-def list_extras(config: Config) -> tuple[str, ...]:
-    """Arrays of a data set that batches of a run hold besides the usual ones."""
-    data, pose = config.data, config.pose
-    is_given = {
-        "depths": config.train.depth_weight,
-        "translations": pose.known and data.offset and not pose.translation,
-        "focal_lengths": pose.known and data.focal_spread and not pose.focal_length,
-    }
-    return tuple(name for name, holds in is_given.items() if holds)
-
-
-def list_corners(config: Config) -> tuple[str, ...]:
-    """Arrays of the training set, of its own fixed views, that batches hold."""
-    return ("corner_masks", "corner_depths") if config.render.fixed_views_until else ()
-
-
 def find_background(distance: Any) -> Any:
     """Depth of the background: the far face of the volume, `distance` + 1/2; ()."""
     return distance + 0.5
+
+
+def downsample_images(images: jax.Array, size: int) -> jax.Array:
+    """Average bytes [..., S, S] over blocks, to [..., size, size] in [0, 1]."""
+    return average_blocks(images.astype(jnp.float32), size) / 255
+
+
+def average_blocks(images: jax.Array, size: int) -> jax.Array:
+    """Means of the square blocks of images [..., S, S], to [..., size, size]."""
+    factor = images.shape[-1] // size
+    blocks = images.reshape(*images.shape[:-2], size, factor, size, factor)
+    return jnp.mean(blocks, axis=(-3, -1))
 
 
 def make_targets(

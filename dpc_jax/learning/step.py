@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,15 +25,13 @@ class TrainState(NamedTuple):
       step: () int32, steps done.
       params: of the network.
       optimizer: state of the optimiser.
-      covariance, cost, frame: see `recipe.Averages`.
+      averages: over the batches before.
     """
 
     step: jax.Array
     params: optax.Params
     optimizer: optax.OptState
-    covariance: jax.Array
-    cost: jax.Array | None = None
-    frame: Any = None
+    averages: Averages
 
 
 def make_optimizer(train: Train) -> optax.GradientTransformation:
@@ -92,7 +90,8 @@ def _init_whole(network, config, seed):
 
         frame = start_frame(config.pose.turns)
     step = jnp.asarray(0, jnp.int32)
-    return TrainState(step, params, optimizer, jnp.zeros((3, 3)), cost, frame)
+    averages = Averages(jnp.zeros((3, 3)), cost, frame)
+    return TrainState(step, params, optimizer, averages)
 
 
 def find_parts(network: ShapePoseNetwork, config: Config, mesh: Mesh) -> TrainState:
@@ -116,7 +115,7 @@ def make_train_step(
       to the new one. The dropout key is a function of seed, step and place in the
       batch, so any step can be replayed, on any number of devices. The batch has
       "seeds" [B] besides the arrays of `read_batch`, the run's seed for each object
-      (`repeat_seed`): as an input, so that runs with other seeds share the program.
+      (`batches.repeat_seed`): as an input, so that other seeds share the program.
       The metrics are those of `compute_loss`, the loss, and "gradient_norms" {module:
       ()}, measured at one step of ten (`devices.compute_norms`).
     """
@@ -130,11 +129,6 @@ def make_train_step(
         out_specs=(parts, devices.WHOLE),
     )
     return jax.jit(shared, donate_argnums=0)
-
-
-def repeat_seed(seed: int, objects: int) -> np.ndarray:
-    """The seed of a run, uint32 [B], for each object of a batch."""
-    return np.full(objects, seed % 2**32, np.uint32)
 
 
 def _make_update(network, config, stage, parts, num_devices):
@@ -152,7 +146,7 @@ def _make_update(network, config, stage, parts, num_devices):
                 batch,
                 keys,
                 state.step,
-                Averages(state.covariance, state.cost, state.frame),
+                state.averages,
                 recipe=recipe,
                 stage=stage,
             )
@@ -180,7 +174,7 @@ def _make_update(network, config, stage, parts, num_devices):
             parts.params["params"],
             (state.step + 1) % cadence == 0,
         )
-        new = TrainState(state.step + 1, params, opt_state, *averages)
+        new = TrainState(state.step + 1, params, opt_state, averages)
         return new, metrics
 
     return update

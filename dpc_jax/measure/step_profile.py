@@ -19,7 +19,8 @@ import numpy as np
 
 from dpc_jax.config import Config, build_config
 from dpc_jax.learning import schedules
-from dpc_jax.learning.step import init_state, make_train_step, repeat_seed
+from dpc_jax.learning.batches import repeat_seed
+from dpc_jax.learning.step import init_state, make_train_step
 from dpc_jax.measure.timing import describe_machine, phrase_machine
 from dpc_jax.reporting.tables import format_table
 from dpc_jax.run.process import keep_freed_memory

@@ -28,9 +28,10 @@ class ShapePoseNetwork(nn.Module):
     Attributes:
       num_points, shape_hidden, has_color, scale_fixed, point_size, first_size: of the
         `ShapeHead`.
-      voxels: side of the volume that the `VoxelHead` predicts; 0 for points.
-      contains_voxels: its is_contained.
-      map_side, map_focal_length, map_distance: of the `ViewMapHead`; 0 for no maps.
+      shape_kind: what the shape branch predicts, one of `config.SHAPES`.
+      grid: side of volumes and maps.
+      contains_voxels: is_contained of the `VoxelHead`.
+      map_focal_length, map_distance: of the `ViewMapHead`.
       viewpoints: lowest and highest elevation, degrees, of heads that predict azimuth
         and elevation (`ViewpointEnsemble`); None for heads that predict quaternions.
       own_pose_encoder: poses are predicted from features of an encoder of their own,
@@ -67,9 +68,9 @@ class ShapePoseNetwork(nn.Module):
     first_size: float = 0.05
     has_translation: bool = False
     focal_length: float = 0.0
-    voxels: int = 0
+    shape_kind: str = "points"
+    grid: int = 32
     contains_voxels: bool = False
-    map_side: int = 0
     map_focal_length: float = 1.875
     map_distance: float = 2.0
     viewpoints: tuple[float, float] | None = None
@@ -82,11 +83,6 @@ class ShapePoseNetwork(nn.Module):
     def inputs(self) -> int:
         """How many channels an image has."""
         return 4 if self.sees_mask else 3
-
-    @property
-    def kind(self) -> str:
-        """Of the shapes that it predicts, as `network.shape` has it."""
-        return "voxels" if self.voxels else "maps" if self.map_side else "points"
 
     def setup(self) -> None:
         """Make the branches that this run learns."""
@@ -133,20 +129,20 @@ class ShapePoseNetwork(nn.Module):
         )
 
     def _make_shape_head(self):
-        if self.voxels:
+        if self.shape_kind == "voxels":
             from dpc_jax.networks.voxels import VoxelHead  # of baselines alone
 
             return VoxelHead(
-                side=self.voxels,
+                side=self.grid,
                 has_color=self.has_color,
                 normalize=self.normalize,
                 is_contained=self.contains_voxels,
             )
-        if self.map_side:
+        if self.shape_kind == "maps":
             from dpc_jax.networks.view_maps import ViewMapHead  # of a baseline
 
             return ViewMapHead(
-                side=self.map_side,
+                side=self.grid,
                 focal_length=self.map_focal_length,
                 distance=self.map_distance,
                 normalize=self.normalize,

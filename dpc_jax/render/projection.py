@@ -267,10 +267,8 @@ def scale_sizes(
       long as occupancies are small; the density of a cell shrinks by `ratio`.
 
     No exponent keeps both, because Eq. 4 multiplies what each cell lets through,
-    however deep the cell is. Learning takes 3: on cars it gave better poses in each
-    of three seeds (accuracy 0.905 against 0.890, median 2.3° against 2.5°) for shapes
-    one percent worse (Chamfer 3.37 against 3.33); on chairs both agree within a third
-    of the spread over seeds (docs/log.md). A comparison
-    of grids by the image that they approximate takes 2.
+    however deep the cell is. Learning takes 3, by which poses are slightly more
+    accurate (docs/log.md). A comparison of grids by the image that they approximate
+    takes 2.
     """
     return sigma * ratio, mass * ratio**exponent

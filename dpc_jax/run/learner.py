@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, identity_alignment
+from dpc_jax.learning.batches import list_extras
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import (
     Predictions,
@@ -13,7 +14,6 @@ from dpc_jax.learning.inference.predictor import (
     make_predictor,
     predict_all,
 )
-from dpc_jax.learning.signals import list_extras
 from dpc_jax.learning.step import TrainState
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.setup import make_network

@@ -43,10 +43,10 @@ def make_network(config: Config) -> ShapePoseNetwork:
         first_size=config.render.sigma_start,
         has_translation=config.pose.translation,
         focal_length=config.render.focal_length * config.pose.focal_length,
-        voxels=config.render.grid if config.network.shape == "voxels" else 0,
+        shape_kind=config.network.shape,
+        grid=config.render.grid,
         # Given poses carve the corners away by themselves, upright ones of MVC do too.
         contains_voxels=config.pose.source == "unknown",
-        map_side=config.render.grid if config.network.shape == "maps" else 0,
         map_focal_length=config.render.focal_length,
         map_distance=config.render.distance,
         viewpoints=config.pose.elevations,

@@ -1,4 +1,4 @@
-"""One frame for a category: kinds that live turned round are taught to turn back.
+"""One frame for a category: kinds that are learned in reverse are turned back.
 
 Not in the paper. Shape and pose of an object agree with each other as well after a half
 turn of both. Where a kind of objects looked more like the others that way in the first
@@ -33,7 +33,6 @@ _EMPTY = 0.02  # density that is added, of the mean over the cells
 _BLUR = (0.12, 0.76, 0.12)  # of densities, along each axis
 _SHIFTS = tuple(0.04 * i for i in range(-5, 6))  # along each axis, box diagonals
 _SCALES = (0.8, 1.0, 1.25)
-BEGIN = 0.2  # share of a run from which objects are turned, once shapes have formed
 _POINTS = 1000  # of a shape, that are looked at
 _PRIOR = 500.0  # samples of the category's mean colours in each cell
 _FITTED = 400  # of these points, that are moved and scaled to fit
@@ -100,9 +99,9 @@ def turn_back(
       (the winners to learn, the frame with this batch, () share of objects turned).
     """
     points, covariance = jax.lax.stop_gradient((points[:, :_POINTS], covariance))
-    own = {"rotation": jax.lax.stop_gradient(winners.poses), **cameras}
-    look = functools.partial(see_object, camera=camera)
-    samples = jax.vmap(look)(points, own, images, masks)
+    per_view = {"rotation": jax.lax.stop_gradient(winners.poses), **cameras}
+    sample = functools.partial(see_object, camera=camera)
+    samples = jax.vmap(sample)(points, per_view, images, masks)
     turns = find_half_turns(covariance, frame.moments.shape[2] + 1)
     ways = list_ways(covariance, is_upright=len(turns) == 2)
     gains = _measure_gains(points, samples, turns, ways, frame)

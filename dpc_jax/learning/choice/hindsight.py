@@ -11,11 +11,10 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning.cameras import Cameras, flatten_views
-from dpc_jax.learning.losses import downsample_images
 from dpc_jax.learning.recipe import Recipe
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View, place_view
 from dpc_jax.learning.shapes.points import Points
-from dpc_jax.learning.signals import SILHOUETTES, make_targets
+from dpc_jax.learning.signals import SILHOUETTES, downsample_images, make_targets
 from dpc_jax.render import Camera, checks
 from dpc_jax.render.batch import check_renders_at_once, map_renders
 from dpc_jax.render.devices import AUTOMATIC
@@ -67,28 +66,28 @@ def choose_poses(
     scene = {n: jnp.repeat(a, per_object, axis=0) for n, a in scene.items()}
     flat = still.reshape(objects * per_object, -1, 4)
 
-    def see(candidates, own):
-        return place_view(candidates, own, render.grid, camera, render.ray_rule)
+    def make_view(candidates, per_view):
+        return place_view(candidates, per_view, render.grid, camera, render.ray_rule)
 
-    def place(scene, candidates, own):
-        return kind.place_in_image(scene | shared, see(candidates, own), how)
+    def place(scene, candidates, per_view):
+        return kind.place_in_image(scene | shared, make_view(candidates, per_view), how)
 
     def choose(inputs):
-        scene, candidates, targets, places, own = inputs
-        view = see(candidates, own)
+        scene, candidates, targets, places, per_view = inputs
+        view = make_view(candidates, per_view)
         return choose_in_scene(kind, scene | shared, view, targets, places, how)
 
-    own = flatten_views(cameras)
+    per_view = flatten_views(cameras)
     # Outside of the loop over views: inside, XLA projects each point again for every
     # pixel.
-    places = jax.vmap(place)(scene, flat, own)
+    places = jax.vmap(place)(scene, flat, per_view)
     targets = {"silhouette": downsample_images(batch["masks"], render.grid)}
     if others := tuple(name for name in weights.signals if name != "silhouette"):
         distance = render.distance
         targets |= make_targets(batch, render.grid, signals=others, distance=distance)
     indices = map_renders(
         choose,
-        (scene, flat, flatten_views(targets), places, own),
+        (scene, flat, flatten_views(targets), places, per_view),
         renders_at_once=at_once,
     ).reshape(objects, per_object)
     poses = jnp.take_along_axis(candidates, indices[..., None, None], axis=2)[:, :, 0]

@@ -32,7 +32,7 @@ class Samples(NamedTuple):
 
 def see_object(
     points: jax.Array,
-    own: Mapping[str, jax.Array],
+    per_view: Mapping[str, jax.Array],
     images: jax.Array,
     masks: jax.Array,
     *,
@@ -41,11 +41,11 @@ def see_object(
     """Samples of all views of an object; a colour weighs less the more of it there is.
 
     Args:
-      points: [N, 3]. own: of V views, their rotation and their `Cameras`.
+      points: [N, 3]. per_view: of V views, their rotation and their `Cameras`.
       images: uint8 [V, S, S, 3]. masks: uint8 [V, S, S].
     """
     see = functools.partial(_see_view, camera=camera)
-    bins, weights = jax.vmap(see, (None, 0, 0, 0))(points, own, images, masks)
+    bins, weights = jax.vmap(see, (None, 0, 0, 0))(points, per_view, images, masks)
     bins, weights = bins.reshape(-1), weights.reshape(-1)
     amounts = jnp.zeros(BINS**2).at[bins].add(weights)
     shares = amounts / jnp.maximum(jnp.sum(amounts), 1)
@@ -54,11 +54,14 @@ def see_object(
     return Samples(places.reshape(-1, 3), bins, weights)
 
 
-def _see_view(points, own, image, mask, *, camera):
+def _see_view(points, per_view, image, mask, *, camera):
     """Bins [N] of the colours of points in a view, and weights [N]: 0 if hidden."""
-    camera, side = place_camera(camera, own), image.shape[0]
+    camera, side = place_camera(camera, per_view), image.shape[0]
     moved = to_camera_frame(
-        points, own["rotation"], translation=own.get("translation"), camera=camera
+        points,
+        per_view["rotation"],
+        translation=per_view.get("translation"),
+        camera=camera,
     )
     seen = to_grid(moved, camera=camera, grid=VoxelGrid(_IMAGE))
     rows, cols, _ = seen.coordinates.T

@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Config
-from dpc_jax.learning.losses import downsample_images
-from dpc_jax.learning.shapes import Shape, find_kind
+from dpc_jax.learning.shapes import find_shape_class
 from dpc_jax.learning.shapes.kind import Scene, View, place_view
 from dpc_jax.learning.signals import (
     SILHOUETTES,
     Weights,
+    downsample_images,
     find_background,
     make_targets,
     read_weights,
@@ -26,7 +26,7 @@ _SLACK = 1e-3  # radians that an elevation may lie beyond its range by rounding
 _SOURCES = {"depth": "depths", "color": "images"}  # arrays that signals are read from
 
 
-class Sight(NamedTuple):
+class Observation(NamedTuple):
     """What a view shows, at the side D of a grid.
 
     Attributes:
@@ -40,18 +40,13 @@ class Sight(NamedTuple):
     others: Mapping[str, Any] = {}
 
 
-def kind_of(config: Config) -> type[Shape]:
-    """What the run's shapes are."""
-    return find_kind(config.network.shape)
-
-
-def look(
+def observe(
     arrays: Mapping[str, jax.Array],
     cameras: Mapping[str, jax.Array],
     side: int,
     config: Config,
-) -> Sight:
-    """The sights of n views, averaged down to a grid of that side.
+) -> Observation:
+    """The observations of n views, averaged down to a grid of that side.
 
     Args:
       arrays: images, masks and what else there is of the views, by name. What training
@@ -63,10 +58,10 @@ def look(
         names = tuple(n for n in weighted if _SOURCES.get(n) in arrays)
         distance = config.render.distance
         others = make_targets(arrays, side, signals=names, distance=distance)
-    return Sight(downsample_images(arrays["masks"], side), cameras, others)
+    return Observation(downsample_images(arrays["masks"], side), cameras, others)
 
 
-def see(
+def make_view(
     rotation: jax.Array, own: Mapping[str, Any], side: int, *, config: Config
 ) -> View:
     """A view of the run's shapes with what its camera has of its own."""
@@ -77,7 +72,7 @@ def see(
 def measure_silhouettes(
     scene: Scene,
     poses: jax.Array,
-    sight: Sight,
+    observation: Observation,
     *,
     config: Config,
     weights: Weights = SILHOUETTES,
@@ -85,29 +80,33 @@ def measure_silhouettes(
     """Losses [n] of a shape seen from poses [n, 4]: sums of squared differences.
 
     Args:
-      scene: of the shape, sizes in voxels of the sight's grid.
-      weights: of silhouettes and the sight's other signals.
+      scene: of the shape, sizes in voxels of the observation's grid.
+      weights: of silhouettes and the observation's other signals.
     """
-    return kind_of(config).compare_candidates(
+    return find_shape_class(config.network.shape).compare_candidates(
         scene,
-        see(poses, sight.camera, sight.target.shape[0], config=config),
-        {"silhouette": sight.target, **sight.others},
+        make_view(
+            poses, observation.camera, observation.target.shape[0], config=config
+        ),
+        {"silhouette": observation.target, **observation.others},
         weights=weights,
         renders_at_once=config.render.renders_at_once,
     )
 
 
 def compare_candidates(
-    scene: Scene, candidates: jax.Array, sight: Sight, *, config: Config
+    scene: Scene, candidates: jax.Array, observation: Observation, *, config: Config
 ) -> jax.Array:
     """Losses [C] of candidates [C, 4] by the signals that training chooses by."""
     weights = SILHOUETTES
     if config.pose.choice_signals == "all":
         trained = read_weights(config.train)
-        others = {n: getattr(trained, n) for n in _SOURCES if n in sight.others}
+        others = {n: getattr(trained, n) for n in _SOURCES if n in observation.others}
         weights = Weights(trained.silhouette, **others)
         weights = weights if weights.signals else SILHOUETTES
-    return measure_silhouettes(scene, candidates, sight, config=config, weights=weights)
+    return measure_silhouettes(
+        scene, candidates, observation, config=config, weights=weights
+    )
 
 
 def find_posteriors(losses: jax.Array, probabilities: jax.Array) -> jax.Array:
@@ -125,7 +124,7 @@ def find_likeliest(
     candidates: jax.Array,
     losses: jax.Array,
     probabilities: jax.Array,
-    fine: Sight,
+    fine: Observation,
     *,
     count: int,
     config: Config,
@@ -148,7 +147,7 @@ def find_likeliest(
     posteriors = find_posteriors(losses, probabilities)
     _, best = jax.lax.top_k(posteriors, min(FINALISTS, len(candidates)))
     if ratio != 1:
-        finer = kind_of(config).resize(scene, ratio)
+        finer = find_shape_class(config.network.shape).resize(scene, ratio)
         losses = compare_candidates(finer, candidates[best], fine, config=config)
         posteriors = find_posteriors(losses, probabilities[best])
         best = best[jnp.argsort(-posteriors)]
@@ -168,12 +167,12 @@ def render_finest(
     """A shape in the finest grid, seen from a pose [4].
 
     Args:
-      scene: sizes in voxels of the base grid. own: see `Sight.camera`.
+      scene: sizes in voxels of the base grid. own: see `Observation.camera`.
     """
-    render, kind = config.render, kind_of(config)
+    render, kind = config.render, find_shape_class(config.network.shape)
     return kind.render(
         kind.resize(scene, render.finest / render.grid),
-        see(pose, own, render.finest, config=config),
+        make_view(pose, own, render.finest, config=config),
         signals=signals,
         background_depth=find_background(render.distance),
     )
@@ -181,14 +180,14 @@ def render_finest(
 
 def weigh_finest(scene: Scene, config: Config) -> Scene:
     """A scene for the finest grid, as dense as training renders last."""
-    kind, render = kind_of(config), config.render
+    kind, render = find_shape_class(config.network.shape), config.render
     return kind.resize(
         kind.weigh_as_trained(scene, render), render.finest / render.grid
     )
 
 
 def search_nearby(
-    scene: Scene, pose: jax.Array, fine: Sight, *, config: Config
+    scene: Scene, pose: jax.Array, fine: Observation, *, config: Config
 ) -> jax.Array:
     """The viewpoint [4] near a predicted one that explains the image best.
 

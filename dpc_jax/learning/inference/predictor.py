@@ -13,14 +13,14 @@ from dpc_jax.config import Config
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, place_poses
 from dpc_jax.learning import devices, schedules
+from dpc_jax.learning.batches import list_extras
 from dpc_jax.learning.cameras import find_cameras
 from dpc_jax.learning.inference.explanation import (
-    Sight,
+    Observation,
     compare_candidates,
     find_likeliest,
-    kind_of,
-    look,
     measure_silhouettes,
+    observe,
     render_finest,
     weigh_finest,
 )
@@ -30,7 +30,7 @@ from dpc_jax.learning.predictions import (
     find_probabilities,
     make_inputs,
 )
-from dpc_jax.learning.signals import list_extras
+from dpc_jax.learning.shapes import find_shape_class
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.columns import sharing_columns
@@ -102,8 +102,8 @@ class _Entry(NamedTuple):
     poses: Poses
     chances: Any
     true: Any
-    base: Sight
-    fine: Sight
+    base: Observation
+    fine: Observation
 
 
 def make_predictor(
@@ -137,7 +137,9 @@ def make_predictor(
             found |= {"codes": output["codes"]}
         cameras = ("translations", "focal_lengths")
         found |= {name: output[name] for name in cameras if name in output}
-        return found | kind_of(config).find_evaluated(output, entries.scene)
+        return found | find_shape_class(config.network.shape).find_evaluated(
+            output, entries.scene
+        )
 
     mesh = devices.make_mesh(config)
     # Every process of a job gets all of it.
@@ -158,7 +160,11 @@ def _say_all(network, images):
 
 def _list_entries(output, state, arrays, quaternions, config):
     """(`_Entry` of all n, (scenes that they share, of scene and shown))."""
-    render, kind, steps = config.render, kind_of(config), config.train.steps
+    render, kind, steps = (
+        config.render,
+        find_shape_class(config.network.shape),
+        config.train.steps,
+    )
     (scene, shared), (shown, shown_shared) = (
         kind.read(
             output,
@@ -170,7 +176,7 @@ def _list_entries(output, state, arrays, quaternions, config):
     if config.pose.known:
         poses = Poses(quaternions[:, None], quaternions, None)
     else:
-        poses = complete_poses(output, state.covariance, pose=config.pose)
+        poses = complete_poses(output, state.averages.covariance, pose=config.pose)
     cameras = find_cameras(output, arrays, pose=config.pose)
     entries = _Entry(
         scene,
@@ -178,8 +184,8 @@ def _list_entries(output, state, arrays, quaternions, config):
         poses,
         find_probabilities(poses),
         quaternions,
-        look(arrays, cameras, render.grid, config),
-        look(arrays, cameras, render.finest, config),
+        observe(arrays, cameras, render.grid, config),
+        observe(arrays, cameras, render.finest, config),
     )
     return entries, (shared, shown_shared)
 

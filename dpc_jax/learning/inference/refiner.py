@@ -19,13 +19,13 @@ from dpc_jax.config import Config
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.inference.explanation import (
     FINALISTS,
-    Sight,
+    Observation,
     compare_candidates,
     find_likeliest,
-    kind_of,
     render_finest,
 )
-from dpc_jax.learning.losses import downsample_images
+from dpc_jax.learning.shapes import find_shape_class
+from dpc_jax.learning.signals import downsample_images
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import quaternion
 from dpc_jax.render.batch import map_renders
@@ -91,7 +91,9 @@ def _decode(state, codes, *, network, config):
     """(what is predicted of codes, the scenes of it, what they share)."""
     sigma = schedules.compute_sigma(state.step, config.render, steps=config.train.steps)
     shape = network.apply(state.params, codes, method="predict_shape")
-    read = kind_of(config).read(shape, sigma, render=config.render)
+    read = find_shape_class(config.network.shape).read(
+        shape, sigma, render=config.render
+    )
     return shape, *read.list_scenes()
 
 
@@ -110,7 +112,7 @@ def _choose_poses(decode, evidence, is_bent, config):
         candidates = jnp.concatenate([evidence.poses[:, :, None], candidates], axis=2)
         probabilities = jnp.ones(candidates.shape[:-1])
     base, fine = (
-        Sight(downsample_images(evidence.masks, side), evidence.cameras)
+        Observation(downsample_images(evidence.masks, side), evidence.cameras)
         for side in (config.render.grid, config.render.finest)
     )
     count = FINALISTS if is_alone and is_bent else 1
@@ -146,7 +148,9 @@ def _fit(decode, evidence: Evidence, directions, config, poses):
         shape, scenes, shared = decode(
             evidence.codes + jnp.pad(changes, ((0, 0), (0, tints)))
         )
-        scenes = kind_of(config).weigh_as_trained(scenes, config.render)
+        scenes = find_shape_class(config.network.shape).weigh_as_trained(
+            scenes, config.render
+        )
         turned = turn(poses, turns)
         images = _render(scenes, shared, turned, evidence.cameras, config)
         errors = jnp.mean((images - targets) ** 2, axis=(2, 3))

@@ -5,18 +5,24 @@ import jax.numpy as jnp
 
 from dpc_jax.learning import losses
 from dpc_jax.learning.choice.hindsight import Winners
-from dpc_jax.learning.poses.teaching import Lesson, Teaching, compare_student, predict
+from dpc_jax.learning.losses import Term
+from dpc_jax.learning.poses.source import (
+    ForwardPass,
+    ViewPoses,
+    compare_student,
+    predict_candidates,
+)
 from dpc_jax.learning.predictions import Poses
-from dpc_jax.learning.recipe import Recipe, Term
+from dpc_jax.learning.recipe import Recipe
 
 
-def teach(lesson: Lesson, *, recipe: Recipe) -> Teaching:
+def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
     """The labels, which the nearest candidate of each view learns."""
-    averages, poses = predict(lesson, recipe=recipe)
-    winners, terms = compare_labels(poses, lesson.batch["quaternions"], recipe=recipe)
+    averages, poses = predict_candidates(forward, recipe=recipe)
+    winners, terms = compare_labels(poses, forward.batch["quaternions"], recipe=recipe)
     metrics = {"winners": winners.indices.reshape(-1)}
     terms |= compare_student(poses, winners, recipe=recipe)
-    return Teaching(winners.poses, terms, metrics, lambda _: (averages, {}))
+    return ViewPoses(winners.poses, terms, metrics, lambda _: (averages, {}))
 
 
 def compare_labels(

@@ -22,9 +22,10 @@ import optax
 
 from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
-from dpc_jax.learning.poses.teaching import Lesson, Teaching, predict
+from dpc_jax.learning.losses import Term
+from dpc_jax.learning.poses.source import ForwardPass, ViewPoses, predict_candidates
 from dpc_jax.learning.predictions import Poses
-from dpc_jax.learning.recipe import Recipe, Term
+from dpc_jax.learning.recipe import Recipe
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.viewpoints import face_object
 
@@ -33,17 +34,17 @@ PRIOR = 0.1  # weight of the judge's prior, per pixel of the silhouette
 ENTROPY = 0.05  # weight of a nat of entropy, in shares of the baseline
 
 
-def teach(lesson: Lesson, *, recipe: Recipe) -> Teaching:
+def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
     """One drawn candidate of each view; its cost teaches the probabilities."""
-    averages, poses = predict(lesson, recipe=recipe)
-    winners = draw_poses(poses, lesson.keys, views=lesson.features.shape[1])
+    averages, poses = predict_candidates(forward, recipe=recipe)
+    winners = draw_poses(poses, forward.keys, views=forward.features.shape[1])
     logits, indices = poses.logits, winners.indices.reshape(-1)
     before = averages.cost
     assert logits is not None and before is not None
 
-    def settle(costs):
+    def find_cost_terms(costs):
         unlikely, judge = judge_poses(
-            lesson.params, winners.poses, lesson.keys, network=recipe.network
+            forward.params, winners.poses, forward.keys, network=recipe.network
         )
         weight = PRIOR * recipe.render.grid**2
         terms = {"prior": Term(jnp.mean(unlikely), weight), "judge": Term(judge)}
@@ -54,7 +55,7 @@ def teach(lesson: Lesson, *, recipe: Recipe) -> Teaching:
         terms["head_entropy"] = Term(measure_entropy(logits), -ENTROPY * baseline)
         return averages._replace(cost=baseline), terms
 
-    return Teaching(winners.poses, {}, {"winners": indices}, settle)
+    return ViewPoses(winners.poses, {}, {"winners": indices}, find_cost_terms)
 
 
 def draw_poses(poses: Poses, keys: jax.Array, *, views: int) -> Winners:

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Render, Train
 from dpc_jax.learning.cameras import Cameras, flatten_views, place_camera
-from dpc_jax.learning.recipe import Recipe, Term
+from dpc_jax.learning.losses import Term
+from dpc_jax.learning.recipe import Recipe
 from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.signals import SILHOUETTES, Weights, compare_images, make_targets
 from dpc_jax.render import Camera, Projection, VoxelGrid
@@ -42,12 +43,12 @@ class View(NamedTuple):
     ray_rule: str = "termination"
 
     @property
-    def held(self) -> "View":
-        """The view without gradient."""
+    def without_gradient(self) -> "View":
+        """The same view; no gradient reaches it."""
         stop, camera = jax.lax.stop_gradient, self.camera
         if isinstance(camera.focal_length, jax.Array):  # a view's own
-            own = stop(camera.focal_length)
-            camera = dataclasses.replace(camera, focal_length=own)
+            focal_length = stop(camera.focal_length)
+            camera = dataclasses.replace(camera, focal_length=focal_length)
         rotation, translation = stop((self.rotation, self.translation))
         return self._replace(rotation=rotation, camera=camera, translation=translation)
 
@@ -63,11 +64,15 @@ class View(NamedTuple):
 
 
 def place_view(
-    rotation: jax.Array, own: Mapping[str, Any], side: int, camera: Camera, rule: str
+    rotation: jax.Array,
+    per_view: Mapping[str, Any],
+    side: int,
+    camera: Camera,
+    rule: str,
 ) -> View:
-    """A view with what it has of its own of its camera, see `Cameras`."""
-    camera = place_camera(camera, own)
-    return View(rotation, camera, side, own.get("translation"), rule)
+    """A view; `per_view` is what its camera differs in, see `Cameras`."""
+    camera = place_camera(camera, per_view)
+    return View(rotation, camera, side, per_view.get("translation"), rule)
 
 
 class Choice(NamedTuple):
@@ -246,7 +251,7 @@ class Shape:
             # off. The second render has the values of the first: one is computed.
             others = tuple(signal for signal in signals if signal != "color")
             still = jax.lax.stop_gradient(dict(scene)) | {"colors": scene["colors"]}
-            colored = cls.render(still, view.held, signals=("color",))
+            colored = cls.render(still, view.without_gradient, signals=("color",))
             image: Any = cls.render(scene, view, signals=others)
             image = dataclasses.replace(image, color=colored.color)
         else:
@@ -333,7 +338,7 @@ def _sum_views_backward(compare, renders_at_once, gradient, cotangent):
 sum_views.defvjp(_sum_views_forward, _sum_views_backward)
 
 
-def find_kind(name: str) -> type[Shape]:
+def find_shape_class(name: str) -> type[Shape]:
     """The kind of `network.shape`; only a run that asks for it loads it."""
     if name == "voxels":
         from dpc_jax.learning.shapes.voxels import Voxels

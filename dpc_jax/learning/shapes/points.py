@@ -16,12 +16,14 @@ from dpc_jax.config import Render, Train
 from dpc_jax.learning import losses, point_sizes
 from dpc_jax.learning.cameras import Cameras, flatten_views, place_camera
 from dpc_jax.learning.choice import coarse_choice
-from dpc_jax.learning.recipe import Recipe, Term
+from dpc_jax.learning.losses import Term
+from dpc_jax.learning.recipe import Recipe
+from dpc_jax.learning.schedules import PULL_FROM, ramp_repulsion
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
+from dpc_jax.learning.signals import downsample_images
 from dpc_jax.render import Projection, project
 from dpc_jax.render.kernels import sample_gaussian
 
-PULL_FROM = 0.5  # share of a run; before it poses are too often wrong
 REPELLED = 500  # points that repel each other in a step, for the time that pairs take
 
 
@@ -108,8 +110,7 @@ class Points(Shape):
             outside = jnp.mean(jax.vmap(losses.containment_loss)(self.points))
             terms["containment"] = Term(outside, train.containment_weight)
         if train.repulsion_weight:
-            # Ramped up over the second half, once shapes have formed.
-            ramp = jnp.maximum(0, 2 * (step / train.steps) - 1)
+            ramp = ramp_repulsion(step, steps=train.steps)
             energy = jax.lax.cond(
                 ramp > 0,
                 lambda points: jnp.mean(jax.vmap(losses.repulsion_energy)(points)),
@@ -148,11 +149,11 @@ class Points(Shape):
             )
 
         def pull(points, rotations):
-            silhouettes = losses.downsample_images(masks, side).reshape(-1, side, side)
-            own = flatten_views({"rotation": rotations, **cameras})
-            own = jax.lax.stop_gradient(own)
+            silhouettes = downsample_images(masks, side).reshape(-1, side, side)
+            flat = flatten_views({"rotation": rotations, **cameras})
+            flat = jax.lax.stop_gradient(flat)
             shared = jnp.repeat(points, masks.shape[1], axis=0)
-            return jnp.mean(jax.vmap(measure)(shared, own, silhouettes))
+            return jnp.mean(jax.vmap(measure)(shared, flat, silhouettes))
 
         value = jax.lax.cond(
             step >= PULL_FROM * recipe.train.steps,

@@ -208,9 +208,9 @@ def compare_fixed_views(
     logits = shapes.logits.reshape(targets["silhouette"].shape)
     masks = _cross_entropy(logits, targets["silhouette"]) / count
     plane = make_planes(side, 0.0)[None, None, ..., :2]
-    astray = jnp.sum(jnp.abs(shapes.maps[..., :2] - plane)) / count
-    terms = {LOSSES["silhouette"]: masks, "astray": astray}
-    total = weights.silhouette * masks + astray
+    deviation = jnp.sum(jnp.abs(shapes.maps[..., :2] - plane)) / count
+    terms = {LOSSES["silhouette"]: masks, "pixel_deviation": deviation}
+    total = weights.silhouette * masks + deviation
     if weights.depth:
         depths, is_known = _read_depths(targets, distance)
         away = jnp.where(is_known, jnp.abs(shapes.maps[..., 2] - depths), 0)

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Render
-from dpc_jax.learning.losses import average_blocks
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
+from dpc_jax.learning.signals import average_blocks
 from dpc_jax.render import Projection, project_volume
 
 # Of the image in which candidates are first compared: a 64th of the work in 64³.

@@ -15,6 +15,7 @@ from absl import logging
 from orbax import checkpoint as ocp
 
 from dpc_jax.files import explaining_full_disk
+from dpc_jax.learning.recipe import Averages
 from dpc_jax.learning.step import TrainState
 
 KEPT = 2  # the newest and, should that be damaged, the one before
@@ -138,7 +139,9 @@ class Checkpoints:
             # Whatever a damaged file makes orbax raise, the one before is tried.
             with contextlib.suppress(Exception):
                 loaded = self._manager.restore(step, args=target)
-                state = TrainState(**loaded["state"])
+                parts = loaded["state"]
+                parts["averages"] = Averages(**parts["averages"])
+                state = TrainState(**parts)
                 # Orbax notices a missing or short file, but not a changed byte.
                 if loaded["progress"]["checksum"] == _checksum(state):
                     seconds = float(loaded["progress"]["seconds"])
@@ -154,8 +157,9 @@ class Checkpoints:
 
 
 def _list_parts(state: TrainState) -> dict:
-    """The parts of a state by name; one that the run has not is not saved."""
-    return {name: part for name, part in state._asdict().items() if part is not None}
+    """The parts of a state by name; an average that the run has not is not saved."""
+    averages = state.averages._asdict().items()
+    return state._asdict() | {"averages": {n: a for n, a in averages if a is not None}}
 
 
 def _require_room(folder: Path, state: TrainState):

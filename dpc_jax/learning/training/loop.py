@@ -3,15 +3,16 @@
 import functools
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import jax
 
 from dpc_jax.config import Config
-from dpc_jax.data import DataSet, choose_batch, read_batch
+from dpc_jax.data import DataSet
 from dpc_jax.evaluation.metrics import describe_metrics
-from dpc_jax.learning import devices, schedules, signals
-from dpc_jax.learning.step import TrainState, make_train_step, repeat_seed
+from dpc_jax.learning import schedules
+from dpc_jax.learning.batches import make_batch
+from dpc_jax.learning.step import TrainState, make_train_step
 from dpc_jax.learning.training import reseeding
 from dpc_jax.learning.training.programs import StagePrograms
 from dpc_jax.learning.training.progress import Forecast, ProgressReport
@@ -184,24 +185,6 @@ def _log_steps(log, forecast, progress, done, record):
         steps_per_second=record["steps_per_second"],
         seconds_left=forecast.compute_left(done),
     )
-
-
-def make_batch(dataset: DataSet, step: int, config: Config) -> dict[str, Any]:
-    """The batch of a step, of which each process has read its own objects."""
-    counts = dataset.counts
-    models, views = choose_batch(
-        len(counts),
-        counts,
-        seed=config.seed,
-        step=step,
-        models_per_batch=config.train.models_per_batch,
-        views_per_batch=config.train.views_per_batch,
-    )
-    own = devices.find_own(len(models))
-    extras = signals.list_extras(config) + signals.list_corners(config)
-    rows = read_batch(dataset, models[own], views[own], extras=extras)
-    rows["seeds"] = repeat_seed(config.seed, len(models))[own]
-    return devices.assemble(rows, config)
 
 
 def _is_due(step: int, interval: int) -> bool:

@@ -54,7 +54,7 @@ def reseed_points(
         logits = jnp.where(dead, -jnp.inf, 0.0)
         living = jax.random.categorical(choose, logits, shape=dead.shape)
         sources = jnp.where(dead, living, jnp.arange(len(dead)))
-        params, optimizer = take_points((state.params, state.optimizer), sources)
+        params, optimizer = copy_points((state.params, state.optimizer), sources)
         # Two points at one place are one; trained on, they would never part.
         noise = _APART * jax.random.normal(shift, (len(dead), 3)) * dead[:, None]
         bias = params["params"]["shape"]["points"]["bias"]
@@ -88,7 +88,7 @@ def measure_lone(clouds: jax.Array) -> jax.Array:
     return jnp.mean(jax.lax.map(find_stray, clouds), axis=0)
 
 
-def take_points(tree: Any, sources: jax.Array) -> Any:
+def copy_points(tree: Any, sources: jax.Array) -> Any:
     """Parameters, or their moments, in which point i has what point sources[i] had."""
 
     def take(path, leaf):

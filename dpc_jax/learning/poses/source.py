@@ -1,6 +1,6 @@
-"""Which pose a view is rendered from, and what is learned of it: the common part.
+"""Which pose a view is rendered from, and the losses it is learned by.
 
-A source of poses is a function `teach` of these arguments, in a file of its own:
+A source of poses is a function `find_poses` of these arguments, in a file of its own:
 `labels`, `unknown` (the ensemble in hindsight) and `sampled`. Poses that are given need
 none.
 """
@@ -17,13 +17,14 @@ from dpc_jax.learning.cameras import Cameras
 from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import average_covariance, compute_covariance
+from dpc_jax.learning.losses import Term
 from dpc_jax.learning.predictions import Poses, complete_poses
-from dpc_jax.learning.recipe import Averages, Recipe, Term
+from dpc_jax.learning.recipe import Averages, Recipe
 from dpc_jax.learning.shapes import Shape
 
 
-class Lesson(NamedTuple):
-    """What a source of poses is asked about.
+class ForwardPass(NamedTuple):
+    """What the network predicts for a batch; of this a source of poses finds them.
 
     Attributes:
       params, batch, keys, step, averages: as of `objective.compute_loss`.
@@ -40,50 +41,52 @@ class Lesson(NamedTuple):
     averages: Averages
 
 
-Settle = Callable[[jax.Array | None], tuple[Averages, dict[str, Term]]]
+CostTerms = Callable[[jax.Array | None], tuple[Averages, dict[str, Term]]]
 
 
-class Teaching(NamedTuple):
-    """What a batch teaches about poses.
+class ViewPoses(NamedTuple):
+    """The poses of a batch's views, and the losses they are learned by.
 
     Attributes:
       rotations: [B, V, 4] that views are rendered from.
       terms: losses of the poses by name. metrics: by name.
-      settle: of the costs [B·V] of these renders, the averages after this batch and the
-        losses that depend on the costs.
+      find_cost_terms: of the costs [B·V] of these renders, the averages after this
+        batch and the losses that depend on the costs.
     """
 
     rotations: jax.Array
     terms: dict[str, Term]
     metrics: dict[str, jax.Array]
-    settle: Settle
+    find_cost_terms: CostTerms
 
 
-def teach_poses(lesson: Lesson, *, recipe: Recipe) -> Teaching:
+def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
     """Poses of a batch; only their source is loaded."""
     source = recipe.pose.source
     if source == "given":  # § Estimating shape with known pose
-        poses = lesson.batch["quaternions"]
-        return Teaching(poses, {}, {}, lambda _: (lesson.averages, {}))
+        poses = forward.batch["quaternions"]
+        return ViewPoses(poses, {}, {}, lambda _: (forward.averages, {}))
     if source == "labels":
-        from dpc_jax.learning.poses.labels import teach
+        from dpc_jax.learning.poses import labels as chosen
     elif source == "sampled":
-        from dpc_jax.learning.poses.sampled import teach
+        from dpc_jax.learning.poses import sampled as chosen
     else:
-        from dpc_jax.learning.poses.unknown import teach
-    return teach(lesson, recipe=recipe)
+        from dpc_jax.learning.poses import unknown as chosen
+    return chosen.find_poses(forward, recipe=recipe)
 
 
-def predict(lesson: Lesson, *, recipe: Recipe) -> tuple[Averages, Poses]:
+def predict_candidates(
+    forward: ForwardPass, *, recipe: Recipe
+) -> tuple[Averages, Poses]:
     """The candidates of all views, turned ones included, and the student's output."""
-    averages, pose = lesson.averages, recipe.pose
+    averages, pose = forward.averages, recipe.pose
     if pose.half_turns:
-        places, weights = lesson.shapes.find_places()
+        places, weights = forward.shapes.find_places()
         current = compute_covariance(places, weights, axis=AXIS)
-        covariance = average_covariance(averages.covariance, current, lesson.step)
+        covariance = average_covariance(averages.covariance, current, forward.step)
         averages = averages._replace(covariance=covariance)
-    features = lesson.features.reshape(-1, lesson.features.shape[-1])
-    output = recipe.network.apply(lesson.params, features, method="predict_pose")
+    features = forward.features.reshape(-1, forward.features.shape[-1])
+    output = recipe.network.apply(forward.params, features, method="predict_pose")
     assert isinstance(output, dict)
     return averages, complete_poses(output, averages.covariance, pose=pose)
 

@@ -1,0 +1,48 @@
+"""The batch of a step: which arrays it has, and how processes read it."""
+
+from typing import Any
+
+import numpy as np
+
+from dpc_jax.config import Config
+from dpc_jax.data import DataSet, choose_batch, read_batch
+from dpc_jax.learning import devices
+
+
+def make_batch(dataset: DataSet, step: int, config: Config) -> dict[str, Any]:
+    """The batch of a step, of which each process has read its own objects."""
+    counts = dataset.counts
+    models, views = choose_batch(
+        len(counts),
+        counts,
+        seed=config.seed,
+        step=step,
+        models_per_batch=config.train.models_per_batch,
+        views_per_batch=config.train.views_per_batch,
+    )
+    own = devices.find_own(len(models))
+    extras = list_extras(config) + list_corners(config)
+    rows = read_batch(dataset, models[own], views[own], extras=extras)
+    rows["seeds"] = repeat_seed(config.seed, len(models))[own]
+    return devices.assemble(rows, config)
+
+
+def list_extras(config: Config) -> tuple[str, ...]:
+    """Arrays of a data set that batches of a run hold besides the usual ones."""
+    data, pose = config.data, config.pose
+    is_given = {
+        "depths": config.train.depth_weight,
+        "translations": pose.known and data.offset and not pose.translation,
+        "focal_lengths": pose.known and data.focal_spread and not pose.focal_length,
+    }
+    return tuple(name for name, holds in is_given.items() if holds)
+
+
+def list_corners(config: Config) -> tuple[str, ...]:
+    """Arrays of the training set, of its own fixed views, that batches hold."""
+    return ("corner_masks", "corner_depths") if config.render.fixed_views_until else ()
+
+
+def repeat_seed(seed: int, objects: int) -> np.ndarray:
+    """The seed of a run, uint32 [B], for each object of a batch."""
+    return np.full(objects, seed % 2**32, np.uint32)
