@@ -75,7 +75,6 @@ def make_tiny_plan():
         base_side=8,
         sides=(8,),
         reference_side=8,
-        point_shares=(),
     )
 
 
@@ -97,15 +96,26 @@ def test_errors_of_an_exact_setting_vanish_and_of_a_rough_one_do_not():
         assert rough[f"{kind}_rounds"] == 1
 
 
-def test_a_cloud_of_pairs_loses_nothing_when_one_of_each_pair_is_kept():
-    """Mass and gradient are scaled to stand for the points left out."""
-    tiny = make_tiny_plan()
-    scene = scenes.make_scenes(num_points=30, num_sparse=60, seed=0)[0]
-    scene = scene._replace(points=np.concatenate([scene.points, scene.points]))
-    half = accuracy.Setting("f", "half", "gaussian", (8,) * 3, share=2, dtype="float64")
-    (record,) = accuracy.measure_scene(scene, 1.5, plan=tiny, settings=[half])
-    assert record["image_error"] < 1e-12
-    assert record["gradient_error"] < 1e-12
+def test_a_surface_has_the_same_gradient_in_blocks_as_in_the_whole_volume():
+    case = plan.Case(batch=1, points=200, side=32, sigma=0.5)
+    result = speed.compare_volumes(case, ("silhouette", "color"), rounds=1, seed=0)
+    assert set(result["median_seconds"]) == set(result["bytes"]) == {"whole", "blocks"}
+    assert 0.1 < result["share"] < 0.7
+    assert result["gradient_difference"] < 1e-5  # float32, sums in another order
+
+
+def test_the_fastest_setting_is_the_fastest_of_those_that_are_right_enough():
+    records = [
+        make_record("rough", 1e-3, 0.2),
+        make_record("fine", 3e-3, 0.01),
+        make_record("finer", 4e-3, 0.001),
+        make_record("elsewhere", 1e-4, 0.0, sigma=2.0),
+    ]
+    found = {
+        most: (accuracy.find_fastest(records, most, 1.0) or {}).get("setting")
+        for most in (0.3, 0.05, 1e-4)
+    }
+    assert found == {0.3: "rough", 0.05: "fine", 1e-4: None}
 
 
 def test_the_full_plan_has_settings_of_their_own_that_can_be_compared():
@@ -156,6 +166,16 @@ def make_results():
                 "gradient_difference": {"plain JAX": [1e-6, 2e-6, 3e-6]},
             }
         ],
+        "sizes": [
+            {
+                "case": "B=1, D=1024",
+                "signals": ["silhouette", "depth"],
+                "share": 0.031,
+                "median_seconds": {"blocks": 1.5},
+                "bytes": {"blocks": 900_000_000},
+                "gradient_difference": None,
+            }
+        ],
         "error": [
             make_record("one", 1e-3, 0.02),
             make_record("two", 2e-3, float("inf")),
@@ -204,6 +224,7 @@ def test_the_report_names_every_figure_it_shows_and_leaves_no_other_file(written
     assert "PyTorch is not installed and was left out" in text
     assert "| plain JAX | 20.00 | 2.00 | 3.0e-06 |" in text
     assert "| 1.10 | 1.5 |" in text
+    assert "| silhouette, depth | 3.1 % | – | 1.5e+03 | – | 0.9 |" in text
 
 
 def test_the_peak_of_a_process_is_its_own_and_not_that_of_its_parent():
@@ -221,7 +242,10 @@ def test_a_failing_process_is_one_sentence():
 def test_an_unknown_part_is_refused_in_a_sentence(parts, tmp_path, capsys):
     arguments = ["--quick", f"--parts={parts}", f"--out={tmp_path / 'new'}"]
     assert benchmark.main(arguments) == 2
-    assert "names must be of speed, error, scaling, memory" in capsys.readouterr().err
+    assert (
+        "names must be of speed, sizes, error, scaling, memory"
+        in capsys.readouterr().err
+    )
     assert not (tmp_path / "new").exists()
 
 

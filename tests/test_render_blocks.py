@@ -137,6 +137,27 @@ def test_a_cloud_that_does_not_fit_is_drawn_in_the_whole_volume(sigma, max_block
     assert_same(found, right, "float32")
 
 
+def test_clouds_side_by_side_are_each_drawn_as_they_need():
+    """One fits into its room and one does not."""
+    inputs = make_inputs("float32", sigma=0.5)
+    grid = dpc_jax.VoxelGrid(40)
+    clouds = jnp.stack([0.1 * inputs["points"], inputs["points"]])
+    rooms = [int(count(inputs | {"points": cloud}, grid)) for cloud in clouds]
+    assert rooms[0] <= 30 < rooms[1]
+
+    def render(points, max_blocks):
+        image = dpc_jax.project(
+            points, inputs["rotation"], sigma=0.5, grid=grid, max_blocks=max_blocks
+        ).silhouette
+        return jnp.sum((image - 0.5) ** 2), image
+
+    found, right = (
+        jax.jit(jax.vmap(jax.grad(lambda p, m=m: render(p, m), has_aux=True)))(clouds)
+        for m in (30, None)
+    )
+    assert_same(found, right, "float32")
+
+
 def test_where_the_whole_volume_is_too_large_what_does_not_fit_is_not_a_number():
     inputs = make_inputs("float32", sigma=0.5)
     grid = dpc_jax.VoxelGrid((136, 136, 136))
@@ -237,6 +258,7 @@ def test_points_that_are_not_there_leave_the_image_empty():
         (True, {}, "a positive integer"),
         (9, {"method": "gaussian"}, "one sigma for all points"),
         (2**31 // 729, {"grid": dpc_jax.VoxelGrid(2000)}, "fit into"),
+        (9, {"grid": dpc_jax.VoxelGrid(20_000)}, "fewer than 2³¹ cells"),
     ],
 )
 def test_a_wrong_room_is_refused_with_one_sentence(max_blocks, options, words):
@@ -246,6 +268,13 @@ def test_a_wrong_room_is_refused_with_one_sentence(max_blocks, options, words):
                 p, jnp.eye(3), sigma=0.5, max_blocks=max_blocks, **options
             ),
             jnp.zeros((4, 3)),
+        )
+
+
+def test_blocks_of_sizes_per_point_are_not_counted():
+    with pytest.raises(ValueError, match="one sigma for all points"):
+        dpc_jax.count_blocks(
+            jnp.zeros((4, 3)), jnp.eye(3), sigma=1.0, method="gaussian"
         )
 
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 import dpc_jax
-from dpc_jax.render import splines
+from dpc_jax.render.fast import splines
 
 ORDERS = {"trilinear": 1, "quadratic": 2, "cubic": 3}
 SHAPE = (9, 7, 11)

@@ -3,11 +3,12 @@
 import jax
 from jax.typing import ArrayLike, DTypeLike
 
-from dpc_jax.render import checks, splines
+from dpc_jax.render import checks
 from dpc_jax.render.camera import Camera, VoxelGrid
+from dpc_jax.render.fast import levels, splines
 
 SIGNALS = ("silhouette", "depth", "color", "termination")
-METHODS = ("auto", *splines.ORDERS, "gaussian")
+METHODS = ("auto", *splines.ORDERS, "levels", "gaussian")
 RAY_RULES = ("termination", "maximum")
 _POSES = "use jax.vmap over several poses"
 _SIZES = "pass a scalar or one value per point"
@@ -69,11 +70,10 @@ def convert_pose(
     return rotation.astype(dtype), translation
 
 
-def check_view(camera: Camera, grid: VoxelGrid, dtype: DTypeLike) -> None:
-    """Refuse what is not one camera, and a grid that does not fit into memory."""
+def check_view(camera: Camera, grid: VoxelGrid) -> None:
+    """Refuse what is not one camera and one grid."""
     check_camera(camera)
     checks.check_type("grid", grid, VoxelGrid, "dpc_jax.VoxelGrid(64)")
-    checks.check_room("grid", grid.shape, dtype)
 
 
 def check_camera(camera: Camera) -> None:
@@ -101,10 +101,20 @@ def choose_method(
         return "trilinear" if is_shared else "gaussian"
     if method == "gaussian":
         return method
+    if method == "levels":
+        if sigma is None:
+            raise ValueError(
+                "sigma must be given with the method 'levels', which has no covariance;"
+                " pass method='gaussian' or 'auto'."
+            )
+        if checks.is_known(sigma):
+            levels.check_sizes(sigma)
+        return method
     if sigma is None or sigma.ndim:
         raise ValueError(
             f"sigma must be one number with the method {method!r}, which smooths all "
-            "points alike, but a size per point came; pass method='gaussian' or 'auto'."
+            "points alike, but a size per point came; pass method='levels' or "
+            "'gaussian'."
         )
     order = splines.ORDERS[method]
     if order > 1 and min(shape) <= order:

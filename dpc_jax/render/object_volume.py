@@ -68,7 +68,8 @@ def project_volume(
             f"{list(volume.shape)}; give occupancies [X, Y, Z]."
         )
     checks.check_room("volume", volume.shape, volume.dtype)
-    arguments.check_view(camera, grid, volume.dtype)
+    arguments.check_view(camera, grid)
+    checks.check_room("grid", grid.shape, volume.dtype)
     has_colors = colors is not None
     arguments.check_signals(
         signals, ray_rule, has_colors=has_colors, of_colors="[X, Y, Z, C]"

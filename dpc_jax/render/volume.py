@@ -8,10 +8,11 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from dpc_jax.render import arguments, quaternion, smoothing, splatting, splines
+from dpc_jax.render import arguments, checks, quaternion
 from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
 from dpc_jax.render.devices import warn_of_wrong_results
 from dpc_jax.render.exact import covariances, gaussians
+from dpc_jax.render.fast import levels, smoothing, splatting, splines
 
 # Up to so many channels of colour, volumes are kept for the backward pass. Filling them
 # again took as long as all the rest: 34 ms for a render with its gradient where keeping
@@ -29,7 +30,7 @@ class Scene:
     is_inside: jax.Array  # [N] bool, in the volume and in front of the camera
     sigma: jax.Array | None  # () or [N] in voxels
     covariance: jax.Array | None  # [N, 3, 3] in the grid's axes, voxels²
-    # "gaussian", or one of `splines.ORDERS`
+    # "gaussian", "levels", or one of `splines.ORDERS`
     method: str = dataclasses.field(metadata={"static": True})
 
 
@@ -60,7 +61,7 @@ def place_points(
     Arguments and errors as of `project`. The result has the dtype of the points.
     """
     warn_of_wrong_results()
-    arguments.check_view(camera, grid, points.dtype)
+    arguments.check_view(camera, grid)
     rotation, sigma, scale, covariance, translation = arguments.convert_scene(
         points, rotation, sigma, scale, covariance, translation
     )
@@ -86,9 +87,13 @@ def fill_volume(
 
     With colours, also the signal y(x) = Σ_i y_i·f_i(x) / Σ_i f_i(x) that the paper
     gives after Eq. 5. Colours are [N, C]; the shape is (rows, cols, depth).
+
+    Raises:
+      ValueError: for a volume that does not fit into memory.
     """
+    checks.check_room("grid", shape, scene.coordinates.dtype)
     colors = None if colors is None else colors.astype(scene.coordinates.dtype)
-    sum_densities = _sum_exact if scene.method == "gaussian" else _sum_splatted
+    sum_densities = _sum_exact if scene.method == "gaussian" else _sum_smoothed
     density, map_colors = sum_densities(scene, colors, shape)
 
     def sum_colors(reached):
@@ -118,7 +123,7 @@ def _clip_unit_jvp(primals, tangents):
     return clip_unit(density), jnp.where(passes, tangent, 0)
 
 
-def _sum_splatted(scene, colors, shape):
+def _sum_smoothed(scene, colors, shape):
     """Σ f_i by the fast methods, [rows, cols, depth], and its sums over colours.
 
     The latter as map_colors(function), which gives [C, ...], function(Σ y_i·f_i) of
@@ -126,15 +131,21 @@ def _sum_splatted(scene, colors, shape):
     of few channels, and fills those of many again.
     """
 
-    order = splines.ORDERS[scene.method]
-    sigma = splines.narrow(scene.sigma, order)
+    if scene.method == "levels":
+        sizes = jnp.broadcast_to(scene.sigma, scene.is_inside.shape)
+        found = levels.find_levels(sizes, scene.is_inside)
+    else:
+        order = splines.ORDERS[scene.method]
+        sigma = splines.narrow(scene.sigma, order)
 
     def fill(mass):
-        if order == 1:
+        if scene.method == "trilinear":
             volume = splatting.splat(scene.coordinates, mass, shape)
-        else:
-            mass = jnp.where(scene.is_inside, mass, 0)
-            volume = splines.splat(scene.coordinates, mass, shape, order)
+            return smoothing.smooth(volume, sigma)
+        mass = jnp.where(scene.is_inside, mass, 0)
+        if scene.method == "levels":
+            return levels.fill(scene.coordinates, mass, found, shape)
+        volume = splines.splat(scene.coordinates, mass, shape, order)
         return smoothing.smooth(volume, sigma)
 
     def map_colors(function):
@@ -150,7 +161,7 @@ def map_channels(function: Callable, colors: jax.Array) -> jax.Array:
 
 
 def _sum_exact(scene, colors, shape):
-    """Σ f_i by the basic method; exact, slower than `_sum_splatted`."""
+    """Σ f_i by the basic method; exact, slower than `_sum_smoothed`."""
     values = scene.mass[:, None]
     if colors is not None:
         values = jnp.concatenate([values, values * colors], axis=1)

@@ -34,7 +34,6 @@ class Setting(NamedTuple):
     method: str  # of `project`
     shape: tuple[int, int, int]  # rows, cols, depth
     is_compensated: bool = False  # whether sigma is that of `compensate_widening`
-    share: int = 1  # one point in this many is kept
     dtype: str = "float32"
 
 
@@ -48,17 +47,11 @@ def list_settings(plan: Plan) -> list[Setting]:
         for family, method, is_compensated in (
             ("trilinear", "trilinear", False),
             ("trilinear, compensated", "trilinear", True),
+            ("quadratic", "quadratic", False),
+            ("cubic", "cubic", False),
             ("gaussian", "gaussian", False),
         )
     ]
-    family = "trilinear, depth cells"
-    for depth in plan.depths:
-        label = f"trilinear, {side}²×{depth}"
-        settings.append(Setting(family, label, "trilinear", (side, side, depth)))
-    family = "trilinear, fewer points"
-    for share in plan.point_shares:
-        label = f"trilinear, {side}³, 1 point in {share}"
-        settings.append(Setting(family, label, "trilinear", base, share=share))
     for method, dtype in plan.dtypes:
         label = f"{method}, {side}³, {dtype}"
         settings.append(Setting("other dtypes", label, method, base, dtype=dtype))
@@ -92,17 +85,13 @@ def measure_scene(
     records = []
     for setting in settings:
         image, (gradient, _) = (call() for call in calls[setting.label])
-        # A point that stands for several has the gradient of them all.
-        share = len(gradient) / len(scene.points)
-        gradient = np.asarray(gradient, np.float64) * share
-        outcome = {"image": np.asarray(image, np.float64), "gradient": gradient}
+        outcome = {"image": image, "gradient": gradient}
         record: dict[str, Any] = {"scene": scene.name, "sigma": sigma}
         record |= {"family": setting.family, "setting": setting.label}
         references = {"": exact[side, side, side], "_same_grid": exact[setting.shape]}
         for kind in ("image", "gradient"):
             for suffix, reference in references.items():
-                value = outcome[kind]
-                error = measure_distance(value, reference[kind][: len(value)])
+                error = measure_distance(outcome[kind], reference[kind])
                 record[f"{kind}_error{suffix}"] = error
             seconds = times[kind][setting.label]
             record[f"{kind}_seconds"] = float(np.median(seconds))
@@ -115,15 +104,13 @@ def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
     """Calls that give the image, and the gradient with the image, of a setting."""
     image, gradient = _make_programs(setting.method, setting.shape, min(plan.sides))
     rows = setting.shape[0]
-    count = len(scene.points) // setting.share
     # Exponent 2: grids are compared by how near they come to the same image, so the
     # optical depth along a ray has to stay. Learning keeps the density instead.
     _, mass = scale_sizes(sigma, scene.mass, rows / _MASS_SIDE, exponent=2)
     sigma, _ = scale_sizes(sigma, mass, rows / plan.base_side, exponent=2)
-    mass = mass * len(scene.points) / count
     if setting.is_compensated:
         sigma = float(compensate_widening(sigma))
-    values = (scene.points[:count], scene.pose, mass, sigma, target)
+    values = (scene.points, scene.pose, mass, sigma, target)
     with jax.enable_x64(True):
         values = [jnp.asarray(value, setting.dtype) for value in values]
 
@@ -179,3 +166,11 @@ def take_scenes_together(records: list[dict]) -> list[dict]:
         medians = {n: float(np.median([r[n] for r in group])) for n in names}
         together.append(group[0] | medians)
     return together
+
+
+def find_fastest(
+    records: list[dict], most: float, sigma: float
+) -> dict[str, Any] | None:
+    """The fastest setting whose gradient's error is at most `most`; None without."""
+    found = [r for r in records if r["sigma"] == sigma and r["gradient_error"] <= most]
+    return min(found, key=lambda r: r["gradient_seconds"], default=None)

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 
-PARTS = ("speed", "error", "scaling", "memory")
+PARTS = ("speed", "sizes", "error", "scaling", "memory")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,13 +37,14 @@ class Plan:
     cases: tuple[Case, ...]  # of the speed table
     candidates: Case  # workload of the choice among `num_candidates`
     num_candidates: int
+    sized: Case  # of a sigma per point
+    # Surfaces in the whole volume and in blocks, and which signals are rendered.
+    sizes: tuple[tuple[Case, tuple[str, ...]], ...]
     scene_points: int  # of the dense scenes
     sparse_points: int  # of the sparse one
     sigmas: tuple[float, ...]  # voxels of a grid with `base_side` cells a side
     base_side: int
     sides: tuple[int, ...]  # of cubic grids
-    depths: tuple[int, ...]  # of grids with base_side² pixels
-    point_shares: tuple[int, ...]  # one point in this many is kept
     dtypes: tuple[tuple[str, str], ...]  # method and dtype, beside float32
     reference_side: int  # of the float64 reference
     budget_seconds: float  # after so much time a setting gets no further round
@@ -62,13 +63,20 @@ FULL = Plan(
     ),
     candidates=Case(4, 8000, 64, 3.0),
     num_candidates=8,
+    sized=Case(1, 8000, 64, 1.3),
+    sizes=(
+        (Case(1, 4000, 64, 0.5), ("silhouette",)),
+        (Case(1, 16_000, 128, 0.8), ("silhouette",)),
+        (Case(1, 16_000, 128, 0.8), ("silhouette", "depth", "color")),
+        (Case(1, 64_000, 256, 0.6), ("silhouette",)),
+        (Case(1, 250_000, 512, 0.6), ("silhouette",)),
+        (Case(1, 1_000_000, 1024, 0.6), ("silhouette",)),
+    ),
     scene_points=8000,
     sparse_points=400,
     sigmas=(0.3, 0.6, 1.2, 2.5, 5.0),
     base_side=64,
     sides=(32, 64, 128),
-    depths=(16, 32, 128),
-    point_shares=(2, 4, 8),
     dtypes=(
         ("trilinear", "float64"),
         ("trilinear", "bfloat16"),
@@ -97,13 +105,13 @@ QUICK = Plan(
     cases=(Case(2, 500, 16, 1.5),),
     candidates=Case(2, 500, 16, 1.5),
     num_candidates=4,
+    sized=Case(1, 500, 16, 1.3),
+    sizes=((Case(1, 500, 32, 0.5), ("silhouette",)),),
     scene_points=500,
     sparse_points=500,
     sigmas=(0.5, 2.0),
     base_side=16,
     sides=(16,),
-    depths=(),
-    point_shares=(),
     dtypes=(),
     reference_side=32,
     budget_seconds=0.2,

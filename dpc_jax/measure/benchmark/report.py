@@ -17,6 +17,8 @@ from dpc_jax.reporting.tables import format_table
 
 _KINDS = {"image": "forward", "gradient": "forward and backward"}
 _SHOWN = 3  # sigmas in the figure of errors
+_ERRORS = (0.3, 0.1, 0.03, 0.01, 0.003)  # of the gradient, in the table of the fastest
+_VOLUMES = ("whole volume", "blocks")
 
 
 def write_report(out: Path, results: dict[str, Any]) -> Path:
@@ -65,7 +67,35 @@ def _write_speed(out, results) -> list[str]:
         "device* has all of XLA's threads. *Plain JAX* writes the same steps without "
         "the engine; *PyTorch* does a batch at once. *chosen*: the "
         "best of K candidates found without a gradient, then rendered with one; *min*: "
-        "the minimum over K renders with a gradient.",
+        "the minimum over K renders with a gradient. *levels*: sizes of 0.7 to 2.5 "
+        "voxels.",
+    ]
+
+
+def _write_sizes(out, results) -> list[str]:
+    rows = []
+    for result in results["sizes"]:
+        seconds, sizes = result["median_seconds"], result["bytes"]
+        rows.append(
+            [
+                result["case"],
+                ", ".join(result["signals"]),
+                _percent(result["share"]),
+                *(
+                    MISSING if name not in seconds else f"{scale * values[name]:.3g}"
+                    for values, scale in ((seconds, 1e3), (sizes, 1e-9))
+                    for name in ("whole", "blocks")
+                ),
+            ]
+        )
+    heads = ["work", "signals", "blocks touched"]
+    heads += [f"{name} ({unit})" for unit in ("ms", "GB") for name in _VOLUMES]
+    return [
+        "## How large",
+        "A car's surface, forward and backward, float32: in the whole volume, and in "
+        "room for a fifth more blocks of 8³ cells than it touches (`max_blocks`). "
+        "Memory is that of `dpc_jax.estimate_memory`.",
+        format_table(heads, rows, align="llrrrrr"),
     ]
 
 
@@ -84,7 +114,27 @@ def _write_error(out, results) -> list[str]:
         "![Error against run time](error.png)",
         "Medians over all σ (largest in brackets):",
         _tabulate_settings(records),
+        "The fastest setting for an error of the gradient, with its time forward and "
+        "backward (ms):",
+        _tabulate_fastest(records),
     ]
+
+
+def _tabulate_fastest(records) -> str:
+    sigmas = sorted({r["sigma"] for r in records})
+    rows = []
+    for most in _ERRORS:
+        cells = []
+        for sigma in sigmas:
+            found = accuracy.find_fastest(records, most, sigma)
+            cells.append(
+                MISSING
+                if found is None
+                else f"{found['setting']}: {1e3 * found['gradient_seconds']:.2f}"
+            )
+        rows.append([_percent(most), *cells])
+    heads = ["error at most", *(f"σ = {sigma:g}" for sigma in sigmas)]
+    return format_table(heads, rows)
 
 
 def _tabulate_settings(records) -> str:
@@ -206,6 +256,7 @@ def _write_memory(out, results) -> list[str]:
 
 _SECTIONS = {
     "speed": _write_speed,
+    "sizes": _write_sizes,
     "error": _write_error,
     "scaling": _write_scaling,
     "memory": _write_memory,

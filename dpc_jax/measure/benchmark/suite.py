@@ -65,6 +65,10 @@ def list_tasks(plan: Plan) -> Iterator[Task]:
     case, count = plan.candidates, {"num_candidates": plan.num_candidates}
     call = _one(speed.compare_choices, case, **shared, **count)
     yield "speed", f"choices, {case}", call
+    yield "speed", "a sigma per point", _one(speed.compare_sizes, plan.sized, **shared)
+    for case, signals in plan.sizes:
+        call = _one(speed.compare_volumes, case, signals, **shared)
+        yield "sizes", f"{'+'.join(signals)}, {case}", call
     made = scenes.make_scenes(
         num_points=plan.scene_points, num_sparse=plan.sparse_points, seed=plan.seed
     )

@@ -77,6 +77,17 @@ COVARIANCES = (
     ("mass 0", _tilt([0.6, 0.8, 1, 1.2]) | {"scale": [0] * 4}, BACKGROUND),
     ("sizes over 1e6", _tilt([1e-3, 0.3, 30, 1e3]), IN_WIDE),
 )
+SPLINES = tuple(row for row in SCENES if row[0] not in ("sigma 0", "sigma 0.05"))
+# A grid for splines of four cells; one in which four narrow points leave blocks out.
+WIDE, LARGE, MOST_BLOCKS = (5, 4, 6), (24, 17, 20), 26
+TABLES = {
+    "trilinear": SCENES,
+    "quadratic": SPLINES,
+    "cubic": SPLINES,
+    "blocks": SCENES,
+    "gaussian": SCENES,
+    "covariance": COVARIANCES,
+}
 # The gradient to a place is a difference of two cells' readings, which the wide kernel
 # makes 3e-8 of what they are; so it is for the pose.
 TO_PLACES = {
@@ -123,20 +134,28 @@ def render_cloud(
 def list_images() -> list[Case]:
     """Cases of `project`, with the gradient to every input."""
     cases = []
-    tables = {"trilinear": SCENES, "gaussian": SCENES, "covariance": COVARIANCES}
-    for method, scenes in tables.items():
-        rows = []
+    for title, scenes in TABLES.items():
+        method = "trilinear" if title == "blocks" else title
+        rows: list[tuple] = []
+        shape, options = SHAPE, dict[str, Any](method=method)
+        if title == "blocks":
+            shape = options["shape"] = LARGE
+            options["max_blocks"] = MOST_BLOCKS
+        elif title in ("quadratic", "cubic"):
+            shape = options["shape"] = WIDE
         for name, changes, fields in scenes:
             inputs = PLAIN | changes
             if method == "gaussian":  # a size per point, which is what it is for
                 inputs["sizes"] = np.multiply(inputs["sizes"], [1, 1.5, 0.7, 1.1])
-            if (method, name) == ("trilinear", "sigma 1e3"):
+            if shape is WIDE:  # a spline is as wide as 0.6 voxels
+                inputs["sizes"] = np.maximum(inputs["sizes"], 0.9)
+            if method != "gaussian" and name == "sigma 1e3":
                 fields = fields | TO_PLACES
             rows.append((name, *inputs.values(), fields))
         cases += make_cases(
-            method,
-            functools.partial(render_cloud, method=method),
-            functools.partial(oracles.project, shape=SHAPE, method=method),
+            title,
+            functools.partial(render_cloud, **options),
+            functools.partial(oracles.project, shape=shape, method=method),
             (128, 1024),
             rows,
             because=ROUNDINGS,

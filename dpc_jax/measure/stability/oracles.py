@@ -5,6 +5,8 @@ because an imaginary part of 1e-60 carries a derivative through it. The tests of
 renderer compare with these functions too.
 """
 
+import math
+
 import numpy as np
 
 # On x86 it has 64 bits of fraction and 15 of exponent, so the squares of 1e30 and 1e-30
@@ -103,6 +105,25 @@ def splat(coordinates: Array, values: Array, shape: Shape) -> Array:
             is_near = (np.real(away) >= -1) & (np.real(away) < 1)
             tent = np.where(np.real(away) >= 0, 1 - away, 1 + away)
             block = np.multiply.outer(block, np.where(is_near, tent, 0))
+        volume = volume + block
+    return volume
+
+
+def splat_splines(coordinates: Array, values: Array, shape: Shape, order: int) -> Array:
+    """B-splines as Σ_k (-1)^k·C(n + 1, k)·max(d + (n + 1)/2 - k, 0)^n/n!."""
+    volume = np.zeros(shape, np.result_type(coordinates, values))
+    for point, value in zip(coordinates, values, strict=True):
+        block = np.asarray(value)
+        for x, size in zip(point, shape, strict=True):
+            weights = np.zeros(size, volume.dtype)
+            for k in range(order + 2):
+                start = np.arange(size) - x + REAL((order + 1) / 2) - k
+                power = np.where(np.real(start) > 0, start, 0) ** order
+                weights = weights + (-1) ** k * math.comb(order + 1, k) * power
+            # Beyond the last knot the powers cancel, but for rounding.
+            is_near = np.abs(np.arange(size) - np.real(x)) < (order + 1) / 2
+            share = np.where(is_near, weights, 0) / math.factorial(order)
+            block = np.multiply.outer(block, share)
         volume = volume + block
     return volume
 
@@ -254,6 +275,11 @@ def project(
             return sum_covariances(coordinates, values, sizes, shape)
         if method == "gaussian":
             return sum_gaussians(coordinates, values, sizes, shape)
+        if method != "trilinear":
+            order = {"quadratic": 2, "cubic": 3}[method]
+            left = sizes * sizes - REAL(order + 1) / 12
+            smoothed = np.sqrt(left) if np.real(left) > 0 else REAL(0)
+            return smooth(splat_splines(coordinates, values, shape, order), smoothed)
         return smooth(splat(coordinates, values, shape), sizes)
 
     channels = [fill(masses * channel) for channel in colors.T]

@@ -314,6 +314,8 @@ def _projecting(method, rules, sizes, limit="") -> tuple:
 _TRACED: tuple[tuple[Any, ...], ...] = (
     _projecting("trilinear", _PERSPECTIVE, _SIGMA),
     _projecting("trilinear", _FLAT, _SIGMA),
+    _projecting("quadratic", _PERSPECTIVE, _SIGMA),
+    _projecting("levels", _PERSPECTIVE, _SIGMAS),
     _projecting("gaussian", _PERSPECTIVE, _SIGMA),
     _projecting("gaussian", _PERSPECTIVE, _SIGMAS),
     _projecting("gaussian", _PERSPECTIVE, _COVARIANCES, _KINDS),

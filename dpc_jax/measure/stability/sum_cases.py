@@ -33,7 +33,9 @@ def list_scenes() -> list[Case]:
     cases = []
     for method, title, sizes in (
         ("trilinear", "one sigma", 1.3),
+        ("cubic", "one sigma", 1.3),
         ("gaussian", "one sigma", 1.3),
+        ("levels", "sigma per point", rng.uniform(0.7, 2.5, COUNT)),
         ("auto", "sigma per point", rng.uniform(0.7, 2.5, COUNT)),
         ("auto", "covariances", matrices),
     ):

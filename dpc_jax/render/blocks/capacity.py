@@ -9,9 +9,10 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.render import arguments, checks, splines
+from dpc_jax.render import arguments, checks
 from dpc_jax.render.blocks import touched
 from dpc_jax.render.camera import Camera, VoxelGrid
+from dpc_jax.render.fast import splines
 from dpc_jax.render.volume import Scene, place_points
 
 # Blocks are counted unasked in grids of at least so many cells, and taken where they
@@ -50,17 +51,12 @@ def count_blocks(
     The result is all blocks of the grid where blocks cannot draw what is asked, because
     the smoothing reaches beyond the next one. Arguments and errors as of `project`.
     """
+    points, scale, covariance = arguments.convert_points(points), 1.0, None
     scene = place_points(
-        arguments.convert_points(points),
-        rotation,
-        sigma,
-        1.0,
-        None,
-        translation,
-        camera,
-        grid,
-        method,
+        *(points, rotation, sigma, scale, covariance, translation, camera, grid, method)
     )
+    _check_method(scene.method)
+    _check_grid(grid.shape)
     return _count(scene, shape=grid.shape)
 
 
@@ -87,6 +83,7 @@ def choose_room(
         _check_max_blocks(max_blocks, scene.method)
     if scene.method not in splines.ORDERS or min(shape) < touched.BLOCK:
         return None
+    _check_grid(shape)
     is_counted = max_blocks is None
     if max_blocks is None:
         max_blocks = count_room(
@@ -124,9 +121,18 @@ def _check_max_blocks(max_blocks, method):
             f"max_blocks must be None or a positive integer, but it is {max_blocks!r}; "
             "dpc_jax.count_blocks counts those of a cloud."
         )
+    _check_method(method)
+
+
+def _check_grid(shape):
+    """Refuse a grid whose blocks cannot be numbered."""
+    checks.check_room("grid", touched.divide(shape), jnp.int32)
+
+
+def _check_method(method):
     if method not in splines.ORDERS:
         raise ValueError(
-            "max_blocks must come with one sigma for all points and one of the methods "
+            "blocks must come with one sigma for all points and one of the methods "
             f"{tuple(splines.ORDERS)}, but the method is {method!r}; leave max_blocks "
             "out."
         )

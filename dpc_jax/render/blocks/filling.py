@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.render import kernels, splines
+from dpc_jax.render import kernels
 from dpc_jax.render.blocks.touched import (
     BLOCK,
     Blocks,
@@ -14,6 +14,7 @@ from dpc_jax.render.blocks.touched import (
     find_neighbours,
     find_slots,
 )
+from dpc_jax.render.fast import splines
 from dpc_jax.render.volume import Scene
 
 # An axis is smoothed as the last one, where a matrix product takes a tenth of the time.

@@ -6,10 +6,10 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.render import splines
 from dpc_jax.render.blocks import rays, touched
 from dpc_jax.render.blocks.filling import sum_densities
 from dpc_jax.render.camera import Camera, VoxelGrid
+from dpc_jax.render.fast import splines
 from dpc_jax.render.volume import Scene, clip_unit, map_channels
 
 
@@ -31,64 +31,62 @@ def render_blocks(
       (images by the name of their signal, () bool whether they are right: the blocks
       found room, and the smoothing reaches no further than the next block).
     """
-    shape, dtype = grid.shape, scene.coordinates.dtype
-    counts, order = touched.divide(shape), splines.ORDERS[scene.method]
+    shape, order = grid.shape, splines.ORDERS[scene.method]
     sigma = splines.narrow(jnp.asarray(scene.sigma), order)
-    places = scene.coordinates, scene.is_inside, sigma
-    blocks = touched.find_blocks(
-        *jax.lax.stop_gradient(places), shape, order, max_blocks
-    )
-    is_narrow = touched.is_narrow(jax.lax.stop_gradient(sigma), dtype, order)
+    places = jax.lax.stop_gradient((scene.coordinates, scene.is_inside, sigma))
+    blocks = touched.find_blocks(*places, shape, order, max_blocks)
+    is_narrow = touched.is_narrow(places[2], scene.coordinates.dtype, order)
     is_right = (blocks.count <= max_blocks) & is_narrow
 
-    def fill(mass):
-        density = sum_densities(scene, mass, sigma, blocks, shape)
-        if shape[2] % touched.BLOCK == 0:
-            return density
-        # The last block stands out of the volume.
-        cells = _find_depth_cells(blocks.ids, counts)
-        return jnp.where((cells < shape[2])[:, :, None, None], density, 0)
-
+    fill = functools.partial(_fill, scene, sigma, blocks, shape)
     density = fill(scene.mass)
     occupancy = clip_unit(density)
-    columns = rays.find_columns(blocks.ids, counts)
-    lay_out = functools.partial(rays.lay_out_image, counts=counts, shape=shape)
+    columns = rays.find_columns(blocks.ids, touched.divide(shape))
     images = {}
     if "silhouette" in signals:
-        images["silhouette"] = lay_out(
+        images["silhouette"] = rays.lay_out_image(
             rays.opacity(occupancy, columns)
             if ray_rule == "termination"
-            else rays.fullest(occupancy, columns, shape[2])
+            else rays.fullest(occupancy, columns, shape[2]),
+            shape,
         )
     if set(signals) == {"silhouette"}:
         return images, is_right
 
     found = rays.end_rays(occupancy, columns)
-    behind = lay_out(found.background)
+    behind = rays.lay_out_image(found.background, shape)
     background_depth, background_color = background
     if "termination" in signals:
-        images["termination"] = rays.lay_out_volume(
-            found.ends, blocks.ids, counts, shape
-        )
+        images["termination"] = rays.lay_out_volume(found.ends, blocks.ids, shape)
     if "depth" in signals:
-        cells = _find_depth_cells(blocks.ids, counts).clip(0, shape[2] - 1)
-        depths = grid.depths(camera, dtype)[cells][:, :, None, None]
+        cells = _find_depth_cells(blocks.ids, shape).clip(0, shape[2] - 1)
+        depths = grid.depths(camera, density.dtype)[cells][:, :, None, None]
         ahead = columns.add_up(jnp.sum(found.ends * depths, axis=1))
-        images["depth"] = lay_out(ahead) + behind * jnp.asarray(background_depth, dtype)
+        beyond = behind * jnp.asarray(background_depth, density.dtype)
+        images["depth"] = rays.lay_out_image(ahead, shape) + beyond
     if colors is not None:
         weight = found.reached / jnp.where(density > 1, density, 1)
 
         def sum_channel(channel):
-            cells = fill(scene.mass * channel)
-            return columns.add_up(jnp.sum(weight * cells, axis=1))
+            return columns.add_up(jnp.sum(weight * fill(scene.mass * channel), axis=1))
 
-        ahead = lay_out(jnp.moveaxis(map_channels(sum_channel, colors), 0, -1))
-        color = jnp.asarray(background_color, dtype).reshape(1, 1, -1)
-        images["color"] = ahead + behind[..., None] * color
+        ahead = jnp.moveaxis(map_channels(sum_channel, colors), 0, -1)
+        color = jnp.asarray(background_color, density.dtype).reshape(1, 1, -1)
+        beyond = behind[..., None] * color
+        images["color"] = rays.lay_out_image(ahead, shape) + beyond
     return images, is_right
 
 
-def _find_depth_cells(ids, counts):
+def _fill(scene, sigma, blocks, shape, mass):
+    """Densities [M, 8, 8, 8]; none where the last block stands out of the volume."""
+    density = sum_densities(scene, mass, sigma, blocks, shape)
+    if shape[2] % touched.BLOCK == 0:
+        return density
+    cells = _find_depth_cells(blocks.ids, shape)
+    return jnp.where((cells < shape[2])[:, :, None, None], density, 0)
+
+
+def _find_depth_cells(ids, shape):
     """Index along a ray of each layer of cells of blocks [M], [M, 8]."""
-    first = ids % counts[2] * touched.BLOCK
+    first = ids % touched.divide(shape)[2] * touched.BLOCK
     return first[:, None] + jnp.arange(touched.BLOCK)[None]

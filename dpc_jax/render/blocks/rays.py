@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.render.blocks.touched import BLOCK
+from dpc_jax.render.blocks.touched import BLOCK, divide
 
 _IN_BOUNDS = "promise_in_bounds"
 
@@ -191,11 +191,9 @@ def _pass_columns_backward(residuals, cotangents):
 _pass_columns.defvjp(_pass_columns_forward, _pass_columns_backward)
 
 
-def lay_out_image(
-    columns: jax.Array, counts: tuple[int, int, int], shape: tuple[int, int, int]
-) -> jax.Array:
+def lay_out_image(columns: jax.Array, shape: tuple[int, int, int]) -> jax.Array:
     """[rows, cols, ...] from columns of blocks [num, 8, 8, ...]."""
-    rest = columns.shape[3:]
+    counts, rest = divide(shape), columns.shape[3:]
     image = columns.reshape(*counts[:2], BLOCK, BLOCK, *rest)
     image = jnp.moveaxis(image, 2, 1)  # [blocks, row, blocks, col, ...]
     image = image.reshape(counts[0] * BLOCK, counts[1] * BLOCK, *rest)
@@ -203,12 +201,10 @@ def lay_out_image(
 
 
 def lay_out_volume(
-    cells: jax.Array,
-    ids: jax.Array,
-    counts: tuple[int, int, int],
-    shape: tuple[int, int, int],
+    cells: jax.Array, ids: jax.Array, shape: tuple[int, int, int]
 ) -> jax.Array:
     """[rows, cols, depth] from blocks [M, 8, 8, 8], zero where there are none."""
+    counts = divide(shape)
     total = counts[0] * counts[1] * counts[2]
     volume = jnp.zeros((total + 1, *cells.shape[1:]), cells.dtype)
     volume = volume.at[ids].set(cells, mode=_IN_BOUNDS)[:-1]

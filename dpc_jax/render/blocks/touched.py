@@ -12,25 +12,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from dpc_jax.render import kernels, splines
+from dpc_jax.render import kernels
+from dpc_jax.render.fast import splines
 
 BLOCK = 8  # cells along a side
 _IN_BOUNDS = "promise_in_bounds"
-# The 27 steps to a block and its neighbours, and which of them a point takes: along
-# each axis it may reach the block before (1), the one after (2), or both (3).
-_STEPS = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), -1)
-_STEPS = _STEPS.reshape(27, 3)
-_KINDS = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), -1).reshape(64, 3)
-_TAKES = np.array([[True, False], [True, True], [False, True], [True, True]])
-
-
-def _list_steps():
-    """[64, 27] bool, the steps of each kind of point."""
-    before, after = _KINDS & 1 > 0, _KINDS & 2 > 0
-    goes = np.stack([before, np.ones_like(before), after], -1)  # [64, axis, step + 1]
-    return np.all(
-        [goes[:, axis, _STEPS[:, axis] + 1] for axis in range(3)], axis=0
-    ).astype(np.float32)
+# The 27 steps to a block and its neighbours. Along each axis a point takes that to the
+# block before, if its kind has the bit 1, and that to the one after for the bit 2.
+_STEPS = np.indices((3, 3, 3)).reshape(3, 27).T - 1
+_KINDS = np.indices((4, 4, 4)).reshape(3, 64).T
+_TAKEN = np.stack([_KINDS & 1 > 0, _KINDS >= 0, _KINDS & 2 > 0], -1)
+# [64, 27], 1 for the steps of each kind.
+_REACHED = np.all([_TAKEN[:, a, _STEPS[:, a] + 1] for a in range(3)], axis=0)
 
 
 class Blocks(NamedTuple):
@@ -89,7 +82,9 @@ def find_blocks(
     kind = (kinds[:, 0] * 4 + kinds[:, 1]) * 4 + kinds[:, 2]
     seen = jnp.zeros((homes.ids.shape[0] + 1) * 64, jnp.float32)
     seen = seen.at[homes.slots[number] * 64 + kind].set(1, mode=_IN_BOUNDS)
-    steps = jnp.matmul(seen.reshape(-1, 64)[:-1], _list_steps()) > 0  # [M, 27]
+    steps = (
+        jnp.matmul(seen.reshape(-1, 64)[:-1], _REACHED.astype(np.float32)) > 0
+    )  # [M, 27]
     places = _place(homes.ids, counts)[:, None] + _STEPS[None]
     is_there = jnp.all(
         (places >= 0) & (places < jnp.array(counts)[None, None]), axis=-1
