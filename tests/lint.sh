@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Install what is missing, then check style, types and floors of imports: tests/lint.sh
+# Install what is missing, then check style, types and layers of imports: tests/lint.sh
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . launch/install.sh "[lint]"

@@ -1,6 +1,6 @@
 """What is loaded when: nothing heavy before it is used, no baseline unless asked for.
 
-The floors of imports are a contract in pyproject.toml: tests/lint.sh.
+The layers of imports are a contract in pyproject.toml: tests/lint.sh.
 """
 
 import ast
