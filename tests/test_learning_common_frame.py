@@ -14,7 +14,11 @@ from dpc_jax.learning.choice import common_frame, seen_colors
 from dpc_jax.learning.choice.common_frame import turn_back
 from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
-from dpc_jax.learning.half_turns import find_half_turns, turn_candidates
+from dpc_jax.learning.half_turns import (
+    average_covariance,
+    find_half_turns,
+    turn_candidates,
+)
 from dpc_jax.render import Camera, quaternion
 
 COVARIANCE = jnp.diag(jnp.array([1.0, 2.0, 4.0]))  # the axes are x, y and z
@@ -290,3 +294,13 @@ def test_points_behind_others_have_no_color():
     near, far = np.asarray(samples.weights).reshape(2, -1)
     assert np.all(near > 0)
     assert np.mean(far > 0) < 0.1  # none but at the border of the near one
+
+
+def test_the_covariance_is_a_mean_of_all_batches_and_later_of_the_last_hundred():
+    batches = np.random.default_rng(0).normal(size=(60, 3, 3))
+    average = jnp.zeros((3, 3))
+    for step, batch in enumerate(batches):
+        average = average_covariance(average, jnp.asarray(batch), step)
+    np.testing.assert_allclose(average, batches.mean(0), atol=1e-6)
+    moved = average_covariance(jnp.zeros(()), jnp.ones(()), 10_000)
+    np.testing.assert_allclose(moved, 0.01, rtol=1e-6)

@@ -18,6 +18,7 @@ from tiny_runs import (
     tiny_config,
 )
 
+from dpc_jax.config import replace_fields
 from dpc_jax.learning.shapes import points as points_module
 from dpc_jax.learning.shapes.points import Points
 
@@ -121,6 +122,14 @@ def test_the_second_step_compiles_nothing(plain, caplog):
         state, metrics = plain.take(second, count=3, state=state)
         assert count_compiled(caplog) == 0
     assert int(state.step) == 4 and np.all(np.isfinite([m["loss"] for m in metrics]))
+
+
+def test_gradients_are_measured_in_the_steps_that_are_logged(plain):
+    config = replace_fields(plain.config, {"log": {"every": 2}})
+    run = plain._replace(config=config, step=make_step(plain.network, config))
+    _, metrics = run.take(make_batch(), count=4)
+    is_measured = [record["gradient_norms"]["shape"] >= 0 for record in metrics]
+    assert is_measured == [False, True, False, True]
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_one_others(plain):
