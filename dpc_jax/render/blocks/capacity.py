@@ -19,6 +19,7 @@ from dpc_jax.render.volume import Scene, place_points
 # are at most this share of all. A cell of a block takes three times as long as one of
 # the whole volume, and at 64³ the whole volume is as quick (two CPU cores).
 _COUNTED_FROM = 128**3
+_COUNTED_UP_TO = 4096**3  # the numbers of its blocks take half a gigabyte
 _MOST_SHARE = 1 / 4
 # Up to so many cells the whole volume steps in where blocks do not do.
 _SMALL_UP_TO = 128**3
@@ -83,7 +84,8 @@ def choose_room(
         _check_max_blocks(max_blocks, scene.method)
     if scene.method not in splines.ORDERS or min(shape) < touched.BLOCK:
         return None
-    _check_grid(shape)
+    if max_blocks is not None:
+        _check_grid(shape)
     is_counted = max_blocks is None
     if max_blocks is None:
         max_blocks = count_room(
@@ -105,7 +107,8 @@ def count_room(
 
     None where some of the numbers are not known, or where blocks would not be quicker.
     """
-    if math.prod(shape) < _COUNTED_FROM or not checks.is_known(numbers):
+    is_counted = _COUNTED_FROM <= math.prod(shape) <= _COUNTED_UP_TO
+    if not (is_counted and checks.is_known(numbers)):
         return None
     found = int(count())
     if found > _MOST_SHARE * math.prod(touched.divide(shape)):
