@@ -32,7 +32,7 @@ class Table(list):
         return add
 
 
-def run_try(attempt: Callable[[Path], object], says: str, folder: Path):
+def assert_try_says(attempt: Callable[[Path], object], says: str, folder: Path):
     """Fail unless a try ends in time in a result or a sentence with these words."""
     signal.signal(signal.SIGALRM, _hang)
     signal.alarm(SECONDS)

@@ -13,6 +13,7 @@ from dpc_jax.measure.benchmark import (
     peers,
     plan,
     report,
+    sizes,
     speed,
     suite,
 )
@@ -98,7 +99,7 @@ def test_errors_of_an_exact_setting_vanish_and_of_a_rough_one_do_not():
 
 def test_a_surface_has_the_same_gradient_in_blocks_as_in_the_whole_volume():
     case = plan.Case(batch=1, points=200, side=32, sigma=0.5)
-    result = speed.compare_volumes(case, ("silhouette", "color"), rounds=1, seed=0)
+    result = sizes.compare_volumes(case, ("silhouette", "color"), rounds=1, seed=0)
     assert set(result["median_seconds"]) == set(result["bytes"]) == {"whole", "blocks"}
     assert 0.1 < result["share"] < 0.7
     assert result["gradient_difference"] < 1e-5  # float32, sums in another order

@@ -138,7 +138,7 @@ READERS = {  # name of a file: what makes it whole, what reads it
 }
 
 
-def fuzz(name: str, tries: int):
+def assert_read_or_refused(name: str, tries: int):
     """Read a file so many times, each time damaged otherwise."""
     make, read = READERS[name]
     content = make()
@@ -162,7 +162,7 @@ def fuzz(name: str, tries: int):
 @pytest.mark.filterwarnings("ignore")  # of libraries, on what is damaged
 @pytest.mark.parametrize("name", READERS)
 def test_a_damaged_file_is_read_or_refused_in_a_sentence(name):
-    fuzz(name, 100)
+    assert_read_or_refused(name, 100)
 
 
 @pytest.mark.slow
@@ -174,7 +174,7 @@ resource.setrlimit(resource.RLIMIT_AS, ({MEMORY}, {MEMORY}))
 import hypothesis, test_fuzz_files
 hypothesis.settings.register_profile("many", deadline=None)
 hypothesis.settings.load_profile("many")
-test_fuzz_files.fuzz({name!r}, 2000)
+test_fuzz_files.assert_read_or_refused({name!r}, 2000)
 """
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", code],

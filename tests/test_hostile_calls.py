@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hostile import Table, run_try
+from hostile import Table, assert_try_says
 
 import dpc_jax
 
@@ -52,7 +52,7 @@ SIGMA, SCALE = "sigma must be at least 0 voxels and", "scale must be at least 0 
 )
 def test_a_number_is_drawn_or_refused(name, value, says, convert, tmp_path):
     sizes = {"sigma": None} if name == "covariance" else {}
-    run_try(lambda _: project(**{name: convert(value)} | sizes), says, tmp_path)
+    assert_try_says(lambda _: project(**{name: convert(value)} | sizes), says, tmp_path)
 
 
 FOCAL_LENGTH = "camera.focal_length must be finite and above 0, but"
@@ -126,4 +126,4 @@ def differentiate(_, *, transform: Callable, function=dpc_jax.project):
 
 @pytest.mark.parametrize("attempt, says", TABLE)
 def test_a_call_ends_in_a_result_or_in_a_sentence(attempt, says, tmp_path):
-    run_try(attempt, says, tmp_path)
+    assert_try_says(attempt, says, tmp_path)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hostile import Table, losing_rights, run_try
+from hostile import Table, assert_try_says, losing_rights
 from PIL import Image
 from tiny_runs import tiny_config
 
@@ -345,4 +345,4 @@ def fit_a_view(folder, *, draw):
 
 @pytest.mark.parametrize("attempt, says", TABLE)
 def test_a_command_ends_in_a_result_or_in_a_sentence(attempt, says, tmp_path):
-    run_try(attempt, says, tmp_path)
+    assert_try_says(attempt, says, tmp_path)

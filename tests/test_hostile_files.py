@@ -6,7 +6,7 @@ import socket
 import numpy as np
 import pytest
 import trimesh
-from hostile import Table, losing_rights, run_try
+from hostile import Table, assert_try_says, losing_rights
 from PIL import Image
 
 from dpc_jax import files
@@ -240,4 +240,4 @@ def read_poses(folder, *, text):
 
 @pytest.mark.parametrize("attempt, says", TABLE)
 def test_a_file_is_read_or_refused_in_a_sentence(attempt, says, tmp_path):
-    run_try(attempt, says, tmp_path)
+    assert_try_says(attempt, says, tmp_path)

@@ -130,7 +130,6 @@ def _sum_smoothed(scene, colors, shape):
     each channel. One channel's volume is there at a time; the backward pass keeps those
     of few channels, and fills those of many again.
     """
-
     if scene.method == "levels":
         sizes = jnp.broadcast_to(scene.sigma, scene.is_inside.shape)
         found = levels.find_levels(sizes, scene.is_inside)

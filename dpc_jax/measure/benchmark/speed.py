@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -20,16 +19,8 @@ from dpc_jax.measure.benchmark.peers import (
     render_plain,
 )
 from dpc_jax.measure.benchmark.plan import Case, Plan
-from dpc_jax.measure.scenes import make_scenes
 from dpc_jax.measure.timing import take_medians, time_interleaved
-from dpc_jax.render import (
-    Camera,
-    VoxelGrid,
-    count_blocks,
-    estimate_memory,
-    project,
-    project_batch,
-)
+from dpc_jax.render import Camera, VoxelGrid, project, project_batch
 from dpc_jax.render.devices import choose_mesh, place
 
 ALL_DEVICES, ONE_DEVICE = "ours, all devices", "ours, one device"
@@ -231,56 +222,6 @@ def measure_distance(value: np.ndarray, reference: np.ndarray) -> float:
     if size == 0:
         return 0.0 if distance == 0 else float("inf")
     return float(distance / size)
-
-
-# The whole volume of a larger grid takes more memory than many machines have.
-_WHOLE_UP_TO = 512
-
-
-def compare_volumes(
-    case: Case, signals: tuple[str, ...], *, rounds: int, seed: int
-) -> dict[str, Any]:
-    """A car's surface in the whole volume and in touched blocks, forward and backward.
-
-    Returns:
-      A record: the case, which part of the blocks is touched, median seconds, bytes by
-      `estimate_memory`, and the relative distance between the gradients.
-    """
-    (scene, *_) = make_scenes(num_points=case.points, num_sparse=1, seed=seed)
-    points, pose = (jnp.asarray(a, jnp.float32) for a in (scene.points, scene.pose))
-    grid = VoxelGrid(case.side)
-    look: dict[str, Any] = {"sigma": case.sigma, "grid": grid, "signals": signals}
-    look["scale"] = scene.mass * (case.side / 64) ** 2  # the rays' opacity stays
-    if "color" in signals:
-        look["colors"] = points + 0.5
-    count = int(count_blocks(points, pose, sigma=case.sigma, grid=grid))
-    rooms: dict[str, int | None] = {
-        "blocks": int(1.2 * count)
-    }  # room as a batch of other views needs it
-    if case.side <= _WHOLE_UP_TO:
-        rooms["whole"] = None
-    calls, sizes = {}, {}
-    for name, room in rooms.items():
-        how = look | {"max_blocks": room}
-        calls[name] = functools.partial(_compile_volume(how), points, pose)
-        sizes[name] = estimate_memory(points, pose, gradient=True, **how).total
-    gradients = [np.asarray(call(), np.float64) for call in calls.values()]
-    return {
-        "case": str(case),
-        "signals": list(signals),
-        "share": count / math.prod(-(-side // 8) for side in grid.shape),
-        "median_seconds": take_medians(time_interleaved(calls, rounds=rounds)),
-        "bytes": sizes,
-        "gradient_difference": measure_distance(*gradients) if gradients[1:] else None,
-    }
-
-
-def _compile_volume(look):
-    def compute_loss(points, pose):
-        images = project(points, pose, **look)
-        return sum(jnp.sum((image - 0.3) ** 2) for image in jax.tree.leaves(images))
-
-    return jax.jit(jax.grad(compute_loss))
 
 
 # Axis: what it counts, and the power of it that the run time is expected to follow

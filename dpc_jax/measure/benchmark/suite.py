@@ -8,7 +8,7 @@ from typing import Any
 
 from dpc_jax.learning.training.progress import ProgressReport
 from dpc_jax.measure import scenes
-from dpc_jax.measure.benchmark import accuracy, peak, peers, report, speed
+from dpc_jax.measure.benchmark import accuracy, peak, peers, report, sizes, speed
 from dpc_jax.measure.benchmark.plan import PARTS, Plan
 from dpc_jax.measure.timing import describe_machine
 
@@ -67,7 +67,7 @@ def list_tasks(plan: Plan) -> Iterator[Task]:
     yield "speed", f"choices, {case}", call
     yield "speed", "a sigma per point", _one(speed.compare_sizes, plan.sized, **shared)
     for case, signals in plan.sizes:
-        call = _one(speed.compare_volumes, case, signals, **shared)
+        call = _one(sizes.compare_volumes, case, signals, **shared)
         yield "sizes", f"{'+'.join(signals)}, {case}", call
     made = scenes.make_scenes(
         num_points=plan.scene_points, num_sparse=plan.sparse_points, seed=plan.seed

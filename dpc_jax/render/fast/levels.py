@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 
 from dpc_jax.render.fast import smoothing, splines
 
-# The error of a single point's image (relative L2) is at most 0.5 % if sizes differ by
+# The error of a single point's image (relative L2) is at most 0.6 % if sizes differ by
 # a factor of 3.6, 2.5 % by 6 and 5 % by 8; with five levels three times as much.
 _NODES = -np.cos(np.pi * np.arange(6) / 5)
 MOST_RATIO = 8.0
