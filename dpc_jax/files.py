@@ -16,9 +16,7 @@ from pathlib import Path
 from typing import Any
 
 TEMPORARY = ".tmp"  # ends the names of files that are being written
-MOST_TEXT = (
-    64 << 20
-)  # bytes of a text or JSON file; those that are read are far smaller
+MOST_TEXT = 64 << 20  # bytes of a text or JSON file; those read are far smaller
 
 
 class Damage(ValueError):
@@ -177,23 +175,31 @@ def claiming(path: str | os.PathLike) -> Iterator[bool]:
     """Yield whether this process alone may make a file, for as long as the context.
 
     Whether the file is there is the caller's to look at, once the claim is held. A
-    claim is a lock of the kernel on a small file beside it: it ends with its process,
-    also after kill -9, so that another one can take over. Over NFS such locks hold
-    between hosts (Linux has the server keep them). Some parallel file systems keep them
-    within a host, or know none: two hosts may then make a file twice, which costs time
-    and nothing else as long as they make the same bytes and replace the file whole.
+    claim is a lock of the kernel on the file `locate_claim`, which says whose it is: it
+    ends with its process, also after kill -9, so that another one can take over. Over
+    NFS such locks hold between hosts (Linux has the server keep them). Some parallel
+    file systems keep them within a host, or know none: two hosts may then make a file
+    twice, which costs time and nothing else as long as they make the same bytes and
+    replace the file whole.
     """
-    path = Path(path)
-    lock = path.with_name(f".{path.name}.claim")
+    lock = locate_claim(path)
     file = _lock(lock)
     if file is None:
         yield False
         return
     try:
+        os.ftruncate(file, 0)
+        os.write(file, f"{os.getpid()} on {socket.gethostname()}".encode())
         yield True
     finally:
         lock.unlink(missing_ok=True)
         os.close(file)
+
+
+def locate_claim(path: str | os.PathLike) -> Path:
+    """The file beside a claimed one, with the process and the host that hold it."""
+    path = Path(path)
+    return path.with_name(f".{path.name}.claim")
 
 
 def _lock(path: Path) -> int | None:

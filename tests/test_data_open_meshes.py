@@ -102,7 +102,6 @@ def test_chairs_come_upright_with_colours_licence_and_origin(
     for i in range(3):  # each of the three columns shows something
         assert dark[:, i * sheet.width // 3 :][:, : sheet.width // 3].sum() > 500
     assert "3 models" in capsys.readouterr().out
-    assert not list((tmp_path / "open").rglob(".making*"))
     # what is unpacked is gone, the package stays
     (kept,) = (tmp_path / "open/packages").iterdir()
     assert kept.name == "sweethome3d-furniture_1.0-1_all.deb"
@@ -197,7 +196,9 @@ def test_a_second_call_does_nothing(tmp_path, store, monkeypatch):
     assert after == before
 
 
-def test_a_conversion_that_was_stopped_goes_on(tmp_path, store, monkeypatch, capsys):
+def test_a_conversion_that_was_stopped_is_made_whole(
+    tmp_path, store, monkeypatch, capsys
+):
     make, made = sweethome3d.make_mesh, []
 
     def stop_at_second(model, folder):
@@ -206,23 +207,16 @@ def test_a_conversion_that_was_stopped_goes_on(tmp_path, store, monkeypatch, cap
         made.append(model.name)
         return make(model, folder)
 
-    monkeypatch.setattr(sweethome3d, "make_mesh", stop_at_second)
-    assert fetch("chair", tmp_path) == 130
+    with monkeypatch.context() as patch:
+        patch.setattr(sweethome3d, "make_mesh", stop_at_second)
+        assert fetch("chair", tmp_path) == 130
     assert "continues" in capsys.readouterr().err
     folder = tmp_path / "open/chair"
     assert not (folder / "models.json").exists()
     assert len(list(folder.rglob("*.ply"))) == 1
-    (folder / ".making-killed").mkdir()  # as a process that was killed leaves
-
-    def count(model, folder):
-        made.append(model.name)
-        return make(model, folder)
-
-    monkeypatch.setattr(sweethome3d, "make_mesh", count)
     assert fetch("chair", tmp_path) == 0
-    assert sorted(made) == ["Lib-high", "Lib-plain", "Lib-round"]
+    assert len(list(folder.rglob("*.ply"))) == 3
     assert read_log(store).count("download sweethome3d-furniture") == 1
-    assert not list(folder.glob(".making*"))
 
 
 def test_a_download_that_was_cut_goes_on(tmp_path, store, capsys):
@@ -297,19 +291,6 @@ def test_a_damaged_model_is_skipped_and_named(tmp_path, monkeypatch, capsys):
     assert fetch("chair", tmp_path) == 1
     assert "broken.obj" in capsys.readouterr().err
     assert not (tmp_path / "open/chair/models.json").exists()
-
-
-def test_a_model_that_is_gone_or_changed_is_made_again(tmp_path, store):
-    assert fetch("chair", tmp_path) == 0
-    folder = tmp_path / "open/chair/train"
-    data = {p.name: p.read_bytes() for p in folder.glob("*.ply")}
-    (folder / "Lib-plain.ply").unlink()
-    (folder / "Lib-round.json").unlink()
-    (folder / "Lib-high.ply").write_bytes(b"mine")
-    (folder / "families.json").unlink()
-    assert fetch("chair", tmp_path) == 0
-    assert {p.name: p.read_bytes() for p in folder.glob("*.ply")} == data
-    assert len(read_json(folder / "families.json")) == 3
 
 
 @pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="no dpkg-deb here")

@@ -130,7 +130,7 @@ def test_the_shard_of_a_killed_process_is_taken_over(start, alone, tmp_path):
 def test_processes_of_a_job_begin_at_different_shards(tmp_path, monkeypatch):
     begun = []
 
-    def note(folder, source, models, numbers, **options):
+    def note(plan, numbers, **options):
         begun.append(list(numbers))
         raise KeyboardInterrupt
 

@@ -108,7 +108,6 @@ def _read_photograph(path):
 def _read_shard(path):
     for array in shards.map_shard(path).arrays.values():
         array.sum()
-    shards.read_record(path)
 
 
 def _read_poses(path):

@@ -151,17 +151,21 @@ def test_labels_teach_an_ensemble_only_where_a_student_selects_from_it():
         ({"fold": "0/5", "meshes": "x", "test_meshes": "y"}, "config.data.fold must"),
         ({"mix": 10}, "config.data.mix must be -1 or 0 without data.meshes"),
         ({"mix": 10, "images": "x"}, "config.data.mix must be -1 or 0 without"),
+        ({"split_file": "a.csv", "meshes": "x"}, "split_file must be '' without"),
+        ({"ground_truth": "y", "meshes": "x"}, "ground_truth must be '' without"),
     ],
 )
-def test_folds_and_mixtures_that_mean_nothing_are_refused(
+def test_fields_of_data_that_mean_nothing_are_refused(
     changes, expected, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.csv").touch()
     for name in "xy":
         (tmp_path / name).mkdir()
     with pytest.raises(ValueError, match=expected):
         check(change(load("car"), "data", **changes))
     check(change(load("car"), "data", meshes="x", fold="4/5", mix=10))
+    check(change(load("car"), "data", renders="x", split_file="a.csv"))
 
 
 def test_a_fixed_scale_has_no_parameters():

@@ -1,21 +1,18 @@
 """TensorBoard is told what the log is told, each step once."""
 
 import io
+import struct
 
 import numpy as np
 import pytest
 from PIL import Image
+from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tiny_runs import make_dataset
 
 from dpc_jax.learning.inference.predictor import Predictions
 from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.run import tensorboard
-from dpc_jax.run.tensorboard import (
-    PICTURE,
-    TensorBoardLog,
-    draw_validation,
-    read_events,
-)
+from dpc_jax.run.tensorboard import PICTURE, TensorBoardLog, draw_validation
 
 STEPS = (5, 10, 15, 20)
 
@@ -51,19 +48,35 @@ def train(log, *steps):
             log.write(validation_record(step))
 
 
+def read_events(folder):
+    """The events that TensorBoard keeps: a start drops what a kill has made stale."""
+    kept = []
+    for path in sorted(folder.glob("events*")):
+        data, place = path.read_bytes(), 0
+        while place + 12 <= len(data):
+            length, _ = struct.unpack_from("<QI", data, place)  # and a check sum
+            start, place = place + 12, place + 12 + length + 4
+            if place > len(data):
+                break  # torn by a kill
+            event = Event.FromString(data[start : start + length])
+            if event.session_log.status == SessionLog.START:
+                kept = [one for one in kept if one.step < event.step]
+            kept.append(event)
+    return [event for event in kept if event.summary.value]
+
+
 def read_tensorboard(folder):
     """(step, name, value) of all events, in their order."""
-    for path in sorted(folder.glob("events*")):
-        for event in read_events(path):
-            for value in event.summary.value:
-                kind = value.WhichOneof("value")
-                if kind == "simple_value":
-                    yield event.step, value.tag, round(value.simple_value, 6)
-                elif kind == "histo":
-                    yield event.step, value.tag, tuple(value.histo.bucket)
-                else:
-                    picture = Image.open(io.BytesIO(value.image.encoded_image_string))
-                    yield event.step, value.tag, int(np.asarray(picture).max())
+    for event in read_events(folder):
+        for value in event.summary.value:
+            kind = value.WhichOneof("value")
+            if kind == "simple_value":
+                yield event.step, value.tag, round(value.simple_value, 6)
+            elif kind == "histo":
+                yield event.step, value.tag, tuple(value.histo.bucket)
+            else:
+                picture = Image.open(io.BytesIO(value.image.encoded_image_string))
+                yield event.step, value.tag, int(np.asarray(picture).max())
 
 
 def expected_tensorboard():
@@ -86,8 +99,7 @@ def test_tensorboard_has_every_number_share_and_picture_by_seconds(make_log, tmp
     assert len(events) == len(expected_tensorboard()) + 2
     assert set(events) == expected_tensorboard()
     assert [step for step, *_ in events] == sorted(step for step, *_ in events)
-    (path,) = (tmp_path / "tensorboard").iterdir()
-    times = {e.step: e.wall_time for e in read_events(path) if e.summary.value}
+    times = {e.step: e.wall_time for e in read_events(tmp_path / "tensorboard")}
     for step in STEPS:  # of training
         assert times[step] - times[5] == pytest.approx((step - 5) / 2, abs=1e-3)
 
@@ -106,6 +118,8 @@ def test_a_run_that_goes_on_leaves_each_step_once_in_tensorboard(make_log, tmp_p
     events = list(read_tensorboard(tmp_path / "tensorboard"))
     assert len(events) == len(expected_tensorboard()) + 2
     assert set(events) == expected_tensorboard()
+    times = {e.step: e.wall_time for e in read_events(tmp_path / "tensorboard")}
+    assert times[20] - times[5] == pytest.approx(7.5, abs=1e-3)
 
 
 def test_a_log_that_tensorboard_joins_later_is_shown_from_its_start(make_log, tmp_path):

@@ -49,14 +49,14 @@ def test_a_process_that_was_killed_holds_nothing(holder, tmp_path):
     os.kill(holder.pid, signal.SIGKILL)
     holder.wait()
     with hold_workdir(tmp_path):
-        assert str(os.getpid()) in (tmp_path / ".in-use").read_text()
+        assert str(os.getpid()) in (tmp_path / ".run.claim").read_text()
 
 
 def test_the_same_process_may_come_again(tmp_path):
     for _ in range(2):
         with hold_workdir(tmp_path):
-            assert str(os.getpid()) in (tmp_path / ".in-use").read_text()
-    assert (tmp_path / ".in-use").read_text() == ""
+            assert str(os.getpid()) in (tmp_path / ".run.claim").read_text()
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_command_that_is_refused_leaves_the_config_of_the_other_as_it_is(tmp_path):

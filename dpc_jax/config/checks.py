@@ -96,11 +96,14 @@ def _list_folder_rules(config):
         "'' unless there is a folder of models (data.meshes, say) that is split by "
         "seed and tested on itself",
     )
-    yield (
-        "data.mix",
-        data.mix <= 0 or bool(data.meshes or data.shapenet),
-        "-1 or 0 without data.meshes or data.shapenet, to which shapes are added",
-    )
+    for name, others, unset in (
+        ("mix", ("meshes", "shapenet"), "-1 or 0"),  # shapes are added to meshes
+        ("split_file", ("shapenet", "renders", "images"), "''"),
+        ("ground_truth", ("renders",), "''"),
+    ):
+        is_used = any(getattr(data, other) for other in others)
+        expected = f"{unset} without data.{' or data.'.join(others)}"
+        yield f"data.{name}", is_used or getattr(data, name) in ("", -1, 0), expected
 
 
 def _list_system_rules(config):

@@ -38,6 +38,7 @@ _IMAGE_SIZE = Allowed(
     lambda size: size >= 16 and size & (size - 1) == 0,
     "a power of two of at least 16 pixels, because the encoder halves it down to 4",
 )
+_MODELS = between(1, 1_000_000)  # no two splits or seeds share a procedural shape
 _DISTANCE = above(0.5)._replace(text="above 0.5, outside the object")
 _HEADS = at_least(1)._replace(text="at least 1 (K heads)")
 
@@ -57,9 +58,9 @@ class Data:
     # What has a scale of its own: an object, each view, or nothing ("none").
     crop: str = field("object", one_of(*CROPS))
     fill: float = field(0.85, between(0.1, 1))  # share of the frame that images fill
-    models: int = field(1000, at_least(1))  # procedural models to train on
-    val_models: int = field(40, at_least(1))  # to validate on; 20 of them align
-    test_models: int = field(100, at_least(1))  # to test on
+    models: int = field(1000, _MODELS)  # procedural models to train on
+    val_models: int = field(40, _MODELS)  # to validate on; 20 of them align
+    test_models: int = field(100, _MODELS)  # to test on
     # Of each mesh, stretched; 0: as many as make 300 models.
     copies: int = field(0, at_least(0))
     # Procedural models that are added to meshes; -1: 300 where there are few meshes.

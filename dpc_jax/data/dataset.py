@@ -1,7 +1,7 @@
 """A data set on disk: prepared once, kept under a key of everything that made it.
 
-A cache folder holds shards and, when all are there, `spec.json`, which lists them with
-size and checksum. Without it, preparing continues with the shards that are missing.
+A cache folder holds shards and, when all are there, `spec.json`, which lists them and
+their models. Without it, preparing continues with the shards that are missing.
 """
 
 import concurrent.futures
@@ -10,7 +10,6 @@ import errno
 import json
 import os
 import shutil
-from collections.abc import Sequence
 from pathlib import Path
 
 from dpc_jax import files
@@ -19,7 +18,7 @@ from dpc_jax.data import shards, workers
 from dpc_jax.data.arrays import ROWS as ROWS
 from dpc_jax.data.arrays import DataSet as DataSet
 from dpc_jax.data.arrays import Pages, Stack
-from dpc_jax.data.sources import Model, Source, open_source
+from dpc_jax.data.sources import open_source
 from dpc_jax.data.spec import SUPERSAMPLE
 from dpc_jax.data.spec import DataSpec as DataSpec
 from dpc_jax.data.workers import follow
@@ -55,10 +54,7 @@ def load_or_render(
       ValueError: if there is no folder, no model, or none that can be used.
       OSError: if the disk is full or the cache cannot be written.
     """
-    source = open_source(spec, cache_dir)
-    models = source.list_models()
-    record = _describe(source, models)
-    folder = locate_cache(source, models, cache_dir)
+    source, models, record, folder = _locate(spec, cache_dir)
     # not of the cache: what a split is called must not depend on when it was read
     warnings = tuple(source.list_warnings())
     if (folder / RECORD).exists():
@@ -66,11 +62,12 @@ def load_or_render(
             return read_cache(folder)._replace(warnings=warnings)
         except (OSError, ValueError, KeyError, TypeError) as error:
             print(f"The cache {folder} is damaged ({error}) and will be repaired.")
+    plan = workers.plan_shards(folder, source, models)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         files.remove_leftovers(folder)
-        _prepare(folder, source, models, share, processes, progress=progress)
-        _finish(folder, source, models, record, progress=progress)
+        _prepare(plan, share, processes or _count_cores(), progress=progress)
+        _finish(plan, record, progress=progress)
     except OSError as error:
         if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
             raise
@@ -87,66 +84,52 @@ def load_or_render(
 
 def is_prepared(spec: DataSpec, cache_dir: str | Path) -> bool:
     """Whether `load_or_render` would find the set instead of preparing it."""
-    source = open_source(spec, cache_dir)
-    folder = locate_cache(source, source.list_models(), cache_dir)
+    *_, folder = _locate(spec, cache_dir)
     return (folder / RECORD).exists()
 
 
-def locate_cache(
-    source: Source, models: Sequence[Model], cache_dir: str | Path
-) -> Path:
-    """The cache folder of a data set, whether it exists or not."""
-    spec = source.spec
-    key = files.digest_text(json.dumps(_describe(source, models), sort_keys=True))
-    return Path(cache_dir) / f"{spec.category}-{spec.split}-{key[:12]}"
-
-
-def _describe(source, models):
-    """Everything that determines the bytes, as JSON; the folder's place does not."""
-    fields = vars(source.spec).items()
-    record = {name: value for name, value in fields if name not in PLACES}
+def _locate(spec, cache_dir):
+    """Source, models, what determines their bytes as JSON, and their cache folder."""
+    source = open_source(spec)
+    models = source.list_models()
+    record = {name: v for name, v in vars(spec).items() if name not in PLACES}
     record |= {"elevation": ELEVATIONS, "supersample": SUPERSAMPLE}
     record |= {"extent": 1.0, "version": VERSION}  # of the image plane
     record["sources"] = [[m.name, m.seed, m.copy, m.digest] for m in models]
     record["sidecars"] = source.list_sidecars()
-    return record
+    key = files.digest_text(json.dumps(record, sort_keys=True))[:12]
+    folder = Path(cache_dir) / f"{spec.category}-{spec.split}-{key}"
+    return source, models, record, folder
 
 
-def _prepare(folder, source, models, share, processes, *, progress):
-    plan = workers.plan_shards(source, models)
-    missing = [
-        number
-        for number, indices in enumerate(plan)
-        if not workers.is_whole(folder, indices, number)
-    ]
+def _prepare(plan, share, processes, *, progress):
+    """Make the shards that are missing."""
+    folder, source, models, ranges = plan
+    missing = [n for n in range(len(ranges)) if not plan.is_whole(n)]
     if not missing:
         return
-    count = sum(len(plan[number]) for number in missing)
-    if 0 < len(missing) < len(plan) and progress:
+    count = plan.count(missing)
+    if count < len(models) and progress:
         print(f"Continuing in {folder}: {count} of {len(models)} models are missing.")
-    needed = sum(source.estimate_bytes(models[i]) for n in missing for i in plan[n])
+    needed = sum(source.estimate_bytes(models[i]) for n in missing for i in ranges[n])
     free = shutil.disk_usage(folder).free
     if free < needed:
         raise OSError(
             f"Expected {needed / 1e9:.1f} GB free for {folder}, but there are "
             f"{free / 1e9:.1f}; free some or set another data.cache_dir."
         )
-    results = workers.write_together(
-        folder,
-        source,
-        models,
-        workers.rotate(missing, *share),
-        processes=processes or _count_cores(),
-    )
+    numbers = workers.rotate(missing, *share)
+    results = workers.write_together(plan, numbers, processes=processes)
     label = f"{source.work} {source.spec.split} {source.spec.category}"
     with contextlib.closing(results):
         for _ in follow(results, count=count, label=label, progress=progress):
             pass
 
 
-def _finish(folder, source, models, record, *, progress):
-    plan = workers.plan_shards(source, models)
-    paths = [workers.locate_shard(folder, number) for number in range(len(plan))]
+def _finish(plan, record, *, progress):
+    """Gather what the shards say of their models, and write the record of the set."""
+    source, count = plan.source, len(plan.models)
+    paths = [plan.locate(number) for number in range(len(plan.ranges))]
     parts = [shards.map_shard(path).record for path in paths]
     names, skipped, remarks = (
         [item for part in parts for item in part[key]]
@@ -154,21 +137,21 @@ def _finish(folder, source, models, record, *, progress):
     )
     skipped = _show_pairs(skipped)
     remarks = _show_pairs([*source.list_remarks(), *remarks])
-    source.write_split(folder)
+    source.write_split(plan.folder)
     if progress:
-        _tell("Skipped", skipped, len(models))
-        _tell("Remarks on", remarks, len(models))
+        _tell("Skipped", skipped, count)
+        _tell("Remarks on", remarks, count)
     if not names:
         for path in paths:
             path.unlink(missing_ok=True)
         raise ValueError(
             f"Expected at least one usable {source.unit} in {source.spec.folder}, but "
-            f"none of {len(models)} is; look at the first: {skipped[0][1]}"
+            f"none of {count} is; look at the first: {skipped[0][1]}"
         )
-    listed = [[p.name, p.stat().st_size, shards.checksum(p)] for p in paths]
-    place = show_text(source.spec.folder)
-    record |= {"folder": place, "names": names, "skipped": skipped}
-    files.write_json(folder / RECORD, record | {"remarks": remarks, "shards": listed})
+    record |= {"folder": show_text(source.spec.folder), "names": names}
+    record |= {"skipped": skipped, "remarks": remarks}
+    record["shards"] = [path.name for path in paths]
+    files.write_json(plan.folder / RECORD, record)
 
 
 def _show_pairs(pairs):
@@ -192,7 +175,7 @@ def _count_cores():
 
 
 def read_cache(folder: str | Path) -> DataSet:
-    """Read a finished cache folder, once size and checksum of every shard are right.
+    """Read a finished cache folder, once the checksums of all arrays are right.
 
     Raises:
       ValueError: naming the file, if the cache is unfinished or a file is damaged.
@@ -204,23 +187,21 @@ def read_cache(folder: str | Path) -> DataSet:
             f"Expected {path}, but the cache was never finished; prepare it again."
         )
     record = files.read_json(path)
-
-    def check(entry):
-        name, size, checksum = entry
-        path = folder / Path(name).name  # never of another folder
-        if not path.is_file() or path.stat().st_size != size:
-            state = "missing or incomplete"
-        elif shards.checksum(path) != checksum:
-            state = "changed"
-        else:
-            return shards.map_shard(path)
-        raise ValueError(
-            f"Expected {path} as it was written, but it is {state}; prepare it again."
-        )
-
+    paths = [folder / Path(name).name for name in record["shards"]]  # of no other
     # zlib lets other threads run
     with concurrent.futures.ThreadPoolExecutor(_count_cores()) as pool:
-        parts = [part for part in pool.map(check, record["shards"]) if part.arrays]
+        try:
+            parts = list(pool.map(shards.map_shard, paths))
+        except FileNotFoundError as error:
+            raise ValueError(
+                f"Expected {error.filename}, but it is missing; prepare the set again."
+            ) from None
+    if [name for part in parts for name in part.record["names"]] != record["names"]:
+        raise ValueError(
+            f"Expected shards of the models that {path} lists, but they hold others; "
+            "prepare the set again."
+        )
+    parts = [part for part in parts if part.arrays]
     pages = Pages([part.mapping for part in parts])
     arrays = {}
     for name in ROWS:

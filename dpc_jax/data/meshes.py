@@ -4,6 +4,7 @@ Files are expected in the canonical frame: z up, front towards +x, left towards 
 """
 
 import contextlib
+import functools
 import io
 from collections.abc import Sequence
 from pathlib import Path
@@ -80,8 +81,9 @@ def _refuse(path, expected, found):
     )
 
 
-def is_readable(path: Path) -> bool:
-    """Whether `read_mesh` reads a file."""
+@functools.cache
+def is_readable(path: Path, digest: str) -> bool:
+    """Whether `read_mesh` reads a file of this digest; it is read once a process."""
     try:
         read_mesh(path)
     except ValueError:

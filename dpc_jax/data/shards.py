@@ -5,7 +5,6 @@ the archive itself keeps a size and a checksum of every array; because nothing i
 compressed, the arrays can also be mapped where they lie.
 """
 
-import contextlib
 import errno
 import io
 import json
@@ -14,7 +13,6 @@ import mmap
 import os
 import struct
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -48,20 +46,8 @@ def write_shard(path: Path, arrays: dict[str, np.ndarray], record: dict[str, Any
         ) from None
 
 
-def read_record(path: str | os.PathLike) -> dict[str, Any]:
-    """The record of a shard whose every array is as it was written.
-
-    Raises: as `map_shard`, and ValueError where a checksum differs.
-    """
-    shard = map_shard(path)
-    with _naming_damage(path), zipfile.ZipFile(path) as archive:
-        if name := archive.testzip():
-            raise Damage(f"the checksum of {name} differs")
-    return shard.record
-
-
 def map_shard(path: str | os.PathLike) -> Shard:
-    """Map the arrays of a shard; only their places in the file are read yet.
+    """Map the arrays of a shard, once the checksum of each is right.
 
     Nothing is mapped but the arrays of `arrays.ROWS` with the types and shapes that
     they have there, because the file may be a stranger's.
@@ -70,28 +56,19 @@ def map_shard(path: str | os.PathLike) -> Shard:
       OSError: if the file cannot be opened.
       ValueError: naming the file, if it is anything but such a shard.
     """
-    with _naming_damage(path):
-        with files.open_regular(path) as file:
+    arrays = {}
+    try:
+        with files.open_regular(path) as file, zipfile.ZipFile(file) as archive:
             mapping = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-            with zipfile.ZipFile(file) as archive:
-                members = archive.infolist()
-        arrays = {
-            (name := member.filename.removesuffix(".npy")): _map_array(
-                mapping, member, name
-            )
-            for member in members
-        }
+            for member in archive.infolist():
+                name = member.filename.removesuffix(".npy")
+                arrays[name] = _map_array(mapping, member, name)
+            if name := archive.testzip():
+                raise Damage(f"the checksum of {name} differs")
         record = json.loads(arrays.pop(RECORD).tobytes())
         if not isinstance(record, dict):
             raise Damage(f"its record is {type(record).__name__}")
         return Shard(arrays, record, mapping)
-
-
-@contextlib.contextmanager
-def _naming_damage(path):
-    """Name a file that is no shard as it was written, whatever it is."""
-    try:
-        yield
     except Exception as error:  # zipfile and numpy raise anything at all on damage
         if isinstance(error, OSError) and error.errno != errno.EINVAL:
             raise
@@ -126,12 +103,3 @@ def _map_array(mapping, member, name):
     if math.prod(shape) * dtype.itemsize != stop - start - head.tell():
         raise Damage(f"{name} {shape} is not what it has bytes for")
     return np.ndarray(shape, kind, buffer=mapping, offset=start + head.tell())
-
-
-def checksum(path: str | os.PathLike) -> int:
-    """CRC-32 of a file."""
-    value = 0
-    with files.open_regular(path) as file:
-        while block := file.read(1 << 22):
-            value = zlib.crc32(block, value)
-    return value

@@ -45,17 +45,15 @@ class Division(NamedTuple):
 class Source:
     """A kind of data set: a folder of models that are split by a list or by seed.
 
-    Folders are read when something is asked that needs them. cache_dir: where what was
-    found out may be kept.
+    Folders are read when something is asked that needs them.
     """
 
     unit = "object"  # what its models are called in messages
     work = "Reading"  # what is done to make their arrays, likewise
     synset = ""  # eight digits of the category in official splits
 
-    def __init__(self, spec: DataSpec, cache_dir: str | Path | None = None):
+    def __init__(self, spec: DataSpec):
         self.spec = spec
-        self.cache_dir = cache_dir
         self.folder = Path(str(spec.folder))
 
     @classmethod
@@ -198,9 +196,9 @@ def find_kind(kind: str | None) -> type[Source]:
     return getattr(importlib.import_module(f"dpc_jax.data.sets.{module}"), name)
 
 
-def open_source(spec: DataSpec, cache_dir: str | Path | None = None) -> Source:
+def open_source(spec: DataSpec) -> Source:
     """The source that a specification asks for."""
-    return find_kind(None if spec.folder is None else spec.kind)(spec, cache_dir)
+    return find_kind(None if spec.folder is None else spec.kind)(spec)
 
 
 def list_procedural(spec: DataSpec, count: int) -> list[Model]:

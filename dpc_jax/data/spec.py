@@ -50,10 +50,3 @@ class DataSpec:
     ground_truth: str | None = None  # folder of the published ground truth
     crop: str = Data.crop  # of own images: one scale per "object", "view", or "none"
     fill: float = Data.fill  # share of the frame that an own image's object takes
-
-    def __post_init__(self):
-        if self.models is not None and not 1 <= self.models <= SEEDS_PER_SPLIT:
-            raise ValueError(
-                f"models must be in [1, {SEEDS_PER_SPLIT}], but it is {self.models}; "
-                "change it."
-            )

@@ -17,7 +17,7 @@ import tempfile
 import time
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,108 +31,110 @@ SHARD_MODELS = (4, 64)  # fewest and most in a shard
 SHARD_BYTES = 64 << 20  # a worker holds one shard in memory
 
 
-def plan_shards(source: Source, models: Sequence[Model]) -> list[range]:
-    """Which models go into which shard: ranges of indices, in order.
+class Plan(NamedTuple):
+    """The shards of a set: the folder they lie in, and which models go into each."""
+
+    folder: Path
+    source: Source
+    models: Sequence[Model]
+    ranges: list[range]  # of indices of the models, by the number of the shard
+
+    def locate(self, number: int) -> Path:
+        """The file of a shard."""
+        return self.folder / f"shard-{number:05d}.npz"
+
+    def count(self, numbers: Iterable[int]) -> int:
+        """How many models some of the shards have."""
+        return sum(len(self.ranges[number]) for number in numbers)
+
+    def _identify(self, number) -> dict[str, Any]:
+        """What tells a shard from those of other sets and other models."""
+        indices = self.ranges[number]
+        return {"set": self.folder.name, "models": [indices.start, indices.stop]}
+
+    def is_whole(self, number: int) -> bool:
+        """Whether a shard is there as it was written; one that is damaged goes."""
+        path, expected = self.locate(number), self._identify(number)
+        try:
+            record = shards.map_shard(path).record
+            if {name: record.get(name) for name in expected} != expected:
+                raise Damage("it belongs to another set or other models")
+        except FileNotFoundError:
+            return False
+        except (OSError, ValueError) as error:
+            print(f"The shard {path} is damaged ({error}) and will be made again.")
+            path.unlink(missing_ok=True)
+            return False
+        return True
+
+    def write(self, number: int):
+        """Make the arrays of a shard's models and write them."""
+        record = self._identify(number)
+        record |= {"names": [], "counts": {}, "skipped": [], "remarks": []}
+        rows = {}
+        for index in self.ranges[number]:
+            name = self.models[index].name
+            try:
+                arrays, remarks = self.source.make_arrays(self.models[index], index)
+            except ValueError as error:
+                record["skipped"].append([name, str(error)])
+                continue
+            record["names"].append(name)
+            record["remarks"] += [[name, remark] for remark in remarks]
+            for key, array in arrays.items():
+                rows.setdefault(key, []).append(array)
+        record["counts"] = {key: [len(a) for a in part] for key, part in rows.items()}
+        joined = {key: np.concatenate(part) for key, part in rows.items()}
+        shards.write_shard(self.locate(number), joined, record)
+
+
+def plan_shards(folder: Path, source: Source, models: Sequence[Model]) -> Plan:
+    """Which models go into which shard, in order.
 
     The plan depends on the models alone, so that any number of processes, and a process
     that continues where another has stopped, write the same files.
     """
     few, many = SHARD_MODELS
     most = min(max(few, -(-len(models) // 16)), many)
-    plan, start, size = [], 0, 0
+    ranges, start, size = [], 0, 0
     for index, model in enumerate(models):
         size += source.estimate_bytes(model)
         if index > start and (index - start == most or size > SHARD_BYTES):
-            plan.append(range(start, index))
+            ranges.append(range(start, index))
             start, size = index, source.estimate_bytes(model)
-    return [*plan, range(start, len(models))]
+    return Plan(folder, source, models, [*ranges, range(start, len(models))])
 
 
-def locate_shard(folder: str | Path, number: int) -> Path:
-    """The file of a shard."""
-    return Path(folder) / f"shard-{number:05d}.npz"
-
-
-def _identify(folder, indices) -> dict[str, Any]:
-    """What tells a shard from those of other sets and other models."""
-    return {"set": Path(folder).name, "models": [indices.start, indices.stop]}
-
-
-def is_whole(folder: Path, indices: range, number: int) -> bool:
-    """Whether a shard is there, undamaged and of these models; if damaged, it goes."""
-    path = locate_shard(folder, number)
-    try:
-        record, expected = shards.read_record(path), _identify(folder, indices)
-        if {name: record.get(name) for name in expected} != expected:
-            raise Damage("it belongs to another set or other models")
-    except FileNotFoundError:
-        return False
-    except (OSError, ValueError) as error:
-        print(f"The shard {path} is damaged ({error}) and will be made again.")
-        path.unlink(missing_ok=True)
-        return False
-    return True
-
-
-def write_shards(
-    folder: Path, source: Source, models: Sequence[Model], numbers: Sequence[int]
-) -> Generator[None]:
+def write_shards(plan: Plan, numbers: Sequence[int]) -> Generator[None]:
     """Make those shards that nobody else has made or is at work on, and yield."""
-    plan = plan_shards(source, models)
     for number in numbers:
-        with claiming(path := locate_shard(folder, number)) as is_ours:
+        with claiming(path := plan.locate(number)) as is_ours:
             if is_ours and not path.exists():
-                _write_shard(path, source, models, plan[number])
+                plan.write(number)
         yield
 
 
-def _write_shard(path, source, models, indices):
-    record = _identify(path.parent, indices)
-    record |= {"names": [], "counts": {}, "skipped": [], "remarks": []}
-    rows = {}
-    for index in indices:
-        name = models[index].name
-        try:
-            arrays, remarks = source.make_arrays(models[index], index)
-        except ValueError as error:
-            record["skipped"].append([name, str(error)])
-            continue
-        record["names"].append(name)
-        record["remarks"] += [[name, remark] for remark in remarks]
-        for key, array in arrays.items():
-            rows.setdefault(key, []).append(array)
-    record["counts"] = {key: [len(a) for a in part] for key, part in rows.items()}
-    joined = {key: np.concatenate(part) for key, part in rows.items()}
-    shards.write_shard(path, joined, record)
-
-
 def write_together(
-    folder: Path,
-    source: Source,
-    models: Sequence[Model],
-    numbers: Sequence[int],
-    *,
-    processes: int,
+    plan: Plan, numbers: Sequence[int], *, processes: int
 ) -> Generator[int]:
     """Make the shards that nobody else makes, then wait for those of the others.
 
     A shard that another process has begun and given up is taken over. Yields the index
     of each model once its shard is on disk, whoever made it.
     """
-    plan, missing = plan_shards(source, models), list(numbers)
-    count = sum(len(plan[number]) for number in missing)
-    processes = min(processes, len(missing)) if count > INLINE else 1
+    missing = list(numbers)
+    processes = min(processes, len(missing)) if plan.count(missing) > INLINE else 1
     while missing:
         if processes > 1:
-            work = _write_in_processes(folder, source, models, missing, processes)
+            work = _write_in_processes(plan, missing, processes)
         else:
-            work = write_shards(folder, source, models, missing)
+            work = write_shards(plan, missing)
         with contextlib.closing(work):
             for _ in work:
-                made = [n for n in missing if locate_shard(folder, n).exists()]
+                made = [n for n in missing if plan.locate(n).exists()]
                 missing = [number for number in missing if number not in made]
                 for number in made:
-                    yield from plan[number]
+                    yield from plan.ranges[number]
         processes = 1  # few are left: others are at work on them, or have given up
         if missing:
             time.sleep(0.2)
@@ -156,7 +158,7 @@ def work():
         sys.exit(os.EX_IOERR)
 
 
-def _write_in_processes(folder, source, models, numbers, count):
+def _write_in_processes(plan, numbers, count):
     """As `write_shards`, by workers; however it ends, none of them outlives it."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     workers = []
@@ -165,14 +167,14 @@ def _write_in_processes(folder, source, models, numbers, count):
             task, log = (
                 stack.enter_context(tempfile.TemporaryFile()) for _ in range(2)
             )
-            pickle.dump((folder, source, models, rotate(numbers, part, count)), task)
+            pickle.dump((plan, rotate(numbers, part, count)), task)
             task.seek(0)
             worker = subprocess.Popen(
                 [sys.executable, "-c", BOOT],
                 stdin=task,
                 stdout=log,
                 stderr=log,
-                env={**os.environ, **threads},
+                env=os.environ | threads,
                 start_new_session=True,  # we handle Ctrl-C and stop them
             )
             stack.callback(worker.wait)

@@ -8,11 +8,16 @@ from dpc_jax.config import Config
 from dpc_jax.config.checks import SOURCES
 from dpc_jax.config.fields import read_fold
 from dpc_jax.data import DataSet, DataSpec, load_or_render
+from dpc_jax.data.splits import SPLITS
 from dpc_jax.data.viewpoints import measure_stands
 from dpc_jax.files import explaining_full_disk
 from dpc_jax.networks import ShapePoseNetwork
 
 _SLACK = 10.0  # degrees
+_SHARED = (  # fields of `Data` that a `DataSpec` has under the same name
+    *("seed", "views", "image_size", "offset", "focal_spread"),
+    *("surface_points", "surface_voxel"),
+)
 
 
 def make_network(config: Config) -> ShapePoseNetwork:
@@ -59,25 +64,15 @@ def make_network(config: Config) -> ShapePoseNetwork:
 def make_data_specs(config: Config) -> dict[str, DataSpec]:
     """Specifications of the splits "train", "val" and "test"."""
     data = config.data
-    shared = {
-        "category": config.category,
-        "seed": data.seed,
-        "views": data.views,
-        "image_size": data.image_size,
-        "focal_length": config.render.focal_length,
-        "distance": config.render.distance,
-        "offset": data.offset,
-        "focal_spread": data.focal_spread,
-        "surface_points": data.surface_points,
-        "surface_voxel": data.surface_voxel,
-    }
+    shared = {name: getattr(data, name) for name in _SHARED}
+    shared |= {"category": config.category, "distance": config.render.distance}
+    shared["focal_length"] = config.render.focal_length
     kind = next((name for name in SOURCES if getattr(data, name)), None)
     if kind is None:
-        models = {"train": data.models, "val": data.val_models}
-        models["test"] = data.test_models
+        counts = data.models, data.val_models, data.test_models
         specs = {
             split: DataSpec(split=split, models=count, **shared)
-            for split, count in models.items()
+            for split, count in zip(SPLITS, counts, strict=True)
         }
     else:
         specs = _split_folder(config, kind, shared)
@@ -132,12 +127,6 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
             f"the {' and '.join(lacking)} images have none; add poses.json or "
             "transforms.json to every object, or set --config.pose.source=unknown."
         )
-    if config.train.depth_weight and sets["train"].depths is None:
-        raise ValueError(
-            "Expected depths for every image, because config.train.depth_weight is "
-            f"{config.train.depth_weight}, but the train images have none; give "
-            "meshes or renders with depth, or set --config.train.depth_weight=0."
-        )
     return sets
 
 
@@ -178,21 +167,18 @@ def _split_folder(config, kind, shared):
     """Tenths of a folder validate and, without another folder for that, test."""
     data = config.data
     tested = 0.0 if data.test_meshes else 0.1
-    source = {
-        "kind": kind,
-        "folder": getattr(data, kind),
-        "split_file": data.split_file or None,
-        "ground_truth": data.ground_truth or None,
-        "crop": data.crop,
-        "fill": data.fill,
-        "fractions": (0.9 - tested, 0.1, tested),
-    }
-    if data.fold:
-        source["fold"] = read_fold(data.fold)
-    specs = {
-        split: DataSpec(split=split, **source, **shared)
-        for split in ("train", "val", "test")
-    }
+    source = dict(
+        shared,
+        kind=kind,
+        folder=getattr(data, kind),
+        split_file=data.split_file or None,
+        ground_truth=data.ground_truth or None,
+        crop=data.crop,
+        fill=data.fill,
+        fractions=(0.9 - tested, 0.1, tested),
+        fold=read_fold(data.fold),
+    )
+    specs = {split: DataSpec(split=split, **source) for split in SPLITS}
     if kind in ("meshes", "shapenet"):  # pictures cannot be stretched
         specs["train"] = dataclasses.replace(
             specs["train"], copies=data.copies, mix=data.mix

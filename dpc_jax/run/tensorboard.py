@@ -1,22 +1,15 @@
 """The log of a run that TensorBoard shows too, by event files of tensorboardX.
 
-A run that goes on after a kill trains some steps again. So each start writes the whole
-history anew, from `metrics.jsonl` and from the pictures of the files that are there:
-any reader finds each step once.
+A run that goes on after a kill trains some steps again. Each start writes a file of its
+own, which begins by having TensorBoard drop those steps from the files before.
 """
 
 import math
-import struct
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from tensorboardX import summary
-from tensorboardX.event_file_writer import EventsWriter
-from tensorboardX.proto.event_pb2 import (
-    Event,  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
-)
+from tensorboardX import SummaryWriter
 
 from dpc_jax.data import DataSet
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
@@ -26,9 +19,6 @@ PICTURE = "validation/input_target_predicted"  # its name in TensorBoard
 _VIEWS = 8  # in a picture
 _SIDE = 64  # of a tile at least, pixels
 _MARGIN = ((1, 1), (1, 1), (0, 0))  # grey pixels around a tile
-_HEAD = struct.Struct("<QI")  # length of an event, and its check sum
-_TAIL = 4  # bytes of the check sum after it
-_FLUSH_SECONDS = 5.0  # between two, each of which waits for the disk
 
 
 class TensorBoardLog(MetricLog):
@@ -45,103 +35,76 @@ class TensorBoardLog(MetricLog):
     def __init__(self, path: Path, folder: Path):
         super().__init__(path)
         self._folder = folder
-        self._writer: EventsWriter | None = None
-        self._origin, self._seconds, self._flushed = time.time(), 0.0, 0.0
+        self._writer: SummaryWriter | None = None  # `cut_after` comes first
+        self._origin = self._seconds = 0.0
 
     def write(self, record: dict):
-        """Append one record; a kill may lose its events until the run goes on.
+        """Append one record.
 
         Raises:
           OSError: where the disk is full.
         """
         super().write(record)
         self._add_record(record)
-        if time.monotonic() - self._flushed > _FLUSH_SECONDS:
-            self._flush()
 
     def cut_after(self, step: int):
-        """Drop the records after a step, and write the events of the others anew."""
+        """Drop the records after a step, and have TensorBoard drop their events."""
         super().cut_after(step)
         records = self.read()
-        self._folder.mkdir(parents=True, exist_ok=True)
-        old = sorted(self._folder.glob("events.out.tfevents.*"))
-        pictures = {
-            event.step: event
-            for path in old
-            for event in read_events(path)
-            if any(value.HasField("image") for value in event.summary.value)
-        }
-        self._origin = time.time() - (records[-1]["seconds"] if records else 0.0)
-        # The name is the time in whole seconds: two starts may share it.
-        self._writer = EventsWriter(
-            str(self._folder / "events"), filename_suffix=f".{time.time_ns()}"
+        self._seconds = records[-1]["seconds"] if records else 0.0
+        old = sorted(self._folder.glob("events.*"))
+        origin = time.time_ns() - int(1e9 * self._seconds)
+        if old:  # whose names end with it
+            origin = int(old[0].suffix[1:])
+        self._origin = origin / 1e9
+        self._writer = SummaryWriter(
+            str(self._folder),
+            purge_step=step + 1,
+            # The rest of the name is the time in whole seconds: two may share it.
+            filename_suffix=f".{len(old)}.{origin}",
         )
-        for record in records:
+        for record in [] if old else records:
             self._add_record(record)
-            if event := pictures.pop(record["step"], None):
-                self._add(event.summary, event.step)
-        self._flush()
-        for path in old:
-            path.unlink()
 
     def show_validation(self, step: int, predictions: Predictions, dataset: DataSet):
         """Show some views of a validation."""
-        picture = draw_validation(predictions, dataset)
-        self._add(summary.image(PICTURE, picture, dataformats="HWC"), step)
-        self._flush()
+        assert self._writer is not None
+        picture, when = draw_validation(predictions, dataset), self._when
+        self._writer.add_image(PICTURE, picture, step, when, dataformats="HWC")
+        self._writer.flush()
 
     def close(self):
         """Close the event file."""
         if self._writer is not None:
             self._writer.close()
 
-    def _flush(self):
-        assert self._writer is not None  # `cut_after` comes first
-        self._writer.flush()
-        self._flushed = time.monotonic()
+    @property
+    def _when(self):
+        return self._origin + self._seconds
 
     def _add_record(self, record):
         """Its finite numbers by name; its shares as histograms, a bar for each."""
-        self._seconds, step = record["seconds"], record["step"]
+        writer, step, self._seconds = self._writer, record["step"], record["seconds"]
+        assert writer is not None
         for name, value in record.items():
             if isinstance(value, list):
-                self._add(_make_histogram(name, value), step)
+                places = np.arange(len(value))  # shares [K], which sum to 1
+                writer.add_histogram_raw(
+                    name,
+                    min=-0.5,
+                    max=len(value) - 0.5,
+                    num=1,
+                    sum=float(places @ value),
+                    sum_squares=float(places**2 @ value),
+                    bucket_limits=(places + 0.5).tolist(),
+                    bucket_counts=value,
+                    global_step=step,
+                    walltime=self._when,
+                )
             elif isinstance(value, int | float) and math.isfinite(value):
                 if name != "step":
-                    self._add(summary.scalar(name, float(value)), step)
-
-    def _add(self, content, step):
-        event = Event(
-            wall_time=self._origin + self._seconds, step=step, summary=content
-        )
-        assert self._writer is not None
-        self._writer.write_event(event)
-
-
-def _make_histogram(name: str, shares: list[float]):
-    """Shares [K] that sum to 1, as a bar for each whole number below K."""
-    places = np.arange(len(shares))
-    return summary.histogram_raw(
-        name,
-        min=-0.5,
-        max=len(shares) - 0.5,
-        num=1.0,
-        sum=float(places @ shares),
-        sum_squares=float(places**2 @ shares),
-        bucket_limits=(places + 0.5).tolist(),
-        bucket_counts=shares,
-    )
-
-
-def read_events(path: Path) -> Iterator[Event]:
-    """The events of a file; a last one cut off by a kill is passed over."""
-    data, place = path.read_bytes(), 0
-    while place + _HEAD.size <= len(data):
-        length, _ = _HEAD.unpack_from(data, place)
-        start = place + _HEAD.size
-        place = start + length + _TAIL
-        if place <= len(data):
-            yield Event.FromString(data[start : start + length])
+                    writer.add_scalar(name, float(value), step, self._when)
+        writer.flush()
 
 
 def draw_validation(predictions: Predictions, dataset: DataSet) -> np.ndarray:

@@ -3,10 +3,8 @@
 import contextlib
 import dataclasses
 import errno
-import fcntl
 import json
 import os
-import socket
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,8 +13,9 @@ import numpy as np
 from dpc_jax.config import Config, from_json, to_json
 from dpc_jax.evaluation.alignment import Alignment
 from dpc_jax.files import (
+    claiming,
     describe_error,
-    open_own,
+    locate_claim,
     read_json,
     read_text,
     write_text,
@@ -38,36 +37,22 @@ _ALIGNMENT = Path("report") / "alignment.json"
 def hold_workdir(workdir: Path) -> Iterator[None]:
     """Make the workdir, and keep other commands from training in it meanwhile.
 
-    The lock is the kernel's: it ends with the process, also after kill -9. File systems
-    that know no locks are used without one.
-
     Raises:
       ValueError: where another process holds it, naming that process.
       OSError: where it cannot be made or written.
     """
     _make_workdir(workdir)
-    path = workdir / ".in-use"
-    with open(path, "a+", encoding="utf-8", opener=open_own) as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
-            holder = file.read()
-            name = f"process {holder}" if holder else "a process on another machine"
+    with claiming(workdir / "run") as is_ours:
+        if not is_ours:
+            holder = "another one"
+            with contextlib.suppress(OSError):  # it has just ended
+                holder = f"process {read_text(locate_claim(workdir / 'run'))}"
             raise ValueError(
                 f"The workdir {workdir} must be used by one command at a time, but "
-                f"{name} is using it; wait for it to end, or give another "
+                f"{holder} is using it; wait for it to end, or give another "
                 "--workdir=DIR."
-            ) from None
-        except OSError:
-            pass
-        file.truncate(0)
-        file.write(f"{os.getpid()} on {socket.gethostname()}")
-        file.flush()
-        try:
-            yield
-        finally:
-            file.truncate(0)
+            )
+        yield
 
 
 def _make_workdir(workdir: Path):

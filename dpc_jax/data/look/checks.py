@@ -48,8 +48,8 @@ class Convention(NamedTuple):
     object: np.ndarray = np.eye(3)
 
 
+STILL = np.eye(3)
 FLIP = np.diag([1.0, -1.0, -1.0])  # between a camera with y up, z back and ours
-NERF: dict[str, Any] = {"inverse": True, "camera": FLIP}
 QUARTER = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # front +x to +y
 Y_UP = {  # to objects with y up, by what faces front there: rows are their axes
     "+z": np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]),
@@ -60,20 +60,18 @@ STORED = Convention()
 OTHERS = {
     "the inverse, camera to object": Convention(inverse=True),
     "the order xyzw": Convention(last=True),
-    "the order xyzw of the inverse": Convention(last=True, inverse=True),
+    "the order xyzw of the inverse": Convention(True, True),
     "cameras with y up and z backward (OpenGL)": Convention(camera=FLIP),
-    "camera to object, y up and z backward (NeRF)": Convention(**NERF),
-    "xyzw, y up and z backward (OpenGL)": Convention(last=True, camera=FLIP),
-    "xyzw, camera to object, y up and z backward (NeRF)": Convention(last=True, **NERF),
+    "camera to object, y up and z backward (NeRF)": Convention(False, True, FLIP),
+    "xyzw, y up and z backward (OpenGL)": Convention(True, False, FLIP),
+    "xyzw, camera to object, y up and z backward (NeRF)": Convention(True, True, FLIP),
     "cameras with the axes depth, up, right (the paper's code)": Convention(
         camera=np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]])
     ),
     **{
-        f"objects with y up and front {front}{more}": Convention(
-            camera=flip, object=turn
-        )
-        for more, flip in (("", np.eye(3)), (", y up and z backward (OpenGL)", FLIP))
-        for front, turn in Y_UP.items()
+        f"objects with y up and front {front}{more}": Convention(False, False, flip, up)
+        for more, flip in (("", STILL), (", y up and z backward (OpenGL)", FLIP))
+        for front, up in Y_UP.items()
     },
     "objects with their front at -x": Convention(object=np.diag([-1.0, -1, 1])),
     "objects with their front at +y": Convention(object=QUARTER),
@@ -161,8 +159,7 @@ def _check_poses(data, lens):
         return []
     others, measure, enough = OTHERS, "overlap with the masks", FIT
     if data.surfaces is None:  # then the object's axes cannot be told apart
-        still = np.eye(3)
-        others = {n: c for n, c in OTHERS.items() if np.array_equal(c.object, still)}
+        others = {n: c for n, c in OTHERS.items() if np.array_equal(c.object, STILL)}
         measure, enough = "share of the masks that agrees", FILLED
     stored, *scores = (
         np.mean([_score(data, model, convention, lens) for model in chosen])

@@ -7,7 +7,6 @@ one side of a split. `models.json` lists all models and is written last.
 """
 
 import importlib
-import os
 import shutil
 import tempfile
 import zipfile
@@ -22,14 +21,13 @@ from dpc_jax.shapes.normalization import normalize
 
 VERSION = 1  # raise it when a converted mesh changes
 SHEET_VIEW = 96  # pixels
-SCRATCH = ".making-"  # begins the names of temporary folders
 
 
 def fetch_category(category: str, out: str | Path) -> Path:
     """Make the folder OUT/CATEGORY of open meshes, or complete it; return its path.
 
     A second call does nothing. Packages stay in OUT/packages; their unpacked files are
-    removed again. A model that was changed in between is made again.
+    removed again.
 
     Raises:
       ValueError: if no model can be read.
@@ -39,7 +37,6 @@ def fetch_category(category: str, out: str | Path) -> Path:
     """
     out = Path(out)
     folder, place = out / category, out / "packages"
-    place.mkdir(parents=True, exist_ok=True)
     with files.claiming(place / "fetching") as is_ours:
         if not is_ours:
             raise RuntimeError(
@@ -75,17 +72,13 @@ def _make_folder(category, folder, place):
         versions[module.PACKAGE] = path.stem.split("_")[1].replace("%3a", ":")
         found = _list_models(module, root, category, path)
         models += [(module, model) for model in found]
-    folder.mkdir(exist_ok=True)
-    for scratch in folder.glob(f"{SCRATCH}*"):  # of a run that was killed
-        shutil.rmtree(scratch)
     skipped, records = {}, {}
-
     label = f"Converting {category}"
     for module, model in follow(models, count=len(models), label=label, progress=True):
         package = f"{module.PACKAGE} {versions[module.PACKAGE]}"
+        name = f"{model.side}/{model.name}.ply"
         try:
-            record = _make_model(module, model, folder, package)
-            records[f"{model.side}/{model.name}.ply"] = record
+            records[name] = _make_model(module, model, folder / name, package)
         except ValueError as error:
             skipped[model.name] = str(error)
     if not records:
@@ -117,50 +110,27 @@ def _list_models(module, root, category, path):
     return found
 
 
-def _make_model(module, model, folder, package):
-    """Write a model and the file beside it, unless they are there; its record."""
-    path = folder / model.side / f"{model.name}.ply"
-    path.parent.mkdir(exist_ok=True)
-    if record := _read_record(path):
-        return record
-    with tempfile.TemporaryDirectory(dir=folder, prefix=SCRATCH) as scratch:
+def _make_model(module, model, path, package):
+    """Write a model and the file beside it; its record."""
+    with tempfile.TemporaryDirectory() as scratch:
         mesh = normalize(module.make_mesh(model, Path(scratch)))
-        partial = Path(scratch) / "mesh.ply"
-        mesh.export(partial)
-        record = {
-            "version": VERSION,
-            "family": model.family,
-            "side": model.side,
-            **model.origin,
-            "package": package,
-            "changes": "axes, place and size; one colour per face; parts joined",
-            "faces": len(mesh.faces),
-            "sha256": files.digest_file(partial),
-        }
-        os.replace(partial, path)
+    with files.replacing(path) as partial:
+        mesh.export(partial, file_type="ply")
+    record = {
+        "family": model.family,
+        "side": model.side,
+        **model.origin,
+        "package": package,
+        "changes": "axes, place and size; one colour per face; parts joined",
+        "faces": len(mesh.faces),
+    }
     files.write_json(path.with_suffix(".json"), record)
     return record
 
 
-def _read_record(path):
-    """The record beside a model that is unchanged, or None."""
-    try:
-        record = files.read_json(path.with_suffix(".json"))
-        expected = VERSION, files.digest_file(path)
-        return record if (record["version"], record["sha256"]) == expected else None
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-
-
 def _is_complete(folder):
     try:
-        record = files.read_json(folder / "models.json")
-        places = [f"{side}/families.json" for side in _list_families(record["models"])]
-        return (
-            record["version"] == VERSION
-            and all(_read_record(folder / name) for name in record["models"])
-            and all((folder / name).is_file() for name in [*places, "sheet.png"])
-        )
+        return files.read_json(folder / "models.json")["version"] == VERSION
     except (OSError, ValueError, KeyError, TypeError):
         return False
 

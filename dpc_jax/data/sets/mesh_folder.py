@@ -2,7 +2,6 @@
 
 import contextlib
 import functools
-import json
 import re
 from pathlib import Path
 
@@ -103,14 +102,15 @@ class MeshFolder(MeshSource):
 
     def split_by_seed(self, models: dict[str, Path]) -> dict[str, list[str]]:
         """See `Source.split_by_seed`; the variants of a design stay together."""
-        names = {path: name for name, path in models.items()}
-        bad = self._find_unreadable(models)
-        whole = [path for path in names if path not in bad] or list(names)
+        names, digests = {path: name for name, path in models.items()}, self.digests
+        whole = list(names)
+        if len(names) <= FEW:  # that no side of a small split is all unreadable files
+            whole = [p for p in names if meshes.is_readable(p, digests[p])] or whole
         sides = splits.split_files(
             whole,
             fractions=self.spec.fractions,
             seed=self.spec.seed,
-            groups=splits.group_variants(whole, [self.digests[p] for p in whole]),
+            groups=splits.group_variants(whole, [digests[path] for path in whole]),
             fold=self.spec.fold,
         )
         # Those that cannot be read are of the largest side, to be named and skipped,
@@ -119,26 +119,6 @@ class MeshFolder(MeshSource):
         largest.extend(sorted(set(names) - set(whole)))
         found = ([names[path] for path in side] for side in sides)
         return dict(zip(splits.SPLITS, found, strict=True))
-
-    def _find_unreadable(self, models: dict[str, Path]) -> set[Path]:
-        """Files that cannot be read, so that no side of a small split is all of them.
-
-        Kept in the cache's folder, because reading all takes a while. In a folder of
-        more than `FEW` files, some are of no account.
-        """
-        if len(models) > FEW:
-            return set()
-        facts = [list(models), list(self.digests.values()), self.list_sidecars()]
-        kept = f"unreadable-{files.digest_text(json.dumps(facts))[:12]}.json"
-        if self.cache_dir:
-            with contextlib.suppress(OSError, ValueError, TypeError):
-                known = files.read_json(Path(self.cache_dir) / kept)
-                return {models[name] for name in known if name in models}
-        bad = [n for n, path in models.items() if not meshes.is_readable(path)]
-        if self.cache_dir:
-            with contextlib.suppress(OSError):  # nobody depends on it
-                files.write_json(Path(self.cache_dir) / kept, bad)
-        return {models[name] for name in bad}
 
     def list_sidecars(self) -> list[tuple[str, str]]:
         found = (p for p in self.folder.rglob("*") if p.suffix.lower() in SIDECARS)
