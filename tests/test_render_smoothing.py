@@ -18,7 +18,7 @@ def smooth_directly(volume, sigma):
     """Direct sums in float64: long doubles would take minutes."""
     for axis, size in enumerate(volume.shape):
         cells = np.arange(size)
-        matrix = oracles.weigh(cells, cells, sigma).astype(float)
+        matrix = oracles.weigh(cells, cells[:, None], sigma).astype(float)
         volume = np.moveaxis(np.tensordot(matrix, volume, axes=(1, axis)), 0, axis)
     return volume
 

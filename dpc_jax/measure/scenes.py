@@ -31,14 +31,11 @@ def make_scenes(*, num_points: int, num_sparse: int, seed: int) -> list[Scene]:
     rng = np.random.default_rng(seed)
     car = procedural.make_shape("car", seed)
     block = rng.uniform(-0.5, 0.5, (num_points, 3)) * (0.6, 0.4, 0.3)
-    directions = rng.normal(size=(num_sparse, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    cloud = 0.45 * directions * rng.uniform(0, 1, (num_sparse, 1)) ** (1 / 3)
     clouds = (
         ("car", sample(car)[0], 4000 / num_points),
         ("chair", sample(_make_chair())[0], 3000 / num_points),
         ("block", block, 5000 / num_points),
-        ("sparse", cloud, 3.0),
+        ("sparse", draw_ball(rng, num_sparse, radius=0.45), 3.0),
     )
     pose = np.array([0.62, 0.71, 0.21, 0.26])
     target = pose + np.array([0.0, 0.12, -0.17, 0.14])  # about 28 degrees away
@@ -53,6 +50,15 @@ def make_scenes(*, num_points: int, num_sparse: int, seed: int) -> list[Scene]:
         )
         for name, points, mass in clouds
     ]
+
+
+def draw_ball(
+    rng: np.random.Generator, count: int, *, radius: float = 1.0
+) -> np.ndarray:
+    """Points [count, 3], evenly in a ball."""
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return radius * directions * rng.uniform(0, 1, (count, 1)) ** (1 / 3)
 
 
 def _make_chair() -> trimesh.Trimesh:

@@ -11,6 +11,8 @@ from dpc_jax.measure.stability import DTYPES
 
 WIDE = DTYPES[:2]
 IN_WIDE = {"dtypes": WIDE}  # the changes of a row that 16 bits cannot hold
+# Quaternions: of any length, of nearly one, the identity.
+SKEW, TURN, STILL = (0.5, -1.0, 2.0, 0.25), (0.8, 0.1, -0.3, 0.2), (1, 0, 0, 0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -18,14 +20,15 @@ class Case:
     """One function at one input where it may break."""
 
     name: str  # what is extreme about the input; unique within the subject
-    # Maps the inputs as arrays to an array or a tuple of arrays. Cases with the same
-    # function object and the same shapes share compiled programs.
+    # Maps arrays to an array or a tuple of arrays. Cases with the same function object
+    # and the same shapes share compiled programs.
     function: Callable
     # Float64 arrays. They are rounded to each dtype, and the oracle gets the rounded
     # numbers, so that an error is the function's own.
     inputs: tuple
-    # The same function in numpy, for real and complex long doubles (`oracles`). None
-    # takes the function itself in float64, where only rounding is in question.
+    # The same function in numpy, for real and complex long doubles; at a kink its slope
+    # is the right one-sided derivative. None takes the function itself in float64,
+    # where only rounding is in question.
     oracle: Callable | None
     # Largest error of the value, in units of the dtype's epsilon, relative to the
     # largest magnitude in the oracle's output, or to `floor`.
@@ -37,10 +40,6 @@ class Case:
     floor: float = 0.0  # errors of the value are relative to at least this magnitude
     # The same for the gradient; one number, or one for each input
     gradient_floor: float | tuple[float, ...] = 0.0
-    # (inputs, weights) -> the gradients of Σ w·output, one for each input. None
-    # differentiates the oracle by complex steps. Kinks need it, to say which one-sided
-    # derivative is right.
-    slope: Callable | None = None
     dtypes: tuple[str, ...] = DTYPES  # the case runs in these
     is_half_checked: bool = True  # or results in 16 bits only have to be finite
     limit: str = ""  # the documented limit that the case shows, if any

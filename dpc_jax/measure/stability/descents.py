@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.learning.losses import reprojection_loss
-from dpc_jax.measure.scenes import make_scenes
+from dpc_jax.measure.scenes import draw_ball, make_scenes
 from dpc_jax.measure.stability.case import Row
 from dpc_jax.measure.stability.runner import QUICKLY
 from dpc_jax.render import Camera, VoxelGrid, project, quaternion
@@ -98,7 +98,7 @@ class Errors(NamedTuple):
     distances: Array  # [2, N] of each point from its true place
 
 
-def run(*, quick: bool, seed: int = 0) -> Iterator[Row]:
+def run(*, quick: bool, seed: int = 0, **_) -> Iterator[Row]:
     """Rows of all descents of the plan: all stay finite, the best recipes arrive."""
     plan, options = (QUICK, QUICKLY) if quick else (FULL, None)
     program = jax.jit(descend, compiler_options=options)
@@ -242,9 +242,7 @@ def _make_shape(scene, plan, seed) -> Problem:
     targets = _render_views(surface, poses, masses=dense, sigma=0.5)
     # The total mass does not depend on the number of points.
     masses = jnp.full(plan.points, 2400 / plan.points, jnp.float32)
-    directions = rng.normal(size=(plan.points, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    ball = 0.3 * directions * rng.uniform(0, 1, (plan.points, 1)) ** (1 / 3)
+    ball = draw_ball(rng, plan.points, radius=0.3)
     axes = rng.normal(size=(VIEWS, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     turn = jax.vmap(quaternion.from_axis_angle, in_axes=(0, None))
@@ -286,3 +284,6 @@ def _cool(plan):
 def _draw_poses(rng):
     poses = rng.normal(size=(VIEWS, 4)).astype(np.float32)
     return jnp.asarray(poses / np.linalg.norm(poses, axis=1, keepdims=True))
+
+
+ROWS = {"descent": run}

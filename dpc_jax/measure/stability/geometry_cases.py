@@ -6,26 +6,34 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.measure.stability import oracles
-from dpc_jax.measure.stability.case import IN_WIDE, WIDE, Case, make_cases
+from dpc_jax.measure.stability.case import (
+    IN_WIDE,
+    SKEW,
+    STILL,
+    TURN,
+    WIDE,
+    Case,
+    make_cases,
+)
+from dpc_jax.measure.stability.runner import tabulate
 from dpc_jax.render import camera as cameras
 from dpc_jax.render import quaternion
 
 ROUNDING = "a dozen roundings, each half an epsilon; numbers of size one"
-PLAIN = (0.5, -1.0, 2.0, 0.25)
-IDENTITY = (1, 0, 0, 0)
-ZERO = "the zero quaternion stands for the identity, with zero gradient"
-NEAR_IDENTITY = ("near identity, 1e-7", (1, 1e-7, -1e-7, 2e-7))
+ZERO = {"limit": "the zero quaternion stands for the identity, with zero gradient"}
 LENGTHS = (
-    ("length 1e-30", np.multiply(PLAIN, 1e-30)),
-    ("length 1e30", np.multiply(PLAIN, 1e30)),
+    ("length 1e-30", np.multiply(SKEW, 1e-30)),
+    ("length 1e30", np.multiply(SKEW, 1e30)),
     # 1 / 9e37 is subnormal, which processors flush to zero.
     ("length 1.3e38", (0, 0, 9e37, -9e37), IN_WIDE),
     ("components from 1e-30 to 1", (1e-30, 1, 1e-15, -1e-3)),
-    NEAR_IDENTITY,
+    ("near identity, 1e-7", (1, 1e-7, -1e-7, 2e-7)),
+    ("zero", [0] * 4, ZERO),
 )
+POINTS = np.array([[0.3, -0.4, 0.5], [1e-7, 1, 1e3], [0, 0, 0]])
 PAIRS = (
-    ("plain", PLAIN, (1, 2, 3, 4)),
-    ("1e30 by 1e-30", np.multiply(PLAIN, 1e30), (1e-30, 2e-30, 3e-30, 4e-30)),
+    ("plain", SKEW, (1, 2, 3, 4)),
+    ("1e30 by 1e-30", np.multiply(SKEW, 1e30), (1e-30, 2e-30, 3e-30, 4e-30)),
 )
 BRANCHES = (
     ("w largest", (1, 0.1, -0.2, 0.3)),
@@ -36,8 +44,23 @@ BRANCHES = (
     ("half turn, two branches tie", (0, np.sqrt(0.5), np.sqrt(0.5), 0)),
     ("1e-7 from a half turn", (1e-7, 1, -2, 3)),
     ("all four tie", (1, -1, 1, 1)),
-    ("identity", IDENTITY),
+    ("identity", STILL),
 )
+AT_ZERO = {"limit": "kink at 0: zero gradient"}
+AT_HALF_TURN = {"limit": "kink at 180°: the gradient of one side"}
+# In 16 bits these round to equal rotations, or to subnormal numbers.
+ANGLES = (
+    ("plain", SKEW, (1, 2, 3, 4)),
+    ("1e30 and 1e-30", np.multiply(SKEW, 1e30), (1e-30, 0, 1e-30, 0)),
+    ("q and -q", (0.5, 0.5, -0.5, 0.5), (-0.5, -0.5, 0.5, -0.5), AT_ZERO),
+    ("equal", STILL, STILL, AT_ZERO),
+    ("1e-25 apart", (1, 1e-25, 0, 0), STILL, IN_WIDE),
+    ("1e-7 apart", (1, 1e-7, 0, 0), (1, 0, 1e-7, 0), IN_WIDE),
+    ("half turn", STILL, (0, 0, 1, 0), AT_HALF_TURN),
+    ("1e-7 from a half turn", STILL, (1e-7, 0, 1, 0)),
+)
+ABOUT = {"0": 0.0, "1e-30": 1e-30, "a half turn": np.pi, "1e4": 1e4}
+TURNS = [(name, (0.0, -0.6, 0.8), angle) for name, angle in ABOUT.items()]
 
 
 def _pass_through_matrix(q):
@@ -54,49 +77,13 @@ def _turn_about(axis, angle):
     return np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * axis])
 
 
-def _slope_at_half_turn(inputs, weights):
-    # From (1, 0, 0, 0) to (0, 0, 1, 0) the angle is π - 2·|the component along the
-    # other|. This is the slope on the side where that component is positive.
-    w = float(weights[0])
-    return np.array([0, 0, -2 * w, 0]), np.array([-2 * w, 0, 0, 0])
-
-
-AT_ZERO = {
-    "slope": lambda inputs, weights: (np.zeros(4), np.zeros(4)),
-    "limit": "kink at 0: zero gradient",
-}
-AT_HALF_TURN = {
-    "slope": _slope_at_half_turn,
-    "limit": "kink at 180°: the gradient of one side",
-}
-# In 16 bits these round to equal rotations, or to subnormal numbers.
-ANGLES = (
-    ("plain", PLAIN, (1, 2, 3, 4)),
-    ("1e30 and 1e-30", np.multiply(PLAIN, 1e30), (1e-30, 0, 1e-30, 0)),
-    ("q and -q", (0.5, 0.5, -0.5, 0.5), (-0.5, -0.5, 0.5, -0.5), AT_ZERO),
-    ("equal", IDENTITY, IDENTITY, AT_ZERO),
-    ("1e-25 apart", (1, 1e-25, 0, 0), IDENTITY, IN_WIDE),
-    ("1e-7 apart", (1, 1e-7, 0, 0), (1, 0, 1e-7, 0), IN_WIDE),
-    ("half turn", IDENTITY, (0, 0, 1, 0), AT_HALF_TURN),
-    ("1e-7 from a half turn", IDENTITY, (1e-7, 0, 1, 0)),
-)
-AXIS = (0.0, -0.6, 0.8)
-ABOUT = {"0": 0.0, "1e-30": 1e-30, "a half turn": np.pi, "1e4": 1e4}
-TURNS = [(name, AXIS, angle) for name, angle in ABOUT.items()]
-
-
-def list_rotations() -> list[Case]:
+def _list_rotations() -> list[Case]:
     """Cases of the quaternion operations."""
     make = functools.partial(make_cases, because=ROUNDING)
-    points = np.array([[0.3, -0.4, 0.5], [1e-7, 1, 1e3], [0, 0, 0]])
-    still = {"slope": lambda inputs, w: (np.zeros(4),), "limit": ZERO}
-    moved = {"slope": lambda inputs, w: (w[0], np.zeros(4)), "limit": ZERO}
-    lengths = (*LENGTHS, ("zero", [0] * 4, still))
-    zero = ("zero", points, [0] * 4, moved)
-    turned = [*((name, points, *rest) for name, *rest in LENGTHS), zero]
+    turned = [(name, POINTS, *rest) for name, *rest in LENGTHS]
     along = ROUNDING + "; the gradient of q cancels along q"
     return [
-        *make("normalize", quaternion.normalize, oracles.normalize, (4, 16), lengths),
+        *make("normalize", quaternion.normalize, oracles.normalize, (4, 16), LENGTHS),
         *make("multiply", quaternion.multiply, oracles.multiply, (8, 8), PAIRS),
         *make(
             "rotate", quaternion.rotate, oracles.rotate, (16, 64), turned, because=along
@@ -111,13 +98,31 @@ def list_rotations() -> list[Case]:
     ]
 
 
-SHAPE = (8, 6, 4)
-GRID = cameras.VoxelGrid(SHAPE)
+GRID = cameras.VoxelGrid((8, 6, 4))
 CLOUD = np.array([[0.1, -0.2, 0.3], [-0.3, 0.25, -0.1], [0.05, 0.0, -0.35]])
-TURN = (0.8, 0.1, -0.3, 0.2)
-TINY = np.multiply(TURN, 1e-30)
-BEHIND = "a point behind, or within 1e-6 extents before the camera, leaves no trace"
-OUTSIDE = "a point outside the volume leaves no trace, and has zero gradient"
+AT_EYE = {
+    "limit": "a point behind, or within 1e-6 extents before the camera, leaves no trace"
+}
+AWAY = {"limit": "a point outside the volume leaves no trace, and has zero gradient"}
+EYE = np.array([[0, 0, 0.3], [0.01, 0.02, 0.2], [0, 0, 0]])
+CROSSING = CLOUD * [1, 1, 0] + [[0, 0, -2], [0, 0, 0], [0, 0, 0.1]]
+CLOSE = [[1e-6, -1e-6, 1e-5], [0, 0, 0.3], [0.1, 0, 0.2]]
+# name, points, rotation, focal length, distance
+SCENES = (
+    ("plain", CLOUD, TURN, 1.875, 2.0),
+    ("one point in the camera plane", CROSSING, STILL, 1.875, 2.0, AT_EYE),
+    ("distance 0", EYE, STILL, 0.5, 0.0, AT_EYE),
+    ("one point behind the camera", EYE - [0, 0, 0.1], STILL, 0.5, 0.0, AT_EYE),
+    (
+        "one point 1e-7 before the plane",
+        *(EYE + [0, 0, 1e-7], STILL, 0.5, 0.0, AT_EYE | IN_WIDE),
+    ),
+    ("focal length 1e3, on the axis", CLOUD * [1e-4, 1e-4, 1], STILL, 1e3, 2.0),
+    ("focal length 1e3 from 1e3", CLOUD, TURN, 1e3, 1024.0),
+    ("points 3e38 away", np.sign(CLOUD) * 3e38, TURN, 1.875, 2.0, AWAY),
+    ("object larger than the volume", CLOUD * 4, TURN, 1.875, 2.0, AWAY),
+    ("quaternion of length 1e-30", CLOUD, np.multiply(TURN, 1e-30), 1.875, 2, IN_WIDE),
+)
 
 
 def _find_coordinates(points, rotation, focal, distance, *, projection):
@@ -127,40 +132,22 @@ def _find_coordinates(points, rotation, focal, distance, *, projection):
     return cameras.to_grid(moved, camera=camera, grid=GRID).coordinates
 
 
-EYE = np.array([[0, 0, 0.3], [0.01, 0.02, 0.2], [0, 0, 0]])
-STILL = (1, 0, 0, 0)
-BEFORE = EYE + [0, 0, 1e-7]
-CROSSING = CLOUD * [1, 1, 0] + [[0, 0, -2], [0, 0, 0], [0, 0, 0.1]]
-CLOSE = [[1e-6, -1e-6, 1e-5], [0, 0, 0.3], [0.1, 0, 0.2]]
-AT_EYE, AWAY = {"limit": BEHIND}, {"limit": OUTSIDE}
-# name, points, rotation, focal length, distance
-SCENES = (
-    ("plain", CLOUD, TURN, 1.875, 2.0),
-    ("one point in the camera plane", CROSSING, STILL, 1.875, 2.0, AT_EYE),
-    ("distance 0", EYE, STILL, 0.5, 0.0, AT_EYE),
-    ("one point behind the camera", EYE - [0, 0, 0.1], STILL, 0.5, 0.0, AT_EYE),
-    ("one point 1e-7 before the plane", BEFORE, STILL, 0.5, 0.0, AT_EYE | IN_WIDE),
-    ("focal length 1e3, on the axis", CLOUD * [1e-4, 1e-4, 1], STILL, 1e3, 2.0),
-    ("focal length 1e3 from 1e3", CLOUD, TURN, 1e3, 1024.0),
-    ("points 3e38 away", np.sign(CLOUD) * 3e38, TURN, 1.875, 2.0, AWAY),
-    ("object larger than the volume", CLOUD * 4, TURN, 1.875, 2.0, AWAY),
-    ("quaternion of length 1e-30", CLOUD, TINY, 1.875, 2.0, IN_WIDE),
-)
-# Perspective multiplies roundings by the inverse distance to the eye, orthographic
-# projection does not.
-AT_CLOSE = ("1e-5 before the eye", CLOSE, STILL, 1.0, 0.0)
-
-
-def list_cameras() -> list[Case]:
+def _list_cameras() -> list[Case]:
     """Cases of the way from the object's frame to places in the grid."""
     cases = []
+    # Perspective multiplies roundings by the inverse distance to the eye, orthographic
+    # projection does not.
     for projection, close in (("perspective", 64e3), ("orthographic", 64)):
+        is_flat = projection == "orthographic"
+        at_eye = IN_WIDE | {"gradient_tolerance": close}
         cases += make_cases(
             projection,
             functools.partial(_find_coordinates, projection=projection),
-            functools.partial(_place, orthographic=projection == "orthographic"),
+            lambda *xs, is_flat=is_flat: oracles.place(
+                *xs, shape=GRID.shape, orthographic=is_flat
+            )[0],
             (32, 64),
-            [*SCENES, (*AT_CLOSE, IN_WIDE | {"gradient_tolerance": close})],
+            [*SCENES, ("1e-5 before the eye", CLOSE, STILL, 1.0, 0.0, at_eye)],
             because="30 roundings of numbers of a few cells; a point close to the eye "
             "multiplies them",
             floor=1.0,
@@ -169,8 +156,4 @@ def list_cameras() -> list[Case]:
     return cases
 
 
-def _place(*inputs, orthographic):
-    return oracles.place(*inputs, shape=SHAPE, orthographic=orthographic)[0]
-
-
-CASES = {"rotation": list_rotations, "camera": list_cameras}
+ROWS = tabulate(rotation=_list_rotations(), camera=_list_cameras())

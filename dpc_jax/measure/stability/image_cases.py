@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.measure.stability import oracles
-from dpc_jax.measure.stability.case import IN_WIDE, Case, make_cases
+from dpc_jax.measure.stability.case import IN_WIDE, STILL, TURN, Case, make_cases
+from dpc_jax.measure.stability.runner import tabulate
 from dpc_jax.render import Camera, VoxelGrid, project, project_volume
 
 SHAPE = (4, 3, 5)
-TURN, STILL = (0.8, 0.1, -0.3, 0.2), (1, 0, 0, 0)
 POINTS = np.array(
     [[0.1, -0.2, 0.3], [-0.3, 0.25, -0.1], [0.05, 0.01, -0.35], [-0.1, -0.2, 0.13]]
 )
@@ -22,7 +22,6 @@ PLAIN = {"points": POINTS, "rotation": TURN, "sizes": 0.6, "scale": [0.6] * 4}
 PLAIN |= {"colors": COLORS, **CAMERA}
 MATRIX = oracles.rotate(np.eye(3), np.array(TURN)).T
 MANY = (1e-12, 1e-6, 1, 1e6)
-TILT = np.array([[0.5, 0.25, 0], [0.25, 0, -0.125], [0, -0.125, 0.25]])
 
 BEHIND = {
     "limit": "what is behind, or within 1e-6 extents before the camera, is unseen"
@@ -41,6 +40,12 @@ NARROW = {
     "gradient_tolerance": 400 * 1024,
     "because": ROUNDINGS + "; so narrow a kernel has slopes of 1/2σ² = 400 a voxel",
 }
+# The gradient to a place is a difference of two cells' readings, which the wide kernel
+# makes 3e-8 of what they are; so it is for the pose.
+PLACES = ("points", "rotation", "translation", "focal", "distance")
+WIDE_KERNEL = {
+    "gradient_floor": tuple(3e-8 if name in PLACES else 1e-30 for name in PLAIN)
+}
 # What differs from `PLAIN`, and the fields of `Case`.
 SCENES = (
     ("plain", {}, {}),
@@ -53,7 +58,7 @@ SCENES = (
     ("colours below 0", {"colors": -COLORS}, {}),
     ("sigma 0", {"sizes": 0.0}, FLOOR),
     ("sigma 0.05", {"sizes": 0.05}, NARROW),
-    ("sigma 1e3", {"sizes": 1e3}, IN_WIDE),
+    ("sigma 1e3", {"sizes": 1e3}, IN_WIDE | WIDE_KERNEL),
     ("quaternion of length 1e-30", {"rotation": np.multiply(TURN, 1e-30)}, IN_WIDE),
     ("half turn", {"rotation": (0, 1, 0, 0)}, {}),
     ("an object 1e6 wide", {"points": POINTS * 1e6}, IN_WIDE | BACKGROUND),
@@ -61,42 +66,59 @@ SCENES = (
 )
 
 
-def _tilt(sides):
-    """Covariances s²·(I + `TILT`)."""
-    return {"sizes": np.square(sides)[:, None, None] * (np.eye(3) + TILT)}
+def _tilt(*sides):
+    """Covariances, s² times one."""
+    tilted = np.array([[1.5, 0.25, 0], [0.25, 1, -0.125], [0, -0.125, 1.25]])
+    return {"sizes": np.square(sides)[:, None, None] * tilted}
 
 
+TILTED = _tilt(0.6, 0.8, 1, 1.2)
 COVARIANCES = (
     # The others turn by a quaternion.
-    (
-        "by a matrix",
-        _tilt([0.6, 0.8, 1, 1.2]) | {"rotation": MATRIX},
-        {"is_slow": True},
-    ),
-    ("plain", _tilt([0.6, 0.8, 1, 1.2]), {}),
-    ("mass 0", _tilt([0.6, 0.8, 1, 1.2]) | {"scale": [0] * 4}, BACKGROUND),
-    ("sizes over 1e6", _tilt([1e-3, 0.3, 30, 1e3]), IN_WIDE),
+    ("by a matrix", TILTED | {"rotation": MATRIX}, {"is_slow": True}),
+    ("plain", TILTED, {}),
+    ("mass 0", TILTED | {"scale": [0] * 4}, BACKGROUND),
+    ("sizes over 1e6", _tilt(1e-3, 0.3, 30, 1e3), IN_WIDE),
 )
-SPLINES = tuple(row for row in SCENES if row[0] not in ("sigma 0", "sigma 0.05"))
-# A grid for splines of four cells; one in which four narrow points leave blocks out.
-WIDE, LARGE, MOST_BLOCKS = (5, 4, 6), (24, 17, 20), 26
-TABLES = {
-    "trilinear": SCENES,
-    "quadratic": SPLINES,
-    "cubic": SPLINES,
-    "blocks": SCENES,
-    "gaussian": SCENES,
-    "covariance": COVARIANCES,
-}
-# The gradient to a place is a difference of two cells' readings, which the wide kernel
-# makes 3e-8 of what they are; so it is for the pose.
-TO_PLACES = {
-    "gradient_floor": (3e-8, 3e-8, 1e-30, 1e-30, 1e-30, 3e-8, 3e-8, 3e-8, 1e-30, 1e-30)
-}
+
+
+def _resize(scenes, resize):
+    return [
+        (name, changes | {"sizes": resize(changes.get("sizes", 0.6))}, fields)
+        for name, changes, fields in scenes
+    ]
+
+
+# A spline is as wide as 0.6 voxels.
+SPLINES = _resize(
+    [row for row in SCENES if row[0] not in ("sigma 0", "sigma 0.05")],
+    lambda sigma: max(sigma, 0.9),
+)
+# A size per point, which is what the method is for.
+SIZES = _resize(SCENES, lambda sigma: np.multiply(sigma, [1, 1.5, 0.7, 1.1]))
+FOUR, LARGE = (5, 4, 6), (24, 17, 20)  # cells, of which a spline covers four
+# Title, scenes, grid, and what else `render_cloud` takes: `method`, if not the title.
+TABLES = (
+    ("trilinear", SCENES, SHAPE, {}),
+    ("quadratic", SPLINES, FOUR, {}),
+    ("cubic", SPLINES, FOUR, {}),
+    # The narrow points leave blocks out.
+    ("blocks", SCENES, LARGE, {"method": "trilinear", "max_blocks": 26}),
+    ("gaussian", SIZES, SHAPE, {}),
+    ("covariance", COVARIANCES, SHAPE, {}),
+)
 
 
 def _describe(
-    translation, focal, distance, depth=10.0, color=1.0, *, shape, projection, **rules
+    translation,
+    focal,
+    distance,
+    depth=10.0,
+    color=1.0,
+    *,
+    shape=SHAPE,
+    projection="perspective",
+    **rules,
 ) -> dict[str, Any]:
     """What `project` and `project_volume` take alike."""
     return {
@@ -109,59 +131,45 @@ def _describe(
     } | rules
 
 
-def render_cloud(
-    points,
-    rotation,
-    sizes,
-    scale,
-    colors,
-    *scene,
-    method,
-    shape=SHAPE,
-    projection="perspective",
-    **rules,
-):
+def render_cloud(points, rotation, sizes, scale, colors, *scene, method, **rules):
     """The three images of `project`; sizes are sigma () or [N], or covariances."""
-    how = _describe(*scene, shape=shape, projection=projection, **rules)
-    if jnp.ndim(sizes) == 3:
-        how["covariance"] = sizes
-    else:
-        how |= {"sigma": sizes, "method": method}
-    image = project(points, rotation, scale=scale, colors=colors, **how)
+    kind = {"sigma": sizes, "method": method}
+    kind = {"covariance": sizes} if jnp.ndim(sizes) == 3 else kind
+    looks = _describe(*scene, **rules) | kind
+    image = project(points, rotation, scale=scale, colors=colors, **looks)
     return image.silhouette, image.depth, image.color
 
 
-def list_images() -> list[Case]:
-    """Cases of `project`, with the gradient to every input."""
+def render_cells(volume, colors, rotation, *scene, **rules):
+    """The three images of `project_volume`."""
+    looks = _describe(*scene, shape=CELLS, **rules)
+    image = project_volume(volume, rotation, colors=colors, **looks)
+    return image.silhouette, image.depth, image.color
+
+
+def _make_cases(title, function, oracle, plain, scenes) -> list[Case]:
+    """Cases with the gradient to every input, which differ from the plain ones."""
+    return make_cases(
+        *(title, function, oracle, (128, 1024)),
+        [
+            (name, *(plain | changes).values(), fields)
+            for name, changes, fields in scenes
+        ],
+        because=ROUNDINGS,
+        is_half_checked=False,
+        gradient_floor=1e-30,
+    )
+
+
+def _list_images() -> list[Case]:
     cases = []
-    for title, scenes in TABLES.items():
-        method = "trilinear" if title == "blocks" else title
-        rows: list[tuple] = []
-        shape, options = SHAPE, dict[str, Any](method=method)
-        if title == "blocks":
-            shape = options["shape"] = LARGE
-            options["max_blocks"] = MOST_BLOCKS
-        elif title in ("quadratic", "cubic"):
-            shape = options["shape"] = WIDE
-        for name, changes, fields in scenes:
-            inputs = PLAIN | changes
-            if method == "gaussian":  # a size per point, which is what it is for
-                inputs["sizes"] = np.multiply(inputs["sizes"], [1, 1.5, 0.7, 1.1])
-            if shape is WIDE:  # a spline is as wide as 0.6 voxels
-                inputs["sizes"] = np.maximum(inputs["sizes"], 0.9)
-            if method != "gaussian" and name == "sigma 1e3":
-                fields = fields | TO_PLACES
-            rows.append((name, *inputs.values(), fields))
-        cases += make_cases(
-            title,
-            functools.partial(render_cloud, **options),
-            functools.partial(oracles.project, shape=shape, method=method),
-            (128, 1024),
-            rows,
-            because=ROUNDINGS,
-            is_half_checked=False,
-            gradient_floor=(1e-30,) * len(PLAIN),
+    for title, scenes, shape, rules in TABLES:
+        method = rules.get("method", title)
+        render = functools.partial(
+            render_cloud, **{"method": method, "shape": shape} | rules
         )
+        oracle = functools.partial(oracles.project, shape=shape, method=method)
+        cases += _make_cases(title, render, oracle, PLAIN, scenes)
     return cases
 
 
@@ -177,17 +185,11 @@ def _fill(shape):
     numbers = np.arange(np.prod(shape))
     volume = 0.1 + 0.8 * ((numbers * 13) % 31) / 31
     colors = np.stack([(numbers * 7) % 11, (numbers * 5) % 17], axis=-1) / 16
-    return volume.reshape(shape), colors.reshape(*shape, 2)
+    return {"volume": volume.reshape(shape), "colors": colors.reshape(*shape, 2)}
 
 
-VOLUME, CELL_COLORS = _fill(CELLS)
-SOLID = {
-    "volume": VOLUME,
-    "colors": CELL_COLORS,
-    "rotation": TURN,
-    **CAMERA,
-    "translation": (0.03, -0.05, 0.02),
-}
+SOLID = _fill(CELLS) | {"rotation": TURN, **CAMERA, "translation": (0.03, -0.05, 0.02)}
+VOLUME = SOLID["volume"]
 LONE, CHECKERS = np.eye(16)[6].reshape(CELLS), np.indices(CELLS).sum(0) % 2
 AWAY = {"limit": "a volume outside the view shows the background, without gradient"}
 CLIPPED = {"limit": "an occupancy above 1 is clipped: its slope is zero"}
@@ -208,7 +210,7 @@ CELL_SCENES = (
     ("occupancies 1e-30", {"volume": VOLUME * 1e-30}, IN_WIDE),
     ("occupancies 1e30", {"volume": VOLUME * 1e30}, IN_WIDE | CLIPPED),
     ("occupancies from -3 to 5", {"volume": VOLUME * 10 - 4}, CLIPPED),
-    ("colours 1e30", {"colors": CELL_COLORS * 1e30}, IN_WIDE),
+    ("colours 1e30", {"colors": SOLID["colors"] * 1e30}, IN_WIDE),
     ("quaternion of length 1e-30", {"rotation": np.multiply(TURN, 1e-30)}, IN_WIDE),
     ("quaternion 0", {"rotation": np.zeros(4)}, {}),
     ("half turn", {"rotation": (0, 1, 0, 0)}, {}),
@@ -232,62 +234,30 @@ CELL_SCENES = (
     ("distance 1e30", {"distance": 1e30}, IN_WIDE | AWAY),
     ("focal length 1e-6", {"focal": 1e-6}, IN_WIDE | AWAY),
     ("focal length 1e30", {"focal": 1e30}, IN_WIDE),
+    ("one cell", _fill((1, 1, 1)), {"is_slow": True}),
+    ("a plate one cell thick", _fill((5, 1, 4)), {"is_slow": True}),
 )
-
-_ORTHOGRAPHIC = ("plain", "samples", "moved", "quaternion 0", "half")
-
-
-def _graze(projection):
-    """Rays on both sides of the rim, a thousandth of a cell from it."""
-    for side, step, fields in (("inside", -5e-4, GRAZING), ("outside", 5e-4, AWAY)):
-        moved = {"rotation": STILL, "translation": (LAST[projection] + step, 0.1, 0.07)}
-        name = f"the outermost ray a thousandth of a cell {side} of the rim"
-        yield name, moved, IN_WIDE | fields
+# Orthographic rays differ from the others in where they are, and in that alone.
+ORTHOGRAPHIC = ("plain", "samples", "moved", "quaternion 0", "half")
 
 
-def _fill_inputs(shape):
-    return dict(zip(("volume", "colors"), _fill(shape), strict=True))
-
-
-SHAPES = (
-    ("one cell", _fill_inputs((1, 1, 1)), {"is_slow": True}),
-    ("a plate one cell thick", _fill_inputs((5, 1, 4)), {"is_slow": True}),
-)
-
-
-def render_cells(volume, colors, rotation, *scene, projection, **rules):
-    """The three images of `project_volume`."""
-    how = _describe(*scene, shape=CELLS, projection=projection, **rules)
-    image = project_volume(volume, rotation, colors=colors, **how)
-    return image.silhouette, image.depth, image.color
-
-
-def list_cells() -> list[Case]:
-    """Cases of `project_volume`, with the gradient to every input."""
+def _list_cells() -> list[Case]:
     cases = []
-    # Orthographic rays differ from the others in where they are, and in that alone.
-    few = [row for row in CELL_SCENES if row[0].startswith(_ORTHOGRAPHIC)]
-    for projection, scenes in (
-        ("perspective", (*CELL_SCENES, *SHAPES)),
-        ("orthographic", few),
-    ):
+    for projection, names in (("perspective", ""), ("orthographic", ORTHOGRAPHIC)):
         is_flat = projection == "orthographic"
-        cases += make_cases(
-            projection,
-            functools.partial(render_cells, projection=projection),
-            functools.partial(
-                oracles.project_volume, shape=CELLS, orthographic=is_flat
-            ),
-            (128, 1024),
-            [
-                (name, *(SOLID | inputs).values(), fields)
-                for name, inputs, fields in (*scenes, *_graze(projection))
-            ],
-            because=ROUNDINGS,
-            is_half_checked=False,
-            gradient_floor=(1e-30,) * len(SOLID),
+        scenes = [row for row in CELL_SCENES if row[0].startswith(names)]
+        # Rays on both sides of the rim, a thousandth of a cell from it.
+        for side, step, fields in (("inside", -5e-4, GRAZING), ("outside", 5e-4, AWAY)):
+            moved = (LAST[projection] + step, 0.1, 0.07)
+            name = f"the outermost ray a thousandth of a cell {side} of the rim"
+            changes = {"rotation": STILL, "translation": moved}
+            scenes.append((name, changes, IN_WIDE | fields))
+        render = functools.partial(render_cells, projection=projection)
+        oracle = functools.partial(
+            oracles.project_volume, shape=CELLS, orthographic=is_flat
         )
+        cases += _make_cases(projection, render, oracle, SOLID, scenes)
     return cases
 
 
-CASES = {"image": list_images, "cells": list_cells}
+ROWS = tabulate(image=_list_images(), cells=_list_cells())

@@ -1,37 +1,32 @@
 """Losses at ties, at kinks and far away."""
 
-import itertools
-
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.learning import losses
 from dpc_jax.measure.stability import oracles
-from dpc_jax.measure.stability.case import IN_WIDE, Case, make_cases
+from dpc_jax.measure.stability.case import IN_WIDE, SKEW, make_cases
 from dpc_jax.measure.stability.oracles import REAL
+from dpc_jax.measure.stability.runner import tabulate
 
 GREY = np.linspace(0, 1, 9).reshape(3, 3)
-BLACK, WHITE = 0 * GREY, 0 * GREY + 1
 IMAGES = (
     ("plain", GREY, GREY.T),
     ("equal", GREY, GREY),
-    ("empty against full", BLACK, WHITE),
+    ("empty against full", 0 * GREY, 0 * GREY + 1),
     ("1e-7 apart", GREY, GREY - 1e-7, IN_WIDE),
     ("colours 1e6", GREY * 1e6, GREY.T * 1e6, IN_WIDE),
 )
-PLAIN = (0.5, -1.0, 2.0, 0.25)
 ACROSS = {"limit": "at 180°, a kink: the gradient towards +teacher"}
-STUDENT_OF_ZERO = {
-    "slope": lambda inputs, weights: (np.zeros(4),) * 2,
-    "limit": "zero counts as the identity",
-}
+STUDENT_OF_ZERO = {"limit": "zero counts as the identity"}
 STUDENTS = (
-    ("plain", PLAIN, (1, 2, 3, 4)),
+    ("plain", SKEW, (1, 2, 3, 4)),
     ("equal", (0.5,) * 4, (0.5,) * 4),
     ("q and -q", (0.5,) * 4, (-0.5,) * 4),
     ("opposite, 180°", (1, 0, 0, 0), (0, 0, 1, 0), ACROSS),
     ("opposite, 1e-7 beyond", (1, 0, -1e-7, 0), (0, 0, 1, 0), IN_WIDE),
-    ("1e-30 and 1e30", np.multiply(PLAIN, 1e-30), (1e30, 2e30, 0, 0), IN_WIDE),
+    ("1e-30 and 1e30", np.multiply(SKEW, 1e-30), (1e30, 2e30, 0, 0), IN_WIDE),
     ("a student of 0", (0,) * 4, (1, 2, 3, 4), STUDENT_OF_ZERO),
 )
 WINNERS = np.array([0, 2])
@@ -55,7 +50,8 @@ CLOUDS = (
 )
 
 
-def _select(logits):
+def select(logits: jax.Array) -> jax.Array:
+    """`selection_loss` of two rows of three logits."""
     return losses.selection_loss(logits, jnp.asarray(WINNERS))
 
 
@@ -70,69 +66,56 @@ def _find_student_loss(student, teacher):
 
 
 def _find_selection_loss(logits):
-    total = 0
-    for row, winner in zip(logits, WINNERS, strict=True):
-        top = max(row, key=np.real)
-        total = total + top + np.log(np.sum(np.exp(row - top))) - row[winner]
-    return np.asarray(total / len(logits))
+    top = np.max(np.real(logits), axis=1, keepdims=True)
+    sums = np.log(np.sum(np.exp(logits - top), axis=1, keepdims=True))
+    return np.mean(top + sums - np.take_along_axis(logits, WINNERS[:, None], axis=1))
 
 
 def _find_repulsion(points):
     """Mean of 1/√(d² + 0.02²) over all pairs of points."""
-    energies = []
-    for i, j in itertools.combinations(range(len(points)), 2):
-        away = points[i] - points[j]
-        energies.append(1 / np.sqrt(np.sum(away * away) + REAL(0.02) * REAL(0.02)))
-    return np.sum(energies) / len(energies)
+    i, j = np.triu_indices(len(points), 1)
+    squares = np.sum((points[i] - points[j]) ** 2, axis=1)
+    return np.mean(1 / np.sqrt(squares + REAL(0.02) * REAL(0.02)))
 
 
 def _find_containment(points):
     """Sum of squared distances outside the ball of radius a half."""
-    total = np.zeros((), REAL)
-    for point in points:
-        if np.real(np.sum(point * point)) > 0.25:
-            beyond = oracles.root_sum(point) - REAL(0.5)
-            total = total + beyond * beyond
-    return total
+    lengths = np.sqrt(np.sum(points * points, axis=1))
+    return np.sum(np.where(np.real(lengths) > 0.5, lengths - REAL(0.5), 0) ** 2)
 
 
-def list_losses() -> list[Case]:
-    """Cases of the losses."""
-    sums = "a few roundings for each of a few terms"
-    near = "differences of coordinates, squared and rooted; a softening of 1/50 "
-    near += "magnifies what is near"
-    of_one = {"floor": 1.0, "gradient_floor": 1.0}
-    return [
-        *make_cases(
-            "reprojection",
-            *(losses.reprojection_loss, _find_reprojection_loss, (16, 4), IMAGES),
-            because=sums,
-        ),
-        *make_cases(
-            "student",
-            *(losses.student_loss, _find_student_loss, (8, 16), STUDENTS),
-            because="cosine and two norms; the gradient cancels along q",
-            **of_one,
-        ),
-        *make_cases(
-            "selection",
-            *(_select, _find_selection_loss, (16, 16), SELECTIONS),
-            because=sums,
-            **of_one,
-        ),
-        *make_cases(
-            "repulsion",
-            *(losses.repulsion_energy, _find_repulsion, (64, 256), CLOUDS),
-            because=near,
-            is_half_checked=False,
-        ),
-        *make_cases(
-            "containment",
-            *(losses.containment_loss, _find_containment, (64, 256), CLOUDS),
-            because=near,
-            is_half_checked=False,
-        ),
-    ]
-
-
-CASES = {"loss": list_losses}
+SUMS = "a few roundings for each of a few terms"
+NEAR = {
+    "because": "differences of coordinates, squared and rooted; a softening of 1/50 "
+    "magnifies what is near",
+    "is_half_checked": False,
+}
+LOSSES = [
+    *make_cases(
+        "reprojection",
+        *(losses.reprojection_loss, _find_reprojection_loss, (16, 4), IMAGES),
+        because=SUMS,
+    ),
+    *make_cases(
+        "student",
+        *(losses.student_loss, _find_student_loss, (8, 16), STUDENTS),
+        because="cosine and two norms; the gradient cancels along q",
+        floor=1.0,
+        gradient_floor=1.0,
+    ),
+    *make_cases(
+        *("selection", select, _find_selection_loss, (16, 16), SELECTIONS),
+        because=SUMS,
+        floor=1.0,
+        gradient_floor=1.0,
+    ),
+    *make_cases(
+        *("repulsion", losses.repulsion_energy, _find_repulsion, (64, 256), CLOUDS),
+        **NEAR,
+    ),
+    *make_cases(
+        *("containment", losses.containment_loss, _find_containment, (64, 256), CLOUDS),
+        **NEAR,
+    ),
+]
+ROWS = tabulate(loss=LOSSES)

@@ -46,11 +46,10 @@ def multiply(p: Array, q: Array) -> Array:
 def rotate(points: Array, q: Array) -> Array:
     """q·(0, p)·q⁻¹ for each point p; the matrix product if q is a matrix."""
     if q.shape == (3, 3):
-        return np.sum(points[:, None, :] * q, axis=-1)
+        return points @ q.T
     q = normalize(q)
     reverse = q * np.array([1, -1, -1, -1])
-    pure = [np.concatenate([np.zeros(1), p]) for p in points]
-    moved = [multiply(multiply(q, p), reverse)[1:] for p in pure]
+    moved = [multiply(multiply(q, np.array([0, *p])), reverse)[1:] for p in points]
     return np.array(moved).reshape(-1, 3)
 
 
@@ -58,6 +57,8 @@ def angle(p: Array, q: Array) -> Array:
     """2·atan(‖v‖/|w|) of p·q⁻¹; π - 2·atan(|w|/‖v‖) where ‖v‖ is larger."""
     turn = multiply(normalize(p), normalize(q) * np.array([1, -1, -1, -1]))
     sine, cosine = root_sum(turn[1:]), flip_sign(turn[0])
+    if np.real(sine) == 0:  # a kink: zero slope, as documented
+        return np.zeros((), REAL)
     if np.real(sine) <= np.real(cosine):
         return 2 * np.arctan(sine / cosine)
     return PI - 2 * np.arctan(cosine / sine)
@@ -91,67 +92,61 @@ def place(
     return np.where(is_inside[:, None], coordinates, 0), is_inside
 
 
-def splat(coordinates: Array, values: Array, shape: Shape) -> Array:
-    """Trilinear weights, products of 1 - |x - i| along the axes."""
-    volume = np.zeros(shape, np.result_type(coordinates, values))
-    for point, value in zip(coordinates, values, strict=True):
-        real = np.real(point)
-        if np.any(real < -0.5) or np.any(real > np.array(shape) - 0.5):
-            continue
-        block = np.asarray(value)
-        for x, size in zip(point, shape, strict=True):
-            away = x - np.arange(size)
-            # At a kink, the side towards the higher index.
-            is_near = (np.real(away) >= -1) & (np.real(away) < 1)
-            tent = np.where(np.real(away) >= 0, 1 - away, 1 + away)
-            block = np.multiply.outer(block, np.where(is_near, tent, 0))
-        volume = volume + block
-    return volume
+def splat(coordinates: Array, values: Array, shape: Shape, order: int = 1) -> Array:
+    """Σ of products of B-splines along the axes; order 1 is trilinear."""
+    places = np.real(coordinates)
+    is_inside = np.all((places >= -0.5) & (places <= np.array(shape) - 0.5), axis=1)
+    weights = [
+        _find_splines(x, size, order)
+        for x, size in zip(coordinates.T, shape, strict=True)
+    ]
+    return _sum_products(np.where(is_inside, values, 0), weights)
 
 
-def splat_splines(coordinates: Array, values: Array, shape: Shape, order: int) -> Array:
-    """B-splines as Σ_k (-1)^k·C(n + 1, k)·max(d + (n + 1)/2 - k, 0)^n/n!."""
-    volume = np.zeros(shape, np.result_type(coordinates, values))
-    for point, value in zip(coordinates, values, strict=True):
-        block = np.asarray(value)
-        for x, size in zip(point, shape, strict=True):
-            weights = np.zeros(size, volume.dtype)
-            for k in range(order + 2):
-                start = np.arange(size) - x + REAL((order + 1) / 2) - k
-                power = np.where(np.real(start) > 0, start, 0) ** order
-                weights = weights + (-1) ** k * math.comb(order + 1, k) * power
-            # Beyond the last knot the powers cancel, but for rounding.
-            is_near = np.abs(np.arange(size) - np.real(x)) < (order + 1) / 2
-            share = np.where(is_near, weights, 0) / math.factorial(order)
-            block = np.multiply.outer(block, share)
-        volume = volume + block
-    return volume
+def _find_splines(places, size, order=1):
+    """Weights [n, size] of the cells at each place, a B-spline.
+
+    Σ_k (-1)^k·C(n + 1, k)·max(d + (n + 1)/2 - k, 0)^n/n!; at a kink of order 1 the side
+    towards the higher index.
+    """
+    half = REAL(order + 1) / 2
+    away = np.arange(size) - places[:, None]
+    weights = 0
+    for k in range(order + 2):
+        start = away + half - k
+        power = np.where(np.real(start) > 0, start, 0) ** order
+        weights = weights + (-1) ** k * math.comb(order + 1, k) * power
+    # Beyond the last knot the powers cancel, but for rounding.
+    is_near = (np.real(away) > -half) & (np.real(away) <= half)
+    return np.where(is_near, weights, 0) / math.factorial(order)
+
+
+def _sum_products(values, weights):
+    return np.einsum("n,ni,nj,nk->ijk", values, *weights)
 
 
 def weigh(cells: Array, center: Number, sigma: Number) -> Array:
     """exp(-(i - x)²/2σ²) over its sum on all integers; σ at least 0.02, as documented.
 
-    Cells are [n], centers have any shape [...]; the weights are [..., n].
+    Cells and centers have any shapes that broadcast.
     """
-    center = np.asarray(center)[..., None]
-    nearest = np.round(np.real(center))
+    center = np.asarray(center)
     if np.real(sigma) < 0.02:
         sigma = REAL(0.02)
     if np.real(sigma) < 4:
         reach = int(30 * float(np.real(sigma))) + 4
-        wide = nearest + np.arange(-reach, reach + 1)
-        total = np.sum(np.exp(-((wide - center) ** 2) / (2 * sigma * sigma)), axis=-1)
+        wide = np.round(np.real(center))[..., None] + np.arange(-reach, reach + 1)
+        away = wide - center[..., None]
+        total = np.sum(np.exp(-(away**2) / (2 * sigma * sigma)), axis=-1)
     else:  # the integral; the next term of Poisson's formula is exp(-2π²σ²), 1e-137
-        total = np.sqrt(2 * PI) * sigma * np.ones(center.shape[:-1])
-    weights = np.exp(-((np.asarray(cells) - center) ** 2) / (2 * sigma * sigma))
-    return weights / total[..., None]
+        total = np.sqrt(2 * PI) * sigma
+    return np.exp(-((cells - center) ** 2) / (2 * sigma * sigma)) / total
 
 
 def smooth(volume: Array, sigma: Number) -> Array:
     """Direct sums over all cells, axis by axis."""
     for axis, size in enumerate(volume.shape):
-        cells = np.arange(size)
-        matrix = np.stack([weigh(cells, REAL(i), sigma) for i in range(size)])
+        matrix = weigh(np.arange(size), np.arange(size)[:, None], sigma)
         volume = np.moveaxis(np.tensordot(matrix, volume, axes=(1, axis)), 0, axis)
     return volume
 
@@ -159,65 +154,38 @@ def smooth(volume: Array, sigma: Number) -> Array:
 def sum_gaussians(
     coordinates: Array, masses: Array, sigmas: Number, shape: Shape
 ) -> Array:
-    """Σ of separable Gaussians, point by point; one sigma for all, or one each."""
-    volume = np.zeros(shape)
+    """Σ of separable Gaussians; one sigma for all, or one each."""
     sigmas = sigmas * np.ones(len(coordinates))
-    for point, mass, sigma in zip(coordinates, masses, sigmas, strict=True):
-        block = np.asarray(mass)
-        for x, size in zip(point, shape, strict=True):
-            block = np.multiply.outer(block, weigh(np.arange(size), x, sigma))
-        volume = volume + block
-    return volume
+    weights = [
+        np.array([weigh(np.arange(size), *one) for one in zip(x, sigmas, strict=True)])
+        for x, size in zip(coordinates.T, shape, strict=True)
+    ]
+    return _sum_products(masses, weights)
 
 
 def sum_covariances(
     coordinates: Array, masses: Array, covariances: Array, shape: Shape
 ) -> Array:
-    """Σ of Gaussians: the widest axis first, then each axis given those before it."""
-    volume = np.zeros(shape)
-    for point, mass, matrix in zip(coordinates, masses, covariances, strict=True):
-        matrix = (matrix + matrix.T) / 2
-        order, left = [], matrix
-        for _ in range(3):  # pivoted elimination: what each axis leaves of the rest
-            free = [a for a in range(3) if a not in order]
-            pivot = max(free, key=lambda a: float(np.real(left[a, a])))
-            order.append(pivot)
-            if np.real(left[pivot, pivot]) > 0:
-                column = left[:, pivot]
-                left = left - np.outer(column, column) / left[pivot, pivot]
-        matrix, mean = matrix[np.ix_(order, order)], point[order]
-        first, second, third = (np.arange(shape[a]) for a in order)
-        slope, across = _regress(matrix, 1)
-        slopes, along = _regress(matrix, 2)
-        away = first - mean[0]
-        middle = mean[1] + slope[0] * away
-        block = weigh(first, mean[0], np.sqrt(matrix[0, 0]))[:, None]
-        block = block * weigh(second, middle, np.sqrt(across))
-        end = mean[2] + slopes[0] * away[:, None] + slopes[1] * (second - mean[1])
-        block = block[..., None] * weigh(third, end, np.sqrt(along))
-        volume = volume + mass * np.transpose(block, np.argsort(order))
-    return volume
+    """Σ of Gaussians: the widest axis first, then each axis given those before it.
 
-
-def _regress(matrix, count):
-    """Slopes of an axis on the `count` axes before it, and the variance they leave.
-
-    An axis without a variance of its own tells nothing and gets no slope.
+    An axis without a variance of its own tells nothing of the others.
     """
-    known, cross = matrix[:count, :count], matrix[count, :count]
-    gain = np.zeros(count, matrix.dtype)
-    if count == 2 and np.real(_find_minor(known)) > 0:
-        turned = np.array([[known[1, 1], -known[0, 1]], [-known[1, 0], known[0, 0]]])
-        gain = np.array([np.sum(cross * turned[:, k]) for k in (0, 1)])
-        gain = gain / _find_minor(known)
-    elif np.real(known[0, 0]) > 0:
-        gain[0] = cross[0] / known[0, 0]
-    variance = matrix[count, count] - np.sum(gain * cross)
-    return gain, variance if np.real(variance) > 0 else 0 * variance
-
-
-def _find_minor(matrix):
-    return matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
+    volume, cells = np.zeros(shape), np.ogrid[tuple(slice(size) for size in shape)]
+    for point, block, matrix in zip(coordinates, masses, covariances, strict=True):
+        left, means, free = (matrix + matrix.T) / 2, list(point), {0, 1, 2}
+        while free:  # pivoted elimination: what each axis leaves of the rest
+            pivot = max(free, key=lambda a: float(np.real(left[a, a])))
+            free.remove(pivot)
+            variance, away = left[pivot, pivot], cells[pivot] - means[pivot]
+            is_wide = np.real(variance) > 0
+            width = np.sqrt(variance) if is_wide else REAL(0)
+            block = block * weigh(cells[pivot], means[pivot], width)
+            if is_wide:
+                slopes = left[pivot] / variance
+                left = left - np.outer(left[pivot], slopes)
+                means = [m + slopes[a] * away for a, m in enumerate(means)]
+        volume = volume + block
+    return volume
 
 
 def clip(density: Array) -> Array:
@@ -263,7 +231,7 @@ def project(
     translation, focal, distance, *background = scene
     coordinates, is_inside = place(
         *(points, rotation, focal, distance),
-        **({"shape": shape, "translation": translation} | lens),
+        **(lens | {"shape": shape, "translation": translation}),
     )
     masses = np.where(is_inside, scale * np.ones(len(points)), 0)
     if method == "covariance":
@@ -275,12 +243,11 @@ def project(
             return sum_covariances(coordinates, values, sizes, shape)
         if method == "gaussian":
             return sum_gaussians(coordinates, values, sizes, shape)
-        if method != "trilinear":
-            order = {"quadratic": 2, "cubic": 3}[method]
-            left = sizes * sizes - REAL(order + 1) / 12
-            smoothed = np.sqrt(left) if np.real(left) > 0 else REAL(0)
-            return smooth(splat_splines(coordinates, values, shape, order), smoothed)
-        return smooth(splat(coordinates, values, shape), sizes)
+        order = {"trilinear": 1, "quadratic": 2, "cubic": 3}[method]
+        own = REAL(order + 1) / 12 if order > 1 else 0  # the spline's variance
+        left = sizes * sizes - own
+        smoothed = np.sqrt(left) if np.real(left) > 0 else REAL(0)
+        return smooth(splat(coordinates, values, shape, order), smoothed)
 
     channels = [fill(masses * channel) for channel in colors.T]
     extent = lens.get("extent", 1.0)
@@ -321,20 +288,13 @@ def move_covariances(
     """S·J·R·Σ·Rᵀ·Jᵀ·S written out, where J is the Jacobian of (f·y/z, f·x/z, z)."""
     axes = rotate(np.eye(3), rotation).T  # columns: where the axes go
     stretch = np.array(shape)[:, None] / REAL(shape[0])
-    moved = []
-    for (x, y, z), matrix in zip(ahead, covariances, strict=True):
-        zoom, none = focal / z, 0 * z
-        slopes = np.array(
-            [[none, zoom, -zoom * y / z], [zoom, none, -zoom * x / z], [none, none, 1]]
-        )
-        linear = stretch * _multiply(slopes, axes)
-        symmetric = (matrix + matrix.T) / 2
-        moved.append(_multiply(_multiply(linear, symmetric), linear.T))
-    return np.array(moved).reshape(-1, 3, 3)
-
-
-def _multiply(a, b):
-    return np.sum(a[:, :, None] * b[None], axis=1)
+    x, y, z = ahead.T
+    zoom, none = focal / z, 0 * z
+    rows = [none, zoom, -zoom * y / z], [zoom, none, -zoom * x / z]
+    slopes = np.moveaxis(np.array([*rows, [none, none, none + 1]]), -1, 0)
+    linear = stretch * slopes @ axes
+    symmetric = (covariances + np.swapaxes(covariances, 1, 2)) / 2
+    return linear @ symmetric @ np.swapaxes(linear, 1, 2)
 
 
 def project_volume(
@@ -360,27 +320,17 @@ def project_volume(
     zoom = 1 if orthographic else np.where(is_ahead, ahead, 1) / focal
     moved = np.stack([u * zoom, v * zoom, z], axis=-1) - translation
     axes = rotate(np.eye(3), rotation)  # row i: where axis i goes
-    turned = np.sum(moved[:, None, :] * axes, axis=-1)
-    weights = [
-        _find_tents((turned[:, axis] + REAL(0.5)) * size - REAL(0.5), size)
-        for axis, size in enumerate(volume.shape)
-    ]
+    turned = moved @ axes.T
+    # None beyond a cell from the rim.
+    edges = np.array(volume.shape)
+    cells = (turned + REAL(0.5)) * edges - REAL(0.5)
+    is_inside = np.all((np.real(cells) > -1) & (np.real(cells) < edges), axis=1)
+    is_seen = is_ahead & is_inside
+    weights = [_find_splines(x, size) for x, size in zip(cells.T, edges, strict=True)]
 
-    def sample(cells):
-        x, y, z = weights
-        spread = x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :]
-        values = np.sum(spread * cells, axis=(1, 2, 3))
-        return np.where(is_ahead, values, 0).reshape(shape)
+    def sample(values):
+        found = np.einsum("nx,ny,nz,xyz->n", *weights, values)
+        return np.where(is_seen, found, 0).reshape(shape)
 
     channels = [sample(volume * channel) for channel in np.moveaxis(colors, -1, 0)]
     return end_rays(sample(volume), channels, distance, *background, extent=extent)
-
-
-def _find_tents(places, size):
-    """Weights [n, size] of the cells at each place, none beyond a cell from the rim."""
-    away = places[:, None] - np.arange(size)
-    real = np.real(away)
-    is_inside = (np.real(places) > -1) & (np.real(places) < size)
-    # At a kink, the side towards the higher index.
-    is_near = (real >= -1) & (real < 1) & is_inside[:, None]
-    return np.where(is_near, np.where(real >= 0, 1 - away, 1 + away), 0)

@@ -24,6 +24,7 @@ from dpc_jax.measure.stability.image_cases import (
     render_cells,
     render_cloud,
 )
+from dpc_jax.measure.stability.loss_cases import select
 from dpc_jax.measure.stability.runner import QUICKLY
 from dpc_jax.render import Camera, VoxelGrid, quaternion
 
@@ -75,15 +76,15 @@ class Target(NamedTuple):
     # everything is finite
     holds: Callable[..., Any] = lambda outputs, *inputs: True
     limit: str = ""  # the documented range if it is not all finite numbers, and why
-    has_gradient: bool = True  # whether every input must have a finite gradient
-    # False for numpy functions, which may refuse a draw in a sentence
+    # False for numpy functions, which have no gradient and may refuse a draw
     is_traced: bool = True
 
 
-def run(*, quick: bool, seed: int) -> Iterator[Row]:
+def run(*, quick: bool, seed: int, **_) -> Iterator[Row]:
     """A row for each target, whose error is one if a draw broke it."""
-    draws = QUICK_DRAWS if quick else DRAWS
-    return run_targets(list_targets(), draws=draws, seed=seed, quick=quick)
+    return run_targets(
+        TARGETS, draws=QUICK_DRAWS if quick else DRAWS, seed=seed, quick=quick
+    )
 
 
 def run_targets(
@@ -93,8 +94,8 @@ def run_targets(
     for target in targets:
         rng = np.random.default_rng(seed)
         drawn = [wanted.draw(rng, draws) for wanted in target.inputs]
-        checks = _check_traced if target.is_traced else _check_plain
-        held = checks(target, drawn, quick=quick)
+        check = _check_traced if target.is_traced else _check_plain
+        held = check(target, drawn, quick)
         found = ""
         if broken := [name for name, each in held.items() if not np.all(each)]:
             first = int(np.argmin(held[broken[0]]))
@@ -108,7 +109,7 @@ def run_targets(
         )
 
 
-def _check_traced(target: Target, drawn, *, quick) -> Mapping[str, np.ndarray]:
+def _check_traced(target, drawn, quick) -> Mapping[str, np.ndarray]:
     """Of each property whether each draw has it, by one compiled program.
 
     The properties are finite outputs, finite gradients of Σ ±output, and what the
@@ -116,31 +117,26 @@ def _check_traced(target: Target, drawn, *, quick) -> Mapping[str, np.ndarray]:
     """
 
     def check(arrays):
-        if target.has_gradient:
-            outputs, pull_back = jax.vjp(target.function, *arrays)
-            gradients = pull_back(jax.tree.map(_alternate, outputs))
-        else:
-            outputs, gradients = target.function(*arrays), ()
+        outputs, pull_back = jax.vjp(target.function, *arrays)
         found = {"finite": _are_finite(outputs)}
-        for place, gradient in enumerate(gradients):
+        for place, gradient in enumerate(pull_back(jax.tree.map(_alternate, outputs))):
             found[f"gradient of input {place}"] = _are_finite(gradient)
         return found | {"its promise": jnp.asarray(target.holds(outputs, *arrays))}
 
-    options = QUICKLY if quick else None
-    at_once = min(AT_ONCE, len(drawn[0]))
-    many = functools.partial(jax.lax.map, check, batch_size=at_once)
-    return jax.device_get(jax.jit(many, compiler_options=options)(drawn))
+    many = functools.partial(jax.lax.map, check, batch_size=min(AT_ONCE, len(drawn[0])))
+    return jax.device_get(
+        jax.jit(many, compiler_options=QUICKLY if quick else None)(drawn)
+    )
 
 
-def _check_plain(target: Target, drawn, *, quick) -> Mapping[str, np.ndarray]:
+def _check_plain(target, drawn, quick) -> Mapping[str, np.ndarray]:
     held = []
     for arrays in zip(*drawn, strict=True):
         try:
             outputs = target.function(*arrays)
         except ValueError as error:
             # "<Subject> must be <expected>, but <what came>; <what to do>."
-            says_all = ", but " in str(error) and "; " in str(error)
-            held.append((says_all, says_all, says_all))
+            held.append((", but " in str(error) and "; " in str(error), True, True))
             continue
         leaves = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(outputs)]
         is_finite = all(np.isfinite(leaf).all() for leaf in leaves)
@@ -163,18 +159,17 @@ def _alternate(output):
 # What functions promise.
 
 
-def anything(*_):
-    """For functions that promise finite numbers and no more."""
-    return True
+def between(low: float, high: float = np.inf) -> Callable[..., Any]:
+    """Whether the first of the outputs is in a range."""
+
+    def holds(outputs, *_):
+        values = jax.tree.leaves(outputs)[0]
+        return jnp.all((values >= low) & (values <= high))
+
+    return holds
 
 
-def is_share(values, *_):
-    """Whether all values are in [0, 1]."""
-    return jnp.all((values >= 0) & (values <= 1))
-
-
-def _shows_shares(images, *_):
-    return is_share(images[0])
+_IS_SHARE, _IS_POSITIVE = between(0, 1), between(-4 * EPSILON)
 
 
 def _are_probabilities(found, *_):
@@ -196,24 +191,8 @@ def _is_orthogonal(matrix, *_):
     return jnp.all(jnp.abs(matrix @ matrix.T - jnp.eye(3)) <= 32 * EPSILON)
 
 
-def _is_angle(angle, *_):
-    return (angle >= 0) & (angle <= np.float32(np.pi) * (1 + EPSILON))
-
-
-def _is_degrees(angles, *_):
-    return np.all((angles >= 0) & (angles <= 180))
-
-
 def _is_narrower(found, sigma):
     return jnp.all((found >= 0) & (found <= sigma))
-
-
-def _is_positive(values, *_):
-    return jnp.all(jnp.asarray(values) >= -4 * EPSILON)
-
-
-def _is_cosine_loss(loss, *_):
-    return (loss >= -4 * EPSILON) & (loss <= 1)
 
 
 def _is_alignment(found, *_):
@@ -237,22 +216,15 @@ def _voxelize(points, rotation, sigma, scale):
     return render.voxelize(points, rotation, sigma=sigma, scale=scale, grid=grid)
 
 
-def _splat(coordinates, values):
-    return render.splat(coordinates, values, SHAPE)
-
-
 def _from_axis_angle(q, angle):
     """With an axis that q turns."""
     axis = jnp.squeeze(quaternion.rotate(jnp.eye(1, 3), q))
     return quaternion.from_axis_angle(axis, angle)
 
 
-def _select(logits):
-    return losses.selection_loss(logits, jnp.array([0, 2]))
-
-
-def _choose(points, mass, candidates, target, sigma):
+def _choose(*inputs):
     """The winner, as a share of the last one."""
+    points, mass, candidates, target, sigma = jax.lax.stop_gradient(inputs)
     options = {"sigma": sigma, "camera": Camera()}
     winner = hindsight.choose_candidate(points, mass, candidates, target, **options)
     return winner / (len(candidates) - 1)
@@ -300,73 +272,74 @@ _LIMIT = (
 _KINDS = "; |covariance| ≤ 3e6, some of them indefinite, which is no covariance"
 _STEEP = "components 0 or ≥ 1e-30 (the gradient grows as 1/|q|)"
 _FAR = "coordinates ≤ 1e30, |q| 0 or ≥ 1e-6: the gradient grows as their quotient"
+_DOMAIN = "occupancies in [0, 1], its domain"
 _SQUARED, _REFUSED = "values ≤ 1e18: they are squared", "a zero quaternion is refused"
 
 
-def _projecting(method, rules, sizes, limit="") -> tuple:
+def _project_target(method, rules, sizes, limit="") -> Target:
     inputs = (_POINTS, _TURN, sizes, *_SCENE)
     function = functools.partial(_project, method=method, **rules)
     name = ", ".join((f"project: {method}", *rules.values(), f"{sizes.shape} sizes"))
-    return name, function, inputs, _shows_shares, _LIMIT + limit
+    return Target(name, function, inputs, _IS_SHARE, _LIMIT + limit)
 
 
 # fmt: off
-_TRACED: tuple[tuple[Any, ...], ...] = (
-    _projecting("trilinear", _PERSPECTIVE, _SIGMA),
-    _projecting("trilinear", _FLAT, _SIGMA),
-    _projecting("quadratic", _PERSPECTIVE, _SIGMA),
-    _projecting("levels", _PERSPECTIVE, _SIGMAS),
-    _projecting("gaussian", _PERSPECTIVE, _SIGMA),
-    _projecting("gaussian", _PERSPECTIVE, _SIGMAS),
-    _projecting("gaussian", _PERSPECTIVE, _COVARIANCES, _KINDS),
-    *((f"project_volume: {rules['projection']}",
-       functools.partial(render_cells, **rules), (*_CELLS, _TURN, *_CAMERA),
-       _shows_shares, _LIMIT) for rules in (_PERSPECTIVE, _FLAT)),
-    ("voxelize", _voxelize, (_POINTS, _TURN, _SIGMAS, _SCALE), is_share, _LIMIT),
-    ("splat", _splat, _SPLATS, _makes_no_mass,
-     "|values| ≤ 1e37: the sum of a cell must be a float32"),
-    ("smooth", render.smooth, (Range(SHAPE, -1e30, 1e30, (0, 1)), _SIGMA), anything,
-     "|volume| ≤ 1e30: sigma's gradient is a sum over all cells"),
-    ("compensate_widening", render.compensate_widening,
-     (Range((7,), 0, LARGEST, (0, 3)),), _is_narrower),
-    ("mass_of_peak", render.mass_of_peak, _PEAKS, anything,
-     "|peak| ≤ 1e6 and sigma ≤ 1e10: the mass grows as σ³"),
-    ("opacity", render.opacity, _RAYS, is_share, "occupancies in [0, 1], its domain"),
-    ("termination_probabilities", render.termination_probabilities, _RAYS,
-     _are_probabilities, "occupancies in [0, 1], its domain"),
-    ("quaternion.normalize", quaternion.normalize, (_STEEP_TURN,), _has_unit_length,
-     _STEEP),
-    ("quaternion.multiply", quaternion.multiply, _FACTORS, anything,
-     "components ≤ 1e18: products of larger ones are not float32"),
-    ("quaternion.to_matrix", quaternion.to_matrix, (_STEEP_TURN,), _is_orthogonal,
-     _STEEP),
-    ("quaternion.from_matrix", quaternion.from_matrix, (Range((3, 3), -1e37, 1e37),),
-     _has_unit_length, "entries ≤ 1e37 (a rotation has entries up to 1)"),
-    ("quaternion.rotate", quaternion.rotate,
-     (Range((5, 3), -1e30, 1e30), Range((4,), smallest=1e-6)), anything, _FAR),
-    ("quaternion.angle_between", quaternion.angle_between, (_STEEP_TURN,) * 2,
-     _is_angle, _STEEP),
-    ("quaternion.from_axis_angle", _from_axis_angle, (_STEEP_TURN, Range(())),
-     _has_unit_length, "unit axes (drawn as the turned x axis), any angle"),
-    ("reprojection_loss", losses.reprojection_loss, _IMAGES, _is_positive, _SQUARED),
-    ("student_loss", losses.student_loss, (_STEEP_TURN,) * 2, _is_cosine_loss, _STEEP),
-    ("selection_loss", _select, (Range((2, 3), -1e37, 1e37, (-3, 3)),), _is_positive,
-     "logits ≤ 1e37: the loss is their difference"),
-    ("repulsion_energy", losses.repulsion_energy, _ANY, anything, _SQUARED),
-    ("containment_loss", losses.containment_loss, _ANY, _is_positive, _SQUARED),
-    ("choose_candidate", _choose, _CHOICE, is_share, "", False),
-)
-_OF_NUMPY: tuple[tuple[Any, ...], ...] = (
-    ("rotation_angle_deg", rotation_angle_deg, _POSES, _is_degrees, _REFUSED),
-    ("pose_summary", pose_summary, (Range((7,), usual=(0, 180)),),
-     lambda found, _: is_share(found.accuracy), "errors outside 0° to 180° refused"),
-    ("chamfer_distance", chamfer_distance, (Range((6, 3)), _POINTS), _is_positive),
-    ("align", _align, (*_POSES, *_CLOUDS), _is_alignment, _REFUSED),
+TARGETS = (
+    _project_target("trilinear", _PERSPECTIVE, _SIGMA),
+    _project_target("trilinear", _FLAT, _SIGMA),
+    _project_target("quadratic", _PERSPECTIVE, _SIGMA),
+    _project_target("levels", _PERSPECTIVE, _SIGMAS),
+    _project_target("gaussian", _PERSPECTIVE, _SIGMA),
+    _project_target("gaussian", _PERSPECTIVE, _SIGMAS),
+    _project_target("gaussian", _PERSPECTIVE, _COVARIANCES, _KINDS),
+    *(Target(f"project_volume: {rules['projection']}",
+             functools.partial(render_cells, **rules), (*_CELLS, _TURN, *_CAMERA),
+             _IS_SHARE, _LIMIT) for rules in (_PERSPECTIVE, _FLAT)),
+    Target("voxelize", _voxelize, (_POINTS, _TURN, _SIGMAS, _SCALE), _IS_SHARE, _LIMIT),
+    Target("splat", functools.partial(render.splat, shape=SHAPE), _SPLATS,
+           _makes_no_mass, "|values| ≤ 1e37: the sum of a cell must be a float32"),
+    Target("smooth", render.smooth, (Range(SHAPE, -1e30, 1e30, (0, 1)), _SIGMA),
+           limit="|volume| ≤ 1e30: sigma's gradient is a sum over all cells"),
+    Target("compensate_widening", render.compensate_widening,
+           (Range((7,), 0, LARGEST, (0, 3)),), _is_narrower),
+    Target("mass_of_peak", render.mass_of_peak, _PEAKS,
+           limit="|peak| ≤ 1e6 and sigma ≤ 1e10: the mass grows as σ³"),
+    Target("opacity", render.opacity, _RAYS, _IS_SHARE, _DOMAIN),
+    Target("termination_probabilities", render.termination_probabilities, _RAYS,
+           _are_probabilities, _DOMAIN),
+    Target("quaternion.normalize", quaternion.normalize, (_STEEP_TURN,),
+           _has_unit_length, _STEEP),
+    Target("quaternion.multiply", quaternion.multiply, _FACTORS,
+           limit="components ≤ 1e18: products of larger ones are not float32"),
+    Target("quaternion.to_matrix", quaternion.to_matrix, (_STEEP_TURN,), _is_orthogonal,
+           _STEEP),
+    Target("quaternion.from_matrix", quaternion.from_matrix,
+           (Range((3, 3), -1e37, 1e37),), _has_unit_length,
+           "entries ≤ 1e37 (a rotation has entries up to 1)"),
+    Target("quaternion.rotate", quaternion.rotate,
+           (Range((5, 3), -1e30, 1e30), Range((4,), smallest=1e-6)), limit=_FAR),
+    Target("quaternion.angle_between", quaternion.angle_between, (_STEEP_TURN,) * 2,
+           between(0, float(np.float32(np.pi)) * (1 + EPSILON)), _STEEP),
+    Target("quaternion.from_axis_angle", _from_axis_angle, (_STEEP_TURN, Range(())),
+           _has_unit_length, "unit axes (drawn as the turned x axis), any angle"),
+    Target("reprojection_loss", losses.reprojection_loss, _IMAGES, _IS_POSITIVE,
+           _SQUARED),
+    Target("student_loss", losses.student_loss, (_STEEP_TURN,) * 2,
+           between(-4 * EPSILON, 1), _STEEP),
+    Target("selection_loss", select, (Range((2, 3), -1e37, 1e37, (-3, 3)),),
+           _IS_POSITIVE, "logits ≤ 1e37: the loss is their difference"),
+    Target("repulsion_energy", losses.repulsion_energy, _ANY, limit=_SQUARED),
+    Target("containment_loss", losses.containment_loss, _ANY, _IS_POSITIVE, _SQUARED),
+    Target("choose_candidate", _choose, _CHOICE, _IS_SHARE),
+    # Of numpy.
+    Target("rotation_angle_deg", rotation_angle_deg, _POSES, between(0, 180), _REFUSED,
+           is_traced=False),
+    Target("pose_summary", pose_summary, (Range((7,), usual=(0, 180)),), _IS_SHARE,
+           "errors outside 0° to 180° refused", is_traced=False),
+    Target("chamfer_distance", chamfer_distance, (Range((6, 3)), _POINTS),
+           lambda found, *_: min(found) >= 0, is_traced=False),
+    Target("align", _align, (*_POSES, *_CLOUDS), _is_alignment, _REFUSED,
+           is_traced=False),
 )
 # fmt: on
-
-
-def list_targets() -> list[Target]:
-    """All functions that inputs are drawn for."""
-    plain = [Target(*row, is_traced=False) for row in _OF_NUMPY]
-    return [Target(*row) for row in _TRACED] + plain
+ROWS = {"random": run}

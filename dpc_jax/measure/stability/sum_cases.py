@@ -10,36 +10,42 @@ import math
 import numpy as np
 
 from dpc_jax.learning.losses import reprojection_loss
-from dpc_jax.measure.scenes import make_scenes
+from dpc_jax.measure.scenes import draw_ball, make_scenes
 from dpc_jax.measure.stability.case import Case, make_cases
 from dpc_jax.measure.stability.image_cases import render_cloud
-from dpc_jax.render import VoxelGrid, opacity, project, smooth
-from dpc_jax.render import termination_probabilities as terminate
+from dpc_jax.measure.stability.runner import tabulate
+from dpc_jax.render import (
+    VoxelGrid,
+    opacity,
+    project,
+    smooth,
+    termination_probabilities,
+)
 
 COUNT, SIDE = 200, 32  # points and cells of an ordinary scene
 SINGLE = {"dtypes": ("float32",)}
-KINK = (
-    "trilinear weights have a kink at a cell's centre: of 10⁵ points one lies within "
-    "rounding of it, and float32 takes the other side's slope"
-)
+KINK = {
+    "limit": "trilinear weights have a kink at a cell's centre: of 10⁵ points one lies "
+    "within rounding of it, and float32 takes the other side's slope"
+}
 
 
-def list_scenes() -> list[Case]:
+def _list_scenes() -> list[Case]:
     """Cases of `project` on a car, a chair, a block and a sparse cloud."""
     rng = np.random.default_rng(COUNT)
     axes = rng.normal(0, 0.8, (COUNT, 3, 3))
     matrices = axes @ axes.transpose(0, 2, 1) + 0.3 * np.eye(3)
     colors = rng.uniform(0, 1, (COUNT, 3))
+    scenes = make_scenes(num_points=COUNT, num_sparse=COUNT, seed=0)
     cases = []
     for method, title, sizes in (
-        ("trilinear", "one sigma", 1.3),
-        ("cubic", "one sigma", 1.3),
-        ("gaussian", "one sigma", 1.3),
-        ("levels", "sigma per point", rng.uniform(0.7, 2.5, COUNT)),
+        ("trilinear", "trilinear, one sigma", 1.3),
+        ("cubic", "cubic, one sigma", 1.3),
+        ("gaussian", "gaussian, one sigma", 1.3),
+        ("levels", "levels, sigma per point", rng.uniform(0.7, 2.5, COUNT)),
         ("auto", "sigma per point", rng.uniform(0.7, 2.5, COUNT)),
         ("auto", "covariances", matrices),
     ):
-        scenes = make_scenes(num_points=COUNT, num_sparse=COUNT, seed=0)
         rows = [
             (
                 *(s.name, s.points, s.pose, sizes, s.mass / 8, colors),
@@ -49,7 +55,7 @@ def list_scenes() -> list[Case]:
             for s in scenes
         ]
         cases += make_cases(
-            f"{method}, {title}".removeprefix("auto, "),
+            title,
             functools.partial(render_cloud, method=method, shape=(SIDE,) * 3),
             *(None, (16, 1024), rows),
             because="4 and 8 times the worst error measured: gradients are sums of "
@@ -59,53 +65,62 @@ def list_scenes() -> list[Case]:
     return cases
 
 
-def list_sums() -> list[Case]:
-    """Cases of sums over points, cells, pixels and rays."""
-    cases = []
-    for method, fields in (("trilinear", {"limit": KINK}), ("gaussian", {})):
-        fill = functools.partial(_fill, method=method)
-        for count in (1000, 100_000):
-            cases += _sum(f"{method}, points", fill, count, (4, 64), fields)
-    cases += _sum("loss, pixels", reprojection_loss, 100_000, (4, 4), {})
-    for side in (16, 128):
-        # A cell is a sum along each axis, sigma's gradient one over all cells: √n³.
-        cases += _sum("smooth, cells", smooth, side, (4, side / 4), {})
-    for length in (64, 4096):
-        cases += _sum("opacity, cells of a ray", opacity, length, (4, 4), {})
-        cases += _sum("termination, cells of a ray", terminate, length, (4, 4), {})
-    return cases
-
-
-def _sum(title, function, n, tolerances, fields):
-    """The case of a sum of n terms; tolerances are in units of √n epsilons."""
-    rng = np.random.default_rng(n)
-    directions = rng.normal(size=(n, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    points = directions * rng.uniform(0, 1, (n, 1)) ** (1 / 3) * (0.42, 0.28, 0.16)
-    inputs = {
-        # A fixed mass fills an ellipsoid to a half. It is turned, so that no symmetry
-        # makes the rotation's gradient vanish.
-        "points": lambda: (points, (0.8, 0.4, 0, 0.4), 160),
-        "pixels": lambda: rng.uniform(0, 1, (2, n)),
-        "cells": lambda: (rng.uniform(0, 1, (n, n, n)), n / 8),
-        # A mean occupancy of 2/n: the ray's sum stays at two.
-        "cells of a ray": lambda: (rng.uniform(0, 4 / n, (16, n)),),
-    }[title.partition(", ")[2]]()
-    factors = tuple(tolerance * math.sqrt(n) for tolerance in tolerances)
-    return make_cases(
-        title,
-        *(function, None, factors, [(str(n), *inputs, fields)]),
-        because="√n roundings, of which half an epsilon is left on the average; four "
-        "times the largest of four clouds",
-        is_slow=n > 64,
-        **SINGLE,
-    )
-
-
 def _fill(points, rotation, scale, *, method):
     share = scale / len(points)
     look = {"sigma": 1.0, "grid": VoxelGrid(16), "method": method}
     return project(points, rotation, scale=share, **look).silhouette
 
 
-CASES = {"scene": list_scenes, "sum": list_sums}
+_TRILINEAR, _GAUSSIAN = (
+    functools.partial(_fill, method=method) for method in ("trilinear", "gaussian")
+)
+# What adds up how many terms n of which kind, and the tolerance of the gradient in
+# units of √n epsilons; that of the value is four.
+SUMS = (
+    ("trilinear", _TRILINEAR, "points", 1000, 64, KINK),
+    ("trilinear", _TRILINEAR, "points", 100_000, 64, KINK),
+    ("gaussian", _GAUSSIAN, "points", 1000, 64),
+    ("gaussian", _GAUSSIAN, "points", 100_000, 64),
+    ("loss", reprojection_loss, "pixels", 100_000, 4),
+    # A cell is a sum along each axis, sigma's gradient one over all cells: √n³.
+    ("smooth", smooth, "cells", 16, 4),
+    ("smooth", smooth, "cells", 128, 32),
+    ("opacity", opacity, "cells of a ray", 64, 4),
+    ("opacity", opacity, "cells of a ray", 4096, 4),
+    ("termination", termination_probabilities, "cells of a ray", 64, 4),
+    ("termination", termination_probabilities, "cells of a ray", 4096, 4),
+)
+
+
+def _draw(kind, n):
+    """The inputs of a sum of n terms."""
+    rng = np.random.default_rng(n)
+    points = draw_ball(rng, n) * (0.42, 0.28, 0.16)
+    if kind == "points":
+        # A fixed mass fills an ellipsoid to a half. It is turned, so that no symmetry
+        # makes the rotation's gradient vanish.
+        return points, (0.8, 0.4, 0, 0.4), 160
+    if kind == "pixels":
+        return tuple(rng.uniform(0, 1, (2, n)))
+    if kind == "cells":
+        return rng.uniform(0, 1, (n, n, n)), n / 8
+    return (rng.uniform(0, 4 / n, (16, n)),)  # the rays' sums stay at two
+
+
+def _list_sums() -> list[Case]:
+    """Cases of sums over points, cells, pixels and rays."""
+    cases = []
+    for title, function, kind, n, tolerance, *fields in SUMS:
+        tolerances = 4 * math.sqrt(n), tolerance * math.sqrt(n)
+        cases += make_cases(
+            f"{title}, {kind}",
+            *(function, None, tolerances, [(str(n), *_draw(kind, n), *fields)]),
+            because="√n roundings, of which half an epsilon is left on the average; "
+            "four times the largest of four clouds",
+            is_slow=n > 64,
+            **SINGLE,
+        )
+    return cases
+
+
+ROWS = tabulate(scene=_list_scenes(), sum=_list_sums())

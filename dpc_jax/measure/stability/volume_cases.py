@@ -8,8 +8,17 @@ import numpy as np
 from dpc_jax.measure.stability import DTYPES, oracles
 from dpc_jax.measure.stability.case import IN_WIDE, WIDE, Case, make_cases
 from dpc_jax.measure.stability.oracles import REAL
-from dpc_jax.render import compensate_widening, mass_of_peak, smooth, splat, termination
-from dpc_jax.render.exact import covariances, gaussians
+from dpc_jax.measure.stability.runner import tabulate
+from dpc_jax.render import (
+    compensate_widening,
+    mass_of_peak,
+    opacity,
+    smooth,
+    splat,
+    termination_probabilities,
+)
+from dpc_jax.render.exact.covariances import sum_covariances
+from dpc_jax.render.exact.gaussians import sum_gaussians
 
 SHAPE = (4, 3, 5)
 CROWD = 100_000
@@ -40,8 +49,9 @@ SPLATS = (
     ("no point", np.zeros((0, 3)), np.zeros(0), {"is_slow": True}),
 )
 GRIDS = (
-    ((1, 1, 1), "a grid of one cell", [[0.25, -0.25, 0], [0, 0, 0.5]]),
-    ((3, 5, 7), "a grid of primes", [[0.25, 4.25, 6.4], [2, 0, 0.5]]),
+    (SHAPE, SPLATS),
+    ((1, 1, 1), [("a grid of one cell", [[0.25, -0.25, 0], [0, 0, 0.5]], [1, 2])]),
+    ((3, 5, 7), [("a grid of primes", [[0.25, 4.25, 6.4], [2, 0, 0.5]], [1, 2])]),
 )
 VOLUME = np.cos(3.0 * np.arange(60)).reshape(SHAPE) + 1.5
 # Gradients in units of the slope for each voxel of σ, or of σ itself where it is wide.
@@ -56,15 +66,8 @@ WIDTHS = (
     ("sigma 4", VOLUME, 4.0, BROAD),
     ("sigma 1e3", VOLUME, 1e3, BROAD),
     ("sigma 3e38", VOLUME, 3e38, BROAD),
-    *(
-        (
-            f"a grid of {len(x)} x {len(x[0])} x {len(x[0, 0])}",
-            x,
-            0.8,
-            {"is_slow": True},
-        )
-        for x in (VOLUME[:1, :1, :1], VOLUME[:2, :, :4])
-    ),
+    ("a grid of 1 x 1 x 1", VOLUME[:1, :1, :1], 0.8, {"is_slow": True}),
+    ("a grid of 2 x 3 x 4", VOLUME[:2, :, :4], 0.8, {"is_slow": True}),
 )
 STEEP = {
     "gradient_tolerance": None,
@@ -88,12 +91,6 @@ COMPENSATED = (
 )
 
 
-@functools.cache
-def _make_splat(shape):
-    """`splat` into a shape; one function per shape, so that cases share programs."""
-    return lambda coordinates, values: splat(coordinates, values, shape)
-
-
 def _crowd_mass(coordinate, value):
     coordinates = jnp.broadcast_to(coordinate, (CROWD, 3))
     return jnp.sum(splat(coordinates, jnp.broadcast_to(value, (CROWD,)), SHAPE))
@@ -110,15 +107,15 @@ def _narrow(sigma):
     return sigma * np.sqrt(1 - oracles.clip(2 * sigma - 1) / (6 * sigma * sigma))
 
 
-def list_splats() -> list[Case]:
+def _list_splats() -> list[Case]:
     """Cases of the fast method: splatting, smoothing and masses."""
     cases = []
-    tables = [(SHAPE, SPLATS)]
-    tables += [(shape, [(name, place, [1, 2])]) for shape, name, place in GRIDS]
-    for shape, rows in tables:
-        oracle = functools.partial(oracles.splat, shape=shape)
+    for shape, rows in GRIDS:
+        function, oracle = (
+            functools.partial(call, shape=shape) for call in (splat, oracles.splat)
+        )
         cases += make_cases(
-            *("splat", _make_splat(shape), oracle, (8, 16), rows),
+            *("splat", function, oracle, (8, 16), rows),
             because="three weights of one rounding each, and their product",
         )
     return [
@@ -161,10 +158,10 @@ MASSES = np.array([1.0, 0.5, 2.0, 0.25])
 # A point at the floor of sigma leaves 1e-106 on the neighbours of its cell.
 ON_CELL = {"gradient_floor": 1e-30}
 SIZES = (
-    ("plain", CENTERS, MASSES, [0.6, 0.8, 1.0, 1.2]),
-    ("from 1e-3 to 1e3", CENTERS, MASSES, [1e-3, 0.1, 10, 1e3], IN_WIDE),
-    ("all 0", CENTERS, MASSES, [0, 0, 0, 0], ON_CELL),
-    ("from 1e-30 to 3e38", CENTERS, MASSES, [1e-30, 0.3, 1e15, 3e38], IN_WIDE),
+    ("plain", [0.6, 0.8, 1.0, 1.2]),
+    ("from 1e-3 to 1e3", [1e-3, 0.1, 10, 1e3], IN_WIDE),
+    ("all 0", [0, 0, 0, 0], ON_CELL),
+    ("from 1e-30 to 3e38", [1e-30, 0.3, 1e15, 3e38], IN_WIDE),
 )
 
 
@@ -191,39 +188,38 @@ THIN = {
     "as thin as 0.02 voxels multiplies that by its slope, 400",
 }
 COVARIANCES = (
-    ("plain", TURNED, {}),
-    ("condition 1e12 along the axes", ALONG_AXES, {}),
+    ("plain", TURNED),
+    ("condition 1e12 along the axes", ALONG_AXES),
     ("condition 1e12, turned", [_turn([1e4, 1, 1e-8])] * 4, THIN),
     ("singular: a plane", [FLAT] * 4, BELOW),
     ("singular: a needle", [NEEDLE] * 4, BELOW),
     ("singular: a point", [np.zeros((3, 3))] * 4, BELOW | ON_CELL),
     ("barely indefinite", INDEFINITE, BELOW),
-    ("entries 1e30", [np.eye(3) * 1e30, *TURNED[1:]], {}),
+    ("entries 1e30", [np.eye(3) * 1e30, *TURNED[1:]]),
 )
 
 
 def _sum_isotropic(coordinates, masses, sigma):
-    density = gaussians.sum_gaussians(coordinates, masses[:, None], sigma, shape=SOLID)
-    return jnp.squeeze(density, 0)
+    return sum_gaussians(coordinates, masses[:, None], sigma, shape=SOLID)[0]
 
 
 def _sum_anisotropic(coordinates, masses, covariance):
     """The same with covariances, of which `project` reads the symmetric part."""
     covariance = (covariance + jnp.swapaxes(covariance, 1, 2)) / 2
-    density = covariances.sum_covariances(
-        coordinates, masses[:, None], covariance, shape=SOLID
-    )
-    return jnp.squeeze(density, 0)
+    return sum_covariances(coordinates, masses[:, None], covariance, shape=SOLID)[0]
 
 
-def list_gaussians() -> list[Case]:
+def _list_gaussians() -> list[Case]:
     """Cases of the basic method: sizes far apart, covariances singular and worse."""
     own_sizes = functools.partial(oracles.sum_gaussians, shape=SOLID)
     own_shapes = functools.partial(oracles.sum_covariances, shape=SOLID)
-    matrices = [(name, CENTERS, MASSES, m, fields) for name, m, fields in COVARIANCES]
+    sizes, matrices = (
+        [(name, CENTERS, MASSES, *rest) for name, *rest in rows]
+        for rows in (SIZES, COVARIANCES)
+    )
     return [
         *make_cases(
-            *("sigma per point", _sum_isotropic, own_sizes, (64, 256), SIZES),
+            *("sigma per point", _sum_isotropic, own_sizes, (64, 256), sizes),
             because="three kernels of ten roundings, exponents up to 40 in size",
             is_half_checked=False,
         ),
@@ -256,13 +252,13 @@ RAYS = {
 }
 
 
-def list_rays() -> list[Case]:
+def _list_rays() -> list[Case]:
     """Cases of termination and opacity; tolerances grow with the length of the ray."""
     cases = []
     for title, function, oracle, floor in (
-        ("probabilities", termination.termination_probabilities, oracles.terminate, 0),
+        ("probabilities", termination_probabilities, oracles.terminate, 0),
         # The gradient is at most one; where it is zero, the oracle's sum leaves 1e-19.
-        ("opacity", termination.opacity, oracles.find_opacity, 1e-4),
+        ("opacity", opacity, oracles.find_opacity, 1e-4),
     ):
         for name, ray in RAYS.items():
             cases += make_cases(
@@ -276,4 +272,4 @@ def list_rays() -> list[Case]:
     return cases
 
 
-CASES = {"splat": list_splats, "gaussian": list_gaussians, "ray": list_rays}
+ROWS = tabulate(splat=_list_splats(), gaussian=_list_gaussians(), ray=_list_rays())
