@@ -144,11 +144,9 @@ class Browser:
             self.call("Input.dispatchMouseEvent", type="mouseMoved", **place, **held)
         self.call("Input.dispatchMouseEvent", type="mouseReleased", **place, **held)
 
-    def take_picture(self, *, whole: bool = False) -> bytes:
-        """What the window shows as PNG, or the whole page."""
-        answer = self.call(
-            "Page.captureScreenshot", format="png", captureBeyondViewport=whole
-        )
+    def take_picture(self) -> bytes:
+        """What the window shows as PNG."""
+        answer = self.call("Page.captureScreenshot", format="png")
         return base64.b64decode(answer["data"])
 
 

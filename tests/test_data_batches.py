@@ -42,17 +42,6 @@ def test_epochs_steps_and_seeds_differ():
     assert len({choose(step)[1].tobytes() for step in range(20)}) == 20
 
 
-def test_views_are_drawn_without_replacement_and_evenly():
-    counts = np.zeros(5)
-    for step in range(500):
-        views = choose(step)[1]
-        assert views.shape == (4, 3)
-        assert all(len(set(row.tolist())) == 3 for row in views)
-        counts += np.bincount(views.ravel(), minlength=5)
-    # 2000 rows, each view in 0.6 of them: standard deviation 22; five of them
-    assert np.abs(counts - 1200).max() < 110
-
-
 def test_reading_picks_each_model_with_its_own_views():
     tags = np.arange(6)[:, None] * 10 + np.arange(4)
     spread = np.broadcast_to(tags[..., None, None], (6, 4, 2, 2)).astype(np.uint8)

@@ -1,6 +1,7 @@
 """A user's own images: masks, framing, poses, and what is left out."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -14,8 +15,8 @@ from data_trees import (
 )
 from PIL import Image
 
-from dpc_jax.data import DataSpec, load_or_render
-from dpc_jax.data.sets import framing, image_folder
+from dpc_jax.data import DataSpec, load_or_render, viewpoints
+from dpc_jax.data.sets import image_folder
 
 LENS = np.array([[120.0, 0, 40], [0, 120.0, 40], [0, 0, 1]])
 
@@ -45,8 +46,6 @@ def write_object(folder, *, views=2, masks="alpha", shape=(80, 80), seed=0):
 
 
 def write_quaternions(folder, rotations):
-    from dpc_jax.data import viewpoints
-
     poses = {
         f"view{i}.png": viewpoints.matrix_to_quaternion(rotation).tolist()
         for i, rotation in enumerate(rotations)
@@ -182,16 +181,6 @@ def test_transforms_give_views_that_fit_one_object(tmp_path, convention):
         assert 0.6 < max(extent) <= 0.9
 
 
-def test_the_meeting_point_of_lines_is_found():
-    origins = np.random.default_rng(0).normal(size=(5, 3)) * 4
-    target = np.array([1.0, -2.0, 0.5])
-    directions = target - origins
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    for lines, expected in ((directions, target), (np.tile([[0, 0, 1.0]], (5, 1)), 0)):
-        found = framing._find_meeting_point(origins, lines)
-        np.testing.assert_allclose(found, expected, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     "harm, message",
     [
@@ -219,8 +208,6 @@ def test_a_view_without_a_usable_mask_is_left_out_and_named(tmp_path, harm, mess
     data = load(tmp_path / "set", tmp_path / "cache")
     assert data.counts.tolist() == [3, 2, 3] and data.skipped == ()
     ((name, remark),) = data.remarks
-    import re
-
     assert name == "b" and re.search(message, remark)
 
 
@@ -239,7 +226,10 @@ def write_frame(matrix, **lens):
 
 BAD_POSES = [
     ("poses.json", "{", "poses.json, but they cannot be read"),
+    ("poses.json", "[1, 2]", "it holds a list, not names"),
+    ("poses.json", "[" * 100_000, "nested too deep"),
     ("poses.json", '{"view0.png": [1, 0, 0]}', "four numbers that are not"),
+    ("poses.json", f'{{"a": [1{"0" * 400}, 0, 0, 0]}}', "cannot be read"),
     ("transforms.json", '{"frames": [{"file_path": "view0"}]}', "transform_matrix"),
     ("transforms.json", write_frame(np.diag([2.0, 1, 1, 1])), "no rigid transform"),
     ("transforms.json", write_frame(np.diag([-1.0, 1, 1, 1])), "mirrored"),
@@ -335,11 +325,3 @@ def test_photographs_are_turned_as_their_camera_noted(tmp_path):
     colors, covered = image_folder._read_image(tmp_path / "a.jpg")
     assert colors.shape == (30, 20, 3) and covered.shape == (30, 20)
     assert colors[covered > 0.5].min() > 200 and colors[8:].max() < 50
-
-
-def test_a_folder_without_images_is_named(tmp_path):
-    with pytest.raises(ValueError, match="nowhere is not a folder"):
-        load(tmp_path / "nowhere", tmp_path / "cache")
-    (tmp_path / "empty" / "a").mkdir(parents=True)
-    with pytest.raises(ValueError, match="folders of images .* in .*empty"):
-        load(tmp_path / "empty", tmp_path / "cache")

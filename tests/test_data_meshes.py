@@ -5,8 +5,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from dpc_jax.data import DataSpec, meshes
-from dpc_jax.data.sources import open_source
+from dpc_jax.data import meshes
 from dpc_jax.shapes.normalization import normalize
 
 OBJ = """mtllib colours.mtl
@@ -49,13 +48,6 @@ def test_files_are_found_at_any_depth_and_in_order(tmp_path):
     (tmp_path / "folder.obj").mkdir()
     found = [p.relative_to(tmp_path).as_posix() for p in meshes.find_meshes(tmp_path)]
     assert found == ["b/c.glb", "b/deep/a.stl", "z.OBJ"]
-
-
-def test_a_folder_without_meshes_and_no_folder_are_named(tmp_path):
-    for place, said in ((tmp_path, "mesh files .* in"), (tmp_path / "no", "no is not")):
-        source = open_source(DataSpec("car", folder=str(place)))
-        with pytest.raises(ValueError, match=f"Expected .*{said}"):
-            source.list_models()
 
 
 def test_colours_of_an_mtl_file_are_kept(tmp_path):

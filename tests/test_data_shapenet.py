@@ -254,15 +254,10 @@ def test_damaged_textures_and_materials_leave_plain_colours_and_a_remark(
     assert name == "painted" and expected.get(harm, "1 of 1 textures") in remark
 
 
-def test_folders_and_categories_that_fit_nothing_are_named(tmp_path):
-    with pytest.raises(ValueError, match="02958343 .car. in"):
-        load(tmp_path, tmp_path / "cache")
-    (tmp_path / SYNSET / "a").mkdir(parents=True)
-    with pytest.raises(ValueError, match="model.obj or MODEL/models/model_normalized"):
-        load(tmp_path, tmp_path / "cache")
+def test_a_category_and_a_split_that_fit_nothing_are_named(tmp_path):
+    write_tree(tmp_path)
     with pytest.raises(ValueError, match="eight digits, but it is 'boat'"):
         load(tmp_path, tmp_path / "cache", category="boat")
-    write_tree(tmp_path)
     write_csv(tmp_path / "all.csv", [[0, SYNSET, "x", "other", "train"]])
     with pytest.raises(ValueError, match="but none of its 1 is there"):
         load(tmp_path, tmp_path / "cache")

@@ -101,3 +101,22 @@ def test_an_empty_split_of_a_folder_is_named(tmp_path):
     spec = DataSpec("car", folder=str(tmp_path), split="val", fractions=(1, 0, 1))
     with pytest.raises(ValueError, match="val split"):
         open_source(spec).list_models()
+
+
+@pytest.mark.parametrize(
+    "kind, made, message",
+    [
+        ("meshes", None, "set is not a folder"),
+        ("meshes", "a", "Expected .*mesh files .* in .*set"),
+        ("images", "a", "folders of images .* in .*set"),
+        ("renders", "02958343/a", "render_0.png.*in .*02958343"),
+        ("shapenet", "a", "02958343 .car. in"),
+        ("shapenet", "02958343/a", "model.obj or MODEL/models/model_normalized"),
+    ],
+)
+def test_a_folder_without_models_of_its_kind_is_named(tmp_path, kind, made, message):
+    if made is not None:
+        (tmp_path / "set" / made).mkdir(parents=True)
+    spec = DataSpec("car", kind=kind, folder=str(tmp_path / "set"))
+    with pytest.raises(ValueError, match=message):
+        open_source(spec).list_models()

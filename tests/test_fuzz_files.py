@@ -161,7 +161,7 @@ def assert_read_or_refused(name: str, tries: int):
 @pytest.mark.filterwarnings("ignore")  # of libraries, on what is damaged
 @pytest.mark.parametrize("name", READERS)
 def test_a_damaged_file_is_read_or_refused_in_a_sentence(name):
-    assert_read_or_refused(name, 100)
+    assert_read_or_refused(name, 40)
 
 
 @pytest.mark.slow

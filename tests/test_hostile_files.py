@@ -229,14 +229,6 @@ def read_large_frames(folder):
     return [frame.size for frame in read]
 
 
-@tries("it holds a list, not names", text="[1, 2]")
-@tries("cannot be read", text=f'{{"a": [1{"0" * 400}, 0, 0, 0]}}')
-@tries("nested too deep", text=DEEP)
-def read_poses(folder, *, text):
-    (folder / "poses.json").write_text(text)
-    return pose_files.read_poses([folder / "poses.json"])
-
-
 @pytest.mark.parametrize("attempt, says", TABLE)
 def test_a_file_is_read_or_refused_in_a_sentence(attempt, says, tmp_path):
     assert_try_says(attempt, says, tmp_path)
