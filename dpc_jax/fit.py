@@ -39,6 +39,9 @@ def make_parser() -> argparse.ArgumentParser:
     count = {"type": int, "metavar": "N"}
     text = "of the cloud (%(default)s)"
     add("--points", default=_DEFAULT.num_points, help=text, **count)
+    text = "pixels that images are brought to (%(default)s); 512: thin parts, minutes"
+    sizes = (64, 128, 256, 512)
+    add("--image-size", choices=sizes, default=128, help=text, **count)
     text = "for poses; the best goes on (%(default)s)"
     add("--searches", default=_DEFAULT.searches, help=text, **count)
     angles = ",".join(f"{angle:g}" for angle in _DEFAULT.elevations)
@@ -74,6 +77,7 @@ def _read(options):
             out,
             poses=options.poses,
             crop=options.crop,
+            image_size=options.image_size,
             is_colored=options.colors,
             learn=learn,
             settings=settings,

@@ -1,5 +1,6 @@
 """One object without a network: `dpc_jax.fit`, its search for poses, the command."""
 
+import dataclasses
 import json
 import sys
 import types
@@ -14,7 +15,8 @@ import dpc_jax
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
 from dpc_jax.evaluation import chamfer_distance
 from dpc_jax.fit import main
-from dpc_jax.learning.fitting import FitSettings, pose_search
+from dpc_jax.learning.fitting import FitSettings, descent, object_fit, pose_search
+from dpc_jax.render.blocks import capacity
 from dpc_jax.run.object_fitting import fit_folder, list_doubts
 
 # A few large steps; the points come from 0.45 away.
@@ -94,6 +96,30 @@ def test_the_result_renders_as_it_says(given):
         grid=dpc_jax.VoxelGrid(given.side),
     ).silhouette
     np.testing.assert_allclose(image, given.silhouettes[3], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("finest", "sides"),
+    [(32, (16, 32)), (128, (64, 128)), (512, (64, 128, 256, 512))],
+)
+def test_images_are_halved_until_the_first_are_coarse(finest, sides):
+    assert object_fit.list_sides(finest) == sides
+
+
+def test_large_images_are_fitted_in_blocks_by_more_points(scene, monkeypatch):
+    """Though at first there is room for half of the blocks; of 64² to be quick."""
+    _, silhouettes, rotations = scene
+    for module in object_fit, descent:
+        monkeypatch.setattr(module, "COARSE_UP_TO", 32)
+    monkeypatch.setattr(descent, "_SPARE", 0.5)
+    monkeypatch.setattr(capacity, "_COUNTED_FROM", 1)
+    monkeypatch.setattr(capacity, "_SMALL_UP_TO", 1)
+    monkeypatch.setattr(capacity, "_MOST_SHARE", 1)
+    large = silhouettes.repeat(2, axis=1).repeat(2, axis=2)
+    settings = dataclasses.replace(SMALL, sides=(32, 64))
+    found = dpc_jax.fit(large, rotations=rotations, settings=settings)
+    assert found.side == 64 and found.points.shape == (1200, 3)
+    assert found.overlaps.mean() > 0.85
 
 
 def test_the_same_seed_gives_the_same_cloud(scene, given):

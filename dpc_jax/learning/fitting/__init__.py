@@ -11,10 +11,11 @@ class FitSettings:
     """How an object is fitted.
 
     Attributes:
-      num_points: of the cloud.
+      num_points: of the cloud in images of up to 128 pixels; four times as many in
+        images twice as large.
       sides: of images and volume, coarse to fine; divisors of the images' side. Empty
-        for half of that side and all of it, 128 at most.
-      steps: of each side.
+        for all doublings from 64 on, or from half of that side where it is smaller.
+      steps: of each side; those beyond the last side are left out.
       sigma: of the points at the first and last step of each side, voxels of its grid.
       learning_rate: of the points, box diagonals; a tenth of it at the end of a side.
       camera_share: the share of that rate that learned cameras have, radians, on the
@@ -29,7 +30,7 @@ class FitSettings:
 
     num_points: int = 4000
     sides: tuple[int, ...] = ()
-    steps: tuple[int, ...] = (300, 150)
+    steps: tuple[int, ...] = (300, 150, 60, 40)
     sigma: tuple[float, float] = (2.0, 0.5)
     learning_rate: float = 0.01
     camera_share: tuple[float, float] = (0.1, 0.6)

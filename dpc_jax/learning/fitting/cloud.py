@@ -8,11 +8,12 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning.cameras import place_camera
-from dpc_jax.learning.shapes.kind import View
+from dpc_jax.learning.shapes.kind import View, sum_views
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.signals import Weights
-from dpc_jax.render import Camera
+from dpc_jax.render import Camera, VoxelGrid
 from dpc_jax.render.batch import map_renders
+from dpc_jax.render.blocks import capacity
 from dpc_jax.render.devices import AUTOMATIC
 
 BASE_SIDE = 32  # of the grid that masses are in; a finer one has them in its own voxels
@@ -73,10 +74,26 @@ def make_shell(key: jax.Array, count: int, radius: float = 0.45) -> jax.Array:
     return radius * away / jnp.linalg.norm(away, axis=1, keepdims=True)
 
 
-def place(view: Mapping[str, jax.Array], camera: Camera, side: int) -> View:
+def place(
+    view: Mapping[str, jax.Array],
+    camera: Camera,
+    side: int,
+    max_blocks: int | None = None,
+) -> View:
     """One of `Cloud.list_views`, in a grid of that side."""
     own = place_camera(camera, view)
-    return View(view["rotation"], own, side, view.get("translation"))
+    shift = view.get("translation")
+    return View(view["rotation"], own, side, shift, max_blocks=max_blocks)
+
+
+def split_points(cloud: Cloud, key: jax.Array, *, parts: int, distance: float) -> Cloud:
+    """So many points for each, in random directions, so far away in the mean."""
+    points = jnp.repeat(cloud.points, parts, axis=0)
+    away = distance / jnp.sqrt(3) * jax.random.normal(key, points.shape)
+    logits = cloud.color_logits
+    if logits is not None:
+        logits = jnp.repeat(logits, parts, axis=0)
+    return cloud._replace(points=points + away, color_logits=logits)
 
 
 def compare_views(
@@ -86,29 +103,70 @@ def compare_views(
     sigma: jax.Array,
     weights: Weights,
     camera: Camera,
+    chosen: jax.Array | None = None,
+    max_blocks: int | None = None,
 ) -> jax.Array:
-    """The loss of each view [V], per pixel of the targets (Eq. 1)."""
+    """Mean loss of all views, or of the chosen, per pixel of the targets (Eq. 1)."""
     side = targets["silhouette"].shape[-1]
-    scene = cloud.make_scene(sigma, side)
+    views, images = take_views((cloud.list_views(camera), dict(targets)), chosen)
+    count = len(views["rotation"])
+    scene = jax.tree.map(
+        lambda array: jnp.broadcast_to(array, (count, *jnp.shape(array))),
+        cloud.make_scene(sigma, side),
+    )
+    given = {"images": images, "sigma": jax.lax.stop_gradient(scene.pop("sigma"))}
 
-    def compare(entry):
-        view, images = entry
-        view = place(view, camera, side)
-        return Points.compare_view(scene, view, images, weights=weights)[0]
+    def compare(learned, given):
+        scene, view = learned
+        view = place(view, camera, side, max_blocks)
+        scene = scene | {"sigma": given["sigma"]}
+        return Points.compare_view(scene, view, given["images"], weights=weights)
 
-    entries = cloud.list_views(camera), dict(targets)
-    return map_renders(compare, entries, renders_at_once=AUTOMATIC) / side**2
+    total, _, _ = sum_views(compare, AUTOMATIC, (scene, views), given)
+    return total / (count * side**2)
+
+
+def take_views(entries: Any, chosen: jax.Array | None) -> Any:
+    """The chosen of views' entries [V, ...]; all where none are."""
+    if chosen is None:
+        return entries
+    return jax.tree.map(lambda array: array[chosen], entries)
 
 
 @functools.partial(jax.jit, static_argnames="side")
-def render_all(
+def count_blocks(
     cloud: Cloud, *, sigma: jax.Array | float, side: int, camera: Camera
+) -> jax.Array:
+    """The most blocks that a view touches in a grid of that side, ()."""
+
+    def count(own):
+        view = place(own, camera, side)
+        return capacity.count_blocks(
+            cloud.points,
+            view.rotation,
+            sigma=sigma,
+            translation=view.translation,
+            camera=view.camera,
+            grid=VoxelGrid(side),
+        )
+
+    return jnp.max(jax.lax.map(count, cloud.list_views(camera)))
+
+
+@functools.partial(jax.jit, static_argnames=("side", "max_blocks"))
+def render_all(
+    cloud: Cloud,
+    *,
+    sigma: jax.Array | float,
+    side: int,
+    camera: Camera,
+    max_blocks: int | None = None,
 ) -> jax.Array:
     """Silhouettes of all views [V, side, side]."""
     scene = cloud.make_scene(sigma, side)
 
     def render(view):
-        view = place(view, camera, side)
+        view = place(view, camera, side, max_blocks)
         return Points.render(scene, view, signals=("silhouette",)).silhouette
 
     return map_renders(render, cloud.list_views(camera), renders_at_once=AUTOMATIC)

@@ -9,19 +9,29 @@ import jax.numpy as jnp
 import optax
 
 from dpc_jax.learning.fitting import FitSettings
-from dpc_jax.learning.fitting.cloud import Cloud, compare_views, place
+from dpc_jax.learning.fitting.cloud import (
+    Cloud,
+    compare_views,
+    count_blocks,
+    place,
+    take_views,
+)
 from dpc_jax.learning.losses import (
     containment_loss,
     measure_outside,
     pull_inside,
     repulsion_energy,
 )
-from dpc_jax.learning.signals import Weights
+from dpc_jax.learning.signals import Weights, average_blocks
 from dpc_jax.render import Camera, quaternion
+from dpc_jax.render.blocks import capacity
 
 CHUNK = 10  # steps of one call
+COARSE_UP_TO = 128  # side of images up to which a step sees all views
+_FINE_VIEWS = 4  # of a step in finer ones
+_SPARE = 1.2  # room for blocks over what the first step of a side touches
 _FINER_RATE = 0.4  # learning rate of a side over that of the one before
-_COARSE_END = 1.4  # size of points at the end of a coarser side over that of the last
+_COARSE_END = 1.35  # size of points at the end of a coarser side over that of the last
 _REPELLED = 600  # points that repel each other in a step
 _COLOR_SHARE = 5.0  # rate of colours' logits, which have several units to go
 # What is learned of cameras, and the field of `Cloud` that has it.
@@ -60,15 +70,35 @@ def descend(
       targets: of all views at this side.
       on_progress: called with the steps taken and the loss, without the priors.
     """
-    outside = jax.lax.map(measure_outside, targets["silhouette"])
+    silhouettes = targets["silhouette"]
+    near = average_blocks(silhouettes, min(silhouettes.shape[-1], COARSE_UP_TO))
+    outside = jax.lax.map(measure_outside, near)
     parameters: Any = cloud
     state = _make_optimizer(stage).init(parameters)
+    side = silhouettes.shape[-1]
+    sigma = _find_sigma(stage, jnp.zeros(()))
+    room = find_room(cloud, sigma, side, camera, spare=_SPARE)
     for first in range(0, stage.steps, CHUNK):
-        cloud, state, loss = _advance(
-            cloud, state, jnp.asarray(first), targets, outside, camera, stage=stage
-        )
+        inputs = cloud, state, jnp.asarray(first), targets, outside, camera
+        moved = _advance(*inputs, stage=stage, max_blocks=room)
+        while room and room < side**3 and not jnp.isfinite(moved[2]):
+            room *= 2  # the images of more blocks than there is room for are NaN
+            moved = _advance(*inputs, stage=stage, max_blocks=room)
+        cloud, state, loss = moved
         on_progress(min(first + CHUNK, stage.steps), float(loss))
     return cloud
+
+
+def find_room(
+    cloud: Cloud, sigma, side: int, camera: Camera, *, spare: float = 1.0
+) -> int | None:
+    """`max_blocks` for all views, times `spare`; None for the whole volume."""
+    if side <= COARSE_UP_TO:  # where points start wide, and programs cost more
+        return None
+    how = {"sigma": sigma, "side": side, "camera": camera}
+    return capacity.count_room(
+        lambda: spare * count_blocks(cloud, **how), (side,) * 3, cloud.points
+    )
 
 
 def _make_optimizer(stage: Stage) -> optax.GradientTransformation:
@@ -112,8 +142,18 @@ def _find_sigma(stage: Stage, number):
     return start * (end / start) ** share
 
 
-def _pull(cloud: Cloud, outside, camera):
-    """`pull_inside` of all views in the mean; (). Outside is [V, D, D]."""
+def _choose_views(number, shape):
+    """Some of the views for a step in fine images [V, D, D]; None for all."""
+    count, side = shape[:2]
+    if side <= COARSE_UP_TO or count <= _FINE_VIEWS:
+        return None
+    return jax.random.choice(
+        jax.random.key(number), count, (_FINE_VIEWS,), replace=False
+    )
+
+
+def _pull(cloud: Cloud, outside, camera, chosen):
+    """`pull_inside` of the chosen views in the mean; (). Outside is [V, D, D]."""
 
     def measure(entry):
         own, distances = entry
@@ -126,19 +166,21 @@ def _pull(cloud: Cloud, outside, camera):
             translation=view.translation,
         )
 
-    return jnp.mean(jax.vmap(measure)((cloud.list_views(camera), outside)))
+    entries = take_views((cloud.list_views(camera), outside), chosen)
+    return jnp.mean(jax.vmap(measure)(entries))
 
 
-@functools.partial(jax.jit, static_argnames="stage", donate_argnums=(0, 1))
-def _advance(cloud, state, first, targets, outside, camera, *, stage):
+@functools.partial(jax.jit, static_argnames=("stage", "max_blocks"))
+def _advance(cloud, state, first, targets, outside, camera, *, stage, max_blocks):
     """`CHUNK` steps from the first; cloud, optimizer's state, loss of the last."""
     settings, optimizer = stage.settings, _make_optimizer(stage)
 
     def compare(cloud, number):
-        sigma = _find_sigma(stage, number)
-        how = {"sigma": sigma, "weights": stage.weights, "camera": camera}
-        loss = jnp.mean(compare_views(cloud, targets, **how))
-        total = loss + settings.pull_weight * _pull(cloud, outside, camera)
+        how = {"sigma": _find_sigma(stage, number), "weights": stage.weights}
+        how |= {"camera": camera, "max_blocks": max_blocks}
+        chosen = _choose_views(number, targets["silhouette"].shape)
+        loss = compare_views(cloud, targets, chosen=chosen, **how)
+        total = loss + settings.pull_weight * _pull(cloud, outside, camera, chosen)
         # Outside of the volume there is no gradient from images.
         total += containment_loss(cloud.points)
         if settings.repulsion_weight:

@@ -16,13 +16,18 @@ import numpy as np
 
 from dpc_jax.learning.fitting import LEARNED
 from dpc_jax.learning.fitting import FitSettings as FitSettings
-from dpc_jax.learning.fitting.cloud import Cloud, make_shell, render_all
-from dpc_jax.learning.fitting.descent import Stage, descend
+from dpc_jax.learning.fitting.cloud import (
+    Cloud,
+    make_shell,
+    render_all,
+    split_points,
+)
+from dpc_jax.learning.fitting.descent import COARSE_UP_TO, Stage, descend, find_room
 from dpc_jax.learning.fitting.pose_search import COARSE, FINE, search_poses
 from dpc_jax.learning.signals import Weights, make_targets
 from dpc_jax.render import Camera, arguments, checks, quaternion
 
-_FINEST = 128  # side, unless settings say another: a fit takes a minute of two cores
+_COARSEST = 64  # side of the first images; larger ones are halved down to it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,9 +98,9 @@ def fit(
     """
     begin, tell = time.perf_counter(), on_progress or (lambda *_: None)
     views = _check_views(silhouettes, depths, colors)
-    finest = min(views["masks"].shape[-1], _FINEST)
-    sides = settings.sides or (finest // 2, finest)
-    settings = dataclasses.replace(settings, sides=sides)
+    sides = settings.sides or list_sides(views["masks"].shape[-1])
+    steps = settings.steps[: len(sides)]
+    settings = dataclasses.replace(settings, sides=sides, steps=steps)
     _check_settings(settings, views["masks"], learn, is_searched=rotations is None)
     arguments.check_camera(camera)
     key = jax.random.key(seed)
@@ -128,8 +133,20 @@ def fit(
             views, side, signals=weights.signals, distance=float(camera.distance)
         )
         stage = Stage(settings, number, weights, learn)
+        if number and side > COARSE_UP_TO:
+            key, own = jax.random.split(key)
+            ratio, last = side // sides[number - 1], sides[number - 1]
+            cloud = split_points(cloud, own, parts=ratio**2, distance=0.5 / last)
         cloud = descend(cloud, targets, camera, stage, on_progress=report)
     return _finish(cloud, targets["silhouette"], settings, camera, curve)
+
+
+def list_sides(finest: int) -> tuple[int, ...]:
+    """Sides of images and volume, coarse to fine, of images with that side."""
+    sides = [finest]
+    while len(sides) < 2 or sides[0] >= 2 * _COARSEST:
+        sides.insert(0, sides[0] // 2)
+    return tuple(sides)
 
 
 def _check_views(silhouettes, depths, colors) -> dict[str, np.ndarray]:
@@ -218,7 +235,9 @@ def _begin(rotations, key, settings, learn, *, has_colors) -> Cloud:
 def _finish(cloud: Cloud, silhouettes, settings, camera, curve) -> Fit:
     """Render what was found beside what was given."""
     side, sigma = settings.sides[-1], settings.sigma[1]
-    rendered = np.asarray(render_all(cloud, sigma=sigma, side=side, camera=camera))
+    room = find_room(cloud, sigma, side, camera)
+    how = {"sigma": sigma, "side": side, "camera": camera, "max_blocks": room}
+    rendered = np.asarray(render_all(cloud, **how))
     true, found = np.asarray(silhouettes) >= 0.5, rendered >= 0.5
     views = cloud.list_views(camera)
 

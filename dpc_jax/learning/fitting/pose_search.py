@@ -155,7 +155,7 @@ def _run_round(cloud, state, key, sigma, temperature, silhouettes, viewpoints, c
         def compare(learned):
             points, log_mass = learned
             posed = cloud._replace(points=points, log_mass=log_mass, rotations=drawn)
-            return jnp.mean(compare_all(posed))
+            return compare_all(posed)
 
         learned = cloud.points, cloud.log_mass
         updates, state = _ADAM.update(jax.grad(compare)(learned), state)

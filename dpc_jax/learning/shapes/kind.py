@@ -34,6 +34,7 @@ class View(NamedTuple):
       camera: of the view. side: of a cubic grid.
       translation: [3] of the object in the camera frame, or None.
       ray_rule: see `project`.
+      max_blocks: of points, see `project`.
     """
 
     rotation: jax.Array
@@ -41,6 +42,7 @@ class View(NamedTuple):
     side: int
     translation: jax.Array | None = None
     ray_rule: str = "termination"
+    max_blocks: int | None = None
 
     @property
     def without_gradient(self) -> "View":

@@ -209,6 +209,7 @@ class Points(Shape):
             colors=scene["colors"] if "color" in signals else None,
             signals=signals,
             background_depth=background_depth,
+            max_blocks=view.max_blocks,
             **view.arguments,
         )
 
