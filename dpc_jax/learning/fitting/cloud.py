@@ -117,13 +117,12 @@ def compare_views(
     given = {"images": images, "sigma": jax.lax.stop_gradient(scene.pop("sigma"))}
 
     def compare(learned, given):
-        scene, view = learned
-        view = place(view, camera, side, max_blocks)
-        scene = scene | {"sigma": given["sigma"]}
+        view = place(learned["view"], camera, side, max_blocks)
+        scene = learned["scene"] | {"sigma": given["sigma"]}
         return Points.compare_view(scene, view, given["images"], weights=weights)
 
-    total, _, _ = sum_views(compare, AUTOMATIC, (scene, views), given)
-    return total / (count * side**2)
+    found: Any = sum_views(compare, AUTOMATIC, {"scene": scene, "view": views}, given)
+    return found[0] / (count * side**2)
 
 
 def take_views(entries: Any, chosen: jax.Array | None) -> Any:

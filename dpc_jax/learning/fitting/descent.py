@@ -23,7 +23,7 @@ from dpc_jax.learning.losses import (
     repulsion_energy,
 )
 from dpc_jax.learning.signals import Weights, average_blocks
-from dpc_jax.render import Camera, quaternion
+from dpc_jax.render import Camera, VoxelGrid, quaternion
 from dpc_jax.render.blocks import capacity
 
 CHUNK = 10  # steps of one call
@@ -97,7 +97,7 @@ def find_room(
         return None
     how = {"sigma": sigma, "side": side, "camera": camera}
     return capacity.count_room(
-        lambda: spare * count_blocks(cloud, **how), (side,) * 3, cloud.points
+        lambda: spare * count_blocks(cloud, **how), VoxelGrid(side).shape, cloud.points
     )
 
 
