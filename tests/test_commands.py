@@ -104,9 +104,8 @@ def test_both_forms_of_a_command_say_the_same_with_the_same_status(
 
 
 def test_the_fields_of_a_config_reach_the_run():
-    fields = ("--config=debug:known_pose", "--config.seed=-1")
-    done, same = start("dpc_jax", "train", *fields), start("dpc_jax.main", *fields)
-    assert done.returncode == same.returncode == 1 and done.stderr == same.stderr
+    done = start("dpc_jax", "train", "--config=debug:known_pose", "--config.seed=-1")
+    assert done.returncode == 1
     assert done.stderr.startswith("Error: config.seed must be 0 or more, but it is -1")
 
 

@@ -102,11 +102,7 @@ def test_there_are_as_many_commands_as_a_reader_finds():
     assert any("--size=quick" in words for _, words in COMMANDS)
 
 
-@pytest.mark.parametrize(
-    "page",
-    sorted({block.page for block in list_blocks("python")}),
-    ids=lambda p: p.name,
-)
+@pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.name)
 def test_the_python_of_a_page_runs(page, tmp_path, monkeypatch):
     """All blocks of a page, from the first to the last, in an empty folder."""
     monkeypatch.chdir(tmp_path)

@@ -211,8 +211,8 @@ def name_files_in_bytes_of_all_kinds(folder):
     row = Example("", blank, blank, blank, np.zeros((1, 3)), None, None)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for name in shown:
-            draw_predictions([dataclasses.replace(row, name=name)], folder / "a.png")
+        rows = [dataclasses.replace(row, name=name) for name in shown]
+        draw_predictions(rows, folder / "a.png")
     return Path(shown[-1]).name
 
 

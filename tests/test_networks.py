@@ -1,4 +1,7 @@
-"""The networks: the paper's layers, and nothing that a run does not learn."""
+"""The networks: nothing that a run does not learn, and where outputs start and end.
+
+The paper's layers are in tests/test_main_paper_settings.py.
+"""
 
 import functools
 import itertools
@@ -30,13 +33,13 @@ def run(module, inputs):
     return jax.jit(module.init_with_output)(KEY, inputs)[0]
 
 
-def image_shape(size):
-    return jax.ShapeDtypeStruct((2, size, size, 3), jnp.float32)
+def image_shape(size, channels=3):
+    return jax.ShapeDtypeStruct((2, size, size, channels), jnp.float32)
 
 
-def network_shapes(**changes):
+def network_shapes(inputs=3, **changes):
     values = dict(num_points=10, num_heads=4, channels=2, hidden=8, shape_hidden=8)
-    return shapes_of(ShapePoseNetwork(**values | changes), image_shape(16))
+    return shapes_of(ShapePoseNetwork(**values | changes), image_shape(16, inputs))
 
 
 def conv_sides(size):
@@ -62,16 +65,6 @@ def conv_sides(size):
 )
 def test_convolutions_bring_an_image_down_to_four_pixels(size, sides):
     assert conv_sides(size) == sides
-
-
-def test_the_first_kernel_is_5x5_the_others_3x3_and_two_dense_layers_have_1024_units():
-    shapes = shapes_of(ImageEncoder(), image_shape(64))
-    kernels = [shapes[f"Conv_{i}/kernel"] for i in range(7)]
-    assert [k[:2] for k in kernels] == [(5, 5)] + 6 * [(3, 3)]
-    dense = {name: s for name, s in shapes.items() if name.startswith("Dense")}
-    assert dense["Dense_0/kernel"][1] == 1024
-    assert dense["Dense_1/kernel"] == (1024, 1024)
-    assert len(dense) == 4  # two kernels, two biases
 
 
 def test_a_mixture_of_images_is_made_after_the_first_dense_layer():
@@ -104,19 +97,6 @@ def test_an_image_size_that_cannot_be_halved_to_four_is_refused_in_a_sentence(si
         shapes_of(ImageEncoder(channels=2, hidden=4), image_shape(size))
 
 
-def test_the_heads_are_one_module_with_a_leading_axis_of_k_and_layers_32_32_4():
-    shapes = network_shapes(num_heads=5, hidden=48)
-    heads = {n: s for n, s in shapes.items() if n.startswith("pose/heads")}
-    assert heads == {
-        "pose/heads/Dense_0/kernel": (5, 48, 32),
-        "pose/heads/Dense_0/bias": (5, 32),
-        "pose/heads/Dense_1/kernel": (5, 32, 32),
-        "pose/heads/Dense_1/bias": (5, 32),
-        "pose/heads/Dense_2/kernel": (5, 32, 4),
-        "pose/heads/Dense_2/bias": (5, 4),
-    }
-
-
 def test_each_head_starts_from_random_numbers_of_its_own():
     ensemble = PoseEnsemble(num_heads=3, hidden=8)
     params = jax.jit(ensemble.init)(KEY, jnp.ones((1, 8)))
@@ -143,9 +123,6 @@ POSE = {"pose", "student"}
 def test_only_what_is_learned_has_parameters(fields, branches):
     shapes = network_shapes(**fields)
     assert {name.split("/")[0] for name in shapes} == branches | {"encoder", "shape"}
-    if branches == POSE and not fields:  # the student has the layers of a head
-        own = [shapes[f"student/head/Dense_{i}/kernel"] for i in range(3)]
-        assert own == [(8, 32), (32, 32), (32, 4)]
 
 
 def test_a_single_regressor_is_its_own_student_and_one_that_selects_has_logits():
@@ -160,9 +137,8 @@ def test_a_single_regressor_is_its_own_student_and_one_that_selects_has_logits()
     assert selecting["logits"].shape == (2, 12) and "student" not in selecting
 
 
-def test_the_shape_branch_has_3n_outputs_with_colour_6n_and_sizes_where_learned():
+def test_the_shape_branch_has_colours_and_sizes_where_they_are_learned():
     plain = network_shapes()
-    assert plain["shape/points/kernel"] == (8, 30)
     colors = {"shape/colors/bias": (30,), "shape/colors/kernel": (8, 30)}
     assert network_shapes(has_color=True) == plain | colors
     sizes = {"shape/sizes/bias": (10,), "shape/sizes/kernel": (8, 10)}
@@ -332,20 +308,7 @@ def test_a_focal_length_is_predicted_around_that_of_the_config():
 
 
 def test_an_encoder_that_sees_masks_has_a_fourth_channel_and_refuses_three():
-    plain, masked = (
-        network_shapes(),
-        shapes_of(
-            ShapePoseNetwork(
-                num_points=10,
-                num_heads=4,
-                channels=2,
-                hidden=8,
-                shape_hidden=8,
-                sees_mask=True,
-            ),
-            jax.ShapeDtypeStruct((2, 16, 16, 4), jnp.float32),
-        ),
-    )
+    plain, masked = network_shapes(), network_shapes(inputs=4, sees_mask=True)
     first = "encoder/Conv_0/kernel"
     assert plain[first][2] == 3 and masked[first][2] == 4
     assert {**plain, first: masked[first]} == masked

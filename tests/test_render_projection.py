@@ -1,4 +1,7 @@
-"""`project` against the written equations, and what leaves its images as they are."""
+"""`project` and `project_volume` against the written equations, and what they return.
+
+In float64, where tests/test_stability.py has the extremes and gradients in float32.
+"""
 
 import functools
 
@@ -6,161 +9,138 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 import dpc_jax
 from dpc_jax.measure.stability import oracles
 
 ALL = ("silhouette", "depth", "color", "termination")
+SHAPE, EXTENT = (9, 12, 7), 1.1
+FOCAL_LENGTH, DISTANCE, BEHIND = 1.7, 2.1, (5.0, 0.25)
+COUNT, CELLS = 12, (5, 7, 6)
+RNG = np.random.default_rng(0)
+POSE, SHIFT = RNG.normal(size=4), np.array([0.03, -0.05, 0.02])
+POINTS, MASSES = RNG.uniform(-0.3, 0.3, (COUNT, 3)), RNG.uniform(0.5, 3.0, COUNT)
+SIZES = np.resize([0.0, 0.1, 0.5, 1.0, 3.0], COUNT)
+COLORS, CELL_COLORS = RNG.uniform(size=(COUNT, 2)), RNG.uniform(size=(*CELLS, 2))
+VOLUME = RNG.uniform(0, 0.9, CELLS)
 
 
-def make_scene(count=12, channels=2, seed=0, spread=0.3):
-    rng = np.random.default_rng(seed)
-    return {
-        "points": rng.uniform(-spread, spread, (count, 3)),
-        "rotation": rng.normal(size=4),
-        "colors": rng.uniform(size=(count, channels)),
-        "scale": rng.uniform(0.5, 3.0, count),
-        "translation": np.array([0.03, -0.05, 0.02]),
-    }
-
-
-@functools.partial(jax.jit, static_argnames="kind")
-def render_all(scene, sigma, kind):
-    return dpc_jax.project(
-        **scene,
-        sigma=sigma,
-        camera=dpc_jax.Camera(1.7, 2.1, kind),
-        grid=dpc_jax.VoxelGrid((9, 12, 7), extent=1.1),
+@functools.partial(jax.jit, static_argnames=("function", "kind", "method"))
+def render(function, first, rotation, kind, **inputs):
+    return function(
+        first,
+        rotation,
+        translation=SHIFT,
+        camera=dpc_jax.Camera(FOCAL_LENGTH, DISTANCE, kind),
+        grid=dpc_jax.VoxelGrid(SHAPE, extent=EXTENT),
         signals=ALL,
-        background_depth=5.0,
-        background_color=0.25,
+        background_depth=BEHIND[0],
+        background_color=BEHIND[1],
+        **inputs,
     )
 
 
-@pytest.mark.parametrize("kind", ["perspective", "orthographic"])
-@pytest.mark.parametrize("sigma", [0.0, 0.7, 1.9])
-def test_images_equal_the_written_equations_in_float64(kind, sigma):
-    s = make_scene()
-    with jax.enable_x64(True):
-        image = render_all(s, sigma, kind)
-    expected = oracles.project(
-        *(s["points"], s["rotation"], sigma, s["scale"], s["colors"]),
-        *(s["translation"], 1.7, 2.1, 5.0, 0.25),
-        shape=(9, 12, 7),
-        extent=1.1,
-        orthographic=kind == "orthographic",
-    )
+def turn(kind):
+    """A quaternion, or the same as a matrix."""
+    is_matrix = kind == "orthographic"
+    return oracles.rotate(np.eye(3), POSE).T.astype(float) if is_matrix else POSE
+
+
+def assert_equal(image, expected):
     # float64 rounding of sums over a few hundred cells
     close = {"rtol": 0, "atol": 1e-12}
+    assert expected[0].max() > 0.1
     for name, right in zip(ALL, expected, strict=False):
         np.testing.assert_allclose(image[name], right, **close)
-    shares = np.asarray(image.termination)
-    np.testing.assert_allclose(shares.sum(-1), expected[0], **close)
-    depths = 2.1 + ((np.arange(7) + 0.5) / 7 - 0.5) * 1.1
-    seen = shares @ depths + 5.0 * (1 - expected[0])
+    ends = np.asarray(image.termination)
+    np.testing.assert_allclose(ends.sum(-1), expected[0], **close)
+    depths = DISTANCE + ((np.arange(SHAPE[2]) + 0.5) / SHAPE[2] - 0.5) * EXTENT
+    seen = ends @ depths + BEHIND[0] * (1 - expected[0])
     np.testing.assert_allclose(seen, expected[1], **close)
 
 
-@jax.jit
-def _render32(points, rotation, scale, colors):
-    return dpc_jax.project(
-        points,
-        rotation,
-        sigma=1.2,
-        scale=scale,
-        colors=colors,
-        grid=dpc_jax.VoxelGrid(12),
-        signals=ALL,
+@pytest.mark.parametrize(
+    "kind, method, sigma",
+    [
+        ("perspective", "trilinear", 0.0),
+        ("orthographic", "trilinear", 0.7),
+        ("perspective", "trilinear", 1.9),
+        ("perspective", "quadratic", 0.9),
+        ("orthographic", "cubic", 1.1),
+        ("perspective", "gaussian", SIZES),
+        ("orthographic", "gaussian", 0.8),
+    ],
+)
+def test_images_of_a_cloud_equal_the_written_equations(kind, method, sigma):
+    own = {"sigma": sigma, "scale": MASSES, "colors": COLORS, "method": method}
+    with jax.enable_x64(True):
+        image = render(dpc_jax.project, POINTS, turn(kind), kind, **own)
+    expected = oracles.project(
+        *(POINTS, POSE, sigma, MASSES, COLORS, SHIFT, FOCAL_LENGTH, DISTANCE, *BEHIND),
+        **{"shape": SHAPE, "extent": EXTENT, "orthographic": kind == "orthographic"},
+        method=method,
     )
+    assert_equal(image, expected)
 
 
-def render32(points, rotation, scale, colors):
-    return _render32(
-        *(jnp.asarray(a, jnp.float32) for a in (points, rotation, scale, colors))
+@pytest.mark.parametrize("kind", ["perspective", "orthographic"])
+def test_images_of_a_volume_equal_the_written_equations(kind):
+    with jax.enable_x64(True):
+        own = {"colors": CELL_COLORS}
+        image = render(dpc_jax.project_volume, VOLUME, turn(kind), kind, **own)
+    expected = oracles.project_volume(
+        *(VOLUME, CELL_COLORS, POSE, SHIFT, FOCAL_LENGTH, DISTANCE, *BEHIND),
+        **{"shape": SHAPE, "extent": EXTENT, "orthographic": kind == "orthographic"},
     )
+    assert_equal(image, expected)
 
 
-def test_a_quaternion_its_negative_and_its_matrix_give_one_image():
-    s = make_scene()
-    matrix = Rotation.from_quat(s["rotation"], scalar_first=True).as_matrix()
-    image = render32(s["points"], s["rotation"], s["scale"], s["colors"])
-    for other in (-s["rotation"], 7 * s["rotation"], matrix):
-        same = render32(s["points"], other, s["scale"], s["colors"])
-        # A coordinate of 12 cells has an ulp of 1e-6 cells.
-        np.testing.assert_allclose(same["silhouette"], image["silhouette"], atol=1e-5)
-
-
-def test_a_quarter_turn_of_the_camera_turns_the_image():
-    s = make_scene()
-    image = render32(s["points"], np.eye(3), s["scale"], s["colors"])
-    # x -> y, y -> -x: what was to the right is now below.
-    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    turned = render32(s["points"], turn, s["scale"], s["colors"])
-    for name in ALL:
-        expected = np.rot90(image[name], -1)
-        np.testing.assert_allclose(turned[name], expected, atol=1e-4)
-
-
-def test_a_peak_height_gives_the_mass_of_its_gaussian():
-    # ∫ c·exp(-r²/2σ²) = c·(2π)^{3/2}·σ³, by a sum over a fine grid.
-    x = np.arange(-40, 41) * 0.25
-    line = np.sum(np.exp(-0.5 * (x / 1.3) ** 2)) * 0.25
-    assert float(dpc_jax.mass_of_peak(0.2, 1.3)) == pytest.approx(
-        0.2 * line**3, rel=1e-6
+def test_a_cloud_of_no_points_shows_the_background():
+    points, pose = jnp.zeros((0, 3)), jnp.array([1.0, 0, 0, 0])
+    grid = dpc_jax.VoxelGrid(4)
+    image = dpc_jax.project(
+        points, pose, sigma=1.2, colors=jnp.zeros((0, 1)), grid=grid, signals=ALL
     )
+    np.testing.assert_array_equal(image.silhouette, np.zeros((4, 4)))
+    np.testing.assert_array_equal(image.depth, np.full((4, 4), 10.0))
+    np.testing.assert_array_equal(image.color, np.ones((4, 4, 1)))
 
 
-@pytest.mark.parametrize("count", [0, 1])
-def test_a_cloud_of_no_or_one_point_has_its_images(count):
-    image = render32(
-        *(np.zeros((count, 3)), np.array([1.0, 0, 0, 0])),
-        *(np.ones(count), np.ones((count, 1))),
-    )
-    assert image.silhouette.shape == image.depth.shape == (12, 12)
-    assert image.color.shape == (12, 12, 1)
-    assert (np.max(image.silhouette) > 0) == (count > 0)
-    assert np.all(np.isfinite(image.depth))
-
-
-@pytest.mark.parametrize("points_dtype", ["float32", "float64"])
-@pytest.mark.parametrize("other_dtype", ["float32", "float64"])
-def test_the_dtype_of_the_points_decides_that_of_every_image(points_dtype, other_dtype):
-    @jax.jit
-    def render(points, rotation, others):
-        sigma, scale, translation, colors, focal_length, distance = others
+@pytest.mark.parametrize(
+    "dtype, other", [("float32", "float64"), ("float64", "float32")]
+)
+def test_the_dtype_of_the_points_decides_that_of_every_image(dtype, other):
+    def project(points, rotation, sigma, translation, colors, focal_length, distance):
         return dpc_jax.project(
-            points,
-            rotation,
+            *(points, rotation),
             sigma=sigma,
-            scale=scale,
+            scale=sigma,
             translation=translation,
             colors=colors,
             camera=dpc_jax.Camera(focal_length, distance),
             grid=dpc_jax.VoxelGrid(4),
-            signals=("silhouette", "depth", "color"),
+            signals=ALL,
         )
 
-    shapes = ((), (2,), (3,), (2, 1), (), ())
+    shapes = ((4,), (2,), (3,), (2, 1), (), ())
     with jax.enable_x64(True):
         image = jax.eval_shape(
-            render,
-            jax.ShapeDtypeStruct((2, 3), points_dtype),
-            jax.ShapeDtypeStruct((4,), other_dtype),
-            [jax.ShapeDtypeStruct(shape, other_dtype) for shape in shapes],
+            project,
+            jax.ShapeDtypeStruct((2, 3), dtype),
+            *(jax.ShapeDtypeStruct(shape, other) for shape in shapes),
         )
-    assert image.silhouette.dtype == points_dtype
-    assert image.depth.dtype == points_dtype
-    assert image.color.dtype == points_dtype
+    assert {image[name].dtype.name for name in ALL} == {dtype}
 
 
-@pytest.mark.parametrize("signal", ["silhouette", "depth", "color"])
+@pytest.mark.parametrize("signal", ALL)
 def test_only_the_signal_asked_for_comes_back(signal):
-    image = jax.eval_shape(
-        lambda points: dpc_jax.project(
-            points, jnp.eye(3), sigma=1, colors=points, signals=(signal,)
+    cells, pose = jnp.zeros((2, 2, 2)), jnp.eye(3)
+    call = functools.partial(dpc_jax.project_volume, signals=(signal,))
+    for image in (
+        jax.eval_shape(lambda c: call(c, pose, colors=c[..., None]), cells),
+        jax.eval_shape(
+            lambda p: dpc_jax.project(p, pose, sigma=1, colors=p, signals=(signal,)),
+            jnp.zeros((1, 3)),
         ),
-        jnp.zeros((1, 3)),
-    )
-    given = {n for n in ("silhouette", "depth", "color") if image[n] is not None}
-    assert given == {signal}
+    ):
+        assert {name for name in ALL if image[name] is not None} == {signal}
