@@ -2,15 +2,19 @@
 
 import numpy as np
 
+from dpc_jax.evaluation.images import ViewImages
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS
-from dpc_jax.reporting.examples import (
-    Example,
-    Neighbour,
-    SignalImages,
-    TrainingComparison,
-)
+from dpc_jax.reporting.examples import Example, Neighbour, TrainingComparison
 from dpc_jax.reporting.figures import ViewPoses
 from dpc_jax.reporting.page import write_report
+
+
+def show_depths(target, rendered):
+    """The images of a view with these depths, as if they were silhouettes, too."""
+    target, rendered = (
+        dict.fromkeys(("silhouette", "depth"), a) for a in (target, rendered)
+    )
+    return ViewImages(target["silhouette"], target, rendered)
 
 
 def make_example(name, *, group="", has_truth=True, has_colors=True, seed=0):
@@ -29,7 +33,7 @@ def make_example(name, *, group="", has_truth=True, has_colors=True, seed=0):
         colors=rng.uniform(size=(300, 3)) if has_colors else None,
         pose_error_deg=12.0 if has_truth else None,
         surface=truth if has_truth else None,
-        signals={"depth": SignalImages(*images, *images)} if has_truth else {},
+        images=show_depths(*images) if has_truth else None,
         group=group,
         chamfer=4.2 if has_truth else None,
         overlap=0.9,

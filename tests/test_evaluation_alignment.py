@@ -5,15 +5,9 @@ import pytest
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from dpc_jax.evaluation import icp
-from dpc_jax.evaluation.alignment import (
-    INLIER_DEG,
-    align,
-    align_points,
-    align_poses,
-    find_modes,
-    identity_alignment,
-)
+from dpc_jax.evaluation import alignment as alignments
+from dpc_jax.evaluation import icp, rotations
+from dpc_jax.evaluation.alignment import align, find_modes
 
 HALF_TURN_Z = Rotation.from_rotvec([0.0, 0.0, np.pi])
 FRAMES = {
@@ -29,10 +23,13 @@ def wxyz(rotation):
     return rotation.as_quat(scalar_first=True)
 
 
+def to_scipy(quaternions):
+    return Rotation.from_quat(np.reshape(quaternions, (-1, 4)), scalar_first=True)
+
+
 def gap_deg(quaternion, rotation):
     """Angle by scipy alone."""
-    other = Rotation.from_quat(quaternion, scalar_first=True)
-    return np.degrees((other * rotation.inv()).magnitude())
+    return np.degrees((to_scipy(quaternion) * rotation.inv()).magnitude()).item()
 
 
 def wedge(rng, n):
@@ -74,38 +71,43 @@ def test_a_known_frame_is_recovered_in_spite_of_flips_and_noise(name):
     assert all(np.isfinite(value).all() for value in got)
 
 
+def vote(predicted, truth):
+    return wxyz(to_scipy(truth).inv() * to_scipy(predicted))
+
+
 @pytest.mark.parametrize("name", FRAMES)
 def test_without_noise_the_vote_is_exact_even_at_half_turns(name):
     predicted, truth, *_ = scene(FRAMES[name], flips=0.3)
-    votes = Rotation.from_quat(
-        truth.reshape(-1, 4), scalar_first=True
-    ).inv() * Rotation.from_quat(predicted.reshape(-1, 4), scalar_first=True)
-    best = find_modes(wxyz(votes))[0]
+    best = find_modes(vote(predicted, truth))[0]
     # The flipped 30 % weigh 5e-5 each and pull along the great circle of their own
     # half turn, where the mean is stationary: only rounding is left.
     assert gap_deg(best.rotation, FRAMES[name]) < 1e-4
     assert best.share == pytest.approx(0.7)
 
 
+def test_without_shapes_the_poses_alone_vote():
+    predicted, truth, *_ = scene(FRAMES["anything"], flips=0.2, noise_deg=2.0)
+    got = align(predicted, truth, None, None)
+    assert gap_deg(got.rotation, FRAMES["anything"]) < 1.0
+    assert got.inlier_share == pytest.approx(0.8) and np.isnan(got.chamfer)
+
+
 def test_both_half_turns_are_found_as_modes_and_their_midpoint_is_not():
     predicted, truth, *_ = scene(Rotation.identity(), flips=0.4, noise_deg=3.0)
-    relative = Rotation.from_quat(truth.reshape(-1, 4), scalar_first=True).inv()
-    votes = relative * Rotation.from_quat(predicted.reshape(-1, 4), scalar_first=True)
-    first, second = find_modes(wxyz(votes))[:2]
+    first, second = find_modes(vote(predicted, truth))[:2]
     assert gap_deg(first.rotation, Rotation.identity()) < 3.0
     assert gap_deg(second.rotation, HALF_TURN_Z) < 3.0
     assert (first.share, second.share) == pytest.approx((0.6, 0.4))
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_no_mode_is_listed_twice(seed):
+def test_no_mode_is_listed_twice(seed, monkeypatch):
     # Scattered votes, whose sparse seeds slide into the modes found before.
+    monkeypatch.setattr(alignments, "_MOST_MODES", 20)
     votes = Rotation.random(60, random_state=seed)
-    found = find_modes(wxyz(votes), max_modes=20)
-    for index, mode in enumerate(found):
-        rotation = Rotation.from_quat(mode.rotation, scalar_first=True)
-        others = [other.rotation for other in found[index + 1 :]]
-        assert all(gap_deg(other, rotation) > INLIER_DEG for other in others)
+    found = np.stack([mode.rotation for mode in find_modes(wxyz(votes))])
+    away = rotations.angle_deg(found[:, None], found[None])
+    assert (away[~np.eye(len(found), dtype=bool)] > alignments.INLIER_DEG).all()
 
 
 def test_the_shared_chamfer_is_that_of_the_turned_prediction():
@@ -138,8 +140,7 @@ def test_icp_removes_what_a_common_pose_bias_leaves():
     frame = FRAMES["anything"]
     predicted, truth, points, surfaces = scene(frame)
     bias = Rotation.from_rotvec(np.radians([12.0, 0.0, 0.0]))
-    truth_rotation = Rotation.from_quat(truth.reshape(-1, 4), scalar_first=True)
-    biased = wxyz(truth_rotation * bias * frame).reshape(predicted.shape)
+    biased = wxyz(to_scipy(truth) * bias * frame).reshape(predicted.shape)
     got = align(biased, truth, points, surfaces)
     # Subsampled clouds of 400 points, 40 of them: about a degree.
     assert gap_deg(got.rotation, frame) < 2.0
@@ -160,11 +161,12 @@ def test_one_cloud_per_model_is_enough():
     assert gap_deg(got.rotation, FRAMES["anything"]) < 2.0
 
 
-def test_only_the_first_models_are_looked_at():
+def test_only_the_first_models_are_looked_at(monkeypatch):
+    monkeypatch.setattr(alignments, "_MODELS", 2)
     predicted, truth, points, surfaces = scene(FRAMES["anything"], models=3)
     first = align(predicted[:2], truth[:2], points[:2], surfaces[:2])
     points[2:] = np.nan
-    again = align(predicted, truth, points, surfaces, max_models=2)
+    again = align(predicted, truth, points, surfaces)
     np.testing.assert_array_equal(first.rotation, again.rotation)
 
 
@@ -182,9 +184,7 @@ def test_two_views_half_a_turn_apart_give_one_of_them_not_nan():
     q = np.array([[1.0, 0, 0, 0], [0, 0, 0, 1.0]])
     best = find_modes(q)[0].rotation
     # The other one weighs 5e-5 and lies where it pulls nowhere; 1e-3 degrees is ample.
-    assert (
-        min(gap_deg(best, Rotation.from_quat(r, scalar_first=True)) for r in q) < 1e-3
-    )
+    assert min(gap_deg(best, to_scipy(r)) for r in q) < 1e-3
 
 
 def test_a_shape_shrunk_to_a_point_far_off_leaves_the_vote_as_it_is():
@@ -216,12 +216,13 @@ def test_a_cloud_shrunk_to_a_point_gives_a_rotation_without_a_warning(place):
 
 def test_aligned_shape_and_pose_give_the_same_picture_as_before():
     frame, pose = Rotation.random(2, random_state=9)
-    alignment = identity_alignment()._replace(rotation=wxyz(frame))
+    alignment = alignments.identity_alignment()._replace(rotation=wxyz(frame))
     points = np.random.default_rng(0).normal(size=(6, 3))
-    moved = align_points(alignment, points)
+    moved = alignments.align_points(alignment, points)
     np.testing.assert_allclose(moved, frame.apply(points), atol=1e-14)  # float64
-    aligned = Rotation.from_quat(align_poses(alignment, wxyz(pose)), scalar_first=True)
-    np.testing.assert_allclose(aligned.apply(moved), pose.apply(points), atol=1e-14)
+    aligned = alignments.align_poses(alignment, wxyz(pose))
+    back = to_scipy(aligned).apply(moved)
+    np.testing.assert_allclose(back, pose.apply(points), atol=1e-14)
 
 
 def test_arguments_that_do_not_fit_together_are_refused_in_a_sentence():

@@ -85,5 +85,3 @@ def test_the_tuned_threshold_gives_the_true_radius():
 def test_what_is_no_volume_is_refused_in_a_sentence(cells, words):
     with pytest.raises(ValueError, match=words):
         extract_surface(cells, 0.5)
-    with pytest.raises(ValueError, match="one volume and a surface for each"):
-        tune_threshold([], [])

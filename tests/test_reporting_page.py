@@ -16,9 +16,10 @@ import trimesh
 from PIL import Image
 from report_pages import make_example
 
+from dpc_jax.evaluation.images import ViewImages
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS
 from dpc_jax.reporting import figures, tables
-from dpc_jax.reporting.examples import Example, SignalImages
+from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.page import write_report
 from dpc_jax.reporting.web import viewer
 
@@ -312,20 +313,20 @@ def test_a_table_escapes_its_cells_and_aligns_numbers():
 
 def add_signals(shown, *names):
     rng = np.random.default_rng(1)
-    images = {}
+    share = np.pad(np.ones((8, 8)), ((2, 2), (1, 3)))
+    target, rendered = {"silhouette": share}, {"silhouette": share.T}
     for name in names:
         ends = (12, 12, 3) if name == "color" else (12, 12)
         pair = rng.uniform(1.6, 2.4, (2, *ends)) - (0 if name == "depth" else 1.5)
-        share = np.pad(np.ones((8, 8)), 2)
-        images[name] = SignalImages(pair[0], pair[1], share, share.T)
-    return dataclasses.replace(shown, signals=images)
+        target[name], rendered[name] = pair
+    return dataclasses.replace(shown, images=ViewImages(share, target, rendered))
 
 
 def test_rendered_images_of_signals_are_a_figure_of_their_own(tmp_path):
-    silhouettes = add_signals(example(), "silhouette")
+    silhouettes = add_signals(example())
     report(tmp_path / "plain", **NO_FIGURES | {"examples": [silhouettes]})
     assert not (tmp_path / "plain" / "signals.png").exists()
-    shown = add_signals(example(), "silhouette", "depth", "color")
+    shown = add_signals(example(), "depth", "color")
     path = report(tmp_path / "all", **NO_FIGURES | {"examples": [shown]})
     assert "<h2>Rendered images</h2>" in path.read_text("utf-8")
     assert picture(path.with_name("signals.png").read_bytes()).std() > 5.0

@@ -88,9 +88,7 @@ def sets():
 def show(sets, **changes):
     test = sets["test"]._replace(**changes)
     predictions = predict_truth(sets["test"])
-    result, _ = evaluator.score(
-        predictions, test, alignment=identity_alignment(), heads=3
-    )
+    result = evaluator.score(predictions, test, alignment=identity_alignment())
     shapes = TrainingShapes.gather(sets | {"test": test})
     overlaps = evaluator.measure_overlaps(predictions, test)
     judged = Judged(predictions, test, identity_alignment(), result, overlaps, 2.0)

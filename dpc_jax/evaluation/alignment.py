@@ -27,7 +27,9 @@ INLIER_DEG = 30.0  # a vote this near agrees: the threshold of pose accuracy
 _KERNEL_DEG = 15.0  # width of the robust weight, half of the above (heuristic)
 _MAX_STEPS, _TOLERANCE_DEG = 50, 1e-6  # of the robust mean
 _MODELS = 20  # paper: the first 20 validation models
-_MAX_VOTES = 1000  # views that vote where there are no shapes
+_POINTS, _SURFACE_POINTS = 400, 1200  # drawn from each cloud and each surface
+_MOST_VOTES = 1000  # views that vote where there are no shapes
+_MOST_MODES = 6
 _RIVAL_SHARE = 0.5  # modes with half of the best mode's votes are rivals (heuristic)
 _RIVAL_GAIN = 0.05  # and win with a Chamfer distance lower by this share (heuristic)
 
@@ -40,25 +42,23 @@ class Alignment(NamedTuple):
     spread_deg: float  # root mean square angle of those views; infinite without any
     # Root mean square distance of matched points under it, object units; infinite if no
     # point is within reach of another.
-    rms: float
+    rms: float = np.nan
     # Of the validation shapes under it, object units, not times 100; on subsampled
     # points, and therefore too large.
-    chamfer: float
-    icp_turn_deg: float  # how far ICP turned the vote's rotation; 0 where not taken
+    chamfer: float = np.nan
+    # How far ICP turned the vote's rotation; 0 where not taken.
+    icp_turn_deg: float = 0.0
 
 
 def align(
     predicted_poses: ArrayLike,
     true_poses: ArrayLike,
     points: ArrayLike,
-    surfaces: Sequence[ArrayLike] | np.ndarray,
-    *,
-    max_models: int = _MODELS,
-    subsample: int = 400,
-    surface_subsample: int = 1200,
-    seed: int = 0,
+    surfaces: Sequence[ArrayLike] | np.ndarray | None,
 ) -> Alignment:
     """Estimate the canonical alignment from validation models, never from test models.
+
+    The first 20 models are used, always with the same subsample of their points.
 
     Args:
       predicted_poses: [n, V, 4] quaternions, network's frame to camera.
@@ -66,23 +66,25 @@ def align(
       points: [n, V, N, 3] shape predicted from each view, in the network's frame, or
         [n, N, 3] from each model's first view.
       surfaces: [n, P, 3] points of the true surfaces, object frame; or a list of
-        [P_i, 3].
-      max_models: only the first this many models are used.
-      subsample, surface_subsample: points drawn from each cloud and each surface.
-      seed: of the draw; the same arguments give the same result.
+        [P_i, 3]. None where they are not known: the alignment is the mode of the votes.
 
     Raises:
       ValueError: shapes that do not fit together, no model, quaternions that are zero
         or not finite, points that are not finite.
     """
+    if surfaces is None:
+        votes = _vote(predicted_poses, true_poses).reshape(-1, 4)[:_MOST_VOTES]
+        voted = find_modes(votes)[0].rotation
+        agreement = _measure_agreement(votes, voted)
+        return Alignment(rotations.canonical_sign(voted), *agreement)
     poses, truth, clouds, surfaces = _check(
-        predicted_poses, true_poses, points, surfaces, max_models
+        predicted_poses, true_poses, points, surfaces
     )
     votes = _vote(poses, truth)  # [n, V, 4]
-    rng = np.random.default_rng(seed)
-    surfaces = [_draw(surface, surface_subsample, rng) for surface in surfaces]
+    rng = np.random.default_rng(0)
+    surfaces = [_draw(surface, _SURFACE_POINTS, rng) for surface in surfaces]
     pairs = [
-        [icp.pair_clouds(_draw(cloud, subsample, rng), surface) for cloud in views]
+        [icp.pair_clouds(_draw(cloud, _POINTS, rng), surface) for cloud in views]
         for views, surface in zip(clouds, surfaces, strict=True)
     ]
 
@@ -111,25 +113,6 @@ def align(
         rms=icp.match_rms(icp.match(trusted, rotation), rotation),
         chamfer=chamfer,
         icp_turn_deg=float(rotations.angle_deg(rotation, voted)),
-    )
-
-
-def align_by_poses(predicted_poses: ArrayLike, true_poses: ArrayLike) -> Alignment:
-    """Canonical alignment where there are poses but no shapes: the mode of the votes.
-
-    The poses are as for `align`; `rms` and `chamfer` are NaN.
-
-    Raises:
-      ValueError: no view, or quaternions that are zero or not finite.
-    """
-    votes = _vote(predicted_poses, true_poses).reshape(-1, 4)[:_MAX_VOTES]
-    rotation = find_modes(votes)[0].rotation
-    return Alignment(
-        rotations.canonical_sign(rotation),
-        *_measure_agreement(votes, rotation),
-        rms=np.nan,
-        chamfer=np.nan,
-        icp_turn_deg=0.0,
     )
 
 
@@ -166,7 +149,7 @@ def place_poses(alignment: Alignment, poses: ArrayLike) -> np.ndarray:
 
 def identity_alignment() -> Alignment:
     """No turn at all: for a network trained with known poses, in the object frame."""
-    return Alignment(np.array([1.0, 0.0, 0.0, 0.0]), 1.0, 0.0, np.nan, np.nan, 0.0)
+    return Alignment(np.array([1.0, 0.0, 0.0, 0.0]), 1.0, 0.0)
 
 
 class Mode(NamedTuple):
@@ -194,23 +177,18 @@ def _robust_mean(votes: np.ndarray, start: np.ndarray) -> np.ndarray:
     return mean
 
 
-def find_modes(votes: ArrayLike, *, max_modes: int = 6) -> list[Mode]:
-    """Modes of votes [n, 4], the one with the largest share first.
+def find_modes(votes: ArrayLike) -> list[Mode]:
+    """Modes of votes [n, 4], at least one; the one with the largest share first.
 
     The vote with the most neighbours starts a robust mean; its neighbourhood is taken
     away and the rest searched again. Networks without pose labels typically have two
     modes, half a turn apart.
     """
     q = rotations.normalize(votes).reshape(-1, 4)
-    if len(q) == 0:
-        raise ValueError(
-            "votes must be at least one, but there are none; pass the poses of the "
-            "validation views."
-        )
     near = rotations.angle_deg(q[:, None], q[None]) <= INLIER_DEG
     left = np.ones(len(q), dtype=bool)
     found: list[Mode] = []
-    while left.any() and len(found) < max_modes:
+    while left.any() and len(found) < _MOST_MODES:
         density = np.where(left, near.sum(axis=1), -1)
         seed = int(np.argmax(density))
         mean = _robust_mean(q, q[seed])
@@ -246,7 +224,8 @@ def _draw(points: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarra
     return points[rng.permutation(len(points))[:count]]
 
 
-def _check(predicted_poses, true_poses, points, surfaces, max_models):
+def _check(predicted_poses, true_poses, points, surfaces):
+    """Those of the first models, after a check that they fit together."""
     poses = np.asarray(predicted_poses, np.float64)
     truth = np.asarray(true_poses, np.float64)
     clouds = np.asarray(points)
@@ -261,17 +240,17 @@ def _check(predicted_poses, true_poses, points, surfaces, max_models):
         and clouds.shape[-1] == 3
         and all(s.ndim == 2 and s.shape[1] == 3 and len(s) for s in surfaces)
         and len(poses) == len(clouds) == len(surfaces)
-        and min(poses.size, clouds.size, len(surfaces), max_models) > 0
+        and min(poses.size, clouds.size, len(surfaces)) > 0
     )
     if not fits:
         raise ValueError(
             f"Expected poses [n, V, 4] twice, points [n, V, N, 3] or [n, N, 3] and "
             f"surfaces [n, P, 3] of at least one model, but the shapes are "
             f"{poses.shape}, {truth.shape}, {np.shape(points)}, "
-            f"{[s.shape for s in surfaces[:3]]} with max_models={max_models}; pass "
-            f"validation models, all with the same number of views."
+            f"{[s.shape for s in surfaces[:3]]}; pass validation models, all with the "
+            f"same number of views."
         )
-    clouds = clouds[:max_models].astype(np.float64)
+    clouds = clouds[:_MODELS].astype(np.float64)
     check_points(clouds.reshape(-1, 3), name="points")
-    surfaces = [check_points(s, name="surfaces") for s in surfaces[:max_models]]
-    return poses[:max_models], truth[:max_models], clouds, surfaces
+    surfaces = [check_points(s, name="surfaces") for s in surfaces[:_MODELS]]
+    return poses[:_MODELS], truth[:_MODELS], clouds, surfaces

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dpc_jax.evaluation import rotations
+from dpc_jax.evaluation import images, rotations
 
 AGREEING_DEG = 30.0  # from the pose: the threshold of pose accuracy
 _TYPICAL_ERROR = 0.1  # squared difference per pixel that costs 1 - 1/e of confidence
@@ -22,13 +22,12 @@ class Confidence(NamedTuple):
 
     confidence: float  # 0 to 1, agreement times the share for the silhouette
     agreement: float  # probability of the candidates within 30 degrees of the pose
-    mean: np.ndarray  # [4] quaternion, their mean by probability
     # How far all candidates are from the pose: root mean square by probability.
     spread_deg: float
     overlap: float  # intersection over union of the soft silhouettes
     error: float  # squared difference of the silhouettes per pixel
-    rival: np.ndarray | None  # [4], the likeliest candidate beyond 30 degrees
-    rival_probability: float  # of all candidates near it
+    # Of all candidates near the likeliest one beyond 30 degrees.
+    rival_probability: float
 
     @property
     def level(self) -> str:
@@ -53,26 +52,19 @@ def measure_confidence(
     weights = np.asarray(probabilities, np.float64)
     angles = rotations.angle_deg(found, pose)
     is_near = angles <= AGREEING_DEG
-    agreement = float(weights[is_near].sum())
-    mean = rotations.canonical_sign(pose)
-    if agreement > 0:
-        mean = rotations.mean_rotation(found[is_near], weights=weights[is_near])
-    rival, chance = None, 0.0
+    agreement, chance = float(weights[is_near].sum()), 0.0
     if (~is_near).any():
         rival = found[np.argmax(np.where(is_near, -1.0, weights))]
         is_like = ~is_near & (rotations.angle_deg(found, rival) <= AGREEING_DEG)
         chance = float(weights[is_like].sum())
     seen, given = np.asarray(silhouette, np.float64), np.asarray(mask, np.float64)
-    union = np.maximum(seen, given).sum()
     error = float(np.mean((seen - given) ** 2))
     return Confidence(
         confidence=agreement * float(np.exp(-error / _TYPICAL_ERROR)),
         agreement=agreement,
-        mean=mean,
         spread_deg=float(np.sqrt(np.sum(weights * angles**2))),
-        overlap=float(np.minimum(seen, given).sum() / max(union, 1e-9)),
+        overlap=images.measure_overlap(seen, given),
         error=error,
-        rival=rival,
         rival_probability=chance,
     )
 

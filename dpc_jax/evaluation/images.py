@@ -1,5 +1,8 @@
 """Errors of rendered images: silhouettes, and depth and colour where the object is."""
 
+from collections.abc import Mapping
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -7,6 +10,22 @@ from numpy.typing import ArrayLike
 # most of the error lies, is a smaller share of a finer image.
 COMPARED_SIDE = 32
 COVERED = 0.5  # least share of a pixel for the pixel to count
+MISSED = 0.1  # least share of a pixel that is hit for it to have a depth
+
+
+class ViewImages(NamedTuple):
+    """A view as the data have it and as it is rendered, at the size of the renders.
+
+    Images are by signal ("silhouette", "depth", "color"), [D, D] or [D, D, 3]. Depths
+    are of what is hit, without the background that is mixed in where they are compared
+    in training: an opacity that is too low is an error of the silhouette, not of depth.
+    Where less than `MISSED` is hit they are the background's. What is measured is the
+    share of each pixel that the object covers and whose depth is known.
+    """
+
+    measured: np.ndarray
+    targets: Mapping[str, np.ndarray]
+    rendered: Mapping[str, np.ndarray]
 
 
 def depth_error(predicted: ArrayLike, true: ArrayLike, mask: ArrayLike) -> float | None:
@@ -32,30 +51,25 @@ def color_psnr(predicted: ArrayLike, true: ArrayLike, mask: ArrayLike) -> float 
     return float(-10 * np.log10(max(square.mean(), 1e-10)))
 
 
-def mean_of_known(values: list[float | None]) -> float | None:
-    """The mean of those that are not None; None if there is none."""
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
+def measure_overlap(first: ArrayLike, second: ArrayLike) -> float:
+    """Intersection over union of two soft silhouettes [S, S], 0 to 1."""
+    union = np.maximum(first, second).sum()
+    return float(np.minimum(first, second).sum() / max(union, 1e-9))
 
 
-def mean_squared_difference(
-    predicted: ArrayLike, target: ArrayLike, *, side: int = COMPARED_SIDE
-) -> float:
-    """Mean squared difference per pixel of two images [S, S] in [0, 1].
+def mean_squared_difference(predicted: ArrayLike, target: ArrayLike) -> float:
+    """Mean squared difference per pixel of two images [S, S] in [0, 1], at one size."""
+    difference = resize(predicted, COMPARED_SIDE) - resize(target, COMPARED_SIDE)
+    return float(np.mean(difference**2))
 
-    Both are brought to `side` pixels: averaged over blocks where they are finer,
-    repeated where they are coarser. Their own sizes may differ.
+
+def resize(image: ArrayLike, side: int) -> np.ndarray:
+    """An image [S, S] at `side` pixels, float64: averaged over blocks, or repeated.
 
     Raises:
       ValueError: for an image that is not square, or whose side neither divides nor is
         divided by that number.
     """
-    difference = resize(predicted, side) - resize(target, side)
-    return float(np.mean(difference**2))
-
-
-def resize(image: ArrayLike, side: int) -> np.ndarray:
-    """An image [S, S] at `side` pixels, float64: averaged over blocks, or repeated."""
     array = np.asarray(image, np.float64)
     is_square = array.ndim == 2 and array.shape[0] == array.shape[1] > 0
     own = array.shape[0] if is_square else 0

@@ -1,6 +1,5 @@
 """Errors of poses, what wrong ones are near to, and which candidates win."""
 
-import numbers
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +13,14 @@ FLIP_THRESHOLD_DEG = 150.0  # beyond it front and back count as exchanged
 KINDS = ("half turn", "other half turn", "mirror pose", "other")  # of wrong views
 ALIVE_SHARE = 0.01  # of the views, which a candidate that is alive wins
 _DOMINANT_SHARE = 0.95  # heuristic: beyond it the ensemble works like one regressor
+_BINS = 36  # of the histogram, between 0 and 180 degrees
 _ALONG, _ACROSS = np.diag([1.0, 1.0, -1.0]), np.diag([1.0, -1.0, 1.0])
 
 
 class PoseSummary(NamedTuple):
     """A summary of the pose errors of a test set."""
 
-    accuracy: float  # share of views within the threshold, 0 to 1
+    accuracy: float  # share of views wrong by no more than 30 degrees, 0 to 1
     median_error_deg: float
     flip_share: float  # share of views wrong by more than 150 degrees, 0 to 1
     counts: np.ndarray  # [bins] views per bin of the histogram
@@ -50,22 +50,14 @@ def rotation_angle_deg(first: ArrayLike, second: ArrayLike) -> np.ndarray:
     return rotations.angle_deg(first, second)
 
 
-def pose_summary(
-    errors_deg: ArrayLike,
-    *,
-    threshold_deg: float = ACCURACY_THRESHOLD_DEG,
-    bins: int = 36,
-) -> PoseSummary:
+def pose_summary(errors_deg: ArrayLike) -> PoseSummary:
     """Accuracy, median, share of flips and histogram of pose errors.
 
     Args:
       errors_deg: errors in degrees, any shape, at least one.
-      threshold_deg: an error up to it counts as right.
-      bins: equal bins of the histogram between 0 and 180 degrees.
 
     Raises:
-      ValueError: there is no error, or one is not within 0 to 180 degrees, or there
-        are no bins, or the threshold is not a number.
+      ValueError: there is no error, or one is not within 0 to 180 degrees.
     """
     errors = np.asarray(errors_deg, dtype=np.float64).ravel()
     # Written so that NaN fails too; the slack is for rounding of 180 degrees.
@@ -76,15 +68,10 @@ def pose_summary(
             f"{int((~inside).sum())} of {errors.size} are outside; take them from "
             f"rotation_angle_deg."
         )
-    if not (isinstance(bins, numbers.Integral) and bins > 0 and threshold_deg >= 0):
-        raise ValueError(
-            "bins must be a positive integer, and a threshold at least 0 degrees, but "
-            f"they are {bins!r} and {threshold_deg!r}; leave them out for 36 and 30."
-        )
     errors = np.minimum(errors, 180.0)
-    counts, edges = np.histogram(errors, bins=bins, range=(0.0, 180.0))
+    counts, edges = np.histogram(errors, bins=_BINS, range=(0.0, 180.0))
     return PoseSummary(
-        accuracy=float(np.mean(errors <= threshold_deg)),
+        accuracy=float(np.mean(errors <= ACCURACY_THRESHOLD_DEG)),
         median_error_deg=float(np.median(errors)),
         flip_share=float(np.mean(errors > FLIP_THRESHOLD_DEG)),
         counts=counts,
@@ -125,15 +112,7 @@ def find_failures(
       predicted, true: [n, V, 4] quaternions, object frame to camera.
       costs: [n, V, 2] of each view's silhouette with the predicted shape, from the
         predicted pose and from the true one.
-
-    Raises:
-      ValueError: for shapes that do not fit, or quaternions that are none.
     """
-    if np.shape(predicted) != np.shape(true) or np.ndim(predicted) != 3:
-        raise ValueError(
-            "Expected predicted and true poses [n, V, 4], but their shapes are "
-            f"{np.shape(predicted)} and {np.shape(true)}; pass one of each view."
-        )
     found = rotations.to_rotation(predicted)
     wrong = rotations.angle_deg(predicted, true) > ACCURACY_THRESHOLD_DEG
     kinds = np.where(wrong, len(KINDS) - 1, -1)
@@ -157,10 +136,12 @@ def find_failures(
     return Failures(kinds, np.flatnonzero(is_lost), metrics)
 
 
-def winner_share(winners: ArrayLike, *, num_candidates: int) -> np.ndarray:
-    """Share [K] of views that each candidate wins, from the winners' indices."""
-    indices = np.asarray(winners).ravel()
-    return np.bincount(indices, minlength=num_candidates) / indices.size
+def winner_share(winners: ArrayLike, *, heads: int) -> np.ndarray:
+    """Share [heads] of views that each head wins, from the winning candidates' indices.
+
+    Candidate i is of head i % heads, turned or not.
+    """
+    return np.bincount(np.ravel(winners) % heads, minlength=heads) / np.size(winners)
 
 
 def count_alive(shares: ArrayLike) -> int:

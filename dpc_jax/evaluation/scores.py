@@ -28,10 +28,9 @@ class Scores(NamedTuple):
     """
 
     metrics: dict[str, float]
-    pose_errors_deg: np.ndarray | None  # [n, V] of each view's predicted pose
-    best_candidate_errors_deg: np.ndarray | None  # [n, V]; None without candidates, too
+    pose_errors_deg: np.ndarray | None = None  # [n, V] of each view's predicted pose
     # [n, views scored, 2] precision and coverage, object units, not times 100
-    chamfers: np.ndarray | None
+    chamfers: np.ndarray | None = None
 
 
 def score(
@@ -48,10 +47,11 @@ def score(
 ) -> Scores:
     """Score predictions on a test set (paper, section Evaluation metrics).
 
+    Distances are means over models and views.
+
     Args:
-      predicted_poses: [n, V, 4] the student's (or the only) pose of each view,
-        network's frame to camera. None where they were given and not predicted: poses
-        are not scored then.
+      predicted_poses: [n, V, 4] quaternions, network's frame to camera. None where they
+        were given and not predicted: poses are not scored then.
       true_poses: [n, V, 4] object frame to camera. None: nothing is scored, because
         the alignment needs them.
       points: [n, V, N, 3] shape predicted from each view, in the network's frame.
@@ -66,18 +66,12 @@ def score(
       dense_points: of the dense clouds that are scored beside the predicted ones; no
         more than these have: none are.
 
-    Returns:
-      Scores. Distances are means over models and views.
-
     Raises:
-      ValueError: shapes that do not fit together; quaternions that are zero or not
-        finite; points that are not finite.
+      ValueError: quaternions that are zero or not finite; points that are not finite.
     """
     if true_poses is None:
-        return Scores({}, None, None, None)
-    given = true_poses if predicted_poses is None else predicted_poses
-    count = _check(given, true_poses, points, surfaces, chamfer_views)
-    metrics, errors, best_errors = {}, None, None
+        return Scores({})
+    metrics, errors = {}, None
     if predicted_poses is not None:
         errors = rotation_angle_deg(align_poses(alignment, predicted_poses), true_poses)
         summary = pose_summary(errors)
@@ -88,23 +82,24 @@ def score(
         }
     if best_candidate_poses is not None:
         best_poses = align_poses(alignment, best_candidate_poses)
-        best_errors = rotation_angle_deg(best_poses, true_poses)
-        best = pose_summary(best_errors)
+        best = pose_summary(rotation_angle_deg(best_poses, true_poses))
         metrics["best_candidate_pose_accuracy"] = best.accuracy
         metrics["best_candidate_pose_median_error_deg"] = best.median_error_deg
 
     if surfaces is None:
-        return Scores(metrics, errors, best_errors, None)
-    clouds = np.asarray(points)
-    chamfers = np.empty((len(surfaces), count, 2))
+        return Scores(metrics, errors)
+    clouds = np.asarray(points)[:, :chamfer_views]
+    chamfers = np.empty((*clouds.shape[:2], 2))
     visible, dense = np.empty_like(chamfers), np.empty_like(chamfers)
     is_dense = dense_points > clouds.shape[2]
     for model, surface in enumerate(surfaces):
         surface = check_points(surface, name=f"surface of model {model}")
-        is_seen = _read_seen(seen, model, len(surface))
+        is_seen = np.ones(len(surface), bool)
+        if seen is not None and np.any(seen[model]):
+            is_seen = np.asarray(seen[model], bool)
         whole = KDTree(surface)
         trees = whole, whole if is_seen.all() else KDTree(surface[is_seen])
-        for view in range(count):
+        for view in range(clouds.shape[1]):
             cloud = align_points(alignment, clouds[model, view])
             chamfers[model, view], visible[model, view] = chamfer_distances(
                 cloud, surface, is_seen, trees=trees
@@ -119,44 +114,4 @@ def score(
     for prefix, distances in found.items():
         mean = Chamfer(*distances.mean(axis=(0, 1)).tolist()).in_paper_units()
         metrics |= {prefix + name: value for name, value in mean.items()}
-    return Scores(metrics, errors, best_errors, chamfers)
-
-
-def _read_seen(seen, model, count) -> np.ndarray:
-    """Which points can be seen; all where none can or it is unknown."""
-    is_seen = np.ones(count, bool) if seen is None else np.asarray(seen[model], bool)
-    if is_seen.shape != (count,):
-        raise ValueError(
-            f"Expected a boolean for each of the {count} points of surface {model}, "
-            f"but seen has shape {is_seen.shape}; pass one for each."
-        )
-    return is_seen if is_seen.any() else np.ones(count, bool)
-
-
-def _check(predicted_poses, true_poses, points, surfaces, chamfer_views) -> int:
-    """How many views of each model have their shape compared."""
-    pose_shape, cloud_shape = np.shape(true_poses), np.shape(points)
-    shapes = len(points if surfaces is None else surfaces)
-    fits = (
-        len(pose_shape) == 3
-        and np.shape(predicted_poses) == pose_shape
-        and len(cloud_shape) == 4
-        and shapes == pose_shape[0] == cloud_shape[0] > 0
-        and pose_shape[1] > 0
-        and cloud_shape[1] > 0
-    )
-    if not fits:
-        raise ValueError(
-            f"Expected poses [n, V, 4] twice, points [n, V, N, 3] and surfaces of n "
-            f"models, but the shapes are {np.shape(predicted_poses)}, {pose_shape} and "
-            f"{cloud_shape} with {shapes} surfaces; pass test models with at least one "
-            f"view each."
-        )
-    if chamfer_views is None:
-        return cloud_shape[1]
-    if not 1 <= chamfer_views <= cloud_shape[1]:
-        raise ValueError(
-            f"chamfer_views must be between 1 and {cloud_shape[1]}, the number of "
-            f"views in points, but is {chamfer_views}; leave it out for all."
-        )
-    return chamfer_views
+    return Scores(metrics, errors, chamfers)

@@ -55,9 +55,9 @@ def extract_surface(cells: ArrayLike, threshold: float) -> tuple[np.ndarray, ...
 
 
 def sample_surface(
-    cells: ArrayLike, threshold: float, *, count: int = SAMPLES, seed: int = 0
+    cells: ArrayLike, threshold: float, *, count: int = SAMPLES
 ) -> np.ndarray:
-    """Points [count, 3] of the surface, uniform by area; object frame.
+    """Points [count, 3] of the surface, uniform by area, always alike; object frame.
 
     Without a surface all are the centre of the fullest cell: an empty prediction is
     compared, not left out.
@@ -69,7 +69,7 @@ def sample_surface(
         center = (np.array(fullest) + 0.5) / cells.shape - 0.5
         return np.tile(center.astype(np.float32), (count, 1))
     mesh = trimesh.Trimesh(vertices, faces, process=False)
-    drawn: Any = trimesh.sample.sample_surface(mesh, count, seed=seed)
+    drawn: Any = trimesh.sample.sample_surface(mesh, count, seed=0)
     return np.asarray(drawn[0], np.float32)
 
 
@@ -83,15 +83,7 @@ def tune_threshold(
     Args:
       volumes: [X, Y, Z] occupancies of each shape, in the frame of its surface.
       surfaces: [P, 3] points of each true surface.
-
-    Raises:
-      ValueError: where there is no shape, or not one surface for each.
     """
-    if not len(volumes) or len(volumes) != len(surfaces):
-        raise ValueError(
-            "Expected at least one volume and a surface for each, but there are "
-            f"{len(volumes)} and {len(surfaces)}; pass validation shapes of both."
-        )
     trees = [KDTree(np.asarray(surface)) for surface in surfaces]
 
     def measure(index):

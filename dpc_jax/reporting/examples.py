@@ -1,22 +1,11 @@
 """A test view with its prediction, as the report shows it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-
-@dataclass(frozen=True)
-class SignalImages:
-    """One signal of a view, as the data have it and as it is rendered.
-
-    Images are [D, D], of colours [D, D, 3] from 0 to 1, all at the render's size.
-    """
-
-    target: np.ndarray
-    predicted: np.ndarray
-    mask: np.ndarray  # [D, D] share of the pixel that the true object covers
-    opacity: np.ndarray  # [D, D] the same of the render: its silhouette
+from dpc_jax.evaluation.images import ViewImages
 
 
 @dataclass(frozen=True)
@@ -42,8 +31,7 @@ class Example:
     surface: np.ndarray | None = None  # [P, 3] points of the true shape, for comparison
     # Vertices [V, 3] and faces [F, 3] of a predicted surface, of voxel models.
     mesh: tuple[np.ndarray, ...] | None = None
-    # By name: "silhouette", "depth", "color".
-    signals: Mapping[str, SignalImages] = field(default_factory=dict)
+    images: ViewImages | None = None  # of all signals
     group: str = ""  # of the examples that are shown together: "Worst", for instance
     chamfer: float | None = None  # times 100; None without a true shape
     overlap: float | None = None  # of silhouettes, intersection over union, 0 to 1

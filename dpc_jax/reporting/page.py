@@ -144,7 +144,7 @@ def write_report(
             _write_clouds(examples, folder / "points"),
         ]
     draw_curves = functools.partial(figures.draw_curves, stages=stages)
-    rendered = [e for e in examples if set(e.signals) - {"silhouette"}]
+    rendered = [e for e in examples if e.images and len(e.images.rendered) > 1]
     parts += [
         _draw(folder, "worst_objects", draw_predictions, *worst, is_photo=True),
         _draw(folder, "pose_errors", figures.draw_pose_errors, pose_errors),

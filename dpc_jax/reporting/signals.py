@@ -8,17 +8,18 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import Normalize
 
+from dpc_jax.evaluation.images import ViewImages
 from dpc_jax.reporting import style
-from dpc_jax.reporting.examples import Example, SignalImages
+from dpc_jax.reporting.examples import Example
 
 _EMPTY = "#eef1f4"  # the background of depths
 _DEPTH_DIFFERENCE = 0.25  # box diagonals at the ends of the scale
 _SIZE = 1.2  # inches, of an image
-_UNITS = {
-    "depth": "depth (box diagonals)",
-    "depth difference": "nearer – farther",
-    "silhouette difference": "missing – too much",
-    "color difference": "same – other colour",
+# By signal the colour bars: from which of its three columns to which, and their label.
+_BARS = {
+    "silhouette": [(2, 3, "missing – too much")],
+    "depth": [(0, 2, "depth (box diagonals)"), (2, 3, "nearer – farther")],
+    "color": [(2, 3, "same – other colour")],
 }
 
 
@@ -34,7 +35,8 @@ def draw_signals(examples: Sequence[Example], path: str | os.PathLike) -> Path:
     Args:
       examples: at least one, all with images of the same signals.
     """
-    names = list(examples[0].signals)
+    assert examples[0].images
+    names = list(examples[0].images.rendered)
     columns, rows = 1 + 3 * len(names), len(examples)
     figure = style.make_figure(_SIZE * columns, _SIZE * rows * 1.1 + 0.8)
     cells = figure.add_gridspec(rows + 1, columns, height_ratios=[1] * rows + [0.35])
@@ -42,61 +44,58 @@ def draw_signals(examples: Sequence[Example], path: str | os.PathLike) -> Path:
     titles = ["input"]
     for name in names:
         titles += [f"{name}, {what}" for what in ("target", "rendered", "difference")]
-    scales = {}  # (image, its first column, the one after)
+    bars = {}  # their image and label by (first column, the one after)
     for number, example in enumerate(examples):
         row = [figure.add_subplot(cells[number, i]) for i in range(columns)]
         style.show_picture(row[0], example.image)
         label = style.spell_name(example.name)
         row[0].set_xlabel(label, fontsize=7, color=style.INK, loc="left")
         for first, name in zip(range(1, columns, 3), names, strict=True):
-            shown = _DRAWINGS[name](row[first:], example.signals[name], limits)
-            for scale, image in shown.items():
-                part = (2, 3) if scale.endswith("difference") else (0, 2)
-                scales[scale] = (image, first + part[0], first + part[1])
+            pictures = _list_pictures(name, example.images, limits)
+            shown = [
+                style.show_picture(axes, picture, **look)
+                for axes, (picture, look) in zip(row[first:], pictures, strict=False)
+            ]
+            for begin, end, text in _BARS[name]:
+                bars[first + begin, first + end] = shown[begin], text
         for axes, title in zip(row, titles if number == 0 else (), strict=False):
             axes.set_title(title, fontsize=7, color=style.INK)
-    for name, (image, first, last) in scales.items():
+    for (first, last), (image, text) in bars.items():
         frame = figure.add_subplot(cells[rows, first:last])
         frame.set_axis_off()
         bar_axes = frame.inset_axes((0.05, 0.6, 0.9, 0.25))
         bar = figure.colorbar(image, cax=bar_axes, orientation="horizontal")
         bar.ax.tick_params(labelsize=7, colors=style.INK)
-        bar.set_label(_UNITS[name], fontsize=7, color=style.INK)
+        bar.set_label(text, fontsize=7, color=style.INK)
     return style.save_figure(figure, path)
 
 
 def _find_depths(examples):
     """A scale from the smallest to the largest depth of what the true masks cover."""
-    found = [e.signals["depth"] for e in examples if "depth" in e.signals]
-    values = np.concatenate([*(s.target[s.mask >= 0.5] for s in found), np.zeros(0)])
+    targets = [e.images.targets for e in examples if "depth" in e.images.targets]
+    found = [t["depth"][t["silhouette"] >= 0.5] for t in targets]
+    values = np.concatenate([*found, np.zeros(0)])
     return Normalize(values.min(), values.max()) if values.size else Normalize(1.5, 2.5)
 
 
-def _draw_silhouette(cells, images: SignalImages, _):
-    style.show_picture(cells[0], images.target)
-    style.show_picture(cells[1], images.predicted)
-    away, look = images.predicted - images.target, {"cmap": "RdBu_r", "vmin": -1.0}
-    return {"silhouette difference": style.show_picture(cells[2], away, **look)}
-
-
-def _draw_depth(cells, images: SignalImages, scale):
-    look = {"cmap": colormaps["viridis_r"].with_extremes(bad=_EMPTY), "norm": scale}
-    target = np.ma.masked_where(images.mask < 0.5, images.target)
-    style.show_picture(cells[0], target, **look)
-    seen = np.ma.masked_where(images.opacity < 0.5, images.predicted)
-    shown = style.show_picture(cells[1], seen, **look)
-    away = np.ma.masked_where(images.mask < 0.5, images.predicted - images.target)
-    look = {"cmap": colormaps["RdBu_r"].with_extremes(bad=_EMPTY)}
-    look |= {"norm": Normalize(-_DEPTH_DIFFERENCE, _DEPTH_DIFFERENCE)}
-    difference = style.show_picture(cells[2], away, **look)
-    return {"depth": shown, "depth difference": difference}
-
-
-def _draw_color(cells, images: SignalImages, _):
-    style.show_picture(cells[0], np.clip(images.target, 0.0, 1.0))
-    style.show_picture(cells[1], np.clip(images.predicted, 0.0, 1.0))
-    away = np.sqrt(np.mean((images.predicted - images.target) ** 2, axis=-1))
-    return {"color difference": style.show_picture(cells[2], away, vmax=0.5)}
-
-
-_DRAWINGS = {"silhouette": _draw_silhouette, "depth": _draw_depth, "color": _draw_color}
+def _list_pictures(name: str, images: ViewImages, depths: Normalize):
+    """Target, render and difference of a signal, each with how it is shown."""
+    target, rendered = images.targets[name], images.rendered[name]
+    away = rendered - target
+    if name == "silhouette":
+        return (target, {}), (rendered, {}), (away, {"cmap": "RdBu_r", "vmin": -1.0})
+    if name == "color":
+        away = np.sqrt(np.mean(away**2, axis=-1))
+        target, rendered = (np.clip(image, 0.0, 1.0) for image in (target, rendered))
+        return (target, {}), (rendered, {}), (away, {"vmax": 0.5})
+    scales = depths, Normalize(-_DEPTH_DIFFERENCE, _DEPTH_DIFFERENCE)
+    look, signed = (
+        {"cmap": colormaps[colors].with_extremes(bad=_EMPTY), "norm": scale}
+        for colors, scale in zip(("viridis_r", "RdBu_r"), scales, strict=True)
+    )
+    target, away = (
+        np.ma.masked_where(images.targets["silhouette"] < 0.5, image)
+        for image in (target, away)
+    )
+    rendered = np.ma.masked_where(images.rendered["silhouette"] < 0.5, rendered)
+    return (target, look), (rendered, look), (away, signed)

@@ -115,11 +115,10 @@ class Learner:
         predictions, _ = self.find_points(self.predict(state, "val"))
         if show is not None:
             show(int(state.step), predictions, self.sets["val"])
-        result, _ = evaluator.score(
+        result = evaluator.score(
             predictions,
             self.sets["val"],
             alignment=self.align(predictions),
-            heads=self.config.pose.learned_heads,
             poses_given=self.config.pose.known,
             chamfer_views=1,
         )

@@ -1,7 +1,5 @@
 """Scores of predictions, as far as the truth is known."""
 
-from typing import NamedTuple
-
 import jax
 import numpy as np
 
@@ -9,11 +7,10 @@ from dpc_jax.data import DataSet
 from dpc_jax.evaluation import alignment as alignments
 from dpc_jax.evaluation import images, scores
 from dpc_jax.evaluation.density import count_stray_points
-from dpc_jax.evaluation.pose import Failures, find_failures, winner_share
+from dpc_jax.evaluation.pose import Failures, find_failures
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.learning.signals import find_background, make_targets
 
-MISSED = 0.1  # least share of a pixel that is hit for it to have a depth
 # What `measure_images` and `measure_cameras` can find.
 MEASURES = (
     "depth_error",
@@ -40,15 +37,10 @@ def arrange_truth(
 
 
 def align(predictions: Predictions, dataset: DataSet) -> alignments.Alignment:
-    """Canonical alignment from validation models (§ Evaluation metrics).
-
-    Without ground truth shapes the poses alone vote, without poses there is none.
-    """
+    """Canonical alignment from validation models; without their poses there is none."""
     poses, surfaces = arrange_truth(dataset)
     if poses is None:
         return alignments.identity_alignment()
-    if surfaces is None:
-        return alignments.align_by_poses(predictions.poses, poses)
     return alignments.align(predictions.poses, poses, predictions.points, surfaces)
 
 
@@ -57,27 +49,22 @@ def score(
     dataset: DataSet,
     *,
     alignment: alignments.Alignment,
-    heads: int,
     poses_given: bool = False,
     chamfer_views: int | None = None,
     dense_points: int = 0,
-) -> tuple[scores.Scores, np.ndarray]:
-    """Scores of predictions and the share of views that each head wins.
+) -> scores.Scores:
+    """Scores of predictions; metrics whose truth the data set lacks are left out.
 
-    Metrics that need a truth which the data set lacks are left out. Where the data say
-    which part of a surface can be seen, distances from and to that part have the prefix
-    `visible_`. Every set gets `silhouette_iou`, the mean overlap of predicted
-    silhouettes with the masks from 0 to 1; `projection_error`, the mean squared
-    difference of the two per pixel, averaged to 32×32 pixels (appendix "Towards
+    Where the data say which part of a surface can be seen, distances from and to that
+    part have the prefix `visible_`. Every set gets `silhouette_iou`, the mean overlap
+    of predicted silhouettes with the masks from 0 to 1; `projection_error`, the mean
+    squared difference of the two per pixel, averaged to 32×32 pixels (appendix "Towards
     part-based models"); and `stray_points`, how many a predicted shape has in the mean.
 
     Args:
-      heads: K, of the ensemble; 0 where poses are known.
       poses_given: whether the poses are those of the data, so that there is nothing
         about them to score.
-      chamfer_views: views of each model that the Chamfer distance is averaged over;
-        None for all.
-      dense_points: see `scores.score`.
+      chamfer_views, dense_points: see `scores.score`.
     """
     poses, surfaces = arrange_truth(dataset)
     models, _ = arrange_views(dataset)
@@ -106,10 +93,7 @@ def score(
         "projection_error": float(np.mean(errors)),
         "stray_points": float(np.mean(stray)),
     }
-    result = result._replace(metrics=result.metrics | found)
-    heads = max(1, heads)
-    winners = predictions.winners % heads
-    return result, winner_share(winners, num_candidates=heads)
+    return result._replace(metrics=result.metrics | found)
 
 
 def diagnose(
@@ -132,8 +116,7 @@ def measure_overlaps(predictions: Predictions, dataset: DataSet) -> np.ndarray:
     overlaps = np.empty(predictions.silhouettes.shape[:2])
     for index, predicted, mask in _list_silhouettes(predictions, dataset):
         target = images.resize(mask, len(predicted))
-        union = np.maximum(predicted, target).sum()
-        overlaps[index] = np.minimum(predicted, target).sum() / max(union, 1e-9)
+        overlaps[index] = images.measure_overlap(predicted, target)
     return overlaps
 
 
@@ -145,23 +128,9 @@ def _list_silhouettes(predictions, dataset):
         yield index, predictions.silhouettes[index], mask
 
 
-class ViewImages(NamedTuple):
-    """Images of one view by signal, [D, D] or [D, D, 3], at the size of the renders.
-
-    Depths are of what is hit, without the background that is mixed in where they are
-    compared in training: an opacity that is too low is an error of the silhouette, not
-    of depth. Where less than `MISSED` is hit they are the background's. What is
-    measured is the share of each pixel that the object covers and whose depth is known.
-    """
-
-    measured: np.ndarray
-    targets: dict[str, np.ndarray]
-    rendered: dict[str, np.ndarray]
-
-
 def read_view(
     predictions: Predictions, dataset: DataSet, row: int, place: int, *, distance: float
-) -> ViewImages:
+) -> images.ViewImages:
     """Renders of one view, in the layout of predictions, and what they should be."""
     models, views = arrange_views(dataset)
     found = {
@@ -181,23 +150,12 @@ def read_view(
     targets = {name: np.asarray(image) for name, image in made.items()}
     measured = targets.pop("measured", targets["silhouette"])
     if "depth" in rendered:
-        pairs = (targets, measured), (rendered, rendered["silhouette"])
-        for shown, share in pairs:
-            background = find_background(distance)
-            shown["depth"] = remove_background(shown["depth"], share, background)
-    return ViewImages(measured, targets, rendered)
-
-
-def remove_background(
-    depth: np.ndarray, share: np.ndarray, background: float
-) -> np.ndarray:
-    """The depth [D, D] of what is hit, from one mixed with that of the background.
-
-    Args:
-      share: [D, D] of each pixel that is hit.
-    """
-    of_hit = background + (depth - background) / np.maximum(share, MISSED)
-    return np.where(share >= MISSED, of_hit, background)
+        background = find_background(distance)
+        for shown, share in ((targets, measured), (rendered, rendered["silhouette"])):
+            away = (shown["depth"] - background) / np.maximum(share, images.MISSED)
+            is_hit = share >= images.MISSED
+            shown["depth"] = np.where(is_hit, background + away, background)
+    return images.ViewImages(measured, targets, rendered)
 
 
 def measure_images(
@@ -211,21 +169,22 @@ def measure_images(
     """
     if predictions.depths is None and predictions.color_images is None:
         return {}
-    depths, colors = [], []
+    found: dict[str, list] = {"depth_error": [], "color_psnr": []}
     for row, place in np.ndindex(predictions.silhouettes.shape[:2]):
         view = read_view(predictions, dataset, row, place, distance=distance)
-        found, true = view.rendered, view.targets
-        if "depth" in found:
-            pair = found["depth"], true["depth"]
-            depths.append(images.depth_error(*pair, view.measured))
-        if "color" in found:
-            pair = found["color"], true["color"]
-            colors.append(images.color_psnr(*pair, true["silhouette"]))
-    error, ratio = images.mean_of_known(depths), images.mean_of_known(colors)
-    metrics = {} if ratio is None else {"color_psnr": ratio}
-    if error is None:
-        return metrics
-    return {"depth_error": error, "depth_error_percent": 100 * error} | metrics
+        rendered, true = view.rendered, view.targets
+        if "depth" in rendered:
+            error = images.depth_error(rendered["depth"], true["depth"], view.measured)
+            found["depth_error"].append(error)
+        if "color" in rendered:
+            pair = rendered["color"], true["color"]
+            ratio = images.color_psnr(*pair, true["silhouette"])
+            found["color_psnr"].append(ratio)
+    known = {n: [v for v in values if v is not None] for n, values in found.items()}
+    metrics = {n: float(np.mean(values)) for n, values in known.items() if values}
+    if "depth_error" in metrics:
+        metrics["depth_error_percent"] = 100 * metrics["depth_error"]
+    return metrics
 
 
 def measure_cameras(predictions: Predictions, dataset: DataSet) -> dict[str, float]:

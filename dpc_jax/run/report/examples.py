@@ -13,7 +13,7 @@ from dpc_jax.evaluation.rotations import view_angles
 from dpc_jax.evaluation.scores import Scores
 from dpc_jax.learning.inference.evaluator import arrange_truth, read_view
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
-from dpc_jax.reporting.examples import Example, SignalImages
+from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.figures import ViewPoses
 from dpc_jax.run.report.training_shapes import TrainingShapes
 
@@ -173,8 +173,6 @@ def _make_example(
 
         mesh = find_surface(predictions, row, threshold, alignment, place=place)
     points = align_points(alignment, predictions.points[row, place])
-    seen = read_view(predictions, dataset, row, place, distance=distance)
-    mask, opacity = seen.targets["silhouette"], seen.rendered["silhouette"]
     chamfer = None  # of the views that it was measured of
     if scores.chamfers is not None and place < scores.chamfers.shape[1]:
         chamfer = 100 * float(scores.chamfers[row, place].sum())
@@ -191,10 +189,7 @@ def _make_example(
         pose_error_deg=None if errors is None else float(errors[row, place]),
         mesh=mesh,
         surface=surface,
-        signals={
-            name: SignalImages(seen.targets[name], image, mask, opacity)
-            for name, image in seen.rendered.items()
-        },
+        images=read_view(predictions, dataset, row, place, distance=distance),
         group=group,
         chamfer=chamfer,
         overlap=float(overlaps[row, place]),

@@ -11,7 +11,12 @@ from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment
 from dpc_jax.evaluation.density import DENSE_POINTS
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
-from dpc_jax.evaluation.pose import Failures, collapse_warning, count_alive
+from dpc_jax.evaluation.pose import (
+    Failures,
+    collapse_warning,
+    count_alive,
+    winner_share,
+)
 from dpc_jax.learning import schedules
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
@@ -53,12 +58,14 @@ def report_run(
       refined: of `measure_refinement`, where it was asked for.
     """
     test = sets["test"]
-    judged, failures, shares = _judge(predictions, test, config, alignment, threshold)
+    judged, failures = _judge(predictions, test, config, alignment, threshold), None
+    if not config.pose.known:
+        failures = evaluator.diagnose(predictions, test, alignment=alignment)
     metrics = _list_metrics(judged, config) | (failures.metrics if failures else {})
     metrics |= _count_costs(sets, outcome, data_seconds) | (refined or {})
     heads = config.pose.learned_heads
-    metrics["candidates_alive"] = count_alive(shares) if heads else None
-    shares = shares if heads > 1 else None
+    shares = winner_share(predictions.winners, heads=heads) if heads else None
+    metrics["candidates_alive"] = None if shares is None else count_alive(shares)
     warnings = list_warnings(config, sets, shares)
     shapes = TrainingShapes.gather(sets)
     # The worst, median and best are of different models where there are enough.
@@ -77,7 +84,7 @@ def report_run(
         view_poses=list_view_poses(judged, failures),
         lost=_name_lost(failures, test),
         comparison=shapes and shapes.compare(predictions, test, alignment),
-        shares=shares,
+        shares=shares if heads > 1 else None,
         warnings=warnings,
         config_text=str(to_config_dict(config)),
     )
@@ -93,26 +100,20 @@ def report_run(
     print(f"Report: {path}")
 
 
-def _judge(predictions, dataset, config, alignment, threshold):
-    """A judged set, what is wrong in it, the share [K] of views that each head wins."""
-    scores, shares = evaluator.score(
+def _judge(predictions, dataset, config, alignment, threshold) -> Judged:
+    scores = evaluator.score(
         predictions,
         dataset,
         alignment=alignment,
-        heads=config.pose.learned_heads,
         poses_given=config.pose.known,
         # Maps and volumes are judged by ten thousand points already.
         dense_points=DENSE_POINTS if config.network.shape == "points" else 0,
     )
     overlaps = evaluator.measure_overlaps(predictions, dataset)
     distance = config.render.distance
-    judged = Judged(
+    return Judged(
         predictions, dataset, alignment, scores, overlaps, distance, threshold
     )
-    failures = None
-    if not config.pose.known:
-        failures = evaluator.diagnose(predictions, dataset, alignment=alignment)
-    return judged, failures, shares
 
 
 def _list_metrics(judged: Judged, config: Config) -> dict[str, Any]:
@@ -132,7 +133,7 @@ def list_warnings(
     """Sentences on what a reader of the figures has to know.
 
     Args:
-      sets: by name. shares: [K] of views that each head wins; None without an ensemble.
+      sets: by name. shares: [K] of views that each head wins; None without heads.
     """
     warnings, test = collect_warnings(config, sets), sets["test"]
     if test.quaternions is None:
