@@ -21,6 +21,7 @@ from tiny_runs import (
 
 from dpc_jax.config import check, replace_fields
 from dpc_jax.learning import devices
+from dpc_jax.learning.inference import predictor as predictor_module
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.training.checkpoints import Checkpoints
 
@@ -162,7 +163,8 @@ def test_a_run_goes_on_with_another_number_of_devices(alone, tmp_path):
                 assert_same_bits(resumed, states[-1])
 
 
-def test_views_are_predicted_on_all_devices_as_on_one(alone):
+def test_views_are_predicted_on_all_devices_as_on_one(alone, monkeypatch):
+    monkeypatch.setattr(predictor_module, "VIEWS_AT_ONCE", 7)
     dataset = make_dataset(models=3, views=3)
     found = []
     for count in (1, 4):  # nine views, seven at once: neither fits four devices
@@ -171,7 +173,7 @@ def test_views_are_predicted_on_all_devices_as_on_one(alone):
         averages = state.averages._replace(covariance=covariance)
         state = state._replace(averages=averages)
         predictor = make_predictor(make_network(config), config)
-        found.append(predict_all(predictor, state, dataset, views_at_once=7))
+        found.append(predict_all(predictor, state, dataset))
     one, four = found
     np.testing.assert_array_equal(one.winners, four.winners)
     for name in ("points", "poses", "silhouettes"):

@@ -16,15 +16,15 @@ from dpc_jax.learning.inference.explanation import (
     FINALISTS,
     STEPS,
     Observation,
-    compare_candidates,
+    compare_poses,
     find_likeliest,
     find_posteriors,
-    measure_silhouettes,
     render_finest,
     search_nearby,
 )
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.shapes.points import Points
+from dpc_jax.learning.signals import SILHOUETTES
 from dpc_jax.networks.viewpoints import face_object, read_elevations
 
 CONFIG = tiny_config(student="posterior", flips=True, head="viewpoint", fine_grid=32)
@@ -68,7 +68,7 @@ def search(pose, observation, *, copies=1, config=CONFIG):
 def measure(poses, observation):
     """Losses in the finest grid."""
     scene = Points.resize(make_scene(), RATIO)
-    return measure_silhouettes(scene, poses, observation, config=CONFIG)
+    return compare_poses(scene, poses, observation, config=CONFIG)
 
 
 @functools.partial(jax.jit, static_argnames=("count", "config"))
@@ -113,7 +113,7 @@ def test_what_the_student_thinks_counts_in_the_finest_grid(monkeypatch):
     def compare(scene, candidates, *_, **__):
         return candidates[:, 0]
 
-    monkeypatch.setattr(explanation, "compare_candidates", compare)
+    monkeypatch.setattr(explanation, "compare_poses", compare)
     fine = jnp.array([5.0, 4.6, 5.0, 5.0, 0.0, 0.0])
     candidates = jnp.stack([fine, jnp.arange(6.0), fine, fine], axis=1)
     chances = jnp.array([0.5, 0.3, 0.1, 0.06, 0.02, 0.02])
@@ -150,12 +150,9 @@ def test_candidates_are_compared_by_the_signals_of_training_that_are_there():
     @jax.jit
     def compare(observation):
         colored = observation._replace(others={"color": jnp.ones((32, 32, 3))})
-        plain = measure_silhouettes(scene, poses[None], observation, config=config)
-        observations = observation, colored
-        return plain, *(
-            compare_candidates(scene, poses[None], one, config=config)
-            for one in observations
-        )
+        measure = functools.partial(compare_poses, scene, poses[None], config=config)
+        plain = measure(observation, weights=SILHOUETTES)
+        return plain, measure(observation), measure(colored)
 
     plain, without, with_colors = compare(see(TRUTH))
     np.testing.assert_allclose(without, plain, rtol=1e-6)
@@ -217,7 +214,7 @@ def test_predictions_take_the_candidate_of_the_largest_posterior(monkeypatch):
     def take_last(scene, candidates, *_, **__):
         return candidates[-1:]
 
-    monkeypatch.setattr(predictor, "compare_candidates", compare)
+    monkeypatch.setattr(predictor, "compare_poses", compare)
     monkeypatch.setattr(predictor, "find_likeliest", take_last)
     student, posterior = predict(student="selects"), predict()
     candidates = np.asarray(student.candidates)

@@ -113,7 +113,7 @@ def test_views_of_an_object_have_the_pose_that_their_shape_fits_best(
     def compare(scene, poses, *_, **__):
         return 100.0 * jnp.arange(len(poses))
 
-    monkeypatch.setattr(refiner_module, "compare_candidates", compare)
+    monkeypatch.setattr(refiner_module, "compare_poses", compare)
     monkeypatch.setattr("dpc_jax.learning.inference.explanation.FINALISTS", 1)
     refiner = make_refiner(selecting.network, selecting.config)
     joined = selecting.refine(TOGETHER, refiner=refiner)

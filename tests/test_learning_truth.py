@@ -11,6 +11,7 @@ from dpc_jax.data.arrays import Stack
 from dpc_jax.evaluation.alignment import align_poses, identity_alignment
 from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.learning.inference import evaluator
+from dpc_jax.learning.inference import predictor as predictor_module
 from dpc_jax.learning.inference.predictor import (
     Predictions,
     arrange_views,
@@ -42,14 +43,17 @@ def trained():
     last = state._replace(step=np.int32(config.train.steps))  # of the same weights
     predictor = make_predictor(network, config)
     dataset = tiny_runs.make_dataset(models=3, views=3)
-    whole = predict_all(predictor, last, dataset, views_at_once=4)
+    patch = pytest.MonkeyPatch()
+    patch.setattr(predictor_module, "VIEWS_AT_ONCE", 4)  # of nine: three batches
+    whole = predict_all(predictor, last, dataset)
 
     def predict(dataset, step=None, **more):
         begun = last if step is None else last._replace(step=np.int32(step))
-        return predict_all(predictor, begun, dataset, views_at_once=4, **more)
+        return predict_all(predictor, begun, dataset, **more)
 
     images = jnp.array(dataset.images.reshape(9, 16, 16, 3) / 127.5 - 1, "float32")
     yield dataset, whole, predict, jax.jit(network.apply)(state.params, images)
+    patch.undo()
 
 
 def test_every_view_has_its_own_predictions_and_its_best_candidate(trained):

@@ -61,51 +61,40 @@ def observe(
     return Observation(downsample_images(arrays["masks"], side), cameras, others)
 
 
-def make_view(
-    rotation: jax.Array, own: Mapping[str, Any], side: int, *, config: Config
-) -> View:
-    """A view of the run's shapes with what its camera has of its own."""
+def _place_view(rotation, per_view, side: int, config: Config) -> View:
+    """A view of the run's shapes; see `place_view`."""
     camera = Camera(config.render.focal_length, config.render.distance)
-    return place_view(rotation, own, side, camera, config.render.ray_rule)
+    return place_view(rotation, per_view, side, camera, config.render.ray_rule)
 
 
-def measure_silhouettes(
+def compare_poses(
     scene: Scene,
     poses: jax.Array,
     observation: Observation,
     *,
     config: Config,
-    weights: Weights = SILHOUETTES,
+    weights: Weights | None = None,
 ) -> jax.Array:
     """Losses [n] of a shape seen from poses [n, 4]: sums of squared differences.
 
     Args:
       scene: of the shape, sizes in voxels of the observation's grid.
-      weights: of silhouettes and the observation's other signals.
+      weights: of silhouettes and the observation's other signals; None for those that
+        training chooses candidates by.
     """
-    return find_shape_class(config.network.shape).compare_candidates(
-        scene,
-        make_view(
-            poses, observation.camera, observation.target.shape[0], config=config
-        ),
-        {"silhouette": observation.target, **observation.others},
-        weights=weights,
-        renders_at_once=config.render.renders_at_once,
-    )
-
-
-def compare_candidates(
-    scene: Scene, candidates: jax.Array, observation: Observation, *, config: Config
-) -> jax.Array:
-    """Losses [C] of candidates [C, 4] by the signals that training chooses by."""
-    weights = SILHOUETTES
-    if config.pose.choice_signals == "all":
+    if weights is None and config.pose.choice_signals == "all":
         trained = read_weights(config.train)
         others = {n: getattr(trained, n) for n in _SOURCES if n in observation.others}
         weights = Weights(trained.silhouette, **others)
-        weights = weights if weights.signals else SILHOUETTES
-    return measure_silhouettes(
-        scene, candidates, observation, config=config, weights=weights
+    if weights is None or not weights.signals:
+        weights = SILHOUETTES
+    side = observation.target.shape[0]
+    return find_shape_class(config.network.shape).compare_candidates(
+        scene,
+        _place_view(poses, observation.camera, side, config),
+        {"silhouette": observation.target, **observation.others},
+        weights=weights,
+        renders_at_once=config.render.renders_at_once,
     )
 
 
@@ -148,7 +137,7 @@ def find_likeliest(
     _, best = jax.lax.top_k(posteriors, min(FINALISTS, len(candidates)))
     if ratio != 1:
         finer = find_shape_class(config.network.shape).resize(scene, ratio)
-        losses = compare_candidates(finer, candidates[best], fine, config=config)
+        losses = compare_poses(finer, candidates[best], fine, config=config)
         posteriors = find_posteriors(losses, probabilities[best])
         best = best[jnp.argsort(-posteriors)]
     if count == 1 and config.pose.searches:
@@ -159,7 +148,7 @@ def find_likeliest(
 def render_finest(
     scene: Scene,
     pose: jax.Array,
-    own: Mapping[str, Any],
+    camera: Mapping[str, Any],
     *,
     signals: tuple[str, ...] = ("silhouette",),
     config: Config,
@@ -167,12 +156,12 @@ def render_finest(
     """A shape in the finest grid, seen from a pose [4].
 
     Args:
-      scene: sizes in voxels of the base grid. own: see `Observation.camera`.
+      scene: sizes in voxels of the base grid. camera: as `Observation.camera`.
     """
     render, kind = config.render, find_shape_class(config.network.shape)
     return kind.render(
         kind.resize(scene, render.finest / render.grid),
-        make_view(pose, own, render.finest, config=config),
+        _place_view(pose, camera, render.finest, config),
         signals=signals,
         background_depth=find_background(render.distance),
     )
@@ -191,10 +180,11 @@ def search_nearby(
 ) -> jax.Array:
     """The viewpoint [4] near a predicted one that explains the image best.
 
-    A head says a viewpoint by features of the whole image, a few degrees off; outlines
-    in the finest grid tell single degrees. A pattern search: of the four viewpoints a
-    step of azimuth or elevation away, the best one is taken if it is better; then the
-    step is smaller. Elevations stay in the range of the heads. Not in the paper.
+    A head predicts a viewpoint by features of the whole image, a few degrees off;
+    outlines in the finest grid tell single degrees. A pattern search: of the four
+    viewpoints a step of azimuth or elevation away, the best one is taken if it is
+    better; then the step is smaller. Elevations stay in the range of the heads. Not in
+    the paper.
 
     Args:
       scene: of the shape, sizes in voxels of the base grid.
@@ -207,7 +197,7 @@ def search_nearby(
     def take_step(found, step):
         pose, cost = found
         neighbours = _list_neighbours(pose, step)
-        costs = compare_candidates(finer, neighbours, fine, config=config)
+        costs = compare_poses(finer, neighbours, fine, config=config)
         elevations = read_elevations(neighbours)
         is_allowed = (elevations >= low - _SLACK) & (elevations <= high + _SLACK)
         costs = jnp.where(is_allowed, costs, jnp.inf)
@@ -216,7 +206,7 @@ def search_nearby(
         pose = jnp.where(is_better, neighbours[best], pose)
         return (pose, jnp.where(is_better, costs[best], cost)), None
 
-    start = compare_candidates(finer, pose[None], fine, config=config)[0]
+    start = compare_poses(finer, pose[None], fine, config=config)[0]
     steps = jnp.deg2rad(jnp.asarray(STEPS, pose.dtype))
     (pose, _), _ = jax.lax.scan(take_step, (pose, start), steps)
     return pose

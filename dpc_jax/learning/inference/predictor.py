@@ -17,9 +17,8 @@ from dpc_jax.learning.batches import list_extras
 from dpc_jax.learning.cameras import find_cameras
 from dpc_jax.learning.inference.explanation import (
     Observation,
-    compare_candidates,
+    compare_poses,
     find_likeliest,
-    measure_silhouettes,
     observe,
     render_finest,
     weigh_finest,
@@ -31,6 +30,7 @@ from dpc_jax.learning.predictions import (
     make_inputs,
 )
 from dpc_jax.learning.shapes import find_shape_class
+from dpc_jax.learning.signals import SILHOUETTES
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.columns import sharing_columns
@@ -121,7 +121,7 @@ def make_predictor(
     def predict(state, images, masks, quaternions, extras):
         inputs = make_inputs(images, masks, network=network)
         with sharing_columns(devices.AXIS):
-            output: Any = network.apply(state.params, inputs, method=_say_all)
+            output: Any = network.apply(state.params, inputs, method=_predict_all)
         arrays = {"images": images, "masks": masks, **extras}
         entries, shared = _list_entries(output, state, arrays, quaternions, config)
         found = map_renders(
@@ -148,7 +148,7 @@ def make_predictor(
     return jax.jit(devices.share_padded(predict, mesh, in_specs), out_shardings=whole)
 
 
-def _say_all(network, images):
+def _predict_all(network, images):
     """All that the network predicts of images, and the codes of their shapes."""
     features = network.encode(images)
     codes = features[:, : network.hidden]
@@ -160,11 +160,8 @@ def _say_all(network, images):
 
 def _list_entries(output, state, arrays, quaternions, config):
     """(`_Entry` of all n, (scenes that they share, of scene and shown))."""
-    render, kind, steps = (
-        config.render,
-        find_shape_class(config.network.shape),
-        config.train.steps,
-    )
+    render, steps = config.render, config.train.steps
+    kind = find_shape_class(config.network.shape)
     (scene, shared), (shown, shown_shared) = (
         kind.read(
             output,
@@ -196,19 +193,21 @@ def _explain(entry, *, shared, config):
     candidates, taken = entry.poses.candidates, entry.poses.student
     losses = jnp.zeros(1)
     if len(candidates) > 1:
-        losses = compare_candidates(scene, candidates, entry.base, config=config)
+        losses = compare_poses(scene, candidates, entry.base, config=config)
     if config.pose.weighs_fit:
         known = candidates, losses, entry.chances, entry.fine
         (taken,) = find_likeliest(scene, *known, count=1, config=config)
     found = {"winners": jnp.argmin(losses), "poses": taken}
-    found |= _show(shown, taken, entry.fine.camera, config)
+    found |= _render_images(shown, taken, entry.fine.camera, config)
     if not config.pose.known:
         finer, both = weigh_finest(scene, config), jnp.stack([taken, entry.true])
-        found["costs"] = measure_silhouettes(finer, both, entry.fine, config=config)
+        found["costs"] = compare_poses(
+            finer, both, entry.fine, config=config, weights=SILHOUETTES
+        )
     return found
 
 
-def _show(shown, pose, own, config):
+def _render_images(shown, pose, camera, config):
     """Images of a shape from a pose [4]: silhouettes, depths and colours if any."""
     is_asked = {
         "silhouette": True,
@@ -216,7 +215,7 @@ def _show(shown, pose, own, config):
         "color": "colors" in shown,
     }
     signals = tuple(name for name, holds in is_asked.items() if holds)
-    image = render_finest(shown, pose, own, signals=signals, config=config)
+    image = render_finest(shown, pose, camera, signals=signals, config=config)
     images = {"silhouettes": image.silhouette, "depths": image.depth}
     images["color_images"] = image.color
     return {n: a for n, a in images.items() if a is not None}
@@ -253,10 +252,10 @@ def compile_predictor(predictor: Any, state: TrainState, config: Config):
         describe(4),
         {name: describe(*ends[name]) for name in list_extras(config)},
     )
-    held = jax.tree.map(
+    like = jax.tree.map(
         lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=a.sharding), state
     )
-    predictor.lower(held, *views).compile()
+    predictor.lower(like, *views).compile()
 
 
 def predict_all(
@@ -264,11 +263,10 @@ def predict_all(
     state: TrainState,
     dataset: DataSet,
     *,
-    views_at_once: int = VIEWS_AT_ONCE,
     extras: Sequence[str] = (),
     frame: Alignment | None = None,
 ) -> Predictions:
-    """Run the predictor over a data set in equal batches (the last one is padded).
+    """Run the predictor over a data set, `VIEWS_AT_ONCE` at a time, the last padded.
 
     Views are read batch by batch: a set may be larger than the memory. The layout is
     that of `arrange_views`; poses that are not given are the identity.
@@ -278,14 +276,14 @@ def predict_all(
       frame: of the network, in which true poses are compared with predicted ones; None
         where it is that of the data.
     """
-    models, views = arrange_views(dataset)
+    (models, views), at_once = arrange_views(dataset), VIEWS_AT_ONCE
     total = models.size
     found = {}  # filled in place: volumes of voxel models are gigabytes
-    for start in range(0, total, views_at_once):
-        rows = np.minimum(np.arange(start, start + views_at_once), total - 1)
+    for start in range(0, total, at_once):
+        rows = np.minimum(np.arange(start, start + at_once), total - 1)
         chosen = models.reshape(-1)[rows], views.reshape(-1)[rows]
         if dataset.quaternions is None:
-            poses = np.tile(np.array([1, 0, 0, 0], np.float32), (views_at_once, 1))
+            poses = np.tile(np.array([1, 0, 0, 0], np.float32), (at_once, 1))
         else:
             poses = np.asarray(dataset.quaternions[chosen])
             if frame is not None:
@@ -297,6 +295,6 @@ def predict_all(
         for name, part in jax.device_get(output).items():
             if name not in found:
                 found[name] = np.empty((total, *part.shape[1:]), part.dtype)
-            found[name][start : start + views_at_once] = part[: total - start]
+            found[name][start : start + at_once] = part[: total - start]
     merged = {n: a.reshape(*models.shape, *a.shape[1:]) for n, a in found.items()}
     return Predictions(**merged)

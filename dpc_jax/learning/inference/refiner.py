@@ -20,7 +20,7 @@ from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.inference.explanation import (
     FINALISTS,
     Observation,
-    compare_candidates,
+    compare_poses,
     find_likeliest,
     render_finest,
 )
@@ -116,22 +116,14 @@ def _choose_poses(decode, evidence, is_bent, config):
         for side in (config.render.grid, config.render.finest)
     )
     count = FINALISTS if is_alone and is_bent else 1
-    at_once = config.render.renders_at_once
 
-    def rank(entry):
-        scene, *views = entry
-        scene = {**scene, **shared}
+    def rank(scene, candidates, probabilities, base, fine):
+        losses = compare_poses(scene, candidates, base, config=config)
+        known = candidates, losses, probabilities, fine
+        return find_likeliest(scene, *known, count=count, config=config)
 
-        def rank_view(view):
-            candidates, probabilities, base, fine = view
-            losses = compare_candidates(scene, candidates, base, config=config)
-            known = candidates, losses, probabilities, fine
-            return find_likeliest(scene, *known, count=count, config=config)
-
-        return map_renders(rank_view, tuple(views), renders_at_once=at_once)
-
-    entries = scenes, candidates, probabilities, base, fine
-    return map_renders(rank, entries, renders_at_once=at_once)
+    views = candidates, probabilities, base, fine
+    return _map_views(rank, scenes, shared, views, config)
 
 
 def _fit(decode, evidence: Evidence, directions, config, poses):
@@ -140,6 +132,9 @@ def _fit(decode, evidence: Evidence, directions, config, poses):
     The objective is beside them as costs [n].
     """
     targets = downsample_images(evidence.masks, config.render.finest)
+
+    def render(scene, pose, camera):
+        return render_finest(scene, pose, camera, config=config).silhouette
 
     def compare(bent):
         weights, turns = bent
@@ -152,7 +147,8 @@ def _fit(decode, evidence: Evidence, directions, config, poses):
             scenes, config.render
         )
         turned = turn(poses, turns)
-        images = _render(scenes, shared, turned, evidence.cameras, config)
+        views = turned, evidence.cameras
+        images = _map_views(render, scenes, shared, views, config)
         errors = jnp.mean((images - targets) ** 2, axis=(2, 3))
         known = {n: shape[n] for n in ("points", "colors") if n in shape}
         return known | {"silhouettes": images, "errors": errors, "poses": turned}
@@ -174,20 +170,18 @@ def _fit(decode, evidence: Evidence, directions, config, poses):
     return compare(found) | {"costs": measure(found), "before": before}
 
 
-def _render(scenes, shared, poses, cameras, config):
-    """Silhouettes [n, V, D, D] of n objects from V views each."""
+def _map_views(function, scenes, shared, views, config):
+    """`function(scene, *view)` of the views [n, V, ...] of n objects."""
     at_once = config.render.renders_at_once
 
-    def render_object(entry):
-        scene, *views = entry
+    def map_object(entry):
+        scene, views = entry
+        scene = {**scene, **shared}
+        return map_renders(
+            lambda view: function(scene, *view), views, renders_at_once=at_once
+        )
 
-        def render_view(view):
-            return render_finest(scene | shared, *view, config=config).silhouette
-
-        return map_renders(render_view, tuple(views), renders_at_once=at_once)
-
-    entries = scenes, poses, cameras
-    return map_renders(render_object, entries, renders_at_once=at_once)
+    return map_renders(map_object, (scenes, views), renders_at_once=at_once)
 
 
 def turn(poses: jax.Array, turns: jax.Array) -> jax.Array:
