@@ -4,8 +4,8 @@ import numpy as np
 
 from dpc_jax.evaluation.images import ViewImages
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS
+from dpc_jax.evaluation.pose import Failures
 from dpc_jax.reporting.examples import Example, Neighbour, TrainingComparison
-from dpc_jax.reporting.figures import ViewPoses
 from dpc_jax.reporting.page import write_report
 
 
@@ -65,10 +65,11 @@ def make_report(folder, *, has_truth=True):
         angles = np.arange(0.0, 360, 10)
         kinds = np.where(angles < 180, -1, 0)
         errors = np.where(angles < 180, 4.0, 178.0)
-        poses = ViewPoses(angles, (angles + errors) % 360, errors, kinds)
+        azimuths = np.stack([angles, (angles + errors) % 360])
+        failures = Failures(errors, azimuths, kinds, np.zeros(0, int), {})
         near = {"Prediction": 4.2, "Mean training shape": 5.0}
         comparison = TrainingComparison(24, near, {"Mean training shape": 3.0})
-        more = {"pose_errors": errors, "view_poses": poses, "comparison": comparison}
+        more = {"pose_errors": errors, "failures": failures, "comparison": comparison}
     return write_report(
         folder,
         title="A run with a rather long name, as folders of experiments often have",

@@ -20,7 +20,7 @@ from dpc_jax.experiments import correspondences, interpolation, point_sizes
 from dpc_jax.learning.predictions import make_inputs
 from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.reporting import paper_figures as figures
-from dpc_jax.reporting.clouds import DEVIATIONS, draw_ellipsoids
+from dpc_jax.reporting.clouds import DEVIATIONS, HALF_WIDTH, draw_ellipsoids
 from dpc_jax.run.trained import load_split, load_trained, predict_points
 from dpc_jax.run.workdir import claim_workdir, write_alignment
 
@@ -191,7 +191,7 @@ def test_gaussians_of_each_kind_are_drawn_under_the_input(tmp_path):
 
 
 def test_a_sphere_is_drawn_round_and_hides_what_is_behind_it():
-    sigma, half_width, side = 0.1, 0.5, 200
+    sigma = 0.1
     points = [[0.0, 0, 0], [-0.3, 0, 0]]  # the viewer is at +x
     red, blue = [1.0, 0, 0], [0.0, 0, 1]
     picture = draw_ellipsoids(
@@ -199,11 +199,10 @@ def test_a_sphere_is_drawn_round_and_hides_what_is_behind_it():
         np.array([np.eye(3), np.diag([0, 4, 1])]) * sigma**2,
         [red, blue],
         view_deg=(0, 0),
-        side=side,
-        half_width=half_width,
     )
+    side = len(picture)
     is_red = (picture[..., 0] > 0) & (picture[..., 2] == 0)
-    radius = DEVIATIONS * sigma * side / (2 * half_width)
+    radius = DEVIATIONS * sigma * side / (2 * HALF_WIDTH)
     # A pixel more or less on the rim.
     assert is_red.sum() == pytest.approx(np.pi * radius**2, rel=0.02)
     is_blue = (picture[..., 2] > 0) & (picture[..., 0] == 0)

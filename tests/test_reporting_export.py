@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from dpc_jax.files import write_bytes, write_text
-from dpc_jax.reporting.export import write_glb, write_ply, write_surface
+from dpc_jax.reporting.export import RADIUS, write_glb, write_ply, write_surface
 
 
 def cloud(n=40, seed=0):
@@ -64,28 +64,22 @@ def test_a_surface_is_a_closed_mesh_that_stands_upright(tmp_path):
     np.testing.assert_allclose(mesh.vertex_normals, outward, atol=0.05)
     points = write_glb(tmp_path / "b.glb", ball.vertices)
     np.testing.assert_allclose(matrix, read_glb(points)[1])
-    with pytest.raises(ValueError, match="Expected a surface with faces"):
-        write_surface(path, ball.vertices, np.zeros((0, 3), int))
 
 
-def test_a_glb_file_holds_an_octahedron_around_each_point(tmp_path):
+def test_a_glb_file_holds_an_upright_octahedron_around_each_point(tmp_path):
     points, _ = cloud()
-    mesh, _ = read_glb(write_glb(tmp_path / "a.glb", points, radius=0.01))
+    mesh, matrix = read_glb(write_glb(tmp_path / "a.glb", points))
     corners = mesh.vertices.reshape(-1, 6, 3)
     # Coordinates up to 0.5 in float32: steps of 3e-8, six of them averaged.
     np.testing.assert_allclose(corners.mean(axis=1), points, atol=1e-7)
-    np.testing.assert_allclose(
-        np.linalg.norm(corners - points[:, None], axis=2), 0.01, atol=1e-7
-    )
+    away = (corners - points[:, None]) / RADIUS
+    np.testing.assert_allclose(np.linalg.norm(away, axis=2), 1, atol=1e-5)
     owners = mesh.faces.reshape(len(points), -1) // 6
     assert np.all(owners == np.arange(len(points))[:, None])  # no face between points
-
-
-def test_a_glb_file_stands_upright_and_its_faces_look_outward(tmp_path):
-    mesh, matrix = read_glb(write_glb(tmp_path / "a.glb", np.zeros((1, 3)), radius=1.0))
+    # Faces look outward: each octahedron has a volume, and positive.
     assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(4 / 3)  # of the octahedron, and positive
-    np.testing.assert_allclose(mesh.vertex_normals, mesh.vertices, atol=1e-6)  # float32
+    assert mesh.volume == pytest.approx(4 / 3 * RADIUS**3 * len(points), rel=1e-4)
+    np.testing.assert_allclose(mesh.vertex_normals, away.reshape(-1, 3), atol=1e-4)
     # glTF has y up and z to the front; a rotation from a float64 quaternion.
     turned = matrix[:3, :3] @ np.array([[0, 0, 1], [1, 0, 0]]).T
     np.testing.assert_allclose(turned.T, [[0, 1, 0], [0, 0, 1]], atol=1e-12)
@@ -114,12 +108,6 @@ def test_clouds_unfit_for_a_file_are_refused_and_leave_none(tmp_path, write):
     with pytest.raises(ValueError, match="one RGB colour for each point"):
         write(path, np.zeros((2, 3)), np.zeros((1, 3)))
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(("points", "radius"), [(0, 0.1), (1, 0.0), (1, np.nan)])
-def test_a_glb_of_nothing_is_refused(tmp_path, points, radius):
-    with pytest.raises(ValueError, match="positive radius"):
-        write_glb(tmp_path / "a.glb", np.zeros((points, 3)), radius=radius)
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_no_debris(tmp_path, monkeypatch):

@@ -31,10 +31,9 @@ class Metric:
     higher_is_better: bool | None = None  # None where neither direction is better
     hint: str = ""  # one phrase on its meaning
     short: str = ""  # name within a line of text; empty: left out there
-    # Where the metric stands beside the list of all metrics. Each role includes those
-    # before it: "compared", a column where runs are compared; "required", in every
-    # report, if only as unknown; "headline", large at the top of the page.
-    role: Literal["", "compared", "required", "headline"] = ""
+    # "required": in every report, if only as unknown; "headline": large at the top of
+    # the page, too.
+    role: Literal["", "required", "headline"] = ""
 
     @property
     def factor(self) -> float:
@@ -64,8 +63,7 @@ METRICS = {metric.name: metric for metric in (
     Metric("visible_precision", "Precision, what can be seen", "×100", ".2f", False),
     Metric("visible_coverage", "Coverage, what can be seen", "×100", ".2f", False),
     Metric("dense_chamfer", "Chamfer distance, dense cloud", "×100", ".2f", False,
-           "midpoints of neighbouring points added, 8000 in all", "dense",
-           role="compared"),
+           "midpoints of neighbouring points added, 8000 in all", "dense"),
     Metric("dense_precision", "Precision, dense cloud", "×100", ".2f", False),
     Metric("dense_coverage", "Coverage, dense cloud", "×100", ".2f", False),
     Metric("stray_points", "Stray points", "", ".1f", False,
@@ -81,7 +79,7 @@ METRICS = {metric.name: metric for metric in (
     Metric("truth_cheaper_share", "Wrong views whose true pose fits better", "%", ".1f",
            hint="the predicted shape's silhouette; low: shape and pose agree"),
     Metric("best_candidate_pose_accuracy", "Pose accuracy, best candidate", "%", ".1f",
-           True, "the winner of the ensemble", role="compared"),
+           True, "the winner of the ensemble"),
     Metric("best_candidate_pose_median_error_deg", "Median pose error, best candidate",
            "°", ".1f", False, "the winner of the ensemble"),
     Metric("silhouette_iou", "Silhouette overlap", "%", ".1f", True,
@@ -106,7 +104,7 @@ METRICS = {metric.name: metric for metric in (
     Metric("train_seconds", "Training time", "s", ".0f", False,
            "wall clock, including compilation", role="headline"),
     Metric("peak_memory_gb", "Peak memory", "GB", ".1f", False,
-           "of the training process", role="compared"),
+           "of the training process"),
     Metric("data_seconds", "Time for the data", "s", ".0f", False,
            "reading or rendering, before training"),
     Metric("steps", "Training steps", "", ".0f"),
@@ -123,9 +121,7 @@ METRICS = {metric.name: metric for metric in (
 )}
 # fmt: on
 HEADLINE_METRICS = tuple(n for n, m in METRICS.items() if m.role == "headline")
-REQUIRED_METRICS = tuple(
-    n for n, m in METRICS.items() if m.role in ("headline", "required")
-)
+REQUIRED_METRICS = tuple(name for name, m in METRICS.items() if m.role)
 SUMMARY_METRICS = tuple(name for name, m in METRICS.items() if m.short)
 
 

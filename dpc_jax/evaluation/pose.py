@@ -83,6 +83,9 @@ class Failures(NamedTuple):
     """What is wrong with the poses of a test set.
 
     Attributes:
+      errors_deg: [n, V] of the whole pose, 0 to 180.
+      azimuths_deg: [2, n, V] of the true and of the predicted poses, 0 to 360; 0 looks
+        at the front.
       kinds: [n, V] index into `KINDS` of each wrong view; -1 of right ones.
       wrong_objects: [k] indices of objects that are wrong in all their views, of which
         there are at least two.
@@ -91,6 +94,8 @@ class Failures(NamedTuple):
         without wrong views the first three are left out, and the third without costs.
     """
 
+    errors_deg: np.ndarray
+    azimuths_deg: np.ndarray
     kinds: np.ndarray
     wrong_objects: np.ndarray
     metrics: dict[str, float]
@@ -114,7 +119,9 @@ def find_failures(
         predicted pose and from the true one.
     """
     found = rotations.to_rotation(predicted)
-    wrong = rotations.angle_deg(predicted, true) > ACCURACY_THRESHOLD_DEG
+    errors = rotations.angle_deg(predicted, true)
+    azimuths = np.stack([rotations.view_angles(q)[0] for q in (true, predicted)])
+    wrong = errors > ACCURACY_THRESHOLD_DEG
     kinds = np.where(wrong, len(KINDS) - 1, -1)
     pose = rotations.to_rotation(true)
     front, across, up = (Rotation.from_rotvec(np.pi * axis) for axis in np.eye(3))
@@ -133,7 +140,7 @@ def find_failures(
     if wrong.any() and costs is not None:
         chosen, right = np.moveaxis(np.asarray(costs), -1, 0)
         metrics["truth_cheaper_share"] = float(np.mean((right < chosen)[wrong]))
-    return Failures(kinds, np.flatnonzero(is_lost), metrics)
+    return Failures(errors, azimuths, kinds, np.flatnonzero(is_lost), metrics)
 
 
 def winner_share(winners: ArrayLike, *, heads: int) -> np.ndarray:

@@ -64,16 +64,16 @@ def angle_deg(first: ArrayLike, second: ArrayLike) -> np.ndarray:
     return np.degrees(relative.magnitude())
 
 
-def view_angles(quaternion: ArrayLike) -> tuple[float, float]:
-    """Azimuth (0 to 360) and elevation in degrees of a camera, as seen from the object.
+def view_angles(quaternion: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Azimuths (0 to 360) and elevations in degrees of cameras, seen from the object.
 
     Args:
-      quaternion: [4], object to camera. The camera sits where its axis of view comes
+      quaternion: [..., 4], object to camera. A camera sits where its axis of view comes
         from, whatever its roll.
     """
-    towards = -to_rotation(quaternion).as_matrix()[2]
-    azimuth = np.degrees(np.arctan2(towards[1], towards[0])) % 360
-    return float(azimuth), float(np.degrees(np.arcsin(np.clip(towards[2], -1, 1))))
+    x, y, z = -np.moveaxis(to_rotation(quaternion).as_matrix()[..., 2, :], -1, 0)
+    azimuth = np.degrees(np.arctan2(y, x)) % 360
+    return azimuth, np.degrees(np.arcsin(np.clip(z, -1, 1)))
 
 
 def mean_rotation(
@@ -91,7 +91,7 @@ def mean_rotation(
 
 def describe_pose(quaternion: ArrayLike) -> dict[str, Any]:
     """A pose, object to camera, as JSON files have it."""
-    azimuth, elevation = view_angles(quaternion)
+    azimuth, elevation = map(float, view_angles(quaternion))
     return {
         "quaternion": canonical_sign(quaternion).tolist(),
         "azimuth_deg": azimuth,

@@ -11,10 +11,13 @@ _FINER = 2  # times finer than asked for, then averaged: smooth edges
 # From the upper left, towards the viewer: right, up, nearness.
 _LIGHT = np.array([-0.45, 0.6, 0.66]) / np.linalg.norm([-0.45, 0.6, 0.66])
 _DEPTH = 0.8  # from the farthest to the nearest that colours tell apart
-_FADE = 0.45  # how far the colour of what is farthest fades to white
+_FADE = 0.45  # how far the colour of what is farthest fades
+# To what it fades; on a clear picture to what is seen on white and on black.
+_WHITE, _CLEAR = (1.0, 1.0, 1.0), (0.75, 0.79, 0.83)
 _NEAR, _FAR = np.array([0.10, 0.29, 0.55]), np.array([0.62, 0.75, 0.88])
 # How many standard deviations from its centre a Gaussian's surface is drawn.
 DEVIATIONS = 1.5
+HALF_WIDTH, _SIDE = 0.6, 320  # of their picture, object units and pixels
 
 
 def view_points(points: np.ndarray, view_deg: tuple[float, float]) -> np.ndarray:
@@ -37,7 +40,6 @@ def draw_cloud(
     *,
     view_deg: tuple[float, float] = FRONT,
     size: int = 320,
-    fade_to: ArrayLike = (1.0, 1.0, 1.0),
     is_clear: bool = False,
 ) -> np.ndarray:
     """Picture of points as `draw_spheres` draws it, the smaller the more there are.
@@ -58,7 +60,6 @@ def draw_cloud(
         view_deg=view_deg,
         radius=radius,
         size=size,
-        fade_to=fade_to,
         is_clear=is_clear,
     )
 
@@ -76,7 +77,6 @@ def draw_spheres(
     view_deg: tuple[float, float],
     radius: ArrayLike = _RADIUS,
     size: int = 320,
-    fade_to: ArrayLike = (1.0, 1.0, 1.0),
     is_clear: bool = False,
 ) -> np.ndarray:
     """Picture uint8 [size, size, 3] of points as spheres, on white, orthographic.
@@ -87,7 +87,6 @@ def draw_spheres(
       view_deg: azimuth and elevation, as of `view_points`.
       radius: of the spheres in object units, one or [N].
       size: of the picture's side, pixels.
-      fade_to: colour that far spheres fade to, 0 to 1.
       is_clear: the picture has no background but a fourth channel, its opacity.
     """
     seen = view_points(np.asarray(points), view_deg)
@@ -97,7 +96,7 @@ def draw_spheres(
     # The far ones fade, as in the other pictures of clouds.
     fade = _FADE * (1.0 - _find_nearness(seen))
     faded = np.asarray(colors, float)[order]
-    faded = faded + (np.asarray(fade_to) - faded) * fade
+    faded = faded + (np.array(_CLEAR if is_clear else _WHITE) - faded) * fade
 
     side = _FINER * size
     scale = side / (2 * _REACH)  # pixels in an object unit
@@ -144,10 +143,8 @@ def draw_ellipsoids(
     colors: ArrayLike,
     *,
     view_deg: tuple[float, float],
-    side: int = 320,
-    half_width: float = 0.6,
 ) -> np.ndarray:
-    """A picture [side, side, 3] in [0, 1] of Gaussians, orthographic, z up.
+    """A picture [320, 320, 3] in [0, 1] of Gaussians, orthographic, z up.
 
     The nearest surface that a pixel's ray meets is shown, shaded as if lit from the
     upper left.
@@ -156,16 +153,15 @@ def draw_ellipsoids(
       points: [N, 3], object frame. covariances: [N, 3, 3], in squares of its unit.
       colors: [N, 3] in [0, 1].
       view_deg: azimuth and elevation of the viewer, as of `view_points`.
-      half_width: of the picture, in units of the object.
     """
     axes = view_points(np.eye(3), view_deg)  # columns: right, up, towards the viewer
     centers = view_points(np.asarray(points), view_deg)
     turned = np.einsum("ji,njk,kl->nil", axes, np.asarray(covariances, float), axes)
     # A variance of exactly zero has no surface.
     turned += 1e-9 * np.eye(3)
-    place = (np.arange(side) + 0.5) / side * 2 - 1
-    right, up = np.meshgrid(half_width * place, -half_width * place)
-    nearest, picture = np.full((side, side), -np.inf), np.ones((side, side, 3))
+    place = HALF_WIDTH * ((np.arange(_SIDE) + 0.5) / _SIDE * 2 - 1)
+    right, up = np.meshgrid(place, -place)
+    nearest, picture = np.full((_SIDE, _SIDE), -np.inf), np.ones((_SIDE, _SIDE, 3))
     shades = np.asarray(colors, float)
     for center, covariance, color in zip(centers, turned, shades, strict=True):
         depth, normals = _meet(right - center[0], up - center[1], covariance)

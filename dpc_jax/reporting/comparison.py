@@ -186,12 +186,12 @@ def draw_comparison(
         n for g in groups for run in g.runs for line in run.records for n in line
     }
     metrics = [name for name in metrics if name in recorded] or ["loss"]
-    columns, width = min(2, len(metrics)), 11.0
+    width, rows = 11.0, -(-len(metrics) // 2)
     longest = max(len(group.name) for group in groups) + 8
     names = min(len(groups), max(1, int(width / (0.075 * longest))))  # in a row
-    height = 3.3 * -(-len(metrics) // columns) + _LEGEND_ROW * -(-len(groups) // names)
+    height = 3.3 * rows + _LEGEND_ROW * -(-len(groups) // names)
     figure = style.make_figure(width, height)
-    panels = style.make_panels(figure, len(metrics), columns=columns)
+    panels = style.make_panels(figure, len(metrics))
     for axes, metric in zip(panels, metrics, strict=True):
         title, text = get_metric(metric).label, AXIS_TEXTS.get(metric, "")
         style.label_axes(axes, title=title, x_label="run time (min)", y_label=text)

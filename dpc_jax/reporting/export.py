@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from dpc_jax.files import write_bytes
 from dpc_jax.reporting.examples import Example
 
-_RADIUS = 0.008  # object units; a third of the spacing of 2000 points on a car
+RADIUS = 0.008  # of a point, object units; a third of 2000 points' spacing on a car
 _PLAIN_COLOR = (0.36, 0.53, 0.73)  # sRGB, for points that carry no colour
 
 _CORNERS = np.concatenate([np.eye(3), -np.eye(3)])  # octahedron: +x +y +z -x -y -z
@@ -48,11 +48,7 @@ def write_ply(
 
 
 def write_glb(
-    path: str | os.PathLike,
-    points: ArrayLike,
-    colors: ArrayLike | None = None,
-    *,
-    radius: float = _RADIUS,
+    path: str | os.PathLike, points: ArrayLike, colors: ArrayLike | None = None
 ) -> Path:
     """Write points [N, 3] as binary glTF, each a small octahedron shaded as a ball.
 
@@ -63,23 +59,15 @@ def write_glb(
       path: where to; replaced only once the new file is whole.
       points: [N, 3] object frame, at least one.
       colors: [N, 3] bytes 0-255, or floats 0-1 (clipped); a plain blue if None.
-      radius: of an octahedron, in units of the points.
 
     Raises:
-      ValueError: no points, points or colours that are not finite or not [N, 3], or a
-        radius that is not positive.
+      ValueError: points or colours that are not finite or not [N, 3].
     """
     points, colors = _check_cloud(points, colors)
-    if len(points) == 0 or not (np.isfinite(radius) and radius > 0.0):
-        raise ValueError(
-            f"Expected at least one point and a positive radius, but there are "
-            f"{len(points)} points and the radius is {radius}; a GLB file cannot hold "
-            f"an empty mesh."
-        )
     if colors is None:
         colors = np.broadcast_to(_PLAIN_COLOR, points.shape)
     corners = len(_CORNERS)
-    position = (points[:, None] + radius * _CORNERS).reshape(-1, 3).astype("<f4")
+    position = (points[:, None] + RADIUS * _CORNERS).reshape(-1, 3).astype("<f4")
     normal = np.tile(_CORNERS, (len(points), 1)).astype("<f4")
     # glTF vertex colours are linear light; pictures and PLY hold sRGB.
     curve = ((colors + 0.055) / 1.055) ** 2.4
@@ -104,15 +92,9 @@ def write_surface(
         counter-clockwise seen from outside.
 
     Raises:
-      ValueError: no faces, or vertices that are not finite or not [V, 3].
+      ValueError: for vertices that are not finite or not [V, 3].
     """
     vertices, _ = _check_cloud(vertices, None)
-    faces = np.asarray(faces)
-    if not len(faces):
-        raise ValueError(
-            "Expected a surface with faces, but there are none; a GLB file cannot hold "
-            "an empty mesh."
-        )
     rgba = np.full((len(vertices), 4), 255, dtype="u1")
     rgba[:, :3] = _bytes(np.array(_PLAIN_COLOR) ** 2.2)  # nearly linear light
     return _write_mesh(path, vertices, None, faces, rgba, "surface")

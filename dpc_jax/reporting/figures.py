@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from dpc_jax.evaluation.pose import (
     ACCURACY_THRESHOLD_DEG,
     FLIP_THRESHOLD_DEG,
     KINDS,
+    Failures,
     count_alive,
     pose_summary,
 )
@@ -227,20 +227,11 @@ _LOOKS = {
 }
 
 
-@dataclass(frozen=True)
-class ViewPoses:
-    """Where the views of a test set are taken from, and where the network says so."""
-
-    true_deg: np.ndarray  # [n] azimuth, 0 to 360; 0 looks at the front
-    predicted_deg: np.ndarray  # [n]
-    errors_deg: np.ndarray  # [n] of the whole pose, 0 to 180
-    kinds: np.ndarray  # [n] index into `pose.KINDS`; -1 of right views
-
-
-def draw_azimuths(views: ViewPoses, path: str | os.PathLike) -> Path:
+def draw_azimuths(views: Failures, path: str | os.PathLike) -> Path:
     """Pose error, and predicted azimuth, of each view over its true azimuth."""
     figure = style.make_figure(9.0, 4.2)
     left, right = style.make_panels(figure, 2)
+    true_deg, predicted_deg = views.azimuths_deg
     for kind, (label, color, marker) in _LOOKS.items():
         rows = views.kinds == kind
         if not rows.any():
@@ -248,8 +239,8 @@ def draw_azimuths(views: ViewPoses, path: str | os.PathLike) -> Path:
         look = {"s": 14, "color": color, "marker": marker, "linewidths": 0}
         look |= {"alpha": 0.75, "clip_on": False, "zorder": 3}
         label = f"{label}: {int(rows.sum())}"
-        left.scatter(views.true_deg[rows], views.errors_deg[rows], label=label, **look)
-        right.scatter(views.true_deg[rows], views.predicted_deg[rows], **look)
+        left.scatter(true_deg[rows], views.errors_deg[rows], label=label, **look)
+        right.scatter(true_deg[rows], predicted_deg[rows], **look)
     left.axhline(ACCURACY_THRESHOLD_DEG, color=style.INK, lw=1.0)
     for shift in (-180, 0, 180):
         line = {"color": style.INK if shift == 0 else style.MUTED, "lw": 0.9}

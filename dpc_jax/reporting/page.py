@@ -1,7 +1,6 @@
 """The report of a run: one HTML page that opens anywhere, with its data beside it."""
 
 import functools
-import json
 import math
 import os
 import re
@@ -10,11 +9,11 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation import metrics as registry
-from dpc_jax.files import write_text
+from dpc_jax.evaluation.pose import Failures
+from dpc_jax.files import write_json, write_text
 from dpc_jax.reporting import figures
 from dpc_jax.reporting.examples import Example, TrainingComparison
 from dpc_jax.reporting.export import write_files
@@ -97,7 +96,7 @@ def write_report(
     ranking: str = "",
     worst: tuple[Sequence[Example], str] = ((), ""),
     pose_errors: ArrayLike | None = None,
-    view_poses: figures.ViewPoses | None = None,
+    failures: Failures | None = None,
     lost: Sequence[str] = (),
     comparison: TrainingComparison | None = None,
     shares: ArrayLike | None = None,
@@ -111,28 +110,26 @@ def write_report(
     are replaced one by one, each whole; files of other names are left alone.
 
     Args:
-      metrics: numbers, words or None by name, at least those of `REQUIRED_METRICS`
-        (None where one does not apply). Distances times 100. NaN becomes null.
+      metrics: numbers, words or None by name. Distances times 100. NaN becomes null.
       records: lines of `metrics.jsonl`.
       stages: first step of each stage of the schedule and what is new in it.
       examples: views to show, those of a group one after the other.
       ranking: how they were chosen, a sentence.
       worst: the worst objects, each by a view, and how they were chosen.
       pose_errors: errors of the test views in degrees, any shape.
-      view_poses: where the test views are taken from, and said to be.
+      failures: what is wrong with the poses of the test views.
       lost: names of objects that are wrong in all their views.
       comparison: of the predictions with what the training set has.
       shares: [K] share of views that each candidate wins.
       warnings: sentences for the top of the page.
       config_text: the configuration, shown as it is.
-
-    Raises:
-      ValueError: a required metric is missing, or a metric is not a single value.
     """
     folder = Path(folder)
-    values = _plain_metrics(metrics)
-    text = json.dumps(values, indent=2, sort_keys=True, allow_nan=False) + "\n"
-    write_text(folder / "metrics.json", text)
+    values = {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in sorted(metrics.items())
+    }
+    write_json(folder / "metrics.json", values)
     parts = [_begin(title, values, warnings)]
     if examples:
         # One picture of all, for other pages; this one shows them larger.
@@ -148,7 +145,7 @@ def write_report(
     parts += [
         _draw(folder, "worst_objects", draw_predictions, *worst, is_photo=True),
         _draw(folder, "pose_errors", figures.draw_pose_errors, pose_errors),
-        _draw(folder, "azimuths", figures.draw_azimuths, view_poses),
+        _draw(folder, "azimuths", figures.draw_azimuths, failures),
         "" if pose_errors is None else _describe_failures(values, lost),
         _compare_with_training(comparison) if comparison else "",
         _draw(folder, "curves", draw_curves, records),
@@ -164,30 +161,6 @@ def write_report(
     if examples:
         parts.append(viewer.embed_scripts(examples))
     return write_text(folder / "index.html", assemble_page(title, "".join(parts)))
-
-
-def _plain_metrics(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """The metrics as JSON holds them, after a check that none is missing."""
-    required = registry.REQUIRED_METRICS
-    missing = [name for name in required if name not in metrics]
-    if missing:
-        raise ValueError(
-            f"metrics must hold {', '.join(required)}, but there is none for "
-            f"{', '.join(missing)}; pass None for one that does not apply."
-        )
-    plain = {}
-    for name, value in metrics.items():
-        if np.ndim(value) != 0:
-            raise ValueError(
-                f"Metric {name!r} must be a single value, but has shape "
-                f"{np.shape(value)}; pass its mean, and arrays by their own arguments."
-            )
-        if hasattr(value, "item"):  # numpy and jax scalars
-            value = value.item()
-        if isinstance(value, float) and not math.isfinite(value):
-            value = None
-        plain[name] = value
-    return plain
 
 
 def _begin(title, values, warnings) -> str:

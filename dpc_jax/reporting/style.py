@@ -51,13 +51,10 @@ def make_figure(width: float, height: float, *, is_close: bool = False) -> Figur
     return figure
 
 
-def make_panels(
-    figure: Figure, count: int, *, columns: int = 2, share: bool = False
-) -> list[Axes]:
-    """`count` axes in rows of at most `columns`; `share`: with common scales."""
-    columns = min(columns, count)
-    rows = -(-count // columns)
-    grid = figure.subplots(rows, columns, squeeze=False, sharex=share, sharey=share)
+def make_panels(figure: Figure, count: int) -> list[Axes]:
+    """`count` axes in rows of two; a single one takes the whole figure."""
+    columns = min(2, count)
+    grid = figure.subplots(-(-count // columns), columns, squeeze=False)
     for axes in grid.flat[count:]:
         axes.set_visible(False)
     return list(grid.flat[:count])
@@ -113,9 +110,9 @@ def spell_name(name: str) -> str:
     return "".join(letters).replace("$", r"\$")
 
 
-def save_figure(figure: Figure, path: str | os.PathLike, *, dpi: int = 130) -> Path:
+def save_figure(figure: Figure, path: str | os.PathLike) -> Path:
     """Write the figure as PNG, whole or not at all."""
     buffer = io.BytesIO()
     # Without the library's version in it, the same data give the same bytes.
-    figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
+    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
     return write_bytes(path, buffer.getvalue())

@@ -15,7 +15,6 @@ from dpc_jax.reporting.web.markup import embed_picture
 
 _SIDE = 400  # pixels of a picture
 _SHOWN = 3000  # points of a true shape
-_FADE = (0.75, 0.79, 0.83)  # what is far fades to it; seen on white and on black
 _PREDICTED, _OTHER = (0.22, 0.50, 0.75), (0.62, 0.66, 0.70)
 
 
@@ -75,7 +74,5 @@ def _picture(
     title: str,
     note: str = "",
 ) -> str:
-    drawn = draw_cloud(
-        points, colors, view_deg=view_deg, size=_SIDE, fade_to=_FADE, is_clear=True
-    )
+    drawn = draw_cloud(points, colors, view_deg=view_deg, size=_SIDE, is_clear=True)
     return embed_picture(drawn, title, note)

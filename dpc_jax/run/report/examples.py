@@ -7,14 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from dpc_jax.data import DataSet
-from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
-from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG, Failures
-from dpc_jax.evaluation.rotations import view_angles
+from dpc_jax.evaluation.alignment import Alignment, align_points
+from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG
 from dpc_jax.evaluation.scores import Scores
-from dpc_jax.learning.inference.evaluator import arrange_truth, read_view
+from dpc_jax.learning.inference.evaluator import read_view
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.figures import ViewPoses
 from dpc_jax.run.report.training_shapes import TrainingShapes
 
 GROUPS = ("Worst", "Median", "Best")
@@ -194,23 +192,4 @@ def _make_example(
         chamfer=chamfer,
         overlap=float(overlaps[row, place]),
         neighbours=neighbours,
-    )
-
-
-def list_view_poses(judged: Judged, failures: Failures | None) -> ViewPoses | None:
-    """Azimuths of all test views; None where poses are not predicted or not known."""
-    errors = judged.scores.pose_errors_deg
-    poses, _ = arrange_truth(judged.dataset)
-    if poses is None or failures is None or errors is None:
-        return None
-    found = align_poses(judged.alignment, judged.predictions.poses)
-    true_deg, predicted_deg = (
-        np.array([view_angles(pose)[0] for pose in np.reshape(one, (-1, 4))])
-        for one in (poses, found)
-    )
-    return ViewPoses(
-        true_deg=true_deg,
-        predicted_deg=predicted_deg,
-        errors_deg=np.asarray(errors).ravel(),
-        kinds=failures.kinds.ravel(),
     )

@@ -22,12 +22,7 @@ from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.learning.training.loop import Outcome
 from dpc_jax.reporting.page import write_report
-from dpc_jax.run.report.examples import (
-    Judged,
-    choose_examples,
-    list_view_poses,
-    list_worst,
-)
+from dpc_jax.run.report.examples import Judged, choose_examples, list_worst
 from dpc_jax.run.report.training_shapes import TrainingShapes
 from dpc_jax.run.setup import collect_warnings
 from dpc_jax.run.workdir import write_alignment
@@ -81,7 +76,7 @@ def report_run(
         ranking=ranking,
         worst=list_worst(judged),
         pose_errors=judged.scores.pose_errors_deg,  # None: no such figure
-        view_poses=list_view_poses(judged, failures),
+        failures=failures,
         lost=_name_lost(failures, test),
         comparison=shapes and shapes.compare(predictions, test, alignment),
         shares=shares if heads > 1 else None,
