@@ -1,5 +1,7 @@
 """Pictures of clouds as spheres, grids of pictures, animations."""
 
+import types
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -7,8 +9,8 @@ from PIL import Image
 from dpc_jax.reporting.clouds import draw_spheres, shade_depth, view_points
 from dpc_jax.reporting.gallery import (
     FRAMES,
+    draw_difference,
     draw_grid,
-    silhouette_difference,
     write_animation,
     write_turntable,
 )
@@ -65,13 +67,12 @@ def test_a_grid_has_its_pictures_in_reading_order_and_leaves_holes_empty(tmp_pat
         draw_grid([], path)
 
 
-def test_the_difference_is_positive_where_the_prediction_is_too_large():
-    target, predicted = np.zeros((2, 2)), np.zeros((4, 4))
-    predicted[0, 0], target[1, 1] = 1.0, 0.5
-    got = silhouette_difference(predicted, target)
-    assert got.shape == (4, 4)
-    assert got[0, 0] == 1.0
-    assert np.all(got[2:, 2:] == -0.5)
+def test_the_difference_is_red_where_the_prediction_is_too_large():
+    shown = types.SimpleNamespace(target=np.zeros((2, 2)), predicted=np.zeros((4, 4)))
+    shown.predicted[0, 0], shown.target[1, 1] = 1.0, 1.0
+    red, _, blue = np.moveaxis(draw_difference(shown).astype(int), -1, 0)
+    assert red.shape == (4, 4) and red[0, 0] > blue[0, 0] + 50
+    assert np.all(blue[2:, 2:] > red[2:, 2:] + 50) and np.all(red[:2, 2:] > 200)
 
 
 def test_an_animation_repeats_without_end_and_keeps_its_times(tmp_path):

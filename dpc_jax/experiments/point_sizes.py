@@ -1,6 +1,5 @@
 """Hand-tuned and learned sizes of points (appendix "Towards part-based models")."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from dpc_jax.learning.inference.predictor import (
 from dpc_jax.reporting import paper_figures as figures
 from dpc_jax.run.setup import make_data_specs, make_network
 from dpc_jax.run.trained import restore_state
-from dpc_jax.run.workdir import read_alignment, read_config
+from dpc_jax.run.workdir import read_alignment, read_config, read_metrics
 
 SHOWN = 5  # chairs in a figure
 Figures = list[tuple[Path, str]]  # with their captions
@@ -38,22 +37,17 @@ def draw_errors(out: Path, workdirs: Sequence[Path]) -> Figures:
         config = read_config(workdir)
         by_count = errors[config.network.point_size]
         found = by_count.setdefault(config.render.num_points, [])
-        found.append(_read_error(workdir))
+        error = (read_metrics(workdir) or {}).get("projection_error")
+        if error is None:
+            raise ValueError(
+                f"Expected a projection error in the report of {workdir}, but there is "
+                "none; remove the report, and give the same command again."
+            )
+        found.append(float(error))
     path = out / "projection_error.png"
     figures.draw_projection_errors({k: v for k, v in errors.items() if v}, path)
     caption = "Projection error against the number of points: mean and single runs."
     return [(path, caption)]
-
-
-def _read_error(workdir: Path) -> float:
-    path = workdir / "report" / "metrics.json"
-    try:
-        return float(json.loads(path.read_text(encoding="utf-8"))["projection_error"])
-    except (OSError, ValueError, KeyError, TypeError):
-        raise ValueError(
-            f"Expected a projection error in {path}, but there is none; remove the "
-            "report, and give the same command again."
-        ) from None
 
 
 def draw_shapes(out: Path, workdirs: Sequence[Path]) -> Figures:

@@ -3,7 +3,6 @@
 import collections
 import contextlib
 import dataclasses
-import json
 import os
 import signal
 import subprocess
@@ -17,8 +16,12 @@ from typing import Any
 
 from dpc_jax.config import Config
 from dpc_jax.experiments.runs import Run
-from dpc_jax.files import describe_error
-from dpc_jax.run.workdir import claim_workdir, list_differences, read_config
+from dpc_jax.run.workdir import (
+    claim_workdir,
+    list_differences,
+    read_config,
+    read_metrics,
+)
 
 PROGRAM = ("-m", "dpc_jax.main")  # that trains a run, for Python
 _GB_PER_RUN = 3.0  # the default run takes 2.8 while its programs compile
@@ -47,15 +50,7 @@ class Job:
             return None
         if list_differences(read_config(self.workdir), self.config):
             return None
-        path = self.workdir / "report" / "metrics.json"
-        try:
-            return dict(json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError) as error:
-            raise ValueError(
-                f"Expected the metrics of a finished run in {path}, but they cannot be "
-                f"read ({describe_error(error)}); remove the report, and give the same "
-                "command again."
-            ) from None
+        return read_metrics(self.workdir)
 
     def is_finished(self) -> bool:
         """Whether there is a whole report of this config."""

@@ -10,6 +10,7 @@ from matplotlib import colormaps
 from numpy.typing import ArrayLike
 from PIL import Image
 
+from dpc_jax.evaluation.images import resize
 from dpc_jax.files import write_bytes
 from dpc_jax.reporting import style
 from dpc_jax.reporting.clouds import FRONT, REAR, draw_cloud
@@ -112,20 +113,10 @@ def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Pa
 
 def draw_difference(example: Example) -> np.ndarray:
     """Of the silhouettes, uint8 [S, S, 3]: red too large, blue too small."""
-    difference = silhouette_difference(example.predicted, example.target)
+    side = max(len(example.predicted), len(example.target))
+    difference = resize(example.predicted, side) - resize(example.target, side)
     colors = colormaps["RdBu_r"].with_extremes(bad="white")((difference + 1) / 2)
     return np.rint(255 * colors[..., :3]).astype(np.uint8)
-
-
-def silhouette_difference(predicted: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Predicted minus target, the coarser one repeated onto the finer one's pixels."""
-    rows, cols = np.maximum(predicted.shape, target.shape)
-    stretched = []
-    for image in (predicted, target):
-        r = np.arange(rows) * image.shape[0] // rows
-        c = np.arange(cols) * image.shape[1] // cols
-        stretched.append(image[np.ix_(r, c)].astype(np.float64))
-    return stretched[0] - stretched[1]
 
 
 def write_turntable(

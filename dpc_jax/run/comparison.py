@@ -8,7 +8,6 @@ from pathlib import Path
 from flax.traverse_util import flatten_dict
 
 from dpc_jax.evaluation.metrics import MISSING
-from dpc_jax.files import read_json
 from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.outputs import show_text
 from dpc_jax.reporting.comparison import (
@@ -17,7 +16,7 @@ from dpc_jax.reporting.comparison import (
     write_comparison,
 )
 from dpc_jax.reporting.groups import ComparedRun, Group, group_runs
-from dpc_jax.run.workdir import FREE_FIELDS, read_config
+from dpc_jax.run.workdir import FREE_FIELDS, read_config, read_metrics
 
 # What does not make two runs differ: the variant is a name of other settings.
 _LEFT_OUT = (*FREE_FIELDS, "seed", "variant")
@@ -65,30 +64,13 @@ def _read_run(workdir: Path, name: str) -> ComparedRun:
     fields = flatten_dict(dataclasses.asdict(config), sep=".")
     fields = {n: v for n, v in fields.items() if not n.startswith(_LEFT_OUT)}
     records = MetricLog(workdir / "metrics.jsonl").read()
-    metrics = _read_metrics(workdir / "report" / "metrics.json")
+    metrics = read_metrics(workdir)
     unfinished = ""
     if metrics is None:
         step = max((record.get("step", 0) for record in records), default=0)
         unfinished = f"step {step} of {config.train.steps}"
     return ComparedRun(
         name, config.seed, fields, metrics or {}, tuple(records), unfinished
-    )
-
-
-def _read_metrics(path: Path) -> dict | None:
-    """The metrics of a report; None where there is none yet."""
-    if not path.is_file():
-        return None
-    try:
-        metrics = read_json(path)
-        if isinstance(metrics, dict):
-            return metrics
-        problem = "they are no object"
-    except (OSError, ValueError) as error:
-        problem = str(error)
-    raise ValueError(
-        f"Expected the metrics of a run in {path}, but {problem}; remove the report "
-        "and start the command that began the run again, which writes it anew."
     )
 
 

@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -120,6 +121,25 @@ def read_config(workdir: Path) -> Config:
         raise ValueError(
             f"Expected the config of a run in {path}, but it cannot be used "
             f"({describe_error(error)}); give the --workdir of a run of dpc_jax.main."
+        ) from None
+
+
+def read_metrics(workdir: Path) -> dict[str, Any] | None:
+    """The metrics of a run's report; None where there is none yet.
+
+    Raises:
+      ValueError: where they cannot be read.
+    """
+    path = workdir / "report" / "metrics.json"
+    if not path.is_file():
+        return None
+    try:
+        return dict(read_json(path))
+    except (OSError, ValueError, TypeError) as error:
+        raise ValueError(
+            f"Expected the metrics of a run in {path}, but they cannot be read "
+            f"({describe_error(error)}); remove the report and start the command that "
+            "began the run again, which writes it anew."
         ) from None
 
 

@@ -21,7 +21,7 @@ from dpc_jax.evaluation.alignment import (
 from dpc_jax.evaluation.confidence import Confidence, measure_confidence
 from dpc_jax.evaluation.density import find_pairs, mix_pairs
 from dpc_jax.evaluation.images import resize
-from dpc_jax.files import describe_error, read_bytes, read_json, write_bytes
+from dpc_jax.files import read_bytes, write_bytes
 from dpc_jax.learning.inference.predictor import (
     VIEWS_AT_ONCE,
     Predictions,
@@ -32,7 +32,7 @@ from dpc_jax.run.prediction import PredictRequest
 from dpc_jax.run.process import prepare_process
 from dpc_jax.run.setup import make_network
 from dpc_jax.run.trained import TrainedNetwork, load_split, restore_state
-from dpc_jax.run.workdir import read_alignment, read_config
+from dpc_jax.run.workdir import read_alignment, read_config, read_metrics
 
 _MOST_KEPT = 2**28  # bytes of the directions of codes
 
@@ -150,7 +150,9 @@ def _list_objects(
         # They need libraries of their own.
         from dpc_jax.learning.inference import volumes
 
-        threshold = read_threshold(workdir, otherwise=volumes.FIRST_THRESHOLD)
+        # A finished run has tuned it.
+        metrics = read_metrics(workdir) or {}
+        threshold = metrics.get("surface_threshold") or volumes.FIRST_THRESHOLD
         predictions = volumes.add_points(predictions, threshold)
         meshes = {
             row: volumes.find_surface(predictions, row, threshold, run.alignment)
@@ -175,24 +177,6 @@ def _list_objects(
         )
         for one, rows in zip(found, groups, strict=True)
     ]
-
-
-def read_threshold(workdir: Path, *, otherwise: float) -> float:
-    """The threshold of surfaces that a finished run has tuned; before, another.
-
-    Raises:
-      ValueError: where the run's metrics cannot be read.
-    """
-    path = workdir / "report" / "metrics.json"
-    if not path.exists():
-        return otherwise
-    try:
-        return float(read_json(path)["surface_threshold"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(
-            f"Expected the threshold of surfaces in {path}, but it cannot be read "
-            f"({describe_error(error)}); start the command that began the run again."
-        ) from None
 
 
 def read_directions(
