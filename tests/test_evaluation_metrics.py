@@ -24,7 +24,6 @@ def test_a_line_of_text_states_shares_from_0_to_1_and_the_others_as_tables_do():
         "pose accuracy 0.886, median error 2.5°, Chamfer 3.31, silhouette overlap 0.750"
     )
     assert describe_metrics(VALUES, share_digits=2).startswith("pose accuracy 0.89, ")
-    assert describe_metrics(VALUES, ("train_seconds",)) == "Training time 701"
 
 
 def test_a_line_of_text_leaves_out_what_is_not_known():

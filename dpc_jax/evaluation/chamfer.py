@@ -58,27 +58,6 @@ def chamfer_distance(
     return Chamfer(float(np.mean(to_truth)), float(np.mean(to_prediction)))
 
 
-def chamfer_distances(
-    predicted: ArrayLike,
-    ground_truth: np.ndarray,
-    seen: np.ndarray,
-    *,
-    trees: tuple[KDTree, KDTree],
-) -> tuple[Chamfer, Chamfer]:
-    """`chamfer_distance` from a whole surface, and from the part that can be seen.
-
-    Args:
-      predicted: [N, 3]. ground_truth: [M, 3] checked points.
-      seen: [M] booleans, at least one.
-      trees: of the ground truth and of its part.
-    """
-    predicted = check_points(predicted, name="predicted")
-    to_whole, to_part = (np.mean(tree.query(predicted)[0]) for tree in trees)
-    to_prediction, _ = KDTree(predicted).query(ground_truth)
-    whole = Chamfer(float(to_whole), float(np.mean(to_prediction)))
-    return whole, Chamfer(float(to_part), float(np.mean(to_prediction[seen])))
-
-
 def check_points(points: ArrayLike, *, name: str) -> np.ndarray:
     """The points [N, 3] in float64; ValueError for none, or one that is not finite."""
     array = np.asarray(points, dtype=np.float64)

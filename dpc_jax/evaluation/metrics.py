@@ -87,15 +87,16 @@ METRICS = {metric.name: metric for metric in (
     Metric("projection_error", "Projection error", "", ".4f", False,
            "squared difference of silhouettes per pixel, at 32×32 pixels"),
     Metric("depth_error", "Depth error", "box diagonals", ".4f", False,
-           "mean over the pixels that the true mask covers"),
+           "mean over the pixels that the true mask covers", role="required"),
     Metric("depth_error_percent", "Depth error, of the box diagonal", "percent", ".2f",
-           False, "mean over the pixels that the true mask covers", "depth error"),
+           False, "mean over the pixels that the true mask covers", "depth error",
+           role="required"),
     Metric("color_psnr", "Colour PSNR", "dB", ".2f", True, "inside the true mask",
-           "colour PSNR"),
+           "colour PSNR", role="required"),
     Metric("translation_error", "Translation error", "box diagonals", ".4f", False,
-           "mean distance from the true place in the camera frame"),
+           "mean distance from the true place in the camera frame", role="required"),
     Metric("focal_length_error_percent", "Focal length error", "percent", ".2f", False,
-           "mean, of the true focal length"),
+           "mean, of the true focal length", role="required"),
     Metric("silhouette_error", "Silhouette error", "", ".4f", False,
            "squared difference per pixel of the finest grid"),
     Metric("refine_seconds", "Refinement of a view", "s", ".2f", False),
@@ -108,7 +109,6 @@ METRICS = {metric.name: metric for metric in (
     Metric("data_seconds", "Time for the data", "s", ".0f", False,
            "reading or rendering, before training"),
     Metric("steps", "Training steps", "", ".0f"),
-    Metric("seed", "Seed", "", ".0f"),
     Metric("train_models", "Training objects", "", ".0f"),
     Metric("test_models", "Test objects", "", ".0f"),
     Metric("candidates_alive", "Candidates alive", "", ".0f", True,
@@ -122,7 +122,6 @@ METRICS = {metric.name: metric for metric in (
 # fmt: on
 HEADLINE_METRICS = tuple(n for n, m in METRICS.items() if m.role == "headline")
 REQUIRED_METRICS = tuple(name for name, m in METRICS.items() if m.role)
-SUMMARY_METRICS = tuple(name for name, m in METRICS.items() if m.short)
 
 
 def get_metric(name: str) -> Metric:
@@ -151,22 +150,17 @@ def format_metric(name: str, value: Any) -> str:
     return format(metric.factor * float(value), metric.format)
 
 
-def describe_metrics(
-    metrics: Mapping[str, Any],
-    names: Iterable[str] = SUMMARY_METRICS,
-    *,
-    share_digits: int = 3,
-) -> str:
+def describe_metrics(metrics: Mapping[str, Any], *, share_digits: int = 3) -> str:
     """One line of text: "pose accuracy 0.886, median error 2.5°, Chamfer 3.31".
 
     What is missing or None is left out. Shares are stated from 0 to 1, with
     `share_digits` decimal places.
     """
     parts = []
-    for name in names:
-        value, metric = metrics.get(name), get_metric(name)
-        if value is not None:
+    for name, metric in METRICS.items():
+        value = metrics.get(name)
+        if metric.short and value is not None:
             spec = f".{share_digits}f" if metric.unit == "%" else metric.format
             sign = "°" if metric.unit == "°" else ""
-            parts.append(f"{metric.short or metric.label} {value:{spec}}{sign}")
+            parts.append(f"{metric.short} {value:{spec}}{sign}")
     return ", ".join(parts)

@@ -8,12 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
-from dpc_jax.evaluation.chamfer import (
-    Chamfer,
-    chamfer_distance,
-    chamfer_distances,
-    check_points,
-)
+from dpc_jax.evaluation.chamfer import Chamfer, chamfer_distance, check_points
 from dpc_jax.evaluation.density import densify
 from dpc_jax.evaluation.pose import pose_summary, rotation_angle_deg
 
@@ -93,21 +88,18 @@ def score(
     visible, dense = np.empty_like(chamfers), np.empty_like(chamfers)
     is_dense = dense_points > clouds.shape[2]
     for model, surface in enumerate(surfaces):
-        surface = check_points(surface, name=f"surface of model {model}")
-        is_seen = np.ones(len(surface), bool)
+        surface = part = check_points(surface, name=f"surface of model {model}")
         if seen is not None and np.any(seen[model]):
-            is_seen = np.asarray(seen[model], bool)
-        whole = KDTree(surface)
-        trees = whole, whole if is_seen.all() else KDTree(surface[is_seen])
+            part = surface[np.asarray(seen[model], bool)]
+        tree, part_tree = KDTree(surface), KDTree(part)
         for view in range(clouds.shape[1]):
             cloud = align_points(alignment, clouds[model, view])
-            chamfers[model, view], visible[model, view] = chamfer_distances(
-                cloud, surface, is_seen, trees=trees
-            )
+            chamfers[model, view] = chamfer_distance(cloud, surface, tree=tree)
+            if seen is not None:
+                visible[model, view] = chamfer_distance(cloud, part, tree=part_tree)
             if is_dense:
-                dense[model, view] = chamfer_distance(
-                    densify(cloud, dense_points), surface, tree=whole
-                )
+                thick = densify(cloud, dense_points)
+                dense[model, view] = chamfer_distance(thick, surface, tree=tree)
     found = {"": chamfers}
     found |= {"visible_": visible} if seen is not None else {}
     found |= {"dense_": dense} if is_dense else {}

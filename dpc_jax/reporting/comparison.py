@@ -170,22 +170,20 @@ def _mark(settings: Mapping[str, object]) -> str:
     return "".join(f"<mark>{html.escape(text)}</mark>" for text in texts)
 
 
-def draw_comparison(
-    groups: Sequence[Group], path: Path, *, metrics: Sequence[str] = PANELS
-) -> Path:
+def draw_comparison(groups: Sequence[Group], path: Path) -> Path:
     """Draw error against run time as PATH.png and PATH.svg; the path of the second.
 
     The lines of group i have ids in the SVG that begin with "line-i-", those of its
-    entry in the legend too.
+    entry in the legend too. Of `PANELS` those are drawn that are recorded; where none
+    is, the loss.
 
     Args:
       groups: a colour and line style for each.
-      metrics: a panel for each that is recorded; where none is, the loss.
     """
     recorded = {
         n for g in groups for run in g.runs for line in run.records for n in line
     }
-    metrics = [name for name in metrics if name in recorded] or ["loss"]
+    metrics = [name for name in PANELS if name in recorded] or ["loss"]
     width, rows = 11.0, -(-len(metrics) // 2)
     longest = max(len(group.name) for group in groups) + 8
     names = min(len(groups), max(1, int(width / (0.075 * longest))))  # in a row

@@ -34,19 +34,12 @@ def draw_grid(
     """Write pictures as a grid; None leaves a place empty.
 
     Args:
-      rows: of pictures [S, S] of 0 to 1, or [S, S, 3], all of one length.
+      rows: of pictures [S, S] of 0 to 1, or [S, S, 3]; some, all of one length.
       titles: of the columns. labels: of the rows, below the first picture.
       framed: how many pictures of the first row get a dark frame.
       size: of a picture, inches.
       has_few_colors: 256, in a third of the bytes: hardly a difference for clouds.
-
-    Raises:
-      ValueError: there are no pictures.
     """
-    if not rows or not rows[0]:
-        raise ValueError(
-            "rows must hold at least one picture, but there are none; pass pictures."
-        )
     height = size * len(rows) * (1.12 if labels else 1.02) + (0.3 if titles else 0.05)
     figure = style.make_figure(size * len(rows[0]), height, is_close=True)
     grid = figure.subplots(len(rows), len(rows[0]), squeeze=False)
@@ -84,9 +77,6 @@ def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Pa
     from the front and from the rear, and the true shape from the front where an example
     has one. Clouds are orthographic, z up; near points are drawn over far ones and
     darker, or in their predicted colour, fading with distance.
-
-    Raises:
-      ValueError: there are no examples.
     """
     titles = "input|target|predicted|difference|shape, front|shape, rear".split("|")
     if any(example.surface is not None for example in examples):

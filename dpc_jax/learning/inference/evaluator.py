@@ -11,15 +11,6 @@ from dpc_jax.evaluation.pose import Failures, find_failures
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.learning.signals import find_background, make_targets
 
-# What `measure_images` and `measure_cameras` can find.
-MEASURES = (
-    "depth_error",
-    "depth_error_percent",
-    "color_psnr",
-    "translation_error",
-    "focal_length_error_percent",
-)
-
 
 def arrange_truth(
     dataset: DataSet,

@@ -114,7 +114,7 @@ def _judge(predictions, dataset, config, alignment, threshold) -> Judged:
 def _list_metrics(judged: Judged, config: Config) -> dict[str, Any]:
     """Metrics of a judged set, None where there is nothing to measure."""
     predictions, dataset, alignment, scores, _, distance, threshold = judged
-    metrics = dict.fromkeys((*REQUIRED_METRICS, *evaluator.MEASURES)) | scores.metrics
+    metrics = dict.fromkeys(REQUIRED_METRICS) | scores.metrics
     metrics |= evaluator.measure_images(predictions, dataset, distance=distance)
     metrics |= evaluator.measure_cameras(predictions, dataset)
     has_frame = dataset.quaternions is not None and not config.pose.aligned

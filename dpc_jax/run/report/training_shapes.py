@@ -15,6 +15,8 @@ OBJECTS = 24  # test objects that are compared with the training set
 # Of the mean shape: its Chamfer distance to test cars is within 3 % of that of all
 # shapes and points, in a fifth of the time.
 _SHAPES, _POINTS, _VALIDATED = 300, 2500, 5
+_NEAREST, _MEAN = "Nearest training shape", "Mean training shape"
+_OTHER = "The same of another object"
 
 
 class TrainingShapes(NamedTuple):
@@ -56,13 +58,10 @@ class TrainingShapes(NamedTuple):
 
     def list_neighbours(self, surface: np.ndarray, count: int) -> tuple[Neighbour, ...]:
         """What could be said of a true surface [P, 3] without predicting anything."""
-        clouds = {
-            "Nearest training shape": self.find_nearest(surface, count),
-            "Mean training shape": self.mean,
-        }
+        nearest = _NEAREST, self.find_nearest(surface, count)
         return tuple(
             Neighbour(title, cloud, 100 * chamfer_distance(cloud, surface).chamfer)
-            for title, cloud in clouds.items()
+            for title, cloud in (nearest, (_MEAN, self.mean))
         )
 
     def compare(
@@ -76,24 +75,21 @@ class TrainingShapes(NamedTuple):
         to_truth, to_prediction = {}, {}
         for i, (surface, cloud) in enumerate(zip(surfaces, clouds, strict=True)):
             count, other = len(cloud), (i + 1) % len(clouds)
-            nearest = self.surfaces[self.index.find_nearest(cloud)]
-            truth = {
-                "Prediction": (cloud, surface),
-                "Nearest training shape": (self.find_nearest(surface, count), surface),
-                "Mean training shape": (self.mean, surface),
-            }
-            predicted = {
-                "Nearest training shape": (cloud, np.asarray(nearest)),
-                "Mean training shape": (cloud, self.mean),
-            }
+            nearest = np.asarray(self.surfaces[self.index.find_nearest(cloud)])
+            pairs = [
+                ("Prediction", to_truth, cloud, surface),
+                (_NEAREST, to_truth, self.find_nearest(surface, count), surface),
+                (_NEAREST, to_prediction, cloud, nearest),
+                (_MEAN, to_truth, self.mean, surface),
+                (_MEAN, to_prediction, cloud, self.mean),
+            ]
             if other != i:
-                name = "The same of another object"
-                pair = spread_rows(surface, count), spread_rows(surfaces[other], count)
-                truth[name], predicted[name] = pair, (cloud, clouds[other])
-            for found, pairs in ((to_truth, truth), (to_prediction, predicted)):
-                for name, pair in pairs.items():
-                    distance = 100 * chamfer_distance(*pair).chamfer
-                    found.setdefault(name, []).append(distance)
+                both = [spread_rows(s, count) for s in (surface, surfaces[other])]
+                pairs.append((_OTHER, to_truth, *both))
+                pairs.append((_OTHER, to_prediction, cloud, clouds[other]))
+            for name, distances, *pair in pairs:
+                distance = 100 * chamfer_distance(*pair).chamfer
+                distances.setdefault(name, []).append(distance)
         means = [
             {name: float(np.mean(values)) for name, values in found.items()}
             for found in (to_truth, to_prediction)
