@@ -45,14 +45,13 @@ def draw_cloud(
     """Picture of points as `draw_spheres` draws it, the smaller the more there are.
 
     Args:
-      colors: [N, 3] or [3], bytes or floats of 0 to 1; None for depth.
+      colors: [N, 3] or [3] of 0 to 1; None for depth.
     """
     cloud = np.asarray(points, np.float64)
     if colors is None:
         paint = shade_depth(cloud, view_deg)
     else:
-        scale = 255.0 if np.asarray(colors).dtype == np.uint8 else 1.0
-        paint = np.broadcast_to(np.asarray(colors) / scale, cloud.shape)
+        paint = np.broadcast_to(np.asarray(colors), cloud.shape)
     radius = _RADIUS * np.clip(np.sqrt(2000 / max(len(cloud), 1)), 0.5, 3.0)
     return draw_spheres(
         cloud,

@@ -31,10 +31,10 @@ def write_ply(
     Args:
       path: where to; replaced only once the new file is whole.
       points: [N, 3] object frame.
-      colors: [N, 3] bytes 0-255, or floats 0-1 (clipped); left out of the file if None.
+      colors: [N, 3] of 0 to 1 (clipped); left out of the file if None.
 
     Raises:
-      ValueError: points or colours that are not finite or not [N, 3].
+      ValueError: points that are not finite or not [N, 3].
     """
     points, colors = _check_cloud(points, colors)
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
@@ -58,10 +58,10 @@ def write_glb(
     Args:
       path: where to; replaced only once the new file is whole.
       points: [N, 3] object frame, at least one.
-      colors: [N, 3] bytes 0-255, or floats 0-1 (clipped); a plain blue if None.
+      colors: [N, 3] of 0 to 1 (clipped); a plain blue if None.
 
     Raises:
-      ValueError: points or colours that are not finite or not [N, 3].
+      ValueError: points that are not finite or not [N, 3].
     """
     points, colors = _check_cloud(points, colors)
     if colors is None:
@@ -136,7 +136,7 @@ def _bytes(values: np.ndarray) -> np.ndarray:
 
 
 def _check_cloud(points, colors) -> tuple[np.ndarray, np.ndarray | None]:
-    """Points in float64 and colours as floats 0-1, both checked."""
+    """Finite points and colours of 0 to 1, in float64."""
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise ValueError(
@@ -144,15 +144,6 @@ def _check_cloud(points, colors) -> tuple[np.ndarray, np.ndarray | None]:
             f"{int((~np.isfinite(points)).sum())} coordinates are not finite; viewers "
             f"could not open such a file."
         )
-    if colors is None:
-        return points, None
-    colors = np.asarray(colors)
-    scale = 255.0 if colors.dtype == np.uint8 else 1.0
-    colors = colors.astype(np.float64) / scale
-    if colors.shape != points.shape or not np.isfinite(colors).all():
-        raise ValueError(
-            f"colors must be finite and of the points' shape {points.shape}, but they "
-            f"are not finite or of shape {colors.shape}; pass one RGB colour for each "
-            f"point, bytes 0-255 or floats 0-1."
-        )
-    return points, np.clip(colors, 0.0, 1.0)
+    if colors is not None:
+        colors = np.clip(np.asarray(colors, np.float64), 0.0, 1.0)
+    return points, colors

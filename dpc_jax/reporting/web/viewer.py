@@ -87,9 +87,8 @@ def describe_clouds(example: Example) -> dict[str, Any]:
     points, surface = np.asarray(example.points)[rows], example.surface
     predicted = _describe_cloud(points, _PLAIN)
     if example.colors is not None:
-        colors = np.asarray(example.colors)[rows]
-        scale = 1 if colors.dtype == np.uint8 else 255
-        predicted["colors"] = _encode(np.rint(np.clip(scale * colors, 0, 255)), "u1")
+        colors = np.clip(255 * np.asarray(example.colors)[rows], 0, 255)
+        predicted["colors"] = _encode(np.rint(colors), "u1")
     if surface is None:
         return {"predicted": predicted}
     surface = np.asarray(surface)
