@@ -8,13 +8,19 @@ from dpc_jax.evaluation.pose import Failures
 from dpc_jax.reporting.examples import Example, Neighbour, TrainingComparison
 from dpc_jax.reporting.page import write_report
 
+GROUPS = ("Worst", "Median", "Best")
+# Of a report in which nothing is drawn.
+NO_FIGURES = {"records": (), "examples": (), "shares": None}
 
-def show_depths(target, rendered):
-    """The images of a view with these depths, as if they were silhouettes, too."""
-    target, rendered = (
-        dict.fromkeys(("silhouette", "depth"), a) for a in (target, rendered)
-    )
-    return ViewImages(target["silhouette"], target, rendered)
+
+def make_images(rng):
+    """A view's images of all signals."""
+    share = np.pad(np.ones((8, 8)), ((2, 2), (1, 3)))
+    pair = {"silhouette": share}, {"silhouette": share.T}
+    for images in pair:
+        images["depth"] = rng.uniform(1.6, 2.4, (12, 12))
+        images["color"] = rng.uniform(size=(12, 12, 3))
+    return ViewImages(share, *pair)
 
 
 def make_example(name, *, group="", has_truth=True, has_colors=True, seed=0):
@@ -23,32 +29,34 @@ def make_example(name, *, group="", has_truth=True, has_colors=True, seed=0):
     directions = rng.normal(size=(300, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     truth = directions * [0.4, 0.2, 0.15]
-    images = rng.uniform(size=(2, 16, 16))
+    known = {}
+    if has_truth:
+        near = (Neighbour("Nearest training shape", truth, 2.0),)
+        known = {"surface": truth, "images": make_images(rng), "neighbours": near}
     return Example(
         name=name,
         image=rng.integers(0, 256, (16, 16, 3)).astype(np.uint8),
-        target=images[0],
-        predicted=images[1],
+        target=rng.uniform(size=(16, 16)),
+        predicted=rng.uniform(size=(32, 32)),  # of its own size
         points=1.1 * truth,
         colors=rng.uniform(size=(300, 3)) if has_colors else None,
         pose_error_deg=12.0 if has_truth else None,
-        surface=truth if has_truth else None,
-        images=show_depths(*images) if has_truth else None,
         group=group,
         chamfer=4.2 if has_truth else None,
         overlap=0.9,
-        neighbours=(Neighbour("Nearest training shape", truth, 2.0),)
-        if has_truth
-        else (),
+        **known,
     )
 
 
-def make_report(folder, *, has_truth=True):
-    """The report of a run, with every section that there can be; returns its path."""
-    groups = ("Worst", "Median", "Best")
+def make_report(folder, *, has_truth=True, **changes):
+    """The report of a run, with every section that there can be; returns its path.
+
+    Args:
+      changes: arguments of `write_report` to be put in, its metrics beside the others.
+    """
     examples = [
         make_example(f"car-{i}", group=group, has_truth=has_truth, seed=i)
-        for i, group in enumerate(groups)
+        for i, group in enumerate(GROUPS)
     ]
     validation = {"silhouette_iou": 0.8}
     if has_truth:
@@ -70,16 +78,15 @@ def make_report(folder, *, has_truth=True):
         near = {"Prediction": 4.2, "Mean training shape": 5.0}
         comparison = TrainingComparison(24, near, {"Mean training shape": 3.0})
         more = {"pose_errors": errors, "failures": failures, "comparison": comparison}
-    return write_report(
-        folder,
-        title="A run with a rather long name, as folders of experiments often have",
-        metrics=metrics,
-        records=records,
-        stages=[(0, "100 points"), (50, "200 points, 64³ cells")],
-        examples=examples,
-        ranking="The worst, median and best of all test views by pose error.",
-        shares=[0.99, 0.01],
-        warnings=["A warning."],
-        config_text="steps = 100 " * 30,
-        **more,
-    )
+    arguments = {
+        "title": "Cars & <b>more</b>, a rather long name, as folders often have",
+        "metrics": metrics | changes.pop("metrics", {}),
+        "records": records,
+        "stages": [(0, "100 points"), (50, "200 points, 64³ cells")],
+        "examples": examples,
+        "ranking": "The worst, median and best of all test views by pose error.",
+        "shares": [0.99, 0.01],
+        "warnings": ["3 meshes < 5 could not be read."],
+        "config_text": "a = '<script>alert(1)</script>'" + " steps = 100" * 30,
+    }
+    return write_report(folder, **(arguments | more | changes))

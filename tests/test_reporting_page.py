@@ -14,66 +14,24 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from report_pages import make_example
+from report_pages import GROUPS, NO_FIGURES, make_example, make_report
 
-from dpc_jax.evaluation.images import ViewImages
+from dpc_jax.evaluation.metrics import REQUIRED_METRICS
 from dpc_jax.reporting import figures, tables
-from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.page import write_report
 from dpc_jax.reporting.web import viewer
 
-METRICS = {
-    "pose_accuracy": 0.875,
-    "pose_median_error_deg": 7.25,
-    "chamfer": 3.5,
-    "precision": 1.5,
-    "coverage": 2.0,
-    "train_seconds": 321,
-    "flip_share": float("nan"),
-    "seed": 0,
-}
 RECORDS = [
     {"step": 10, "seconds": 1.0, "loss": 0.5},
     {"step": 20, "seconds": 2.0, "loss": float("nan")},
     {"step": 30, "seconds": 3.0, "loss": 0.25, "pose_accuracy": 0.2, "chamfer": 6.0},
     {"step": 60, "seconds": 6.0, "pose_accuracy": 0.6, "pose_median_error_deg": 12.0},
 ]
-NO_FIGURES = {"records": (), "examples": (), "shares": None, "pose_errors": None}
-
-
-def example(name="car", colors=True, surface=True, size=16):
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-0.4, 0.4, (50, 3))
-    return Example(
-        name=name,
-        image=rng.integers(0, 256, (size, size, 3)).astype(np.uint8),
-        target=rng.uniform(size=(size, size)),
-        predicted=rng.uniform(size=(2 * size, 2 * size)),  # of its own size
-        points=points,
-        colors=rng.uniform(size=(50, 3)) if colors else None,
-        pose_error_deg=4.5,
-        surface=points if surface else None,
-    )
-
-
-def report(folder, **changes):
-    arguments = {
-        "title": "Cars & <b>bold</b>",
-        "metrics": METRICS,
-        "records": RECORDS,
-        "examples": [example(), example("car", colors=False, surface=False)],
-        "pose_errors": np.array([[1.0, 20.0], [40.0, 179.0]]),
-        "shares": [0.5, 0.495, 0.005],
-        "warnings": ["3 meshes < 5 could not be read."],
-        "config_text": "a = '<script>alert(1)</script>'",
-    }
-    return write_report(folder, **(arguments | changes))
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("run") / "report"
-    assert report(path) == path / "index.html"
+    assert make_report(path) == path / "index.html"
     return path
 
 
@@ -103,12 +61,34 @@ def picture(data):
     return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
 
 
-def test_metrics_are_sorted_strict_json(folder):
-    text = (folder / "metrics.json").read_text()
+def test_metrics_are_sorted_strict_json(tmp_path):
+    more = {"steps": 20, "flip_share": float("nan")}
+    make_report(tmp_path, **NO_FIGURES, metrics=more)
+    text = (tmp_path / "metrics.json").read_text()
     metrics = json.loads(text, parse_constant=pytest.fail)
-    assert list(metrics) == sorted(METRICS)
-    assert (metrics["pose_accuracy"], metrics["chamfer"]) == (0.875, 3.5)
+    assert list(metrics) == sorted(metrics) and set(REQUIRED_METRICS) <= set(metrics)
+    assert (metrics["steps"], metrics["chamfer"]) == (20, 4.2)
     assert metrics["flip_share"] is None  # NaN is not JSON
+
+
+@pytest.mark.parametrize("has_truth", [True, False])
+def test_a_page_has_the_sections_that_its_data_allow(tmp_path, page, has_truth):
+    if not has_truth:
+        page = make_report(tmp_path, has_truth=False).read_text("utf-8")
+    for title in (
+        "Pose errors over azimuth",
+        "Beside the training set",
+        "Rendered images",
+    ):
+        assert (f"<h2>{title}</h2>" in page) == has_truth
+    for title in ("Shapes to turn", "Predictions on test views", "Over run time"):
+        assert re.search(f"<h2[^>]*>{title}</h2>", page)
+    assert re.findall(r"<h3>(Worst|Median|Best)</h3>", page) == list(GROUPS)
+    assert ("Nearest training shape: 2.00" in page) == has_truth
+    assert ("Predicted, from behind" in page) != has_truth
+    tiles = re.findall(r'class="tile"><b>([^<]+)</b><span>([^<]+)', page)
+    shown = [("4.20", "Chamfer distance (×100)")] if has_truth else []
+    assert tiles == [*shown, ("90.0", "Silhouette overlap (%)")]
 
 
 def test_the_page_reaches_for_nothing_outside_itself_but_its_own_files(folder, page):
@@ -121,16 +101,17 @@ def test_the_page_reaches_for_nothing_outside_itself_but_its_own_files(folder, p
     assert {tag for tag, _ in tags.found} & {"link", "iframe"} == set()
     assert not any("src" in attrs for tag, attrs in tags.found if tag == "script")
     links = [attrs["href"] for tag, attrs in tags.found if tag == "a"]
-    assert len(links) == 5
+    assert len(links) == 7
     assert all((folder / link).is_file() for link in links)
 
 
 def test_the_page_carries_its_figures_and_none_is_blank(page):
     images = [attrs for tag, attrs in Tags(page).found if tag == "img"]
     kinds = [attrs["src"].partition(",")[0] for attrs in images]
-    # Curves, pose errors, candidates; of each example input, silhouettes, two shapes.
-    assert kinds.count("data:image/png;base64") == 3
-    assert kinds.count("data:image/webp;base64") == 8
+    # Curves, pose errors, azimuths, candidates; signals, and of each example input,
+    # silhouettes, three shapes.
+    assert kinds.count("data:image/png;base64") == 4
+    assert kinds.count("data:image/webp;base64") == 1 + 3 * 5
     for attrs in images:
         assert attrs["alt"]
         data = base64.b64decode(attrs["src"].partition(",")[2])
@@ -138,48 +119,56 @@ def test_the_page_carries_its_figures_and_none_is_blank(page):
 
 
 def test_what_users_wrote_is_shown_and_never_run(page):
-    assert "<h1>Cars &amp; &lt;b&gt;bold&lt;/b&gt;</h1>" in page
+    assert "<h1>Cars &amp; &lt;b&gt;more&lt;/b&gt;" in page
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page
     assert "3 meshes &lt; 5 could not be read." in page
 
 
-def test_examples_of_one_name_keep_their_files_apart(folder):
-    names = sorted(path.name for path in (folder / "points").iterdir())
-    assert names == ["car.glb", "car.ply", "car_2.glb", "car_2.ply"]
-    read = trimesh.load(folder / "points" / "car.ply")
-    # Stored in float32: coordinates under 0.5 keep 3e-8.
-    np.testing.assert_allclose(read.vertices, example().points, atol=1e-7)
-
-
-def test_a_name_of_an_example_cannot_leave_the_folder(tmp_path):
-    names = ["../../evil", "a/b c", "é", "..", "a_b", "A_B"]
-    examples = [example(name) for name in names]
-    report(tmp_path / "report", **NO_FIGURES | {"examples": examples})
-    written = {path.stem for path in (tmp_path / "report" / "points").glob("*.ply")}
+def test_a_name_of_an_example_cannot_leave_the_folder_and_is_there_once(tmp_path):
+    names = ["../../evil", "a/b c", "é", "..", "a_b", "A_B", "a_b"]
+    examples = [make_example(name, has_truth=False) for name in names]
+    changes = NO_FIGURES | {"examples": examples, "has_truth": False}
+    make_report(tmp_path / "report", **changes)
+    points = tmp_path / "report" / "points"
     # Names that differ by case alone would be one file on some systems.
-    assert written == {"evil", "a_b_c", "example", "example_2", "a_b", "A_B_2"}
+    stems = ("evil", "a_b_c", "example", "example_2", "a_b", "A_B_2", "a_b_3")
+    expected = {f"{stem}.{end}" for stem in stems for end in ("glb", "ply")}
+    assert {path.name for path in points.iterdir()} == expected
     assert [path.name for path in tmp_path.iterdir()] == ["report"]
+    read = trimesh.load(points / "evil.ply")
+    # Stored in float32: coordinates under 0.5 keep 3e-8.
+    np.testing.assert_allclose(read.vertices, examples[0].points, atol=1e-7)
 
 
 def test_sections_without_data_are_left_out(tmp_path):
-    path = report(tmp_path, **NO_FIGURES, warnings=(), config_text="")
+    empty = {"warnings": (), "config_text": "", "has_truth": False}
+    path = make_report(tmp_path, **NO_FIGURES, **empty)
     assert {p.name for p in tmp_path.iterdir()} == {"index.html", "metrics.json"}
     assert "<img" not in path.read_text(encoding="utf-8")
 
 
-def test_wrong_views_are_explained_where_there_are_any(tmp_path, page):
-    more = {"wrong_half_turn_share": 0.8, "wrong_object_share": 0.05}
-    names = [f"car <{i}>" for i in range(40)]
-    changes = NO_FIGURES | {"pose_errors": [1.0], "metrics": METRICS | more}
-    found = report(tmp_path, lost=names, **changes).read_text("utf-8")
-    assert "What the wrong views are" in found and "80.0" in found
+def test_silhouettes_alone_are_no_figure_of_rendered_images(tmp_path):
+    shown = make_example("car")
+    images = shown.images._replace(rendered={"silhouette": np.ones((12, 12))})
+    examples = [dataclasses.replace(shown, images=images)]
+    make_report(tmp_path, **NO_FIGURES | {"examples": examples, "has_truth": False})
+    assert not (tmp_path / "signals.png").exists()
+
+
+def test_wrong_views_are_explained_where_there_are_any(tmp_path):
+    lost = [f"car <{i}>" for i in range(40)]
+    found = make_report(tmp_path, **NO_FIGURES, lost=lost).read_text("utf-8")
+    assert "What the wrong views are" in found and "50.0" in found
     assert "car &lt;29&gt;, ..." in found and "car &lt;30&gt;" not in found
-    assert "What the wrong views are" not in page
+    right = make_report(
+        tmp_path, **NO_FIGURES, metrics={"wrong_half_turn_share": None}
+    ).read_text("utf-8")
+    assert "What the wrong views are" not in right
 
 
 def test_the_same_run_gives_the_same_bytes(tmp_path, folder):
     again = tmp_path / "elsewhere"
-    report(again)
+    make_report(again)
     for path in folder.rglob("*.*"):
         assert (again / path.relative_to(folder)).read_bytes() == path.read_bytes()
 
@@ -241,18 +230,14 @@ def test_a_curve_follows_the_seconds_not_the_order_of_lines():
     np.testing.assert_allclose(values, [10, 20, 50])  # percent
 
 
-def test_every_entry_of_the_histograms_legend_has_its_mark(tmp_path, monkeypatch):
+def test_the_histograms_legend_has_the_colour_of_the_flips(tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(figures.style, "save_figure", lambda f, path: drawn.append(f))
     figures.draw_pose_errors([1.0, 20.0, 40.0, 179.0], tmp_path / "a.png")
-    (figure,) = drawn
-    (legend,), (axes,) = figure.legends, figure.axes
-    lines, boxes = legend.get_lines(), legend.get_patches()
+    (legend,), (axes,) = drawn[0].legends, drawn[0].axes
     texts = [text.get_text() for text in legend.get_texts()]
-    assert texts[0].startswith("30°") and texts[1].startswith("median")
     assert texts[2] == "beyond 150° (front as back): 25 %"
-    assert len(lines) == 2 and {line.get_linestyle() for line in lines} == {"-", "--"}
-    (box,) = boxes  # in the colour of the bars from 150° to 180°, and of no other
+    (box,) = legend.get_patches()
     same = [bar.get_facecolor() == box.get_facecolor() for bar in axes.patches]
     assert same == [False] * 30 + [True] * 6
 
@@ -289,24 +274,3 @@ def test_a_table_escapes_its_cells_and_aligns_numbers():
     )
     assert "| ---: | --- |" in tables.format_table(["a", "b"], [], align="rl")
     assert "| ---: |" in tables.format_table(["a"], [["▸ 9.0 ± 1.0"], ["–"]])
-
-
-def add_signals(shown, *names):
-    rng = np.random.default_rng(1)
-    share = np.pad(np.ones((8, 8)), ((2, 2), (1, 3)))
-    target, rendered = {"silhouette": share}, {"silhouette": share.T}
-    for name in names:
-        ends = (12, 12, 3) if name == "color" else (12, 12)
-        pair = rng.uniform(1.6, 2.4, (2, *ends)) - (0 if name == "depth" else 1.5)
-        target[name], rendered[name] = pair
-    return dataclasses.replace(shown, images=ViewImages(share, target, rendered))
-
-
-def test_rendered_images_of_signals_are_a_figure_of_their_own(tmp_path):
-    silhouettes = add_signals(example())
-    report(tmp_path / "plain", **NO_FIGURES | {"examples": [silhouettes]})
-    assert not (tmp_path / "plain" / "signals.png").exists()
-    shown = add_signals(example(), "depth", "color")
-    path = report(tmp_path / "all", **NO_FIGURES | {"examples": [shown]})
-    assert "<h2>Rendered images</h2>" in path.read_text("utf-8")
-    assert picture(path.with_name("signals.png").read_bytes()).std() > 5.0
