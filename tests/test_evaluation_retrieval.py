@@ -32,11 +32,11 @@ def test_the_shortlist_loses_little_against_comparing_all():
     assert np.mean(excess) < 0.02 and max(excess) < 0.1
 
 
-@pytest.mark.parametrize(("count", "rows"), [(3, [0, 4, 9]), (10, range(10))])
-def test_rows_are_spread_over_all(count, rows):
+@pytest.mark.parametrize(
+    ("count", "rows"), [(3, [0, 4, 9]), (10, range(10)), (19, [*range(10)])]
+)
+def test_rows_are_spread_over_all_and_repeated_where_there_are_few(count, rows):
     points = np.arange(30.0).reshape(10, 3)
-    np.testing.assert_array_equal(spread_rows(points, count), points[list(rows)])
-
-
-def test_few_points_are_repeated():
-    assert spread_rows(np.zeros((2, 3)), 5).shape == (5, 3)
+    found = spread_rows(points, count)
+    assert len(found) == count
+    np.testing.assert_array_equal(np.unique(found, axis=0), points[list(rows)])

@@ -1,6 +1,5 @@
 """Refinement: shapes through codes, poses freely, several views together."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from dpc_jax.evaluation.alignment import identity_alignment
 from dpc_jax.evaluation.rotations import angle_deg
 from dpc_jax.learning.inference import refinement as refinement_module
 from dpc_jax.learning.inference import refiner as refiner_module
-from dpc_jax.learning.inference.explanation import FINALISTS
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.inference.refinement import (
     find_directions,
@@ -226,26 +224,3 @@ def test_of_the_likeliest_candidates_of_a_view_the_one_that_needs_least_bending_
         assert (errors[:, i, 1] < errors[rank, i, 1] - 1e-6).sum() <= 2
         taken.append(first == rank)
     assert not all(taken)
-
-
-def test_single_views_are_refined_from_several_candidates_and_objects_from_one(
-    selecting, monkeypatch
-):
-    asked = []
-
-    def find(scene, candidates, *_, count, config):
-        asked.append(count)
-        return candidates[:count]
-
-    def leave(decode, evidence, directions, config, poses):
-        return dict.fromkeys(("before", "errors"), poses[..., 0]) | {
-            "costs": poses[:, 0, 0]
-        }
-
-    monkeypatch.setattr(refiner_module, "find_likeliest", find)
-    monkeypatch.setattr(refiner_module, "_fit", leave)  # takes long to trace
-    for groups in (ALONE, TOGETHER):
-        for directions in (selecting.directions, selecting.directions[:0]):
-            refiner = make_refiner(selecting.network, selecting.config)
-            jax.eval_shape(refiner, selecting.state, selecting.join(groups), directions)
-    assert asked == [FINALISTS, 1, 1, 1]

@@ -7,7 +7,7 @@ from tiny_runs import make_dataset, random_quaternions, tiny_config
 from dpc_jax.evaluation.alignment import identity_alignment
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions
-from dpc_jax.run.report.examples import (
+from dpc_jax.run.report.shown_views import (
     WORST_COUNT,
     Judged,
     choose_examples,

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from dpc_jax.evaluation.chamfer import Chamfer, chamfer_distance
 
@@ -32,8 +33,7 @@ class ShapeIndex:
 
     def __init__(self, surfaces: Sequence[Any]):
         self._surfaces = surfaces
-        coarse = [spread_rows(surface, _COARSE) for surface in surfaces]
-        self._coarse = np.stack(coarse).astype(np.float32)
+        self._coarse = np.stack([spread_rows(s, _COARSE) for s in surfaces])
         self._fine: dict[int, tuple[np.ndarray, KDTree]] = {}
 
     def find_nearest(self, points: np.ndarray) -> int:
@@ -42,7 +42,7 @@ class ShapeIndex:
         Args:
           points: [N, 3], a predicted cloud or points of a true surface.
         """
-        rough = self._compare_roughly(spread_rows(points, _COARSE).astype(np.float32))
+        rough = self._compare_roughly(spread_rows(points, _COARSE))
         shortlist = np.argsort(rough, kind="stable")[:_SHORTLIST]
         cloud = spread_rows(points, _FINE)
         tree = KDTree(cloud)
@@ -54,13 +54,10 @@ class ShapeIndex:
         return int(shortlist[np.argmin(distances)])
 
     def _compare_roughly(self, cloud):
-        """Chamfer distances [T] by few points: all pairs, in one matrix product."""
-        count, size, _ = self._coarse.shape
-        shapes = self._coarse.reshape(-1, 3)
-        square = (shapes**2).sum(-1)[:, None] - 2 * (shapes @ cloud.T)
-        square = (square + (cloud**2).sum(-1)).reshape(count, size, len(cloud))
-        nearest = square.min(axis=1), square.min(axis=2)
-        return sum(np.sqrt(np.maximum(n, 0)).mean(-1) for n in nearest)
+        """Chamfer distances [T] by few points."""
+        away = cdist(self._coarse.reshape(-1, 3), cloud)
+        away = away.reshape(*self._coarse.shape[:2], len(cloud))
+        return away.min(axis=1).mean(axis=-1) + away.min(axis=2).mean(axis=-1)
 
     def _read_fine(self, index):
         if index not in self._fine:

@@ -16,7 +16,7 @@ from dpc_jax.reporting import style
 from dpc_jax.reporting.figures import AXIS_TEXTS, find_curve, limit_metric
 from dpc_jax.reporting.groups import ComparedRun, Group, find_best, find_common
 from dpc_jax.reporting.tables import format_table, make_table
-from dpc_jax.reporting.web.markup import assemble_page
+from dpc_jax.reporting.web.markup import assemble_page, read_asset
 
 # Columns of the table; one without any number is left out.
 COLUMNS = (
@@ -43,36 +43,6 @@ _HOW_TO_READ = (
     "Validation during training, over wall clock. The runs of a group have one colour. "
     "Point at a row of the table to see its curves alone, click to keep them."
 )
-# Beside what all pages have in common.
-_STYLE = """
-:root{--mark:#fff0c9;--over:#eaf2f9}
-@media (prefers-color-scheme:dark){:root{--mark:#4a3d17;--over:#26313a}}
-.wide svg{width:100%;min-width:34rem;height:auto;display:block}
-td,th{vertical-align:top;white-space:nowrap}th{white-space:normal}
-tr:has(.group) td{padding-top:.7rem;font-weight:600}
-tr:has(.run){color:var(--soft);font-size:.82rem}.run{padding-left:1.1rem}
-tr.picked td{background:var(--over)}
-td:first-child{min-width:10rem;white-space:normal}
-mark{background:var(--mark);color:var(--ink);border-radius:.3rem;padding:.05rem .4rem;
-font:.78rem ui-monospace,monospace;display:inline-block;margin:.1rem .25rem .1rem 0;
-overflow-wrap:anywhere}
-svg.faded [id^="line-"]{opacity:.1}
-"""
-# Pointing at a row shows its curves alone; without a script all are shown.
-_SCRIPT = """
-const figure=document.querySelector("svg");
-const rows=[...document.querySelectorAll("[data-group]")].map(e=>
-[e.dataset.group,e.closest("tr")]);
-const lines=name=>document.querySelectorAll(`svg [id^="line-${name}"]`);
-function pick(index){figure.classList.toggle("faded",index!==null);
-lines("").forEach(l=>l.style.opacity="");
-if(index!==null)lines(`${index}-`).forEach(l=>l.style.opacity="1");
-rows.forEach(([group,row])=>row.classList.toggle("picked",group===index));}
-let kept=null;
-rows.forEach(([group,row])=>{row.onmouseenter=()=>pick(group);
-row.onmouseleave=()=>pick(kept);
-row.onclick=()=>{kept=kept===group?null:group;pick(kept);};});
-"""
 
 
 def write_comparison(folder: Path, groups: Sequence[Group]) -> Path:
@@ -92,9 +62,9 @@ def write_comparison(folder: Path, groups: Sequence[Group]) -> Path:
         + (f"<details>{summary}{_mark(common)}</details>\n" if common else "")
         + f"<h2>Error against run time</h2><p>{_HOW_TO_READ}</p>\n"
         f'<div class="wide chart">{curves[curves.index("<svg") :]}</div>\n'
-        f"<script>{_SCRIPT}</script>"
+        f"<script>{read_asset('comparison.js')}</script>"
     )
-    page = assemble_page(title, body, style=_STYLE)
+    page = assemble_page(title, body, style=read_asset("comparison.css"))
     return write_text(folder / "index.html", page)
 
 

@@ -33,27 +33,10 @@ class ComparedRun:
 
 
 class Summary(NamedTuple):
-    """A measure over seeds.
-
-    Attributes:
-      mean: of the values.
-      spread: their standard deviation (n - 1); None of a single one.
-      count: n.
-    """
+    """Mean of a measure over seeds, and its standard deviation (n - 1) for several."""
 
     mean: float
     spread: float | None
-    count: int
-
-
-def summarize(values: Iterable[Any]) -> Summary | None:
-    """Mean and spread of the values that are numbers; None where there are none."""
-    numbers = [float(v) for v in values if isinstance(v, int | float)]
-    numbers = [number for number in numbers if math.isfinite(number)]
-    if not numbers:
-        return None
-    spread = statistics.stdev(numbers) if len(numbers) > 1 else None
-    return Summary(statistics.fmean(numbers), spread, len(numbers))
 
 
 @dataclass(frozen=True)
@@ -72,14 +55,20 @@ class Group:
 
     def summarize(self, metric: str) -> Summary | None:
         """The measure over the finished runs that have it; None where none has."""
-        return summarize(run.metrics.get(metric) for run in self.runs)
+        values = [run.metrics.get(metric) for run in self.runs]
+        numbers = [float(v) for v in values if isinstance(v, int | float)]
+        numbers = [number for number in numbers if math.isfinite(number)]
+        if not numbers:
+            return None
+        spread = statistics.stdev(numbers) if len(numbers) > 1 else None
+        return Summary(statistics.fmean(numbers), spread)
 
     def describe(self, metric: str) -> str:
         """The measure as people read it: "91.0 ± 0.4"."""
         summary = self.summarize(metric)
         if summary is None:
             return MISSING
-        shown = [format_metric(metric, v) for v in summary[:2] if v is not None]
+        shown = [format_metric(metric, v) for v in summary if v is not None]
         return " ± ".join(shown)
 
 

@@ -22,7 +22,7 @@ from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.learning.training.loop import Outcome
 from dpc_jax.reporting.page import write_report
-from dpc_jax.run.report.examples import Judged, choose_examples, list_worst
+from dpc_jax.run.report.shown_views import Judged, choose_examples, list_worst
 from dpc_jax.run.report.training_shapes import TrainingShapes
 from dpc_jax.run.setup import collect_warnings
 from dpc_jax.run.workdir import write_alignment
