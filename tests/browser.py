@@ -2,6 +2,7 @@
 
 import base64
 import contextlib
+import io
 import json
 import os
 import select
@@ -10,6 +11,8 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
+
+from PIL import Image
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _PATIENCE = 120  # seconds until a browser that says nothing is given up
@@ -39,13 +42,6 @@ class Browser:
         self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
-        self.call(
-            "Network.emulateNetworkConditions",
-            offline=True,
-            latency=0,
-            downloadThroughput=-1,
-            uploadThroughput=-1,
-        )
 
     def call(self, method, **params):
         """The result of a command; events that come before it are noted."""
@@ -131,12 +127,17 @@ class Browser:
             ".scrollIntoView({block: 'center', behavior: 'instant'})"
         )
 
-    def drag(self, selector: str, by: tuple[int, int]):
-        """Press the mouse in the middle of what a selector names, move, let go."""
-        x, y = self.ask(
-            f"(b => [b.x + b.width / 2, b.y + b.height / 2])(document.querySelector("
+    def locate(self, selector: str) -> list[float]:
+        """Left, top, width and height of what a selector names, in the window."""
+        return self.ask(
+            "(b => [b.x, b.y, b.width, b.height])(document.querySelector("
             f"{json.dumps(selector)}).getBoundingClientRect())"
         )
+
+    def drag(self, selector: str, by: tuple[int, int]):
+        """Press the mouse in the middle of what a selector names, move, let go."""
+        x, y, width, height = self.locate(selector)
+        x, y = x + width / 2, y + height / 2
         held = {"button": "left", "buttons": 1, "clickCount": 1}
         self.call("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, **held)
         for part in (0.25, 0.5, 0.75, 1.0):
@@ -144,10 +145,10 @@ class Browser:
             self.call("Input.dispatchMouseEvent", type="mouseMoved", **place, **held)
         self.call("Input.dispatchMouseEvent", type="mouseReleased", **place, **held)
 
-    def take_picture(self) -> bytes:
-        """What the window shows as PNG."""
-        answer = self.call("Page.captureScreenshot", format="png")
-        return base64.b64decode(answer["data"])
+    def take_picture(self) -> Image.Image:
+        """What the window shows."""
+        data = self.call("Page.captureScreenshot", format="png")["data"]
+        return Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")
 
 
 @contextlib.contextmanager

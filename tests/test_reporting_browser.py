@@ -4,13 +4,11 @@ Needs Chromium: tests/install_browser.sh. Without one these tests are skipped, o
 where DPC_JAX_BROWSER is "required", as .ci/run has it.
 """
 
-import io
 import os
 
 import numpy as np
 import pytest
 from browser import find_browser, opening_browser
-from PIL import Image
 from report_pages import make_report
 
 from dpc_jax.reporting.comparison import write_comparison
@@ -43,13 +41,9 @@ def pages(tmp_path_factory):
 
 def read_plot(browser, name):
     """What is seen of a plot, float [rows, cols, 3]."""
-    x, y, width, height = browser.ask(
-        f"(b => [b.x, b.y, b.width, b.height])"
-        f"(document.getElementById('{name}').getBoundingClientRect())"
-    )
-    with Image.open(io.BytesIO(browser.take_picture())) as picture:
-        box = map(int, (x, y, x + width, y + height))
-        return np.asarray(picture.convert("RGB").crop(tuple(box)), float)
+    x, y, width, height = browser.locate(f"#{name}")
+    box = tuple(map(int, (x, y, x + width, y + height)))
+    return np.asarray(browser.take_picture().crop(box), float)
 
 
 def measure_change(first, second):
@@ -154,8 +148,7 @@ def test_dark_mode_is_dark_and_its_charts_too(browser, pages):
             for name in ("backgroundColor", "color")
         )
         browser.scroll_to(".chart")
-        with Image.open(io.BytesIO(browser.take_picture())) as picture:
-            shown = float(np.median(np.asarray(picture.convert("L"))))
+        shown = float(np.median(np.asarray(browser.take_picture().convert("L"))))
         brightness[dark] = paper, ink, shown
     paper, ink, shown = brightness[False]
     assert paper > 240 and ink < 80 and shown > 240

@@ -40,9 +40,6 @@ class Alignment(NamedTuple):
     rotation: np.ndarray  # [4] unit quaternion wxyz, w >= 0
     inlier_share: float  # of the validation views within 30 degrees of it, 0 to 1
     spread_deg: float  # root mean square angle of those views; infinite without any
-    # Root mean square distance of matched points under it, object units; infinite if no
-    # point is within reach of another.
-    rms: float = np.nan
     # Of the validation shapes under it, object units, not times 100; on subsampled
     # points, and therefore too large.
     chamfer: float = np.nan
@@ -110,7 +107,6 @@ def align(
     return Alignment(
         rotations.canonical_sign(rotation),
         *_measure_agreement(votes, rotation),
-        rms=icp.match_rms(icp.match(trusted, rotation), rotation),
         chamfer=chamfer,
         icp_turn_deg=float(rotations.angle_deg(rotation, voted)),
     )

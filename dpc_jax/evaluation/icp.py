@@ -24,14 +24,6 @@ class CloudPair(NamedTuple):
     surface_tree: KDTree
 
 
-class Matches(NamedTuple):
-    """Partners from all pairs and both ways; each pair and each way weighs the same."""
-
-    source: np.ndarray  # [n, 3] predicted points, network's frame
-    target: np.ndarray  # [n, 3] their partners on the surfaces, object frame
-    weight: np.ndarray  # [n]
-
-
 def pair_clouds(predicted: np.ndarray, surface: np.ndarray) -> CloudPair:
     """A pair with both trees. Only query points are turned, so each is built once."""
     return CloudPair(predicted, surface, KDTree(predicted), KDTree(surface))
@@ -62,11 +54,11 @@ def shared_chamfer(pairs: Sequence[CloudPair], rotation: np.ndarray) -> float:
     return float(total / len(pairs))
 
 
-def match(pairs: Sequence[CloudPair], rotation: np.ndarray) -> Matches:
-    """Nearest neighbours within reach, from prediction to surface and back.
+def _match(pairs: Sequence[CloudPair], rotation: np.ndarray) -> list[np.ndarray]:
+    """Predicted points [n, 3], their nearest surface points [n, 3], and weights [n].
 
-    With the predictions alone as queries a cloud of a part could slide along the
-    surface.
+    From prediction to surface and back, within reach; each pair and each way weighs the
+    same. With the predictions alone as queries a part could slide along the surface.
     """
     matrix = rotations.to_rotation(rotation).as_matrix()
     found = []
@@ -77,7 +69,7 @@ def match(pairs: Sequence[CloudPair], rotation: np.ndarray) -> Matches:
         turned = pair.surface @ matrix
         near, index, weight = _find_partners(pair.predicted_tree, turned)
         found.append((pair.predicted[index], pair.surface[near], weight))
-    return Matches(*(np.concatenate(part) for part in zip(*found, strict=True)))
+    return [np.concatenate(part) for part in zip(*found, strict=True)]
 
 
 def _find_partners(tree, points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -85,17 +77,6 @@ def _find_partners(tree, points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     gap, index = tree.query(points, distance_upper_bound=_REACH)
     near = np.isfinite(gap)
     return near, index[near], np.full(near.sum(), 1.0 / near.size)
-
-
-def match_rms(matches: Matches, rotation: np.ndarray) -> float:
-    """Root mean square distance of the matches; infinite where there are none.
-
-    Zero without any match would rank an alignment that touches nothing best.
-    """
-    if len(matches.weight) == 0:
-        return float("inf")
-    gaps = rotations.to_rotation(rotation).apply(matches.source) - matches.target
-    return float(np.sqrt(np.average(np.sum(gaps**2, axis=1), weights=matches.weight)))
 
 
 def fit_rotation(pairs: Sequence[CloudPair], start: np.ndarray) -> np.ndarray:
@@ -106,10 +87,10 @@ def fit_rotation(pairs: Sequence[CloudPair], start: np.ndarray) -> np.ndarray:
     """
     rotation = rotations.normalize(start)
     for _ in range(_MAX_ITERATIONS):
-        matches = match(pairs, rotation)
-        if len(matches.weight) < 2:
+        source, target, weight = _match(pairs, rotation)
+        if len(weight) < 2:
             break
-        best = best_rotation(matches.source, matches.target, weight=matches.weight)
+        best = best_rotation(source, target, weight=weight)
         refined = rotations.to_quaternion(best)
         turn = rotations.angle_deg(refined, rotation)
         rotation = refined

@@ -231,10 +231,10 @@ def _choose(*inputs):
 
 
 def _align(*arrays):
-    """What must be finite of an alignment; spread and rms are infinite far away."""
+    """What must be finite of an alignment; the spread is infinite far away."""
     found = align(*arrays)
     finite = (found.rotation, found.inlier_share, found.chamfer, found.icp_turn_deg)
-    return *finite, np.isnan([found.spread_deg, found.rms])
+    return *finite, np.isnan(found.spread_deg)
 
 
 _POINTS, _SIGMA = Range((5, 3)), Range((), 0, LARGEST, (0, 4))
