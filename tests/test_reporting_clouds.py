@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dpc_jax.reporting.clouds import draw_spheres, shade_depth, view_points
+from dpc_jax.reporting.clouds import draw_cloud, shade_depth, view_points
 from dpc_jax.reporting.gallery import (
     FRAMES,
     draw_difference,
@@ -28,9 +28,7 @@ def test_a_viewer_sees_the_side_its_angles_name(view, nearest):
 
 
 def test_a_sphere_is_a_disc_of_its_size_at_its_place():
-    picture = draw_spheres(
-        [[0, 0.25, 0.25]], [RED], view_deg=FRONT, radius=0.1, size=108
-    )
+    picture = draw_cloud([[0, 0.25, 0.25]], [RED], view_deg=FRONT, radius=0.1, size=108)
     rows, cols = np.nonzero((picture < 250).any(-1))
     # The picture spans 1.08: 100 pixels an object unit. Seen from the front, +y is at
     # the right, z is up.
@@ -41,7 +39,7 @@ def test_a_sphere_is_a_disc_of_its_size_at_its_place():
 @pytest.mark.parametrize("order", [[0, 1], [1, 0]])
 def test_the_nearer_of_two_spheres_hides_the_other(order):
     points, colors = np.array([[0.3, 0, 0], [-0.3, 0, 0]]), np.array([RED, BLUE])
-    picture = draw_spheres(
+    picture = draw_cloud(
         points[order], colors[order], view_deg=FRONT, radius=[0.1, 0.1], size=64
     )
     red, _, blue = picture[32, 32].astype(int)
@@ -51,7 +49,7 @@ def test_the_nearer_of_two_spheres_hides_the_other(order):
 def test_far_points_are_paler_and_what_lies_outside_is_cut_off():
     near, far = shade_depth([[0.4, 0, 0], [-0.4, 0, 0]], FRONT)
     assert (near < far).all()
-    empty = draw_spheres([[0, 5.0, 0]], [RED], view_deg=FRONT, size=32)
+    empty = draw_cloud([[0, 5.0, 0]], [RED], view_deg=FRONT, size=32)
     assert (empty == 255).all()
 
 

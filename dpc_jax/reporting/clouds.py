@@ -34,47 +34,18 @@ def view_points(points: np.ndarray, view_deg: tuple[float, float]) -> np.ndarray
     return np.asarray(points, np.float64) @ np.stack([right, up, toward], axis=1)
 
 
-def draw_cloud(
-    points: ArrayLike,
-    colors: ArrayLike | None = None,
-    *,
-    view_deg: tuple[float, float] = FRONT,
-    size: int = 320,
-    is_clear: bool = False,
-) -> np.ndarray:
-    """Picture of points as `draw_spheres` draws it, the smaller the more there are.
-
-    Args:
-      colors: [N, 3] or [3] of 0 to 1; None for depth.
-    """
-    cloud = np.asarray(points, np.float64)
-    if colors is None:
-        paint = shade_depth(cloud, view_deg)
-    else:
-        paint = np.broadcast_to(np.asarray(colors), cloud.shape)
-    radius = _RADIUS * np.clip(np.sqrt(2000 / max(len(cloud), 1)), 0.5, 3.0)
-    return draw_spheres(
-        cloud,
-        np.clip(paint, 0.0, 1.0),
-        view_deg=view_deg,
-        radius=radius,
-        size=size,
-        is_clear=is_clear,
-    )
-
-
 def shade_depth(points: ArrayLike, view_deg: tuple[float, float]) -> np.ndarray:
     """Colours [N, 3] of 0 to 1 that tell how near points [N, 3] are: dark is near."""
     near = _find_nearness(view_points(np.asarray(points), view_deg))
     return _FAR + (_NEAR - _FAR) * near
 
 
-def draw_spheres(
+def draw_cloud(
     points: ArrayLike,
-    colors: ArrayLike,
+    colors: ArrayLike | None = None,
     *,
-    view_deg: tuple[float, float],
-    radius: ArrayLike = _RADIUS,
+    view_deg: tuple[float, float] = FRONT,
+    radius: ArrayLike | None = None,
     size: int = 320,
     is_clear: bool = False,
 ) -> np.ndarray:
@@ -82,19 +53,25 @@ def draw_spheres(
 
     Args:
       points: [N, 3] in the object frame (z up). What lies outside is cut off.
-      colors: [N, 3] of 0 to 1.
+      colors: [N, 3] or [3] of 0 to 1; None for depth.
       view_deg: azimuth and elevation, as of `view_points`.
-      radius: of the spheres in object units, one or [N].
+      radius: of the spheres in object units, one or [N]; None: the smaller the more
+        there are.
       size: of the picture's side, pixels.
       is_clear: the picture has no background but a fourth channel, its opacity.
     """
-    seen = view_points(np.asarray(points), view_deg)
+    cloud = np.asarray(points, np.float64)
+    if radius is None:
+        radius = _RADIUS * np.clip(np.sqrt(2000 / max(len(cloud), 1)), 0.5, 3.0)
+    paint = shade_depth(cloud, view_deg) if colors is None else np.asarray(colors)
+    paint = np.clip(np.broadcast_to(paint, cloud.shape), 0.0, 1.0)
+    seen = view_points(cloud, view_deg)
     order = np.argsort(seen[:, 2], kind="stable")  # painter's order: far first
     seen = seen[order]
     radii = np.broadcast_to(np.asarray(radius, float), len(seen))[order]
     # The far ones fade, as in the other pictures of clouds.
     fade = _FADE * (1.0 - _find_nearness(seen))
-    faded = np.asarray(colors, float)[order]
+    faded = np.asarray(paint, float)[order]
     faded = faded + (np.array(_CLEAR if is_clear else _WHITE) - faded) * fade
 
     side = _FINER * size

@@ -15,7 +15,6 @@ from dpc_jax.reporting.clouds import (
     REAR,
     draw_cloud,
     draw_ellipsoids,
-    draw_spheres,
     shade_depth,
 )
 from dpc_jax.reporting.gallery import draw_grid, write_animation
@@ -56,8 +55,8 @@ def draw_transfers(
         radius = np.full(len(cloud), _PLAIN)
         for i, index in enumerate(found):
             colors[index], radius[index] = to_rgb(_COLORS[i % len(_COLORS)]), _MARKED
-        look = {"view_deg": FRONT, "radius": radius, "size": _SIDE}
-        pictures.append(_inset(draw_spheres(cloud, colors, **look), image))
+        picture = draw_cloud(cloud, colors, radius=radius, size=_SIDE)
+        pictures.append(_inset(picture, image))
     pictures += [None] * (-len(pictures) % _COLUMNS)
     rows = [pictures[i : i + _COLUMNS] for i in range(0, len(pictures), _COLUMNS)]
     titles = ["template"] * templates
