@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 import tiny_runs
 
-from dpc_jax.data import DataSet
 from dpc_jax.data.arrays import Stack
 from dpc_jax.evaluation.alignment import align_poses, identity_alignment
 from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference import predictor as predictor_module
 from dpc_jax.learning.inference.predictor import (
-    Predictions,
     arrange_views,
     make_predictor,
     predict_all,
@@ -171,33 +169,3 @@ def test_without_poses_only_the_overlap_is_left(trained):
     assert result.pose_errors_deg is None
     text = describe_metrics(result.metrics, share_digits=2)
     assert text.startswith("silhouette overlap 0.")
-
-
-def predict_truth(dataset: DataSet) -> Predictions:
-    """Predictions that repeat the given poses."""
-    poses = np.asarray(dataset.quaternions)
-    points = np.asarray(dataset.surfaces)[:, None].repeat(poses.shape[1], axis=1)
-    sides = np.asarray(dataset.masks) / 255.0
-    return Predictions(
-        points=points,
-        colors=None,
-        poses=poses,
-        candidate_poses=poses,
-        winners=np.zeros(poses.shape[:2], int),
-        silhouettes=sides,
-    )
-
-
-@pytest.mark.parametrize("poses_given", [False, True])
-def test_poses_that_were_given_are_absent_from_the_scores(poses_given):
-    dataset = tiny_runs.make_dataset()
-    result = evaluator.score(
-        predict_truth(dataset),
-        dataset,
-        alignment=identity_alignment(),
-        poses_given=poses_given,
-    )
-    assert result.metrics["chamfer"] == pytest.approx(0, abs=1e-6)
-    has_poses = any("pose" in name for name in result.metrics)
-    assert has_poses != poses_given
-    assert (result.pose_errors_deg is None) == poses_given
