@@ -85,10 +85,9 @@ def test_an_animation_repeats_without_end_and_keeps_its_times(tmp_path):
     np.testing.assert_allclose(shades, [0, 120, 240], atol=2)  # of 128 colours
 
 
-@pytest.mark.parametrize("kind", ["gif", "webp"])
-def test_a_turntable_turns_once_in_the_colours_that_are_given(tmp_path, kind):
+def test_a_turntable_turns_once_in_the_colours_that_are_given(tmp_path):
     points = np.random.default_rng(0).normal(size=(60, 3)) * [0.2, 0.05, 0.05]
-    path = tmp_path / f"cloud.{kind}"
+    path = tmp_path / "cloud.gif"
     write_turntable(path, points, np.broadcast_to(RED, points.shape), size=160)
     with Image.open(path) as image:
         assert image.n_frames == FRAMES

@@ -112,7 +112,7 @@ def draw_difference(example: Example) -> np.ndarray:
 def write_turntable(
     path: Path, points: ArrayLike, colors: ArrayLike | None = None, *, size: int = 320
 ) -> Path:
-    """A cloud that turns without end, as GIF or WebP by the suffix of the path.
+    """A cloud that turns without end, as GIF.
 
     Args:
       points: [N, 3] in the object frame, z up.
@@ -128,31 +128,29 @@ def write_animation(
     frames: Sequence[np.ndarray],
     path: str | os.PathLike,
     *,
-    milliseconds: Sequence[int] | int = 80,
+    milliseconds: list[int] | int = 80,
 ) -> Path:
-    """Write frames uint8 [H, W, 3] as an endless GIF or WebP, by the path's suffix.
+    """Write frames uint8 [H, W, 3] as an endless GIF.
 
-    All frames of a GIF share 128 colours: what does not change does not flicker.
+    All frames share 128 colours: what does not change does not flicker.
 
     Args:
       milliseconds: that each frame stays, or all of them.
     """
-    kind = Path(path).suffix[1:].upper()
-    pictures = [Image.fromarray(frame) for frame in frames]
-    if kind == "GIF":
-        spread = frames[:: 1 + len(frames) // 12]
-        sample = Image.fromarray(np.concatenate([f[::2, ::2] for f in spread]))
-        palette = sample.quantize(128, method=Image.Quantize.MAXCOVERAGE)
-        pictures = [
-            p.quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures
-        ]
+    spread = frames[:: 1 + len(frames) // 12]
+    sample = Image.fromarray(np.concatenate([f[::2, ::2] for f in spread]))
+    palette = sample.quantize(128, method=Image.Quantize.MAXCOVERAGE)
+    pictures = [
+        Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
+        for frame in frames
+    ]
     buffer = io.BytesIO()
     pictures[0].save(
         buffer,
-        format=kind,
+        format="GIF",
         save_all=True,
         append_images=pictures[1:],
-        duration=milliseconds if isinstance(milliseconds, int) else list(milliseconds),
+        duration=milliseconds,
         loop=0,
         optimize=False,
     )
