@@ -43,25 +43,19 @@ def runs(tmp_path):
     return folder
 
 
-def test_seeds_of_one_config_share_a_row_with_their_mean_and_spread(runs):
+def test_seeds_of_one_config_share_a_row_and_what_sets_others_apart_is_marked(runs):
     groups = {g.name: g for g in group_runs(read_runs(find_workdirs([runs])))}
     assert list(groups) == ["car-long", "car-naive", "car"]
     assert [run.name for run in groups["car"].runs] == [
         f"car-seed{i}" for i in range(3)
     ]
-    summary = groups["car"].summarize("pose_accuracy")
-    assert summary.mean == pytest.approx(0.93)
-    assert summary.spread == pytest.approx(statistics.stdev([0.90, 0.92, 0.97]))
-    assert groups["car"].describe("pose_accuracy") == "93.0 ± 3.6"
-    assert groups["car-naive"].describe("pose_accuracy") == "40.0"
-    assert groups["car-long"].describe("pose_accuracy") == "–"
-
-
-def test_what_most_groups_have_otherwise_is_marked_and_no_more(runs):
-    groups = {g.name: g for g in group_runs(read_runs(find_workdirs([runs])))}
-    assert groups["car"].differs == {}
-    assert groups["car-naive"].differs == {"pose.num_heads": 1}
-    assert groups["car-long"].differs == {"train.steps": 40}
+    spread = statistics.stdev([0.90, 0.92, 0.97])
+    found = groups["car"].summarize("pose_accuracy")
+    assert tuple(found) == pytest.approx((0.93, spread))
+    shown = [group.describe("pose_accuracy") for group in groups.values()]
+    assert shown == ["–", "40.0", "93.0 ± 3.6"]
+    differs = [group.differs for group in groups.values()]
+    assert differs == [{"train.steps": 40}, {"pose.num_heads": 1}, {}]
 
 
 def test_what_does_not_change_the_result_sets_no_runs_apart(tmp_path):
@@ -71,17 +65,14 @@ def test_what_does_not_change_the_result_sets_no_runs_apart(tmp_path):
 
 
 def test_the_best_mean_is_found_by_the_direction_of_its_metric():
-    low = ComparedRun(
-        "low", fields={"x": 1}, metrics={"chamfer": 3, "pose_accuracy": 0}
+    metrics = [{"chamfer": 3, "pose_accuracy": 0}, {"chamfer": 4, "pose_accuracy": 1}]
+    groups = group_runs(
+        ComparedRun(f"run{i}", fields={"x": i}, metrics=one)
+        for i, one in enumerate(metrics)
     )
-    high = ComparedRun(
-        "high", fields={"x": 2}, metrics={"chamfer": 4, "pose_accuracy": 1}
-    )
-    groups = group_runs([low, high])
     assert find_best(groups, "chamfer") is groups[0]
     assert find_best(groups, "pose_accuracy") is groups[1]
-    assert find_best(groups[:1], "chamfer") is None
-    assert find_best(groups, "coverage") is None
+    assert find_best(groups[:1], "chamfer") is find_best(groups, "coverage") is None
 
 
 def test_the_page_has_each_run_its_settings_and_its_curves_and_fetches_nothing(
