@@ -12,7 +12,6 @@ from dpc_jax.evaluation.alignment import Alignment
 from dpc_jax.evaluation.density import DENSE_POINTS
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
 from dpc_jax.evaluation.pose import (
-    Failures,
     collapse_warning,
     count_alive,
     winner_share,
@@ -56,6 +55,9 @@ def report_run(
     judged, failures = _judge(predictions, test, config, alignment, threshold), None
     if not config.pose.known:
         failures = evaluator.diagnose(predictions, test, alignment=alignment)
+    models, _ = arrange_views(test)
+    lost = failures.wrong_objects if failures else ()
+    lost = [test.names[models[row, 0]] for row in lost]
     metrics = _list_metrics(judged, config) | (failures.metrics if failures else {})
     metrics |= _count_costs(sets, outcome, data_seconds) | (refined or {})
     heads = config.pose.learned_heads
@@ -77,7 +79,7 @@ def report_run(
         worst=list_worst(judged),
         pose_errors=judged.scores.pose_errors_deg,  # None: no such figure
         failures=failures,
-        lost=_name_lost(failures, test),
+        lost=lost,
         comparison=shapes and shapes.compare(predictions, test, alignment),
         shares=shares if heads > 1 else None,
         warnings=warnings,
@@ -176,14 +178,6 @@ def describe_refined(refined: dict[str, Any]) -> list[str]:
         if found:
             lines.append(f"{title}: {describe_metrics(found)}.")
     return lines
-
-
-def _name_lost(failures: Failures | None, dataset: DataSet) -> list[str]:
-    """Names of objects that are wrong in all their views."""
-    if failures is None:
-        return []
-    models, _ = arrange_views(dataset)
-    return [dataset.names[models[row, 0]] for row in failures.wrong_objects]
 
 
 def _count_costs(sets, outcome, data_seconds) -> dict:
