@@ -35,23 +35,23 @@ def draw_signals(examples: Sequence[Example], path: str | os.PathLike) -> Path:
     Args:
       examples: at least one, all with images of the same signals.
     """
-    assert examples[0].images
-    names = list(examples[0].images.rendered)
+    every = [example.images for example in examples if example.images]
+    names = list(every[0].rendered)
     columns, rows = 1 + 3 * len(names), len(examples)
     figure = style.make_figure(_SIZE * columns, _SIZE * rows * 1.1 + 0.8)
     cells = figure.add_gridspec(rows + 1, columns, height_ratios=[1] * rows + [0.35])
-    limits = _find_depths(examples)
+    limits = _find_depths(every)
     titles = ["input"]
     for name in names:
         titles += [f"{name}, {what}" for what in ("target", "rendered", "difference")]
     bars = {}  # their image and label by (first column, the one after)
-    for number, example in enumerate(examples):
+    for number, (example, images) in enumerate(zip(examples, every, strict=True)):
         row = [figure.add_subplot(cells[number, i]) for i in range(columns)]
         style.show_picture(row[0], example.image)
         label = style.spell_name(example.name)
         row[0].set_xlabel(label, fontsize=7, color=style.INK, loc="left")
         for first, name in zip(range(1, columns, 3), names, strict=True):
-            pictures = _list_pictures(name, example.images, limits)
+            pictures = _list_pictures(name, images, limits)
             shown = [
                 style.show_picture(axes, picture, **look)
                 for axes, (picture, look) in zip(row[first:], pictures, strict=False)
@@ -70,9 +70,9 @@ def draw_signals(examples: Sequence[Example], path: str | os.PathLike) -> Path:
     return style.save_figure(figure, path)
 
 
-def _find_depths(examples):
+def _find_depths(every: Sequence[ViewImages]):
     """A scale from the smallest to the largest depth of what the true masks cover."""
-    targets = [e.images.targets for e in examples if "depth" in e.images.targets]
+    targets = [images.targets for images in every if "depth" in images.targets]
     found = [t["depth"][t["silhouette"] >= 0.5] for t in targets]
     values = np.concatenate([*found, np.zeros(0)])
     return Normalize(values.min(), values.max()) if values.size else Normalize(1.5, 2.5)

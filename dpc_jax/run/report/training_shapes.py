@@ -76,7 +76,7 @@ class TrainingShapes(NamedTuple):
         for i, (surface, cloud) in enumerate(zip(surfaces, clouds, strict=True)):
             count, other = len(cloud), (i + 1) % len(clouds)
             nearest = np.asarray(self.surfaces[self.index.find_nearest(cloud)])
-            pairs = [
+            pairs: list[tuple] = [
                 ("Prediction", to_truth, cloud, surface),
                 (_NEAREST, to_truth, self.find_nearest(surface, count), surface),
                 (_NEAREST, to_prediction, cloud, nearest),
