@@ -287,12 +287,3 @@ def test_progress_is_shown_in_lines_where_there_is_no_terminal(tmp_path, capsys)
     lines = capsys.readouterr().out.splitlines()
     assert 8 <= len(lines) <= 11
     assert "20/20 models" in lines[-1] and "/s" in lines[-1] and "left" in lines[-1]
-
-
-def test_choosing_batches_needs_no_trimesh():
-    code = (
-        "import sys, dpc_jax.data\n"
-        "heavy = {'trimesh', 'embreex', 'jax', 'rich', 'PIL'} & set(sys.modules)\n"
-        "assert not heavy, heavy"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)

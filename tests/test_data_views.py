@@ -11,7 +11,6 @@ from dpc_jax.data import DataSpec, load_or_render, rendering, viewpoints, views
 from dpc_jax.shapes import procedural
 
 FOCAL, DISTANCE = 1.875, 2.0
-# So bright that some sides are clipped at white.
 LIGHTS = views.Lights(
     np.array([[0.6, 0, 0.8], [0, -0.8, 0.6]]), np.array([0.4, 0.3]), 0.6
 )
@@ -79,6 +78,7 @@ def paint_box(half):
     """
     box = trimesh.creation.box(extents=2 * half)
     paint = np.random.default_rng(0).integers(60, 256, (3, 2, 3))
+    paint[2, 1, 0] = 255  # which the lights from above would make more than white
     axis = np.abs(box.face_normals).argmax(axis=1)
     is_positive = (box.face_normals.sum(axis=1) > 0).astype(int)
     faces = np.where(np.arange(12)[:, None] % 3, box.faces, box.faces[:, ::-1])
@@ -133,16 +133,6 @@ def test_lights_are_one_to_three_and_come_from_all_sides():
     assert towards[:, 2].min() > 0.1  # and from above
 
 
-def test_what_faces_up_is_brighter_than_what_faces_down():
-    """In rendered sets: seen half from above, a grey ball is lighter at its top."""
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.4)
-    ball.visual.face_colors = [128, 128, 128, 255]
-    arrays = rendering.render_mesh(ball, DataSpec("car", views=30, image_size=16), 0)
-    top, bottom = arrays["images"][:, 4:6, 7:9], arrays["images"][:, 10:12, 7:9]
-    brighter = top.mean(axis=(1, 2, 3)) - bottom.mean(axis=(1, 2, 3))
-    assert brighter.min() > -1 and np.median(brighter) > 10  # of 255
-
-
 def test_viewpoints_are_drawn_as_in_the_paper():
     """Azimuth uniform in 360 degrees, elevation in [-20, 40]."""
     spec = DataSpec("car", models=1, views=400, image_size=2)
@@ -168,14 +158,6 @@ def test_rotations_are_those_of_scipy():
         exact = Rotation.from_matrix(expected).as_quat(scalar_first=True)
         assert abs(abs(quaternion @ exact) - 1) < 1e-14
         assert quaternion[0] >= 0
-
-
-def test_an_object_around_or_behind_the_camera_is_rendered_without_a_crop():
-    room = trimesh.creation.box(extents=[6.0, 6.0, 6.0])
-    view = render(room, turn_to(0, 0), image_size=8)
-    assert (view.mask == 255).all()
-    # the wall behind the object, 3 beyond its centre; float32 at 5.0
-    np.testing.assert_allclose(view.depth, 5.0, atol=3e-6)
 
 
 def test_a_floor_that_reaches_behind_the_camera_fills_the_bottom_of_the_image():
