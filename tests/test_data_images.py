@@ -16,7 +16,7 @@ from data_trees import (
 from PIL import Image
 
 from dpc_jax.data import DataSpec, load_or_render, viewpoints
-from dpc_jax.data.sets import image_folder
+from dpc_jax.data.sets import framing, image_folder
 
 LENS = np.array([[120.0, 0, 40], [0, 120.0, 40], [0, 0, 1]])
 
@@ -179,6 +179,16 @@ def test_transforms_give_views_that_fit_one_object(tmp_path, convention):
             assert share_inside(1.35 * best * points, pose, mask) < 0.9
         extent = [(m > 127).any(0).sum() / 64 for m in data.masks[model]]
         assert 0.6 < max(extent) <= 0.9
+
+
+def test_the_meeting_point_of_lines_is_found():
+    origins = np.random.default_rng(0).normal(size=(5, 3)) * 4
+    target = np.array([1.0, -2.0, 0.5])
+    directions = target - origins
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    for lines, expected in ((directions, target), (np.tile([[0, 0, 1.0]], (5, 1)), 0)):
+        found = framing._find_meeting_point(origins, lines)
+        np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(

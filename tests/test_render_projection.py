@@ -95,6 +95,24 @@ def test_images_of_a_volume_equal_the_written_equations(kind):
     assert_equal(image, expected)
 
 
+def test_without_perspective_an_isotropic_covariance_is_that_sigma():
+    # The grid's voxels are not cubes: turn nothing, and give each axis its own.
+    sides = np.array([SHAPE[1], SHAPE[0], SHAPE[2]]) / SHAPE[0]  # of x, y, z
+    variances = SIZES[:, None] ** 2 / sides**2
+    own = {"scale": MASSES, "colors": COLORS, "method": "gaussian"}
+    still = np.array([1.0, 0, 0, 0])
+    with jax.enable_x64(True):
+        found, right = (
+            render(dpc_jax.project, POINTS, still, "orthographic", **own, **size)
+            for size in (
+                {"covariance": np.eye(3) * variances[:, None]},
+                {"sigma": SIZES},
+            )
+        )
+    for name in ALL:  # rounding
+        np.testing.assert_allclose(found[name], right[name], rtol=0, atol=1e-12)
+
+
 def test_a_cloud_of_no_points_shows_the_background():
     points, pose = jnp.zeros((0, 3)), jnp.array([1.0, 0, 0, 0])
     grid = dpc_jax.VoxelGrid(4)

@@ -290,3 +290,5 @@ def test_forward_mode_is_refused_with_what_to_do_instead(function, transform, sa
     poses = IDENTITY if function is dpc_jax.project else POSES
     with pytest.raises(TypeError, match=says):
         transform(render)(jnp.asarray(poses))
+    with pytest.raises(TypeError, match="colour"):  # other errors are Python's own
+        function(CLOUD, poses, colour=1)
