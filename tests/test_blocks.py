@@ -159,7 +159,10 @@ def test_clouds_side_by_side_are_each_drawn_as_they_need():
     assert_same(found, right, "float32")
 
 
-def test_where_the_whole_volume_is_too_large_what_does_not_fit_is_not_a_number():
+def test_where_the_whole_volume_is_too_large_what_does_not_fit_is_not_a_number(
+    monkeypatch,
+):
+    monkeypatch.setattr(capacity, "_SMALL_UP_TO", 128**3)
     inputs = make_inputs("float32", sigma=0.5)
     grid = dpc_jax.VoxelGrid((136, 136, 136))
     needed = int(count(inputs, grid))

@@ -94,6 +94,7 @@ def test_the_result_renders_as_it_says(given):
         sigma=given.sigma,
         scale=given.scale,
         grid=dpc_jax.VoxelGrid(given.side),
+        method="quadratic",
     ).silhouette
     np.testing.assert_allclose(image, given.silhouettes[3], atol=1e-5)
 

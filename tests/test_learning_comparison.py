@@ -22,7 +22,7 @@ from dpc_jax.learning.choice.hindsight import choose_poses
 from dpc_jax.learning.half_turns import compute_covariance
 from dpc_jax.learning.predictions import predict_shapes
 from dpc_jax.learning.schedules import Stage
-from dpc_jax.learning.shapes import voxels
+from dpc_jax.learning.shapes import points, voxels
 from dpc_jax.learning.shapes.kind import View
 from dpc_jax.learning.shapes.points import Points, draw_order
 from dpc_jax.learning.shapes.voxels import Voxels
@@ -229,6 +229,23 @@ def test_winners_have_the_loss_and_the_gradient_of_plain_renders(case):
         limit = 2e-5 * float(jnp.max(jnp.abs(theirs))) + 1e-6
         np.testing.assert_allclose(ours, theirs, atol=limit)
     assert any(np.abs(leaf).max() > 1e-2 for leaf in jax.tree.leaves(slopes[0]))
+
+
+@pytest.mark.parametrize("side, expected", [(16, None), (256, 32**3 // 8)])
+def test_winners_of_a_large_grid_are_rendered_in_blocks(side, expected, monkeypatch):
+    rooms = set()
+
+    def record(*arguments, max_blocks, **options):
+        rooms.add(max_blocks)
+        return project(*arguments, max_blocks=max_blocks, **options)
+
+    monkeypatch.setattr(points, "project", record)
+    shapes, _ = make_shapes("points")
+    recipe, batch = make_recipe(tiny_config()), make_views()
+    large = {"masks": batch["masks"].repeat(16, axis=2).repeat(16, axis=3)}
+    compare = functools.partial(shapes.compare, recipe=recipe, stage=Stage(COUNT, side))
+    jax.eval_shape(compare, ROTATIONS, large, {})
+    assert rooms == {expected}
 
 
 def test_colors_that_move_no_points_leave_the_shape_the_gradient_of_silhouettes():

@@ -1,5 +1,7 @@
 """Schedules over a run, the learned scale, and the penalty on weights."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ from tiny_runs import make_network, tiny_config
 
 from dpc_jax.learning.predictions import predict_shapes
 from dpc_jax.learning.schedules import (
+    FINE_FROM,
     compute_sigma,
     count_kept_points,
     find_stage,
@@ -216,3 +219,24 @@ def test_the_penalty_is_half_the_squared_weights_in_the_loss_before_adam():
     jax.tree.map(
         lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), found, expected
     )
+
+
+def test_grids_beyond_128_begin_when_blocks_can_draw_their_points():
+    fields = dict(steps=100, grid=16, anneal_until=0.8, sigma_start=0.05)
+    render = tiny_config(fine_grid=32, sigma_end=0.003, **fields).render
+    large = dataclasses.replace(render, grid=64, fine_grid=256)
+    (start,) = {
+        span.start for span in list_spans(large, steps=100) if span.stage.max_blocks
+    }
+    assert start > FINE_FROM * 100
+    sizes = [
+        4 * float(compute_sigma(step, large, steps=100)) for step in (start - 1, start)
+    ]
+    assert sizes[0] > 1.3 >= sizes[1]
+    # An eighth of all blocks.
+    assert find_stage(99, large, steps=100).max_blocks == 32**3 // 8
+    assert find_stage(99, render, steps=100).max_blocks is None
+    # One that never becomes so small is rendered finely when it is smallest.
+    wide = dataclasses.replace(large, sigma_end=0.04)
+    assert find_stage(79, wide, steps=100).grid == 64
+    assert find_stage(80, wide, steps=100).grid == 256

@@ -103,6 +103,11 @@ VARIANTS: dict[str, Changes] = {
         "data": {"image_size": 128},
         "render": {"grid": 128, "fine_grid": 0, "num_points": 16_000},
     },
+    # Not in the paper. Winners are rendered finely once blocks can draw their points.
+    "256": {
+        "data": {"image_size": 256},
+        "render": {"grid": 64, "fine_grid": 256, "num_points": 32_000},
+    },
     # The systems that the paper compares with (docs/baselines.md). Its Table 1 has them
     # with known_pose; without it, all but EPCG learn poses too.
     "ours_v": _VOXELS,
@@ -141,7 +146,7 @@ PAPER_MODELS = {
 TUNED_RATES = {"ours_v": 1e-3, "ptn": 1e-3, "drc": 1e-3, "epcg": 1e-3}
 EXCLUSIVE = (
     ("naive", "known_pose", "gt_pose", "mvc"),  # where poses come from
-    ("32", "64", "128"),
+    ("32", "64", "128", "256"),
     ("ours_v", "ptn", "drc", "mvc", "epcg"),
     ("epcg", "gt_pose"),  # learns no poses
     ("epcg", "naive"),

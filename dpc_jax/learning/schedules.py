@@ -13,6 +13,8 @@ from dpc_jax.config import Render, Train
 # Share of a run from which winners are rendered in the fine grid. A later start leaves
 # fewer steps for outlines; an earlier one costs time while shapes still form.
 FINE_FROM = 0.6
+# Voxels of a grid beyond 128³ from which on blocks can draw points (`project`).
+_NARROW = 1.3
 # Shares of a run from which shapes have formed: objects are turned to one frame.
 FRAME_FROM = 0.2
 PULL_FROM = 0.5  # before it poses are too often wrong to pull points into silhouettes
@@ -65,15 +67,35 @@ class Stage(NamedTuple):
     grid: int
     fixed_views: bool = False
 
+    @property
+    def max_blocks(self) -> int | None:
+        """Room for blocks of points' volumes, see `project`; None for whole volumes.
+
+        An eighth of all: surfaces touch a tenth of 256³. In grids of up to 128³ whole
+        volumes are as quick.
+        """
+        return (self.grid // 8) ** 3 // 8 if self.grid > 128 else None
+
 
 def find_stage(step: int, render: Render, *, steps: int) -> Stage:
     """The stage that a step belongs to."""
-    is_fine = render.fine_grid and step >= FINE_FROM * steps
+    is_fine = render.fine_grid and step >= _find_fine_start(render) * steps
     return Stage(
         kept_points=count_kept_points(step, render, steps=steps),
         grid=render.fine_grid if is_fine else render.grid,
         fixed_views=step < render.fixed_views_until * steps,
     )
+
+
+def _find_fine_start(render: Render) -> float:
+    """Share of a run from which winners are rendered in the fine grid."""
+    start, end = render.sigma_start, render.sigma_end
+    narrow = _NARROW / render.fine_grid
+    if render.fine_grid <= 128 or start <= narrow:
+        return FINE_FROM
+    # Where sigma does not fall so far, from the end of its schedule on.
+    share = (start - narrow) / (start - end) if start > end else 1.0
+    return max(FINE_FROM, min(share, 1.0) * render.anneal_until)
 
 
 class Span(NamedTuple):

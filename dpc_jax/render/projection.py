@@ -106,11 +106,11 @@ def project(
         instead of the grid (docs/projection.md says where that is quicker).
         `count_blocks` counts those of a cloud. Where a cloud touches more, or sigma is
         so wide that the smoothing reaches beyond the next block (above 1.4 voxels,
-        1.2 for "cubic", 0.9 in float64), the whole volume steps in up to 128³ cells;
+        1.2 for "cubic", 0.9 in float64), the whole volume steps in up to 256³ cells;
         images of a larger grid are NaN. None: blocks are counted where all numbers are
         known (outside of `jax.jit`, `jax.grad` and `jax.vmap`) and the grid has at
         least 128³ cells; otherwise the whole volume is stored. Inside `jax.vmap` both
-        are computed up to 128³ cells; `project_batch` on a CPU takes one example after
+        are computed up to 256³ cells; `project_batch` on a CPU takes one example after
         the other.
 
     Raises:

@@ -31,7 +31,7 @@ COARSE_UP_TO = 128  # side of images up to which a step sees all views
 _FINE_VIEWS = 4  # of a step in finer ones
 _SPARE = 1.2  # room for blocks over what the first step of a side touches
 _FINER_RATE = 0.4  # learning rate of a side over that of the one before
-_COARSE_END = 1.35  # size of points at the end of a coarser side over that of the last
+_COARSE_END = 1.25  # size of points at the end of a coarser side over that of the last
 _REPELLED = 600  # points that repel each other in a step
 _COLOR_SHARE = 5.0  # rate of colours' logits, which have several units to go
 # What is learned of cameras, and the field of `Cloud` that has it.

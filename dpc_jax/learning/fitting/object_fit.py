@@ -41,7 +41,7 @@ class Fit:
       translations: [V, 3] in the camera frame; None where not learned.
       focal_lengths: [V]; None where not learned.
       scale, sigma: () mass and size of a point, voxels of a grid of `side`, as
-        `project` takes them.
+        `project` takes them with the method "quadratic".
       side: of the finest grid.
       silhouettes: [V, side, side], as rendered in the end.
       overlaps: [V], intersection over union of these with the given ones, at a half.

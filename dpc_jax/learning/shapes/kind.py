@@ -34,7 +34,7 @@ class View(NamedTuple):
       camera: of the view. side: of a cubic grid.
       translation: [3] of the object in the camera frame, or None.
       ray_rule: see `project`.
-      max_blocks: of points, see `project`.
+      max_blocks, method: of points of one size, see `project`.
     """
 
     rotation: jax.Array
@@ -43,6 +43,7 @@ class View(NamedTuple):
     translation: jax.Array | None = None
     ray_rule: str = "termination"
     max_blocks: int | None = None
+    method: str = "trilinear"
 
     @property
     def without_gradient(self) -> "View":
@@ -71,10 +72,11 @@ def place_view(
     side: int,
     camera: Camera,
     rule: str,
+    max_blocks: int | None = None,
 ) -> View:
     """A view; `per_view` is what its camera differs in, see `Cameras`."""
-    camera = place_camera(camera, per_view)
-    return View(rotation, camera, side, per_view.get("translation"), rule)
+    camera, shift = place_camera(camera, per_view), per_view.get("translation")
+    return View(rotation, camera, side, shift, rule, max_blocks)
 
 
 class Choice(NamedTuple):
@@ -183,7 +185,8 @@ class Shape:
 
         def compare_view(learned, given):
             scene, rule = given | learned, render.ray_rule
-            view = place_view(scene["rotation"], scene, stage.grid, camera, rule)
+            how = stage.grid, camera, rule, stage.max_blocks
+            view = place_view(scene["rotation"], scene, *how)
             return kind.compare_view(
                 scene,
                 view,

@@ -209,7 +209,8 @@ class Points(Shape):
             colors=scene["colors"] if "color" in signals else None,
             signals=signals,
             background_depth=background_depth,
-            max_blocks=view.max_blocks,
+            max_blocks=None if size.ndim else view.max_blocks,
+            method="gaussian" if size.ndim else view.method,
             **view.arguments,
         )
 

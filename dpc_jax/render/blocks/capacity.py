@@ -21,8 +21,9 @@ from dpc_jax.render.volume import Scene, place_points
 _COUNTED_FROM = 128**3
 _COUNTED_UP_TO = 4096**3  # the numbers of its blocks take half a gigabyte
 _MOST_SHARE = 1 / 4
-# Up to so many cells the whole volume steps in where blocks do not do.
-_SMALL_UP_TO = 128**3
+# Up to so many cells the whole volume steps in where blocks do not do: a third of a
+# gigabyte for a gradient.
+_SMALL_UP_TO = 256**3
 
 
 class Room(NamedTuple):
