@@ -136,7 +136,8 @@ def test_without_surfaces_the_views_contradict_each_other(whole):
 def test_poses_of_no_convention_are_told(whole):
     odd = Rotation.from_euler("xyz", [50, 20, 70], degrees=True).as_matrix()
     (finding,) = read_findings(restate(whole, lambda r: r @ odd))
-    assert finding.startswith("error: the poses follow no convention")
+    assert finding.startswith("error: the poses do not fit the masks")
+    assert "under any convention known here (the nearest, " in finding
 
 
 def test_a_single_stray_pose_and_a_wrong_scale_are_told(whole):

@@ -27,7 +27,7 @@ def rag(dataset, counts):
 
     def cut(array):
         models = [rows[:count] for rows, count in zip(array, counts, strict=True)]
-        return Stack([np.concatenate(models)], counts)
+        return Stack(models)
 
     changed = {n: cut(getattr(dataset, n)) for n in ("images", "masks", "quaternions")}
     return dataset._replace(**changed)

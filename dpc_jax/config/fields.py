@@ -25,8 +25,6 @@ _MOST = 2**31 - 1
 COUNTABLE = Allowed(
     lambda value: not isinstance(value, int) or value <= _MOST, f"at most {_MOST:,}"
 )
-ANY = Allowed(lambda value: True, "of the type of its default")
-POSITIVE = Allowed(lambda value: 0 < value < math.inf, "above 0")
 FOLDER = Allowed(
     lambda value: not value or os.path.isdir(value), "a folder that exists"
 )
@@ -69,6 +67,6 @@ def one_of(*values: str) -> Allowed:
     return Allowed(lambda value: value in values, f"{shown} or {values[-1]!r}")
 
 
-def field(default: Any, allowed: Allowed = ANY) -> Any:
+def field(default: Any, allowed: Allowed) -> Any:
     """A dataclass field with a default and the values that are allowed."""
     return dataclasses.field(default=default, metadata={"allowed": allowed})

@@ -12,7 +12,6 @@ from dpc_jax.config.fields import (
     FILE,
     FOLD,
     FOLDER,
-    POSITIVE,
     Allowed,
     above,
     at_least,
@@ -75,7 +74,7 @@ class Data:
     # Side of the cells that keep one point of the ground truth each; 0: all are kept.
     surface_voxel: float = field(0.0, between(0, 0.99))
     seed: int = field(0, at_least(0))  # of shapes, split, views and lights
-    cache_dir: str = field("data")  # folder where rendered sets are kept
+    cache_dir: str = "data"  # folder where rendered sets are kept
     processes: int = field(0, at_least(0))  # that render; 0: one per core
 
 
@@ -91,7 +90,7 @@ class Network:
     point_size: str = field("", one_of(*POINT_SIZES))
     # What is predicted; voxels have the side `render.grid`.
     shape: str = field("points", one_of(*SHAPES))
-    sees_mask: bool = field(True)  # beside the image, as a fourth channel
+    sees_mask: bool = True  # beside the image, as a fourth channel
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,7 +112,7 @@ class Render:
     ray_rule: str = field("termination", one_of("termination", "maximum"))
     scale_unit: str = field("mass", one_of("peak", "mass"))  # of the learned scale
     scale_fixed: float = field(0.0, at_least(0))  # in that unit; 0: learned
-    focal_length: float = field(1.875, POSITIVE)  # of an image 1 wide
+    focal_length: float = field(1.875, above(0))  # of an image 1 wide
     distance: float = field(2.0, _DISTANCE)  # camera to object, box diagonals
     # Views rendered side by side; 0: all; -1: one on a CPU, all on a GPU.
     renders_at_once: int = field(-1, at_least(-1))
@@ -134,16 +133,16 @@ class Pose:
     # Range of elevations that viewpoint heads predict, degrees.
     elevation_low: float = field(ELEVATIONS[0], between(-90, 90))
     elevation_high: float = field(ELEVATIONS[1], between(-90, 90))
-    flips: bool = field(True)  # also try each head after half turns of the object
+    flips: bool = True  # also try each head after half turns of the object
     student: str = field("posterior", one_of(*STUDENTS))  # what it predicts
     choice_points: int = field(250, at_least(0))  # that rank candidates; 0: no ranking
     choice_top: int = field(6, at_least(0))  # candidates then compared exactly
     # Signals that the candidates' exact comparison sees: of all that have a weight.
     choice_signals: str = field("silhouette", one_of("silhouette", "all"))
-    common_frame: bool = field(True)  # reversed objects are turned back
+    common_frame: bool = True  # reversed objects are turned back
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
-    translation: bool = field(False)  # of each view, learned (released code)
-    focal_length: bool = field(False)  # of each view, learned (released code)
+    translation: bool = False  # of each view, learned (released code)
+    focal_length: bool = False  # of each view, learned (released code)
 
     @property
     def known(self) -> bool:
@@ -220,10 +219,10 @@ class Train:
     """Steps, batches, the optimiser and the weights of the losses."""
 
     steps: int = field(6300, at_least(1))  # in all; the schedules end there
-    init_from: str = field("")  # workdir of the run whose parameters are the first
+    init_from: str = ""  # workdir of the run whose parameters are the first
     models_per_batch: int = field(4, at_least(1))  # (§ Training details)
     views_per_batch: int = field(4, at_least(1))  # of each model
-    learning_rate: float = field(3e-4, POSITIVE)  # of Adam, at its peak
+    learning_rate: float = field(3e-4, above(0))  # of Adam, at its peak
     schedule: str = field("cosine", one_of("cosine", "constant"))  # of that rate
     l2_weight: float = field(0.0, at_least(0))  # half squared weights (released code)
     # Of points that project outside the silhouette, per pixel.
@@ -238,7 +237,7 @@ class Train:
     depth_weight: float = field(0.0, at_least(0))
     color_weight: float = field(0.0, at_least(0))  # per pixel; 0: no colours
     # Their loss has a gradient for the shape; else they see the image's mean colour.
-    colors_move_points: bool = field(False)
+    colors_move_points: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -248,14 +247,14 @@ class Log:
     every: int = field(100, at_least(1))  # steps between lines of metrics.jsonl
     evaluate: int = field(1000, at_least(0))  # steps between validations
     checkpoint: int = field(1000, at_least(0))  # steps between checkpoints
-    tensorboard: bool = field(False)  # event files too, in WORKDIR/tensorboard
+    tensorboard: bool = False  # event files too, in WORKDIR/tensorboard
 
 
 @dataclasses.dataclass(frozen=True)
 class Eval:
     """What a finished run measures beside the usual; any time later, too."""
 
-    refine: bool = field(False)  # test views once more, fitted to their silhouettes
+    refine: bool = False  # test views once more, fitted to their silhouettes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -270,7 +269,7 @@ class Config:
     """A run: what it learns from, what it learns, and how."""
 
     category: str  # "car", "chair" or "airplane" of procedural shapes; else a label
-    variant: str = field("")  # the text after the colon of --config
+    variant: str = ""  # the text after the colon of --config
     seed: int = field(0, at_least(0))  # of everything random but the data
     data: Data = Data()
     network: Network = Network()

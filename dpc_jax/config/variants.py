@@ -21,8 +21,7 @@ _VOXELS = {
     "render": {"fine_grid": 0, "keep_levels": 1},
 }
 
-# Variants are applied in this order, whatever order they are
-# given in.
+# Variants are applied in this order, whatever order they are given in.
 VARIANTS: dict[str, Changes] = {
     # § Training details and § Network architecture, at 64 pixels.
     "paper": {
@@ -69,9 +68,7 @@ VARIANTS: dict[str, Changes] = {
         "log": {"every": 500, "evaluate": 20_000, "checkpoint": 5000},
     },
     # One pose regressor (§ Estimating pose with a distilled ensemble).
-    "naive": {
-        "pose": {"head": "quaternion", "num_heads": 1},
-    },
+    "naive": {"pose": {"head": "quaternion", "num_heads": 1}},
     # § Estimating shape with known pose.
     "known_pose": {"pose": {"source": "given"}},
     # Table 2, "GT pose": poses from labels.
@@ -141,8 +138,7 @@ PAPER_MODELS = {
     "car": {"models": 5247, "val_models": 750, "test_models": 1500},
     "chair": {"models": 4744, "val_models": 678, "test_models": 1356},
 }
-# Learning rates of quick runs, tuned on validation (docs/baselines.md); with
-# "paper" that of its text stays.
+# Of quick runs, tuned on validation (docs/baselines.md); "paper" has that of its text.
 TUNED_RATES = {"ours_v": 1e-3, "ptn": 1e-3, "drc": 1e-3, "epcg": 1e-3}
 EXCLUSIVE = (
     ("naive", "known_pose", "gt_pose", "mvc"),  # where poses come from

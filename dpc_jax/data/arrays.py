@@ -93,7 +93,7 @@ class Pages:
 
 
 class Stack:
-    """Rows of many models over several shards, addressed by model and row.
+    """Rows of many models, wherever they lie, addressed by model and row.
 
     It reads like an array [M, V, ...] of which model m has only `counts[m]` rows:
     `stack[m]` is an array [counts[m], ...], `stack[m, v]` one row, and
@@ -102,24 +102,15 @@ class Stack:
     `np.asarray` work too, by reading the whole into memory.
     """
 
-    def __init__(
-        self,
-        pieces: Sequence[np.ndarray],
-        counts: Sequence[int],
-        pages: Pages | None = None,
-    ):
-        """pieces: the row arrays [R, ...] of the shards, in order; counts: [M]."""
-        self.counts = np.asarray(counts, dtype=np.int64)
-        self._pieces = pieces
-        self._pages = pages or Pages()
-        self._starts = np.concatenate([[0], np.cumsum(self.counts)])
-        self._edges = np.concatenate([[0], np.cumsum([len(p) for p in pieces])])
-        largest = int(self.counts.max(initial=0))
-        self.shape = (len(self.counts), largest, *pieces[0].shape[1:])
-        self.dtype = pieces[0].dtype
+    def __init__(self, models: Sequence[np.ndarray], pages: Pages | None = None):
+        """models: the rows [counts[m], ...] of each, mapped or in memory."""
+        self._models, self._pages = models, pages or Pages()
+        self.counts = np.array([len(rows) for rows in models], dtype=np.int64)
+        self.shape = (len(models), int(self.counts.max()), *models[0].shape[1:])
+        self.dtype = models[0].dtype
 
     def __len__(self):
-        return len(self.counts)
+        return len(self._models)
 
     def __iter__(self):
         return (self._read_model(model) for model in range(len(self)))
@@ -143,24 +134,16 @@ class Stack:
         return np.stack(list(self)).astype(dtype or self.dtype, copy=False)
 
     def _read_model(self, model):
-        model = range(len(self))[model]
-        start, stop = self._starts[model : model + 2]
-        shard = np.searchsorted(self._edges, start, "right") - 1
-        shard = min(shard, len(self._pieces) - 1)  # a last model without rows
-        rows = self._pieces[shard][start - self._edges[shard] :][: stop - start]
+        rows = self._models[model]
         self._pages.count(rows.nbytes)
         return rows
 
     def _gather(self, models, rows):
         models, rows = np.broadcast_arrays(models, rows)
-        ends = self.counts[models]
-        if min(models.min(), rows.min()) < 0 or (rows >= ends).any():
+        if min(models.min(), rows.min()) < 0 or (rows >= self.counts[models]).any():
             raise IndexError("a model or a row beyond the last, or below 0")
-        places = self._starts[models] + rows
-        shards = np.searchsorted(self._edges, places, "right") - 1
         out = np.empty((*models.shape, *self.shape[2:]), self.dtype)
-        for shard in np.unique(shards):
-            here = shards == shard
-            out[here] = self._pieces[shard][places[here] - self._edges[shard]]
+        for place in np.ndindex(models.shape):
+            out[place] = self._models[int(models[place])][rows[place]]
         self._pages.count(out.nbytes)
         return out

@@ -79,12 +79,9 @@ def read_batch(
     They are images, masks, quaternions and the extras, as far as the set has them: of
     arrays with a row per view those of the batch, of `CORNERS` all.
     """
-    rows = np.asarray(models)[:, None]
-    arrays = {name: getattr(dataset, name) for name in (*BATCH_ARRAYS, *extras)}
-    given = {n: a for n, a in arrays.items() if n in CORNERS and a is not None}
-    own = {name: np.arange(array.shape[1])[None] for name, array in given.items()}
-    return {
-        name: np.asarray(array[rows, own.get(name, views)])
-        for name, array in arrays.items()
-        if array is not None
-    }
+    rows, batch = np.asarray(models)[:, None], {}
+    for name in (*BATCH_ARRAYS, *extras):
+        if (array := getattr(dataset, name)) is not None:
+            places = np.arange(array.shape[1])[None] if name in CORNERS else views
+            batch[name] = np.asarray(array[rows, places])
+    return batch

@@ -11,6 +11,7 @@ import json
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 from dpc_jax import files
 from dpc_jax.config import ELEVATIONS
@@ -136,7 +137,7 @@ def _finish(plan, record, *, progress):
         for key in ("names", "skipped", "remarks")
     )
     skipped = _show_pairs(skipped)
-    remarks = _show_pairs([*source.list_remarks(), *remarks])
+    remarks = _show_pairs([*source.remarks, *remarks])
     source.write_split(plan.folder)
     if progress:
         _tell("Skipped", skipped, count)
@@ -203,18 +204,11 @@ def read_cache(folder: str | Path) -> DataSet:
         )
     parts = [part for part in parts if part.arrays]
     pages = Pages([part.mapping for part in parts])
-    arrays = {}
+    arrays: dict[str, Any] = dict.fromkeys(ROWS)
     for name in ROWS:
-        having = [part for part in parts if name in part.arrays]
-        counts = [n for part in having for n in part.record["counts"][name]]
-        pieces = [part.arrays[name] for part in having]
-        fits = len(having) == len(parts) and sum(counts) == sum(map(len, pieces))
-        if having and not (fits and min(counts) >= 0):
-            raise ValueError(
-                f"Expected as many rows of {name} in all shards of {folder} as these "
-                "say, but there are others; delete the folder."
-            )
-        arrays[name] = Stack(pieces, counts, pages) if having else None
+        if any(name in part.arrays for part in parts):
+            models = [rows for part in parts for rows in part.split(name)]
+            arrays[name] = Stack(models, pages)
     return DataSet(
         **arrays,
         names=tuple(map(show_text, record["names"])),

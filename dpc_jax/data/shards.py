@@ -32,6 +32,21 @@ class Shard(NamedTuple):
     record: dict[str, Any]
     mapping: mmap.mmap
 
+    def split(self, name: str) -> list[np.ndarray]:
+        """The rows of an array by model.
+
+        Raises:
+          ValueError: if they are not as many as the record says.
+        """
+        array, counts = self.arrays[name], self.record["counts"][name]
+        models = len(self.record["names"])
+        if len(counts) != models or sum(counts) != len(array) or min(counts) < 0:
+            raise ValueError(
+                f"Expected a shard to say how its {len(array)} rows of {name} belong "
+                f"to {models} models, but it says {counts}; delete its folder."
+            )
+        return np.split(array, np.cumsum(counts)[:-1])
+
 
 def write_shard(path: Path, arrays: dict[str, np.ndarray], record: dict[str, Any]):
     """Write arrays and a JSON record under a temporary name; rename it when whole."""

@@ -54,6 +54,7 @@ class Source:
 
     def __init__(self, spec: DataSpec):
         self.spec = spec
+        self.remarks: list[tuple[str, str]] = []  # (file or folder, remark on the set)
         self.folder = Path(str(spec.folder))
 
     @classmethod
@@ -144,6 +145,9 @@ class Source:
                 f"Expected {official} to name models of {self.folder}, but none of its "
                 f"{len(listed)} is there; give the split file of this set."
             )
+        if unlisted := len(models.keys() - listed):
+            remark = f"leaves out {unlisted} models of the folder"
+            self.remarks.append((str(official), remark))
         # listed all the same, so that they are counted as damaged
         missing = {name: self.expect_model(name) for name in listed - models.keys()}
         return Division(models | missing, sides, official)
@@ -168,14 +172,6 @@ class Source:
             views, digest = self.identify_model(name, path)
             models.append(Model(name, str(path), 0, 0, digest, views))
         return complete(models, spec)
-
-    def list_remarks(self) -> list[tuple[str, str]]:
-        """(file or folder, remark) pairs on the data set as a whole."""
-        models, sides, official = self.division
-        unlisted = len(models.keys() - set().union(*sides.values()))
-        if official is None or not unlisted:
-            return []
-        return [(str(official), f"leaves out {unlisted} models of the folder")]
 
     def list_warnings(self) -> list[str]:
         """Sentences on the data set that a reader of results has to know."""

@@ -4,6 +4,7 @@ A list of parts joins to one mesh. Nearly everything is a loft: rings of points 
 path, skinned with triangles. Lengths are metres, z is up.
 """
 
+import colorsys
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -196,8 +197,6 @@ def draw_color(
     value: tuple[float, float],
 ) -> Color:
     """Random (r, g, b): any hue, saturation and value uniform in the given ranges."""
-    hue = rng.uniform(0.0, 6.0)
-    s, v = rng.uniform(*saturation), rng.uniform(*value)
-    wheel = np.abs((hue + np.array([0.0, 4.0, 2.0])) % 6.0 - 3.0) - 1.0
-    rgb = v * (1.0 - s + s * np.clip(wheel, 0.0, 1.0))
-    return tuple(int(channel) for channel in np.rint(255.0 * rgb))
+    hue = rng.uniform(0.0, 6.0) / 6.0
+    rgb = colorsys.hsv_to_rgb(hue, rng.uniform(*saturation), rng.uniform(*value))
+    return tuple(round(255.0 * channel) for channel in rgb)

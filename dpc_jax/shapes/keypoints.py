@@ -15,40 +15,40 @@ from dpc_jax.shapes.building_blocks import read_labels
 from dpc_jax.shapes.procedural import make_shape, seed_stream
 
 Direction = tuple[float, float, float]
-_LEFT, _FRONT = {"left": 1, "right": -1}, {"front": 1, "rear": -1}
+_SIDES, _ENDS = (("left", 1), ("right", -1)), (("front", 1), ("rear", -1))
 
 
-def _name_corners(text, label, depth, width, up):
+def _name_corners(text, label, up):
     """The four keypoints of a part that has a corner front and rear, left and right."""
     return {
-        f"{f} {s} {text}": (label, (depth * _FRONT[f], width * _LEFT[s], up))
-        for f in _FRONT
-        for s in _LEFT
+        f"{end} {side} {text}": (label, (x, y, up))
+        for end, x in _ENDS
+        for side, y in _SIDES
     }
 
 
-def _name_sides(text, label, depth, up):
+def _name_sides(text, label, up):
     """The two keypoints of a part that has a left and a right end."""
-    return {f"{s} {text}": (label, (depth, _LEFT[s], up)) for s in _LEFT}
+    return {f"{side} {text}": (label, (0, y, up)) for side, y in _SIDES}
 
 
 KEYPOINTS: dict[str, dict[str, tuple[str, Direction]]] = {  # label, direction
     "chair": {
-        **_name_corners("seat corner", "seat", 1, 1, 0.1),
-        **_name_corners("leg tip", "leg", 1, 1, -3),
-        **_name_sides("back corner", "back", 0, 1),
+        **_name_corners("seat corner", "seat", 0.1),
+        **_name_corners("leg tip", "leg", -3),
+        **_name_sides("back corner", "back", 1),
     },
     "car": {
-        **_name_corners("wheel", "wheel", 1, 1, -3),
-        **_name_corners("bumper corner", "body", 1, 1, 0),
-        **_name_corners("roof corner", "cabin", 1, 1, 3),
+        **_name_corners("wheel", "wheel", -3),
+        **_name_corners("bumper corner", "body", 0),
+        **_name_corners("roof corner", "cabin", 3),
     },
     "airplane": {
         "nose": ("body", (1, 0, 0)),
         "rear end": ("body", (-1, 0, 0)),
         "fin tip": ("tail", (-1, 0, 3)),
-        **_name_sides("wing tip", "wing", 0, 0),
-        **_name_sides("stabiliser tip", "tail", 0, 0),
+        **_name_sides("wing tip", "wing", 0),
+        **_name_sides("stabiliser tip", "tail", 0),
     },
 }
 # What a chair stands on at four places. A star or a round foot has no leg tips.

@@ -49,6 +49,4 @@ def join_pieces(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Vertices [N, 3], faces [F, 3] and colours [F, 4] of pieces that become one."""
     vertices, faces, colors = zip(*pieces, strict=True)
-    starts = np.cumsum([0, *map(len, vertices)])[:-1]
-    faces = [part + start for part, start in zip(faces, starts, strict=True)]
-    return np.concatenate(vertices), np.concatenate(faces), np.concatenate(colors)
+    return *trimesh.util.append_faces(vertices, faces), np.concatenate(colors)

@@ -166,25 +166,23 @@ def _check_poses(data, lens):
         for convention in (STORED, *others.values())
     )
     best = max(scores)
-    if best > stored + CLEARER:
-        near = np.flatnonzero(np.greater(scores, best - CLEARER / 4))
-        names = [list(others)[place] for place in near]
-        text = f"another convention: {' or '.join(names)}"
-        if best < enough:
-            text = f"no convention known here; the nearest is {names[0]}"
-        text = f"the poses follow {text}"
+    near = np.flatnonzero(np.greater(scores, best - CLEARER / 4))
+    names = [list(others)[place] for place in near]
+    if best > stored + CLEARER and best >= enough:
         return [
-            f"error: {text} ({measure} {best:.2f}); as stored, which should be wxyz, "
-            "object to camera, x right, y down, z forward, it is "
+            f"error: the poses follow another convention: {' or '.join(names)} "
+            f"({measure} {best:.2f}); as stored, which should be wxyz, object to "
+            "camera, x right, y down, z forward, it is "
             f"{stored:.2f}; convert the poses."
         ]
     strays = [] if data.surfaces is None else _find_strays(data, lens)
     count = int(np.sum(data.counts))
     if stored < enough and not 0 < len(strays) < count / 2:
+        nearest = f" (the nearest, {names[0]}: {best:.2f})" if best > stored else ""
         return [
             f"error: the poses do not fit the masks ({measure} {stored:.2f}, expected "
-            f"{enough} and more) under any convention known here; check scale, centre "
-            "and camera."
+            f"{enough} and more) under any convention known here{nearest}; check "
+            "scale, centre and camera."
         ]
     text = f"{len(strays)} of {count} views whose pose puts the object beside its mask"
     return [f"error: {text}: {_name(strays)}"] if strays else []

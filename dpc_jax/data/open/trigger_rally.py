@@ -12,11 +12,7 @@ import numpy as np
 import trimesh
 
 from dpc_jax.data import meshes
-from dpc_jax.data.open.packages import (
-    OpenModel,
-    extract_model,
-    move_vertices,
-)
+from dpc_jax.data.open.packages import OpenModel, extract_model, move_vertices
 
 PACKAGE = "trigger-rally-data"
 PAINT = "_wrc"

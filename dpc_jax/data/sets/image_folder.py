@@ -41,15 +41,10 @@ class ImageFolder(Source):
     def split_by_seed(self, models: dict[str, Path]) -> dict[str, list[str]]:
         """See `Source.split_by_seed`; all splits hold one or two objects."""
         if len(models) < FEWEST_OBJECTS:
+            remark = "has too few objects to split: all splits hold them all"
+            self.remarks.append((str(self.folder), remark))
             return dict.fromkeys(splits.SPLITS, list(models))
         return super().split_by_seed(models)
-
-    def list_remarks(self) -> list[tuple[str, str]]:
-        models, _, official = self.division
-        if official or len(models) >= FEWEST_OBJECTS:
-            return super().list_remarks()
-        text = "has too few objects to split: all splits hold them all"
-        return [(str(self.folder), text)]
 
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
         """See `Source.identify_model`; it changes with any file of the object."""

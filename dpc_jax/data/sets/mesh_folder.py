@@ -67,9 +67,6 @@ class ProceduralShapes(MeshSource):
     def list_models(self) -> list[Model]:
         return list_procedural(self.spec, self.spec.models or 0)
 
-    def list_remarks(self) -> list[tuple[str, str]]:
-        return []
-
 
 class MeshFolder(MeshSource):
     """Mesh files at any depth of a folder, in the canonical frame, split by seed."""
@@ -96,9 +93,6 @@ class MeshFolder(MeshSource):
 
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
         return self.spec.views, self.digests[path]
-
-    def find_split_file(self) -> Path | None:
-        """None: official lists are of ShapeNet."""
 
     def split_by_seed(self, models: dict[str, Path]) -> dict[str, list[str]]:
         """See `Source.split_by_seed`; the variants of a design stay together."""

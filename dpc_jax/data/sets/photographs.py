@@ -4,7 +4,6 @@ Each becomes an object of one or more views, cut out and framed as in training. 
 cannot be used is named. This module loads no JAX: a bad file is told at once.
 """
 
-import contextlib
 import functools
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 
 from dpc_jax.data.sets import framing, masks
 from dpc_jax.data.sets.image_folder import find_images
-from dpc_jax.data.sets.pictures import SUFFIXES, has_alpha, read_frames, to_colors
+from dpc_jax.data.sets.pictures import SUFFIXES, read_frames, to_colors
 from dpc_jax.data.spec import DataSpec
 from dpc_jax.outputs import show_text
 
@@ -124,7 +123,7 @@ def _read_file(path: Path, finder, skipped) -> list[tuple[str, np.ndarray, np.nd
         source = show_text(path)
         source += f", frame {number + 1}" * (len(frames) > 1)
         try:
-            mask = _find_mask(frame, path, finder, is_alone=len(frames) == 1)
+            mask = _find_mask(frame, path, finder)
             masks.check_mask(mask, source)
         except (OSError, ValueError) as error:
             sentence = show_text(error).rstrip(".")
@@ -136,20 +135,15 @@ def _read_file(path: Path, finder, skipped) -> list[tuple[str, np.ndarray, np.nd
     return views
 
 
-def _find_mask(frame, path: Path, finder, *, is_alone: bool) -> np.ndarray:
-    if finder is None:
-        try:
-            return masks.read_mask(frame, path)
-        except masks.NoMaskError as error:
+def _find_mask(frame, path: Path, finder) -> np.ndarray:
+    try:
+        mask = masks.read_mask(frame, path)
+        if finder is None or mask.min() <= 0.5:  # else it has an alpha of no use
+            return mask
+    except masks.NoMaskError as error:
+        if finder is None:
             advice = ", or take --mask=auto for an object before a plain background."
             raise masks.NoMaskError(str(error).rstrip(".") + advice) from None
-    if is_alone:
-        with contextlib.suppress(masks.NoMaskError):
-            return masks.read_mask(frame, path)
-    elif has_alpha(frame):
-        alpha = np.asarray(frame.convert("RGBA"))[..., 3]
-        if alpha.min() < 128:  # a moving picture may have an alpha channel of no use
-            return alpha.astype(np.float32) / 255.0
     return finder(np.asarray(frame.convert("RGB")))
 
 
