@@ -108,9 +108,8 @@ def _list_folder_rules(config):
 
 def _list_system_rules(config):
     """Rules of the systems the paper compares with: voxels, maps, drawn poses."""
-    data, train, render = config.data, config.train, config.render
+    train, render = config.train, config.render
     shape, grid = config.network.shape, render.grid
-    until = render.fixed_views_until
     is_sampled = config.pose.source == "sampled"
     for name, holds, expected in (
         ("num_heads", config.pose.num_heads > 1, "above 1"),
@@ -133,7 +132,7 @@ def _list_system_rules(config):
         )
     if shape != "maps":
         expected = "0 unless network.shape = 'maps', which are seen from fixed views"
-        yield "render.fixed_views_until", not until, expected
+        yield "render.fixed_views_until", not render.fixed_views_until, expected
         return
     for name, holds, expected in (
         ("pose.source", config.pose.known, "'given'"),
@@ -144,11 +143,6 @@ def _list_system_rules(config):
     ):
         why = "points are drawn into pixels, no rays are cast, and masks are compared"
         yield name, holds, f"{expected} with network.shape = 'maps': {why}"
-    yield (
-        "render.fixed_views_until",
-        not (until and (data.images or data.renders)),
-        "0 with data.images or data.renders, which have no views from fixed places",
-    )
 
 
 def _list_signal_rules(config):
@@ -181,10 +175,10 @@ def _list_signal_rules(config):
         "above 0 with pose.choice_signals = 'all', because the first, coarse choice "
         "sees silhouettes alone",
     )
-    for name in ("offset", "focal_spread"):
-        is_rendered = not (data.images or data.renders)
-        yield (
-            f"data.{name}",
-            is_rendered or not getattr(data, name),
-            "0 with data.images or data.renders, which are rendered already",
-        )
+    for name, value in (
+        ("data.offset", data.offset),
+        ("data.focal_spread", data.focal_spread),
+        ("render.fixed_views_until", config.render.fixed_views_until),
+    ):
+        expected = "0 with data.images or data.renders, which are rendered already"
+        yield name, not (value and (data.images or data.renders)), expected
