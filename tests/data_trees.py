@@ -1,5 +1,7 @@
 """Small sets on disk in the forms that users have, drawn without the package."""
 
+import json
+
 import numpy as np
 from PIL import Image
 from scipy.io import savemat
@@ -104,18 +106,20 @@ def write_renders(folder, models, *, views=3, size=112, truth=True):
     return folder / "renders"
 
 
-def write_photos(folder, *, views, shape=(90, 120), seed=0, file="transforms"):
+def write_photos(folder, *, views, seed=0, axes=(1, -1, -1), **fields):
     """Photographs of the balls from all around, anywhere in the picture.
 
     The world is three times as large as the object and the object far from its middle.
-    Returns the matrices of the cameras, world to camera.
+    A transforms.json has the cameras, of NeRF's axes (y up, looking along -z) unless
+    others are given, and other fields.
     """
     folder.mkdir(parents=True)
     rng = np.random.default_rng(seed)
+    shape = (90, 120)
     lens = np.array([[130.0, 0, shape[1] / 2], [0, 130.0, shape[0] / 2], [0, 0, 1]])
     middle = np.array([5.0, -3.0, 2.0])
     balls = np.concatenate([3 * BALLS[:, :3] + middle, 3 * BALLS[:, 3:]], axis=1)
-    frames, rotations = [], []
+    frames = []
     for view in range(views):
         angle = 2 * np.pi * (view + rng.uniform(-0.3, 0.3)) / views
         away = rng.uniform(7, 9)
@@ -124,10 +128,9 @@ def write_photos(folder, *, views, shape=(90, 120), seed=0, file="transforms"):
         rgba, _ = draw_balls(rotation, position, lens, shape, balls)
         Image.fromarray(rgba).save(folder / f"view{view}.png")
         matrix = np.eye(4)
-        matrix[:3, :3] = rotation.T @ np.diag([1, -1, -1])  # NeRF: y up, looks along -z
-        matrix[:3, 3] = position
+        matrix[:3, :3], matrix[:3, 3] = rotation.T * axes, position
         frames.append(
             {"file_path": f"./view{view}", "transform_matrix": matrix.tolist()}
         )
-        rotations.append(rotation)
-    return {"fl_x": 130.0, "frames": frames}, rotations
+    content = {"fl_x": 130.0, "frames": frames} | fields
+    (folder / "transforms.json").write_text(json.dumps(content))

@@ -62,7 +62,7 @@ def write_obj(boxes, to_file, name):
     }
 
 
-def write_ac(boxes, to_file, *, texture=None):
+def write_ac(boxes, to_file):
     """Bytes of an AC3D file; a box of four numbers as colour is that transparent."""
     lines = ["AC3Db"]
     for i, (_, _, color) in enumerate(boxes):
@@ -74,7 +74,6 @@ def write_ac(boxes, to_file, *, texture=None):
     lines += ["OBJECT world", f"kids {len(boxes)}"]
     for i, (name, corners, _) in enumerate(boxes):
         lines += ["OBJECT poly", f'name "{name}"', f"data {len(name)}", name]
-        lines += [f'texture "{texture}"'] if texture else []
         lines += ["numvert 8"]
         lines += ["{} {} {}".format(*v) for v in corners @ np.array(to_file).T]
         lines += ["numsurf 6"]

@@ -76,10 +76,7 @@ def assert_upright(path):
     return mesh
 
 
-def test_chairs_come_upright_with_colours_licence_and_origin(
-    tmp_path, monkeypatch, capsys
-):
-    store = install_commands(tmp_path, monkeypatch)
+def test_chairs_come_upright_with_colours_licence_and_origin(tmp_path, store, capsys):
     others = (("Wheelchair", "Misc"), ("Table", "Kitchen"), ("Seat Leon", "Vehicles"))
     items = [(name, name.lower(), category, "") for name, category in others]
     write_furniture(store, [*CHAIRS, *items])
@@ -117,10 +114,7 @@ def test_chairs_kept_for_testing_and_loungers_stay_out_of_training(
     assert {str(p) for p in found} == {"train/Lib-plain.ply", "reserved/Lib-round.ply"}
 
 
-def test_cars_have_their_wheels_in_place_and_the_reserved_stand_apart(
-    tmp_path, monkeypatch
-):
-    store = install_commands(tmp_path, monkeypatch)
+def test_cars_have_their_wheels_in_place_and_the_reserved_stand_apart(tmp_path, store):
     write_racing(store)
     vehicles = [("Seat Leon", "leon", "Vehicles", ""), ("Bus", "bus", "Vehicles", "")]
     write_furniture(store, [*vehicles, *CHAIRS])
@@ -152,8 +146,7 @@ def test_cars_have_their_wheels_in_place_and_the_reserved_stand_apart(
     assert authors["torcs-racer"] == "© 2002 Ann"
 
 
-def test_airplanes_lose_their_discs_and_keep_their_families(tmp_path, monkeypatch):
-    store = install_commands(tmp_path, monkeypatch)
+def test_airplanes_lose_their_discs_and_keep_their_families(tmp_path, store):
     disc = make_boxes()[0][1] * (0.01, 9, 9)
     planes = {
         name: {
@@ -262,8 +255,7 @@ def test_what_is_missing_is_told_in_one_sentence(
     assert not (tmp_path / "open/chair").exists()
 
 
-def test_damaged_and_foreign_packages_are_named(tmp_path, monkeypatch, capsys):
-    store = install_commands(tmp_path, monkeypatch)
+def test_damaged_and_foreign_packages_are_named(tmp_path, store, capsys):
     package = store / "sweethome3d-furniture_1.0-1_all.deb"
     package.write_bytes(b"no archive")
     assert fetch("chair", tmp_path) == 1
@@ -279,8 +271,7 @@ def test_damaged_and_foreign_packages_are_named(tmp_path, monkeypatch, capsys):
         assert error.count("\n") == 1
 
 
-def test_a_damaged_model_is_skipped_and_named(tmp_path, monkeypatch, capsys):
-    store = install_commands(tmp_path, monkeypatch)
+def test_a_damaged_model_is_skipped_and_named(tmp_path, store, capsys):
     write_furniture(store, [*CHAIRS, ("Chair", "broken", "Kitchen", "damaged")])
     assert fetch("chair", tmp_path) == 0
     out = capsys.readouterr().out

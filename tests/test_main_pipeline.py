@@ -395,8 +395,7 @@ def make_boxes(folder, count):
 
 def make_photos(folder, count):
     for i in range(count):
-        content, _ = write_photos(folder / f"object{i}", views=2 + i, seed=i)
-        (folder / f"object{i}" / "transforms.json").write_text(json.dumps(content))
+        write_photos(folder / f"object{i}", views=2 + i, seed=i)
     return str(folder)
 
 

@@ -15,7 +15,7 @@ import pytest
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 import dpc_jax
-from dpc_jax.render import devices
+from dpc_jax.render.devices import count_cores
 
 N, D = 20, 8
 GRID = dpc_jax.VoxelGrid(D)
@@ -156,7 +156,7 @@ HALF, WHOLE = PartitionSpec("a"), PartitionSpec()
         pytest.param(1, render, 1, id="one"),
         pytest.param(8, call(render, renders_at_once=0), 4, id="all at once"),
         pytest.param(5, call(render, renders_at_once=2), 3, id="two each, at once"),
-        pytest.param(5, jax.jit(render), 3, id="compiled"),
+        pytest.param(9, jax.jit(render), 3, id="compiled, three each"),
         pytest.param(8, lambda *i: render(*i, devices=jax.devices()[2:]), 2, id="two"),
         pytest.param(8, elsewhere, 4, id="arrays elsewhere"),
         pytest.param(8, on_default_device, 1, id="default device"),
@@ -207,15 +207,6 @@ def test_a_batch_has_blocks_for_the_example_that_touches_most():
         assert_close(call(points, rotations), jax.jit(call)(points, rotations))
 
 
-@pytest.mark.parametrize(
-    "batch_size, count, needed", [(8, 4, 4), (5, 4, 3), (9, 4, 3), (2, 4, 2), (1, 4, 1)]
-)
-def test_no_more_devices_are_taken_than_shorten_the_time(batch_size, count, needed):
-    chosen = devices.choose_mesh(jax.devices()[:1] * count, batch_size=batch_size)
-    assert chosen is not None
-    assert chosen.size == needed
-
-
 def test_devices_are_not_named_inside_a_mesh():
     mesh = jax.make_mesh((1,), ("a",), axis_types=(AxisType.Auto,))
     with jax.set_mesh(mesh), pytest.raises(ValueError, match="devices must be None"):
@@ -229,7 +220,7 @@ def test_cores_cannot_become_devices_once_jax_has_started():
         dpc_jax.use_all_cores(1000)
 
 
-@pytest.mark.parametrize("before, found", [("3", 3), (None, devices.count_cores())])
+@pytest.mark.parametrize("before, found", [("3", 3), (None, count_cores())])
 def test_all_cores_are_those_of_the_process_unless_the_environment_says(before, found):
     environment = {k: v for k, v in os.environ.items() if k != "JAX_NUM_CPU_DEVICES"}
     if before:
