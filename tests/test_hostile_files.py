@@ -54,13 +54,6 @@ def hold_a_lock_of_another_kind(folder, *, make):
 
 
 @tries(LINKED)
-def claim_a_linked_lock(folder):
-    _link(folder, ".shard.claim")
-    with files.claiming(folder / "shard"):
-        pass
-
-
-@tries(LINKED)
 def record_in_a_linked_file(folder):
     _link(folder, "metrics.jsonl")
     MetricLog(folder / "metrics.jsonl").write({"step": 1})
