@@ -10,7 +10,7 @@ from tiny_runs import tiny_config
 
 from dpc_jax import compare
 from dpc_jax.config import replace_fields, to_json
-from dpc_jax.reporting import comparison, style
+from dpc_jax.reporting import style
 from dpc_jax.reporting.comparison import write_comparison
 from dpc_jax.reporting.groups import ComparedRun, find_best, group_runs
 from dpc_jax.run.comparison import find_workdirs, name_absent, read_runs
@@ -101,8 +101,8 @@ def test_thirty_groups_have_looks_of_their_own_and_no_last_point_is_cut(
         ComparedRun(f"a-rather-long-name-{i}", fields={"x": i}, records=lines)
         for i in range(30)
     )
-    looks = {tuple(comparison._look(index).values()) for index in range(30)}
-    assert len(looks) == 30
+    looks = [style.pick_series(index) for index in range(30)]
+    assert len({(look["color"], look["linestyle"]) for look in looks}) == 30
     drawn = []
     monkeypatch.setattr(style, "save_figure", lambda f, path: drawn.append(f))
     page = write_comparison(tmp_path, groups).read_text(encoding="utf-8")

@@ -173,7 +173,8 @@ def draw_comparison(groups: Sequence[Group], path: Path) -> Path:
     for index, group in enumerate(groups):
         seeds = f" ({len(group.runs)} seeds)" if len(group.runs) > 1 else ""
         label = style.spell_name(group.name) + seeds
-        handles.append(Line2D([], [], lw=2.0, label=label, **_look(index)))
+        look = style.pick_series(index) | {"marker": ""}
+        handles.append(Line2D([], [], lw=2.0, label=label, **look))
     legend = style.add_legend(figure, handles=handles, ncols=names, handlelength=3.2)
     for index, line in enumerate(legend.get_lines()):
         line.set_gid(f"line-{index}-legend")
@@ -184,21 +185,10 @@ def draw_comparison(groups: Sequence[Group], path: Path) -> Path:
     return write_text(path.with_suffix(".svg"), buffer.getvalue())
 
 
-def _look(index: int) -> dict[str, Any]:
-    look = style.pick_series(index)
-    return {"color": look["color"], "linestyle": look["linestyle"]}
-
-
 def _draw_run(axes: Axes, run: ComparedRun, metric: str, index: int) -> None:
     seconds, values = find_curve(run.records, metric)
-    (line,) = axes.plot(
-        seconds / 60,
-        values,
-        lw=1.3,
-        marker="o",
-        markevery=slice(len(values) - 1, None),
-        ms=3.5,
-        clip_on=False,  # the last point lies on the edge
-        **_look(index),
-    )
+    look: dict[str, Any] = style.pick_series(index) | {"marker": "o"}
+    look |= {"markevery": slice(len(values) - 1, None), "ms": 3.5}
+    # The last point lies on the edge.
+    (line,) = axes.plot(seconds / 60, values, lw=1.3, clip_on=False, **look)
     line.set_gid(f"line-{index}-{metric}-{run.name}")

@@ -167,9 +167,8 @@ def read_alignment(workdir: Path) -> Alignment | None:
         rotation = np.array(fields.pop("rotation"), np.float64).reshape(4)
         if not 0.9 < np.linalg.norm(rotation) < 1.1:
             raise ValueError(f"{rotation.tolist()} is no unit quaternion")
-        numbers = dict.fromkeys(Alignment._fields[1:], np.nan)
-        numbers |= {name: float(value) for name, value in fields.items()}
-        return Alignment(rotation, **numbers)
+        names = Alignment._fields[1:]
+        return Alignment(rotation, *(float(fields.get(n, np.nan)) for n in names))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(
             f"Expected a rotation in {path}, but it cannot be read "
