@@ -106,15 +106,6 @@ def test_images_do_not_change_with_the_schedule_but_costs_do(trained):
     assert np.all(np.abs(first.costs / last.costs - 1) > 1e-3)
 
 
-def test_a_diagnosis_needs_true_poses(trained):
-    dataset, whole, _, _ = trained
-    frame = identity_alignment()
-    found = evaluator.diagnose(whole, dataset, alignment=frame)
-    assert found is not None and "wrong_object_share" in found.metrics
-    without = dataset._replace(quaternions=None)
-    assert evaluator.diagnose(whole, without, alignment=frame) is None
-
-
 def test_views_of_unequal_models_are_predicted_and_scored_one_by_one(trained):
     dataset, whole, predict, _ = trained
     options = dict(alignment=identity_alignment())
@@ -151,6 +142,11 @@ def test_without_shapes_chamfer_is_left_out_and_overlap_given(trained):
     assert np.isnan(alignment.chamfer)
     result = evaluator.score(whole, dataset, alignment=alignment, chamfer_views=1)
     assert "pose_accuracy" in result.metrics and result.chamfers is None
+    assert result.failures is not None
+    costs = result.failures.metrics["truth_cheaper_share"]
+    wrong = result.pose_errors_deg > 30
+    cheaper = whole.costs[..., 1] < whole.costs[..., 0]
+    assert costs == pytest.approx(np.mean(cheaper[wrong]))
     assert not {"chamfer", "precision", "coverage"} & result.metrics.keys()
     masks = dataset.masks.reshape(3, 3, 8, 2, 8, 2).mean((3, 5)) / 255.0
     low = np.minimum(masks, whole.silhouettes).sum((2, 3))
@@ -166,6 +162,6 @@ def test_without_poses_only_the_overlap_is_left(trained):
     result = evaluator.score(predictions, dataset, alignment=alignment)
     names = {"silhouette_iou", "projection_error", "stray_points"}
     assert set(result.metrics) == names
-    assert result.pose_errors_deg is None
+    assert result.pose_errors_deg is result.failures is None
     text = describe_metrics(result.metrics, share_digits=2)
     assert text.startswith("silhouette overlap 0.")

@@ -10,7 +10,12 @@ from scipy.spatial import KDTree
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
 from dpc_jax.evaluation.chamfer import Chamfer, chamfer_distance, check_points
 from dpc_jax.evaluation.density import densify
-from dpc_jax.evaluation.pose import pose_summary, rotation_angle_deg
+from dpc_jax.evaluation.pose import (
+    Failures,
+    find_failures,
+    pose_summary,
+    rotation_angle_deg,
+)
 
 
 class Scores(NamedTuple):
@@ -26,6 +31,7 @@ class Scores(NamedTuple):
     pose_errors_deg: np.ndarray | None = None  # [n, V] of each view's predicted pose
     # [n, views scored, 2] precision and coverage, object units, not times 100
     chamfers: np.ndarray | None = None
+    failures: Failures | None = None  # of the predicted poses
 
 
 def score(
@@ -39,6 +45,7 @@ def score(
     chamfer_views: int | None = None,
     seen: Sequence[ArrayLike] | None = None,
     dense_points: int = 0,
+    costs: ArrayLike | None = None,
 ) -> Scores:
     """Score predictions on a test set (paper, section Evaluation metrics).
 
@@ -60,15 +67,18 @@ def score(
         None: not known. An object without any is compared as a whole.
       dense_points: of the dense clouds that are scored beside the predicted ones; no
         more than these have: none are.
+      costs: see `find_failures`.
 
     Raises:
       ValueError: quaternions that are zero or not finite; points that are not finite.
     """
     if true_poses is None:
         return Scores({})
-    metrics, errors = {}, None
+    metrics, errors, failures = {}, None, None
     if predicted_poses is not None:
-        errors = rotation_angle_deg(align_poses(alignment, predicted_poses), true_poses)
+        aligned = align_poses(alignment, predicted_poses)
+        failures = find_failures(aligned, true_poses, costs=costs)
+        errors = failures.errors_deg
         summary = pose_summary(errors)
         metrics = {
             "pose_accuracy": summary.accuracy,
@@ -82,7 +92,7 @@ def score(
         metrics["best_candidate_pose_median_error_deg"] = best.median_error_deg
 
     if surfaces is None:
-        return Scores(metrics, errors)
+        return Scores(metrics, errors, failures=failures)
     clouds = np.asarray(points)[:, :chamfer_views]
     chamfers = np.empty((*clouds.shape[:2], 2))
     visible, dense = np.empty_like(chamfers), np.empty_like(chamfers)
@@ -106,4 +116,4 @@ def score(
     for prefix, distances in found.items():
         mean = Chamfer(*distances.mean(axis=(0, 1)).tolist()).in_paper_units()
         metrics |= {prefix + name: value for name, value in mean.items()}
-    return Scores(metrics, errors, chamfers)
+    return Scores(metrics, errors, chamfers, failures)

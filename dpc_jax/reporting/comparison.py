@@ -173,7 +173,7 @@ def draw_comparison(groups: Sequence[Group], path: Path) -> Path:
     for index, group in enumerate(groups):
         seeds = f" ({len(group.runs)} seeds)" if len(group.runs) > 1 else ""
         label = style.spell_name(group.name) + seeds
-        look = style.pick_series(index) | {"marker": ""}
+        look: dict[str, Any] = style.pick_series(index) | {"marker": ""}
         handles.append(Line2D([], [], lw=2.0, label=label, **look))
     legend = style.add_legend(figure, handles=handles, ncols=names, handlelength=3.2)
     for index, line in enumerate(legend.get_lines()):

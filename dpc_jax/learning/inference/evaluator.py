@@ -7,7 +7,6 @@ from dpc_jax.data import DataSet
 from dpc_jax.evaluation import alignment as alignments
 from dpc_jax.evaluation import images, scores
 from dpc_jax.evaluation.density import count_stray_points
-from dpc_jax.evaluation.pose import Failures, find_failures
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.learning.signals import find_background, make_targets
 
@@ -72,6 +71,7 @@ def score(
         chamfer_views=chamfer_views,
         seen=seen,
         dense_points=dense_points,
+        costs=predictions.costs,
     )
     clouds = np.asarray(predictions.points)[:, :chamfer_views]
     stray = [count_stray_points(cloud) for row in clouds for cloud in row]
@@ -85,21 +85,6 @@ def score(
         "stray_points": float(np.mean(stray)),
     }
     return result._replace(metrics=result.metrics | found)
-
-
-def diagnose(
-    predictions: Predictions, dataset: DataSet, *, alignment: alignments.Alignment
-) -> Failures | None:
-    """What the wrong views are; None for data without poses.
-
-    Args:
-      predictions: made with that alignment as their frame.
-    """
-    poses, _ = arrange_truth(dataset)
-    if poses is None:
-        return None
-    found = alignments.align_poses(alignment, predictions.poses)
-    return find_failures(found, poses, costs=predictions.costs)
 
 
 def measure_overlaps(predictions: Predictions, dataset: DataSet) -> np.ndarray:

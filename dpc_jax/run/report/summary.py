@@ -52,9 +52,8 @@ def report_run(
       refined: of `measure_refinement`, where it was asked for.
     """
     test = sets["test"]
-    judged, failures = _judge(predictions, test, config, alignment, threshold), None
-    if not config.pose.known:
-        failures = evaluator.diagnose(predictions, test, alignment=alignment)
+    judged = _judge(predictions, test, config, alignment, threshold)
+    failures = judged.scores.failures
     models, _ = arrange_views(test)
     lost = failures.wrong_objects if failures else ()
     lost = [test.names[models[row, 0]] for row in lost]
