@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from dpc_jax import stability
-from dpc_jax.measure.stability import DTYPES, SUBJECTS, descents, loss_cases, runner
-from dpc_jax.measure.stability.case import Case, Row
-from dpc_jax.measure.stability.random_draws import (
-    LARGEST,
-    TARGETS,
-    Range,
-    Target,
-    between,
-    run_targets,
+from dpc_jax.measure.stability import (
+    DTYPES,
+    SUBJECTS,
+    descents,
+    loss_cases,
+    random_draws,
+    runner,
 )
+from dpc_jax.measure.stability.case import Case, Row
+from dpc_jax.measure.stability.random_draws import Range, Target
 from dpc_jax.measure.stability.runner import compare, run_cases, tabulate
 
 # Ordinary scenes, sums, all draws and long descents are left to the slow test.
@@ -40,9 +40,9 @@ def make_case(function, **changes):
     return Case(**values | changes)
 
 
-def run_made_up(case, *dtypes):
+def run_made_up(case, *dtypes, quick=True):
     with jax.debug_nans(False):
-        return list(run_cases("made up", [case], dtypes=dtypes or None, quick=True))
+        return list(run_cases("made up", [case], dtypes=dtypes or None, quick=quick))
 
 
 def describe_failures(rows):
@@ -73,7 +73,7 @@ def test_stiff_descents_stay_finite_and_the_best_recipes_fall():
 
 
 def test_a_right_function_passes_in_every_dtype_under_jit_and_vmap():
-    rows = list(run_cases("made up", [make_case(lambda x: x * x)]))
+    rows = run_made_up(make_case(lambda x: x * x), quick=False)
     assert [row.dtype for row in rows] == list(DTYPES)
     assert all(row.passes and row.is_finite for row in rows)
 
@@ -97,12 +97,9 @@ def test_a_wrong_function_fails(function, fields, is_finite, wrong):
     (row,) = run_made_up(make_case(function, **fields), "float32")
     assert not row.passes and row.is_finite == is_finite
     assert [name for name, ratio in row.ratios.items() if not ratio <= 1] == wrong
-
-
-def test_errors_are_relative_to_the_largest_number():
-    (row,) = run_made_up(make_case(lambda x: 1.001 * x * x), "float32")
-    assert row.value_error == pytest.approx(1e-3, rel=1e-3)
-    assert row.gradient_error == pytest.approx(1e-3, rel=1e-3)
+    if len(wrong) == 2 and is_finite:  # relative to the largest number
+        assert row.value_error == pytest.approx(1e-3, rel=1e-3)
+        assert row.gradient_error == pytest.approx(1e-3, rel=1e-3)
 
 
 def test_nan_fails_even_where_results_only_have_to_be_finite():
@@ -112,13 +109,10 @@ def test_nan_fails_even_where_results_only_have_to_be_finite():
     assert not Row("descent", "lost", "float32", float("nan"), 1.0).passes
 
 
-def test_an_oracle_that_is_not_finite_judges_nothing():
-    with pytest.raises(AssertionError, match="judges nothing"):
-        run_made_up(make_case(lambda x: x, oracle=lambda x: x + np.inf), "float32")
-
-
-def test_an_output_of_another_shape_is_infinitely_wrong():
+def test_another_shape_is_infinitely_wrong_and_a_lost_oracle_judges_nothing():
     assert compare([np.ones(2)], [np.ones(3)], "float32") == np.inf
+    with pytest.raises(AssertionError, match="judges nothing"):
+        compare([np.ones(2)], [np.full(2, np.inf)], "float32")
 
 
 def test_derivatives_of_oracles_have_all_digits():
@@ -133,8 +127,8 @@ def test_derivatives_of_oracles_have_all_digits():
 
 
 def test_random_draws_break_no_function():
-    targets = [t for t in TARGETS if any(c in t.name for c in CHEAP)]
-    rows = list(run_targets(targets, draws=100))
+    targets = [t for t in random_draws.TARGETS if any(c in t.name for c in CHEAP)]
+    rows = list(random_draws.run(targets))
     assert len(rows) == len(targets) == len(CHEAP)
     assert not describe_failures(rows)
 
@@ -146,11 +140,14 @@ def test_a_function_that_draws_break_is_named_with_the_draw():
     broken = [
         Target("an overflow", lambda x: x * 2, (Range((2,)),)),
         Target("a slope at zero", jnp.sqrt, (Range((), 0, 1, (0, 1)),)),
-        Target("a promise", lambda x: x, (Range((3,), 0, 2, (0, 2)),), between(0, 1)),
+        Target(
+            "a promise",
+            *(lambda x: x, (Range((3,), 0, 2, (0, 2)),), random_draws.between(0, 1)),
+        ),
         Target("numpy's", divide, (Range((), 0, 5, (0, 5)),), is_traced=False),
     ]
     with jax.debug_nans(False):
-        rows = list(run_targets(broken, draws=200))
+        rows = list(random_draws.run(broken))
     assert not any(row.passes for row in rows)
     overflow, slope, promise, of_numpy = (row.describe_failure() for row in rows)
     assert "finite did not hold" in overflow and "finite did not hold" in of_numpy
@@ -159,35 +156,38 @@ def test_a_function_that_draws_break_is_named_with_the_draw():
 
 
 def test_draws_reach_the_ends_of_the_float_range():
-    drawn = Range((4,)).draw(np.random.default_rng(0), 1000)
-    assert drawn.dtype == np.float32 and np.isfinite(drawn).all()
-    sizes = np.abs(drawn)
-    assert sizes.max() == LARGEST and (sizes == 0).any()
-    tiny = np.finfo(np.float32).tiny
-    assert ((sizes > 0) & (sizes < tiny)).any()  # subnormal
-    assert (sizes <= 0.5).all(axis=1).any()  # ordinary numbers alone
-    narrow = Range((9,), 0, 2, (0, 1), smallest=0.1)
-    drawn = narrow.draw(np.random.default_rng(0), 100)
+    rng = np.random.default_rng(0)
+    drawn = np.abs(Range((4,)).draw(rng, 1000))
+    assert (
+        drawn.dtype == np.float32
+        and drawn.min() == 0
+        and drawn.max() == random_draws.LARGEST
+    )
+    assert ((drawn > 0) & (drawn < np.finfo(np.float32).tiny)).any()  # subnormal
+    assert (drawn <= 0.5).all(axis=1).any()  # ordinary numbers alone
+    drawn = Range((9,), 0, 2, (0, 1), smallest=0.1).draw(rng, 100)
     assert drawn.min() == 0 and drawn.max() == 2
     assert not ((drawn > 0) & (drawn < 0.1)).any()
 
 
-def judge(is_best=True, losses=(2.0, 1.0), pose_error=7.0):
-    """Names of the rows that fail of a descent with these errors."""
+@pytest.mark.parametrize(
+    "is_best, last_loss, pose_error, failing",
+    [
+        (True, 1, 7, []),
+        (True, 3, 7, [": last loss over first"]),
+        (True, 1, 9, [": pose error (degrees)"]),
+        # Others may crawl, but stay finite.
+        (False, 3, 90, []),
+        (False, np.inf, 7, [": last loss over first"]),
+    ],
+)
+def test_the_best_recipe_is_held_to_its_bounds(is_best, last_loss, pose_error, failing):
     plain = np.ones((2, 6))
-    errors = descents.Errors(*(np.outer(losses, np.ones(6)), plain, np.ones(2), plain))
-    measures = {"pose error (degrees)": [np.array([30.0, pose_error])]}
+    losses = np.outer((2.0, last_loss), np.ones(6))
+    errors = descents.Errors(losses, plain, np.ones(2), plain)
+    measures = {"pose error (degrees)": [pose_error]}
     rows = descents.judge("", [errors], measures, descents.FULL, is_best)
-    return [row.case.removeprefix(": ") for row in rows if not row.passes]
-
-
-def test_the_best_recipe_is_held_to_its_bounds():
-    assert judge() == []
-    assert judge(losses=(1.0, 2.0)) == ["last loss over first"]
-    assert judge(pose_error=9.0) == ["pose error (degrees)"]
-    # Others may crawl, but stay finite.
-    assert judge(is_best=False, losses=(1.0, 2.0), pose_error=90.0) == []
-    assert judge(is_best=False, losses=(1.0, np.inf)) == ["last loss over first"]
+    assert [row.case for row in rows if not row.passes] == failing
 
 
 # The command.
@@ -208,6 +208,10 @@ def run(folder, *flags):
     return stability.main([f"--out={folder}", *flags])
 
 
+def read_json(folder):
+    return json.loads((folder / "stability.json").read_text())
+
+
 def test_the_command_writes_its_tables_and_ends_with_status_0(
     tmp_path, install, capsys
 ):
@@ -217,11 +221,10 @@ def test_the_command_writes_its_tables_and_ends_with_status_0(
     report = (tmp_path / "stability.md").read_text()
     for text in ("2 of 2 rows are within", "jax 0", "seed 0", "a square is smooth"):
         assert text in report
-    data = json.loads((tmp_path / "stability.json").read_text())
-    assert data["passes"] and not data["failures"]
+    data = read_json(tmp_path)
+    assert data["passes"] and not data["failures"] and data["seconds"]["loss"] > 0
     assert [row["dtype"] for row in data["rows"]] == ["float32", "float16"]
     assert all(row["because"] == "one product" for row in data["rows"])
-    assert data["seconds"]["loss"] > 0
 
 
 def test_a_wrong_function_is_named_and_ends_with_status_1(tmp_path, install, capsys):
@@ -230,7 +233,7 @@ def test_a_wrong_function_is_named_and_ends_with_status_1(tmp_path, install, cap
     printed = capsys.readouterr().out
     assert "Outside tolerance: loss, a square, float32: the error of" in printed
     assert "0 of 2 rows" in (tmp_path / "stability.md").read_text()
-    data = json.loads((tmp_path / "stability.json").read_text())
+    data = read_json(tmp_path)
     assert not data["passes"] and len(data["failures"]) == 2
     infinite = data["rows"][1]
     assert infinite["value_error"] is None and infinite["is_finite"] is False
@@ -238,17 +241,13 @@ def test_a_wrong_function_is_named_and_ends_with_status_1(tmp_path, install, cap
 
 @pytest.mark.parametrize(
     "flag, known",
-    [
-        ("--subjects=rays", "rotation, camera"),
-        ("--dtypes=float8", "float64, float32"),
-        ("--subjects=", "rotation, camera"),
-    ],
+    [("--subjects=rays", "rotation, camera"), ("--dtypes=float8", "float64, float32")],
 )
 def test_an_unknown_name_is_refused_in_a_sentence(tmp_path, capsys, flag, known):
     assert run(tmp_path / "out", flag) == 2
     error = capsys.readouterr().err
     assert error.startswith("Error: ") and known in error
-    assert "Traceback" not in error and not (tmp_path / "out").exists()
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_interrupted_run_keeps_the_subjects_that_are_done(
@@ -262,7 +261,7 @@ def test_an_interrupted_run_keeps_the_subjects_that_are_done(
     monkeypatch.setattr(runner, "run_subject", run_subject)
     assert run(tmp_path, "--subjects=random,sum") == 130
     assert "subjects are in" in capsys.readouterr().err
-    (row,) = json.loads((tmp_path / "stability.json").read_text())["rows"]
+    (row,) = read_json(tmp_path)["rows"]
     assert row["subject"] == "sum"
 
 
@@ -276,7 +275,7 @@ def test_the_quick_form_runs_fast_cases_in_float32_under_vmap(tmp_path, install)
     install(make_case(square), make_case(square, name="slow", is_slow=True))
     assert run(tmp_path, "--quick") == 0
     assert seen == ["float32"]  # traced once, which is for `vmap` alone
-    (row,) = json.loads((tmp_path / "stability.json").read_text())["rows"]
+    (row,) = read_json(tmp_path)["rows"]
     assert row["dtype"] == "float32" and row["case"] == "a square"
     assert "--quick" in (tmp_path / "stability.md").read_text()
     assert run(tmp_path, "--quick", "--dtypes=float16") == 0

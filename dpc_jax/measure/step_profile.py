@@ -8,6 +8,7 @@ and the median of the processor time of a step. For a number of one thread start
 """
 
 import argparse
+import runpy
 import statistics
 import sys
 import time
@@ -17,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpc_jax.config import Config, build_config
+from dpc_jax.config import Config, from_config_dict, list_shipped
 from dpc_jax.learning import schedules
 from dpc_jax.learning.batches import repeat_seed
 from dpc_jax.learning.step import init_state, make_train_step
@@ -26,35 +27,29 @@ from dpc_jax.reporting.tables import format_table
 from dpc_jax.run.process import keep_freed_memory
 from dpc_jax.run.setup import make_network
 
-CAR = {  # as in configs/car.py
-    "render": {"num_points": 4000, "keep_end": 0.5},
-    "network": {"shape_hidden": 256},
-    "train": {"repulsion_weight": 8.0},
-}
 
-
-def draw_batch(config: Config, *, seed: int = 0) -> dict[str, np.ndarray]:
+def _draw_batch(config) -> dict[str, jax.Array]:
     """A batch of random images and poses; each mask is a disc."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     shape = config.train.models_per_batch, config.train.views_per_batch
     size = config.data.image_size
     place = np.linalg.norm(np.indices((size, size)) - (size - 1) / 2, axis=0)
+    disc = np.where(place < size / 3, 255, 0).astype(np.uint8)
     poses = rng.normal(size=(*shape, 4)).astype(np.float32)
-    return {
+    batch = {
         "images": rng.integers(0, 256, (*shape, size, size, 3), np.uint8),
-        "masks": np.broadcast_to(
-            np.where(place < size / 3, 255, 0).astype(np.uint8), (*shape, size, size)
-        ),
+        "masks": np.broadcast_to(disc, (*shape, size, size)),
         "quaternions": poses / np.linalg.norm(poses, axis=-1, keepdims=True),
-        "seeds": repeat_seed(seed, shape[0]),
+        "seeds": repeat_seed(0, shape[0]),
     }
+    return {name: jnp.asarray(array) for name, array in batch.items()}
 
 
 def measure_step(config: Config, step: int, *, rounds: int) -> dict[str, float]:
     """The columns of the table, by their heads, for the step with this number."""
     network = make_network(config)
     state = init_state(network, config)._replace(step=jnp.asarray(step, jnp.int32))
-    batch = {name: jnp.asarray(array) for name, array in draw_batch(config).items()}
+    batch = _draw_batch(config)
     stage = schedules.find_stage(step, config.render, steps=config.train.steps)
     begin = time.perf_counter()
     compiled = make_train_step(network, config, stage).lower(state, batch).compile()
@@ -83,15 +78,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, nargs="+", default=[0, 3000, 3900, 5500])
     parser.add_argument("--rounds", type=int, default=15)
     flags = parser.parse_args(arguments)
-    config = build_config("car", flags.variant, CAR)
-    is_in_run = all(0 <= step < config.train.steps for step in flags.steps)
-    if not is_in_run or flags.rounds < 1:
-        print(
-            f"Error: Expected steps from 0 to {config.train.steps - 1} and at least "
-            f"one round, but {flags.steps} and {flags.rounds} came; give others.",
-            file=sys.stderr,
+    make = runpy.run_path(str(list_shipped()["car"]))["get_config"]
+    config = from_config_dict(make(flags.variant))
+    steps = range(config.train.steps)
+    if not all(step in steps for step in flags.steps) or flags.rounds < 1:
+        parser.error(
+            f"Expected steps from 0 to {steps[-1]} and at least one round, but "
+            f"{flags.steps} and {flags.rounds} came; give others."
         )
-        return 1
     keep_freed_memory()
     columns = [measure_step(config, s, rounds=flags.rounds) for s in flags.steps]
     rows = [

@@ -10,6 +10,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from dpc_jax.render.devices import count_cores
+
 # Those flags of a processor that decide the speed of a matrix product.
 _FLAGS = ("avx2", "fma", "avx512f", "avx512_bf16", "amx_bf16", "asimd", "sve")
 
@@ -39,8 +41,11 @@ def time_interleaved(
     return seconds
 
 
-def take_medians(seconds: Mapping[str, list[float]]) -> dict[str, float]:
-    """Median seconds of each call."""
+def measure_medians(
+    calls: Mapping[str, Callable[[], Any]], *, rounds: int
+) -> dict[str, float]:
+    """Median seconds of each call, which take turns."""
+    seconds = time_interleaved(calls, rounds=rounds)
     return {name: float(np.median(values)) for name, values in seconds.items()}
 
 
@@ -52,12 +57,10 @@ def describe_machine() -> dict[str, Any]:
         name, _, value = line.partition(":")
         fields.setdefault(name.strip(), value.strip())
     flags = fields.get("flags", fields.get("Features", "")).split()
-    has_affinity = hasattr(os, "sched_getaffinity")
-    cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count()
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {
         "processor": fields.get("model name", platform.machine()),
-        "cores": cores,
+        "cores": count_cores(),
         "flags": [flag for flag in _FLAGS if flag in flags],
         "system": platform.system(),
         "python": platform.python_version(),

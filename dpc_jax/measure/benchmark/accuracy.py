@@ -32,18 +32,16 @@ class Setting(NamedTuple):
     family: str  # name of the settings that differ from this one in one number
     label: str
     method: str  # of `project`
-    shape: tuple[int, int, int]  # rows, cols, depth
+    side: int  # cells of the grid along each axis
     is_compensated: bool = False  # whether sigma is that of `compensate_widening`
     dtype: str = "float32"
 
 
 def list_settings(plan: Plan) -> list[Setting]:
     """All settings of a plan."""
-    side = plan.base_side
-    base = (side, side, side)
     settings = [
-        Setting(family, f"{family}, {n}³", method, (n, n, n), is_compensated)
-        for n in plan.sides
+        Setting(family, f"{family}, {side}³", method, side, is_compensated)
+        for side in plan.sides
         for family, method, is_compensated in (
             ("trilinear", "trilinear", False),
             ("trilinear, compensated", "trilinear", True),
@@ -52,9 +50,10 @@ def list_settings(plan: Plan) -> list[Setting]:
             ("gaussian", "gaussian", False),
         )
     ]
+    side = plan.base_side
     for method, dtype in plan.dtypes:
         label = f"{method}, {side}³, {dtype}"
-        settings.append(Setting("other dtypes", label, method, base, dtype=dtype))
+        settings.append(Setting("other dtypes", label, method, side, dtype=dtype))
     return settings
 
 
@@ -79,20 +78,17 @@ def measure_scene(
         for i, kind in enumerate(("image", "gradient"))
     }
     exact = {
-        shape: _compute_exact(scene, sigma, shape, plan, target)
-        for shape in dict.fromkeys([(side, side, side), *(s.shape for s in settings)])
+        n: _compute_exact(scene, sigma, n, plan, target)
+        for n in {side, *(s.side for s in settings)}
     }
     records = []
     for setting in settings:
         image, (gradient, _) = (call() for call in calls[setting.label])
-        outcome = {"image": image, "gradient": gradient}
         record: dict[str, Any] = {"scene": scene.name, "sigma": sigma}
         record |= {"family": setting.family, "setting": setting.label}
-        references = {"": exact[side, side, side], "_same_grid": exact[setting.shape]}
-        for kind in ("image", "gradient"):
-            for suffix, reference in references.items():
-                error = measure_distance(outcome[kind], reference[kind])
-                record[f"{kind}_error{suffix}"] = error
+        for kind, found in (("image", image), ("gradient", gradient)):
+            for name, n in zip(ERRORS, (side, setting.side), strict=True):
+                record[f"{kind}_{name}"] = measure_distance(found, exact[n][kind])
             seconds = times[kind][setting.label]
             record[f"{kind}_seconds"] = float(np.median(seconds))
             record[f"{kind}_rounds"] = len(seconds)
@@ -102,12 +98,11 @@ def measure_scene(
 
 def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
     """Calls that give the image, and the gradient with the image, of a setting."""
-    image, gradient = _make_programs(setting.method, setting.shape, min(plan.sides))
-    rows = setting.shape[0]
+    image, gradient = _make_programs(setting.method, setting.side, min(plan.sides))
     # Exponent 2: grids are compared by how near they come to the same image, so the
     # optical depth along a ray has to stay. Learning keeps the density instead.
-    _, mass = scale_sizes(sigma, scene.mass, rows / _MASS_SIDE, exponent=2)
-    sigma, _ = scale_sizes(sigma, mass, rows / plan.base_side, exponent=2)
+    _, mass = scale_sizes(sigma, scene.mass, setting.side / _MASS_SIDE, exponent=2)
+    sigma, _ = scale_sizes(sigma, mass, setting.side / plan.base_side, exponent=2)
     if setting.is_compensated:
         sigma = float(compensate_widening(sigma))
     values = (scene.points, scene.pose, mass, sigma, target)
@@ -123,12 +118,12 @@ def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
 
 
 @functools.lru_cache
-def _make_programs(method, shape, blocks):
+def _make_programs(method, side, blocks):
     """Compiled once for all scenes: sigma, mass and target are inputs."""
 
     def render(points, pose, mass, sigma):
-        image = render_ours((points, pose, mass), sigma, side=shape, method=method)
-        tiles = image.reshape(blocks, shape[0] // blocks, blocks, shape[1] // blocks)
+        image = render_ours((points, pose, mass), sigma, side=side, method=method)
+        tiles = image.reshape(blocks, side // blocks, blocks, side // blocks)
         return jnp.mean(tiles, axis=(1, 3))
 
     def compute_loss(points, pose, mass, sigma, target):
@@ -138,9 +133,9 @@ def _make_programs(method, shape, blocks):
     return jax.jit(render), jax.jit(jax.grad(compute_loss, has_aux=True))
 
 
-def _compute_exact(scene, sigma, shape, plan, target) -> dict[str, np.ndarray]:
+def _compute_exact(scene, sigma, side, plan, target) -> dict[str, np.ndarray]:
     """Image [C, C] and gradient [N, 3] of the gaussian method in float64."""
-    setting = Setting("exact", "exact", "gaussian", shape, dtype="float64")
+    setting = Setting("exact", "exact", "gaussian", side, dtype="float64")
     _, call = _prepare(scene, sigma, setting, plan, target)
     gradient, image = call()
     return {"image": np.asarray(image), "gradient": np.asarray(gradient)}
@@ -149,8 +144,7 @@ def _compute_exact(scene, sigma, shape, plan, target) -> dict[str, np.ndarray]:
 def _compute_target(scene, sigma, plan) -> np.ndarray:
     """An image from the other pose. Any would do, so this is the cheapest."""
     turned = scene._replace(pose=scene.target_pose)
-    side = plan.base_side
-    setting = Setting("target", "target", "trilinear", (side, side, side))
+    setting = Setting("target", "target", "trilinear", plan.base_side)
     image, _ = _prepare(turned, sigma, setting, plan, np.zeros(()))
     return np.asarray(image(), np.float64)
 

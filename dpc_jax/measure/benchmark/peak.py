@@ -14,18 +14,17 @@ from typing import Any
 import jax
 
 from dpc_jax.measure.benchmark import speed
-from dpc_jax.measure.benchmark.plan import Case, MemoryCase
+from dpc_jax.measure.benchmark.plan import Case
 from dpc_jax.render import VoxelGrid, estimate_memory
 
 
-def measure_case(memory_case: MemoryCase, *, seed: int) -> dict[str, Any]:
+def measure_case(case: Case, method: str, limit_gb: float | None) -> dict[str, Any]:
     """Peak of one workload in bytes, beside the estimate of `estimate_memory`.
 
     Raises:
       RuntimeError: the process that runs the workload fails.
     """
-    case, method = memory_case.case, memory_case.method
-    request = dataclasses.asdict(case) | {"method": method, "seed": seed}
+    request = dataclasses.asdict(case) | {"method": method}
     number = jax.ShapeDtypeStruct((), "float32")
     estimate = estimate_memory(
         jax.ShapeDtypeStruct((case.points, 3), "float32"),
@@ -40,7 +39,7 @@ def measure_case(memory_case: MemoryCase, *, seed: int) -> dict[str, Any]:
         "case": str(case),
         "method": method,
         "extra_bytes": run_alone(request) - run_alone(None),
-        "limit_bytes": memory_case.limit_gb and int(memory_case.limit_gb * 1e9),
+        "limit_bytes": limit_gb and int(limit_gb * 1e9),
         "estimate_bytes": estimate.total,  # of one sample
         "all_cells_bytes": 4 * case.points * case.side**3,  # what N·D³ would take
     }
@@ -78,6 +77,6 @@ def read_peak() -> int:
 if __name__ == "__main__":
     wanted = json.loads(sys.argv[1])
     if wanted is not None:
-        options = {name: wanted.pop(name) for name in ("method", "seed")}
-        jax.block_until_ready(speed.prepare_render(Case(**wanted), **options)())
+        method = wanted.pop("method")
+        jax.block_until_ready(speed.prepare_render(Case(**wanted), method=method)())
     print(read_peak())

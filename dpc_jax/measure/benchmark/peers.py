@@ -2,9 +2,9 @@
 
 The same silhouettes by the same steps as the engine: each point adds to its eight
 neighbours, products with the kernel's Toeplitz matrix smooth the volume, a product
-along each ray ends it. In JAX only the rotation and the camera are taken from the
-engine, and the product has its own derivative rule; in PyTorch every derivative is its
-own, and a batch is rendered at once.
+along each ray ends it. In JAX the rotation, the camera and the product, which has its
+own derivative rule, are the engine's; in PyTorch every derivative is its own, and a
+batch is rendered at once.
 """
 
 import importlib.util
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
+from dpc_jax.render.termination import opacity
 
 CORNERS = tuple(itertools.product((0, 1), repeat=3))
 
@@ -47,27 +48,7 @@ def render_plain(sample: Sample, sigma: jax.Array, *, side: int) -> jax.Array:
     kernel = kernel / jnp.sum(jnp.exp(-0.5 * (far / sigma) ** 2))
     volume = jnp.matmul(kernel, volume @ kernel)
     volume = (kernel @ volume.reshape(side, -1)).reshape(volume.shape)
-    return _end_rays(jnp.clip(volume, 0, 1))
-
-
-@jax.custom_vjp
-def _end_rays(occupancy):
-    return 1 - jnp.prod(1 - occupancy, axis=-1)
-
-
-def _end_rays_backward(occupancy, cotangent):
-    """Product of all other factors: by division, except where a factor is zero."""
-    free = 1 - occupancy
-    is_zero = free == 0
-    zeros = jnp.sum(is_zero, axis=-1, keepdims=True)
-    safe = jnp.where(is_zero, 1, free)
-    product = jnp.prod(safe, axis=-1, keepdims=True)
-    lone = jnp.where(is_zero & (zeros == 1), product, 0)
-    others = jnp.where(zeros == 0, product / safe, lone)
-    return (others * cotangent[..., None],)
-
-
-_end_rays.defvjp(lambda o: (_end_rays(o), o), _end_rays_backward)
+    return opacity(jnp.clip(volume, 0, 1))
 
 
 def has_torch() -> bool:
@@ -94,7 +75,10 @@ def _render_in_torch(torch, inputs, sigma, side):
     points, quaternions, masses = inputs
     camera = Camera()
     batch, padded = points.shape[0], side + 2
-    moved = torch.bmm(points, _turn_to_matrix(torch, quaternions).transpose(1, 2))
+    w, v = (quaternions / quaternions.norm(dim=-1, keepdim=True)).split([1, 3], -1)
+    w, v = w[:, None], v[:, None].expand_as(points)
+    turned = torch.linalg.cross(v, points)  # p + 2w(v×p) + 2v×(v×p)
+    moved = points + 2 * (w * turned + torch.linalg.cross(v, turned))
     x, y, depth = moved.unbind(-1)
     zoom = camera.focal_length / (depth + camera.distance)
     place = (torch.stack([y * zoom, x * zoom, depth], -1) + 0.5) * side - 0.5
@@ -124,14 +108,3 @@ def _render_in_torch(torch, inputs, sigma, side):
     volume = kernel @ (volume @ kernel)
     volume = (kernel @ volume.reshape(batch, side, -1)).reshape(volume.shape)
     return 1 - torch.prod(1 - volume.clamp(0, 1), -1)
-
-
-def _turn_to_matrix(torch, quaternions):
-    """Rotation matrices [B, 3, 3] of quaternions wxyz [B, 4] of any length."""
-    w, x, y, z = (quaternions / quaternions.norm(dim=-1, keepdim=True)).unbind(-1)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return torch.stack([torch.stack(row, -1) for row in rows], -2)

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 
 PARTS = ("speed", "sizes", "error", "scaling", "memory")
+SEED = 0  # of all that is drawn
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,20 +21,10 @@ class Case:
 
 
 @dataclasses.dataclass(frozen=True)
-class MemoryCase:
-    """A workload of which the peak is taken; `limit_gb` None where none is set."""
-
-    case: Case
-    method: str
-    limit_gb: float | None
-
-
-@dataclasses.dataclass(frozen=True)
 class Plan:
     """Sizes of one run of the benchmark."""
 
     rounds: int  # of each measurement; medians are reported
-    seed: int
     cases: tuple[Case, ...]  # of the speed table
     candidates: Case  # workload of the choice among `num_candidates`
     num_candidates: int
@@ -50,17 +41,13 @@ class Plan:
     budget_seconds: float  # after so much time a setting gets no further round
     scaling_base: Case  # the scaling values change one number of this
     scaling: Mapping[str, tuple[int, ...]]  # values by axis
-    memory: tuple[MemoryCase, ...]
+    # Workloads whose peak is taken: method, and limit in GB where one is set
+    memory: tuple[tuple[Case, str, float | None], ...]
 
 
 FULL = Plan(
     rounds=7,
-    seed=0,
-    cases=(
-        Case(16, 8000, 64, 3.0),
-        Case(16, 2000, 32, 1.6),
-        Case(4, 16000, 128, 3.0),
-    ),
+    cases=(Case(16, 8000, 64, 3), Case(16, 2000, 32, 1.6), Case(4, 16000, 128, 3)),
     candidates=Case(4, 8000, 64, 3.0),
     num_candidates=8,
     sized=Case(1, 8000, 64, 1.3),
@@ -92,16 +79,15 @@ FULL = Plan(
         "K": (1, 2, 4, 8, 16),
     },
     memory=(
-        MemoryCase(Case(16, 16000, 128, 3.0), "trilinear", 1.5),
-        MemoryCase(Case(1, 100_000, 256, 3.0), "trilinear", 2.0),
-        MemoryCase(Case(1, 16000, 128, 3.0), "gaussian", None),
+        (Case(16, 16000, 128, 3.0), "trilinear", 1.5),
+        (Case(1, 100_000, 256, 3.0), "trilinear", 2.0),
+        (Case(1, 16000, 128, 3.0), "gaussian", None),
     ),
 )
 
 # Sizes that share programs: nearly all of its time goes into compiling them.
 QUICK = Plan(
     rounds=5,
-    seed=0,
     cases=(Case(2, 500, 16, 1.5),),
     candidates=Case(2, 500, 16, 1.5),
     num_candidates=4,
@@ -117,5 +103,5 @@ QUICK = Plan(
     budget_seconds=0.2,
     scaling_base=Case(2, 500, 16, 1.5),
     scaling={"N": (500, 5000), "D": (8, 16), "B": (1, 2), "K": (1, 4)},
-    memory=(MemoryCase(Case(2, 500, 16, 1.5), "trilinear", None),),
+    memory=((Case(2, 500, 16, 1.5), "trilinear", None),),
 )

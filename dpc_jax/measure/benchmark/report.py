@@ -18,7 +18,6 @@ from dpc_jax.reporting.tables import format_table
 _KINDS = {"image": "forward", "gradient": "forward and backward"}
 _SHOWN = 3  # sigmas in the figure of errors
 _ERRORS = (0.3, 0.1, 0.03, 0.01, 0.003)  # of the gradient, in the table of the fastest
-_VOLUMES = ("whole volume", "blocks")
 
 
 def write_report(out: Path, results: dict[str, Any]) -> Path:
@@ -53,9 +52,8 @@ def _write_speed(out, results) -> list[str]:
         for peer, ratio in result["ratio_to_ours"].items():
             differences = result["gradient_difference"].get(peer)
             agreement = f"{max(differences):.1e}" if differences else MISSING
-            own = (result["case"], f"{ours} {1e3 * medians[ours]:.2f}")
-            peer_ms = f"{1e3 * medians[peer]:.2f}"
-            rows.append([*own, peer, peer_ms, f"{ratio:.2f}", agreement])
+            times = (f"{ours} {_ms(medians[ours])}", peer, _ms(medians[peer]))
+            rows.append([result["case"], *times, f"{ratio:.2f}", agreement])
     count = results["machine"]["devices"]
     heads = ["work", "ours (ms)", "peer", "peer (ms)", "peer / ours", "gradient"]
     return [
@@ -75,21 +73,19 @@ def _write_speed(out, results) -> list[str]:
 def _write_sizes(out, results) -> list[str]:
     rows = []
     for result in results["sizes"]:
-        seconds, sizes = result["median_seconds"], result["bytes"]
-        rows.append(
-            [
-                result["case"],
-                ", ".join(result["signals"]),
-                _percent(result["share"]),
-                *(
-                    MISSING if name not in seconds else f"{scale * values[name]:.3g}"
-                    for values, scale in ((seconds, 1e3), (sizes, 1e-9))
-                    for name in ("whole", "blocks")
-                ),
-            ]
-        )
+        numbers = [
+            MISSING if name not in values else f"{scale * values[name]:.3g}"
+            for values, scale in (
+                (result["median_seconds"], 1e3),
+                (result["bytes"], 1e-9),
+            )
+            for name in ("whole", "blocks")
+        ]
+        signals, share = ", ".join(result["signals"]), _percent(result["share"])
+        rows.append([result["case"], signals, share, *numbers])
     heads = ["work", "signals", "blocks touched"]
-    heads += [f"{name} ({unit})" for unit in ("ms", "GB") for name in _VOLUMES]
+    volumes = ("whole volume", "blocks")
+    heads += [f"{name} ({unit})" for unit in ("ms", "GB") for name in volumes]
     return [
         "## How large",
         "A car's surface, forward and backward, float32: in the whole volume, and in "
@@ -124,14 +120,11 @@ def _tabulate_fastest(records) -> str:
     sigmas = sorted({r["sigma"] for r in records})
     rows = []
     for most in _ERRORS:
-        cells = []
-        for sigma in sigmas:
-            found = accuracy.find_fastest(records, most, sigma)
-            cells.append(
-                MISSING
-                if found is None
-                else f"{found['setting']}: {1e3 * found['gradient_seconds']:.2f}"
-            )
+        fastest = [accuracy.find_fastest(records, most, sigma) for sigma in sigmas]
+        cells = [
+            f"{r['setting']}: {_ms(r['gradient_seconds'])}" if r else MISSING
+            for r in fastest
+        ]
         rows.append([_percent(most), *cells])
     heads = ["error at most", *(f"σ = {sigma:g}" for sigma in sigmas)]
     return format_table(heads, rows)
@@ -146,8 +139,7 @@ def _tabulate_settings(records) -> str:
             for error in accuracy.ERRORS:
                 values = [r[f"{kind}_{error}"] for r in group]
                 cells.append(f"{_percent(np.median(values))} ({_percent(max(values))})")
-            seconds = [r[f"{kind}_seconds"] for r in group]
-            cells.append(f"{1e3 * np.median(seconds):.2f}")
+            cells.append(_ms(np.median([r[f"{kind}_seconds"] for r in group])))
         rows.append(cells)
     heads = [head for k in _KINDS for head in (f"{k} error", "same grid", "ms")]
     return format_table(["setting", *heads], rows)
@@ -185,10 +177,8 @@ def draw_errors(records: Sequence[dict[str, Any]], path: Path) -> Path:
             title = f"{kind}, σ = {sigma:g} voxels"
             style.label_axes(axes, title=title, x_label=f"{passes} (ms)", grid="both")
         row[0].set_ylabel("relative error", fontsize=9)
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False
-    )
+    handles, _ = panels[0, 0].get_legend_handles_labels()
+    style.add_legend(figure, handles=handles, ncols=3)
     return style.save_figure(figure, path)
 
 
@@ -197,7 +187,7 @@ def _write_scaling(out, results) -> list[str]:
     rows = []
     for result in results["scaling"]:
         pairs = zip(result["values"], result["median_seconds"], strict=True)
-        times = ", ".join(f"{value}: {1e3 * time:.2f}" for value, time in pairs)
+        times = ", ".join(f"{value}: {_ms(time)}" for value, time in pairs)
         name = f"{result['axis']}, {result['subject']}"
         rows.append([name, _raise(result, "^{}"), times])
     return [
@@ -261,6 +251,10 @@ _SECTIONS = {
     "scaling": _write_scaling,
     "memory": _write_memory,
 }
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.2f}"
 
 
 def _percent(value: float) -> str:

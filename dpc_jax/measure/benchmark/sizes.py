@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpc_jax.measure.benchmark.plan import Case
+from dpc_jax.measure.benchmark.plan import SEED, Case
 from dpc_jax.measure.benchmark.speed import measure_distance
 from dpc_jax.measure.scenes import make_scenes
-from dpc_jax.measure.timing import take_medians, time_interleaved
+from dpc_jax.measure.timing import measure_medians
 from dpc_jax.render import VoxelGrid, count_blocks, estimate_memory, project
 
 # The whole volume of a larger grid takes more memory than many machines have.
@@ -19,7 +19,7 @@ _WHOLE_UP_TO = 512
 
 
 def compare_volumes(
-    case: Case, signals: tuple[str, ...], *, rounds: int, seed: int
+    case: Case, signals: tuple[str, ...], *, rounds: int
 ) -> dict[str, Any]:
     """A car's surface in the whole volume and in touched blocks, forward and backward.
 
@@ -27,7 +27,7 @@ def compare_volumes(
       A record: the case, which part of the blocks is touched, median seconds, bytes by
       `estimate_memory`, and the relative distance between the gradients.
     """
-    (scene, *_) = make_scenes(num_points=case.points, num_sparse=1, seed=seed)
+    (scene, *_) = make_scenes(num_points=case.points, num_sparse=1, seed=SEED)
     points, pose = (jnp.asarray(a, jnp.float32) for a in (scene.points, scene.pose))
     grid = VoxelGrid(case.side)
     look: dict[str, Any] = {"sigma": case.sigma, "grid": grid, "signals": signals}
@@ -35,9 +35,8 @@ def compare_volumes(
     if "color" in signals:
         look["colors"] = points + 0.5
     count = int(count_blocks(points, pose, sigma=case.sigma, grid=grid))
-    rooms: dict[str, int | None] = {
-        "blocks": int(1.2 * count)
-    }  # room as a batch of other views needs it
+    # Room as a batch of other views needs it.
+    rooms: dict[str, int | None] = {"blocks": int(1.2 * count)}
     if case.side <= _WHOLE_UP_TO:
         rooms["whole"] = None
     calls, sizes = {}, {}
@@ -50,7 +49,7 @@ def compare_volumes(
         "case": str(case),
         "signals": list(signals),
         "share": count / math.prod(-(-side // 8) for side in grid.shape),
-        "median_seconds": take_medians(time_interleaved(calls, rounds=rounds)),
+        "median_seconds": measure_medians(calls, rounds=rounds),
         "bytes": sizes,
         "gradient_difference": measure_distance(*gradients) if gradients[1:] else None,
     }

@@ -18,18 +18,17 @@ from dpc_jax.measure.benchmark.peers import (
     make_torch_call,
     render_plain,
 )
-from dpc_jax.measure.benchmark.plan import Case, Plan
-from dpc_jax.measure.timing import take_medians, time_interleaved
+from dpc_jax.measure.benchmark.plan import SEED, Case, Plan
+from dpc_jax.measure.timing import measure_medians
 from dpc_jax.render import Camera, VoxelGrid, project, project_batch
 from dpc_jax.render.devices import choose_mesh, place
 
 ALL_DEVICES, ONE_DEVICE = "ours, all devices", "ours, one device"
-CHOICES = ("chosen", "min")
 ONE_SIZE = "trilinear, one sigma"
 
 
 class Work(NamedTuple):
-    """The arrays of a case, numpy float32; the first three get gradients."""
+    """The arrays of a case, numpy float32."""
 
     points: np.ndarray  # [B, N, 3]
     quaternions: np.ndarray  # [B, 4]; [B, K, 4] where the best of K is chosen
@@ -37,28 +36,24 @@ class Work(NamedTuple):
     targets: np.ndarray  # [B, D, D]
 
 
-def _draw_work(case: Case, *, seed: int) -> Work:
-    """Random points, poses and targets of a case, the same for the same seed."""
-    rng = np.random.default_rng(seed)
+def _draw_work(case: Case, num_candidates: int | None = None) -> Work:
+    """Random points, poses (or candidates for them) and targets of a case."""
+    rng = np.random.default_rng(SEED)
     points = rng.uniform(-0.4, 0.4, (case.batch, case.points, 3))
     quaternions = rng.normal(size=(case.batch, 4))
     # A mean occupancy of 0.03, so that some of the middle is clipped.
     masses = np.full(case.batch, 0.03 * case.side**3 / case.points)
     targets = rng.uniform(size=(case.batch, case.side, case.side))
+    if num_candidates:
+        rng = np.random.default_rng([SEED, 1])
+        quaternions = rng.normal(size=(case.batch, num_candidates, 4))
     return Work(*(a.astype("f4") for a in (points, quaternions, masses, targets)))
 
 
-def draw_candidates(case: Case, num_candidates: int, *, seed: int) -> Work:
-    """Arrays of a case with `num_candidates` quaternions per sample, [B, K, 4]."""
-    rng = np.random.default_rng([seed, 1])
-    candidates = rng.normal(size=(case.batch, num_candidates, 4)).astype("f4")
-    return _draw_work(case, seed=seed)._replace(quaternions=candidates)
-
-
 def render_ours(
-    sample: Sample, sigma: jax.Array | float, *, side: int | tuple, method: str = "auto"
+    sample: Sample, sigma: jax.Array | float, *, side: int, method: str = "auto"
 ) -> jax.Array:
-    """Silhouette by `project`; sigma () or [N], voxels; side or (rows, cols, depth)."""
+    """Silhouette [side, side] by `project`; sigma () or [N], voxels."""
     points, rotation, mass = sample
     grid = VoxelGrid(side)
     image = project(points, rotation, sigma=sigma, scale=mass, grid=grid, method=method)
@@ -66,20 +61,60 @@ def render_ours(
     return image.silhouette
 
 
-def _make_jax_call(render, work: Work, sigma, **static) -> Callable[[], Any]:
+def _make_call(loss, work: Work, sigma) -> Callable[[], Any]:
     """A call that gives the gradients of points, quaternions and masses.
 
-    `render` gives the silhouette of one sample from sigma and the static arguments.
-    Samples are rendered one after the other.
+    `loss` is that of one sample; samples are taken one after the other.
     """
-    gradient = _compile_gradient(render, tuple(sorted(static.items())))
+    gradient = _compile_gradient(loss)
     inputs = tuple(jnp.asarray(a) for a in work[:3])
     rest = jnp.asarray(work.targets), jnp.asarray(sigma, jnp.float32)
     return lambda: gradient(inputs, *rest)
 
 
+@functools.lru_cache
+def _compile_gradient(loss):
+    def compute_loss(inputs, targets, sigma):
+        samples = inputs, targets
+        return jnp.sum(jax.lax.map(lambda one: loss(*one, sigma), samples))
+
+    return jax.jit(jax.grad(compute_loss))
+
+
+@functools.lru_cache
+def _make_loss(render, **static):
+    """The loss of one sample, of which `render` gives the silhouette."""
+
+    def compute_loss(sample, target, sigma):
+        image = render(sample, sigma, side=target.shape[0], **static)
+        return reprojection_loss(image, target)
+
+    return compute_loss
+
+
+_compute_loss = _make_loss(render_ours)
+
+
+def _choose_first(sample, target, sigma):
+    """The loss of the best of K candidates, found without a gradient."""
+    points, candidates, mass = sample
+    p, c, m = jax.lax.stop_gradient(sample)
+    best = choose_candidate(p, m, c, target, sigma=sigma, camera=Camera())
+    return _compute_loss((points, candidates[best], mass), target, sigma)
+
+
+def _take_minimum(sample, target, sigma):
+    """The least of the losses of K candidates, all with a gradient."""
+    points, candidates, mass = sample
+
+    def compute_one(candidate):
+        return _compute_loss((points, candidate, mass), target, sigma)
+
+    return jnp.min(jax.vmap(compute_one)(candidates))
+
+
 def _make_batch_call(work: Work, sigma, *, side) -> Callable[[], Any]:
-    """As `_make_jax_call`, by `project_batch` on all devices.
+    """As `_make_call`, by `project_batch` on all devices.
 
     Arrays lie where the steps of a descent would leave them: shared out.
     """
@@ -99,33 +134,25 @@ def _make_batch_call(work: Work, sigma, *, side) -> Callable[[], Any]:
     return lambda: gradient(arrays[:3], arrays[3], jnp.asarray(sigma, jnp.float32))
 
 
-def prepare_render(case: Case, *, seed: int, method: str = "auto") -> Callable[[], Any]:
+def prepare_render(case: Case, *, method: str = "auto") -> Callable[[], Any]:
     """A call that gives the gradients of our own render on the arrays of a case."""
-    work = _draw_work(case, seed=seed)
-    return _make_jax_call(render_ours, work, case.sigma, side=case.side, method=method)
+    return _make_call(
+        _make_loss(render_ours, method=method), _draw_work(case), case.sigma
+    )
 
 
-@functools.lru_cache
-def _compile_gradient(render, static):
-    def compute_loss(inputs, targets, sigma):
-        images = jax.lax.map(lambda one: render(one, sigma, **dict(static)), inputs)
-        return jnp.sum((images - targets) ** 2)
-
-    return jax.jit(jax.grad(compute_loss))
-
-
-def compare_with_peers(case: Case, *, rounds: int, seed: int) -> dict[str, Any]:
+def compare_with_peers(case: Case, *, rounds: int) -> dict[str, Any]:
     """Silhouette, forward and backward, beside the plain ways to write it.
 
     Returns:
       A record: the case, seconds of each call with their medians and ratios to ours on
       all devices, and the relative distances of the gradients from ours.
     """
-    work = _draw_work(case, seed=seed)
+    work = _draw_work(case)
     calls = {
         ALL_DEVICES: _make_batch_call(work, case.sigma, side=case.side),
-        ONE_DEVICE: _make_jax_call(render_ours, work, case.sigma, side=case.side),
-        "plain JAX": _make_jax_call(render_plain, work, case.sigma, side=case.side),
+        ONE_DEVICE: _make_call(_make_loss(render_ours), work, case.sigma),
+        "plain JAX": _make_call(_make_loss(render_plain), work, case.sigma),
     }
     if has_torch():
         call = make_torch_call(work[:3], work.targets, sigma=case.sigma)
@@ -133,71 +160,33 @@ def compare_with_peers(case: Case, *, rounds: int, seed: int) -> dict[str, Any]:
     return _compare(str(case), calls, ALL_DEVICES, rounds)
 
 
-def compare_choices(
-    case: Case, *, num_candidates: int, rounds: int, seed: int
-) -> dict[str, Any]:
+def compare_choices(case: Case, *, num_candidates: int, rounds: int) -> dict[str, Any]:
     """The winner of K, found without a gradient, beside the minimum over all K."""
-    work = draw_candidates(case, num_candidates, seed=seed)
-    calls = {how: make_choice_call(how, work, case.sigma) for how in CHOICES}
+    work = _draw_work(case, num_candidates)
+    calls = {
+        name: _make_call(loss, work, case.sigma)
+        for name, loss in (("chosen", _choose_first), ("min", _take_minimum))
+    }
     return _compare(f"{case}, K={num_candidates}", calls, "chosen", rounds)
 
 
-def compare_sizes(case: Case, *, rounds: int, seed: int) -> dict[str, Any]:
+def compare_sizes(case: Case, *, rounds: int) -> dict[str, Any]:
     """A sigma per point, of 0.7 to 2.5 voxels, by levels and exactly; one for all."""
-    work = _draw_work(case, seed=seed)
-    sizes = np.random.default_rng([seed, 2]).uniform(0.7, 2.5, case.points)
+    work = _draw_work(case)
+    sizes = np.random.default_rng([SEED, 2]).uniform(0.7, 2.5, case.points)
     calls = {
-        name: _make_jax_call(render_ours, work, sigma, side=case.side, method=method)
+        name: _make_call(_make_loss(render_ours, method=method), work, sigma)
         for name, method, sigma in (
             ("levels", "levels", sizes),
             ("gaussian", "gaussian", sizes),
             (ONE_SIZE, "trilinear", case.sigma),
         )
     }
-    record = _compare(
-        f"{case.batch} × {case.points}, D={case.side}, a sigma per point",
-        calls,
-        "levels",
-        rounds,
-    )
+    name = f"{case.batch} × {case.points}, D={case.side}, a sigma per point"
+    record = _compare(name, calls, "levels", rounds)
     # Another image: nothing to compare.
     del record["gradient_difference"][ONE_SIZE]
     return record
-
-
-def make_choice_call(how: str, work: Work, sigma: float) -> Callable[[], Any]:
-    """A call that gives the gradients of points and candidates.
-
-    `how` is one of `CHOICES`: "chosen" is the hindsight choice, then one render with a
-    gradient; "min" is the plain minimum over K renders with a gradient.
-    """
-    gradient = _compile_choice(how)
-    arrays = tuple(jnp.asarray(a) for a in work)
-    rest = arrays[2:], jnp.asarray(sigma, jnp.float32)
-    return lambda: gradient(arrays[:2], *rest)
-
-
-@functools.lru_cache
-def _compile_choice(how):
-    def compute_loss(arrays, sigma):
-        points, candidates, mass, target = arrays
-
-        def compute_one(candidate):
-            sample = points, candidate, mass
-            image = render_ours(sample, sigma, side=target.shape[0])
-            return reprojection_loss(image, target)
-
-        if how == "min":
-            return jnp.min(jax.vmap(compute_one)(candidates))
-        p, m, c = jax.lax.stop_gradient((points, mass, candidates))
-        best = choose_candidate(p, m, c, target, sigma=sigma, camera=Camera())
-        return compute_one(candidates[best])
-
-    def compute_all(moving, fixed, sigma):
-        samples = (*moving, *fixed)
-        return jnp.sum(jax.lax.map(lambda one: compute_loss(one, sigma), samples))
-
-    return jax.jit(jax.grad(compute_all))
 
 
 def _compare(name, calls, ours, rounds):
@@ -205,7 +194,7 @@ def _compare(name, calls, ours, rounds):
     peers = [name for name in calls if name != ours]
     own = [np.asarray(value, np.float64) for value in calls[ours]()]
     differences = {peer: [*map(measure_distance, calls[peer](), own)] for peer in peers}
-    medians = take_medians(time_interleaved(calls, rounds=rounds))
+    medians = measure_medians(calls, rounds=rounds)
     return {
         "case": name,
         "ours": ours,
@@ -239,18 +228,18 @@ def measure_axis(axis: str, *, plan: Plan) -> dict[str, Any]:
 
     The other numbers are those of the plan's base case.
     """
-    base, seed, values = plan.scaling_base, plan.seed, plan.scaling[axis]
+    base, values = plan.scaling_base, plan.scaling[axis]
     subject, order = AXES[axis]
     calls = {}
     for value in values:
         if axis == "K":
-            work = draw_candidates(base, value, seed=seed)
-            calls[str(value)] = make_choice_call("chosen", work, base.sigma)
+            work = _draw_work(base, value)
+            calls[str(value)] = _make_call(_choose_first, work, base.sigma)
         else:
             field = {"N": "points", "D": "side", "B": "batch"}[axis]
             case = dataclasses.replace(base, **{field: value})
-            calls[str(value)] = prepare_render(case, seed=seed)
-    medians = take_medians(time_interleaved(calls, rounds=plan.rounds))
+            calls[str(value)] = prepare_render(case)
+    medians = measure_medians(calls, rounds=plan.rounds)
     return {
         "axis": axis,
         "subject": subject,

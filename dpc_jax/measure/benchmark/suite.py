@@ -1,19 +1,19 @@
 """One run of the benchmark: its parts in turn, then the report."""
 
-import functools
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from dpc_jax.learning.training.progress import ProgressReport
 from dpc_jax.measure import scenes
 from dpc_jax.measure.benchmark import accuracy, peak, peers, report, sizes, speed
-from dpc_jax.measure.benchmark.plan import PARTS, Plan
+from dpc_jax.measure.benchmark.plan import PARTS, SEED, Plan
 from dpc_jax.measure.timing import describe_machine
 
-# A part, what is measured, and the call that gives its records.
-Task = tuple[str, str, Callable[[], list[dict]]]
+# A part, what is measured, and the call that gives its record, or several.
+Task = tuple[str, str, Callable[[], dict | list[dict]]]
 
 
 def run_benchmark(out: Path, *, plan: Plan, parts: Sequence[str], command: str) -> Path:
@@ -30,28 +30,28 @@ def run_benchmark(out: Path, *, plan: Plan, parts: Sequence[str], command: str) 
         "machine": describe_machine(),
         "command": command,
         "has_torch": peers.has_torch(),
-        "seed": plan.seed,
+        "seed": SEED,
         "reference_side": plan.reference_side,
         "base_side": plan.base_side,
     }
     try:
-        _run_tasks(plan, parts, results)
-    except BaseException:
-        # The finished parts took minutes: keep them.
-        if any(part in results for part in PARTS):
+        _run_tasks([task for task in list_tasks(plan) if task[0] in parts], results)
+    finally:  # finished parts took minutes: keep them
+        if results.keys() & set(PARTS):
             report.write_report(out, results)
-        raise
-    return report.write_report(out, results)
+    return out / "benchmark.md"
 
 
-def _run_tasks(plan: Plan, parts: Sequence[str], results: dict[str, Any]) -> None:
+def _run_tasks(tasks: Sequence[Task], results: dict[str, Any]) -> None:
     """Add the records of each part to the results once the whole part is measured."""
-    tasks = [task for task in list_tasks(plan) if task[0] in parts]
     with ProgressReport("Benchmark", total=len(tasks)) as progress:
         records: dict[str, list[dict]] = {}
         for step, (part, name, measure) in enumerate(tasks, start=1):
             progress.tell(f"{step}/{len(tasks)} {part}: {name}")
-            records.setdefault(part, []).extend(measure())
+            found = measure()
+            records.setdefault(part, []).extend(
+                [found] if isinstance(found, dict) else found
+            )
             progress.advance(step)
             if step == len(tasks) or tasks[step][0] != part:
                 results[part] = records[part]
@@ -59,30 +59,30 @@ def _run_tasks(plan: Plan, parts: Sequence[str], results: dict[str, Any]) -> Non
 
 def list_tasks(plan: Plan) -> Iterator[Task]:
     """What a plan measures, in the order of `PARTS`."""
-    shared = {"rounds": plan.rounds, "seed": plan.seed}
+    turns = {"rounds": plan.rounds}
     for case in plan.cases:
-        yield "speed", f"peers, {case}", _one(speed.compare_with_peers, case, **shared)
-    case, count = plan.candidates, {"num_candidates": plan.num_candidates}
-    call = _one(speed.compare_choices, case, **shared, **count)
+        yield (
+            "speed",
+            f"peers, {case}",
+            partial(speed.compare_with_peers, case, **turns),
+        )
+    case, count = plan.candidates, plan.num_candidates
+    call = partial(speed.compare_choices, case, num_candidates=count, **turns)
     yield "speed", f"choices, {case}", call
-    yield "speed", "a sigma per point", _one(speed.compare_sizes, plan.sized, **shared)
+    call = partial(speed.compare_sizes, plan.sized, **turns)
+    yield "speed", "a sigma per point", call
     for case, signals in plan.sizes:
-        call = _one(sizes.compare_volumes, case, signals, **shared)
+        call = partial(sizes.compare_volumes, case, signals, **turns)
         yield "sizes", f"{'+'.join(signals)}, {case}", call
     made = scenes.make_scenes(
-        num_points=plan.scene_points, num_sparse=plan.sparse_points, seed=plan.seed
+        num_points=plan.scene_points, num_sparse=plan.sparse_points, seed=SEED
     )
     fixed = {"plan": plan, "settings": accuracy.list_settings(plan)}
     for scene, sigma in itertools.product(made, plan.sigmas):
-        call = functools.partial(accuracy.measure_scene, scene, sigma, **fixed)
+        call = partial(accuracy.measure_scene, scene, sigma, **fixed)
         yield "error", f"{scene.name}, σ={sigma:g}", call
     for axis in speed.AXES:
-        yield "scaling", axis, _one(speed.measure_axis, axis, plan=plan)
-    for case in plan.memory:
-        call = _one(peak.measure_case, case, seed=plan.seed)
-        yield "memory", f"{case.method}, {case.case}", call
-
-
-def _one(function, *arguments, **options):
-    """A call that gives its one record as a list."""
-    return lambda: [function(*arguments, **options)]
+        yield "scaling", axis, partial(speed.measure_axis, axis, plan=plan)
+    for case, method, limit in plan.memory:
+        call = partial(peak.measure_case, case, method, limit)
+        yield "memory", f"{method}, {case}", call

@@ -30,15 +30,13 @@ class Case:
     # is the right one-sided derivative. None takes the function itself in float64,
     # where only rounding is in question.
     oracle: Callable | None
-    # Largest error of the value, in units of the dtype's epsilon, relative to the
-    # largest magnitude in the oracle's output, or to `floor`.
+    # Largest errors of the value, and of the gradient of Σ w·output to each input (None
+    # without a gradient), in units of the dtype's epsilon; relative to the largest
+    # magnitude of what is right, or to the floor, of the gradient one for each input.
     value_tolerance: float
-    # The same for the gradient of Σ w·output to each input; None where the function has
-    # no gradient.
     gradient_tolerance: float | None
     because: str  # where the tolerances come from
-    floor: float = 0.0  # errors of the value are relative to at least this magnitude
-    # The same for the gradient; one number, or one for each input
+    floor: float = 0.0
     gradient_floor: float | tuple[float, ...] = 0.0
     dtypes: tuple[str, ...] = DTYPES  # the case runs in these
     is_half_checked: bool = True  # or results in 16 bits only have to be finite
@@ -60,19 +58,17 @@ def make_cases(
 ) -> list[Case]:
     """The cases of one function from a table, one for each row.
 
-    A case is called "title: name", or "title" without a name. Tolerances are those of
-    the value and of the gradient. A row is (name, input, input, ...). A dict at its end
-    holds the fields of `Case` in which it differs from the others, for example an
-    oracle of its own; **shared are other fields that are the same for all.
+    A case is called "title: name". Tolerances are those of the value and of the
+    gradient. A row is (name, input, input, ...), and may end in a dict of the fields of
+    `Case` in which it differs; **shared are fields that are the same for all.
     """
     value, gradient = tolerances
-    shared |= {"function": function, "oracle": oracle}
     shared |= {"value_tolerance": value, "gradient_tolerance": gradient}
     cases = []
     for name, *inputs in rows:
-        changes = inputs.pop() if isinstance(inputs[-1], dict) else {}
-        name = f"{title}: {name}" if name else title
-        cases.append(Case(name=name, inputs=tuple(inputs), **shared | changes))
+        fields = shared | (inputs.pop() if isinstance(inputs[-1], dict) else {})
+        name = f"{title}: {name}"
+        cases.append(Case(name, function, tuple(inputs), oracle, **fields))
     return cases
 
 
@@ -115,11 +111,11 @@ class Row:
         reasons = [] if self.is_finite else ["a value or gradient is not finite"]
         for name, ratio in self.ratios.items():
             if not ratio <= 1:
-                error = getattr(self, f"{name}_error")
-                tolerance = getattr(self, f"{name}_tolerance")
+                error, most = (
+                    getattr(self, f"{name}_{n}") for n in ("error", "tolerance")
+                )
                 reasons.append(
-                    f"the error of the {name} is {error:.2e}, the tolerance "
-                    f"{tolerance:.2e}"
+                    f"the error of the {name} is {error:.2e}, the tolerance {most:.2e}"
                 )
         reasons += [self.found] * bool(self.found)
         return f"{self.subject}, {self.case}, {self.dtype}: {' and '.join(reasons)}."

@@ -12,7 +12,6 @@ from dpc_jax.measure.stability.case import (
     STILL,
     TURN,
     WIDE,
-    Case,
     make_cases,
 )
 from dpc_jax.measure.stability.runner import tabulate
@@ -60,7 +59,6 @@ ANGLES = (
     ("1e-7 from a half turn", STILL, (1e-7, 0, 1, 0)),
 )
 ABOUT = {"0": 0.0, "1e-30": 1e-30, "a half turn": np.pi, "1e4": 1e4}
-TURNS = [(name, (0.0, -0.6, 0.8), angle) for name, angle in ABOUT.items()]
 
 
 def _pass_through_matrix(q):
@@ -77,26 +75,23 @@ def _turn_about(axis, angle):
     return np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * axis])
 
 
-def _list_rotations() -> list[Case]:
-    """Cases of the quaternion operations."""
-    make = functools.partial(make_cases, because=ROUNDING)
-    turned = [(name, POINTS, *rest) for name, *rest in LENGTHS]
-    along = ROUNDING + "; the gradient of q cancels along q"
-    return [
-        *make("normalize", quaternion.normalize, oracles.normalize, (4, 16), LENGTHS),
-        *make("multiply", quaternion.multiply, oracles.multiply, (8, 8), PAIRS),
-        *make(
-            "rotate", quaternion.rotate, oracles.rotate, (16, 64), turned, because=along
-        ),
-        *make("matrix and back", _pass_through_matrix, _square, (8, 32), BRANCHES),
-        *make("angle", quaternion.angle_between, oracles.angle, (16, 64), ANGLES),
-        *make(
-            "from axis and angle",
-            *(quaternion.from_axis_angle, _turn_about, (4, 8), TURNS),
-            dtypes=WIDE,
-        ),
-    ]
-
+_make = functools.partial(make_cases, because=ROUNDING)
+ROTATIONS = [
+    *_make("normalize", quaternion.normalize, oracles.normalize, (4, 16), LENGTHS),
+    *_make("multiply", quaternion.multiply, oracles.multiply, (8, 8), PAIRS),
+    *make_cases(
+        *("rotate", quaternion.rotate, oracles.rotate, (16, 64)),
+        [(name, POINTS, *rest) for name, *rest in LENGTHS],
+        because=ROUNDING + "; the gradient of q cancels along q",
+    ),
+    *_make("matrix and back", _pass_through_matrix, _square, (8, 32), BRANCHES),
+    *_make("angle", quaternion.angle_between, oracles.angle, (16, 64), ANGLES),
+    *_make(
+        *("from axis and angle", quaternion.from_axis_angle, _turn_about, (4, 8)),
+        [(name, (0.0, -0.6, 0.8), angle) for name, angle in ABOUT.items()],
+        dtypes=WIDE,
+    ),
+]
 
 GRID = cameras.VoxelGrid((8, 6, 4))
 CLOUD = np.array([[0.1, -0.2, 0.3], [-0.3, 0.25, -0.1], [0.05, 0.0, -0.35]])
@@ -108,6 +103,7 @@ EYE = np.array([[0, 0, 0.3], [0.01, 0.02, 0.2], [0, 0, 0]])
 CROSSING = CLOUD * [1, 1, 0] + [[0, 0, -2], [0, 0, 0], [0, 0, 0.1]]
 CLOSE = [[1e-6, -1e-6, 1e-5], [0, 0, 0.3], [0.1, 0, 0.2]]
 # name, points, rotation, focal length, distance
+NEAR_EYE = ("1e-5 before the eye", CLOSE, STILL, 1.0, 0.0)
 SCENES = (
     ("plain", CLOUD, TURN, 1.875, 2.0),
     ("one point in the camera plane", CROSSING, STILL, 1.875, 2.0, AT_EYE),
@@ -132,28 +128,25 @@ def _find_coordinates(points, rotation, focal, distance, *, projection):
     return cameras.to_grid(moved, camera=camera, grid=GRID).coordinates
 
 
-def _list_cameras() -> list[Case]:
-    """Cases of the way from the object's frame to places in the grid."""
-    cases = []
+def _place(*inputs, is_flat):
+    return oracles.place(*inputs, shape=GRID.shape, orthographic=is_flat)[0]
+
+
+CAMERAS = [
+    case
     # Perspective multiplies roundings by the inverse distance to the eye, orthographic
     # projection does not.
-    for projection, close in (("perspective", 64e3), ("orthographic", 64)):
-        is_flat = projection == "orthographic"
-        at_eye = IN_WIDE | {"gradient_tolerance": close}
-        cases += make_cases(
-            projection,
-            functools.partial(_find_coordinates, projection=projection),
-            lambda *xs, is_flat=is_flat: oracles.place(
-                *xs, shape=GRID.shape, orthographic=is_flat
-            )[0],
-            (32, 64),
-            [*SCENES, ("1e-5 before the eye", CLOSE, STILL, 1.0, 0.0, at_eye)],
-            because="30 roundings of numbers of a few cells; a point close to the eye "
-            "multiplies them",
-            floor=1.0,
-            is_half_checked=False,
-        )
-    return cases
-
-
-ROWS = tabulate(rotation=_list_rotations(), camera=_list_cameras())
+    for projection, close in (("perspective", 64e3), ("orthographic", 64))
+    for case in make_cases(
+        projection,
+        functools.partial(_find_coordinates, projection=projection),
+        functools.partial(_place, is_flat=projection == "orthographic"),
+        (32, 64),
+        [*SCENES, (*NEAR_EYE, IN_WIDE | {"gradient_tolerance": close})],
+        because="30 roundings of numbers of a few cells; a point close to the eye "
+        "multiplies them",
+        floor=1.0,
+        is_half_checked=False,
+    )
+]
+ROWS = tabulate(rotation=ROTATIONS, camera=CAMERAS)

@@ -95,7 +95,10 @@ SPLINES = _resize(
     lambda sigma: max(sigma, 0.9),
 )
 # A size per point, which is what the method is for.
-SIZES = _resize(SCENES, lambda sigma: np.multiply(sigma, [1, 1.5, 0.7, 1.1]))
+SIZES = [
+    *_resize(SCENES, lambda sigma: np.multiply(sigma, [1, 1.5, 0.7, 1.1])),
+    ("sizes from 1e-30 to 3e38", {"sizes": [1e-30, 0.3, 1e15, 3e38]}, IN_WIDE),
+]
 FOUR, LARGE = (5, 4, 6), (24, 17, 20)  # cells, of which a spline covers four
 # Title, scenes, grid, and what else `render_cloud` takes: `method`, if not the title.
 TABLES = (

@@ -244,30 +244,29 @@ def project(
         if method == "gaussian":
             return sum_gaussians(coordinates, values, sizes, shape)
         order = {"trilinear": 1, "quadratic": 2, "cubic": 3}[method]
-        own = REAL(order + 1) / 12 if order > 1 else 0  # the spline's variance
-        left = sizes * sizes - own
+        # Less the variance of the spline, but of the trilinear one.
+        left = sizes * sizes - (REAL(order + 1) / 12 if order > 1 else 0)
         smoothed = np.sqrt(left) if np.real(left) > 0 else REAL(0)
         return smooth(splat(coordinates, values, shape, order), smoothed)
 
-    channels = [fill(masses * channel) for channel in colors.T]
+    densities = [fill(masses * values) for values in (1, *colors.T)]
     extent = lens.get("extent", 1.0)
-    return end_rays(fill(masses), channels, distance, *background, extent=extent)
+    return end_rays(densities, distance, *background, extent=extent)
 
 
 def end_rays(
-    density: Array,
-    channels: list[Array],
+    densities: list[Array],
     distance: Number,
     background_depth: Number = 10.0,
     background_color: Number = 1.0,
     *,
     extent: float = 1.0,
 ) -> tuple[Array, Array, Array]:
-    """Silhouette, depth and colour from the densities Σ f and Σ y·f."""
+    """Silhouette, depth and colour from densities Σ f, and Σ y·f of each channel."""
+    density, *channels = densities
     occupancy = clip(density)
     probabilities, passed = terminate(occupancy)
-    num_cells = density.shape[2]
-    cells = ((np.arange(num_cells) + REAL(0.5)) / num_cells - REAL(0.5)) * extent
+    cells = _find_centres(density.shape[2], extent)
     depth = np.sum(probabilities * (cells + distance), axis=-1)
     # r·y with y = Σ y_i f_i / Σ f_i. Up to density 1 the factor o / Σ f is one, also in
     # the limit of no density.
@@ -280,6 +279,11 @@ def end_rays(
         depth + passed * background_depth,
         np.stack(color, axis=-1) + passed[..., None] * background_color,
     )
+
+
+def _find_centres(size, extent):
+    """Coordinates of the cells along an axis."""
+    return ((np.arange(size) + REAL(0.5)) / size - REAL(0.5)) * extent
 
 
 def move_covariances(
@@ -313,24 +317,22 @@ def project_volume(
 
     See `dpc_jax.project_volume`: at every cell of the grid the tents of all cells.
     """
-    centres = [((np.arange(n) + REAL(0.5)) / n - REAL(0.5)) * extent for n in shape]
+    centres = [_find_centres(size, extent) for size in shape]
     v, u, z = (part.ravel() for part in np.meshgrid(*centres, indexing="ij"))
     ahead = z + distance
     is_ahead = np.ones(len(z), bool) if orthographic else np.real(ahead) > 1e-6 * extent
     zoom = 1 if orthographic else np.where(is_ahead, ahead, 1) / focal
     moved = np.stack([u * zoom, v * zoom, z], axis=-1) - translation
-    axes = rotate(np.eye(3), rotation)  # row i: where axis i goes
-    turned = moved @ axes.T
-    # None beyond a cell from the rim.
+    turned = moved @ rotate(np.eye(3), rotation).T
     edges = np.array(volume.shape)
     cells = (turned + REAL(0.5)) * edges - REAL(0.5)
-    is_inside = np.all((np.real(cells) > -1) & (np.real(cells) < edges), axis=1)
-    is_seen = is_ahead & is_inside
     weights = [_find_splines(x, size) for x, size in zip(cells.T, edges, strict=True)]
+    # Nothing beyond a cell from the rim.
+    is_seen = is_ahead & np.all((np.real(cells) > -1) & (np.real(cells) < edges), 1)
 
     def sample(values):
         found = np.einsum("nx,ny,nz,xyz->n", *weights, values)
         return np.where(is_seen, found, 0).reshape(shape)
 
-    channels = [sample(volume * channel) for channel in np.moveaxis(colors, -1, 0)]
-    return end_rays(sample(volume), channels, distance, *background, extent=extent)
+    densities = [sample(volume * values) for values in (1, *np.moveaxis(colors, -1, 0))]
+    return end_rays(densities, distance, *background, extent=extent)

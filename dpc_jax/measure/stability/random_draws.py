@@ -80,19 +80,12 @@ class Target(NamedTuple):
     is_traced: bool = True
 
 
-def run(*, quick: bool, seed: int, **_) -> Iterator[Row]:
-    """A row for each target, whose error is one if a draw broke it."""
-    return run_targets(
-        TARGETS, draws=QUICK_DRAWS if quick else DRAWS, seed=seed, quick=quick
-    )
-
-
-def run_targets(
-    targets: Iterable[Target], *, draws: int, seed: int = 0, quick: bool = True
+def run(
+    targets: Iterable[Target], *, quick: bool = True, seed: int = 0, **_
 ) -> Iterator[Row]:
-    """The rows of these targets; the same seed makes the same draws."""
+    """A row for each target, whose error is one if a draw broke it."""
     for target in targets:
-        rng = np.random.default_rng(seed)
+        rng, draws = np.random.default_rng(seed), QUICK_DRAWS if quick else DRAWS
         drawn = [wanted.draw(rng, draws) for wanted in target.inputs]
         check = _check_traced if target.is_traced else _check_plain
         held = check(target, drawn, quick)
@@ -123,10 +116,10 @@ def _check_traced(target, drawn, quick) -> Mapping[str, np.ndarray]:
             found[f"gradient of input {place}"] = _are_finite(gradient)
         return found | {"its promise": jnp.asarray(target.holds(outputs, *arrays))}
 
-    many = functools.partial(jax.lax.map, check, batch_size=min(AT_ONCE, len(drawn[0])))
-    return jax.device_get(
-        jax.jit(many, compiler_options=QUICKLY if quick else None)(drawn)
-    )
+    batch_size = min(AT_ONCE, len(drawn[0]))
+    many = functools.partial(jax.lax.map, check, batch_size=batch_size)
+    options = QUICKLY if quick else None
+    return jax.device_get(jax.jit(many, compiler_options=options)(drawn))
 
 
 def _check_plain(target, drawn, quick) -> Mapping[str, np.ndarray]:
@@ -342,4 +335,4 @@ TARGETS = (
            is_traced=False),
 )
 # fmt: on
-ROWS = {"random": run}
+ROWS = {"random": functools.partial(run, TARGETS)}

@@ -13,7 +13,6 @@ from dpc_jax.measure.timing import phrase_machine
 from dpc_jax.reporting.tables import format_table
 
 _LIBRARIES = ("dpc_jax", "jax", "jaxlib", "numpy", "flax", "optax")
-_NONE = "–"
 
 
 def write_report(
@@ -69,26 +68,21 @@ def write_report(
 def _summarize(rows) -> str:
     """A line for each subject and dtype."""
     groups: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
+    for row in sorted(rows, key=lambda row: DTYPES.index(row.dtype)):
         groups.setdefault((row.subject, row.dtype), []).append(row)
     subjects = list(dict.fromkeys(row.subject for row in rows))
-    order = sorted(groups, key=lambda k: (subjects.index(k[0]), DTYPES.index(k[1])))
     lines = []
-    for key in order:
+    for key in sorted(groups, key=lambda key: subjects.index(key[0])):
         group = groups[key]
         worst = [
             max((r.ratios[kind] for r in group if kind in r.ratios), default=None)
             for kind in ("value", "gradient")
         ]
         nearest = max(group, key=lambda row: max(row.ratios.values(), default=0))
-        lines.append(
-            (
-                *(*key, len(group), sum(not row.passes for row in group)),
-                sum(row.value_tolerance is None for row in group),
-                *(_NONE if ratio is None else f"{ratio:.2g}" for ratio in worst),
-                nearest.case,
-            )
-        )
+        counts = (len(group), sum(not row.passes for row in group))
+        only_finite = sum(row.value_tolerance is None for row in group)
+        cells = ("–" if ratio is None else f"{ratio:.2g}" for ratio in worst)
+        lines.append((*key, *counts, only_finite, *cells, nearest.case))
     head = ("subject", "dtype", "rows", "outside", "finite only", "worst value")
     return format_table((*head, "worst gradient", "nearest to its limit"), lines)
 
@@ -98,9 +92,6 @@ def _list_limits(rows) -> str:
     for row in rows:
         if row.limit:
             limits.setdefault((row.subject, row.limit), {})[row.case] = None
-    if not limits:
-        return ""
     lines = [(*key, "; ".join(cases)) for key, cases in limits.items()]
-    return "## Documented limits\n\n" + format_table(
-        ("subject", "documented limit", "cases"), lines
-    )
+    heads = ("subject", "documented limit", "cases")
+    return "## Documented limits\n\n" + format_table(heads, lines) if lines else ""

@@ -89,23 +89,19 @@ def _run_group(subject, group, dtype, quick):
         inputs = [tuple(jnp.asarray(x, dtype) for x in c.inputs) for c in group]
         stacked = [jnp.stack(arrays) for arrays in zip(*inputs, strict=True)]
         together = _fetch(jax.jit(jax.vmap(call), compiler_options=options)(*stacked))
-        results = [
-            [jax.tree.map(lambda a, i=i: a[i], together)] for i in range(len(group))
-        ]
-        for result, arrays in zip(results, inputs, strict=True):
-            result += [] if quick else [_fetch(single(*arrays))]
-        rounded = [tuple(np.asarray(x, np.float64) for x in xs) for xs in inputs]
-    for case, arrays, found in zip(group, rounded, results, strict=True):
-        with jax.enable_x64(True):
-            expected = _refer(case, arrays, single)
-        yield _judge(subject, case, dtype, found, expected)
+        alone = [] if quick else [_fetch(single(*arrays)) for arrays in inputs]
+    for i, case in enumerate(group):
+        results = [jax.tree.map(lambda a, i=i: a[i], together), *alone[i : i + 1]]
+        expected = _refer(case, _fetch(inputs[i]), single)
+        yield _judge(subject, case, dtype, results, expected)
 
 
 def _refer(case, inputs, call):
     """The right outputs and gradients of a case."""
     if case.oracle is None:
-        return _fetch(call(*inputs))
-    outputs = jax.tree.leaves(case.oracle(*(np.asarray(x, REAL) for x in inputs)))
+        with jax.enable_x64(True):
+            return _fetch(call(*inputs))
+    outputs = jax.tree.leaves(case.oracle(*(x.astype(REAL) for x in inputs)))
     if case.gradient_tolerance is None:
         return outputs, ()
     return outputs, differentiate_oracle(case.oracle, inputs, make_weights(outputs))
@@ -114,21 +110,15 @@ def _refer(case, inputs, call):
 def _make_call(case):
     """(outputs, gradients of Σ w·output) of a case's function."""
 
-    def total(*arrays):
-        outputs = jax.tree.leaves(case.function(*arrays))
-        parts = [
-            jnp.sum(jnp.asarray(w, o.dtype) * o)
-            for w, o in zip(make_weights(outputs), outputs, strict=True)
-        ]
-        return sum(parts), outputs
+    def flatten(*arrays):
+        return jax.tree.leaves(case.function(*arrays))
 
     def call(*arrays):
         if case.gradient_tolerance is None:
-            return jax.tree.leaves(case.function(*arrays)), ()
-        gradients, outputs = jax.grad(
-            total, argnums=tuple(range(len(arrays))), has_aux=True
-        )(*arrays)
-        return outputs, gradients
+            return flatten(*arrays), ()
+        outputs, pull_back = jax.vjp(flatten, *arrays)
+        weights = zip(make_weights(outputs), outputs, strict=True)
+        return outputs, pull_back([jnp.asarray(w, o.dtype) for w, o in weights])
 
     return call
 
@@ -164,19 +154,19 @@ def _judge(subject, case, dtype, results, expected):
     )
 
 
-def make_weights(outputs: Iterable[Any]) -> list[np.ndarray]:
+def make_weights(outputs: Sequence[Any]) -> list[np.ndarray]:
     """Fixed weights w for the sum Σ w·output whose gradient is compared.
 
     They differ from entry to entry, so that errors of opposite sign do not cancel, and
     have few binary digits, so that every dtype represents them exactly.
     """
-    weights, start = [], 0
-    for output in outputs:
-        size = int(np.prod(np.shape(output)))
-        numbers = ((np.arange(start, start + size) * 29) % 64 - 24) / 32
-        weights.append(numbers.reshape(np.shape(output)))
-        start += size
-    return weights
+    ends = np.cumsum([np.size(output) for output in outputs])
+    return [
+        (((np.arange(end - np.size(output), end) * 29) % 64 - 24) / 32).reshape(
+            np.shape(output)
+        )
+        for output, end in zip(outputs, ends, strict=True)
+    ]
 
 
 def differentiate_oracle(
@@ -195,14 +185,11 @@ def differentiate_oracle(
         for index in np.ndindex(array.shape):
             size = abs(REAL(array[index]))
             step = REAL(1e-60) * size if size else REAL("1e-2000")
-            moved = [np.asarray(x, COMPLEX) for x in inputs]
-            moved[place] = moved[place].copy()
+            moved = [x.astype(COMPLEX) for x in inputs]
             moved[place][index] += 1j * step
             outputs = jax.tree.leaves(oracle(*moved))
-            gradient[index] = sum(
-                np.sum(w * np.imag(out) / step)
-                for w, out in zip(weights, outputs, strict=True)
-            )
+            pairs = zip(weights, outputs, strict=True)
+            gradient[index] = sum(np.sum(w * np.imag(out) / step) for w, out in pairs)
         gradients.append(gradient)
     return tuple(gradients)
 

@@ -1,12 +1,13 @@
 """Volumes and rays: points on borders, kernels of every width, empty and full cells."""
 
 import functools
+import itertools
 
 import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.measure.stability import DTYPES, oracles
-from dpc_jax.measure.stability.case import IN_WIDE, WIDE, Case, make_cases
+from dpc_jax.measure.stability.case import IN_WIDE, WIDE, make_cases
 from dpc_jax.measure.stability.oracles import REAL
 from dpc_jax.measure.stability.runner import tabulate
 from dpc_jax.render import (
@@ -18,7 +19,6 @@ from dpc_jax.render import (
     termination_probabilities,
 )
 from dpc_jax.render.exact.covariances import sum_covariances
-from dpc_jax.render.exact.gaussians import sum_gaussians
 
 SHAPE = (4, 3, 5)
 CROWD = 100_000
@@ -107,62 +107,52 @@ def _narrow(sigma):
     return sigma * np.sqrt(1 - oracles.clip(2 * sigma - 1) / (6 * sigma * sigma))
 
 
-def _list_splats() -> list[Case]:
-    """Cases of the fast method: splatting, smoothing and masses."""
-    cases = []
-    for shape, rows in GRIDS:
-        function, oracle = (
-            functools.partial(call, shape=shape) for call in (splat, oracles.splat)
-        )
-        cases += make_cases(
-            *("splat", function, oracle, (8, 16), rows),
+SPLATTING = [
+    *itertools.chain.from_iterable(
+        make_cases(
+            "splat",
+            functools.partial(splat, shape=shape),
+            functools.partial(oracles.splat, shape=shape),
+            (8, 16),
+            rows,
             because="three weights of one rounding each, and their product",
         )
-    return [
-        *cases,
-        *make_cases(
-            "splat",
-            _crowd_mass,
-            lambda coordinate, value: CROWD * value + 0 * np.sum(coordinate),
-            (CROWD / 4, CROWD / 4),
-            [("1e5 coincident points, mass 1e30", [1.25, 1.5, 2.75], 1e30)],
-            # The gradient to the place is zero: what a point leaves on one side it
-            # takes on the other.
-            gradient_floor=CROWD * 1e30,
-            because="equal terms all round the same way while the sum is between two "
-            "powers of two: the last half of them errs by n/8, all of them by n/6",
-            limit="sums in 16 bits stop growing at 2/epsilon: use float32",
-            dtypes=WIDE,
-        ),
-        *make_cases(
-            *("smooth", smooth, oracles.smooth, (64, 256), WIDTHS),
-            because="three passes of sums of five products, kernels of ten roundings; "
-            "the slope in sigma cancels where the kernel is wide",
-            is_half_checked=False,
-        ),
-        *make_cases(
-            *("mass of a peak", mass_of_peak, _find_mass, (8, 16), PEAKS),
-            because="five products",
-        ),
-        *make_cases(
-            *("compensated widening", compensate_widening, _narrow, (8, 64)),
-            COMPENSATED,
-            because="the root of a number between 1/2 and 1",
-        ),
-    ]
+        for shape, rows in GRIDS
+    ),
+    *make_cases(
+        "splat",
+        _crowd_mass,
+        lambda coordinate, value: CROWD * value + 0 * np.sum(coordinate),
+        (CROWD / 4, CROWD / 4),
+        [("1e5 coincident points, mass 1e30", [1.25, 1.5, 2.75], 1e30)],
+        # The gradient to the place is zero: what a point leaves on one side it takes on
+        # the other.
+        gradient_floor=CROWD * 1e30,
+        because="equal terms all round the same way while the sum is between two "
+        "powers of two: the last half of them errs by n/8, all of them by n/6",
+        limit="sums in 16 bits stop growing at 2/epsilon: use float32",
+        dtypes=WIDE,
+    ),
+    *make_cases(
+        *("smooth", smooth, oracles.smooth, (64, 256), WIDTHS),
+        because="three passes of sums of five products, kernels of ten roundings; "
+        "the slope in sigma cancels where the kernel is wide",
+        is_half_checked=False,
+    ),
+    *make_cases(
+        *("mass of a peak", mass_of_peak, _find_mass, (8, 16), PEAKS),
+        because="five products",
+    ),
+    *make_cases(
+        *("compensated widening", compensate_widening, _narrow, (8, 64), COMPENSATED),
+        because="the root of a number between 1/2 and 1",
+    ),
+]
 
 
 SOLID = (5, 4, 6)
 CENTERS = np.array([[1.3, 2.2, 2.7], [3.6, 0.4, 3.9], [2.1, 1.1, 0.2], [4.2, 2.9, 5.4]])
 MASSES = np.array([1.0, 0.5, 2.0, 0.25])
-# A point at the floor of sigma leaves 1e-106 on the neighbours of its cell.
-ON_CELL = {"gradient_floor": 1e-30}
-SIZES = (
-    ("plain", [0.6, 0.8, 1.0, 1.2]),
-    ("from 1e-3 to 1e3", [1e-3, 0.1, 10, 1e3], IN_WIDE),
-    ("all 0", [0, 0, 0, 0], ON_CELL),
-    ("from 1e-30 to 3e38", [1e-30, 0.3, 1e15, 3e38], IN_WIDE),
-)
 
 
 def _turn(variances):
@@ -193,43 +183,29 @@ COVARIANCES = (
     ("condition 1e12, turned", [_turn([1e4, 1, 1e-8])] * 4, THIN),
     ("singular: a plane", [FLAT] * 4, BELOW),
     ("singular: a needle", [NEEDLE] * 4, BELOW),
-    ("singular: a point", [np.zeros((3, 3))] * 4, BELOW | ON_CELL),
+    ("singular: a point", [np.zeros((3, 3))] * 4, BELOW),
     ("barely indefinite", INDEFINITE, BELOW),
     ("entries 1e30", [np.eye(3) * 1e30, *TURNED[1:]]),
 )
 
 
-def _sum_isotropic(coordinates, masses, sigma):
-    return sum_gaussians(coordinates, masses[:, None], sigma, shape=SOLID)[0]
-
-
-def _sum_anisotropic(coordinates, masses, covariance):
-    """The same with covariances, of which `project` reads the symmetric part."""
+def _sum(coordinates, masses, covariance):
+    """Densities of Gaussians; `project` reads the symmetric part of a covariance."""
     covariance = (covariance + jnp.swapaxes(covariance, 1, 2)) / 2
     return sum_covariances(coordinates, masses[:, None], covariance, shape=SOLID)[0]
 
 
-def _list_gaussians() -> list[Case]:
-    """Cases of the basic method: sizes far apart, covariances singular and worse."""
-    own_sizes = functools.partial(oracles.sum_gaussians, shape=SOLID)
-    own_shapes = functools.partial(oracles.sum_covariances, shape=SOLID)
-    sizes, matrices = (
-        [(name, CENTERS, MASSES, *rest) for name, *rest in rows]
-        for rows in (SIZES, COVARIANCES)
-    )
-    return [
-        *make_cases(
-            *("sigma per point", _sum_isotropic, own_sizes, (64, 256), sizes),
-            because="three kernels of ten roundings, exponents up to 40 in size",
-            is_half_checked=False,
-        ),
-        *make_cases(
-            *("covariance", _sum_anisotropic, own_shapes, (256, 1024), matrices),
-            because="a conditional variance cancels by its condition, three kernels "
-            "follow",
-            dtypes=WIDE,
-        ),
-    ]
+GAUSSIANS = make_cases(
+    "covariance",
+    _sum,
+    functools.partial(oracles.sum_covariances, shape=SOLID),
+    (256, 1024),
+    [(name, CENTERS, MASSES, *rest) for name, *rest in COVARIANCES],
+    because="a conditional variance cancels by its condition, three kernels follow",
+    # A point at the floor of sigma leaves 1e-106 on the neighbours of its cell.
+    gradient_floor=1e-30,
+    dtypes=WIDE,
+)
 
 
 LONG = 1024
@@ -252,24 +228,22 @@ RAYS = {
 }
 
 
-def _list_rays() -> list[Case]:
-    """Cases of termination and opacity; tolerances grow with the length of the ray."""
-    cases = []
+# Tolerances grow with the length of the ray.
+TERMINATION = [
+    case
     for title, function, oracle, floor in (
         ("probabilities", termination_probabilities, oracles.terminate, 0),
         # The gradient is at most one; where it is zero, the oracle's sum leaves 1e-19.
         ("opacity", opacity, oracles.find_opacity, 1e-4),
-    ):
-        for name, ray in RAYS.items():
-            cases += make_cases(
-                *(title, function, oracle, (2 * len(ray) + 8, 8 * len(ray) + 16)),
-                [(name, ray)],
-                because="each cell rounds the product twice, at worst in one direction",
-                dtypes=WIDE if len(ray) == LONG else DTYPES,
-                gradient_floor=floor,
-                is_slow=len(ray) == 1,
-            )
-    return cases
-
-
-ROWS = tabulate(splat=_list_splats(), gaussian=_list_gaussians(), ray=_list_rays())
+    )
+    for name, ray in RAYS.items()
+    for case in make_cases(
+        *(title, function, oracle, (2 * len(ray) + 8, 8 * len(ray) + 16)),
+        [(name, ray)],
+        because="each cell rounds the product twice, at worst in one direction",
+        dtypes=WIDE if len(ray) == LONG else DTYPES,
+        gradient_floor=floor,
+        is_slow=len(ray) == 1,
+    )
+]
+ROWS = tabulate(splat=SPLATTING, gaussian=GAUSSIANS, ray=TERMINATION)
