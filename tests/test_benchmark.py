@@ -28,8 +28,8 @@ def test_things_compared_take_turns_after_a_round_that_is_not_counted():
     assert "".join(order) == "ab" * 4
     assert [len(v) for v in seconds.values()] == [3, 3]
     # A call over its budget is measured once.
-    seconds = timing.time_interleaved({"a": dict}, rounds=5, budget_seconds=0.0)
-    assert len(seconds["a"]) == 1
+    seconds = timing.time_interleaved(calls, rounds=5, budget_seconds=0.0)
+    assert [len(v) for v in seconds.values()] == [1, 1]
 
 
 def test_every_peer_has_the_engines_gradients():
@@ -92,18 +92,33 @@ def test_a_surface_has_the_same_gradient_in_blocks_as_in_the_whole_volume():
     assert result["gradient_difference"] < 1e-5  # float32, sums in another order
 
 
-def test_the_fastest_setting_is_the_fastest_of_those_that_are_right_enough():
+def make_record(setting, seconds, error, sigma=1.0, scene="car"):
+    record = {"scene": scene, "sigma": sigma, "family": "f", "setting": setting}
+    values = {"error": error, "error_same_grid": error, "seconds": seconds, "rounds": 1}
+    return record | {
+        f"{kind}_{name}": value
+        for kind in ("image", "gradient")
+        for name, value in values.items()
+    }
+
+
+@pytest.mark.parametrize("most, name", [(0.3, "rough"), (0.05, "fine"), (1e-4, None)])
+def test_the_fastest_setting_is_the_fastest_of_those_that_are_right_enough(most, name):
     records = [
         make_record("rough", 1e-3, 0.2),
         make_record("fine", 3e-3, 0.01),
         make_record("finer", 4e-3, 0.001),
         make_record("elsewhere", 1e-4, 0.0, sigma=2.0),
     ]
-    found = {
-        most: (accuracy.find_fastest(records, most, 1.0) or {}).get("setting")
-        for most in (0.3, 0.05, 1e-4)
-    }
-    assert found == {0.3: "rough", 0.05: "fine", 1e-4: None}
+    assert (accuracy.find_fastest(records, most, 1.0) or {}).get("setting") == name
+
+
+def test_scenes_are_taken_together_by_their_medians():
+    numbers = ((1e-3, 0.1), (3e-3, 0.3), (9, 0.2))
+    records = [make_record("one", *pair, scene=pair) for pair in numbers]
+    (together,) = accuracy.take_scenes_together(records)
+    assert together["image_seconds"] == 3e-3
+    assert together["gradient_error_same_grid"] == 0.2
 
 
 def test_the_full_plan_has_settings_of_their_own_that_can_be_compared():
@@ -115,81 +130,27 @@ def test_the_full_plan_has_settings_of_their_own_that_can_be_compared():
         assert side % min(plan.FULL.sides) == 0
 
 
-def make_record(setting, seconds, error, sigma=1.0, scene="car"):
-    record = {"scene": scene, "sigma": sigma, "family": "f", "setting": setting}
-    for kind in ("image", "gradient"):
-        record |= {
-            f"{kind}_error": error,
-            f"{kind}_error_same_grid": error,
-            f"{kind}_seconds": seconds,
-            f"{kind}_rounds": 1,
-        }
-    return record
-
-
-def test_scenes_are_taken_together_by_their_medians():
-    records = [
-        make_record("one", seconds, error, scene=scene)
-        for scene, seconds, error in (("a", 1e-3, 0.1), ("b", 3e-3, 0.3), ("c", 9, 0.2))
-    ]
-    (together,) = accuracy.take_scenes_together(records)
-    assert together["image_seconds"] == 3e-3
-    assert together["gradient_error_same_grid"] == 0.2
-
-
 def make_results():
-    return {
-        "machine": timing.describe_machine(),
-        "command": "python -m dpc_jax.benchmark",
-        "has_torch": False,
-        "seed": 0,
-        "reference_side": 192,
-        "base_side": 64,
-        "speed": [
-            {
-                "case": str(plan.FULL.cases[0]),
-                "ours": "ours",
-                "median_seconds": {"ours": 0.01, "plain JAX": 0.02},
-                "ratio_to_ours": {"plain JAX": 2.0},
-                "gradient_difference": {"plain JAX": [1e-6, 2e-6, 3e-6]},
-            }
-        ],
-        "sizes": [
-            {
-                "case": "B=1, D=1024",
-                "signals": ["silhouette", "depth"],
-                "share": 0.031,
-                "median_seconds": {"blocks": 1.5},
-                "bytes": {"blocks": 900_000_000},
-                "gradient_difference": None,
-            }
-        ],
-        "error": [
-            make_record("one", 1e-3, 0.02),
-            make_record("two", 2e-3, float("inf")),
-        ],
+    results = {"machine": timing.describe_machine(), "command": "python -m ..."}
+    results |= {"has_torch": False, "seed": 0, "reference_side": 192, "base_side": 64}
+    speeds = {"case": "B=1", "ours": "ours", "ratio_to_ours": {"plain JAX": 2.0}}
+    speeds["median_seconds"] = {"ours": 0.01, "plain JAX": 0.02}
+    speeds["gradient_difference"] = {"plain JAX": [1e-6, 2e-6, 3e-6]}
+    large = {"case": "B=1", "signals": ["silhouette", "depth"], "share": 0.031}
+    large |= {"median_seconds": {"blocks": 1.5}, "bytes": {"blocks": 900_000_000}}
+    growth = {"base": "B=1", "values": [1, 2], "median_seconds": [0.01, 0.02]}
+    peaks = {"case": "B=1", "method": "trilinear", "extra_bytes": 1_100_000_000}
+    peaks |= {"estimate_bytes": 3, "all_cells_bytes": 4}
+    errors = (("one", 1e-3, 0.02), ("two", 2e-3, float("inf")))
+    return results | {
+        "speed": [speeds],
+        "sizes": [large],
+        "error": [make_record(*numbers) for numbers in errors],
         "scaling": [
-            {
-                "axis": axis,
-                "subject": subject,
-                "order": order,
-                "base": "B=1",
-                "values": [1, 2],
-                "median_seconds": [0.01, 0.02],
-            }
+            growth | {"axis": axis, "subject": subject, "order": order}
             for axis, (subject, order) in speed.AXES.items()
         ],
-        "memory": [
-            {
-                "case": "B=1",
-                "method": "trilinear",
-                "extra_bytes": 1_100_000_000,
-                "limit_bytes": limit,
-                "estimate_bytes": 3,
-                "all_cells_bytes": 4,
-            }
-            for limit in (1_500_000_000, None)
-        ],
+        "memory": [peaks | {"limit_bytes": limit} for limit in (1_500_000_000, None)],
     }
 
 
@@ -225,16 +186,11 @@ def test_an_unknown_part_is_refused_in_a_sentence(parts, tmp_path, capsys):
 
 
 def test_one_command_measures_and_writes(tmp_path, monkeypatch, capsys):
-    tiny = dataclasses.replace(
-        plan.QUICK,
-        rounds=1,
-        scaling_base=TINY,  # programs of the tests above
-        scaling={"N": (40,), "D": (8,), "B": (2,), "K": (3,)},
-    )
+    few = {"N": (40,), "D": (8,), "B": (2,), "K": (3,)}  # programs of the tests above
+    tiny = dataclasses.replace(plan.QUICK, rounds=1, scaling_base=TINY, scaling=few)
     monkeypatch.setattr(benchmark, "QUICK", tiny)
     assert benchmark.main(["--quick", "--parts=scaling", f"--out={tmp_path}"]) == 0
-    said = capsys.readouterr().out
-    assert "4/4 scaling: K" in said
+    assert "4/4 scaling: K" in capsys.readouterr().out
     text = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
     assert "python -m dpc_jax.benchmark --parts=scaling --quick" in text
 
@@ -247,9 +203,7 @@ def test_parts_before_a_failing_one_are_kept(tmp_path, monkeypatch, capsys):
     tasks = [("scaling", "N", lambda: done), ("memory", "one", lambda: [{}])]
     tasks.append(("memory", "two", fail))
     monkeypatch.setattr(suite, "list_tasks", lambda plan: tasks)
-    arguments = ["--parts=memory,scaling", f"--out={tmp_path}"]
-    assert benchmark.main(arguments) == 1
+    assert benchmark.main(["--parts=memory,scaling", f"--out={tmp_path}"]) == 1
     assert "Error: no memory left" in capsys.readouterr().err
     text = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
-    assert "## Growth" in text
-    assert "## Memory" not in text
+    assert "## Growth" in text and "## Memory" not in text

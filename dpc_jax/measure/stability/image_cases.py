@@ -100,15 +100,14 @@ SIZES = [
     ("sizes from 1e-30 to 3e38", {"sizes": [1e-30, 0.3, 1e15, 3e38]}, IN_WIDE),
 ]
 FOUR, LARGE = (5, 4, 6), (24, 17, 20)  # cells, of which a spline covers four
-# Title, scenes, grid, and what else `render_cloud` takes: `method`, if not the title.
+# Method, scenes, grid; in the large one the narrow points leave blocks out.
 TABLES = (
-    ("trilinear", SCENES, SHAPE, {}),
-    ("quadratic", SPLINES, FOUR, {}),
-    ("cubic", SPLINES, FOUR, {}),
-    # The narrow points leave blocks out.
-    ("blocks", SCENES, LARGE, {"method": "trilinear", "max_blocks": 26}),
-    ("gaussian", SIZES, SHAPE, {}),
-    ("covariance", COVARIANCES, SHAPE, {}),
+    ("trilinear", SCENES, SHAPE),
+    ("quadratic", SPLINES, FOUR),
+    ("cubic", SPLINES, FOUR),
+    ("blocks", SCENES, LARGE),
+    ("gaussian", SIZES, SHAPE),
+    ("covariance", COVARIANCES, SHAPE),
 )
 
 
@@ -136,9 +135,9 @@ def _describe(
 
 def render_cloud(points, rotation, sizes, scale, colors, *scene, method, **rules):
     """The three images of `project`; sizes are sigma () or [N], or covariances."""
-    kind = {"sigma": sizes, "method": method}
-    kind = {"covariance": sizes} if jnp.ndim(sizes) == 3 else kind
-    looks = _describe(*scene, **rules) | kind
+    looks = _describe(*scene, **rules)
+    is_round = jnp.ndim(sizes) < 3
+    looks |= {"sigma": sizes, "method": method} if is_round else {"covariance": sizes}
     image = project(points, rotation, scale=scale, colors=colors, **looks)
     return image.silhouette, image.depth, image.color
 
@@ -166,12 +165,12 @@ def _make_cases(title, function, oracle, plain, scenes) -> list[Case]:
 
 def _list_images() -> list[Case]:
     cases = []
-    for title, scenes, shape, rules in TABLES:
-        method = rules.get("method", title)
-        render = functools.partial(
-            render_cloud, **{"method": method, "shape": shape} | rules
-        )
-        oracle = functools.partial(oracles.project, shape=shape, method=method)
+    for title, scenes, shape in TABLES:
+        rules = {"method": title, "shape": shape}
+        if title == "blocks":
+            rules |= {"method": "trilinear", "max_blocks": 26}
+        render = functools.partial(render_cloud, **rules)
+        oracle = functools.partial(oracles.project, shape=shape, method=rules["method"])
         cases += _make_cases(title, render, oracle, PLAIN, scenes)
     return cases
 

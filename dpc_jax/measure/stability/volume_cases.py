@@ -1,7 +1,6 @@
 """Volumes and rays: points on borders, kernels of every width, empty and full cells."""
 
 import functools
-import itertools
 
 import jax.numpy as jnp
 import numpy as np
@@ -108,8 +107,10 @@ def _narrow(sigma):
 
 
 SPLATTING = [
-    *itertools.chain.from_iterable(
-        make_cases(
+    *(
+        case
+        for shape, rows in GRIDS
+        for case in make_cases(
             "splat",
             functools.partial(splat, shape=shape),
             functools.partial(oracles.splat, shape=shape),
@@ -117,7 +118,6 @@ SPLATTING = [
             rows,
             because="three weights of one rounding each, and their product",
         )
-        for shape, rows in GRIDS
     ),
     *make_cases(
         "splat",
