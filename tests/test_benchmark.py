@@ -115,7 +115,7 @@ def test_the_fastest_setting_is_the_fastest_of_those_that_are_right_enough(most,
 
 def test_scenes_are_taken_together_by_their_medians():
     numbers = ((1e-3, 0.1), (3e-3, 0.3), (9, 0.2))
-    records = [make_record("one", *pair, scene=pair) for pair in numbers]
+    records = [make_record("one", *pair, scene=str(pair)) for pair in numbers]
     (together,) = accuracy.take_scenes_together(records)
     assert together["image_seconds"] == 3e-3
     assert together["gradient_error_same_grid"] == 0.2
