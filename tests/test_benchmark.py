@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from dpc_jax import benchmark
+from dpc_jax import benchmark, stability
 from dpc_jax.measure import scenes, timing
 from dpc_jax.measure.benchmark import (
     accuracy,
@@ -177,11 +177,19 @@ def test_a_failing_process_is_one_sentence():
         peak.run_alone({"method": "trilinear"})
 
 
-@pytest.mark.parametrize("parts", ["speed,sped", ""])
-def test_an_unknown_part_is_refused_in_a_sentence(parts, tmp_path, capsys):
-    assert benchmark.main([f"--parts={parts}", f"--out={tmp_path / 'new'}"]) == 2
-    known = "names must be of speed, sizes, error, scaling, memory"
-    assert known in capsys.readouterr().err
+@pytest.mark.parametrize(
+    "command, flag, known",
+    [
+        (benchmark, "--parts=speed,sped", "speed, sizes, error, scaling, memory"),
+        (benchmark, "--parts=", "speed, sizes, error, scaling, memory"),
+        (stability, "--dtypes=float8", "float64, float32"),
+    ],
+)
+def test_unknown_names_are_refused_in_a_sentence(
+    command, flag, known, tmp_path, capsys
+):
+    assert command.main([flag, f"--out={tmp_path / 'new'}"]) == 2
+    assert f"names must be of {known}" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
 
 

@@ -224,13 +224,6 @@ def test_a_wrong_function_is_named_and_ends_with_status_1(tmp_path, install, cap
     assert infinite["value_error"] is None and infinite["is_finite"] is False
 
 
-def test_an_unknown_name_is_refused_in_a_sentence(tmp_path, capsys):
-    assert run(tmp_path / "out", "--dtypes=float8") == 2
-    error = capsys.readouterr().err
-    assert error.startswith("Error: ") and "float64, float32" in error
-    assert not (tmp_path / "out").exists()
-
-
 def test_an_interrupted_run_keeps_the_subjects_that_are_done(
     tmp_path, monkeypatch, capsys
 ):
