@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dpc_jax.data import batches
-from dpc_jax.data.dataset import DataSet
+from dpc_jax.data.arrays import DataSet
 
 
 def choose(step, *, models=10, batch=4, seed=0, views=5, views_per_batch=3):

@@ -16,12 +16,9 @@ from typing import Any
 from dpc_jax import files
 from dpc_jax.config import ELEVATIONS
 from dpc_jax.data import shards, workers
-from dpc_jax.data.arrays import ROWS as ROWS
-from dpc_jax.data.arrays import DataSet as DataSet
-from dpc_jax.data.arrays import Pages, Stack
+from dpc_jax.data.arrays import ROWS, DataSet, Pages, Stack
 from dpc_jax.data.sources import open_source
-from dpc_jax.data.spec import SUPERSAMPLE
-from dpc_jax.data.spec import DataSpec as DataSpec
+from dpc_jax.data.spec import SUPERSAMPLE, DataSpec
 from dpc_jax.data.workers import follow
 from dpc_jax.outputs import show_text
 

@@ -17,13 +17,10 @@ def make_airplane(rng: np.random.Generator) -> trimesh.Trimesh:
     Its labels are body, wing, tail, engine and gear.
     """
     plan = draw_plan(rng)
-    pieces = parts.label_parts("body", _make_fuselage(plan, rng))
-    pieces += parts.label_parts("wing", _make_wings(plan))
-    pieces += parts.label_parts("tail", _make_tail(plan, rng))
-    pieces += parts.label_parts("engine", make_engines(plan, rng))
-    if plan.kind == "light":
-        pieces += parts.label_parts("gear", make_gear(plan))
-    return parts.join(pieces)
+    groups = [("body", _make_fuselage(plan, rng)), ("wing", _make_wings(plan))]
+    groups += [("tail", _make_tail(plan, rng)), ("engine", make_engines(plan, rng))]
+    gear = make_gear(plan) if plan.kind == "light" else []
+    return parts.join([*groups, ("gear", gear)])
 
 
 def _make_fuselage(plan, rng):

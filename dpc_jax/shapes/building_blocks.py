@@ -5,7 +5,7 @@ path, skinned with triangles. Lengths are metres, z is up.
 """
 
 import colorsys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -30,20 +30,11 @@ LABELS = (
 
 
 class Part(NamedTuple):
-    """A piece of one colour: vertices [N, 3], faces [F, 3].
-
-    The label, one of `LABELS`, says what of the object it belongs to.
-    """
+    """A piece of one colour: vertices [N, 3], faces [F, 3]."""
 
     vertices: np.ndarray
     faces: np.ndarray
     color: Color
-    label: str = ""
-
-
-def label_parts(label: str, parts: Iterable[Part]) -> list[Part]:
-    """The parts under that label."""
-    return [part._replace(label=label) for part in parts]
 
 
 def loft(rings: npt.ArrayLike, *, color: Color, caps: bool = True) -> Part:
@@ -163,16 +154,19 @@ def mirror(parts: Sequence[Part]) -> list[Part]:
     return [*parts, *flipped]
 
 
-def join(parts: Sequence[Part]) -> trimesh.Trimesh:
-    """One mesh with face colours and labels; triangles without area are left out."""
-    vertices, faces, colors = join_pieces(
-        [
-            (v, f, np.tile(np.array([*color, 255], np.uint8), (len(f), 1)))
-            for v, f, color, _ in parts
-        ]
-    )
-    places = np.array([LABELS.index(part.label) for part in parts], np.uint8)
-    labels = np.repeat(places, [len(part.faces) for part in parts])
+def join(groups: Sequence[tuple[str, Sequence[Part]]]) -> trimesh.Trimesh:
+    """One mesh with face colours and labels; triangles without area are left out.
+
+    groups: a label, one of `LABELS`, which says what of the object its parts belong to.
+    """
+    pieces, labels = [], []
+    for label, parts in groups:
+        for v, f, color in parts:
+            colors = np.tile(np.array([*color, 255], np.uint8), (len(f), 1))
+            pieces.append((v, f, colors))
+            labels.append(np.full(len(f), LABELS.index(label), np.uint8))
+    vertices, faces, colors = join_pieces(pieces)
+    labels = np.concatenate(labels)
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     keep = np.linalg.norm(normal, axis=-1) > 1e-10

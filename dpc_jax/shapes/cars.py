@@ -22,12 +22,9 @@ def make_car(rng: np.random.Generator) -> trimesh.Trimesh:
     Its labels are body (with lamps and bumpers), cabin (with windows), wheel and extra.
     """
     plan = draw_plan(rng)
-    pieces = parts.label_parts("body", _make_body(plan, rng))
-    pieces += parts.label_parts("cabin", _make_cabin(plan))
-    pieces += parts.label_parts("wheel", make_wheels(plan, rng))
-    pieces += parts.label_parts("body", make_lamps(plan, rng))
-    pieces += parts.label_parts("extra", make_extras(plan, rng))
-    return parts.join(pieces)
+    groups = [("body", _make_body(plan, rng)), ("cabin", _make_cabin(plan))]
+    groups += [("wheel", make_wheels(plan, rng)), ("body", make_lamps(plan, rng))]
+    return parts.join([*groups, ("extra", make_extras(plan, rng))])
 
 
 def _outline(plan):

@@ -24,12 +24,10 @@ def make_chair(rng: np.random.Generator) -> trimesh.Trimesh:
     Its labels are seat, back, arm, and leg for whatever it stands on.
     """
     plan = draw_plan(rng)
-    pieces = parts.label_parts("seat", [_make_seat(plan, rng)])
-    pieces += parts.label_parts("leg", BASE_MAKERS[plan.base](plan, rng))
-    pieces += parts.label_parts("back", _Back(plan, rng).make(rng))
-    if plan.arms:
-        pieces += parts.label_parts("arm", _make_arms(plan, rng))
-    return parts.join(pieces)
+    groups = [("seat", [_make_seat(plan, rng)])]
+    groups += [("leg", BASE_MAKERS[plan.base](plan, rng))]
+    groups += [("back", _Back(plan, rng).make(rng))]
+    return parts.join([*groups, ("arm", _make_arms(plan, rng) if plan.arms else [])])
 
 
 def _make_seat(plan, rng):

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from dpc_jax.data.dataset import DataSet
+from dpc_jax.data.arrays import DataSet
 
 SMALL, FULL = 0.005, 0.98  # shares of the image that useful masks lie between
 LENGTH_FLAW = 1e-3  # of a unit quaternion

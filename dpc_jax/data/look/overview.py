@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw
 
 from dpc_jax import files
 from dpc_jax.data import dataset, viewpoints, views
+from dpc_jax.data.arrays import ROWS, DataSet
 from dpc_jax.data.look.checks import Lens, project_points, rotation_of
 from dpc_jax.data.sources import find_kind
 from dpc_jax.data.spec import KINDS, DataSpec
@@ -29,7 +30,7 @@ class OpenSet(NamedTuple):
     """A data set to be looked at; `note` says how it was prepared, if only for that."""
 
     name: str
-    data: dataset.DataSet
+    data: DataSet
     lens: Lens
     record: dict[str, Any]
     note: str
@@ -103,7 +104,7 @@ def describe_set(opened: OpenSet) -> list[str]:
     """Lines that say what a set holds."""
     data, record = opened.data, opened.record
     size = data.images.shape[-2]
-    present = [name for name in dataset.ROWS if getattr(data, name) is not None]
+    present = [name for name in ROWS if getattr(data, name) is not None]
     # All models of a folder are looked at: there is no split yet.
     split = "" if opened.note else f"{record['split']} split, "
     counts = sorted({min(data.counts), max(data.counts)})
