@@ -101,7 +101,7 @@ def test_the_result_renders_as_it_says(given):
 
 @pytest.mark.parametrize(
     ("finest", "sides"),
-    [(32, (16, 32)), (128, (64, 128)), (512, (64, 128, 256, 512))],
+    [(32, (16, 32)), (128, (64, 128)), (2048, (64, 128, 256, 512))],
 )
 def test_images_are_halved_until_the_first_are_coarse(finest, sides):
     assert object_fit.list_sides(finest) == sides

@@ -14,7 +14,8 @@ class FitSettings:
       num_points: of the cloud in images of up to 128 pixels; four times as many in
         images twice as large.
       sides: of images and volume, coarse to fine; divisors of the images' side. Empty
-        for all doublings from 64 on, or from half of that side where it is smaller.
+        for all doublings from 64 to that side, 512 at most, or for half of a smaller
+        side and all of it.
       steps: of each side; those beyond the last side are left out.
       sigma: of the points at the first and last step of each side, voxels of its grid.
       learning_rate: of the points, box diagonals; a tenth of it at the end of a side.

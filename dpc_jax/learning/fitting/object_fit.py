@@ -28,6 +28,7 @@ from dpc_jax.learning.signals import Weights, make_targets
 from dpc_jax.render import Camera, arguments, checks, quaternion
 
 _COARSEST = 64  # side of the first images; larger ones are halved down to it
+_FINEST = 512  # of the last, which take minutes of two cores
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,7 +144,7 @@ def fit(
 
 def list_sides(finest: int) -> tuple[int, ...]:
     """Sides of images and volume, coarse to fine, of images with that side."""
-    sides = [finest]
+    sides = [min(finest, _FINEST)]
     while len(sides) < 2 or sides[0] >= 2 * _COARSEST:
         sides.insert(0, sides[0] // 2)
     return tuple(sides)
