@@ -54,6 +54,7 @@ PLAIN = {
         learning_rate=1e-3,
         schedule="constant",
         pull_weight=0.0,
+        reseeds_points=False,
         repulsion_weight=0.0,
         containment_weight=0.0,
         color_weight=0.0,

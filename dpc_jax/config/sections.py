@@ -227,6 +227,8 @@ class Train:
     l2_weight: float = field(0.0, at_least(0))  # half squared weights (released code)
     # Of points that project outside the silhouette, per pixel.
     pull_weight: float = field(0.03, at_least(0))
+    # Points that hang alone are placed anew beside others after the last step.
+    reseeds_points: bool = field(True)
     # Of the mean energy by which points repel each other, late in the run.
     repulsion_weight: float = field(0.0, at_least(0))
     containment_weight: float = field(30.0, at_least(0))  # of points beyond radius 1/2

@@ -61,6 +61,7 @@ VARIANTS: dict[str, Changes] = {
             "learning_rate": 1e-4,
             "schedule": "constant",
             "pull_weight": 0.0,
+            "reseeds_points": False,
             "repulsion_weight": 0.0,
             "containment_weight": 0.0,
             "colors_move_points": True,

@@ -21,6 +21,7 @@ _PLAIN = {
     "pose.common_frame": False,
     "train.pull_weight": 0.0,
     "train.containment_weight": 1.0,
+    "train.reseeds_points": False,
     "train.colors_move_points": True,
     "network.sees_mask": False,
 }
