@@ -228,7 +228,7 @@ class Train:
     # Of points that project outside the silhouette, per pixel.
     pull_weight: float = field(0.03, at_least(0))
     # Points that hang alone are placed anew beside others after the last step.
-    reseeds_points: bool = field(True)
+    reseeds_points: bool = True
     # Of the mean energy by which points repel each other, late in the run.
     repulsion_weight: float = field(0.0, at_least(0))
     containment_weight: float = field(30.0, at_least(0))  # of points beyond radius 1/2
