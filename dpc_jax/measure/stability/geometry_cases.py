@@ -6,14 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.measure.stability import oracles
-from dpc_jax.measure.stability.case import (
-    IN_WIDE,
-    SKEW,
-    STILL,
-    TURN,
-    WIDE,
-    make_cases,
-)
+from dpc_jax.measure.stability.case import IN_WIDE, SKEW, STILL, TURN, WIDE, make_cases
 from dpc_jax.measure.stability.runner import tabulate
 from dpc_jax.render import camera as cameras
 from dpc_jax.render import quaternion

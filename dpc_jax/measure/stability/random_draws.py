@@ -9,12 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax import render
-from dpc_jax.evaluation import (
-    align,
-    chamfer_distance,
-    pose_summary,
-    rotation_angle_deg,
-)
+from dpc_jax.evaluation import align, chamfer_distance, pose_summary, rotation_angle_deg
 from dpc_jax.learning import losses
 from dpc_jax.learning.choice import hindsight
 from dpc_jax.measure.stability.case import Row
