@@ -265,7 +265,7 @@ def test_batches_have_the_corner_views_of_their_objects(tmp_path):
     [
         ("epcg", {"pose": {"source": "unknown"}}, "pose.source must be 'given'"),
         ("epcg", {"train": {"color_weight": 1.0}}, "train.color_weight must be 0"),
-        ("epcg", {"data": {"images": "."}}, "render.fixed_views_until must be 0"),
+        ("epcg", {"data": {"images": "."}}, "train.depth_weight must be 0"),
         ("epcg", {"network": {"shape": "points"}}, "render.fixed_views_until must be"),
         ("mvc", {"pose": {"num_heads": 1}}, "pose.num_heads must be above 1"),
         ("mvc", {"pose": {"head": "quaternion"}}, "pose.head must be 'viewpoint'"),

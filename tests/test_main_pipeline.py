@@ -11,6 +11,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import event_files
 import jax
 import numpy as np
 import pytest
@@ -25,7 +26,10 @@ from dpc_jax.config import from_config_dict
 from dpc_jax.data.dataset import read_cache
 from dpc_jax.data.viewpoints import look_at_rotation
 from dpc_jax.evaluation.metrics import get_metric
-from dpc_jax.run import pipeline, tensorboard
+from dpc_jax.learning.inference import refinement
+from dpc_jax.learning.inference.refinement import join_views
+from dpc_jax.run import pipeline
+from dpc_jax.run.workdir import read_config
 
 ROOT = Path(__file__).parents[1]
 STEPS = 60  # two signals fall within them
@@ -112,8 +116,7 @@ def read_events(workdir):
     """(step, name, value) of what TensorBoard shows, without what was timed."""
     return [
         (event.step, value.tag, value.WhichOneof("value"), value.simple_value)
-        for path in (workdir / "tensorboard").iterdir()
-        for event in tensorboard.read_events(path)
+        for event in event_files.read_events(workdir / "tensorboard")
         for value in event.summary.value
         if value.tag not in TIMED
     ]
@@ -361,7 +364,19 @@ def test_images_of_no_use_are_named_and_the_others_predicted(
         assert line.startswith("Error: ") and words in line
 
 
-def test_views_of_one_object_are_refined_together(finished, tmp_path, capsys):
+def test_views_of_one_object_are_refined_together(
+    finished, tmp_path, capsys, monkeypatch
+):
+    """In images twice as fine as the network's."""
+    sides = set()
+
+    def record(predictions, masks, groups):
+        sides.add(masks.shape[-1])
+        evidence = join_views(predictions, masks, groups)
+        assert evidence.masks.shape[-1] == masks.shape[-1]
+        return evidence
+
+    monkeypatch.setattr(refinement, "join_views", record)
     workdir = shutil.copytree(finished[0], tmp_path / "run")
     folder = tmp_path / "thing"
     folder.mkdir()
@@ -384,6 +399,7 @@ def test_views_of_one_object_are_refined_together(finished, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert all(view["sentence"] in printed for view in facts["views"])
     assert list(workdir.glob("report/codes-*.f32"))  # the next time reads it
+    assert sides == {2 * read_config(workdir).data.image_size}
 
 
 def make_boxes(folder, count):

@@ -25,6 +25,7 @@ def test_without_poses_a_view_has_a_sentence_and_no_silhouette(
             ("images/box.png",),
             np.full((1, 8, 8, 3), 255, np.uint8),
             np.zeros((1, 8, 8), np.uint8),
+            np.zeros((1, 16, 16), np.uint8),
             files=(),
         ),
         rows=np.arange(1),

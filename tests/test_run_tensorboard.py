@@ -1,12 +1,11 @@
 """TensorBoard is told what the log is told, each step once."""
 
 import io
-import struct
 
 import numpy as np
 import pytest
+from event_files import read_events
 from PIL import Image
-from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tiny_runs import make_dataset
 
 from dpc_jax.learning.inference.predictor import Predictions
@@ -46,23 +45,6 @@ def train(log, *steps):
         if step % 10 == 0:
             log.show_validation(step, step, None)
             log.write(validation_record(step))
-
-
-def read_events(folder):
-    """The events that TensorBoard keeps: a start drops what a kill has made stale."""
-    kept = []
-    for path in sorted(folder.glob("events*")):
-        data, place = path.read_bytes(), 0
-        while place + 12 <= len(data):
-            length, _ = struct.unpack_from("<QI", data, place)  # and a check sum
-            start, place = place + 12, place + 12 + length + 4
-            if place > len(data):
-                break  # torn by a kill
-            event = Event.FromString(data[start : start + length])
-            if event.session_log.status == SessionLog.START:
-                kept = [one for one in kept if one.step < event.step]
-            kept.append(event)
-    return [event for event in kept if event.summary.value]
 
 
 def read_tensorboard(folder):

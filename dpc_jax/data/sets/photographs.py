@@ -4,6 +4,7 @@ Each becomes an object of one or more views, cut out and framed as in training. 
 cannot be used is named. This module loads no JAX: a bad file is told at once.
 """
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ from dpc_jax.data.spec import DataSpec
 from dpc_jax.outputs import show_text
 
 MASKS = ("given", "auto", "matting")  # where masks come from
+FINEST = 128  # pixels of masks that shapes are refined by; finer ones take minutes
 MOST_FRAMES = 24  # of a moving picture, in equal steps: a turn in steps of 15°
 
 
@@ -27,6 +29,7 @@ class Photographs(NamedTuple):
     Attributes:
       name: of its files. sources: what each view is from, as text.
       images: uint8 [V, S, S, 3] on white. masks: uint8 [V, S, S].
+      fine_masks: uint8 [V, F, F], twice as fine up to `FINEST`.
       files: that the views are from.
     """
 
@@ -34,6 +37,7 @@ class Photographs(NamedTuple):
     sources: tuple[str, ...]
     images: np.ndarray
     masks: np.ndarray
+    fine_masks: np.ndarray
     files: tuple[Path, ...]
 
 
@@ -150,6 +154,11 @@ def _find_mask(frame, path: Path, finder) -> np.ndarray:
 def _frame(name, views, files, spec: DataSpec) -> Photographs:
     outlines = [framing.trace_outline(mask > 0.5) for _, _, mask in views]
     frames = framing.frame_views(outlines, None, spec)
-    arrays = framing.cut_frames((view[1:] for view in views), frames, spec)
+    pairs = [view[1:] for view in views]
+    arrays = framing.cut_frames(pairs, frames, spec)
+    side = max(spec.image_size, min(2 * spec.image_size, FINEST))
+    fine = framing.cut_frames(pairs, frames, dataclasses.replace(spec, image_size=side))
     sources = tuple(source for source, _, _ in views)
-    return Photographs(name, sources, arrays["images"], arrays["masks"], files)
+    return Photographs(
+        name, sources, arrays["images"], arrays["masks"], fine["masks"], files
+    )

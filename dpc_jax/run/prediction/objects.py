@@ -112,7 +112,8 @@ def predict_objects(
         if request.is_refined:
             report, step = workdir / "report", int(run.state.step)
             directions = read_directions(report, step, width, measure_directions)
-        masks = dataset.masks[:, 0]
+        fine = np.concatenate([one.fine_masks for one in found])
+        masks = fine if request.is_refined else dataset.masks[:, 0]
         _join_and_refine(predicted, predictions, masks, run, directions)
     for place, one in enumerate(predicted):
         if config.pose.learned_heads > 1:
@@ -205,7 +206,11 @@ def _join_and_refine(
     from dpc_jax.learning.inference.refinement import join_views, refine_objects
     from dpc_jax.learning.inference.refiner import make_refiner  # only where asked for
 
-    refiner, is_refined = make_refiner(run.network, run.config), len(directions) > 0
+    config, is_refined = run.config, len(directions) > 0
+    if is_refined:  # in the resolution of the masks
+        fine = {"render": {"fine_grid": masks.shape[-1]}}
+        config = replace_fields(config, fine)
+    refiner = make_refiner(run.network, config)
     widths: dict[int, list[int]] = {}  # of about as many views, together
     for place, one in enumerate(predicted):
         if is_refined or len(one.rows) > 1:
@@ -231,13 +236,14 @@ def _tell(done: int, total: int):
 
 def _judge(one: Any, found: Any) -> list[Confidence]:
     """The confidence in each view's pose."""
-    side = one.silhouettes.shape[-1]
+    side, given = one.silhouettes.shape[-1], one.photographs
+    masks = given.masks if side <= given.masks.shape[-1] else given.fine_masks
     views = zip(
         one.poses,
         found.candidates[one.rows, 0],
         found.probabilities[one.rows, 0],
         one.silhouettes,
-        [resize(mask / 255.0, side) for mask in one.photographs.masks],
+        [resize(mask / 255.0, side) for mask in masks],
         strict=True,
     )
     return [measure_confidence(*view) for view in views]
