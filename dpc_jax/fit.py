@@ -39,7 +39,7 @@ def make_parser() -> argparse.ArgumentParser:
     count = {"type": int, "metavar": "N"}
     text = "of the cloud (%(default)s)"
     add("--points", default=_DEFAULT.num_points, help=text, **count)
-    text = "pixels that images are brought to (%(default)s); 512: thin parts, minutes"
+    text = "pixels that images are brought to (%(default)s); more show thin parts"
     sizes = (64, 128, 256, 512)
     add("--image-size", choices=sizes, default=128, help=text, **count)
     text = "for poses; the best goes on (%(default)s)"

@@ -28,7 +28,7 @@ from dpc_jax.learning.signals import Weights, make_targets
 from dpc_jax.render import Camera, arguments, checks, quaternion
 
 _COARSEST = 64  # side of the first images; larger ones are halved down to it
-_FINEST = 512  # of the last, which take minutes of two cores
+_FINEST = 512  # of the last; finer ones have not been tried
 
 
 @dataclasses.dataclass(frozen=True)
