@@ -13,6 +13,7 @@ from dpc_jax.render import arguments, checks
 from dpc_jax.render.blocks import capacity
 from dpc_jax.render.camera import Camera, VoxelGrid
 from dpc_jax.render.devices import AUTOMATIC, choose_mesh, find_platform, place
+from dpc_jax.render.fast import splines
 from dpc_jax.render.projection import Projection, project
 
 _SIZES = (
@@ -99,9 +100,11 @@ def project_batch(
     shared, own = _sort_inputs(values, batch_size=batch_size)
     checks.check_values(values | {"rotations": rotations})
     own["rotation"] = rotations
-    if max_blocks is None and method != "gaussian" and _has_one_size(shared, own):
+    has_blocks = method in ("auto", *splines.ORDERS) and _has_one_size(shared, own)
+    if max_blocks is None and has_blocks:
+        how = {"projection": camera.projection, "grid": grid, "method": method}
         max_blocks = capacity.count_room(
-            lambda: _count_blocks(shared, own, projection=camera.projection, grid=grid),
+            lambda: _count_blocks(shared, own, **how),
             grid.shape,
             (shared, own),
         )
@@ -212,15 +215,16 @@ def _take_camera(values, projection):
     return values, Camera(focal_length, values.pop("camera.distance"), projection)
 
 
-@functools.partial(jax.jit, static_argnames=("projection", "grid"))
-def _count_blocks(shared, own, *, projection, grid):
+@functools.partial(jax.jit, static_argnames=("projection", "grid", "method"))
+def _count_blocks(shared, own, *, projection, grid, method):
     """The most blocks that an example touches, ()."""
     names = ("points", "rotation", "sigma", "translation")
 
     def count_one(one):
         values, camera = _take_camera(shared | one, projection)
         known = {name: values[name] for name in names if name in values}
-        return capacity.count_blocks(**known, camera=camera, grid=grid)
+        static = {"grid": grid, "method": method}
+        return capacity.count_blocks(**known, camera=camera, **static)
 
     return jnp.max(jax.lax.map(count_one, own), initial=0)
 
