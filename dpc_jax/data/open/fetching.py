@@ -24,7 +24,7 @@ SHEET_VIEW = 96  # pixels
 
 
 def fetch_category(category: str, out: str | Path) -> Path:
-    """Make the folder OUT/CATEGORY of open meshes, or complete it; return its path.
+    """Make the folder OUT/CATEGORY of open meshes; return its path.
 
     A second call does nothing. Packages stay in OUT/packages; their unpacked files are
     removed again.
