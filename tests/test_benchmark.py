@@ -138,6 +138,10 @@ def make_results():
     speeds["gradient_difference"] = {"plain JAX": [1e-6, 2e-6, 3e-6]}
     large = {"case": "B=1", "signals": ["silhouette", "depth"], "share": 0.031}
     large |= {"median_seconds": {"blocks": 1.5}, "bytes": {"blocks": 900_000_000}}
+    surfaces = [
+        {"points": 1000, "side": side, "median_seconds": {"blocks": 0.012} | whole}
+        for side, whole in ((512, {"whole": 1.234}), (1024, {}))
+    ]
     growth = {"base": "B=1", "values": [1, 2], "median_seconds": [0.01, 0.02]}
     peaks = {"case": "B=1", "method": "trilinear", "extra_bytes": 1_100_000_000}
     peaks |= {"estimate_bytes": 3, "all_cells_bytes": 4}
@@ -145,12 +149,13 @@ def make_results():
     return results | {
         "speed": [speeds],
         "sizes": [large],
+        "surfaces": surfaces,
         "error": [make_record(*numbers) for numbers in errors],
         "scaling": [
             growth | {"axis": axis, "subject": subject, "order": order}
             for axis, (subject, order) in speed.AXES.items()
         ],
-        "memory": [peaks | {"limit_bytes": limit} for limit in (1_500_000_000, None)],
+        "memory": [peaks],
     }
 
 
@@ -162,8 +167,9 @@ def test_the_report_names_every_figure_it_shows_and_leaves_no_other_file(tmp_pat
     assert all(f"({name})" in text for name in figures)
     assert "PyTorch is not installed and was left out" in text
     assert "| plain JAX | 20.00 | 2.00 | 3.0e-06 |" in text
-    assert "| 1.10 | 1.5 |" in text
-    assert "| silhouette, depth | 3.1 % | – | 1.5e+03 | – | 0.9 |" in text
+    assert "| 1.10 | 0.000 |" in text
+    assert "| silhouette, depth | 3.1 % | – | 1.5e+03 | – | 0.9 | – |" in text
+    assert "| 1,000 | 1,234 / 12 | – / 12 |" in text
 
 
 def test_the_peak_of_a_process_is_its_own_and_not_that_of_its_parent():
@@ -180,8 +186,8 @@ def test_a_failing_process_is_one_sentence():
 @pytest.mark.parametrize(
     "command, flag, known",
     [
-        (benchmark, "--parts=speed,sped", "speed, sizes, error, scaling, memory"),
-        (benchmark, "--parts=", "speed, sizes, error, scaling, memory"),
+        (benchmark, "--parts=speed,sped", ", ".join(plan.PARTS)),
+        (benchmark, "--parts=", ", ".join(plan.PARTS)),
         (stability, "--dtypes=float8", "float64, float32"),
     ],
 )

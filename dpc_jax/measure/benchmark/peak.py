@@ -18,7 +18,7 @@ from dpc_jax.measure.benchmark.plan import Case
 from dpc_jax.render import VoxelGrid, estimate_memory
 
 
-def measure_case(case: Case, method: str, limit_gb: float | None) -> dict[str, Any]:
+def measure_case(case: Case, method: str) -> dict[str, Any]:
     """Peak of one workload in bytes, beside the estimate of `estimate_memory`.
 
     Raises:
@@ -39,7 +39,6 @@ def measure_case(case: Case, method: str, limit_gb: float | None) -> dict[str, A
         "case": str(case),
         "method": method,
         "extra_bytes": run_alone(request) - run_alone(None),
-        "limit_bytes": limit_gb and int(limit_gb * 1e9),
         "estimate_bytes": estimate.total,  # of one sample
         "all_cells_bytes": 4 * case.points * case.side**3,  # what N·D³ would take
     }

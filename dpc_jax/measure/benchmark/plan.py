@@ -3,8 +3,9 @@
 import dataclasses
 from collections.abc import Mapping
 
-PARTS = ("speed", "sizes", "error", "scaling", "memory")
+PARTS = ("speed", "sizes", "surfaces", "error", "scaling", "memory")
 SEED = 0  # of all that is drawn
+SURFACE_SIGMA = 0.6  # voxels, as at the end of a fit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,6 +32,9 @@ class Plan:
     sized: Case  # of a sigma per point
     # Surfaces in the whole volume and in blocks, and which signals are rendered.
     sizes: tuple[tuple[Case, tuple[str, ...]], ...]
+    # Silhouettes of each number of points on each grid.
+    surface_points: tuple[int, ...]
+    surface_sides: tuple[int, ...]
     scene_points: int  # of the dense scenes
     sparse_points: int  # of the sparse one
     sigmas: tuple[float, ...]  # voxels of a grid with `base_side` cells a side
@@ -41,8 +45,7 @@ class Plan:
     budget_seconds: float  # after so much time a setting gets no further round
     scaling_base: Case  # the scaling values change one number of this
     scaling: Mapping[str, tuple[int, ...]]  # values by axis
-    # Workloads whose peak is taken: method, and limit in GB where one is set
-    memory: tuple[tuple[Case, str, float | None], ...]
+    memory: tuple[tuple[Case, str], ...]  # workloads whose peak is taken, and methods
 
 
 FULL = Plan(
@@ -59,6 +62,8 @@ FULL = Plan(
         (Case(1, 250_000, 512, 0.6), ("silhouette",)),
         (Case(1, 1_000_000, 1024, 0.6), ("silhouette",)),
     ),
+    surface_points=(1000, 10_000, 100_000, 1_000_000),
+    surface_sides=(32, 64, 128, 256, 512, 1024),
     scene_points=8000,
     sparse_points=400,
     sigmas=(0.3, 0.6, 1.2, 2.5, 5.0),
@@ -79,9 +84,9 @@ FULL = Plan(
         "K": (1, 2, 4, 8, 16),
     },
     memory=(
-        (Case(16, 16000, 128, 3.0), "trilinear", 1.5),
-        (Case(1, 100_000, 256, 3.0), "trilinear", 2.0),
-        (Case(1, 16000, 128, 3.0), "gaussian", None),
+        (Case(16, 16000, 128, 3.0), "trilinear"),
+        (Case(1, 100_000, 256, 3.0), "trilinear"),
+        (Case(1, 16000, 128, 3.0), "gaussian"),
     ),
 )
 
@@ -93,6 +98,8 @@ QUICK = Plan(
     num_candidates=4,
     sized=Case(1, 500, 16, 1.3),
     sizes=((Case(1, 500, 32, 0.5), ("silhouette",)),),
+    surface_points=(500,),
+    surface_sides=(32,),
     scene_points=500,
     sparse_points=500,
     sigmas=(0.5, 2.0),
@@ -103,5 +110,5 @@ QUICK = Plan(
     budget_seconds=0.2,
     scaling_base=Case(2, 500, 16, 1.5),
     scaling={"N": (500, 5000), "D": (8, 16), "B": (1, 2), "K": (1, 4)},
-    memory=((Case(2, 500, 16, 1.5), "trilinear", None),),
+    memory=((Case(2, 500, 16, 1.5), "trilinear"),),
 )

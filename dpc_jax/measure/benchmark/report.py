@@ -11,6 +11,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from dpc_jax.evaluation.metrics import MISSING
 from dpc_jax.files import write_json, write_text
 from dpc_jax.measure.benchmark import accuracy
+from dpc_jax.measure.benchmark.plan import SURFACE_SIGMA
 from dpc_jax.measure.timing import phrase_machine
 from dpc_jax.reporting import style
 from dpc_jax.reporting.tables import format_table
@@ -81,17 +82,37 @@ def _write_sizes(out, results) -> list[str]:
             )
             for name in ("whole", "blocks")
         ]
+        torch = result["median_seconds"].get("PyTorch")
+        numbers.append(f"{1e3 * torch:.3g}" if torch else MISSING)
         signals, share = ", ".join(result["signals"]), _percent(result["share"])
         rows.append([result["case"], signals, share, *numbers])
     heads = ["work", "signals", "blocks touched"]
     volumes = ("whole volume", "blocks")
     heads += [f"{name} ({unit})" for unit in ("ms", "GB") for name in volumes]
+    heads.append("PyTorch, whole volume (ms)")
     return [
         "## How large",
         "A car's surface, forward and backward, float32: in the whole volume, and in "
         "room for a fifth more blocks of 8³ cells than it touches (`max_blocks`). "
         "Memory is that of `dpc_jax.estimate_memory`.",
-        format_table(heads, rows, align="llrrrrr"),
+        format_table(heads, rows, align="llrrrrrr"),
+    ]
+
+
+def _write_surfaces(out, results) -> list[str]:
+    found = {(r["points"], r["side"]): r["median_seconds"] for r in results["surfaces"]}
+    counts, sides = (sorted(set(numbers)) for numbers in zip(*found, strict=True))
+    rows = []
+    for count in counts:
+        pairs = (found[count, side] for side in sides)
+        times = ((pair.get("whole"), pair["blocks"]) for pair in pairs)
+        cells = (" / ".join(_round_ms(t) for t in pair) for pair in times)
+        rows.append([f"{count:,}", *cells])
+    return [
+        "## Points and grids",
+        "A car's silhouette, forward and backward, float32, a sigma of "
+        f"{SURFACE_SIGMA} voxels, ms: in the whole volume / in blocks.",
+        format_table(["points", *(f"{side}³" for side in sides)], rows),
     ]
 
 
@@ -227,26 +248,27 @@ def draw_scaling(results: Sequence[dict[str, Any]], path: Path) -> Path:
 
 
 def _write_memory(out, results) -> list[str]:
-    specs = {"extra": ".2f", "limit": ".1f", "estimate": ".3f", "all_cells": ".4g"}
+    specs = {"extra": ".2f", "estimate": ".3f", "all_cells": ".4g"}
     rows = []
     for result in results["memory"]:
         sizes = [(result[f"{name}_bytes"], spec) for name, spec in specs.items()]
-        cells = [MISSING if n is None else format(n / 1e9, spec) for n, spec in sizes]
+        cells = [format(number / 1e9, spec) for number, spec in sizes]
         rows.append([result["method"], result["case"], *cells])
-    heads = ["method", "work", "extra peak (GB)", "limit (GB)", "estimate (GB)"]
+    heads = ["method", "work", "extra peak (GB)", "estimate (GB)"]
     return [
         "## Memory",
         "Peak of a whole process that runs forward and backward, samples one after the "
         "other, less that of one that only loads the package. It includes code and "
         "compiler; the estimate, that of `dpc_jax.estimate_memory` for one sample, "
         "does not.",
-        format_table([*heads, "N·D³ floats (GB)"], rows, align="llrrrr"),
+        format_table([*heads, "N·D³ floats (GB)"], rows, align="llrrr"),
     ]
 
 
 _SECTIONS = {
     "speed": _write_speed,
     "sizes": _write_sizes,
+    "surfaces": _write_surfaces,
     "error": _write_error,
     "scaling": _write_scaling,
     "memory": _write_memory,
@@ -255,6 +277,12 @@ _SECTIONS = {
 
 def _ms(seconds: float) -> str:
     return f"{1e3 * seconds:.2f}"
+
+
+def _round_ms(seconds: float | None) -> str:
+    if seconds is None:
+        return MISSING
+    return f"{1e3 * seconds:{',.0f' if seconds > 0.01 else '.2g'}}"
 
 
 def _percent(value: float) -> str:

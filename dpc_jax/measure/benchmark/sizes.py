@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dpc_jax.measure.benchmark.peers import has_torch, make_torch_call
 from dpc_jax.measure.benchmark.plan import SEED, Case
 from dpc_jax.measure.benchmark.speed import measure_distance
 from dpc_jax.measure.scenes import make_scenes
@@ -16,12 +17,15 @@ from dpc_jax.render import VoxelGrid, count_blocks, estimate_memory, project
 
 # The whole volume of a larger grid takes more memory than many machines have.
 _WHOLE_UP_TO = 512
+_TORCH_UP_TO = 256  # which keeps every step's volume
 
 
 def compare_volumes(
     case: Case, signals: tuple[str, ...], *, rounds: int
 ) -> dict[str, Any]:
     """A car's surface in the whole volume and in touched blocks, forward and backward.
+
+    Beside them the same silhouette in PyTorch, if it is installed.
 
     Returns:
       A record: the case, which part of the blocks is touched, median seconds, bytes by
@@ -45,14 +49,28 @@ def compare_volumes(
         calls[name] = functools.partial(_compile_volume(how), points, pose)
         sizes[name] = estimate_memory(points, pose, gradient=True, **how).total
     gradients = [np.asarray(call(), np.float64) for call in calls.values()]
+    medians = measure_medians(calls, rounds=rounds)
+    if has_torch() and signals == ("silhouette",) and case.side <= _TORCH_UP_TO:
+        # Not in turns with the others: its threads wait busily for its next call.
+        peer = {"PyTorch": _prepare_torch(scene, case, look["scale"])}
+        medians |= measure_medians(peer, rounds=rounds)
     return {
         "case": str(case),
+        "points": case.points,
+        "side": case.side,
         "signals": list(signals),
         "share": count / math.prod(-(-side // 8) for side in grid.shape),
-        "median_seconds": measure_medians(calls, rounds=rounds),
+        "median_seconds": medians,
         "bytes": sizes,
         "gradient_difference": measure_distance(*gradients) if gradients[1:] else None,
     }
+
+
+def _prepare_torch(scene, case, mass):
+    arrays = (a[None].astype("f4") for a in (scene.points, scene.pose))
+    targets = np.full((1, case.side, case.side), 0.3, "f4")
+    inputs = (*arrays, np.full(1, mass, "f4"))
+    return make_torch_call(inputs, targets, sigma=case.sigma)
 
 
 def _compile_volume(look):

@@ -9,7 +9,7 @@ from typing import Any
 from dpc_jax.learning.training.progress import ProgressReport
 from dpc_jax.measure import scenes
 from dpc_jax.measure.benchmark import accuracy, peak, peers, report, sizes, speed
-from dpc_jax.measure.benchmark.plan import PARTS, SEED, Plan
+from dpc_jax.measure.benchmark.plan import PARTS, SEED, SURFACE_SIGMA, Case, Plan
 from dpc_jax.measure.timing import describe_machine
 
 # A part, what is measured, and the call that gives its record, or several.
@@ -74,6 +74,10 @@ def list_tasks(plan: Plan) -> Iterator[Task]:
     for case, signals in plan.sizes:
         call = partial(sizes.compare_volumes, case, signals, **turns)
         yield "sizes", f"{'+'.join(signals)}, {case}", call
+    for side, points in itertools.product(plan.surface_sides, plan.surface_points):
+        case = Case(1, points, side, SURFACE_SIGMA)
+        call = partial(sizes.compare_volumes, case, ("silhouette",), rounds=3)
+        yield "surfaces", f"{case}", call
     made = scenes.make_scenes(
         num_points=plan.scene_points, num_sparse=plan.sparse_points, seed=SEED
     )
@@ -83,6 +87,6 @@ def list_tasks(plan: Plan) -> Iterator[Task]:
         yield "error", f"{scene.name}, σ={sigma:g}", call
     for axis in speed.AXES:
         yield "scaling", axis, partial(speed.measure_axis, axis, plan=plan)
-    for case, method, limit in plan.memory:
-        call = partial(peak.measure_case, case, method, limit)
+    for case, method in plan.memory:
+        call = partial(peak.measure_case, case, method)
         yield "memory", f"{method}, {case}", call
