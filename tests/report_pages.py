@@ -5,7 +5,7 @@ import numpy as np
 from dpc_jax.evaluation.images import ViewImages
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS
 from dpc_jax.evaluation.pose import Failures
-from dpc_jax.reporting.examples import Example, Neighbour, TrainingComparison
+from dpc_jax.reporting.examples import Example, Neighbour
 from dpc_jax.reporting.page import write_report
 
 GROUPS = ("Worst", "Median", "Best")
@@ -75,9 +75,8 @@ def make_report(folder, *, has_truth=True, **changes):
         errors = np.where(angles < 180, 4.0, 178.0)
         azimuths = np.stack([angles, (angles + errors) % 360])
         failures = Failures(errors, azimuths, kinds, np.zeros(0, int), {})
-        near = {"Prediction": 4.2, "Mean training shape": 5.0}
-        comparison = TrainingComparison(24, near, {"Mean training shape": 3.0})
-        more = {"pose_errors": errors, "failures": failures, "comparison": comparison}
+        metrics |= {"floor_chamfer": 1.8, "mean_shape_chamfer": 5.0}
+        more = {"pose_errors": errors, "failures": failures}
     arguments = {
         "title": "Cars & <b>more</b>, a rather long name, as folders often have",
         "metrics": metrics | changes.pop("metrics", {}),

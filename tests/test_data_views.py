@@ -8,6 +8,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from dpc_jax.data import DataSpec, load_or_render, rendering, viewpoints, views
+from dpc_jax.data.arrays import VISIBLE_STEPS
 from dpc_jax.shapes import procedural
 
 FOCAL, DISTANCE = 1.875, 2.0
@@ -222,29 +223,36 @@ def test_thinning_keeps_the_mean_of_each_voxel():
 
 
 def test_ground_truth_is_dense_even_and_on_the_surface():
-    points = rendering.make_ground_truth(make_ball(), TRUTH)[0]
+    points = rendering.make_ground_truth(make_ball(), TRUTH)
     # an even cover: about area / voxel², some more because voxels are cut obliquely
     area = 4 * np.pi * 0.16 / 1e-4
     assert area < len(points) < 2 * area
     radius = np.linalg.norm(points, axis=1)
     assert np.abs(radius - 0.4).max() < 0.01
-    again = rendering.make_ground_truth(make_ball(), TRUTH)[0]
+    again = rendering.make_ground_truth(make_ball(), TRUTH)
     np.testing.assert_array_equal(points, again)
     assert np.linalg.norm(points.mean(axis=0)) < 0.01
 
 
-@pytest.mark.parametrize("voxel", [0.0, 0.03])
-def test_points_that_are_seen_are_marked_and_all_stay(voxel):
+@pytest.mark.parametrize("count", [500, 20_000])  # all are tested; most are not
+def test_points_of_what_is_visible_are_as_many_as_asked_for_and_even(count):
     both = trimesh.util.concatenate([make_ball(), make_ball(0.2)])
-    spec = dataclasses.replace(TRUTH, surface_voxel=voxel)
-    points, seen = rendering.make_ground_truth(
-        both, dataclasses.replace(spec, surface_seen=True)
-    )
-    assert seen is not None and seen.shape == points.shape[:1] and seen.dtype == bool
-    np.testing.assert_array_equal(seen, np.linalg.norm(points, axis=1) > 0.3)
-    plain, none = rendering.make_ground_truth(both, spec)
-    assert none is None
-    np.testing.assert_array_equal(points, plain)
+    spec = dataclasses.replace(TRUTH, visible_points=count)
+    found = rendering.sample_visible(both, views.build_scene(both), spec)
+    assert found.dtype == np.uint16 and found.shape == (count, 3)
+    points = found / VISIBLE_STEPS - 0.5
+    # Between the steps and the chords of the triangles of a ball.
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), 0.4, atol=2e-3)
+    # Standard error of the mean of a coordinate: 0.4 / √3 / √count.
+    assert np.abs(points.mean(axis=0)).max() < 4 * 0.4 / np.sqrt(3 * count)
+
+
+def test_an_object_of_which_nothing_is_visible_is_taken_whole(monkeypatch):
+    hide = lambda points, scene, distance: np.zeros(len(points), bool)  # noqa: E731
+    monkeypatch.setattr(rendering, "_find_visible", hide)
+    spec = dataclasses.replace(TRUTH, visible_points=300)
+    found = rendering.sample_visible(make_ball(), views.build_scene(make_ball()), spec)
+    assert found.shape == (300, 3)
 
 
 def test_a_point_is_seen_if_a_ray_over_the_rim_reaches_it():

@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from dpc_jax.evaluation import chamfer_distance
+from dpc_jax.evaluation.chamfer import Surface, spread_rows
 
 
 def mean_gap_by_loops(a, b):
@@ -52,12 +53,25 @@ def test_clouds_of_extreme_sizes_have_distances_in_proportion(factor):
     assert found == pytest.approx(expected, rel=1e-12)  # float64
 
 
-def test_a_tree_given_along_changes_nothing_and_another_one_is_refused():
+def test_a_surface_may_ask_few_of_its_points_and_is_as_near_with_all():
     predicted, truth = clouds()
-    with_tree = chamfer_distance(predicted, truth, tree=KDTree(truth))
-    assert with_tree == chamfer_distance(predicted, truth)
-    with pytest.raises(ValueError, match="tree of 60"):
-        chamfer_distance(predicted, truth, tree=KDTree(predicted))
+    few = Surface(truth, asked=10).compare(predicted)
+    assert few.precision == chamfer_distance(predicted, truth).precision
+    asked = spread_rows(truth, 10)
+    assert few.coverage == chamfer_distance(predicted, asked).coverage
+
+
+@pytest.mark.parametrize("count", [20, 45, 80])
+def test_the_floor_is_the_distance_of_some_points_from_the_others(count):
+    _, truth = clouds()
+    rows = np.linspace(0, 89, min(count, 45)).round().astype(int)
+    expected = chamfer_distance(truth[rows], np.delete(truth, rows, axis=0))
+    floor = Surface(truth).measure_floor(count)
+    assert floor.coverage == pytest.approx(expected.coverage, abs=1e-12)
+    # Its points are near to each other, too: to those that it has itself.
+    away = cdist(truth[rows], truth)
+    away[np.arange(len(rows)), rows] = np.inf
+    assert floor.precision == pytest.approx(away.min(axis=1).mean(), abs=1e-12)
 
 
 @pytest.mark.parametrize(

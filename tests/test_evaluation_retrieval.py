@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
-from dpc_jax.evaluation.chamfer import chamfer_distance
-from dpc_jax.evaluation.training_shapes import ShapeIndex, spread_rows
+from dpc_jax.evaluation.chamfer import chamfer_distance, spread_rows
+from dpc_jax.evaluation.training_shapes import (
+    ShapeIndex,
+    average_surfaces,
+    take_fullest,
+)
 
 
 def make_boxes(count, seed=0, points=800):
@@ -40,3 +44,16 @@ def test_rows_are_spread_over_all_and_repeated_where_there_are_few(count, rows):
     found = spread_rows(points, count)
     assert len(found) == count
     np.testing.assert_array_equal(np.unique(found, axis=0), points[list(rows)])
+
+
+def test_cells_count_shapes_once_and_have_the_mean_of_all_points():
+    first = np.array([[0.3, 0.3, 0.3], [0.35, 0.3, 0.3], [-0.4, 0, 0]])
+    second = np.array([[0.4, 0.3, 0.3], [0.4, 0.3, -0.3]])
+    shares, places = average_surfaces([first, second], side=2)
+    by_cell = shares.reshape(2, 2, 2)
+    assert by_cell[1, 1, 1] == 1.0 and by_cell[1, 1, 0] == by_cell[0, 1, 1] == 0.5
+    assert shares.sum() == 2.0
+    np.testing.assert_allclose(places[np.argmax(shares)], [0.35, 0.3, 0.3])
+    fullest = take_fullest(shares, places, 1)
+    np.testing.assert_allclose(fullest, [[0.35, 0.3, 0.3]])
+    assert len(take_fullest(shares, places, 8)) == 3  # empty cells are none

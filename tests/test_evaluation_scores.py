@@ -124,12 +124,9 @@ def test_given_poses_are_not_scored_but_the_shapes_are(given):
 
 def test_what_can_be_seen_of_a_surface_is_scored_apart(given):
     *_, surfaces, objects = given
-    rng = np.random.default_rng(3)
-    seen = [rng.uniform(size=len(surface)) < 0.5 for surface in surfaces]
-    seen[1][:] = False  # as a whole
-    got, plain = judge(given, seen=seen), judge(given)
+    parts = [surfaces[0][:90], surfaces[1], surfaces[2][7:]]
+    got, plain = judge(given, visible=parts), judge(given)
     assert {n: got.metrics[n] for n in plain.metrics} == plain.metrics
     assert not any("visible" in name for name in plain.metrics)
-    parts = [surfaces[0][seen[0]], surfaces[1], surfaces[2][seen[2]]]
     expected = measure_plainly(objects, parts)
     assert pick(got.metrics, "visible_") == pytest.approx(expected)

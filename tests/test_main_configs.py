@@ -224,8 +224,9 @@ def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
     specs = make_data_specs(config)
     assert [specs[s].copies for s in ("train", "val", "test")] == [3, 1, 1]
     assert set(specs) == {"train", "val", "test"}
-    # All but the training set say what can be seen of their surfaces.
-    assert [n for n, spec in specs.items() if not spec.surface_seen] == ["train"]
+    # What is visible of the tested surfaces is dense.
+    counts = [specs[s].visible_points for s in ("train", "val", "test")]
+    assert counts == [2500, 2500, 100_000]
 
 
 @pytest.mark.parametrize("source", ["shapenet", "renders", "images"])
@@ -241,7 +242,7 @@ def test_every_source_reaches_all_splits_with_what_belongs_to_it(source):
         assert (spec.kind, spec.folder, spec.split) == (source, "folder", split)
         assert (spec.split_file, spec.crop, spec.fill) == ("all.csv", "view", 0.7)
         assert spec.surface_voxel == 0.01 and spec.models is None
-        assert spec.surface_seen == (source == "shapenet" and split != "train")
+        assert bool(spec.visible_points) == (source == "shapenet")
 
 
 @pytest.mark.parametrize(

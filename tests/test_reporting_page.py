@@ -77,7 +77,7 @@ def test_a_page_has_the_sections_that_its_data_allow(tmp_path, page, has_truth):
         page = make_report(tmp_path, has_truth=False).read_text("utf-8")
     for title in (
         "Pose errors over azimuth",
-        "Beside the training set",
+        "Beside shapes that see no image",
         "Rendered images",
     ):
         assert (f"<h2>{title}</h2>" in page) == has_truth

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from tiny_runs import make_dataset, random_quaternions, tiny_config
 
+from dpc_jax.data.arrays import VISIBLE_STEPS
+from dpc_jax.evaluation import chamfer_distance
 from dpc_jax.evaluation.alignment import identity_alignment
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions
@@ -15,8 +17,8 @@ from dpc_jax.run.report.shown_views import (
     choose_worst,
     list_worst,
 )
-from dpc_jax.run.report.summary import list_stages, list_warnings
-from dpc_jax.run.report.training_shapes import TrainingShapes
+from dpc_jax.run.report.summary import list_stages, list_warnings, measure_gains
+from dpc_jax.run.report.training_shapes import REFERENCES, TrainingShapes
 
 
 def test_worst_median_and_best_are_of_different_objects_and_no_view_comes_twice():
@@ -125,18 +127,44 @@ def test_neighbours_are_training_shapes_and_a_copy_is_seen_as_one(sets):
     judged, shapes, examples, _ = show(sets)
     near, mean = examples[0].neighbours
     assert near.title == "Nearest training shape" and near.chamfer < mean.chamfer
-    found = shapes.compare(*judged[:3])
-    assert found.objects == 6
-    assert found.to_truth["Prediction"] == 0
-    assert found.to_truth["Nearest training shape"] > 0
-    # Predictions that are the truth differ among themselves as it does.
-    parts = found.to_truth, found.to_prediction
-    between = [part["The same of another object"] for part in parts]
-    assert between[0] == pytest.approx(between[1], rel=1e-6) and between[0] > 0
     np.testing.assert_array_equal(
         shapes.find_nearest(np.asarray(judged.dataset.surfaces[0]), 60),
         sets["train"].surfaces[4],
     )
+
+
+def test_references_are_distances_of_clouds_that_see_no_image(sets):
+    shown = {}
+    for name, data in sets.items():
+        half = np.asarray(data.surfaces)[:, ::2]
+        steps = np.round((half + 0.5) * VISIBLE_STEPS).astype(np.uint16)
+        shown[name] = data._replace(visible=steps)
+    shapes = TrainingShapes.gather(shown)
+    predictions, frame = predict_truth(sets["test"]), identity_alignment()
+    found = shapes.measure_references(predictions, shown["test"], frame)
+    assert set(found) == {
+        f"{prefix}{name}_chamfer" for prefix in ("", "visible_") for name in REFERENCES
+    }
+
+    def average(guess, read):
+        truths = [read(model) for model in range(6)]
+        return 100 * np.mean([chamfer_distance(guess(t), t).chamfer for t in truths])
+
+    whole, read = sets["test"].surfaces.__getitem__, shown["test"].read_visible
+    expected = {
+        "mean_shape_chamfer": average(lambda _: shapes.mean, whole),
+        "visible_mean_shape_chamfer": average(lambda _: shapes.visible_mean, read),
+        "nearest_shape_chamfer": average(lambda t: shapes.find_nearest(t, 60), whole),
+    }
+    assert {n: found[n] for n in expected} == pytest.approx(expected)
+    assert found["floor_chamfer"] > 0
+    metrics = {"floor_chamfer": 2.0, "mean_shape_chamfer": 4.0, "chamfer": 3.5}
+    assert measure_gains(metrics) == {"chamfer_gain": 0.25}
+    # Without what is visible the others are the same.
+    plain = TrainingShapes.gather(sets)
+    assert plain.measure_references(predictions, sets["test"], frame) == {
+        name: value for name, value in found.items() if not name.startswith("visible_")
+    }
 
 
 def test_stages_say_what_is_new_in_them():

@@ -14,12 +14,13 @@ ROWS: dict[str, tuple[str, tuple[int, ...]]] = {
     "depths": ("<f4", (0, 0)),
     "quaternions": ("<f4", (4,)),
     "surfaces": ("<f4", (3,)),
-    "seen": ("|b1", ()),
+    "visible": ("<u2", (3,)),
     "translations": ("<f4", (3,)),
     "focal_lengths": ("<f4", ()),
     "corner_masks": ("|u1", (0, 0)),
     "corner_depths": ("<f4", (0, 0)),
 }
+VISIBLE_STEPS = 65_535  # of coordinates from -0.5 to 0.5: half the bytes, 1e-5 apart
 KEPT_PAGES = 32 << 20  # bytes read before mapped pages are given back to the system
 
 
@@ -35,7 +36,8 @@ class DataSet(NamedTuple):
     quaternions: float32 [M, V, 4], wxyz, object to camera; None where not given.
     surfaces: float32 [M, P, 3], points on the surface, for evaluation only; models may
         differ in P; None where there is no ground truth.
-    seen: bool [M, P], which of these can be seen from outside; None where not asked.
+    visible: uint16 [M, P, 3], points that can be seen from outside, see `read_visible`;
+        None where not asked.
     translations: float32 [M, V, 3], of the object in the camera frame, after the
         rotation; None where it is not moved or not known.
     focal_lengths: float32 [M, V]; None where all views have the camera's.
@@ -59,7 +61,7 @@ class DataSet(NamedTuple):
     focal_lengths: Any = None
     corner_masks: Any = None
     corner_depths: Any = None
-    seen: Any = None
+    visible: Any = None
 
     @property
     def counts(self) -> np.ndarray:
@@ -70,6 +72,10 @@ class DataSet(NamedTuple):
     def rows(self, name: str, model: int) -> np.ndarray:
         """What an array with a row per view has of one model."""
         return np.asarray(getattr(self, name)[model])[: self.counts[model]]
+
+    def read_visible(self, model: int) -> np.ndarray:
+        """Points [P, 3] float64 of a model's surface that can be seen from outside."""
+        return np.asarray(self.visible[model]) / VISIBLE_STEPS - 0.5
 
 
 class Pages:

@@ -80,12 +80,6 @@ def load_or_render(
     return read_cache(folder)._replace(warnings=warnings)
 
 
-def is_prepared(spec: DataSpec, cache_dir: str | Path) -> bool:
-    """Whether `load_or_render` would find the set instead of preparing it."""
-    *_, folder = _locate(spec, cache_dir)
-    return (folder / RECORD).exists()
-
-
 def _locate(spec, cache_dir):
     """Source, models, what determines their bytes as JSON, and their cache folder."""
     source = open_source(spec)

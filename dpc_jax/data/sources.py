@@ -97,7 +97,8 @@ class Source:
         points = spec.surface_points
         if spec.surface_voxel > 0:  # surfaces are about as large as their boxes' sides
             points = min(points, round(2 / spec.surface_voxel**2))
-        return 8 * spec.image_size**2 * model.views + 12 * points
+        points = 12 * points + 6 * spec.visible_points
+        return 8 * spec.image_size**2 * model.views + points
 
     def expect_model(self, name: str) -> Path:
         """Where a model that an official split names should lie."""

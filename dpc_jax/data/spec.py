@@ -44,7 +44,7 @@ class DataSpec:
     corner_views: bool = False  # also from the corners of a cube (EPCG)
     surface_points: int = Data.surface_points  # ground truth per model, before thinning
     surface_voxel: float = Data.surface_voxel  # one point per voxel this wide; 0: all
-    surface_seen: bool = False  # also which points can be seen from outside
+    visible_points: int = 0  # also so many that can be seen from outside
     kind: str = "meshes"  # of the folder, one of `KINDS`
     split_file: str | None = None  # official split; None: looked for in the folder
     ground_truth: str | None = None  # folder of the published ground truth

@@ -1,6 +1,6 @@
 """Chamfer distance between point clouds, split into precision and coverage."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,36 +26,67 @@ class Chamfer(NamedTuple):
         return {name: _PAPER_UNITS * value for name, value in distances.items()}
 
 
-def chamfer_distance(
-    predicted: ArrayLike,
-    ground_truth: ArrayLike,
-    *,
-    tree: KDTree | None = None,
-) -> Chamfer:
+class Surface:
+    """Points of a true surface, ready to be compared with many clouds.
+
+    Args:
+      points: [P, 3].
+      asked: how many of them, evenly spread over their order, are asked for their
+        distance to a cloud; all if None. The others make the distance of a cloud to
+        them one to the surface.
+      name: for the error.
+
+    Raises:
+      ValueError: as `chamfer_distance`.
+    """
+
+    def __init__(self, points: ArrayLike, *, asked: int | None = None, name="surface"):
+        self.points = check_points(points, name=name)
+        count = len(self.points)
+        self._asked = spread_rows(self.points, min(asked or count, count))
+        self._tree = KDTree(self.points)
+
+    def compare(self, predicted: ArrayLike) -> Chamfer:
+        """Distances of a cloud [N, 3] from this surface."""
+        predicted = check_points(predicted, name="predicted")
+        to_truth, _ = self._tree.query(predicted)
+        to_prediction, _ = KDTree(predicted).query(self._asked)
+        return Chamfer(float(np.mean(to_truth)), float(np.mean(to_prediction)))
+
+    def measure_floor(self, count: int) -> Chamfer:
+        """Distances of `count` of its own points, at most half, from the others."""
+        rows = find_rows(len(self.points), min(count, len(self.points) // 2))
+        to_truth = self._tree.query(self.points[rows], k=2)[0][:, 1]  # not themselves
+        others = np.delete(self.points, rows, axis=0)
+        asked = spread_rows(others, min(len(self._asked), len(others)))
+        to_prediction, _ = KDTree(self.points[rows]).query(asked)
+        return Chamfer(float(np.mean(to_truth)), float(np.mean(to_prediction)))
+
+
+def chamfer_distance(predicted: ArrayLike, ground_truth: ArrayLike) -> Chamfer:
     """Eq. 6: Chamfer distance d_Chamf, of mean Euclidean (not squared) distances.
 
     Args:
       predicted: [N, 3] predicted points.
       ground_truth: [M, 3] points of the true surface, in the same frame and units.
-      tree: the ground truth's own tree, where one shape is compared with many
-        predictions; built here otherwise.
 
     Raises:
-      ValueError: a cloud is empty, is not [., 3] or holds a non-finite coordinate, or
-        the tree holds another number of points than `ground_truth`.
+      ValueError: a cloud is empty, is not [., 3] or holds a non-finite coordinate.
     """
-    predicted = check_points(predicted, name="predicted")
-    ground_truth = check_points(ground_truth, name="ground_truth")
-    if tree is None:
-        tree = KDTree(ground_truth)
-    elif tree.n != len(ground_truth):
-        raise ValueError(
-            f"tree must hold the {len(ground_truth)} ground truth points, but is a "
-            f"tree of {tree.n}; build it from the same array."
-        )
-    to_truth, _ = tree.query(predicted)
-    to_prediction, _ = KDTree(predicted).query(ground_truth)
-    return Chamfer(float(np.mean(to_truth)), float(np.mean(to_prediction)))
+    return Surface(ground_truth, name="ground_truth").compare(predicted)
+
+
+def find_rows(total: int, count: int) -> np.ndarray:
+    """`count` of the indices below `total`, evenly spread; repeated if fewer."""
+    return np.linspace(0, total - 1, count).round().astype(int)
+
+
+def spread_rows(points: Any, count: int) -> np.ndarray:
+    """`count` of the points [N, 3], evenly spread over their order; repeated if fewer.
+
+    Points of a surface are drawn at random, so any of them are a fair sample.
+    """
+    return np.asarray(points[find_rows(len(points), count)], np.float64)
 
 
 def check_points(points: ArrayLike, *, name: str) -> np.ndarray:

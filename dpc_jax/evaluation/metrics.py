@@ -17,6 +17,7 @@ _BESIDE = {
     "refined_joined_": "all views of an object together, refined",
     "joined_": "all views of an object together",
     "refined_": "refined",
+    "visible_": "what can be seen",
 }
 
 
@@ -32,8 +33,8 @@ class Metric:
     hint: str = ""  # one phrase on its meaning
     short: str = ""  # name within a line of text; empty: left out there
     # "required": in every report, if only as unknown; "headline": large at the top of
-    # the page, too.
-    role: Literal["", "required", "headline"] = ""
+    # the page, too; "reference": of a shape that predictions are compared with.
+    role: Literal["", "required", "headline", "reference"] = ""
 
     @property
     def factor(self) -> float:
@@ -62,6 +63,18 @@ METRICS = {metric.name: metric for metric in (
            False, "the same from and to the part of a surface seen from outside"),
     Metric("visible_precision", "Precision, what can be seen", "×100", ".2f", False),
     Metric("visible_coverage", "Coverage, what can be seen", "×100", ".2f", False),
+    Metric("chamfer_gain", "Way from the mean shape to a perfect cloud", "%", ".0f",
+           True, "how much of it predictions go; below 0: the mean shape is better"),
+    Metric("visible_chamfer_gain", "Way from the mean shape to a perfect cloud, what "
+           "can be seen", "%", ".0f", True, short="way from the mean shape"),
+    Metric("floor_chamfer", "Chamfer distance, perfect cloud", "×100", ".2f", False,
+           "as many true points as are predicted", role="reference"),
+    Metric("mean_shape_chamfer", "Chamfer distance, mean training shape", "×100", ".2f",
+           False, "sees no image, but true surfaces", role="reference"),
+    Metric("nearest_shape_chamfer", "Chamfer distance, nearest training shape", "×100",
+           ".2f", False, "the nearest to the truth, as many points", role="reference"),
+    Metric("own_mean_chamfer", "Chamfer distance, mean of the predictions", "×100",
+           ".2f", False, "what the network says without an image", role="reference"),
     Metric("dense_chamfer", "Chamfer distance, dense cloud", "×100", ".2f", False,
            "midpoints of neighbouring points added, 8000 in all", "dense"),
     Metric("dense_precision", "Precision, dense cloud", "×100", ".2f", False),
@@ -121,17 +134,21 @@ METRICS = {metric.name: metric for metric in (
 )}
 # fmt: on
 HEADLINE_METRICS = tuple(n for n, m in METRICS.items() if m.role == "headline")
-REQUIRED_METRICS = tuple(name for name, m in METRICS.items() if m.role)
+REQUIRED_METRICS = tuple(
+    n for n, m in METRICS.items() if m.role in ("headline", "required")
+)
 
 
 def get_metric(name: str) -> Metric:
     """The metric of that name; an unknown one has its name as its label."""
+    if name in METRICS:
+        return METRICS[name]
     for prefix, what in _BESIDE.items():
         plain = name.removeprefix(prefix)
         if plain != name and plain in METRICS:
             metric = METRICS[plain]
             return replace(metric, name=name, label=f"{metric.label}, {what}")
-    return METRICS.get(name, Metric(name, name))
+    return Metric(name, name)
 
 
 def order_metrics(names: Iterable[str]) -> list[str]:

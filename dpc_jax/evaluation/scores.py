@@ -1,14 +1,13 @@
 """All metrics of a test set at once: poses, and shapes in the paper's units."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import KDTree
 
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
-from dpc_jax.evaluation.chamfer import Chamfer, chamfer_distance, check_points
+from dpc_jax.evaluation.chamfer import Chamfer, Surface
 from dpc_jax.evaluation.density import densify
 from dpc_jax.evaluation.pose import (
     Failures,
@@ -16,6 +15,8 @@ from dpc_jax.evaluation.pose import (
     pose_summary,
     rotation_angle_deg,
 )
+
+ASKED = 10_000  # points of a visible surface whose distance to a cloud is taken
 
 
 class Scores(NamedTuple):
@@ -43,7 +44,7 @@ def score(
     alignment: Alignment,
     best_candidate_poses: ArrayLike | None = None,
     chamfer_views: int | None = None,
-    seen: Sequence[ArrayLike] | None = None,
+    visible: Iterable[ArrayLike] | None = None,
     dense_points: int = 0,
     costs: ArrayLike | None = None,
 ) -> Scores:
@@ -63,8 +64,8 @@ def score(
       best_candidate_poses: [n, V, 4] the ensemble's winner for each view, or None where
         there is no ensemble.
       chamfer_views: shapes of only the first this many views are compared; all if None.
-      seen: [P] booleans of each surface, which of its points can be seen from outside;
-        None: not known. An object without any is compared as a whole.
+      visible: [P', 3] points of each surface that can be seen from outside; None: not
+        known.
       dense_points: of the dense clouds that are scored beside the predicted ones; no
         more than these have: none are.
       costs: see `find_failures`.
@@ -95,23 +96,21 @@ def score(
         return Scores(metrics, errors, failures=failures)
     clouds = np.asarray(points)[:, :chamfer_views]
     chamfers = np.empty((*clouds.shape[:2], 2))
-    visible, dense = np.empty_like(chamfers), np.empty_like(chamfers)
+    outer, dense = np.empty_like(chamfers), np.empty_like(chamfers)
     is_dense = dense_points > clouds.shape[2]
-    for model, surface in enumerate(surfaces):
-        surface = part = check_points(surface, name=f"surface of model {model}")
-        if seen is not None and np.any(seen[model]):
-            part = surface[np.asarray(seen[model], bool)]
-        tree, part_tree = KDTree(surface), KDTree(part)
+    outside = None if visible is None else iter(visible)
+    for model, points in enumerate(surfaces):
+        surface = Surface(points, name=f"surface of model {model}")
+        seen = None if outside is None else Surface(next(outside), asked=ASKED)
         for view in range(clouds.shape[1]):
             cloud = align_points(alignment, clouds[model, view])
-            chamfers[model, view] = chamfer_distance(cloud, surface, tree=tree)
+            chamfers[model, view] = surface.compare(cloud)
             if seen is not None:
-                visible[model, view] = chamfer_distance(cloud, part, tree=part_tree)
+                outer[model, view] = seen.compare(cloud)
             if is_dense:
-                thick = densify(cloud, dense_points)
-                dense[model, view] = chamfer_distance(thick, surface, tree=tree)
+                dense[model, view] = surface.compare(densify(cloud, dense_points))
     found = {"": chamfers}
-    found |= {"visible_": visible} if seen is not None else {}
+    found |= {"visible_": outer} if visible is not None else {}
     found |= {"dense_": dense} if is_dense else {}
     for prefix, distances in found.items():
         mean = Chamfer(*distances.mean(axis=(0, 1)).tolist()).in_paper_units()

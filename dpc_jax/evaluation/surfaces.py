@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
-from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
-from dpc_jax.evaluation.chamfer import chamfer_distance
+from dpc_jax.evaluation.chamfer import Surface
 
 SAMPLES = 10_000  # "roughly 10000" points of a surface
 THRESHOLDS = tuple(i / 40 for i in range(1, 40))
@@ -84,13 +83,13 @@ def tune_threshold(
       volumes: [X, Y, Z] occupancies of each shape, in the frame of its surface.
       surfaces: [P, 3] points of each true surface.
     """
-    trees = [KDTree(np.asarray(surface)) for surface in surfaces]
+    truths = [Surface(points) for points in surfaces]
 
     def measure(index):
         distances = []
-        for cells, surface, tree in zip(volumes, surfaces, trees, strict=True):
+        for cells, truth in zip(volumes, truths, strict=True):
             points = sample_surface(cells, THRESHOLDS[index], count=_FEW)
-            distances.append(chamfer_distance(points, surface, tree=tree).chamfer)
+            distances.append(truth.compare(points).chamfer)
         return np.mean(distances)
 
     found = {index: measure(index) for index in range(0, len(THRESHOLDS), 4)}

@@ -6,7 +6,7 @@ copy; one whose predictions are all near the mean shape, to ignore its image
 
 The mean shape is where surfaces of training shapes are most often: the fullest cells of
 a fine grid, each with the mean of the surface points in it. How many cells are taken is
-tuned on validation shapes. It knows the true surfaces, the parts inside of objects too.
+tuned on validation shapes. It knows the true surfaces.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from dpc_jax.evaluation.chamfer import Chamfer, chamfer_distance
+from dpc_jax.evaluation.chamfer import Surface, spread_rows
 
 _COARSE, _FINE = 64, 500  # points of a shape in the first and second comparison
 _SHORTLIST = 24  # training shapes that are compared a second time
@@ -66,15 +66,6 @@ class ShapeIndex:
         return self._fine[index]
 
 
-def spread_rows(points: Any, count: int) -> np.ndarray:
-    """`count` of the points [N, 3], evenly spread over their order; repeated if fewer.
-
-    Points of a surface are drawn at random, so any of them are a fair sample.
-    """
-    rows = np.linspace(0, len(points) - 1, count).round().astype(int)
-    return np.asarray(points[rows], np.float64)
-
-
 def find_mean_shape(train: Sequence[Any], val: Sequence[Any]) -> np.ndarray:
     """The cloud [N, 3] of the fullest cells, as many as suit the validation shapes.
 
@@ -83,7 +74,12 @@ def find_mean_shape(train: Sequence[Any], val: Sequence[Any]) -> np.ndarray:
     """
     shares, places = average_surfaces(train)
     clouds = [take_fullest(shares, places, count) for count in COUNTS]
-    return min(clouds, key=lambda cloud: average_distance(cloud, val).chamfer)
+    truths = [Surface(points) for points in val]
+
+    def measure(cloud):
+        return np.mean([truth.compare(cloud).chamfer for truth in truths])
+
+    return min(clouds, key=measure)
 
 
 def average_surfaces(
@@ -116,11 +112,3 @@ def take_fullest(shares: np.ndarray, places: np.ndarray, count: int) -> np.ndarr
     """The places of the `count` cells that most surfaces pass; fewer if they are."""
     order = np.argsort(-shares, kind="stable")[:count]
     return places[order[shares[order] > 0]]
-
-
-def average_distance(cloud: np.ndarray, surfaces: Sequence[Any]) -> Chamfer:
-    """Mean distances of one cloud [N, 3] from the surfaces [P, 3] of many shapes."""
-    found = [
-        chamfer_distance(cloud, surface, tree=KDTree(surface)) for surface in surfaces
-    ]
-    return Chamfer(*np.mean(found, axis=0).tolist())

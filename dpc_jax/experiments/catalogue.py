@@ -21,7 +21,7 @@ class Row:
     label: str  # in our table
     published: str = ""  # name of the paper's row in the experiment's table
     # The text after the colon of --config; None for the mean shape of the training set,
-    # which is measured on the data instead of trained.
+    # which the others measure beside theirs.
     variant: str | None = ""
     # "section.field": value, beside the variant
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)

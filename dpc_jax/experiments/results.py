@@ -1,28 +1,21 @@
 """What finished runs gave: groups of seeds, measured rows, analyses kept in DIR."""
 
 import dataclasses
-import functools
 import json
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dpc_jax.config import Config
-from dpc_jax.data import load_or_render
-from dpc_jax.data.dataset import is_prepared
-from dpc_jax.evaluation.training_shapes import average_distance, find_mean_shape
 from dpc_jax.experiments import correspondences, interpolation, point_sizes
 from dpc_jax.experiments.catalogue import Experiment, Row
 from dpc_jax.experiments.published import MEAN
 from dpc_jax.experiments.runs import Request, Run
 from dpc_jax.files import digest_text, write_json
 from dpc_jax.reporting.groups import ComparedRun, Group
-from dpc_jax.run.setup import make_data_specs
 
-_VALIDATED = 20  # shapes that the mean shape is tuned on, as many as align
+_MEAN = "mean_shape_chamfer"  # of each run's own report
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,10 +35,6 @@ class Results:
 
     request: Request
     outcomes: Mapping[str, Outcome]  # by name of the run
-    # Metrics of the training set's mean shape, by category.
-    mean_shapes: Mapping[str, Mapping[str, Any]] = dataclasses.field(
-        default_factory=dict
-    )
 
     def list_outcomes(self, row: Row, category: str) -> list[Outcome]:
         """Outcomes of a row, by seed."""
@@ -64,9 +53,12 @@ class Results:
         return list(found.values())
 
     def make_group(self, row: Row, category: str) -> Group:
-        """The finished runs of a row; of the mean shape a run of its metrics."""
+        """The finished runs of a row; of the mean shape what one of them measured."""
         if row.variant is None:
-            found = {row.label: self.mean_shapes.get(category)}
+            outcomes = [o for o in self.outcomes.values() if o.run.category == category]
+            known = ((o.metrics or {}).get(_MEAN) for o in outcomes)
+            value = next((v for v in known if v is not None), None)
+            found = {row.label: None if value is None else {"chamfer": value}}
         else:
             outcomes = self.list_outcomes(row, category)
             found = {o.run.name: o.metrics for o in outcomes}
@@ -88,61 +80,6 @@ class Results:
             return experiment.table.find(row.published, category, metric)
         categories = self.request.list_categories(experiment)
         return experiment.table.find_mean(row.published, categories, metric)
-
-
-def measure_mean_shapes(results: Results, folder: Path) -> dict[str, dict[str, Any]]:
-    """Metrics of the mean shape of each category whose rows ask for it.
-
-    It needs the data of a finished run. What was measured on the same data is read.
-    """
-    configs: dict[str, Config] = {}
-    for experiment in results.request.list_experiments():
-        if any(row.variant is None for row in experiment.rows):
-            for outcome in results.list_finished(experiment):
-                if outcome.config is not None:
-                    configs.setdefault(outcome.run.category, outcome.config)
-    found = {}
-    for category, config in configs.items():
-        specs = {n: repr(s) for n, s in make_data_specs(config).items()}
-        path = folder / f"mean-shape-{category}.json"
-        try:
-            measure = functools.partial(measure_mean_shape, config)
-            found[category] = _keep(path, specs, measure)
-        except (ValueError, OSError) as error:
-            print(f"No mean shape of category {category}: {error}", flush=True)
-    return found
-
-
-def measure_mean_shape(config: Config) -> dict[str, float]:
-    """The training set's mean shape as a prediction for every test shape.
-
-    Returns:
-      Chamfer distance, precision and coverage, times 100.
-
-    Raises:
-      ValueError: for data that are not prepared, or without true shapes.
-      OSError: where they cannot be read.
-    """
-    cache, specs = config.data.cache_dir, make_data_specs(config)
-    if not all(is_prepared(spec, cache) for spec in specs.values()):
-        raise ValueError(
-            f"Expected the data of a finished run in {cache}, but they are not there; "
-            "name their folder with --data=DIR."
-        )
-    surfaces = {
-        name: load_or_render(spec, cache_dir=cache, progress=False).surfaces
-        for name, spec in specs.items()
-    }
-    if lacking := [name for name, found in surfaces.items() if found is None]:
-        raise ValueError(
-            f"Expected true shapes for a mean shape, but the {lacking[0]} objects have "
-            "none; leave its row out."
-        )
-    train, val, test = (surfaces[name] for name in ("train", "val", "test"))
-    judged = [np.asarray(val[i]) for i in range(min(_VALIDATED, len(val)))]
-    best = find_mean_shape(train, judged)
-    tested = [np.asarray(test[i]) for i in range(len(test))]
-    return average_distance(best, tested).in_paper_units()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -244,7 +244,7 @@ class Request:
     def explain_absence(self, row: Row) -> str:
         """Why a row has no runs; "" where it has."""
         if row.variant is None:
-            return "measured on the data"
+            return "measured in each run"
         if row.tag in SIZES[self.size].left_out:
             return "too long for this size"
         if "epcg" in row.variant.split(",") and self.source.kind == "renders":

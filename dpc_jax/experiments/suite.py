@@ -5,7 +5,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from dpc_jax.experiments.page import make_page
-from dpc_jax.experiments.results import Outcome, Results, measure_mean_shapes
+from dpc_jax.experiments.results import Outcome, Results
 from dpc_jax.experiments.runs import SIZES, Request
 from dpc_jax.experiments.training import Job, choose_cores, train_missing
 from dpc_jax.learning.inference.predictor import VIEWS_AT_ONCE
@@ -50,9 +50,7 @@ def run_suite(
             run.name: _gather(run, folder, jobs.get(run.name), problems)
             for run in request.list_runs()
         }
-        results = Results(request, outcomes)
-        measured = measure_mean_shapes(results, folder / "measured")
-        made = make_page(dataclasses.replace(results, mean_shapes=measured), folder)
+        made = make_page(Results(request, outcomes), folder)
         path = made.write()
         if page and not stop.is_set():
             made.publish(page)

@@ -1,6 +1,5 @@
 """A test view with its prediction, as the report shows it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,15 +35,3 @@ class Example:
     chamfer: float | None = None  # times 100; None without a true shape
     overlap: float | None = None  # of silhouettes, intersection over union, 0 to 1
     neighbours: tuple[Neighbour, ...] = ()
-
-
-@dataclass(frozen=True)
-class TrainingComparison:
-    """How predictions compare with what the training set has: means over test objects.
-
-    Chamfer distances times 100, by what is compared ("Prediction", for instance).
-    """
-
-    objects: int  # that were looked at
-    to_truth: Mapping[str, float]  # from the true shapes
-    to_prediction: Mapping[str, float]  # from the predicted ones

@@ -15,7 +15,7 @@ from dpc_jax.evaluation import metrics as registry
 from dpc_jax.evaluation.pose import Failures
 from dpc_jax.files import write_json, write_text
 from dpc_jax.reporting import figures
-from dpc_jax.reporting.examples import Example, TrainingComparison
+from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.export import write_files
 from dpc_jax.reporting.gallery import draw_predictions
 from dpc_jax.reporting.signals import draw_signals
@@ -51,14 +51,12 @@ CAPTIONS = {
         "learned the wrong way round; single points are single objects.",
     ),
     "training_shapes": (
-        "Beside the training set",
-        "Chamfer distances (× 100) to true shapes and to predictions from the first "
-        "view of each object. A network that copies predicts shapes much nearer to a "
-        "training shape than to the truth. One that ignores its input is no nearer to "
-        "the truth than the mean shape, and its predictions of different objects, in "
-        "the last line, are nearer to each other than the true shapes are. Training "
-        "shapes are true surfaces, parts inside of objects too; the network learns "
-        "from images.",
+        "Beside shapes that see no image",
+        "Chamfer distances (× 100) to true shapes, means over the test objects. A "
+        "perfect cloud has as many points of the true surface as a prediction. A "
+        "network that ignores its input is no nearer to the truth than the mean of its "
+        "predictions. The mean and the nearest training shape know true surfaces; the "
+        "network learns from images.",
     ),
     "curves": (
         "Over run time",
@@ -98,7 +96,6 @@ def write_report(
     pose_errors: ArrayLike | None = None,
     failures: Failures | None = None,
     lost: Sequence[str] = (),
-    comparison: TrainingComparison | None = None,
     shares: ArrayLike | None = None,
     warnings: Sequence[str] = (),
     config_text: str = "",
@@ -119,7 +116,6 @@ def write_report(
       pose_errors: errors of the test views in degrees, any shape.
       failures: what is wrong with the poses of the test views.
       lost: names of objects that are wrong in all their views.
-      comparison: of the predictions with what the training set has.
       shares: [K] share of views that each candidate wins.
       warnings: sentences for the top of the page.
       config_text: the configuration, shown as it is.
@@ -147,7 +143,7 @@ def write_report(
         _draw(folder, "pose_errors", figures.draw_pose_errors, pose_errors),
         _draw(folder, "azimuths", figures.draw_azimuths, failures),
         "" if pose_errors is None else _describe_failures(values, lost),
-        _compare_with_training(comparison) if comparison else "",
+        _compare_shapes(values),
         _draw(folder, "curves", draw_curves, records),
         _draw(folder, "candidates", figures.draw_candidates, shares),
         _draw(folder, "signals", draw_signals, rendered, is_photo=True),
@@ -216,18 +212,24 @@ def _file_name(name: str, taken: set[str]) -> str:
     return unique
 
 
-def _compare_with_training(comparison: TrainingComparison) -> str:
-    """Distances to the true shapes and to the predictions."""
-    parts = comparison.to_truth, comparison.to_prediction
+def _compare_shapes(values: Mapping[str, Any]) -> str:
+    """Predictions beside shapes that see no image, and a perfect cloud."""
+    named = {"chamfer": "Predictions"} | {
+        name: metric.label.removeprefix("Chamfer distance, ")
+        for name, metric in registry.METRICS.items()
+        if metric.role == "reference"
+    }
+    columns = [p for p in ("", "visible_") if f"{p}floor_chamfer" in values]
     rows = [
-        (escape(name), *(registry.format_metric("chamfer", p.get(name)) for p in parts))
-        for name in dict.fromkeys([*parts[0], *parts[1]])
+        (
+            escape(label[:1].upper() + label[1:]),
+            *(registry.format_metric(name, values.get(p + name)) for p in columns),
+        )
+        for name, label in named.items()
     ]
-    heads = ("", "to the true shape", "to the prediction")
-    count = comparison.objects
-    note = f"Means over {count} test {'object' if count == 1 else 'objects'}."
+    heads = ("", "whole surface", "visible surface")[: 1 + len(columns)]
     table = make_table(rows, heads, kind="numbers")
-    return _introduce("training_shapes") + table + show_hint(note)
+    return _introduce("training_shapes") + table if columns else ""
 
 
 def _describe_failures(values: Mapping[str, Any], lost: Sequence[str]) -> str:

@@ -14,6 +14,9 @@ from dpc_jax.files import explaining_full_disk
 from dpc_jax.networks import ShapePoseNetwork
 
 _SLACK = 10.0  # degrees
+# Visible points of a shape that is predicted, and of one that is tested: with so many
+# the distance to the nearest one is that to the surface.
+_VISIBLE = 2500, 100_000
 _SHARED = (  # fields of `Data` that a `DataSpec` has under the same name
     *("seed", "views", "image_size", "offset", "focal_spread"),
     *("surface_points", "surface_voxel"),
@@ -83,9 +86,9 @@ def make_data_specs(config: Config) -> dict[str, DataSpec]:
             split="test", folder=data.test_meshes, fractions=(0, 0, 1), **shared
         )
     for name, spec in specs.items():
-        has_meshes = spec.folder is None or spec.kind in ("meshes", "shapenet")
-        if name != "train" and has_meshes:
-            specs[name] = dataclasses.replace(spec, surface_seen=True)
+        if spec.folder is None or spec.kind in ("meshes", "shapenet"):
+            visible = min(_VISIBLE[name == "test"], 10 * data.surface_points)
+            specs[name] = dataclasses.replace(spec, visible_points=visible)
     return specs
 
 

@@ -45,8 +45,8 @@ def score(
 ) -> scores.Scores:
     """Scores of predictions; metrics whose truth the data set lacks are left out.
 
-    Where the data say which part of a surface can be seen, distances from and to that
-    part have the prefix `visible_`. Every set gets `silhouette_iou`, the mean overlap
+    Where the data say what can be seen of a surface, distances from and to that have
+    the prefix `visible_`. Every set gets `silhouette_iou`, the mean overlap
     of predicted silhouettes with the masks from 0 to 1; `projection_error`, the mean
     squared difference of the two per pixel, averaged to 32×32 pixels (appendix "Towards
     part-based models"); and `stray_points`, how many a predicted shape has in the mean.
@@ -58,9 +58,9 @@ def score(
     """
     poses, surfaces = arrange_truth(dataset)
     models, _ = arrange_views(dataset)
-    seen = None
-    if dataset.seen is not None and surfaces is not None:
-        seen = [np.asarray(dataset.seen[int(m)]) for m in models[:, 0]]
+    visible = None
+    if dataset.visible is not None:
+        visible = map(dataset.read_visible, models[:, 0].tolist())
     result = scores.score(
         None if poses_given else predictions.poses,
         poses,
@@ -69,7 +69,7 @@ def score(
         alignment=alignment,
         best_candidate_poses=None if poses_given else predictions.candidate_poses,
         chamfer_views=chamfer_views,
-        seen=seen,
+        visible=visible,
         dense_points=dense_points,
         costs=predictions.costs,
     )

@@ -64,6 +64,9 @@ def report_run(
     metrics["candidates_alive"] = None if shares is None else count_alive(shares)
     warnings = list_warnings(config, sets, shares)
     shapes = TrainingShapes.gather(sets)
+    if shapes is not None and judged.scores.chamfers is not None:
+        metrics |= shapes.measure_references(predictions, test, alignment)
+        metrics |= measure_gains(metrics)
     # The worst, median and best are of different models where there are enough.
     per_group = max(1, min(3, len(test.names) // 3))
     examples, ranking = choose_examples(judged, per_group=per_group, shapes=shapes)
@@ -79,7 +82,6 @@ def report_run(
         pose_errors=judged.scores.pose_errors_deg,  # None: no such figure
         failures=failures,
         lost=lost,
-        comparison=shapes and shapes.compare(predictions, test, alignment),
         shares=shares if heads > 1 else None,
         warnings=warnings,
         config_text=str(to_config_dict(config)),
@@ -94,6 +96,18 @@ def report_run(
     for line in describe_refined(refined or {}):
         print(line)
     print(f"Report: {path}")
+
+
+def measure_gains(metrics: dict[str, Any]) -> dict[str, float]:
+    """How much of the way from the mean training shape to the floor predictions go."""
+    gains = {}
+    for name in ("chamfer", "visible_chamfer"):
+        prefix = name.removesuffix("chamfer")
+        mean = metrics.get(f"{prefix}mean_shape_chamfer")
+        if mean is not None:
+            floor = metrics[f"{prefix}floor_chamfer"]
+            gains[f"{name}_gain"] = (mean - metrics[name]) / (mean - floor)
+    return gains
 
 
 def _judge(predictions, dataset, config, alignment, threshold) -> Judged:

@@ -1,22 +1,28 @@
-"""Predictions beside the training set: its nearest shapes and its mean shape."""
+"""What Chamfer distances are compared with: a perfect cloud, and shapes of training."""
 
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, align_points
-from dpc_jax.evaluation.chamfer import chamfer_distance
-from dpc_jax.evaluation.training_shapes import ShapeIndex, find_mean_shape, spread_rows
+from dpc_jax.evaluation.chamfer import Chamfer, Surface, chamfer_distance, spread_rows
+from dpc_jax.evaluation.scores import ASKED
+from dpc_jax.evaluation.training_shapes import (
+    ShapeIndex,
+    average_surfaces,
+    find_mean_shape,
+    take_fullest,
+)
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
-from dpc_jax.reporting.examples import Neighbour, TrainingComparison
+from dpc_jax.reporting.examples import Neighbour
 
-OBJECTS = 24  # test objects that are compared with the training set
 # Of the mean shape: its Chamfer distance to test cars is within 3 % of that of all
 # shapes and points, in a fifth of the time.
 _SHAPES, _POINTS, _VALIDATED = 300, 2500, 5
-_NEAREST, _MEAN = "Nearest training shape", "Mean training shape"
-_OTHER = "The same of another object"
+# Beside the predictions, and prefixes of their metrics.
+REFERENCES = ("floor", "mean_shape", "nearest_shape", "own_mean")
 
 
 class TrainingShapes(NamedTuple):
@@ -26,11 +32,15 @@ class TrainingShapes(NamedTuple):
       surfaces: [P, 3] points of each shape.
       index: of the same.
       mean: [N, 3].
+      read_visible: gives what is visible of each shape; None where it is not known.
+      visible_mean: [N, 3], the mean of that.
     """
 
     surfaces: Any
     index: ShapeIndex
     mean: np.ndarray
+    read_visible: Callable[[int], np.ndarray] | None = None
+    visible_mean: np.ndarray | None = None
 
     @classmethod
     def gather(cls, sets: dict[str, DataSet]) -> "TrainingShapes | None":
@@ -39,14 +49,15 @@ class TrainingShapes(NamedTuple):
         Args:
           sets: by name, "train", "val" and "test".
         """
-        train, val, test = (sets[name].surfaces for name in ("train", "val", "test"))
-        if train is None or val is None or test is None:
+        train, val, test = (sets[name] for name in ("train", "val", "test"))
+        if train.surfaces is None or val.surfaces is None or test.surfaces is None:
             return None
-        mean = find_mean_shape(
-            [spread_rows(train[i], _POINTS) for i in _spread(len(train), _SHAPES)],
-            [spread_rows(val[i], _POINTS) for i in _spread(len(val), _VALIDATED)],
-        )
-        return cls(train, ShapeIndex(train), mean)
+        mean = _average(train.surfaces.__getitem__, val.surfaces.__getitem__, sets)
+        index = ShapeIndex(train.surfaces)
+        if any(data.visible is None for data in (train, val, test)):
+            return cls(train.surfaces, index, mean)
+        visible_mean = _average(train.read_visible, val.read_visible, sets)
+        return cls(train.surfaces, index, mean, train.read_visible, visible_mean)
 
     def find_nearest(self, points: np.ndarray, count: int) -> np.ndarray:
         """The training shape nearest to points, as a cloud of `count` points.
@@ -58,45 +69,56 @@ class TrainingShapes(NamedTuple):
 
     def list_neighbours(self, surface: np.ndarray, count: int) -> tuple[Neighbour, ...]:
         """What could be said of a true surface [P, 3] without predicting anything."""
-        nearest = _NEAREST, self.find_nearest(surface, count)
+        nearest = "Nearest training shape", self.find_nearest(surface, count)
         return tuple(
             Neighbour(title, cloud, 100 * chamfer_distance(cloud, surface).chamfer)
-            for title, cloud in (nearest, (_MEAN, self.mean))
+            for title, cloud in (nearest, ("Mean training shape", self.mean))
         )
 
-    def compare(
+    def measure_references(
         self, predictions: Predictions, dataset: DataSet, alignment: Alignment
-    ) -> TrainingComparison:
-        """Predictions from the first views of test objects against both baselines."""
-        models, _ = arrange_views(dataset)
-        rows = _spread(len(models), OBJECTS)
-        surfaces = [np.asarray(dataset.surfaces[m]) for m in models[rows, 0]]
-        clouds = [align_points(alignment, predictions.points[row, 0]) for row in rows]
-        to_truth, to_prediction = {}, {}
-        for i, (surface, cloud) in enumerate(zip(surfaces, clouds, strict=True)):
-            count, other = len(cloud), (i + 1) % len(clouds)
-            nearest = np.asarray(self.surfaces[self.index.find_nearest(cloud)])
-            pairs: list[tuple] = [
-                ("Prediction", to_truth, cloud, surface),
-                (_NEAREST, to_truth, self.find_nearest(surface, count), surface),
-                (_NEAREST, to_prediction, cloud, nearest),
-                (_MEAN, to_truth, self.mean, surface),
-                (_MEAN, to_prediction, cloud, self.mean),
-            ]
-            if other != i:
-                both = [spread_rows(s, count) for s in (surface, surfaces[other])]
-                pairs.append((_OTHER, to_truth, *both))
-                pairs.append((_OTHER, to_prediction, cloud, clouds[other]))
-            for name, distances, *pair in pairs:
-                distance = 100 * chamfer_distance(*pair).chamfer
-                distances.setdefault(name, []).append(distance)
-        means = [
-            {name: float(np.mean(values)) for name, values in found.items()}
-            for found in (to_truth, to_prediction)
-        ]
-        return TrainingComparison(len(rows), *means)
+    ) -> dict[str, float]:
+        """Chamfer distances (times 100) of `REFERENCES`, means over the objects.
+
+        The floor is that of as many true points as a prediction has from the other
+        ones; the nearest training shape is found by the truth; the network's own mean
+        is that of its predictions. With the prefix `visible_` all are distances from
+        what can be seen, of what can be seen of training shapes.
+        """
+        models, rows = np.unique(arrange_views(dataset)[0][:, 0], return_index=True)
+        clouds = [align_points(alignment, predictions.points[r, 0]) for r in rows]
+        own = take_fullest(*average_surfaces(clouds), len(clouds[0]))
+        found: dict[str, list[Chamfer]] = {}
+        for model in models.tolist():
+            for prefix, truth, mean, nearest in self._list_truths(dataset, model):
+                nearest = spread_rows(nearest, min(len(own), len(nearest)))
+                floor = truth.measure_floor(len(clouds[0]))
+                distances = floor, *map(truth.compare, (mean, nearest, own))
+                for name, distance in zip(REFERENCES, distances, strict=True):
+                    found.setdefault(f"{prefix}{name}_chamfer", []).append(distance)
+        return {
+            name: 100 * float(np.mean([one.chamfer for one in distances]))
+            for name, distances in found.items()
+        }
+
+    def _list_truths(self, dataset, model) -> Iterator[tuple]:
+        """Prefix, true surface, mean and nearest training shape."""
+        surface = np.asarray(dataset.surfaces[model])
+        nearest = self.index.find_nearest(surface)
+        yield "", Surface(surface), self.mean, np.asarray(self.surfaces[nearest])
+        if self.read_visible is not None:
+            visible = Surface(dataset.read_visible(model), asked=ASKED)
+            yield "visible_", visible, self.visible_mean, self.read_visible(nearest)
 
 
-def _spread(count: int, wanted: int) -> np.ndarray:
+def _average(read_train, read_val, sets) -> np.ndarray:
+    train, val = (len(sets[name].names) for name in ("train", "val"))
+    return find_mean_shape(
+        [spread_rows(read_train(i), _POINTS) for i in _spread(train, _SHAPES)],
+        [spread_rows(read_val(i), _POINTS) for i in _spread(val, _VALIDATED)],
+    )
+
+
+def _spread(count: int, wanted: int) -> list[int]:
     """`wanted` indices spread over `count`; all of them where there are fewer."""
-    return np.unique(np.linspace(0, count - 1, min(wanted, count)).astype(int))
+    return np.unique(np.linspace(0, count - 1, min(wanted, count)).astype(int)).tolist()
