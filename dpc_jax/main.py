@@ -5,6 +5,7 @@ Starting again in the same workdir goes on from its last checkpoint.
 
 import argparse
 import sys
+from typing import Any
 
 from absl import app, flags, logging
 from ml_collections import config_flags
@@ -23,6 +24,14 @@ _CONFIG = config_flags.DEFINE_config_file(
 _WORKDIR = flags.DEFINE_string(
     "workdir", None, "Folder of the run; runs/NAME-seedN where not given."
 )
+_FINAL = flags.DEFINE_bool(
+    "final",
+    False,
+    "Judge the finished run on objects by which nothing was chosen, instead.",
+)
+_FINAL_MESHES = flags.DEFINE_string(
+    "final_meshes", None, "The same on the meshes of a folder of another source."
+)
 _COORDINATOR = flags.DEFINE_string(
     "coordinator", None, "HOST:PORT of process 0, for a run of several processes."
 )
@@ -31,6 +40,8 @@ _PROCESS = flags.DEFINE_integer("process", None, "Which of them this one is, fro
 _VALUES = {  # of the flags, for --help
     "config": "CONFIG",
     "workdir": "DIR",
+    "final": None,
+    "final_meshes": "DIR",
     "coordinator": "HOST:PORT",
     "processes": "N",
     "process": "I",
@@ -45,7 +56,8 @@ def make_parser() -> argparse.ArgumentParser:
     """The flags of the command, for --help."""
     parser = FlagParser("train", description="Train, evaluate, report.", epilog=_FIELDS)
     for name, value in _VALUES.items():
-        parser.add_argument(f"--{name}", metavar=value, help=flags.FLAGS[name].help)
+        kind: Any = {"metavar": value} if value else {"action": "store_true"}
+        parser.add_argument(f"--{name}", help=flags.FLAGS[name].help, **kind)
     return parser
 
 
@@ -102,9 +114,14 @@ def main(_: list[str]):
     logging.set_verbosity(logging.ERROR)  # JAX tells of each accelerator not found
     path = config_flags.get_config_filename(flags.FLAGS["config"])
     config = from_config_dict(_CONFIG.value)
-    status = pipeline.run_guarded(
-        config, config_path=path, workdir=_WORKDIR.value, place=_find_place()
-    )
+    if _FINAL.value or _FINAL_MESHES.value:
+        status = pipeline.judge_guarded(
+            config, config_path=path, workdir=_WORKDIR.value, meshes=_FINAL_MESHES.value
+        )
+    else:
+        status = pipeline.run_guarded(
+            config, config_path=path, workdir=_WORKDIR.value, place=_find_place()
+        )
     process.leave(status)
 
 

@@ -23,7 +23,8 @@ def test_a_line_of_text_states_shares_from_0_to_1_and_the_others_as_tables_do():
     assert describe_metrics(VALUES) == (
         "pose accuracy 0.886, median error 2.5°, Chamfer 3.31, silhouette overlap 0.750"
     )
-    assert describe_metrics(VALUES, share_digits=2).startswith("pose accuracy 0.89, ")
+    few = describe_metrics(VALUES | {"pose_accuracy_stderr": 0.0123}, share_digits=2)
+    assert few.startswith("pose accuracy 0.89 ± 0.01, ")
 
 
 def test_a_line_of_text_leaves_out_what_is_not_known():

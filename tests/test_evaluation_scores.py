@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from dpc_jax.evaluation.alignment import identity_alignment
 from dpc_jax.evaluation.density import densify
-from dpc_jax.evaluation.scores import score
+from dpc_jax.evaluation.scores import Scores, estimate_errors, score
 
 FRAME = Rotation.random(random_state=4)
 ALIGNMENT = identity_alignment()._replace(rotation=FRAME.as_quat(scalar_first=True))
@@ -130,3 +130,21 @@ def test_what_can_be_seen_of_a_surface_is_scored_apart(given):
     assert not any("visible" in name for name in plain.metrics)
     expected = measure_plainly(objects, parts)
     assert pick(got.metrics, "visible_") == pytest.approx(expected)
+
+
+def test_errors_over_objects_are_those_of_means_of_independent_objects(given):
+    scores = judge(given, visible=given[3])
+    found = estimate_errors(scores)
+    assert set(found) == {
+        "pose_accuracy_stderr",
+        "pose_median_error_deg_stderr",
+        "chamfer_stderr",
+        "visible_chamfer_stderr",
+    }
+    # All objects have the same errors, views apart.
+    assert found["pose_accuracy_stderr"] == 0
+    rng = np.random.default_rng(0)
+    distances = np.repeat(rng.normal(size=(400, 1, 1)), 2, axis=2) / 200
+    spread = estimate_errors(Scores({}, chamfers=np.repeat(distances, 5, axis=1)))
+    # Of 1000 draws, a standard error of two per cent; views of an object are alike.
+    assert spread["chamfer_stderr"] == pytest.approx(1 / np.sqrt(400), rel=0.15)

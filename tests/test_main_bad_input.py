@@ -36,6 +36,14 @@ def set_field(config, field, value):
         config.update_from_flattened_dict({field: value})
 
 
+def test_a_run_that_is_not_finished_cannot_be_judged(config, tmp_path, capsys):
+    given = {"config_path": "configs/debug.py", "meshes": None}
+    status = pipeline.judge_guarded(config, workdir=str(tmp_path / "none"), **given)
+    assert status == 1
+    assert "config of a run in" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
 @pytest.mark.parametrize(
     "field, value, says",
     [

@@ -29,6 +29,7 @@ from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.learning.inference import refinement
 from dpc_jax.learning.inference.refinement import join_views
 from dpc_jax.run import pipeline
+from dpc_jax.run.report.final import judge_finally
 from dpc_jax.run.workdir import read_config
 
 ROOT = Path(__file__).parents[1]
@@ -214,6 +215,37 @@ def test_a_finished_run_started_again_only_reports_again(command, finished, caps
         value = before[name]
         same = value if value is None else pytest.approx(value, rel=1e-5)
         assert after[name] == same, name
+
+
+def test_a_finished_run_is_judged_on_objects_that_no_split_has(command, finished):
+    workdir, _ = finished
+    found = judge_finally(workdir)
+    kept = json.loads((workdir / "final.json").read_text())
+    assert kept == {n: v if v is None else pytest.approx(v) for n, v in found.items()}
+    assert found["pose_accuracy_stderr"] >= 0 and found["visible_floor_chamfer"] > 0
+    names = {}
+    for cache in (command.folder / "data").glob("car-*"):
+        names.setdefault(cache.name.split("-")[1], set()).update(
+            read_cache(cache).names
+        )
+    others = names["train"] | names["val"] | names["test"]
+    assert len(names["final"]) == found["objects"] and not names["final"] & others
+
+
+def test_a_finished_run_is_judged_on_meshes_of_another_source(
+    command, finished, tmp_path
+):
+    for side in (0.2, 0.4):
+        box = trimesh.creation.box([1, side, side])
+        box.export(tmp_path / f"{side}.ply")
+    assert judge_finally(finished[0], tmp_path)["objects"] == 2
+    meshes = tmp_path / "run"
+    shutil.copytree(finished[0], meshes)
+    config = json.loads((meshes / "config.json").read_text())
+    config["data"]["meshes"] = str(tmp_path)
+    (meshes / "config.json").write_text(json.dumps(config))
+    with pytest.raises(ValueError, match="--final_meshes=DIR"):
+        judge_finally(meshes)
 
 
 @pytest.fixture(scope="module")

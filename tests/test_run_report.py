@@ -89,7 +89,7 @@ def show(sets, **changes):
     test = sets["test"]._replace(**changes)
     predictions = predict_truth(sets["test"])
     result = evaluator.score(predictions, test, alignment=identity_alignment())
-    shapes = TrainingShapes.gather(sets | {"test": test})
+    shapes = TrainingShapes.gather(sets | {"test": test}, 60)
     overlaps = evaluator.measure_overlaps(predictions, test)
     judged = Judged(predictions, test, identity_alignment(), result, overlaps, 2.0)
     examples, ranking = choose_examples(judged, per_group=3, shapes=shapes)
@@ -139,7 +139,7 @@ def test_references_are_distances_of_clouds_that_see_no_image(sets):
         half = np.asarray(data.surfaces)[:, ::2]
         steps = np.round((half + 0.5) * VISIBLE_STEPS).astype(np.uint16)
         shown[name] = data._replace(visible=steps)
-    shapes = TrainingShapes.gather(shown)
+    shapes = TrainingShapes.gather(shown, 60)
     predictions, frame = predict_truth(sets["test"]), identity_alignment()
     found = shapes.measure_references(predictions, shown["test"], frame)
     assert set(found) == {
@@ -161,7 +161,7 @@ def test_references_are_distances_of_clouds_that_see_no_image(sets):
     metrics = {"floor_chamfer": 2.0, "mean_shape_chamfer": 4.0, "chamfer": 3.5}
     assert measure_gains(metrics) == {"chamfer_gain": 0.25}
     # Without what is visible the others are the same.
-    plain = TrainingShapes.gather(sets)
+    plain = TrainingShapes.gather(sets, 60)
     assert plain.measure_references(predictions, sets["test"], frame) == {
         name: value for name, value in found.items() if not name.startswith("visible_")
     }

@@ -12,7 +12,7 @@ from dpc_jax.config import ELEVATIONS
 from dpc_jax.data import viewpoints, views
 from dpc_jax.data.arrays import VISIBLE_STEPS
 from dpc_jax.data.spec import DataSpec
-from dpc_jax.data.splits import SPLITS
+from dpc_jax.data.splits import FINAL, SPLITS
 
 CAMERA = ("image_size", "focal_length", "distance")
 # On the viewing sphere. With 256 a chair or an airplane has 0.3 % more of its surface
@@ -29,7 +29,7 @@ def render_mesh(
     scene = views.build_scene(mesh)
     camera = {name: getattr(spec, name) for name in CAMERA}
     # every model has its own stream: any number of processes gives the same views
-    stream = [spec.seed, SPLITS.index(spec.split), index]
+    stream = [spec.seed, (*SPLITS, FINAL).index(spec.split), index]
     rng = np.random.default_rng(stream)
     cameras = _draw_cameras(spec, stream)
     pictures = []

@@ -11,9 +11,11 @@ from typing import NamedTuple
 
 from dpc_jax.data import splits
 from dpc_jax.data.spec import FEW, KINDS, SEEDS_PER_SPLIT, DataSpec
-from dpc_jax.data.splits import SPLITS
+from dpc_jax.data.splits import FINAL, SPLITS
 from dpc_jax.outputs import show_text
 
+# Of the first shape of the split "final" with data.seed = 0, beyond those of others.
+_FINAL_SEED = 10**15
 PROCEDURAL = "mesh_folder.ProceduralShapes"  # where a specification has no folder
 
 
@@ -200,7 +202,10 @@ def open_source(spec: DataSpec) -> Source:
 
 def list_procedural(spec: DataSpec, count: int) -> list[Model]:
     """The first procedural shapes of a specification's category, split and seed."""
-    first = (spec.seed * len(SPLITS) + SPLITS.index(spec.split)) * SEEDS_PER_SPLIT
+    if spec.split == FINAL:
+        first = _FINAL_SEED + spec.seed * SEEDS_PER_SPLIT
+    else:
+        first = (spec.seed * len(SPLITS) + SPLITS.index(spec.split)) * SEEDS_PER_SPLIT
     return [
         Model(f"{spec.category}-{seed:07d}", None, seed, 0, "", spec.views)
         for seed in range(first, first + count)

@@ -23,12 +23,12 @@ class DataSpec:
     With `folder` the models are what is in it, split by `fractions` and `seed` or by an
     official split file; `kind` says what that is: mesh files, a ShapeNet tree, renders
     as published with the paper's code, or a user's own images. Without a folder they
-    are procedural shapes of `category`, and each split has its own seeds.
+    are procedural shapes of `category`, and each split has its own seeds, "final" too.
     """
 
     category: str  # "car", "chair", "airplane"; with a folder only a label
     folder: str | None = None  # None for procedural shapes
-    split: str = "train"  # "train", "val" or "test"
+    split: str = "train"  # "train", "val", "test"; "final" of procedural shapes
     fractions: tuple = (0.8, 0.1, 0.1)  # of a folder's files; (0, 0, 1): all to test
     models: int | None = None  # how many; None: all files of the folder's split
     fold: tuple | None = None  # (i, n): of n parts of the files the i-th is tested

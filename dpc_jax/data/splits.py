@@ -19,6 +19,7 @@ from dpc_jax import files
 from dpc_jax.files import Damage, describe_error, read_json
 
 SPLITS = ("train", "val", "test")
+FINAL = "final"  # of procedural shapes: a test set by which nothing is chosen
 # What tables of another form raise, and the end of one within a value.
 _FAULTS = (ValueError, csv.Error, StopIteration, AttributeError, RuntimeError)
 SYNONYMS = {"validation": "val", "valid": "val", "training": "train", "testing": "test"}

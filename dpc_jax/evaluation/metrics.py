@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+STDERR = "_stderr"  # ends the name of the standard error of the metric before it
 MISSING = "–"
 # Prefixes of scores beside those of the test split as it is.
 _BESIDE = {
@@ -60,7 +61,8 @@ METRICS = {metric.name: metric for metric in (
     Metric("coverage", "Coverage", "×100", ".2f", False,
            "mean distance from truth to prediction", role="required"),
     Metric("visible_chamfer", "Chamfer distance, what can be seen", "×100", ".2f",
-           False, "the same from and to the part of a surface seen from outside"),
+           False, "the same from and to the part of a surface seen from outside",
+           "visible"),
     Metric("visible_precision", "Precision, what can be seen", "×100", ".2f", False),
     Metric("visible_coverage", "Coverage, what can be seen", "×100", ".2f", False),
     Metric("chamfer_gain", "Way from the mean shape to a perfect cloud", "%", ".0f",
@@ -143,6 +145,10 @@ def get_metric(name: str) -> Metric:
     """The metric of that name; an unknown one has its name as its label."""
     if name in METRICS:
         return METRICS[name]
+    if name.endswith(STDERR):
+        metric = get_metric(name.removesuffix(STDERR))
+        label = f"{metric.label}, standard error over objects"
+        return replace(metric, name=name, label=label, hint="")
     for prefix, what in _BESIDE.items():
         plain = name.removeprefix(prefix)
         if plain != name and plain in METRICS:
@@ -179,5 +185,7 @@ def describe_metrics(metrics: Mapping[str, Any], *, share_digits: int = 3) -> st
         if metric.short and value is not None:
             spec = f".{share_digits}f" if metric.unit == "%" else metric.format
             sign = "°" if metric.unit == "°" else ""
-            parts.append(f"{metric.short} {value:{spec}}{sign}")
+            error = metrics.get(name + STDERR)
+            spread = "" if error is None else f" ± {error:{spec}}"
+            parts.append(f"{metric.short} {value:{spec}}{spread}{sign}")
     return ", ".join(parts)

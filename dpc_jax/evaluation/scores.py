@@ -9,13 +9,16 @@ from numpy.typing import ArrayLike
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
 from dpc_jax.evaluation.chamfer import Chamfer, Surface
 from dpc_jax.evaluation.density import densify
+from dpc_jax.evaluation.metrics import STDERR
 from dpc_jax.evaluation.pose import (
+    ACCURACY_THRESHOLD_DEG,
     Failures,
     find_failures,
     pose_summary,
     rotation_angle_deg,
 )
 
+_DRAWS = 1000  # of objects
 ASKED = 10_000  # points of a visible surface whose distance to a cloud is taken
 
 
@@ -33,6 +36,7 @@ class Scores(NamedTuple):
     # [n, views scored, 2] precision and coverage, object units, not times 100
     chamfers: np.ndarray | None = None
     failures: Failures | None = None  # of the predicted poses
+    visible_chamfers: np.ndarray | None = None  # as `chamfers`, of what can be seen
 
 
 def score(
@@ -115,4 +119,28 @@ def score(
     for prefix, distances in found.items():
         mean = Chamfer(*distances.mean(axis=(0, 1)).tolist()).in_paper_units()
         metrics |= {prefix + name: value for name, value in mean.items()}
-    return Scores(metrics, errors, chamfers, failures)
+    return Scores(metrics, errors, chamfers, failures, found.get("visible_"))
+
+
+def estimate_errors(scores: Scores) -> dict[str, float]:
+    """Standard errors of metrics, named with `STDERR`: were other objects drawn.
+
+    By a bootstrap over the objects, whose views are not independent.
+    """
+    errors, found = scores.pose_errors_deg, {}
+    if errors is not None:
+        accurate = np.asarray(errors) <= ACCURACY_THRESHOLD_DEG
+        found["pose_accuracy"] = _resample(accurate, np.mean)
+        found["pose_median_error_deg"] = _resample(np.asarray(errors), np.median)
+    if scores.chamfers is not None:
+        found["chamfer"] = _resample(100 * scores.chamfers.sum(axis=-1), np.mean)
+    if scores.visible_chamfers is not None:
+        sums = 100 * scores.visible_chamfers.sum(axis=-1)
+        found["visible_chamfer"] = _resample(sums, np.mean)
+    return {name + STDERR: value for name, value in found.items()}
+
+
+def _resample(values, measure) -> float:
+    count = len(values)
+    drawn = np.random.default_rng(0).integers(count, size=(_DRAWS, count))
+    return float(np.std(measure(values[drawn], axis=(1, 2))))

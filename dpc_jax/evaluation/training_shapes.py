@@ -66,14 +66,18 @@ class ShapeIndex:
         return self._fine[index]
 
 
-def find_mean_shape(train: Sequence[Any], val: Sequence[Any]) -> np.ndarray:
+def find_mean_shape(
+    train: Sequence[Any], val: Sequence[Any], *, most: int
+) -> np.ndarray:
     """The cloud [N, 3] of the fullest cells, as many as suit the validation shapes.
 
     Args:
       train, val: [P, 3] points of the surface of each shape.
+      most: that N may be. The more points, the smaller a Chamfer distance.
     """
     shares, places = average_surfaces(train)
-    clouds = [take_fullest(shares, places, count) for count in COUNTS]
+    counts = {min(count, most) for count in COUNTS}
+    clouds = [take_fullest(shares, places, count) for count in sorted(counts)]
     truths = [Surface(points) for points in val]
 
     def measure(cloud):

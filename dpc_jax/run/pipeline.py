@@ -16,6 +16,7 @@ from dpc_jax.run.hosts.places import Place
 from dpc_jax.run.hosts.writing import SilentLog
 from dpc_jax.run.learner import Learner, Show
 from dpc_jax.run.process import prepare_process
+from dpc_jax.run.report.final import judge_finally
 from dpc_jax.run.report.summary import report_run
 from dpc_jax.run.setup import load_sets
 from dpc_jax.run.task import Task, run_command
@@ -40,6 +41,20 @@ def run_guarded(
         errors=(ValueError, OSError, NonFiniteError),
     )
     return run_command(lambda: task)
+
+
+def judge_guarded(
+    config: Config, *, config_path: str, workdir: str | None, meshes: str | None
+) -> int:
+    """`judge_finally` of the run of a config, guarded in the same way."""
+    folder = Path(workdir or _name_workdir(config, config_path))
+
+    def judge():
+        prepare_process(1, 1)
+        judge_finally(folder, Path(meshes) if meshes else None)
+
+    errors = ValueError, OSError
+    return run_command(lambda: Task(judge, folder, "Interrupted.", errors=errors))
 
 
 def run(

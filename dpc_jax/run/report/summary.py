@@ -16,6 +16,7 @@ from dpc_jax.evaluation.pose import (
     count_alive,
     winner_share,
 )
+from dpc_jax.evaluation.scores import estimate_errors
 from dpc_jax.learning import schedules
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
@@ -52,21 +53,18 @@ def report_run(
       refined: of `measure_refinement`, where it was asked for.
     """
     test = sets["test"]
-    judged = _judge(predictions, test, config, alignment, threshold)
+    judged = judge(predictions, test, config, alignment, threshold)
     failures = judged.scores.failures
     models, _ = arrange_views(test)
     lost = failures.wrong_objects if failures else ()
     lost = [test.names[models[row, 0]] for row in lost]
-    metrics = _list_metrics(judged, config) | (failures.metrics if failures else {})
+    shapes = TrainingShapes.gather(sets, predictions.points.shape[2])
+    metrics = list_metrics(judged, config, shapes)
     metrics |= _count_costs(sets, outcome, data_seconds) | (refined or {})
     heads = config.pose.learned_heads
     shares = winner_share(predictions.winners, heads=heads) if heads else None
     metrics["candidates_alive"] = None if shares is None else count_alive(shares)
     warnings = list_warnings(config, sets, shares)
-    shapes = TrainingShapes.gather(sets)
-    if shapes is not None and judged.scores.chamfers is not None:
-        metrics |= shapes.measure_references(predictions, test, alignment)
-        metrics |= measure_gains(metrics)
     # The worst, median and best are of different models where there are enough.
     per_group = max(1, min(3, len(test.names) // 3))
     examples, ranking = choose_examples(judged, per_group=per_group, shapes=shapes)
@@ -98,19 +96,27 @@ def report_run(
     print(f"Report: {path}")
 
 
-def measure_gains(metrics: dict[str, Any]) -> dict[str, float]:
+def measure_gains(metrics: dict[str, Any]) -> dict[str, float | None]:
     """How much of the way from the mean training shape to the floor predictions go."""
     gains = {}
     for name in ("chamfer", "visible_chamfer"):
         prefix = name.removesuffix("chamfer")
         mean = metrics.get(f"{prefix}mean_shape_chamfer")
         if mean is not None:
-            floor = metrics[f"{prefix}floor_chamfer"]
-            gains[f"{name}_gain"] = (mean - metrics[name]) / (mean - floor)
+            way = mean - metrics[f"{prefix}floor_chamfer"]
+            # Shapes that are all alike: there is no way to go.
+            gains[f"{name}_gain"] = (mean - metrics[name]) / way if way > 0 else None
     return gains
 
 
-def _judge(predictions, dataset, config, alignment, threshold) -> Judged:
+def judge(
+    predictions: Predictions,
+    dataset: DataSet,
+    config: Config,
+    alignment: Alignment,
+    threshold: float | None,
+) -> Judged:
+    """Predictions for a data set with their scores; see `Judged`."""
     scores = evaluator.score(
         predictions,
         dataset,
@@ -126,14 +132,24 @@ def _judge(predictions, dataset, config, alignment, threshold) -> Judged:
     )
 
 
-def _list_metrics(judged: Judged, config: Config) -> dict[str, Any]:
-    """Metrics of a judged set, None where there is nothing to measure."""
+def list_metrics(
+    judged: Judged, config: Config, shapes: TrainingShapes | None
+) -> dict[str, Any]:
+    """Metrics of a judged set, None where there is nothing to measure.
+
+    Args:
+      shapes: of training, that predictions are compared with.
+    """
     predictions, dataset, alignment, scores, _, distance, threshold = judged
-    metrics = dict.fromkeys(REQUIRED_METRICS) | scores.metrics
+    metrics = dict.fromkeys(REQUIRED_METRICS) | scores.metrics | estimate_errors(scores)
     metrics |= evaluator.measure_images(predictions, dataset, distance=distance)
     metrics |= evaluator.measure_cameras(predictions, dataset)
     has_frame = dataset.quaternions is not None and not config.pose.aligned
     metrics["alignment_inlier_share"] = alignment.inlier_share if has_frame else None
+    if shapes is not None and scores.chamfers is not None:
+        metrics |= shapes.measure_references(predictions, dataset, alignment)
+        metrics |= measure_gains(metrics)
+    metrics |= scores.failures.metrics if scores.failures else {}
     return metrics | ({} if threshold is None else {"surface_threshold": threshold})
 
 

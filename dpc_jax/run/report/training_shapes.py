@@ -43,20 +43,22 @@ class TrainingShapes(NamedTuple):
     visible_mean: np.ndarray | None = None
 
     @classmethod
-    def gather(cls, sets: dict[str, DataSet]) -> "TrainingShapes | None":
+    def gather(cls, sets: dict[str, DataSet], most: int) -> "TrainingShapes | None":
         """Those of a run's sets; None where a set has no true shapes.
 
         Args:
           sets: by name, "train", "val" and "test".
+          most: points of a mean shape, as many as a prediction has.
         """
         train, val, test = (sets[name] for name in ("train", "val", "test"))
         if train.surfaces is None or val.surfaces is None or test.surfaces is None:
             return None
-        mean = _average(train.surfaces.__getitem__, val.surfaces.__getitem__, sets)
+        reads = train.surfaces.__getitem__, val.surfaces.__getitem__
+        mean = _average(*reads, sets, most)
         index = ShapeIndex(train.surfaces)
         if any(data.visible is None for data in (train, val, test)):
             return cls(train.surfaces, index, mean)
-        visible_mean = _average(train.read_visible, val.read_visible, sets)
+        visible_mean = _average(train.read_visible, val.read_visible, sets, most)
         return cls(train.surfaces, index, mean, train.read_visible, visible_mean)
 
     def find_nearest(self, points: np.ndarray, count: int) -> np.ndarray:
@@ -111,11 +113,12 @@ class TrainingShapes(NamedTuple):
             yield "visible_", visible, self.visible_mean, self.read_visible(nearest)
 
 
-def _average(read_train, read_val, sets) -> np.ndarray:
+def _average(read_train, read_val, sets, most) -> np.ndarray:
     train, val = (len(sets[name].names) for name in ("train", "val"))
     return find_mean_shape(
         [spread_rows(read_train(i), _POINTS) for i in _spread(train, _SHAPES)],
         [spread_rows(read_val(i), _POINTS) for i in _spread(val, _VALIDATED)],
+        most=most,
     )
 
 

@@ -1,0 +1,78 @@
+"""A finished run on objects by which nothing was chosen: a test set of its own."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from dpc_jax.config.checks import SOURCES
+from dpc_jax.data import DataSpec, load_or_render
+from dpc_jax.data.splits import FINAL
+from dpc_jax.evaluation.metrics import describe_metrics
+from dpc_jax.files import explaining_full_disk, write_json
+from dpc_jax.run.learner import Learner
+from dpc_jax.run.report.summary import judge, list_metrics
+from dpc_jax.run.report.training_shapes import TrainingShapes
+from dpc_jax.run.setup import load_sets, make_data_specs
+from dpc_jax.run.trained import load_trained
+from dpc_jax.run.workdir import read_metrics
+
+RECORD = "final.json"
+
+
+def judge_finally(workdir: Path, meshes: Path | None = None) -> dict[str, Any]:
+    """Metrics of a finished run on the split "final"; printed, kept in WORKDIR.
+
+    The objects are procedural shapes of seeds that no other split has, as many as the
+    test split has, or all meshes of a folder of another source.
+
+    Args:
+      meshes: of that folder; to be given where the run's objects are not procedural.
+
+    Raises:
+      ValueError: where there is no finished run, or no such objects.
+      OSError: where they cannot be rendered or the record not written.
+    """
+    trained = load_trained(workdir)
+    config, data = trained.config, trained.config.data
+    spec = _specify(make_data_specs(config)["test"], config, meshes)
+    with explaining_full_disk(data.cache_dir):
+        dataset = load_or_render(
+            spec, cache_dir=data.cache_dir, processes=data.processes or None
+        )
+    sets = load_sets(config) | {FINAL: dataset}
+    learner = Learner(config, sets)
+    threshold = (read_metrics(workdir) or {}).get("surface_threshold")
+    predictions = learner.predict(
+        trained.state, FINAL, frame=trained.alignment, threshold=threshold
+    )
+    judged = judge(predictions, dataset, config, trained.alignment, threshold)
+    count = predictions.points.shape[2]
+    shapes = TrainingShapes.gather(sets | {"test": dataset}, count)
+    metrics = list_metrics(judged, config, shapes)
+    metrics["objects"] = len(dataset.names)
+    metrics["source"] = str(meshes) if meshes else "procedural"
+    path = write_json(workdir / RECORD, metrics)
+    print(f"Final: {describe_metrics(metrics)}, on {len(dataset.names)} objects.")
+    print(f"Record: {path}")
+    return metrics
+
+
+def _specify(test: DataSpec, config, meshes: Path | None) -> DataSpec:
+    """The specification of the objects, otherwise that of the test split."""
+    if meshes is not None:
+        return dataclasses.replace(
+            test,
+            kind="meshes",
+            folder=str(meshes),
+            split="test",
+            fractions=(0, 0, 1),
+            models=None,
+            fold=None,
+        )
+    if any(getattr(config.data, name) for name in SOURCES):
+        raise ValueError(
+            "Expected meshes that the run has not seen, but --final_meshes was not "
+            "given and its objects are not procedural; name a folder of meshes of "
+            "another source with --final_meshes=DIR."
+        )
+    return dataclasses.replace(test, split=FINAL, models=config.data.test_models)
