@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from dpc_jax.render import compensate_widening as compensate_widening
     from dpc_jax.render import count_blocks as count_blocks
     from dpc_jax.render import estimate_memory as estimate_memory
+    from dpc_jax.render import from_opencv as from_opencv
     from dpc_jax.render import mass_of_peak as mass_of_peak
     from dpc_jax.render import opacity as opacity
     from dpc_jax.render import project as project
@@ -41,13 +42,15 @@ if TYPE_CHECKING:
     from dpc_jax.render import smooth as smooth
     from dpc_jax.render import splat as splat
     from dpc_jax.render import termination_probabilities as termination_probabilities
+    from dpc_jax.render import to_opencv as to_opencv
     from dpc_jax.render import use_all_cores as use_all_cores
     from dpc_jax.render import voxelize as voxelize
 
 _RENDER = (
     "Camera MemoryEstimate Projection VoxelGrid compensate_widening estimate_memory "
-    "count_blocks mass_of_peak opacity project project_batch project_volume quaternion "
-    "smooth splat termination_probabilities use_all_cores voxelize"
+    "count_blocks from_opencv mass_of_peak opacity project project_batch "
+    "project_volume quaternion smooth splat termination_probabilities to_opencv "
+    "use_all_cores voxelize"
 )
 _NETWORKS = "ImageEncoder PoseEnsemble PoseStudent ShapeHead ShapePoseNetwork"
 _NAMES = {  # public name: the module that it is loaded from

@@ -105,6 +105,7 @@ def test_the_public_names_are_these():
         "compensate_widening",
         "count_blocks",
         "estimate_memory",
+        "from_opencv",
         "mass_of_peak",
         "opacity",
         "pose_summary",
@@ -118,6 +119,7 @@ def test_the_public_names_are_these():
         "splat",
         "student_loss",
         "termination_probabilities",
+        "to_opencv",
         "use_all_cores",
         "voxelize",
     }

@@ -12,6 +12,8 @@ from dpc_jax.render.fast.splatting import splat as splat
 from dpc_jax.render.memory import MemoryEstimate as MemoryEstimate
 from dpc_jax.render.memory import estimate_memory as estimate_memory
 from dpc_jax.render.object_volume import project_volume as project_volume
+from dpc_jax.render.opencv import from_opencv as from_opencv
+from dpc_jax.render.opencv import to_opencv as to_opencv
 from dpc_jax.render.projection import Projection as Projection
 from dpc_jax.render.projection import mass_of_peak as mass_of_peak
 from dpc_jax.render.projection import project as project

@@ -79,12 +79,9 @@ def check_view(camera: Camera, grid: VoxelGrid) -> None:
 def check_camera(camera: Camera) -> None:
     """Refuse what is not one camera."""
     checks.check_type("camera", camera, Camera, "dpc_jax.Camera(1.875, 2.0)")
-    numbers = {
-        "camera.focal_length": camera.focal_length,
-        "camera.distance": camera.distance,
-    }
+    numbers = camera.list_numbers()
     for name, value in numbers.items():
-        checks.check_real(name, value, ())
+        checks.check_real(name, value, (2,) if name.endswith("point") else ())
     checks.check_values(numbers)
 
 

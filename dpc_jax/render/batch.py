@@ -94,8 +94,7 @@ def project_batch(
         "covariance": covariance,
         "colors": colors,
         "translation": translation,
-        "camera.focal_length": camera.focal_length,
-        "camera.distance": camera.distance,
+        **camera.list_numbers(),
     }
     shared, own = _sort_inputs(values, batch_size=batch_size)
     checks.check_values(values | {"rotations": rotations})
@@ -172,6 +171,8 @@ def _sort_inputs(values, *, batch_size):
         "translation": ((3,), (b, 3)),
         "camera.focal_length": ((), (b,)),
         "camera.distance": ((), (b,)),
+        "camera.principal_point": ((2,), (b, 2)),
+        "camera.aspect": ((), (b,)),
     }
     shared, own = {}, {}
     for name, value in values.items():
@@ -210,9 +211,10 @@ def _has_one_size(shared, own):
 
 def _take_camera(values, projection):
     """(the other values by name, the camera)."""
-    values = dict(values)
-    focal_length = values.pop("camera.focal_length")
-    return values, Camera(focal_length, values.pop("camera.distance"), projection)
+    numbers = {n: v for n, v in values.items() if n.startswith("camera.")}
+    rest = {n: v for n, v in values.items() if n not in numbers}
+    own = {name.removeprefix("camera."): value for name, value in numbers.items()}
+    return rest, Camera(projection=projection, **own)
 
 
 @functools.partial(jax.jit, static_argnames=("projection", "grid", "method"))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import chex
 import jax
 import jax.numpy as jnp
-from jax.typing import DTypeLike
+from jax.typing import ArrayLike, DTypeLike
 
 from dpc_jax.render import checks, quaternion
 
@@ -27,22 +27,38 @@ _STATIC = {"static": True}  # known to `register_dataclass`
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """A camera that looks at the object's origin.
+    """A camera that looks along z; `from_opencv` makes one from a matrix K in pixels.
+
+    All numbers may be traced.
 
     Attributes:
-      focal_length: () in units of the image plane where the paper's image is 1 wide;
-        may be traced. The paper's camera has 1.875.
-      distance: () from the camera to the object's origin along z; may be traced.
+      focal_length: () in units of the image plane where the paper's image is 1 wide.
+        The paper's camera has 1.875.
+      distance: () from the camera to the object's origin along z.
       projection: "perspective" or "orthographic" (no division by z); static.
+      principal_point: [2], the place (u, v) in the image plane that the optical axis
+        meets; None for its middle, (0, 0).
+      aspect: () vertical focal length in units of the horizontal one; None for 1.
+
+    Raises:
+      ValueError: for another projection.
     """
 
     focal_length: chex.Numeric = 1.875
     distance: chex.Numeric = 2.0
     projection: str = dataclasses.field(default="perspective", metadata=_STATIC)
+    principal_point: ArrayLike | None = None
+    aspect: chex.Numeric | None = None
 
     def __post_init__(self):
         name, hint = "Camera projection", "choose one of these"
         checks.check_choice(name, self.projection, _PROJECTIONS, hint)
+
+    def list_numbers(self) -> dict[str, ArrayLike]:
+        """Its numbers by name, "camera.distance" for instance; without None."""
+        names = ("focal_length", "distance", "principal_point", "aspect")
+        found = {f"camera.{name}": getattr(self, name) for name in names}
+        return {name: value for name, value in found.items() if value is not None}
 
 
 @dataclasses.dataclass(frozen=True, init=False)
@@ -152,6 +168,11 @@ def _find_fractions(x, y, z, ahead, camera, grid):
     if camera.projection == "perspective":
         inverse = jnp.asarray(camera.focal_length, z.dtype) / ahead
         x, y = x * inverse, y * inverse
+    if camera.aspect is not None:
+        y = y * jnp.asarray(camera.aspect, y.dtype)
+    if camera.principal_point is not None:
+        u, v = jnp.asarray(camera.principal_point, z.dtype)
+        x, y = x + u, y + v
     return [value / grid.extent + 0.5 for value in (y, x, z)]
 
 
@@ -165,6 +186,11 @@ def place_cells(
       volume, in the camera's axes; [depth] bool, whether a cell is in front of it).
     """
     v, u, z = (grid.centers(axis, dtype) for axis in range(3))
+    if camera.principal_point is not None:
+        middle = jnp.asarray(camera.principal_point, dtype)
+        u, v = u - middle[0], v - middle[1]
+    if camera.aspect is not None:
+        v = v / jnp.asarray(camera.aspect, dtype)
     v, u, z = jnp.meshgrid(v, u, z, indexing="ij")
     ahead = z[0, 0] + jnp.asarray(camera.distance, dtype)
     if camera.projection == "orthographic":

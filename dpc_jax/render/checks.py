@@ -171,6 +171,15 @@ _RULES = {
         "the paper's camera has 1.875",
     ),
     "camera.distance": _Rule(0, np.isfinite, "finite", "the paper's camera has 2.0"),
+    "camera.principal_point": _Rule(
+        1, _are_finite, "finite", "(0, 0) is the middle of the image"
+    ),
+    "camera.aspect": _Rule(
+        0,
+        lambda v: (v > 0) & (v < np.inf),
+        "finite and above 0",
+        "1 has square units",
+    ),
 }
 
 

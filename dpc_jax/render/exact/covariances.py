@@ -56,8 +56,13 @@ def move_covariance(
         down, across = -focal * (y / z) / z, -focal * (x / z) / z
     else:
         zoom, down, across = one, zero, zero
+    if camera.aspect is not None:
+        aspect = jnp.asarray(camera.aspect, z.dtype)
+        tall, down = aspect * zoom, aspect * down
+    else:
+        tall = zoom
     # The row comes from v, the column from u.
-    lines = (zero, zoom, down), (zoom, zero, across), (zero, zero, one)
+    lines = (zero, tall, down), (zoom, zero, across), (zero, zero, one)
     jacobian = jnp.stack([jnp.stack(line, axis=-1) for line in lines], axis=-2)
     sizes = jnp.array(grid.shape, z.dtype) / grid.shape[0]
     linear = sizes[None, :, None] * jnp.matmul(jacobian, matrix, precision="highest")
