@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from data_trees import (
     write_photos,
 )
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from dpc_jax.data import DataSpec, load_or_render, viewpoints
-from dpc_jax.data.sets import framing, image_folder
+from dpc_jax.data.sets import framing, image_folder, pose_files
 
 LENS = np.array([[120.0, 0, 40], [0, 120.0, 40], [0, 0, 1]])
 
@@ -116,6 +118,65 @@ def test_a_large_photograph_gives_the_picture_of_a_small_one(tmp_path):
     assert np.abs(masks[0] - masks[1]).mean() < 5
     assert np.abs(images[0] - images[1]).mean() < 4
     assert abs(masks[0].sum() / masks[1].sum() - 1) < 0.01
+
+
+def write_model(place, model, *, lens="PINHOLE 120 90 130 130 60 45"):
+    """A model of COLMAP in text, from the transforms.json of an object, which goes."""
+    poses = pose_files.read_poses([place / "transforms.json"])
+    (place / "transforms.json").unlink()
+    lines = []
+    for number, (path, pose) in enumerate(poses.items(), start=1):
+        turn = Rotation.from_matrix(pose.rotation).as_quat(scalar_first=True)
+        shift = -pose.rotation @ pose.position
+        numbers = " ".join(repr(float(n)) for n in (*turn, *shift))
+        lines += [f"{number} {numbers} 1 {path.name}", ""]
+    model.mkdir(parents=True, exist_ok=True)
+    (model / "cameras.txt").write_text(f"1 {lens}\n")
+    (model / "images.txt").write_text("\n".join(lines) + "\n")
+    (model / "points3D.txt").write_text("")
+
+
+@pytest.mark.parametrize("where, is_binary", [("", False), ("sparse/0", True)])
+def test_a_model_of_colmap_gives_the_views_of_the_same_transforms(
+    where, is_binary, tmp_path
+):
+    for name in "abc":
+        write_photos(tmp_path / "set" / name, views=3, seed=ord(name))
+    expected = load(tmp_path / "set", tmp_path / "cache")
+    for name in "abc":
+        place = tmp_path / "set" / name
+        write_model(place, place / where)
+        if is_binary:
+            pycolmap = pytest.importorskip("pycolmap")
+            pycolmap.Reconstruction(str(place / where)).write_binary(str(place / where))
+            for file in (place / where).glob("*.txt"):
+                file.unlink()
+            (place / "images").mkdir()
+            for image in place.glob("*.png"):
+                image.rename(place / "images" / image.name)
+    found = load(tmp_path / "set", tmp_path / "cache")
+    for name in ("masks", "quaternions"):
+        pairs = zip(getattr(found, name), getattr(expected, name), strict=True)
+        for ours, theirs in pairs:  # float64 of the same numbers; masks round
+            np.testing.assert_allclose(
+                ours, theirs, atol=1 if name == "masks" else 1e-6
+            )
+
+
+def test_what_cannot_be_read_of_colmap_is_a_sentence(tmp_path, monkeypatch):
+    place = tmp_path / "set" / "a"
+    write_photos(place, views=2)
+    write_model(place, place, lens="SIMPLE_RADIAL 120 90 130 60 45 0.1")
+    with pytest.raises(
+        ValueError, match=r"png is distorted; .* image_undistorter makes"
+    ):
+        pose_files.read_poses(pose_files.find_pose_files(place))
+    (place / "cameras.txt").write_text("1 PINHOLE wide")
+    with pytest.raises(ValueError, match="Expected poses in .* cannot be read"):
+        pose_files.read_poses([place / "images.txt"])
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+    with pytest.raises(ValueError, match=r"pip install 'dpc_jax\[colmap\]'"):
+        pose_files.read_poses([place / "images.txt"])
 
 
 def test_a_crop_beyond_the_border_is_empty_there(tmp_path):

@@ -51,6 +51,7 @@ class ImageFolder(Source):
         images = list_images(path)
         beside = [file for image in images if (file := masks.find_mask_file(image))]
         poses = pose_files.find_pose_files(path)
+        poses += [p.with_stem("cameras") for p in poses if p.name in pose_files.COLMAP]
         facts = []
         for file in [*images, *beside, *poses]:
             place = str(file.relative_to(path.parent)) if path.is_dir() else ""
@@ -83,13 +84,14 @@ def _list_objects(folder):
 
 
 def list_images(place: Path) -> list[Path]:
-    """The images of an object, sorted; those of `transforms.json` where it has one.
+    """The images of an object, sorted; those that its poses name if they have lenses.
 
-    A damaged `transforms.json` is reported when the object is read, and left out.
+    A damaged file of poses is reported when the object is read, and left out.
     """
     if place.is_file():
         return [place]
-    listed = [p for p in pose_files.find_pose_files(place) if p.match("transforms*")]
+    found = pose_files.find_pose_files(place)
+    listed = [p for p in found if p.name != pose_files.QUATERNIONS]
     with contextlib.suppress(ValueError):
         if listed:
             return sorted(pose_files.read_poses(listed))

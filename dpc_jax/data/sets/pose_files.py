@@ -1,9 +1,10 @@
 """Camera poses that come with a user's own images.
 
-Two forms are read. `poses.json` maps the name of an image to a quaternion wxyz, from
+Three forms are read. `poses.json` maps the name of an image to a quaternion wxyz, from
 the object to a camera that looks straight at it. `transforms.json`, as NeRF tools write
 it, has a camera-to-world matrix for each image and the lens; its cameras look along -z
-with y up, unless the file says `"convention": "opencv"` (along +z, y down).
+with y up, unless the file says `"convention": "opencv"` (along +z, y down). A model of
+COLMAP, binary or text, lies beside the images, in `sparse` or in `sparse/0`.
 """
 
 from collections.abc import Sequence
@@ -18,6 +19,8 @@ from dpc_jax.files import Damage
 
 QUATERNIONS = "poses.json"
 TRANSFORMS = "transforms*.json"
+COLMAP = ("images.bin", "images.txt")  # beside which its cameras lie
+_PLACES = (Path(), Path("sparse"), Path("sparse", "0"))  # of them in an object's folder
 # What values of the wrong kinds, and files that cannot be opened, raise.
 _FAULTS = (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError)
 LENS = ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x")
@@ -40,7 +43,9 @@ class Pose(NamedTuple):
 def find_pose_files(folder: Path) -> list[Path]:
     """The pose files in an object's folder, sorted; an object of one image has none."""
     found = [folder / QUATERNIONS] if (folder / QUATERNIONS).is_file() else []
-    return found + sorted(p for p in folder.glob(TRANSFORMS) if p.is_file())
+    found += sorted(p for p in folder.glob(TRANSFORMS) if p.is_file())
+    models = (folder / place / name for place in _PLACES for name in COLMAP)
+    return found or [path for path in models if path.is_file()][:1]
 
 
 def read_poses(paths: Sequence[Path]) -> dict[Path, Pose]:
@@ -48,6 +53,9 @@ def read_poses(paths: Sequence[Path]) -> dict[Path, Pose]:
     poses = {}
     for path in paths:
         try:
+            if path.name in COLMAP:
+                poses |= _read_colmap(path)
+                continue
             content = files.read_json(path)
             if not isinstance(content, dict):
                 kind = "a list" if isinstance(content, list) else "a single value"
@@ -106,6 +114,35 @@ def _read_transforms(content, folder):
         _expect_lens(lens)
         path = _find_image(folder / frame["file_path"])
         poses[path] = Pose(rotation, matrix[:3, 3], lens)
+    return poses
+
+
+def _read_colmap(path):
+    try:
+        import pycolmap  # pyright: ignore[reportMissingImports]  # optional
+    except ModuleNotFoundError:
+        text = "models of COLMAP need pycolmap; pip install 'dpc_jax[colmap]' brings it"
+        raise Damage(text) from None
+    place = folder = path.parent
+    if place.parts[-2:] == ("sparse", "0"):
+        folder = place.parents[1]
+    elif place.name == "sparse":
+        folder = place.parent
+    poses = {}
+    for image in pycolmap.Reconstruction(str(place)).images.values():
+        camera, pose = image.camera, image.cam_from_world()
+        if not camera.is_undistorted():
+            raise Damage(
+                f"the lens of {image.name} is distorted; take the images and the model "
+                "that colmap image_undistorter makes"
+            )
+        rotation = np.asarray(pose.rotation.matrix())
+        lens = (camera.focal_length_x, camera.focal_length_y)
+        lens += (camera.principal_point_x, camera.principal_point_y)
+        lens = dict(zip(LENS, (*lens, camera.width, camera.height), strict=False))
+        beside = folder / "images" / image.name
+        file = beside if beside.is_file() else folder / image.name
+        poses[file] = Pose(rotation, -rotation.T @ pose.translation, lens)
     return poses
 
 
