@@ -1,12 +1,15 @@
 """What the pages say exists: links, files, functions, fields, public names."""
 
 import dataclasses
+import doctest
 import inspect
 import itertools
 import json
 import re
 import tomllib
 
+import jax
+import numpy as np
 import pytest
 from document_pages import LOG, NOTEBOOK, PAGES, ROOT, list_blocks, list_spans
 
@@ -94,6 +97,23 @@ def test_the_reference_says_what_every_argument_is(name):
     listed = re.findall(r"^  (\w+(?:, \w+)*): ", text, flags=re.MULTILINE)
     if "Args:" in text or "Attributes:" in text:
         assert asked <= {n for names in listed for n in names.split(", ")}
+
+
+FUNCTIONS = [
+    n for n in sorted(dpc_jax._NAMES) if inspect.isfunction(getattr(dpc_jax, n))
+]
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_public_function_says_what_it_returns_and_its_example_holds(name):
+    function = inspect.unwrap(getattr(dpc_jax, name))
+    assert "Returns:" in (function.__doc__ or "")
+    names = {"dpc_jax": dpc_jax, "jax": jax, "jnp": jax.numpy, "np": np}
+    (test,) = doctest.DocTestFinder(recurse=False).find(function, name, globs=names)
+    assert test.examples
+    said = []
+    failed, _ = doctest.DocTestRunner(verbose=False).run(test, out=said.append)
+    assert not failed, "".join(said)
 
 
 def test_every_picture_is_on_a_page():

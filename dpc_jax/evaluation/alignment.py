@@ -65,9 +65,17 @@ def align(
       surfaces: [n, P, 3] points of the true surfaces, object frame; or a list of
         [P_i, 3]. None where they are not known: the alignment is the mode of the votes.
 
+    Returns:
+      `Alignment`: the rotation between the frames, and how many views agree on it.
+
     Raises:
       ValueError: shapes that do not fit together, no model, quaternions that are zero
         or not finite, points that are not finite.
+
+    Example:
+      >>> poses, clouds = np.tile([1.0, 0, 0, 0], (2, 3, 1)), np.zeros((2, 5, 3))
+      >>> float(dpc_jax.align(poses, poses, clouds, None).inlier_share)
+      1.0
     """
     if surfaces is None:
         votes = _vote(predicted_poses, true_poses).reshape(-1, 4)[:_MOST_VOTES]

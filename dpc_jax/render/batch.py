@@ -77,6 +77,11 @@ def project_batch(
 
     Raises:
       ValueError: as `project`, and for shapes that do not fit B.
+
+    Example:
+      >>> images = dpc_jax.project_batch(jnp.zeros((1, 3)), jnp.eye(4), sigma=1.5)
+      >>> images.silhouette.shape
+      (4, 64, 64)
     """
     arguments.check_signals(signals, ray_rule, has_colors=colors is not None)
     checks.check_type("camera", camera, Camera, "dpc_jax.Camera(1.875, 2.0)")

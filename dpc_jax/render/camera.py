@@ -42,6 +42,10 @@ class Camera:
 
     Raises:
       ValueError: for another projection.
+
+    Example:
+      >>> dpc_jax.Camera(focal_length=1.5).distance
+      2.0
     """
 
     focal_length: chex.Numeric = 1.875
@@ -71,6 +75,10 @@ class VoxelGrid:
 
     Raises:
       ValueError: if a side is not a positive integer or the extent is not positive.
+
+    Example:
+      >>> dpc_jax.VoxelGrid(32).shape
+      (32, 32, 32)
     """
 
     shape: tuple[int, int, int]

@@ -54,6 +54,10 @@ def use_all_cores(count: int | None = None) -> int:
     Raises:
       ValueError: for a count that is not a positive integer.
       RuntimeError: if JAX has started already, with fewer devices.
+
+    Example:
+      >>> dpc_jax.use_all_cores()  # doctest: +SKIP
+      8
     """
     if count is not None and not _is_positive(count):
         raise ValueError(

@@ -49,10 +49,18 @@ def estimate_memory(
         without a gradient.
       **arguments: of `project`.
 
+    Returns:
+      `MemoryEstimate`, in bytes.
+
     Raises:
       ValueError: as `project`.
       TypeError: for an argument that `project` does not have.
       RuntimeError: if the device's compiler does not report memory.
+
+    Example:
+      >>> cloud = jax.ShapeDtypeStruct((8000, 3), "float32")
+      >>> 1e6 < dpc_jax.estimate_memory(cloud, jnp.eye(3), sigma=1.0).total < 1e7
+      True
     """
     static = {name: arguments.pop(name) for name in _STATIC if name in arguments}
     inputs = {"points": points, "rotation": rotation, **arguments}

@@ -57,9 +57,16 @@ def project_volume(
         `project`. Voxel models in the literature have "maximum" (PTN) or "termination"
         (DRC, MVC, Ours-V) rays.
 
+    Returns:
+      `Projection`, as of `project`.
+
     Raises:
       ValueError: for a wrong shape or dtype, 2³¹ cells, an unknown signal or rule, and
         colour asked without colours.
+
+    Example:
+      >>> dpc_jax.project_volume(jnp.ones((8, 8, 8)), jnp.eye(3)).silhouette.shape
+      (64, 64)
     """
     volume = checks.check_array("volume", volume, ("X", "Y", "Z"), hint=_HINT)
     if 0 in volume.shape:

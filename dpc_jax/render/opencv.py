@@ -46,9 +46,6 @@ def from_opencv(
     wide about the center: p_object = (p_world - center) / (2·radius). Depths that
     `project` gives are in the object's unit; times 2·radius they are the world's.
 
-        view = dpc_jax.from_opencv(K, matrix, width=96, height=64, radius=0.6)
-        images = dpc_jax.project(points, **view._asdict(), sigma=1.0)
-
     Args:
       K: [3, 3], focal lengths and principal point in pixels, without skew. The middle
         of the first pixel is (0, 0). COLMAP and NeRF tools call it (0.5, 0.5): subtract
@@ -66,6 +63,14 @@ def from_opencv(
     Raises:
       ValueError: for matrices of other shapes, a skew, a matrix that does not begin
         with a rotation, lengths that are not finite and positive.
+
+    Example:
+      >>> K = np.array([[110.0, 0, 50.3], [0, 118, 30.1], [0, 0, 1]])
+      >>> matrix = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2.5]])
+      >>> view = dpc_jax.from_opencv(K, matrix, width=96, height=64, radius=0.8)
+      >>> images = dpc_jax.project(jnp.zeros((1, 3)), **view._asdict(), sigma=1.0)
+      >>> images.silhouette.shape
+      (64, 96)
     """
     grid = VoxelGrid((height, width, depth or max(width, height)))
     given: dict[str, Any] = {"K": K, "world_to_camera": world_to_camera}
@@ -98,8 +103,6 @@ def to_opencv(
 ) -> tuple[jax.Array, jax.Array]:
     """The way back from `from_opencv`.
 
-        K, world_to_camera = dpc_jax.to_opencv(**view._asdict(), radius=0.6)
-
     Args:
       rotation: [4] quaternion or [3, 3].
       translation, camera, grid: as of `project`.
@@ -111,6 +114,11 @@ def to_opencv(
 
     Raises:
       ValueError: for an orthographic camera, and other shapes.
+
+    Example:
+      >>> K, world_to_camera = dpc_jax.to_opencv(jnp.eye(3), grid=dpc_jax.VoxelGrid(32))
+      >>> K[0].tolist()
+      [60.0, 0.0, 15.5]
     """
     if camera.projection != "perspective":
         raise ValueError(

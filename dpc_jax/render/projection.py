@@ -113,6 +113,10 @@ def project(
         are computed up to 256³ cells; `project_batch` on a CPU takes one example after
         the other.
 
+    Returns:
+      `Projection`: silhouette and depth [rows, cols], color [rows, cols, C],
+      termination [rows, cols, depth]; None for what is not in signals.
+
     Raises:
       ValueError: for a wrong shape or dtype, an unknown signal, method or rule, colour
         asked without colours, a method that cannot do what is asked, max_blocks below 1
@@ -120,6 +124,12 @@ def project(
         numbers that make no image: points, sizes, poses or a camera that are not
         finite, a quaternion of zeros, a matrix that is no rotation, a negative size,
         eigenvalue or focal length.
+
+    Example:
+      >>> points = 0.2 * jax.random.normal(jax.random.key(0), (500, 3))
+      >>> image = dpc_jax.project(points, jnp.eye(3), sigma=1.5).silhouette
+      >>> image.shape
+      (64, 64)
     """
     points = arguments.convert_points(points)
     arguments.check_signals(signals, ray_rule, has_colors=colors is not None)
@@ -229,6 +239,13 @@ def voxelize(
 
     Arguments and errors as in `project`. Ray-consistency losses (DRC) compare the
     `termination_probabilities` of the result.
+
+    Returns:
+      [rows, cols, depth] occupancies.
+
+    Example:
+      >>> dpc_jax.voxelize(jnp.zeros((1, 3)), jnp.eye(3), sigma=1.0).shape
+      (64, 64, 64)
     """
     points = arguments.convert_points(points)
     scene = place_points(
@@ -243,6 +260,13 @@ def mass_of_peak(peak: chex.Numeric, sigma: chex.Numeric) -> jax.Array:
     scale = c·(2π)^{3/2}·σ³, with sigma in voxels. The peak is that of the density, not
     of its samples, which sum to the mass for every sigma: below a sigma of half a voxel
     a point on a cell's centre fills the cell by less than c, at 0.2 by c/8.
+
+    Returns:
+      The mass, of the shape that peak and sigma have together.
+
+    Example:
+      >>> round(float(dpc_jax.mass_of_peak(1.0, 1.0)), 2)
+      15.75
     """
     sigma = jnp.asarray(sigma)
     # Factor by factor: σ³ alone may overflow where the mass does not.

@@ -29,6 +29,10 @@ def opacity(occupancy: jax.Array) -> jax.Array:
 
     Raises:
       ValueError: for rays without cells, or another dtype.
+
+    Example:
+      >>> float(dpc_jax.opacity(jnp.array([0.5, 0.5])))
+      0.75
     """
     return _opacity(_check_rays(occupancy))
 
@@ -126,6 +130,11 @@ def termination_probabilities(occupancy: jax.Array) -> tuple[jax.Array, jax.Arra
     Returns:
       ([..., D] probabilities r_k, [...] background r_{D+1} = Π(1 - o_u)); they are
       non-negative and sum to one.
+
+    Example:
+      >>> shares, background = dpc_jax.termination_probabilities(jnp.array([0.5, 0.5]))
+      >>> shares.tolist(), float(background)
+      ([0.5, 0.25], 0.25)
     """
     rays = end_rays(occupancy)
     return rays.ends, rays.background

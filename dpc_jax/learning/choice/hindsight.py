@@ -150,8 +150,19 @@ def choose_candidate(
       renders_at_once: how many are rendered side by side, 0 for all; -1 takes one on a
         CPU and all on a GPU.
 
+    Returns:
+      () int32.
+
     Raises:
       ValueError: for a wrong shape, dtype or number.
+
+    Example:
+      >>> cloud, poses = jnp.array([[0.1, 0.2, 0.0]]), jnp.eye(4)[:2]
+      >>> target = dpc_jax.project(cloud, poses[1], sigma=1.0).silhouette
+      >>> sizes = {"mass": jnp.ones(()), "sigma": jnp.ones(())}
+      >>> view = {"candidates": poses, "target": target, "camera": dpc_jax.Camera()}
+      >>> int(dpc_jax.choose_candidate(cloud, **sizes, **view))
+      1
     """
     points = checks.check_array("points", points, (None, 3))
     candidates = checks.check_array("candidates", candidates, (None, 4))

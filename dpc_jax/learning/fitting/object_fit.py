@@ -93,9 +93,19 @@ def fit(
       seed: of the first cloud and the searches.
       on_progress: called with what is done, a count and a total.
 
+    Returns:
+      `Fit`: the points and their sizes, poses, silhouettes and overlaps of the views.
+
     Raises:
       ValueError: for a wrong shape or range, an empty silhouette, or settings that do
         not fit the images.
+
+    Example:
+      >>> disc = np.hypot(*np.mgrid[-7.5:8, -7.5:8]) < 6
+      >>> few = dpc_jax.FitSettings(num_points=50, sides=(16,), steps=(3,))
+      >>> views, poses = np.stack([disc] * 2) * 1.0, np.tile([1.0, 0, 0, 0], (2, 1))
+      >>> dpc_jax.fit(views, rotations=poses, settings=few).points.shape
+      (50, 3)
     """
     begin, tell = time.perf_counter(), on_progress or (lambda *_: None)
     views = _check_views(silhouettes, depths, colors)

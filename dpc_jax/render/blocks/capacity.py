@@ -50,8 +50,15 @@ def count_blocks(
         counts = jax.vmap(lambda q: dpc_jax.count_blocks(points, q, sigma=0.6))(poses)
         max_blocks = int(1.2 * counts.max())
 
-    The result is all blocks of the grid where blocks cannot draw what is asked, because
-    the smoothing reaches beyond the next one. Arguments and errors as of `project`.
+    Arguments and errors as of `project`.
+
+    Returns:
+      () int32; all blocks of the grid where blocks cannot draw what is asked, because
+      the smoothing reaches beyond the next one.
+
+    Example:
+      >>> int(dpc_jax.count_blocks(jnp.zeros((1, 3)), jnp.eye(3), sigma=0.6))
+      8
     """
     points, scale, covariance = arguments.convert_points(points), 1.0, None
     scene = place_points(

@@ -31,6 +31,11 @@ def splat(
 
     Raises:
       ValueError: for another shape or dtype.
+
+    Example:
+      >>> volume = dpc_jax.splat(jnp.array([[1.5, 2, 2]]), jnp.ones(1), (4, 4, 4))
+      >>> float(volume[1, 2, 2])
+      0.5
     """
     checks.check_sides("shape", shape)
     coordinates = checks.check_array("coordinates", coordinates, (None, 3))
@@ -133,6 +138,13 @@ def compensate_widening(sigma: chex.Numeric) -> jax.Array:
     (docs/projection.md). Below one voxel a point is not smooth on the grid, and less is
     subtracted (a heuristic), down to nothing at half a voxel. Sigma may have any shape,
     in voxels, >= 0; the result is continuous and increasing.
+
+    Returns:
+      The sigma to render with, of the same shape.
+
+    Example:
+      >>> round(float(dpc_jax.compensate_widening(2.0)), 3)
+      1.958
     """
     sigma = jnp.asarray(sigma)
     share = jnp.clip(2 * sigma - 1, 0, 1)
