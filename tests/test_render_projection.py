@@ -54,6 +54,7 @@ def assert_equal(image, expected):
         np.testing.assert_allclose(image[name], right, **close)
     ends = np.asarray(image.termination)
     np.testing.assert_allclose(ends.sum(-1), expected[0], **close)
+    np.testing.assert_allclose(image.background, 1 - expected[0], **close)
     depths = DISTANCE + ((np.arange(SHAPE[2]) + 0.5) / SHAPE[2] - 0.5) * EXTENT
     seen = ends @ depths + BEHIND[0] * (1 - expected[0])
     np.testing.assert_allclose(seen, expected[1], **close)

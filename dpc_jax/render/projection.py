@@ -31,13 +31,16 @@ class Projection:
       depth: [rows, cols], metric along z.
       color: [rows, cols, C].
       termination: [rows, cols, depth], probability r_k that a ray ends in each cell,
-        nearest first (Eq. 4); with that of the background they sum to one.
+        nearest first (Eq. 4).
+      background: [rows, cols], probability that it passes all of them, r_{D+1}; comes
+        with the termination, with which it sums to one.
     """
 
     silhouette: jax.Array | None = None
     depth: jax.Array | None = None
     color: jax.Array | None = None
     termination: jax.Array | None = None
+    background: jax.Array | None = None
 
 
 @checks.refusing_forward_mode
@@ -115,7 +118,8 @@ def project(
 
     Returns:
       `Projection`: silhouette and depth [rows, cols], color [rows, cols, C],
-      termination [rows, cols, depth]; None for what is not in signals.
+      termination [rows, cols, depth] with the background [rows, cols]; None for what
+      is not in signals.
 
     Raises:
       ValueError: for a wrong shape or dtype, an unknown signal, method or rule, colour
@@ -209,7 +213,7 @@ def project_signals(
 
     rays = termination.end_rays(occupancy)
     if "termination" in signals:
-        images["termination"] = rays.ends
+        images |= {"termination": rays.ends, "background": rays.background}
     if "depth" in signals:
         # In the points' dtype, also where a GPU would round float32 to TF32.
         images["depth"] = jnp.matmul(

@@ -121,6 +121,7 @@ class Learner:
             alignment=self.align(predictions),
             poses_given=self.config.pose.known,
             chamfer_views=1,
+            has_visible=False,
         )
         return result.metrics
 

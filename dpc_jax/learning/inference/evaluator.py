@@ -42,6 +42,7 @@ def score(
     poses_given: bool = False,
     chamfer_views: int | None = None,
     dense_points: int = 0,
+    has_visible: bool = True,
 ) -> scores.Scores:
     """Scores of predictions; metrics whose truth the data set lacks are left out.
 
@@ -55,11 +56,13 @@ def score(
       poses_given: whether the poses are those of the data, so that there is nothing
         about them to score.
       chamfer_views, dense_points: see `scores.score`.
+      has_visible: whether visible surfaces are compared, too; few points of one, as
+        validation shapes have, make its distances longer.
     """
     poses, surfaces = arrange_truth(dataset)
     models, _ = arrange_views(dataset)
     visible = None
-    if dataset.visible is not None:
+    if dataset.visible is not None and has_visible:
         visible = map(dataset.read_visible, models[:, 0].tolist())
     result = scores.score(
         None if poses_given else predictions.poses,

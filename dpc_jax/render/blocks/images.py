@@ -58,6 +58,7 @@ def render_blocks(
     background_depth, background_color = background
     if "termination" in signals:
         images["termination"] = rays.lay_out_volume(found.ends, blocks.ids, shape)
+        images["background"] = behind
     if "depth" in signals:
         cells = _find_depth_cells(blocks.ids, shape).clip(0, shape[2] - 1)
         depths = grid.depths(camera, density.dtype)[cells][:, :, None, None]
