@@ -26,7 +26,7 @@ _PLAIN = {
     "network.sees_mask": False,
 }
 # Variants that set the side of images and volume.
-RESOLUTIONS = ("32", "64", "128", "256")
+RESOLUTIONS = ("32", "64", "128")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Size:
 
     categories: tuple[str, ...]  # unless others are asked for
     seeds: tuple[int, ...]
-    long_seeds: tuple[int, ...]  # of runs at 128 and 256, and of rows that say so
+    long_seeds: tuple[int, ...]  # of runs at 128, and of rows that say so
     variant: str = ""  # put before that of every row
     # "section.field": value, of every run
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -76,7 +76,6 @@ SIZES = {
             "32": {"data.image_size": 16, "render.grid": 8},
             "64": {"data.image_size": 32, "render.grid": 16},
             "128": {"data.image_size": 64, "render.grid": 32},
-            "256": {"data.image_size": 64, "render.grid": 16, "render.fine_grid": 32},
             "longer": {"data.image_size": 16, "render.grid": 8},
             "points": {"data.image_size": 32, "render.grid": 16},
             **dict.fromkeys(
@@ -106,7 +105,6 @@ SIZES = {
             "32": {"train.steps": 2000},
             "64": {"train.steps": 2000},
             "128": {"train.steps": 2000},
-            "256": {"train.steps": 2000},
             # A step of points takes a third of the time of one of 32³ cells.
             "longer": {"train.steps": 6000},
             # A render of 200 covariances takes 70 ms: four minutes and a half a run.
@@ -238,7 +236,7 @@ class Request:
     def list_seeds(self, row: Row) -> tuple[int, ...]:
         """Seeds of a row."""
         size = SIZES[self.size]
-        is_long = row.is_long or find_resolution(row) in ("128", "256")
+        is_long = row.is_long or find_resolution(row) == RESOLUTIONS[-1]
         return self.seeds or (size.long_seeds if is_long else size.seeds)
 
     def explain_absence(self, row: Row) -> str:
