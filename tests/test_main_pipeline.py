@@ -232,20 +232,21 @@ def test_a_finished_run_is_judged_on_objects_that_no_split_has(command, finished
     assert len(names["final"]) == found["objects"] and not names["final"] & others
 
 
-def test_a_finished_run_is_judged_on_meshes_of_another_source(
-    command, finished, tmp_path
-):
+def test_a_finished_run_is_judged_on_meshes_of_another_source(finished, tmp_path):
     for side in (0.2, 0.4):
+        (tmp_path / "boxes").mkdir(exist_ok=True)
         box = trimesh.creation.box([1, side, side])
-        box.export(tmp_path / f"{side}.ply")
-    assert judge_finally(finished[0], tmp_path)["objects"] == 2
-    meshes = tmp_path / "run"
-    shutil.copytree(finished[0], meshes)
-    config = json.loads((meshes / "config.json").read_text())
-    config["data"]["meshes"] = str(tmp_path)
-    (meshes / "config.json").write_text(json.dumps(config))
+        box.export(tmp_path / "boxes" / f"{side}.ply")
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    config = json.loads((run / "config.json").read_text())
+    config["data"]["cache_dir"] = str(tmp_path / "data")
+    (run / "config.json").write_text(json.dumps(config))
+    assert judge_finally(run, tmp_path / "boxes")["objects"] == 2
+    config["data"]["meshes"] = str(tmp_path / "boxes")
+    (run / "config.json").write_text(json.dumps(config))
     with pytest.raises(ValueError, match="--final_meshes=DIR"):
-        judge_finally(meshes)
+        judge_finally(run)
 
 
 @pytest.fixture(scope="module")
