@@ -247,12 +247,19 @@ def test_points_of_what_is_visible_are_as_many_as_asked_for_and_even(count):
     assert np.abs(points.mean(axis=0)).max() < 4 * 0.4 / np.sqrt(3 * count)
 
 
-def test_an_object_of_which_nothing_is_visible_is_taken_whole(monkeypatch):
-    hide = lambda points, scene, distance: np.zeros(len(points), bool)  # noqa: E731
-    monkeypatch.setattr(rendering, "_find_visible", hide)
+@pytest.mark.parametrize("seen", [0, 1])  # of the points that are tested first
+def test_an_object_of_which_next_to_nothing_is_visible_is_compared_too(
+    seen, monkeypatch
+):
+    def find(points, scene, distance):
+        is_first = len(points) == rendering._TESTED
+        return np.arange(len(points)) < (seen if is_first else 0)
+
+    monkeypatch.setattr(rendering, "_find_visible", find)
     spec = dataclasses.replace(TRUTH, visible_points=300)
     found = rendering.sample_visible(make_ball(), views.build_scene(make_ball()), spec)
     assert found.shape == (300, 3)
+    assert len(np.unique(found, axis=0)) == (1 if seen else 300)
 
 
 def test_a_point_is_seen_if_a_ray_over_the_rim_reaches_it():

@@ -17,7 +17,8 @@ from dpc_jax.learning.losses import (
 )
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.signals import downsample_images
-from dpc_jax.render import Camera, quaternion
+from dpc_jax.render import Camera, VoxelGrid, quaternion
+from dpc_jax.render.camera import to_camera_frame, to_grid
 
 # float64 oracles against float32 results of order one: a few ulps of 6e-8.
 ROUNDING = 1e-6
@@ -133,6 +134,21 @@ def test_points_outside_are_told_the_way_in_and_those_inside_nothing():
     behind = jnp.array([[0.1, 0.2, -2.0], [0.1, 0.2, -2.05], [3.0, 0.1, -5.0]])
     value, slopes = jax.value_and_grad(pull)(behind)
     assert float(value) == 0 and not np.any(slopes)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [Camera(), Camera(projection="orthographic")]
+    + [Camera(1.5, principal_point=np.array([0.1, -0.2]), aspect=1.3)],
+)
+def test_a_point_is_pulled_from_where_it_is_drawn(camera):
+    point = jnp.array([[0.21, 0.13, 0.1]])
+    moved = to_camera_frame(point, AHEAD, translation=None, camera=camera)
+    row, column, _ = to_grid(moved, camera=camera, grid=VoxelGrid(24)).coordinates[0]
+    slope = jnp.array([0.3, 0.7])  # of a map that differs in every pixel
+    outside = slope[0] * jnp.arange(24)[:, None] + slope[1] * jnp.arange(24)[None]
+    found = pull_inside(point, AHEAD, outside, camera=camera)
+    assert float(found) == pytest.approx(float(slope @ jnp.stack([row, column])), 1e-5)
 
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])

@@ -38,10 +38,16 @@ def set_field(config, field, value):
 
 def test_a_run_that_is_not_finished_cannot_be_judged(config, tmp_path, capsys):
     given = {"config_path": "configs/debug.py", "meshes": None}
+    config = from_config_dict(config)
     status = pipeline.judge_guarded(config, workdir=str(tmp_path / "none"), **given)
     assert status == 1
     assert "config of a run in" in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
+    other = load_editable("debug")
+    other.seed = 7
+    claim_workdir(tmp_path, from_config_dict(other))
+    assert pipeline.judge_guarded(config, workdir=str(tmp_path), **given) == 1
+    assert "differs in seed (7 there, 0 now)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

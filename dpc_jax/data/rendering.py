@@ -19,6 +19,7 @@ CAMERA = ("image_size", "focal_length", "distance")
 # visible, a car 15 %, through gaps of its body.
 VIEWPOINTS = 32
 _TESTED, _NEAR = 2000, 4  # points that decide which others are tested
+_LEAST_SEEN = 0.05  # share of a surface, below which few points are drawn and repeated
 CLEARANCE = 1e-4  # of the box diagonal: how far before a point a hit may lie
 
 
@@ -98,13 +99,13 @@ def sample_visible(
     """
     few, _ = views.sample_surface(mesh, count=_TESTED, seed=spec.seed + 1)
     is_seen = _find_visible(few, scene, distance=spec.distance)
-    share = is_seen.mean() or 1.0
-    drawn = int(spec.visible_points / share)
+    drawn = int(spec.visible_points / max(is_seen.mean(), _LEAST_SEEN))
     points, _ = views.sample_surface(mesh, count=drawn, seed=spec.seed)
     if is_seen.any():
-        points = points[is_seen[KDTree(few).query(points, k=_NEAR)[1]].any(axis=1)]
-        points = points[_find_visible(points, scene, distance=spec.distance)]
-    # About as many as asked for. They lie in the order of the faces.
+        is_near = is_seen[KDTree(few).query(points, k=_NEAR)[1]].any(axis=1)
+        is_near[is_near] = _find_visible(points[is_near], scene, distance=spec.distance)
+        points = points[is_near] if is_near.any() else few[is_seen]
+    # About as many as asked for, or repeated. They lie in the order of the faces.
     rows = np.linspace(0, len(points) - 1, spec.visible_points).round().astype(int)
     return np.round((points[rows] + 0.5) * VISIBLE_STEPS).astype(np.uint16)
 

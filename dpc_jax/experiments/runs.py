@@ -25,8 +25,7 @@ _PLAIN = {
     "train.colors_move_points": True,
     "network.sees_mask": False,
 }
-# Variants that set the side of images and volume.
-RESOLUTIONS = ("32", "64", "128")
+RESOLUTIONS = ("32", "64", "128")  # variants that set the side of images and volume
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Size:
 
     categories: tuple[str, ...]  # unless others are asked for
     seeds: tuple[int, ...]
-    long_seeds: tuple[int, ...]  # of runs at 128, and of rows that say so
+    long_seeds: tuple[int, ...]  # of the runs at 128, and of rows that say so
     variant: str = ""  # put before that of every row
     # "section.field": value, of every run
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import optax
 
 from dpc_jax.render import Camera, checks, quaternion
+from dpc_jax.render.camera import to_plane
 
 _RADIUS = 0.5  # of the sphere that an object of box diagonal 1 lies in
 # Distance below which the energy of a pair levels off, so that coincident points have
@@ -225,9 +226,8 @@ def pull_inside(
         moved = moved + translation[None]
     ahead = moved[:, 2] + camera.distance
     is_seen = ahead > _NEAREST
-    depth = camera.distance if camera.projection == "orthographic" else ahead
-    zoom = camera.focal_length / jnp.where(is_seen, depth, 1)
-    places = (moved[:, :2] * zoom[:, None] + 0.5) * side - 0.5  # column, row
+    plane = to_plane(*moved[:, :2].T, jnp.where(is_seen, ahead, 1), camera)
+    places = (jnp.stack(plane, axis=-1) + 0.5) * side - 0.5  # column, row
     inside = jnp.clip(places, 0, side - 1)
     column, row = inside.T
     distances = jax.scipy.ndimage.map_coordinates(

@@ -72,8 +72,8 @@ class Stage(NamedTuple):
         """Room for blocks of points' volumes, see `project`; None for whole volumes.
 
         An eighth of all: clouds whose shapes have formed touch a tenth of 256³. Others
-        touch up to half and are drawn in the whole volume, which is not slower then. In
-        grids of up to 128³ whole volumes are as quick.
+        touch up to half and are drawn in the whole volume. In grids of up to 128³ whole
+        volumes are as quick.
         """
         return (self.grid // 8) ** 3 // 8 if self.grid > 128 else None
 

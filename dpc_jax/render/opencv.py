@@ -72,7 +72,8 @@ def from_opencv(
       >>> images.silhouette.shape
       (64, 96)
     """
-    grid = VoxelGrid((height, width, depth or max(width, height)))
+    cells = max(width, height) if depth is None else depth
+    grid = VoxelGrid((height, width, cells))
     given: dict[str, Any] = {"K": K, "world_to_camera": world_to_camera}
     given |= {"center": np.zeros(3) if center is None else center, "radius": radius}
     shapes = {"world_to_camera": ((3, 4), (4, 4)), "center": ((3,),), "radius": ((),)}

@@ -21,7 +21,12 @@ from dpc_jax.run.report.summary import report_run
 from dpc_jax.run.setup import load_sets
 from dpc_jax.run.task import Task, run_command
 from dpc_jax.run.training import train_learner
-from dpc_jax.run.workdir import claim_workdir, hold_workdir
+from dpc_jax.run.workdir import (
+    check_same,
+    claim_workdir,
+    hold_workdir,
+    read_config,
+)
 
 
 def run_guarded(
@@ -50,8 +55,10 @@ def judge_guarded(
     folder = Path(workdir or _name_workdir(config, config_path))
 
     def judge():
+        check_same(folder, read_config(folder), config)
         prepare_process(1, 1)
-        judge_finally(folder, Path(meshes) if meshes else None)
+        cache = config.data.cache_dir
+        judge_finally(folder, Path(meshes) if meshes else None, cache_dir=cache)
 
     errors = ValueError, OSError
     return run_command(lambda: Task(judge, folder, "Interrupted.", errors=errors))

@@ -81,15 +81,20 @@ def claim_workdir(workdir: Path, config: Config) -> Path:
     if path.exists():
         other = read_config(workdir)  # of a run: what is not may be anybody's
         made = [workdir / "checkpoints", workdir / "metrics.jsonl"]
-        differing = list_differences(other, config)
-        if differing and any(one.exists() for one in made):
-            raise ValueError(
-                f"The workdir {workdir} must belong to this config, but it was made by "
-                f"another one, which differs in {', '.join(differing)}; give another "
-                "--workdir=DIR or the old values (--config.SECTION.FIELD=VALUE)."
-            )
+        if any(one.exists() for one in made):
+            check_same(workdir, other, config)
     write_text(path, to_json(config))
     return workdir
+
+
+def check_same(workdir: Path, other: Config, config: Config):
+    """Refuse a config that is not that of the workdir's run, but for `FREE_FIELDS`."""
+    if differing := list_differences(other, config):
+        raise ValueError(
+            f"The workdir {workdir} must belong to this config, but it was made by "
+            f"another one, which differs in {', '.join(differing)}; give another "
+            "--workdir=DIR or the old values (--config.SECTION.FIELD=VALUE)."
+        )
 
 
 def list_differences(old: Config, new: Config) -> list[str]:

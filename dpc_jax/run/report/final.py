@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+from dpc_jax.config import replace_fields
 from dpc_jax.config.checks import SOURCES
 from dpc_jax.data import DataSpec, load_or_render
 from dpc_jax.data.splits import FINAL
@@ -19,7 +20,9 @@ from dpc_jax.run.workdir import read_metrics
 RECORD = "final.json"
 
 
-def judge_finally(workdir: Path, meshes: Path | None = None) -> dict[str, Any]:
+def judge_finally(
+    workdir: Path, meshes: Path | None = None, *, cache_dir: str = ""
+) -> dict[str, Any]:
     """Metrics of a finished run on the split "final"; printed, kept in WORKDIR.
 
     The objects are procedural shapes of seeds that no other split has, as many as the
@@ -27,12 +30,16 @@ def judge_finally(workdir: Path, meshes: Path | None = None) -> dict[str, Any]:
 
     Args:
       meshes: of that folder; to be given where the run's objects are not procedural.
+      cache_dir: of rendered sets; that of the run where it is empty.
 
     Raises:
       ValueError: where there is no finished run, or no such objects.
       OSError: where they cannot be rendered or the record not written.
     """
     trained = load_trained(workdir)
+    if cache_dir:
+        moved = {"data": {"cache_dir": cache_dir}}
+        trained = trained._replace(config=replace_fields(trained.config, moved))
     config, data = trained.config, trained.config.data
     spec = _specify(make_data_specs(config)["test"], config, meshes)
     with explaining_full_disk(data.cache_dir):
