@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import optax
 
 from dpc_jax.render import Camera, checks, quaternion
-from dpc_jax.render.camera import to_plane
 
 _RADIUS = 0.5  # of the sphere that an object of box diagonal 1 lies in
 # Distance below which the energy of a pair levels off, so that coincident points have
@@ -226,8 +225,15 @@ def pull_inside(
         moved = moved + translation[None]
     ahead = moved[:, 2] + camera.distance
     is_seen = ahead > _NEAREST
-    plane = to_plane(*moved[:, :2].T, jnp.where(is_seen, ahead, 1), camera)
-    places = (jnp.stack(plane, axis=-1) + 0.5) * side - 0.5  # column, row
+    plane = moved[:, :2]
+    if camera.projection == "perspective":
+        zoom = camera.focal_length / jnp.where(is_seen, ahead, 1)
+        plane = plane * zoom[:, None]
+    if camera.aspect is not None:
+        plane = plane.at[:, 1].multiply(camera.aspect)
+    if camera.principal_point is not None:
+        plane = plane + jnp.asarray(camera.principal_point, plane.dtype)[None]
+    places = (plane + 0.5) * side - 0.5  # column, row
     inside = jnp.clip(places, 0, side - 1)
     column, row = inside.T
     distances = jax.scipy.ndimage.map_coordinates(

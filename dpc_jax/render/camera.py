@@ -173,26 +173,15 @@ def to_grid(points: CameraPoints, *, camera: Camera, grid: VoxelGrid) -> GridPoi
 
 def _find_fractions(x, y, z, ahead, camera, grid):
     """Place in the volume along (row, col, depth), [0, 1] inside."""
-    u, v = to_plane(x, y, ahead, camera)
-    return [value / grid.extent + 0.5 for value in (v, u, z)]
-
-
-def to_plane(
-    x: jax.Array, y: jax.Array, ahead: jax.Array, camera: Camera
-) -> tuple[jax.Array, jax.Array]:
-    """Places (u, v), each [N], in the image plane of points in the camera's axes.
-
-    Their depths `ahead`, relative to the eye, must not be 0.
-    """
     if camera.projection == "perspective":
-        inverse = jnp.asarray(camera.focal_length, x.dtype) / ahead
+        inverse = jnp.asarray(camera.focal_length, z.dtype) / ahead
         x, y = x * inverse, y * inverse
     if camera.aspect is not None:
         y = y * jnp.asarray(camera.aspect, y.dtype)
     if camera.principal_point is not None:
-        u, v = jnp.asarray(camera.principal_point, x.dtype)
+        u, v = jnp.asarray(camera.principal_point, z.dtype)
         x, y = x + u, y + v
-    return x, y
+    return [value / grid.extent + 0.5 for value in (y, x, z)]
 
 
 def place_cells(
