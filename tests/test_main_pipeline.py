@@ -268,11 +268,10 @@ def interrupted(command):
     with open(workdir / "metrics.jsonl", "a", encoding="utf-8") as file:
         file.write('{"step": 1')
     said["left"] = list_checkpoints(workdir)
-    folder = workdir / "checkpoints" / str(said["left"][0])
-    largest = max(
-        (p for p in folder.rglob("*") if p.is_file()), key=lambda p: p.stat().st_size
-    )
-    os.truncate(largest, largest.stat().st_size // 2)
+    # Of one file alone half may be what later writes of the same checkpoint replaced.
+    state = workdir / "checkpoints" / str(said["left"][0]) / "state"
+    for path in state.rglob("d/*"):
+        os.truncate(path, path.stat().st_size // 2)
     said["finished"] = command.run(workdir)
     return workdir, said
 
