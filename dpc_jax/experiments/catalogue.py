@@ -139,6 +139,7 @@ EXPERIMENTS = (
                 changes={"train.depth_weight": 0.0}, tag="masks"),
             Row("EPCG, 128²", "EPCG, 128", "known_pose,128,epcg"),
             Row("Ours, 128²", "Ours, 128", "known_pose,128"),
+            Row("Ours, 256²", "", "known_pose,256"),
         ),
     ),
     Experiment(

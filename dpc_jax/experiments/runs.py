@@ -25,7 +25,7 @@ _PLAIN = {
     "train.colors_move_points": True,
     "network.sees_mask": False,
 }
-RESOLUTIONS = ("32", "64", "128")  # variants that set the side of images and volume
+RESOLUTIONS = ("32", "64", "128", "256")  # variants: side of images and volume
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Size:
 
     categories: tuple[str, ...]  # unless others are asked for
     seeds: tuple[int, ...]
-    long_seeds: tuple[int, ...]  # of the runs at 128, and of rows that say so
+    long_seeds: tuple[int, ...]  # of the runs from 128 on, and of rows that say so
     variant: str = ""  # put before that of every row
     # "section.field": value, of every run
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -75,6 +75,7 @@ SIZES = {
             "32": {"data.image_size": 16, "render.grid": 8},
             "64": {"data.image_size": 32, "render.grid": 16},
             "128": {"data.image_size": 64, "render.grid": 32},
+            "256": {"data.image_size": 64, "render.grid": 16, "render.fine_grid": 32},
             "longer": {"data.image_size": 16, "render.grid": 8},
             "points": {"data.image_size": 32, "render.grid": 16},
             **dict.fromkeys(
@@ -104,6 +105,7 @@ SIZES = {
             "32": {"train.steps": 2000},
             "64": {"train.steps": 2000},
             "128": {"train.steps": 2000},
+            "256": {"train.steps": 2000},
             # A step of points takes a third of the time of one of 32³ cells.
             "longer": {"train.steps": 6000},
             # A render of 200 covariances takes 70 ms: four minutes and a half a run.
@@ -235,7 +237,7 @@ class Request:
     def list_seeds(self, row: Row) -> tuple[int, ...]:
         """Seeds of a row."""
         size = SIZES[self.size]
-        is_long = row.is_long or find_resolution(row) == RESOLUTIONS[-1]
+        is_long = row.is_long or find_resolution(row) in RESOLUTIONS[2:]
         return self.seeds or (size.long_seeds if is_long else size.seeds)
 
     def explain_absence(self, row: Row) -> str:

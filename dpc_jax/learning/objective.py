@@ -68,7 +68,10 @@ def compute_loss(
     )
     pulls = shapes.find_pulls(poses.rotations, batch, cameras, step, recipe=recipe)
     averages, cost_terms = poses.find_cost_terms(costs)
+    room = shapes.find_room(
+        averages.room, poses.rotations, cameras, step, recipe=recipe, stage=stage
+    )
     priors = shapes.find_priors(step, train=recipe.train)
     terms = priors | anchor | poses.terms | pulls | cost_terms
     metrics |= poses.metrics | parts | {n: term.value for n, term in terms.items()}
-    return compared + sum_terms(terms), (metrics, averages)
+    return compared + sum_terms(terms), (metrics, averages._replace(room=room))

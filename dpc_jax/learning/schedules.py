@@ -1,6 +1,7 @@
 """Schedules over a run: point size, dropout, learning rate (§ Training details)."""
 
 import bisect
+import math
 from typing import NamedTuple
 
 import chex
@@ -15,6 +16,10 @@ from dpc_jax.config import Render, Train
 FINE_FROM = 0.6
 # Voxels of a grid beyond 128³ from which on blocks can draw points (`project`).
 _NARROW = 1.3
+# Grids up to this side are drawn as whole volumes, which are as quick there.
+_WHOLE_UP_TO = 128
+# Steps between two counts of the blocks that clouds touch: 1 % of these steps' time.
+_COUNT_EVERY = 50
 # Shares of a run from which shapes have formed: objects are turned to one frame.
 FRAME_FROM = 0.2
 PULL_FROM = 0.5  # before it poses are too often wrong to pull points into silhouettes
@@ -61,38 +66,71 @@ class Stage(NamedTuple):
       kept_points: number of points rendered.
       grid: side of the volume that the winners are rendered in.
       fixed_views: whether maps are compared in their own views (EPCG's first stage).
+      max_blocks: room for blocks of points' volumes, see `project`; all there are draw
+        whole volumes, None in small grids. A run adapts it, see `fit_room`.
     """
 
     kept_points: int
     grid: int
     fixed_views: bool = False
-
-    @property
-    def max_blocks(self) -> int | None:
-        """Room for blocks of points' volumes, see `project`; None for whole volumes.
-
-        An eighth of all: clouds whose shapes have formed touch a tenth of 256³. Others
-        touch up to half and are drawn in the whole volume. In grids of up to 128³ whole
-        volumes are as quick.
-        """
-        return (self.grid // 8) ** 3 // 8 if self.grid > 128 else None
+    max_blocks: int | None = None
 
 
 def find_stage(step: int, render: Render, *, steps: int) -> Stage:
     """The stage that a step belongs to."""
     is_fine = render.fine_grid and step >= _find_fine_start(render) * steps
+    grid = render.fine_grid if is_fine else render.grid
     return Stage(
         kept_points=count_kept_points(step, render, steps=steps),
-        grid=render.fine_grid if is_fine else render.grid,
+        grid=grid,
         fixed_views=step < render.fixed_views_until * steps,
+        max_blocks=count_all_blocks(grid) if grid > _WHOLE_UP_TO else None,
     )
+
+
+def count_all_blocks(grid: int) -> int:
+    """The blocks of 8³ cells of a cubic grid."""
+    return (-(-grid // 8)) ** 3
+
+
+def begin_room(render: Render) -> jax.Array | None:
+    """`Averages.room` before blocks are counted; None where they never are."""
+    if render.finest <= _WHOLE_UP_TO:
+        return None
+    return jnp.asarray(count_all_blocks(render.finest), jnp.int32)
+
+
+def counts_blocks(step: int | jax.Array) -> bool | jax.Array:
+    """Whether a step in a large grid counts the blocks that its clouds touch."""
+    return step % _COUNT_EVERY == 0
+
+
+def fit_room(room: jax.Array, touched: jax.Array, grid: int) -> jax.Array:
+    """Room for the blocks of the next steps, () int32, from that of those before.
+
+    It is a quarter of all blocks, that divided by powers of √2, or all: above a quarter
+    the whole volume is as quick. It grows where a tenth to spare is not left, and
+    shrinks where three tenths are: so few programs are compiled.
+
+    Args:
+      touched: () int32, the most blocks that a cloud of this step touches.
+    """
+    total = count_all_blocks(grid)
+    levels = [math.ceil(total / 2 ** (k / 2)) for k in range(14, 3, -1)] + [total]
+    least, most = (
+        jnp.array(levels)[
+            jnp.searchsorted(jnp.array(levels[:-1]), tenths * touched // 10)
+        ]
+        for tenths in (11, 13)
+    )
+    return jnp.clip(room, least, most)
 
 
 def _find_fine_start(render: Render) -> float:
     """Share of a run from which winners are rendered in the fine grid."""
     start, end = render.sigma_start, render.sigma_end
     narrow = _NARROW / render.fine_grid
-    if render.fine_grid <= 128 or start <= narrow:
+    if render.fine_grid <= _WHOLE_UP_TO or start <= narrow:
         return FINE_FROM
     # Where sigma does not fall so far, from the end of its schedule on.
     share = (start - narrow) / (start - end) if start > end else 1.0

@@ -90,7 +90,10 @@ def _init_whole(network, config, seed):
 
         frame = start_frame(config.pose.turns)
     step = jnp.asarray(0, jnp.int32)
-    averages = Averages(jnp.zeros((3, 3)), cost, frame)
+    room = None
+    if config.network.shape == "points" and not config.network.point_size:
+        room = schedules.begin_room(config.render)
+    averages = Averages(jnp.zeros((3, 3)), cost, room, frame)
     return TrainState(step, params, optimizer, averages)
 
 
