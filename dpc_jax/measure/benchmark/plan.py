@@ -92,12 +92,12 @@ FULL = Plan(
 
 # Sizes that share programs: nearly all of its time goes into compiling them.
 QUICK = Plan(
-    rounds=5,
+    rounds=3,
     cases=(Case(2, 500, 16, 1.5),),
     candidates=Case(2, 500, 16, 1.5),
     num_candidates=4,
     sized=Case(1, 500, 16, 1.3),
-    sizes=((Case(1, 500, 32, 0.5), ("silhouette",)),),
+    sizes=((Case(1, 500, 32, SURFACE_SIGMA), ("silhouette",)),),
     surface_points=(500,),
     surface_sides=(32,),
     scene_points=500,

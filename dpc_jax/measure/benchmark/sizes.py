@@ -13,13 +13,14 @@ from dpc_jax.measure.benchmark.plan import SEED, Case
 from dpc_jax.measure.benchmark.speed import measure_distance
 from dpc_jax.measure.scenes import make_scenes
 from dpc_jax.measure.timing import measure_medians
-from dpc_jax.render import VoxelGrid, count_blocks, estimate_memory, project
+from dpc_jax.render import VoxelGrid, count_blocks, project
 
 # The whole volume of a larger grid takes more memory than many machines have.
 _WHOLE_UP_TO = 512
 _TORCH_UP_TO = 256  # which keeps every step's volume
 
 
+@functools.cache  # a case of two parts is measured once
 def compare_volumes(
     case: Case, signals: tuple[str, ...], *, rounds: int
 ) -> dict[str, Any]:
@@ -28,8 +29,9 @@ def compare_volumes(
     Beside them the same silhouette in PyTorch, if it is installed.
 
     Returns:
-      A record: the case, which part of the blocks is touched, median seconds, bytes by
-      `estimate_memory`, and the relative distance between the gradients.
+      A record: the case, which part of the blocks is touched, median seconds, the
+      bytes of the arguments and of all in between, and the relative distance between
+      the gradients.
     """
     (scene, *_) = make_scenes(num_points=case.points, num_sparse=1, seed=SEED)
     points, pose = (jnp.asarray(a, jnp.float32) for a in (scene.points, scene.pose))
@@ -46,8 +48,10 @@ def compare_volumes(
     calls, sizes = {}, {}
     for name, room in rooms.items():
         how = look | {"max_blocks": room}
-        calls[name] = functools.partial(_compile_volume(how), points, pose)
-        sizes[name] = estimate_memory(points, pose, gradient=True, **how).total
+        program = _compile_volume(how, points, pose)
+        calls[name] = functools.partial(program, points, pose)
+        layout: Any = program.memory_analysis()
+        sizes[name] = layout.temp_size_in_bytes + layout.argument_size_in_bytes
     gradients = [np.asarray(call(), np.float64) for call in calls.values()]
     medians = measure_medians(calls, rounds=rounds)
     if has_torch() and signals == ("silhouette",) and case.side <= _TORCH_UP_TO:
@@ -73,9 +77,9 @@ def _prepare_torch(scene, case, mass):
     return make_torch_call(inputs, targets, sigma=case.sigma)
 
 
-def _compile_volume(look):
+def _compile_volume(look, points, pose):
     def compute_loss(points, pose):
         images = project(points, pose, **look)
         return sum(jnp.sum((image - 0.3) ** 2) for image in jax.tree.leaves(images))
 
-    return jax.jit(jax.grad(compute_loss))
+    return jax.jit(jax.grad(compute_loss)).lower(points, pose).compile()
