@@ -73,7 +73,15 @@ def __getattr__(name: str):
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("dpc_jax")
     if name in _NAMES:
-        return getattr(importlib.import_module(_NAMES[name]), name)
+        try:
+            return getattr(importlib.import_module(_NAMES[name]), name)
+        except ModuleNotFoundError as error:
+            if error.name in ("flax", "optax"):
+                error.msg = (
+                    f"dpc_jax.{name} needs {error.name}, but it is not installed; "
+                    "pip install 'dpc_jax[learn]' brings it."
+                )
+            raise
     raise AttributeError(f"module 'dpc_jax' has no attribute {name!r}")
 
 

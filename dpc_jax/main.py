@@ -8,12 +8,16 @@ import sys
 from typing import Any
 
 from absl import app, flags, logging
-from ml_collections import config_flags
 
 from dpc_jax.config import from_config_dict, resolve_flags
 from dpc_jax.run.flags import FlagParser
 from dpc_jax.run.hosts.places import Place, find_place
-from dpc_jax.run.task import hush_jaxlib
+from dpc_jax.run.task import hush_jaxlib, say_missing
+
+try:
+    from ml_collections import config_flags
+except ModuleNotFoundError as error:
+    sys.exit(say_missing(error))
 
 _CONFIG = config_flags.DEFINE_config_file(
     "config",

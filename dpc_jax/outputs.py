@@ -166,4 +166,10 @@ def explain(error: Exception) -> str:
             f"{error.filename} cannot be read or written ({error.strerror}); make "
             "room, or give another path."
         )
+    if isinstance(error, ModuleNotFoundError):
+        return (
+            f"{error.name} must be installed, but it is not there; activate the "
+            "environment that has it (. .venv/bin/activate), or install what the "
+            "commands need: pip install 'dpc_jax[learn]'."
+        )
     return show_text(error)

@@ -4,5 +4,5 @@
 #   launch/data.sh show|check FOLDER
 set -euo pipefail
 cd "$(dirname "$0")/.."
-. launch/install.sh ""
+. launch/install.sh "[learn]"
 exec "$VENV/bin/python" -m dpc_jax.data "$@"

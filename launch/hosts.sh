@@ -11,7 +11,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 where="${1:?Give a number of processes or hosts, for example: launch/hosts.sh 2 --config=configs/car.py}"
 shift
-. launch/install.sh ""
+. launch/install.sh "[learn]"
 port="${PORT:-7777}"
 if (exec 3<> "/dev/tcp/127.0.0.1/$port") 2> /dev/null; then
     echo "Port $port must be free for a new run, but something listens there, perhaps the same command; wait for it to end, or set PORT to another." >&2

@@ -4,5 +4,5 @@
 # Started again with the same arguments, it goes on where it was stopped.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-. launch/install.sh ""
+. launch/install.sh "[learn]"
 exec "$VENV/bin/python" -m dpc_jax.main "$@"

@@ -4,6 +4,6 @@
 #   tests/docs.sh [mkdocs arguments]     into site/; open site/index.html
 set -euo pipefail
 cd "$(dirname "$0")/.."
-. launch/install.sh "[docs]"
+. launch/install.sh "[learn,docs]"
 # The theme's advertisement of its successor is no warning of ours.
 JAX_PLATFORMS=cpu NO_MKDOCS_2_WARNING=1 exec "$VENV/bin/python" -m mkdocs build --strict "$@"

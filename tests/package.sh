@@ -15,9 +15,19 @@ python="${PYTHON:-python3}"
 }
 "$folder/build/bin/python" -m twine check --strict "$folder"/dist/*
 "$python" -m venv "$folder/empty"
-"$folder/empty/bin/python" -m pip install --quiet "$folder"/dist/dpc_jax-*.whl
+wheel=$(echo "$folder"/dist/dpc_jax-*.whl)
+"$folder/empty/bin/python" -m pip install --quiet "$wheel"
 cd "$folder"
 export JAX_PLATFORMS=cpu
+# The projection alone is light, and commands say what they lack.
+"$folder/empty/bin/python" -c "
+import dpc_jax, importlib.util, jax
+print(dpc_jax.project(jax.numpy.zeros((1, 3)), jax.numpy.eye(3), sigma=1.0).silhouette.sum())
+heavy = 'orbax flax optax trimesh matplotlib plotly skimage ml_collections PIL rich'
+assert not any(map(importlib.util.find_spec, heavy.split()))"
+! "$folder/empty/bin/dpc_jax" train --config=debug 2>"$folder/said"
+grep -q "^Error: .*pip install 'dpc_jax\[learn\]'" "$folder/said"
+"$folder/empty/bin/python" -m pip install --quiet "$wheel[learn]"
 "$folder/empty/bin/dpc_jax" train --config=debug:known_pose
 test -s "$folder/runs/debug-known_pose-seed0/report/index.html"
 "$folder/empty/bin/dpc_jax" compare runs

@@ -3,19 +3,22 @@
 import dataclasses
 import json
 from collections.abc import Mapping
-from typing import Any
-
-import ml_collections
+from typing import TYPE_CHECKING, Any
 
 from dpc_jax.config.sections import Config
 
+if TYPE_CHECKING:
+    import ml_collections
 
-def to_config_dict(config: Config) -> ml_collections.ConfigDict:
+
+def to_config_dict(config: Config) -> "ml_collections.ConfigDict":
     """The same fields as an editable `ConfigDict`, as `config_flags` wants them."""
+    import ml_collections  # of the command line alone
+
     return ml_collections.ConfigDict(dataclasses.asdict(config))
 
 
-def from_config_dict(edited: ml_collections.ConfigDict) -> Config:
+def from_config_dict(edited: "ml_collections.ConfigDict") -> Config:
     """The frozen record of an edited config.
 
     Raises:

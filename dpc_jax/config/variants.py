@@ -6,12 +6,13 @@ listed agrees already.
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
-
-import ml_collections
+from typing import TYPE_CHECKING, Any
 
 from dpc_jax.config.face import to_config_dict
 from dpc_jax.config.sections import Config
+
+if TYPE_CHECKING:
+    import ml_collections
 
 Changes = Mapping[str, Mapping[str, Any]]  # section: {field: value}
 
@@ -152,7 +153,7 @@ EXCLUSIVE = (
 
 def make_config(
     category: str, variant: str | None = None, changes: Changes | None = None
-) -> ml_collections.ConfigDict:
+) -> "ml_collections.ConfigDict":
     """A config for the command line to edit: what a file in configs/ returns.
 
     Arguments and errors as of `build_config`.

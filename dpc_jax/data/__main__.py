@@ -128,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     flags = make_parser().parse_args(arguments)
     try:
         return _fetch(flags) if flags.command == "fetch" else _look(flags)
-    except (ValueError, RuntimeError, OSError) as error:
+    except (ValueError, RuntimeError, OSError, ModuleNotFoundError) as error:
         print(f"Error: {outputs.explain(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -149,7 +149,8 @@ class Source:
           ValueError: where the category is not in the folder.
         """
         if self.kind == "procedural":
-            return {}
+            # The paper's cars are passenger cars.
+            return {"category": "car_simple"} if category == "car" else {}
         folder = Path(self.folder).absolute()
         if self.kind != "open":
             # Loads trimesh, which nothing else needs here.

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import chex
 import jax
 import jax.numpy as jnp
-import optax
 
 from dpc_jax.render import Camera, checks, quaternion
 
@@ -99,6 +98,8 @@ def selection_loss(logits: jax.Array, winners: jax.Array) -> jax.Array:
     Args:
       winners: [n] int32, the hindsight choice. No gradient reaches the candidates.
     """
+    import optax  # not of the light install
+
     entropies = optax.losses.softmax_cross_entropy_with_integer_labels(logits, winners)
     return jnp.mean(entropies)
 

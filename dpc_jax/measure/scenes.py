@@ -29,7 +29,7 @@ def make_scenes(*, num_points: int, num_sparse: int, seed: int) -> list[Scene]:
     """
     sample = functools.partial(views.sample_surface, count=num_points, seed=seed)
     rng = np.random.default_rng(seed)
-    car = procedural.make_shape("car", seed)
+    car = procedural.make_shape("car_simple", seed)
     block = rng.uniform(-0.5, 0.5, (num_points, 3)) * (0.6, 0.4, 0.3)
     clouds = (
         ("car", sample(car)[0], 4000 / num_points),

@@ -19,6 +19,18 @@ def hush_jaxlib():
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 
+def say_missing(error: ModuleNotFoundError) -> int:
+    """Say which library is not installed; the exit status. Our own modules are there.
+
+    Raises:
+      ModuleNotFoundError: for one of them.
+    """
+    if str(error.name).partition(".")[0] == "dpc_jax":
+        raise error
+    print(f"Error: {explain(error)}", file=sys.stderr)
+    return 1
+
+
 class Task(NamedTuple):
     """What a command does when its flags are read.
 
@@ -54,15 +66,7 @@ def run_command(read: Callable[[], Task]) -> int:
         print(f"Error: {explain(error)}", file=sys.stderr)
         return 2
     except ModuleNotFoundError as error:
-        if str(error.name).partition(".")[0] == "dpc_jax":
-            raise
-        print(
-            f"Error: Expected the package's libraries, but {error.name} is not there; "
-            "activate the environment that has them (. .venv/bin/activate), or install "
-            "them (pip install .).",
-            file=sys.stderr,
-        )
-        return 1
+        return say_missing(error)
     try:
         with explaining_full_disk(task.out):
             if task.writes:
@@ -74,6 +78,8 @@ def run_command(read: Callable[[], Task]) -> int:
             raise
         print(f"Error: {explain(error)}", file=sys.stderr)
         return 1
+    except ModuleNotFoundError as error:
+        return say_missing(error)
     except KeyboardInterrupt:
         print(task.interrupted, file=sys.stderr)
         return 130

@@ -1,4 +1,4 @@
-"""Measures of procedural cars: seven body styles and the ranges they are drawn from.
+"""Measures of procedural cars: their body styles and the ranges they are drawn from.
 
 Lengths along the car are written as shares of its length from the front bumper, as a
 designer's side view is read: bonnet, windscreen, roof, rear window, deck.
@@ -7,6 +7,7 @@ Made from these: wheels, lamps, mirrors, beds, spoilers, racks.
 """
 
 import functools
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -46,9 +47,45 @@ STYLES = {
                    clearance=(0.10, 0.14), wheel=(0.31, 0.35), cowl=(0.33, 0.40),
                    rake=(0.14, 0.18), roof_end=(0.62, 0.68), tail=(0.20, 0.27),
                    belt=(0.62, 0.68), nose=(0.42, 0.48), roof=(0.68, 0.75)),
+    "city": dict(length=(2.5, 3.1), width=(1.45, 1.62), height=(1.42, 1.60),
+                 clearance=(0.14, 0.18), wheel=(0.27, 0.31), cowl=(0.16, 0.22),
+                 rake=(0.16, 0.22), roof_end=(0.84, 0.92), tail=(0.05, 0.08),
+                 belt=(0.56, 0.62), nose=(0.44, 0.50), roof=(0.78, 0.86)),
+    "limousine": dict(length=(5.8, 7.8), width=(1.80, 1.95), height=(1.42, 1.52),
+                      clearance=(0.14, 0.18), wheel=(0.31, 0.35), cowl=(0.18, 0.22),
+                      rake=(0.07, 0.10), roof_end=(0.76, 0.82), tail=(0.06, 0.09),
+                      belt=(0.60, 0.66), nose=(0.44, 0.50), roof=(0.76, 0.82)),
+    "convertible": dict(length=(3.8, 4.8), width=(1.70, 1.90), height=(1.25, 1.42),
+                        clearance=(0.12, 0.16), wheel=(0.30, 0.34), cowl=(0.30, 0.38),
+                        rake=(0.07, 0.11), roof_end=(0.62, 0.70), tail=(0.05, 0.08),
+                        belt=(0.58, 0.66), nose=(0.42, 0.50), roof=(0.80, 0.86)),
+    "transporter": dict(length=(5.2, 7.0), width=(1.95, 2.10), height=(2.40, 2.85),
+                        clearance=(0.20, 0.26), wheel=(0.34, 0.38), cowl=(0.10, 0.15),
+                        rake=(0.08, 0.12), roof_end=(0.965, 0.98), tail=(0.008, 0.015),
+                        belt=(0.44, 0.50), nose=(0.34, 0.40), roof=(0.88, 0.95)),
+    "bus": dict(length=(7.5, 12.0), width=(2.30, 2.55), height=(2.70, 3.30),
+                clearance=(0.28, 0.36), wheel=(0.44, 0.50), cowl=(0.02, 0.04),
+                rake=(0.05, 0.09), roof_end=(0.97, 0.98), tail=(0.008, 0.015),
+                belt=(0.40, 0.46), nose=(0.30, 0.36), roof=(0.90, 0.97)),
+    "double_decker": dict(length=(8.0, 11.0), width=(2.40, 2.55), height=(3.90, 4.40),
+                          clearance=(0.28, 0.36), wheel=(0.44, 0.50), cowl=(0.02, 0.04),
+                          rake=(0.04, 0.08), roof_end=(0.97, 0.98), tail=(0.008, 0.015),
+                          belt=(0.28, 0.33), nose=(0.22, 0.26), roof=(0.92, 0.98)),
 }  # fmt: skip
-SHARES = {"sedan": 0.22, "hatchback": 0.19, "wagon": 0.11, "suv": 0.17, "van": 0.1,
-          "pickup": 0.1, "sports": 0.11}  # fmt: skip
+# Shares of `car_simple`: what most people drive.
+SIMPLE_SHARES = {"sedan": 0.22, "hatchback": 0.19, "wagon": 0.11, "suv": 0.17,
+                 "van": 0.1, "pickup": 0.1, "sports": 0.11}  # fmt: skip
+# Of `car`: as different as what stands in a street.
+SHARES = {"sedan": 0.07, "hatchback": 0.07, "wagon": 0.04, "suv": 0.08, "van": 0.06,
+          "pickup": 0.1, "sports": 0.06, "city": 0.07, "limousine": 0.05,
+          "convertible": 0.07, "transporter": 0.05, "bus": 0.06, "double_decker": 0.04,
+          "truck": 0.12, "three_wheeler": 0.06}  # fmt: skip
+# Windows along a side, of styles that have more or fewer than two.
+WINDOWS = {"sports": 1, "city": 1, "transporter": 1, "van": 3, "wagon": 3, "suv": 3,
+           "limousine": 4, "bus": 7, "double_decker": 6}  # fmt: skip
+# Shares of the length where the axles are, front and rear.
+_FRONT_AXLE = {"van": (0.15, 0.19), "bus": (0.19, 0.24), "double_decker": (0.17, 0.22)}
+_REAR_AXLE = {"pickup": (0.74, 0.79), "bus": (0.68, 0.76), "double_decker": (0.7, 0.77)}
 
 
 class Plan(NamedTuple):
@@ -71,9 +108,13 @@ class Plan(NamedTuple):
     paint: parts.Color
 
 
-def draw_plan(rng: np.random.Generator) -> Plan:
-    """Draw a body style and its measures."""
-    style = str(rng.choice(list(SHARES), p=list(SHARES.values())))
+def draw_style(rng: np.random.Generator, shares: Mapping[str, float]) -> str:
+    """A body style, by the shares of each."""
+    return str(rng.choice(list(shares), p=list(shares.values())))
+
+
+def draw_plan(rng: np.random.Generator, style: str) -> Plan:
+    """Draw the measures of a car of one of `STYLES`."""
     m = {key: rng.uniform(*span) for key, span in STYLES[style].items()}
     length, height = m["length"], m["height"]
 
@@ -81,10 +122,8 @@ def draw_plan(rng: np.random.Generator) -> Plan:
         return length * (0.5 - share)
 
     roof_front = m["cowl"] + m["rake"]
-    front_axle = rng.uniform(0.165, 0.2) if style != "van" else rng.uniform(0.15, 0.19)
-    rear_axle = (
-        rng.uniform(0.79, 0.83) if style != "pickup" else rng.uniform(0.74, 0.79)
-    )
+    front_axle = rng.uniform(*_FRONT_AXLE.get(style, (0.165, 0.2)))
+    rear_axle = rng.uniform(*_REAR_AXLE.get(style, (0.79, 0.83)))
     return Plan(
         style=style,
         length=length,
@@ -100,12 +139,12 @@ def draw_plan(rng: np.random.Generator) -> Plan:
         belt=m["belt"] * height,
         nose=m["nose"] * height,
         roof_half=m["roof"] * m["width"] / 2,
-        paint=_draw_paint(rng),
+        paint=draw_paint(rng),
     )
 
 
-def _draw_paint(rng):
-    """Draw white, silver, grey or black for half of all cars, as on the road."""
+def draw_paint(rng: np.random.Generator) -> parts.Color:
+    """White, silver, grey or black for half of all cars, as on the road."""
     if rng.uniform() < 0.5:
         grey = rng.choice([45, 75, 120, 165, 195, 220])
         return tuple(int(c) for c in np.clip(grey + rng.integers(-8, 9, 3), 0, 255))

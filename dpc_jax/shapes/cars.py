@@ -1,4 +1,4 @@
-"""Procedural cars of seven body styles, in metres, z up, front towards +x."""
+"""Procedural cars of many body styles, in metres, z up, front towards +x."""
 
 import functools
 
@@ -7,24 +7,82 @@ import trimesh
 
 from dpc_jax.shapes import building_blocks as parts
 from dpc_jax.shapes.car_parts import (
+    SHARES,
+    SIMPLE_SHARES,
+    WINDOWS,
     deck_height,
+    draw_paint,
     draw_plan,
+    draw_style,
     half_width,
     make_extras,
     make_lamps,
     make_wheels,
 )
+from dpc_jax.shapes.trucks import make_three_wheeler, make_truck, pile_goods
 
 
 def make_car(rng: np.random.Generator) -> trimesh.Trimesh:
-    """Mesh of a random car, metres, not normalised.
+    """Mesh of a random car, bus, truck or three-wheeler, metres, not normalised.
 
     Its labels are body (with lamps and bumpers), cabin (with windows), wheel and extra.
     """
-    plan = draw_plan(rng)
-    groups = [("body", _make_body(plan, rng)), ("cabin", _make_cabin(plan))]
+    style = draw_style(rng, SHARES)
+    if style == "truck":
+        return parts.join(make_truck(rng, draw_paint(rng)))
+    if style == "three_wheeler":
+        return parts.join(make_three_wheeler(rng, draw_paint(rng)))
+    plan = draw_plan(rng, style)
+    groups = _make_groups(plan, rng)
+    if style == "pickup" and rng.uniform() < 0.7:
+        groups.append(("extra", _load_bed(plan, rng)))
+    return parts.join(groups)
+
+
+def make_simple_car(rng: np.random.Generator) -> trimesh.Trimesh:
+    """Mesh of a random car of the seven most usual styles."""
+    return parts.join(_make_groups(draw_plan(rng, draw_style(rng, SIMPLE_SHARES)), rng))
+
+
+def _make_groups(plan, rng):
+    """Labels, and the parts that have them."""
+    is_open = plan.style == "convertible"
+    cabin = _make_open_cabin(plan) if is_open else _make_cabin(plan)
+    groups = [("body", _make_body(plan, rng)), ("cabin", cabin)]
     groups += [("wheel", make_wheels(plan, rng)), ("body", make_lamps(plan, rng))]
-    return parts.join([*groups, ("extra", make_extras(plan, rng))])
+    return [*groups, ("extra", make_extras(plan, rng))]
+
+
+def _load_bed(plan, rng):
+    """A hood over the bed of a pickup, or goods in it."""
+    rear, low = -plan.length / 2 + 0.1, deck_height(plan) - 0.05
+    half, front = 0.8 * plan.half, plan.tail - 0.05
+    if rng.uniform() < 0.4:
+        high = plan.height * rng.uniform(0.95, 1.1)
+        corners = (rear, -0.92 * plan.half, plan.belt), (front, 0.92 * plan.half, high)
+        return [parts.box(*corners, color=plan.paint)]
+    return pile_goods((rear, front), half, low, rng)
+
+
+def _make_open_cabin(plan):
+    """A windscreen in its frame, seats and a folded roof."""
+    base, top, half = plan.belt - 0.02, plan.height, plan.roof_half
+    wide = 0.86 * plan.half
+    corners = [(plan.cowl, -wide, base), (plan.cowl, wide, base)]
+    corners += [(plan.roof_front, half, top), (plan.roof_front, -half, top)]
+    pieces = [parts.panel(corners, color=parts.GLASS)]
+    beam = functools.partial(parts.bar, width=0.06, height=0.06, color=plan.paint)
+    pieces += [beam(corners[0], corners[3]), beam(corners[1], corners[2])]
+    pieces.append(beam(corners[3], corners[2]))
+    behind = plan.roof_front - 0.75
+    for x in np.arange(behind, plan.roof_rear - 0.3, -0.85):
+        seat = (
+            (x, 0.12, base - 0.05),
+            (x + 0.14, 0.75 * half, base + 0.9 * (top - base)),
+        )
+        pieces += parts.mirror([parts.box(*seat, color=(74, 48, 36))])
+    folded = (plan.tail, -0.8 * wide, base), (plan.tail + 0.4, 0.8 * wide, base + 0.14)
+    return [*pieces, parts.box(*folded, color=parts.BLACK)]
 
 
 def _outline(plan):
@@ -145,9 +203,7 @@ def _side_windows(plan, base, xs, tops):
     front_low, front_high = on_edge(0, 1, low) - 0.08, on_edge(0, 1, high) - 0.08
     rear_low, rear_high = on_edge(4, 3, low) + 0.10, on_edge(4, 3, high) + 0.10
     span = front_high - rear_high
-    count = {"sports": 1, "pickup": 2, "van": 3, "wagon": 3, "suv": 3}.get(
-        plan.style, 2
-    )
+    count = WINDOWS.get(plan.style, 2)
     if plan.style == "pickup" and span < 1.3:
         count = 1
     edges = np.linspace(front_high, rear_high, count + 1)

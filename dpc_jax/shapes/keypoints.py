@@ -32,17 +32,19 @@ def _name_sides(text, label, up):
     return {f"{side} {text}": (label, (0, y, up)) for side, y in _SIDES}
 
 
+_CAR = {
+    **_name_corners("wheel", "wheel", -3),
+    **_name_corners("bumper corner", "body", 0),
+    **_name_corners("roof corner", "cabin", 3),
+}
 KEYPOINTS: dict[str, dict[str, tuple[str, Direction]]] = {  # label, direction
     "chair": {
         **_name_corners("seat corner", "seat", 0.1),
         **_name_corners("leg tip", "leg", -3),
         **_name_sides("back corner", "back", 1),
     },
-    "car": {
-        **_name_corners("wheel", "wheel", -3),
-        **_name_corners("bumper corner", "body", 0),
-        **_name_corners("roof corner", "cabin", 3),
-    },
+    "car": _CAR,
+    "car_simple": _CAR,
     "airplane": {
         "nose": ("body", (1, 0, 0)),
         "rear end": ("body", (-1, 0, 0)),
@@ -53,6 +55,7 @@ KEYPOINTS: dict[str, dict[str, tuple[str, Direction]]] = {  # label, direction
 }
 # What a chair stands on at four places. A star or a round foot has no leg tips.
 FOUR_FOOTED = ("legs", "sled", "block")
+_LEAST_WIDTH = 0.1  # between what is left and what is right
 
 
 class Keypoint(NamedTuple):
@@ -65,7 +68,8 @@ class Keypoint(NamedTuple):
 def find_keypoints(category: str, seed: int) -> dict[str, Keypoint]:
     """Keypoints by name of the shape that `make_shape` makes of the same arguments.
 
-    What a shape does not have, such as the leg tips of a swivel chair, is left out.
+    What a shape does not have, such as the leg tips of a swivel chair or a wheel in
+    each corner of a three-wheeler, is left out.
 
     Raises:
       ValueError: for an unknown category.
@@ -79,7 +83,15 @@ def find_keypoints(category: str, seed: int) -> dict[str, Keypoint]:
         base = chair_parts.draw_plan(seed_stream(category, seed)).base
         if base not in FOUR_FOOTED:
             found = {n: point for n, point in found.items() if point.label != "leg"}
-    return found
+    return {n: point for n, point in found.items() if _is_aside(n, found)}
+
+
+def _is_aside(name, found):
+    """Whether a left or right keypoint has the other one on the other side."""
+    other = name.replace("left", "RIGHT").replace("right", "left")
+    other = other.replace("RIGHT", "right")
+    away = found[name].position[1] - found[other].position[1]
+    return other == name or abs(away) > _LEAST_WIDTH
 
 
 def _find_extreme(mesh: trimesh.Trimesh, label, direction) -> np.ndarray:

@@ -18,6 +18,8 @@ from dpc_jax.shapes import procedural
 from dpc_jax.shapes.normalization import normalize
 
 BARE = "names no materials, rendered grey"
+# Procedural shapes beside meshes, where they are not those of the category alone.
+_MIXED = {"car": "car_simple"}  # meshes of cars are seldom buses and trucks
 SIDECARS = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".webp")
 
 
@@ -35,7 +37,8 @@ class MeshSource(Source):
     def make_mesh(self, model: Model) -> trimesh.Trimesh:
         """The normalised mesh of a model."""
         if model.path is None:
-            return procedural.make_shape(self.spec.category, model.seed)
+            category = self.spec.category
+            return procedural.make_shape(_MIXED.get(category, category), model.seed)
         mesh = meshes.read_mesh(model.path)
         turn = self.find_turn(model.path)
         if turn is not None:
@@ -63,6 +66,9 @@ class MeshSource(Source):
 
 class ProceduralShapes(MeshSource):
     """Shapes of a category; no two splits or seeds share one."""
+
+    def make_mesh(self, model: Model) -> trimesh.Trimesh:
+        return procedural.make_shape(self.spec.category, model.seed)
 
     def list_models(self) -> list[Model]:
         return list_procedural(self.spec, self.spec.models or 0)
