@@ -32,7 +32,7 @@ def _name_sides(text, label, up):
     return {f"{side} {text}": (label, (0, y, up)) for side, y in _SIDES}
 
 
-_CAR = {
+_CAR: dict[str, tuple[str, Direction]] = {
     **_name_corners("wheel", "wheel", -3),
     **_name_corners("bumper corner", "body", 0),
     **_name_corners("roof corner", "cabin", 3),

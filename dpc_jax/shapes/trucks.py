@@ -135,7 +135,7 @@ def _make_load(span, half, low, cab_top, rng):
         return [parts.box((rear, -half, low - 0.12), (front, half, high), color=color)]
     if kind == "tank":
         radius = rng.uniform(0.7, 0.95) * half
-        ends = np.array([(x, 0.0, low + radius) for x in (rear, front)])
+        ends = (rear, 0.0, low + radius), (front, 0.0, low + radius)
         return [parts.tube(*ends, radius, color=color, sides=16), deck]
     walls = rng.uniform(0.5, 1.2) if kind == "dump" else 0.35
     wall = parts.box((rear, half - 0.08, low), (front, half, low + walls), color=color)
