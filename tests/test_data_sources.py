@@ -63,7 +63,7 @@ def write_boxes(folder, count):
 def test_a_small_set_is_completed_by_copies_and_procedural_shapes(tmp_path):
     folder = write_boxes(tmp_path, 4)
     all_train = {"folder": folder, "fractions": (1, 0, 0)}
-    spec = DataSpec("car", copies=0, mix=-1, **all_train)
+    spec = DataSpec("car", copies=0, mix=True, **all_train)
     models = open_source(spec).list_models()
     assert [model.copy for model in models[:300]] == sorted(4 * list(range(75)))
     assert len({model.name for model in models}) == len(models) == 600
@@ -72,16 +72,16 @@ def test_a_small_set_is_completed_by_copies_and_procedural_shapes(tmp_path):
     meshes = [open_source(spec).make_mesh(models[i]) for i in (0, 599)]
     assert len(meshes[0].faces) == 12 < len(meshes[1].faces)
 
-    lamps = DataSpec("lamp", copies=0, mix=-1, **all_train)  # no such shapes
+    lamps = DataSpec("lamp", copies=0, mix=True, **all_train)  # no such shapes
     assert len(open_source(lamps).list_models()) == 300
-    chosen = DataSpec("car", copies=2, mix=3, **all_train)
-    assert len(open_source(chosen).list_models()) == 2 * 4 + 3
+    chosen = DataSpec("car", copies=2, **all_train)
+    assert len(open_source(chosen).list_models()) == 2 * 4
 
 
 def test_a_large_set_is_left_as_it_is(tmp_path, monkeypatch):
     monkeypatch.setattr(sources, "FEW", 4)
     spec = DataSpec(
-        "car", folder=write_boxes(tmp_path, 4), fractions=(1, 0, 0), copies=0, mix=-1
+        "car", folder=write_boxes(tmp_path, 4), fractions=(1, 0, 0), copies=0, mix=True
     )
     assert [model.copy for model in open_source(spec).list_models()] == [0] * 4
 

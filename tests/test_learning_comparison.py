@@ -175,7 +175,7 @@ def list_views(batch, rotations, cameras, side):
 
 # kind, side of the winners, whether views have cameras of their own, fields
 CASES = {
-    "silhouettes, finer": ("points", 16, False, {"renders_at_once": 0}),
+    "silhouettes, finer": ("points", 16, False, {"renders_at_once": 99}),
     "colours, finer": ("points", 16, False, {"color_weight": 0.3}),
     "all signals": ("points", 8, True, ALL),
     "sigmas": ("sigma", 8, False, {}),

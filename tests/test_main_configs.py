@@ -149,8 +149,6 @@ def test_labels_teach_an_ensemble_only_where_a_student_selects_from_it():
         ({"fold": "0/1", "meshes": "x"}, "config.data.fold must be '' or PART/PARTS"),
         ({"fold": "5/5", "meshes": "x"}, "config.data.fold must be '' or PART/PARTS"),
         ({"fold": "0/5", "meshes": "x", "test_meshes": "y"}, "config.data.fold must"),
-        ({"mix": 10}, "config.data.mix must be -1 or 0 without data.meshes"),
-        ({"mix": 10, "images": "x"}, "config.data.mix must be -1 or 0 without"),
         ({"split_file": "a.csv", "meshes": "x"}, "split_file must be '' without"),
         ({"ground_truth": "y", "meshes": "x"}, "ground_truth must be '' without"),
     ],
@@ -164,7 +162,7 @@ def test_fields_of_data_that_mean_nothing_are_refused(
         (tmp_path / name).mkdir()
     with pytest.raises(ValueError, match=expected):
         check(change(load("car"), "data", **changes))
-    check(change(load("car"), "data", meshes="x", fold="4/5", mix=10))
+    check(change(load("car"), "data", meshes="x", fold="4/5"))
     check(change(load("car"), "data", renders="x", split_file="a.csv"))
 
 
@@ -208,7 +206,7 @@ def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
     specs = make_data_specs(config)
     assert {s.folder for s in specs.values()} == {"meshes"}
     assert {s.fractions for s in specs.values()} == {(0.8, 0.1, 0.1)}
-    assert [specs[s].mix for s in ("train", "val", "test")] == [-1, 0, 0]
+    assert [specs[s].mix for s in ("train", "val", "test")] == [True, False, False]
     assert [specs[s].copies for s in ("train", "val", "test")] == [0, 1, 1]
     folds = make_data_specs(change(config, "data", fold="2/5"))
     assert {spec.fold for spec in folds.values()} == {(2, 5)}

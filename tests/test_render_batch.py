@@ -80,7 +80,7 @@ def test_all_signals_and_their_gradients_are_those_of_one_at_a_time(
 
     with jax.enable_x64(True):
         points, rotations = draw(3)
-        batch = functools.partial(compute, dpc_jax.project_batch)
+        batch = functools.partial(compute, render_all)
         found = jax.jit(batch)(points, rotations, own, shared)
         one = jax.jit(functools.partial(compute, dpc_jax.project))
         of_one = {n: v[0] if np.shape(v)[:1] == (1,) else v for n, v in shared.items()}
@@ -97,6 +97,12 @@ def test_all_signals_and_their_gradients_are_those_of_one_at_a_time(
 def render(points, rotations, **options):
     options = {"sigma": 1.2, "grid": GRID} | options
     return dpc_jax.project_batch(points, rotations, **options).silhouette
+
+
+def render_all(points, rotations, *, translation=None, **options):
+    """With the argument's name of `project`."""
+    options["translations"] = translation
+    return dpc_jax.project_batch(points, rotations, **options)
 
 
 @jax.jit
@@ -154,7 +160,7 @@ HALF, WHOLE = PartitionSpec("a"), PartitionSpec()
         pytest.param(8, render, 4, id="as many each"),
         pytest.param(2, as_matrices, 2, id="fewer than devices, and matrices"),
         pytest.param(1, render, 1, id="one"),
-        pytest.param(8, call(render, renders_at_once=0), 4, id="all at once"),
+        pytest.param(8, call(render, renders_at_once=8), 4, id="all at once"),
         pytest.param(5, call(render, renders_at_once=2), 3, id="two each, at once"),
         pytest.param(9, jax.jit(render), 3, id="compiled, three each"),
         pytest.param(8, lambda *i: render(*i, devices=jax.devices()[2:]), 2, id="two"),

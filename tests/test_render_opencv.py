@@ -158,7 +158,7 @@ def test_a_batch_may_have_a_camera_for_each_example():
     images = dpc_jax.project_batch(
         points,
         np.stack([view.rotation for view in views]),
-        translation=np.stack([view.translation for view in views]),
+        translations=np.stack([view.translation for view in views]),
         camera=dpc_jax.Camera(**own),
         grid=views[0].grid,
         sigma=1.5,

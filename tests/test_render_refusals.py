@@ -135,8 +135,8 @@ SHAPES = [
     ),
     (
         project_batch,
-        {"translation": np.ones((2, 3))},
-        r"translation .*\[3\] or \[3, 3\]",
+        {"translations": np.ones((2, 3))},
+        r"translations .*\[3\] or \[3, 3\]",
     ),
     (
         *(project_batch, {"camera": dpc_jax.Camera(np.ones(2))}),
@@ -145,8 +145,8 @@ SHAPES = [
     (project_batch, {"camera": None}, "camera must be a dpc_jax.Camera"),
     (project_batch, {"grid": 8}, "grid must be a dpc_jax.VoxelGrid"),
     (project_batch, {"signals": ("color",)}, "must have colors of shape"),
-    (project_batch, {"renders_at_once": -2}, "an integer of at least -1"),
-    (project_batch, {"renders_at_once": True}, "an integer of at least -1"),
+    (project_batch, {"renders_at_once": 0}, "a positive integer or None"),
+    (project_batch, {"renders_at_once": True}, "a positive integer or None"),
     (project_batch, {"devices": []}, "devices must be at least one, but none came"),
     # Volumes of the object frame.
     (project_volume, {"volume": CELLS[None]}, r"volume.*\[X, Y, Z\].*vmap"),

@@ -35,7 +35,7 @@ PLAIN = {
         keep_levels=2,
         focal_length=FOCAL_LENGTH,
         distance=DISTANCE,
-        renders_at_once=0,
+        renders_at_once=99,
     ),
     "pose": dict(
         head="quaternion",

@@ -96,14 +96,13 @@ def _list_folder_rules(config):
         "'' unless there is a folder of models (data.meshes, say) that is split by "
         "seed and tested on itself",
     )
-    for name, others, unset in (
-        ("mix", ("meshes", "shapenet"), "-1 or 0"),  # shapes are added to meshes
-        ("split_file", ("shapenet", "renders", "images"), "''"),
-        ("ground_truth", ("renders",), "''"),
+    for name, others in (
+        ("split_file", ("shapenet", "renders", "images")),
+        ("ground_truth", ("renders",)),
     ):
         is_used = any(getattr(data, other) for other in others)
-        expected = f"{unset} without data.{' or data.'.join(others)}"
-        yield f"data.{name}", is_used or getattr(data, name) in ("", -1, 0), expected
+        expected = f"'' without data.{' or data.'.join(others)}"
+        yield f"data.{name}", is_used or getattr(data, name) == "", expected
 
 
 def _list_system_rules(config):

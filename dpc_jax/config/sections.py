@@ -62,8 +62,7 @@ class Data:
     test_models: int = field(100, _MODELS)  # to test on
     # Of each mesh, stretched; 0: as many as make 300 models.
     copies: int = field(0, at_least(0))
-    # Procedural models that are added to meshes; -1: 300 where there are few meshes.
-    mix: int = field(-1, at_least(-1))
+    mix: bool = True  # 300 procedural models are added to fewer meshes
     views: int = field(5, at_least(1))  # per model (§ Datasets)
     # Largest shift of an object along each axis, box diagonals.
     offset: float = field(0.0, between(0, 0.12))
@@ -114,8 +113,8 @@ class Render:
     scale_fixed: float = field(0.0, at_least(0))  # in that unit; 0: learned
     focal_length: float = field(1.875, above(0))  # of an image 1 wide
     distance: float = field(2.0, _DISTANCE)  # camera to object, box diagonals
-    # Views rendered side by side; 0: all; -1: one on a CPU, all on a GPU.
-    renders_at_once: int = field(-1, at_least(-1))
+    # Views rendered side by side; 0: one on a CPU, all on a GPU.
+    renders_at_once: int = field(0, at_least(0))
 
     @property
     def finest(self) -> int:

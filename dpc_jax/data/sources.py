@@ -220,9 +220,9 @@ def complete(models: list[Model], spec: DataSpec) -> list[Model]:
         for copy in range(1, count)
         for model in models
     ]
-    mix = spec.mix
-    if mix < 0:
+    added = []
+    if spec.mix and len(models) < FEW:
         from dpc_jax.shapes.procedural import CATEGORIES  # imports trimesh
 
-        mix = FEW if len(models) < FEW and spec.category in CATEGORIES else 0
-    return [*models, *copies, *list_procedural(spec, mix)][: spec.models]
+        added = list_procedural(spec, FEW if spec.category in CATEGORIES else 0)
+    return [*models, *copies, *added][: spec.models]

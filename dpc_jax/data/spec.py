@@ -33,7 +33,7 @@ class DataSpec:
     models: int | None = None  # how many; None: all files of the folder's split
     fold: tuple | None = None  # (i, n): of n parts of the files the i-th is tested
     copies: int = 1  # per file, stretched but for the first; 0: up to `FEW` in all
-    mix: int = 0  # procedural shapes beside the files; -1: `FEW` if these are fewer
+    mix: bool = False  # `FEW` procedural shapes beside the files, if these are fewer
     seed: int = Data.seed  # of the split, the shapes, the views and the lights
     views: int = Data.views  # per model (paper, section Experiments)
     image_size: int = Data.image_size  # pixels

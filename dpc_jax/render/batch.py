@@ -12,7 +12,7 @@ from jax.sharding import PartitionSpec
 from dpc_jax.render import arguments, checks
 from dpc_jax.render.blocks import capacity
 from dpc_jax.render.camera import Camera, VoxelGrid
-from dpc_jax.render.devices import AUTOMATIC, choose_mesh, find_platform, place
+from dpc_jax.render.devices import choose_mesh, find_platform, place
 from dpc_jax.render.fast import splines
 from dpc_jax.render.projection import Projection, project
 
@@ -32,7 +32,7 @@ def project_batch(
     scale: chex.Numeric = 1.0,
     covariance: jax.Array | None = None,
     colors: jax.Array | None = None,
-    translation: jax.Array | None = None,
+    translations: jax.Array | None = None,
     camera: Camera = Camera(),
     grid: VoxelGrid = VoxelGrid(64),
     signals: tuple[str, ...] = ("silhouette",),
@@ -41,7 +41,7 @@ def project_batch(
     background_depth: chex.Numeric = 10.0,
     background_color: chex.Numeric = 1.0,
     max_blocks: int | None = None,
-    renders_at_once: int = AUTOMATIC,
+    renders_at_once: int | None = None,
     devices: Sequence[Any] | None = None,
 ) -> Projection:
     """Render B examples on every core or device; equal to `project` of each.
@@ -59,14 +59,14 @@ def project_batch(
         [1, N] one for each point and shared. So [N] is never for points.
       covariance: [B, N, 3, 3], or [N, 3, 3] shared.
       colors: [B, N, C], or [N, C] shared.
-      translation: [B, 3], or [3] shared.
+      translations: [B, 3], or [3] shared.
       camera: its focal length and distance are () shared or [B].
       grid, signals, method, ray_rule, background_depth, background_color: shared, as
         in `project`.
       max_blocks: as in `project`, for each example; None counts those of the example
         that touches most.
-      renders_at_once: how many renders a device makes side by side: 1 keeps a CPU's
-        cache, 0 (all) fills a GPU, -1 takes what suits the device; static.
+      renders_at_once: how many renders a device makes side by side; static. None for
+        what suits it: one keeps a CPU's cache, all fill a GPU.
       devices: JAX's, to render on; static. None for all of this process, or the one
         that `jax.default_device` names. Inside `jax.set_mesh` the mesh's devices are
         used; inside `jax.shard_map` or `jax.pmap` a device renders its own share.
@@ -98,7 +98,7 @@ def project_batch(
         "scale": scale,
         "covariance": covariance,
         "colors": colors,
-        "translation": translation,
+        "translations": translations,
         **camera.list_numbers(),
     }
     shared, own = _sort_inputs(values, batch_size=batch_size)
@@ -134,15 +134,16 @@ def project_batch(
     )
 
 
-def map_renders(function: Callable, inputs: Any, *, renders_at_once: int) -> Any:
-    """`vmap` over the leading axis, `renders_at_once` entries at a time (0: all).
+def map_renders(function: Callable, inputs: Any, *, renders_at_once: int | None) -> Any:
+    """`vmap` over the leading axis, `renders_at_once` entries at a time.
 
-    One volume at a time stays in a CPU's cache; a GPU wants all at once. -1 takes what
-    suits the device at hand: the one place where that is decided.
+    One volume at a time stays in a CPU's cache; a GPU wants all at once. None (or 0, of
+    a config) takes what suits the device: the one place where that is decided.
     """
-    if renders_at_once == AUTOMATIC:
-        renders_at_once = 1 if find_platform() == "cpu" else 0
-    if renders_at_once == 0 or len(jax.tree.leaves(inputs)[0]) == 0:
+    count = len(jax.tree.leaves(inputs)[0])
+    if not renders_at_once:
+        renders_at_once = 1 if find_platform() == "cpu" else count
+    if renders_at_once >= count:
         return jax.vmap(function)(inputs)
     if renders_at_once == 1:
         return jax.lax.map(function, inputs)
@@ -150,12 +151,11 @@ def map_renders(function: Callable, inputs: Any, *, renders_at_once: int) -> Any
 
 
 def check_renders_at_once(value: Any) -> None:
-    """Refuse anything but an integer of at least -1."""
-    if not (checks.is_count(value) and value >= AUTOMATIC):
+    """Refuse anything but a positive integer and None."""
+    if value is not None and not (checks.is_count(value) and value > 0):
         raise ValueError(
-            f"renders_at_once must be an integer of at least -1, but it is {value!r}; "
-            "give 1 for one after the other, 0 for all side by side, or -1 for what "
-            "suits the device."
+            f"renders_at_once must be a positive integer or None, but it is {value!r}; "
+            "give 1 for one after the other, or leave it out for what suits the device."
         )
 
 
@@ -173,7 +173,7 @@ def _sort_inputs(values, *, batch_size):
         "scale": sizes,
         "covariance": ((n, 3, 3), (b, n, 3, 3)),
         "colors": ((n, "C"), (b, n, "C")),
-        "translation": ((3,), (b, 3)),
+        "translations": ((3,), (b, 3)),
         "camera.focal_length": ((), (b,)),
         "camera.distance": ((), (b,)),
         "camera.principal_point": ((2,), (b, 2)),
@@ -192,6 +192,9 @@ def _sort_inputs(values, *, batch_size):
             shared[name] = array[0]
         else:
             own[name] = array
+    for values in (shared, own):  # as `project` names it
+        if "translations" in values:
+            values["translation"] = values.pop("translations")
     return shared, own
 
 

@@ -12,7 +12,6 @@ import jax
 from jax.core import Tracer
 from jax.sharding import PartitionSpec
 
-AUTOMATIC = -1  # renders at once: one after the other on a CPU, all on another device
 AXIS = "examples"  # the mesh axis over which a batch is divided
 # Releases of jaxlib that compute some sums of products wrong on a CPU, in silence (jax
 # issue 39103), and the flag that keeps them from it.

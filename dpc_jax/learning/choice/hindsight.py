@@ -17,7 +17,6 @@ from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.signals import SILHOUETTES, downsample_images, make_targets
 from dpc_jax.render import Camera, checks
 from dpc_jax.render.batch import check_renders_at_once, map_renders
-from dpc_jax.render.devices import AUTOMATIC
 
 
 class Winners(NamedTuple):
@@ -129,7 +128,7 @@ def choose_candidate(
     camera: Camera,
     choice_points: int = 0,
     choice_top: int = 0,
-    renders_at_once: int = AUTOMATIC,
+    renders_at_once: int | None = None,
 ) -> jax.Array:
     """Eq. 2 for one view: index of the candidate with the smallest loss; ().
 
@@ -147,8 +146,8 @@ def choose_candidate(
       camera: see `project`.
       choice_points: largest number of points of the ranking; 0: there is none.
       choice_top: how many candidates are then compared exactly.
-      renders_at_once: how many are rendered side by side, 0 for all; -1 takes one on a
-        CPU and all on a GPU.
+      renders_at_once: how many are rendered side by side; None takes one on a CPU and
+        all on a GPU.
 
     Returns:
       () int32.

@@ -14,7 +14,6 @@ from dpc_jax.learning.signals import Weights
 from dpc_jax.render import Camera, VoxelGrid
 from dpc_jax.render.batch import map_renders
 from dpc_jax.render.blocks import capacity
-from dpc_jax.render.devices import AUTOMATIC
 
 # By its gradient shapes and poses are better than by the trilinear one (docs/log.md).
 METHOD = "quadratic"
@@ -124,7 +123,7 @@ def compare_views(
         scene = learned["scene"] | {"sigma": given["sigma"]}
         return Points.compare_view(scene, view, given["images"], weights=weights)
 
-    found: Any = sum_views(compare, AUTOMATIC, {"scene": scene, "view": views}, given)
+    found: Any = sum_views(compare, None, {"scene": scene, "view": views}, given)
     return found[0] / (count * side**2)
 
 
@@ -172,7 +171,7 @@ def render_all(
         view = place(view, camera, side, max_blocks)
         return Points.render(scene, view, signals=("silhouette",)).silhouette
 
-    return map_renders(render, cloud.list_views(camera), renders_at_once=AUTOMATIC)
+    return map_renders(render, cloud.list_views(camera), renders_at_once=None)
 
 
 def find_losses(
@@ -197,4 +196,4 @@ def find_losses(
         assert image is not None
         return jnp.mean((image[None] - silhouettes) ** 2, axis=(1, 2))
 
-    return map_renders(compare, candidates, renders_at_once=AUTOMATIC).T
+    return map_renders(compare, candidates, renders_at_once=None).T

@@ -21,7 +21,6 @@ from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.signals import SILHOUETTES, Weights, compare_images, make_targets
 from dpc_jax.render import Camera, Projection, VoxelGrid
 from dpc_jax.render.batch import map_renders
-from dpc_jax.render.devices import AUTOMATIC
 
 Scene = Mapping[str, jax.Array]
 
@@ -89,7 +88,7 @@ class Choice(NamedTuple):
 
     points: int
     top: int
-    renders_at_once: int
+    renders_at_once: int | None
     weights: Weights = SILHOUETTES
 
 
@@ -285,7 +284,7 @@ class Shape:
         targets: Mapping[str, jax.Array],
         *,
         weights: Weights = SILHOUETTES,
-        renders_at_once: int = AUTOMATIC,
+        renders_at_once: int | None = None,
     ) -> jax.Array:
         """Losses [C] of the view's candidates, compared with one target by images.
 
@@ -322,7 +321,7 @@ class Shape:
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(0, 1))
 def sum_views(
-    compare: Callable, renders_at_once: int, learned: dict[str, Any], given: Any
+    compare: Callable, renders_at_once: int | None, learned: dict[str, Any], given: Any
 ) -> Any:
     """Σ of what `compare(learned, given)` gives of views, (cost, terms), and costs.
 
