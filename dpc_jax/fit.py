@@ -10,6 +10,7 @@ import types
 from pathlib import Path
 
 from dpc_jax.learning.fitting import LEARNED, POSES, FitSettings
+from dpc_jax.reporting.export import SURFACES
 from dpc_jax.run.flags import FlagParser
 from dpc_jax.run.task import Task, run_command
 
@@ -39,6 +40,8 @@ def make_parser() -> argparse.ArgumentParser:
     count = {"type": int, "metavar": "N"}
     text = "of the cloud (%(default)s)"
     add("--points", default=_DEFAULT.num_points, help=text, **count)
+    text = "format of the surface (%(default)s)"
+    add("--surface", choices=SURFACES, default="glb", help=text)
     text = "pixels that images are brought to (%(default)s); more show thin parts"
     sizes = (64, 128, 256, 512)
     add("--image-size", choices=sizes, default=128, help=text, **count)
@@ -81,14 +84,16 @@ def _read(options):
             is_colored=options.colors,
             learn=learn,
             settings=settings,
+            surface=options.surface,
             seed=options.seed,
         )
 
+    names = "cloud.ply", f"cloud{SURFACES[options.surface]}", "views.png", "curve.png"
     return Task(
         work,
         out=out,
         interrupted="Interrupted; nothing was written, start again.",
-        writes=("cloud.ply", "cloud.glb", "views.png", "curve.png", "fit.json"),
+        writes=(*names, "fit.json"),
         inputs=list_images(folder) if folder.is_dir() else (),
     )
 

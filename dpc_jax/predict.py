@@ -10,6 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from dpc_jax.reporting.export import SURFACES
 from dpc_jax.run.flags import FlagParser
 from dpc_jax.run.task import Task, run_command
 
@@ -36,6 +37,8 @@ def make_parser() -> argparse.ArgumentParser:
     add("--refine", dest="is_refined", action="store_true", help=text)
     text = "of clouds, more than are predicted, by midpoints"
     add("--points", dest="num_points", type=int, default=0, metavar="N", help=text)
+    text = "format of surfaces (%(default)s)"
+    add("--surface", choices=SURFACES, default="glb", help=text)
     text = "write NAME.gif of the cloud turning"
     add("--turntable", dest="has_turntable", action="store_true", help=text)
     text = "of data, for --refine (WORKDIR/data)"

@@ -152,7 +152,7 @@ def test_translations_colors_and_depths_are_fitted_where_they_are_asked_for(scen
     images = take_views(
         points,
         rotations,
-        translation=moves,
+        translations=moves,
         colors=np.broadcast_to(np.float32([0.8, 0.1, 0.1]), points.shape),
         signals=("silhouette", "color", "depth"),
     )

@@ -175,8 +175,8 @@ def test_the_report_has_every_number_and_picture_that_is_promised(finished):
     assert (report / "worst_objects.png").stat().st_size > 1000
     for path in clouds:
         vertices = np.asarray(trimesh.load_scene(path).to_geometry().vertices)
-        # A GLB holds a small solid for each of the 40 points.
-        assert len(vertices) == 40 if path.suffix == ".ply" else len(vertices) % 40 == 0
+        # A GLB holds the surface about the 40 points.
+        assert len(vertices) == 40 if path.suffix == ".ply" else len(vertices) > 40
         assert np.all(np.isfinite(vertices))
 
 

@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 from dpc_jax.files import write_bytes, write_text
-from dpc_jax.reporting.export import RADIUS, write_glb, write_ply, write_surface
+from dpc_jax.reporting.examples import Example
+from dpc_jax.reporting.export import SURFACES, write_files, write_ply, write_surface
 
 
 def cloud(n=40, seed=0):
@@ -22,6 +23,10 @@ def read_glb(path):
     scene = trimesh.load_scene(path, skip_materials=True)
     matrix, name = scene.graph[scene.graph.nodes_geometry[0]]
     return scene.geometry[name], matrix
+
+
+def write_mesh(path, points):
+    return write_surface(path.with_suffix(".glb"), points, [[0, 0, 0]])
 
 
 def test_a_ply_file_holds_the_same_points_and_colours_if_any(tmp_path):
@@ -42,57 +47,63 @@ def test_a_ply_file_holds_the_same_points_and_colours_if_any(tmp_path):
 
 def test_the_order_of_an_array_in_memory_does_not_matter(tmp_path):
     points, colors = cloud()
-    for write in (write_ply, write_glb):
-        plain = write(tmp_path / "plain", points, colors).read_bytes()
-        turned = np.asfortranarray(points), np.asfortranarray(colors)
-        assert write(tmp_path / "turned", *turned).read_bytes() == plain
+    plain = write_ply(tmp_path / "plain", points, colors).read_bytes()
+    turned = np.asfortranarray(points), np.asfortranarray(colors)
+    assert write_ply(tmp_path / "turned", *turned).read_bytes() == plain
 
 
 def test_a_surface_is_a_closed_mesh_that_stands_upright(tmp_path):
     ball = trimesh.creation.icosphere(2, radius=0.4)
     path = write_surface(tmp_path / "a.glb", ball.vertices, ball.faces)
-    mesh, matrix = read_glb(path)
+    mesh, _ = read_glb(path)
     np.testing.assert_allclose(mesh.vertices, ball.vertices, atol=1e-7)
     np.testing.assert_array_equal(mesh.faces, ball.faces)
     outward = ball.vertices / 0.4  # normals of a ball, up to its facets
     np.testing.assert_allclose(mesh.vertex_normals, outward, atol=0.05)
-    points = write_glb(tmp_path / "b.glb", ball.vertices)
-    np.testing.assert_allclose(matrix, read_glb(points)[1])
 
 
-def test_a_glb_file_holds_an_upright_octahedron_around_each_point(tmp_path):
-    points, _ = cloud()
-    mesh, matrix = read_glb(write_glb(tmp_path / "a.glb", points))
-    corners = mesh.vertices.reshape(-1, 6, 3)
-    # Coordinates up to 0.5 in float32: steps of 3e-8, six of them averaged.
-    np.testing.assert_allclose(corners.mean(axis=1), points, atol=1e-7)
-    away = (corners - points[:, None]) / RADIUS
-    np.testing.assert_allclose(np.linalg.norm(away, axis=2), 1, atol=1e-5)
-    owners = mesh.faces.reshape(len(points), -1) // 6
-    assert np.all(owners == np.arange(len(points))[:, None])  # no face between points
-    # Faces look outward: each octahedron has a volume, and positive.
-    assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(4 / 3 * RADIUS**3 * len(points), rel=1e-4)
-    np.testing.assert_allclose(mesh.vertex_normals, away.reshape(-1, 3), atol=1e-4)
+def test_glb_colours_are_linear_light_and_those_of_other_formats_are_not(tmp_path):
+    ball = trimesh.creation.icosphere(1)
+    colors = np.random.default_rng(0).integers(0, 256, ball.vertices.shape) / 255
+    for name in ("a.glb", "a.ply", "a.obj"):
+        path = write_surface(tmp_path / name, ball.vertices, ball.faces, colors)
+        mesh = read_glb(path)[0] if name == "a.glb" else trimesh.load(path)
+        assert mesh.is_watertight and mesh.volume > 0
+        found = mesh.visual.vertex_colors[:, :3] / 255
+        if name == "a.glb":
+            low = found <= 0.0031308
+            found = np.where(low, 12.92 * found, 1.055 * found ** (1 / 2.4) - 0.055)
+        # A byte of linear light is at most 12.92 / 255 / 2 of sRGB in the dark.
+        np.testing.assert_allclose(found, colors, atol=0.026, err_msg=name)
     # glTF has y up and z to the front; a rotation from a float64 quaternion.
+    matrix = read_glb(tmp_path / "a.glb")[1]
     turned = matrix[:3, :3] @ np.array([[0, 0, 1], [1, 0, 0]]).T
     np.testing.assert_allclose(turned.T, [[0, 1, 0], [0, 0, 1]], atol=1e-12)
 
 
-def test_glb_colours_are_linear_light(tmp_path):
-    points, colors = cloud()
-    mesh, _ = read_glb(write_glb(tmp_path / "a.glb", points, colors))
-    linear = mesh.visual.vertex_colors.reshape(-1, 6, 4)[:, 0] / 255.0
-    low = linear[:, :3] <= 0.0031308
-    srgb = np.where(
-        low, 12.92 * linear[:, :3], 1.055 * linear[:, :3] ** (1 / 2.4) - 0.055
-    )
-    # A byte of linear light is at most 12.92 / 255 / 2 of sRGB in the dark.
-    np.testing.assert_allclose(srgb, colors, atol=0.026)
-    assert np.all(linear[:, 3] == 1.0)
+def test_a_cloud_comes_with_splats_and_a_surface_of_its_colours(tmp_path):
+    points = np.asarray(trimesh.creation.icosphere(3, radius=0.4).vertices)
+    colors = np.where(points[:, :1] > 0, [[1.0, 0, 0]], [[0, 0, 1.0]])
+    blank = np.zeros((4, 4))
+    example = Example("ball", blank, blank, blank, points, colors, None)
+    for surface, ending in SURFACES.items():
+        path = write_files(example, tmp_path / "ball", surface=surface)
+        assert path == tmp_path / f"ball{ending}"
+    mesh = trimesh.load(path)
+    assert mesh.is_watertight
+    red = mesh.visual.vertex_colors[mesh.vertices[:, 0] > 0.1]
+    assert np.all(red[:, :3] == [255, 0, 0])
+    read = trimesh.load(tmp_path / "ball.ply")
+    values = read.metadata["_ply_raw"]["vertex"]["data"]
+    found = np.stack([values[f"f_dc_{i}"] for i in range(3)], -1).reshape(-1, 3)
+    np.testing.assert_allclose(0.5 + 0.28209479177387814 * found, colors, atol=1e-6)
+    assert np.all(values["rot_0"] == 1) and np.all(values["rot_1"] == 0)
+    # Vertices of this ball are 0.055 apart; splats reach half the way.
+    sizes = np.exp(np.ravel(values["scale_0"]))
+    assert np.all((0.02 < sizes) & (sizes < 0.035))
 
 
-@pytest.mark.parametrize("write", [write_ply, write_glb])
+@pytest.mark.parametrize("write", [write_ply, write_mesh])
 def test_clouds_unfit_for_a_file_are_refused_and_leave_none(tmp_path, write):
     path = tmp_path / "a"
     with pytest.raises(ValueError, match="finite points"):

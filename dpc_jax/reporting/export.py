@@ -1,4 +1,4 @@
-"""Point clouds and surfaces as files: PLY for point cloud tools, GLB for viewers."""
+"""Clouds as PLY, for tools of points and splats; surfaces as GLB, PLY or OBJ."""
 
 import os
 from pathlib import Path
@@ -10,14 +10,16 @@ from numpy.typing import ArrayLike
 from dpc_jax.files import write_bytes
 from dpc_jax.reporting.examples import Example
 
-RADIUS = 0.008  # of a point, object units; a third of 2000 points' spacing on a car
+# Formats of surfaces, and how the names of their files end.
+SURFACES = {"glb": ".glb", "ply": "-surface.ply", "obj": ".obj"}
 _PLAIN_COLOR = (0.36, 0.53, 0.73)  # sRGB, for points that carry no colour
-
-_CORNERS = np.concatenate([np.eye(3), -np.eye(3)])  # octahedron: +x +y +z -x -y -z
-_FACES = np.array(  # counter-clockwise seen from outside
-    [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2]]
-    + [[1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
-)
+# As files of Gaussian splats have them: (c - 1/2) / Y₀₀ of a colour c, and the logit of
+# the opacity.
+_HARMONIC = 0.28209479177387814
+_SPLAT = ("f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2")
+_SPLAT += ("rot_0", "rot_1", "rot_2", "rot_3")
+_OPACITY = 4.6  # 0.99
+_LEAST_SIZE = 1e-4  # of a splat, object units
 # The object frame has z up and x to the front, glTF y up and z to the front: the three
 # axes change places.
 _UPRIGHT = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], float)
@@ -28,18 +30,29 @@ def write_ply(
 ) -> Path:
     """Write points [N, 3] as binary PLY, float32, with sRGB bytes where colours exist.
 
+    Each point has the properties of a Gaussian splat too (Kerbl et al., 3D Gaussian
+    Splatting, 2023), as wide as half the way to its three nearest neighbours: viewers
+    of splats draw a cloud without gaps.
+
     Args:
       path: where to; replaced only once the new file is whole.
       points: [N, 3] object frame.
-      colors: [N, 3] of 0 to 1 (clipped); left out of the file if None.
+      colors: [N, 3] of 0 to 1 (clipped); left out of the file if None, and splats are
+        plain blue.
 
     Raises:
       ValueError: points that are not finite or not [N, 3].
     """
     points, colors = _check_cloud(points, colors)
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
-    header += [f"property float {axis}" for axis in "xyz"]
-    rows = np.ascontiguousarray(points, "<f4").view("u1")  # a row for each point
+    count, names = len(points), (*"xyz", *_SPLAT)
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+    header += [f"property float {name}" for name in names]
+    shown = np.broadcast_to(_PLAIN_COLOR, (count, 3)) if colors is None else colors
+    sizes = np.log(np.maximum(_measure_gaps(points) / 2, _LEAST_SIZE))
+    fixed = np.broadcast_to([_OPACITY, 0, 0, 0, 1, 0, 0, 0], (count, 8)).copy()
+    fixed[:, 1:4] = sizes[:, None]
+    values = np.hstack([points, (shown - 0.5) / _HARMONIC, fixed])
+    rows = np.ascontiguousarray(values, "<f4").view("u1")  # a row for each point
     if colors is not None:
         header += [f"property uchar {name}" for name in ("red", "green", "blue")]
         rows = np.hstack([rows, _bytes(colors)])
@@ -47,78 +60,64 @@ def write_ply(
     return write_bytes(path, text.encode("ascii") + rows.tobytes())
 
 
-def write_glb(
-    path: str | os.PathLike, points: ArrayLike, colors: ArrayLike | None = None
-) -> Path:
-    """Write points [N, 3] as binary glTF, each a small octahedron shaded as a ball.
+def _measure_gaps(points):
+    """Mean distance [N] to the three nearest other points; 0 of a lone point."""
+    from scipy.spatial import KDTree
 
-    Viewers draw glTF's own points one pixel wide, which is hard to see. The vertices
-    stay in the object frame; the node's rotation stands the object upright.
-
-    Args:
-      path: where to; replaced only once the new file is whole.
-      points: [N, 3] object frame, at least one.
-      colors: [N, 3] of 0 to 1 (clipped); a plain blue if None.
-
-    Raises:
-      ValueError: points that are not finite or not [N, 3].
-    """
-    points, colors = _check_cloud(points, colors)
-    if colors is None:
-        colors = np.broadcast_to(_PLAIN_COLOR, points.shape)
-    corners = len(_CORNERS)
-    position = (points[:, None] + RADIUS * _CORNERS).reshape(-1, 3).astype("<f4")
-    normal = np.tile(_CORNERS, (len(points), 1)).astype("<f4")
-    # glTF vertex colours are linear light; pictures and PLY hold sRGB.
-    curve = ((colors + 0.055) / 1.055) ** 2.4
-    linear = np.where(colors <= 0.04045, colors / 12.92, curve)
-    rgba = np.full((len(points), 4), 255, dtype="u1")
-    rgba[:, :3] = _bytes(linear)
-    faces = (_FACES + corners * np.arange(len(points))[:, None, None]).reshape(-1, 3)
-    colors = np.repeat(rgba, corners, axis=0)
-    return _write_mesh(path, position, normal, faces, colors, "points")
+    count = min(4, len(points))
+    if count < 2:
+        return np.zeros(len(points))
+    return KDTree(points).query(points, k=count)[0][:, 1:].mean(axis=1)
 
 
 def write_surface(
-    path: str | os.PathLike, vertices: ArrayLike, faces: ArrayLike
+    path: str | os.PathLike,
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    colors: ArrayLike | None = None,
 ) -> Path:
-    """Write a surface as binary glTF, smoothly shaded in plain blue.
+    """Write a surface, smoothly shaded, as its path ends: .glb, .ply or .obj.
 
-    As in `write_glb` the vertices stay in the object frame.
+    The vertices stay in the object frame; the node's rotation in a GLB file stands the
+    object upright.
 
     Args:
       path: where to; replaced only once the new file is whole.
       vertices: [V, 3] object frame. faces: [F, 3] of their indices, at least one,
         counter-clockwise seen from outside.
+      colors: [V, 3] of 0 to 1 (clipped); a plain blue if None.
 
     Raises:
       ValueError: for vertices that are not finite or not [V, 3].
     """
-    vertices, _ = _check_cloud(vertices, None)
-    rgba = np.full((len(vertices), 4), 255, dtype="u1")
-    rgba[:, :3] = _bytes(np.array(_PLAIN_COLOR) ** 2.2)  # nearly linear light
-    return _write_mesh(path, vertices, None, faces, rgba, "surface")
-
-
-def write_files(example: Example, stem: Path):
-    """STEM.ply of an example's points, and STEM.glb of them or of its surface."""
-    write_ply(stem.with_name(f"{stem.name}.ply"), example.points, example.colors)
-    glb = stem.with_name(f"{stem.name}.glb")
-    if example.mesh is not None:
-        write_surface(glb, *example.mesh)
-    else:
-        write_glb(glb, example.points, example.colors)
-
-
-def _write_mesh(path, vertices, normals, faces, colors, name) -> Path:
-    """A mesh with colours [V, 4]; without normals it is shaded smoothly."""
     import trimesh  # takes half a second to load: clouds as PLY do without
 
-    mesh = trimesh.Trimesh(
-        vertices, faces, vertex_normals=normals, vertex_colors=colors, process=False
-    )
+    path = Path(path)
+    vertices, colors = _check_cloud(vertices, colors)
+    if colors is None:
+        colors = np.broadcast_to(_PLAIN_COLOR, vertices.shape)
+    if path.suffix == ".glb":
+        # glTF vertex colours are linear light; pictures, PLY and OBJ hold sRGB.
+        curve = ((colors + 0.055) / 1.055) ** 2.4
+        colors = np.where(colors <= 0.04045, colors / 12.92, curve)
+    rgba = np.full((len(vertices), 4), 255, dtype="u1")
+    rgba[:, :3] = _bytes(colors)
+    mesh: Any = trimesh.Trimesh(vertices, faces, vertex_colors=rgba, process=False)
+    if path.suffix == ".glb":
+        data = _export_upright(mesh)
+    else:
+        data = mesh.export(file_type=path.suffix[1:])
+        data = data.encode() if path.suffix == ".obj" else data
+    return write_bytes(path, data)
+
+
+def _export_upright(mesh) -> Any:
+    import trimesh
+
     scene = trimesh.Scene()
-    scene.add_geometry(mesh, geom_name=name, node_name=name, transform=_UPRIGHT)
+    scene.add_geometry(
+        mesh, geom_name="surface", node_name="surface", transform=_UPRIGHT
+    )
 
     def finish(tree):
         # The default material is metal, which is black where nothing is reflected.
@@ -127,8 +126,30 @@ def _write_mesh(path, vertices, normals, faces, colors, name) -> Path:
         tree["meshes"][0]["primitives"][0]["material"] = 0
 
     options = {"include_normals": True, "tree_postprocessor": finish}
-    data: Any = scene.export(file_type="glb", **options)
-    return write_bytes(path, data)
+    return scene.export(file_type="glb", **options)
+
+
+def write_files(example: Example, stem: Path, *, surface: str = "glb") -> Path:
+    """STEM.ply of an example's points, and its surface beside it.
+
+    Args:
+      surface: one of `SURFACES`.
+
+    Returns:
+      The path of the surface.
+    """
+    from scipy.spatial import KDTree  # as scikit-image, for this alone
+
+    from dpc_jax.evaluation.wrapping import wrap_points
+
+    write_ply(stem.with_name(f"{stem.name}.ply"), example.points, example.colors)
+    vertices, faces = example.mesh or wrap_points(example.points)
+    colors = example.colors
+    if colors is not None:
+        nearest = KDTree(example.points).query(vertices, k=min(3, len(colors)))[1]
+        colors = colors[np.reshape(nearest, (len(vertices), -1))].mean(axis=1)
+    path = stem.with_name(f"{stem.name}{SURFACES[surface]}")
+    return write_surface(path, vertices, faces, colors)
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:

@@ -67,9 +67,10 @@ def fit_folder(
     is_colored: bool = False,
     learn: tuple[str, ...] = (),
     settings: FitSettings = FitSettings(),
+    surface: str = "glb",
     seed: int = 0,
 ) -> Fit:
-    """Fit the object of a folder and write cloud.ply, cloud.glb, fit.json and pictures.
+    """Fit the object of a folder; write its cloud, surface, fit.json and pictures.
 
     Args:
       folder: of the images of one object. out: folder of the results.
@@ -79,6 +80,7 @@ def fit_folder(
       image_size: pixels that images are brought to.
       is_colored: whether points learn colours.
       learn, settings, seed: see `fit`.
+      surface: format of the surface, see `write_surface`.
 
     Raises:
       ValueError: where no image can be used, or poses are asked for that are not there.
@@ -119,7 +121,8 @@ def fit_folder(
         )
     names = [show_text(path.name) for path in paths]
     asked = {"poses": poses, "seed": seed, "settings": dataclasses.asdict(settings)}
-    _write(out, found, arrays, names, asked, time.perf_counter() - started)
+    seconds = time.perf_counter() - started
+    _write(out, found, arrays, names, asked, seconds, surface=surface)
     overlaps = dict(zip(names, found.overlaps, strict=True))
     for doubt in list_doubts(overlaps, is_searched=rotations is None):
         print(f"Warning: {doubt}.", file=sys.stderr)
@@ -148,7 +151,7 @@ def list_doubts(overlaps: Mapping[str, float], *, is_searched: bool) -> list[str
     return doubts
 
 
-def _write(out: Path, found: Fit, arrays, names, asked: dict[str, Any], seconds):
+def _write(out: Path, found: Fit, arrays, names, asked, seconds, *, surface):
     out.mkdir(parents=True, exist_ok=True)
     count, mean = len(names), float(found.overlaps.mean())
     chosen = np.unique(np.linspace(0, count - 1, min(SHOWN, count)).round().astype(int))
@@ -164,7 +167,7 @@ def _write(out: Path, found: Fit, arrays, names, asked: dict[str, Any], seconds)
         )
         for i in chosen
     ]
-    write_files(examples[0], out / "cloud")
+    mesh = write_files(examples[0], out / "cloud", surface=surface)
     picture = draw_predictions(examples, out / "views.png")
     draw_fit(found.curve, out / "curve.png")
     poses = zip(names, found.rotations, found.overlaps, strict=True)
@@ -175,5 +178,5 @@ def _write(out: Path, found: Fit, arrays, names, asked: dict[str, Any], seconds)
     write_json(out / "fit.json", facts)
     print(
         f"Overlap of silhouettes {mean:.3f} over {count} views, in {seconds:.0f} s: "
-        f"{show_text(out / 'cloud.glb')}, {show_text(picture)}"
+        f"{show_text(mesh)}, {show_text(picture)}"
     )

@@ -76,10 +76,10 @@ STYLES = {
 SIMPLE_SHARES = {"sedan": 0.22, "hatchback": 0.19, "wagon": 0.11, "suv": 0.17,
                  "van": 0.1, "pickup": 0.1, "sports": 0.11}  # fmt: skip
 # Of `car`: as different as what stands in a street.
-SHARES = {"sedan": 0.07, "hatchback": 0.07, "wagon": 0.04, "suv": 0.08, "van": 0.06,
-          "pickup": 0.1, "sports": 0.06, "city": 0.07, "limousine": 0.05,
-          "convertible": 0.07, "transporter": 0.05, "bus": 0.06, "double_decker": 0.04,
-          "truck": 0.12, "three_wheeler": 0.06}  # fmt: skip
+SHARES = {"sedan": 0.09, "hatchback": 0.09, "wagon": 0.05, "suv": 0.09, "van": 0.06,
+          "pickup": 0.09, "sports": 0.06, "city": 0.08, "limousine": 0.05,
+          "convertible": 0.06, "transporter": 0.05, "bus": 0.06, "double_decker": 0.04,
+          "truck": 0.09, "three_wheeler": 0.04}  # fmt: skip
 # Windows along a side, of styles that have more or fewer than two.
 WINDOWS = {"sports": 1, "city": 1, "transporter": 1, "van": 3, "wagon": 3, "suv": 3,
            "limousine": 4, "bus": 7, "double_decker": 6}  # fmt: skip

@@ -98,13 +98,11 @@ def _make_ends(front, rear, half, floor):
         (front + 0.02, 0.5 * half, low + 0.5),
     )
     under = (rear, -half, floor - 0.3), (rear + 0.1, half, floor - 0.15)
-    head = (
-        (front - 0.1, 0.6 * half, low + 0.15),
-        (front + 0.03, 0.78 * half, low + 0.35),
-    )
+    # Wrapped round the corners, so that they are seen from the side too.
+    head = (front - 0.3, 0.5 * half, low + 0.1), (front + 0.05, 1.02 * half, low + 0.55)
     tail = (
-        (rear - 0.03, 0.7 * half, floor - 0.13),
-        (rear + 0.1, 0.98 * half, floor + 0.1),
+        (rear - 0.05, 0.4 * half, floor - 0.2),
+        (rear + 0.3, 1.02 * half, floor + 0.3),
     )
     lamps = [parts.box(*head, color=_LAMP), parts.box(*tail, color=_REAR_LAMP)]
     dark = [parts.box(*corners, color=parts.BLACK) for corners in (bumper, grille)]

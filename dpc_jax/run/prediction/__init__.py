@@ -16,6 +16,7 @@ from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.data.spec import DataSpec
 from dpc_jax.files import write_json
 from dpc_jax.outputs import owning, show_text
+from dpc_jax.reporting.export import SURFACES
 from dpc_jax.run.workdir import read_config
 
 SUMMARIES = ("predictions.png", "predictions.json")  # of all images
@@ -38,6 +39,7 @@ class PredictRequest:
       is_refined: whether shape and poses are fitted to the silhouettes.
       has_turntable: whether an animated picture of each cloud is written.
       num_points: of each cloud, no fewer than are predicted; 0 for those.
+      surface: format of surfaces, of `SURFACES`.
       data: folder of rendered data sets; None for the workdir's own.
     """
 
@@ -50,6 +52,7 @@ class PredictRequest:
     is_refined: bool = False
     has_turntable: bool = False
     num_points: int = 0
+    surface: str = "glb"
     data: Path | None = None
 
 
@@ -89,8 +92,9 @@ def predict_images(request: PredictRequest):
         print(f"Warning: {source} was left out: {reason}.", file=sys.stderr)
     if any(len(one.sources) > 1 for one in found):
         _check_ability(config, "Several views of an object together")
-    ends = ["ply", "glb", "json"] + ["gif"] * request.has_turntable
-    names = [f"{one.name}.{end}" for one in found for end in ends]
+    ends = [".ply", SURFACES[request.surface], ".json"]
+    ends += [".gif"] * request.has_turntable
+    names = [f"{one.name}{end}" for one in found for end in ends]
     inputs = [file for one in found for file in one.files]
     with owning(request.out, [*names, *SUMMARIES], inputs=inputs):
         _warn_of_frame(request.workdir)
@@ -105,7 +109,10 @@ def _predict(request: PredictRequest, found: list[Photographs], skipped, started
     predicted = predict_objects(found, request)
     warn_of_few_points(predicted, request.num_points)
     entries, picture = write_predictions(
-        predicted, request.out, has_turntable=request.has_turntable
+        predicted,
+        request.out,
+        surface=request.surface,
+        has_turntable=request.has_turntable,
     )
     # Refinement is timed on its own; all else is in here too.
     seconds = time.perf_counter() - started

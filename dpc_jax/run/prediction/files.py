@@ -17,9 +17,12 @@ SHOWN = 16  # views in the picture
 
 
 def write_predictions(
-    predicted: list[PredictedObject], out: Path, *, has_turntable: bool
+    predicted: list[PredictedObject], out: Path, *, surface: str, has_turntable: bool
 ) -> tuple[list[dict], Path]:
-    """NAME.ply, NAME.glb and NAME.json of each object, and one picture of the views.
+    """Cloud, surface and NAME.json of each object, and one picture of the views.
+
+    Args:
+      surface: its format, see `write_surface`.
 
     Returns:
       (an entry for each view, as in the JSON files and with its object's name; the
@@ -30,7 +33,7 @@ def write_predictions(
     for one in predicted:
         name, views = one.photographs.name, _describe_views(one)
         shown = [_make_example(one, i) for i in range(len(views))]
-        write_files(shown[0], out / name)
+        write_files(shown[0], out / name, surface=surface)
         facts: dict[str, Any] = {"frame": "object" if one.is_aligned else "network"}
         if one.seconds is not None:
             facts["refine_seconds"] = round(one.seconds, 2)
