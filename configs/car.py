@@ -1,9 +1,9 @@
 """Cars from silhouettes without poses: procedural, on two CPU cores.
 
-Cost: 480 s alone on two cores, from the command to the report; 3.5 GB. Reached on 100
-test cars, seed 0: pose accuracy 0.982, median error 1.7 degrees, Chamfer 2.80; seeds 0
-to 2 on one device with `pose.choice_top=3`, which is a tenth faster: 0.978, 0.972,
-0.990; 1.7, 1.6, 1.6; 2.83, 2.84, 2.82.
+Cost: eight to twelve minutes on two cores, from the command to the report; 3.5 GB.
+Reached on 100 test cars, seed 0, one device: pose accuracy 0.888, median error 2.4
+degrees, Chamfer 3.05. Passenger cars alone (`--config.category=car_simple`), seed 0:
+0.982, 1.7 degrees, 2.80.
 ":paper" is the paper's setting: a GPU and days, never run to the end.
 """
 

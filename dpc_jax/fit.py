@@ -1,7 +1,7 @@
 """One object without a network: python -m dpc_jax.fit FOLDER --out=DIR
 
 FOLDER holds masked images of one object from several sides, with poses or without.
-Writes cloud.ply, cloud.glb, fit.json, views.png and curve.png into DIR.
+Writes cloud.ply, its surface cloud.glb, fit.json, views.png and curve.png into DIR.
 """
 
 import argparse

@@ -37,6 +37,8 @@ _IMAGE_SIZE = Allowed(
     lambda size: size >= 16 and size & (size - 1) == 0,
     "a power of two of at least 16 pixels, because the encoder halves it down to 4",
 )
+# A cloud that needs more blocks than there are is drawn in the whole volume up to here.
+_GRID = between(1, 256)
 _MODELS = between(1, 1_000_000)  # no two splits or seeds share a procedural shape
 _DISTANCE = above(0.5)._replace(text="above 0.5, outside the object")
 _HEADS = at_least(1)._replace(text="at least 1 (K heads)")
@@ -96,8 +98,10 @@ class Network:
 class Render:
     """Volume, points and camera of the projection."""
 
-    grid: int = field(32, at_least(1))  # side of volume and target silhouettes, voxels
-    fine_grid: int = field(64, at_least(0))  # of winners after 60 % of steps; 0: never
+    grid: int = field(32, _GRID)  # side of volume and target silhouettes, voxels
+    fine_grid: int = field(
+        64, between(0, 256)
+    )  # of winners after 60 % of steps; 0: never
     # Share of the run that compares views from a cube's corners (EPCG).
     fixed_views_until: float = field(0.0, between(0, 1))
     num_points: int = field(2000, at_least(1))  # of a cloud (2000 at 32³ in the paper)

@@ -22,6 +22,7 @@ _NEIGHBOURS, _SHARE = 6, 0.8
 _LEAST_RADIUS, _MOST_RADIUS = 0.01, 0.08
 _COARSE = 48  # cells along the unit cube, while the radius is chosen
 _WIDER, _LEAK = 1.4, 2.0  # ratios of radii that are tried, and of volumes that tell
+_SPECK = 12  # cells; smaller parts are left out, of which stray points make a hundred
 _KEPT = 0.006  # half the thickness of a sheet of points, object units
 
 
@@ -48,7 +49,7 @@ def wrap_points(
         field, low, side = _measure_depth(points, radius, side)
         # A lone point may be shallower, where no cell's centre is near it.
         level = min(radius - _KEPT, 0.5 * field.max())
-        found: Any = marching_cubes(field, level)
+        found: Any = marching_cubes(_drop_specks(field, level), level)
         vertices, faces = found[:2]
         if len(faces) <= most_faces:
             places = (vertices + low + 0.5) / side
@@ -75,6 +76,14 @@ def _close_holes(points, radius):
             break
         radius, volume = larger, filled
     return radius
+
+
+def _drop_specks(field, level):
+    """The field without parts above the level that have few cells, but the largest."""
+    found: Any = ndimage.label(field > level, np.ones((3, 3, 3)))
+    sizes = np.bincount(found[0].ravel())
+    sizes[0] = least = min(_SPECK, sizes[1:].max(initial=0))
+    return np.where(sizes[found[0]] < least, level - 1e-6, field)
 
 
 def _measure_depth(points, radius, side):

@@ -196,8 +196,9 @@ def _write_clouds(examples: Sequence[Example], folder: Path) -> str:
         links = [f'<a href="points/{stem}.{k.lower()}">{k}</a>' for k in ("GLB", "PLY")]
         rows.append((escape(viewer.name_example(example)), " ".join(links)))
     return (
-        "<details><summary>The same shapes as files</summary><p>GLB opens in any 3D "
-        "viewer, PLY in point cloud tools; both are in the object frame of the data "
+        "<details><summary>The same shapes as files</summary><p>GLB is the surface, "
+        "for any 3D viewer; PLY the points, for tools of clouds and of Gaussian "
+        "splats. Both are in the object frame of the data "
         f"set.</p>{make_table(rows)}</details>\n"
     )
 
