@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 TEMPORARY = ".tmp"  # ends the names of files that are being written
+# Formats of surfaces, and how the names of their files end.
+SURFACES = {"glb": ".glb", "ply": "-surface.ply", "obj": ".obj"}
 MOST_TEXT = 64 << 20  # bytes of a text or JSON file; those read are far smaller
 
 

@@ -9,8 +9,8 @@ import sys
 import types
 from pathlib import Path
 
+from dpc_jax.files import SURFACES
 from dpc_jax.learning.fitting import LEARNED, POSES, FitSettings
-from dpc_jax.reporting.export import SURFACES
 from dpc_jax.run.flags import FlagParser
 from dpc_jax.run.task import Task, run_command
 
@@ -40,9 +40,9 @@ def make_parser() -> argparse.ArgumentParser:
     count = {"type": int, "metavar": "N"}
     text = "of the cloud (%(default)s)"
     add("--points", default=_DEFAULT.num_points, help=text, **count)
-    text = "format of the surface (%(default)s)"
-    add("--surface", choices=SURFACES, default="glb", help=text)
-    text = "pixels that images are brought to (%(default)s); more show thin parts"
+    text = f"of its surface: {', '.join(SURFACES)} (%(default)s)"
+    add("--surface", choices=SURFACES, default="glb", metavar="AS", help=text)
+    text = "pixels of images (%(default)s); more show thin parts"
     sizes = (64, 128, 256, 512)
     add("--image-size", choices=sizes, default=128, help=text, **count)
     text = "for poses; the best goes on (%(default)s)"

@@ -10,7 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from dpc_jax.reporting.export import SURFACES
+from dpc_jax.files import SURFACES
 from dpc_jax.run.flags import FlagParser
 from dpc_jax.run.task import Task, run_command
 
@@ -29,7 +29,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("--out", type=Path, help="folder (WORKDIR/predictions)")
     text = "files, moving pictures, folders of views"
     add("paths", nargs="+", type=Path, metavar="IMAGE", help=text)
-    text = "alpha or NAME_mask.png; auto: of a plain background (%(default)s)"
+    text = "alpha or NAME_mask.png; auto: plain ground (%(default)s)"
     add("--mask", choices=MASKS, default="given", help=text)
     text = "an object in each image, or one in all (%(default)s)"
     add("--views", choices=("each", "one-object"), default="each", help=text)
@@ -37,8 +37,8 @@ def make_parser() -> argparse.ArgumentParser:
     add("--refine", dest="is_refined", action="store_true", help=text)
     text = "of clouds, more than are predicted, by midpoints"
     add("--points", dest="num_points", type=int, default=0, metavar="N", help=text)
-    text = "format of surfaces (%(default)s)"
-    add("--surface", choices=SURFACES, default="glb", help=text)
+    text = f"of surfaces: {', '.join(SURFACES)} (%(default)s)"
+    add("--surface", choices=SURFACES, default="glb", metavar="AS", help=text)
     text = "write NAME.gif of the cloud turning"
     add("--turntable", dest="has_turntable", action="store_true", help=text)
     text = "of data, for --refine (WORKDIR/data)"

@@ -60,7 +60,7 @@ def test_a_run_that_is_not_finished_cannot_be_judged(config, tmp_path, capsys):
         ("data.image_size", 48, "power of two"),
         ("data.image_size", 8, "at least 16 pixels"),
         ("render.grid", 24, "a divisor of data.image_size = 32"),
-        ("render.grid", 0, "at least 1"),
+        ("render.grid", 0, "between 1 and 256"),
         ("render.fine_grid", 24, "a multiple of render.grid = 16"),
         ("render.keep_start", 0.0, "above 0 and at most 1"),
         ("render.sigma_start", -0.1, "between 0 and 1"),

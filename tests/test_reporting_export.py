@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from dpc_jax.files import write_bytes, write_text
+from dpc_jax.files import SURFACES, write_bytes, write_text
 from dpc_jax.reporting.examples import Example
-from dpc_jax.reporting.export import SURFACES, write_files, write_ply, write_surface
+from dpc_jax.reporting.export import write_files, write_ply, write_surface
 
 
 def cloud(n=40, seed=0):

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dpc_jax.files import write_bytes
+from dpc_jax.files import SURFACES, write_bytes
 from dpc_jax.reporting.examples import Example
 
-# Formats of surfaces, and how the names of their files end.
-SURFACES = {"glb": ".glb", "ply": "-surface.ply", "obj": ".obj"}
 _PLAIN_COLOR = (0.36, 0.53, 0.73)  # sRGB, for points that carry no colour
 # As files of Gaussian splats have them: (c - 1/2) / Y₀₀ of a colour c, and the logit of
 # the opacity.

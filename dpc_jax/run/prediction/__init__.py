@@ -14,9 +14,8 @@ from dpc_jax.config import Config
 from dpc_jax.data.sets import photographs
 from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.data.spec import DataSpec
-from dpc_jax.files import write_json
+from dpc_jax.files import SURFACES, write_json
 from dpc_jax.outputs import owning, show_text
-from dpc_jax.reporting.export import SURFACES
 from dpc_jax.run.workdir import read_config
 
 SUMMARIES = ("predictions.png", "predictions.json")  # of all images
