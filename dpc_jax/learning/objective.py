@@ -6,11 +6,18 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning import schedules
-from dpc_jax.learning.cameras import anchor_cameras, predict_cameras
+from dpc_jax.learning.cameras import (
+    anchor_cameras,
+    flatten_views,
+    place_camera,
+    predict_cameras,
+)
+from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.losses import sum_terms
 from dpc_jax.learning.poses.source import ForwardPass, find_poses
 from dpc_jax.learning.predictions import encode_views, predict_shapes
 from dpc_jax.learning.recipe import Averages, Recipe
+from dpc_jax.render import VoxelGrid, count_blocks
 
 
 def compute_loss(
@@ -68,10 +75,42 @@ def compute_loss(
     )
     pulls = shapes.find_pulls(poses.rotations, batch, cameras, step, recipe=recipe)
     averages, cost_terms = poses.find_cost_terms(costs)
-    room = shapes.find_room(
-        averages.room, poses.rotations, cameras, step, recipe=recipe, stage=stage
-    )
+    if averages.room is not None and stage.max_blocks is not None:
+        seen = {"rotation": poses.rotations, **cameras}
+        room = _find_room(averages.room, shapes, seen, step, recipe, stage)
+        averages = averages._replace(room=room)
     priors = shapes.find_priors(step, train=recipe.train)
     terms = priors | anchor | poses.terms | pulls | cost_terms
     metrics |= poses.metrics | parts | {n: term.value for n, term in terms.items()}
-    return compared + sum_terms(terms), (metrics, averages._replace(room=room))
+    return compared + sum_terms(terms), (metrics, averages)
+
+
+def _find_room(room, shapes, views, step, recipe, stage):
+    """Room for the blocks that a view of the batch touches, counted now and then.
+
+    In the grid that the batch is rendered in, on all devices; of points of one size.
+    """
+    _, shared = shapes.list_scenes(stage.grid / recipe.render.grid)
+
+    def count(inputs):
+        points, view = inputs
+        return count_blocks(
+            points,
+            view["rotation"],
+            sigma=shared["sigma"],
+            translation=view.get("translation"),
+            camera=place_camera(recipe.camera, view),
+            grid=VoxelGrid(stage.grid),
+        )
+
+    def count_all(points, views):
+        return jnp.max(jax.lax.map(count, (points, flatten_views(views))))
+
+    is_due = schedules.counts_blocks(step)
+    points = jnp.repeat(shapes.find_places()[0], views["rotation"].shape[1], axis=0)
+    seen = jax.lax.stop_gradient((points, views))
+    touched = jax.lax.cond(
+        is_due, count_all, lambda *_: jnp.zeros((), jnp.int32), *seen
+    )
+    touched = jax.lax.pmax(touched, AXIS)
+    return jnp.where(is_due, schedules.fit_room(room, touched, stage.grid), room)

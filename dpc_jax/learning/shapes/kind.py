@@ -200,20 +200,6 @@ class Shape:
         terms = jax.tree.map(lambda value: value * share, terms)
         return total * share, terms, costs / ratio**2
 
-    def find_room(
-        self,
-        room: jax.Array | None,
-        rotations: jax.Array,
-        cameras: Cameras,
-        step: jax.Array,
-        *,
-        recipe: Recipe,
-        stage: Stage,
-    ) -> jax.Array | None:
-        """The room for blocks of the next steps, see `Averages`."""
-        del rotations, cameras, step, recipe, stage
-        return room
-
     @staticmethod
     def find_evaluated(output: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
         """What n predicted shapes are evaluated by: fields of `Predictions`.

@@ -16,19 +16,12 @@ from dpc_jax.config import Render, Train
 from dpc_jax.learning import losses, point_sizes
 from dpc_jax.learning.cameras import Cameras, flatten_views, place_camera
 from dpc_jax.learning.choice import coarse_choice
-from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.losses import Term
 from dpc_jax.learning.recipe import Recipe
-from dpc_jax.learning.schedules import (
-    PULL_FROM,
-    Stage,
-    counts_blocks,
-    fit_room,
-    ramp_repulsion,
-)
+from dpc_jax.learning.schedules import PULL_FROM, ramp_repulsion
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
 from dpc_jax.learning.signals import downsample_images
-from dpc_jax.render import Projection, VoxelGrid, count_blocks, project
+from dpc_jax.render import Projection, project
 from dpc_jax.render.kernels import sample_gaussian
 
 REPELLED = 500  # points that repel each other in a step, for the time that pairs take
@@ -170,49 +163,6 @@ class Points(Shape):
             rotations,
         )
         return {"pull": Term(value, recipe.train.pull_weight * side**2)}
-
-    def find_room(
-        self,
-        room: jax.Array | None,
-        rotations: jax.Array,
-        cameras: Cameras,
-        step: jax.Array,
-        *,
-        recipe: Recipe,
-        stage: Stage,
-    ) -> jax.Array | None:
-        """Room for the blocks that a view of the batch touches, counted now and then.
-
-        In the grid that the batch is rendered in, on all devices.
-        """
-        if room is None or stage.max_blocks is None:
-            return room
-        ratio = stage.grid / recipe.render.grid
-        sigma = ratio * jnp.asarray(self.sigma)
-
-        def count(inputs):
-            points, view = inputs
-            camera = place_camera(recipe.camera, view)
-            return count_blocks(
-                points,
-                view["rotation"],
-                sigma=sigma,
-                translation=view.get("translation"),
-                camera=camera,
-                grid=VoxelGrid(stage.grid),
-            )
-
-        def count_all(points, views):
-            return jnp.max(jax.lax.map(count, (points, flatten_views(views))))
-
-        is_due = counts_blocks(step)
-        points = jnp.repeat(self.kept, rotations.shape[1], axis=0)
-        seen = jax.lax.stop_gradient((points, {"rotation": rotations, **cameras}))
-        touched = jax.lax.cond(
-            is_due, count_all, lambda *_: jnp.zeros((), jnp.int32), *seen
-        )
-        touched = jax.lax.pmax(touched, AXIS)
-        return jnp.where(is_due, fit_room(room, touched, stage.grid), room)
 
     @staticmethod
     def find_evaluated(output: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
