@@ -35,8 +35,6 @@ def make_parser() -> argparse.ArgumentParser:
     add("--views", choices=("each", "one-object"), default="each", help=text)
     text = "fit shape and poses to the silhouettes"
     add("--refine", dest="is_refined", action="store_true", help=text)
-    text = "of clouds, more than are predicted, by midpoints"
-    add("--points", dest="num_points", type=int, default=0, metavar="N", help=text)
     text = f"of surfaces: {', '.join(SURFACES)} (%(default)s)"
     add("--surface", choices=SURFACES, default="glb", metavar="AS", help=text)
     text = "write NAME.gif of the cloud turning"

@@ -6,7 +6,6 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from dpc_jax.evaluation.alignment import identity_alignment
-from dpc_jax.evaluation.density import densify
 from dpc_jax.evaluation.scores import Scores, estimate_errors, score
 
 FRAME = Rotation.random(random_state=4)
@@ -70,26 +69,13 @@ def test_poses_and_shapes_are_scored_in_the_object_frame(given):
     # Angles through several float64 products; 2 atan2 keeps 1e-13 degrees per rounding.
     np.testing.assert_allclose(got.pose_errors_deg, expected, atol=1e-9)
     assert {type(value) for value in got.metrics.values()} == {float}
-    assert not any(name.startswith(("best", "dense")) for name in got.metrics)
+    assert not any(name.startswith("best") for name in got.metrics)
     assert got.metrics["pose_accuracy"] == 0.5
     assert got.metrics["pose_median_error_deg"] == pytest.approx(55.0, abs=1e-9)
     assert got.metrics["flip_share"] == 0.25
     *_, surfaces, objects = given
     plain = measure_plainly(objects, surfaces)
     assert pick(got.metrics) == pytest.approx(plain, rel=1e-10)  # float64 sums
-
-
-def test_dense_clouds_are_scored_beside_the_predicted_ones(given):
-    *_, surfaces, objects = given
-    plain, got = judge(given), judge(given, dense_points=300)
-    assert {n: got.metrics[n] for n in plain.metrics} == plain.metrics
-    # They have so many already.
-    assert judge(given, dense_points=80).metrics == plain.metrics
-    dense = [[densify(cloud, 300) for cloud in views] for views in objects]
-    expected = measure_plainly(dense, surfaces)
-    # The frame turns the points before they are made denser, with float64 rounding.
-    assert pick(got.metrics, "dense_") == pytest.approx(expected, rel=1e-9)
-    assert got.metrics["dense_coverage"] < plain.metrics["coverage"]
 
 
 def test_the_best_candidate_is_scored_apart_from_the_student(given):

@@ -9,8 +9,6 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -258,16 +256,6 @@ def refine_with_a_cache_folder_of_others(folder):
                 request = prediction.PredictRequest([], folder, folder, data=data)
                 predicted_objects.predict_objects([], request)
     return [place.replace(str(folder), "RUN") for place in places]
-
-
-@tries("--points=100000000 is more than midpoints of neighbours give: a cloud here has")
-def ask_for_more_points_than_there_are(_):
-    said = io.StringIO()
-    with contextlib.redirect_stderr(said):
-        cloud: Any = SimpleNamespace(points=np.zeros((1200, 3)))
-        prediction.warn_of_few_points([cloud], 10**8)
-    assert "1,200 points" in said.getvalue()
-    return said.getvalue()
 
 
 def draw_spots():

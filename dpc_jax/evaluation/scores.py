@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
 from dpc_jax.evaluation.chamfer import Chamfer, Surface
-from dpc_jax.evaluation.density import densify
 from dpc_jax.evaluation.metrics import STDERR
 from dpc_jax.evaluation.pose import (
     ACCURACY_THRESHOLD_DEG,
@@ -28,7 +27,7 @@ class Scores(NamedTuple):
     Metrics are plain floats: `pose_accuracy` (0 to 1) and `pose_median_error_deg`, also
     of the best candidate (`best_candidate_`), `flip_share` (0 to 1), and `chamfer`,
     `precision` and `coverage` (times 100), also of what can be seen of a surface
-    (`visible_`) and of a predicted cloud that is made denser first (`dense_`).
+    (`visible_`).
     """
 
     metrics: dict[str, float]
@@ -49,7 +48,6 @@ def score(
     best_candidate_poses: ArrayLike | None = None,
     chamfer_views: int | None = None,
     visible: Iterable[ArrayLike] | None = None,
-    dense_points: int = 0,
     costs: ArrayLike | None = None,
 ) -> Scores:
     """Score predictions on a test set (paper, section Evaluation metrics).
@@ -70,8 +68,6 @@ def score(
       chamfer_views: shapes of only the first this many views are compared; all if None.
       visible: [P', 3] points of each surface that can be seen from outside; None: not
         known.
-      dense_points: of the dense clouds that are scored beside the predicted ones; no
-        more than these have: none are.
       costs: see `find_failures`.
 
     Raises:
@@ -100,8 +96,7 @@ def score(
         return Scores(metrics, errors, failures=failures)
     clouds = np.asarray(points)[:, :chamfer_views]
     chamfers = np.empty((*clouds.shape[:2], 2))
-    outer, dense = np.empty_like(chamfers), np.empty_like(chamfers)
-    is_dense = dense_points > clouds.shape[2]
+    outer = np.empty_like(chamfers)
     outside = None if visible is None else iter(visible)
     for model, points in enumerate(surfaces):
         surface = Surface(points, name=f"surface of model {model}")
@@ -111,11 +106,8 @@ def score(
             chamfers[model, view] = surface.compare(cloud)
             if seen is not None:
                 outer[model, view] = seen.compare(cloud)
-            if is_dense:
-                dense[model, view] = surface.compare(densify(cloud, dense_points))
     found = {"": chamfers}
     found |= {"visible_": outer} if visible is not None else {}
-    found |= {"dense_": dense} if is_dense else {}
     for prefix, distances in found.items():
         mean = Chamfer(*distances.mean(axis=(0, 1)).tolist()).in_paper_units()
         metrics |= {prefix + name: value for name, value in mean.items()}

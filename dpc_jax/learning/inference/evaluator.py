@@ -6,7 +6,7 @@ import numpy as np
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation import alignment as alignments
 from dpc_jax.evaluation import images, scores
-from dpc_jax.evaluation.density import count_stray_points
+from dpc_jax.evaluation.stray_points import count_stray_points
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.learning.signals import find_background, make_targets
 
@@ -41,7 +41,6 @@ def score(
     alignment: alignments.Alignment,
     poses_given: bool = False,
     chamfer_views: int | None = None,
-    dense_points: int = 0,
     has_visible: bool = True,
 ) -> scores.Scores:
     """Scores of predictions; metrics whose truth the data set lacks are left out.
@@ -55,7 +54,7 @@ def score(
     Args:
       poses_given: whether the poses are those of the data, so that there is nothing
         about them to score.
-      chamfer_views, dense_points: see `scores.score`.
+      chamfer_views: see `scores.score`.
       has_visible: whether visible surfaces are compared, too; few points of one, as
         validation shapes have, make its distances longer.
     """
@@ -73,7 +72,6 @@ def score(
         best_candidate_poses=None if poses_given else predictions.candidate_poses,
         chamfer_views=chamfer_views,
         visible=visible,
-        dense_points=dense_points,
         costs=predictions.costs,
     )
     clouds = np.asarray(predictions.points)[:, :chamfer_views]

@@ -15,7 +15,7 @@ import numpy as np
 from jax.sharding import NamedSharding
 
 from dpc_jax.config import Config
-from dpc_jax.evaluation.density import NEIGHBORS, REACH
+from dpc_jax.evaluation.stray_points import NEIGHBORS, REACH
 from dpc_jax.learning import devices
 from dpc_jax.learning.predictions import encode_views
 from dpc_jax.learning.step import TrainState, describe_state
@@ -77,7 +77,7 @@ def reseed_points(
 
 
 def measure_lone(clouds: jax.Array) -> jax.Array:
-    """In what share [N] of clouds [B, N, 3] each point hangs alone (`density`)."""
+    """In what share [N] of clouds [B, N, 3] each point hangs alone (`stray_points`)."""
 
     def find_stray(points):
         # Axis by axis, so that the N² distances are counted and never stored.

@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from dpc_jax.config import Config
 from dpc_jax.data.sets import photographs
@@ -37,7 +36,6 @@ class PredictRequest:
       views: "each" image shows an object, or all of them "one-object".
       is_refined: whether shape and poses are fitted to the silhouettes.
       has_turntable: whether an animated picture of each cloud is written.
-      num_points: of each cloud, no fewer than are predicted; 0 for those.
       surface: format of surfaces, of `SURFACES`.
       data: folder of rendered data sets; None for the workdir's own.
     """
@@ -50,7 +48,6 @@ class PredictRequest:
     views: str = "each"
     is_refined: bool = False
     has_turntable: bool = False
-    num_points: int = 0
     surface: str = "glb"
     data: Path | None = None
 
@@ -65,20 +62,7 @@ def predict_images(request: PredictRequest):
       OSError: where files cannot be read or written.
     """
     started = time.perf_counter()
-    if request.num_points < 0:
-        raise ValueError(
-            "--points must be a number of points, 0 for those that are predicted, but "
-            f"it is {request.num_points}; give for example --points=8000."
-        )
     config = read_config(request.workdir)
-    # Surfaces of volumes can be sampled by any number.
-    count = config.render.num_points if config.network.shape == "points" else 0
-    if 0 < request.num_points < count:
-        raise ValueError(
-            f"--points must be at least {count}, the points that "
-            f"{request.workdir} predicts, but it is {request.num_points}; leave it "
-            "out, or give more, which are put between these."
-        )
     if request.is_refined:
         _check_ability(config, "--refine")
     found, skipped = photographs.read_photographs(
@@ -106,7 +90,6 @@ def _predict(request: PredictRequest, found: list[Photographs], skipped, started
     from dpc_jax.run.prediction.objects import predict_objects
 
     predicted = predict_objects(found, request)
-    warn_of_few_points(predicted, request.num_points)
     entries, picture = write_predictions(
         predicted,
         request.out,
@@ -126,17 +109,6 @@ def _predict(request: PredictRequest, found: list[Photographs], skipped, started
         f"{show_text(request.out)} (predictions.json has all figures)"
     )
     print(f"Picture: {show_text(picture)}")
-
-
-def warn_of_few_points(predicted: Sequence[Any], asked: int):
-    """Tell where clouds have fewer points than are asked for."""
-    fewest = min(len(one.points) for one in predicted)
-    if fewest < asked:
-        print(
-            f"Warning: --points={asked} is more than midpoints of neighbours give: a "
-            f"cloud here has {fewest:,} points.",
-            file=sys.stderr,
-        )
 
 
 def _write_summary(request: PredictRequest, entries, skipped, seconds: float):

@@ -19,7 +19,6 @@ from dpc_jax.evaluation.alignment import (
     identity_alignment,
 )
 from dpc_jax.evaluation.confidence import Confidence, measure_confidence
-from dpc_jax.evaluation.density import find_pairs, mix_pairs
 from dpc_jax.evaluation.images import resize
 from dpc_jax.files import read_bytes, write_bytes
 from dpc_jax.learning.inference.predictor import (
@@ -120,7 +119,7 @@ def predict_objects(
             one = one._replace(confidences=_judge(one, predictions))
         if config.pose.known:
             one = one._replace(poses=None)
-        predicted[place] = _finish(one, request.num_points, alignment)
+        predicted[place] = one if alignment is None else _align(one, alignment)
     return predicted
 
 
@@ -249,21 +248,8 @@ def _judge(one: Any, found: Any) -> list[Confidence]:
     return [measure_confidence(*view) for view in views]
 
 
-def _finish(
-    one: PredictedObject, num_points: int, alignment: Alignment | None
-) -> PredictedObject:
-    """With as many points as are asked for, in the data's frame where it is known.
-
-    Points between neighbours are as in `densify`.
-    """
-    points, colors, poses = one.points, one.colors, one.poses
-    pairs = find_pairs(points, num_points - len(points))
-    points = np.concatenate([points, mix_pairs(points, pairs)])
-    if colors is not None:
-        colors = np.concatenate([colors, mix_pairs(colors, pairs)])
-    one = one._replace(points=points, colors=colors)
-    if alignment is None:
-        return one
-    points = align_points(alignment, points)
-    poses = None if poses is None else align_poses(alignment, poses)
+def _align(one: PredictedObject, alignment: Alignment) -> PredictedObject:
+    """In the data's frame."""
+    points = align_points(alignment, one.points)
+    poses = None if one.poses is None else align_poses(alignment, one.poses)
     return one._replace(points=points, poses=poses, is_aligned=True)

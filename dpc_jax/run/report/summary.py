@@ -9,7 +9,6 @@ import numpy as np
 from dpc_jax.config import Config, to_config_dict
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment
-from dpc_jax.evaluation.density import DENSE_POINTS
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
 from dpc_jax.evaluation.pose import (
     collapse_warning,
@@ -122,8 +121,6 @@ def judge(
         dataset,
         alignment=alignment,
         poses_given=config.pose.known,
-        # Maps and volumes are judged by ten thousand points already.
-        dense_points=DENSE_POINTS if config.network.shape == "points" else 0,
     )
     overlaps = evaluator.measure_overlaps(predictions, dataset)
     distance = config.render.distance
