@@ -13,6 +13,7 @@ COMMANDS = {
     "predict": "images to 3D shapes, by a trained run",
     "fit": "images of one object to 3D, without training",
     "data": "fetch data sets, show and check them",
+    "view": "shapes and a run in a browser, live",
     "compare": "runs side by side, as a page",
     "paper": "the paper's tables and figures",
     "benchmark": "error against run time",

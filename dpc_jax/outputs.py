@@ -159,6 +159,9 @@ def show_text(text: object) -> str:
     )
 
 
+_EXTRAS = {"viser": "learn,view"}  # of a library, where it is not in `learn` alone
+
+
 def explain(error: Exception) -> str:
     """An error that ends a command, in one line; the system's own as a sentence."""
     if isinstance(error, OSError) and error.filename and error.strerror:
@@ -167,9 +170,10 @@ def explain(error: Exception) -> str:
             "room, or give another path."
         )
     if isinstance(error, ModuleNotFoundError):
+        extras = _EXTRAS.get(str(error.name), "learn")
         return (
             f"{error.name} must be installed, but it is not there; activate the "
             "environment that has it (. .venv/bin/activate), or install what the "
-            "commands need: pip install 'dpc_jax[learn]'."
+            f"command needs: pip install 'dpc_jax[{extras}]'."
         )
     return show_text(error)

@@ -186,7 +186,8 @@ OPTIONS = (
     "--disable-dev-shm-usage",
     "--disable-background-networking",
     "--no-first-run",
-    "--host-resolver-rules=MAP * ~NOTFOUND",  # nothing is fetched from anywhere
+    # Nothing is fetched from anywhere but this machine.
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
     # WebGL without a GPU.
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",

@@ -79,6 +79,7 @@ def test_a_command_says_what_a_light_install_lacks(name, tmp_path):
         "predict": ["--workdir=w", "x"],
         "fit": ["x"],
         "compare": ["x"],
+        "view": ["x"],
         "data": ["show", str(tmp_path)],
     }
     words = [name, *rest.get(name, []), *["--config=debug"] * (name == "train")]

@@ -30,6 +30,7 @@ from dpc_jax.learning.inference import refinement
 from dpc_jax.learning.inference.refinement import join_views
 from dpc_jax.run import pipeline
 from dpc_jax.run.report.final import judge_finally
+from dpc_jax.run.viewing.network_shapes import NetworkShapes
 from dpc_jax.run.workdir import read_config
 
 ROOT = Path(__file__).parents[1]
@@ -526,3 +527,28 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
         assert metrics["alignment_inlier_share"] is None
     if name == "other":
         assert metrics["test_models"] == 2
+
+
+def test_the_live_view_shows_what_a_run_predicts_of_validation_and_of_an_image(
+    finished, tmp_path
+):
+    workdir = finished[0]
+    before = sorted(path for path in workdir.rglob("*") if path.is_file())
+    network = NetworkShapes(workdir, Path(read_config(workdir).data.cache_dir))
+    assert network.find_step() == STEPS
+    network.load()
+    objects = network.show_validation()
+    views = read_config(workdir).data.views
+    assert [len(one.views) for one in objects] == [views] * len(objects)
+    for view in objects[0].views:
+        assert view.image.shape[2] == 3 and view.silhouette.max() <= 1
+        assert view.candidates.losses.min() > 0
+        # The student's probabilities, float32.
+        assert view.candidates.probabilities.sum() == pytest.approx(1, abs=1e-5)
+    path = Path(save_drawing(tmp_path / "good.png"))
+    (one,) = network.show_images([path])
+    assert one.name == "good.png" and np.isfinite(one.points).all()
+    (tmp_path / "bad.png").write_text("no image")
+    with pytest.raises(ValueError, match="Expected a readable image"):
+        network.show_images([tmp_path / "bad.png"])
+    assert sorted(path for path in workdir.rglob("*") if path.is_file()) == before

@@ -95,9 +95,7 @@ def write_surface(
     if colors is None:
         colors = np.broadcast_to(_PLAIN_COLOR, vertices.shape)
     if path.suffix == ".glb":
-        # glTF vertex colours are linear light; pictures, PLY and OBJ hold sRGB.
-        curve = ((colors + 0.055) / 1.055) ** 2.4
-        colors = np.where(colors <= 0.04045, colors / 12.92, curve)
+        colors = to_linear(colors)
     rgba = np.full((len(vertices), 4), 255, dtype="u1")
     rgba[:, :3] = _bytes(colors)
     mesh: Any = trimesh.Trimesh(vertices, faces, vertex_colors=rgba, process=False)
@@ -107,6 +105,12 @@ def write_surface(
         data = mesh.export(file_type=path.suffix[1:])
         data = data.encode() if path.suffix == ".obj" else data
     return write_bytes(path, data)
+
+
+def to_linear(colors: np.ndarray) -> np.ndarray:
+    """Linear light, as glTF has vertex colours, of sRGB from 0 to 1."""
+    curve = ((colors + 0.055) / 1.055) ** 2.4
+    return np.where(colors <= 0.04045, colors / 12.92, curve)
 
 
 def _export_upright(mesh) -> Any:
@@ -136,18 +140,32 @@ def write_files(example: Example, stem: Path, *, surface: str = "glb") -> Path:
     Returns:
       The path of the surface.
     """
+    write_ply(stem.with_name(f"{stem.name}.ply"), example.points, example.colors)
+    vertices, faces, colors = find_surface(example.points, example.colors, example.mesh)
+    path = stem.with_name(f"{stem.name}{SURFACES[surface]}")
+    return write_surface(path, vertices, faces, colors)
+
+
+def find_surface(
+    points: np.ndarray,
+    colors: np.ndarray | None = None,
+    mesh: tuple[np.ndarray, ...] | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Vertices, faces and colours of the surface around a cloud [N, 3].
+
+    Args:
+      colors: [N, 3] of the points; a vertex has the mean of its three nearest.
+      mesh: vertices and faces that are known already.
+    """
     from scipy.spatial import KDTree  # as scikit-image, for this alone
 
     from dpc_jax.evaluation.wrapping import wrap_points
 
-    write_ply(stem.with_name(f"{stem.name}.ply"), example.points, example.colors)
-    vertices, faces = example.mesh or wrap_points(example.points)
-    colors = example.colors
+    vertices, faces = mesh or wrap_points(points)
     if colors is not None:
-        nearest = KDTree(example.points).query(vertices, k=min(3, len(colors)))[1]
+        nearest = KDTree(points).query(vertices, k=min(3, len(colors)))[1]
         colors = colors[np.reshape(nearest, (len(vertices), -1))].mean(axis=1)
-    path = stem.with_name(f"{stem.name}{SURFACES[surface]}")
-    return write_surface(path, vertices, faces, colors)
+    return vertices, faces, colors
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:

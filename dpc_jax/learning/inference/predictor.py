@@ -64,8 +64,9 @@ class Predictions(NamedTuple):
         pose and from the true one; without a frame (`predict_all`) of no meaning.
       cells: [M, V, D, D, D], the occupancies that voxel models predict; else None.
       candidates: [M, V, C, 4], turned ones included; probabilities: [M, V, C] that the
-        student gives them, alike where it does not select; codes: [M, V, F] that shapes
-        are decoded from, tints at the end. Only where asked for.
+        student gives them, alike where it does not select; losses: [M, V, C] of them in
+        the base grid; codes: [M, V, F] that shapes are decoded from, tints at the end.
+        Only where asked for.
     """
 
     points: np.ndarray
@@ -83,6 +84,7 @@ class Predictions(NamedTuple):
     costs: np.ndarray | None = None
     candidates: np.ndarray | None = None
     probabilities: np.ndarray | None = None
+    losses: np.ndarray | None = None
     codes: np.ndarray | None = None
 
 
@@ -114,8 +116,8 @@ def make_predictor(
     It runs over the devices. For n views: images uint8 [n, S, S, 3], masks uint8
     [n, S, S], quaternions [n, 4], extras: arrays [n, ...] of `list_extras`, those there
     are. The dictionary has the fields of `Predictions`, with one leading axis [n];
-    those that a run does not have are left out. Candidates, their probabilities and
-    codes, which confidence and refinement need, are in it where they are kept.
+    those that a run does not have are left out. Candidates, their probabilities, losses
+    and codes, which confidence and refinement need, are in it where they are kept.
     """
 
     def predict(state, images, masks, quaternions, extras):
@@ -131,10 +133,11 @@ def make_predictor(
         )
         candidates = entries.poses.candidates
         best = jax.vmap(lambda poses, winner: poses[winner])
+        losses = found.pop("losses")
         found |= {"candidate_poses": best(candidates, found["winners"])}
         if keeps_evidence:
             found |= {"candidates": candidates, "probabilities": entries.chances}
-            found |= {"codes": output["codes"]}
+            found |= {"codes": output["codes"], "losses": losses}
         cameras = ("translations", "focal_lengths")
         found |= {name: output[name] for name in cameras if name in output}
         return found | find_shape_class(config.network.shape).find_evaluated(
@@ -197,7 +200,7 @@ def _explain(entry, *, shared, config):
     if config.pose.weighs_fit:
         known = candidates, losses, entry.chances, entry.fine
         (taken,) = find_likeliest(scene, *known, count=1, config=config)
-    found = {"winners": jnp.argmin(losses), "poses": taken}
+    found = {"winners": jnp.argmin(losses), "poses": taken, "losses": losses}
     found |= _render_images(shown, taken, entry.fine.camera, config)
     if not config.pose.known:
         finer, both = weigh_finest(scene, config), jnp.stack([taken, entry.true])

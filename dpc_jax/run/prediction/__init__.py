@@ -67,7 +67,7 @@ def predict_images(request: PredictRequest):
         _check_ability(config, "--refine")
     found, skipped = photographs.read_photographs(
         request.paths,
-        _make_spec(config, request.crop),
+        make_spec(config, request.crop),
         mask=request.mask,
         is_one_object=request.views == "one-object",
     )
@@ -123,7 +123,7 @@ def _write_summary(request: PredictRequest, entries, skipped, seconds: float):
     write_json(request.out / "predictions.json", content)
 
 
-def _make_spec(config: Config, crop: str | None) -> DataSpec:
+def make_spec(config: Config, crop: str | None) -> DataSpec:
     """How images are framed for a run; see `PredictRequest.crop`."""
     if crop is None:
         crop = config.data.crop if config.data.images else "none"

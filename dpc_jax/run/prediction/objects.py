@@ -94,7 +94,7 @@ def predict_objects(
     predictor = make_predictor(
         run.network, config, keeps_evidence=not config.pose.known
     )
-    dataset = _make_dataset(found)
+    dataset = make_dataset(found)
     predictions = predict_all(predictor, run.state, dataset)
     predicted = _list_objects(found, predictions, run, workdir)
     width = run.network.hidden
@@ -123,7 +123,7 @@ def predict_objects(
     return predicted
 
 
-def _make_dataset(found: list[Photographs]) -> DataSet:
+def make_dataset(found: list[Photographs]) -> DataSet:
     """Every view as an object of its own."""
     return DataSet(
         images=np.concatenate([one.images for one in found])[:, None],

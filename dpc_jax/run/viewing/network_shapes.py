@@ -1,0 +1,154 @@
+"""Shapes that the last checkpoint of a run predicts, of validation or of images."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpc_jax.config import replace_fields
+from dpc_jax.data.arrays import DataSet, Stack
+from dpc_jax.data.sets.photographs import read_photographs
+from dpc_jax.evaluation.alignment import align_points, align_poses, identity_alignment
+from dpc_jax.learning.inference.predictor import (
+    Predictions,
+    arrange_views,
+    make_predictor,
+    predict_all,
+)
+from dpc_jax.outputs import show_text
+from dpc_jax.run.prediction import make_spec
+from dpc_jax.run.prediction.objects import make_dataset
+from dpc_jax.run.process import prepare_process
+from dpc_jax.run.setup import make_network
+from dpc_jax.run.trained import TrainedNetwork, load_split, restore_state
+from dpc_jax.run.viewing import Candidates, ShownObject, ShownView
+from dpc_jax.run.workdir import read_alignment, read_config
+
+_OBJECTS = 12  # of validation: with five views each they are one batch
+
+
+class NetworkShapes:
+    """The network of a workdir, whose run may still be training.
+
+    Attributes:
+      config: of the run.
+    """
+
+    def __init__(self, workdir: Path, data: Path | None):
+        """data: folder of rendered sets; None for the workdir's own.
+
+        Raises:
+          ValueError: where the workdir holds no config that can be read.
+        """
+        self._workdir = workdir
+        here: dict = {"run": {"devices": 1}}  # beside a training
+        here["data"] = {"cache_dir": str(data or workdir / "data")}
+        self.config = replace_fields(read_config(workdir), here)
+        self._predictor: Any = None
+        self._run: Any = None
+        self._validation: DataSet | None = None
+
+    def find_step(self) -> int | None:
+        """The step of the last whole checkpoint; None where there is none yet."""
+        folder = self._workdir / "checkpoints"
+        names = [path.name for path in folder.iterdir()] if folder.is_dir() else []
+        return max((int(name) for name in names if name.isdecimal()), default=None)
+
+    def load(self):
+        """Read the last checkpoint.
+
+        Raises:
+          ValueError: where there is none that can be read.
+        """
+        if self._predictor is None:
+            prepare_process(1, 1)
+            network = make_network(self.config)
+            is_free = not self.config.pose.known
+            self._predictor = make_predictor(
+                network, self.config, keeps_evidence=is_free
+            )
+        self._run = TrainedNetwork(
+            self.config,
+            make_network(self.config),
+            restore_state(self.config, self._workdir),
+            read_alignment(self._workdir) or identity_alignment(),
+        )
+
+    def show_validation(self) -> list[ShownObject]:
+        """The first objects of the validation split, as the first views show them."""
+        if self._validation is None:
+            self._validation = _take_first(load_split(self._run, "val"))
+        names = self._validation.names
+        return self._show(self._validation, [str(name) for name in names])
+
+    def show_images(self, paths: list[Path]) -> list[ShownObject]:
+        """What images show, each an object.
+
+        Raises:
+          ValueError: where none of them can be used.
+        """
+        found, _ = read_photographs(paths, make_spec(self.config, None), mask="auto")
+        shown = self._show(
+            make_dataset(found), [s for one in found for s in one.sources]
+        )
+        return [one._replace(name=show_text(Path(one.name).name)) for one in shown]
+
+    def _show(self, dataset: DataSet, names: list[str]) -> list[ShownObject]:
+        found = predict_all(self._predictor, self._run.state, dataset)
+        if found.cells is not None:
+            from dpc_jax.learning.inference import volumes
+
+            found = volumes.add_points(found, volumes.FIRST_THRESHOLD)
+        models, views = arrange_views(dataset)
+        shown = []
+        for model, name in enumerate(names):
+            places = list(zip(*np.nonzero(models == model), strict=True))
+            first = places[0]
+            shown.append(
+                ShownObject(
+                    name,
+                    align_points(self._run.alignment, found.points[first]),
+                    None if found.colors is None else found.colors[first],
+                    views=tuple(
+                        self._show_view(
+                            found, place, dataset.images[model, views[place]]
+                        )
+                        for place in places
+                    ),
+                )
+            )
+        return shown
+
+    def _show_view(self, found: Predictions, place, image) -> ShownView:
+        alignment, candidates = self._run.alignment, None
+        if found.candidates is not None:
+            assert found.probabilities is not None and found.losses is not None
+            candidates = Candidates(
+                align_poses(alignment, found.candidates[place]),
+                found.probabilities[place],
+                found.losses[place],
+            )
+        return ShownView(
+            align_poses(alignment, found.poses[place]),
+            np.asarray(image),
+            found.silhouettes[place],
+            candidates,
+        )
+
+
+def _take_first(dataset: DataSet) -> DataSet:
+    """Its first objects, in memory, without what the view does not show."""
+    count = min(_OBJECTS, len(dataset.names))
+
+    def take(name):
+        return Stack([dataset.rows(name, i) for i in range(count)])
+
+    return DataSet(
+        images=take("images"),
+        masks=take("masks"),
+        depths=None,
+        quaternions=None if dataset.quaternions is None else take("quaternions"),
+        surfaces=None,
+        names=dataset.names[:count],
+        skipped=(),
+    )

@@ -1,0 +1,277 @@
+"""The page of the live view: one shape at a time, its views, what is known of them."""
+
+import contextlib
+import io
+import math
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+import viser
+
+from dpc_jax.evaluation.images import resize
+from dpc_jax.evaluation.rotations import to_rotation, view_angles
+from dpc_jax.files import describe_error
+from dpc_jax.outputs import show_text
+from dpc_jax.render import Camera
+from dpc_jax.reporting.export import find_surface, to_linear
+from dpc_jax.run.viewing import ShownObject, ShownView
+from dpc_jax.run.viewing.shape_files import read_shapes
+
+_PLAIN = (0.36, 0.53, 0.73)  # of what carries no colour, sRGB
+_BEST, _OTHERS, _CHOSEN = (40, 160, 70), (150, 150, 150), (200, 80, 30)  # cameras
+_ROWS = 8  # of the table of candidates
+_SECONDS = 2.0  # between looks for a new checkpoint
+_POINT = 0.008  # object units
+
+
+class Page:
+    """What a browser shows; every method may be called from any thread."""
+
+    def __init__(self, server: viser.ViserServer, camera: Camera):
+        self._server, self._camera = server, camera
+        self._lock = threading.RLock()
+        self._objects: list[ShownObject] = []
+        self._nodes: list[Any] = []
+        self._given: list[str] = []  # names of images that were given to the page
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.scene.set_up_direction("+z")
+        server.initial_camera.position = (1.9, 1.2, 0.9)
+        server.initial_camera.look_at = (0.0, 0.0, 0.0)
+        self._status = server.gui.add_markdown("")
+        self._object: Any = server.gui.add_dropdown("Shape", ("none",))
+        self._view: Any = server.gui.add_dropdown("View", ("none",))
+        names = ("Points", "Surface", "Cameras", "Candidates")
+        self._parts = {n: server.gui.add_checkbox(n, n != "Surface") for n in names}
+        self._picture = server.gui.add_image(np.zeros((1, 2, 3), np.uint8))
+        self._table = server.gui.add_markdown("")
+        self._object.on_update(lambda _: self._choose_object())
+        for handle in (self._view, *self._parts.values()):
+            handle.on_update(lambda _: self._draw())
+
+    def say(self, text: str):
+        """Show a sentence on top."""
+        self._status.content = text
+
+    def show(self, objects: list[ShownObject]):
+        """Show other shapes; the chosen one stays chosen where it is among them."""
+        with self._lock:
+            self._objects = objects
+            names = tuple(f"{i + 1}. {one.name}" for i, one in enumerate(objects))
+            chosen = self._object.value
+            self._object.options = names or ("none",)
+            self._object.value = chosen if chosen in names else self._object.options[0]
+            self._choose_object()
+
+    def add_upload(self, predict):
+        """Have a button for an image; `predict` makes shapes of a file's path."""
+        button = self._server.gui.add_upload_button(
+            "Give an image", mime_type="image/*"
+        )
+
+        @button.on_upload
+        def _(_):
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder) / (Path(button.value.name).name or "image")
+                path.write_bytes(button.value.content)
+                try:
+                    found = predict(path)
+                except (OSError, ValueError) as error:
+                    text = describe_error(error).replace(f"{folder}/", "")
+                    self.say(f"**{show_text(path.name)}**: {text}")
+                    return
+            with self._lock:
+                self.show([*found, *self._objects])
+                self._object.value = self._object.options[0]
+                self._choose_object()
+            self.say(f"Shape of **{show_text(path.name)}**.")
+
+    def _choose_object(self):
+        with self._lock:
+            count = len(self._find_object().views)
+            options = tuple(str(i + 1) for i in range(count)) or ("none",)
+            self._view.options = options
+            self._view.value = options[0]
+            self._draw()
+
+    def _find_object(self) -> ShownObject:
+        place = str(self._object.value).partition(".")[0]
+        return self._objects[int(place) - 1] if place != "none" else ShownObject("none")
+
+    def _draw(self):
+        with self._lock, self._server.atomic():
+            for node in self._nodes:
+                node.remove()
+            one, parts = self._find_object(), self._parts
+            place = int(self._view.value) - 1 if self._view.value != "none" else 0
+            view = one.views[place] if place < len(one.views) else None
+            self._nodes = []
+            if one.points is not None and parts["Points"].value:
+                self._nodes.append(self._add_cloud(one.points, one.colors))
+            if parts["Surface"].value or one.points is None:
+                self._nodes += self._add_surface(one)
+            if parts["Cameras"].value:
+                for i, other in enumerate(one.views):
+                    color = _CHOSEN if i == place else _OTHERS
+                    name = f"/cameras/{i + 1}"
+                    self._nodes.append(self._add_camera(name, other.pose, color, other))
+            if view and view.candidates and parts["Candidates"].value:
+                self._nodes += self._add_candidates(view)
+            self._picture.image = _draw_picture(view)
+            self._table.content = _describe_view(view)
+
+    def _add_cloud(self, points, colors) -> Any:
+        colors = np.broadcast_to(_PLAIN, points.shape) if colors is None else colors
+        return self._server.scene.add_point_cloud(
+            "/points",
+            np.asarray(points, np.float32),
+            np.round(255 * np.clip(colors, 0, 1)).astype(np.uint8),
+            point_size=_POINT,
+            point_shape="circle",
+        )
+
+    def _add_surface(self, one: ShownObject) -> list[Any]:
+        mesh = one.mesh
+        if mesh is None and one.points is not None:
+            vertices, faces, colors = find_surface(one.points, one.colors)
+            colors = (
+                np.broadcast_to(_PLAIN, vertices.shape) if colors is None else colors
+            )
+            shades = np.round(255 * to_linear(np.clip(colors, 0, 1))).astype(np.uint8)
+            mesh = trimesh.Trimesh(vertices, faces, vertex_colors=shades, process=False)
+        return (
+            []
+            if mesh is None
+            else [self._server.scene.add_mesh_trimesh("/surface", mesh)]
+        )
+
+    def _add_camera(self, name, pose, color, view=None, scale=0.12) -> Any:
+        turn = to_rotation(pose)
+        x, y, z, w = turn.inv().as_quat()
+        return self._server.scene.add_camera_frustum(
+            name,
+            2 * math.atan(0.5 / float(self._camera.focal_length)),
+            1.0,
+            scale=scale,
+            thickness=0.004,
+            color=color,
+            image=None if view is None else view.image,
+            wxyz=(w, x, y, z),
+            position=turn.inv().apply([0, 0, -float(self._camera.distance)]),
+        )
+
+    def _add_candidates(self, view: ShownView) -> list[Any]:
+        assert view.candidates is not None
+        best = int(np.argmin(view.candidates.losses))
+        return [
+            self._add_camera(
+                f"/candidates/{i + 1}",
+                pose,
+                _BEST if i == best else _OTHERS,
+                scale=0.06,
+            )
+            for i, pose in enumerate(view.candidates.poses)
+        ]
+
+
+def _draw_picture(view: ShownView | None) -> np.ndarray:
+    """The image of a view beside the predicted silhouette, uint8 [S, 2·S, 3]."""
+    if view is None or view.image is None:
+        return np.full((1, 2, 3), 255, np.uint8)
+    image, side = view.image, len(view.image)
+    silhouette = np.zeros((side, side)) if view.silhouette is None else view.silhouette
+    shown = np.round(255 * (1 - resize(silhouette, side))).astype(np.uint8)
+    pair = np.concatenate([image, np.repeat(shown[..., None], 3, axis=-1)], axis=1)
+    return pair.repeat(4, axis=0).repeat(4, axis=1)  # browsers would blur it
+
+
+def _describe_view(view: ShownView | None) -> str:
+    """Where a view is seen from, and its best candidates; Markdown."""
+    if view is None:
+        return ""
+    text = "Seen from azimuth {:.0f}°, elevation {:.0f}°.".format(
+        *view_angles(view.pose)
+    )
+    if view.candidates is None:
+        return text
+    lines = ["", "| azimuth | elevation | probability | loss |", "|--:|--:|--:|--:|"]
+    for i in np.argsort(view.candidates.losses)[:_ROWS]:
+        azimuth, elevation = view_angles(view.candidates.poses[i])
+        chance, loss = view.candidates.probabilities[i], view.candidates.losses[i]
+        lines.append(
+            f"| {azimuth:.0f}° | {elevation:.0f}° | {chance:.2f} | {loss:.1f} |"
+        )
+    return "\n".join([text, *lines])
+
+
+def serve(paths: list[Path], *, port: int, data: Path | None):
+    """Serve the page until Ctrl-C.
+
+    Args:
+      paths: one run, or folders and files of shapes. port: the first that is tried.
+      data: folder of the run's rendered data; None for the workdir's own.
+
+    Raises:
+      ValueError: where there is nothing to show.
+    """
+    runs = [path for path in paths if (path / "config.json").is_file()]
+    if runs and len(paths) > 1:
+        raise ValueError(
+            f"Expected one run, or files, but {runs[0]} and {len(paths) - 1} more were "
+            "given; view a run on its own."
+        )
+    objects = [] if runs else read_shapes(paths)
+    if runs and (points := runs[0] / "report" / "points").is_dir():
+        objects = read_shapes([points])
+    with contextlib.redirect_stdout(io.StringIO()):  # of a box with the address
+        server = viser.ViserServer("127.0.0.1", port, "dpc_jax", verbose=False)
+    try:
+        print(
+            f"Page: http://127.0.0.1:{server.get_port()} (Ctrl-C ends it)", flush=True
+        )
+        page = Page(server, Camera())
+        page.show(objects)
+        page.say(f"{len(objects)} shapes.")
+        if runs:
+            _follow(page, runs[0], data)
+        server.sleep_forever()
+    finally:
+        server.stop()
+
+
+def _follow(page: Page, workdir: Path, data: Path | None):
+    """Show what each new checkpoint of a run predicts, until Ctrl-C."""
+    from dpc_jax.run.viewing.network_shapes import NetworkShapes  # loads JAX: seconds
+
+    network, busy, shown = NetworkShapes(workdir, data), threading.Lock(), None
+
+    def predict(path):
+        with busy:
+            if shown is None:
+                raise ValueError(
+                    "Expected a checkpoint, but the run has none yet; try again later."
+                )
+            return network.show_images([path])
+
+    page.add_upload(predict)
+    page.say("Waiting for the first checkpoint of the run.")
+    while True:
+        step = network.find_step()
+        if step is not None and step != shown:
+            try:
+                with busy:
+                    network.load()
+                    found = network.show_validation()
+            except (OSError, ValueError) as error:
+                page.say(describe_error(error))
+            else:
+                page.show(found)
+                page.say(
+                    f"Step {step:,} of {network.config.train.steps:,}, validation."
+                )
+            shown = step
+        time.sleep(_SECONDS)
