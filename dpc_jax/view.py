@@ -25,7 +25,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("paths", nargs="+", type=Path, metavar="PATH", help=text)
     text = "of the page on this machine, the next free one (%(default)s)"
     add("--port", type=int, default=8080, metavar="N", help=text)
-    text = "of rendered data of a run (WORKDIR/data)"
+    text = "of rendered data of a run (as trained)"
     add("--data", type=Path, metavar="DIR", help=text)
     return parser
 

@@ -9,6 +9,7 @@ import tempfile
 
 import hypothesis
 import pytest
+from browser import find_browser, opening_browser
 
 _FOLDER = tempfile.TemporaryDirectory(prefix="dpc_jax-tests-")
 _SETTINGS = {
@@ -61,3 +62,15 @@ def free_programs():
     import jax
 
     jax.clear_caches()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A headless Chromium; without one its tests are skipped, or fail if required."""
+    path = find_browser()
+    if path is None:
+        text = "Chromium is not installed; run tests/install_browser.sh as root."
+        required = os.environ.get("DPC_JAX_BROWSER") == "required"
+        (pytest.fail if required else pytest.skip)(text)
+    with opening_browser(path) as opened:
+        yield opened

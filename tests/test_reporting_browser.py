@@ -4,11 +4,8 @@ Needs Chromium: tests/install_browser.sh. Without one these tests are skipped, o
 where DPC_JAX_BROWSER is "required", as .ci/run has it.
 """
 
-import os
-
 import numpy as np
 import pytest
-from browser import find_browser, opening_browser
 from report_pages import make_report
 
 from dpc_jax.reporting.comparison import write_comparison
@@ -16,17 +13,6 @@ from dpc_jax.reporting.groups import ComparedRun, group_runs
 
 SIZE_LIMIT = 8e6  # bytes of a page
 DRAWN = "document.body.dataset.clouds"  # index and colours, once they are drawn
-
-
-@pytest.fixture(scope="module")
-def browser():
-    path = find_browser()
-    if path is None:
-        text = "Chromium is not installed; run tests/install_browser.sh as root."
-        required = os.environ.get("DPC_JAX_BROWSER") == "required"
-        (pytest.fail if required else pytest.skip)(text)
-    with opening_browser(path) as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")

@@ -3,13 +3,14 @@
 Needs Chromium, as tests/test_reporting_browser.py.
 """
 
+import io
 import json
-import os
 
 import numpy as np
 import pytest
 import trimesh
-from browser import find_browser, opening_browser
+import viser
+from scipy.spatial.transform import Rotation
 
 from dpc_jax import view
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
@@ -17,21 +18,10 @@ from dpc_jax.evaluation.rotations import view_angles
 from dpc_jax.render import Camera
 from dpc_jax.reporting.export import write_ply, write_surface
 from dpc_jax.run.viewing import Candidates, ShownObject, ShownView
+from dpc_jax.run.viewing.page import _FROM_GLTF, Page
 from dpc_jax.run.viewing.shape_files import read_shapes
 
-viser = pytest.importorskip("viser")
 TEXT = "(document.body ? document.body.innerText : '')"
-
-
-@pytest.fixture(scope="module")
-def browser():
-    path = find_browser()
-    if path is None:
-        text = "Chromium is not installed; run tests/install_browser.sh as root."
-        required = os.environ.get("DPC_JAX_BROWSER") == "required"
-        (pytest.fail if required else pytest.skip)(text)
-    with opening_browser(path) as opened:
-        yield opened
 
 
 def make_files(folder):
@@ -51,8 +41,10 @@ def test_a_cloud_its_surface_and_its_views_are_one_shape_in_the_object_frame(tmp
     assert one.name == "box" and len(one.views) == 2
     np.testing.assert_allclose(one.points, points, atol=1e-7)  # float32 in the file
     np.testing.assert_array_equal(one.colors, np.tile([1.0, 0, 0], (200, 1)))
-    # Stood upright in glTF, and laid down again.
-    np.testing.assert_allclose(one.mesh.bounds, box.bounds, atol=1e-6)
+    turned = Rotation.from_quat(_FROM_GLTF, scalar_first=True)
+    upright = trimesh.load(io.BytesIO(one.surface), file_type="glb").to_mesh()
+    corners = turned.apply(np.array(upright.bounds))
+    np.testing.assert_allclose(corners, box.bounds, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -73,6 +65,21 @@ def test_what_is_no_shape_is_refused_in_a_sentence(
     assert line.startswith("Error: ") and words in line
 
 
+def test_a_port_that_is_none_is_refused_in_a_sentence(tmp_path, capsys):
+    make_files(tmp_path)
+    assert view.main([str(tmp_path), "--port=65536"]) == 1
+    assert "--port must be a number from 1 to 65535" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ending", [".ply", ".obj"])
+def test_a_surface_is_the_same_whatever_its_file(tmp_path, ending):
+    box, colors = trimesh.creation.box((0.8, 0.3, 0.2)), np.full((8, 3), 0.5)
+    for path in (tmp_path / "a.glb", tmp_path / f"b{ending}"):
+        write_surface(path, box.vertices, box.faces, colors)
+    first, second = read_shapes([tmp_path])
+    assert first.surface == (tmp_path / "a.glb").read_bytes() == second.surface
+
+
 def make_view(azimuth):
     pose, other = (
         matrix_to_quaternion(look_at_rotation(*np.radians(angles)))
@@ -86,8 +93,6 @@ def make_view(azimuth):
 
 @pytest.fixture
 def page():
-    from dpc_jax.run.viewing.page import Page
-
     server = viser.ViserServer("127.0.0.1", 8470, verbose=False)
     yield Page(server, Camera()), f"http://127.0.0.1:{server.get_port()}"
     server.stop()
@@ -133,7 +138,12 @@ def test_shapes_views_and_candidates_are_shown_and_an_image_may_be_given(
         assert "/tmp" not in browser.ask(TEXT)
     assert given == ["car.txt", "car.png"]
     inputs = "[...document.querySelectorAll('input')].map(i => i.value)"
-    assert "1. from an image" in browser.ask(inputs)
+    assert "2. from an image" in browser.ask(inputs)
+    # The next checkpoint of a run.
+    shown.show([ShownObject("second", points, views=views)])
+    shown.say("Later.")
+    browser.wait_for(f"{TEXT}.includes('Later.')")
+    assert "2. from an image" in browser.ask(inputs)
     assert browser.errors == []
     assert all("127.0.0.1" in url for url in browser.requests)
 

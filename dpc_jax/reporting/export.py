@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from dpc_jax.files import SURFACES, write_bytes
 from dpc_jax.reporting.examples import Example
 
-_PLAIN_COLOR = (0.36, 0.53, 0.73)  # sRGB, for points that carry no colour
+PLAIN_COLOR = (0.36, 0.53, 0.73)  # sRGB, for points that carry no colour
 # As files of Gaussian splats have them: (c - 1/2) / Y₀₀ of a colour c, and the logit of
 # the opacity.
 _HARMONIC = 0.28209479177387814
@@ -45,7 +45,7 @@ def write_ply(
     count, names = len(points), (*"xyz", *_SPLAT)
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
     header += [f"property float {name}" for name in names]
-    shown = np.broadcast_to(_PLAIN_COLOR, (count, 3)) if colors is None else colors
+    shown = np.broadcast_to(PLAIN_COLOR, (count, 3)) if colors is None else colors
     sizes = np.log(np.maximum(_measure_gaps(points) / 2, _LEAST_SIZE))
     fixed = np.broadcast_to([_OPACITY, 0, 0, 0, 1, 0, 0, 0], (count, 8)).copy()
     fixed[:, 1:4] = sizes[:, None]
@@ -88,34 +88,20 @@ def write_surface(
     Raises:
       ValueError: for vertices that are not finite or not [V, 3].
     """
-    import trimesh  # takes half a second to load: clouds as PLY do without
-
     path = Path(path)
-    vertices, colors = _check_cloud(vertices, colors)
-    if colors is None:
-        colors = np.broadcast_to(_PLAIN_COLOR, vertices.shape)
     if path.suffix == ".glb":
-        colors = to_linear(colors)
-    rgba = np.full((len(vertices), 4), 255, dtype="u1")
-    rgba[:, :3] = _bytes(colors)
-    mesh: Any = trimesh.Trimesh(vertices, faces, vertex_colors=rgba, process=False)
-    if path.suffix == ".glb":
-        data = _export_upright(mesh)
-    else:
-        data = mesh.export(file_type=path.suffix[1:])
-        data = data.encode() if path.suffix == ".obj" else data
-    return write_bytes(path, data)
+        return write_bytes(path, export_glb(vertices, faces, colors))
+    data = _make_mesh(vertices, faces, colors).export(file_type=path.suffix[1:])
+    return write_bytes(path, data.encode() if path.suffix == ".obj" else data)
 
 
-def to_linear(colors: np.ndarray) -> np.ndarray:
-    """Linear light, as glTF has vertex colours, of sRGB from 0 to 1."""
-    curve = ((colors + 0.055) / 1.055) ** 2.4
-    return np.where(colors <= 0.04045, colors / 12.92, curve)
-
-
-def _export_upright(mesh) -> Any:
+def export_glb(
+    vertices: ArrayLike, faces: ArrayLike, colors: ArrayLike | None = None
+) -> bytes:
+    """The content of a GLB file; the arguments are those of `write_surface`."""
     import trimesh
 
+    mesh = _make_mesh(vertices, faces, colors, is_linear=True)
     scene = trimesh.Scene()
     scene.add_geometry(
         mesh, geom_name="surface", node_name="surface", transform=_UPRIGHT
@@ -127,8 +113,24 @@ def _export_upright(mesh) -> Any:
         tree["materials"] = [{"pbrMetallicRoughness": surface}]
         tree["meshes"][0]["primitives"][0]["material"] = 0
 
-    options = {"include_normals": True, "tree_postprocessor": finish}
-    return scene.export(file_type="glb", **options)
+    options: Any = {"include_normals": True, "tree_postprocessor": finish}
+    data: Any = scene.export(file_type="glb", **options)
+    return data
+
+
+def _make_mesh(vertices, faces, colors, *, is_linear: bool = False) -> Any:
+    import trimesh  # takes half a second to load: clouds as PLY do without
+
+    vertices, colors = _check_cloud(vertices, colors)
+    if colors is None:
+        colors = np.broadcast_to(PLAIN_COLOR, vertices.shape)
+    if is_linear:
+        # glTF vertex colours are linear light; pictures, PLY and OBJ hold sRGB.
+        curve = ((colors + 0.055) / 1.055) ** 2.4
+        colors = np.where(colors <= 0.04045, colors / 12.92, curve)
+    rgba = np.full((len(vertices), 4), 255, dtype="u1")
+    rgba[:, :3] = _bytes(colors)
+    return trimesh.Trimesh(vertices, faces, vertex_colors=rgba, process=False)
 
 
 def write_files(example: Example, stem: Path, *, surface: str = "glb") -> Path:

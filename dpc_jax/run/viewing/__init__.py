@@ -1,6 +1,6 @@
 """What the live view shows: shapes, and the views that they are seen in."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,11 +37,11 @@ class ShownObject(NamedTuple):
 
     Attributes:
       points: [N, 3]. colors: [N, 3] of 0 to 1, sRGB.
-      mesh: `trimesh.Trimesh` with sRGB vertex colours; None to wrap the points.
+      surface: content of a GLB file; None to wrap the points.
     """
 
     name: str
     points: np.ndarray | None = None
     colors: np.ndarray | None = None
-    mesh: Any = None
+    surface: bytes | None = None
     views: tuple[ShownView, ...] = ()

@@ -35,15 +35,18 @@ class NetworkShapes:
     """
 
     def __init__(self, workdir: Path, data: Path | None):
-        """data: folder of rendered sets; None for the workdir's own.
+        """data: folder of rendered sets; None for that of the config.
 
         Raises:
           ValueError: where the workdir holds no config that can be read.
         """
         self._workdir = workdir
-        here: dict = {"run": {"devices": 1}}  # beside a training
-        here["data"] = {"cache_dir": str(data or workdir / "data")}
-        self.config = replace_fields(read_config(workdir), here)
+        self.config = replace_fields(read_config(workdir), {"run": {"devices": 1}})
+        # The folder that a stranger's config names is not made here.
+        folder = data or Path(self.config.data.cache_dir)
+        folder = folder if data or folder.is_dir() else workdir / "data"
+        here = {"data": {"cache_dir": str(folder)}}
+        self.config = replace_fields(self.config, here)
         self._predictor: Any = None
         self._run: Any = None
         self._validation: DataSet | None = None
@@ -60,16 +63,14 @@ class NetworkShapes:
         Raises:
           ValueError: where there is none that can be read.
         """
+        network = make_network(self.config)
         if self._predictor is None:
             prepare_process(1, 1)
-            network = make_network(self.config)
-            is_free = not self.config.pose.known
-            self._predictor = make_predictor(
-                network, self.config, keeps_evidence=is_free
-            )
+            keeps = not self.config.pose.known
+            self._predictor = make_predictor(network, self.config, keeps_evidence=keeps)
         self._run = TrainedNetwork(
             self.config,
-            make_network(self.config),
+            network,
             restore_state(self.config, self._workdir),
             read_alignment(self._workdir) or identity_alignment(),
         )

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 import viser
 
 from dpc_jax.evaluation.images import resize
@@ -18,14 +17,16 @@ from dpc_jax.evaluation.rotations import to_rotation, view_angles
 from dpc_jax.files import describe_error
 from dpc_jax.outputs import show_text
 from dpc_jax.render import Camera
-from dpc_jax.reporting.export import find_surface, to_linear
+from dpc_jax.reporting.export import PLAIN_COLOR, export_glb, find_surface
 from dpc_jax.run.viewing import ShownObject, ShownView
 from dpc_jax.run.viewing.shape_files import read_shapes
+from dpc_jax.run.workdir import read_config
 
-_PLAIN = (0.36, 0.53, 0.73)  # of what carries no colour, sRGB
 _BEST, _OTHERS, _CHOSEN = (40, 160, 70), (150, 150, 150), (200, 80, 30)  # cameras
 _ROWS = 8  # of the table of candidates
 _SECONDS = 2.0  # between looks for a new checkpoint
+# From y up and z to the front to z up and x to the front.
+_FROM_GLTF = (0.5, 0.5, 0.5, 0.5)
 _POINT = 0.008  # object units
 
 
@@ -35,9 +36,10 @@ class Page:
     def __init__(self, server: viser.ViserServer, camera: Camera):
         self._server, self._camera = server, camera
         self._lock = threading.RLock()
-        self._objects: list[ShownObject] = []
+        # Of the run or the files, and of images that were given to the page.
+        self._own: list[ShownObject] = []
+        self._given: list[ShownObject] = []
         self._nodes: list[Any] = []
-        self._given: list[str] = []  # names of images that were given to the page
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         server.scene.set_up_direction("+z")
         server.initial_camera.position = (1.9, 1.2, 0.9)
@@ -58,13 +60,12 @@ class Page:
         self._status.content = text
 
     def show(self, objects: list[ShownObject]):
-        """Show other shapes; the chosen one stays chosen where it is among them."""
+        """Show these shapes, and those of given images; what is chosen stays chosen."""
         with self._lock:
-            self._objects = objects
-            names = tuple(f"{i + 1}. {one.name}" for i, one in enumerate(objects))
-            chosen = self._object.value
-            self._object.options = names or ("none",)
-            self._object.value = chosen if chosen in names else self._object.options[0]
+            self._own = objects
+            names = [one.name for one in [*self._own, *self._given]]
+            options = [f"{i + 1}. {name}" for i, name in enumerate(names)] or ["none"]
+            _offer(self._object, options)
             self._choose_object()
 
     def add_upload(self, predict):
@@ -85,22 +86,22 @@ class Page:
                     self.say(f"**{show_text(path.name)}**: {text}")
                     return
             with self._lock:
-                self.show([*found, *self._objects])
-                self._object.value = self._object.options[0]
+                self._given += found
+                self.show(self._own)
+                self._object.value = self._object.options[-1]
                 self._choose_object()
             self.say(f"Shape of **{show_text(path.name)}**.")
 
     def _choose_object(self):
         with self._lock:
             count = len(self._find_object().views)
-            options = tuple(str(i + 1) for i in range(count)) or ("none",)
-            self._view.options = options
-            self._view.value = options[0]
+            _offer(self._view, [str(i + 1) for i in range(count)] or ["none"])
             self._draw()
 
     def _find_object(self) -> ShownObject:
         place = str(self._object.value).partition(".")[0]
-        return self._objects[int(place) - 1] if place != "none" else ShownObject("none")
+        shapes = [*self._own, *self._given]
+        return shapes[int(place) - 1] if place != "none" else ShownObject("none")
 
     def _draw(self):
         with self._lock, self._server.atomic():
@@ -125,7 +126,8 @@ class Page:
             self._table.content = _describe_view(view)
 
     def _add_cloud(self, points, colors) -> Any:
-        colors = np.broadcast_to(_PLAIN, points.shape) if colors is None else colors
+        if colors is None:
+            colors = np.broadcast_to(PLAIN_COLOR, points.shape)
         return self._server.scene.add_point_cloud(
             "/points",
             np.asarray(points, np.float32),
@@ -135,19 +137,12 @@ class Page:
         )
 
     def _add_surface(self, one: ShownObject) -> list[Any]:
-        mesh = one.mesh
-        if mesh is None and one.points is not None:
-            vertices, faces, colors = find_surface(one.points, one.colors)
-            colors = (
-                np.broadcast_to(_PLAIN, vertices.shape) if colors is None else colors
-            )
-            shades = np.round(255 * to_linear(np.clip(colors, 0, 1))).astype(np.uint8)
-            mesh = trimesh.Trimesh(vertices, faces, vertex_colors=shades, process=False)
-        return (
-            []
-            if mesh is None
-            else [self._server.scene.add_mesh_trimesh("/surface", mesh)]
-        )
+        data = one.surface
+        if data is None and one.points is not None:
+            data = export_glb(*find_surface(one.points, one.colors))
+        if data is None:
+            return []
+        return [self._server.scene.add_glb("/surface", data, wxyz=_FROM_GLTF)]
 
     def _add_camera(self, name, pose, color, view=None, scale=0.12) -> Any:
         turn = to_rotation(pose)
@@ -176,6 +171,13 @@ class Page:
             )
             for i, pose in enumerate(view.candidates.poses)
         ]
+
+
+def _offer(dropdown: Any, options: list[str]):
+    """Give a dropdown other options; the chosen one stays where it is among them."""
+    chosen = dropdown.value
+    dropdown.options = options
+    dropdown.value = chosen if chosen in options else options[0]
 
 
 def _draw_picture(view: ShownView | None) -> np.ndarray:
@@ -213,27 +215,34 @@ def serve(paths: list[Path], *, port: int, data: Path | None):
 
     Args:
       paths: one run, or folders and files of shapes. port: the first that is tried.
-      data: folder of the run's rendered data; None for the workdir's own.
+      data: folder of the run's rendered data; None for that of its config.
 
     Raises:
       ValueError: where there is nothing to show.
     """
+    if not 0 < port < 65_536:
+        raise ValueError(
+            f"--port must be a number from 1 to 65535, but it is {port}; leave it out."
+        )
     runs = [path for path in paths if (path / "config.json").is_file()]
     if runs and len(paths) > 1:
         raise ValueError(
             f"Expected one run, or files, but {runs[0]} and {len(paths) - 1} more were "
             "given; view a run on its own."
         )
-    objects = [] if runs else read_shapes(paths)
-    if runs and (points := runs[0] / "report" / "points").is_dir():
-        objects = read_shapes([points])
+    camera = Camera()
+    if runs:
+        render, points = read_config(runs[0]).render, runs[0] / "report" / "points"
+        camera = Camera(render.focal_length, render.distance)
+        paths = sorted(points.glob("*.ply"))  # until the network is read
+    objects = read_shapes(paths)
     with contextlib.redirect_stdout(io.StringIO()):  # of a box with the address
         server = viser.ViserServer("127.0.0.1", port, "dpc_jax", verbose=False)
     try:
         print(
             f"Page: http://127.0.0.1:{server.get_port()} (Ctrl-C ends it)", flush=True
         )
-        page = Page(server, Camera())
+        page = Page(server, camera)
         page.show(objects)
         page.say(f"{len(objects)} shapes.")
         if runs:
@@ -258,10 +267,12 @@ def _follow(page: Page, workdir: Path, data: Path | None):
             return network.show_images([path])
 
     page.add_upload(predict)
-    page.say("Waiting for the first checkpoint of the run.")
     while True:
         step = network.find_step()
-        if step is not None and step != shown:
+        if step is None:
+            page.say("Waiting for the first checkpoint of the run.")
+        elif step != shown:
+            page.say(f"Reading the network of step {step:,}.")
             try:
                 with busy:
                     network.load()

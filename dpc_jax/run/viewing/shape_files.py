@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from dpc_jax.files import describe_error, read_json
+from dpc_jax.files import describe_error, read_bytes, read_json
 from dpc_jax.outputs import show_text
+from dpc_jax.reporting.export import export_glb
 from dpc_jax.run.viewing import ShownObject, ShownView
 
 ENDINGS = (".ply", ".glb", ".obj")
-# glTF has y up and z to the front, the object frame z up and x to the front.
-_FROM_GLTF = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)
+_MOST = 2**28  # bytes of a GLB file
 
 
 def read_shapes(paths: list[Path]) -> list[ShownObject]:
@@ -31,8 +31,14 @@ def read_shapes(paths: list[Path]) -> list[ShownObject]:
         stem = file.with_name(file.stem.removesuffix("-surface"))
         one = found.get(stem) or ShownObject(show_text(stem.name))
         shape = _read_shape(file)
-        if isinstance(shape, trimesh.Trimesh):
-            one = one._replace(mesh=shape)
+        if file.suffix.lower() == ".glb":
+            one = one._replace(surface=read_bytes(file, most=_MOST))
+        elif isinstance(shape, trimesh.Trimesh):
+            visual: Any = shape.visual
+            is_colored = visual.kind == "vertex"
+            colors = visual.vertex_colors[:, :3] / 255 if is_colored else None
+            surface = export_glb(shape.vertices, shape.faces, colors)
+            one = one._replace(surface=surface)
         else:
             one = one._replace(points=np.asarray(shape.vertices, np.float32))
             if (colors := _read_colors(shape)) is not None:
@@ -54,7 +60,7 @@ def _list_files(path: Path) -> list[Path]:
 
 
 def _read_shape(path: Path) -> Any:
-    """A `trimesh.Trimesh`, or a `trimesh.PointCloud`, in the object frame."""
+    """A `trimesh.Trimesh`, or a `trimesh.PointCloud`."""
     if path.suffix.lower() not in ENDINGS:
         raise ValueError(
             f"Expected a file that ends with {', '.join(ENDINGS)}, but it is {path}; "
@@ -71,8 +77,6 @@ def _read_shape(path: Path) -> Any:
             f"Expected a shape in {path}, but it cannot be read "
             f"({describe_error(error)}); open it with the program that wrote it."
         ) from None
-    if path.suffix.lower() == ".glb":
-        loaded.apply_transform(_FROM_GLTF)
     return loaded
 
 
