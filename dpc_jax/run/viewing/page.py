@@ -244,7 +244,7 @@ def serve(paths: list[Path], *, port: int, data: Path | None):
         )
         page = Page(server, camera)
         page.show(objects)
-        page.say(f"{len(objects)} shapes.")
+        page.say(f"Shapes: {len(objects)}.")
         if runs:
             _follow(page, runs[0], data)
         server.sleep_forever()
