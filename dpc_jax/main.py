@@ -4,7 +4,9 @@ Starting again in the same workdir goes on from its last checkpoint.
 """
 
 import argparse
+import functools
 import sys
+from pathlib import Path
 from typing import Any
 
 from absl import app, flags, logging
@@ -36,6 +38,11 @@ _FINAL = flags.DEFINE_bool(
 _FINAL_MESHES = flags.DEFINE_string(
     "final_meshes", None, "The same on the meshes of a folder of another source."
 )
+_PHOTOGRAPHS = flags.DEFINE_bool(
+    "photographs",
+    False,
+    "Judge the finished run on test views as photographs show them, instead.",
+)
 _COORDINATOR = flags.DEFINE_string(
     "coordinator", None, "HOST:PORT of process 0, for a run of several processes."
 )
@@ -46,6 +53,7 @@ _VALUES = {  # of the flags, for --help
     "workdir": "DIR",
     "final": None,
     "final_meshes": "DIR",
+    "photographs": None,
     "coordinator": "HOST:PORT",
     "processes": "N",
     "process": "I",
@@ -113,19 +121,25 @@ def _explain(error: Exception) -> str:
 def main(_: list[str]):
     """Hand the parsed flags to the run."""
     hush_jaxlib()
-    from dpc_jax.run import pipeline, process  # heavy: flags are read first
+    # Heavy: flags are read first.
+    from dpc_jax.run import pipeline, process
+    from dpc_jax.run.report.final import judge_finally
+    from dpc_jax.run.report.photographs import judge_photographs
 
     logging.set_verbosity(logging.ERROR)  # JAX tells of each accelerator not found
     path = config_flags.get_config_filename(flags.FLAGS["config"])
     config = from_config_dict(_CONFIG.value)
-    if _FINAL.value or _FINAL_MESHES.value:
-        status = pipeline.judge_guarded(
-            config, config_path=path, workdir=_WORKDIR.value, meshes=_FINAL_MESHES.value
+    run: dict = {"config_path": path, "workdir": _WORKDIR.value}
+    if _PHOTOGRAPHS.value:
+        status = pipeline.judge_guarded(config, judge=judge_photographs, **run)
+    elif _FINAL.value or _FINAL_MESHES.value:
+        meshes = _FINAL_MESHES.value
+        judge = functools.partial(
+            judge_finally, meshes=Path(meshes) if meshes else None
         )
+        status = pipeline.judge_guarded(config, judge=judge, **run)
     else:
-        status = pipeline.run_guarded(
-            config, config_path=path, workdir=_WORKDIR.value, place=_find_place()
-        )
+        status = pipeline.run_guarded(config, place=_find_place(), **run)
     process.leave(status)
 
 

@@ -41,7 +41,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("--turntable", dest="has_turntable", action="store_true", help=text)
     text = "of data, for --refine (WORKDIR/data)"
     add("--data", type=Path, metavar="DIR", help=text)
-    text = "square around object or view (as trained)"
+    text = "square around object or view (view; as trained on images)"
     add("--crop", choices=("object", "view", "none"), help=text)
     return parser
 

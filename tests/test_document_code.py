@@ -22,7 +22,7 @@ WITH_PYTHON = sorted({block.page for block in list_blocks("python")})
 OTHERS = {".", "dpc_jax", "jupyter", "pip", "pre-commit", "python3", "tensorboard"}
 OTHERS |= {"wandb"}
 RUN_FLAGS = {"--workdir", "--coordinator", "--processes", "--process"}
-RUN_FLAGS |= {"--final", "--final_meshes"}
+RUN_FLAGS |= {"--final", "--final_meshes", "--photographs"}
 # Numbers that would take a minute, and those that the test takes in their place.
 SMALLER = {"range(60)": "range(2)"}
 

@@ -52,7 +52,7 @@ def predict(state, batch, network):
 
 def start(count=1, *, place=(2.0, 2.0, 2.0), **fields):
     """A state whose point DEAD is at a place of its own, and what belongs to it."""
-    config = tiny_config(models_per_batch=4, reseeds_points=True, **fields)
+    config = tiny_config(models_per_batch=4, pull_weight=0.03, **fields)
     config = replace_fields(config, {"run": {"devices": count}})
     network = make_network(config)
     state = make_state(network, config)

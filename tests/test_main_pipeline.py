@@ -24,12 +24,14 @@ from PIL import Image
 from dpc_jax import predict, rotation_angle_deg
 from dpc_jax.config import from_config_dict
 from dpc_jax.data.dataset import read_cache
+from dpc_jax.data.disturbances import DISTURBANCES
 from dpc_jax.data.viewpoints import look_at_rotation
 from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.learning.inference import refinement
 from dpc_jax.learning.inference.refinement import join_views
 from dpc_jax.run import pipeline
 from dpc_jax.run.report.final import judge_finally
+from dpc_jax.run.report.photographs import judge_photographs
 from dpc_jax.run.viewing.network_shapes import NetworkShapes
 from dpc_jax.run.workdir import read_config
 
@@ -233,6 +235,25 @@ def test_a_finished_run_is_judged_on_objects_that_no_split_has(command, finished
     assert len(names["final"]) == found["objects"] and not names["final"] & others
 
 
+def test_a_finished_run_is_judged_on_photographs_of_its_test_objects(
+    command, finished, capsys
+):
+    workdir, _ = finished
+    found = judge_photographs(workdir)
+    assert [*found] == ["renders", "photographs", *DISTURBANCES]
+    kept = json.loads((workdir / "photographs.json").read_text())
+    assert kept["photographs"]["chamfer"] == pytest.approx(
+        found["photographs"]["chamfer"]
+    )
+    metrics = json.loads((workdir / "report" / "metrics.json").read_text())
+    # Sums on four devices round.
+    assert found["renders"]["chamfer"] == pytest.approx(metrics["chamfer"], rel=1e-4)
+    assert "silhouette_iou" not in found["photographs"]
+    chamfers = {name: round(one["chamfer"], 4) for name, one in found.items()}
+    assert len({*chamfers.values()}) >= len(chamfers) - 1  # each shows other images
+    assert "Wrong mask: pose accuracy" in capsys.readouterr().out
+
+
 def test_a_finished_run_is_judged_on_meshes_of_another_source(finished, tmp_path):
     for side in (0.2, 0.4):
         (tmp_path / "boxes").mkdir(exist_ok=True)
@@ -332,8 +353,8 @@ def test_predicting_test_images_gives_what_the_report_scored(
     command, finished, tmp_path, capsys
 ):
     workdir, _ = finished
-    (cache,) = (command.folder / "data").glob("car-test-*")
-    test = read_cache(cache)
+    caches = map(read_cache, (command.folder / "data").glob("car-test-*"))
+    (test,) = (one for one in caches if one.visible is not None)
     page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
     cards = re.findall(r"<b>(\S+), view (\d+)</b>.*?pose error ([\d.]+)°", page)
     assert len(cards) == 3
@@ -347,7 +368,8 @@ def test_predicting_test_images_gives_what_the_report_scored(
         for name, place in zip(names, places, strict=True)
     ]
     out = tmp_path / "out"
-    assert predict.main([f"--workdir={workdir}", f"--out={out}", *images]) == 0
+    options = [f"--workdir={workdir}", f"--out={out}", "--crop=none"]
+    assert predict.main([*options, *images]) == 0
     assert "3 of 3 images" in capsys.readouterr().out
     truth = np.stack([test.quaternions[place] for place in places])
     facts = [json.loads((out / f"{name}.json").read_text()) for name in names]

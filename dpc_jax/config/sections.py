@@ -228,10 +228,11 @@ class Train:
     learning_rate: float = field(3e-4, above(0))  # of Adam, at its peak
     schedule: str = field("cosine", one_of("cosine", "constant"))  # of that rate
     l2_weight: float = field(0.0, at_least(0))  # half squared weights (released code)
-    # Of points that project outside the silhouette, per pixel.
+    # The network sees half of the views cut out by their masks, as photographs are.
+    framed_views: bool = True
+    # Of points that project outside the silhouette, per pixel. Above 0 those that hang
+    # alone are placed anew beside others after the last step.
     pull_weight: float = field(0.03, at_least(0))
-    # Points that hang alone are placed anew beside others after the last step.
-    reseeds_points: bool = True
     # Of the mean energy by which points repel each other, late in the run.
     repulsion_weight: float = field(0.0, at_least(0))
     containment_weight: float = field(30.0, at_least(0))  # of points beyond radius 1/2

@@ -19,9 +19,9 @@ _PLAIN = {
     "pose.head": "quaternion",
     "pose.student": "selects",
     "pose.common_frame": False,
+    "train.framed_views": False,
     "train.pull_weight": 0.0,
     "train.containment_weight": 1.0,
-    "train.reseeds_points": False,
     "train.colors_move_points": True,
     "network.sees_mask": False,
 }

@@ -15,7 +15,7 @@ from dpc_jax.learning.cameras import (
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.losses import sum_terms
 from dpc_jax.learning.poses.source import ForwardPass, find_poses
-from dpc_jax.learning.predictions import encode_views, predict_shapes
+from dpc_jax.learning.predictions import draw_framed, encode_views, predict_shapes
 from dpc_jax.learning.recipe import Averages, Recipe
 from dpc_jax.render import VoxelGrid, count_blocks
 
@@ -51,7 +51,11 @@ def compute_loss(
     """
     network, render = recipe.network, recipe.render
     sigma = schedules.compute_sigma(step, render, steps=recipe.train.steps)
-    features = encode_views(params, batch["images"], batch["masks"], network=network)
+    views = batch["images"], batch["masks"]
+    is_framed = False
+    if recipe.train.framed_views:
+        is_framed = draw_framed(keys, views[0].shape[1])
+    features = encode_views(params, *views, network=network, is_framed=is_framed)
     shapes = predict_shapes(
         params,
         features[:, 0],

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Pose, Render
+from dpc_jax.learning.framing import Frame, cut_out, frame_by_box
 from dpc_jax.learning.half_turns import find_half_turns, turn_candidates
 from dpc_jax.learning.shapes import Shape, find_shape_class
 from dpc_jax.networks import ShapePoseNetwork
@@ -27,24 +28,56 @@ class Poses(NamedTuple):
 
 
 def make_inputs(
-    images: jax.Array, masks: jax.Array, *, network: ShapePoseNetwork
+    images: jax.Array,
+    masks: jax.Array,
+    *,
+    network: ShapePoseNetwork,
+    is_framed: jax.Array | bool = False,
 ) -> jax.Array:
     """What the network sees of images uint8 [..., S, S, 3] with masks [..., S, S].
 
-    Bytes 0 to 255 become numbers from -1 to 1.
+    Bytes 0 to 255 become numbers from -1 to 1. Views that `is_framed` [...] says are
+    cut out by the boxes of their masks first.
     """
-    inputs = images.astype(jnp.float32) / 127.5 - 1
+    # What lies beyond an image is white, and nothing of the object.
+    away = jnp.concatenate([255 - images, masks[..., None]], axis=-1)
+    away = away.astype(jnp.float32) / 127.5
+    if is_framed is not False:
+        is_framed, box = jnp.asarray(is_framed), frame_by_box(masks)
+        centre = jnp.where(is_framed[..., None], box.centre, 0)
+        away = cut_out(away, Frame(centre, jnp.where(is_framed, box.side, 1)))
+    inputs = 1 - away[..., :3]
     if not network.sees_mask:
         return inputs
-    own = masks.astype(jnp.float32) / 127.5 - 1
-    return jnp.concatenate([inputs, own[..., None]], axis=-1)
+    return jnp.concatenate([inputs, away[..., 3:] - 1], axis=-1)
+
+
+def draw_framed(keys: jax.Array, views: int) -> jax.Array:
+    """Which views [B, V] of a batch are framed, by the keys [B] of its objects: half.
+
+    The other half shows sizes as they are, which tell more of a shape.
+    """
+
+    def draw(key):
+        return jax.random.bernoulli(jax.random.fold_in(key, 1), shape=(views,))
+
+    return jax.vmap(draw)(keys)
 
 
 def encode_views(
-    params: Mapping, images: jax.Array, masks: jax.Array, *, network: ShapePoseNetwork
+    params: Mapping,
+    images: jax.Array,
+    masks: jax.Array,
+    *,
+    network: ShapePoseNetwork,
+    is_framed: jax.Array | bool = False,
 ) -> jax.Array:
-    """Features [B, V, F] of images uint8 [B, V, S, S, 3] with masks [B, V, S, S]."""
-    inputs = make_inputs(images, masks, network=network)
+    """Features [B, V, F] of images uint8 [B, V, S, S, 3] with masks [B, V, S, S].
+
+    Args:
+      is_framed: [B, V], see `make_inputs`.
+    """
+    inputs = make_inputs(images, masks, network=network, is_framed=is_framed)
     flat = inputs.reshape(-1, *inputs.shape[2:])
     features = network.apply(params, flat, method="encode")
     assert isinstance(features, jax.Array)

@@ -4,6 +4,7 @@ import contextlib
 import functools
 import importlib.util
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from dpc_jax import config as configs
@@ -16,7 +17,6 @@ from dpc_jax.run.hosts.places import Place
 from dpc_jax.run.hosts.writing import SilentLog
 from dpc_jax.run.learner import Learner, Show
 from dpc_jax.run.process import prepare_process
-from dpc_jax.run.report.final import judge_finally
 from dpc_jax.run.report.summary import report_run
 from dpc_jax.run.setup import load_sets
 from dpc_jax.run.task import Task, run_command
@@ -49,19 +49,22 @@ def run_guarded(
 
 
 def judge_guarded(
-    config: Config, *, config_path: str, workdir: str | None, meshes: str | None
+    config: Config, *, config_path: str, workdir: str | None, judge: Callable
 ) -> int:
-    """`judge_finally` of the run of a config, guarded in the same way."""
+    """What judges the finished run of a config, guarded in the same way.
+
+    Args:
+      judge: `judge_finally`, `judge_photographs`.
+    """
     folder = Path(workdir or _name_workdir(config, config_path))
 
-    def judge():
+    def run_judge():
         check_same(folder, read_config(folder), config)
         prepare_process(1, 1)
-        cache = config.data.cache_dir
-        judge_finally(folder, Path(meshes) if meshes else None, cache_dir=cache)
+        judge(folder, cache_dir=config.data.cache_dir)
 
     errors = ValueError, OSError
-    return run_command(lambda: Task(judge, folder, "Interrupted.", errors=errors))
+    return run_command(lambda: Task(run_judge, folder, "Interrupted.", errors=errors))
 
 
 def run(

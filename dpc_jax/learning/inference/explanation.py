@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Config
+from dpc_jax.learning.framing import Frame, cut_silhouettes, frame_by_moments
 from dpc_jax.learning.shapes import find_shape_class
 from dpc_jax.learning.shapes.kind import Scene, View, place_view
 from dpc_jax.learning.signals import (
@@ -19,6 +20,7 @@ from dpc_jax.learning.signals import (
 )
 from dpc_jax.networks.viewpoints import read_elevations
 from dpc_jax.render import Camera, Projection, quaternion
+from dpc_jax.render.batch import map_renders
 
 FINALISTS = 4  # candidates of a view that are compared in the finest grid
 STEPS = (4.0, 2.8, 2.0)  # degrees that a viewpoint is moved by, one after the other
@@ -33,11 +35,14 @@ class Observation(NamedTuple):
       target: [D, D] silhouette.
       camera: what the view's camera has of its own: translation [3], focal_length ().
       others: {signal: target} that candidates are compared by, too.
+      frame: of a target that was taken from any distance, by its moments; silhouettes
+        alone are compared then, each in its own frame. None: the camera is the run's.
     """
 
     target: Any
     camera: Mapping[str, Any]
     others: Mapping[str, Any] = {}
+    frame: Frame | None = None
 
 
 def observe(
@@ -45,20 +50,26 @@ def observe(
     cameras: Mapping[str, jax.Array],
     side: int,
     config: Config,
+    *,
+    knows_distance: bool = True,
 ) -> Observation:
     """The observations of n views, averaged down to a grid of that side.
 
     Args:
       arrays: images, masks and what else there is of the views, by name. What training
         chooses candidates by and the data lack (depths of own images) is left out.
+      knows_distance: whether the cameras of the views are those of the run.
     """
+    target = downsample_images(arrays["masks"], side)
+    if not knows_distance:
+        return Observation(target, cameras, frame=frame_by_moments(target))
     others = {}
     if config.pose.choice_signals == "all" and config.pose.learned_heads > 1:
         weighted = read_weights(config.train).signals
         names = tuple(n for n in weighted if _SOURCES.get(n) in arrays)
         distance = config.render.distance
         others = make_targets(arrays, side, signals=names, distance=distance)
-    return Observation(downsample_images(arrays["masks"], side), cameras, others)
+    return Observation(target, cameras, others)
 
 
 def _place_view(rotation, per_view, side: int, config: Config) -> View:
@@ -89,6 +100,8 @@ def compare_poses(
     if weights is None or not weights.signals:
         weights = SILHOUETTES
     side = observation.target.shape[0]
+    if observation.frame is not None:
+        return _compare_framed(scene, poses, observation, config)
     return find_shape_class(config.network.shape).compare_candidates(
         scene,
         _place_view(poses, observation.camera, side, config),
@@ -96,6 +109,24 @@ def compare_poses(
         weights=weights,
         renders_at_once=config.render.renders_at_once,
     )
+
+
+def _compare_framed(scene, poses, observation, config):
+    """Losses [n] of silhouettes, each in the frame of its own moments."""
+    side, kind = observation.target.shape[0], find_shape_class(config.network.shape)
+    target = cut_silhouettes(observation.target, observation.frame)
+
+    def compare(pose):
+        view = _place_view(pose, observation.camera, side, config)
+        background = find_background(config.render.distance)
+        image = kind.render(
+            scene, view, signals=("silhouette",), background_depth=background
+        ).silhouette
+        assert image is not None
+        framed = cut_silhouettes(image, frame_by_moments(image))
+        return jnp.sum((framed - target) ** 2)
+
+    return map_renders(compare, poses, renders_at_once=config.render.renders_at_once)
 
 
 def find_posteriors(losses: jax.Array, probabilities: jax.Array) -> jax.Array:

@@ -109,7 +109,11 @@ class _Entry(NamedTuple):
 
 
 def make_predictor(
-    network: ShapePoseNetwork, config: Config, *, keeps_evidence: bool = False
+    network: ShapePoseNetwork,
+    config: Config,
+    *,
+    keeps_evidence: bool = False,
+    knows_distance: bool = True,
 ) -> Callable:
     """The compiled function (state, images, masks, quaternions, extras) -> dict.
 
@@ -118,14 +122,21 @@ def make_predictor(
     are. The dictionary has the fields of `Predictions`, with one leading axis [n];
     those that a run does not have are left out. Candidates, their probabilities, losses
     and codes, which confidence and refinement need, are in it where they are kept.
+
+    Of photographs, whose distance is not known, the network sees what the box of the
+    mask frames, if it has learned from such views, and silhouettes are compared each in
+    a frame of its own.
     """
 
     def predict(state, images, masks, quaternions, extras):
-        inputs = make_inputs(images, masks, network=network)
+        is_framed = not knows_distance and config.train.framed_views
+        inputs = make_inputs(images, masks, network=network, is_framed=is_framed)
         with sharing_columns(devices.AXIS):
             output: Any = network.apply(state.params, inputs, method=_predict_all)
         arrays = {"images": images, "masks": masks, **extras}
-        entries, shared = _list_entries(output, state, arrays, quaternions, config)
+        entries, shared = _list_entries(
+            output, state, arrays, quaternions, config, knows_distance
+        )
         found = map_renders(
             functools.partial(_explain, shared=shared, config=config),
             entries,
@@ -161,7 +172,7 @@ def _predict_all(network, images):
     return network.predict_shape(features) | poses | {"codes": codes}
 
 
-def _list_entries(output, state, arrays, quaternions, config):
+def _list_entries(output, state, arrays, quaternions, config, knows_distance):
     """(`_Entry` of all n, (scenes that they share, of scene and shown))."""
     render, steps = config.render, config.train.steps
     kind = find_shape_class(config.network.shape)
@@ -178,14 +189,18 @@ def _list_entries(output, state, arrays, quaternions, config):
     else:
         poses = complete_poses(output, state.averages.covariance, pose=config.pose)
     cameras = find_cameras(output, arrays, pose=config.pose)
+    base, fine = (
+        observe(arrays, cameras, side, config, knows_distance=knows_distance)
+        for side in (config.render.grid, config.render.finest)
+    )
     entries = _Entry(
         scene,
         kind.weigh_as_trained(shown, render),
         poses,
         find_probabilities(poses),
         quaternions,
-        observe(arrays, cameras, render.grid, config),
-        observe(arrays, cameras, render.finest, config),
+        base,
+        fine,
     )
     return entries, (shared, shown_shared)
 

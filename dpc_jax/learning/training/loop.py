@@ -126,7 +126,7 @@ def train(
             progress.advance(done)
             stops, is_finished = should_stop(), done == steps
             is_last = stops or is_finished
-            if is_finished and config.train.reseeds_points:
+            if is_finished and config.train.pull_weight:
                 state = _reseed(state, dataset, network, config, progress)
             if _is_due(done, due.every) or is_last:
                 log_steps(done, window.close(watch.seconds))

@@ -30,8 +30,8 @@ class PredictRequest:
         folders. workdir: of the run. out: folder of the results.
       crop: "view" cuts a square in which the object takes the config's `data.fill`,
         "object" at the scale that the largest of its views needs, "none" keeps the
-        image's own framing; None is as in training. A network that was trained on
-        renders expects their framing: a distance of two box diagonals.
+        image's own framing, which is that of training then. None is as in training on
+        images, and "view" for a network that was trained on renders.
       mask: of `photographs.MASKS`.
       views: "each" image shows an object, or all of them "one-object".
       is_refined: whether shape and poses are fitted to the silhouettes.
@@ -126,7 +126,7 @@ def _write_summary(request: PredictRequest, entries, skipped, seconds: float):
 def make_spec(config: Config, crop: str | None) -> DataSpec:
     """How images are framed for a run; see `PredictRequest.crop`."""
     if crop is None:
-        crop = config.data.crop if config.data.images else "none"
+        crop = config.data.crop if config.data.images else "view"
     return DataSpec(
         config.category,
         kind="images",
@@ -137,6 +137,11 @@ def make_spec(config: Config, crop: str | None) -> DataSpec:
         focal_length=config.render.focal_length,
         distance=config.render.distance,
     )
+
+
+def knows_distance(config: Config, crop: str) -> bool:
+    """Whether images that are framed so look as those that a run learned from."""
+    return crop == "none" or bool(config.data.images and crop == config.data.crop)
 
 
 def _check_ability(config: Config, what: str):

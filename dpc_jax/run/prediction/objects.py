@@ -21,13 +21,14 @@ from dpc_jax.evaluation.alignment import (
 from dpc_jax.evaluation.confidence import Confidence, measure_confidence
 from dpc_jax.evaluation.images import resize
 from dpc_jax.files import read_bytes, write_bytes
+from dpc_jax.learning import framing
 from dpc_jax.learning.inference.predictor import (
     VIEWS_AT_ONCE,
     Predictions,
     make_predictor,
     predict_all,
 )
-from dpc_jax.run.prediction import PredictRequest
+from dpc_jax.run.prediction import PredictRequest, knows_distance, make_spec
 from dpc_jax.run.process import prepare_process
 from dpc_jax.run.setup import make_network
 from dpc_jax.run.trained import TrainedNetwork, load_split, restore_state
@@ -91,11 +92,17 @@ def predict_objects(
         restore_state(config, workdir),
         alignment or identity_alignment(),
     )
+    is_known = knows_distance(config, make_spec(config, request.crop).crop)
     predictor = make_predictor(
-        run.network, config, keeps_evidence=not config.pose.known
+        run.network,
+        config,
+        keeps_evidence=not config.pose.known,
+        knows_distance=is_known,
     )
     dataset = make_dataset(found)
     predictions = predict_all(predictor, run.state, dataset)
+    if not is_known:
+        found = place_photographs(found, predictions.silhouettes[:, 0])
     predicted = _list_objects(found, predictions, run, workdir)
     width = run.network.hidden
 
@@ -112,7 +119,8 @@ def predict_objects(
             report, step = workdir / "report", int(run.state.step)
             directions = read_directions(report, step, width, measure_directions)
         fine = np.concatenate([one.fine_masks for one in found])
-        masks = fine if request.is_refined else dataset.masks[:, 0]
+        masks = np.concatenate([one.masks for one in found])
+        masks = fine if request.is_refined else masks
         _join_and_refine(predicted, predictions, masks, run, directions)
     for place, one in enumerate(predicted):
         if config.pose.learned_heads > 1:
@@ -134,6 +142,35 @@ def make_dataset(found: list[Photographs]) -> DataSet:
         names=tuple(source for one in found for source in one.sources),
         skipped=(),
     )
+
+
+def place_photographs(
+    found: list[Photographs], silhouettes: np.ndarray
+) -> list[Photographs]:
+    """Photographs as the run's camera would have taken them.
+
+    Their distance is not known: they are moved and scaled until the moments of a mask
+    are those of the silhouette that is predicted of it.
+
+    Args:
+      silhouettes: [n, D, D] of all views, one object's after the other's.
+    """
+    ends = np.cumsum([len(one.sources) for one in found])[:-1]
+    placed = []
+    for one, seen in zip(found, np.split(silhouettes, ends), strict=True):
+        given = framing.frame_by_moments(one.fine_masks / 255.0)
+        place = framing.find_place(given, framing.frame_by_moments(seen))
+        # Beyond an image is white, and nothing of the object.
+        images = 255.0 - framing.cut_out(255.0 - one.images, place)
+        masks, fine = (
+            framing.cut_silhouettes(1.0 * array, place)
+            for array in (one.masks, one.fine_masks)
+        )
+        images, masks, fine = (
+            np.rint(array).astype(np.uint8) for array in (images, masks, fine)
+        )
+        placed.append(one._replace(images=images, masks=masks, fine_masks=fine))
+    return placed
 
 
 def _list_objects(

@@ -16,7 +16,7 @@ from dpc_jax.learning.inference.predictor import (
     predict_all,
 )
 from dpc_jax.outputs import show_text
-from dpc_jax.run.prediction import make_spec
+from dpc_jax.run.prediction import knows_distance, make_spec
 from dpc_jax.run.prediction.objects import make_dataset
 from dpc_jax.run.process import prepare_process
 from dpc_jax.run.setup import make_network
@@ -47,7 +47,7 @@ class NetworkShapes:
         folder = folder if data or folder.is_dir() else workdir / "data"
         here = {"data": {"cache_dir": str(folder)}}
         self.config = replace_fields(self.config, here)
-        self._predictor: Any = None
+        self._predictors: dict[bool, Any] = {}  # by whether distances are known
         self._run: Any = None
         self._validation: DataSet | None = None
 
@@ -64,10 +64,15 @@ class NetworkShapes:
           ValueError: where there is none that can be read.
         """
         network = make_network(self.config)
-        if self._predictor is None:
+        if not self._predictors:
             prepare_process(1, 1)
-            keeps = not self.config.pose.known
-            self._predictor = make_predictor(network, self.config, keeps_evidence=keeps)
+            for is_known in (True, False):
+                self._predictors[is_known] = make_predictor(
+                    network,
+                    self.config,
+                    keeps_evidence=not self.config.pose.known,
+                    knows_distance=is_known,
+                )
         self._run = TrainedNetwork(
             self.config,
             network,
@@ -88,14 +93,17 @@ class NetworkShapes:
         Raises:
           ValueError: where none of them can be used.
         """
-        found, _ = read_photographs(paths, make_spec(self.config, None), mask="auto")
-        shown = self._show(
-            make_dataset(found), [s for one in found for s in one.sources]
-        )
+        spec = make_spec(self.config, None)
+        found, _ = read_photographs(paths, spec, mask="auto")
+        is_known = knows_distance(self.config, spec.crop)
+        names = [source for one in found for source in one.sources]
+        shown = self._show(make_dataset(found), names, is_known)
         return [one._replace(name=show_text(Path(one.name).name)) for one in shown]
 
-    def _show(self, dataset: DataSet, names: list[str]) -> list[ShownObject]:
-        found = predict_all(self._predictor, self._run.state, dataset)
+    def _show(
+        self, dataset: DataSet, names: list[str], is_known: bool = True
+    ) -> list[ShownObject]:
+        found = predict_all(self._predictors[is_known], self._run.state, dataset)
         if found.cells is not None:
             from dpc_jax.learning.inference import volumes
 

@@ -1,0 +1,104 @@
+"""Views of unknown distance: framed alike, whatever camera took them.
+
+Renders of a data set are seen from one distance, with the middle of the object in the
+middle of the image. A photograph says neither. So the network learns from both: half of
+the views of a batch are framed by the box of their mask. Silhouettes, of which one is
+predicted, are compared after both are framed by their moments, which change little
+where a mask is wrong by some pixels.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Array = jax.Array | np.ndarray
+
+_FILL = 0.85  # share of the frame that a box takes, as photographs are cut out
+_SPREAD = 0.25  # root mean square distance from the centre in a frame by moments
+
+
+class Frame(NamedTuple):
+    """A square of an image, in widths of the image from its middle.
+
+    Attributes:
+      centre: [..., 2], row before column. side: [...].
+    """
+
+    centre: Any
+    side: Any
+
+
+def frame_by_box(masks: Array) -> Frame:
+    """Frames about the boxes of masks uint8 [..., S, S]; the whole of an empty one."""
+    return Frame(*_frame_by_box(masks))
+
+
+def frame_by_moments(silhouettes: Array) -> Frame:
+    """Frames about the centres of silhouettes [..., S, S] from 0 to 1, by their spread.
+
+    Of one that shows nothing, a frame of a pixel's spread about the middle.
+    """
+    return Frame(*_frame_by_moments(silhouettes))
+
+
+def find_place(given: Frame, wanted: Frame) -> Frame:
+    """The frame of an image in which what has the frame `given` has that `wanted`."""
+    side = given.side / wanted.side
+    return Frame(given.centre - side[..., None] * wanted.centre, side)
+
+
+def cut_out(images: Array, frame: Frame) -> jax.Array:
+    """What is in the frames of images [..., S, S, C], in as many pixels; 0 beyond them.
+
+    Bilinear where pixels grow, else means over the pixels that one is made of.
+    """
+    return _cut_out(images, frame.centre, frame.side)
+
+
+def cut_silhouettes(silhouettes: Array, frame: Frame) -> jax.Array:
+    """`cut_out` of silhouettes [..., S, S]."""
+    return cut_out(silhouettes[..., None], frame)[..., 0]
+
+
+@functools.partial(jnp.vectorize, signature="(s,s)->(k),()")
+def _frame_by_box(mask):
+    is_covered, size = mask > 127, len(mask)
+    ends = []
+    for axis in (1, 0):
+        line = jnp.any(is_covered, axis)
+        ends.append(jnp.stack([jnp.argmax(line), size - jnp.argmax(line[::-1])]))
+    low, high = jnp.stack(ends, axis=1) / size - 0.5
+    side = jnp.where(jnp.any(is_covered), jnp.max(high - low) / _FILL, 1)
+    return (low + high) / 2, side
+
+
+@functools.partial(jnp.vectorize, signature="(s,s)->(k),()")
+def _frame_by_moments(silhouette):
+    size = len(silhouette)
+    places, total = _list_places(size), jnp.maximum(jnp.sum(silhouette), 1e-6)
+    lines = jnp.stack([jnp.sum(silhouette, axis) for axis in (1, 0)]) / total
+    centre = lines @ places
+    square = jnp.sum(lines @ places**2) - jnp.sum(centre**2)
+    return centre, jnp.sqrt(jnp.maximum(square, 1 / size**2)) / _SPREAD
+
+
+@functools.partial(jnp.vectorize, signature="(s,s,c),(k),()->(s,s,c)")
+def _cut_out(image, centre, side):
+    size = len(image)
+    places, width = _list_places(size), jnp.maximum(side, 1) / size
+
+    def weigh(middle):
+        away = (middle + side * places)[:, None] - places[None]
+        weights = jnp.maximum(1 - jnp.abs(away) / width, 0)
+        # Where pixels shrink a row adds up to about how many of them make one.
+        return weights / jnp.maximum(jnp.sum(weights, axis=1, keepdims=True), 1)
+
+    rows, columns = weigh(centre[0]), weigh(centre[1])
+    return jnp.einsum("ij,jkc,lk->ilc", rows, image, columns)
+
+
+def _list_places(size):
+    return (jnp.arange(size) + 0.5) / size - 0.5

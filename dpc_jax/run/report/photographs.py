@@ -1,0 +1,106 @@
+"""A finished run on its test views as photographs show them, each disturbance alone."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from dpc_jax.config import replace_fields
+from dpc_jax.data import DataSet, DataSpec, load_or_render
+from dpc_jax.data.disturbances import DISTURBANCES
+from dpc_jax.data.sets import framing
+from dpc_jax.evaluation.metrics import describe_metrics
+from dpc_jax.evaluation.scores import estimate_errors
+from dpc_jax.files import explaining_full_disk, write_json
+from dpc_jax.learning.inference.evaluator import score
+from dpc_jax.learning.inference.predictor import make_predictor, predict_all
+from dpc_jax.run.setup import make_data_specs
+from dpc_jax.run.trained import TrainedNetwork, load_trained
+
+RECORD = "photographs.json"
+_FINER = 2  # times the network's images: photographs are cut out and made smaller
+
+
+def judge_photographs(
+    workdir: Path, *, cache_dir: str = ""
+) -> dict[str, dict[str, float]]:
+    """Metrics of a finished run on its test views, as they are and as photographs.
+
+    Photographs are framed by their masks; their distance is not known. They are taken
+    of the same objects from the same sides, undisturbed ("photographs") and with each
+    of `DISTURBANCES` alone. Printed, and kept in WORKDIR/photographs.json.
+
+    Args:
+      cache_dir: of rendered sets; that of the run where it is empty.
+
+    Raises:
+      ValueError: where there is no finished run, or its data have no true poses.
+      OSError: where they cannot be rendered or the record not written.
+    """
+    trained = load_trained(workdir)
+    if cache_dir:
+        moved = {"data": {"cache_dir": cache_dir}}
+        trained = trained._replace(config=replace_fields(trained.config, moved))
+    if trained.config.pose.known:
+        raise ValueError(
+            "Expected a run that predicts poses, because photographs come without "
+            "them, but this one was given its poses; take another run."
+        )
+    spec = make_data_specs(trained.config)["test"]
+    renders = _load(spec, trained)
+    found = {"renders": _measure(renders, trained, knows_distance=True)}
+    side = _FINER * spec.image_size
+    fine = dataclasses.replace(spec, image_size=side, visible_points=0)
+    fine = _load(fine, trained)
+    takes = {"photographs": _leave} | dict(DISTURBANCES)
+    for name, disturb in takes.items():
+        taken = _take_photographs(fine, disturb, spec)
+        found[name] = _measure(taken, trained, knows_distance=False)
+    for name, metrics in found.items():
+        print(f"{name.capitalize()}: {describe_metrics(metrics)}.")
+    print(f"Record: {write_json(workdir / RECORD, found)}")
+    return found
+
+
+def _leave(image, mask, rng):
+    del rng
+    return image, mask
+
+
+def _load(spec: DataSpec, trained: TrainedNetwork) -> DataSet:
+    data = trained.config.data
+    with explaining_full_disk(data.cache_dir):
+        return load_or_render(
+            spec, cache_dir=data.cache_dir, processes=data.processes or None
+        )
+
+
+def _take_photographs(fine: DataSet, disturb, spec: DataSpec) -> DataSet:
+    """Every view disturbed, then cut out by its mask, in the network's size."""
+    spec = dataclasses.replace(spec, crop="view")
+    images, masks = [], []
+    for model in range(len(fine.names)):
+        views = [
+            disturb(image, mask, np.random.default_rng((model, view)))
+            for view, (image, mask) in enumerate(
+                zip(fine.rows("images", model), fine.rows("masks", model), strict=True)
+            )
+        ]
+        outlines = [framing.trace_outline(mask > 127) for _, mask in views]
+        pairs = [(image, mask / np.float32(255)) for image, mask in views]
+        frames = framing.frame_views(outlines, None, spec)
+        cut = framing.cut_frames(pairs, frames, spec)
+        images.append(cut["images"])
+        masks.append(cut["masks"])
+    return fine._replace(images=np.stack(images), masks=np.stack(masks), depths=None)
+
+
+def _measure(dataset: DataSet, trained: TrainedNetwork, *, knows_distance: bool):
+    config, alignment = trained.config, trained.alignment
+    predictor = make_predictor(trained.network, config, knows_distance=knows_distance)
+    predictions = predict_all(predictor, trained.state, dataset, frame=alignment)
+    scores = score(predictions, dataset, alignment=alignment, has_visible=False)
+    metrics = scores.metrics | estimate_errors(scores)
+    # Where distances are not known, silhouettes have sizes of their own.
+    left_out = {} if knows_distance else {"silhouette_iou", "projection_error"}
+    return {n: v for n, v in metrics.items() if n not in left_out}

@@ -1,0 +1,138 @@
+"""Views of unknown distance are framed alike, and compared whatever their size."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tiny_runs import make_network, tiny_config
+
+from dpc_jax.data import DataSpec
+from dpc_jax.data.sets import framing as photographs
+from dpc_jax.data.sets.photographs import Photographs
+from dpc_jax.learning import framing
+from dpc_jax.learning.inference.explanation import (
+    compare_poses,
+    observe,
+    render_finest,
+)
+from dpc_jax.learning.predictions import draw_framed, make_inputs
+from dpc_jax.learning.shapes.points import Points
+from dpc_jax.networks.viewpoints import face_object
+from dpc_jax.run.prediction.objects import place_photographs
+
+SIDE = 64
+CONFIG = tiny_config(student="posterior", flips=True, head="viewpoint", fine_grid=32)
+
+
+def draw_shape(*, middle=(0.0, 0.0), size=1.0, side=SIDE):
+    """A lopsided silhouette [side, side], 0 to 1: two ellipses, smooth at the rim."""
+    places = (np.arange(side) + 0.5) / side - 0.5
+    v, u = (places[:, None] - middle[0]) / size, (places[None] - middle[1]) / size
+    inside = np.minimum(
+        (u / 0.3) ** 2 + (v / 0.12) ** 2, ((u - 0.2) / 0.1) ** 2 + (v / 0.25) ** 2
+    )
+    return np.clip((1 - inside) * 0.15 * side * size + 0.5, 0, 1)
+
+
+@pytest.mark.parametrize(("middle", "size"), [((0.1, -0.2), 0.6), ((0, 0), 1.3)])
+def test_a_box_is_framed_as_photographs_are_cut_out(middle, size):
+    mask = np.uint8(255 * draw_shape(middle=middle, size=size))
+    image = np.where(mask[..., None] > 0, np.uint8([30, 90, 200]), np.uint8(255))
+    network = make_network(tiny_config(sees_mask=True))
+    inputs = make_inputs(image, mask, network=network, is_framed=True)
+    outline = photographs.trace_outline(mask > 127)
+    spec = DataSpec("car", kind="images", folder=".", crop="view", image_size=SIDE)
+    frames = photographs.frame_views([outline], None, spec)
+    cut = photographs.cut_frames([(image, mask / np.float32(255))], frames, spec)
+    expected = np.concatenate([cut["images"][0], cut["masks"][0][..., None]], axis=-1)
+    # The other one integrates over pixels: only the rim differs, by parts of a pixel.
+    assert np.abs((inputs + 1) * 127.5 - expected).mean() < 3
+
+
+def test_beyond_the_image_is_white_and_no_object():
+    mask = np.zeros((SIDE, SIDE), np.uint8)
+    mask[:, :4] = 255  # its frame reaches far beyond the left edge
+    image = np.full((SIDE, SIDE, 3), 0, np.uint8)
+    network = make_network(tiny_config(sees_mask=True))
+    inputs = make_inputs(image, mask, network=network, is_framed=True)
+    np.testing.assert_allclose(
+        inputs[:, :20],
+        jnp.broadcast_to(jnp.array([1.0, 1, 1, -1]), (SIDE, 20, 4)),
+        atol=1e-6,
+    )
+
+
+def test_views_that_are_not_framed_stay_as_they_are():
+    masks = np.stack([np.uint8(255 * draw_shape(size=s)) for s in (0.5, 0.7)])
+    images = np.random.default_rng(0).integers(0, 256, (2, SIDE, SIDE, 3), np.uint8)
+    network = make_network(tiny_config(sees_mask=True))
+    plain = make_inputs(images, masks, network=network)
+    mixed = make_inputs(images, masks, network=network, is_framed=np.array([0, 1]) > 0)
+    np.testing.assert_allclose(mixed[0], plain[0], atol=1e-6)
+    assert np.abs(mixed[1] - plain[1]).max() > 0.5
+
+
+def test_half_of_the_views_are_framed_by_the_keys_of_their_objects():
+    keys = jax.random.split(jax.random.key(3), 200)
+    drawn = draw_framed(keys, 4)
+    # Of 800 fair draws: six standard deviations.
+    assert abs(float(drawn.mean()) - 0.5) < 0.11
+    assert np.array_equal(draw_framed(keys[7:9], 4), drawn[7:9])
+
+
+@pytest.mark.parametrize(("middle", "size"), [((0.08, -0.12), 0.7), ((-0.1, 0), 0.5)])
+def test_silhouettes_of_all_sizes_and_places_are_alike_in_their_frames(middle, size):
+    def cut(silhouette):
+        return framing.cut_silhouettes(silhouette, framing.frame_by_moments(silhouette))
+
+    one, other = draw_shape(), draw_shape(middle=middle, size=size)
+    assert np.mean((one - other) ** 2) > 0.03
+    # A rim of one pixel is two wide where the shape is half as large.
+    assert np.mean((cut(one) - cut(other)) ** 2) < 0.008
+
+
+def test_what_shows_nothing_has_a_frame():
+    nothing = np.zeros((2, SIDE, SIDE), np.uint8)
+    by_box, by_moments = framing.frame_by_box, framing.frame_by_moments
+    for frame in (by_box(nothing), by_moments(nothing / 255)):
+        assert np.isfinite(frame.centre).all() and (np.asarray(frame.side) > 0).all()
+        assert not np.asarray(framing.cut_silhouettes(nothing / 255, frame)).any()
+
+
+@pytest.mark.parametrize("middle", [(0.0, 0.0), (0.05, -0.1)])
+def test_a_pose_is_told_from_others_whatever_the_distance(middle):
+    """The true pose fits, where a camera of the run's distance would choose wrong."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.4, 0.4, (60, 3)) * [1.0, 0.5, 0.3]
+    points[:20, 0] += 0.1
+    scene = {"points": jnp.asarray(points, jnp.float32)}
+    scene |= {"mass": jnp.array(3.0), "sigma": 0.3}
+    azimuths = jnp.deg2rad(jnp.array([50.0, 20.0, 90.0, 200.0]))
+    poses = jax.vmap(lambda a: face_object(a, 0.1))(azimuths)
+    seen = render_finest(scene, poses[0], {}, config=CONFIG).silhouette
+    place = framing.Frame(jnp.array(middle), jnp.array(1.5))  # farther
+    masks = np.uint8(255 * np.asarray(framing.cut_silhouettes(seen, place)))
+    fine = Points.resize(scene, 32 / CONFIG.render.grid)
+
+    def compare(knows_distance):
+        observation = observe(
+            {"masks": masks}, {}, 32, CONFIG, knows_distance=knows_distance
+        )
+        return np.asarray(compare_poses(fine, poses, observation, config=CONFIG))
+
+    costs = compare(False)
+    assert costs.argmin() == 0 and costs[0] < 0.25 * costs[1:].min()
+    assert compare(True)[0] > 5 * costs[0]
+
+
+def test_photographs_come_to_the_place_and_size_of_what_is_predicted():
+    given = np.uint8(255 * draw_shape(middle=(0.1, 0.1), size=0.6))
+    image = np.where(given[..., None] > 127, np.uint8(40), np.uint8(255))
+    image = np.repeat(image, 3, axis=-1)
+    one = Photographs("a", ("a.png",), image[None], given[None], given[None], ())
+    wanted = draw_shape(middle=(-0.05, 0.0), size=0.9, side=32)
+    (placed,) = place_photographs([one], wanted[None])
+    expected = draw_shape(middle=(-0.05, 0.0), size=0.9)
+    assert np.mean((placed.masks[0] / 255 - expected) ** 2) < 0.003
+    is_dark = placed.images[0, ..., 0] < 150
+    assert np.mean(is_dark != (expected > 0.5)) < 0.01
