@@ -3,7 +3,7 @@
 import contextlib
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -145,7 +145,7 @@ def make_dataset(found: list[Photographs]) -> DataSet:
 
 
 def place_photographs(
-    found: list[Photographs], silhouettes: np.ndarray
+    found: Sequence[Photographs], silhouettes: np.ndarray
 ) -> list[Photographs]:
     """Photographs as the run's camera would have taken them.
 

@@ -1,5 +1,6 @@
 """Shapes that the last checkpoint of a run predicts, of validation or of images."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,7 @@ import numpy as np
 
 from dpc_jax.config import replace_fields
 from dpc_jax.data.arrays import DataSet, Stack
-from dpc_jax.data.sets.photographs import read_photographs
+from dpc_jax.data.sets.photographs import Photographs, read_photographs
 from dpc_jax.evaluation.alignment import align_points, align_poses, identity_alignment
 from dpc_jax.learning.inference.predictor import (
     Predictions,
@@ -17,7 +18,7 @@ from dpc_jax.learning.inference.predictor import (
 )
 from dpc_jax.outputs import show_text
 from dpc_jax.run.prediction import knows_distance, make_spec
-from dpc_jax.run.prediction.objects import make_dataset
+from dpc_jax.run.prediction.objects import make_dataset, place_photographs
 from dpc_jax.run.process import prepare_process
 from dpc_jax.run.setup import make_network
 from dpc_jax.run.trained import TrainedNetwork, load_split, restore_state
@@ -95,15 +96,18 @@ class NetworkShapes:
         """
         spec = make_spec(self.config, None)
         found, _ = read_photographs(paths, spec, mask="auto")
-        is_known = knows_distance(self.config, spec.crop)
+        placed = [] if knows_distance(self.config, spec.crop) else found
         names = [source for one in found for source in one.sources]
-        shown = self._show(make_dataset(found), names, is_known)
+        shown = self._show(make_dataset(found), names, placed)
         return [one._replace(name=show_text(Path(one.name).name)) for one in shown]
 
     def _show(
-        self, dataset: DataSet, names: list[str], is_known: bool = True
+        self, dataset: DataSet, names: list[str], placed: Sequence[Photographs] = ()
     ) -> list[ShownObject]:
-        found = predict_all(self._predictors[is_known], self._run.state, dataset)
+        """Objects as they are predicted; `placed` are those of unknown distance."""
+        found = predict_all(self._predictors[not placed], self._run.state, dataset)
+        if placed:
+            dataset = make_dataset(place_photographs(placed, found.silhouettes[:, 0]))
         if found.cells is not None:
             from dpc_jax.learning.inference import volumes
 
