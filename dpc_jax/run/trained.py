@@ -10,7 +10,7 @@ import numpy as np
 
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet, load_or_render
-from dpc_jax.evaluation.alignment import Alignment, align_points
+from dpc_jax.evaluation.alignment import Alignment, align_points, identity_alignment
 from dpc_jax.learning.inference.predictor import VIEWS_AT_ONCE
 from dpc_jax.learning.predictions import make_inputs
 from dpc_jax.learning.step import TrainState, describe_state
@@ -41,15 +41,28 @@ def load_trained(workdir: Path) -> TrainedNetwork:
       ValueError: where the workdir holds no finished run, or it cannot be read.
     """
     config = replace_fields(read_config(workdir), {"run": {"devices": 1}})
-    alignment = read_alignment(workdir)
-    if alignment is None:
+    if read_alignment(workdir) is None:
         raise ValueError(
             f"Expected a finished run in {workdir}, of data with true poses, but it "
             "has no report/alignment.json; start the command that began the run again, "
             "or take another run."
         )
+    return load_checkpoint(config, workdir)
+
+
+def load_checkpoint(config: Config, workdir: Path) -> TrainedNetwork:
+    """The network at the last checkpoint of a run, finished or not.
+
+    Without an alignment its own frame counts as that of the objects.
+
+    Raises:
+      ValueError: where there is no checkpoint, or none that can be read.
+    """
     return TrainedNetwork(
-        config, make_network(config), restore_state(config, workdir), alignment
+        config,
+        make_network(config),
+        restore_state(config, workdir),
+        read_alignment(workdir) or identity_alignment(),
     )
 
 

@@ -12,12 +12,7 @@ import numpy as np
 from dpc_jax.config import replace_fields
 from dpc_jax.data import DataSet
 from dpc_jax.data.sets.photographs import Photographs
-from dpc_jax.evaluation.alignment import (
-    Alignment,
-    align_points,
-    align_poses,
-    identity_alignment,
-)
+from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
 from dpc_jax.evaluation.confidence import Confidence, measure_confidence
 from dpc_jax.evaluation.images import resize
 from dpc_jax.files import read_bytes, write_bytes
@@ -30,8 +25,7 @@ from dpc_jax.learning.inference.predictor import (
 )
 from dpc_jax.run.prediction import PredictRequest, knows_distance, make_spec
 from dpc_jax.run.process import prepare_process
-from dpc_jax.run.setup import make_network
-from dpc_jax.run.trained import TrainedNetwork, load_split, restore_state
+from dpc_jax.run.trained import TrainedNetwork, load_checkpoint, load_split
 from dpc_jax.run.workdir import read_alignment, read_config, read_metrics
 
 _MOST_KEPT = 2**28  # bytes of the directions of codes
@@ -86,12 +80,7 @@ def predict_objects(
     config = replace_fields(read_config(workdir), here)
     prepare_process(VIEWS_AT_ONCE)
     alignment = read_alignment(workdir)
-    run = TrainedNetwork(
-        config,
-        make_network(config),
-        restore_state(config, workdir),
-        alignment or identity_alignment(),
-    )
+    run = load_checkpoint(config, workdir)
     is_known = knows_distance(config, make_spec(config, request.crop).crop)
     predictor = make_predictor(
         run.network,

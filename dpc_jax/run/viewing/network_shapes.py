@@ -9,7 +9,7 @@ import numpy as np
 from dpc_jax.config import replace_fields
 from dpc_jax.data.arrays import DataSet, Stack
 from dpc_jax.data.sets.photographs import Photographs, read_photographs
-from dpc_jax.evaluation.alignment import align_points, align_poses, identity_alignment
+from dpc_jax.evaluation.alignment import align_points, align_poses
 from dpc_jax.learning.inference.predictor import (
     Predictions,
     arrange_views,
@@ -20,10 +20,9 @@ from dpc_jax.outputs import show_text
 from dpc_jax.run.prediction import knows_distance, make_spec
 from dpc_jax.run.prediction.objects import make_dataset, place_photographs
 from dpc_jax.run.process import prepare_process
-from dpc_jax.run.setup import make_network
-from dpc_jax.run.trained import TrainedNetwork, load_split, restore_state
+from dpc_jax.run.trained import load_checkpoint, load_split
 from dpc_jax.run.viewing import Candidates, ShownObject, ShownView
-from dpc_jax.run.workdir import read_alignment, read_config
+from dpc_jax.run.workdir import read_config
 
 _OBJECTS = 12  # of validation: with five views each they are one batch
 
@@ -51,6 +50,7 @@ class NetworkShapes:
         self._predictors: dict[bool, Any] = {}  # by whether distances are known
         self._run: Any = None
         self._validation: DataSet | None = None
+        prepare_process(1, 1)
 
     def find_step(self) -> int | None:
         """The step of the last whole checkpoint; None where there is none yet."""
@@ -64,22 +64,15 @@ class NetworkShapes:
         Raises:
           ValueError: where there is none that can be read.
         """
-        network = make_network(self.config)
+        self._run = load_checkpoint(self.config, self._workdir)
         if not self._predictors:
-            prepare_process(1, 1)
             for is_known in (True, False):
                 self._predictors[is_known] = make_predictor(
-                    network,
+                    self._run.network,
                     self.config,
                     keeps_evidence=not self.config.pose.known,
                     knows_distance=is_known,
                 )
-        self._run = TrainedNetwork(
-            self.config,
-            network,
-            restore_state(self.config, self._workdir),
-            read_alignment(self._workdir) or identity_alignment(),
-        )
 
     def show_validation(self) -> list[ShownObject]:
         """The first objects of the validation split, as the first views show them."""
