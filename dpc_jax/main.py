@@ -24,8 +24,7 @@ except ModuleNotFoundError as error:
 _CONFIG = config_flags.DEFINE_config_file(
     "config",
     None,
-    "Path of a config or the name of a shipped one, for example configs/car.py, "
-    "configs/car.py:paper, or car.",
+    "Path of a config, or name of a shipped one: configs/car.py:paper, or car.",
 )
 _WORKDIR = flags.DEFINE_string(
     "workdir", None, "Folder of the run; runs/NAME-seedN where not given."
@@ -41,7 +40,7 @@ _FINAL_MESHES = flags.DEFINE_string(
 _PHOTOGRAPHS = flags.DEFINE_bool(
     "photographs",
     False,
-    "Judge the finished run on test views as photographs show them, instead.",
+    "The same on test views as photographs show them.",
 )
 _COORDINATOR = flags.DEFINE_string(
     "coordinator", None, "HOST:PORT of process 0, for a run of several processes."

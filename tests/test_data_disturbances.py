@@ -63,6 +63,16 @@ def test_off_centre_is_a_tenth_of_the_side():
     assert np.array_equal(moved[found > 0], image[mask > 0])
 
 
+def test_a_mask_is_never_lost():
+    """However small: it could not be framed."""
+    mask = np.zeros((SIDE, SIDE), np.uint8)
+    mask[60:64, 60:64] = 255
+    image = np.full((SIDE, SIDE, 3), 255, np.uint8)
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        assert DISTURBANCES["wrong mask"](image, mask, rng)[1].any()
+
+
 def test_a_twentieth_of_the_mask_is_wrong():
     (_, mask), (spoiled, found) = take("wrong mask")
     wrong = (found > 127) != (mask > 127)

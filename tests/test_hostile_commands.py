@@ -244,13 +244,13 @@ def refine_with_a_cache_folder_of_others(folder):
     config = replace_fields(tiny_config(), {"data": {"cache_dir": "/elsewhere"}})
     places = []
 
-    def stop(config):
+    def stop(config, workdir):
         places.append(config.data.cache_dir)
         raise ValueError("Enough.")
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(predicted_objects, "read_config", lambda _: config)
-        patch.setattr(predicted_objects, "make_network", stop)
+        patch.setattr(predicted_objects, "load_checkpoint", stop)
         for data in (None, Path("/asked")):
             with contextlib.suppress(ValueError):
                 request = prediction.PredictRequest([], folder, folder, data=data)

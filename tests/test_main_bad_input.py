@@ -9,6 +9,7 @@ from tiny_runs import make_dataset
 
 from dpc_jax.config import from_config_dict
 from dpc_jax.run import pipeline, setup
+from dpc_jax.run.report.final import judge_finally
 from dpc_jax.run.workdir import FREE_FIELDS, claim_workdir
 
 
@@ -37,7 +38,7 @@ def set_field(config, field, value):
 
 
 def test_a_run_that_is_not_finished_cannot_be_judged(config, tmp_path, capsys):
-    given = {"config_path": "configs/debug.py", "meshes": None}
+    given = {"config_path": "configs/debug.py", "judge": judge_finally}
     config = from_config_dict(config)
     status = pipeline.judge_guarded(config, workdir=str(tmp_path / "none"), **given)
     assert status == 1

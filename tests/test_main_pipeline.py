@@ -236,7 +236,7 @@ def test_a_finished_run_is_judged_on_objects_that_no_split_has(command, finished
 
 
 def test_a_finished_run_is_judged_on_photographs_of_its_test_objects(
-    command, finished, capsys
+    finished, capsys, tmp_path
 ):
     workdir, _ = finished
     found = judge_photographs(workdir)
@@ -252,6 +252,16 @@ def test_a_finished_run_is_judged_on_photographs_of_its_test_objects(
     chamfers = {name: round(one["chamfer"], 4) for name, one in found.items()}
     assert len({*chamfers.values()}) >= len(chamfers) - 1  # each shows other images
     assert "Wrong mask: pose accuracy" in capsys.readouterr().out
+    other = tmp_path / "config.json"
+    config = json.loads((workdir / "config.json").read_text())
+    for section, field, value, words in (
+        ("pose", "source", "given", "was given its poses"),
+        ("network", "shape", "voxels", "predicts voxels"),
+    ):
+        changed = {section: config[section] | {field: value}}
+        other.write_text(json.dumps(config | changed))
+        with pytest.raises(ValueError, match=words):
+            judge_photographs(tmp_path)
 
 
 def test_a_finished_run_is_judged_on_meshes_of_another_source(finished, tmp_path):

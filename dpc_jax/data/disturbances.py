@@ -74,6 +74,8 @@ def spoil_mask(image: np.ndarray, mask: np.ndarray, rng: np.random.Generator) ->
         radius = side * rng.uniform(*_BLOBS)
         is_near = (rows - row) ** 2 + (columns - column) ** 2 < radius**2
         found = np.where(is_near, rng.random() < 0.5, found)
+    if not found.any():  # of so small an object
+        return image, mask
     is_wrong = (found != is_object)[..., None]
     grey = rng.integers(*_BACKGROUND)
     spoiled = np.where(is_wrong, np.where(found[..., None], grey, 255), image)

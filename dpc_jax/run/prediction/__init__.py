@@ -64,7 +64,7 @@ def predict_images(request: PredictRequest):
     started = time.perf_counter()
     config = read_config(request.workdir)
     if request.is_refined:
-        _check_ability(config, "--refine")
+        check_ability(config, "--refine")
     found, skipped = photographs.read_photographs(
         request.paths,
         make_spec(config, request.crop),
@@ -74,7 +74,7 @@ def predict_images(request: PredictRequest):
     for source, reason in skipped:
         print(f"Warning: {source} was left out: {reason}.", file=sys.stderr)
     if any(len(one.sources) > 1 for one in found):
-        _check_ability(config, "Several views of an object together")
+        check_ability(config, "Several views of an object together")
     ends = [".ply", SURFACES[request.surface], ".json"]
     ends += [".gif"] * request.has_turntable
     names = [f"{one.name}{end}" for one in found for end in ends]
@@ -144,8 +144,12 @@ def knows_distance(config: Config, crop: str) -> bool:
     return crop == "none" or bool(config.data.images and crop == config.data.crop)
 
 
-def _check_ability(config: Config, what: str):
-    """Refuse what needs codes of points, and poses, of a run that has none."""
+def check_ability(config: Config, what: str):
+    """Refuse what needs codes of points, and poses, of a run that has none.
+
+    Raises:
+      ValueError: with a sentence that names what was asked for.
+    """
     lacking = "was given its poses" if config.pose.known else ""
     if config.network.shape != "points":
         lacking = f"predicts {config.network.shape}"

@@ -7,6 +7,7 @@ import numpy as np
 
 from dpc_jax.config import replace_fields
 from dpc_jax.data import DataSet, DataSpec, load_or_render
+from dpc_jax.data.arrays import Stack
 from dpc_jax.data.disturbances import DISTURBANCES
 from dpc_jax.data.sets import framing
 from dpc_jax.evaluation.metrics import describe_metrics
@@ -14,8 +15,10 @@ from dpc_jax.evaluation.scores import estimate_errors
 from dpc_jax.files import explaining_full_disk, write_json
 from dpc_jax.learning.inference.evaluator import score
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
+from dpc_jax.run.prediction import check_ability
 from dpc_jax.run.setup import make_data_specs
 from dpc_jax.run.trained import TrainedNetwork, load_trained
+from dpc_jax.run.workdir import read_config
 
 RECORD = "photographs.json"
 _FINER = 2  # times the network's images: photographs are cut out and made smaller
@@ -34,18 +37,15 @@ def judge_photographs(
       cache_dir: of rendered sets; that of the run where it is empty.
 
     Raises:
-      ValueError: where there is no finished run, or its data have no true poses.
+      ValueError: where there is no finished run, its data have no true poses, or it
+        does not predict point clouds and poses.
       OSError: where they cannot be rendered or the record not written.
     """
+    check_ability(read_config(workdir), "--photographs")
     trained = load_trained(workdir)
     if cache_dir:
         moved = {"data": {"cache_dir": cache_dir}}
         trained = trained._replace(config=replace_fields(trained.config, moved))
-    if trained.config.pose.known:
-        raise ValueError(
-            "Expected a run that predicts poses, because photographs come without "
-            "them, but this one was given its poses; take another run."
-        )
     spec = make_data_specs(trained.config)["test"]
     renders = _load(spec, trained)
     found = {"renders": _measure(renders, trained, knows_distance=True)}
@@ -92,7 +92,7 @@ def _take_photographs(fine: DataSet, disturb, spec: DataSpec) -> DataSet:
         cut = framing.cut_frames(pairs, frames, spec)
         images.append(cut["images"])
         masks.append(cut["masks"])
-    return fine._replace(images=np.stack(images), masks=np.stack(masks), depths=None)
+    return fine._replace(images=Stack(images), masks=Stack(masks), depths=None)
 
 
 def _measure(dataset: DataSet, trained: TrainedNetwork, *, knows_distance: bool):
