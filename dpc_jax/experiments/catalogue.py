@@ -51,7 +51,6 @@ FRAME = PULL | CONTAINED | {"pose.common_frame": True}
 DEFAULTS = FRAME | {
     "pose.head": "viewpoint",
     "pose.student": "posterior",
-    "train.framed_views": True,
     "network.sees_mask": True,
 }
 DRAWN = {"pose.head": "viewpoint", "pose.student": "selects"}

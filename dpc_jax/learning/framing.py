@@ -5,6 +5,8 @@ middle of the image. A photograph says neither. So the network learns from both:
 the views of a batch are framed by the box of their mask. Silhouettes, of which one is
 predicted, are compared after both are framed by their moments, which change little
 where a mask is wrong by some pixels.
+
+`data.sets.framing` cuts files out once, before training; this is done in its programs.
 """
 
 import functools
@@ -14,9 +16,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dpc_jax.config import Data
+
 Array = jax.Array | np.ndarray
 
-_FILL = 0.85  # share of the frame that a box takes, as photographs are cut out
+_FILL = Data.fill  # share of the frame that a box takes, as photographs are cut out
 _SPREAD = 0.25  # root mean square distance from the centre in a frame by moments
 
 

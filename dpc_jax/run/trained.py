@@ -1,8 +1,9 @@
 """The network of a run, read back from its workdir to ask it for shapes."""
 
+import dataclasses
 import functools
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ import numpy as np
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet, load_or_render
 from dpc_jax.evaluation.alignment import Alignment, align_points, identity_alignment
+from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning.inference.predictor import VIEWS_AT_ONCE
 from dpc_jax.learning.predictions import make_inputs
 from dpc_jax.learning.step import TrainState, describe_state
@@ -76,17 +78,21 @@ def restore_state(config: Config, workdir: Path) -> TrainState:
     return restore_last(workdir / "checkpoints", like)
 
 
-def load_split(trained: TrainedNetwork, split: str) -> DataSet:
+def load_split(trained: TrainedNetwork, split: str, **changes: Any) -> DataSet:
     """The split "val" or "test" of a run's data, from its cache or prepared now.
+
+    Args:
+      changes: fields of its `DataSpec` that are to be others.
 
     Raises:
       ValueError: where it cannot be used. OSError: where it cannot be written.
     """
     data = trained.config.data
-    spec = make_data_specs(trained.config)[split]
-    return load_or_render(
-        spec, cache_dir=data.cache_dir, processes=data.processes or None
-    )
+    spec = dataclasses.replace(make_data_specs(trained.config)[split], **changes)
+    with explaining_full_disk(data.cache_dir):
+        return load_or_render(
+            spec, cache_dir=data.cache_dir, processes=data.processes or None
+        )
 
 
 def predict_points(

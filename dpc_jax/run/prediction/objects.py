@@ -90,7 +90,7 @@ def predict_objects(
     )
     dataset = make_dataset(found)
     predictions = predict_all(predictor, run.state, dataset)
-    if not is_known:
+    if not (is_known or config.pose.known):
         found = place_photographs(found, predictions.silhouettes[:, 0])
     predicted = _list_objects(found, predictions, run, workdir)
     width = run.network.hidden
@@ -98,7 +98,9 @@ def predict_objects(
     def measure_directions():
         from dpc_jax.learning.inference.refinement import find_directions
 
-        validated = predict_all(predictor, run.state, load_split(run, "val"))
+        # Validation images have the framing of training, whatever these have.
+        plain = make_predictor(run.network, config, keeps_evidence=True)
+        validated = predict_all(plain, run.state, load_split(run, "val"))
         assert validated.codes is not None
         return find_directions(validated.codes[..., :width])
 

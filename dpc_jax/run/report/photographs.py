@@ -6,18 +6,18 @@ from pathlib import Path
 import numpy as np
 
 from dpc_jax.config import replace_fields
-from dpc_jax.data import DataSet, DataSpec, load_or_render
+from dpc_jax.data import DataSet, DataSpec
 from dpc_jax.data.arrays import Stack
 from dpc_jax.data.disturbances import DISTURBANCES
 from dpc_jax.data.sets import framing
 from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.evaluation.scores import estimate_errors
-from dpc_jax.files import explaining_full_disk, write_json
+from dpc_jax.files import write_json
 from dpc_jax.learning.inference.evaluator import score
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.run.prediction import check_ability
 from dpc_jax.run.setup import make_data_specs
-from dpc_jax.run.trained import TrainedNetwork, load_trained
+from dpc_jax.run.trained import TrainedNetwork, load_split, load_trained
 from dpc_jax.run.workdir import read_config
 
 RECORD = "photographs.json"
@@ -46,12 +46,10 @@ def judge_photographs(
     if cache_dir:
         moved = {"data": {"cache_dir": cache_dir}}
         trained = trained._replace(config=replace_fields(trained.config, moved))
+    found = {"renders": _measure(load_split(trained, "test"), trained)}
     spec = make_data_specs(trained.config)["test"]
-    renders = _load(spec, trained)
-    found = {"renders": _measure(renders, trained, knows_distance=True)}
     side = _FINER * spec.image_size
-    fine = dataclasses.replace(spec, image_size=side, visible_points=0)
-    fine = _load(fine, trained)
+    fine = load_split(trained, "test", image_size=side, visible_points=0)
     takes = {"photographs": _leave} | dict(DISTURBANCES)
     for name, disturb in takes.items():
         taken = _take_photographs(fine, disturb, spec)
@@ -65,14 +63,6 @@ def judge_photographs(
 def _leave(image, mask, rng):
     del rng
     return image, mask
-
-
-def _load(spec: DataSpec, trained: TrainedNetwork) -> DataSet:
-    data = trained.config.data
-    with explaining_full_disk(data.cache_dir):
-        return load_or_render(
-            spec, cache_dir=data.cache_dir, processes=data.processes or None
-        )
 
 
 def _take_photographs(fine: DataSet, disturb, spec: DataSpec) -> DataSet:
@@ -95,7 +85,7 @@ def _take_photographs(fine: DataSet, disturb, spec: DataSpec) -> DataSet:
     return fine._replace(images=Stack(images), masks=Stack(masks), depths=None)
 
 
-def _measure(dataset: DataSet, trained: TrainedNetwork, *, knows_distance: bool):
+def _measure(dataset: DataSet, trained: TrainedNetwork, *, knows_distance=True):
     config, alignment = trained.config, trained.alignment
     predictor = make_predictor(trained.network, config, knows_distance=knows_distance)
     predictions = predict_all(predictor, trained.state, dataset, frame=alignment)
