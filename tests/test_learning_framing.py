@@ -4,8 +4,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_runs import make_network, tiny_config
+from tiny_runs import (
+    make_batch,
+    make_dataset,
+    make_network,
+    make_state,
+    make_step,
+    tiny_config,
+)
 
+from dpc_jax.config import replace_fields
 from dpc_jax.data import DataSpec
 from dpc_jax.data.sets import framing as photographs
 from dpc_jax.data.sets.photographs import Photographs
@@ -15,6 +23,7 @@ from dpc_jax.learning.inference.explanation import (
     observe,
     render_finest,
 )
+from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.predictions import draw_framed, make_inputs
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.networks.viewpoints import face_object
@@ -136,3 +145,49 @@ def test_photographs_come_to_the_place_and_size_of_what_is_predicted():
     assert np.mean((placed.masks[0] / 255 - expected) ** 2) < 0.003
     is_dark = placed.images[0, ..., 0] < 150
     assert np.mean(is_dark != (expected > 0.5)) < 0.01
+
+
+def test_pixels_that_shrink_are_means():
+    """Stripes of one pixel are grey from three times as far."""
+    stripes = np.zeros((SIDE, SIDE))
+    stripes[:, ::2] = 1
+    small = framing.cut_silhouettes(stripes, framing.Frame(jnp.zeros(2), jnp.array(3)))
+    # A tent of weights 1 to 3 over five of them: 4/9 or 5/9. The image is the middle
+    # third now.
+    assert (np.abs(small[26:38, 26:38] - 0.5) < 0.06).all()
+    assert not np.asarray(small[:20]).any()
+
+
+@pytest.mark.parametrize("knows_distance", [True, False])
+def test_a_photograph_means_the_same_wherever_its_object_is(knows_distance):
+    config = tiny_config(framed_views=True, sees_mask=True)
+    network = make_network(config)
+    state = make_state(network, config)
+    dataset = make_dataset(models=2, views=2)
+    masks = np.zeros((2, 2, 16, 16), np.uint8)
+    masks[..., 5:10, 4:12] = 255
+    rng = np.random.default_rng(0)
+    colors = rng.integers(0, 200, (*masks.shape, 3), np.uint8)
+    images = np.where(masks[..., None] > 0, colors, np.uint8(255))
+    predictor = make_predictor(network, config, knows_distance=knows_distance)
+
+    def predict(shift):
+        moved = {
+            "images": np.roll(images, shift, axis=(2, 3)),
+            "masks": np.roll(masks, shift, axis=(2, 3)),
+        }
+        return predict_all(predictor, state, dataset._replace(**moved)).points
+
+    away = np.abs(predict((3, -2)) - predict((0, 0))).max()
+    assert away > 1e-3 if knows_distance else away < 1e-5
+
+
+def test_training_sees_framed_views_where_they_are_asked_for():
+    config = tiny_config(sees_mask=True)
+    framed = replace_fields(config, {"train": {"framed_views": True}})
+    network, batch = make_network(config), make_batch()
+    losses = [
+        float(make_step(network, one)(make_state(network, one), batch)[1]["loss"])
+        for one in (config, framed)
+    ]
+    assert np.isfinite(losses).all() and abs(losses[0] / losses[1] - 1) > 1e-4
