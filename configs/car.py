@@ -15,6 +15,8 @@ CHANGES = {
     # Each half of them has to explain the images: few are left where none shows.
     "render": {"num_points": 4000, "keep_end": 0.5},
     "network": {"shape_hidden": 256},
+    # A truck turned round has the silhouette of a car; its lamps tell them apart.
+    "pose": {"common_frame": "colors"},
     # Spreads the points over the surface of a solid body; thin shapes it blows apart.
     "train": {"repulsion_weight": 8.0},
 }

@@ -66,6 +66,7 @@ def turn(winners, points, images, masks, frame, is_due, heads=HEADS):
             camera=Camera(),
             cameras={},
             heads=heads,
+            by_colors=len(frame.colors) > 0,
             is_due=is_due,
         )
 
@@ -93,8 +94,8 @@ def make_objects(count, *, thick, ends, seed=0):
     return winners, *map(jnp.stack, (points, images, masks))
 
 
-def learn_frame(**kind):
-    frame = common_frame.start_frame()
+def learn_frame(*, by_colors=False, **kind):
+    frame = common_frame.start_frame(by_colors=by_colors)
     for seed in range(3):
         _, frame, share = turn(*make_objects(8, **kind, seed=seed), frame, False)
         assert not share
@@ -156,7 +157,7 @@ def test_the_winner_is_the_same_head_after_that_half_turn():
 def test_where_shapes_look_the_same_turned_colors_decide():
     """Paint differs from object to object; the ends do not."""
     ends = (YELLOW, RED)
-    frame = learn_frame(thick=False, ends=ends)
+    frame = learn_frame(by_colors=True, thick=False, ends=ends)
     # Kept sums are those of some 24 objects; a run has seen hundreds.
     frame = frame._replace(colors=frame.colors * 30)
     right = make_objects(3, thick=False, ends=ends, seed=9)
@@ -227,7 +228,8 @@ def test_the_last_objects_are_remembered(monkeypatch):
     monkeypatch.setattr(common_frame, "OBJECTS", 16)
     size = common_frame.OBJECTS + 4
     objects = make_objects(size, thick=True, ends=(GREY, GREY))
-    _, frame, _ = turn(*objects, common_frame.start_frame(), False)
+    begun = common_frame.start_frame(by_colors=False)
+    _, frame, _ = turn(*objects, begun, False)
     newest = jax.vmap(common_frame.count_points)(objects[1])
     assert int(frame.count) == size
     # Object i is in row i, and the last 4 begin anew; the next ones come behind.
@@ -250,22 +252,29 @@ def test_ways_are_level_where_cameras_are_upright():
     assert abs(ways[0] @ np.asarray(covariance) @ ways[1]) < 1e-5
 
 
-def test_a_kind_is_turned_by_its_points_though_its_own_colors_agree():
-    """Of a fifth of all objects, counted turned round: its colours are as it counts."""
-    gains = jnp.array([[[0.02], [-0.08]], [[-0.03], [-0.04]]])
-    moments = jnp.array([[[1.0], [1.0]], [[-0.06], [-0.04]], [[0.0052], [0.0017]]])
-    assert common_frame._choose_turns(gains, moments).tolist() == [1, 0]
+def test_a_kind_is_turned_by_its_points_where_these_are_clear():
+    """Two objects, of which the first fits better turned round."""
+    gains, moments = jnp.array([[[0.02], [-0.08]]]), jnp.array([[1], [-0.06], [0.0052]])
+    assert common_frame._choose_turns(gains, moments[:, None]).tolist() == [1, 0]
     half_way = gains.at[0, 0].set(0.01)  # that fits both ways nearly alike
-    assert common_frame._choose_turns(half_way, moments).tolist() == [0, 0]
-    unclear = moments.at[1, 0].set(-0.01)  # of points that tell nothing apart
-    assert common_frame._choose_turns(gains, unclear).tolist() == [0, 0]
+    assert common_frame._choose_turns(half_way, moments[:, None]).tolist() == [0, 0]
+    unclear = moments.at[1].set(-0.01)  # of points that tell nothing apart
+    assert common_frame._choose_turns(gains, unclear[:, None]).tolist() == [0, 0]
+
+
+def test_clear_colors_decide_whatever_points_say():
+    gains = jnp.array([[[0.02], [-0.08]], [[-0.03], [0.01]]])
+    moments = jnp.array([[[1.0], [1.0]], [[-0.06], [-0.04]], [[0.0052], [0.0017]]])
+    assert common_frame._choose_turns(gains, moments).tolist() == [0, 1]
+    unclear = moments.at[1, 1].set(-0.001)
+    assert common_frame._choose_turns(gains, unclear).tolist() == [1, 0]
 
 
 def test_colors_that_tell_nothing_turn_nothing():
     def draw_ends(index):
         return (YELLOW, RED) if index % 2 else (RED, YELLOW)
 
-    frame = learn_frame(thick=True, ends=draw_ends)
+    frame = learn_frame(by_colors=True, thick=True, ends=draw_ends)
     right = make_objects(4, thick=True, ends=draw_ends, seed=9)
     assert float(turn(*right, frame, True)[2]) == 0
 

@@ -30,7 +30,7 @@ from dpc_jax.learning.training.checkpoints import Checkpoints
 EVERYTHING = dict(
     models_per_batch=4,
     flips=True,
-    common_frame=True,
+    common_frame="colors",
     student="posterior",
     keep_levels=1,
     repulsion_weight=0.1,

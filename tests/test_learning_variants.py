@@ -26,7 +26,7 @@ VARIANTS = {
     "paper": ({}, {"reprojection", "student"}, {"pose", "student"}),
     "defaults": (
         {"head": "viewpoint", "student": "posterior", "flips": True}
-        | {"common_frame": True, "sees_mask": True, "fine_grid": 16}
+        | {"common_frame": "colors", "sees_mask": True, "fine_grid": 16}
         | {"choice_points": 10, "choice_top": 3}
         | {"pull_weight": 0.1, "repulsion_weight": 0.1, "containment_weight": 30.0},
         {"reprojection", "student", "pull", "repulsion", "containment", "turned_back"},

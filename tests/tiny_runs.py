@@ -44,7 +44,7 @@ PLAIN = {
         student="regresses",
         choice_points=0,
         choice_top=0,
-        common_frame=False,
+        common_frame="",
         student_weight=0.01,
     ),
     "train": dict(

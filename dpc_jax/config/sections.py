@@ -30,6 +30,9 @@ POSE_SOURCES = ("unknown", "given", "labels", "sampled")
 # A pose of its own, by the paper's angle (q and -q alike) or by the released code's
 # squares of it; the likeliest candidate, or that weighed by how it fits the image.
 STUDENTS = ("regresses", "squares", "selects", "posterior")
+# What tells a kind of objects from its half turn: where its points are, or where it has
+# which colours; "": no kind is turned back.
+FRAMES = ("", "points", "colors")
 POINT_SIZES = ("", "sigma", "covariance")  # what is learned of each point's size
 # Of the cameras of rendered views, degrees, uniform (§ Datasets); azimuths: all 360.
 ELEVATIONS = (-20.0, 40.0)
@@ -142,7 +145,7 @@ class Pose:
     choice_top: int = field(6, at_least(0))  # candidates then compared exactly
     # Signals that the candidates' exact comparison sees: of all that have a weight.
     choice_signals: str = field("silhouette", one_of("silhouette", "all"))
-    common_frame: bool = True  # reversed objects are turned back
+    common_frame: str = field("points", one_of(*FRAMES))  # reversed kinds turn back
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     translation: bool = False  # of each view, learned (released code)
     focal_length: bool = False  # of each view, learned (released code)
@@ -197,7 +200,7 @@ class Pose:
     @property
     def finds_frame(self) -> bool:
         """Whether kinds of objects, if they are points, are turned to one frame."""
-        return self.common_frame and self.half_turns
+        return bool(self.common_frame) and self.half_turns
 
     @property
     def weighs_fit(self) -> bool:

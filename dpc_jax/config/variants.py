@@ -55,7 +55,7 @@ VARIANTS: dict[str, Changes] = {
             "flips": False,
             "choice_points": 0,
             "choice_top": 4,
-            "common_frame": False,
+            "common_frame": "",
         },
         "train": {
             "steps": 600_000,

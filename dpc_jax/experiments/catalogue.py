@@ -47,7 +47,7 @@ class Experiment:
 # What several rows change beside their variant.
 PULL = {"train.pull_weight": 0.03}
 CONTAINED = {"train.containment_weight": 30.0}
-FRAME = PULL | CONTAINED | {"pose.common_frame": True}
+FRAME = PULL | CONTAINED | {"pose.common_frame": "points"}
 DEFAULTS = FRAME | {
     "pose.head": "viewpoint",
     "pose.student": "posterior",

@@ -18,7 +18,7 @@ from dpc_jax.experiments.catalogue import EXPERIMENTS, NAMES, Experiment, Row
 _PLAIN = {
     "pose.head": "quaternion",
     "pose.student": "selects",
-    "pose.common_frame": False,
+    "pose.common_frame": "",
     "train.framed_views": False,
     "train.pull_weight": 0.0,
     "train.containment_weight": 1.0,

@@ -88,7 +88,8 @@ def _init_whole(network, config, seed):
     if config.pose.finds_frame and config.network.shape == "points":
         from dpc_jax.learning.choice.common_frame import start_frame  # where asked
 
-        frame = start_frame(config.pose.turns)
+        pose = config.pose
+        frame = start_frame(pose.turns, by_colors=pose.common_frame == "colors")
     step = jnp.asarray(0, jnp.int32)
     room = None
     if config.network.shape == "points" and not config.network.point_size:

@@ -3,14 +3,15 @@
 Not in the paper. Shape and pose of an object agree with each other as well after a half
 turn of both. Where a kind of objects looked more like the others that way in the first
 steps, all of it is learned so, and no silhouette refutes it. What does is the category:
-where its points are (a chair whose seat and back are exchanged), and where it has which
-colours (lamps are yellow in front and red behind; a pickup turned round has the
-silhouette of a sedan, but not its lamps).
+where its points are (a chair whose seat and back are exchanged), or where it has which
+colours (lamps are yellow in front and red behind; a truck turned round, its cab high in
+front, has the silhouette of a car, but not its lamps).
 
 Points and colours are counted in cells of the network's frame: of the last objects the
 points, by moving sums over batches the colours. Of each object, with all its views, it
 is asked whether it fits these better after a half turn. If so, its views learn the
-turned poses, and with them its shape learns to turn.
+turned poses, and with them its shape learns to turn. Where colours are asked for they
+decide, as soon as they tell the category from its half turn; until then points do.
 """
 
 import functools
@@ -37,11 +38,10 @@ _POINTS = 1000  # of a shape, that are looked at
 _PRIOR = 500.0  # samples of the category's mean colours in each cell
 _FITTED = 400  # of these points, that are moved and scaled to fit
 _KEPT = 0.995  # of the sums in a step: 200 batches
-# Standard deviations below 0 of what a half turn gains by points and by colours, to
-# count. A kind that is turned round makes two peaks of the first, which is wide then.
-_CLARITY = (0.5, 1.0)
+# Standard deviations below 0 of what a half turn gains by points or colours, to count.
+# A kind that is turned round makes two peaks of it, which is wide then.
+_CLARITY = 0.5
 _MARGIN = 0.3  # of the usual loss by a half turn, that points have to gain by one
-_COLOR_WEIGHT = 10.0  # of a nat per sample of colours, beside one per point
 
 
 class Frame(NamedTuple):
@@ -51,9 +51,10 @@ class Frame(NamedTuple):
       shapes: [OBJECTS, CELLS³] of each of the last objects the share of its points in
         each cell, blurred; zeros where there was none yet.
       count: () int32 of all objects so far.
-      colors: [CELLS³, BINS, BINS] of colours, a moving sum over batches.
-      moments: [3, 2, T - 1] moving sums of 1, x and x², where x is what objects gain by
-        points and by colours after each half turn; nats per point or sample.
+      colors: [CELLS³, BINS, BINS] of colours, a moving sum over batches; of no cells
+        where they are not asked for.
+      moments: [3, 1 or 2, T - 1] moving sums of 1, x and x², where x is what objects
+        gain by points, and by colours, after each half turn; nats per point or sample.
     """
 
     shapes: jax.Array
@@ -62,13 +63,13 @@ class Frame(NamedTuple):
     moments: jax.Array
 
 
-def start_frame(turns: int = 4) -> Frame:
+def start_frame(turns: int = 4, *, by_colors: bool) -> Frame:
     """Of nothing yet; T turns of objects, none among them."""
     return Frame(
         jnp.zeros((OBJECTS, CELLS**3)),
         jnp.zeros((), jnp.int32),
-        jnp.zeros((CELLS**3, BINS, BINS)),
-        jnp.zeros((3, 2, turns - 1)),
+        jnp.zeros((CELLS**3 if by_colors else 0, BINS, BINS)),
+        jnp.zeros((3, 2 if by_colors else 1, turns - 1)),
     )
 
 
@@ -83,6 +84,7 @@ def turn_back(
     camera: Camera,
     cameras: Cameras,
     heads: int,
+    by_colors: bool,
     is_due: jax.Array,
 ) -> tuple[Winners, Frame, jax.Array]:
     """Half turns of the objects that fit the category better that way.
@@ -93,15 +95,18 @@ def turn_back(
       covariance: [3, 3] of points, whose axes the half turns are about.
       frame: of the batches before.
       camera, cameras: of the views. heads: K, of the candidates.
+      by_colors: whether colours decide, see above.
       is_due: () whether objects are turned at this step, or counted alone.
 
     Returns:
       (the winners to learn, the frame with this batch, () share of objects turned).
     """
     points, covariance = jax.lax.stop_gradient((points[:, :_POINTS], covariance))
-    per_view = {"rotation": jax.lax.stop_gradient(winners.poses), **cameras}
-    sample = functools.partial(see_object, camera=camera)
-    samples = jax.vmap(sample)(points, per_view, images, masks)
+    samples = None
+    if by_colors:
+        per_view = {"rotation": jax.lax.stop_gradient(winners.poses), **cameras}
+        see = functools.partial(see_object, camera=camera)
+        samples = jax.vmap(see)(points, per_view, images, masks)
     turns = find_half_turns(covariance, frame.moments.shape[2] + 1)
     ways = list_ways(covariance, is_upright=len(turns) == 2)
     gains = _measure_gains(points, samples, turns, ways, frame)
@@ -113,23 +118,25 @@ def turn_back(
     indices = (turn ^ turned[:, None].astype(jnp.int32)) * heads + head
     over_views = jax.vmap(quaternion.multiply, in_axes=(0, None))
     poses = jax.vmap(over_views)(winners.poses, turns[turned])
-    turn_places = jax.vmap(quaternion.rotate)
-    samples = samples._replace(places=turn_places(samples.places, turns[turned]))
+    if samples is not None:
+        places = jax.vmap(quaternion.rotate)(samples.places, turns[turned])
+        samples = samples._replace(places=places)
     # Shapes are counted as they are predicted: turned ones would vote for more of them.
     new = _count_batch(frame, points, samples, gains)
     return Winners(poses, indices), new, jnp.mean(turned > 0)
 
 
 def _measure_gains(points, samples, turns, ways, frame):
-    """What objects gain by points and by colours after half turns; [2, B, T - 1]."""
+    """What objects gain by points, and by colours, after half turns; [., B, T - 1]."""
 
     def compare(points):
         scores = judge_cells(points, frame.shapes, frame.count)
         return compare_places(points[:_FITTED], turns, ways, scores)
 
-    by_points = jax.vmap(compare)(points)
-    by_colors = jax.vmap(lambda x: compare_colors(x, turns, frame))(samples)
-    return jnp.stack([a[:, 1:] - a[:, :1] for a in (by_points, by_colors)])
+    fits = [jax.vmap(compare)(points)]
+    if samples is not None:
+        fits += [jax.vmap(lambda x: compare_colors(x, turns, frame))(samples)]
+    return jnp.stack([a[:, 1:] - a[:, :1] for a in fits])
 
 
 def _choose_turns(gains, moments):
@@ -140,14 +147,11 @@ def _choose_turns(gains, moments):
     """
     mean, square = moments[1:] / jnp.maximum(moments[:1], 1e-6)
     spread = jnp.sqrt(jnp.maximum(square - mean**2, 0))
-    is_clear = mean < -jnp.array(_CLARITY)[:, None] * spread
-    weights = jnp.array([[1], [_COLOR_WEIGHT]]) * is_clear
-    total = jnp.sum(weights[:, None] * gains, axis=0)
-    total = jnp.where(jnp.any(is_clear, axis=0), total, -jnp.inf)
-    # Points suffice: a kind that is turned round has counted its own colours. One that
-    # fits both ways alike, half way round, is left to what its views say.
-    by_points = jnp.where(is_clear[0], gains[0] + _MARGIN * mean[:1], -jnp.inf)
-    total = jnp.maximum(total, by_points)
+    is_clear = mean < -_CLARITY * spread
+    # What fits both ways alike, half way round, is left to what its views say.
+    total = jnp.where(is_clear[0], gains[0] + _MARGIN * mean[:1], -jnp.inf)
+    if len(gains) > 1:
+        total = jnp.where(is_clear[1], gains[1], total)
     return jnp.where(jnp.max(total, axis=1) > 0, jnp.argmax(total, axis=1) + 1, 0)
 
 
@@ -156,18 +160,24 @@ def _count_batch(frame, points, samples, gains):
     shapes = jax.lax.all_gather(jax.vmap(count_points)(points), AXIS, tiled=True)
     # Of a batch that is larger than what is remembered, its last objects.
     rows = (frame.count + jnp.arange(len(shapes))[-OBJECTS:]) % OBJECTS
-    cells = find_cells(samples.places.reshape(-1, 3))
-    colors = jnp.zeros((CELLS**3, BINS**2))
-    colors = colors.at[cells, samples.bins.reshape(-1)].add(samples.weights.reshape(-1))
-    colors = jax.lax.psum(colors, AXIS)
     moments = jnp.stack([jnp.mean(gains**power, axis=1) for power in range(3)])
     moments = jax.lax.pmean(moments, AXIS)
     return Frame(
         frame.shapes.at[rows].set(shapes[-OBJECTS:]),
         frame.count + len(shapes),
-        _KEPT * frame.colors + colors.reshape(frame.colors.shape),
+        _KEPT * frame.colors + _count_colors(samples, frame.colors.shape),
         _KEPT * frame.moments + moments,
     )
+
+
+def _count_colors(samples, shape):
+    """Colours of the samples of all devices in each cell; 0 where there are none."""
+    if samples is None:
+        return jnp.zeros(shape)
+    colors = jnp.zeros((CELLS**3, BINS**2))
+    cells = find_cells(samples.places.reshape(-1, 3))
+    colors = colors.at[cells, samples.bins.reshape(-1)].add(samples.weights.reshape(-1))
+    return jax.lax.psum(colors, AXIS).reshape(shape)
 
 
 def compare_colors(samples: Samples, turns: jax.Array, frame: Frame) -> jax.Array:

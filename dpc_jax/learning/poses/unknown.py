@@ -32,6 +32,7 @@ def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
             camera=recipe.camera,
             cameras=cameras,
             heads=pose.learned_heads,
+            by_colors=pose.common_frame == "colors",
             is_due=forward.step >= FRAME_FROM * recipe.train.steps,
         )
         averages = averages._replace(frame=frame)
