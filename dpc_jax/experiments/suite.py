@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Collection
 from pathlib import Path
 
-from dpc_jax.experiments.page import make_page
+from dpc_jax.experiments.page import write_page
 from dpc_jax.experiments.results import Outcome, Results
 from dpc_jax.experiments.runs import SIZES, Request
 from dpc_jax.experiments.training import Job, choose_cores, train_missing
@@ -19,7 +19,6 @@ def run_suite(
     *,
     trained: Collection[str],
     cache: Path,
-    page: Path | None = None,
     at_once: int = 0,
 ) -> tuple[Path, int]:
     """Train what is missing of some runs, then write the page of the request.
@@ -29,7 +28,6 @@ def run_suite(
       folder: DIR, with a folder per run under runs/.
       trained: names of the runs to train; none writes the page of what is there.
       cache: of rendered data sets.
-      page: Markdown file to write beside DIR's own.
       at_once: how many runs at most; 0 for as many as there are cores and memory.
 
     Returns:
@@ -50,10 +48,7 @@ def run_suite(
             run.name: _gather(run, folder, jobs.get(run.name), problems)
             for run in request.list_runs()
         }
-        made = make_page(Results(request, outcomes), folder)
-        path = made.write()
-        if page and not stop.is_set():
-            made.publish(page)
+        path = write_page(Results(request, outcomes), folder)
     return path, len(problems.keys() & set(trained))
 
 
@@ -81,9 +76,7 @@ def _plan(
 
 def _gather(run, folder, job: Job | None, problems) -> Outcome:
     workdir, problem = folder / "runs" / run.name, problems.get(run.name, "")
-    if job is None:
-        return Outcome(run, workdir, problem=problem)
     try:
-        return Outcome(run, workdir, job.config, job.read_metrics(), problem)
+        return Outcome(run, workdir, job.read_metrics() if job else None, problem)
     except ValueError as error:
-        return Outcome(run, workdir, job.config, problem=str(error))
+        return Outcome(run, workdir, problem=str(error))

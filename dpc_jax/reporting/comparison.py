@@ -46,12 +46,12 @@ _HOW_TO_READ = (
 
 
 def write_comparison(folder: Path, groups: Sequence[Group]) -> Path:
-    """Write index.html, curves.png and curves.svg into a folder; the path of the page.
+    """Write index.html and curves.svg into a folder; the path of the page.
 
     Args:
       groups: at least one.
     """
-    curves = draw_comparison(groups, folder / "curves.png").read_text("utf-8")
+    curves = draw_comparison(groups, folder / "curves.svg").read_text("utf-8")
     count = sum(len(group.runs) for group in groups)
     title = f"{count} runs side by side" if count > 1 else "One run"
     common = find_common([group.runs[0].fields for group in groups])
@@ -141,10 +141,10 @@ def _mark(settings: Mapping[str, object]) -> str:
 
 
 def draw_comparison(groups: Sequence[Group], path: Path) -> Path:
-    """Draw error against run time as PATH.png and PATH.svg; the path of the second.
+    """Draw error against run time as SVG; returns the path.
 
-    The lines of group i have ids in the SVG that begin with "line-i-", those of its
-    entry in the legend too. Of `PANELS` those are drawn that are recorded; where none
+    The lines of group i have ids that begin with "line-i-", those of its entry in the
+    legend too. Of `PANELS` those are drawn that are recorded; where none
     is, the loss.
 
     Args:
@@ -178,11 +178,10 @@ def draw_comparison(groups: Sequence[Group], path: Path) -> Path:
     legend = style.add_legend(figure, handles=handles, ncols=names, handlelength=3.2)
     for index, line in enumerate(legend.get_lines()):
         line.set_gid(f"line-{index}-legend")
-    style.save_figure(figure, path)
     buffer = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "curves"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
-    return write_text(path.with_suffix(".svg"), buffer.getvalue())
+    return write_text(path, buffer.getvalue())
 
 
 def _draw_run(axes: Axes, run: ComparedRun, metric: str, index: int) -> None:
