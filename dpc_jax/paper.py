@@ -6,7 +6,6 @@ same command goes on where it was stopped.
 
 import argparse
 import sys
-from fnmatch import fnmatchcase
 from pathlib import Path
 
 from dpc_jax.experiments.catalogue import NAMES
@@ -37,8 +36,6 @@ def make_parser() -> argparse.ArgumentParser:
     add("--folder", default="", metavar="DIR", help=text)
     text = "keeps rendered data sets"
     add("--data", type=Path, default=Path("data"), metavar="DIR", help=text)
-    text = "train only these; * stands for anything"
-    add("--only", default="*", metavar="RUNS", help=text)
     text = "runs; default: as many as cores and memory allow"
     add("--at-once", type=int, metavar="N", default=0, help=text)
     text = "the page of what is there alone"
@@ -77,6 +74,7 @@ def make_request(options: argparse.Namespace) -> Request:
             f"--at-once must be at least 1, but it is {options.at_once}; leave it out "
             "for as many as there are cores."
         )
+    request.list_runs()  # refuses a folder that lacks a category
     return request
 
 
@@ -101,25 +99,6 @@ def make_source(kind: str, folder: str) -> Source:
     return Source(kind, str(Path(folder).absolute()))
 
 
-def choose_runs(request: Request, only: str) -> set[str]:
-    """Names of the runs of a request that fit one of the patterns of --only.
-
-    Raises:
-      ValueError: where one pattern fits none.
-    """
-    names, chosen = [run.name for run in request.list_runs()], set()
-    for pattern in (part.strip() for part in only.split(",")):
-        fitting = {name for name in names if fnmatchcase(name, pattern)}
-        if not fitting:
-            raise ValueError(
-                "--only must name runs of the request, but "
-                f"{pattern or 'an empty name'} fits none of its {len(names)}; write "
-                f"for example --only={names[0]}."
-            )
-        chosen |= fitting
-    return chosen
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, train, write the page; returns the exit status."""
     return run_command(lambda: _read(make_parser().parse_args(arguments)))
@@ -127,14 +106,13 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _read(options):
     request = make_request(options)
-    trained = choose_runs(request, options.only)
     from dpc_jax.experiments.suite import run_suite  # heavy: flags come first
 
     def work():
         page, failed = run_suite(
             request,
             options.out,
-            trained=set() if options.no_training else trained,
+            trains=not options.no_training,
             cache=options.data,
             at_once=options.at_once,
         )

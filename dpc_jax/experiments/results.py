@@ -92,7 +92,7 @@ class Analysis:
     problem: str = ""  # why it was not made; "" where it was
 
 
-_TOGETHER = {"points": point_sizes.draw_errors, "covariance": point_sizes.draw_shapes}
+_TOGETHER = {"points": point_sizes.run}
 _EACH = {"correspondences": correspondences.run, "interpolation": interpolation.run}
 
 

@@ -1,7 +1,6 @@
 """The whole command: what is asked for, the runs that are missing, the page."""
 
 import dataclasses
-from collections.abc import Collection
 from pathlib import Path
 
 from dpc_jax.experiments.page import write_page
@@ -17,7 +16,7 @@ def run_suite(
     request: Request,
     folder: Path,
     *,
-    trained: Collection[str],
+    trains: bool,
     cache: Path,
     at_once: int = 0,
 ) -> tuple[Path, int]:
@@ -26,7 +25,7 @@ def run_suite(
     Args:
       request: what is asked for.
       folder: DIR, with a folder per run under runs/.
-      trained: names of the runs to train; none writes the page of what is there.
+      trains: whether what is missing is trained, or left out of the page.
       cache: of rendered data sets.
       at_once: how many runs at most; 0 for as many as there are cores and memory.
 
@@ -41,15 +40,15 @@ def run_suite(
     prepare_process(VIEWS_AT_ONCE)  # the networks of finished runs are asked here
     with hold_workdir(folder), catch_signals() as stop:
         jobs, problems = _plan(request, folder, cache)
-        if asked := [job for name, job in jobs.items() if name in trained]:
+        if trains:
             cores = choose_cores(at_once)
-            problems |= train_missing(asked, cores=cores, stop=stop)
+            problems |= train_missing(list(jobs.values()), cores=cores, stop=stop)
         outcomes = {
             run.name: _gather(run, folder, jobs.get(run.name), problems)
             for run in request.list_runs()
         }
         path = write_page(Results(request, outcomes), folder)
-    return path, len(problems.keys() & set(trained))
+    return path, len(problems) if trains else 0
 
 
 def _plan(

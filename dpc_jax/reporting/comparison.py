@@ -39,6 +39,11 @@ PANELS = (
     "projection_error",
 )
 _LEGEND_ROW = 0.2  # inches
+_TABLE = (
+    "Figures of the test split. Runs that differ in the seed alone stand together, "
+    "under their mean ± standard deviation (n − 1). Marked: settings that most others "
+    "have otherwise. ▸ is the best of its column, whatever the spread."
+)
 _HOW_TO_READ = (
     "Validation during training, over wall clock. The runs of a group have one colour. "
     "Point at a row of the table to see its curves alone, click to keep them."
@@ -57,7 +62,7 @@ def write_comparison(folder: Path, groups: Sequence[Group]) -> Path:
     common = find_common([group.runs[0].fields for group in groups])
     summary = "<summary>The settings where nothing is marked</summary>"
     body = (
-        f"<h1>{title}</h1>\n<p>{html.escape(_explain(groups))}</p>\n"
+        f"<h1>{title}</h1>\n<p>{_TABLE}</p>\n"
         f"{_show_table(groups)}"
         + (f"<details>{summary}{_mark(common)}</details>\n" if common else "")
         + f"<h2>Error against run time</h2><p>{_HOW_TO_READ}</p>\n"
@@ -113,23 +118,6 @@ def _show_table(groups: Sequence[Group]) -> str:
         first = f'<div class="{kind}" data-group="{index}">{html.escape(name)}</div>'
         shown.append([first + _mark(differs), *map(html.escape, cells)])
     return make_table(shown, map(html.escape, heads), kind="numbers")
-
-
-def _explain(groups: Sequence[Group]) -> str:
-    """How to read the table; only what it has."""
-    parts = ["Figures of the test split."]
-    if any(len(group.runs) > 1 for group in groups):
-        parts.append(
-            "Runs that differ in the seed alone stand together, under their mean ± "
-            "standard deviation (n − 1)."
-        )
-    if any(group.differs for group in groups):
-        parts.append("Marked: settings that most others have otherwise.")
-    if any(find_best(groups, name) for name in COLUMNS):
-        parts.append("▸ is the best of its column, whatever the spread.")
-    if unfinished := [run for g in groups for run in g.runs if run.unfinished]:
-        parts.append(f"Not finished: {len(unfinished)}.")
-    return " ".join(parts)
 
 
 def _mark(settings: Mapping[str, object]) -> str:

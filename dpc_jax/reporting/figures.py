@@ -1,4 +1,4 @@
-"""Figures of a run: curves over run time, pose errors, azimuths, candidates."""
+"""Figures of a run: curves over run time, pose errors, azimuths."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -169,32 +169,6 @@ def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
     axes.set(xlim=(0.0, 180.0), xticks=range(0, 181, 30))
     axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
     style.add_legend(figure, handles=[*marks, axes.patches[-1]], ncols=3)
-    return style.save_figure(figure, path)
-
-
-def draw_candidates(shares: ArrayLike, path: str | os.PathLike) -> Path:
-    """Bars of the share [K], 0 to 1, of views that each pose candidate wins."""
-    percent = 100.0 * np.asarray(shares, np.float64).ravel()
-    figure = style.make_figure(7.5, 3.2)
-    axes = figure.subplots()
-    colors = [style.BLUE if value >= 1.0 else style.MUTED for value in percent]
-    bars = axes.bar(np.arange(percent.size), percent, color=colors, width=0.75)
-    if percent.size <= 16:  # labels of more bars would run into each other
-        labels = [f"{value:.{int(0.0 < value < 1.0)}f}" for value in percent]
-        axes.bar_label(bars, labels, fontsize=8, color=style.INK, padding=1)
-    even = 100.0 / max(percent.size, 1)
-    label = f"even share: {even:.0f} %"
-    axes.axhline(even, color=style.RED, lw=1.2, ls="--", label=label)
-    alive = int(np.sum(percent >= 1.0))
-    style.label_axes(
-        axes,
-        title=f"Winning pose candidates: {alive} of {percent.size} win at least 1 %",
-        x_label="candidate",
-        y_label="views won (%)",
-    )
-    axes.xaxis.set_major_locator(MaxNLocator("auto", integer=True))
-    axes.set_ylim(0.0, max(1.15 * percent.max(initial=0.0), 1.0))
-    style.add_legend(figure)
     return style.save_figure(figure, path)
 
 

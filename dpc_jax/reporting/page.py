@@ -68,12 +68,6 @@ CAPTIONS = {
         "while everything improves. An accuracy that settles near 50 % hints at "
         "flipped poses; a curve still moving at its right end asks for more steps.",
     ),
-    "candidates": (
-        "Pose candidates",
-        "How often each member of the pose ensemble explains a view best. Grey bars "
-        "win less than 1 % and have stopped learning; with a single bar left the "
-        "ensemble works like one regressor.",
-    ),
     "signals": (
         "Rendered images",
         "Each signal as the data have it, as the prediction looks from its predicted "
@@ -96,7 +90,6 @@ def write_report(
     pose_errors: ArrayLike | None = None,
     failures: Failures | None = None,
     lost: Sequence[str] = (),
-    shares: ArrayLike | None = None,
     warnings: Sequence[str] = (),
     config_text: str = "",
 ) -> Path:
@@ -116,7 +109,6 @@ def write_report(
       pose_errors: errors of the test views in degrees, any shape.
       failures: what is wrong with the poses of the test views.
       lost: names of objects that are wrong in all their views.
-      shares: [K] share of views that each candidate wins.
       warnings: sentences for the top of the page.
       config_text: the configuration, shown as it is.
     """
@@ -142,10 +134,9 @@ def write_report(
         _draw(folder, "worst_objects", draw_predictions, *worst, is_photo=True),
         _draw(folder, "pose_errors", figures.draw_pose_errors, pose_errors),
         _draw(folder, "azimuths", figures.draw_azimuths, failures),
-        "" if pose_errors is None else _describe_failures(values, lost),
+        _name_lost(lost),
         _compare_shapes(values),
         _draw(folder, "curves", draw_curves, records),
-        _draw(folder, "candidates", figures.draw_candidates, shares),
         _draw(folder, "signals", draw_signals, rendered, is_photo=True),
         _list_metrics(values),
     ]
@@ -233,40 +224,25 @@ def _compare_shapes(values: Mapping[str, Any]) -> str:
     return _introduce("training_shapes") + table if columns else ""
 
 
-def _describe_failures(values: Mapping[str, Any], lost: Sequence[str]) -> str:
-    """What the wrong views are, and which objects are wrong in all of theirs."""
-    names = (
-        "wrong_half_turn_share",
-        "wrong_mirror_share",
-        "truth_cheaper_share",
-        "wrong_object_share",
-    )
-    known = [name for name in names if values.get(name) is not None]
-    rows = [_make_row(name, values[name]) for name in known]
-    text = f"<h3>What the wrong views are</h3>{make_table(rows)}" if rows else ""
-    if lost:
-        shown = ", ".join(lost[:_NAMED]) + (", ..." if len(lost) > _NAMED else "")
-        text += f"<p>Wrong in all views: {escape(shown)}.</p>"
-    return text
+def _name_lost(lost: Sequence[str]) -> str:
+    """The objects that are wrong in all their views."""
+    if not lost:
+        return ""
+    shown = ", ".join(lost[:_NAMED]) + (", ..." if len(lost) > _NAMED else "")
+    return f"<p>Wrong in all views: {escape(shown)}.</p>"
 
 
 def _list_metrics(values: Mapping[str, Any]) -> str:
     """A table of all metrics, each with its meaning."""
     rows = []
     for name in registry.order_metrics(values):
-        better = registry.get_metric(name).higher_is_better
+        metric = registry.get_metric(name)
         more = {None: "", True: "; higher is better", False: "; lower is better"}
-        rows.append(_make_row(name, values[name], more[better]))
+        hint = metric.hint + more[metric.higher_is_better] if metric.hint else ""
+        shown = escape(registry.format_metric(name, values[name]))
+        rows.append((escape(metric.heading), shown, show_hint(hint)))
     return (
         "<h2>All metrics</h2><p>Of the test split; the same numbers, unrounded and "
         'with shares from 0 to 1, are in <a href="metrics.json">metrics.json</a>.</p>'
         + make_table(rows)
     )
-
-
-def _make_row(name: str, value: Any, more: str = "") -> tuple[str, str, str]:
-    """A metric with its value and its meaning."""
-    metric = registry.get_metric(name)
-    hint = metric.hint + more if metric.hint else ""
-    shown = escape(registry.format_metric(name, value))
-    return escape(metric.heading), shown, show_hint(hint)

@@ -79,7 +79,6 @@ def report_run(
         pose_errors=judged.scores.pose_errors_deg,  # None: no such figure
         failures=failures,
         lost=lost,
-        shares=shares if heads > 1 else None,
         warnings=warnings,
         config_text=str(to_config_dict(config)),
     )
