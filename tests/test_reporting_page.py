@@ -147,14 +147,6 @@ def test_sections_without_data_are_left_out(tmp_path):
     assert "<img" not in path.read_text(encoding="utf-8")
 
 
-def test_silhouettes_alone_are_no_figure_of_rendered_images(tmp_path):
-    shown = make_example("car")
-    images = shown.images._replace(rendered={"silhouette": np.ones((12, 12))})
-    examples = [dataclasses.replace(shown, images=images)]
-    make_report(tmp_path, **NO_FIGURES | {"examples": examples, "has_truth": False})
-    assert not (tmp_path / "signals.png").exists()
-
-
 def test_objects_that_are_wrong_in_all_views_are_named(tmp_path):
     lost = [f"car <{i}>" for i in range(40)]
     found = make_report(tmp_path, **NO_FIGURES, lost=lost).read_text("utf-8")
@@ -223,18 +215,6 @@ def test_a_curve_follows_the_seconds_not_the_order_of_lines():
     seconds, values = figures.find_curve(lines, "pose_accuracy")
     assert seconds.tolist() == [1, 2, 5]
     np.testing.assert_allclose(values, [10, 20, 50])  # percent
-
-
-def test_the_histograms_legend_has_the_colour_of_the_flips(tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(figures.style, "save_figure", lambda f, path: drawn.append(f))
-    figures.draw_pose_errors([1.0, 20.0, 40.0, 179.0], tmp_path / "a.png")
-    (legend,), (axes,) = drawn[0].legends, drawn[0].axes
-    texts = [text.get_text() for text in legend.get_texts()]
-    assert texts[2] == "beyond 150° (front as back): 25 %"
-    (box,) = legend.get_patches()
-    same = [bar.get_facecolor() == box.get_facecolor() for bar in axes.patches]
-    assert same == [False] * 30 + [True] * 6
 
 
 def test_nothing_is_loaded_that_is_not_needed_and_nothing_said(tmp_path):
