@@ -21,7 +21,7 @@ from dpc_jax.reporting.gallery import draw_predictions
 from dpc_jax.reporting.signals import draw_signals
 from dpc_jax.reporting.tables import make_table
 from dpc_jax.reporting.web import cards, viewer
-from dpc_jax.reporting.web.markup import assemble_page, embed_chart, show_hint
+from dpc_jax.reporting.web.markup import assemble_page, embed_chart
 
 _NAMED = 30  # objects
 # Title of a section, and how to read it.
@@ -240,7 +240,8 @@ def _list_metrics(values: Mapping[str, Any]) -> str:
         more = {None: "", True: "; higher is better", False: "; lower is better"}
         hint = metric.hint + more[metric.higher_is_better] if metric.hint else ""
         shown = escape(registry.format_metric(name, values[name]))
-        rows.append((escape(metric.heading), shown, show_hint(hint)))
+        hint = f'<span class="hint">{escape(hint)}</span>'
+        rows.append((escape(metric.heading), shown, hint))
     return (
         "<h2>All metrics</h2><p>Of the test split; the same numbers, unrounded and "
         'with shares from 0 to 1, are in <a href="metrics.json">metrics.json</a>.</p>'

@@ -32,11 +32,6 @@ def assemble_page(title: str, body: str, *, style: str = "") -> str:
     )
 
 
-def show_hint(text: str) -> str:
-    """A remark in small print."""
-    return f'<span class="hint">{html.escape(text)}</span>'
-
-
 def embed_chart(path: Path, title: str, *, is_photo: bool) -> str:
     """A PNG or SVG in the page; on a phone it scrolls sideways, or its print is lost.
 
