@@ -76,7 +76,7 @@ def make_report(folder, *, has_truth=True, **changes):
         azimuths = np.stack([angles, (angles + errors) % 360])
         failures = Failures(errors, azimuths, kinds, np.zeros(0, int), {})
         metrics |= {"floor_chamfer": 1.8, "mean_shape_chamfer": 5.0}
-        more = {"pose_errors": errors, "failures": failures}
+        more = {"failures": failures}
     arguments = {
         "title": "Cars & <b>more</b>, a rather long name, as folders often have",
         "metrics": metrics | changes.pop("metrics", {}),

@@ -73,9 +73,9 @@ def test_clouds_are_those_of_the_network_in_the_object_frame(finished):
 
 def test_correspondences_are_measured_beside_baselines_and_drawn(tmp_path):
     measures, figures = correspondences.run(tmp_path, tmp_path)
-    for method in correspondences.METHODS.values():
+    for method in correspondences.METHODS:
         right, follows = (
-            measures[f"{text}: {method}"] for text in correspondences.MEASURES.values()
+            measures[f"{text}: {method}"] for text in correspondences.MEASURES
         )
         assert 0 <= right <= 1 and np.isfinite(follows)
     assert [path.parent for path, _ in figures] == [tmp_path]

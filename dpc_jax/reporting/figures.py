@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.evaluation.pose import (
@@ -138,15 +137,12 @@ def _draw_loss(axes: Axes, seconds: np.ndarray, values: np.ndarray) -> None:
     axes.plot(seconds, values, color=style.BLUE, lw=1.5)
 
 
-def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
+def draw_pose_errors(views: Failures, path: str | os.PathLike) -> Path:
     """Histogram of pose errors from 0 to 180 degrees, with the 30° line and the median.
 
     Errors within 30° and flips, beyond 150°, have colours of their own.
-
-    Raises:
-      ValueError: there are no errors, or one is not within 0 to 180 degrees.
     """
-    accuracy, median, flips, counts, edges = pose_summary(errors_deg)
+    accuracy, median, flips, counts, edges = pose_summary(views.errors_deg)
     figure = style.make_figure(7.5, 3.8)
     axes = figure.subplots()
     axes.hist(edges[:-1], edges.tolist(), weights=counts, rwidth=0.9)
@@ -162,7 +158,7 @@ def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
     axes.patches[-1].set_label(label)
     style.label_axes(
         axes,
-        title=f"Pose errors of {np.size(errors_deg)} test views",
+        title=f"Pose errors of {views.errors_deg.size} test views",
         x_label="angle between predicted and true pose (degrees)",
         y_label="views",
     )

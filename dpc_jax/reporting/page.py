@@ -9,8 +9,6 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import ArrayLike
-
 from dpc_jax.evaluation import metrics as registry
 from dpc_jax.evaluation.pose import Failures
 from dpc_jax.files import write_json, write_text
@@ -87,7 +85,6 @@ def write_report(
     examples: Sequence[Example] = (),
     ranking: str = "",
     worst: tuple[Sequence[Example], str] = ((), ""),
-    pose_errors: ArrayLike | None = None,
     failures: Failures | None = None,
     lost: Sequence[str] = (),
     warnings: Sequence[str] = (),
@@ -106,8 +103,7 @@ def write_report(
       examples: views to show, those of a group one after the other.
       ranking: how they were chosen, a sentence.
       worst: the worst objects, each by a view, and how they were chosen.
-      pose_errors: errors of the test views in degrees, any shape.
-      failures: what is wrong with the poses of the test views.
+      failures: errors of the poses of the test views, and what is wrong with them.
       lost: names of objects that are wrong in all their views.
       warnings: sentences for the top of the page.
       config_text: the configuration, shown as it is.
@@ -132,7 +128,7 @@ def write_report(
     rendered = [e for e in examples if e.images and len(e.images.rendered) > 1]
     parts += [
         _draw(folder, "worst_objects", draw_predictions, *worst, is_photo=True),
-        _draw(folder, "pose_errors", figures.draw_pose_errors, pose_errors),
+        _draw(folder, "pose_errors", figures.draw_pose_errors, failures),
         _draw(folder, "azimuths", figures.draw_azimuths, failures),
         _name_lost(lost),
         _compare_shapes(values),

@@ -76,7 +76,6 @@ def report_run(
         examples=examples,
         ranking=ranking,
         worst=list_worst(judged),
-        pose_errors=judged.scores.pose_errors_deg,  # None: no such figure
         failures=failures,
         lost=lost,
         warnings=warnings,
