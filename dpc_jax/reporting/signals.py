@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import Normalize
+from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation.images import ViewImages
 from dpc_jax.reporting import style
@@ -70,7 +71,7 @@ def _list_pictures(name: str, images: ViewImages, depths: Normalize):
     )
 
 
-def _paint(colors: str, shares, is_empty=np.False_) -> np.ndarray:
+def _paint(colors: str, shares, is_empty: ArrayLike = False) -> np.ndarray:
     """Shares of a scale of colours [S, S] as [S, S, 3]."""
-    painter = colormaps[colors]
-    return np.where(is_empty[..., None], _EMPTY, painter(shares)[..., :3])
+    painted = colormaps[colors](shares)[..., :3]
+    return np.where(np.expand_dims(is_empty, -1), _EMPTY, painted)
