@@ -126,14 +126,17 @@ def tabulate(
       The heads of the columns, and the cells.
     """
     heads, columns = [category], [[row.label for row in experiment.rows]]
+    names = [category]
+    if category == MEAN:
+        names = results.request.list_categories(experiment)
     for metric in experiment.metrics:
         heading = get_metric(metric).heading
         paper = [
-            results.find_published(experiment, row, category, metric)
+            experiment.table.find(row.published, names, metric)
             for row in experiment.rows
         ]
         ours = [
-            format_metric(metric, results.find_mean(experiment, row, metric))
+            format_metric(metric, results.find_mean(row, names, metric))
             if category == MEAN
             else results.make_group(row, category).describe(metric)
             for row in experiment.rows

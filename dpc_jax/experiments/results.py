@@ -8,7 +8,6 @@ from typing import Any
 
 from dpc_jax.experiments import correspondences, interpolation, point_sizes
 from dpc_jax.experiments.catalogue import Experiment, Row
-from dpc_jax.experiments.published import MEAN
 from dpc_jax.experiments.runs import Request, Run
 from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.reporting.groups import ComparedRun, Group
@@ -66,21 +65,13 @@ class Results:
         runs = [ComparedRun(n, metrics=m) for n, m in found.items() if m is not None]
         return Group(row.label, tuple(runs))
 
-    def find_mean(self, experiment: Experiment, row: Row, metric: str) -> float | None:
+    def find_mean(
+        self, row: Row, categories: Sequence[str], metric: str
+    ) -> float | None:
         """The mean of a measure over the categories if all have it."""
-        categories = self.request.list_categories(experiment)
         found = [self.make_group(row, name).summarize(metric) for name in categories]
         means = [summary.mean for summary in found if summary is not None]
         return statistics.fmean(means) if means and None not in found else None
-
-    def find_published(
-        self, experiment: Experiment, row: Row, category: str, metric: str
-    ) -> float | None:
-        """The paper's number of a row; the mean is of the same categories as ours."""
-        if category != MEAN:
-            return experiment.table.find(row.published, category, metric)
-        categories = self.request.list_categories(experiment)
-        return experiment.table.find_mean(row.published, categories, metric)
 
 
 @dataclasses.dataclass(frozen=True)
