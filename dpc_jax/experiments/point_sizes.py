@@ -56,17 +56,12 @@ def draw_shapes(out: Path, workdirs: Sequence[Path]) -> Figures:
     for workdir in workdirs:
         runs.setdefault(read_config(workdir).network.point_size, workdir)
     shapes = {kind: predict_gaussians(workdir) for kind, workdir in runs.items()}
-    return [
-        (
-            figures.draw_silhouettes(shapes, out / "silhouettes.png"),
-            "Input, true silhouette, and what the points of each kind render.",
-        ),
-        (
-            figures.draw_gaussians(shapes, out / "ellipsoids.png"),
-            "The Gaussians of the same shapes as ellipsoids, all seen from one side; a "
-            "point has one colour in a row.",
-        ),
-    ]
+    path = figures.draw_gaussians(shapes, out / "gaussians.png")
+    caption = (
+        "Input, true silhouette, what the points of each kind render, and their "
+        "Gaussians as ellipsoids, all seen from one side; a point has one colour."
+    )
+    return [(path, caption)]
 
 
 def predict_gaussians(workdir: Path) -> list[figures.Gaussians]:

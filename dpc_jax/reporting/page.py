@@ -32,9 +32,8 @@ CAPTIONS = {
     ),
     "worst_objects": (
         "The worst objects",
-        "What is wrong with them says what to mend: the difference is red where the "
-        "prediction is too large and blue where it is too small, both as seen from the "
-        "predicted pose; the true shape is on the right.",
+        "The difference is red where the prediction is too large and blue where it is "
+        "too small, as seen from the predicted pose; the true shape is on the right.",
     ),
     "pose_errors": (
         "Pose errors",
@@ -58,13 +57,11 @@ CAPTIONS = {
     ),
     "curves": (
         "Over run time",
-        "Poses, Chamfer distance, silhouettes and stray points are of validation, "
-        "those of which the truth is known: the same size of "
-        "points and the same grid all along, so these curves mean the same from left "
-        "to right. The loss does not: at the dotted lines the number of points and the "
-        "grid change, and between them the points become smaller, so it may climb "
-        "while everything improves. An accuracy that settles near 50 % hints at "
-        "flipped poses; a curve still moving at its right end asks for more steps.",
+        "All but the loss and the candidates are of validation, at one size of points "
+        "and one grid. The loss may climb while everything improves: at the dotted "
+        "lines the number of points and the grid change, and between them the points "
+        "become smaller. An accuracy that settles near 50 % hints at flipped poses; a "
+        "curve still moving at its right end asks for more steps.",
     ),
     "signals": (
         "Rendered images",

@@ -108,32 +108,21 @@ class Gaussians:
     covariances: np.ndarray  # [N, 3, 3] object frame, in squares of its unit
 
 
-def draw_silhouettes(
+def draw_gaussians(
     shapes: Mapping[str, Sequence[Gaussians]], path: str | os.PathLike
 ) -> Path:
-    """Silhouettes of each kind of size under the input and the target.
+    """Silhouettes and Gaussians of each kind of size, under the input and the target.
+
+    Gaussians are shaded ellipsoids; a point has one colour in every column.
 
     Args:
       shapes: by kind of point size ("", "sigma" or "covariance"), of the same views.
     """
-    kinds = [kind for kind in LABELS if kind in shapes]
-    given = shapes[kinds[0]]
+    given = next(iter(shapes.values()))
     rows = {"input": [s.image for s in given], "target": [s.target for s in given]}
-    rows |= {LABELS[kind]: [s.predicted for s in shapes[kind]] for kind in kinds}
-    return draw_grid(list(rows.values()), path, labels=list(rows))
-
-
-def draw_gaussians(
-    shapes: Mapping[str, Sequence[Gaussians]], path: str | os.PathLike
-) -> Path:
-    """Gaussians of each kind of size as shaded ellipsoids, under the input.
-
-    A point has one colour in every column. Arguments as of `draw_silhouettes`.
-    """
-    kinds = [kind for kind in LABELS if kind in shapes]
-    rows = {"input": [s.image for s in shapes[kinds[0]]]}
-    for kind in kinds:
-        rows[LABELS[kind]] = [
+    for kind in [kind for kind in LABELS if kind in shapes]:
+        rows[LABELS[kind]] = [shape.predicted for shape in shapes[kind]]
+        rows[f"{LABELS[kind]}, Gaussians"] = [
             draw_ellipsoids(
                 shape.points,
                 shape.covariances,
