@@ -8,7 +8,7 @@ from dpc_jax.evaluation.metrics import MISSING, format_metric, get_metric
 from dpc_jax.experiments.catalogue import NAMES, Experiment, Row
 from dpc_jax.experiments.published import MEAN, TITLE
 from dpc_jax.experiments.results import Analysis, Results, analyze
-from dpc_jax.experiments.runs import SIZES, SOURCES
+from dpc_jax.experiments.runs import SOURCES
 from dpc_jax.files import write_text
 from dpc_jax.reporting.comparison import draw_comparison
 from dpc_jax.reporting.groups import ComparedRun, Group
@@ -45,7 +45,7 @@ def write_page(results: Results, folder: Path) -> Path:
     for outcome in outcomes:
         if outcome.problem:
             parts.append(_say(f"{outcome.run.name} failed: {outcome.problem}"))
-    if not SIZES[request.size].shows_quality:
+    if request.size == "quick":
         parts.append(_say(ONLY_RUNS))
     shown = request.list_experiments()
     for experiment in shown:
