@@ -43,7 +43,7 @@ def _read(options):
     if options.out.suffix in (".png", ".html", ".svg"):
         raise ValueError(
             f"--out must be a folder, but it is {options.out}; the page in it is "
-            "index.html, and the curves are curves.png."
+            "index.html, and the curves are curves.svg."
         )
     from dpc_jax.run.comparison import compare_runs  # heavy: flags are read first
 
@@ -51,7 +51,7 @@ def _read(options):
         lambda: compare_runs(options.workdirs, options.out),
         out=options.out,
         interrupted="Interrupted; start again to write the page.",
-        writes=("index.html", "curves.png", "curves.svg"),
+        writes=("index.html", "curves.svg"),
     )
 
 

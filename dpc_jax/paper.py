@@ -1,23 +1,21 @@
 """The paper's experiments: python -m dpc_jax.paper --out=DIR --experiment=NAME
 
-Trains what is missing and writes DIR/index.html and DIR/paper.md, the paper's numbers
-beside ours. The same command goes on where it was stopped.
+Trains what is missing and writes DIR/index.html, the paper's numbers beside ours. The
+same command goes on where it was stopped.
 """
 
 import argparse
 import sys
-from fnmatch import fnmatchcase
 from pathlib import Path
 
 from dpc_jax.experiments.catalogue import NAMES
-from dpc_jax.experiments.published import CATEGORIES, TITLE
+from dpc_jax.experiments.published import CATEGORIES
 from dpc_jax.experiments.runs import SIZES, SOURCES, Request, Source
-from dpc_jax.files import read_text
 from dpc_jax.run.flags import FlagParser, reading_names
 from dpc_jax.run.task import Task, run_command
 
 # In --out; each run claims its own folder.
-WRITES = ("index.html", "paper.md", "logs/", "figures/", "measured/")
+WRITES = ("index.html", "logs/", "figures/")
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -38,9 +36,6 @@ def make_parser() -> argparse.ArgumentParser:
     add("--folder", default="", metavar="DIR", help=text)
     text = "keeps rendered data sets"
     add("--data", type=Path, default=Path("data"), metavar="DIR", help=text)
-    add("--page", type=Path, metavar="FILE", help="Markdown to write too")
-    text = "train only these; * stands for anything"
-    add("--only", default="*", metavar="RUNS", help=text)
     text = "runs; default: as many as cores and memory allow"
     add("--at-once", type=int, metavar="N", default=0, help=text)
     text = "the page of what is there alone"
@@ -79,30 +74,8 @@ def make_request(options: argparse.Namespace) -> Request:
             f"--at-once must be at least 1, but it is {options.at_once}; leave it out "
             "for as many as there are cores."
         )
-    check_page(options.page)
+    request.list_runs()  # refuses a folder that lacks a category
     return request
-
-
-def check_page(page: Path | None) -> None:
-    """Refuse a Markdown file that could not be written when all runs have ended.
-
-    Raises:
-      ValueError: for a folder, a place in what is no folder, or another page.
-    """
-    if page is None:
-        return
-    above = next(p for p in page.absolute().parents if p.exists())
-    if page.is_dir() or not above.is_dir():
-        wrong = f"{page} is a folder" if page.is_dir() else f"{above} is no folder"
-        raise ValueError(
-            f"--page must be a file to write, but {wrong}; write for example "
-            "--page=paper.md."
-        )
-    if page.exists() and not read_text(page).startswith(f"# {TITLE}\n"):
-        raise ValueError(
-            f"--page must be a new file or a page of this command, but {page} does not "
-            f"begin with # {TITLE}; move it, or give another --page."
-        )
 
 
 def make_source(kind: str, folder: str) -> Source:
@@ -126,25 +99,6 @@ def make_source(kind: str, folder: str) -> Source:
     return Source(kind, str(Path(folder).absolute()))
 
 
-def choose_runs(request: Request, only: str) -> set[str]:
-    """Names of the runs of a request that fit one of the patterns of --only.
-
-    Raises:
-      ValueError: where one pattern fits none.
-    """
-    names, chosen = [run.name for run in request.list_runs()], set()
-    for pattern in (part.strip() for part in only.split(",")):
-        fitting = {name for name in names if fnmatchcase(name, pattern)}
-        if not fitting:
-            raise ValueError(
-                "--only must name runs of the request, but "
-                f"{pattern or 'an empty name'} fits none of its {len(names)}; write "
-                f"for example --only={names[0]}."
-            )
-        chosen |= fitting
-    return chosen
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, train, write the page; returns the exit status."""
     return run_command(lambda: _read(make_parser().parse_args(arguments)))
@@ -152,16 +106,14 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _read(options):
     request = make_request(options)
-    trained = choose_runs(request, options.only)
     from dpc_jax.experiments.suite import run_suite  # heavy: flags come first
 
     def work():
         page, failed = run_suite(
             request,
             options.out,
-            trained=set() if options.no_training else trained,
+            trains=not options.no_training,
             cache=options.data,
-            page=options.page,
             at_once=options.at_once,
         )
         print(f"Page: {page}")

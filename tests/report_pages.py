@@ -10,7 +10,7 @@ from dpc_jax.reporting.page import write_report
 
 GROUPS = ("Worst", "Median", "Best")
 # Of a report in which nothing is drawn.
-NO_FIGURES = {"records": (), "examples": (), "shares": None}
+NO_FIGURES = {"records": (), "examples": ()}
 
 
 def make_images(rng):
@@ -76,7 +76,7 @@ def make_report(folder, *, has_truth=True, **changes):
         azimuths = np.stack([angles, (angles + errors) % 360])
         failures = Failures(errors, azimuths, kinds, np.zeros(0, int), {})
         metrics |= {"floor_chamfer": 1.8, "mean_shape_chamfer": 5.0}
-        more = {"pose_errors": errors, "failures": failures}
+        more = {"failures": failures}
     arguments = {
         "title": "Cars & <b>more</b>, a rather long name, as folders often have",
         "metrics": metrics | changes.pop("metrics", {}),
@@ -84,7 +84,6 @@ def make_report(folder, *, has_truth=True, **changes):
         "stages": [(0, "100 points"), (50, "200 points, 64³ cells")],
         "examples": examples,
         "ranking": "The worst, median and best of all test views by pose error.",
-        "shares": [0.99, 0.01],
         "warnings": ["3 meshes < 5 could not be read."],
         "config_text": "a = '<script>alert(1)</script>'" + " steps = 100" * 30,
     }

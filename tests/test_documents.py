@@ -3,7 +3,6 @@
 import dataclasses
 import doctest
 import inspect
-import itertools
 import json
 import re
 import tomllib
@@ -11,7 +10,7 @@ import tomllib
 import jax
 import numpy as np
 import pytest
-from document_pages import LOG, NOTEBOOK, PAGES, ROOT, list_blocks, list_spans
+from document_pages import LOG, NOTEBOOK, PAGES, ROOT, list_spans
 
 import dpc_jax
 from dpc_jax.config import Config, build_config
@@ -120,20 +119,6 @@ def test_every_picture_is_on_a_page():
     pages = "".join(page.read_text(encoding="utf-8") for page in [*PAGES, LOG])
     pictures = [p for p in (ROOT / "docs" / "images").rglob("*") if p.is_file()]
     assert pictures and [p.name for p in pictures if p.name not in pages] == []
-
-
-@pytest.mark.parametrize("page", ALL, ids=lambda page: page.name)
-def test_an_empty_line_ends_every_table(page):
-    """Else GitHub shows the text that follows as one more row."""
-    lines = page.read_text(encoding="utf-8").splitlines()
-    for line, after in itertools.pairwise(lines):
-        if line.startswith("|") and after.strip():
-            assert after.startswith("|"), f"{page.name}: {after}"
-
-
-def test_every_block_says_its_language():
-    known = {"python", "sh", "text", "json", "bibtex"}
-    assert {block.language for block in list_blocks()} <= known
 
 
 def test_the_notebook_is_kept_with_its_pictures_and_without_errors():

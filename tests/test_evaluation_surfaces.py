@@ -76,12 +76,3 @@ def test_the_tuned_threshold_gives_the_true_radius():
     volumes = [blur_ball(r + 0.01, width=0.1) for r in (0.25, 0.3, 0.35)]
     # 0.5 + 0.01/0.1; steps of 1/40, and 2000 samples see the radius to 0.001.
     assert tune_threshold(volumes, truth) == pytest.approx(0.6, abs=0.05)
-
-
-@pytest.mark.parametrize(
-    ("cells", "words"),
-    [(np.zeros((4, 4)), r"volume.*\[4, 4\]"), (np.full((2, 2, 2), np.nan), "finite")],
-)
-def test_what_is_no_volume_is_refused_in_a_sentence(cells, words):
-    with pytest.raises(ValueError, match=words):
-        extract_surface(cells, 0.5)

@@ -52,16 +52,6 @@ def test_indices_follow_a_shape_that_is_stretched_and_places_do_not():
         assert follows == pytest.approx(expected, abs=0.15)
 
 
-def test_following_is_one_for_points_that_move_as_far_and_zero_for_still_ones():
-    moves = np.random.default_rng(1).normal(size=(7, 2, 3))
-    assert correspondences.measure_following(moves, moves) == 1.0
-    assert correspondences.measure_following(0 * moves, moves) == 0.0
-    unknown = moves.copy()
-    unknown[0] = np.nan
-    assert correspondences.measure_following(moves / 2, unknown) == pytest.approx(0.5)
-    assert np.isnan(correspondences.measure_following(moves, 0 * moves))
-
-
 def test_points_have_the_labels_of_the_part_that_they_lie_on():
     mesh = make_shape("chair", 4)
     points, faces = sample_surface(mesh, count=300, seed=1)

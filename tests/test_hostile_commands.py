@@ -17,7 +17,7 @@ from PIL import Image
 from tiny_runs import tiny_config
 
 import dpc_jax.fit as fit
-from dpc_jax import compare, outputs, paper, predict
+from dpc_jax import compare, outputs, predict
 from dpc_jax.config import replace_fields, to_json
 from dpc_jax.data import DataSpec
 from dpc_jax.data import __main__ as data_command
@@ -145,13 +145,6 @@ def compare_over_a_page(folder):
     make_workdir(folder)
     (folder / "index.html").write_text("mine")
     return call(compare, folder / "run", f"--out={folder}")
-
-
-@tries("does not begin with # The paper's experiments; move it")
-def publish_over_another_page(folder):
-    (folder / "notes.md").write_text("# Mine\n")
-    page = f"--page={folder / 'notes.md'}"
-    return call(paper, f"--out={folder / 'out'}", "--no-training", page)
 
 
 @tries("but it cannot be used (config must have no other fields")

@@ -108,9 +108,9 @@ def test_the_page_reaches_for_nothing_outside_itself_but_its_own_files(folder, p
 def test_the_page_carries_its_figures_and_none_is_blank(page):
     images = [attrs for tag, attrs in Tags(page).found if tag == "img"]
     kinds = [attrs["src"].partition(",")[0] for attrs in images]
-    # Curves, pose errors, azimuths, candidates; signals, and of each example input,
-    # silhouettes, three shapes.
-    assert kinds.count("data:image/png;base64") == 4
+    # Curves, pose errors, azimuths; signals, and of each example input, silhouettes,
+    # three shapes.
+    assert kinds.count("data:image/png;base64") == 3
     assert kinds.count("data:image/webp;base64") == 1 + 3 * 5
     for attrs in images:
         assert attrs["alt"]
@@ -147,23 +147,10 @@ def test_sections_without_data_are_left_out(tmp_path):
     assert "<img" not in path.read_text(encoding="utf-8")
 
 
-def test_silhouettes_alone_are_no_figure_of_rendered_images(tmp_path):
-    shown = make_example("car")
-    images = shown.images._replace(rendered={"silhouette": np.ones((12, 12))})
-    examples = [dataclasses.replace(shown, images=images)]
-    make_report(tmp_path, **NO_FIGURES | {"examples": examples, "has_truth": False})
-    assert not (tmp_path / "signals.png").exists()
-
-
-def test_wrong_views_are_explained_where_there_are_any(tmp_path):
+def test_objects_that_are_wrong_in_all_views_are_named(tmp_path):
     lost = [f"car <{i}>" for i in range(40)]
     found = make_report(tmp_path, **NO_FIGURES, lost=lost).read_text("utf-8")
-    assert "What the wrong views are" in found and "50.0" in found
     assert "car &lt;29&gt;, ..." in found and "car &lt;30&gt;" not in found
-    right = make_report(
-        tmp_path, **NO_FIGURES, metrics={"wrong_half_turn_share": None}
-    ).read_text("utf-8")
-    assert "What the wrong views are" not in right
 
 
 def test_the_same_run_gives_the_same_bytes(tmp_path, folder):
@@ -230,18 +217,6 @@ def test_a_curve_follows_the_seconds_not_the_order_of_lines():
     np.testing.assert_allclose(values, [10, 20, 50])  # percent
 
 
-def test_the_histograms_legend_has_the_colour_of_the_flips(tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(figures.style, "save_figure", lambda f, path: drawn.append(f))
-    figures.draw_pose_errors([1.0, 20.0, 40.0, 179.0], tmp_path / "a.png")
-    (legend,), (axes,) = drawn[0].legends, drawn[0].axes
-    texts = [text.get_text() for text in legend.get_texts()]
-    assert texts[2] == "beyond 150° (front as back): 25 %"
-    (box,) = legend.get_patches()
-    same = [bar.get_facecolor() == box.get_facecolor() for bar in axes.patches]
-    assert same == [False] * 30 + [True] * 6
-
-
 def test_nothing_is_loaded_that_is_not_needed_and_nothing_said(tmp_path):
     code = """
 import logging, sys
@@ -249,7 +224,7 @@ logging.basicConfig(level=logging.INFO)
 import dpc_jax.reporting.export
 assert not {"matplotlib", "trimesh"} & set(sys.modules)
 from dpc_jax.reporting import figures
-figures.draw_candidates([1.0], sys.argv[1])
+figures.draw_curves([], sys.argv[1])
 assert "matplotlib.pyplot" not in sys.modules
 """
     done = subprocess.run(

@@ -173,7 +173,8 @@ def _robust_mean(votes: np.ndarray, start: np.ndarray) -> np.ndarray:
     mean = rotations.canonical_sign(start)
     for _ in range(_MAX_STEPS):
         ratio = rotations.angle_deg(q, mean) / _KERNEL_DEG
-        refined = rotations.mean_rotation(q, weights=(1.0 + ratio**2) ** -2)
+        weighted = rotations.to_rotation(q).mean((1.0 + ratio**2) ** -2)
+        refined = rotations.to_quaternion(weighted)
         turn = rotations.angle_deg(refined, mean)
         mean = refined
         if turn < _TOLERANCE_DEG:

@@ -29,9 +29,7 @@ def pair_clouds(predicted: np.ndarray, surface: np.ndarray) -> CloudPair:
     return CloudPair(predicted, surface, KDTree(predicted), KDTree(surface))
 
 
-def best_rotation(
-    source: np.ndarray, target: np.ndarray, *, weight: np.ndarray | None = None
-) -> Rotation:
+def best_rotation(source: np.ndarray, target: np.ndarray, weight=None) -> Rotation:
     """Rotation that brings source [n, 3] nearest to target [n, 3], n > 1 (Kabsch).
 
     Weighted least squares without translation: both frames share their origin. Where
@@ -90,7 +88,7 @@ def fit_rotation(pairs: Sequence[CloudPair], start: np.ndarray) -> np.ndarray:
         source, target, weight = _match(pairs, rotation)
         if len(weight) < 2:
             break
-        best = best_rotation(source, target, weight=weight)
+        best = best_rotation(source, target, weight)
         refined = rotations.to_quaternion(best)
         turn = rotations.angle_deg(refined, rotation)
         rotation = refined

@@ -76,19 +76,6 @@ def view_angles(quaternion: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     return azimuth, np.degrees(np.arcsin(np.clip(z, -1, 1)))
 
 
-def mean_rotation(
-    quaternions: ArrayLike, *, weights: ArrayLike | None = None
-) -> np.ndarray:
-    """Weighted mean rotation [4] of quaternions [n, 4].
-
-    scipy takes the eigenvector of the largest eigenvalue of the sum of w q q^T, which
-    does not see the signs of the quaternions (Markley et al., Averaging Quaternions,
-    2007). Two rotations 180 degrees apart with equal weights have no unique mean: all
-    rotations between them are equally good, and one of these comes.
-    """
-    return to_quaternion(to_rotation(quaternions).mean(weights))
-
-
 def describe_pose(quaternion: ArrayLike) -> dict[str, Any]:
     """A pose, object to camera, as JSON files have it."""
     azimuth, elevation = map(float, view_angles(quaternion))

@@ -32,18 +32,10 @@ def extract_surface(cells: ArrayLike, threshold: float) -> tuple[np.ndarray, ...
     Returns:
       (vertices [V, 3], object frame; faces [F, 3] of their indices, counter-clockwise
       seen from outside). Both are empty where no cell is above the threshold.
-
-    Raises:
-      ValueError: for cells that are no volume or not finite.
     """
     cells = np.asarray(cells, np.float32)
-    if cells.ndim != 3 or not np.isfinite(cells).all():
-        raise ValueError(
-            "cells must be a volume [X, Y, Z] of finite numbers, but their shape is "
-            f"{list(cells.shape)}; pass one object's occupancies."
-        )
     padded = np.pad(cells, 1)
-    if not cells.size or padded.max() <= threshold:
+    if padded.max() <= threshold:
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int64)
     found: Any = marching_cubes(padded, threshold)
     vertices, faces = found[:2]

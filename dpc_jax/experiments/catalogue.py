@@ -183,19 +183,11 @@ EXPERIMENTS = (
     Experiment(
         "points",
         "Error against number of points",
-        "How many points does a shape need when their sizes are learned?",
+        "How many points does a shape need when their sizes are learned, and what do "
+        "learned covariances look like?",
         published.POINTS,
         _PIXELS,
         _list_point_sizes(20, 60, 200, 2000),
-        categories=("chair",),
-    ),
-    Experiment(
-        "covariance",
-        "Shapes of twenty Gaussians",
-        "What do learned covariances look like where there are few points?",
-        published.POINTS,
-        _PIXELS,
-        _list_point_sizes(20),
         categories=("chair",),
     ),
     Experiment(

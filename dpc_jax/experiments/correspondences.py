@@ -30,15 +30,15 @@ LEAST = 5  # points of a keypoint
 PAIRS = 20  # of templates; the first is drawn
 SHOWN = 16  # test shapes in the picture
 SURFACE_POINTS = 20_000  # of a true shape: 0.01 apart, thinner than a leg
-METHODS = {  # how the points of a keypoint are found in a shape, and what it is called
-    "index": "same indices (the paper's way)",
-    "random": "random indices",
-    "place": "nearest to the templates' keypoint",
-}
-MEASURES = {
-    "right": "Points on the right part (share)",
-    "follows": "How far points follow their keypoint (0: not, 1: all the way)",
-}
+METHODS = (  # how the points of a keypoint are found in a shape
+    "same indices (the paper's way)",
+    "random indices",
+    "nearest to the templates' keypoint",
+)
+MEASURES = (
+    "Points on the right part (share)",
+    "How far points follow their keypoint (0: not, 1: all the way)",
+)
 Indices = Sequence[np.ndarray]  # for each of K keypoints the indices [n_k] of points
 Figures = list[tuple[Path, str]]  # with their captions
 
@@ -50,16 +50,6 @@ class LabelledShapes(NamedTuple):
     clouds: np.ndarray  # [n, N, 3] predicted from it, in the object frame
     seeds: np.ndarray  # [n] of the procedural shapes
     keypoints: np.ndarray  # [n, K, 3] true ones; NaN where a shape has none
-
-
-class _Pair(NamedTuple):
-    """Templates, and what is transferred from them."""
-
-    clouds: np.ndarray  # [T, N, 3]
-    keypoints: np.ndarray  # [T, K, 3]
-    places: np.ndarray  # [K, 3] mean keypoints
-    found: Indices
-    random: Indices  # as many
 
 
 def run(out: Path, workdir: Path) -> tuple[dict[str, float], Figures]:
@@ -87,18 +77,22 @@ def run(out: Path, workdir: Path) -> tuple[dict[str, float], Figures]:
     ]
     rows = draw_pairs(len(templates.seeds))
     rng = np.random.default_rng(0)
-    pairs = [_make_pair(templates, row, rng) for row in rows]
-    values = {}
-    for method, title in METHODS.items():
-        found = [_transfer(method, pair, shapes, near, labels) for pair in pairs]
-        right, follows = map(np.array, zip(*found, strict=True))
-        values[title] = float(right.mean()), float(follows.mean())
+    pairs = [_transfer(templates, row, rng, shapes, near, labels) for row in rows]
+    values = np.mean([found for _, found in pairs], axis=0).tolist()
     measures = {
-        f"{text}: {title}": found[place]
-        for place, text in enumerate(MEASURES.values())
-        for title, found in values.items()
+        f"{text}: {method}": found[place]
+        for place, text in enumerate(MEASURES)
+        for method, found in zip(METHODS, values, strict=True)
     }
-    path = _draw_pair(out / "correspondences.png", templates, shapes, rows[0], pairs[0])
+    count = min(SHOWN, len(shapes.seeds))
+    shown, first = np.linspace(0, len(shapes.seeds) - 1, count).astype(int), rows[0]
+    path = paper_figures.draw_transfers(
+        np.concatenate([templates.images[first], shapes.images[shown]]),
+        np.concatenate([templates.clouds[first], shapes.clouds[shown]]),
+        pairs[0][0],
+        out / "correspondences.png",
+        templates=len(first),
+    )
     caption = "Keypoints on two templates, and where points of the same index are on "
     return measures, [(path, caption + "other shapes.")]
 
@@ -165,32 +159,34 @@ def draw_pairs(count: int) -> np.ndarray:
     return np.array([rng.choice(count, 2, replace=False) for _ in range(PAIRS)])
 
 
-def _make_pair(templates: LabelledShapes, rows, rng: np.random.Generator) -> _Pair:
+def _transfer(
+    templates: LabelledShapes, rows, rng, shapes: LabelledShapes, point_labels, labels
+) -> tuple[Indices, list[tuple[float, float]]]:
+    """The indices of a pair of templates, and the measures of each of `METHODS`."""
     clouds, marks = templates.clouds[rows], templates.keypoints[rows]
-    found = select_indices(clouds, marks, radius=RADIUS, least=LEAST)
-    random = [rng.choice(clouds.shape[1], len(i), replace=False) for i in found]
-    return _Pair(clouds, marks, marks.mean(axis=0), found, random)
+    same = select_indices(clouds, marks, radius=RADIUS, least=LEAST)
+    counts, places = [len(index) for index in same], marks.mean(axis=0)
+    random = [rng.choice(clouds.shape[1], count, replace=False) for count in counts]
 
+    def measure(find):
+        def centre(cloud):
+            return [cloud[index].mean(axis=0) for index in find(cloud)]
 
-def _transfer(method, pair: _Pair, shapes: LabelledShapes, point_labels, labels):
-    """Shares [S, K] of points on the right part, and how they follow, of one pair."""
-    counts = [len(index) for index in pair.found]
+        right = [
+            [np.mean(near[i] == part) for i, part in zip(find(c), labels, strict=True)]
+            for c, near in zip(shapes.clouds, point_labels, strict=True)
+        ]
+        start = np.mean([centre(cloud) for cloud in clouds], axis=0)
+        moves = np.array([centre(cloud) for cloud in shapes.clouds]) - start
+        follows = measure_following(moves, shapes.keypoints - places)
+        return float(np.mean(right)), follows
 
-    def find(cloud):
-        if method == "place":
-            return select_nearest(cloud, pair.places, counts)
-        return pair.found if method == "index" else pair.random
-
-    def centre(cloud):
-        return [cloud[index].mean(axis=0) for index in find(cloud)]
-
-    right = [
-        [np.mean(near[i] == label) for i, label in zip(find(c), labels, strict=True)]
-        for c, near in zip(shapes.clouds, point_labels, strict=True)
-    ]
-    start = np.mean([centre(cloud) for cloud in pair.clouds], axis=0)
-    moves = np.array([centre(cloud) for cloud in shapes.clouds]) - start
-    return right, measure_following(moves, shapes.keypoints - pair.places)
+    methods = (
+        lambda cloud: same,
+        lambda cloud: random,
+        lambda cloud: select_nearest(cloud, places, counts),
+    )
+    return same, [measure(find) for find in methods]
 
 
 def select_indices(
@@ -237,16 +233,3 @@ def measure_following(moves: ArrayLike, true_moves: ArrayLike) -> float:
     known = np.isfinite(moves + truth).all(axis=-1)
     length = np.sum(truth[known] ** 2)
     return float(np.sum(moves[known] * truth[known]) / length) if length > 0 else np.nan
-
-
-def _draw_pair(path, templates, shapes, rows, pair: _Pair) -> Path:
-    """The templates and some test shapes with the points of a pair in colours."""
-    count = min(SHOWN, len(shapes.seeds))
-    shown = np.linspace(0, len(shapes.seeds) - 1, count).astype(int)
-    return paper_figures.draw_transfers(
-        np.concatenate([templates.images[rows], shapes.images[shown]]),
-        np.concatenate([templates.clouds[rows], shapes.clouds[shown]]),
-        pair.found,
-        path,
-        templates=len(rows),
-    )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from dpc_jax.data import DataSet
-from dpc_jax.evaluation.chamfer import chamfer_distance
+from dpc_jax.evaluation.chamfer import chamfer_distance, spread_rows
 from dpc_jax.experiments.correspondences import read_first_views
 from dpc_jax.reporting import paper_figures
 from dpc_jax.run.trained import TrainedNetwork, load_split, load_trained, predict_points
@@ -19,7 +19,6 @@ PAIRS = 12  # of test images that are measured
 DRAWN = 6  # of them, as in the paper
 STEPS = 20  # from one image to the other
 COLUMNS = 5  # clouds of a drawn pair, its ends among them
-TOUR, TOUR_STEPS = 4, 10  # images of the animation, and its frames from one to the next
 CLOSEST = 5  # true shapes that are compared exactly
 SURFACE_POINTS = 2000  # of each true shape that clouds are compared with
 MEASURES = (
@@ -39,7 +38,7 @@ def run(
       workdir: of a finished run, with known poses or without.
 
     Returns:
-      The measures by their names, and the figures with their captions.
+      The measures by their names, and the figure with its caption.
 
     Raises:
       ValueError: where the workdir holds no finished run, or too few test images.
@@ -55,13 +54,10 @@ def run(
 
     shown, columns = pairs[:DRAWN], np.linspace(0, STEPS, COLUMNS).astype(int)
     starts, stops = images[shown[:, 0]], images[shown[:, 1]]
-    strip, animation = out / "interpolation.png", out / "interpolation.gif"
+    strip = out / "interpolation.png"
     paper_figures.draw_strips(starts, ways[:DRAWN, columns], stops, strip)
-    tour = pairs[:, 0][:TOUR]
-    walk = _walk(finished, images[tour], masks[tour])
-    paper_figures.animate_tour(images[tour], walk, animation)
     caption = "Shapes between two test images, mixed in the first shared layer."
-    return measures, [(strip, caption), (animation, "The same, moving.")]
+    return measures, [(strip, caption)]
 
 
 def draw_pairs(count: int) -> np.ndarray:
@@ -92,18 +88,6 @@ def interpolate(
     return predict_points(run, images, masks, mix=mix)
 
 
-def _walk(run, images, masks) -> np.ndarray:
-    """Clouds [n, TOUR_STEPS, N, 3] around n images, each row up to the next image."""
-    count = len(images)
-    mix = np.zeros((count, TOUR_STEPS, count))
-    share = np.arange(TOUR_STEPS) / TOUR_STEPS
-    for i in range(count):
-        mix[i, :, i] += 1.0 - share
-        mix[i, :, (i + 1) % count] += share
-    points = predict_points(run, images, masks, mix=mix.reshape(-1, count))
-    return points.reshape(count, TOUR_STEPS, *points.shape[1:])
-
-
 def measure_steps(ways: np.ndarray) -> float:
     """How evenly the points move on their ways [P, F, N, 3]: a mean over pairs.
 
@@ -116,16 +100,17 @@ def measure_steps(ways: np.ndarray) -> float:
 def measure_between(
     ways: np.ndarray, pairs: np.ndarray, dataset: DataSet
 ) -> tuple[float | None, float | None]:
-    """Whether what lies halfway is still a shape of the kind, means over pairs.
+    """Chamfer distance ×100 of the ends of the ways and of their middles, means.
 
-    Returns:
-      Chamfer distance ×100 of the ends of the way, and of its middle, to the nearest
-      true shape of the set, the two of the pair left out. None where the set has no
-      true shapes.
+    Each to the nearest true shape of the set, the two of the pair left out: whether
+    what lies halfway is still a shape of the kind. None where there are no true shapes.
     """
     if dataset.surfaces is None or len(dataset.names) < 3:
         return None, None
-    surfaces = [_thin(np.asarray(surface)) for surface in dataset.surfaces]
+    surfaces = [
+        spread_rows(surface, min(SURFACE_POINTS, len(surface)))
+        for surface in dataset.surfaces
+    ]
     rows = []
     for way, pair in zip(ways, pairs, strict=True):
         others = [surface for i, surface in enumerate(surfaces) if i not in pair]
@@ -144,9 +129,3 @@ def _find_nearest(cloud, surfaces) -> float:
     rough = [chamfer_distance(cloud[::8], s[::8]).chamfer for s in surfaces]
     best = np.argsort(rough)[:CLOSEST]
     return 100 * min(chamfer_distance(cloud, surfaces[i]).chamfer for i in best)
-
-
-def _thin(surface: np.ndarray) -> np.ndarray:
-    """Points spread over those of a surface."""
-    rows = np.linspace(0, len(surface) - 1, min(SURFACE_POINTS, len(surface)))
-    return surface[rows.astype(int)]

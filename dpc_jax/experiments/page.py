@@ -1,26 +1,18 @@
-"""The page of DIR: tables with the paper's numbers beside ours, and figures.
+"""The page of DIR: tables with the paper's numbers beside ours, and figures."""
 
-It is written as HTML and as Markdown alike.
-"""
-
-import base64
-import html
-import shutil
 from collections.abc import Iterator, Sequence
+from html import escape
 from pathlib import Path
-
-from PIL import Image
 
 from dpc_jax.evaluation.metrics import MISSING, format_metric, get_metric
 from dpc_jax.experiments.catalogue import NAMES, Experiment, Row
 from dpc_jax.experiments.published import MEAN, TITLE
 from dpc_jax.experiments.results import Analysis, Results, analyze
-from dpc_jax.experiments.runs import SIZES, SOURCES
+from dpc_jax.experiments.runs import SOURCES
 from dpc_jax.files import write_text
-from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.reporting.comparison import draw_comparison
 from dpc_jax.reporting.groups import ComparedRun, Group
-from dpc_jax.reporting.tables import format_table, make_table
+from dpc_jax.reporting.tables import make_table
 from dpc_jax.reporting.web.markup import assemble_page, embed_chart
 
 INTRODUCTION = (
@@ -41,116 +33,63 @@ OTHER_SYSTEMS = (
     "evaluation of the point clouds. What of each is followed and what differs is in "
     "the documentation (baselines.md)."
 )
-_WIDTH = 900  # pixels, of a picture of a run
 Figures = list[tuple[Path, str]]  # with their captions
 
 
-class Page:
-    """A page that grows, as HTML and as Markdown.
-
-    Args:
-      folder: that it is written into; figures lie below it.
-    """
-
-    def __init__(self, folder: Path):
-        self.folder = folder
-        self.markdown: list[str] = []
-        self.html: list[str] = []
-        self.figures: list[Path] = []
-
-    def add_heading(self, text: str, level: int = 2) -> None:
-        """A heading; level 1 is the page's."""
-        self.markdown.append(f"{'#' * level} {text}")
-        self.html.append(f"<h{level}>{html.escape(text)}</h{level}>")
-
-    def add_text(self, text: str) -> None:
-        """A paragraph."""
-        self.markdown.append(text)
-        self.html.append(f"<p>{html.escape(text)}</p>")
-
-    def add_table(self, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """A table of cells as text."""
-        self.markdown.append(format_table(heads, rows).rstrip("\n"))
-        shown = [[html.escape(cell) for cell in row] for row in rows]
-        titles = [html.escape(head) for head in heads]
-        self.html.append(make_table(shown, titles, kind="numbers"))
-
-    def add_figure(self, path: Path, caption: str) -> None:
-        """A picture of the page's folder."""
-        self.figures.append(path)
-        link = path.relative_to(self.folder).as_posix()
-        self.markdown.append(f"![{caption}]({link})\n\n{caption}")
-        text = html.escape(caption)
-        if path.suffix == ".gif":
-            data = base64.b64encode(path.read_bytes()).decode("ascii")
-            shown = f'<img alt="{text}" src="data:image/gif;base64,{data}">'
-        else:
-            shown = embed_chart(path, caption, is_photo=path.suffix != ".png")
-        self.html.append(f"{shown}<p>{text}</p>")
-
-    def write(self) -> Path:
-        """Write index.html, its figures inside, and paper.md; the path of the first."""
-        write_text(self.folder / "paper.md", "\n\n".join(self.markdown) + "\n")
-        page = assemble_page(TITLE, "".join(self.html))
-        return write_text(self.folder / "index.html", page)
-
-    def publish(self, path: Path) -> Path:
-        """Write the Markdown elsewhere, its figures into images/NAME/ beside it."""
-        text = "\n\n".join(self.markdown) + "\n"
-        images = f"images/{path.stem}"
-        for figure in self.figures:
-            link = figure.relative_to(self.folder)
-            copy = path.parent / images / "-".join(link.parts[1:])
-            copy.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(figure, copy)
-            text = text.replace(f"]({link.as_posix()})", f"]({images}/{copy.name})")
-        return write_text(path, text)
-
-
-def make_page(results: Results, folder: Path) -> Page:
-    """The page of all that was asked for; figures are drawn below its folder."""
-    page, request = Page(folder), results.request
-    page.add_heading(TITLE, 1)
-    page.add_text(INTRODUCTION)
-    outcomes = results.outcomes.values()
+def write_page(results: Results, folder: Path) -> Path:
+    """Write index.html of all that was asked for; its figures lie in figures/."""
+    request, outcomes = results.request, results.outcomes.values()
     done = [outcome for outcome in outcomes if outcome.metrics is not None]
-    page.add_text(f"{len(done)} of {len(outcomes)} runs are finished.")
+    parts = [f"<h1>{TITLE}</h1>", _say(INTRODUCTION)]
+    parts.append(_say(f"{len(done)} of {len(outcomes)} runs are finished."))
     for outcome in outcomes:
         if outcome.problem:
-            page.add_text(f"{outcome.run.name} failed: {outcome.problem}")
-    if not SIZES[request.size].shows_quality:
-        page.add_text(ONLY_RUNS)
+            parts.append(_say(f"{outcome.run.name} failed: {outcome.problem}"))
+    if request.size == "quick":
+        parts.append(_say(ONLY_RUNS))
     shown = request.list_experiments()
     for experiment in shown:
-        _add_experiment(page, results, experiment)
+        figures = folder / "figures" / experiment.name
+        parts += _show_experiment(results, experiment, figures)
     if left_out := [n for n in NAMES if n not in {e.name for e in shown}]:
-        page.add_text(f"Not asked for here: {', '.join(left_out)}.")
-    return page
+        parts.append(_say(f"Not asked for here: {', '.join(left_out)}."))
+    return write_text(folder / "index.html", assemble_page(TITLE, "".join(parts)))
 
 
-def _add_experiment(page: Page, results: Results, experiment: Experiment) -> None:
-    figures = page.folder / "figures" / experiment.name
-    page.add_heading(experiment.title)
-    page.add_text(f"{experiment.question} Paper: {experiment.table.place}.")
+def _say(text: str) -> str:
+    return f"<p>{escape(text)}</p>\n"
+
+
+def _show_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    return make_table([map(escape, row) for row in rows], map(escape, heads), "numbers")
+
+
+def _show_experiment(
+    results: Results, experiment: Experiment, folder: Path
+) -> list[str]:
+    """The section of an experiment; its own figures are drawn in the folder."""
+    title, table = escape(experiment.title), experiment.table
+    parts = [f"<h2>{title}</h2>"]
+    parts.append(_say(f"{experiment.question} Paper: {table.place}."))
     categories = results.request.list_categories(experiment)
     for category in [*categories, *[MEAN] * (len(categories) > 1)]:
-        page.add_table(*tabulate(results, experiment, category))
-    page.add_text(say_difference(results, experiment))
-    for remark in experiment.table.remarks:
-        page.add_text(remark)
+        parts.append(_show_table(*tabulate(results, experiment, category)))
+    parts += map(_say, (say_difference(results, experiment), *table.remarks))
     if experiment.name in ("known_pose", "unknown_pose"):
-        page.add_text(OTHER_SYSTEMS)
-    analysis = analyze(results, experiment, figures)
+        parts.append(_say(OTHER_SYSTEMS))
+    analysis = analyze(results, experiment, folder)
     if analysis.problem:
-        page.add_text(f"Not analysed: {analysis.problem}")
+        parts.append(_say(f"Not analysed: {analysis.problem}"))
     if analysis.measures:
-        page.add_table(("Measure", "Value"), list_measures(analysis))
+        parts.append(_show_table(("Measure", "Value"), list_measures(analysis)))
     for path, caption in (
-        *_draw_run_times(results, experiment, figures),
-        *_copy_pictures(results, experiment, figures),
+        *_draw_run_times(results, experiment, folder),
+        *_find_pictures(results, experiment),
         *analysis.figures,
     ):
-        page.add_figure(path, caption)
+        chart = embed_chart(path, caption, is_photo=path.suffix != ".svg")
+        parts.append(chart + _say(caption))
+    return parts
 
 
 def say_difference(results: Results, experiment: Experiment) -> str:
@@ -158,10 +97,9 @@ def say_difference(results: Results, experiment: Experiment) -> str:
     done = results.list_finished(experiment)
     if not done:
         return "None of its runs is finished yet."
-    steps = _join(o.config.train.steps for o in done if o.config)
-    trained, tested = (
+    steps, trained, tested = (
         _join((o.metrics or {}).get(name) for o in done)
-        for name in ("train_models", "test_models")
+        for name in ("steps", "train_models", "test_models")
     )
     return (
         f"What differs: ours are trained on {SOURCES[results.request.source.kind]}, "
@@ -188,14 +126,17 @@ def tabulate(
       The heads of the columns, and the cells.
     """
     heads, columns = [category], [[row.label for row in experiment.rows]]
+    names = [category]
+    if category == MEAN:
+        names = results.request.list_categories(experiment)
     for metric in experiment.metrics:
         heading = get_metric(metric).heading
         paper = [
-            results.find_published(experiment, row, category, metric)
+            experiment.table.find(row.published, names, metric)
             for row in experiment.rows
         ]
         ours = [
-            format_metric(metric, results.find_mean(experiment, row, metric))
+            format_metric(metric, results.find_mean(row, names, metric))
             if category == MEAN
             else results.make_group(row, category).describe(metric)
             for row in experiment.rows
@@ -252,42 +193,26 @@ def _draw_run_times(results: Results, experiment: Experiment, folder: Path) -> F
         groups = []
         for row in experiment.rows:
             runs = [
-                ComparedRun(o.run.name, records=_read_records(o.workdir))
+                ComparedRun(o.run.name, records=tuple(o.read_records()))
                 for o in results.list_outcomes(row, category)
                 if o.metrics is not None
             ]
             groups += [Group(row.label, tuple(runs))] if runs else []
         if groups:
-            path = folder / f"{category}_time.png"
-            draw_comparison(groups, path)
+            path = draw_comparison(groups, folder / f"{category}_time.svg")
             caption = f"{category}: validation over minutes of training."
             drawn.append((path, caption))
     return drawn
 
 
-def _read_records(workdir: Path):
-    return tuple(MetricLog(workdir / "metrics.jsonl").read())
-
-
-def _copy_pictures(results: Results, experiment: Experiment, folder: Path) -> Figures:
-    """Small copies of the pictures in the reports of each row's first run."""
-    drawn = []
+def _find_pictures(results: Results, experiment: Experiment) -> Figures:
+    """The pictures in the reports of each row's first run."""
+    found = []
     for category in results.request.list_categories(experiment)[:1]:
         for row in experiment.rows if experiment.picture else ():
             for outcome in results.list_outcomes(row, category)[:1]:
                 path = outcome.workdir / "report" / experiment.picture
                 if outcome.metrics is not None and path.is_file():
-                    copy = folder / f"{outcome.run.name}.webp"
                     text = f"{row.label}: test views of the {category}s, first seed."
-                    drawn.append((_copy_small(path, copy), text))
-    return drawn
-
-
-def _copy_small(path: Path, copy: Path) -> Path:
-    """The picture as WebP, at most as wide as a column of the page."""
-    copy.parent.mkdir(parents=True, exist_ok=True)
-    with Image.open(path) as opened:
-        image = opened.convert("RGB")
-    image.thumbnail((_WIDTH, _WIDTH * 10), Image.Resampling.LANCZOS)
-    image.save(copy, format="WEBP", quality=82)
-    return copy
+                    found.append((path, text))
+    return found

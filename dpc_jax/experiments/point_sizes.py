@@ -3,35 +3,35 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import jax
 import numpy as np
 
-from dpc_jax.config import replace_fields
-from dpc_jax.data import load_or_render
 from dpc_jax.evaluation.alignment import align_points
 from dpc_jax.learning import schedules
 from dpc_jax.learning.inference.predictor import (
-    VIEWS_AT_ONCE,
     Predictions,
     arrange_views,
     make_predictor,
     predict_all,
 )
 from dpc_jax.reporting import paper_figures as figures
-from dpc_jax.run.setup import make_data_specs, make_network
-from dpc_jax.run.trained import restore_state
-from dpc_jax.run.workdir import read_alignment, read_config, read_metrics
+from dpc_jax.run.trained import load_split, load_trained
+from dpc_jax.run.workdir import read_config, read_metrics
 
 SHOWN = 5  # chairs in a figure
 Figures = list[tuple[Path, str]]  # with their captions
 
 
-def draw_errors(out: Path, workdirs: Sequence[Path]) -> Figures:
-    """The projection error over the number of points, of finished runs of all kinds.
+def run(out: Path, workdirs: Sequence[Path]) -> Figures:
+    """The errors of finished runs, and the shapes of the first one of each kind.
 
     Raises:
       ValueError: where a run has no projection error.
     """
+    return draw_errors(out, workdirs) + draw_shapes(out, workdirs)
+
+
+def draw_errors(out: Path, workdirs: Sequence[Path]) -> Figures:
+    """The projection error over the number of points, of finished runs of all kinds."""
     errors: dict[str, dict[int, list[float]]] = {kind: {} for kind in figures.LABELS}
     for workdir in workdirs:
         config = read_config(workdir)
@@ -56,52 +56,35 @@ def draw_shapes(out: Path, workdirs: Sequence[Path]) -> Figures:
     for workdir in workdirs:
         runs.setdefault(read_config(workdir).network.point_size, workdir)
     shapes = {kind: predict_gaussians(workdir) for kind, workdir in runs.items()}
-    return [
-        (
-            figures.draw_silhouettes(shapes, out / "silhouettes.png"),
-            "Input, true silhouette, and what the points of each kind render.",
-        ),
-        (
-            figures.draw_gaussians(shapes, out / "ellipsoids.png"),
-            "The Gaussians of the same shapes as ellipsoids, all seen from one side; a "
-            "point has one colour in a row.",
-        ),
-    ]
+    path = figures.draw_gaussians(shapes, out / "gaussians.png")
+    caption = (
+        "Input, true silhouette, what the points of each kind render, and their "
+        "Gaussians as ellipsoids, all seen from one side; a point has one colour."
+    )
+    return [(path, caption)]
 
 
 def predict_gaussians(workdir: Path) -> list[figures.Gaussians]:
-    """Shapes of the first views of test objects, spread over the split.
-
-    Clouds stand upright where that is known.
-    """
-    shared = {"run": {"devices": 0}, "train": {"models_per_batch": VIEWS_AT_ONCE}}
-    config = replace_fields(read_config(workdir), shared)
-    state = restore_state(config, workdir)
-    dataset = load_or_render(
-        make_data_specs(config)["test"], cache_dir=config.data.cache_dir
-    )
-    predictor = make_predictor(make_network(config), config)
-    predictions = predict_all(predictor, state, dataset)
-    sigma = schedules.compute_sigma(state.step, config.render, steps=config.train.steps)
-    covariances = find_covariances(
-        predictions, float(jax.device_get(sigma)), grid=config.render.grid
-    )
-    alignment = read_alignment(workdir)
+    """Shapes of the first views of test objects, spread over the split."""
+    trained = load_trained(workdir)
+    config, step = trained.config, trained.state.step
+    dataset = load_split(trained, "test")
+    predictor = make_predictor(trained.network, config)
+    predictions = predict_all(predictor, trained.state, dataset)
+    sigma = schedules.compute_sigma(step, config.render, steps=config.train.steps)
+    covariances = find_covariances(predictions, float(sigma), grid=config.render.grid)
+    turn = align_points(trained.alignment, np.eye(3)).T
     models, views = arrange_views(dataset)
     shapes = []
     for row in np.linspace(0, len(models) - 1, min(SHOWN, len(models))).astype(int):
         place = models[row, 0], views[row, 0]
-        points, sizes = predictions.points[row, 0], covariances[row, 0]
-        if alignment is not None:
-            turn = align_points(alignment, np.eye(3)).T
-            points, sizes = align_points(alignment, points), turn @ sizes @ turn.T
         shapes.append(
             figures.Gaussians(
                 image=np.asarray(dataset.images[place]),
                 target=np.asarray(dataset.masks[place]) / 255,
                 predicted=predictions.silhouettes[row, 0],
-                points=points,
-                covariances=sizes,
+                points=align_points(trained.alignment, predictions.points[row, 0]),
+                covariances=turn @ covariances[row, 0] @ turn.T,
             )
         )
     return shapes

@@ -22,17 +22,14 @@ class PublishedTable:
     # Sentences of the paper's text on it, and what is odd about its numbers.
     remarks: tuple[str, ...] = ()
 
-    def find(self, method: str, category: str, metric: str) -> float | None:
-        """A number; None where the paper has none."""
-        return self.rows.get(method, {}).get(category, {}).get(metric)
+    def find(self, method: str, categories: Sequence[str], metric: str) -> float | None:
+        """The number of a category, or a mean; None where the paper has none.
 
-    def find_mean(
-        self, method: str, categories: Sequence[str], metric: str
-    ) -> float | None:
-        """The printed mean; of fewer than all categories the mean of theirs."""
-        if set(categories) == set(CATEGORIES):
-            return self.find(method, MEAN, metric)
-        values = [self.find(method, category, metric) for category in categories]
+        Of all categories it is the printed mean, of fewer the mean of their numbers.
+        """
+        rows = self.rows.get(method, {})
+        names = (MEAN,) if set(categories) == set(CATEGORIES) else categories
+        values = [rows.get(name, {}).get(metric) for name in names]
         found = [value for value in values if value is not None]
         return sum(found) / len(found) if found and None not in values else None
 

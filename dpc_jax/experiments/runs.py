@@ -34,7 +34,6 @@ class Size:
 
     categories: tuple[str, ...]  # unless others are asked for
     seeds: tuple[int, ...]
-    long_seeds: tuple[int, ...]  # of the runs from 128 on, and of rows that say so
     variant: str = ""  # put before that of every row
     # "section.field": value, of every run
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -45,14 +44,12 @@ class Size:
     fewer_points: int = 1  # numbers of points that rows say are divided by this
     # Variables of the runs' processes
     environment: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    shows_quality: bool = True  # whether figures say more than that it runs
 
 
 SIZES = {
     "quick": Size(
         categories=("chair",),  # programs do not depend on the category
         seeds=(0,),  # shows that all runs, not how well
-        long_seeds=(0,),
         changes={
             **_PLAIN,
             "data.models": 12,  # rendered in seconds
@@ -86,12 +83,10 @@ SIZES = {
         fewer_points=20,
         # Programs run for seconds: compiling them takes 11 s of a core instead of 23.
         environment={"JAX_DISABLE_MOST_OPTIMIZATIONS": "true"},
-        shows_quality=False,
     ),
     "cpu": Size(
         categories=("chair", "car"),  # the two whose silhouettes differ most
         seeds=(0, 1, 2),  # a spread needs three
-        long_seeds=(0,),  # over ten minutes a run
         changes={
             **_PLAIN,
             "network.shape_hidden": 512,  # of all categories, whatever configs have
@@ -121,7 +116,6 @@ SIZES = {
         variant="paper",
         categories=("airplane", "car", "chair"),  # § Datasets
         seeds=(0,),  # the paper names none; a run takes days
-        long_seeds=(0,),
     ),
 }
 
@@ -236,10 +230,10 @@ class Request:
         return [c for c in experiment.categories if c in asked]
 
     def list_seeds(self, row: Row) -> tuple[int, ...]:
-        """Seeds of a row."""
+        """Seeds of a row; one where a run takes over ten minutes at the size "cpu"."""
         size = SIZES[self.size]
         is_long = row.is_long or find_resolution(row) in RESOLUTIONS[2:]
-        return self.seeds or (size.long_seeds if is_long else size.seeds)
+        return self.seeds or (size.seeds[:1] if is_long else size.seeds)
 
     def explain_absence(self, row: Row) -> str:
         """Why a row has no runs; "" where it has."""

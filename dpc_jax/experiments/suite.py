@@ -1,10 +1,9 @@
 """The whole command: what is asked for, the runs that are missing, the page."""
 
 import dataclasses
-from collections.abc import Collection
 from pathlib import Path
 
-from dpc_jax.experiments.page import make_page
+from dpc_jax.experiments.page import write_page
 from dpc_jax.experiments.results import Outcome, Results
 from dpc_jax.experiments.runs import SIZES, Request
 from dpc_jax.experiments.training import Job, choose_cores, train_missing
@@ -17,9 +16,8 @@ def run_suite(
     request: Request,
     folder: Path,
     *,
-    trained: Collection[str],
+    trains: bool,
     cache: Path,
-    page: Path | None = None,
     at_once: int = 0,
 ) -> tuple[Path, int]:
     """Train what is missing of some runs, then write the page of the request.
@@ -27,9 +25,8 @@ def run_suite(
     Args:
       request: what is asked for.
       folder: DIR, with a folder per run under runs/.
-      trained: names of the runs to train; none writes the page of what is there.
+      trains: whether what is missing is trained, or left out of the page.
       cache: of rendered data sets.
-      page: Markdown file to write beside DIR's own.
       at_once: how many runs at most; 0 for as many as there are cores and memory.
 
     Returns:
@@ -43,18 +40,15 @@ def run_suite(
     prepare_process(VIEWS_AT_ONCE)  # the networks of finished runs are asked here
     with hold_workdir(folder), catch_signals() as stop:
         jobs, problems = _plan(request, folder, cache)
-        if asked := [job for name, job in jobs.items() if name in trained]:
+        if trains:
             cores = choose_cores(at_once)
-            problems |= train_missing(asked, cores=cores, stop=stop)
+            problems |= train_missing(list(jobs.values()), cores=cores, stop=stop)
         outcomes = {
             run.name: _gather(run, folder, jobs.get(run.name), problems)
             for run in request.list_runs()
         }
-        made = make_page(Results(request, outcomes), folder)
-        path = made.write()
-        if page and not stop.is_set():
-            made.publish(page)
-    return path, len(problems.keys() & set(trained))
+        path = write_page(Results(request, outcomes), folder)
+    return path, len(problems) if trains else 0
 
 
 def _plan(
@@ -81,9 +75,7 @@ def _plan(
 
 def _gather(run, folder, job: Job | None, problems) -> Outcome:
     workdir, problem = folder / "runs" / run.name, problems.get(run.name, "")
-    if job is None:
-        return Outcome(run, workdir, problem=problem)
     try:
-        return Outcome(run, workdir, job.config, job.read_metrics(), problem)
+        return Outcome(run, workdir, job.read_metrics() if job else None, problem)
     except ValueError as error:
-        return Outcome(run, workdir, job.config, problem=str(error))
+        return Outcome(run, workdir, problem=str(error))

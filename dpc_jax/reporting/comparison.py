@@ -39,6 +39,11 @@ PANELS = (
     "projection_error",
 )
 _LEGEND_ROW = 0.2  # inches
+_TABLE = (
+    "Figures of the test split. Runs that differ in the seed alone stand together, "
+    "under their mean ± standard deviation (n − 1). Marked: settings that most others "
+    "have otherwise. ▸ is the best of its column, whatever the spread."
+)
 _HOW_TO_READ = (
     "Validation during training, over wall clock. The runs of a group have one colour. "
     "Point at a row of the table to see its curves alone, click to keep them."
@@ -46,18 +51,18 @@ _HOW_TO_READ = (
 
 
 def write_comparison(folder: Path, groups: Sequence[Group]) -> Path:
-    """Write index.html, curves.png and curves.svg into a folder; the path of the page.
+    """Write index.html and curves.svg into a folder; the path of the page.
 
     Args:
       groups: at least one.
     """
-    curves = draw_comparison(groups, folder / "curves.png").read_text("utf-8")
+    curves = draw_comparison(groups, folder / "curves.svg").read_text("utf-8")
     count = sum(len(group.runs) for group in groups)
     title = f"{count} runs side by side" if count > 1 else "One run"
     common = find_common([group.runs[0].fields for group in groups])
     summary = "<summary>The settings where nothing is marked</summary>"
     body = (
-        f"<h1>{title}</h1>\n<p>{html.escape(_explain(groups))}</p>\n"
+        f"<h1>{title}</h1>\n<p>{_TABLE}</p>\n"
         f"{_show_table(groups)}"
         + (f"<details>{summary}{_mark(common)}</details>\n" if common else "")
         + f"<h2>Error against run time</h2><p>{_HOW_TO_READ}</p>\n"
@@ -115,23 +120,6 @@ def _show_table(groups: Sequence[Group]) -> str:
     return make_table(shown, map(html.escape, heads), kind="numbers")
 
 
-def _explain(groups: Sequence[Group]) -> str:
-    """How to read the table; only what it has."""
-    parts = ["Figures of the test split."]
-    if any(len(group.runs) > 1 for group in groups):
-        parts.append(
-            "Runs that differ in the seed alone stand together, under their mean ± "
-            "standard deviation (n − 1)."
-        )
-    if any(group.differs for group in groups):
-        parts.append("Marked: settings that most others have otherwise.")
-    if any(find_best(groups, name) for name in COLUMNS):
-        parts.append("▸ is the best of its column, whatever the spread.")
-    if unfinished := [run for g in groups for run in g.runs if run.unfinished]:
-        parts.append(f"Not finished: {len(unfinished)}.")
-    return " ".join(parts)
-
-
 def _mark(settings: Mapping[str, object]) -> str:
     texts = (
         f"{name} {value if isinstance(value, str) and value else repr(value)}"
@@ -141,10 +129,10 @@ def _mark(settings: Mapping[str, object]) -> str:
 
 
 def draw_comparison(groups: Sequence[Group], path: Path) -> Path:
-    """Draw error against run time as PATH.png and PATH.svg; the path of the second.
+    """Draw error against run time as SVG; returns the path.
 
-    The lines of group i have ids in the SVG that begin with "line-i-", those of its
-    entry in the legend too. Of `PANELS` those are drawn that are recorded; where none
+    The lines of group i have ids that begin with "line-i-", those of its entry in the
+    legend too. Of `PANELS` those are drawn that are recorded; where none
     is, the loss.
 
     Args:
@@ -178,11 +166,10 @@ def draw_comparison(groups: Sequence[Group], path: Path) -> Path:
     legend = style.add_legend(figure, handles=handles, ncols=names, handlelength=3.2)
     for index, line in enumerate(legend.get_lines()):
         line.set_gid(f"line-{index}-legend")
-    style.save_figure(figure, path)
     buffer = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "curves"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
-    return write_text(path.with_suffix(".svg"), buffer.getvalue())
+    return write_text(path, buffer.getvalue())
 
 
 def _draw_run(axes: Axes, run: ComparedRun, metric: str, index: int) -> None:

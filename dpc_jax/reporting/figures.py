@@ -1,4 +1,4 @@
-"""Figures of a run: curves over run time, pose errors, azimuths, candidates."""
+"""Figures of a run: curves over run time, pose errors, azimuths."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike
 
 from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.evaluation.pose import (
@@ -138,15 +137,12 @@ def _draw_loss(axes: Axes, seconds: np.ndarray, values: np.ndarray) -> None:
     axes.plot(seconds, values, color=style.BLUE, lw=1.5)
 
 
-def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
+def draw_pose_errors(views: Failures, path: str | os.PathLike) -> Path:
     """Histogram of pose errors from 0 to 180 degrees, with the 30° line and the median.
 
     Errors within 30° and flips, beyond 150°, have colours of their own.
-
-    Raises:
-      ValueError: there are no errors, or one is not within 0 to 180 degrees.
     """
-    accuracy, median, flips, counts, edges = pose_summary(errors_deg)
+    accuracy, median, flips, counts, edges = pose_summary(views.errors_deg)
     figure = style.make_figure(7.5, 3.8)
     axes = figure.subplots()
     axes.hist(edges[:-1], edges.tolist(), weights=counts, rwidth=0.9)
@@ -162,39 +158,13 @@ def draw_pose_errors(errors_deg: ArrayLike, path: str | os.PathLike) -> Path:
     axes.patches[-1].set_label(label)
     style.label_axes(
         axes,
-        title=f"Pose errors of {np.size(errors_deg)} test views",
+        title=f"Pose errors of {views.errors_deg.size} test views",
         x_label="angle between predicted and true pose (degrees)",
         y_label="views",
     )
     axes.set(xlim=(0.0, 180.0), xticks=range(0, 181, 30))
     axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
     style.add_legend(figure, handles=[*marks, axes.patches[-1]], ncols=3)
-    return style.save_figure(figure, path)
-
-
-def draw_candidates(shares: ArrayLike, path: str | os.PathLike) -> Path:
-    """Bars of the share [K], 0 to 1, of views that each pose candidate wins."""
-    percent = 100.0 * np.asarray(shares, np.float64).ravel()
-    figure = style.make_figure(7.5, 3.2)
-    axes = figure.subplots()
-    colors = [style.BLUE if value >= 1.0 else style.MUTED for value in percent]
-    bars = axes.bar(np.arange(percent.size), percent, color=colors, width=0.75)
-    if percent.size <= 16:  # labels of more bars would run into each other
-        labels = [f"{value:.{int(0.0 < value < 1.0)}f}" for value in percent]
-        axes.bar_label(bars, labels, fontsize=8, color=style.INK, padding=1)
-    even = 100.0 / max(percent.size, 1)
-    label = f"even share: {even:.0f} %"
-    axes.axhline(even, color=style.RED, lw=1.2, ls="--", label=label)
-    alive = int(np.sum(percent >= 1.0))
-    style.label_axes(
-        axes,
-        title=f"Winning pose candidates: {alive} of {percent.size} win at least 1 %",
-        x_label="candidate",
-        y_label="views won (%)",
-    )
-    axes.xaxis.set_major_locator(MaxNLocator("auto", integer=True))
-    axes.set_ylim(0.0, max(1.15 * percent.max(initial=0.0), 1.0))
-    style.add_legend(figure)
     return style.save_figure(figure, path)
 
 

@@ -1,4 +1,4 @@
-"""Pictures in a labelled grid, or one after another; predictions as such a grid."""
+"""Pictures in a labelled grid, predictions as such a grid, a cloud that turns."""
 
 import io
 import os
@@ -16,7 +16,7 @@ from dpc_jax.reporting import style
 from dpc_jax.reporting.clouds import FRONT, REAR, draw_cloud
 from dpc_jax.reporting.examples import Example
 
-FRAMES = 36  # of a whole turn
+FRAMES, _MILLISECONDS = 36, 80  # of a whole turn, and that each stays
 _ELEVATION = 20.0  # of the viewer of a turntable, degrees
 _SHOWN_SURFACE_POINTS = 2000  # about as many as are predicted, to compare fairly
 
@@ -29,7 +29,6 @@ def draw_grid(
     labels: Sequence[str] = (),
     framed: int = 0,
     size: float = 1.9,
-    has_few_colors: bool = False,
 ) -> Path:
     """Write pictures as a grid; None leaves a place empty.
 
@@ -38,7 +37,6 @@ def draw_grid(
       titles: of the columns. labels: of the rows, below the first picture.
       framed: how many pictures of the first row get a dark frame.
       size: of a picture, inches.
-      has_few_colors: 256, in a third of the bytes: hardly a difference for clouds.
     """
     height = size * len(rows) * (1.12 if labels else 1.02) + (0.3 if titles else 0.05)
     figure = style.make_figure(size * len(rows[0]), height, is_close=True)
@@ -59,14 +57,7 @@ def draw_grid(
         axes.text(0, -0.03, label, transform=axes.transAxes, **text).set_in_layout(
             False
         )
-    style.save_figure(figure, path)
-    if has_few_colors:
-        buffer = io.BytesIO()
-        with Image.open(path) as drawn:
-            few = drawn.convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE)
-        few.save(buffer, format="PNG", optimize=True)
-        write_bytes(path, buffer.getvalue())
-    return Path(path)
+    return style.save_figure(figure, path)
 
 
 def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Path:
@@ -121,22 +112,7 @@ def write_turntable(
     azimuths = FRONT[0] + np.arange(FRAMES) * 360.0 / FRAMES
     views = [(azimuth, _ELEVATION) for azimuth in azimuths]
     frames = [draw_cloud(points, colors, view_deg=view, size=size) for view in views]
-    return write_animation(frames, path)
-
-
-def write_animation(
-    frames: Sequence[np.ndarray],
-    path: str | os.PathLike,
-    *,
-    milliseconds: list[int] | int = 80,
-) -> Path:
-    """Write frames uint8 [H, W, 3] as an endless GIF.
-
-    All frames share 128 colours: what does not change does not flicker.
-
-    Args:
-      milliseconds: that each frame stays, or all of them.
-    """
+    # All frames share 128 colours: what does not change does not flicker.
     spread = frames[:: 1 + len(frames) // 12]
     sample = Image.fromarray(np.concatenate([f[::2, ::2] for f in spread]))
     palette = sample.quantize(128, method=Image.Quantize.MAXCOVERAGE)
@@ -150,7 +126,7 @@ def write_animation(
         format="GIF",
         save_all=True,
         append_images=pictures[1:],
-        duration=milliseconds,
+        duration=_MILLISECONDS,
         loop=0,
         optimize=False,
     )

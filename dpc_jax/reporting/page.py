@@ -9,8 +9,6 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import ArrayLike
-
 from dpc_jax.evaluation import metrics as registry
 from dpc_jax.evaluation.pose import Failures
 from dpc_jax.files import write_json, write_text
@@ -21,7 +19,7 @@ from dpc_jax.reporting.gallery import draw_predictions
 from dpc_jax.reporting.signals import draw_signals
 from dpc_jax.reporting.tables import make_table
 from dpc_jax.reporting.web import cards, viewer
-from dpc_jax.reporting.web.markup import assemble_page, embed_chart, show_hint
+from dpc_jax.reporting.web.markup import assemble_page, embed_chart
 
 _NAMED = 30  # objects
 # Title of a section, and how to read it.
@@ -34,9 +32,8 @@ CAPTIONS = {
     ),
     "worst_objects": (
         "The worst objects",
-        "What is wrong with them says what to mend: the difference is red where the "
-        "prediction is too large and blue where it is too small, both as seen from the "
-        "predicted pose; the true shape is on the right.",
+        "The difference is red where the prediction is too large and blue where it is "
+        "too small, as seen from the predicted pose; the true shape is on the right.",
     ),
     "pose_errors": (
         "Pose errors",
@@ -60,19 +57,11 @@ CAPTIONS = {
     ),
     "curves": (
         "Over run time",
-        "Poses, Chamfer distance, silhouettes and stray points are of validation, "
-        "those of which the truth is known: the same size of "
-        "points and the same grid all along, so these curves mean the same from left "
-        "to right. The loss does not: at the dotted lines the number of points and the "
-        "grid change, and between them the points become smaller, so it may climb "
-        "while everything improves. An accuracy that settles near 50 % hints at "
-        "flipped poses; a curve still moving at its right end asks for more steps.",
-    ),
-    "candidates": (
-        "Pose candidates",
-        "How often each member of the pose ensemble explains a view best. Grey bars "
-        "win less than 1 % and have stopped learning; with a single bar left the "
-        "ensemble works like one regressor.",
+        "All but the loss and the candidates are of validation, at one size of points "
+        "and one grid. The loss may climb while everything improves: at the dotted "
+        "lines the number of points and the grid change, and between them the points "
+        "become smaller. An accuracy that settles near 50 % hints at flipped poses; a "
+        "curve still moving at its right end asks for more steps.",
     ),
     "signals": (
         "Rendered images",
@@ -93,10 +82,8 @@ def write_report(
     examples: Sequence[Example] = (),
     ranking: str = "",
     worst: tuple[Sequence[Example], str] = ((), ""),
-    pose_errors: ArrayLike | None = None,
     failures: Failures | None = None,
     lost: Sequence[str] = (),
-    shares: ArrayLike | None = None,
     warnings: Sequence[str] = (),
     config_text: str = "",
 ) -> Path:
@@ -113,10 +100,8 @@ def write_report(
       examples: views to show, those of a group one after the other.
       ranking: how they were chosen, a sentence.
       worst: the worst objects, each by a view, and how they were chosen.
-      pose_errors: errors of the test views in degrees, any shape.
-      failures: what is wrong with the poses of the test views.
+      failures: errors of the poses of the test views, and what is wrong with them.
       lost: names of objects that are wrong in all their views.
-      shares: [K] share of views that each candidate wins.
       warnings: sentences for the top of the page.
       config_text: the configuration, shown as it is.
     """
@@ -140,12 +125,11 @@ def write_report(
     rendered = [e for e in examples if e.images and len(e.images.rendered) > 1]
     parts += [
         _draw(folder, "worst_objects", draw_predictions, *worst, is_photo=True),
-        _draw(folder, "pose_errors", figures.draw_pose_errors, pose_errors),
+        _draw(folder, "pose_errors", figures.draw_pose_errors, failures),
         _draw(folder, "azimuths", figures.draw_azimuths, failures),
-        "" if pose_errors is None else _describe_failures(values, lost),
+        _name_lost(lost),
         _compare_shapes(values),
         _draw(folder, "curves", draw_curves, records),
-        _draw(folder, "candidates", figures.draw_candidates, shares),
         _draw(folder, "signals", draw_signals, rendered, is_photo=True),
         _list_metrics(values),
     ]
@@ -233,40 +217,26 @@ def _compare_shapes(values: Mapping[str, Any]) -> str:
     return _introduce("training_shapes") + table if columns else ""
 
 
-def _describe_failures(values: Mapping[str, Any], lost: Sequence[str]) -> str:
-    """What the wrong views are, and which objects are wrong in all of theirs."""
-    names = (
-        "wrong_half_turn_share",
-        "wrong_mirror_share",
-        "truth_cheaper_share",
-        "wrong_object_share",
-    )
-    known = [name for name in names if values.get(name) is not None]
-    rows = [_make_row(name, values[name]) for name in known]
-    text = f"<h3>What the wrong views are</h3>{make_table(rows)}" if rows else ""
-    if lost:
-        shown = ", ".join(lost[:_NAMED]) + (", ..." if len(lost) > _NAMED else "")
-        text += f"<p>Wrong in all views: {escape(shown)}.</p>"
-    return text
+def _name_lost(lost: Sequence[str]) -> str:
+    """The objects that are wrong in all their views."""
+    if not lost:
+        return ""
+    shown = ", ".join(lost[:_NAMED]) + (", ..." if len(lost) > _NAMED else "")
+    return f"<p>Wrong in all views: {escape(shown)}.</p>"
 
 
 def _list_metrics(values: Mapping[str, Any]) -> str:
     """A table of all metrics, each with its meaning."""
     rows = []
     for name in registry.order_metrics(values):
-        better = registry.get_metric(name).higher_is_better
+        metric = registry.get_metric(name)
         more = {None: "", True: "; higher is better", False: "; lower is better"}
-        rows.append(_make_row(name, values[name], more[better]))
+        hint = metric.hint + more[metric.higher_is_better] if metric.hint else ""
+        shown = escape(registry.format_metric(name, values[name]))
+        hint = f'<span class="hint">{escape(hint)}</span>'
+        rows.append((escape(metric.heading), shown, hint))
     return (
         "<h2>All metrics</h2><p>Of the test split; the same numbers, unrounded and "
         'with shares from 0 to 1, are in <a href="metrics.json">metrics.json</a>.</p>'
         + make_table(rows)
     )
-
-
-def _make_row(name: str, value: Any, more: str = "") -> tuple[str, str, str]:
-    """A metric with its value and its meaning."""
-    metric = registry.get_metric(name)
-    hint = metric.hint + more if metric.hint else ""
-    shown = escape(registry.format_metric(name, value))
-    return escape(metric.heading), shown, show_hint(hint)

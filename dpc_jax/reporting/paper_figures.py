@@ -12,12 +12,11 @@ from PIL import Image
 from dpc_jax.reporting import style
 from dpc_jax.reporting.clouds import (
     FRONT,
-    REAR,
     draw_cloud,
     draw_ellipsoids,
     shade_depth,
 )
-from dpc_jax.reporting.gallery import draw_grid, write_animation
+from dpc_jax.reporting.gallery import draw_grid
 
 _COLUMNS = 6  # as in the paper
 _PLAIN, _MARKED = 0.010, 0.021  # radii of the spheres, object units
@@ -25,12 +24,8 @@ _COLORS = (
     "#e6194b", "#3cb44b", "#ffb000", "#4363d8", "#f06a1d", "#911eb4",
     "#1fb8c4", "#f032e6", "#8db600", "#7a4a1e", "#008080", "#000075",
 )  # fmt: skip
-# Sides of pictures, pixels: of a cloud, of one in a strip, of one in an animation.
-_SIDE, _STRIP, _FRAME = 320, 256, 300
+_SIDE, _STRIP = 320, 256  # of pictures, pixels: of a cloud, of one in a strip
 _INSET = 80  # of an input in the corner of a cloud
-_BAR = 8  # height of the bar that tells how far a frame is, pixels
-_REST, _MOVE = 600, 80  # how long a prediction and a frame between stay, milliseconds
-_FILLED, _EMPTY = (47, 126, 188), (222, 228, 234)
 
 
 def draw_transfers(
@@ -60,19 +55,15 @@ def draw_transfers(
     pictures += [None] * (-len(pictures) % _COLUMNS)
     rows = [pictures[i : i + _COLUMNS] for i in range(0, len(pictures), _COLUMNS)]
     titles = ["template"] * templates
-    return draw_grid(rows, path, titles=titles, framed=templates, has_few_colors=True)
+    return draw_grid(rows, path, titles=titles, framed=templates)
 
 
-def _inset(picture: np.ndarray, *images: np.ndarray) -> np.ndarray:
-    """The picture with one input in its upper left corner, and another in the right."""
-    for image, place in zip(
-        images, (slice(_INSET), slice(-_INSET, None)), strict=False
-    ):
-        small = Image.fromarray(image).resize(
-            (_INSET, _INSET), Image.Resampling.BICUBIC
-        )
-        corner = picture[:_INSET, place]
-        corner[:] = np.minimum(corner, np.array(small))
+def _inset(picture: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """The picture with an input in its upper left corner."""
+    size = _INSET, _INSET
+    small = Image.fromarray(image).resize(size, Image.Resampling.BICUBIC)
+    corner = picture[:_INSET, :_INSET]
+    corner[:] = np.minimum(corner, np.array(small))
     return picture
 
 
@@ -95,38 +86,7 @@ def draw_strips(
     last = len(clouds[0]) - 1
     middle = [f"{100 * i / last:.0f} % of the way" for i in range(1, last)]
     titles = ["input A", "prediction A", *middle, "prediction B", "input B"]
-    return draw_grid(rows, path, titles=titles, has_few_colors=True)
-
-
-def animate_tour(
-    images: Sequence[np.ndarray] | np.ndarray,
-    clouds: np.ndarray,
-    path: str | os.PathLike,
-) -> Path:
-    """An endless GIF from one input's shape to the next and back to the first.
-
-    Each frame shows the cloud from the front and from the rear, the inputs that it is
-    between, and how far it has come.
-
-    Args:
-      images: uint8 [S, S, 3], n inputs.
-      clouds: [n, F, N, 3] in the object frame; row i goes from input i, at its first
-        frame, towards input i + 1, which is the first frame of the next row.
-    """
-    count, steps = clouds.shape[:2]
-    frames = []
-    for i, step in np.ndindex(count, steps):
-        sides = [
-            draw_cloud(clouds[i, step], view_deg=view, size=_FRAME)
-            for view in (FRONT, REAR)
-        ]
-        ends = images[i], images[(i + 1) % count]
-        picture = _inset(np.concatenate(sides, axis=1), *ends)
-        bar = np.full((_BAR, picture.shape[1], 3), _EMPTY, np.uint8)
-        bar[:, : round(step / steps * picture.shape[1])] = _FILLED
-        frames.append(np.concatenate([picture, bar]))
-    times = [_REST if i % steps == 0 else _MOVE for i in range(len(frames))]
-    return write_animation(frames, path, milliseconds=times)
+    return draw_grid(rows, path, titles=titles)
 
 
 # Kinds of point sizes, with their labels.
@@ -148,32 +108,21 @@ class Gaussians:
     covariances: np.ndarray  # [N, 3, 3] object frame, in squares of its unit
 
 
-def draw_silhouettes(
+def draw_gaussians(
     shapes: Mapping[str, Sequence[Gaussians]], path: str | os.PathLike
 ) -> Path:
-    """Silhouettes of each kind of size under the input and the target.
+    """Silhouettes and Gaussians of each kind of size, under the input and the target.
+
+    Gaussians are shaded ellipsoids; a point has one colour in every column.
 
     Args:
       shapes: by kind of point size ("", "sigma" or "covariance"), of the same views.
     """
-    kinds = [kind for kind in LABELS if kind in shapes]
-    given = shapes[kinds[0]]
+    given = next(iter(shapes.values()))
     rows = {"input": [s.image for s in given], "target": [s.target for s in given]}
-    rows |= {LABELS[kind]: [s.predicted for s in shapes[kind]] for kind in kinds}
-    return draw_grid(list(rows.values()), path, labels=list(rows))
-
-
-def draw_gaussians(
-    shapes: Mapping[str, Sequence[Gaussians]], path: str | os.PathLike
-) -> Path:
-    """Gaussians of each kind of size as shaded ellipsoids, under the input.
-
-    A point has one colour in every column. Arguments as of `draw_silhouettes`.
-    """
-    kinds = [kind for kind in LABELS if kind in shapes]
-    rows = {"input": [s.image for s in shapes[kinds[0]]]}
-    for kind in kinds:
-        rows[LABELS[kind]] = [
+    for kind in [kind for kind in LABELS if kind in shapes]:
+        rows[LABELS[kind]] = [shape.predicted for shape in shapes[kind]]
+        rows[f"{LABELS[kind]}, Gaussians"] = [
             draw_ellipsoids(
                 shape.points,
                 shape.covariances,

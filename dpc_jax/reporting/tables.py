@@ -35,7 +35,7 @@ def _escape(cell: object) -> str:
 
 
 def make_table(
-    rows: Iterable[Iterable[str]], heads: Iterable[str] = (), *, kind: str = ""
+    rows: Iterable[Iterable[str]], heads: Iterable[str] = (), kind: str = ""
 ) -> str:
     """An HTML table of cells that are HTML; the second column holds numbers.
 

@@ -32,13 +32,8 @@ def assemble_page(title: str, body: str, *, style: str = "") -> str:
     )
 
 
-def show_hint(text: str) -> str:
-    """A remark in small print."""
-    return f'<span class="hint">{html.escape(text)}</span>'
-
-
 def embed_chart(path: Path, title: str, *, is_photo: bool) -> str:
-    """A PNG inside the page; on a phone it scrolls sideways, or its print is lost.
+    """A PNG or SVG in the page; on a phone it scrolls sideways, or its print is lost.
 
     Args:
       title: for those who cannot see it.
@@ -50,7 +45,8 @@ def embed_chart(path: Path, title: str, *, is_photo: bool) -> str:
             source, kind = _pack(picture.convert("RGB")), ""
     else:
         data = base64.b64encode(path.read_bytes()).decode("ascii")
-        source, kind = f"data:image/png;base64,{data}", ' class="chart"'
+        form = "svg+xml" if path.suffix == ".svg" else "png"
+        source, kind = f"data:image/{form};base64,{data}", ' class="chart"'
     title = html.escape(title)
     return f'<div class="wide"><img{kind} alt="{title}" src="{source}"></div>\n'
 

@@ -38,11 +38,11 @@ def show_clouds(examples: Sequence[Example]) -> str:
         controls += (
             f'<button data-colors="own" aria-pressed="true">{own}</button>'
             '<button data-colors="error" aria-pressed="false">Error</button>'
-            '<span class="scale" id="scale" hidden>0 <i></i> '
-            f"{100 * FARTHEST:.0f} and more (box diagonal × 100)</span>"
         )
-    else:
-        controls += '<span class="scale" id="scale" hidden></span>'
+    controls += (
+        '<span class="scale" id="scale" hidden>0 <i></i> '
+        f"{100 * FARTHEST:.0f} and more (box diagonal × 100)</span>"
+    )
     plots = [("predicted", "Predicted")] + [("true", "True")] * has_truth
     frames = "".join(
         f'<figure><div class="plot" id="{name}"><span class="say">The cloud is drawn '

@@ -76,10 +76,8 @@ def report_run(
         examples=examples,
         ranking=ranking,
         worst=list_worst(judged),
-        pose_errors=judged.scores.pose_errors_deg,  # None: no such figure
         failures=failures,
         lost=lost,
-        shares=shares if heads > 1 else None,
         warnings=warnings,
         config_text=str(to_config_dict(config)),
     )
