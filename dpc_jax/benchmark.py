@@ -1,7 +1,8 @@
 """Error against run time: python -m dpc_jax.benchmark [--quick] [--out=DIR]
 
-Measures speed beside PyTorch, sizes and memory, the error of every setting and growth,
-and writes benchmark.md, benchmark.json and a figure into DIR. It judges nothing.
+Measures speed beside PyTorch, how time and memory grow with points and grid, and the
+error of every setting; writes benchmark.md, benchmark.json and a figure into DIR. It
+judges nothing.
 """
 
 import argparse

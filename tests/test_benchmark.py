@@ -18,6 +18,7 @@ from dpc_jax.measure.benchmark import (
 )
 
 TINY = plan.Case(batch=2, points=40, side=8, sigma=1.0)
+SURFACE = plan.Case(1, points=200, side=32, sigma=0.5), ("silhouette", "color")
 
 
 def test_things_compared_take_turns_after_a_round_that_is_not_counted():
@@ -78,8 +79,7 @@ def test_errors_of_an_exact_setting_vanish_and_of_a_rough_one_do_not():
 
 
 def test_a_surface_has_the_same_gradient_in_blocks_as_in_the_whole_volume():
-    case = plan.Case(batch=1, points=200, side=32, sigma=0.5)
-    result = sizes.compare_volumes(case, ("silhouette", "color"), rounds=1)
+    result = sizes.compare_volumes(*SURFACE, rounds=1)
     assert set(result["median_seconds"]) == set(result["bytes"]) == {"whole", "blocks"}
     assert 0.1 < result["share"] < 0.7
     assert result["gradient_difference"] < 1e-5  # float32, sums in another order
@@ -124,15 +124,12 @@ def make_results():
         {"points": 1000, "side": side, "median_seconds": {"blocks": 0.012} | whole}
         for side, whole in ((512, {"whole": 1.234}), (1024, {}))
     ]
-    growth = {"axis": "side", "expected": "D³", "base": "B=1"}
-    growth["median_seconds"] = {"8": 0.01, "16": 0.02}
     errors = (("one", 1e-3, 0.02), ("two", 2e-3, float("inf")))
     return results | {
         "speed": [speeds],
         "sizes": [large],
         "surfaces": surfaces,
         "error": [make_record(*numbers) for numbers in errors],
-        "scaling": [growth],
     }
 
 
@@ -142,7 +139,6 @@ def test_the_report_shows_its_figure_and_numbers_and_leaves_no_other_file(tmp_pa
     assert "(error.png)" in text
     assert "PyTorch is not installed and was left out" in text
     assert "| other | 20.00 | 2.00 | 3.0e-06 |" in text
-    assert "| side | D³ | 8: 10.00, 16: 20.00 |" in text
     assert "| silhouette, depth | 3.1 % | – | 1.5e+03 | – | 0.9 | – |" in text
     assert "| 1,000 | 1,234 / 12 | – / 12 |" in text
 
@@ -164,24 +160,23 @@ def test_unknown_names_are_refused_in_a_sentence(
 
 
 def test_one_command_measures_and_writes(tmp_path, monkeypatch, capsys):
-    few = {"points": (40,), "side": (8,), "batch": (2,)}  # programs of a test above
-    tiny = dataclasses.replace(plan.QUICK, rounds=1, scaling_base=TINY, scaling=few)
+    tiny = dataclasses.replace(plan.QUICK, rounds=1, sizes=(SURFACE,))
     monkeypatch.setattr(benchmark, "QUICK", tiny)
-    assert benchmark.main(["--quick", "--parts=scaling", f"--out={tmp_path}"]) == 0
-    assert "3/3 scaling: batch" in capsys.readouterr().out
+    assert benchmark.main(["--quick", "--parts=sizes", f"--out={tmp_path}"]) == 0
+    assert "1/1 sizes: silhouette+color, B=1" in capsys.readouterr().out
     text = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
-    assert "python -m dpc_jax.benchmark --parts=scaling --quick" in text
+    assert "python -m dpc_jax.benchmark --parts=sizes --quick" in text
 
 
 def test_parts_before_a_failing_one_are_kept(tmp_path, monkeypatch, capsys):
     def fail():
         raise RuntimeError("no memory left")
 
-    done = make_results()["scaling"]
-    tasks = [("scaling", "points", lambda: done), ("speed", "one", lambda: [{}])]
+    done = make_results()["sizes"]
+    tasks = [("sizes", "car", lambda: done), ("speed", "one", lambda: [{}])]
     tasks.append(("speed", "two", fail))
     monkeypatch.setattr(suite, "list_tasks", lambda plan: tasks)
-    assert benchmark.main(["--parts=speed,scaling", f"--out={tmp_path}"]) == 1
+    assert benchmark.main(["--parts=speed,sizes", f"--out={tmp_path}"]) == 1
     assert "Error: no memory left" in capsys.readouterr().err
     text = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
-    assert "## Growth" in text and "## Speed" not in text
+    assert "## How large" in text and "## Speed" not in text

@@ -203,6 +203,8 @@ def test_a_kind_fits_the_category_wherever_in_its_box_its_parts_are(monkeypatch)
     right = draw_plane(rng, wing=0.1, tail=-0.18)
     assert compare_ends(usual, right).max() < 0
     assert compare_ends(usual, right * ABOUT_X).max() > 0
+    nothing = jnp.zeros_like(usual[0]), jnp.array(0)
+    assert not compare_ends(nothing, right).any()
     monkeypatch.setattr(common_frame, "_SHIFTS", (0.0,))
     assert compare_ends(usual, right * ABOUT_X).max() < 0
 
@@ -215,12 +217,6 @@ def test_a_kind_that_is_turned_round_does_not_judge_itself(monkeypatch):
     # As many as its own are left out; with more of them, it agrees with itself.
     monkeypatch.setattr(common_frame, "_ALIKE", 0.0)
     assert compare_ends(remember(usual + 4 * kind), kind[0]).max() < 0
-
-
-def test_where_nothing_was_seen_yet_nothing_is_gained():
-    none = jnp.zeros((common_frame.OBJECTS, common_frame.CELLS**3)), jnp.array(0)
-    points = draw_plane(np.random.default_rng(0), wing=0.1, tail=-0.18)
-    np.testing.assert_array_equal(compare_ends(none, points), 0)
 
 
 def test_the_last_objects_are_remembered(monkeypatch):
@@ -248,17 +244,6 @@ def test_ways_are_level_where_cameras_are_upright():
     # float32, of products of numbers of size one
     np.testing.assert_allclose(ways @ ways.T, np.eye(2), atol=1e-6)
     assert abs(ways[0] @ np.asarray(covariance) @ ways[1]) < 1e-5
-
-
-def test_a_kind_is_turned_by_its_points_though_its_own_colors_agree():
-    """Of a fifth of all objects, counted turned round: its colours are as it counts."""
-    gains = jnp.array([[[0.02], [-0.08]], [[-0.03], [-0.04]]])
-    moments = jnp.array([[[1.0], [1.0]], [[-0.06], [-0.04]], [[0.0052], [0.0017]]])
-    assert common_frame._choose_turns(gains, moments).tolist() == [1, 0]
-    half_way = gains.at[0, 0].set(0.01)  # that fits both ways nearly alike
-    assert common_frame._choose_turns(half_way, moments).tolist() == [0, 0]
-    unclear = moments.at[1, 0].set(-0.01)  # of points that tell nothing apart
-    assert common_frame._choose_turns(gains, unclear).tolist() == [0, 0]
 
 
 def test_colors_that_tell_nothing_turn_nothing():

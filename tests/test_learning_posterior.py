@@ -1,6 +1,5 @@
 """Predicted poses: the student's, or what the silhouette speaks for, moved nearby."""
 
-import dataclasses
 import functools
 
 import jax
@@ -57,11 +56,9 @@ def see(pose):
     )
 
 
-@functools.partial(jax.jit, static_argnames=("copies", "config"))
-def search(pose, observation, *, copies=1, config=CONFIG):
-    scene = make_scene()
-    scene["points"] = jnp.tile(scene["points"], (copies, 1))
-    return search_nearby(scene, pose, observation, config=config)
+@functools.partial(jax.jit, static_argnames="config")
+def search(pose, observation, *, config=CONFIG):
+    return search_nearby(make_scene(), pose, observation, config=config)
 
 
 @jax.jit
@@ -179,16 +176,6 @@ def test_a_viewpoint_some_degrees_off_comes_nearer_to_the_truth(start):
     assert np.array_equal(search(TRUTH, observation), TRUTH)
 
 
-def test_points_weigh_as_much_together_as_those_that_training_renders_last():
-    """Twice each point, and half of them kept: the outlines of the scene itself."""
-    observation, start = see(face(-120.0, 25.0)), face(-116.0, 19.0)
-    half = replace_fields(CONFIG, {"render": {"keep_end": 0.5}})
-    found = search(start, observation, copies=2, config=half)
-    np.testing.assert_allclose(found, search(start, observation), atol=1e-6)
-    of_all = search(start, observation, copies=2)
-    assert np.abs(of_all - found).max() > 1e-3  # outlines that are wider find another
-
-
 def test_elevations_stay_in_the_range_of_the_heads():
     high = CONFIG.pose.elevation_high
     start, observation = face(50.0, high), see(face(50.0, high + 8.0))
@@ -241,10 +228,3 @@ def test_predictions_are_moved_where_heads_say_viewpoints_alone(head):
         assert (away < 0.1).all()
     else:
         assert (away > 1).any() and (away <= np.hypot(sum(STEPS), sum(STEPS))).all()
-
-
-def test_where_nothing_is_chosen_the_fit_is_not_weighed():
-    for changes in ({"source": "given"}, {"num_heads": 1}, {"student": "regresses"}):
-        pose = dataclasses.replace(CONFIG.pose, **changes)
-        assert not pose.weighs_fit
-    assert CONFIG.pose.weighs_fit

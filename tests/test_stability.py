@@ -18,7 +18,7 @@ from dpc_jax.measure.stability.runner import compare, run_cases, tabulate
 # Ordinary scenes, sums, all draws and long descents are left to the slow test.
 TABLES = [s for s in SUBJECTS if s not in ("scene", "sum", "random", "descent")]
 # Compiled in a second or two each.
-CHEAP = ("splat", "opacity", "mass_of_peak", "from_axis_angle", "student", "align")
+CHEAP = ("splat", "opacity", "mass_of_peak", "from_axis_angle", "student")
 
 
 def make_case(function, **changes):
@@ -115,18 +115,10 @@ def test_random_draws_break_no_function():
     assert not describe_failures(rows)
 
 
-def divide(x):
-    return 1 / x if x >= 1 else np.inf
-
-
 @pytest.mark.parametrize(
     "target, broken",
     [
         (Target("", lambda x: x * 2, (Range((2,)),)), "finite did not hold for ["),
-        (
-            Target("", divide, (Range((), 0, 5),), is_traced=False),
-            "finite did not hold",
-        ),
         (
             Target("", jnp.sqrt, (Range((), 0, 1, (0, 1)),)),
             "gradient of input 0 did not hold for 0.0",

@@ -1,9 +1,8 @@
 """What the benchmark measures, and at which sizes."""
 
 import dataclasses
-from collections.abc import Mapping
 
-PARTS = ("speed", "sizes", "surfaces", "error", "scaling")
+PARTS = ("speed", "sizes", "surfaces", "error")
 SEED = 0  # of all that is drawn
 SURFACE_SIGMA = 0.6  # voxels, as at the end of a fit
 
@@ -41,8 +40,6 @@ class Plan:
     dtypes: tuple[tuple[str, str], ...]  # method and dtype, beside float32
     reference_side: int  # of the float64 reference
     budget_seconds: float  # after so much time a setting gets no further round
-    scaling_base: Case  # the scaling values change one field of this
-    scaling: Mapping[str, tuple[int, ...]]  # values by field
 
 
 FULL = Plan(
@@ -71,12 +68,6 @@ FULL = Plan(
     ),
     reference_side=192,  # a multiple of 32 and 64
     budget_seconds=1.5,
-    scaling_base=Case(1, 8000, 64, 3.0),
-    scaling={
-        "points": (125, 500, 2000, 8000, 32000, 128000),
-        "side": (16, 32, 64, 128),
-        "batch": (1, 2, 4, 8, 16),
-    },
 )
 
 # Sizes that share programs: nearly all of its time goes into compiling them.
@@ -95,6 +86,4 @@ QUICK = Plan(
     dtypes=(),
     reference_side=32,
     budget_seconds=0.2,
-    scaling_base=Case(2, 500, 16, 1.5),
-    scaling={"points": (500, 5000), "side": (8, 16), "batch": (1, 2)},
 )

@@ -182,28 +182,11 @@ def draw_errors(records: Sequence[dict[str, Any]], path: Path) -> Path:
     return style.save_figure(figure, path)
 
 
-def _write_scaling(out, results) -> list[str]:
-    rows = []
-    for result in results["scaling"]:
-        pairs = result["median_seconds"].items()
-        times = ", ".join(f"{value}: {_ms(time)}" for value, time in pairs)
-        rows.append([result["axis"], result["expected"], times])
-    return [
-        "## Growth",
-        format_table(["number", "expected", "run time (ms)"], rows, align="lll"),
-        "Forward and backward; all other numbers are those of "
-        f"{results['scaling'][0]['base']}. Times that grow less at small values show a "
-        "part that does not grow, such as the volume's smoothing where there are few "
-        "points.",
-    ]
-
-
 _SECTIONS = {
     "speed": _write_speed,
     "sizes": _write_sizes,
     "surfaces": _write_surfaces,
     "error": _write_error,
-    "scaling": _write_scaling,
 }
 
 

@@ -1,6 +1,5 @@
-"""The engine beside its peers, and how its run time grows; gradients are compared."""
+"""The engine beside its peers; gradients are compared."""
 
-import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,7 +10,7 @@ import numpy as np
 from jax.sharding import PartitionSpec
 
 from dpc_jax.learning.losses import reprojection_loss
-from dpc_jax.measure.benchmark.plan import SEED, Case, Plan
+from dpc_jax.measure.benchmark.plan import SEED, Case
 from dpc_jax.measure.benchmark.pytorch import has_torch, make_torch_call
 from dpc_jax.measure.timing import measure_medians
 from dpc_jax.render import VoxelGrid, project, project_batch
@@ -157,26 +156,3 @@ def measure_distance(value: np.ndarray, reference: np.ndarray) -> float:
     if size == 0:
         return 0.0 if distance == 0 else float("inf")
     return float(distance / size)
-
-
-# How the run time is expected to grow with a field of `Case` once that dominates. A
-# grid has D³ cells; smoothing by wide, dense kernels takes D⁴.
-AXES = {"points": "N", "side": "D³", "batch": "B"}
-
-
-def measure_axis(axis: str, *, plan: Plan) -> dict[str, Any]:
-    """Median seconds, forward and backward, for each value of one field of `AXES`.
-
-    The other fields are those of the plan's base case.
-    """
-    calls = {}
-    for value in plan.scaling[axis]:
-        case = dataclasses.replace(plan.scaling_base, **{axis: value})
-        calls[str(value)] = _make_call(_draw_work(case), case.sigma)
-    medians = measure_medians(calls, rounds=plan.rounds)
-    return {
-        "axis": axis,
-        "expected": AXES[axis],
-        "base": str(plan.scaling_base),
-        "median_seconds": medians,
-    }

@@ -78,5 +78,3 @@ def list_tasks(plan: Plan) -> Iterator[Task]:
     for scene, sigma in itertools.product(made, plan.sigmas):
         call = partial(accuracy.measure_scene, scene, sigma, **fixed)
         yield "error", f"{scene.name}, σ={sigma:g}", call
-    for axis in speed.AXES:
-        yield "scaling", axis, partial(speed.measure_axis, axis, plan=plan)

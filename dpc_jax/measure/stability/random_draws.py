@@ -9,9 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax import render
-from dpc_jax.evaluation import align, chamfer_distance, pose_summary, rotation_angle_deg
 from dpc_jax.learning import losses
-from dpc_jax.learning.choice import hindsight
 from dpc_jax.measure.stability.case import Row
 from dpc_jax.measure.stability.image_cases import (
     CELLS,
@@ -21,17 +19,14 @@ from dpc_jax.measure.stability.image_cases import (
 )
 from dpc_jax.measure.stability.loss_cases import select
 from dpc_jax.measure.stability.runner import QUICKLY
-from dpc_jax.render import Camera, VoxelGrid, quaternion
+from dpc_jax.render import VoxelGrid, quaternion
 
 DRAWS, QUICK_DRAWS = 10_000, 100
 AT_ONCE = 500  # draws
 LARGEST = float(np.finfo(np.float32).max)
 EPSILON = float(np.finfo(np.float32).eps)
 _SMALLEST = 1e-45  # above zero, subnormal
-PROMISE = (
-    "values and gradients are finite, and what the function promises holds; a "
-    "documented refusal counts as an answer"
-)
+PROMISE = "values and gradients are finite, and what the function promises holds"
 
 
 class Range(NamedTuple):
@@ -71,8 +66,6 @@ class Target(NamedTuple):
     # everything is finite
     holds: Callable[..., Any] = lambda outputs, *inputs: True
     limit: str = ""  # the documented range if it is not all finite numbers, and why
-    # False for numpy functions, which have no gradient and may refuse a draw
-    is_traced: bool = True
 
 
 def run(
@@ -82,8 +75,7 @@ def run(
     for target in targets:
         rng, draws = np.random.default_rng(seed), QUICK_DRAWS if quick else DRAWS
         drawn = [wanted.draw(rng, draws) for wanted in target.inputs]
-        check = _check_traced if target.is_traced else _check_plain
-        held = check(target, drawn, quick)
+        held = _check(target, drawn, quick)
         found = ""
         if broken := [name for name, each in held.items() if not np.all(each)]:
             first = int(np.argmin(held[broken[0]]))
@@ -97,7 +89,7 @@ def run(
         )
 
 
-def _check_traced(target, drawn, quick) -> Mapping[str, np.ndarray]:
+def _check(target, drawn, quick) -> Mapping[str, np.ndarray]:
     """Of each property whether each draw has it, by one compiled program.
 
     The properties are finite outputs, finite gradients of Σ ±output, and what the
@@ -115,22 +107,6 @@ def _check_traced(target, drawn, quick) -> Mapping[str, np.ndarray]:
     many = functools.partial(jax.lax.map, check, batch_size=batch_size)
     options = QUICKLY if quick else None
     return jax.device_get(jax.jit(many, compiler_options=options)(drawn))
-
-
-def _check_plain(target, drawn, quick) -> Mapping[str, np.ndarray]:
-    held = []
-    for arrays in zip(*drawn, strict=True):
-        try:
-            outputs = target.function(*arrays)
-        except ValueError as error:
-            # "<Subject> must be <expected>, but <what came>; <what to do>."
-            held.append((", but " in str(error) and "; " in str(error), True, True))
-            continue
-        leaves = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(outputs)]
-        is_finite = all(np.isfinite(leaf).all() for leaf in leaves)
-        held.append((True, is_finite, bool(target.holds(outputs, *arrays))))
-    names = ("refused in a sentence", "finite", "its promise")
-    return dict(zip(names, np.array(held).T, strict=True))
 
 
 def _are_finite(tree):
@@ -183,10 +159,6 @@ def _is_narrower(found, sigma):
     return jnp.all((found >= 0) & (found <= sigma))
 
 
-def _is_alignment(found, *_):
-    return abs(np.linalg.norm(found[0]) - 1) <= 1e-12 and not np.any(found[-1])
-
-
 # Functions as they are drawn for.
 
 
@@ -210,21 +182,6 @@ def _from_axis_angle(q, angle):
     return quaternion.from_axis_angle(axis, angle)
 
 
-def _choose(*inputs):
-    """The winner, as a share of the last one."""
-    points, mass, candidates, target, sigma = jax.lax.stop_gradient(inputs)
-    options = {"sigma": sigma, "camera": Camera()}
-    winner = hindsight.choose_candidate(points, mass, candidates, target, **options)
-    return winner / (len(candidates) - 1)
-
-
-def _align(*arrays):
-    """What must be finite of an alignment; the spread is infinite far away."""
-    found = align(*arrays)
-    finite = (found.rotation, found.inlier_share, found.chamfer, found.icp_turn_deg)
-    return *finite, np.isnan(found.spread_deg)
-
-
 _POINTS, _SIGMA = Range((5, 3)), Range((), 0, LARGEST, (0, 4))
 _SIGMAS, _SCALE = Range((5,), 0, LARGEST, (0, 4)), Range((5,), 0, 1e6, (0, 2))
 _TURN = Range((4,), smallest=1e-6, usual=(-1, 1))
@@ -244,11 +201,6 @@ _PEAKS = (Range((7,), -1e6, 1e6), Range((7,), 0, 1e10, (0, 3)))
 _RAYS = (Range((3, 7), 0, 1, (0, 1)),)
 _FACTORS = (Range((4,), -1e18, 1e18, (-1, 1)),) * 2
 _IMAGES, _ANY = (Range((4, 5), -1e18, 1e18, (0, 1)),) * 2, (Range((5, 3), -1e18, 1e18),)
-_CHOICE = (
-    *(_POINTS, Range((), 0, LARGEST, (0, 2)), Range((3, 4), usual=(-1, 1))),
-    *(Range((8, 8), 0, 1, (0, 1)), Range((), 0, LARGEST, (0, 3))),
-)
-_POSES, _CLOUDS = (Range((2, 2, 4), usual=(-1, 1)),) * 2, (Range((2, 5, 3)),) * 2
 _PERSPECTIVE = {"projection": "perspective", "ray_rule": "termination"}
 _FLAT = {"projection": "orthographic", "ray_rule": "maximum"}
 _LIMIT = (
@@ -261,7 +213,7 @@ _KINDS = "; |covariance| ≤ 3e6, some of them indefinite, which is no covarianc
 _STEEP = "components 0 or ≥ 1e-30 (the gradient grows as 1/|q|)"
 _FAR = "coordinates ≤ 1e30, |q| 0 or ≥ 1e-6: the gradient grows as their quotient"
 _DOMAIN = "occupancies in [0, 1], its domain"
-_SQUARED, _REFUSED = "values ≤ 1e18: they are squared", "a zero quaternion is refused"
+_SQUARED = "values ≤ 1e18: they are squared"
 
 
 def _project_target(method, rules, sizes, limit="") -> Target:
@@ -318,16 +270,6 @@ TARGETS = (
            _IS_POSITIVE, "logits ≤ 1e37: the loss is their difference"),
     Target("repulsion_energy", losses.repulsion_energy, _ANY, limit=_SQUARED),
     Target("containment_loss", losses.containment_loss, _ANY, _IS_POSITIVE, _SQUARED),
-    Target("choose_candidate", _choose, _CHOICE, _IS_SHARE),
-    # Of numpy.
-    Target("rotation_angle_deg", rotation_angle_deg, _POSES, between(0, 180), _REFUSED,
-           is_traced=False),
-    Target("pose_summary", pose_summary, (Range((7,), usual=(0, 180)),), _IS_SHARE,
-           "errors outside 0° to 180° refused", is_traced=False),
-    Target("chamfer_distance", chamfer_distance, (Range((6, 3)), _POINTS),
-           lambda found, *_: min(found) >= 0, is_traced=False),
-    Target("align", _align, (*_POSES, *_CLOUDS), _is_alignment, _REFUSED,
-           is_traced=False),
 )
 # fmt: on
 ROWS = {"random": functools.partial(run, TARGETS)}
