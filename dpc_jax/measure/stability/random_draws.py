@@ -65,7 +65,6 @@ class Target(NamedTuple):
     # (outputs, *inputs) -> whether what the function promises holds, beside that
     # everything is finite
     holds: Callable[..., Any] = lambda outputs, *inputs: True
-    limit: str = ""  # the documented range if it is not all finite numbers, and why
 
 
 def run(
@@ -83,7 +82,6 @@ def run(
             found = f"{', '.join(broken)} did not hold for {shown}"
         yield Row(
             *("random", target.name, "float32", float(bool(found)), 0.0),
-            limit=target.limit,
             because=PROMISE,
             found=found,
         )
@@ -182,6 +180,9 @@ def _from_axis_angle(q, angle):
     return quaternion.from_axis_angle(axis, angle)
 
 
+# A gradient must be a float32, and of `project` it is a product of masses, colours,
+# distances, focal length and 1/|q|. A translation above 1e30 that brings a point of
+# 3e38 back into view would give q a gradient beyond that.
 _POINTS, _SIGMA = Range((5, 3)), Range((), 0, LARGEST, (0, 4))
 _SIGMAS, _SCALE = Range((5,), 0, LARGEST, (0, 4)), Range((5,), 0, 1e6, (0, 2))
 _TURN = Range((4,), smallest=1e-6, usual=(-1, 1))
@@ -196,31 +197,22 @@ _CAMERA = (
 _SCENE = (_SCALE, Range((5, 2), -1e6, 1e6, (0, 1)), *_CAMERA)
 _CELLS = (Range(CELLS, -1e6, 1e6, (0, 1)), Range((*CELLS, 2), -1e6, 1e6, (0, 1)))
 _COVARIANCES = Range((5, 3, 3), -1e3, 1e3, (-1, 1))
-_SPLATS = (Range((5, 3), usual=(-1, 6)), Range((5,), -1e37, 1e37))
-_PEAKS = (Range((7,), -1e6, 1e6), Range((7,), 0, 1e10, (0, 3)))
+_SPLATS = (Range((5, 3), usual=(-1, 6)), Range((5,), -1e37, 1e37))  # a cell's sum
+_PEAKS = (Range((7,), -1e6, 1e6), Range((7,), 0, 1e10, (0, 3)))  # the mass grows as σ³
 _RAYS = (Range((3, 7), 0, 1, (0, 1)),)
+_ROTATED = (Range((5, 3), -1e30, 1e30), Range((4,), smallest=1e-6))
+# Values that are squared or multiplied.
 _FACTORS = (Range((4,), -1e18, 1e18, (-1, 1)),) * 2
 _IMAGES, _ANY = (Range((4, 5), -1e18, 1e18, (0, 1)),) * 2, (Range((5, 3), -1e18, 1e18),)
 _PERSPECTIVE = {"projection": "perspective", "ray_rule": "termination"}
 _FLAT = {"projection": "orthographic", "ray_rule": "maximum"}
-_LIMIT = (
-    "masses, occupancies, |colours|, |distance| and |background| ≤ 1e6, focal length "
-    "1e-6 to 1e6, |q| 0 or ≥ 1e-6: a gradient is a product of all these (and of "
-    "1/|q|), and must be a float32; any points and sigma ≥ 0; |translation| ≤ 1e30: "
-    "one that brings a point of 3e38 back into view gives q a gradient beyond float32"
-)
-_KINDS = "; |covariance| ≤ 3e6, some of them indefinite, which is no covariance"
-_STEEP = "components 0 or ≥ 1e-30 (the gradient grows as 1/|q|)"
-_FAR = "coordinates ≤ 1e30, |q| 0 or ≥ 1e-6: the gradient grows as their quotient"
-_DOMAIN = "occupancies in [0, 1], its domain"
-_SQUARED = "values ≤ 1e18: they are squared"
 
 
-def _project_target(method, rules, sizes, limit="") -> Target:
+def _project_target(method, rules, sizes) -> Target:
     inputs = (_POINTS, _TURN, sizes, *_SCENE)
     function = functools.partial(_project, method=method, **rules)
     name = ", ".join((f"project: {method}", *rules.values(), f"{sizes.shape} sizes"))
-    return Target(name, function, inputs, _IS_SHARE, _LIMIT + limit)
+    return Target(name, function, inputs, _IS_SHARE)
 
 
 # fmt: off
@@ -231,45 +223,39 @@ TARGETS = (
     _project_target("levels", _PERSPECTIVE, _SIGMAS),
     _project_target("gaussian", _PERSPECTIVE, _SIGMA),
     _project_target("gaussian", _PERSPECTIVE, _SIGMAS),
-    _project_target("gaussian", _PERSPECTIVE, _COVARIANCES, _KINDS),
+    _project_target("gaussian", _PERSPECTIVE, _COVARIANCES),
     *(Target(f"project_volume: {rules['projection']}",
              functools.partial(render_cells, **rules), (*_CELLS, _TURN, *_CAMERA),
-             _IS_SHARE, _LIMIT) for rules in (_PERSPECTIVE, _FLAT)),
-    Target("voxelize", _voxelize, (_POINTS, _TURN, _SIGMAS, _SCALE), _IS_SHARE, _LIMIT),
+             _IS_SHARE) for rules in (_PERSPECTIVE, _FLAT)),
+    Target("voxelize", _voxelize, (_POINTS, _TURN, _SIGMAS, _SCALE), _IS_SHARE),
     Target("splat", functools.partial(render.splat, shape=SHAPE), _SPLATS,
-           _makes_no_mass, "|values| ≤ 1e37: the sum of a cell must be a float32"),
-    Target("smooth", render.smooth, (Range(SHAPE, -1e30, 1e30, (0, 1)), _SIGMA),
-           limit="|volume| ≤ 1e30: sigma's gradient is a sum over all cells"),
+           _makes_no_mass),
+    Target("smooth", render.smooth, (Range(SHAPE, -1e30, 1e30, (0, 1)), _SIGMA)),
     Target("compensate_widening", render.compensate_widening,
            (Range((7,), 0, LARGEST, (0, 3)),), _is_narrower),
-    Target("mass_of_peak", render.mass_of_peak, _PEAKS,
-           limit="|peak| ≤ 1e6 and sigma ≤ 1e10: the mass grows as σ³"),
-    Target("opacity", render.opacity, _RAYS, _IS_SHARE, _DOMAIN),
+    Target("mass_of_peak", render.mass_of_peak, _PEAKS),
+    Target("opacity", render.opacity, _RAYS, _IS_SHARE),
     Target("termination_probabilities", render.termination_probabilities, _RAYS,
-           _are_probabilities, _DOMAIN),
+           _are_probabilities),
     Target("quaternion.normalize", quaternion.normalize, (_STEEP_TURN,),
-           _has_unit_length, _STEEP),
-    Target("quaternion.multiply", quaternion.multiply, _FACTORS,
-           limit="components ≤ 1e18: products of larger ones are not float32"),
-    Target("quaternion.to_matrix", quaternion.to_matrix, (_STEEP_TURN,), _is_orthogonal,
-           _STEEP),
+           _has_unit_length),
+    Target("quaternion.multiply", quaternion.multiply, _FACTORS),
+    Target("quaternion.to_matrix", quaternion.to_matrix, (_STEEP_TURN,),
+           _is_orthogonal),
     Target("quaternion.from_matrix", quaternion.from_matrix,
-           (Range((3, 3), -1e37, 1e37),), _has_unit_length,
-           "entries ≤ 1e37 (a rotation has entries up to 1)"),
-    Target("quaternion.rotate", quaternion.rotate,
-           (Range((5, 3), -1e30, 1e30), Range((4,), smallest=1e-6)), limit=_FAR),
+           (Range((3, 3), -1e37, 1e37),), _has_unit_length),
+    Target("quaternion.rotate", quaternion.rotate, _ROTATED),
     Target("quaternion.angle_between", quaternion.angle_between, (_STEEP_TURN,) * 2,
-           between(0, float(np.float32(np.pi)) * (1 + EPSILON)), _STEEP),
+           between(0, float(np.float32(np.pi)) * (1 + EPSILON))),
     Target("quaternion.from_axis_angle", _from_axis_angle, (_STEEP_TURN, Range(())),
-           _has_unit_length, "unit axes (drawn as the turned x axis), any angle"),
-    Target("reprojection_loss", losses.reprojection_loss, _IMAGES, _IS_POSITIVE,
-           _SQUARED),
+           _has_unit_length),
+    Target("reprojection_loss", losses.reprojection_loss, _IMAGES, _IS_POSITIVE),
     Target("student_loss", losses.student_loss, (_STEEP_TURN,) * 2,
-           between(-4 * EPSILON, 1), _STEEP),
+           between(-4 * EPSILON, 1)),
     Target("selection_loss", select, (Range((2, 3), -1e37, 1e37, (-3, 3)),),
-           _IS_POSITIVE, "logits ≤ 1e37: the loss is their difference"),
-    Target("repulsion_energy", losses.repulsion_energy, _ANY, limit=_SQUARED),
-    Target("containment_loss", losses.containment_loss, _ANY, _IS_POSITIVE, _SQUARED),
+           _IS_POSITIVE),
+    Target("repulsion_energy", losses.repulsion_energy, _ANY),
+    Target("containment_loss", losses.containment_loss, _ANY, _IS_POSITIVE),
 )
 # fmt: on
 ROWS = {"random": functools.partial(run, TARGETS)}
