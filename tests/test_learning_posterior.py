@@ -10,6 +10,7 @@ from tiny_runs import make_dataset, make_network, make_state, tiny_config
 
 from dpc_jax import rotation_angle_deg
 from dpc_jax.config import replace_fields
+from dpc_jax.learning import framing
 from dpc_jax.learning.inference import explanation, predictor
 from dpc_jax.learning.inference.explanation import (
     FINALISTS,
@@ -18,6 +19,7 @@ from dpc_jax.learning.inference.explanation import (
     compare_poses,
     find_likeliest,
     find_posteriors,
+    observe,
     render_finest,
     search_nearby,
 )
@@ -161,6 +163,24 @@ def test_an_elevation_is_read_from_the_pose_of_any_azimuth():
     read = read_elevations(3 * face(azimuths.ravel(), elevations.ravel()))  # any length
     # The slope of arcsin is 1/cos 85° = 11 at the steepest, times float32's 1e-7.
     np.testing.assert_allclose(np.rad2deg(read), elevations.ravel(), atol=1e-3)
+
+
+@pytest.mark.parametrize("middle", [(0.0, 0.0), (0.05, -0.1)])
+def test_a_pose_is_told_from_others_whatever_the_distance(middle):
+    """The true pose fits, where a camera of the run's distance would choose wrong."""
+    place = framing.Frame(jnp.array(middle), jnp.array(1.5))  # farther
+    seen = framing.cut_silhouettes(see(TRUTH).target, place)
+    views = {"masks": np.uint8(255 * np.asarray(seen))}
+    poses = jnp.stack([TRUTH, face(20.0, 6.0), face(90.0, 6.0), RIVAL])
+
+    def compare(knows_distance):
+        return measure(
+            poses, observe(views, {}, 32, CONFIG, knows_distance=knows_distance)
+        )
+
+    costs = compare(False)
+    assert costs.argmin() == 0 and costs[0] < 0.25 * costs[1:].min()
+    assert compare(True)[0] > 5 * costs[0]
 
 
 @pytest.mark.parametrize("start", [(53.0, 12.0), (46.0, 14.0), (50.0, 2.0)])
