@@ -179,13 +179,6 @@ def test_heads_start_near_their_rotations_yet_depend_on_the_image():
     assert np.min(np.std(candidates, axis=0)) > 1e-3
 
 
-def test_heads_that_are_not_spread_start_from_zero():
-    ensemble = PoseEnsemble(num_heads=4, hidden=64)
-    candidates = run(ensemble, jnp.zeros((1, 64)))
-    # No bias at first: without features there is no quaternion either.
-    np.testing.assert_array_equal(candidates, jnp.zeros((1, 4, 4)))
-
-
 def encode(images, *, normalize):
     return run(ImageEncoder(channels=2, hidden=8, normalize=normalize), images)
 

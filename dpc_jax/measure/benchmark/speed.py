@@ -68,8 +68,9 @@ def _compile_gradient(method):
 
     def compute_loss(inputs, targets, sigma):
         def compare(one):
-            sample, target = one
-            image = render_ours(*sample, sigma, side=len(target), method=method)
+            (points, rotation, mass), target = one
+            look = {"side": len(target), "method": method}
+            image = render_ours(points, rotation, mass, sigma, **look)
             return reprojection_loss(image, target)
 
         return jnp.sum(jax.lax.map(compare, (inputs, targets)))
