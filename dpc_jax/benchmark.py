@@ -1,7 +1,8 @@
 """Error against run time: python -m dpc_jax.benchmark [--quick] [--out=DIR]
 
-Measures speed beside peers, the error of every setting, growth and memory, and writes
-benchmark.md, benchmark.json and figures into DIR. It reports and judges nothing.
+Measures speed beside PyTorch, how time and memory grow with points and grid, and the
+error of every setting; writes benchmark.md, benchmark.json and a figure into DIR. It
+judges nothing.
 """
 
 import argparse
@@ -14,7 +15,7 @@ from dpc_jax.measure.benchmark.plan import FULL, PARTS, QUICK
 from dpc_jax.run.flags import FlagParser, reading_names
 from dpc_jax.run.task import Task, run_command
 
-WRITES = ("benchmark.md", "benchmark.json", "error.png", "scaling.png")
+WRITES = ("benchmark.md", "benchmark.json", "error.png")
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -42,7 +43,7 @@ def _read(options):
         out=options.out,
         interrupted=f"Interrupted; finished parts are in {options.out}.",
         writes=WRITES,
-        # A part's process that fails tells of it by one.
+        # XLA tells of memory that is not there by a RuntimeError.
         errors=(ValueError, OSError, RuntimeError),
     )
 

@@ -204,6 +204,8 @@ def test_a_kind_fits_the_category_wherever_in_its_box_its_parts_are(monkeypatch)
     right = draw_plane(rng, wing=0.1, tail=-0.18)
     assert compare_ends(usual, right).max() < 0
     assert compare_ends(usual, right * ABOUT_X).max() > 0
+    nothing = jnp.zeros_like(usual[0]), jnp.array(0)
+    assert not compare_ends(nothing, right).any()
     monkeypatch.setattr(common_frame, "_SHIFTS", (0.0,))
     assert compare_ends(usual, right * ABOUT_X).max() < 0
 
@@ -216,12 +218,6 @@ def test_a_kind_that_is_turned_round_does_not_judge_itself(monkeypatch):
     # As many as its own are left out; with more of them, it agrees with itself.
     monkeypatch.setattr(common_frame, "_ALIKE", 0.0)
     assert compare_ends(remember(usual + 4 * kind), kind[0]).max() < 0
-
-
-def test_where_nothing_was_seen_yet_nothing_is_gained():
-    none = jnp.zeros((common_frame.OBJECTS, common_frame.CELLS**3)), jnp.array(0)
-    points = draw_plane(np.random.default_rng(0), wing=0.1, tail=-0.18)
-    np.testing.assert_array_equal(compare_ends(none, points), 0)
 
 
 def test_the_last_objects_are_remembered(monkeypatch):

@@ -26,13 +26,8 @@ from dpc_jax.learning.shapes import points, voxels
 from dpc_jax.learning.shapes.kind import View
 from dpc_jax.learning.shapes.points import Points, draw_order
 from dpc_jax.learning.shapes.voxels import Voxels
-from dpc_jax.render import (
-    Camera,
-    Projection,
-    VoxelGrid,
-    project,
-    project_volume,
-)
+from dpc_jax.measure.stability import oracles
+from dpc_jax.render import Camera, Projection, VoxelGrid, project, project_volume
 
 DISTANCE, SIDE, COUNT = 2.0, 8, 12
 RENDERED = {"silhouette": "silhouette", "depth": "termination", "color": "color"}
@@ -381,22 +376,6 @@ def test_beside_silhouettes_a_transparent_render_at_the_right_depth_costs_nothin
     assert wrong == pytest.approx(share * hit / 8, rel=1e-5)  # two before are free
 
 
-def test_what_is_off_has_no_parameters_is_not_read_and_not_computed():
-    network = make_network(tiny_config())
-    images = jnp.zeros((1, 16, 16, 3))
-    params = jax.eval_shape(network.init, jax.random.key(0), images)["params"]
-    assert set(params) == {"encoder", "shape", "pose", "student"}
-
-    def trace(**changes):
-        recipe = make_recipe(tiny_config(**changes), network)
-        call = functools.partial(Points.compare, recipe=recipe, stage=Stage(COUNT, 8))
-        inputs = make_shapes("points")[0], ROTATIONS, make_views(), {}
-        return str(jax.make_jaxpr(call)(*inputs))
-
-    # The probabilities along a ray are a running product; a silhouette needs none.
-    assert "cumprod" not in trace() and "cumprod" in trace(depth_weight=0.1)
-
-
 @pytest.mark.parametrize(
     ("fields", "extras"),
     [
@@ -441,19 +420,17 @@ def test_sizes_and_masses_are_those_of_the_paper(kind):
 
 def sum_depths(points, masses, covariances, quaternion):
     """Optical depth of each pixel in float64, from covariances in the image."""
-    turn = rotation_matrix(np.asarray(quaternion))
-    cells, total = np.arange(-40, 41 + SIDE), 0
+    turn, total = rotation_matrix(np.asarray(quaternion)), 0
     for point, mass, covariance in zip(points, masses, covariances, strict=True):
         x, y, z = turn @ point
         zoom = 1.875 / (z + DISTANCE)
         axes = []
         for place, axis in ((y, turn[1]), (x, turn[0])):
-            center = (zoom * place + 0.5) * SIDE - 0.5
             variance = covariance
             if np.ndim(covariance):
                 variance = zoom**2 * axis @ covariance @ axis
-            weights = np.exp(-0.5 * (cells - center) ** 2 / variance)
-            axes.append((weights / weights.sum())[40 : 40 + SIDE])
+            center = (zoom * place + 0.5) * SIDE - 0.5
+            axes.append(oracles.weigh(np.arange(SIDE), center, np.sqrt(variance)))
         total = total + mass * np.outer(*axes)
     return total
 

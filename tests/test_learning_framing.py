@@ -18,19 +18,11 @@ from dpc_jax.data import DataSpec
 from dpc_jax.data.sets import framing as photographs
 from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.learning import framing
-from dpc_jax.learning.inference.explanation import (
-    compare_poses,
-    observe,
-    render_finest,
-)
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.predictions import draw_framed, make_inputs
-from dpc_jax.learning.shapes.points import Points
-from dpc_jax.networks.viewpoints import face_object
 from dpc_jax.run.prediction.objects import place_photographs
 
 SIDE = 64
-CONFIG = tiny_config(student="posterior", flips=True, head="viewpoint", fine_grid=32)
 
 
 def draw_shape(*, middle=(0.0, 0.0), size=1.0, side=SIDE):
@@ -106,32 +98,6 @@ def test_what_shows_nothing_has_a_frame():
     for frame in (by_box(nothing), by_moments(nothing / 255)):
         assert np.isfinite(frame.centre).all() and (np.asarray(frame.side) > 0).all()
         assert not np.asarray(framing.cut_silhouettes(nothing / 255, frame)).any()
-
-
-@pytest.mark.parametrize("middle", [(0.0, 0.0), (0.05, -0.1)])
-def test_a_pose_is_told_from_others_whatever_the_distance(middle):
-    """The true pose fits, where a camera of the run's distance would choose wrong."""
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-0.4, 0.4, (60, 3)) * [1.0, 0.5, 0.3]
-    points[:20, 0] += 0.1
-    scene = {"points": jnp.asarray(points, jnp.float32)}
-    scene |= {"mass": jnp.array(3.0), "sigma": 0.3}
-    azimuths = jnp.deg2rad(jnp.array([50.0, 20.0, 90.0, 200.0]))
-    poses = jax.vmap(lambda a: face_object(a, 0.1))(azimuths)
-    seen = render_finest(scene, poses[0], {}, config=CONFIG).silhouette
-    place = framing.Frame(jnp.array(middle), jnp.array(1.5))  # farther
-    masks = np.uint8(255 * np.asarray(framing.cut_silhouettes(seen, place)))
-    fine = Points.resize(scene, 32 / CONFIG.render.grid)
-
-    def compare(knows_distance):
-        observation = observe(
-            {"masks": masks}, {}, 32, CONFIG, knows_distance=knows_distance
-        )
-        return np.asarray(compare_poses(fine, poses, observation, config=CONFIG))
-
-    costs = compare(False)
-    assert costs.argmin() == 0 and costs[0] < 0.25 * costs[1:].min()
-    assert compare(True)[0] > 5 * costs[0]
 
 
 def test_photographs_come_to_the_place_and_size_of_what_is_predicted():

@@ -92,18 +92,6 @@ def test_a_run_that_goes_on_compiles_no_stage_that_is_over():
     assert set(make.threads) == {SECOND, THIRD}
 
 
-def test_shardings_of_state_and_batch_are_kept():
-    mesh = jax.make_mesh((1,), ("objects",))
-    spec = jax.NamedSharding(mesh, jax.P())
-    state, batch = jax.device_put((make_state(), BATCH), spec)
-    with StagePrograms(make_step, SPANS) as programs:
-        state, _ = programs.begin(0, state, batch)(state, batch)
-        assert state.value.sharding.is_equivalent_to(spec, 1)
-        wait_until_ready(programs, 1000)
-        state, _ = programs.begin(1000, state, batch)(state, batch)
-    np.testing.assert_array_equal(state.value, [8.0, 9.0, 10.0])
-
-
 def test_an_error_in_the_background_comes_once_all_are_compiled():
     with StagePrograms(Watched(fails=[SECOND]), SPANS) as programs:
         programs.begin(0, make_state(), BATCH)

@@ -97,13 +97,6 @@ def test_heads_are_drawn_as_often_as_their_probability_says():
         np.testing.assert_array_equal(drawn.poses[row, view], own)
 
 
-def test_the_baseline_is_a_moving_average_from_zero():
-    first = sampled.update_baseline(jnp.zeros(()), jnp.array([2.0, 4.0]))
-    second = sampled.update_baseline(first, jnp.array([1.0, 1.0]))
-    assert float(first) == pytest.approx(0.05 * 3)
-    assert float(second) == pytest.approx(0.95 * 0.15 + 0.05)
-
-
 @pytest.fixture(scope="module")
 def state():
     return make_state(NETWORK, CONFIG)

@@ -17,6 +17,7 @@ from dpc_jax.networks import ImageEncoder, ShapeHead, ShapePoseNetwork
 from dpc_jax.networks.encoder import measure_tint
 from dpc_jax.networks.pose import BoundedHead, PoseEnsemble, spread_rotations
 from dpc_jax.networks.shape import LARGEST_SIZE, SMALLEST_SIZE, bound_sizes
+from dpc_jax.networks.voxels import DoublingConv, VoxelHead
 
 KEY = jax.random.key(0)
 
@@ -40,31 +41,6 @@ def image_shape(size, channels=3):
 def network_shapes(inputs=3, **changes):
     values = dict(num_points=10, num_heads=4, channels=2, hidden=8, shape_hidden=8)
     return shapes_of(ShapePoseNetwork(**values | changes), image_shape(16, inputs))
-
-
-def conv_sides(size):
-    """Side of the picture after each convolution, in their order."""
-    encoder = ImageEncoder()
-
-    def apply(images):
-        return encoder.apply(
-            encoder.init(KEY, images),
-            images,
-            capture_intermediates=lambda module, _: isinstance(module, nn.Conv),
-        )[1]["intermediates"]
-
-    outputs = jax.eval_shape(apply, image_shape(size))
-    return [outputs[f"Conv_{i}"]["__call__"][0].shape[1] for i in range(len(outputs))]
-
-
-# At 64 pixels seven convolutions of which four are strided: 1st, 2nd, 4th and 6th
-# (§ Network architecture); the depth follows the image size.
-@pytest.mark.parametrize(
-    "size, sides",
-    [(64, [32, 16, 16, 8, 8, 4, 4]), (16, [8, 4, 4]), (32, [16, 8, 8, 4, 4])],
-)
-def test_convolutions_bring_an_image_down_to_four_pixels(size, sides):
-    assert conv_sides(size) == sides
 
 
 def test_a_mixture_of_images_is_made_after_the_first_dense_layer():
@@ -103,26 +79,6 @@ def test_each_head_starts_from_random_numbers_of_its_own():
     kernels = params["params"]["heads"]["Dense_0"]["kernel"]
     for a, b in itertools.combinations(kernels, 2):
         assert not np.any(a == b)
-
-
-POSE = {"pose", "student"}
-
-
-@pytest.mark.parametrize(
-    ("fields", "branches"),
-    [
-        ({"num_heads": 0}, set()),  # known poses
-        ({"num_heads": 1}, {"pose"}),  # a single regressor is its own student
-        ({}, POSE),
-        ({"num_classes": 12}, POSE),
-        ({"has_translation": True}, POSE | {"translation"}),
-        ({"own_pose_encoder": True, "judges_poses": True, "viewpoints": (-20.0, 40.0)},
-         POSE | {"pose_encoder", "judge"}),
-    ],
-)  # fmt: skip
-def test_only_what_is_learned_has_parameters(fields, branches):
-    shapes = network_shapes(**fields)
-    assert {name.split("/")[0] for name in shapes} == branches | {"encoder", "shape"}
 
 
 def test_a_single_regressor_is_its_own_student_and_one_that_selects_has_logits():
@@ -223,13 +179,6 @@ def test_heads_start_near_their_rotations_yet_depend_on_the_image():
     assert np.min(np.std(candidates, axis=0)) > 1e-3
 
 
-def test_heads_that_are_not_spread_start_from_zero():
-    ensemble = PoseEnsemble(num_heads=4, hidden=64)
-    candidates = run(ensemble, jnp.zeros((1, 64)))
-    # No bias at first: without features there is no quaternion either.
-    np.testing.assert_array_equal(candidates, jnp.zeros((1, 4, 4)))
-
-
 def encode(images, *, normalize):
     return run(ImageEncoder(channels=2, hidden=8, normalize=normalize), images)
 
@@ -314,3 +263,42 @@ def test_an_encoder_that_sees_masks_has_a_fourth_channel_and_refuses_three():
     assert {**plain, first: masked[first]} == masked
     with pytest.raises(AssertionError):
         network_shapes(sees_mask=True)
+
+
+# Heads of voxel models.
+
+
+def test_a_doubling_is_a_transposed_convolution_of_kernel_4_and_stride_2():
+    x = jax.random.normal(jax.random.key(0), (2, 4, 4, 4, 3))
+    found, params = DoublingConv(5).init_with_output(jax.random.key(1), x)
+    # Tap i of place a is cell 2i + a of the kernel.
+    taps = params["params"]["kernel"].reshape(2, 2, 2, 3, 2, 2, 2, 5)
+    kernel = taps.transpose(0, 4, 1, 5, 2, 6, 3, 7).reshape(4, 4, 4, 3, 5)
+    expected = jax.lax.conv_general_dilated(
+        x,
+        kernel,
+        window_strides=(1, 1, 1),
+        padding=[(2, 2)] * 3,
+        lhs_dilation=(2, 2, 2),
+        dimension_numbers=("NDHWC", "DHWIO", "NDHWC"),
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-5)  # sums of 24 products
+
+
+@pytest.mark.parametrize("side", [8, 16])
+def test_the_first_volume_is_thin_and_contained_where_that_is_asked_for(side):
+    features = jax.random.normal(jax.random.key(0), (2, 16))
+    free = VoxelHead(side, channels=4)
+    shape, params = free.init_with_output(jax.random.key(1), features)
+    assert set(shape) == {"cells"} and "colors" not in params["params"]
+    cells = shape["cells"]
+    np.testing.assert_allclose(cells, 0.05, atol=0.03)
+    assert np.all(np.asarray(jnp.abs(cells[0] - cells[1])) > 0)  # of each its own
+    held = VoxelHead(side, channels=4, is_contained=True, has_color=True)
+    shape, _ = held.init_with_output(jax.random.key(1), features)
+    assert shape["colors"].shape == (2, side, side, side, 3)
+    axis = (np.arange(side) + 0.5) / side - 0.5
+    radius = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis)), axis=0)
+    expected = np.where(radius <= 0.5, cells, 0)
+    np.testing.assert_array_equal(shape["cells"], expected)
+    assert 0 < np.mean(expected == 0) < 0.5  # the corners: 1 - pi/6

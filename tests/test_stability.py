@@ -18,7 +18,7 @@ from dpc_jax.measure.stability.runner import compare, run_cases, tabulate
 # Ordinary scenes, sums, all draws and long descents are left to the slow test.
 TABLES = [s for s in SUBJECTS if s not in ("scene", "sum", "random", "descent")]
 # Compiled in a second or two each.
-CHEAP = ("splat", "opacity", "mass_of_peak", "from_axis_angle", "student", "align")
+CHEAP = ("splat", "opacity", "mass_of_peak", "from_axis_angle", "student")
 
 
 def make_case(function, **changes):
@@ -115,18 +115,10 @@ def test_random_draws_break_no_function():
     assert not describe_failures(rows)
 
 
-def divide(x):
-    return 1 / x if x >= 1 else np.inf
-
-
 @pytest.mark.parametrize(
     "target, broken",
     [
         (Target("", lambda x: x * 2, (Range((2,)),)), "finite did not hold for ["),
-        (
-            Target("", divide, (Range((), 0, 5),), is_traced=False),
-            "finite did not hold",
-        ),
         (
             Target("", jnp.sqrt, (Range((), 0, 1, (0, 1)),)),
             "gradient of input 0 did not hold for 0.0",
@@ -200,11 +192,11 @@ def read_json(folder):
 def test_the_command_writes_its_tables_of_all_dtypes_and_ends_with_status_0(
     tmp_path, install, capsys
 ):
-    install(make_case(lambda x: x * x, limit="a square is smooth"))
+    install(make_case(lambda x: x * x))
     assert run(tmp_path) == 0
     assert "All within tolerance" in capsys.readouterr().out
     report = (tmp_path / "stability.md").read_text()
-    for text in ("4 of 4 rows are within", "jax 0", "seed 0", "a square is smooth"):
+    for text in ("4 of 4 rows are within", "jax 0", "seed 0"):
         assert text in report
     data = read_json(tmp_path)
     assert data["passes"] and not data["failures"] and data["seconds"]["loss"] > 0

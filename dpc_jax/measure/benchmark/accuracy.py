@@ -122,7 +122,7 @@ def _make_programs(method, side, blocks):
     """Compiled once for all scenes: sigma, mass and target are inputs."""
 
     def render(points, pose, mass, sigma):
-        image = render_ours((points, pose, mass), sigma, side=side, method=method)
+        image = render_ours(points, pose, mass, sigma, side=side, method=method)
         tiles = image.reshape(blocks, side // blocks, blocks, side // blocks)
         return jnp.mean(tiles, axis=(1, 3))
 
@@ -160,11 +160,3 @@ def take_scenes_together(records: list[dict]) -> list[dict]:
         medians = {n: float(np.median([r[n] for r in group])) for n in names}
         together.append(group[0] | medians)
     return together
-
-
-def find_fastest(
-    records: list[dict], most: float, sigma: float
-) -> dict[str, Any] | None:
-    """The fastest setting whose gradient's error is at most `most`; None without."""
-    found = [r for r in records if r["sigma"] == sigma and r["gradient_error"] <= most]
-    return min(found, key=lambda r: r["gradient_seconds"], default=None)

@@ -1,9 +1,8 @@
 """What the benchmark measures, and at which sizes."""
 
 import dataclasses
-from collections.abc import Mapping
 
-PARTS = ("speed", "sizes", "surfaces", "error", "scaling", "memory")
+PARTS = ("speed", "sizes", "surfaces", "error")
 SEED = 0  # of all that is drawn
 SURFACE_SIGMA = 0.6  # voxels, as at the end of a fit
 
@@ -27,8 +26,6 @@ class Plan:
 
     rounds: int  # of each measurement; medians are reported
     cases: tuple[Case, ...]  # of the speed table
-    candidates: Case  # workload of the choice among `num_candidates`
-    num_candidates: int
     sized: Case  # of a sigma per point
     # Surfaces in the whole volume and in blocks, and which signals are rendered.
     sizes: tuple[tuple[Case, tuple[str, ...]], ...]
@@ -43,16 +40,11 @@ class Plan:
     dtypes: tuple[tuple[str, str], ...]  # method and dtype, beside float32
     reference_side: int  # of the float64 reference
     budget_seconds: float  # after so much time a setting gets no further round
-    scaling_base: Case  # the scaling values change one number of this
-    scaling: Mapping[str, tuple[int, ...]]  # values by axis
-    memory: tuple[tuple[Case, str], ...]  # workloads whose peak is taken, and methods
 
 
 FULL = Plan(
     rounds=7,
     cases=(Case(16, 8000, 64, 3), Case(16, 2000, 32, 1.6), Case(4, 16000, 128, 3)),
-    candidates=Case(4, 8000, 64, 3.0),
-    num_candidates=8,
     sized=Case(1, 8000, 64, 1.3),
     sizes=(
         (Case(1, 4000, 64, 0.5), ("silhouette",)),
@@ -76,26 +68,12 @@ FULL = Plan(
     ),
     reference_side=192,  # a multiple of 32 and 64
     budget_seconds=1.5,
-    scaling_base=Case(1, 8000, 64, 3.0),
-    scaling={
-        "N": (125, 500, 2000, 8000, 32000, 128000),
-        "D": (16, 32, 64, 128),
-        "B": (1, 2, 4, 8, 16),
-        "K": (1, 2, 4, 8, 16),
-    },
-    memory=(
-        (Case(16, 16000, 128, 3.0), "trilinear"),
-        (Case(1, 100_000, 256, 3.0), "trilinear"),
-        (Case(1, 16000, 128, 3.0), "gaussian"),
-    ),
 )
 
 # Sizes that share programs: nearly all of its time goes into compiling them.
 QUICK = Plan(
     rounds=3,
     cases=(Case(2, 500, 16, 1.5),),
-    candidates=Case(2, 500, 16, 1.5),
-    num_candidates=4,
     sized=Case(1, 500, 16, 1.3),
     sizes=((Case(1, 500, 32, SURFACE_SIGMA), ("silhouette",)),),
     surface_points=(500,),
@@ -108,7 +86,4 @@ QUICK = Plan(
     dtypes=(),
     reference_side=32,
     budget_seconds=0.2,
-    scaling_base=Case(2, 500, 16, 1.5),
-    scaling={"N": (500, 5000), "D": (8, 16), "B": (1, 2), "K": (1, 4)},
-    memory=((Case(2, 500, 16, 1.5), "trilinear"),),
 )

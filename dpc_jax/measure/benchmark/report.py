@@ -18,7 +18,6 @@ from dpc_jax.reporting.tables import format_table
 
 _KINDS = {"image": "forward", "gradient": "forward and backward"}
 _SHOWN = 3  # sigmas in the figure of errors
-_ERRORS = (0.3, 0.1, 0.03, 0.01, 0.003)  # of the gradient, in the table of the fastest
 
 
 def write_report(out: Path, results: dict[str, Any]) -> Path:
@@ -63,11 +62,8 @@ def _write_speed(out, results) -> list[str]:
         format_table(heads, rows, align="lrlrrr"),
         "*gradient*: largest relative L2 difference from ours among the gradients. "
         f"*All devices*: `project_batch` on {count} device{'s' * (count != 1)}; *one "
-        "device* has all of XLA's threads. *Plain JAX* writes the same steps without "
-        "the engine; *PyTorch* does a batch at once. *chosen*: the "
-        "best of K candidates found without a gradient, then rendered with one; *min*: "
-        "the minimum over K renders with a gradient. *levels*: sizes of 0.7 to 2.5 "
-        "voxels.",
+        "device* has all of XLA's threads. *PyTorch* does a batch at once. *levels*: "
+        "sizes of 0.7 to 2.5 voxels.",
     ]
 
 
@@ -131,24 +127,7 @@ def _write_error(out, results) -> list[str]:
         "![Error against run time](error.png)",
         "Medians over all σ (largest in brackets):",
         _tabulate_settings(records),
-        "The fastest setting for an error of the gradient, with its time forward and "
-        "backward (ms):",
-        _tabulate_fastest(records),
     ]
-
-
-def _tabulate_fastest(records) -> str:
-    sigmas = sorted({r["sigma"] for r in records})
-    rows = []
-    for most in _ERRORS:
-        fastest = [accuracy.find_fastest(records, most, sigma) for sigma in sigmas]
-        cells = [
-            f"{r['setting']}: {_ms(r['gradient_seconds'])}" if r else MISSING
-            for r in fastest
-        ]
-        rows.append([_percent(most), *cells])
-    heads = ["error at most", *(f"σ = {sigma:g}" for sigma in sigmas)]
-    return format_table(heads, rows)
 
 
 def _tabulate_settings(records) -> str:
@@ -203,75 +182,11 @@ def draw_errors(records: Sequence[dict[str, Any]], path: Path) -> Path:
     return style.save_figure(figure, path)
 
 
-def _write_scaling(out, results) -> list[str]:
-    draw_scaling(results["scaling"], out / "scaling.png")
-    rows = []
-    for result in results["scaling"]:
-        pairs = zip(result["values"], result["median_seconds"], strict=True)
-        times = ", ".join(f"{value}: {_ms(time)}" for value, time in pairs)
-        name = f"{result['axis']}, {result['subject']}"
-        rows.append([name, _raise(result, "^{}"), times])
-    return [
-        "## Growth",
-        "![Run time against N, D, B and K](scaling.png)",
-        format_table(["number", "expected", "run time (ms)"], rows, align="lll"),
-        f"All other numbers are those of {results['scaling'][0]['base']}. The dashed "
-        "line is the expected order, through the largest value. Times above it at "
-        "small values show a part that does not grow, such as the volume's smoothing "
-        "where there are few points.",
-    ]
-
-
-def _raise(result, power):
-    order = result["order"]
-    return result["axis"] + (power.format(order) if order != 1 else "")
-
-
-def draw_scaling(results: Sequence[dict[str, Any]], path: Path) -> Path:
-    """A panel per number, with its expected order dashed through the largest value."""
-    figure = style.make_figure(9.0, 6.5)
-    panels = style.make_panels(figure, len(results))
-    for axes, result in zip(panels, results, strict=True):
-        values = np.array(result["values"], float)
-        times = 1e3 * np.array(result["median_seconds"])
-        expected = times[-1] * (values / values[-1]) ** result["order"]
-        axes.loglog(values, times, "o-", color=style.SERIES[0], label="measured")
-        label = f"proportional to {_raise(result, '$^{}$')}"
-        axes.loglog(values, expected, "--", color=style.MUTED, label=label)
-        label = f"{result['axis']}, {result['subject']}"
-        style.label_axes(axes, x_label=label, y_label="ms", grid="both")
-        style.set_ticks(axes, values)
-        axes.legend(fontsize=8, frameon=False)
-    title = "Run time of forward and backward; all other numbers as in "
-    figure.suptitle(title + results[0]["base"], fontsize=10)
-    return style.save_figure(figure, path)
-
-
-def _write_memory(out, results) -> list[str]:
-    specs = {"extra": ".2f", "estimate": ".3f", "all_cells": ".4g"}
-    rows = []
-    for result in results["memory"]:
-        sizes = [(result[f"{name}_bytes"], spec) for name, spec in specs.items()]
-        cells = [format(number / 1e9, spec) for number, spec in sizes]
-        rows.append([result["method"], result["case"], *cells])
-    heads = ["method", "work", "extra peak (GB)", "estimate (GB)"]
-    return [
-        "## Memory",
-        "Peak of a whole process that runs forward and backward, samples one after the "
-        "other, less that of one that only loads the package. It includes code and "
-        "compiler; the estimate, that of `dpc_jax.estimate_memory` for one sample, "
-        "does not.",
-        format_table([*heads, "N·D³ floats (GB)"], rows, align="llrrr"),
-    ]
-
-
 _SECTIONS = {
     "speed": _write_speed,
     "sizes": _write_sizes,
     "surfaces": _write_surfaces,
     "error": _write_error,
-    "scaling": _write_scaling,
-    "memory": _write_memory,
 }
 
 

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpc_jax.measure.benchmark.peers import has_torch, make_torch_call
 from dpc_jax.measure.benchmark.plan import SEED, Case
+from dpc_jax.measure.benchmark.pytorch import has_torch, make_torch_call
 from dpc_jax.measure.benchmark.speed import measure_distance
 from dpc_jax.measure.scenes import make_scenes
 from dpc_jax.measure.timing import measure_medians

@@ -8,7 +8,7 @@ from typing import Any
 
 from dpc_jax.learning.training.progress import ProgressReport
 from dpc_jax.measure import scenes
-from dpc_jax.measure.benchmark import accuracy, peak, peers, report, sizes, speed
+from dpc_jax.measure.benchmark import accuracy, pytorch, report, sizes, speed
 from dpc_jax.measure.benchmark.plan import PARTS, SEED, SURFACE_SIGMA, Case, Plan
 from dpc_jax.measure.timing import describe_machine
 
@@ -22,14 +22,13 @@ def run_benchmark(out: Path, *, plan: Plan, parts: Sequence[str], command: str) 
     Returns the path of benchmark.md, which names the command that repeats the run.
 
     Raises:
-      RuntimeError: a process of the memory part fails; finished parts are written.
       OSError: the folder cannot be written.
     """
     out.mkdir(parents=True, exist_ok=True)
     results: dict[str, Any] = {
         "machine": describe_machine(),
         "command": command,
-        "has_torch": peers.has_torch(),
+        "has_torch": pytorch.has_torch(),
         "seed": SEED,
         "reference_side": plan.reference_side,
         "base_side": plan.base_side,
@@ -61,14 +60,8 @@ def list_tasks(plan: Plan) -> Iterator[Task]:
     """What a plan measures, in the order of `PARTS`."""
     turns = {"rounds": plan.rounds}
     for case in plan.cases:
-        yield (
-            "speed",
-            f"peers, {case}",
-            partial(speed.compare_with_peers, case, **turns),
-        )
-    case, count = plan.candidates, plan.num_candidates
-    call = partial(speed.compare_choices, case, num_candidates=count, **turns)
-    yield "speed", f"choices, {case}", call
+        call = partial(speed.compare_with_peers, case, **turns)
+        yield "speed", f"peers, {case}", call
     call = partial(speed.compare_sizes, plan.sized, **turns)
     yield "speed", "a sigma per point", call
     for case, signals in plan.sizes:
@@ -85,8 +78,3 @@ def list_tasks(plan: Plan) -> Iterator[Task]:
     for scene, sigma in itertools.product(made, plan.sigmas):
         call = partial(accuracy.measure_scene, scene, sigma, **fixed)
         yield "error", f"{scene.name}, σ={sigma:g}", call
-    for axis in speed.AXES:
-        yield "scaling", axis, partial(speed.measure_axis, axis, plan=plan)
-    for case, method in plan.memory:
-        call = partial(peak.measure_case, case, method)
-        yield "memory", f"{method}, {case}", call

@@ -40,7 +40,6 @@ class Case:
     gradient_floor: float | tuple[float, ...] = 0.0
     dtypes: tuple[str, ...] = DTYPES  # the case runs in these
     is_half_checked: bool = True  # or results in 16 bits only have to be finite
-    limit: str = ""  # the documented limit that the case shows, if any
     is_slow: bool = False  # left out of the quick form
 
     def __post_init__(self):
@@ -84,7 +83,6 @@ class Row:
     gradient_error: float | None = None  # None without a gradient
     gradient_tolerance: float | None = None
     is_finite: bool = True  # whether all values and gradients are
-    limit: str = ""  # the documented limit that the case shows, if any
     because: str = ""  # where the tolerances come from
     found: str = ""  # more about a failure
 

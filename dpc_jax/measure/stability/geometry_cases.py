@@ -12,7 +12,6 @@ from dpc_jax.render import camera as cameras
 from dpc_jax.render import quaternion
 
 ROUNDING = "a dozen roundings, each half an epsilon; numbers of size one"
-ZERO = {"limit": "the zero quaternion stands for the identity, with zero gradient"}
 LENGTHS = (
     ("length 1e-30", np.multiply(SKEW, 1e-30)),
     ("length 1e30", np.multiply(SKEW, 1e30)),
@@ -20,7 +19,7 @@ LENGTHS = (
     ("length 1.3e38", (0, 0, 9e37, -9e37), IN_WIDE),
     ("components from 1e-30 to 1", (1e-30, 1, 1e-15, -1e-3)),
     ("near identity, 1e-7", (1, 1e-7, -1e-7, 2e-7)),
-    ("zero", [0] * 4, ZERO),
+    ("zero", [0] * 4),
 )
 POINTS = np.array([[0.3, -0.4, 0.5], [1e-7, 1, 1e3], [0, 0, 0]])
 PAIRS = (
@@ -38,17 +37,15 @@ BRANCHES = (
     ("all four tie", (1, -1, 1, 1)),
     ("identity", STILL),
 )
-AT_ZERO = {"limit": "kink at 0: zero gradient"}
-AT_HALF_TURN = {"limit": "kink at 180°: the gradient of one side"}
 # In 16 bits these round to equal rotations, or to subnormal numbers.
 ANGLES = (
     ("plain", SKEW, (1, 2, 3, 4)),
     ("1e30 and 1e-30", np.multiply(SKEW, 1e30), (1e-30, 0, 1e-30, 0)),
-    ("q and -q", (0.5, 0.5, -0.5, 0.5), (-0.5, -0.5, 0.5, -0.5), AT_ZERO),
-    ("equal", STILL, STILL, AT_ZERO),
+    ("q and -q", (0.5, 0.5, -0.5, 0.5), (-0.5, -0.5, 0.5, -0.5)),
+    ("equal", STILL, STILL),
     ("1e-25 apart", (1, 1e-25, 0, 0), STILL, IN_WIDE),
     ("1e-7 apart", (1, 1e-7, 0, 0), (1, 0, 1e-7, 0), IN_WIDE),
-    ("half turn", STILL, (0, 0, 1, 0), AT_HALF_TURN),
+    ("half turn", STILL, (0, 0, 1, 0)),
     ("1e-7 from a half turn", STILL, (1e-7, 0, 1, 0)),
 )
 ABOUT = {"0": 0.0, "1e-30": 1e-30, "a half turn": np.pi, "1e4": 1e4}
@@ -88,10 +85,6 @@ ROTATIONS = [
 
 GRID = cameras.VoxelGrid((8, 6, 4))
 CLOUD = np.array([[0.1, -0.2, 0.3], [-0.3, 0.25, -0.1], [0.05, 0.0, -0.35]])
-AT_EYE = {
-    "limit": "a point behind, or within 1e-6 extents before the camera, leaves no trace"
-}
-AWAY = {"limit": "a point outside the volume leaves no trace, and has zero gradient"}
 EYE = np.array([[0, 0, 0.3], [0.01, 0.02, 0.2], [0, 0, 0]])
 CROSSING = CLOUD * [1, 1, 0] + [[0, 0, -2], [0, 0, 0], [0, 0, 0.1]]
 CLOSE = [[1e-6, -1e-6, 1e-5], [0, 0, 0.3], [0.1, 0, 0.2]]
@@ -99,17 +92,17 @@ CLOSE = [[1e-6, -1e-6, 1e-5], [0, 0, 0.3], [0.1, 0, 0.2]]
 NEAR_EYE = ("1e-5 before the eye", CLOSE, STILL, 1.0, 0.0)
 SCENES = (
     ("plain", CLOUD, TURN, 1.875, 2.0),
-    ("one point in the camera plane", CROSSING, STILL, 1.875, 2.0, AT_EYE),
-    ("distance 0", EYE, STILL, 0.5, 0.0, AT_EYE),
-    ("one point behind the camera", EYE - [0, 0, 0.1], STILL, 0.5, 0.0, AT_EYE),
+    ("one point in the camera plane", CROSSING, STILL, 1.875, 2.0),
+    ("distance 0", EYE, STILL, 0.5, 0.0),
+    ("one point behind the camera", EYE - [0, 0, 0.1], STILL, 0.5, 0.0),
     (
         "one point 1e-7 before the plane",
-        *(EYE + [0, 0, 1e-7], STILL, 0.5, 0.0, AT_EYE | IN_WIDE),
+        *(EYE + [0, 0, 1e-7], STILL, 0.5, 0.0, IN_WIDE),
     ),
     ("focal length 1e3, on the axis", CLOUD * [1e-4, 1e-4, 1], STILL, 1e3, 2.0),
     ("focal length 1e3 from 1e3", CLOUD, TURN, 1e3, 1024.0),
-    ("points 3e38 away", np.sign(CLOUD) * 3e38, TURN, 1.875, 2.0, AWAY),
-    ("object larger than the volume", CLOUD * 4, TURN, 1.875, 2.0, AWAY),
+    ("points 3e38 away", np.sign(CLOUD) * 3e38, TURN, 1.875, 2.0),
+    ("object larger than the volume", CLOUD * 4, TURN, 1.875, 2.0),
     ("quaternion of length 1e-30", CLOUD, np.multiply(TURN, 1e-30), 1.875, 2, IN_WIDE),
 )
 

@@ -149,7 +149,6 @@ def _judge(subject, case, dtype, results, expected):
         gradient_error=None if case.gradient_tolerance is None else gradient_error,
         gradient_tolerance=scale(case.gradient_tolerance),
         is_finite=all(np.all(np.isfinite(a)) for a in jax.tree.leaves(results)),
-        limit=case.limit,
         because=case.because,
     )
 

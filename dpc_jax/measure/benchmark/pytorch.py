@@ -1,54 +1,17 @@
-"""The projection as one would first write it in JAX, and in PyTorch.
+"""The projection in PyTorch, by the same steps as the engine.
 
-The same silhouettes by the same steps as the engine: each point adds to its eight
-neighbours, products with the kernel's Toeplitz matrix smooth the volume, a product
-along each ray ends it. In JAX the rotation, the camera and the product, which has its
-own derivative rule, are the engine's; in PyTorch every derivative is its own, and a
-batch is rendered at once.
+Each point adds to its eight neighbours, products with the kernel's Toeplitz matrix
+smooth the volume, a product along each ray ends it. Every derivative is PyTorch's own,
+and a batch is rendered at once.
 """
 
 import importlib.util
 import itertools
 from collections.abc import Callable
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
-from dpc_jax.render.termination import opacity
-
-CORNERS = tuple(itertools.product((0, 1), repeat=3))
-
-Sample = tuple[jax.Array, jax.Array, jax.Array]
-"""Points [N, 3], rotation [4] and mass () in voxels of one cloud."""
-
-
-def render_plain(sample: Sample, sigma: jax.Array, *, side: int) -> jax.Array:
-    """Silhouette [side, side] of one cloud; sigma in voxels."""
-    points, rotation, mass = sample
-    camera = Camera()
-    moved = to_camera_frame(points, rotation, translation=None, camera=camera)
-    coordinates, is_inside = to_grid(moved, camera=camera, grid=VoxelGrid(side))
-    first = jnp.floor(coordinates)
-    fraction = coordinates - first
-    first = first.astype(jnp.int32) + 1  # a border of one cell catches the outside
-    padded = side + 2
-    volume = jnp.zeros(padded**3)
-    for corner in CORNERS:
-        weight = jnp.where(is_inside, mass, 0)
-        for axis, is_upper in enumerate(corner):
-            part = fraction[:, axis]
-            weight = weight * (part if is_upper else 1 - part)
-        row, col, depth = (first + jnp.array([corner])).T
-        volume = volume.at[(row * padded + col) * padded + depth].add(weight)
-    volume = volume.reshape(padded, padded, padded)[1:-1, 1:-1, 1:-1]
-    cells, far = jnp.arange(side), jnp.arange(-4 * side, 4 * side + 1)
-    kernel = jnp.exp(-0.5 * ((cells[:, None] - cells[None]) / sigma) ** 2)
-    kernel = kernel / jnp.sum(jnp.exp(-0.5 * (far / sigma) ** 2))
-    volume = jnp.matmul(kernel, volume @ kernel)
-    volume = (kernel @ volume.reshape(side, -1)).reshape(volume.shape)
-    return opacity(jnp.clip(volume, 0, 1))
+from dpc_jax.render import Camera
 
 
 def has_torch() -> bool:
@@ -91,7 +54,7 @@ def _render_in_torch(torch, inputs, sigma, side):
     mass = torch.where(is_inside, masses[:, None], torch.zeros(()))
     start = torch.arange(batch)[:, None] * padded**3
     indices, weights = [], []
-    for corner in CORNERS:
+    for corner in itertools.product((0, 1), repeat=3):
         weight = mass
         for axis, is_upper in enumerate(corner):
             part = fraction[..., axis]
