@@ -1,6 +1,5 @@
 """A network with its data sets: prediction, alignment, validation, test."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from dpc_jax.config import Config
@@ -17,8 +16,6 @@ from dpc_jax.learning.inference.predictor import (
 from dpc_jax.learning.step import TrainState
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.setup import make_network
-
-Show = Callable[[int, Predictions, DataSet], None]
 
 
 class Evaluation(NamedTuple):
@@ -104,17 +101,9 @@ class Learner:
 
         return find_points(predictions, self.sets["val"], align=self.align)
 
-    def validate(
-        self, state: TrainState, *, show: Show | None = None
-    ) -> dict[str, float]:
-        """Metrics on the validation split.
-
-        Args:
-          show: what is shown its step, predictions and data, where that is asked for.
-        """
+    def validate(self, state: TrainState) -> dict[str, float]:
+        """Metrics on the validation split."""
         predictions, _ = self.find_points(self.predict(state, "val"))
-        if show is not None:
-            show(int(state.step), predictions, self.sets["val"])
         result = evaluator.score(
             predictions,
             self.sets["val"],

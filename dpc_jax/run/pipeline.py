@@ -15,7 +15,7 @@ from dpc_jax.run.hosts.agreement import Job
 from dpc_jax.run.hosts.joining import joining
 from dpc_jax.run.hosts.places import Place
 from dpc_jax.run.hosts.writing import SilentLog
-from dpc_jax.run.learner import Learner, Show
+from dpc_jax.run.learner import Learner
 from dpc_jax.run.process import prepare_process
 from dpc_jax.run.report.summary import report_run
 from dpc_jax.run.setup import load_sets
@@ -118,9 +118,9 @@ def _run_in(folder, config, job):
     data_seconds = time.monotonic() - started
 
     learner = Learner(config, sets)
-    log, show = _open_log(folder, config, job)
+    log = _open_log(folder, config, job)
     with contextlib.closing(log):
-        outcome = train_learner(learner, folder, log, job, show=show)
+        outcome = train_learner(learner, folder, log, job)
     if not outcome.is_finished:
         print(
             f"Stopped and saved at step {int(outcome.state.step)}; start again in the "
@@ -147,17 +147,15 @@ def _run_in(folder, config, job):
     )
 
 
-def _open_log(folder: Path, config, job: Job) -> tuple[MetricLog, Show | None]:
-    """The log of a run, to be closed, and what is shown its validations."""
+def _open_log(folder: Path, config, job: Job) -> MetricLog:
     if not job.is_first:
-        return SilentLog(), None
+        return SilentLog()
     path = folder / "metrics.jsonl"
     if not config.log.tensorboard:
-        return MetricLog(path), None
+        return MetricLog(path)
     from dpc_jax.run.tensorboard import TensorBoardLog  # only where asked for
 
-    log = TensorBoardLog(path, folder / "tensorboard")
-    return log, log.show_validation
+    return TensorBoardLog(path, folder / "tensorboard")
 
 
 def _name_workdir(config, config_path):

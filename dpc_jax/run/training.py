@@ -14,7 +14,7 @@ from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.hosts.agreement import Job
 from dpc_jax.run.hosts.writing import open_checkpoints, restore_last
-from dpc_jax.run.learner import Learner, Show
+from dpc_jax.run.learner import Learner
 from dpc_jax.run.process import catch_signals
 from dpc_jax.run.setup import make_network
 from dpc_jax.run.workdir import list_differences, read_config
@@ -28,17 +28,12 @@ _GB = 1e9
 
 
 def train_learner(
-    learner: Learner,
-    workdir: Path,
-    log: MetricLog,
-    job: Job,
-    *,
-    show: Show | None = None,
+    learner: Learner, workdir: Path, log: MetricLog, job: Job
 ) -> loop.Outcome:
     """Train to the last step, or until SIGTERM or Ctrl-C asks to save and stop.
 
     Args:
-      log: that records are written to. show: what is shown each validation.
+      log: that records are written to.
 
     Raises:
       ValueError: if there are checkpoints, yet none can be read, or a step needs more
@@ -57,7 +52,7 @@ def train_learner(
             config=learner.config,
             checkpoints=checkpoints,
             log=log,
-            evaluate=functools.partial(learner.validate, show=show),
+            evaluate=learner.validate,
             should_stop=job.agree_to_stop(stop.is_set),
             may_stop_waiting=job.processes == 1,
             seconds=start.seconds,
