@@ -7,46 +7,12 @@ somebody has changed or put there is told from theirs.
 
 import contextlib
 import os
-import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from dpc_jax.files import digest_file, read_json, write_json
 
 LIST = ".dpc_jax-wrote.json"
-
-
-def try_folder(folder: str | os.PathLike):
-    """Make a folder and write in it, then take both away again.
-
-    Raises:
-      OSError: where that cannot be done.
-    """
-    folder = Path(folder)
-    missing = _list_missing(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        reason = "it is a file" if os.path.isfile(folder) else error.strerror
-        raise OSError(
-            f"Expected to write in the folder {folder}, but it cannot be made or "
-            f"written ({reason}); give another --out."
-        ) from None
-    finally:
-        _remove_empty(missing)
-
-
-def _list_missing(folder: Path) -> list[Path]:
-    """The folder and those above it that are not there, the innermost first."""
-    return [p for p in (folder, *folder.parents) if not os.path.lexists(p)]
-
-
-def _remove_empty(folders: Iterable[Path]):
-    for path in folders:
-        with contextlib.suppress(OSError):
-            path.rmdir()
 
 
 @contextlib.contextmanager
@@ -71,9 +37,10 @@ def owning(
         yield
         return
     folder, inputs = Path(folder), list(inputs)
-    missing = _list_missing(folder)
+    missing = [p for p in (folder, *folder.parents) if not os.path.lexists(p)]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        with _trying(folder):
+            folder.mkdir(parents=True, exist_ok=True)
         written = _read_list(folder)
         for number, name in enumerate(names):
             if name in names[:number]:
@@ -83,19 +50,38 @@ def owning(
                     "each with an --out of its own."
                 )
             _refuse_others(folder / name, name, written, inputs)
-        write_json(folder / LIST, written | dict.fromkeys(names, ""))
+        with _trying(folder):
+            write_json(folder / LIST, written | dict.fromkeys(names, ""))
         try:
             yield
         finally:
             _list_written(folder, names)
     finally:
-        _remove_empty(missing)
+        for path in missing:
+            with contextlib.suppress(OSError):  # what is not empty stays
+                path.rmdir()
+
+
+@contextlib.contextmanager
+def _trying(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = "it is a file" if os.path.isfile(folder) else error.strerror
+        raise OSError(
+            f"Expected to write in the folder {folder}, but it cannot be made or "
+            f"written ({reason}); give another --out."
+        ) from None
 
 
 def _list_written(folder: Path, names: Sequence[str]):
     """Put what is there into the list, to which another command may have added."""
-    found = _read_list(folder) | {name: _digest(folder / name) for name in names}
-    found = {name: digest for name, digest in found.items() if digest is not None}
+    found = _read_list(folder)
+    for name in names:
+        found.pop(name, None)
+        path = folder / name
+        if path.exists():
+            found[name] = "" if path.is_dir() else digest_file(path)
     if found:
         write_json(folder / LIST, found)
     else:
@@ -129,13 +115,6 @@ def _refuse_others(path: Path, name: str, written: dict, inputs: list[Path]):
 def _is_unchanged(path: Path, digest: str) -> bool:
     """Whether a file is as written; one whose writer was killed has no digest."""
     return path.is_file() and digest in ("", digest_file(path))
-
-
-def _digest(path: Path) -> str | None:
-    """Of a file, "" of a folder; None where nothing was written."""
-    if path.is_dir():
-        return ""
-    return digest_file(path) if path.is_file() else None
 
 
 def _read_list(folder: Path) -> dict[str, str]:

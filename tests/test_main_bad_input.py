@@ -81,6 +81,7 @@ def test_a_run_that_is_not_finished_cannot_be_judged(config, tmp_path, capsys):
         ("pose.choice_signals", "depth", "'silhouette' or 'all'"),
         ("data.offset", 0.2, "between 0 and 0.12"),
         ("data.focal_spread", -0.1, "between 0 and 0.25"),
+        ("pose.elevation_high", -20.0, "above pose.elevation_low = -20.0 degrees"),
     ],
 )
 def test_a_value_that_cannot_work_is_refused_by_name_before_anything_is_made(

@@ -8,11 +8,9 @@ from PIL import Image
 
 from dpc_jax.reporting.clouds import draw_cloud, shade_depth, view_points
 from dpc_jax.reporting.gallery import (
-    FRAMES,
     draw_difference,
     draw_grid,
     write_animation,
-    write_turntable,
 )
 
 FRONT = (0.0, 0.0)
@@ -83,19 +81,3 @@ def test_an_animation_repeats_without_end_and_keeps_its_times(tmp_path):
             shades.append(int(np.array(animation.convert("L"))[8, 8]))
     assert times == [500, 80, 80]
     np.testing.assert_allclose(shades, [0, 120, 240], atol=2)  # of 128 colours
-
-
-def test_a_turntable_turns_once_in_the_colours_that_are_given(tmp_path):
-    points = np.random.default_rng(0).normal(size=(60, 3)) * [0.2, 0.05, 0.05]
-    path = tmp_path / "cloud.gif"
-    write_turntable(path, points, np.broadcast_to(RED, points.shape), size=160)
-    with Image.open(path) as image:
-        assert image.n_frames == FRAMES
-        first = np.asarray(image.convert("RGB"), int)
-        image.seek(FRAMES // 4)
-        quarter = np.asarray(image.convert("RGB"), int)
-    # A rod looks wider from its side than from its end.
-    widths = [np.ptp(np.nonzero((a[..., 1] < 200).any(0))[0]) for a in (first, quarter)]
-    assert abs(widths[0] - widths[1]) > 5
-    middle = first[80, 80]
-    assert middle[0] > 1.5 * middle[1:].max()  # what is far fades towards white

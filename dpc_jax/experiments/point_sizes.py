@@ -18,8 +18,8 @@ from dpc_jax.learning.inference.predictor import (
     predict_all,
 )
 from dpc_jax.reporting import paper_figures as figures
-from dpc_jax.run.setup import make_data_specs, make_network
-from dpc_jax.run.trained import restore_state
+from dpc_jax.run.setup import make_data_specs
+from dpc_jax.run.trained import load_checkpoint
 from dpc_jax.run.workdir import read_alignment, read_config, read_metrics
 
 SHOWN = 5  # chairs in a figure
@@ -76,13 +76,14 @@ def predict_gaussians(workdir: Path) -> list[figures.Gaussians]:
     """
     shared = {"run": {"devices": 0}, "train": {"models_per_batch": VIEWS_AT_ONCE}}
     config = replace_fields(read_config(workdir), shared)
-    state = restore_state(config, workdir)
+    run = load_checkpoint(config, workdir)
     dataset = load_or_render(
         make_data_specs(config)["test"], cache_dir=config.data.cache_dir
     )
-    predictor = make_predictor(make_network(config), config)
-    predictions = predict_all(predictor, state, dataset)
-    sigma = schedules.compute_sigma(state.step, config.render, steps=config.train.steps)
+    predictor = make_predictor(run.network, config)
+    predictions = predict_all(predictor, run.state, dataset)
+    steps = config.train.steps
+    sigma = schedules.compute_sigma(run.state.step, config.render, steps=steps)
     covariances = find_covariances(
         predictions, float(jax.device_get(sigma)), grid=config.render.grid
     )

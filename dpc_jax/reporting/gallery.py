@@ -7,17 +7,14 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import colormaps
-from numpy.typing import ArrayLike
 from PIL import Image
 
 from dpc_jax.evaluation.images import resize
 from dpc_jax.files import write_bytes
 from dpc_jax.reporting import style
-from dpc_jax.reporting.clouds import FRONT, REAR, draw_cloud
+from dpc_jax.reporting.clouds import REAR, draw_cloud
 from dpc_jax.reporting.examples import Example
 
-FRAMES = 36  # of a whole turn
-_ELEVATION = 20.0  # of the viewer of a turntable, degrees
 _SHOWN_SURFACE_POINTS = 2000  # about as many as are predicted, to compare fairly
 
 
@@ -107,21 +104,6 @@ def draw_difference(example: Example) -> np.ndarray:
     difference = resize(example.predicted, side) - resize(example.target, side)
     colors = colormaps["RdBu_r"].with_extremes(bad="white")((difference + 1) / 2)
     return np.rint(255 * colors[..., :3]).astype(np.uint8)
-
-
-def write_turntable(
-    path: Path, points: ArrayLike, colors: ArrayLike | None = None, *, size: int = 320
-) -> Path:
-    """A cloud that turns without end, as GIF.
-
-    Args:
-      points: [N, 3] in the object frame, z up.
-      colors: [N, 3] of 0 to 1, or None for depth.
-    """
-    azimuths = FRONT[0] + np.arange(FRAMES) * 360.0 / FRAMES
-    views = [(azimuth, _ELEVATION) for azimuth in azimuths]
-    frames = [draw_cloud(points, colors, view_deg=view, size=size) for view in views]
-    return write_animation(frames, path)
 
 
 def write_animation(

@@ -132,17 +132,27 @@ def _run_in(folder, config, job):
         return
     refined = None
     if config.eval.refine:
-        refined = learner.refine_test(outcome.state, found)
+        # Only where asked for.
+        from dpc_jax.learning.inference.refinement import measure_refinement
+
+        print("Refining the test views.", flush=True)
+        refined = measure_refinement(
+            learner.network,
+            config,
+            outcome.state,
+            sets["test"],
+            found.predictions,
+            validated=found.validated,
+            alignment=found.alignment,
+        )
     report_run(
         folder,
         config,
         sets,
         outcome,
-        predictions=found.predictions,
-        alignment=found.alignment,
+        found,
         records=log.read(),
         data_seconds=data_seconds,
-        threshold=found.threshold,
         refined=refined,
     )
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 
 from dpc_jax.config import Config, from_json, replace_fields, to_json
+from dpc_jax.learning.inference.predictor import compile_predictor
 from dpc_jax.learning.step import TrainState, describe_state, init_state
 from dpc_jax.learning.training import loop
 from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
@@ -41,6 +42,7 @@ def train_learner(
       NonFiniteError: where training breaks.
     """
     checkpoints = open_checkpoints(workdir / "checkpoints", job)
+    views = {split: int(data.counts.sum()) for split, data in learner.sets.items()}
     start = _restore_run(learner, checkpoints, log, job)
     with contextlib.closing(checkpoints), catch_signals() as stop:
         if int(start.state.step) >= learner.config.train.steps:
@@ -57,9 +59,10 @@ def train_learner(
             may_stop_waiting=job.processes == 1,
             seconds=start.seconds,
             title=f"Training {workdir.name}",
-            validations_after=learner.count_views("test", "val")
-            / learner.count_views("val"),
-            prepare=functools.partial(learner.compile_predictor, start.state),
+            validations_after=(views["test"] + views["val"]) / views["val"],
+            prepare=functools.partial(
+                compile_predictor, learner.predictor, start.state, learner.config
+            ),
             check=check_memory,
         )
 

@@ -17,7 +17,6 @@ from dpc_jax.files import SURFACES, write_json
 from dpc_jax.outputs import owning, show_text
 from dpc_jax.run.workdir import read_config
 
-SUMMARIES = ("predictions.png", "predictions.json")  # of all images
 SENTENCES = 20  # that are printed; predictions.json has all
 
 
@@ -35,7 +34,6 @@ class PredictRequest:
       mask: of `photographs.MASKS`.
       views: "each" image shows an object, or all of them "one-object".
       is_refined: whether shape and poses are fitted to the silhouettes.
-      has_turntable: whether an animated picture of each cloud is written.
       surface: format of surfaces, of `SURFACES`.
       data: folder of rendered data sets; None for the workdir's own.
     """
@@ -47,7 +45,6 @@ class PredictRequest:
     mask: str = "given"
     views: str = "each"
     is_refined: bool = False
-    has_turntable: bool = False
     surface: str = "glb"
     data: Path | None = None
 
@@ -76,10 +73,10 @@ def predict_images(request: PredictRequest):
     if any(len(one.sources) > 1 for one in found):
         check_ability(config, "Several views of an object together")
     ends = [".ply", SURFACES[request.surface], ".json"]
-    ends += [".gif"] * request.has_turntable
     names = [f"{one.name}{end}" for one in found for end in ends]
+    names += ["predictions.png", "predictions.json"]  # of all images
     inputs = [file for one in found for file in one.files]
-    with owning(request.out, [*names, *SUMMARIES], inputs=inputs):
+    with owning(request.out, names, inputs=inputs):
         _warn_of_frame(request.workdir)
         _predict(request, found, skipped, started)
 
@@ -91,10 +88,7 @@ def _predict(request: PredictRequest, found: list[Photographs], skipped, started
 
     predicted = predict_objects(found, request)
     entries, picture = write_predictions(
-        predicted,
-        request.out,
-        surface=request.surface,
-        has_turntable=request.has_turntable,
+        predicted, request.out, surface=request.surface
     )
     # Refinement is timed on its own; all else is in here too.
     seconds = time.perf_counter() - started

@@ -21,6 +21,7 @@ from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.learning.training.loop import Outcome
 from dpc_jax.reporting.page import write_report
+from dpc_jax.run.learner import Evaluation
 from dpc_jax.run.report.shown_views import Judged, choose_examples, list_worst
 from dpc_jax.run.report.training_shapes import TrainingShapes
 from dpc_jax.run.setup import collect_warnings
@@ -34,25 +35,22 @@ def report_run(
     config: Config,
     sets: dict[str, DataSet],
     outcome: Outcome,
+    found: Evaluation,
     *,
-    predictions: Predictions,
-    alignment: Alignment,
     records: list[dict],
     data_seconds: float,
-    threshold: float | None = None,
     refined: dict[str, Any] | None = None,
 ):
     """Score the test set, write WORKDIR/report, and print what is in it.
 
     Args:
-      sets: by name. predictions: of "test".
+      sets: by name. found: what the network makes of "test".
       outcome: of the training loop. records: of its log.
       data_seconds: spent on preparing the data.
-      threshold: of the surfaces of a voxel model.
       refined: of `measure_refinement`, where it was asked for.
     """
-    test = sets["test"]
-    judged = judge(predictions, test, config, alignment, threshold)
+    test, predictions = sets["test"], found.predictions
+    judged = judge(predictions, test, config, found.alignment, found.threshold)
     failures = judged.scores.failures
     models, _ = arrange_views(test)
     lost = failures.wrong_objects if failures else ()
@@ -84,7 +82,7 @@ def report_run(
         config_text=str(to_config_dict(config)),
     )
     if config.pose.aligned or sets["val"].quaternions is not None:
-        write_alignment(workdir, alignment)
+        write_alignment(workdir, found.alignment)
     for warning in warnings:
         print(f"Warning: {warning}")
     print(
@@ -158,7 +156,7 @@ def list_warnings(
     Args:
       sets: by name. shares: [K] of views that each head wins; None without heads.
     """
-    warnings, test = collect_warnings(config, sets), sets["test"]
+    warnings, test = collect_warnings(sets), sets["test"]
     if test.quaternions is None:
         warnings.append(
             "The test images come without poses and true shapes: pose errors, Chamfer "
