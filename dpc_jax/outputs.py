@@ -39,7 +39,7 @@ def owning(
     folder, inputs = Path(folder), list(inputs)
     missing = [p for p in (folder, *folder.parents) if not os.path.lexists(p)]
     try:
-        with _trying(folder):
+        with trying_to_write(folder):
             folder.mkdir(parents=True, exist_ok=True)
         written = _read_list(folder)
         for number, name in enumerate(names):
@@ -50,7 +50,7 @@ def owning(
                     "each with an --out of its own."
                 )
             _refuse_others(folder / name, name, written, inputs)
-        with _trying(folder):
+        with trying_to_write(folder):
             write_json(folder / LIST, written | dict.fromkeys(names, ""))
         try:
             yield
@@ -63,14 +63,21 @@ def owning(
 
 
 @contextlib.contextmanager
-def _trying(folder: Path) -> Iterator[None]:
+def trying_to_write(folder: Path, flag: str = "--out") -> Iterator[None]:
+    """Say in a sentence where a folder cannot be made or written.
+
+    Raises:
+      OSError: with the flag that names another one.
+    """
     try:
         yield
     except OSError as error:
+        if error.strerror is None:  # it is a sentence
+            raise
         reason = "it is a file" if os.path.isfile(folder) else error.strerror
         raise OSError(
             f"Expected to write in the folder {folder}, but it cannot be made or "
-            f"written ({reason}); give another --out."
+            f"written ({reason}); give another {flag}."
         ) from None
 
 

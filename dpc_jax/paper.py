@@ -13,7 +13,7 @@ from dpc_jax.experiments.catalogue import NAMES
 from dpc_jax.experiments.published import CATEGORIES, TITLE
 from dpc_jax.experiments.runs import SIZES, SOURCES, Request, Source
 from dpc_jax.files import read_text
-from dpc_jax.run.flags import FlagParser, reading_names
+from dpc_jax.run.flags import FlagParser, read_count, reading_names
 from dpc_jax.run.task import Task, run_command
 
 # In --out; each run claims its own folder.
@@ -42,7 +42,7 @@ def make_parser() -> argparse.ArgumentParser:
     text = "train only these; * stands for anything"
     add("--only", default="*", metavar="RUNS", help=text)
     text = "runs; default: as many as cores and memory allow"
-    add("--at-once", type=int, metavar="N", default=0, help=text)
+    add("--at-once", type=read_count, metavar="N", default=0, help=text)
     text = "the page of what is there alone"
     add("--no-training", action="store_true", help=text)
     return parser
@@ -73,11 +73,6 @@ def make_request(options: argparse.Namespace) -> Request:
         raise ValueError(
             f"--category must fit --experiment={','.join(names)}, but {missing[0]} is "
             f"not made of {','.join(options.category)}; leave one of them out."
-        )
-    if options.at_once < 0:
-        raise ValueError(
-            f"--at-once must be at least 1, but it is {options.at_once}; leave it out "
-            "for as many as there are cores."
         )
     check_page(options.page)
     return request

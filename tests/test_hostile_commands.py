@@ -184,14 +184,6 @@ def predict_into_a_folder_of_others(_):
         return call(predict, f"--workdir={workdir}", image)
 
 
-@tries("write ./-a.png for the file whose name begins with -. Status 2.")
-def name_a_file_like_a_flag(folder):
-    draw_image(folder / "-a.png")
-    with contextlib.chdir(folder), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["predict", "--workdir=run", "-a.png"])
-        return call(predict, *sys.argv[1:])
-
-
 @tries("車")
 def name_files_in_bytes_of_all_kinds(folder):
     """Bytes that are no UTF-8, line breaks, codes of terminals, formulas, 車."""

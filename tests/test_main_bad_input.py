@@ -1,5 +1,6 @@
 """Bad input ends with an exit status and one sentence, never with a traceback."""
 
+import errno
 import importlib.util
 import os
 
@@ -7,6 +8,7 @@ import pytest
 from config_files import FOLDER, load_editable, refuse_flags
 from tiny_runs import make_dataset
 
+from dpc_jax import files
 from dpc_jax.config import from_config_dict
 from dpc_jax.run import pipeline, setup
 from dpc_jax.run.report.final import judge_finally
@@ -180,7 +182,10 @@ def test_a_workdir_that_cannot_be_written_is_refused(
     config, tmp_path, capsys, monkeypatch
 ):
     # Root may write anywhere, so that permissions alone would not show it.
-    monkeypatch.setattr(os, "access", lambda *_: False)
+    def refuse_to_open(path, _):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), path)
+
+    monkeypatch.setattr(files, "open_own", refuse_to_open)
     assert "written (Permission denied)" in refuse(config, tmp_path, capsys)
     assert list(tmp_path.iterdir()) == []
 

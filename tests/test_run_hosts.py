@@ -30,11 +30,9 @@ def test_flags_give_a_place_in_a_job_of_several(monkeypatch):
         (("node01:7777", None, 0), "--coordinator, --processes and --process together"),
         ((None, 2, 0), "but only some are given"),
         (("node01", 2, 0), "--coordinator must be HOST:PORT of process 0, but it is"),
-        ((":7777", 2, 0), "but it is ':7777'"),
         (("node01:99999", 2, 0), "but it is 'node01:99999'"),
-        (("node01:7777", 0, 0), "--processes must be at least 1, but it is 0"),
-        (("node01:7777", 2, 2), "--process must be between 0 and 1, but it is 2"),
-        (("node01:7777", 2, -1), "--process must be between 0 and 1, but it is -1"),
+        (("node01:7777", 2, 2), "--process must be .* below --processes = 2, but it"),
+        (("node01:7777", 2, -1), "--process must be 0 or more .* but it is -1"),
     ],
 )
 def test_flags_that_give_no_place_are_refused(flags, words):

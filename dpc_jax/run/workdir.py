@@ -2,9 +2,7 @@
 
 import contextlib
 import dataclasses
-import errno
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,7 @@ from dpc_jax.files import (
     read_text,
     write_text,
 )
+from dpc_jax.outputs import trying_to_write
 
 # What may differ between a run and its continuation.
 FREE_FIELDS = (
@@ -42,8 +41,9 @@ def hold_workdir(workdir: Path) -> Iterator[None]:
       ValueError: where another process holds it, naming that process.
       OSError: where it cannot be made or written.
     """
-    _make_workdir(workdir)
-    with claiming(workdir / "run") as is_ours:
+    with contextlib.ExitStack() as held:
+        with trying_to_write(workdir, "--workdir=DIR"):
+            is_ours = held.enter_context(claiming(workdir / "run"))
         if not is_ours:
             holder = "another one"
             with contextlib.suppress(OSError):  # it has just ended
@@ -54,18 +54,6 @@ def hold_workdir(workdir: Path) -> Iterator[None]:
                 "--workdir=DIR."
             )
         yield
-
-
-def _make_workdir(workdir: Path):
-    try:
-        workdir.mkdir(parents=True, exist_ok=True)
-        if not os.access(workdir, os.W_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    except OSError as error:
-        raise OSError(
-            f"Expected to write in the folder {workdir}, but it cannot be made or "
-            f"written ({error.strerror}); give another --workdir=DIR."
-        ) from None
 
 
 def claim_workdir(workdir: Path, config: Config) -> Path:

@@ -41,15 +41,10 @@ def find_place(
             f"--coordinator must be HOST:PORT of process 0, but it is {coordinator!r}; "
             "write for example --coordinator=node01:7777."
         )
-    if processes < 1:
-        raise ValueError(
-            f"--processes must be at least 1, but it is {processes}; give the number "
-            "of processes of the job."
-        )
     if not 0 <= process < processes:
         raise ValueError(
-            f"--process must be between 0 and {processes - 1}, but it is {process}; "
-            f"number the {processes} processes from 0."
+            f"--process must be 0 or more and below --processes = {processes}, but it "
+            f"is {process}; number the processes from 0."
         )
     return Place(coordinator, processes, process) if processes > 1 else None
 
