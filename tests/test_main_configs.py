@@ -150,7 +150,6 @@ def test_labels_teach_an_ensemble_only_where_a_student_selects_from_it():
         ({"fold": "5/5", "meshes": "x"}, "config.data.fold must be '' or PART/PARTS"),
         ({"fold": "0/5", "meshes": "x", "test_meshes": "y"}, "config.data.fold must"),
         ({"split_file": "a.csv", "meshes": "x"}, "split_file must be '' without"),
-        ({"ground_truth": "y", "meshes": "x"}, "ground_truth must be '' without"),
     ],
 )
 def test_fields_of_data_that_mean_nothing_are_refused(
@@ -221,6 +220,7 @@ def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
     config = change(config, "data", copies=3)
     specs = make_data_specs(config)
     assert [specs[s].copies for s in ("train", "val", "test")] == [3, 1, 1]
+    assert not specs["train"].mix
     assert set(specs) == {"train", "val", "test"}
     # What is visible of the tested surfaces is dense.
     counts = [specs[s].visible_points for s in ("train", "val", "test")]
@@ -232,13 +232,13 @@ def test_every_source_reaches_all_splits_with_what_belongs_to_it(source):
     config = load("car")
     config = change(config, "data", **{source: "folder"})
     config = change(
-        config, "data", split_file="all.csv", crop="view", fill=0.7, surface_voxel=0.01
+        config, "data", split_file="all.csv", crop="view", surface_voxel=0.01
     )
     specs = make_data_specs(config)
     assert set(specs) == {"train", "val", "test"}
     for split, spec in specs.items():
         assert (spec.kind, spec.folder, spec.split) == (source, "folder", split)
-        assert (spec.split_file, spec.crop, spec.fill) == ("all.csv", "view", 0.7)
+        assert (spec.split_file, spec.crop) == ("all.csv", "view")
         assert spec.surface_voxel == 0.01 and spec.models is None
         assert bool(spec.visible_points) == (source == "shapenet")
 

@@ -47,6 +47,5 @@ class DataSpec:
     visible_points: int = 0  # also so many that can be seen from outside
     kind: str = "meshes"  # of the folder, one of `KINDS`
     split_file: str | None = None  # official split; None: looked for in the folder
-    ground_truth: str | None = None  # folder of the published ground truth
     crop: str = Data.crop  # of own images: one scale per "object", "view", or "none"
-    fill: float = Data.fill  # share of the frame that an own image's object takes
+    fill: float = 0.85  # share of the frame that an own image's object takes

@@ -149,15 +149,13 @@ def _split_folder(config, kind, shared):
         kind=kind,
         folder=getattr(data, kind),
         split_file=data.split_file or None,
-        ground_truth=data.ground_truth or None,
         crop=data.crop,
-        fill=data.fill,
         fractions=(0.9 - tested, 0.1, tested),
         fold=read_fold(data.fold),
     )
     specs = {split: DataSpec(split=split, **source) for split in SPLITS}
     if kind in ("meshes", "shapenet"):  # pictures cannot be stretched
         specs["train"] = dataclasses.replace(
-            specs["train"], copies=data.copies, mix=data.mix
+            specs["train"], copies=data.copies, mix=not data.copies
         )
     return specs

@@ -27,10 +27,10 @@ class PredictRequest:
     Attributes:
       paths: image files, moving pictures, folders of views of an object or of such
         folders. workdir: of the run. out: folder of the results.
-      crop: "view" cuts a square in which the object takes the config's `data.fill`,
-        "object" at the scale that the largest of its views needs, "none" keeps the
-        image's own framing, which is that of training then. None is as in training on
-        images, and "view" for a network that was trained on renders.
+      crop: "view" cuts a square in which the object takes `DataSpec.fill`, "object" at
+        the scale that the largest of its views needs, "none" keeps the image's own
+        framing, which is that of training then. None is as in training on images, and
+        "view" for a network that was trained on renders.
       mask: of `photographs.MASKS`.
       views: "each" image shows an object, or all of them "one-object".
       is_refined: whether shape and poses are fitted to the silhouettes.
@@ -127,7 +127,6 @@ def make_spec(config: Config, crop: str | None) -> DataSpec:
         folder=".",
         image_size=config.data.image_size,
         crop=crop,
-        fill=config.data.fill,
         focal_length=config.render.focal_length,
         distance=config.render.distance,
     )
