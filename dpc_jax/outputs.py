@@ -7,7 +7,8 @@ somebody has changed or put there is told from theirs.
 
 import contextlib
 import os
-from collections.abc import Iterable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from dpc_jax.files import digest_file, read_json, write_json
@@ -143,6 +144,20 @@ def show_text(text: object) -> str:
         c if c.isprintable() else " " if c.isspace() else "\N{REPLACEMENT CHARACTER}"
         for c in str(text)
     )
+
+
+def telling_tenths(title: str) -> Callable[[str, int, int], None]:
+    """A function (part, done, total) that prints a line for every tenth of a part."""
+    started, told = time.monotonic(), {}
+
+    def tell(part, done, total):
+        tenth = 10 * done // max(total, 1)
+        if tenth > told.get(part, -1):
+            told[part] = tenth
+            seconds = time.monotonic() - started
+            print(f"{title}: {part}, {done}/{total}, {seconds:.0f} s", flush=True)
+
+    return tell
 
 
 _EXTRAS = {"viser": "learn,view"}  # of a library, where it is not in `learn` alone

@@ -74,30 +74,13 @@ def make_request(options: argparse.Namespace) -> Request:
             f"--category must fit --experiment={','.join(names)}, but {missing[0]} is "
             f"not made of {','.join(options.category)}; leave one of them out."
         )
-    check_page(options.page)
-    return request
-
-
-def check_page(page: Path | None) -> None:
-    """Refuse a Markdown file that could not be written when all runs have ended.
-
-    Raises:
-      ValueError: for a folder, a place in what is no folder, or another page.
-    """
-    if page is None:
-        return
-    above = next(p for p in page.absolute().parents if p.exists())
-    if page.is_dir() or not above.is_dir():
-        wrong = f"{page} is a folder" if page.is_dir() else f"{above} is no folder"
-        raise ValueError(
-            f"--page must be a file to write, but {wrong}; write for example "
-            "--page=paper.md."
-        )
-    if page.exists() and not read_text(page).startswith(f"# {TITLE}\n"):
+    page = options.page
+    if page and page.exists() and not read_text(page).startswith(f"# {TITLE}\n"):
         raise ValueError(
             f"--page must be a new file or a page of this command, but {page} does not "
             f"begin with # {TITLE}; move it, or give another --page."
         )
+    return request
 
 
 def make_source(kind: str, folder: str) -> Source:

@@ -69,12 +69,7 @@ def _read_run(workdir: Path, name: str) -> ComparedRun:
 
 
 def compare_runs(workdirs: Sequence[Path], out: Path):
-    """Print the table, write the page.
-
-    Raises:
-      ValueError: where there are no runs, or what they hold cannot be read.
-      OSError: where the page cannot be written.
-    """
+    """Print the table, write the page."""
     groups = group_runs(read_runs(find_workdirs(workdirs)))
     print(tabulate_groups(groups))
     print(f"Page: {show_text(write_comparison(out, groups))}")

@@ -61,9 +61,6 @@ def load_checkpoint(config: Config, workdir: Path) -> TrainedNetwork:
     """The network at the last checkpoint of a run, on the devices of the config.
 
     Without an alignment its own frame counts as that of the objects.
-
-    Raises:
-      ValueError: where there is no checkpoint, or none that can be read.
     """
     network = make_network(config)
     state = restore_last(workdir / "checkpoints", describe_state(network, config))
@@ -76,9 +73,6 @@ def load_split(trained: TrainedNetwork, split: str, **changes: Any) -> DataSet:
 
     Args:
       changes: fields of its `DataSpec` that are to be others.
-
-    Raises:
-      ValueError: where it cannot be used. OSError: where it cannot be written.
     """
     spec = dataclasses.replace(make_data_specs(trained.config)[split], **changes)
     return load_set(trained.config, spec)

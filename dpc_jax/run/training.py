@@ -35,11 +35,6 @@ def train_learner(
 
     Args:
       log: that records are written to.
-
-    Raises:
-      ValueError: if there are checkpoints, yet none can be read, or a step needs more
-        memory than the device has.
-      NonFiniteError: where training breaks.
     """
     checkpoints = open_checkpoints(workdir / "checkpoints", job)
     views = {split: int(data.counts.sum()) for split, data in learner.sets.items()}

@@ -60,10 +60,6 @@ def claim_workdir(workdir: Path, config: Config) -> Path:
     """Write the config into the workdir, or check that it is this config's.
 
     To be called by the command that holds the workdir.
-
-    Raises:
-      ValueError: where another config made it.
-      OSError: where it cannot be written.
     """
     path = workdir / "config.json"
     if path.exists():

@@ -50,14 +50,7 @@ class PredictRequest:
 
 
 def predict_images(request: PredictRequest):
-    """Predict shape and pose of every object that can be read, and write the files.
-
-    Raises:
-      ValueError: where the workdir holds no run, its checkpoints cannot be read, no
-        image can be used, two images would write the same files, or the run cannot do
-        what is asked for.
-      OSError: where files cannot be read or written.
-    """
+    """Predict shape and pose of every object that can be read, and write the files."""
     started = time.perf_counter()
     config = read_config(request.workdir)
     if request.is_refined:
@@ -92,7 +85,14 @@ def _predict(request: PredictRequest, found: list[Photographs], skipped, started
     )
     # Refinement is timed on its own; all else is in here too.
     seconds = time.perf_counter() - started
-    _write_summary(request, entries, skipped, seconds)
+    content = {
+        "workdir": show_text(request.workdir),
+        "refined": request.is_refined,
+        "seconds": round(seconds, 2),
+        "images": entries,
+        "left_out": [{"source": s, "reason": f"{reason}."} for s, reason in skipped],
+    }
+    write_json(request.out / "predictions.json", content)
     for entry in entries[:SENTENCES]:
         print(entry["sentence"])
     if len(entries) > SENTENCES:
@@ -103,18 +103,6 @@ def _predict(request: PredictRequest, found: list[Photographs], skipped, started
         f"{show_text(request.out)} (predictions.json has all figures)"
     )
     print(f"Picture: {show_text(picture)}")
-
-
-def _write_summary(request: PredictRequest, entries, skipped, seconds: float):
-    """OUT/predictions.json: every view, and what was left out."""
-    content = {
-        "workdir": show_text(request.workdir),
-        "refined": request.is_refined,
-        "seconds": round(seconds, 2),
-        "images": entries,
-        "left_out": [{"source": s, "reason": f"{reason}."} for s, reason in skipped],
-    }
-    write_json(request.out / "predictions.json", content)
 
 
 def make_spec(config: Config, crop: str | None) -> DataSpec:

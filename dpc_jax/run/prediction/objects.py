@@ -64,10 +64,6 @@ def predict_objects(
 
     Validation images for refinement are kept in the folder `data`, or in the workdir:
     the workdir may be a stranger's, and its config names folders that are not.
-
-    Raises:
-      ValueError: where the checkpoints cannot be read, or refinement lacks the run's
-        validation images.
     """
     workdir = request.workdir
     # All devices of this machine share the views.

@@ -30,10 +30,6 @@ def judge_finally(
     Args:
       meshes: of that folder; to be given where the run's objects are not procedural.
       cache_dir: of rendered sets; that of the run where it is empty.
-
-    Raises:
-      ValueError: where there is no finished run, or no such objects.
-      OSError: where they cannot be rendered or the record not written.
     """
     trained = load_trained(workdir, cache_dir=cache_dir)
     config = trained.config

@@ -34,11 +34,6 @@ def judge_photographs(
 
     Args:
       cache_dir: of rendered sets; that of the run where it is empty.
-
-    Raises:
-      ValueError: where there is no finished run, its data have no true poses, or it
-        does not predict point clouds and poses.
-      OSError: where they cannot be rendered or the record not written.
     """
     check_ability(read_config(workdir), "--photographs")
     trained = load_trained(workdir, cache_dir=cache_dir)
