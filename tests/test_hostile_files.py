@@ -75,7 +75,7 @@ def read_a_deep_config(folder):
 
 
 @tries("[0.0, 0.0, 0.0, 0.0] is no unit quaternion", text='{"rotation": [0, 0, 0, 0]}')
-@tries("Expected a rot", text="[1]")
+@tries("Expected the alignment", text="[1]")
 def read_a_wrong_alignment(folder, *, text):
     (folder / "report").mkdir()
     (folder / "report" / "alignment.json").write_text(text)
