@@ -11,16 +11,15 @@ import pytest
 
 from dpc_jax.config import Config
 from dpc_jax.run.hosts.agreement import Job
-from dpc_jax.run.hosts.places import Place, find_in_slurm, find_place
+from dpc_jax.run.hosts.places import Place, find_place
 
 ROOT = Path(__file__).parents[1]
 
 
-def test_flags_give_a_place_in_a_job_of_several(monkeypatch):
+def test_flags_give_a_place_in_a_job_of_several():
     assert find_place("node01:7777", 4, 3) == Place("node01:7777", 4, 3)
     assert find_place("[::1]:7777", 2, 0) == Place("[::1]:7777", 2, 0)
     assert find_place("node01:7777", 1, 0) is None
-    monkeypatch.delenv("SLURM_STEP_NODELIST", raising=False)
     assert find_place(None, None, None) is None
 
 
@@ -38,39 +37,6 @@ def test_flags_give_a_place_in_a_job_of_several(monkeypatch):
 def test_flags_that_give_no_place_are_refused(flags, words):
     with pytest.raises(ValueError, match=words):
         find_place(*flags)
-
-
-@pytest.mark.parametrize(
-    ("nodes", "first"),
-    [
-        ("node01", "node01"),
-        ("node01,other", "node01"),
-        ("node[07-09,12],other", "node07"),
-        ("gpu-[3,5-6]", "gpu-3"),
-        ("a.cluster.org,b.cluster.org", "a.cluster.org"),
-    ],
-)
-def test_slurm_gives_the_first_node_of_the_step(nodes, first):
-    environment = {
-        "SLURM_JOB_ID": "5000",
-        "SLURM_STEP_ID": "0",
-        "SLURM_STEP_NODELIST": nodes,
-        "SLURM_STEP_NUM_TASKS": "3",
-        "SLURM_PROCID": "2",
-    }
-    place = find_in_slurm(environment)
-    assert place == Place(f"{first}:{61440 + 5000 % 4096}", 3, 2)
-    other = find_in_slurm(environment | {"SLURM_STEP_ID": "1"})
-    assert other is not None and other.coordinator != place.coordinator
-
-
-def test_a_slurm_task_without_others_is_on_its_own():
-    batch = {"SLURM_JOB_ID": "7", "SLURM_NTASKS": "4", "SLURM_PROCID": "0"}
-    assert find_in_slurm(batch) is None  # the batch script itself
-    assert (
-        find_in_slurm(batch | {"SLURM_STEP_NODELIST": "n1", "SLURM_NTASKS": "1"})
-        is None
-    )
 
 
 def test_a_process_on_its_own_waits_for_nobody():
