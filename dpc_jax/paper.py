@@ -89,17 +89,13 @@ def make_source(kind: str, folder: str) -> Source:
     Raises:
       ValueError: where its folder is missing, or given without need.
     """
-    if kind == "procedural":
-        if folder:
-            raise ValueError(
-                "--folder must be left out for procedural shapes, but it is "
-                f"{folder}; give --source=open, shapenet or renders with it."
-            )
+    if kind == "procedural" and not folder:
         return Source()
-    if not folder or not Path(folder).is_dir():
+    if kind == "procedural" or not Path(folder or "-").is_dir():
         raise ValueError(
-            f"--folder must be a folder that exists for --source={kind}, but it is "
-            f"{folder or 'not given'}; write for example --folder=data/{kind}."
+            "--folder must be a folder that exists for all sources but procedural "
+            f"shapes, which have none, but it is {folder or 'not given'} for --source="
+            f"{kind}; write for example --source=open --folder=data/open."
         )
     return Source(kind, str(Path(folder).absolute()))
 

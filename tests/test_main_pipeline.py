@@ -175,7 +175,6 @@ def test_the_report_has_every_number_and_picture_that_is_promised(finished):
     clouds = sorted((report / "points").iterdir())
     assert {path.suffix for path in clouds} == {".ply", ".glb"}
     assert len(clouds) == 2 * 3  # of the worst, the median and the best view
-    assert (report / "worst_objects.png").stat().st_size > 1000
     for path in clouds:
         vertices = np.asarray(trimesh.load_scene(path).to_geometry().vertices)
         # A GLB holds the surface about the 40 points.

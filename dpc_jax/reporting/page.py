@@ -32,12 +32,6 @@ CAPTIONS = {
         "same direction, whatever the input's; numbers below them are Chamfer "
         "distances (× 100) to the true shape, where there is one.",
     ),
-    "worst_objects": (
-        "The worst objects",
-        "What is wrong with them says what to mend: the difference is red where the "
-        "prediction is too large and blue where it is too small, both as seen from the "
-        "predicted pose; the true shape is on the right.",
-    ),
     "pose_errors": (
         "Pose errors",
         "The angle between predicted and true pose over all test views. Good poses "
@@ -92,7 +86,6 @@ def write_report(
     stages: figures.Stages = (),
     examples: Sequence[Example] = (),
     ranking: str = "",
-    worst: tuple[Sequence[Example], str] = ((), ""),
     pose_errors: ArrayLike | None = None,
     failures: Failures | None = None,
     lost: Sequence[str] = (),
@@ -112,7 +105,6 @@ def write_report(
       stages: first step of each stage of the schedule and what is new in it.
       examples: views to show, those of a group one after the other.
       ranking: how they were chosen, a sentence.
-      worst: the worst objects, each by a view, and how they were chosen.
       pose_errors: errors of the test views in degrees, any shape.
       failures: what is wrong with the poses of the test views.
       lost: names of objects that are wrong in all their views.
@@ -139,7 +131,6 @@ def write_report(
     draw_curves = functools.partial(figures.draw_curves, stages=stages)
     rendered = [e for e in examples if e.images and len(e.images.rendered) > 1]
     parts += [
-        _draw(folder, "worst_objects", draw_predictions, *worst, is_photo=True),
         _draw(folder, "pose_errors", figures.draw_pose_errors, pose_errors),
         _draw(folder, "azimuths", figures.draw_azimuths, failures),
         "" if pose_errors is None else _describe_failures(values, lost),

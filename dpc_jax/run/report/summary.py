@@ -22,7 +22,7 @@ from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.learning.training.loop import Outcome
 from dpc_jax.reporting.page import write_report
 from dpc_jax.run.learner import Evaluation
-from dpc_jax.run.report.shown_views import Judged, choose_examples, list_worst
+from dpc_jax.run.report.shown_views import Judged, choose_examples
 from dpc_jax.run.report.training_shapes import TrainingShapes
 from dpc_jax.run.setup import collect_warnings
 from dpc_jax.run.workdir import write_alignment
@@ -73,7 +73,6 @@ def report_run(
         stages=list_stages(config),
         examples=examples,
         ranking=ranking,
-        worst=list_worst(judged),
         pose_errors=judged.scores.pose_errors_deg,  # None: no such figure
         failures=failures,
         lost=lost,
