@@ -13,6 +13,7 @@ from dpc_jax.experiments.catalogue import NAMES
 from dpc_jax.experiments.published import CATEGORIES, TITLE
 from dpc_jax.experiments.runs import SIZES, SOURCES, Request, Source
 from dpc_jax.files import read_text
+from dpc_jax.outputs import trying_to_write
 from dpc_jax.run.flags import FlagParser, read_count, reading_names
 from dpc_jax.run.task import Task, run_command
 
@@ -75,6 +76,9 @@ def make_request(options: argparse.Namespace) -> Request:
             f"not made of {','.join(options.category)}; leave one of them out."
         )
     page = options.page
+    if page:  # now, not when all runs have ended
+        with trying_to_write(page.parent, "--page"):
+            page.parent.mkdir(parents=True, exist_ok=True)
     if page and page.exists() and not read_text(page).startswith(f"# {TITLE}\n"):
         raise ValueError(
             f"--page must be a new file or a page of this command, but {page} does not "
