@@ -21,6 +21,7 @@ from dpc_jax.config.fields import (
 )
 
 CROPS = ("object", "view", "none")  # images that are scaled alike
+FILL = 0.85  # share of the frame that images cut out so fill
 LAYERS = ("", "paper", "released")  # "": normalised, and a wider student
 SHAPES = ("points", "voxels", "maps")  # what the shape branch predicts
 POSE_HEADS = ("quaternion", "viewpoint")  # what a head predicts
