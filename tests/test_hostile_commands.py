@@ -89,13 +89,13 @@ def predict_images(folder, *, names, draw=()):
     return call(predict, *words, *(folder / name for name in names))
 
 
+@tries("Expected the config of a run in", out="out", run="none")
 @tries("made or written (it is a file); give", out="a.png")
 @tries("made or written (File name too long)", out="x" * 300)
-def predict_into(folder, *, out):
+def predict_into(folder, *, out, run="run"):
     image = draw_image(folder / "a.png")
-    return call(
-        predict, f"--workdir={make_workdir(folder)}", f"--out={folder / out}", image
-    )
+    make_workdir(folder)
+    return call(predict, f"--workdir={folder / run}", f"--out={folder / out}", image)
 
 
 @tries("has been changed since a command wrote it; move it")

@@ -74,17 +74,6 @@ def test_variants_that_mean_nothing_are_refused(variant, says):
         load("car", variant)
 
 
-@pytest.mark.parametrize("side, points", [(32, 2000), (64, 8000), (128, 16_000)])
-@pytest.mark.parametrize("others", ["", "paper,", "known_pose,", "paper,naive,"])
-def test_a_side_is_that_of_images_and_volume_with_its_number_of_points(
-    side, points, others
-):
-    config = load("chair", f"{others}{side}")
-    render = config.render
-    assert (config.data.image_size, render.grid, render.fine_grid) == (side, side, 0)
-    assert render.num_points == points
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_a_config_survives_the_command_line_and_the_workdir(name):
     config = load(name, "paper")
@@ -190,13 +179,6 @@ def test_with_known_poses_there_is_no_pose_branch():
     output, shapes = parameter_shapes(config)
     assert {name.split("/")[0] for name in shapes} == {"encoder", "shape"}
     assert set(output) == {"points", "scale"}
-
-
-def test_colour_is_learned_where_its_loss_has_a_weight():
-    config = load("debug")
-    config = change(config, "train", color_weight=0.1)
-    output, _ = parameter_shapes(config)
-    assert output["colors"].shape == output["points"].shape
 
 
 def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):

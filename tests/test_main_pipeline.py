@@ -413,14 +413,6 @@ def test_images_of_no_use_are_named_and_the_others_predicted(
     out, error = capsys.readouterr()
     assert "1 of 2 images" in out and f"{bad} was left out" in error
     assert (tmp_path / "good.glb").is_file() and not (tmp_path / "bad.ply").exists()
-    for arguments, words in (
-        ([*options, str(bad)], f"Expected a readable image in {bad}"),
-        ([*options, good, good], "different names, but good came"),
-        ([f"--workdir={tmp_path}", good], "Expected the config of a run"),
-    ):
-        assert predict.main(arguments) == 1
-        (line,) = capsys.readouterr().err.strip().splitlines()
-        assert line.startswith("Error: ") and words in line
 
 
 def test_views_of_one_object_are_refined_together(
