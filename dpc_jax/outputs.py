@@ -160,7 +160,8 @@ def telling_tenths(title: str) -> Callable[[str, int, int], None]:
     return tell
 
 
-_EXTRAS = {"viser": "learn,view"}  # of a library, where it is not in `learn` alone
+# Of a library, where it is not in `learn` alone.
+EXTRAS = {"viser": "learn,view", "tensorboardX": "learn,tensorboard"}
 
 
 def explain(error: Exception) -> str:
@@ -171,7 +172,7 @@ def explain(error: Exception) -> str:
             "room, or give another path."
         )
     if isinstance(error, ModuleNotFoundError):
-        extras = _EXTRAS.get(str(error.name), "learn")
+        extras = EXTRAS.get(str(error.name), "learn")
         return (
             f"{error.name} must be installed, but it is not there; activate the "
             "environment that has it (. .venv/bin/activate), or install what the "

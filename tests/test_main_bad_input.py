@@ -1,7 +1,5 @@
 """Bad input ends with an exit status and one sentence, never with a traceback."""
 
-import importlib.util
-
 import pytest
 from config_files import FOLDER, load_editable, refuse_flags
 from tiny_runs import make_dataset
@@ -79,16 +77,6 @@ def test_a_value_that_cannot_work_is_refused_by_name_before_anything_is_made(
     set_field(config, field, value)
     error = refuse(config, tmp_path / "workdir", capsys)
     assert f"config.{field} " in error and says in error
-    assert not (tmp_path / "workdir").exists()
-
-
-def test_tensorboard_that_is_not_installed_is_refused_with_how_to_install_it(
-    config, tmp_path, capsys, monkeypatch
-):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    set_field(config, "log.tensorboard", True)
-    error = refuse(config, tmp_path / "workdir", capsys)
-    assert "pip install 'dpc_jax[tensorboard]'" in error
     assert not (tmp_path / "workdir").exists()
 
 

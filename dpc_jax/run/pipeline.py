@@ -2,7 +2,6 @@
 
 import contextlib
 import functools
-import importlib.util
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -89,12 +88,6 @@ def run(
       NonFiniteError: where training breaks.
     """
     configs.check(config)
-    if config.log.tensorboard and importlib.util.find_spec("tensorboardX") is None:
-        raise ValueError(
-            "config.log.tensorboard must be left out where tensorboardX is not "
-            "installed, but it is True; install it with pip install "
-            "'dpc_jax[tensorboard]', or leave the flag out."
-        )
     processes = place.processes if place else 1
     objects = max(1, config.train.models_per_batch // processes)
     prepare_process(objects, config.run.devices // processes)
@@ -112,13 +105,14 @@ def run(
 
 
 def _run_in(folder, config, job):
-    make_mesh(config)  # refuses before anything is rendered
+    # These refuse before anything is rendered.
+    make_mesh(config)
+    log = _open_log(folder, config, job)
     started = time.monotonic()
     sets = load_sets(config, share=(job.process, job.processes))
     data_seconds = time.monotonic() - started
 
     learner = Learner(config, sets)
-    log = _open_log(folder, config, job)
     with contextlib.closing(log):
         outcome = train_learner(learner, folder, log, job)
     if not outcome.is_finished:
