@@ -98,9 +98,8 @@ class Render:
     """Volume, points and camera of the projection."""
 
     grid: int = field(32, _GRID)  # side of volume and target silhouettes, voxels
-    fine_grid: int = field(
-        64, between(0, 256)
-    )  # of winners after 60 % of steps; 0: never
+    # Of winners after 60 % of steps; 0: never.
+    fine_grid: int = field(64, between(0, 256))
     # Share of the run that compares views from a cube's corners (EPCG).
     fixed_views_until: float = field(0.0, between(0, 1))
     num_points: int = field(2000, at_least(1))  # of a cloud (2000 at 32³ in the paper)

@@ -87,8 +87,6 @@ def report_run(
     print(
         f"Test: {describe_metrics(metrics)} after {outcome.seconds:.0f} s of training."
     )
-    for line in describe_refined(refined or {}):
-        print(line)
     print(f"Report: {path}")
 
 
@@ -185,22 +183,6 @@ def list_warnings(
             named = "; ".join(f"{name}: {reason}" for name, reason in pairs[:10])
             warnings.append(f"{text} ({named}).")
     return warnings
-
-
-def describe_refined(refined: dict[str, Any]) -> list[str]:
-    """Sentences on the figures of `measure_refinement`."""
-    titles = {
-        "refined_": "Refined, each view on its own",
-        "joined_": "All views of an object together",
-        "refined_joined_": "Together and refined",
-    }
-    lines = []
-    for start, title in titles.items():
-        names = ("pose_accuracy", "pose_median_error_deg", "chamfer")
-        found = {n: refined[start + n] for n in names if start + n in refined}
-        if found:
-            lines.append(f"{title}: {describe_metrics(found)}.")
-    return lines
 
 
 def _count_costs(sets, outcome, data_seconds) -> dict:
