@@ -92,13 +92,12 @@ def parse_json(text: str) -> Any:
 def open_own(path: str | os.PathLike, flags: int) -> int:
     """Open a file that this package keeps, never another one that a link leads to.
 
-    The signature is that of the `opener` of `open`.
+    It serves as the `opener` of `open`, but empties no file.
 
     Raises:
       OSError: where there is a link, also a hard one, or no regular file.
     """
-    empties = flags & os.O_TRUNC  # once it is known whose file it is
-    flags = flags & ~os.O_TRUNC | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    flags |= os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     refusal = OSError(
         f"Expected a file of this package in {path}, but there is a link, a folder, a "
         "pipe or the like; remove it."
@@ -113,8 +112,6 @@ def open_own(path: str | os.PathLike, flags: int) -> int:
     if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
         os.close(file)
         raise refusal
-    if empties:
-        os.ftruncate(file, 0)
     return file
 
 
