@@ -173,15 +173,11 @@ def list_warnings(
         if config.train.steps < _FEW_STEPS:
             warning += f" After {config.train.steps} steps that tells nothing yet."
         warnings.append(warning)
-    for one, many, field in (
-        ("1 model was skipped", "{} models were skipped", "skipped"),
-        ("1 remark on the data", "{} remarks on the data", "remarks"),
-    ):
+    for what, field in (("Models skipped", "skipped"), ("Remarks on data", "remarks")):
         pairs = [pair for data in sets.values() for pair in getattr(data, field)]
         if pairs:
-            text = one if len(pairs) == 1 else many.format(len(pairs))
             named = "; ".join(f"{name}: {reason}" for name, reason in pairs[:10])
-            warnings.append(f"{text} ({named}).")
+            warnings.append(f"{what}: {len(pairs)} ({named}).")
     return warnings
 
 
