@@ -2,7 +2,7 @@
 
 Serves a page on this machine alone: clouds, surfaces, the cameras of the views, the
 candidates of a view with their losses. A run may still be training: the page follows
-its checkpoints. Ctrl-C ends it.
+its checkpoints. An image that is given to the page is predicted. Ctrl-C ends it.
 """
 
 import argparse

@@ -547,11 +547,14 @@ def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
         assert metrics["test_models"] == 2
 
 
-def test_the_live_view_shows_what_a_run_predicts_of_validation(finished):
+def test_the_live_view_shows_what_a_run_predicts_of_validation_and_of_an_image(
+    finished, tmp_path
+):
     workdir = finished[0]
     before = sorted(path for path in workdir.rglob("*") if path.is_file())
     network = NetworkShapes(workdir, Path(read_config(workdir).data.cache_dir))
     assert network.find_step() == STEPS
+    network.load()
     objects = network.show_validation()
     views = read_config(workdir).data.views
     assert [len(one.views) for one in objects] == [views] * len(objects)
@@ -560,4 +563,10 @@ def test_the_live_view_shows_what_a_run_predicts_of_validation(finished):
         assert view.candidates.losses.min() > 0
         # The student's probabilities, float32.
         assert view.candidates.probabilities.sum() == pytest.approx(1, abs=1e-5)
+    path = Path(save_drawing(tmp_path / "good.png"))
+    (one,) = network.show_images([path])
+    assert one.name == "good.png" and np.isfinite(one.points).all()
+    (tmp_path / "bad.png").write_text("no image")
+    with pytest.raises(ValueError, match="Expected a readable image"):
+        network.show_images([tmp_path / "bad.png"])
     assert sorted(path for path in workdir.rglob("*") if path.is_file()) == before

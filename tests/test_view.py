@@ -1,4 +1,4 @@
-"""The live view in a real browser: shapes of files, and of a run.
+"""The live view in a real browser: shapes of files, of a run, of an image given to it.
 
 Needs Chromium, as tests/test_reporting_browser.py.
 """
@@ -98,24 +98,52 @@ def page():
     server.stop()
 
 
-def test_shapes_views_and_candidates_are_shown_as_they_come(browser, page):
+def test_shapes_views_and_candidates_are_shown_and_an_image_may_be_given(
+    browser, page, tmp_path
+):
     shown, address = page
     points = np.random.default_rng(0).uniform(-0.3, 0.3, (500, 3))
     views = (make_view(30.0), make_view(75.0))
-    objects = [ShownObject(name, points, views=views) for name in ("first", "second")]
-    shown.show(objects)
+    shown.show([ShownObject("first", points, views=views)])
+    given = []
+
+    def predict(path):
+        given.append(path.name)
+        if path.suffix == ".txt":
+            raise ValueError(f"Expected a readable image in {path}; check it.")
+        return [ShownObject("from an image", 2 * points)]
+
+    shown.add_upload(predict)
     browser.requests.clear()
     browser.call("Page.navigate", url=address)
     browser.wait_for(f"{TEXT}.includes('azimuth 30°, elevation 10°')")
     assert "0.75" in browser.ask(TEXT) and "71.5" in browser.ask(TEXT)
     browser.wait_for("document.querySelectorAll('canvas').length > 0")
-    # The next checkpoint of a run; what is chosen stays chosen.
-    shown._object.value = "2. second"
-    shown.show(objects)
+
+    for name, answer in (
+        ("car.txt", "Expected a readable image"),
+        ("car.png", "Shape of"),
+    ):
+        (tmp_path / name).write_bytes(b"content")
+        place = browser.call(
+            "Runtime.evaluate", expression="document.querySelector('input[type=file]')"
+        )
+        browser.call(
+            "DOM.setFileInputFiles",
+            files=[str(tmp_path / name)],
+            objectId=place["result"]["objectId"],
+        )
+        browser.wait_for(f"{TEXT}.includes({json.dumps(answer)})")
+        # No path of the server's own folders is told.
+        assert "/tmp" not in browser.ask(TEXT)
+    assert given == ["car.txt", "car.png"]
+    inputs = "[...document.querySelectorAll('input')].map(i => i.value)"
+    assert "2. from an image" in browser.ask(inputs)
+    # The next checkpoint of a run.
+    shown.show([ShownObject("second", points, views=views)])
     shown.say("Later.")
     browser.wait_for(f"{TEXT}.includes('Later.')")
-    inputs = "[...document.querySelectorAll('input')].map(i => i.value)"
-    assert "2. second" in browser.ask(inputs)
+    assert "2. from an image" in browser.ask(inputs)
     assert browser.errors == []
     assert all("127.0.0.1" in url for url in browser.requests)
 

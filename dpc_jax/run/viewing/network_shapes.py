@@ -1,5 +1,6 @@
-"""Shapes that the last checkpoint of a run predicts of its validation split."""
+"""Shapes that the last checkpoint of a run predicts, of validation or of images."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from dpc_jax.config import replace_fields
 from dpc_jax.data.arrays import DataSet, Stack
+from dpc_jax.data.sets.photographs import Photographs, read_photographs
 from dpc_jax.evaluation.alignment import align_points, align_poses
 from dpc_jax.learning.inference.predictor import (
     Predictions,
@@ -14,6 +16,9 @@ from dpc_jax.learning.inference.predictor import (
     make_predictor,
     predict_all,
 )
+from dpc_jax.outputs import show_text
+from dpc_jax.run.prediction import knows_distance, make_spec
+from dpc_jax.run.prediction.objects import make_dataset, place_photographs
 from dpc_jax.run.process import prepare_process
 from dpc_jax.run.trained import load_checkpoint, load_split
 from dpc_jax.run.viewing import Candidates, ShownObject, ShownView
@@ -38,7 +43,7 @@ class NetworkShapes:
         folder = folder if data or folder.is_dir() else workdir / "data"
         here = {"data": {"cache_dir": str(folder)}}
         self.config = replace_fields(self.config, here)
-        self._predictor: Any = None
+        self._predictors: dict[bool, Any] = {}  # by whether distances are known
         self._run: Any = None
         self._validation: DataSet | None = None
         prepare_process(1, 1)
@@ -49,40 +54,68 @@ class NetworkShapes:
         names = [path.name for path in folder.iterdir()] if folder.is_dir() else []
         return max((int(name) for name in names if name.isdecimal()), default=None)
 
-    def show_validation(self) -> list[ShownObject]:
-        """What the last checkpoint makes of the first objects of validation.
+    def load(self):
+        """Read the last checkpoint.
 
         Raises:
           ValueError: where there is none that can be read.
         """
         self._run = load_checkpoint(self.config, self._workdir)
+        if not self._predictors:
+            for is_known in (True, False):
+                self._predictors[is_known] = make_predictor(
+                    self._run.network,
+                    self.config,
+                    keeps_evidence=not self.config.pose.known,
+                    knows_distance=is_known,
+                )
+
+    def show_validation(self) -> list[ShownObject]:
+        """The first objects of the validation split, as the first views show them."""
         if self._validation is None:
             self._validation = _take_first(load_split(self._run, "val"))
-            self._predictor = make_predictor(
-                self._run.network,
-                self.config,
-                keeps_evidence=not self.config.pose.known,
-            )
-        dataset = self._validation
-        found = predict_all(self._predictor, self._run.state, dataset)
+        names = self._validation.names
+        return self._show(self._validation, [str(name) for name in names])
+
+    def show_images(self, paths: list[Path]) -> list[ShownObject]:
+        """What images show, each an object.
+
+        Raises:
+          ValueError: where none of them can be used.
+        """
+        spec = make_spec(self.config, None)
+        found, _ = read_photographs(paths, spec, mask="auto")
+        placed = [] if knows_distance(self.config, spec.crop) else found
+        names = [source for one in found for source in one.sources]
+        shown = self._show(make_dataset(found), names, placed)
+        return [one._replace(name=show_text(Path(one.name).name)) for one in shown]
+
+    def _show(
+        self, dataset: DataSet, names: list[str], placed: Sequence[Photographs] = ()
+    ) -> list[ShownObject]:
+        """Objects as they are predicted; `placed` are those of unknown distance."""
+        found = predict_all(self._predictors[not placed], self._run.state, dataset)
+        if placed:
+            dataset = make_dataset(place_photographs(placed, found.silhouettes[:, 0]))
         if found.cells is not None:
             from dpc_jax.learning.inference import volumes
 
             found = volumes.add_points(found, volumes.FIRST_THRESHOLD)
         models, views = arrange_views(dataset)
         shown = []
-        for model, name in enumerate(dataset.names):
+        for model, name in enumerate(names):
             places = list(zip(*np.nonzero(models == model), strict=True))
             first = places[0]
-            images = [dataset.images[model, views[place]] for place in places]
             shown.append(
                 ShownObject(
-                    str(name),
+                    name,
                     align_points(self._run.alignment, found.points[first]),
                     None if found.colors is None else found.colors[first],
                     views=tuple(
-                        self._show_view(found, *pair)
-                        for pair in zip(places, images, strict=True)
+                        self._show_view(
+                            found, place, dataset.images[model, views[place]]
+                        )
+                        for place in places
                     ),
                 )
             )

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import math
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -14,6 +15,7 @@ import viser
 from dpc_jax.evaluation.images import resize
 from dpc_jax.evaluation.rotations import to_rotation, view_angles
 from dpc_jax.files import describe_error
+from dpc_jax.outputs import show_text
 from dpc_jax.render import Camera
 from dpc_jax.reporting.export import PLAIN_COLOR, export_glb, find_surface
 from dpc_jax.run.viewing import ShownObject, ShownView
@@ -34,7 +36,9 @@ class Page:
     def __init__(self, server: viser.ViserServer, camera: Camera):
         self._server, self._camera = server, camera
         self._lock = threading.RLock()
-        self._objects: list[ShownObject] = []
+        # Of the run or the files, and of images that were given to the page.
+        self._own: list[ShownObject] = []
+        self._given: list[ShownObject] = []
         self._nodes: list[Any] = []
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         server.scene.set_up_direction("+z")
@@ -56,12 +60,37 @@ class Page:
         self._status.content = text
 
     def show(self, objects: list[ShownObject]):
-        """Show these shapes; what is chosen stays chosen."""
+        """Show these shapes, and those of given images; what is chosen stays chosen."""
         with self._lock:
-            self._objects = objects
-            options = [f"{i}. {one.name}" for i, one in enumerate(objects, start=1)]
-            _offer(self._object, options or ["none"])
+            self._own = objects
+            names = [one.name for one in [*self._own, *self._given]]
+            options = [f"{i + 1}. {name}" for i, name in enumerate(names)] or ["none"]
+            _offer(self._object, options)
             self._choose_object()
+
+    def add_upload(self, predict):
+        """Have a button for an image; `predict` makes shapes of a file's path."""
+        button = self._server.gui.add_upload_button(
+            "Give an image", mime_type="image/*"
+        )
+
+        @button.on_upload
+        def _(_):
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder) / (Path(button.value.name).name or "image")
+                path.write_bytes(button.value.content)
+                try:
+                    found = predict(path)
+                except (OSError, ValueError) as error:
+                    text = describe_error(error).replace(f"{folder}/", "")
+                    self.say(f"**{show_text(path.name)}**: {text}")
+                    return
+            with self._lock:
+                self._given += found
+                self.show(self._own)
+                self._object.value = self._object.options[-1]
+                self._choose_object()
+            self.say(f"Shape of **{show_text(path.name)}**.")
 
     def _choose_object(self):
         with self._lock:
@@ -71,7 +100,8 @@ class Page:
 
     def _find_object(self) -> ShownObject:
         place = str(self._object.value).partition(".")[0]
-        return self._objects[int(place) - 1] if place != "none" else ShownObject("none")
+        shapes = [*self._own, *self._given]
+        return shapes[int(place) - 1] if place != "none" else ShownObject("none")
 
     def _draw(self):
         with self._lock, self._server.atomic():
@@ -226,7 +256,17 @@ def _follow(page: Page, workdir: Path, data: Path | None):
     """Show what each new checkpoint of a run predicts, until Ctrl-C."""
     from dpc_jax.run.viewing.network_shapes import NetworkShapes  # loads JAX: seconds
 
-    network, shown = NetworkShapes(workdir, data), None
+    network, busy, shown = NetworkShapes(workdir, data), threading.Lock(), None
+
+    def predict(path):
+        with busy:
+            if shown is None:
+                raise ValueError(
+                    "Expected a checkpoint, but the run has none yet; try again later."
+                )
+            return network.show_images([path])
+
+    page.add_upload(predict)
     while True:
         step = network.find_step()
         if step is None:
@@ -234,7 +274,9 @@ def _follow(page: Page, workdir: Path, data: Path | None):
         elif step != shown:
             page.say(f"Reading the network of step {step:,}.")
             try:
-                found = network.show_validation()
+                with busy:
+                    network.load()
+                    found = network.show_validation()
             except (OSError, ValueError) as error:
                 page.say(describe_error(error))
             else:
