@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from dpc_jax.config import Config
-from dpc_jax.run.hosts.agreement import Job
+from dpc_jax.config import Config, replace_fields
+from dpc_jax.run.hosts.agreement import Job, list_versions, name_differences
 from dpc_jax.run.hosts.places import Place, find_place
 
 ROOT = Path(__file__).parents[1]
@@ -37,6 +37,18 @@ def test_flags_give_a_place_in_a_job_of_several():
 def test_flags_that_give_no_place_are_refused(flags, words):
     with pytest.raises(ValueError, match=words):
         find_place(*flags)
+
+
+def test_what_processes_differ_in_is_named_and_what_may_differ_is_not():
+    config = Config("car")
+    changes = {"data": dict(cache_dir="/other"), "train": dict(steps=7)}
+    told = [list_versions(config), list_versions(replace_fields(config, changes))]
+    assert name_differences(told) == (
+        "process 1 differs from process 0 in config.train.steps (6300 there, 7 here)"
+    )
+    assert name_differences([told[0], told[0]]) == ""
+    old = told[0] | {"the version of jax": "0.1"}
+    assert "the version of jax" in name_differences([told[0], told[0], old])
 
 
 def test_a_process_on_its_own_waits_for_nobody():
@@ -129,18 +141,20 @@ def find_port():
         return found.getsockname()[1]
 
 
-@pytest.mark.parametrize("process", [0, 1])
-def test_processes_that_do_not_come_are_waited_for_only_so_long(tmp_path, process):
+@pytest.mark.parametrize(
+    ("process", "missing"),
+    [(0, "not all of them came"), (1, "process 0 did not answer")],
+)
+def test_processes_that_do_not_come_are_waited_for_only_so_long(
+    tmp_path, process, missing
+):
     address = f"127.0.0.1:{find_port()}"
     flags = [f"--coordinator={address}", "--processes=2", f"--process={process}"]
     done = start(*flags, f"--workdir={tmp_path / 'w'}")
     assert done.returncode == 1
-    last = done.stderr.splitlines()[-1]  # after what jax says
-    said = f"Error: Process {process}: all 2 processes of the job at {address} must"
-    assert (
-        last.startswith(said) and "another one has ended or cannot be reached" in last
-    )
-    assert not (tmp_path / "w").exists()
+    said = f"the job at {address} must have 2 processes, but {missing} within 2 s"
+    assert f"Process {process}: {said}; start all of them" in done.stderr
+    assert done.stderr.count("\n") == 1 and not (tmp_path / "w").exists()
 
 
 def test_a_port_that_is_taken_is_said_so(tmp_path):
@@ -152,3 +166,33 @@ def test_a_port_that_is_taken_is_said_so(tmp_path):
     assert done.returncode == 1
     assert f"Expected process 0 to open {address} to the other" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+# The client finds that the coordinator is gone while the process is about to say what
+# it found itself: both happen where process 0, told to end, is the quicker one.
+SCRIPT = """
+import ctypes, os, sys, threading, time
+from dpc_jax.run.hosts.aborts import speaking_for_jax
+
+try:
+    with speaking_for_jax(lambda text: "process 0 has ended") as speak_itself:
+        if sys.argv[1] == "told":
+            speak_itself()
+        os.write(2, b"JAX distributed service detected fatal errors: gone\\n")
+        threading.Thread(target=ctypes.CDLL(None).abort, daemon=True).start()
+        time.sleep(0.5)
+        raise ValueError("process 1 differs")
+except ValueError as error:
+    print(f"Error: {error}", file=sys.stderr, flush=True)
+    os._exit(1)
+"""
+
+
+@pytest.mark.parametrize(
+    "told, said", [("told", "process 1 differs"), ("untold", "process 0 has ended")]
+)
+def test_a_process_that_says_itself_why_it_ends_is_let_finish(told, said):
+    command = [sys.executable, "-c", SCRIPT, told]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert ended.stderr == f"Error: {said}\n"

@@ -81,10 +81,8 @@ def check_same(workdir: Path, other: Config, config: Config):
         )
 
 
-def list_differences(
-    old: Config, new: Config, *, free: tuple[str, ...] = FREE_FIELDS
-) -> list[str]:
-    """Fields but the free ones in which a config differs from another one.
+def list_differences(old: Config, new: Config) -> list[str]:
+    """Fields that keep a config from going on with a run of another one.
 
     Each with both values: "train.steps (20 there, 40 now)".
     """
@@ -95,7 +93,7 @@ def list_differences(
     return [
         f"{name} ({there[name]!r} there, {now[name]!r} now)"
         for name in sorted(now)
-        if there[name] != now[name] and not name.startswith(free)
+        if there[name] != now[name] and not name.startswith(FREE_FIELDS)
     ]
 
 

@@ -1,21 +1,27 @@
 """What the processes of a job tell each other and decide together."""
 
+import dataclasses
+import hashlib
+import importlib.metadata
+import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax.traverse_util import flatten_dict
 from jax.experimental import multihost_utils
 from orbax.checkpoint import multihost
 
-from dpc_jax.config import Config, from_json, to_json
-from dpc_jax.run.workdir import list_differences
+from dpc_jax.config import Config
 
 # For what process 0 does alone while the others wait for it, and for slow hosts.
 PATIENCE_SECONDS = 4 * 3600
 # What may differ between the processes of a job.
 OWN_FIELDS = ("data.cache_dir", "data.processes")
+PACKAGES = ("dpc_jax", "jax", "jaxlib", "flax", "optax", "numpy")
 
 _Result = TypeVar("_Result")
 
@@ -60,7 +66,7 @@ class Job:
         ]
 
     def check_same(self, config: Config):
-        """Check that all processes have the same config and as many devices.
+        """Check that all processes have the same config and versions.
 
         Raises:
           ValueError: in every process, naming what differs.
@@ -74,14 +80,13 @@ class Job:
                 f"{here} and all {self.processes} together {all_devices}; start all of "
                 "them with the same command."
             )
-        first, *others = map(from_json, self.gather(to_json(config)))
-        for process, other in enumerate(others, start=1):
-            if differing := list_differences(first, other, free=OWN_FIELDS):
-                raise ValueError(
-                    "All processes of a job must have the same config, but process "
-                    f"{process} differs from process 0 in {', '.join(differing[:5])}; "
-                    "start all of them with the same command."
-                )
+        told = self.gather(json.dumps(list_versions(config)))
+        if differing := name_differences([json.loads(text) for text in told]):
+            raise ValueError(
+                "All processes of a job must have the same config and versions, but "
+                f"{differing}; start all of them with the same command from the same "
+                "installation."
+            )
 
     def do_first(self, action: Callable[[], _Result]) -> _Result | None:
         """Have process 0 do something while the others wait, which get None.
@@ -133,3 +138,30 @@ class Job:
             return len(votes) > 1 and bool(votes.pop(0))
 
         return stops
+
+
+def list_versions(config: Config) -> dict[str, Any]:
+    """What all processes must have alike: versions of libraries, code, and config."""
+    told = {f"the version of {n}": importlib.metadata.version(n) for n in PACKAGES}
+    # An editable installation has one version only.
+    root, digest = Path(__file__).parents[2], hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
+    told["the code of dpc_jax"] = digest.hexdigest()[:12]
+    fields = flatten_dict(dataclasses.asdict(config), sep=".").items()
+    return told | {f"config.{n}": v for n, v in fields if n not in OWN_FIELDS}
+
+
+def name_differences(told: list[dict]) -> str:
+    """What the processes differ in, and "" where they do not."""
+    first, parts = told[0], []
+    for process, other in enumerate(told[1:], start=1):
+        differing = [
+            f"{name} ({first.get(name)!r} there, {other.get(name)!r} here)"
+            for name in sorted(first.keys() | other.keys())
+            if first.get(name) != other.get(name)
+        ]
+        if differing:
+            named = ", ".join(differing[:5])
+            parts.append(f"process {process} differs from process 0 in {named}")
+    return " and ".join(parts[:3])

@@ -2,24 +2,22 @@
 
 Process 0 hosts jax's coordination service, and the others find it by its address. A
 process that is lost ends all of them, so that the job can be started again from its
-last checkpoint. jax's client does that by abort(), of which Python does not hear: the
-signal is caught in C, and what the client has printed is followed by our sentence.
+last checkpoint.
 """
 
 import atexit
 import contextlib
-import ctypes
 import errno
 import logging
 import os
 import re
-import signal
 import socket
 import sys
 from collections.abc import Iterator
 
 import jax
 
+from dpc_jax.run.hosts.aborts import speaking_for_jax
 from dpc_jax.run.hosts.agreement import Job
 from dpc_jax.run.hosts.places import Place
 
@@ -27,12 +25,9 @@ from dpc_jax.run.hosts.places import Place
 # virtual machines stand still at times, DPC_JAX_HEARTBEAT_SECONDS sets a longer one.
 HEARTBEAT_SECONDS = 45
 JOIN_SECONDS = 300  # for all processes to come; DPC_JAX_JOIN_SECONDS sets another
-# Of the errors that a collective or a barrier raises, those that a lost process causes;
-# all of jax's begin with a code.
-_LOSS = re.compile(
-    r"^[A-Z_]+: .*(gloo|nccl|coordination|barrier|socket closed|connection)",
-    re.IGNORECASE | re.DOTALL,
-)
+AGAIN = "start all of them again: training goes on from the last checkpoint"
+# Of the errors that a collective or a barrier raises, those that a lost process causes.
+_LOSS = re.compile(r"gloo|nccl|coordination|barrier|socket closed|connection", re.I)
 
 
 @contextlib.contextmanager
@@ -47,50 +42,41 @@ def joining(place: Place | None) -> Iterator[Job]:
     if place is None:
         yield Job()
         return
-    _explain_aborts(place)
-    _connect(place)
-    job = Job(place.processes, place.process)
-    try:
-        if place.process:
-            sys.stdout = open(os.devnull, "w")
-        yield job
-        job.wait("end")
-        jax.distributed.shutdown()
-    except BaseException as error:
-        # The others may never come to where jax would meet them at the end.
-        status = 130 if isinstance(error, KeyboardInterrupt) else 1
-        atexit.register(_leave, status)
-        is_of_jax = isinstance(error, ValueError | jax.errors.JaxRuntimeError)
-        if is_of_jax and _LOSS.search(str(error)):
-            raise OSError(_say_lost(place)) from None
-        # Let the others say what stops them too, before they see this one go.
-        name = "end" if status == 130 else "failure"  # Ctrl-C: after saving
-        with contextlib.suppress(jax.errors.JaxRuntimeError, KeyboardInterrupt):
-            job.wait(name, seconds=5)
-        raise
+    seconds = _read_seconds("JOIN", JOIN_SECONDS)
+    words, job = _Words(place, seconds), Job(place.processes, place.process)
+    with speaking_for_jax(words.explain) as speak_itself:
+        try:
+            _connect(place, seconds)
+            words.has_joined = True
+            if place.process:
+                sys.stdout = open(os.devnull, "w")
+            yield job
+            job.wait("end")
+            jax.distributed.shutdown()
+        except BaseException as error:
+            speak_itself()
+            # The others may never come to where jax would meet them at the end.
+            status = 130 if isinstance(error, KeyboardInterrupt) else 1
+            atexit.register(_leave, status)
+            if words.is_loss(error):
+                raise OSError(words.explain(str(error))) from None
+            if words.has_joined:
+                # Let the others say what stops them too, before they see this one go.
+                name = "end" if status == 130 else "failure"  # Ctrl-C: after saving
+                with contextlib.suppress(jax.errors.JaxRuntimeError, KeyboardInterrupt):
+                    job.wait(name, seconds=5)
+            raise
 
 
-def _say_lost(place: Place) -> str:
-    return (
-        f"Process {place.process}: all {place.processes} processes of the job at "
-        f"{place.coordinator} must come and go on, but another one has ended or cannot "
-        "be reached; look at what it said last, and start all of them again with the "
-        "same --coordinator and --processes: training goes on from the last checkpoint."
-    )
-
-
-_handlers = []  # so that the functions that C calls live on
-
-
-def _explain_aborts(place: Place):
-    """Have abort() end this process by a sentence and exit status 1, until its end."""
-
-    def end(_):
-        os.write(2, f"Error: {_say_lost(place)}\n".encode())
-        os._exit(1)
-
-    _handlers.append(ctypes.CFUNCTYPE(None, ctypes.c_int)(end))
-    ctypes.CDLL(None).signal(int(signal.SIGABRT), _handlers[-1])
+def _read_seconds(name, default):
+    variable = f"DPC_JAX_{name}_SECONDS"
+    given = os.environ.get(variable, str(default))
+    if not given.isdigit() or int(given) < 1:
+        raise ValueError(
+            f"{variable} must be a whole number of seconds, at least one, but it is "
+            f"{given!r}; set it to {default}, for instance."
+        )
+    return int(given)
 
 
 def _leave(status):
@@ -99,15 +85,13 @@ def _leave(status):
     os._exit(status)
 
 
-def _connect(place: Place):
+def _connect(place, seconds):
     """Start the service in process 0, and meet the others there."""
     # jax would catch SIGTERM for itself, so that it did not end a process that renders.
     jax.config.update("jax_enable_preemption_service", False)
     logging.getLogger("jax").setLevel(logging.ERROR)
     if not place.process:
         _check_port(place.coordinator)
-    seconds = int(os.environ.get("DPC_JAX_JOIN_SECONDS", JOIN_SECONDS))
-    silence = int(os.environ.get("DPC_JAX_HEARTBEAT_SECONDS", HEARTBEAT_SECONDS))
     try:
         jax.distributed.initialize(
             place.coordinator,
@@ -115,7 +99,7 @@ def _connect(place: Place):
             place.process,
             cluster_detection_method="deactivate",
             initialization_timeout=seconds,
-            heartbeat_timeout_seconds=silence,
+            heartbeat_timeout_seconds=_read_seconds("HEARTBEAT", HEARTBEAT_SECONDS),
         )
     except jax.errors.JaxRuntimeError as error:
         raise OSError(
@@ -140,3 +124,50 @@ def _check_port(address):
             "port is taken, perhaps by the same command; end what uses it, or choose "
             "another port."
         ) from None
+
+
+class _Words:
+    """Sentences for what jax says when the processes of a job do not come together."""
+
+    def __init__(self, place: Place, seconds: int):
+        self._place, self._seconds = place, seconds
+        self.has_joined = False
+
+    def is_loss(self, error) -> bool:
+        """Whether an error tells that another process is lost."""
+        kinds = (ValueError, jax.errors.JaxRuntimeError)
+        text = str(error)
+        has_code = re.match(r"[A-Z_]+: ", text)  # as jax's errors begin
+        return bool(isinstance(error, kinds) and has_code and _LOSS.search(text))
+
+    def explain(self, text: str) -> str:
+        """The sentence for the words of jax's client or of a collective."""
+        _, processes, process = self._place
+        if not self.has_joined:
+            return self._explain_start(text)
+        silent = re.search(r"heartbeats\):\s*([\d, ]+)", text)
+        if silent:
+            lost = f"process {silent[1].strip()} has ended or says nothing"
+        elif process and "CoordinationService" in text:
+            lost = f"process 0, the coordinator at {self._place.coordinator}, has ended"
+        else:
+            lost = "another one has ended or cannot be reached"
+        return (
+            f"Process {process}: all {processes} processes of the job must go on, but "
+            f"{lost}; look at what it said last, and {AGAIN}."
+        )
+
+    def _explain_start(self, text):
+        address, processes, process = self._place
+        if "DEADLINE_EXCEEDED" not in text:
+            reason = re.search(r"absl::Status: (.*)", text)
+            found = f"that failed ({reason[1] if reason else text.strip()[-300:]})"
+        elif process:
+            found = f"process 0 did not answer within {self._seconds} s"
+        else:
+            found = f"not all of them came within {self._seconds} s"
+        return (
+            f"Process {process}: the job at {address} must have {processes} processes, "
+            f"but {found}; start all of them with the same --coordinator and "
+            "--processes."
+        )
