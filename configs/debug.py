@@ -8,7 +8,6 @@ SMALL = {
         val_models=4,
         test_models=4,
         copies=1,
-        mix=False,
         image_size=32,
         surface_points=10_000,
     ),

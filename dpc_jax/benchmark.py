@@ -34,12 +34,15 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, measure, write the report; returns the exit status."""
-    return run_command(lambda: _read(make_parser().parse_args(arguments)))
+    return run_command(lambda: _read(arguments))
 
 
-def _read(options):
+def _read(arguments):
+    words = sys.argv[1:] if arguments is None else arguments
+    options = make_parser().parse_args(words)
+    command = shlex.join(["python", "-m", "dpc_jax.benchmark", *words])
     return Task(
-        lambda: _measure(options),
+        lambda: _measure(options, command),
         out=options.out,
         interrupted=f"Interrupted; finished parts are in {options.out}.",
         writes=WRITES,
@@ -48,7 +51,7 @@ def _read(options):
     )
 
 
-def _measure(options):
+def _measure(options, command):
     # Heavy: flags are read first.
     from dpc_jax.measure.benchmark.suite import run_benchmark
     from dpc_jax.render import use_all_cores
@@ -57,13 +60,11 @@ def _measure(options):
     with contextlib.suppress(RuntimeError):  # a program of the caller's has begun
         use_all_cores()
     keep_freed_memory()
-    words = ["python", "-m", "dpc_jax.benchmark", f"--parts={','.join(options.parts)}"]
-    words += ["--quick"] * options.quick
     path = run_benchmark(
         options.out,
         plan=QUICK if options.quick else FULL,
         parts=options.parts,
-        command=shlex.join(words),
+        command=command,
     )
     print(f"Report: {path}")
 

@@ -92,40 +92,27 @@ def parse_json(text: str) -> Any:
 def open_own(path: str | os.PathLike, flags: int) -> int:
     """Open a file that this package keeps, never another one that a link leads to.
 
-    The signature is that of the `opener` of `open`.
+    It serves as the `opener` of `open`, but empties no file.
 
     Raises:
       OSError: where there is a link, also a hard one, or no regular file.
     """
-    empties = flags & os.O_TRUNC  # once it is known whose file it is
-    flags = flags & ~os.O_TRUNC | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    flags |= os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    refusal = OSError(
+        f"Expected a file of this package in {path}, but there is a link, a folder, a "
+        "pipe or the like; remove it."
+    )
     try:
         file = os.open(path, flags, 0o666)
     except OSError as error:
-        if error.errno == errno.ELOOP:
-            raise _refuse_in_place(path, "a link to another file") from None
-        if error.errno in (errno.EISDIR, errno.ENXIO):
-            raise _refuse_in_place(path, _NO_FILE) from None
+        if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO):
+            raise refusal from None
         raise
     status = os.fstat(file)
-    is_file = stat.S_ISREG(status.st_mode)
-    if not is_file or status.st_nlink > 1:
+    if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
         os.close(file)
-        found = "a file with a second name, a hard link" if is_file else _NO_FILE
-        raise _refuse_in_place(path, found)
-    if empties:
-        os.ftruncate(file, 0)
+        raise refusal
     return file
-
-
-_NO_FILE = "a folder, a pipe or the like"
-
-
-def _refuse_in_place(path, found):
-    cure = "remove it" if found is _NO_FILE else "remove the link"
-    return OSError(
-        f"Expected a file of this package in {path}, but there is {found}; {cure}."
-    )
 
 
 @contextlib.contextmanager
@@ -161,15 +148,13 @@ def remove_leftovers(folder: str | os.PathLike):
 
 
 def _is_another_at_work(process):
-    if process == os.getpid():
-        return False
     try:
         os.kill(process, 0)
     except ProcessLookupError:
         return False
-    except OSError:  # it runs, but belongs to somebody else
+    except PermissionError:  # it runs, but belongs to somebody else
         return True
-    return True
+    return process != os.getpid()
 
 
 @contextlib.contextmanager

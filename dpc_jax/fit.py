@@ -11,7 +11,7 @@ from pathlib import Path
 
 from dpc_jax.files import SURFACES
 from dpc_jax.learning.fitting import LEARNED, POSES, FitSettings
-from dpc_jax.run.flags import FlagParser
+from dpc_jax.run.flags import FlagParser, read_count, reading_names
 from dpc_jax.run.task import Task, run_command
 
 _DEFAULT = FitSettings()
@@ -35,9 +35,10 @@ def make_parser() -> argparse.ArgumentParser:
     crops = ("object", "view", "none")
     add("--crop", choices=crops, default="object", metavar="HOW", help=text)
     text = f"of cameras: {', '.join(LEARNED[1:])}"
-    add("--learn", default="", metavar="WHAT", help=text)
+    reading = reading_names(LEARNED)
+    add("--learn", type=reading, default=(), metavar="WHAT", help=text)
     add("--colors", action="store_true", help="learn colours too")
-    count = {"type": int, "metavar": "N"}
+    count = {"type": read_count, "metavar": "N"}
     text = "of the cloud (%(default)s)"
     add("--points", default=_DEFAULT.num_points, help=text, **count)
     text = f"of its surface: {', '.join(SURFACES)} (%(default)s)"
@@ -47,10 +48,10 @@ def make_parser() -> argparse.ArgumentParser:
     add("--image-size", choices=sizes, default=128, help=text, **count)
     text = "for poses; the best goes on (%(default)s)"
     add("--searches", default=_DEFAULT.searches, help=text, **count)
-    angles = ",".join(f"{angle:g}" for angle in _DEFAULT.elevations)
-    text = "lowest and highest of cameras (%(default)s degrees)"
-    add("--elevations", default=angles, metavar="A,B", help=text)
-    add("--seed", default=0, help="(%(default)s)", **count)
+    text = "lowest and highest of cameras (-20,40 degrees)"
+    angles = {"type": _read_elevations, "default": _DEFAULT.elevations}
+    add("--elevations", metavar="A,B", help=text, **angles)
+    add("--seed", type=int, default=0, metavar="N", help="(%(default)s)")
     return parser
 
 
@@ -60,13 +61,6 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _read(options):
-    learn = tuple(word for word in options.learn.split(",") if word)
-    if unknown := [name for name in learn if name not in LEARNED]:
-        raise ValueError(
-            f"--learn must be of {', '.join(LEARNED)}, but it has {unknown[0]}; write "
-            "for example --learn=translations."
-        )
-    settings = _read_settings(options)
     # Heavy: flags are read first.
     from dpc_jax.data.sets.image_folder import list_images
     from dpc_jax.run.object_fitting import fit_folder
@@ -82,8 +76,12 @@ def _read(options):
             crop=options.crop,
             image_size=options.image_size,
             is_colored=options.colors,
-            learn=learn,
-            settings=settings,
+            learn=options.learn,
+            settings=FitSettings(
+                num_points=options.points,
+                searches=options.searches,
+                elevations=options.elevations,
+            ),
             surface=options.surface,
             seed=options.seed,
         )
@@ -98,25 +96,17 @@ def _read(options):
     )
 
 
-def _read_settings(options) -> FitSettings:
-    for name in ("points", "searches"):
-        if getattr(options, name) < 1:
-            raise ValueError(
-                f"--{name} must be at least 1, but it is {getattr(options, name)}; "
-                "leave it out for the default."
-            )
+def _read_elevations(text: str) -> tuple[float, float]:
     try:
-        low, high = map(float, options.elevations.split(","))
+        low, high = map(float, text.split(","))
     except ValueError:
         low, high = 1.0, 0.0
     if not -90 < low < high < 90:
-        raise ValueError(
-            "--elevations must be two numbers between -90 and 90, the lower one first, "
-            f"but it is {options.elevations}; write for example --elevations=-10,60."
+        raise argparse.ArgumentTypeError(
+            "it must be two numbers between -90 and 90, the lower one first, as in "
+            f"-10,60, not {text!r}"
         )
-    return FitSettings(
-        num_points=options.points, searches=options.searches, elevations=(low, high)
-    )
+    return low, high
 
 
 class _Callable(types.ModuleType):

@@ -7,46 +7,13 @@ somebody has changed or put there is told from theirs.
 
 import contextlib
 import os
-import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from dpc_jax.files import digest_file, read_json, write_json
 
 LIST = ".dpc_jax-wrote.json"
-
-
-def try_folder(folder: str | os.PathLike):
-    """Make a folder and write in it, then take both away again.
-
-    Raises:
-      OSError: where that cannot be done.
-    """
-    folder = Path(folder)
-    missing = _list_missing(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        reason = "it is a file" if os.path.isfile(folder) else error.strerror
-        raise OSError(
-            f"Expected to write in the folder {folder}, but it cannot be made or "
-            f"written ({reason}); give another --out."
-        ) from None
-    finally:
-        _remove_empty(missing)
-
-
-def _list_missing(folder: Path) -> list[Path]:
-    """The folder and those above it that are not there, the innermost first."""
-    return [p for p in (folder, *folder.parents) if not os.path.lexists(p)]
-
-
-def _remove_empty(folders: Iterable[Path]):
-    for path in folders:
-        with contextlib.suppress(OSError):
-            path.rmdir()
 
 
 @contextlib.contextmanager
@@ -71,9 +38,10 @@ def owning(
         yield
         return
     folder, inputs = Path(folder), list(inputs)
-    missing = _list_missing(folder)
+    missing = [p for p in (folder, *folder.parents) if not os.path.lexists(p)]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        with trying_to_write(folder):
+            folder.mkdir(parents=True, exist_ok=True)
         written = _read_list(folder)
         for number, name in enumerate(names):
             if name in names[:number]:
@@ -83,19 +51,45 @@ def owning(
                     "each with an --out of its own."
                 )
             _refuse_others(folder / name, name, written, inputs)
-        write_json(folder / LIST, written | dict.fromkeys(names, ""))
+        with trying_to_write(folder):
+            write_json(folder / LIST, written | dict.fromkeys(names, ""))
         try:
             yield
         finally:
             _list_written(folder, names)
     finally:
-        _remove_empty(missing)
+        for path in missing:
+            with contextlib.suppress(OSError):  # what is not empty stays
+                path.rmdir()
+
+
+@contextlib.contextmanager
+def trying_to_write(folder: Path, flag: str = "--out") -> Iterator[None]:
+    """Say in a sentence where a folder cannot be made or written.
+
+    Raises:
+      OSError: with the flag that names another one.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.strerror is None:  # it is a sentence
+            raise
+        reason = "it is a file" if os.path.isfile(folder) else error.strerror
+        raise OSError(
+            f"Expected to write in the folder {folder}, but it cannot be made or "
+            f"written ({reason}); give another {flag}."
+        ) from None
 
 
 def _list_written(folder: Path, names: Sequence[str]):
     """Put what is there into the list, to which another command may have added."""
-    found = _read_list(folder) | {name: _digest(folder / name) for name in names}
-    found = {name: digest for name, digest in found.items() if digest is not None}
+    found = _read_list(folder)
+    for name in names:
+        found.pop(name, None)
+        path = folder / name
+        if path.exists():
+            found[name] = "" if path.is_dir() else digest_file(path)
     if found:
         write_json(folder / LIST, found)
     else:
@@ -131,13 +125,6 @@ def _is_unchanged(path: Path, digest: str) -> bool:
     return path.is_file() and digest in ("", digest_file(path))
 
 
-def _digest(path: Path) -> str | None:
-    """Of a file, "" of a folder; None where nothing was written."""
-    if path.is_dir():
-        return ""
-    return digest_file(path) if path.is_file() else None
-
-
 def _read_list(folder: Path) -> dict[str, str]:
     """Digests by name; a list that cannot be read is none, so that all is refused."""
     with contextlib.suppress(OSError, ValueError):
@@ -159,7 +146,22 @@ def show_text(text: object) -> str:
     )
 
 
-_EXTRAS = {"viser": "learn,view"}  # of a library, where it is not in `learn` alone
+def telling_tenths(title: str) -> Callable[[str, int, int], None]:
+    """A function (part, done, total) that prints a line for every tenth of a part."""
+    started, told = time.monotonic(), {}
+
+    def tell(part, done, total):
+        tenth = 10 * done // max(total, 1)
+        if tenth > told.get(part, -1):
+            told[part] = tenth
+            seconds = time.monotonic() - started
+            print(f"{title}: {part}, {done}/{total}, {seconds:.0f} s", flush=True)
+
+    return tell
+
+
+# Of a library, where it is not in `learn` alone.
+EXTRAS = {"viser": "learn,view", "tensorboardX": "learn,tensorboard"}
 
 
 def explain(error: Exception) -> str:
@@ -170,7 +172,7 @@ def explain(error: Exception) -> str:
             "room, or give another path."
         )
     if isinstance(error, ModuleNotFoundError):
-        extras = _EXTRAS.get(str(error.name), "learn")
+        extras = EXTRAS.get(str(error.name), "learn")
         return (
             f"{error.name} must be installed, but it is not there; activate the "
             "environment that has it (. .venv/bin/activate), or install what the "

@@ -11,7 +11,7 @@ from pathlib import Path
 from dpc_jax.experiments.catalogue import NAMES
 from dpc_jax.experiments.published import CATEGORIES
 from dpc_jax.experiments.runs import SIZES, SOURCES, Request, Source
-from dpc_jax.run.flags import FlagParser, reading_names
+from dpc_jax.run.flags import FlagParser, read_count, reading_names
 from dpc_jax.run.task import Task, run_command
 
 # In --out; each run claims its own folder.
@@ -37,7 +37,7 @@ def make_parser() -> argparse.ArgumentParser:
     text = "keeps rendered data sets"
     add("--data", type=Path, default=Path("data"), metavar="DIR", help=text)
     text = "runs; default: as many as cores and memory allow"
-    add("--at-once", type=int, metavar="N", default=0, help=text)
+    add("--at-once", type=read_count, metavar="N", default=0, help=text)
     text = "the page of what is there alone"
     add("--no-training", action="store_true", help=text)
     return parser
@@ -69,11 +69,6 @@ def make_request(options: argparse.Namespace) -> Request:
             f"--category must fit --experiment={','.join(names)}, but {missing[0]} is "
             f"not made of {','.join(options.category)}; leave one of them out."
         )
-    if options.at_once < 0:
-        raise ValueError(
-            f"--at-once must be at least 1, but it is {options.at_once}; leave it out "
-            "for as many as there are cores."
-        )
     request.list_runs()  # refuses a folder that lacks a category
     return request
 
@@ -84,17 +79,13 @@ def make_source(kind: str, folder: str) -> Source:
     Raises:
       ValueError: where its folder is missing, or given without need.
     """
-    if kind == "procedural":
-        if folder:
-            raise ValueError(
-                "--folder must be left out for procedural shapes, but it is "
-                f"{folder}; give --source=open, shapenet or renders with it."
-            )
+    if kind == "procedural" and not folder:
         return Source()
-    if not folder or not Path(folder).is_dir():
+    if kind == "procedural" or not Path(folder or "-").is_dir():
         raise ValueError(
-            f"--folder must be a folder that exists for --source={kind}, but it is "
-            f"{folder or 'not given'}; write for example --folder=data/{kind}."
+            "--folder must be a folder that exists for all sources but procedural "
+            f"shapes, which have none, but it is {folder or 'not given'} for --source="
+            f"{kind}; write for example --source=open --folder=data/open."
         )
     return Source(kind, str(Path(folder).absolute()))
 

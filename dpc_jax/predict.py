@@ -37,8 +37,6 @@ def make_parser() -> argparse.ArgumentParser:
     add("--refine", dest="is_refined", action="store_true", help=text)
     text = f"of surfaces: {', '.join(SURFACES)} (%(default)s)"
     add("--surface", choices=SURFACES, default="glb", metavar="AS", help=text)
-    text = "write NAME.gif of the cloud turning"
-    add("--turntable", dest="has_turntable", action="store_true", help=text)
     text = "of data, for --refine (WORKDIR/data)"
     add("--data", type=Path, metavar="DIR", help=text)
     text = "square around object or view (view; as trained on images)"
@@ -53,7 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _read(options):
     # Flags are read before what is heavy is loaded.
-    from dpc_jax.run.prediction import SUMMARIES, PredictRequest, predict_images
+    from dpc_jax.run.prediction import PredictRequest, predict_images
 
     options.out = options.out or options.workdir / "predictions"
     request = PredictRequest(**vars(options))
@@ -61,7 +59,6 @@ def _read(options):
         lambda: predict_images(request),
         out=request.out,
         interrupted="Interrupted; start again to make the rest.",
-        writes=SUMMARIES,
     )
 
 

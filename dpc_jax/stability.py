@@ -26,12 +26,15 @@ def main(arguments: list[str] | None = None) -> int:
       The exit status: 0, 1 if anything is outside its tolerance or cannot be written, 2
       for a wrong flag, 130 after Ctrl-C.
     """
-    return run_command(lambda: _read(make_parser().parse_args(arguments)))
+    return run_command(lambda: _read(arguments))
 
 
-def _read(options):
+def _read(arguments):
+    words = sys.argv[1:] if arguments is None else arguments
+    options = make_parser().parse_args(words)
+    command = shlex.join(["python", "-m", "dpc_jax.stability", *words])
     return Task(
-        lambda: _measure(options),
+        lambda: _measure(options, command),
         out=options.out,
         interrupted=f"Interrupted; finished subjects are in {options.out}.",
         writes=WRITES,
@@ -57,16 +60,7 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _write_command(options):
-    words = ["python", "-m", "dpc_jax.stability", f"--seed={options.seed}"]
-    words += ["--quick"] * options.quick
-    for flag in ("subjects", "dtypes"):
-        if names := getattr(options, flag):
-            words.append(f"--{flag}={','.join(names)}")
-    return shlex.join(words)
-
-
-def _measure(options):
+def _measure(options, command):
     """Run subject by subject, and print what failed; the exit status."""
     # Heavy: flags are read first.
     from dpc_jax.learning.training.progress import ProgressReport
@@ -76,7 +70,7 @@ def _measure(options):
 
     options.out.mkdir(parents=True, exist_ok=True)
     rows, seconds, path = [], {}, None
-    about = {"seed": options.seed, "command": _write_command(options)}
+    about = {"seed": options.seed, "command": command}
     about["machine"] = describe_machine()
     # In the order of the report, whatever the order of the flag.
     subjects = [name for name in SUBJECTS if name in (options.subjects or SUBJECTS)]

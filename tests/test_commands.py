@@ -67,18 +67,6 @@ print([name for name in heavy.split() if name in sys.modules])
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
 
 
-def test_usage_names_the_way_in_which_a_command_was_started(monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["compare.py"])
-    assert (
-        make_parser("compare")
-        .format_usage()
-        .startswith("usage: python -m dpc_jax.compare RUN... [flags]")
-    )
-    assert "python -m dpc_jax.main" in make_parser("train").format_usage()
-    monkeypatch.setattr(sys, "argv", ["dpc_jax paper"])
-    assert make_parser("paper").format_usage() == "usage: dpc_jax paper [flags]\n"
-
-
 @pytest.mark.parametrize(
     ("words", "expected"),
     [

@@ -13,7 +13,7 @@ from dpc_jax.config import replace_fields, to_json
 from dpc_jax.reporting import style
 from dpc_jax.reporting.comparison import write_comparison
 from dpc_jax.reporting.groups import ComparedRun, find_best, group_runs
-from dpc_jax.run.comparison import find_workdirs, name_absent, read_runs
+from dpc_jax.run.comparison import find_workdirs, read_runs
 
 
 def write_run(folder, *, seed=0, accuracy=None, **changes):
@@ -122,19 +122,6 @@ def test_runs_of_the_same_name_are_told_apart_by_their_folders(tmp_path):
     folders = [write_run(tmp_path / name / "car-seed0") for name in ("old", "new")]
     names = [run.name for run in read_runs(find_workdirs(folders))]
     assert names == ["old/car-seed0", "new/car-seed0"]
-
-
-def test_a_comparison_says_whose_figures_are_absent():
-    def name(**metrics):
-        runs = [ComparedRun(n, metrics=m, fields={"n": n}) for n, m in metrics.items()]
-        return name_absent(group_runs(runs))
-
-    whole = {"pose_accuracy": 1.0, "chamfer": 2.0}
-    assert name(a=whole) == ""
-    said = name(a=whole, b=whole | {"pose_accuracy": None})
-    assert "is absent: b had no truth" in said and "given the poses" in said
-    # A column that no run has figures for is none; nor has an unfinished run any yet.
-    assert name(known={"chamfer": 2.0}) == "" and name(a=whole, b={}) == ""
 
 
 def refuse(arguments, capsys):

@@ -43,8 +43,6 @@ def find_module(words):
         return scripts[first], rest
     if first == "launch/hosts.sh":
         return "dpc_jax.main", rest[1:]
-    if first == "launch/seeds.sh" and rest:
-        return "dpc_jax.main", [f"--config={rest[0]}", *rest[1:]]
     if first == "sbatch":
         config, *rest = rest[rest.index("launch/slurm.sbatch") + 1 :]
         return "dpc_jax.main", [f"--config={config}", *rest]

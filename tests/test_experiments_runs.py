@@ -92,7 +92,7 @@ def test_a_source_is_read_from_its_folder(tmp_path):
     cars, chairs = source.list_changes("car"), source.list_changes("chair")
     assert cars["data.test_meshes"] == str(tmp_path / "car/test")
     assert "data.test_meshes" not in chairs
-    assert (chairs["data.copies"], chairs["data.mix"]) == (6, False)
+    assert chairs["data.copies"] == 6
     with pytest.raises(ValueError, match="launch/data.sh fetch airplane"):
         source.list_changes("airplane")
     renders = Source("renders", str(tmp_path))

@@ -77,26 +77,25 @@ def make_workdir(folder, **changes):
     return workdir
 
 
-@tries("anim.gif, but it is an input; move", names=["out/anim.gif"], flag="--turntable")
+@tries("predictions.png, but it is an input; move", names=["out/predictions.png"])
 @tries(f"out/a.json, but {NOT_OURS}.", names=["a.png"], draw=["out/a.json"])
 @tries("would be written twice; rename the input, or", names=["predictions.png"])
 @tries("but a came more than once; predict them one by", names=["a.png", "b/a.png"])
 @tries("no such file (File name too long); rename", names=["x" * 251 + ".png"])
-def predict_images(folder, *, names, flag=None, draw=()):
+def predict_images(folder, *, names, draw=()):
     words = [f"--workdir={make_workdir(folder)}", f"--out={folder / 'out'}"]
-    words += [flag] if flag else []
     for name in {*names, *draw}:
         draw_image(folder / name)
     return call(predict, *words, *(folder / name for name in names))
 
 
+@tries("Expected the config of a run in", out="out", run="none")
 @tries("made or written (it is a file); give", out="a.png")
 @tries("made or written (File name too long)", out="x" * 300)
-def predict_into(folder, *, out):
+def predict_into(folder, *, out, run="run"):
     image = draw_image(folder / "a.png")
-    return call(
-        predict, f"--workdir={make_workdir(folder)}", f"--out={folder / out}", image
-    )
+    make_workdir(folder)
+    return call(predict, f"--workdir={folder / run}", f"--out={folder / out}", image)
 
 
 @tries("has been changed since a command wrote it; move it")
@@ -178,14 +177,6 @@ def predict_into_a_folder_of_others(_):
         return call(predict, f"--workdir={workdir}", image)
 
 
-@tries("write ./-a.png for the file whose name begins with -. Status 2.")
-def name_a_file_like_a_flag(folder):
-    draw_image(folder / "-a.png")
-    with contextlib.chdir(folder), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["predict", "--workdir=run", "-a.png"])
-        return call(predict, *sys.argv[1:])
-
-
 @tries("車")
 def name_files_in_bytes_of_all_kinds(folder):
     """Bytes that are no UTF-8, line breaks, codes of terminals, formulas, 車."""
@@ -216,19 +207,6 @@ def show_a_set_with_a_name_that_is_no_text(folder):
         words = ["show", str(folder / "set"), f"--out={folder / 'sheet.png'}"]
         assert data_command.main(words) == 0
     return said.getvalue()
-
-
-@tries("10", cut=lambda content: content[:-9])
-@tries("10", cut=lambda content: b"")
-@tries("0.0", cut=lambda content: content)
-def refine_with_codes(folder, *, cut):
-    """Refinement with kept directions of this content, where measuring gives ones."""
-    whole = np.zeros((2, 5), np.float32).tobytes()
-    (folder / "codes-3.f32").write_bytes(cut(whole))
-    ones = np.ones((2, 5), np.float32)
-    read = predicted_objects.read_directions
-    read(folder, 3, 5, lambda: ones)
-    return read(folder, 3, 5, list).sum()  # what is measured is kept
 
 
 @tries("['RUN/data', '/asked']")

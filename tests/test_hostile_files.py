@@ -22,7 +22,7 @@ tries = TABLE.tries
 
 FACE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n"
 RED = "newmtl red\nKd 1 0 0\n"
-LINKED = "there is a link to another file; remove the link"
+NOT_OURS = "there is a link, a folder, a pipe or the like; remove it"
 DEEP = "[" * 100_000
 
 
@@ -34,8 +34,8 @@ def _link(folder, name, link=os.symlink):
     return victim
 
 
-@tries(LINKED, link=os.symlink)
-@tries("a hard link; remove the link", link=os.link)
+@tries(NOT_OURS, link=os.symlink)
+@tries(NOT_OURS, link=os.link)
 def hold_a_linked_lock(folder, *, link):
     victim = _link(folder, ".run.claim", link)
     try:
@@ -45,15 +45,15 @@ def hold_a_linked_lock(folder, *, link):
         assert victim.read_text() == "mine"
 
 
-@tries("a pipe or the like; remove it", make=os.mkfifo)
-@tries("a pipe or the like; remove it", make=os.mkdir)
+@tries(NOT_OURS, make=os.mkfifo)
+@tries(NOT_OURS, make=os.mkdir)
 def hold_a_lock_of_another_kind(folder, *, make):
     make(folder / ".run.claim")
     with hold_workdir(folder):
         pass
 
 
-@tries(LINKED)
+@tries(NOT_OURS)
 def record_in_a_linked_file(folder):
     _link(folder, "metrics.jsonl")
     MetricLog(folder / "metrics.jsonl").write({"step": 1})
@@ -75,7 +75,7 @@ def read_a_deep_config(folder):
 
 
 @tries("[0.0, 0.0, 0.0, 0.0] is no unit quaternion", text='{"rotation": [0, 0, 0, 0]}')
-@tries("Expected a rot", text="[1]")
+@tries("Expected the alignment", text="[1]")
 def read_a_wrong_alignment(folder, *, text):
     (folder / "report").mkdir()
     (folder / "report" / "alignment.json").write_text(text)

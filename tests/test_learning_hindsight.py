@@ -17,6 +17,7 @@ from tiny_runs import (
     tiny_config,
 )
 
+from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
 from dpc_jax.learning import half_turns
 from dpc_jax.learning.choice import hindsight
 from dpc_jax.learning.choice.coarse_choice import compute_image_losses, place_candidates
@@ -288,3 +289,16 @@ def test_of_each_view_the_candidate_nearest_to_the_label_learns_and_is_selected(
     chosen = jax.nn.log_softmax(logits)[jnp.arange(4), nearest]
     expected = -float(chosen.mean())
     assert float(terms["student"].value) == pytest.approx(expected, rel=1e-5)
+
+
+def test_half_turns_of_upright_viewpoints_stay_upright():
+    turns = half_turns.find_half_turns(jnp.eye(3), 2)
+    assert turns.tolist() == [[1, 0, 0, 0], [0, 0, 0, 1]]
+    heads = [look_at_rotation(1.0, 0.5), look_at_rotation(2.0, -0.2)]
+    found = half_turns.turn_candidates(
+        jnp.array(matrix_to_quaternion(np.stack(heads))), turns
+    )
+    turned = [look_at_rotation(1.0 + np.pi, 0.5), look_at_rotation(2.0 + np.pi, -0.2)]
+    expected = matrix_to_quaternion(np.stack(heads + turned))
+    overlap = np.abs(np.sum(np.asarray(found) * expected, axis=1))
+    assert np.allclose(overlap, 1, atol=1e-6)

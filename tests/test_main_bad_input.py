@@ -1,8 +1,5 @@
 """Bad input ends with an exit status and one sentence, never with a traceback."""
 
-import importlib.util
-import os
-
 import pytest
 from config_files import FOLDER, load_editable, refuse_flags
 from tiny_runs import make_dataset
@@ -59,28 +56,19 @@ def test_a_run_that_is_not_finished_cannot_be_judged(config, tmp_path, capsys):
         ("train.models_per_batch", 13, "at most data.models = 12"),
         ("data.models", 2_000_000, "between 1 and 1000000"),
         ("data.image_size", 48, "power of two"),
-        ("data.image_size", 8, "at least 16 pixels"),
         ("render.grid", 24, "a divisor of data.image_size = 32"),
-        ("render.grid", 0, "between 1 and 256"),
         ("render.fine_grid", 24, "a multiple of render.grid = 16"),
         ("render.keep_start", 0.0, "above 0 and at most 1"),
-        ("render.sigma_start", -0.1, "between 0 and 1"),
         ("render.scale_unit", "volume", "'peak' or 'mass'"),
         ("render.distance", 0.2, "outside the object"),
-        ("network.layers", "wide", "'', 'paper' or 'released'"),
-        ("pose.student", "mean", "'selects' or 'posterior'"),
-        ("render.scale_fixed", -1.0, "0 or more"),
-        ("train.steps", 0, "at least 1"),
         ("train.steps", 10**20, "at most 2,147,483,647"),
         ("train.learning_rate", 0.0, "above 0"),
         ("train.learning_rate", float("nan"), "above 0"),
         ("data.meshes", "/nowhere/at/all", "a folder that exists"),
         ("seed", -1, "0 or more"),
-        ("train.silhouette_weight", -1.0, "0 or more"),
         ("train.silhouette_weight", 0.0, "so that there is something to learn from"),
-        ("pose.choice_signals", "depth", "'silhouette' or 'all'"),
         ("data.offset", 0.2, "between 0 and 0.12"),
-        ("data.focal_spread", -0.1, "between 0 and 0.25"),
+        ("pose.elevation_high", -20.0, "above pose.elevation_low = -20.0 degrees"),
     ],
 )
 def test_a_value_that_cannot_work_is_refused_by_name_before_anything_is_made(
@@ -89,16 +77,6 @@ def test_a_value_that_cannot_work_is_refused_by_name_before_anything_is_made(
     set_field(config, field, value)
     error = refuse(config, tmp_path / "workdir", capsys)
     assert f"config.{field} " in error and says in error
-    assert not (tmp_path / "workdir").exists()
-
-
-def test_tensorboard_that_is_not_installed_is_refused_with_how_to_install_it(
-    config, tmp_path, capsys, monkeypatch
-):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    set_field(config, "log.tensorboard", True)
-    error = refuse(config, tmp_path / "workdir", capsys)
-    assert "pip install 'dpc_jax[tensorboard]'" in error
     assert not (tmp_path / "workdir").exists()
 
 
@@ -173,15 +151,6 @@ def test_a_workdir_that_is_a_file_is_refused_and_the_file_is_left_alone(
     for workdir in (path, path / "below"):
         assert "cannot be made or written" in refuse(config, workdir, capsys)
     assert path.read_text() == "mine"
-
-
-def test_a_workdir_that_cannot_be_written_is_refused(
-    config, tmp_path, capsys, monkeypatch
-):
-    # Root may write anywhere, so that permissions alone would not show it.
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    assert "written (Permission denied)" in refuse(config, tmp_path, capsys)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_workdir_of_another_config_is_refused_naming_what_differs(

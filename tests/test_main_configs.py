@@ -74,17 +74,6 @@ def test_variants_that_mean_nothing_are_refused(variant, says):
         load("car", variant)
 
 
-@pytest.mark.parametrize("side, points", [(32, 2000), (64, 8000), (128, 16_000)])
-@pytest.mark.parametrize("others", ["", "paper,", "known_pose,", "paper,naive,"])
-def test_a_side_is_that_of_images_and_volume_with_its_number_of_points(
-    side, points, others
-):
-    config = load("chair", f"{others}{side}")
-    render = config.render
-    assert (config.data.image_size, render.grid, render.fine_grid) == (side, side, 0)
-    assert render.num_points == points
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_a_config_survives_the_command_line_and_the_workdir(name):
     config = load(name, "paper")
@@ -150,7 +139,6 @@ def test_labels_teach_an_ensemble_only_where_a_student_selects_from_it():
         ({"fold": "5/5", "meshes": "x"}, "config.data.fold must be '' or PART/PARTS"),
         ({"fold": "0/5", "meshes": "x", "test_meshes": "y"}, "config.data.fold must"),
         ({"split_file": "a.csv", "meshes": "x"}, "split_file must be '' without"),
-        ({"ground_truth": "y", "meshes": "x"}, "ground_truth must be '' without"),
     ],
 )
 def test_fields_of_data_that_mean_nothing_are_refused(
@@ -193,13 +181,6 @@ def test_with_known_poses_there_is_no_pose_branch():
     assert set(output) == {"points", "scale"}
 
 
-def test_colour_is_learned_where_its_loss_has_a_weight():
-    config = load("debug")
-    config = change(config, "train", color_weight=0.1)
-    output, _ = parameter_shapes(config)
-    assert output["colors"].shape == output["points"].shape
-
-
 def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
     config = load("car")
     config = change(config, "data", meshes="meshes")
@@ -221,6 +202,7 @@ def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
     config = change(config, "data", copies=3)
     specs = make_data_specs(config)
     assert [specs[s].copies for s in ("train", "val", "test")] == [3, 1, 1]
+    assert not specs["train"].mix
     assert set(specs) == {"train", "val", "test"}
     # What is visible of the tested surfaces is dense.
     counts = [specs[s].visible_points for s in ("train", "val", "test")]
@@ -232,13 +214,13 @@ def test_every_source_reaches_all_splits_with_what_belongs_to_it(source):
     config = load("car")
     config = change(config, "data", **{source: "folder"})
     config = change(
-        config, "data", split_file="all.csv", crop="view", fill=0.7, surface_voxel=0.01
+        config, "data", split_file="all.csv", crop="view", surface_voxel=0.01
     )
     specs = make_data_specs(config)
     assert set(specs) == {"train", "val", "test"}
     for split, spec in specs.items():
         assert (spec.kind, spec.folder, spec.split) == (source, "folder", split)
-        assert (spec.split_file, spec.crop, spec.fill) == ("all.csv", "view", 0.7)
+        assert (spec.split_file, spec.crop) == ("all.csv", "view")
         assert spec.surface_voxel == 0.01 and spec.models is None
         assert bool(spec.visible_points) == (source == "shapenet")
 

@@ -63,6 +63,7 @@ def test_training_sixteen_samples_are_four_views_of_four_objects():
 def test_training_dropout_falls_from_90_percent_to_none_over_the_run(side, points):
     config = load("car", f"paper,{side}")
     render, steps = config.render, config.train.steps
+    assert (config.data.image_size, render.grid, render.fine_grid) == (side, side, 0)
     assert (render.keep_start, render.keep_end) == (0.1, 1.0)
     kept = [count_kept_points(s, render, steps=steps) for s in (0, steps // 2)]
     # In 32 stairs: half a stair above the line at the start.

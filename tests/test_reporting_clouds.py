@@ -8,10 +8,8 @@ from PIL import Image
 
 from dpc_jax.reporting.clouds import draw_cloud, shade_depth, view_points
 from dpc_jax.reporting.gallery import (
-    FRAMES,
     draw_difference,
     draw_grid,
-    write_turntable,
 )
 
 FRONT = (0.0, 0.0)
@@ -68,19 +66,3 @@ def test_the_difference_is_red_where_the_prediction_is_too_large():
     red, _, blue = np.moveaxis(draw_difference(shown).astype(int), -1, 0)
     assert red.shape == (4, 4) and red[0, 0] > blue[0, 0] + 50
     assert np.all(blue[2:, 2:] > red[2:, 2:] + 50) and np.all(red[:2, 2:] > 200)
-
-
-def test_a_turntable_turns_once_in_the_colours_that_are_given(tmp_path):
-    points = np.random.default_rng(0).normal(size=(60, 3)) * [0.2, 0.05, 0.05]
-    path = tmp_path / "cloud.gif"
-    write_turntable(path, points, np.broadcast_to(RED, points.shape), size=160)
-    with Image.open(path) as image:
-        assert image.n_frames == FRAMES and image.info["loop"] == 0
-        first = np.asarray(image.convert("RGB"), int)
-        image.seek(FRAMES // 4)
-        quarter = np.asarray(image.convert("RGB"), int)
-    # A rod looks wider from its side than from its end.
-    widths = [np.ptp(np.nonzero((a[..., 1] < 200).any(0))[0]) for a in (first, quarter)]
-    assert abs(widths[0] - widths[1]) > 5
-    middle = first[80, 80]
-    assert middle[0] > 1.5 * middle[1:].max()  # what is far fades towards white

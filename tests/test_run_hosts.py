@@ -11,16 +11,15 @@ import pytest
 
 from dpc_jax.config import Config, replace_fields
 from dpc_jax.run.hosts.agreement import Job, list_versions, name_differences
-from dpc_jax.run.hosts.places import Place, find_in_slurm, find_place
+from dpc_jax.run.hosts.places import Place, find_place
 
 ROOT = Path(__file__).parents[1]
 
 
-def test_flags_give_a_place_in_a_job_of_several(monkeypatch):
+def test_flags_give_a_place_in_a_job_of_several():
     assert find_place("node01:7777", 4, 3) == Place("node01:7777", 4, 3)
     assert find_place("[::1]:7777", 2, 0) == Place("[::1]:7777", 2, 0)
     assert find_place("node01:7777", 1, 0) is None
-    monkeypatch.delenv("SLURM_STEP_NODELIST", raising=False)
     assert find_place(None, None, None) is None
 
 
@@ -30,49 +29,14 @@ def test_flags_give_a_place_in_a_job_of_several(monkeypatch):
         (("node01:7777", None, 0), "--coordinator, --processes and --process together"),
         ((None, 2, 0), "but only some are given"),
         (("node01", 2, 0), "--coordinator must be HOST:PORT of process 0, but it is"),
-        ((":7777", 2, 0), "but it is ':7777'"),
         (("node01:99999", 2, 0), "but it is 'node01:99999'"),
-        (("node01:7777", 0, 0), "--processes must be at least 1, but it is 0"),
-        (("node01:7777", 2, 2), "--process must be between 0 and 1, but it is 2"),
-        (("node01:7777", 2, -1), "--process must be between 0 and 1, but it is -1"),
+        (("node01:7777", 2, 2), "--process must be .* below --processes = 2, but it"),
+        (("node01:7777", 2, -1), "--process must be 0 or more .* but it is -1"),
     ],
 )
 def test_flags_that_give_no_place_are_refused(flags, words):
     with pytest.raises(ValueError, match=words):
         find_place(*flags)
-
-
-@pytest.mark.parametrize(
-    ("nodes", "first"),
-    [
-        ("node01", "node01"),
-        ("node01,other", "node01"),
-        ("node[07-09,12],other", "node07"),
-        ("gpu-[3,5-6]", "gpu-3"),
-        ("a.cluster.org,b.cluster.org", "a.cluster.org"),
-    ],
-)
-def test_slurm_gives_the_first_node_of_the_step(nodes, first):
-    environment = {
-        "SLURM_JOB_ID": "5000",
-        "SLURM_STEP_ID": "0",
-        "SLURM_STEP_NODELIST": nodes,
-        "SLURM_STEP_NUM_TASKS": "3",
-        "SLURM_PROCID": "2",
-    }
-    place = find_in_slurm(environment)
-    assert place == Place(f"{first}:{61440 + 5000 % 4096}", 3, 2)
-    other = find_in_slurm(environment | {"SLURM_STEP_ID": "1"})
-    assert other is not None and other.coordinator != place.coordinator
-
-
-def test_a_slurm_task_without_others_is_on_its_own():
-    batch = {"SLURM_JOB_ID": "7", "SLURM_NTASKS": "4", "SLURM_PROCID": "0"}
-    assert find_in_slurm(batch) is None  # the batch script itself
-    assert (
-        find_in_slurm(batch | {"SLURM_STEP_NODELIST": "n1", "SLURM_NTASKS": "1"})
-        is None
-    )
 
 
 def test_what_processes_differ_in_is_named_and_what_may_differ_is_not():
@@ -119,8 +83,8 @@ with joining(Place(address, 2, process)) as job:
         job.do_first(fail)
     except ValueError as error:
         found["failed"] = str(error)
-    shared = job.share(np.array([-0.0, process], np.float32))
-    found["shared"] = [str(value) for value in shared]
+    shared = job.share(np.array([1.5, process], np.float32))
+    found["shared"] = shared.tolist()
     mesh = jax.sharding.Mesh(jax.devices(), ("all",))
     spread = jax.NamedSharding(mesh, jax.P("all"))
     step = jax.jit(lambda x: x + jnp.sum(x @ x.T), out_shardings=spread)
@@ -155,7 +119,7 @@ def test_two_processes_tell_each_other_fail_together_and_stop_at_one_step():
     assert found[0] == found[1]
     assert found[0]["gathered"] == ["", "ä"]
     assert found[0]["failed"] == "the disk is full"
-    assert found[0]["shared"] == ["-0.0", "0.0"]
+    assert found[0]["shared"] == [1.5, 0.0]
     assert 5 <= found[0]["steps"] <= 7
 
 

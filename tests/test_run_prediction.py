@@ -37,9 +37,7 @@ def test_without_poses_a_view_has_a_sentence_and_no_silhouette(
     )
     drawn = []
     monkeypatch.setattr(files, "draw_predictions", lambda shown, _: drawn.extend(shown))
-    (entry,), _ = files.write_predictions(
-        [one], tmp_path, surface="glb", has_turntable=False
-    )
+    (entry,), _ = files.write_predictions([one], tmp_path, surface="glb")
     assert entry["sentence"].startswith(sentence)
     assert (entry["quaternion"] is None) == (poses is None)
     assert np.isnan(drawn[0].predicted).all() == (poses is None)

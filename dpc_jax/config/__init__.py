@@ -12,6 +12,7 @@ from dpc_jax.config.face import to_config_dict as to_config_dict
 from dpc_jax.config.face import to_json as to_json
 from dpc_jax.config.sections import CROPS as CROPS
 from dpc_jax.config.sections import ELEVATIONS as ELEVATIONS
+from dpc_jax.config.sections import FILL as FILL
 from dpc_jax.config.sections import Config as Config
 from dpc_jax.config.sections import Data as Data
 from dpc_jax.config.sections import Log as Log

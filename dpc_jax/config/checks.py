@@ -96,13 +96,11 @@ def _list_folder_rules(config):
         "'' unless there is a folder of models (data.meshes, say) that is split by "
         "seed and tested on itself",
     )
-    for name, others in (
-        ("split_file", ("shapenet", "renders", "images")),
-        ("ground_truth", ("renders",)),
-    ):
-        is_used = any(getattr(data, other) for other in others)
-        expected = f"'' without data.{' or data.'.join(others)}"
-        yield f"data.{name}", is_used or getattr(data, name) == "", expected
+    yield (
+        "data.split_file",
+        not data.split_file or data.shapenet or data.renders or data.images,
+        "'' without data.shapenet or data.renders or data.images",
+    )
 
 
 def _list_system_rules(config):

@@ -21,6 +21,7 @@ from dpc_jax.config.fields import (
 )
 
 CROPS = ("object", "view", "none")  # images that are scaled alike
+FILL = 0.85  # share of the frame that images cut out so fill
 LAYERS = ("", "paper", "released")  # "": normalised, and a wider student
 SHAPES = ("points", "voxels", "maps")  # what the shape branch predicts
 POSE_HEADS = ("quaternion", "viewpoint")  # what a head predicts
@@ -58,16 +59,14 @@ class Data:
     test_meshes: str = field("", FOLDER)  # to test on; "": a part of the same source
     split_file: str = field("", FILE)  # official ShapeNet split; "": found in folder
     fold: str = field("", FOLD)  # "0/5": of five parts the first is tested; "": a tenth
-    ground_truth: str = field("", FOLDER)  # of MODEL.mat files; "": beside the renders
     # What has a scale of its own: an object, each view, or nothing ("none").
     crop: str = field("object", one_of(*CROPS))
-    fill: float = field(0.85, between(0.1, 1))  # share of the frame that images fill
     models: int = field(1000, _MODELS)  # procedural models to train on
     val_models: int = field(40, _MODELS)  # to validate on; 20 of them align
     test_models: int = field(100, _MODELS)  # to test on
-    # Of each mesh, stretched; 0: as many as make 300 models.
+    # Of each mesh, stretched; 0: as many as make 300 models, and 300 procedural ones
+    # are added to fewer meshes.
     copies: int = field(0, at_least(0))
-    mix: bool = True  # 300 procedural models are added to fewer meshes
     views: int = field(5, at_least(1))  # per model (§ Datasets)
     # Largest shift of an object along each axis, box diagonals.
     offset: float = field(0.0, between(0, 0.12))
@@ -102,9 +101,8 @@ class Render:
     """Volume, points and camera of the projection."""
 
     grid: int = field(32, _GRID)  # side of volume and target silhouettes, voxels
-    fine_grid: int = field(
-        64, between(0, 256)
-    )  # of winners after 60 % of steps; 0: never
+    # Of winners after 60 % of steps; 0: never.
+    fine_grid: int = field(64, between(0, 256))
     # Share of the run that compares views from a cube's corners (EPCG).
     fixed_views_until: float = field(0.0, between(0, 1))
     num_points: int = field(2000, at_least(1))  # of a cloud (2000 at 32³ in the paper)

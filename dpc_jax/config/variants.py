@@ -28,7 +28,6 @@ VARIANTS: dict[str, Changes] = {
     "paper": {
         "data": {
             "copies": 1,
-            "mix": False,
             "surface_points": 100_000,  # § Evaluation, as in the released code
             "surface_voxel": 0.01,
         },

@@ -110,7 +110,6 @@ def _draw(opened, flags):
     # Among what commands make, not into a folder of data that may be anybody's.
     name = f"{Path(flags.folder).resolve().name}-sheet.png"
     out = Path(flags.out or Path("runs") / name)
-    outputs.try_folder(out.parent)
     with outputs.owning(out.parent, [out.name]), files.replacing(out) as partial:
         sheet = overview.draw_set(opened, models=flags.models)
         sheet.save(partial, format="png")

@@ -24,7 +24,7 @@ from dpc_jax.outputs import show_text
 
 SHOWN = 20  # skipped models that are printed
 VERSION = 4  # raise it when rendering, the procedural shapes or the shards change
-PLACES = ("folder", "split_file", "ground_truth")  # fields that do not affect the bytes
+PLACES = ("folder", "split_file")  # fields that do not affect the bytes
 RECORD = "spec.json"  # the file that finishes a cache
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from dpc_jax.config import Data, Render
+from dpc_jax.config import FILL, Data, Render
 
 KINDS = {  # of folders, and the class that reads each, in `dpc_jax.data.sets`
     # A folder of an unknown kind is the first that recognizes it.
@@ -47,6 +47,5 @@ class DataSpec:
     visible_points: int = 0  # also so many that can be seen from outside
     kind: str = "meshes"  # of the folder, one of `KINDS`
     split_file: str | None = None  # official split; None: looked for in the folder
-    ground_truth: str | None = None  # folder of the published ground truth
     crop: str = Data.crop  # of own images: one scale per "object", "view", or "none"
-    fill: float = Data.fill  # share of the frame that an own image's object takes
+    fill: float = FILL  # share of the frame that an own image's object takes

@@ -41,18 +41,3 @@ def stack_views(views: Iterable[tuple]) -> dict[str, np.ndarray]:
         "depths": depths.astype(np.float32),
         "quaternions": matrix_to_quaternion(rotations).astype(np.float32),
     }
-
-
-def measure_stands(quaternions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rolls and elevations in degrees, [n] each, of cameras [n, 4] around their axis.
-
-    The axis is the direction that is least along the rows of the images: upright
-    cameras circle around it, whatever frame the poses are given in.
-    """
-    cameras = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
-    right, down, forward = np.moveaxis(cameras, 1, 0)
-    _, axes = np.linalg.eigh(right.T @ right)
-    axis = axes[:, 0] * (-1.0 if (down @ axes[:, 0]).sum() > 0 else 1.0)
-    rolls = np.arctan2(right @ axis, -down @ axis)
-    elevations = np.arcsin(np.clip(-forward @ axis, -1, 1))
-    return np.rad2deg(rolls), np.rad2deg(elevations)

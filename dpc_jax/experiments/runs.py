@@ -160,7 +160,7 @@ class Source:
             )
         copies = _COPIES.get(category, 1)
         # Systems are compared on the meshes alone.
-        changes = {"data.meshes": str(meshes), "data.copies": copies, "data.mix": False}
+        changes = {"data.meshes": str(meshes), "data.copies": copies}
         tested = folder / category / "test"
         return changes | ({"data.test_meshes": str(tested)} if tested.is_dir() else {})
 

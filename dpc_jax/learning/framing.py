@@ -16,11 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpc_jax.config import Data
+from dpc_jax.config import FILL
 
 Array = jax.Array | np.ndarray
 
-_FILL = Data.fill  # share of the frame that a box takes, as photographs are cut out
 _SPREAD = 0.25  # root mean square distance from the centre in a frame by moments
 
 
@@ -75,7 +74,7 @@ def _frame_by_box(mask):
         line = jnp.any(is_covered, axis)
         ends.append(jnp.stack([jnp.argmax(line), size - jnp.argmax(line[::-1])]))
     low, high = jnp.stack(ends, axis=1) / size - 0.5
-    side = jnp.where(jnp.any(is_covered), jnp.max(high - low) / _FILL, 1)
+    side = jnp.where(jnp.any(is_covered), jnp.max(high - low) / FILL, 1)
     return (low + high) / 2, side
 
 

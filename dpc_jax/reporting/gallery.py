@@ -1,23 +1,17 @@
-"""Pictures in a labelled grid, predictions as such a grid, a cloud that turns."""
+"""Pictures in a labelled grid, predictions as such a grid."""
 
-import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib import colormaps
-from numpy.typing import ArrayLike
-from PIL import Image
 
 from dpc_jax.evaluation.images import resize
-from dpc_jax.files import write_bytes
 from dpc_jax.reporting import style
-from dpc_jax.reporting.clouds import FRONT, REAR, draw_cloud
+from dpc_jax.reporting.clouds import REAR, draw_cloud
 from dpc_jax.reporting.examples import Example
 
-FRAMES, _MILLISECONDS = 36, 80  # of a whole turn, and that each stays
-_ELEVATION = 20.0  # of the viewer of a turntable, degrees
 _SHOWN_SURFACE_POINTS = 2000  # about as many as are predicted, to compare fairly
 
 
@@ -98,36 +92,3 @@ def draw_difference(example: Example) -> np.ndarray:
     difference = resize(example.predicted, side) - resize(example.target, side)
     colors = colormaps["RdBu_r"].with_extremes(bad="white")((difference + 1) / 2)
     return np.rint(255 * colors[..., :3]).astype(np.uint8)
-
-
-def write_turntable(
-    path: Path, points: ArrayLike, colors: ArrayLike | None = None, *, size: int = 320
-) -> Path:
-    """A cloud that turns without end, as GIF.
-
-    Args:
-      points: [N, 3] in the object frame, z up.
-      colors: [N, 3] of 0 to 1, or None for depth.
-    """
-    azimuths = FRONT[0] + np.arange(FRAMES) * 360.0 / FRAMES
-    views = [(azimuth, _ELEVATION) for azimuth in azimuths]
-    frames = [draw_cloud(points, colors, view_deg=view, size=size) for view in views]
-    # All frames share 128 colours: what does not change does not flicker.
-    spread = frames[:: 1 + len(frames) // 12]
-    sample = Image.fromarray(np.concatenate([f[::2, ::2] for f in spread]))
-    palette = sample.quantize(128, method=Image.Quantize.MAXCOVERAGE)
-    pictures = [
-        Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
-        for frame in frames
-    ]
-    buffer = io.BytesIO()
-    pictures[0].save(
-        buffer,
-        format="GIF",
-        save_all=True,
-        append_images=pictures[1:],
-        duration=_MILLISECONDS,
-        loop=0,
-        optimize=False,
-    )
-    return write_bytes(path, buffer.getvalue())

@@ -30,11 +30,6 @@ CAPTIONS = {
         "same direction, whatever the input's; numbers below them are Chamfer "
         "distances (× 100) to the true shape, where there is one.",
     ),
-    "worst_objects": (
-        "The worst objects",
-        "The difference is red where the prediction is too large and blue where it is "
-        "too small, as seen from the predicted pose; the true shape is on the right.",
-    ),
     "pose_errors": (
         "Pose errors",
         "The angle between predicted and true pose over all test views. Good poses "
@@ -81,7 +76,6 @@ def write_report(
     stages: figures.Stages = (),
     examples: Sequence[Example] = (),
     ranking: str = "",
-    worst: tuple[Sequence[Example], str] = ((), ""),
     failures: Failures | None = None,
     lost: Sequence[str] = (),
     warnings: Sequence[str] = (),
@@ -99,7 +93,6 @@ def write_report(
       stages: first step of each stage of the schedule and what is new in it.
       examples: views to show, those of a group one after the other.
       ranking: how they were chosen, a sentence.
-      worst: the worst objects, each by a view, and how they were chosen.
       failures: errors of the poses of the test views, and what is wrong with them.
       lost: names of objects that are wrong in all their views.
       warnings: sentences for the top of the page.
@@ -124,7 +117,6 @@ def write_report(
     draw_curves = functools.partial(figures.draw_curves, stages=stages)
     rendered = [e for e in examples if e.images and len(e.images.rendered) > 1]
     parts += [
-        _draw(folder, "worst_objects", draw_predictions, *worst, is_photo=True),
         _draw(folder, "pose_errors", figures.draw_pose_errors, failures),
         _draw(folder, "azimuths", figures.draw_azimuths, failures),
         _name_lost(lost),

@@ -7,20 +7,14 @@ from pathlib import Path
 
 from flax.traverse_util import flatten_dict
 
-from dpc_jax.evaluation.metrics import MISSING
 from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.outputs import show_text
-from dpc_jax.reporting.comparison import (
-    list_columns,
-    tabulate_groups,
-    write_comparison,
-)
-from dpc_jax.reporting.groups import ComparedRun, Group, group_runs
+from dpc_jax.reporting.comparison import tabulate_groups, write_comparison
+from dpc_jax.reporting.groups import ComparedRun, group_runs
 from dpc_jax.run.workdir import FREE_FIELDS, read_config, read_metrics
 
 # What does not make two runs differ: the variant is a name of other settings.
 _LEFT_OUT = (*FREE_FIELDS, "seed", "variant")
-_NAMED = 3  # runs that lack a figure
 
 
 def find_workdirs(folders: Sequence[Path]) -> list[Path]:
@@ -74,33 +68,8 @@ def _read_run(workdir: Path, name: str) -> ComparedRun:
     )
 
 
-def name_absent(groups: Sequence[Group]) -> str:
-    """What a dash in the table of finished runs means; "" where there is none."""
-    columns = list_columns(groups)
-    finished = [run for group in groups for run in group.runs if run.metrics]
-    lacking = [
-        run.name
-        for run in finished
-        if any(run.metrics.get(name) is None for name in columns)
-    ]
-    if not lacking:
-        return ""
-    others = f" and {len(lacking) - _NAMED} others" if len(lacking) > _NAMED else ""
-    return (
-        f"{MISSING} is absent: {', '.join(lacking[:_NAMED])}{others} had no truth to "
-        "compare with, or was given the poses and predicted none."
-    )
-
-
 def compare_runs(workdirs: Sequence[Path], out: Path):
-    """Print the table, write the page.
-
-    Raises:
-      ValueError: where there are no runs, or what they hold cannot be read.
-      OSError: where the page cannot be written.
-    """
+    """Print the table, write the page."""
     groups = group_runs(read_runs(find_workdirs(workdirs)))
     print(tabulate_groups(groups))
-    if absent := name_absent(groups):
-        print(absent)
     print(f"Page: {show_text(write_comparison(out, groups))}")

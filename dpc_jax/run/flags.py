@@ -2,17 +2,8 @@
 
 import argparse
 import functools
-import os
-import sys
 from collections.abc import Callable, Iterable
 from typing import Any, NoReturn
-
-
-def name_program(command: str) -> str:
-    """How a command was started: "dpc_jax fit", or "python -m dpc_jax.fit"."""
-    if sys.argv[0] == f"dpc_jax {command}":
-        return sys.argv[0]
-    return f"python -m dpc_jax.{'main' if command == 'train' else command}"
 
 
 class FlagParser(argparse.ArgumentParser):
@@ -25,7 +16,7 @@ class FlagParser(argparse.ArgumentParser):
     """
 
     def __init__(self, command: str, *, takes: str = "", **settings: Any):
-        program = name_program(command)
+        program = f"dpc_jax {command}"
         super().__init__(
             prog=program,
             usage=" ".join(filter(None, (program, takes, "[flags]"))),
@@ -37,16 +28,23 @@ class FlagParser(argparse.ArgumentParser):
         )
 
     def error(self, message: str) -> NoReturn:
-        """See the class. A file whose name begins with - looks like a flag.
+        """See the class.
 
         Raises:
           ValueError: always.
         """
-        cure = "correct the command"
-        words = [word for word in message.split() + sys.argv if word]
-        if named := [w for w in words if w[0] == "-" and os.path.lexists(w)]:
-            cure = f"write ./{named[0]} for the file whose name begins with -"
-        raise ValueError(f"Expected flags as --help lists them, but {message}; {cure}.")
+        raise ValueError(
+            f"Expected flags as --help lists them, but {message}; correct the command."
+        )
+
+
+def read_count(text: str) -> int:
+    """A type of flag: a whole number from 1 on."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(
+            f"it must be a whole number of at least 1, not {text!r}"
+        )
+    return int(text)
 
 
 def reading_names(known: Iterable[str]) -> Callable[[str], tuple[str, ...]]:

@@ -1,7 +1,6 @@
 """A network with its data sets: prediction, alignment, validation, test."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
@@ -10,15 +9,12 @@ from dpc_jax.learning.batches import list_extras
 from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import (
     Predictions,
-    compile_predictor,
     make_predictor,
     predict_all,
 )
 from dpc_jax.learning.step import TrainState
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.setup import make_network
-
-Show = Callable[[int, Predictions, DataSet], None]
 
 
 class Evaluation(NamedTuple):
@@ -41,23 +37,16 @@ class Learner:
     """A network with its data sets: what it predicts of them, and how good that is.
 
     Attributes:
-      config: of the run. sets: by their splits. network: that learns.
+      config: of the run. sets: by their splits.
+      network: that learns. predictor: compiled for its predictions.
     """
 
     def __init__(self, config: Config, sets: dict[str, DataSet]):
         self.config, self.sets = config, sets
         self.network: ShapePoseNetwork = make_network(config)
-        self._predictor = make_predictor(
+        self.predictor = make_predictor(
             self.network, config, keeps_evidence=config.eval.refine
         )
-
-    def count_views(self, *splits: str) -> int:
-        """Views of splits, those that the run has."""
-        return sum(int(self.sets[s].counts.sum()) for s in splits if s in self.sets)
-
-    def compile_predictor(self, state: TrainState):
-        """Compile what `predict` needs, into the cache of compiled programs."""
-        compile_predictor(self._predictor, state, self.config)
 
     def predict(
         self,
@@ -77,7 +66,7 @@ class Learner:
         if self.config.pose.known:
             frame = None  # the poses are an input
         found = predict_all(
-            self._predictor, state, self.sets[split], extras=extras, frame=frame
+            self.predictor, state, self.sets[split], extras=extras, frame=frame
         )
         if threshold is None:
             return found
@@ -104,17 +93,9 @@ class Learner:
 
         return find_points(predictions, self.sets["val"], align=self.align)
 
-    def validate(
-        self, state: TrainState, *, show: Show | None = None
-    ) -> dict[str, float]:
-        """Metrics on the validation split.
-
-        Args:
-          show: what is shown its step, predictions and data, where that is asked for.
-        """
+    def validate(self, state: TrainState) -> dict[str, float]:
+        """Metrics on the validation split."""
         predictions, _ = self.find_points(self.predict(state, "val"))
-        if show is not None:
-            show(int(state.step), predictions, self.sets["val"])
         result = evaluator.score(
             predictions,
             self.sets["val"],
@@ -134,19 +115,3 @@ class Learner:
         alignment = self.align(validated)
         predictions = self.predict(state, "test", frame=alignment, threshold=threshold)
         return Evaluation(predictions, alignment, threshold, validated)
-
-    def refine_test(self, state: TrainState, found: Evaluation) -> dict[str, Any]:
-        """Figures of the test views fitted to their silhouettes."""
-        # Only where asked for.
-        from dpc_jax.learning.inference.refinement import measure_refinement
-
-        print("Refining the test views.", flush=True)
-        return measure_refinement(
-            self.network,
-            self.config,
-            state,
-            self.sets["test"],
-            found.predictions,
-            validated=found.validated,
-            alignment=found.alignment,
-        )

@@ -5,7 +5,6 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,8 +14,7 @@ from dpc_jax.evaluation.rotations import describe_pose
 from dpc_jax.files import write_json
 from dpc_jax.learning.fitting import FitSettings
 from dpc_jax.learning.fitting.object_fit import Fit, fit
-from dpc_jax.learning.training.progress import Display
-from dpc_jax.outputs import show_text
+from dpc_jax.outputs import show_text, telling_tenths
 from dpc_jax.render import Camera
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.export import write_files
@@ -29,32 +27,6 @@ GOOD_OVERLAP = 0.8  # below, a view is named
 # As many were shown to be enough to find poses by; of six half were wrong at an overlap
 # of 0.94 (docs/fitting.md, docs/tutorial.md).
 ENOUGH_VIEWS = 20
-
-
-class CountReport(Display):
-    """Shows how far several parts of a work are; use as a context manager.
-
-    On a terminal each part has a bar; elsewhere a line for every tenth of it.
-    """
-
-    def __init__(self, title: str):
-        super().__init__()
-        self._title, self._started = title, time.monotonic()
-        self._told: dict[str, int] = {}
-        self._tasks: dict[str, Any] = {}
-
-    def report(self, part: str, done: int, total: int):
-        """Show that so much of a part is done."""
-        if self._bar is not None:
-            if part not in self._tasks:
-                self._tasks[part] = self._bar.add_task(part, total=total, text="")
-            self._bar.update(self._tasks[part], completed=done)
-            return
-        tenth = 10 * done // max(total, 1)
-        if tenth > self._told.get(part, -1):
-            self._told[part] = tenth
-            seconds = time.monotonic() - self._started
-            print(f"{self._title}: {part}, {done}/{total}, {seconds:.0f} s", flush=True)
 
 
 def fit_folder(
@@ -108,17 +80,16 @@ def fit_folder(
         )
     if poses == "rough":
         learn = tuple(dict.fromkeys(("rotations", *learn)))
-    with CountReport("Fitting") as progress:
-        found = fit(
-            arrays["masks"],
-            rotations=rotations,
-            learn=learn,
-            colors=arrays["images"] if is_colored else None,
-            camera=Camera(spec.focal_length, spec.distance),
-            settings=settings,
-            seed=seed,
-            on_progress=progress.report,
-        )
+    found = fit(
+        arrays["masks"],
+        rotations=rotations,
+        learn=learn,
+        colors=arrays["images"] if is_colored else None,
+        camera=Camera(spec.focal_length, spec.distance),
+        settings=settings,
+        seed=seed,
+        on_progress=telling_tenths("Fitting"),
+    )
     names = [show_text(path.name) for path in paths]
     asked = {"poses": poses, "seed": seed, "settings": dataclasses.asdict(settings)}
     seconds = time.perf_counter() - started

@@ -2,7 +2,6 @@
 
 import contextlib
 import functools
-import importlib.util
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +14,7 @@ from dpc_jax.run.hosts.agreement import Job
 from dpc_jax.run.hosts.joining import joining
 from dpc_jax.run.hosts.places import Place
 from dpc_jax.run.hosts.writing import SilentLog
-from dpc_jax.run.learner import Learner, Show
+from dpc_jax.run.learner import Learner
 from dpc_jax.run.process import prepare_process
 from dpc_jax.run.report.summary import report_run
 from dpc_jax.run.setup import load_sets
@@ -89,12 +88,6 @@ def run(
       NonFiniteError: where training breaks.
     """
     configs.check(config)
-    if config.log.tensorboard and importlib.util.find_spec("tensorboardX") is None:
-        raise ValueError(
-            "config.log.tensorboard must be left out where tensorboardX is not "
-            "installed, but it is True; install it with pip install "
-            "'dpc_jax[tensorboard]', or leave the flag out."
-        )
     processes = place.processes if place else 1
     objects = max(1, config.train.models_per_batch // processes)
     prepare_process(objects, config.run.devices // processes)
@@ -112,15 +105,16 @@ def run(
 
 
 def _run_in(folder, config, job):
-    make_mesh(config)  # refuses before anything is rendered
+    # These refuse before anything is rendered.
+    make_mesh(config)
+    log = _open_log(folder, config, job)
     started = time.monotonic()
     sets = load_sets(config, share=(job.process, job.processes))
     data_seconds = time.monotonic() - started
 
     learner = Learner(config, sets)
-    log, show = _open_log(folder, config, job)
     with contextlib.closing(log):
-        outcome = train_learner(learner, folder, log, job, show=show)
+        outcome = train_learner(learner, folder, log, job)
     if not outcome.is_finished:
         print(
             f"Stopped and saved at step {int(outcome.state.step)}; start again in the "
@@ -132,32 +126,40 @@ def _run_in(folder, config, job):
         return
     refined = None
     if config.eval.refine:
-        refined = learner.refine_test(outcome.state, found)
+        # Only where asked for.
+        from dpc_jax.learning.inference.refinement import measure_refinement
+
+        print("Refining the test views.", flush=True)
+        refined = measure_refinement(
+            learner.network,
+            config,
+            outcome.state,
+            sets["test"],
+            found.predictions,
+            validated=found.validated,
+            alignment=found.alignment,
+        )
     report_run(
         folder,
         config,
         sets,
         outcome,
-        predictions=found.predictions,
-        alignment=found.alignment,
+        found,
         records=log.read(),
         data_seconds=data_seconds,
-        threshold=found.threshold,
         refined=refined,
     )
 
 
-def _open_log(folder: Path, config, job: Job) -> tuple[MetricLog, Show | None]:
-    """The log of a run, to be closed, and what is shown its validations."""
+def _open_log(folder: Path, config, job: Job) -> MetricLog:
     if not job.is_first:
-        return SilentLog(), None
+        return SilentLog()
     path = folder / "metrics.jsonl"
     if not config.log.tensorboard:
-        return MetricLog(path), None
+        return MetricLog(path)
     from dpc_jax.run.tensorboard import TensorBoardLog  # only where asked for
 
-    log = TensorBoardLog(path, folder / "tensorboard")
-    return log, log.show_validation
+    return TensorBoardLog(path, folder / "tensorboard")
 
 
 def _name_workdir(config, config_path):

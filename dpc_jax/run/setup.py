@@ -2,18 +2,14 @@
 
 import dataclasses
 
-import numpy as np
-
 from dpc_jax.config import Config
 from dpc_jax.config.checks import SOURCES
 from dpc_jax.config.fields import read_fold
 from dpc_jax.data import DataSet, DataSpec, load_or_render
 from dpc_jax.data.splits import SPLITS
-from dpc_jax.data.viewpoints import measure_stands
 from dpc_jax.files import explaining_full_disk
 from dpc_jax.networks import ShapePoseNetwork
 
-_SLACK = 10.0  # degrees
 # Visible points of a shape that is predicted, and of one that is tested: with so many
 # the distance to the nearest one is that to the surface.
 _VISIBLE = 2500, 100_000
@@ -102,18 +98,10 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
       ValueError: where a set cannot be used, or does not fit the config.
       OSError: where the cache cannot be written.
     """
-    with explaining_full_disk(config.data.cache_dir):
-        sets = {
-            split: load_or_render(
-                spec,
-                cache_dir=config.data.cache_dir,
-                processes=config.data.processes or None,
-                share=share,
-            )
-            for split, spec in make_data_specs(config).items()
-        }
+    specs = make_data_specs(config)
+    sets = {name: load_set(config, spec, share) for name, spec in specs.items()}
     if share[0] == 0:
-        for warning in collect_warnings(config, sets):
+        for warning in collect_warnings(sets):
             print(f"Warning: {warning}", flush=True)
     wanted, found = config.train.models_per_batch, len(sets["train"].names)
     if wanted > found:
@@ -133,37 +121,23 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
     return sets
 
 
-def collect_warnings(config: Config, sets: dict[str, DataSet]) -> list[str]:
-    """What data sets, and what a config makes of them, warn of; each sentence once."""
-    own = [text for data in sets.values() for text in data.warnings]
-    return list(dict.fromkeys([*own, *check_viewpoints(config, sets)]))
+def load_set(
+    config: Config, spec: DataSpec, share: tuple[int, int] = (0, 1)
+) -> DataSet:
+    """A data set of a run, from its cache or prepared now; see `load_sets`."""
+    data = config.data
+    with explaining_full_disk(data.cache_dir):
+        return load_or_render(
+            spec,
+            cache_dir=data.cache_dir,
+            processes=data.processes or None,
+            share=share,
+        )
 
 
-def check_viewpoints(config: Config, sets: dict[str, DataSet]) -> list[str]:
-    """A warning where the given poses are not those that viewpoint heads can predict.
-
-    Own images alone may have such poses.
-    """
-    told = config.pose.elevations
-    if not config.data.images or not told or config.pose.known:
-        return []
-    train = sets["train"]
-    if train.quaternions is None:
-        return []
-    rows = [train.rows("quaternions", model) for model in range(len(train.names))]
-    poses = np.concatenate(rows)
-    rolls, elevations = measure_stands(poses)
-    low, high = told
-    is_out = (abs(rolls) > _SLACK) | (elevations < low - _SLACK)
-    is_out |= elevations > high + _SLACK
-    if is_out.mean() < 0.05:
-        return []
-    return [
-        f"{is_out.mean():.0%} of the training views have cameras that are not upright, "
-        f"or not between {low:g} and {high:g} degrees of elevation, as pose.head = "
-        "'viewpoint' takes all to be; set pose.elevation_low and pose.elevation_high, "
-        "or pose.head='quaternion'."
-    ]
+def collect_warnings(sets: dict[str, DataSet]) -> list[str]:
+    """What data sets warn of; each sentence once."""
+    return list(dict.fromkeys(t for data in sets.values() for t in data.warnings))
 
 
 def _split_folder(config, kind, shared):
@@ -175,15 +149,13 @@ def _split_folder(config, kind, shared):
         kind=kind,
         folder=getattr(data, kind),
         split_file=data.split_file or None,
-        ground_truth=data.ground_truth or None,
         crop=data.crop,
-        fill=data.fill,
         fractions=(0.9 - tested, 0.1, tested),
         fold=read_fold(data.fold),
     )
     specs = {split: DataSpec(split=split, **source) for split in SPLITS}
     if kind in ("meshes", "shapenet"):  # pictures cannot be stretched
         specs["train"] = dataclasses.replace(
-            specs["train"], copies=data.copies, mix=data.mix
+            specs["train"], copies=data.copies, mix=not data.copies
         )
     return specs

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from dpc_jax.files import explaining_full_disk
-from dpc_jax.outputs import explain, owning, try_folder
+from dpc_jax.outputs import explain, owning
 
 
 def hush_jaxlib():
@@ -38,8 +38,8 @@ class Task(NamedTuple):
       work: does it; returns the exit status, None for 0.
       out: folder that is written to.
       interrupted: what to say after Ctrl-C.
-      writes: names of the work's files in it, see `owning`; the folder is tried before
-        the work begins. None for a run, which claims its folder itself.
+      writes: names of the work's files in it, see `owning`; none where the work claims
+        its files itself.
       inputs: files that the work reads.
       errors: that are said in one sentence; others are defects of ours.
     """
@@ -68,11 +68,11 @@ def run_command(read: Callable[[], Task]) -> int:
     except ModuleNotFoundError as error:
         return say_missing(error)
     try:
-        with explaining_full_disk(task.out):
-            if task.writes:
-                try_folder(task.out)
-            with owning(task.out, task.writes, inputs=task.inputs):
-                return task.work() or 0
+        with (
+            explaining_full_disk(task.out),
+            owning(task.out, task.writes, inputs=task.inputs),
+        ):
+            return task.work() or 0
     except task.errors as error:
         if os.environ.get("DPC_JAX_TRACEBACK"):
             raise

@@ -10,15 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.config import Config, replace_fields
-from dpc_jax.data import DataSet, load_or_render
+from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, align_points, identity_alignment
-from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning.inference.predictor import VIEWS_AT_ONCE
 from dpc_jax.learning.predictions import make_inputs
 from dpc_jax.learning.step import TrainState, describe_state
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.hosts.writing import restore_last
-from dpc_jax.run.setup import make_data_specs, make_network
+from dpc_jax.run.setup import load_set, make_data_specs, make_network
 from dpc_jax.run.workdir import read_alignment, read_config
 
 
@@ -36,13 +35,19 @@ class TrainedNetwork(NamedTuple):
     alignment: Alignment
 
 
-def load_trained(workdir: Path) -> TrainedNetwork:
+def load_trained(workdir: Path, *, cache_dir: str = "") -> TrainedNetwork:
     """The network of the finished run of a workdir, on one device.
+
+    Args:
+      cache_dir: of its data; that of the run where it is empty.
 
     Raises:
       ValueError: where the workdir holds no finished run, or it cannot be read.
     """
-    config = replace_fields(read_config(workdir), {"run": {"devices": 1}})
+    changes: dict = {"run": {"devices": 1}}
+    if cache_dir:
+        changes["data"] = {"cache_dir": cache_dir}
+    config = replace_fields(read_config(workdir), changes)
     if read_alignment(workdir) is None:
         raise ValueError(
             f"Expected a finished run in {workdir}, of data with true poses, but it "
@@ -53,29 +58,14 @@ def load_trained(workdir: Path) -> TrainedNetwork:
 
 
 def load_checkpoint(config: Config, workdir: Path) -> TrainedNetwork:
-    """The network at the last checkpoint of a run, finished or not.
+    """The network at the last checkpoint of a run, on the devices of the config.
 
     Without an alignment its own frame counts as that of the objects.
-
-    Raises:
-      ValueError: where there is no checkpoint, or none that can be read.
     """
-    return TrainedNetwork(
-        config,
-        make_network(config),
-        restore_state(config, workdir),
-        read_alignment(workdir) or identity_alignment(),
-    )
-
-
-def restore_state(config: Config, workdir: Path) -> TrainState:
-    """The last state of a run, on the devices that its config asks for.
-
-    Raises:
-      ValueError: where there is no checkpoint, or none that can be read.
-    """
-    like = describe_state(make_network(config), config)
-    return restore_last(workdir / "checkpoints", like)
+    network = make_network(config)
+    state = restore_last(workdir / "checkpoints", describe_state(network, config))
+    alignment = read_alignment(workdir) or identity_alignment()
+    return TrainedNetwork(config, network, state, alignment)
 
 
 def load_split(trained: TrainedNetwork, split: str, **changes: Any) -> DataSet:
@@ -83,16 +73,9 @@ def load_split(trained: TrainedNetwork, split: str, **changes: Any) -> DataSet:
 
     Args:
       changes: fields of its `DataSpec` that are to be others.
-
-    Raises:
-      ValueError: where it cannot be used. OSError: where it cannot be written.
     """
-    data = trained.config.data
     spec = dataclasses.replace(make_data_specs(trained.config)[split], **changes)
-    with explaining_full_disk(data.cache_dir):
-        return load_or_render(
-            spec, cache_dir=data.cache_dir, processes=data.processes or None
-        )
+    return load_set(trained.config, spec)
 
 
 def predict_points(

@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 
 from dpc_jax.config import Config, from_json, replace_fields, to_json
+from dpc_jax.learning.inference.predictor import compile_predictor
 from dpc_jax.learning.step import TrainState, describe_state, init_state
 from dpc_jax.learning.training import loop
 from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
@@ -14,7 +15,7 @@ from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.hosts.agreement import Job
 from dpc_jax.run.hosts.writing import open_checkpoints, restore_last
-from dpc_jax.run.learner import Learner, Show
+from dpc_jax.run.learner import Learner
 from dpc_jax.run.process import catch_signals
 from dpc_jax.run.setup import make_network
 from dpc_jax.run.workdir import list_differences, read_config
@@ -28,24 +29,15 @@ _GB = 1e9
 
 
 def train_learner(
-    learner: Learner,
-    workdir: Path,
-    log: MetricLog,
-    job: Job,
-    *,
-    show: Show | None = None,
+    learner: Learner, workdir: Path, log: MetricLog, job: Job
 ) -> loop.Outcome:
     """Train to the last step, or until SIGTERM or Ctrl-C asks to save and stop.
 
     Args:
-      log: that records are written to. show: what is shown each validation.
-
-    Raises:
-      ValueError: if there are checkpoints, yet none can be read, or a step needs more
-        memory than the device has.
-      NonFiniteError: where training breaks.
+      log: that records are written to.
     """
     checkpoints = open_checkpoints(workdir / "checkpoints", job)
+    views = {split: int(data.counts.sum()) for split, data in learner.sets.items()}
     start = _restore_run(learner, checkpoints, log, job)
     with contextlib.closing(checkpoints), catch_signals() as stop:
         if int(start.state.step) >= learner.config.train.steps:
@@ -57,14 +49,15 @@ def train_learner(
             config=learner.config,
             checkpoints=checkpoints,
             log=log,
-            evaluate=functools.partial(learner.validate, show=show),
+            evaluate=learner.validate,
             should_stop=job.agree_to_stop(stop.is_set),
             may_stop_waiting=job.processes == 1,
             seconds=start.seconds,
             title=f"Training {workdir.name}",
-            validations_after=learner.count_views("test", "val")
-            / learner.count_views("val"),
-            prepare=functools.partial(learner.compile_predictor, start.state),
+            validations_after=(views["test"] + views["val"]) / views["val"],
+            prepare=functools.partial(
+                compile_predictor, learner.predictor, start.state, learner.config
+            ),
             check=check_memory,
         )
 

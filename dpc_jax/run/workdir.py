@@ -2,9 +2,6 @@
 
 import contextlib
 import dataclasses
-import errno
-import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,8 +16,10 @@ from dpc_jax.files import (
     locate_claim,
     read_json,
     read_text,
+    write_json,
     write_text,
 )
+from dpc_jax.outputs import trying_to_write
 
 # What may differ between a run and its continuation.
 FREE_FIELDS = (
@@ -42,8 +41,9 @@ def hold_workdir(workdir: Path) -> Iterator[None]:
       ValueError: where another process holds it, naming that process.
       OSError: where it cannot be made or written.
     """
-    _make_workdir(workdir)
-    with claiming(workdir / "run") as is_ours:
+    with contextlib.ExitStack() as held:
+        with trying_to_write(workdir, "--workdir=DIR"):
+            is_ours = held.enter_context(claiming(workdir / "run"))
         if not is_ours:
             holder = "another one"
             with contextlib.suppress(OSError):  # it has just ended
@@ -56,26 +56,10 @@ def hold_workdir(workdir: Path) -> Iterator[None]:
         yield
 
 
-def _make_workdir(workdir: Path):
-    try:
-        workdir.mkdir(parents=True, exist_ok=True)
-        if not os.access(workdir, os.W_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    except OSError as error:
-        raise OSError(
-            f"Expected to write in the folder {workdir}, but it cannot be made or "
-            f"written ({error.strerror}); give another --workdir=DIR."
-        ) from None
-
-
 def claim_workdir(workdir: Path, config: Config) -> Path:
     """Write the config into the workdir, or check that it is this config's.
 
     To be called by the command that holds the workdir.
-
-    Raises:
-      ValueError: where another config made it.
-      OSError: where it cannot be written.
     """
     path = workdir / "config.json"
     if path.exists():
@@ -113,6 +97,23 @@ def list_differences(old: Config, new: Config) -> list[str]:
     ]
 
 
+@contextlib.contextmanager
+def _reading(what: str, path: Path, cure: str) -> Iterator[None]:
+    """Say in a sentence where a file of a run cannot be used, and what to do then."""
+    try:
+        yield
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f"Expected the {what} of a run in {path}, but it cannot be used "
+            f"({describe_error(error)}); {cure}."
+        ) from None
+
+
+_AGAIN = (
+    "remove it and start the command that began the run again, which writes it anew"
+)
+
+
 def read_config(workdir: Path) -> Config:
     """The config of a run; fields that it did not know yet have their defaults.
 
@@ -120,13 +121,8 @@ def read_config(workdir: Path) -> Config:
       ValueError: where the folder holds none, or one that cannot be read.
     """
     path = workdir / "config.json"
-    try:
+    with _reading("config", path, "give the --workdir of a run of dpc_jax.main"):
         return from_json(read_text(path))
-    except (OSError, ValueError) as error:
-        raise ValueError(
-            f"Expected the config of a run in {path}, but it cannot be used "
-            f"({describe_error(error)}); give the --workdir of a run of dpc_jax.main."
-        ) from None
 
 
 def read_metrics(workdir: Path) -> dict[str, Any] | None:
@@ -138,24 +134,14 @@ def read_metrics(workdir: Path) -> dict[str, Any] | None:
     path = workdir / "report" / "metrics.json"
     if not path.is_file():
         return None
-    try:
+    with _reading("metrics", path, _AGAIN):
         return dict(read_json(path))
-    except (OSError, ValueError, TypeError) as error:
-        raise ValueError(
-            f"Expected the metrics of a run in {path}, but they cannot be read "
-            f"({describe_error(error)}); remove the report and start the command that "
-            "began the run again, which writes it anew."
-        ) from None
 
 
 def write_alignment(workdir: Path, alignment: Alignment) -> Path:
     """Keep the canonical alignment, so that later predictions stand upright."""
-    fields = {
-        name: np.asarray(value).tolist()
-        for name, value in alignment._asdict().items()
-        if np.all(np.isfinite(value))
-    }
-    return write_text(workdir / _ALIGNMENT, json.dumps(fields, indent=2) + "\n")
+    fields = {n: np.asarray(v).tolist() for n, v in alignment._asdict().items()}
+    return write_json(workdir / _ALIGNMENT, fields)
 
 
 def read_alignment(workdir: Path) -> Alignment | None:
@@ -167,16 +153,10 @@ def read_alignment(workdir: Path) -> Alignment | None:
     path = workdir / _ALIGNMENT
     if not path.is_file():
         return None
-    try:
+    with _reading("alignment", path, _AGAIN):
         fields = read_json(path)
         rotation = np.array(fields.pop("rotation"), np.float64).reshape(4)
         if not 0.9 < np.linalg.norm(rotation) < 1.1:
             raise ValueError(f"{rotation.tolist()} is no unit quaternion")
-        names = Alignment._fields[1:]
-        return Alignment(rotation, *(float(fields.get(n, np.nan)) for n in names))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(
-            f"Expected a rotation in {path}, but it cannot be read "
-            f"({describe_error(error)}); remove it and start the run again, which "
-            "writes it anew."
-        ) from None
+        others = (fields.get(name) for name in Alignment._fields[1:])
+        return Alignment(rotation, *(np.nan if n is None else float(n) for n in others))

@@ -45,16 +45,7 @@ class ReleasedRenders(shapenet.SynsetSource):
 
     @functools.cached_property
     def truths(self) -> Path | None:
-        """Folder of the ground truth, as given or where the scripts leave it."""
-        given = self.spec.ground_truth
-        if given:
-            for place in (Path(given) / self.synset, Path(given)):
-                if place.is_dir() and any(place.glob("*.mat")):
-                    return place
-            raise ValueError(
-                f"Expected MODEL.mat in {given} or its folder {self.synset}, but there "
-                "is none; give the folder of the published ground truth."
-            )
+        """Folder of the ground truth, where the published scripts leave it."""
         above = (self.folder, self.folder.parent)
         places = (folder / GROUND_TRUTH / self.synset for folder in above)
         return next((place for place in places if place.is_dir()), None)

@@ -12,10 +12,11 @@ from rich.progress import BarColumn, Progress, TextColumn
 MEMORY_SECONDS = 60.0  # after which what a step took counts 1/e: stages differ
 
 
-class Display:
-    """Bars on a terminal, where there is one; use as a context manager."""
+class ProgressReport:
+    """Shows how far a run is, by a bar on a terminal; use as a context manager."""
 
-    def __init__(self):
+    def __init__(self, title: str, *, total: int, start: int = 0):
+        self._title, self._total = title, total
         self._bar: Progress | None = None
         if sys.stdout.isatty():
             self._bar = Progress(
@@ -24,6 +25,9 @@ class Display:
                 TextColumn("{task.completed}/{task.total}"),
                 TextColumn("{task.fields[text]}"),
                 console=Console(file=sys.stdout),
+            )
+            self._task = self._bar.add_task(
+                title, total=total, completed=start, text=""
             )
 
     def __enter__(self):
@@ -36,23 +40,11 @@ class Display:
             self._bar.stop()
 
     def tell(self, text: str):
-        """Print a line of its own, above the bars where there are some."""
+        """Print a line of its own, above the bar where there is one."""
         if self._bar is not None:
             self._bar.console.print(text, highlight=False, markup=False)
         else:
             print(text, flush=True)
-
-
-class ProgressReport(Display):
-    """Shows how far a run is; use as a context manager."""
-
-    def __init__(self, title: str, *, total: int, start: int = 0):
-        super().__init__()
-        self._title, self._total = title, total
-        if self._bar is not None:
-            self._task = self._bar.add_task(
-                title, total=total, completed=start, text=""
-            )
 
     def advance(self, step: int):
         """Move the bar; plain output has no bar."""

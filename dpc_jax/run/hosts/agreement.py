@@ -108,25 +108,14 @@ class Job:
         return result
 
     def share(self, tree: Any) -> Any:
-        """The arrays that process 0 has, bit for bit, as numpy arrays in every process.
+        """The arrays that process 0 has, in every process.
 
         Args:
           tree: arrays; those of the other processes give only shapes and dtypes.
         """
         if self.processes == 1:
             return tree
-        leaves, structure = jax.tree.flatten(tree)
-        # As whole numbers: the sum with zeros that jax sends keeps no sign of a zero.
-        shared = multihost_utils.broadcast_one_to_all(
-            [np.frombuffer(np.asarray(leaf).tobytes(), np.uint8) for leaf in leaves]
-        )
-        return jax.tree.unflatten(
-            structure,
-            [
-                np.asarray(part, np.uint8).view(leaf.dtype).reshape(leaf.shape)
-                for part, leaf in zip(shared, leaves, strict=True)
-            ],
-        )
+        return multihost_utils.broadcast_one_to_all(tree)
 
     def agree_to_stop(self, is_asked: Callable[[], bool]) -> Callable[[], bool]:
         """A question for after each step, which all processes answer alike.

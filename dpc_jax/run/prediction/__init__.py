@@ -17,7 +17,6 @@ from dpc_jax.files import SURFACES, write_json
 from dpc_jax.outputs import owning, show_text
 from dpc_jax.run.workdir import read_config
 
-SUMMARIES = ("predictions.png", "predictions.json")  # of all images
 SENTENCES = 20  # that are printed; predictions.json has all
 
 
@@ -28,14 +27,13 @@ class PredictRequest:
     Attributes:
       paths: image files, moving pictures, folders of views of an object or of such
         folders. workdir: of the run. out: folder of the results.
-      crop: "view" cuts a square in which the object takes the config's `data.fill`,
-        "object" at the scale that the largest of its views needs, "none" keeps the
-        image's own framing, which is that of training then. None is as in training on
-        images, and "view" for a network that was trained on renders.
+      crop: "view" cuts a square in which the object takes `DataSpec.fill`, "object" at
+        the scale that the largest of its views needs, "none" keeps the image's own
+        framing, which is that of training then. None is as in training on images, and
+        "view" for a network that was trained on renders.
       mask: of `photographs.MASKS`.
       views: "each" image shows an object, or all of them "one-object".
       is_refined: whether shape and poses are fitted to the silhouettes.
-      has_turntable: whether an animated picture of each cloud is written.
       surface: format of surfaces, of `SURFACES`.
       data: folder of rendered data sets; None for the workdir's own.
     """
@@ -47,20 +45,12 @@ class PredictRequest:
     mask: str = "given"
     views: str = "each"
     is_refined: bool = False
-    has_turntable: bool = False
     surface: str = "glb"
     data: Path | None = None
 
 
 def predict_images(request: PredictRequest):
-    """Predict shape and pose of every object that can be read, and write the files.
-
-    Raises:
-      ValueError: where the workdir holds no run, its checkpoints cannot be read, no
-        image can be used, two images would write the same files, or the run cannot do
-        what is asked for.
-      OSError: where files cannot be read or written.
-    """
+    """Predict shape and pose of every object that can be read, and write the files."""
     started = time.perf_counter()
     config = read_config(request.workdir)
     if request.is_refined:
@@ -76,10 +66,10 @@ def predict_images(request: PredictRequest):
     if any(len(one.sources) > 1 for one in found):
         check_ability(config, "Several views of an object together")
     ends = [".ply", SURFACES[request.surface], ".json"]
-    ends += [".gif"] * request.has_turntable
     names = [f"{one.name}{end}" for one in found for end in ends]
+    names += ["predictions.png", "predictions.json"]  # of all images
     inputs = [file for one in found for file in one.files]
-    with owning(request.out, [*names, *SUMMARIES], inputs=inputs):
+    with owning(request.out, names, inputs=inputs):
         _warn_of_frame(request.workdir)
         _predict(request, found, skipped, started)
 
@@ -91,14 +81,18 @@ def _predict(request: PredictRequest, found: list[Photographs], skipped, started
 
     predicted = predict_objects(found, request)
     entries, picture = write_predictions(
-        predicted,
-        request.out,
-        surface=request.surface,
-        has_turntable=request.has_turntable,
+        predicted, request.out, surface=request.surface
     )
     # Refinement is timed on its own; all else is in here too.
     seconds = time.perf_counter() - started
-    _write_summary(request, entries, skipped, seconds)
+    content = {
+        "workdir": show_text(request.workdir),
+        "refined": request.is_refined,
+        "seconds": round(seconds, 2),
+        "images": entries,
+        "left_out": [{"source": s, "reason": f"{reason}."} for s, reason in skipped],
+    }
+    write_json(request.out / "predictions.json", content)
     for entry in entries[:SENTENCES]:
         print(entry["sentence"])
     if len(entries) > SENTENCES:
@@ -111,18 +105,6 @@ def _predict(request: PredictRequest, found: list[Photographs], skipped, started
     print(f"Picture: {show_text(picture)}")
 
 
-def _write_summary(request: PredictRequest, entries, skipped, seconds: float):
-    """OUT/predictions.json: every view, and what was left out."""
-    content = {
-        "workdir": show_text(request.workdir),
-        "refined": request.is_refined,
-        "seconds": round(seconds, 2),
-        "images": entries,
-        "left_out": [{"source": s, "reason": f"{reason}."} for s, reason in skipped],
-    }
-    write_json(request.out / "predictions.json", content)
-
-
 def make_spec(config: Config, crop: str | None) -> DataSpec:
     """How images are framed for a run; see `PredictRequest.crop`."""
     if crop is None:
@@ -133,7 +115,6 @@ def make_spec(config: Config, crop: str | None) -> DataSpec:
         folder=".",
         image_size=config.data.image_size,
         crop=crop,
-        fill=config.data.fill,
         focal_length=config.render.focal_length,
         distance=config.render.distance,
     )

@@ -17,7 +17,7 @@ SHOWN = 16  # views in the picture
 
 
 def write_predictions(
-    predicted: list[PredictedObject], out: Path, *, surface: str, has_turntable: bool
+    predicted: list[PredictedObject], out: Path, *, surface: str
 ) -> tuple[list[dict], Path]:
     """Cloud, surface and NAME.json of each object, and one picture of the views.
 
@@ -28,7 +28,6 @@ def write_predictions(
       (an entry for each view, as in the JSON files and with its object's name; the
       picture).
     """
-    out.mkdir(parents=True, exist_ok=True)
     entries, examples = [], []
     for one in predicted:
         name, views = one.photographs.name, _describe_views(one)
@@ -39,10 +38,6 @@ def write_predictions(
             facts["refine_seconds"] = round(one.seconds, 2)
         facts |= views[0] if len(views) == 1 else {"views": views}
         write_json(out / f"{name}.json", facts)
-        if has_turntable:
-            from dpc_jax.reporting.gallery import write_turntable
-
-            write_turntable(out / f"{name}.gif", one.points, shown[0].colors)
         entries += [{"object": name, **view} for view in views]
         examples += shown
     picture = draw_predictions(examples[:SHOWN], out / "predictions.png")

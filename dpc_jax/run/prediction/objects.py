@@ -1,9 +1,8 @@
 """What the last checkpoint of a run makes of photographs."""
 
-import contextlib
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +14,6 @@ from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
 from dpc_jax.evaluation.confidence import Confidence, measure_confidence
 from dpc_jax.evaluation.images import resize
-from dpc_jax.files import read_bytes, write_bytes
 from dpc_jax.learning import framing
 from dpc_jax.learning.inference.predictor import (
     VIEWS_AT_ONCE,
@@ -27,8 +25,6 @@ from dpc_jax.run.prediction import PredictRequest, knows_distance, make_spec
 from dpc_jax.run.process import prepare_process
 from dpc_jax.run.trained import TrainedNetwork, load_checkpoint, load_split
 from dpc_jax.run.workdir import read_alignment, read_config, read_metrics
-
-_MOST_KEPT = 2**28  # bytes of the directions of codes
 
 
 class PredictedObject(NamedTuple):
@@ -68,10 +64,6 @@ def predict_objects(
 
     Validation images for refinement are kept in the folder `data`, or in the workdir:
     the workdir may be a stranger's, and its config names folders that are not.
-
-    Raises:
-      ValueError: where the checkpoints cannot be read, or refinement lacks the run's
-        validation images.
     """
     workdir = request.workdir
     # All devices of this machine share the views.
@@ -93,25 +85,13 @@ def predict_objects(
     if not (is_known or config.pose.known):
         found = place_photographs(found, predictions.silhouettes[:, 0])
     predicted = _list_objects(found, predictions, run, workdir)
-    width = run.network.hidden
-
-    def measure_directions():
-        from dpc_jax.learning.inference.refinement import find_directions
-
-        # Validation images have the framing of training, whatever these have.
-        plain = make_predictor(run.network, config, keeps_evidence=True)
-        validated = predict_all(plain, run.state, load_split(run, "val"))
-        assert validated.codes is not None
-        return find_directions(validated.codes[..., :width])
-
     if request.is_refined or len(predicted) < len(dataset.names):
-        directions = np.zeros((0, width), np.float32)
         if request.is_refined:
-            report, step = workdir / "report", int(run.state.step)
-            directions = read_directions(report, step, width, measure_directions)
-        fine = np.concatenate([one.fine_masks for one in found])
-        masks = np.concatenate([one.masks for one in found])
-        masks = fine if request.is_refined else masks
+            directions = _measure_directions(run)
+            masks = np.concatenate([one.fine_masks for one in found])
+        else:
+            directions = np.zeros((0, run.network.hidden), np.float32)
+            masks = np.concatenate([one.masks for one in found])
         _join_and_refine(predicted, predictions, masks, run, directions)
     for place, one in enumerate(predicted):
         if config.pose.learned_heads > 1:
@@ -207,19 +187,14 @@ def _list_objects(
     ]
 
 
-def read_directions(
-    report: Path, step: int, width: int, measure: Callable[[], np.ndarray]
-) -> np.ndarray:
-    """How codes of a run vary [k, width] at a step: kept in its report, or measured."""
-    path = report / f"codes-{step}.f32"
-    with contextlib.suppress(OSError, ValueError):
-        kept = np.frombuffer(read_bytes(path, most=_MOST_KEPT), np.float32)
-        if len(kept) and np.isfinite(kept).all():
-            return kept.reshape(-1, width)
-    directions = measure()
-    path.parent.mkdir(exist_ok=True)
-    write_bytes(path, directions.tobytes())
-    return directions
+def _measure_directions(run: TrainedNetwork) -> np.ndarray:
+    """How codes vary [k, width] in validation images, framed as those of training."""
+    from dpc_jax.learning.inference.refinement import find_directions
+
+    predictor = make_predictor(run.network, run.config, keeps_evidence=True)
+    validated = predict_all(predictor, run.state, load_split(run, "val"))
+    assert validated.codes is not None
+    return find_directions(validated.codes[..., : run.network.hidden])
 
 
 def _join_and_refine(

@@ -4,16 +4,15 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from dpc_jax.config import replace_fields
 from dpc_jax.config.checks import SOURCES
-from dpc_jax.data import DataSpec, load_or_render
+from dpc_jax.data import DataSpec
 from dpc_jax.data.splits import FINAL
 from dpc_jax.evaluation.metrics import describe_metrics
-from dpc_jax.files import explaining_full_disk, write_json
+from dpc_jax.files import write_json
 from dpc_jax.run.learner import Learner
 from dpc_jax.run.report.summary import judge, list_metrics
 from dpc_jax.run.report.training_shapes import TrainingShapes
-from dpc_jax.run.setup import load_sets, make_data_specs
+from dpc_jax.run.setup import load_set, load_sets, make_data_specs
 from dpc_jax.run.trained import load_trained
 from dpc_jax.run.workdir import read_metrics
 
@@ -31,21 +30,11 @@ def judge_finally(
     Args:
       meshes: of that folder; to be given where the run's objects are not procedural.
       cache_dir: of rendered sets; that of the run where it is empty.
-
-    Raises:
-      ValueError: where there is no finished run, or no such objects.
-      OSError: where they cannot be rendered or the record not written.
     """
-    trained = load_trained(workdir)
-    if cache_dir:
-        moved = {"data": {"cache_dir": cache_dir}}
-        trained = trained._replace(config=replace_fields(trained.config, moved))
-    config, data = trained.config, trained.config.data
+    trained = load_trained(workdir, cache_dir=cache_dir)
+    config = trained.config
     spec = _specify(make_data_specs(config)["test"], config, meshes)
-    with explaining_full_disk(data.cache_dir):
-        dataset = load_or_render(
-            spec, cache_dir=data.cache_dir, processes=data.processes or None
-        )
+    dataset = load_set(config, spec)
     sets = load_sets(config) | {FINAL: dataset}
     learner = Learner(config, sets)
     threshold = (read_metrics(workdir) or {}).get("surface_threshold")

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dpc_jax.config import replace_fields
 from dpc_jax.data import DataSet, DataSpec
 from dpc_jax.data.arrays import Stack
 from dpc_jax.data.disturbances import DISTURBANCES
@@ -35,17 +34,9 @@ def judge_photographs(
 
     Args:
       cache_dir: of rendered sets; that of the run where it is empty.
-
-    Raises:
-      ValueError: where there is no finished run, its data have no true poses, or it
-        does not predict point clouds and poses.
-      OSError: where they cannot be rendered or the record not written.
     """
     check_ability(read_config(workdir), "--photographs")
-    trained = load_trained(workdir)
-    if cache_dir:
-        moved = {"data": {"cache_dir": cache_dir}}
-        trained = trained._replace(config=replace_fields(trained.config, moved))
+    trained = load_trained(workdir, cache_dir=cache_dir)
     found = {"renders": _measure(load_split(trained, "test"), trained)}
     spec = make_data_specs(trained.config)["test"]
     side = _FINER * spec.image_size

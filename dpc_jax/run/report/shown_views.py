@@ -1,14 +1,11 @@
 """The test views that a report shows: the worst, those in the middle, the best."""
 
-import dataclasses
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, align_points
-from dpc_jax.evaluation.pose import ACCURACY_THRESHOLD_DEG
 from dpc_jax.evaluation.scores import Scores
 from dpc_jax.learning.inference.evaluator import read_view
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
@@ -16,7 +13,6 @@ from dpc_jax.reporting.examples import Example
 from dpc_jax.run.report.training_shapes import TrainingShapes
 
 GROUPS = ("Worst", "Median", "Best")
-WORST_SHARE, WORST_COUNT = 0.1, 20  # of the objects; at most so many
 
 
 class Judged(NamedTuple):
@@ -101,62 +97,13 @@ def choose_examples(
     return examples, f"The worst, median and best of all test views by {measure}."
 
 
-def choose_worst(badness: np.ndarray, models: np.ndarray) -> list[tuple[int, int]]:
-    """The worst view (row, place) of each of the worst objects, worst object first.
-
-    Args:
-      badness: [n, V] of each view, higher is worse. An object is as bad as its views
-        are in the mean.
-      models: [n, V] the object of a view.
-    """
-    names = np.unique(models)
-    means = np.array([badness[models == name].mean() for name in names])
-    count = min(WORST_COUNT, max(1, math.ceil(WORST_SHARE * len(names))))
-    chosen = []
-    for index in np.argsort(-means, kind="stable")[:count]:
-        own = np.where(models == names[index], badness, -np.inf)
-        row, place = np.unravel_index(np.argmax(own), own.shape)
-        chosen.append((int(row), int(place)))
-    return chosen
-
-
-def list_worst(judged: Judged) -> tuple[list[Example], str]:
-    """The worst tenth of the objects, and a sentence on how they were chosen."""
-    models, _ = arrange_views(judged.dataset)
-    badness, measure = judged.rank_views()
-    examples = []
-    for row, place in choose_worst(badness, models):
-        # Its picture shows no surface of a voxel model.
-        example = _make_example(judged._replace(threshold=None), "", row, place)
-        note = _describe(judged.scores, models == models[row, place], example)
-        examples.append(dataclasses.replace(example, name=f"{example.name}: {note}"))
-    return examples, (
-        f"The tenth of the test objects with the worst mean {measure} of their views"
-        + (f" ({WORST_COUNT} at most)" if len(examples) == WORST_COUNT else "")
-        + ", each by its worst view."
-    )
-
-
-def _describe(scores: Scores, own: np.ndarray, example: Example) -> str:
-    """What is wrong with an object, whose views are `own` [n, V]."""
-    if scores.pose_errors_deg is not None:
-        errors = np.asarray(scores.pose_errors_deg)[own]
-        wrong = int(np.sum(errors > ACCURACY_THRESHOLD_DEG))
-        parts = [f"{wrong} of {len(errors)} views wrong"]
-    else:
-        parts = [f"overlap {example.overlap:.2f}"]
-    if example.chamfer is not None:
-        parts.append(f"Chamfer {example.chamfer:.1f}")
-    return ", ".join(parts)
-
-
 def _make_example(
     judged: Judged,
     group: str,
     row: int,
     place: int,
     *,
-    shapes: TrainingShapes | None = None,
+    shapes: TrainingShapes | None,
 ) -> Example:
     """What is shown of a view."""
     predictions, dataset, alignment, scores, overlaps, distance, threshold = judged

@@ -21,7 +21,8 @@ from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.learning.training.loop import Outcome
 from dpc_jax.reporting.page import write_report
-from dpc_jax.run.report.shown_views import Judged, choose_examples, list_worst
+from dpc_jax.run.learner import Evaluation
+from dpc_jax.run.report.shown_views import Judged, choose_examples
 from dpc_jax.run.report.training_shapes import TrainingShapes
 from dpc_jax.run.setup import collect_warnings
 from dpc_jax.run.workdir import write_alignment
@@ -34,25 +35,22 @@ def report_run(
     config: Config,
     sets: dict[str, DataSet],
     outcome: Outcome,
+    found: Evaluation,
     *,
-    predictions: Predictions,
-    alignment: Alignment,
     records: list[dict],
     data_seconds: float,
-    threshold: float | None = None,
     refined: dict[str, Any] | None = None,
 ):
     """Score the test set, write WORKDIR/report, and print what is in it.
 
     Args:
-      sets: by name. predictions: of "test".
+      sets: by name. found: what the network makes of "test".
       outcome: of the training loop. records: of its log.
       data_seconds: spent on preparing the data.
-      threshold: of the surfaces of a voxel model.
       refined: of `measure_refinement`, where it was asked for.
     """
-    test = sets["test"]
-    judged = judge(predictions, test, config, alignment, threshold)
+    test, predictions = sets["test"], found.predictions
+    judged = judge(predictions, test, config, found.alignment, found.threshold)
     failures = judged.scores.failures
     models, _ = arrange_views(test)
     lost = failures.wrong_objects if failures else ()
@@ -75,21 +73,18 @@ def report_run(
         stages=list_stages(config),
         examples=examples,
         ranking=ranking,
-        worst=list_worst(judged),
         failures=failures,
         lost=lost,
         warnings=warnings,
         config_text=str(to_config_dict(config)),
     )
     if config.pose.aligned or sets["val"].quaternions is not None:
-        write_alignment(workdir, alignment)
+        write_alignment(workdir, found.alignment)
     for warning in warnings:
         print(f"Warning: {warning}")
     print(
         f"Test: {describe_metrics(metrics)} after {outcome.seconds:.0f} s of training."
     )
-    for line in describe_refined(refined or {}):
-        print(line)
     print(f"Report: {path}")
 
 
@@ -156,7 +151,7 @@ def list_warnings(
     Args:
       sets: by name. shares: [K] of views that each head wins; None without heads.
     """
-    warnings, test = collect_warnings(config, sets), sets["test"]
+    warnings, test = collect_warnings(sets), sets["test"]
     if test.quaternions is None:
         warnings.append(
             "The test images come without poses and true shapes: pose errors, Chamfer "
@@ -176,32 +171,12 @@ def list_warnings(
         if config.train.steps < _FEW_STEPS:
             warning += f" After {config.train.steps} steps that tells nothing yet."
         warnings.append(warning)
-    for one, many, field in (
-        ("1 model was skipped", "{} models were skipped", "skipped"),
-        ("1 remark on the data", "{} remarks on the data", "remarks"),
-    ):
+    for what, field in (("Models skipped", "skipped"), ("Remarks on data", "remarks")):
         pairs = [pair for data in sets.values() for pair in getattr(data, field)]
         if pairs:
-            text = one if len(pairs) == 1 else many.format(len(pairs))
             named = "; ".join(f"{name}: {reason}" for name, reason in pairs[:10])
-            warnings.append(f"{text} ({named}).")
+            warnings.append(f"{what}: {len(pairs)} ({named}).")
     return warnings
-
-
-def describe_refined(refined: dict[str, Any]) -> list[str]:
-    """Sentences on the figures of `measure_refinement`."""
-    titles = {
-        "refined_": "Refined, each view on its own",
-        "joined_": "All views of an object together",
-        "refined_joined_": "Together and refined",
-    }
-    lines = []
-    for start, title in titles.items():
-        names = ("pose_accuracy", "pose_median_error_deg", "chamfer")
-        found = {n: refined[start + n] for n in names if start + n in refined}
-        if found:
-            lines.append(f"{title}: {describe_metrics(found)}.")
-    return lines
 
 
 def _count_costs(sets, outcome, data_seconds) -> dict:

@@ -35,11 +35,7 @@ class NetworkShapes:
     """
 
     def __init__(self, workdir: Path, data: Path | None):
-        """data: folder of rendered sets; None for that of the config.
-
-        Raises:
-          ValueError: where the workdir holds no config that can be read.
-        """
+        """data: folder of rendered sets; None for that of the config."""
         self._workdir = workdir
         self.config = replace_fields(read_config(workdir), {"run": {"devices": 1}})
         # The folder that a stranger's config names is not made here.
