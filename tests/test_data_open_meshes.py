@@ -20,10 +20,9 @@ from fake_packages import (
     write_furniture,
     write_racing,
 )
-from PIL import Image
 
 from dpc_jax.data import DataSpec, __main__
-from dpc_jax.data.open import fetching, sweethome3d
+from dpc_jax.data.open import sweethome3d
 from dpc_jax.data.sources import open_source
 from dpc_jax.data.splits import SPLITS
 from dpc_jax.files import claiming
@@ -93,11 +92,6 @@ def test_chairs_come_upright_with_colours_licence_and_origin(tmp_path, store, ca
     assert set(read_json(folder / "models.json")["models"]) == {
         f"train/{path.name}" for path in paths
     }
-    with Image.open(folder / "sheet.png") as sheet:
-        assert sheet.width > 3 * 4 * fetching.SHEET_VIEW
-        dark = np.asarray(sheet.convert("L")) < 200
-    for i in range(3):  # each of the three columns shows something
-        assert dark[:, i * sheet.width // 3 :][:, : sheet.width // 3].sum() > 500
     assert "3 models" in capsys.readouterr().out
     # what is unpacked is gone, the package stays
     (kept,) = (tmp_path / "open/packages").iterdir()
@@ -234,8 +228,7 @@ UNKNOWN = "W: a warning\nE: Unable to locate package sweethome3d-furniture\n"
 MISSING = [  # commands that are there, what apt says, words of the sentence
     ((), "", ("apt-get", "not installed", "Debian", "_VERSION.deb", "packages")),
     (("apt-get",), "", ("dpkg-deb", "not installed", "dpkg")),
-    (BOTH, UNKNOWN, ("E: Unable to locate", "apt-get update", "_VERSION.deb")),
-    (BOTH, "E: You don't have enough free space\n", ("free space", "fix that")),
+    (BOTH, UNKNOWN, ("(E: Unable to locate", "apt-get update", "_VERSION.deb")),
 ]
 
 

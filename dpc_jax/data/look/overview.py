@@ -3,24 +3,22 @@
 import contextlib
 import json
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import trimesh
 from PIL import Image, ImageDraw
 
 from dpc_jax import files
-from dpc_jax.data import dataset, viewpoints, views
+from dpc_jax.data import dataset
 from dpc_jax.data.arrays import ROWS, DataSet
-from dpc_jax.data.look.checks import Lens, project_points, rotation_of
+from dpc_jax.data.look.checks import Lens, project_points, read_rotations
 from dpc_jax.data.sources import find_kind
 from dpc_jax.data.spec import KINDS, DataSpec
 
 TILE = 128  # pixels of a picture on the sheet
 VIEWS = 4  # of an object on the sheet
-MESH_VIEWS = ((35, 20), (90, 5), (180, 10), (-60, 45))  # azimuth, elevation, degrees
 AXES = ((220, 0, 0), (0, 150, 0), (0, 60, 255))  # colours of front, left and up
 LISTED = 5  # skipped models that are named
 LINE, GAP = 12, 6  # pixels of a line of text, and between pictures
@@ -170,7 +168,7 @@ def _scale(pixels):
 
 
 def _draw_axes(picture, quaternion, lens):
-    rotation = rotation_of(quaternion)
+    rotation = read_rotations(quaternion)
     if not np.isfinite(rotation).all():
         return
     ends = np.concatenate([np.zeros((1, 3)), 0.5 * np.eye(3)])
@@ -178,26 +176,6 @@ def _draw_axes(picture, quaternion, lens):
     middle, *tips = (tuple(place * TILE) for place in places)
     for tip, color in zip(tips, AXES, strict=True):
         ImageDraw.Draw(picture).line([middle, tip], fill=color, width=2)
-
-
-def draw_meshes(
-    meshes: Iterable[trimesh.Trimesh], texts: Sequence[str], *, size: int
-) -> Image.Image:
-    """Sheet of normalised meshes, three in a row, with a line of text under each.
-
-    Each is seen from four sides: half front, left, rear, above the right.
-    """
-    lights = views.Lights(
-        np.array([[0.3, 0.4, 0.86], [0.6, -0.7, 0.4]]), np.array([0.45, 0.2]), 0.35
-    )
-    strips = []
-    for mesh in meshes:
-        scene = views.build_scene(mesh)
-        options: dict[str, Any] = dict(lights=lights, image_size=size, supersample=3)
-        turns = [viewpoints.look_at_rotation(*np.deg2rad(a)) for a in MESH_VIEWS]
-        seen = [views.render_view(scene, turn, **options).image for turn in turns]
-        strips.append(np.concatenate(seen, axis=1))
-    return _arrange(strips, texts, columns=3)
 
 
 def _arrange(pictures, texts, *, columns):
