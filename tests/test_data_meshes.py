@@ -130,8 +130,6 @@ def test_names_in_an_old_encoding_and_with_backslashes_do_not_matter(tmp_path):
         ("points.obj", b"v 0 0 0\nv 1 1 1\n", "readable mesh in|faces in"),
         ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite coordinates in"),
         ("dot.obj", b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "extent in"),
-        ("cut.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2", "ends within a line"),
-        ("half.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1/1 2/2 3/", "'f 1/1 2/2"),
         ("noise.obj", bytes(range(256)) * 9, "faces in"),
         ("long.stl", b"\xff" * 84 + b"\x81" * 50, "neither text nor whole|faces in"),
         ("far.ply", (PLY.format(3) + "3 0 1 7\n").encode(), "index is out of range"),

@@ -17,7 +17,7 @@ from hypothesis import strategies
 from PIL import Image
 
 from dpc_jax.data import DataSpec, meshes, shards, views
-from dpc_jax.data.sets import mesh_folder, photographs, pose_files
+from dpc_jax.data.sets import photographs, pose_files
 from dpc_jax.data.sets.pictures import read_picture
 from dpc_jax.shapes.normalization import normalize
 
@@ -97,7 +97,6 @@ def _read_beside(path):
         if path.name != name:
             path.with_name(name).write_bytes(content)
     _read_mesh(obj)
-    mesh_folder.describe_flaw(obj)
 
 
 def _read_photograph(path):
