@@ -129,7 +129,6 @@ def _finish(plan, record, *, progress):
     )
     skipped = _show_pairs(skipped)
     remarks = _show_pairs([*source.remarks, *remarks])
-    source.write_split(plan.folder)
     if progress:
         _tell("Skipped", skipped, count)
         _tell("Remarks on", remarks, count)

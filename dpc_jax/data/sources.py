@@ -184,9 +184,6 @@ class Source:
         """(relative path, SHA-256) of files that models share: materials, textures."""
         return []
 
-    def write_split(self, cache: Path):
-        """Write a split of our own beside a cache folder, so that it can be reused."""
-
 
 def find_kind(kind: str | None) -> type[Source]:
     """The `Source` class of a kind in `KINDS`, or of procedural shapes for None."""

@@ -6,7 +6,6 @@ Version 1 keeps a model in `SYNSET/MODEL/model.obj`, version 2 in
 """
 
 import functools
-import json
 import os
 import re
 from pathlib import Path
@@ -88,14 +87,6 @@ class SynsetSource(Source):
             f"{text}, not by {other}: the figures cannot be compared with "
             "published ones."
         ]
-
-    def write_split(self, cache: Path):
-        """Write a seeded split as CATEGORY-split-KEY.csv beside a cache folder."""
-        if self.division.official is None:
-            sides = self.division.sides
-            key = files.digest_text(json.dumps(sides, sort_keys=True))[:12]
-            path = cache.with_name(f"{self.spec.category}-split-{key}.csv")
-            splits.write_split(path, sides, self.synset)
 
 
 class ShapeNet(SynsetSource, MeshSource):
