@@ -235,10 +235,12 @@ def test_meshes_and_images_are_prepared_to_be_looked_at(tmp_path, capsys, monkey
 
 def test_what_a_folder_is_shows_from_what_it_holds(tmp_path):
     (tmp_path / "02958343/abc").mkdir(parents=True)
-    assert overview._guess_kind(tmp_path) == "renders"
+    with pytest.raises(ValueError, match="render_0.png and further views"):
+        overview.recognize_folder(tmp_path)
     (tmp_path / "02958343/abc/model.obj").write_text("")
-    assert overview._guess_kind(tmp_path) == "shapenet"
-    assert overview._guess_kind(tmp_path / "02958343/abc") == "meshes"
+    found = overview.recognize_folder(tmp_path)
+    assert found == {"kind": "shapenet", "category": "car"}
+    assert overview.recognize_folder(tmp_path / "02958343/abc")["kind"] == "meshes"
 
 
 def test_published_renders_are_checked_with_the_views_they_have(tmp_path, capsys):
@@ -251,7 +253,7 @@ def test_published_renders_are_checked_with_the_views_they_have(tmp_path, capsys
     assert str(folder / "02958343" / "two") in out
     (folder / "02691156").mkdir()
     assert run("check", folder) == 1
-    assert "add --category" in capsys.readouterr().err
+    assert "give the folder of one of them" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

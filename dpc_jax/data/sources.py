@@ -59,16 +59,6 @@ class Source:
         self.remarks: list[tuple[str, str]] = []  # (file or folder, remark on the set)
         self.folder = Path(str(spec.folder))
 
-    @classmethod
-    def recognizes(cls, folder: Path) -> bool:
-        """Whether a folder seems to hold this kind of data set."""
-        raise NotImplementedError
-
-    @classmethod
-    def suggest_fields(cls, folder: Path, category: str | None) -> dict:
-        """Fields of a `DataSpec` for somebody who only wants to look at a folder."""
-        return {"category": category or "object"}
-
     def find_models(self) -> dict[str, Path]:
         """Models that are there: `{name: path}`, in order.
 
@@ -126,13 +116,7 @@ class Source:
                 f"Expected a folder of {self.spec.kind}, but {self.folder} is not a "
                 "folder; check it."
             )
-        found = self.find_models()
-        models = {show_text(name): path for name, path in found.items()}
-        if len(models) < len(found):
-            raise ValueError(
-                f"Expected names in {self.folder} that differ when they are shown, but "
-                "some differ in characters that cannot be shown alone; rename them."
-            )
+        models = {show_text(name): path for name, path in self.find_models().items()}
         official = self.find_split_file()
         if official is None:
             return Division(models, self.split_by_seed(models), None)
@@ -185,16 +169,13 @@ class Source:
         return []
 
 
-def find_kind(kind: str | None) -> type[Source]:
-    """The `Source` class of a kind in `KINDS`, or of procedural shapes for None."""
-    # modules are loaded when they are needed: some import trimesh, others Pillow
-    module, name = (PROCEDURAL if kind is None else KINDS[kind]).split(".")
-    return getattr(importlib.import_module(f"dpc_jax.data.sets.{module}"), name)
-
-
 def open_source(spec: DataSpec) -> Source:
     """The source that a specification asks for."""
-    return find_kind(None if spec.folder is None else spec.kind)(spec)
+    # modules are loaded when they are needed: some import trimesh, others Pillow
+    place = PROCEDURAL if spec.folder is None else KINDS[spec.kind]
+    module, name = place.split(".")
+    kind = getattr(importlib.import_module(f"dpc_jax.data.sets.{module}"), name)
+    return kind(spec)
 
 
 def list_procedural(spec: DataSpec, count: int) -> list[Model]:

@@ -22,10 +22,6 @@ FEWEST_OBJECTS = 3  # that can be split
 class ImageFolder(Source):
     """A user's own images, cut out and scaled as if taken by the data set's camera."""
 
-    @classmethod
-    def recognizes(cls, folder: Path) -> bool:
-        return any(path.suffix.lower() in SUFFIXES for path in folder.rglob("*"))
-
     def find_models(self) -> dict[str, Path]:
         """See `Source.find_models`; poses are given for all objects or none."""
         models = _list_objects(self.folder)

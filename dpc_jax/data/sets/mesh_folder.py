@@ -70,10 +70,6 @@ class ProceduralShapes(MeshSource):
 class MeshFolder(MeshSource):
     """Mesh files at any depth of a folder, in the canonical frame, split by seed."""
 
-    @classmethod
-    def recognizes(cls, folder: Path) -> bool:
-        return bool(meshes.find_meshes(folder))
-
     def find_models(self) -> dict[str, Path]:
         paths = meshes.find_meshes(self.folder)
         if not paths:

@@ -32,14 +32,6 @@ TOLERANCE = 1e-3  # of the camera, in its own units
 class ReleasedRenders(shapenet.SynsetSource):
     """Published renders with their cameras and, for val and test, ground truth."""
 
-    @classmethod
-    def suggest_fields(cls, folder: Path, category: str | None) -> dict:
-        """See `Source.suggest_fields`; as many views as most models have."""
-        fields = super().suggest_fields(folder, category)
-        models = _list_models(shapenet.find_synset(folder, fields["category"])).values()
-        counts = Counter(len(_list_renders(model)) for model in models)
-        return fields | {"views": max(1, counts.most_common(1)[0][0])}
-
     def find_models(self) -> dict[str, Path]:
         return _list_models(self.place)
 
@@ -103,6 +95,13 @@ def _list_models(place):
             "none; give the folder that the published renders are unpacked in."
         )
     return {name: place / name for name in names}
+
+
+def count_views(place: Path) -> int:
+    """The number of views that most models of a synset's folder have."""
+    models = _list_models(place).values()
+    counts = Counter(len(_list_renders(model)) for model in models)
+    return max(1, counts.most_common(1)[0][0])
 
 
 def _list_renders(place):
