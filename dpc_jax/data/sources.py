@@ -100,11 +100,18 @@ class Source:
         """The official split, given or found."""
         return Path(self.spec.split_file) if self.spec.split_file else None
 
+    def group_models(self, models: dict[str, Path]) -> list[int] | None:
+        """A number for each model; a split parts none that have the same."""
+        return None
+
     def split_by_seed(self, models: dict[str, Path]) -> dict[str, list[str]]:
         """A split of our own: `{split: names}`."""
-        spec = self.spec
         sides = splits.split_files(
-            list(models), fractions=spec.fractions, seed=spec.seed, fold=spec.fold
+            list(models),
+            fractions=self.spec.fractions,
+            seed=self.spec.seed,
+            groups=self.group_models(models),
+            fold=self.spec.fold,
         )
         return dict(zip(SPLITS, sides, strict=True))
 

@@ -87,18 +87,10 @@ class MeshFolder(MeshSource):
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
         return self.spec.views, self.digests[path]
 
-    def split_by_seed(self, models: dict[str, Path]) -> dict[str, list[str]]:
-        """See `Source.split_by_seed`; the variants of a design stay together."""
-        names = {path: name for name, path in models.items()}
-        sides = splits.split_files(
-            list(names),
-            fractions=self.spec.fractions,
-            seed=self.spec.seed,
-            groups=splits.group_variants(list(names), map(self.digests.get, names)),
-            fold=self.spec.fold,
-        )
-        found = ([names[path] for path in side] for side in sides)
-        return dict(zip(splits.SPLITS, found, strict=True))
+    def group_models(self, models: dict[str, Path]) -> list[int]:
+        """See `Source.group_models`; the variants of a design stay together."""
+        paths = list(models.values())
+        return splits.group_variants(paths, [self.digests[path] for path in paths])
 
     def list_sidecars(self) -> list[tuple[str, str]]:
         found = (p for p in self.folder.rglob("*") if p.suffix.lower() in SIDECARS)
