@@ -128,7 +128,8 @@ def _find_strays(data, lens):
         rotations = read_rotations(data.rows("quaternions", model))
         rows, columns, inside = _find_cells(surface, rotations, masks.shape[-1], lens)
         hits = masks[np.arange(len(masks))[:, None], rows, columns] & inside
-        usable = masks.any(axis=(1, 2)) & np.isfinite(rotations).all(axis=(1, 2))
+        is_known = np.isfinite(rotations).all(axis=(1, 2))
+        usable = np.asarray(masks.any(axis=(1, 2)) & is_known)
         strays += [
             f"{name} view {view} ({share:.0%} inside)"
             for view, share in enumerate(hits.mean(axis=1))
