@@ -1,7 +1,7 @@
 """Open meshes of a category: fetched from packages, unpacked and converted.
 
-The folder of a category holds `train` and, for models that are set aside, `test` or
-`reserved`. In each are PLY files in the canonical frame, beside every one a JSON file
+The folder of a category holds `train` and, for models that are set aside, `test`. In
+each are PLY files in the canonical frame, beside every one a JSON file
 with licence and origin, and `families.json`, which keeps the variants of a design on
 one side of a split. `models.json` lists all models and is written last.
 """
@@ -53,7 +53,7 @@ def fetch_category(category: str, out: str | Path) -> Path:
 
 def _list_families(records):
     """{side: {file: family}} of {"side/file": record}, what is to train on first."""
-    sides = {side: {} for side in ("train", "test", "reserved")}
+    sides = {side: {} for side in ("train", "test")}
     for name, record in records.items():
         sides[record["side"]][Path(name).name] = record["family"]
     return {side: families for side, families in sides.items() if families}

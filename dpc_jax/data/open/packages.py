@@ -16,7 +16,7 @@ class OpenModel(NamedTuple):
     """One model of a package, before its mesh is made.
 
     name: unique in its category. family: models of one family are variants of one
-    design. side: "train", "test" or "reserved". origin: licence, author and file, for
+    design. side: "train" or "test". origin: licence, author and file, for
     the JSON file beside the model. source: what the package's module needs to make it.
     """
 
