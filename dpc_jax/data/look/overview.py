@@ -170,7 +170,7 @@ def _draw_view(opened, model, view):
     tiles = [image, _scale(255 - mask)]
     if data.depths is not None:  # the nearer, the darker
         depth = np.asarray(data.depths[model][view], dtype=np.float64)
-        share = np.clip(np.nan_to_num(depth) - lens.distance + 0.5, 0.0, 1.0)
+        share = np.clip(depth - lens.distance + 0.5, 0.0, 1.0)
         shade = np.where((mask == 0) & (depth == 0), 255, 40 + 180 * share)
         tiles.append(_scale(shade.astype(np.uint8)))
     return np.concatenate([np.asarray(tile) for tile in tiles], axis=1)
@@ -185,8 +185,6 @@ def _scale(pixels):
 
 def _draw_axes(picture, quaternion, lens):
     rotation = read_rotations(quaternion)
-    if not np.isfinite(rotation).all():
-        return
     ends = np.concatenate([np.zeros((1, 3)), 0.5 * np.eye(3)])
     places = project_points(ends, rotation[None], lens)[0]
     middle, *tips = (tuple(place * TILE) for place in places)

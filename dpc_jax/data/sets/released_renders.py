@@ -165,7 +165,8 @@ def _read_camera(path, spec, *, width):
 
 def _read_ground_truth(path):
     points = _read_mat(path, ("points",))["points"]
-    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+    is_list = points.ndim == 2 and points.shape[1] == 3 and len(points) > 0
+    if not is_list or not np.isfinite(points).all():
         raise _refuse(path, "finite points [P, 3]", f"got {points.shape}")
     return (points @ np.array(shapenet.TURNS["+x"]).T).astype(np.float32)
 
