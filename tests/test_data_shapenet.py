@@ -5,7 +5,6 @@ import csv
 import numpy as np
 import pytest
 import trimesh
-from PIL import Image
 
 from dpc_jax.data import DataSpec, load_or_render, splits
 from dpc_jax.data.sets import shapenet
@@ -211,41 +210,6 @@ def test_damaged_models_are_skipped_and_bare_ones_remarked_upon(tmp_path, capsys
     assert "Skipped 2 of 7 models" in text and "Remarks on 3 of 7 models" in text
     grey = data.images[data.names.index("bare"), 0]
     assert np.ptp(grey.astype(int), axis=-1).max() <= 1
-
-
-@pytest.mark.parametrize("harm", ["text", "cut", "materials"])
-def test_damaged_textures_and_materials_leave_plain_colours_and_a_remark(
-    tmp_path, harm
-):
-    write_tree(tmp_path, LAYOUTS[1], NAMES[:2])
-    place = tmp_path / SYNSET / "painted"
-    write_model(place, LAYOUTS[1], materials="textures")
-    (place / "images").mkdir()
-    path = place / "images" / "gone.jpg"
-    Image.effect_noise((64, 64), 50).convert("RGB").save(path)
-    # as other systems write it; and used, so that its pixels are asked for
-    mtl = (place / LAYOUTS[1]).with_suffix(".mtl")
-    mtl.write_text(mtl.read_text().replace("../images/", "..\\images\\"))
-    obj = place / LAYOUTS[1]
-    obj.write_text(
-        "\n".join(
-            " ".join(f"{i}/1" if i.isdigit() else i for i in line.split())
-            if line.startswith("f ")
-            else line
-            for line in obj.read_text().splitlines()
-        )
-    )
-    options = dict(split="test", fractions=(0, 0, 1))
-    assert load(tmp_path, tmp_path / "whole", **options).remarks == ()
-    if harm == "materials":
-        mtl.write_bytes(b"newmtl\nKd a b\n\xff\x00")
-    else:
-        path.write_bytes(b"no image" if harm == "text" else path.read_bytes()[:-900])
-    data = load(tmp_path, tmp_path / "cache", **options)
-    assert len(data.names) == 3 and data.skipped == ()
-    ((name, remark),) = data.remarks
-    lost = "model_normalized.mtl" if harm == "materials" else "..\\images\\gone.jpg"
-    assert (name, remark) == ("painted", f"lacks {lost}")
 
 
 def test_a_category_and_a_split_that_fit_nothing_are_named(tmp_path):

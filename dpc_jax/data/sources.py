@@ -50,8 +50,7 @@ class Source:
     Folders are read when something is asked that needs them.
     """
 
-    unit = "object"  # what its models are called in messages
-    work = "Reading"  # what is done to make their arrays, likewise
+    work = "Reading"  # what is done to make the arrays, in messages
     synset = ""  # eight digits of the category in official splits
 
     def __init__(self, spec: DataSpec):

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import trimesh
+from trimesh.visual.color import uv_to_color
 
 from dpc_jax.data.meshes import MOST_BYTES, find_beside
 from dpc_jax.data.sets.pictures import open_picture
@@ -19,18 +20,13 @@ from dpc_jax.files import Damage, describe_error, read_bytes
 from dpc_jax.shapes.normalization import join_pieces
 
 GREY = (0.667, 0.667, 0.667)  # of a surface without a material
-# of a triangle, barycentric: its middle and six around it
-SAMPLES = np.divide(
-    [(4, 4, 4), (8, 2, 2), (2, 8, 2), (2, 2, 8), (5, 5, 2), (5, 2, 5), (2, 5, 5)], 12.0
-)
 POLYGON, STRIP = 0, 4  # kinds of surface; 1 and 2 are lines
 
 
 class Part(NamedTuple):
     """One object of a file: vertices float64 [N, 3] in its frame, faces int [F, 3].
 
-    colors: uint8 [F, 4], material times texture at the middle of the face; alpha is
-        the mean over the face, 0 where nothing of it can be seen.
+    colors: uint8 [F, 4], material times texture at the middle of the face.
     """
 
     name: str
@@ -177,12 +173,13 @@ class _Reader:
         colors = np.array(known)[materials][whole]
         image = self._load_texture(texture)
         if image is not None:
-            colors = colors * _look_up(image, corners[..., 1:] * repeat + offset)
+            middle = corners[..., 1:].mean(axis=1) * repeat + offset
+            colors = colors * (uv_to_color(middle % 1.0, image) / 255.0)
         colors = np.rint(np.clip(colors, 0.0, 1.0) * 255.0).astype(np.uint8)
         self._parts.append(Part(name, vertices, faces, colors))
 
     def _load_texture(self, name):
-        """Texture uint8 [H, W, 4], or None if there is none that can be read."""
+        """A texture, or None if there is none that can be read."""
         if name is None:
             return None
         if name not in self._images:
@@ -195,7 +192,7 @@ class _Reader:
             if path is not None:
                 # Of a damaged one the material alone colours the surface.
                 with contextlib.suppress(ValueError), open_picture(path) as image:
-                    self._images[name] = np.asarray(image.convert("RGBA"))
+                    self._images[name] = image.convert("RGBA")
         return self._images[name]
 
 
@@ -204,17 +201,6 @@ def _numbers(text, count):
     if len(numbers) != count:
         raise Damage(f"{text!r} is not {count} numbers")
     return numbers
-
-
-def _look_up(image, uv):
-    """Colours [F, 4] of triangles with texture coordinates [F, 3, 2], origin below."""
-    places = np.einsum("sk,fkc->fsc", SAMPLES, uv)
-    places = (places - np.floor(places)) * image.shape[1::-1]
-    column, row = np.moveaxis(places, -1, 0).astype(int)
-    column = np.minimum(column, image.shape[1] - 1)
-    row = image.shape[0] - 1 - np.minimum(row, image.shape[0] - 1)
-    found = image[row, column].astype(np.float32) / 255
-    return np.concatenate([found[:, 0, :3], found[:, :, 3].mean(1)[:, None]], axis=1)
 
 
 def split_polygon(corners: np.ndarray) -> list[tuple[int, int, int]]:

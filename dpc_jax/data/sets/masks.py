@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from dpc_jax.data.sets.pictures import SUFFIXES, has_alpha, read_picture
+from dpc_jax.data.sets.pictures import SUFFIXES, read_picture
 
 _SIDE = 512  # longest, of the image that is looked at: a mask is smooth beyond that
 _BORDER = 0.03  # of the image's shorter side, that shows background on all sides
@@ -66,7 +66,7 @@ def read_mask(image: Image.Image, path: Path) -> np.ndarray:
                 f"Expected {beside} of the size of {path.name}, {image.size}, but it "
                 f"has {mask.shape[::-1]}; make it again."
             )
-    elif has_alpha(image):
+    elif image.has_transparency_data:
         mask = np.asarray(image.convert("RGBA"))[..., 3]
     else:
         raise NoMaskError(

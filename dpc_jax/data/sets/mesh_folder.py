@@ -21,7 +21,6 @@ SIDECARS = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".webp")
 class MeshSource(Source):
     """A source whose models are meshes, all rendered in the same way."""
 
-    unit = "mesh"
     work = "Rendering"
 
     def find_turn(self, path: str) -> np.ndarray | None:
