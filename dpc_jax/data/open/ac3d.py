@@ -206,7 +206,8 @@ def _numbers(text, count):
 def split_polygon(corners: np.ndarray) -> list[tuple[int, int, int]]:
     """Triangles of a polygon [K, 3] in space, as triples of indices.
 
-    They are cut off ear by ear: a fan would reach outside of a polygon with dents.
+    A convex one is split into a fan. One with dents is cut ear by ear, because a fan
+    would reach outside of it.
     """
     after = np.roll(corners, -1, axis=0)
     products = (corners - after).T @ (corners + after)
@@ -220,8 +221,11 @@ def split_polygon(corners: np.ndarray) -> list[tuple[int, int, int]]:
         (ax, ay), (bx, by), (cx, cy) = flat[a], flat[b], flat[c]
         return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
+    count = len(flat)
+    if all(side(i - 1, i, (i + 1) % count) >= 0 for i in range(count)):
+        return [(0, i, i + 1) for i in range(1, count - 1)]
     triangles: list[tuple[int, int, int]] = []
-    left = list(range(len(flat)))
+    left = list(range(count))
     while len(left) > 2:
         for place in range(len(left)):
             ear = a, b, c = left[place - 1], left[place], left[(place + 1) % len(left)]
