@@ -137,9 +137,9 @@ def write_airplanes(store, planes):
 
 
 def write_racing(store):
-    """torcs-data with one car.
+    """torcs-data and trigger-rally-data with one car each.
 
-    Its body is 4 m long; wheels of radius 0.3 m stand at x = 1.2 and -1.4, y = ±0.7.
+    Bodies are 4 m long; wheels of radius 0.3 m stand at x = 1.2 and -1.4, y = ±0.7.
     """
     body = [(n, c * (2, 1.6, 2), color) for n, c, color in make_boxes()]
     hub = BOX * (0.2, 0.1, 0.2) + (-0.1, 0.4, -0.1)  # the outer side is the left
@@ -175,6 +175,26 @@ def write_racing(store):
         f"{base}/wheels/trb1-5/wheel0.acc": write_ac(wheel, to_file),
     }
     write_deb(store, "torcs-data", files)
+
+    to_file = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]  # y forward, z up
+    places = [(x, y) for y in (1.2, -1.4) for x in (0.7, -0.7)]
+    wheels = "".join(f'<wheel pos="{x}, {y}, 0.2" radius="0.3"/>' for x, y in places)
+    vehicle = (
+        '<vehicle><genparams wheelmodel="w.obj" wheelscale="0.1"/><part scale="0.01" '
+        f'model="b.obj">{wheels}</part></vehicle>'
+    )
+    tall = [(n, c * 100, color) for n, c, color in body]
+    # here the outer side is the right
+    round_ = [(n, c * 20 * (1, -1, 1), color) for n, c, color in wheel]
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w") as data:
+        for name in ("fast_wrc", "fast_kit"):
+            data.writestr(f"vehicles/{name}/{name}.vehicle", vehicle)
+            parts = {**write_obj(tall, to_file, "b"), **write_obj(round_, to_file, "w")}
+            for file, content in parts.items():
+                data.writestr(f"vehicles/{name}/{file}", content)
+    path = "usr/share/games/trigger-rally/data.zip"
+    write_deb(store, "trigger-rally-data", {path: archive.getvalue()})
 
 
 def install_commands(tmp_path, monkeypatch, *, commands=("apt-get", "dpkg-deb")):

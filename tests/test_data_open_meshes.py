@@ -112,26 +112,28 @@ def test_cars_have_their_wheels_in_place_and_the_reserved_stand_apart(tmp_path, 
     folder = tmp_path / "open/car"
     assert [p.name for p in (folder / "test").glob("*.ply")] == ["Lib-leon.ply"]
     assert_upright(folder / "test/Lib-leon.ply")
-    (path,) = (folder / "train").glob("*.ply")
-    assert path.stem == "torcs-racer"
-    mesh = assert_upright(path)
-    scale = 4 / np.ptp(mesh.vertices[:, 0])  # the body is 4 m long, at the middle
-    _, find = read_marks(path)
-    tyres = find((0, 0, 0)) * scale
-    for x in (1.2, -1.4):
-        for y in (0.7, -0.7):
-            # faces of a cube of side 0.6 (0.2 wide) around its middle
-            near = np.abs(tyres[:, :2] - (x, y)).max(axis=1) < 0.31
-            assert near.sum() == 12
-            middle = tyres[near].mean(axis=0)
-            np.testing.assert_allclose(middle[:2], (x, y), atol=1e-5)
-    # the hubs, outwards
-    hubs = np.abs(find((1, 1, 1))[:, 1]) * scale
-    assert len(hubs) == 4 * 12 and hubs.min() > 0.7
-    # the floor lies 0.1 m below the body: middle of the box from its corners
-    height = np.ptp(mesh.vertices[:, 2]) * scale
-    np.testing.assert_allclose(height, 1.6 + 0.1, atol=1e-5)
-    assert read_json(path.with_suffix(".json"))["author"] == "© 2002 Ann"
+    names = ["torcs-racer", "trigger-rally-fast"]
+    assert sorted(p.stem for p in (folder / "train").glob("*.ply")) == names
+    for name in names:
+        mesh = assert_upright(folder / f"train/{name}.ply")
+        scale = 4 / np.ptp(mesh.vertices[:, 0])  # bodies are 4 m long, at the middle
+        _, find = read_marks(folder / f"train/{name}.ply")
+        tyres = find((0, 0, 0)) * scale
+        for x in (1.2, -1.4):
+            for y in (0.7, -0.7):
+                # faces of a cube of side 0.6 (0.2 wide) around its middle
+                near = np.abs(tyres[:, :2] - (x, y)).max(axis=1) < 0.31
+                assert near.sum() == 12
+                middle = tyres[near].mean(axis=0)
+                np.testing.assert_allclose(middle[:2], (x, y), atol=1e-5)
+        # the hubs, outwards
+        hubs = np.abs(find((1, 1, 1))[:, 1]) * scale
+        assert len(hubs) == 4 * 12 and hubs.min() > 0.7
+        # the floor lies 0.1 m below the body: middle of the box from its corners
+        height = np.ptp(mesh.vertices[:, 2]) * scale
+        np.testing.assert_allclose(height, 1.6 + 0.1, atol=1e-5)
+    authors = {n: read_json(folder / f"train/{n}.json")["author"] for n in names}
+    assert authors["torcs-racer"] == "© 2002 Ann"
 
 
 def test_airplanes_lose_their_discs_and_keep_their_families(tmp_path, store):

@@ -2,6 +2,6 @@
 
 RECIPES = {  # category: the modules of `dpc_jax.data.open` that read its packages
     "chair": ("sweethome3d",),
-    "car": ("torcs", "sweethome3d"),
+    "car": ("torcs", "trigger_rally", "sweethome3d"),
     "airplane": ("flightgear",),
 }
