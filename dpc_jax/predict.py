@@ -14,8 +14,6 @@ from dpc_jax.files import SURFACES
 from dpc_jax.run.flags import FlagParser
 from dpc_jax.run.task import Task, run_command
 
-MASKS = ("given", "auto", "matting")  # of data.sets.photographs, which --help loads not
-
 
 def make_parser() -> argparse.ArgumentParser:
     """The flags of the command, with the names of `PredictRequest`."""
@@ -30,7 +28,7 @@ def make_parser() -> argparse.ArgumentParser:
     text = "files, moving pictures, folders of views"
     add("paths", nargs="+", type=Path, metavar="IMAGE", help=text)
     text = "alpha or NAME_mask.png; auto: plain ground (%(default)s)"
-    add("--mask", choices=MASKS, default="given", help=text)
+    add("--mask", choices=("given", "auto"), default="given", help=text)
     text = "an object in each image, or one in all (%(default)s)"
     add("--views", choices=("each", "one-object"), default="each", help=text)
     text = "fit shape and poses to the silhouettes"

@@ -89,15 +89,6 @@ def test_dents_stay_open():
             np.testing.assert_allclose(measure_area(part), area, rtol=1e-12)
 
 
-def test_a_dented_quad_is_cut_along_the_inner_diagonal(tmp_path):
-    dart = [(0, 0, 0), (2, 1, 0), (0, 2, 0), (0.5, 1, 0)]
-    for first in range(4):
-        surface = ("0x10", [(first + i) % 4 for i in range(4)])
-        path = write(tmp_path / "a.ac", body=make_object(dart, [surface]))
-        (part,) = ac3d.read_parts(path)
-        np.testing.assert_allclose(measure_area(part), 1.5, rtol=1e-12)
-
-
 def test_a_polygon_that_crosses_itself_still_ends():
     bow = np.array([(0, 0, 0), (1, 1, 0), (1, 0, 0), (0, 1, 0), (0.5, 2, 0)])
     assert len(ac3d.split_polygon(bow)) == 3

@@ -18,7 +18,8 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from dpc_jax.data import DataSpec, load_or_render, viewpoints
-from dpc_jax.data.sets import framing, image_folder, pose_files
+from dpc_jax.data.sets import pose_files
+from dpc_jax.data.sets.pictures import read_picture
 
 LENS = np.array([[120.0, 0, 40], [0, 120.0, 40], [0, 0, 1]])
 
@@ -234,16 +235,6 @@ def test_transforms_give_views_that_fit_one_object(tmp_path, fields):
         assert 0.6 < max(extent) <= 0.9
 
 
-def test_the_meeting_point_of_lines_is_found():
-    origins = np.random.default_rng(0).normal(size=(5, 3)) * 4
-    target = np.array([1.0, -2.0, 0.5])
-    directions = target - origins
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    for lines, expected in ((directions, target), (np.tile([[0, 0, 1.0]], (5, 1)), 0)):
-        found = framing._find_meeting_point(origins, lines)
-        np.testing.assert_allclose(found, expected, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     "harm, message",
     [
@@ -375,14 +366,10 @@ def test_a_changed_mask_is_read_anew(tmp_path):
 
 
 def test_photographs_are_turned_as_their_camera_noted(tmp_path):
-    pixels = np.zeros((20, 30, 3), np.uint8)
-    pixels[:, :5] = 255
-    image, exif = Image.fromarray(pixels), Image.Exif()
+    image, exif = Image.new("RGB", (30, 20)), Image.Exif()
+    image.paste((255, 255, 255), (0, 0, 5, 20))
     exif[0x0112] = 6  # turn a quarter to the right
     image.save(tmp_path / "a.jpg", exif=exif, quality=95)
-    mask = np.zeros((30, 20), np.uint8)
-    mask[:5] = 255
-    Image.fromarray(mask).save(tmp_path / "a_mask.png")
-    colors, covered = image_folder._read_image(tmp_path / "a.jpg")
-    assert colors.shape == (30, 20, 3) and covered.shape == (30, 20)
-    assert colors[covered > 0.5].min() > 200 and colors[8:].max() < 50
+    pixels = np.asarray(read_picture(tmp_path / "a.jpg"))
+    assert pixels.shape == (30, 20, 3)
+    assert pixels[:5].min() > 200 and pixels[8:].max() < 50

@@ -71,19 +71,46 @@ def test_colours_of_vertices_become_their_mean_on_a_face(tmp_path):
     np.testing.assert_allclose(colors[0, :3], [60, 30, 40], atol=1)  # rounding
 
 
-def test_a_texture_is_looked_up_at_the_middle_of_each_face(tmp_path):
-    picture = np.zeros((2, 2, 3), np.uint8)
-    picture[:, 0], picture[:, 1] = (200, 10, 10), (10, 10, 200)
-    Image.fromarray(np.repeat(np.repeat(picture, 8, 0), 8, 1)).save(tmp_path / "t.png")
-    (tmp_path / "t.mtl").write_text("newmtl skin\nKd 1 1 1\nmap_Kd t.png\n")
-    (tmp_path / "t.obj").write_text(
+def write_textured(folder):
+    picture = np.zeros((16, 16, 3), np.uint8)
+    picture[:, :8], picture[:, 8:] = (200, 10, 10), (10, 10, 200)
+    Image.fromarray(picture).save(folder / "t.png")
+    (folder / "t.mtl").write_text("newmtl skin\nKd 1 1 1\nmap_Kd t.png\n")
+    (folder / "t.obj").write_text(
         "mtllib t.mtl\nusemtl skin\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
         "vt 0.1 0.1\nvt 0.3 0.1\nvt 0.2 0.9\nvt 0.7 0.1\nvt 0.9 0.1\nvt 0.8 0.9\n"
         "f 1/1 2/2 3/3\nf 1/4 2/5 4/6\n"
     )
-    mesh = meshes.read_mesh(tmp_path / "t.obj")
+    return folder / "t.obj"
+
+
+def test_a_texture_is_looked_up_at_the_middle_of_each_face(tmp_path):
+    mesh = meshes.read_mesh(write_textured(tmp_path))
     colors = mesh.visual.face_colors[:, :3].tolist()
     assert sorted(colors) == [[10, 10, 200], [200, 10, 10]]
+    assert mesh.metadata["flaw"] == ""
+
+
+@pytest.mark.parametrize(
+    "name, content, flaw",
+    [
+        ("t.png", b"no image", "lacks t.png"),
+        ("t.png", "cut", "lacks t.png"),
+        ("t.mtl", b"newmtl\nKd a b\n\xff\x00", "lacks t.mtl"),
+        ("t.mtl", b"newmtl skin\nmap_Kd ../gone.jpg\n", "lacks ../gone.jpg"),
+        ("t.obj", OBJ.replace("mtllib", "# ").encode(), "names no materials"),
+    ],
+)
+def test_what_a_mesh_lacks_leaves_plain_colours_and_is_noted(
+    tmp_path, name, content, flaw
+):
+    path = write_textured(tmp_path)
+    if content == "cut":
+        content = (tmp_path / name).read_bytes()[:60]
+    (tmp_path / name).write_bytes(content)
+    mesh = meshes.read_mesh(path)
+    assert mesh.metadata["flaw"].startswith(flaw)
+    assert len(np.unique(mesh.visual.face_colors, axis=0)) == 1
 
 
 def test_parts_of_a_scene_are_put_in_place(tmp_path):
@@ -130,8 +157,6 @@ def test_names_in_an_old_encoding_and_with_backslashes_do_not_matter(tmp_path):
         ("points.obj", b"v 0 0 0\nv 1 1 1\n", "readable mesh in|faces in"),
         ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite coordinates in"),
         ("dot.obj", b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "extent in"),
-        ("cut.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2", "ends within a line"),
-        ("half.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1/1 2/2 3/", "'f 1/1 2/2"),
         ("noise.obj", bytes(range(256)) * 9, "faces in"),
         ("long.stl", b"\xff" * 84 + b"\x81" * 50, "neither text nor whole|faces in"),
         ("far.ply", (PLY.format(3) + "3 0 1 7\n").encode(), "index is out of range"),

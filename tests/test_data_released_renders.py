@@ -60,47 +60,50 @@ def test_the_split_beside_the_renders_is_read(tmp_path):
         load(folder, tmp_path / "cache", split="test")
 
 
-@pytest.mark.parametrize(
-    "harm",
-    ["image", "depth", "bytes", "camera", "place", "shape", "texts", "lens"]
-    + ["view", "truth"],
-)
-def test_a_damaged_model_is_left_out_and_its_file_named(tmp_path, harm):
+def cut(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def widen(path):
+    content = loadmat(path)
+    content["K"][0, 0] *= 2
+    savemat(path, {key: content[key] for key in ("extrinsic", "K")})
+
+
+HARMS = {  # what is done to a file, and what is said of it
+    "render_0.png": (cut, "render_0.png"),
+    "depth_1.png": (cut, "depth_1.png"),
+    "depth_0.png": (
+        lambda path: Image.fromarray(np.zeros((112, 112), np.uint8)).save(path),
+        "16-bit depth",
+    ),
+    "camera_0.mat": (lambda path: path.write_bytes(b"nonsense"), "camera_0.mat"),
+    "camera_1.mat": (widen, "focal length 1.875 and distance 2.0"),
+    "./camera_0.mat": (
+        lambda path: savemat(path, {"extrinsic": np.eye(3), "K": np.eye(3)}),
+        "extrinsic [4, 4] and K [3, 3] in",
+    ),
+    "./camera_1.mat": (
+        lambda path: savemat(path, {"extrinsic": "none", "K": np.eye(3)}),
+        "camera_1.mat",
+    ),
+    "render_1.png": (
+        lambda path: [path.unlink(), path.with_name("render_2.png").unlink()],
+        "2 views render_N.png in",
+    ),
+    f"../../../gt/downsampled/02958343/{NAMES[1]}.mat": (
+        lambda path: path.unlink(),
+        f"{NAMES[1]}.mat, but it is missing",
+    ),
+}
+
+
+@pytest.mark.parametrize("file", HARMS)
+def test_a_damaged_model_is_left_out_and_its_file_named(tmp_path, file):
     folder = write_renders(tmp_path, NAMES)
-    place = folder / "02958343" / NAMES[1]
-    expected = {"image": "render_0.png", "depth": "depth_1.png"}.get(harm)
-    if expected:
-        content = (place / expected).read_bytes()
-        (place / expected).write_bytes(content[: len(content) // 2])
-    elif harm == "bytes":
-        expected = "16-bit depth"
-        Image.fromarray(np.zeros((112, 112), np.uint8)).save(place / "depth_1.png")
-    elif harm in ("shape", "texts"):
-        expected = "camera_0.mat"
-        extrinsic = np.eye(3) if harm == "shape" else "none"
-        content = {"extrinsic": extrinsic, "pos": [0, 0, 2.0], "K": np.eye(3)}
-        savemat(place / expected, content)
-    elif harm == "camera":
-        expected = "camera_0.mat"
-        (place / expected).write_bytes(b"nonsense")
-    elif harm in ("lens", "place"):
-        content = loadmat(place / "camera_0.mat")
-        if harm == "lens":
-            expected = "focal length 1.875 and distance 2.0"
-            content["K"][0, 0] *= 2
-        else:
-            expected = f"looks at the origin from pos in {place / 'camera_0.mat'}"
-            content["pos"] = [1.0, 2, 3]
-        kept = {key: content[key] for key in ("extrinsic", "pos", "K")}
-        savemat(place / "camera_0.mat", kept)
-    elif harm == "view":
-        expected = f"2 views render_N.png in {place}"
-        (place / "render_1.png").unlink()
-        (place / "render_2.png").unlink()
-    else:
-        expected = f"{NAMES[1]}.mat, but it is missing"
-        (tmp_path / "gt" / "downsampled" / "02958343" / f"{NAMES[1]}.mat").unlink()
+    harm, said = HARMS[file]
+    harm(folder / "02958343" / NAMES[1] / file)
     data = load(folder, tmp_path / "cache", split="test", fractions=(0, 0, 1))
     assert len(data.names) == 4
     ((name, reason),) = data.skipped
-    assert name == NAMES[1] and expected in reason
+    assert name == NAMES[1] and said in reason

@@ -277,18 +277,6 @@ def test_a_point_is_seen_if_a_ray_over_the_rim_reaches_it():
     ).any()
 
 
-def test_models_keep_their_own_numbers_of_points(tmp_path):
-    options = dict(models=3, views=1, image_size=16, surface_points=20_000)
-    spec = DataSpec("chair", surface_voxel=0.02, **options)
-    data = load_or_render(spec, cache_dir=tmp_path, processes=1, progress=False)
-    sizes = [len(points) for points in data.surfaces]
-    assert len(set(sizes)) > 1
-    assert data.surfaces[0].shape == (sizes[0], 3)
-    assert np.isfinite(data.surfaces[2]).all()
-    with pytest.raises(ValueError, match="one by one"):
-        np.asarray(data.surfaces)
-
-
 def test_a_set_keeps_the_cameras_that_its_views_were_rendered_with(tmp_path):
     plain = DataSpec("car", models=1, views=3, image_size=32, surface_points=100)
     own = dataclasses.replace(plain, offset=0.1, focal_spread=0.2)

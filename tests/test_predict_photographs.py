@@ -1,7 +1,6 @@
 """What `predict` reads: masks, folders, moving pictures, and files of no use."""
 
 import sys
-import types
 
 import av
 import numpy as np
@@ -177,37 +176,3 @@ def test_what_cannot_be_read_is_named_with_a_reason(tmp_path):
     with pytest.raises(ValueError, match="Expected images .* in the folder"):
         (tmp_path / "empty").mkdir()
         read(tmp_path / "empty")
-
-
-def fake_rembg(monkeypatch, weights):
-    """A rembg whose weights of u2net are there or not."""
-    u2net = types.SimpleNamespace(
-        name=lambda: "u2net",
-        model_dir=lambda: "/models/u2net",
-        resolve_existing=lambda file: f"/models/{file}" if weights else None,
-    )
-    rembg, sessions = types.ModuleType("rembg"), types.ModuleType("rembg.sessions")
-    sessions.sessions_class = [u2net]
-    rembg.new_session = lambda name: name
-
-    def remove(image, *, session, only_mask):
-        assert session == "u2net" and only_mask
-        return image.convert("L").point(lambda value: 255 if value < 128 else 0)
-
-    rembg.remove = remove
-    monkeypatch.setitem(sys.modules, "rembg", rembg)
-    monkeypatch.setitem(sys.modules, "rembg.sessions", sessions)
-
-
-def test_a_matting_network_is_used_where_its_weights_are_there(monkeypatch, tmp_path):
-    draw_disc(alpha=False).save(tmp_path / "disc.png")
-    fake_rembg(monkeypatch, weights=True)
-    (one,), _ = read(tmp_path / "disc.png", mask="matting")
-    covered = one.masks[0] > 127
-    assert covered[8, 8] and not covered[0, 0]
-    fake_rembg(monkeypatch, weights=False)
-    with pytest.raises(ValueError, match="nothing is downloaded.* into /models/u2net"):
-        masks.open_session()
-    monkeypatch.setitem(sys.modules, "rembg", None)
-    with pytest.raises(ValueError, match=r"pip install .dpc_jax\[masks\]"):
-        masks.open_session()

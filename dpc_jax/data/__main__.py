@@ -12,7 +12,6 @@ from pathlib import Path
 
 from dpc_jax import files, outputs
 from dpc_jax.data.open import RECIPES
-from dpc_jax.data.spec import KINDS
 
 
 class _Parser(argparse.ArgumentParser):
@@ -46,10 +45,6 @@ def make_parser() -> argparse.ArgumentParser:
     for command, models in ((show, 8), (check, None)):
         add = command.add_argument
         add("folder", help="a rendered set, a folder of them, of meshes or of images")
-        kinds = tuple(KINDS)
-        add("--kind", choices=kinds, help="of the folder; guessed if left out")
-        several = "of ShapeNet and the published renders, where there are several"
-        add("--category", help=several)
         number = f"of meshes or images, how many ({models or 'all'})"
         add("--models", type=_count, default=models, help=number)
     show.add_argument("--out", help="picture to write (runs/FOLDER-sheet.png)")
@@ -71,11 +66,10 @@ def _look(flags):
     from dpc_jax.data.look import overview
 
     paths = overview.list_caches(flags.folder) or [Path(flags.folder)]
-    options = dict(kind=flags.kind, category=flags.category, models=flags.models)
     failed = False
     for path in paths:
         try:
-            with overview.open_set(path, **options) as opened:
+            with overview.open_set(path, models=flags.models) as opened:
                 lines = overview.describe_set(opened)
                 if flags.command == "check":
                     failed |= _check(opened, lines[0])

@@ -129,7 +129,6 @@ def _finish(plan, record, *, progress):
     )
     skipped = _show_pairs(skipped)
     remarks = _show_pairs([*source.remarks, *remarks])
-    source.write_split(plan.folder)
     if progress:
         _tell("Skipped", skipped, count)
         _tell("Remarks on", remarks, count)
@@ -137,7 +136,7 @@ def _finish(plan, record, *, progress):
         for path in paths:
             path.unlink(missing_ok=True)
         raise ValueError(
-            f"Expected at least one usable {source.unit} in {source.spec.folder}, but "
+            f"Expected at least one usable model in {source.spec.folder}, but "
             f"none of {count} is; look at the first: {skipped[0][1]}"
         )
     record |= {"folder": show_text(source.spec.folder), "names": names}

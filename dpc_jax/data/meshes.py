@@ -4,8 +4,8 @@ Files are expected in the canonical frame: z up, front towards +x, left towards 
 """
 
 import contextlib
-import functools
 import io
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from trimesh.resolvers import FilePathResolver
 from trimesh.visual.color import uv_to_color
 
 from dpc_jax import files
+from dpc_jax.data.sets.pictures import is_readable
 from dpc_jax.files import Damage, describe_error
 from dpc_jax.shapes.normalization import join_pieces, replace_vertices
 
@@ -37,17 +38,18 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
     The parts of a scene are put in place by their transforms and concatenated. Colours
     come from face colours, vertex colours (mean of a face's corners), a texture (looked
     up at the middle of the face) or the material, in this order; grey without any.
+    `metadata["flaw"]` of the mesh is what an OBJ file lacks of materials and textures,
+    as a phrase, or "".
     """
     path = Path(path)
     try:
         content = files.read_bytes(path, most=MOST_BYTES)
+        resolver = _Files(str(path))
         kind, file = path.suffix.lower()[1:], io.BytesIO(content)
         if kind == "obj":
-            text = decode_text(content)
-            _expect_whole_line(text)
-            file = io.StringIO(text)
+            file = io.StringIO(decode_text(content))
         scene = trimesh.load_scene(
-            file, file_type=kind, resolver=_Files(str(path)), process=False
+            file, file_type=kind, resolver=resolver, process=False
         )
         nodes = sorted(scene.graph.nodes_geometry)
         pieces = [_place_part(scene, node) for node in nodes]
@@ -72,23 +74,20 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
         raise _refuse(path, "finite coordinates", "there is NaN or infinity")
     if not np.ptp(used, axis=0).max() > 0:
         raise _refuse(path, "a mesh with an extent", "all its vertices coincide")
-    return trimesh.Trimesh(used, faces, face_colors=colors, process=False)
+    flaw = ""
+    if kind == "obj" and not resolver.asked and (colors == colors[0]).all():
+        flaw = "names no materials, rendered grey"
+    elif kind == "obj" and (lost := resolver.lost):
+        flaw = f"lacks {', '.join(lost[:2])}{' and more' * (len(lost) > 2)}"
+    return trimesh.Trimesh(
+        used, faces, face_colors=colors, process=False, metadata={"flaw": flaw}
+    )
 
 
 def _refuse(path, expected, found):
     return ValueError(
         f"Expected {expected} in {path}, but {found}; repair or remove it."
     )
-
-
-@functools.cache
-def is_readable(path: Path, digest: str) -> bool:
-    """Whether `read_mesh` reads a file of this digest; it is read once a process."""
-    try:
-        read_mesh(path)
-    except ValueError:
-        return False
-    return True
 
 
 def find_beside(mesh: Path, name: str) -> Path | None:
@@ -112,15 +111,35 @@ def find_beside(mesh: Path, name: str) -> Path | None:
 
 
 class _Files(FilePathResolver):
-    """Materials and textures of a mesh file, as systems of all kinds name them."""
+    """Materials and textures of a mesh file, as systems of all kinds name them.
+
+    `asked` are the names in the order of the file, `lost` those of no use.
+    """
+
+    def __init__(self, path):
+        super().__init__(path)
+        self.asked, self.lost = [], []
 
     def get(self, name):
+        self.asked.append(name)
+        try:
+            return self._read(name)
+        except (OSError, ValueError):
+            self.lost.append(name)
+            raise
+
+    def _read(self, name):
         path = find_beside(Path(self.file_path), name)
         if path is None:
             raise FileNotFoundError(name)
-        if path.suffix.lower() == ".mtl":
-            return decode_text(files.read_bytes(path, most=files.MOST_TEXT)).encode()
-        return files.read_bytes(path, most=MOST_BYTES)
+        if path.suffix.lower() != ".mtl":
+            if path.suffix.lower() != ".bin" and not is_readable(path):
+                raise Damage("it is no readable picture")
+            return files.read_bytes(path, most=MOST_BYTES)
+        text = decode_text(files.read_bytes(path, most=files.MOST_TEXT))
+        if not re.search(r"^\s*newmtl[ \t]+\S", text, re.MULTILINE):
+            raise Damage("it has no material")
+        return text.encode()
 
 
 def decode_text(content: bytes) -> str:
@@ -129,16 +148,6 @@ def decode_text(content: bytes) -> str:
         return content.decode("utf-8")
     except UnicodeDecodeError:
         return content.decode("latin-1")
-
-
-def _expect_whole_line(text):
-    """Refuse an OBJ file that was cut within its last vertex or face."""
-    if not text or text[-1] in "\r\n":
-        return
-    words = text[text.rfind("\n") + 1 :].split()
-    least = {"v": 4, "vt": 3, "vn": 4, "f": 4}.get(words[0] if words else "", 0)
-    if len(words) < least or (least and words[-1][-1] in "/-+eE"):
-        raise Damage(f"it ends within a line, {' '.join(words)!r}")
 
 
 def _place_part(scene, node):

@@ -50,24 +50,13 @@ class Source:
     Folders are read when something is asked that needs them.
     """
 
-    unit = "object"  # what its models are called in messages
-    work = "Reading"  # what is done to make their arrays, likewise
+    work = "Reading"  # what is done to make the arrays, in messages
     synset = ""  # eight digits of the category in official splits
 
     def __init__(self, spec: DataSpec):
         self.spec = spec
         self.remarks: list[tuple[str, str]] = []  # (file or folder, remark on the set)
         self.folder = Path(str(spec.folder))
-
-    @classmethod
-    def recognizes(cls, folder: Path) -> bool:
-        """Whether a folder seems to hold this kind of data set."""
-        raise NotImplementedError
-
-    @classmethod
-    def suggest_fields(cls, folder: Path, category: str | None) -> dict:
-        """Fields of a `DataSpec` for somebody who only wants to look at a folder."""
-        return {"category": category or "object"}
 
     def find_models(self) -> dict[str, Path]:
         """Models that are there: `{name: path}`, in order.
@@ -110,11 +99,18 @@ class Source:
         """The official split, given or found."""
         return Path(self.spec.split_file) if self.spec.split_file else None
 
+    def group_models(self, models: dict[str, Path]) -> list[int] | None:
+        """A number for each model; a split parts none that have the same."""
+        return None
+
     def split_by_seed(self, models: dict[str, Path]) -> dict[str, list[str]]:
         """A split of our own: `{split: names}`."""
-        spec = self.spec
         sides = splits.split_files(
-            list(models), fractions=spec.fractions, seed=spec.seed, fold=spec.fold
+            list(models),
+            fractions=self.spec.fractions,
+            seed=self.spec.seed,
+            groups=self.group_models(models),
+            fold=self.spec.fold,
         )
         return dict(zip(SPLITS, sides, strict=True))
 
@@ -126,13 +122,7 @@ class Source:
                 f"Expected a folder of {self.spec.kind}, but {self.folder} is not a "
                 "folder; check it."
             )
-        found = self.find_models()
-        models = {show_text(name): path for name, path in found.items()}
-        if len(models) < len(found):
-            raise ValueError(
-                f"Expected names in {self.folder} that differ when they are shown, but "
-                "some differ in characters that cannot be shown alone; rename them."
-            )
+        models = {show_text(name): path for name, path in self.find_models().items()}
         official = self.find_split_file()
         if official is None:
             return Division(models, self.split_by_seed(models), None)
@@ -184,20 +174,14 @@ class Source:
         """(relative path, SHA-256) of files that models share: materials, textures."""
         return []
 
-    def write_split(self, cache: Path):
-        """Write a split of our own beside a cache folder, so that it can be reused."""
-
-
-def find_kind(kind: str | None) -> type[Source]:
-    """The `Source` class of a kind in `KINDS`, or of procedural shapes for None."""
-    # modules are loaded when they are needed: some import trimesh, others Pillow
-    module, name = (PROCEDURAL if kind is None else KINDS[kind]).split(".")
-    return getattr(importlib.import_module(f"dpc_jax.data.sets.{module}"), name)
-
 
 def open_source(spec: DataSpec) -> Source:
     """The source that a specification asks for."""
-    return find_kind(None if spec.folder is None else spec.kind)(spec)
+    # modules are loaded when they are needed: some import trimesh, others Pillow
+    place = PROCEDURAL if spec.folder is None else KINDS[spec.kind]
+    module, name = place.split(".")
+    kind = getattr(importlib.import_module(f"dpc_jax.data.sets.{module}"), name)
+    return kind(spec)
 
 
 def list_procedural(spec: DataSpec, count: int) -> list[Model]:

@@ -5,7 +5,6 @@ import dataclasses
 from dpc_jax.config import FILL, Data, Render
 
 KINDS = {  # of folders, and the class that reads each, in `dpc_jax.data.sets`
-    # A folder of an unknown kind is the first that recognizes it.
     "shapenet": "shapenet.ShapeNet",
     "renders": "released_renders.ReleasedRenders",
     "meshes": "mesh_folder.MeshFolder",

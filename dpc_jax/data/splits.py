@@ -7,7 +7,6 @@ serialised table `SYNSET.file` in which the paper's split was first published.
 """
 
 import csv
-import io
 from collections import Counter
 from collections.abc import Hashable, Sequence
 from pathlib import Path
@@ -15,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from dpc_jax import files
 from dpc_jax.files import Damage, describe_error, read_json
 
 SPLITS = ("train", "val", "test")
@@ -212,16 +210,3 @@ def _read_table(path):
         split: [text for _, text in sorted(table.get(split, {}).items())]
         for split in SPLITS
     }
-
-
-def write_split(path: Path, sides: dict[str, list[str]], synset: str):
-    """Write a split in the form of `all.csv`, unless the file is there already."""
-    if path.exists():
-        return
-    rows = [(model, split) for split, models in sides.items() for model in models]
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["id", "synsetId", "subSynsetId", "modelId", "split"])
-    for number, (model, split) in enumerate(sorted(rows)):
-        table.writerow([number, synset, synset, model, split])
-    files.write_text(path, text.getvalue())

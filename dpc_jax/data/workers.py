@@ -204,11 +204,6 @@ def follow(
     if not progress:
         yield from results
         return
-    if sys.stdout.isatty():
-        from rich.progress import track  # not loaded where no bar is drawn
-
-        yield from track(results, description=label, total=count)
-        return
     start, shown = time.monotonic(), 0
     for done, result in enumerate(results, start=1):
         yield result

@@ -82,6 +82,27 @@ def tube(
     return loft([start + radius * ring, stop + end * ring], color=color)
 
 
+def wheel(
+    centre: npt.ArrayLike,
+    radius: float,
+    *,
+    sides: tuple[float, float],
+    rim: tuple[float, float],
+    color: Color,
+) -> list[Part]:
+    """Tyre between two places along y, and the disc of its rim: its place, its radius.
+
+    They are counted from the centre [3] of the axle.
+    """
+    centre = np.asarray(centre, float)
+    start, stop = (centre + [0.0, side, 0.0] for side in sides)
+    place, size = rim
+    hub = size * circle(12)
+    disc = centre + np.column_stack([hub[:, 0], np.full(12, place), hub[:, 1]])
+    tyre = tube(start, stop, radius, color=BLACK, sides=16)
+    return [tyre, panel(disc, color=color)]
+
+
 def box(low: Sequence[float], high: Sequence[float], *, color: Color) -> Part:
     """Axis-aligned box between two corners."""
     (x0, y0, z0), (x1, y1, z1) = low, high

@@ -8,7 +8,7 @@ Made from these: wheels, lamps, mirrors, beds, spoilers, racks.
 
 import functools
 from collections.abc import Mapping
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -88,33 +88,13 @@ _FRONT_AXLE = {"van": (0.15, 0.19), "bus": (0.19, 0.24), "double_decker": (0.17,
 _REAR_AXLE = {"pickup": (0.74, 0.79), "bus": (0.68, 0.76), "double_decker": (0.7, 0.77)}
 
 
-class Plan(NamedTuple):
-    """Measures of one car; x and z in metres, half widths in metres."""
-
-    style: str
-    length: float
-    half: float
-    height: float
-    floor: float
-    wheel: float
-    axles: tuple[float, float]
-    cowl: float
-    roof_front: float
-    roof_rear: float
-    tail: float
-    belt: float
-    nose: float
-    roof_half: float
-    paint: parts.Color
-
-
 def draw_style(rng: np.random.Generator, shares: Mapping[str, float]) -> str:
     """A body style, by the shares of each."""
     return str(rng.choice(list(shares), p=list(shares.values())))
 
 
-def draw_plan(rng: np.random.Generator, style: str) -> Plan:
-    """Draw the measures of a car of one of `STYLES`."""
+def draw_plan(rng: np.random.Generator, style: str) -> SimpleNamespace:
+    """Draw the measures, in metres, of a car of one of `STYLES`."""
     m = {key: rng.uniform(*span) for key, span in STYLES[style].items()}
     length, height = m["length"], m["height"]
 
@@ -124,10 +104,11 @@ def draw_plan(rng: np.random.Generator, style: str) -> Plan:
     roof_front = m["cowl"] + m["rake"]
     front_axle = rng.uniform(*_FRONT_AXLE.get(style, (0.165, 0.2)))
     rear_axle = rng.uniform(*_REAR_AXLE.get(style, (0.79, 0.83)))
-    return Plan(
+    return SimpleNamespace(
         style=style,
         length=length,
         half=m["width"] / 2,
+        roof_half=m["roof"] * m["width"] / 2,
         height=height,
         floor=m["clearance"],
         wheel=m["wheel"],
@@ -138,7 +119,6 @@ def draw_plan(rng: np.random.Generator, style: str) -> Plan:
         tail=place(m["roof_end"] + m["tail"]),
         belt=m["belt"] * height,
         nose=m["nose"] * height,
-        roof_half=m["roof"] * m["width"] / 2,
         paint=draw_paint(rng),
     )
 
@@ -151,37 +131,38 @@ def draw_paint(rng: np.random.Generator) -> parts.Color:
     return parts.draw_color(rng, saturation=(0.55, 1.0), value=(0.4, 0.95))
 
 
-def half_width(plan: Plan, x: float) -> float:
+def half_width(plan: SimpleNamespace, x: float) -> float:
     """Half width of the body at x: narrower at the nose than at the tail."""
     t = 2.0 * x / plan.length  # 1 at the front bumper, -1 at the rear
     front, rear = 0.20 * max(t, 0.0) ** 5, 0.10 * max(-t, 0.0) ** 7
     return plan.half * (1.0 - front - rear)
 
 
-def deck_height(plan: Plan) -> float:
+def deck_height(plan: SimpleNamespace) -> float:
     """Height of the body behind the cabin: luggage deck, or floor of a pickup's bed."""
     if plan.style == "pickup":
         return plan.floor + 0.45 * (plan.belt - plan.floor)
     return plan.belt * (0.97 if plan.style == "sedan" else 0.95)
 
 
-def make_wheels(plan: Plan, rng: np.random.Generator) -> list[Part]:
+def make_wheels(plan: SimpleNamespace, rng: np.random.Generator) -> list[Part]:
     """Tyres with rims of a plan's axles, on both sides."""
     width = rng.uniform(0.19, 0.25)
     rim_color = parts.CHROME if rng.uniform() < 0.75 else (70, 70, 74)
     pieces = []
     for axle in plan.axles:
         outer = half_width(plan, axle) - 0.005
-        centre = np.array([axle, 0.0, plan.wheel])
-        ends = centre + [0, outer - width, 0], centre + [0, outer, 0]
-        pieces.append(parts.tube(*ends, plan.wheel, color=parts.BLACK, sides=16))
-        hub = 0.62 * plan.wheel * parts.circle(12)
-        disc = np.column_stack([hub[:, 0], np.full(12, outer + 0.008), hub[:, 1]])
-        pieces.append(parts.panel(disc + centre, color=rim_color))
+        pieces += parts.wheel(
+            (axle, 0.0, plan.wheel),
+            plan.wheel,
+            sides=(outer - width, outer),
+            rim=(outer + 0.008, 0.62 * plan.wheel),
+            color=rim_color,
+        )
     return parts.mirror(pieces)
 
 
-def make_lamps(plan: Plan, rng: np.random.Generator) -> list[Part]:
+def make_lamps(plan: SimpleNamespace, rng: np.random.Generator) -> list[Part]:
     """Head and tail lamps, grille and number plate."""
     front, rear = plan.length / 2, -plan.length / 2
     yellow = (255, 244, 205) if rng.uniform() < 0.7 else (255, 215, 120)
@@ -215,7 +196,7 @@ def make_lamps(plan: Plan, rng: np.random.Generator) -> list[Part]:
     return [*parts.mirror([head, tail]), grille, plate]
 
 
-def make_extras(plan: Plan, rng: np.random.Generator) -> list[Part]:
+def make_extras(plan: SimpleNamespace, rng: np.random.Generator) -> list[Part]:
     """Mirrors, a pickup's bed, and sometimes a spoiler or a roof rack."""
     painted = functools.partial(parts.box, color=plan.paint)
     x, z = plan.cowl - 0.18, plan.belt + 0.04

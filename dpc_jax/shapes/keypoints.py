@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import trimesh
 
-from dpc_jax.shapes import chair_parts
 from dpc_jax.shapes.building_blocks import read_labels
+from dpc_jax.shapes.chairs import draw_plan
 from dpc_jax.shapes.procedural import make_shape, seed_stream
 
 Direction = tuple[float, float, float]
@@ -80,7 +80,7 @@ def find_keypoints(category: str, seed: int) -> dict[str, Keypoint]:
         for name, (label, direction) in KEYPOINTS[category].items()
     }
     if category == "chair":
-        base = chair_parts.draw_plan(seed_stream(category, seed)).base
+        base = draw_plan(seed_stream(category, seed)).base
         if base not in FOUR_FOOTED:
             found = {n: point for n, point in found.items() if point.label != "leg"}
     return {n: point for n, point in found.items() if _is_aside(n, found)}

@@ -34,6 +34,7 @@ def replace_vertices(mesh: trimesh.Trimesh, vertices: np.ndarray) -> trimesh.Tri
         mesh.faces,
         face_colors=face_colors(mesh),
         face_attributes=mesh.face_attributes,
+        metadata=mesh.metadata,
         process=False,
     )
 

@@ -110,14 +110,9 @@ def _make_ends(front, rear, half, floor):
 
 
 def _make_wheel(x, half, radius):
-    centre = np.array([x, 0.0, radius])
-    ends = centre + [0, half - 0.35, 0], centre + [0, half - 0.02, 0]
-    hub = 0.55 * radius * parts.circle(12)
-    disc = np.column_stack([hub[:, 0], np.full(12, half - 0.01), hub[:, 1]])
-    return [
-        parts.tube(*ends, radius, color=parts.BLACK, sides=16),
-        parts.panel(disc + centre, color=parts.CHROME),
-    ]
+    centre, sides = (x, 0.0, radius), (half - 0.35, half - 0.02)
+    rim = (half - 0.01, 0.55 * radius)
+    return parts.wheel(centre, radius, sides=sides, rim=rim, color=parts.CHROME)
 
 
 def _make_load(span, half, low, cab_top, rng):

@@ -3,24 +3,23 @@
 import contextlib
 import json
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import trimesh
 from PIL import Image, ImageDraw
 
 from dpc_jax import files
-from dpc_jax.data import dataset, viewpoints, views
+from dpc_jax.data import dataset, meshes
 from dpc_jax.data.arrays import ROWS, DataSet
-from dpc_jax.data.look.checks import Lens, project_points, rotation_of
-from dpc_jax.data.sources import find_kind
-from dpc_jax.data.spec import KINDS, DataSpec
+from dpc_jax.data.look.checks import Lens, project_points, read_rotations
+from dpc_jax.data.sets import released_renders, shapenet
+from dpc_jax.data.sets.pictures import SUFFIXES
+from dpc_jax.data.spec import DataSpec
 
 TILE = 128  # pixels of a picture on the sheet
 VIEWS = 4  # of an object on the sheet
-MESH_VIEWS = ((35, 20), (90, 5), (180, 10), (-60, 45))  # azimuth, elevation, degrees
 AXES = ((220, 0, 0), (0, 150, 0), (0, 60, 255))  # colours of front, left and up
 LISTED = 5  # skipped models that are named
 LINE, GAP = 12, 6  # pixels of a line of text, and between pictures
@@ -44,18 +43,10 @@ def list_caches(path: str | Path) -> list[Path]:
 
 
 @contextlib.contextmanager
-def open_set(
-    path: str | Path,
-    *,
-    kind: str | None = None,
-    category: str | None = None,
-    models: int | None = None,
-) -> Iterator[OpenSet]:
-    """Open a cache, or prepare the models of a folder for the time of looking.
+def open_set(path: str | Path, *, models: int | None = None) -> Iterator[OpenSet]:
+    """Open a cache, or prepare a folder's models for the time of looking.
 
-    `kind` is what the folder is, of `KINDS`, None to find out; `category` is that of
-    ShapeNet and the renders, None where there is only one; `models` limits how many of
-    a folder's models are prepared.
+    `models` limits how many of a folder's models are prepared.
     """
     path = Path(path)
     if (path / dataset.RECORD).is_file():
@@ -65,11 +56,15 @@ def open_set(
         raise ValueError(
             f"Expected a folder with a data set, but {path} is not a folder; check it."
         )
-    kind = kind or _guess_kind(path)
-    fields = find_kind(kind).suggest_fields(path, category)
-    fields |= dict(folder=str(path), fractions=(1, 0, 0), kind=kind)
-    spec = DataSpec(**fields, models=models, image_size=TILE)
-    note = f"prepared from {path} ({kind}) to be looked at"
+    fields = recognize_folder(path)
+    spec = DataSpec(
+        **fields,
+        folder=str(path),
+        fractions=(1, 0, 0),
+        models=models,
+        image_size=TILE,
+    )
+    note = f"prepared from {path} ({spec.kind}) to be looked at"
     note += "" if models is None else f", at most {models} models"
     with tempfile.TemporaryDirectory() as place:
         dataset.load_or_render(spec, cache_dir=place)
@@ -90,10 +85,29 @@ def _read_set(cache, name, note):
     return OpenSet(name, data, lens, record, note)
 
 
-def _guess_kind(path):
-    for kind in KINDS:
-        if find_kind(kind).recognizes(path):
-            return kind
+def recognize_folder(path: Path) -> dict[str, Any]:
+    """Fields of a `DataSpec` that fit what a folder holds.
+
+    Raises:
+      ValueError: where it holds no models, or several synsets.
+    """
+    synsets, has_meshes = shapenet.list_synsets(path), bool(meshes.find_meshes(path))
+    if len(synsets) > 1:
+        raise ValueError(
+            f"Expected one synset in {path}, but found {len(synsets)}; give the folder "
+            "of one of them."
+        )
+    if synsets:
+        known = {synset: name for name, synset in shapenet.SYNSETS.items()}
+        category = known.get(synsets[0], synsets[0])
+        if has_meshes:
+            return {"kind": "shapenet", "category": category}
+        views = released_renders.count_views(shapenet.find_synset(path, synsets[0]))
+        return {"kind": "renders", "category": category, "views": views}
+    if has_meshes:
+        return {"kind": "meshes", "category": "object"}
+    if any(file.suffix.lower() in SUFFIXES for file in path.rglob("*")):
+        return {"kind": "images", "category": "object"}
     raise ValueError(
         f"Expected a data set, meshes or images in {path}, but found none; give a "
         "folder that holds spec.json, mesh files, or a folder of images per object."
@@ -156,7 +170,7 @@ def _draw_view(opened, model, view):
     tiles = [image, _scale(255 - mask)]
     if data.depths is not None:  # the nearer, the darker
         depth = np.asarray(data.depths[model][view], dtype=np.float64)
-        share = np.clip(np.nan_to_num(depth) - lens.distance + 0.5, 0.0, 1.0)
+        share = np.clip(depth - lens.distance + 0.5, 0.0, 1.0)
         shade = np.where((mask == 0) & (depth == 0), 255, 40 + 180 * share)
         tiles.append(_scale(shade.astype(np.uint8)))
     return np.concatenate([np.asarray(tile) for tile in tiles], axis=1)
@@ -170,34 +184,12 @@ def _scale(pixels):
 
 
 def _draw_axes(picture, quaternion, lens):
-    rotation = rotation_of(quaternion)
-    if not np.isfinite(rotation).all():
-        return
+    rotation = read_rotations(quaternion)
     ends = np.concatenate([np.zeros((1, 3)), 0.5 * np.eye(3)])
     places = project_points(ends, rotation[None], lens)[0]
     middle, *tips = (tuple(place * TILE) for place in places)
     for tip, color in zip(tips, AXES, strict=True):
         ImageDraw.Draw(picture).line([middle, tip], fill=color, width=2)
-
-
-def draw_meshes(
-    meshes: Iterable[trimesh.Trimesh], texts: Sequence[str], *, size: int
-) -> Image.Image:
-    """Sheet of normalised meshes, three in a row, with a line of text under each.
-
-    Each is seen from four sides: half front, left, rear, above the right.
-    """
-    lights = views.Lights(
-        np.array([[0.3, 0.4, 0.86], [0.6, -0.7, 0.4]]), np.array([0.45, 0.2]), 0.35
-    )
-    strips = []
-    for mesh in meshes:
-        scene = views.build_scene(mesh)
-        options: dict[str, Any] = dict(lights=lights, image_size=size, supersample=3)
-        turns = [viewpoints.look_at_rotation(*np.deg2rad(a)) for a in MESH_VIEWS]
-        seen = [views.render_view(scene, turn, **options).image for turn in turns]
-        strips.append(np.concatenate(seen, axis=1))
-    return _arrange(strips, texts, columns=3)
 
 
 def _arrange(pictures, texts, *, columns):

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import trimesh
+from trimesh.visual.color import uv_to_color
 
 from dpc_jax.data.meshes import MOST_BYTES, find_beside
 from dpc_jax.data.sets.pictures import open_picture
@@ -19,18 +20,13 @@ from dpc_jax.files import Damage, describe_error, read_bytes
 from dpc_jax.shapes.normalization import join_pieces
 
 GREY = (0.667, 0.667, 0.667)  # of a surface without a material
-# of a triangle, barycentric: its middle and six around it
-SAMPLES = np.divide(
-    [(4, 4, 4), (8, 2, 2), (2, 8, 2), (2, 2, 8), (5, 5, 2), (5, 2, 5), (2, 5, 5)], 12.0
-)
 POLYGON, STRIP = 0, 4  # kinds of surface; 1 and 2 are lines
 
 
 class Part(NamedTuple):
     """One object of a file: vertices float64 [N, 3] in its frame, faces int [F, 3].
 
-    colors: uint8 [F, 4], material times texture at the middle of the face; alpha is
-        the mean over the face, 0 where nothing of it can be seen.
+    colors: uint8 [F, 4], material times texture at the middle of the face.
     """
 
     name: str
@@ -154,46 +150,36 @@ class _Reader:
         return kind, material, corners
 
     def _add_part(self, name, vertices, surfaces, texture, repeat, offset):
-        triangles, materials, quads, quad_materials = [], [], [], []
+        triangles, materials = [], []
         for kind, material, corners in surfaces:
             if not all(0 <= corner[0] < len(vertices) for corner in corners):
                 raise Damage(f"a surface of {name or 'an object'} lacks a corner")
-            if kind == POLYGON and len(corners) == 4:
-                quads.append(corners)
-                quad_materials.append(material)
-                continue
+            found = []
             if kind == POLYGON:
-                places = vertices[[corner[0] for corner in corners]]
-                found = split_polygon(places)
+                found = split_polygon(vertices[[corner[0] for corner in corners]])
             elif kind == STRIP:
                 found = [(i, i + 1, i + 2) for i in range(len(corners) - 2)]
-            else:
-                continue
             triangles += [[corners[i] for i in triangle] for triangle in found]
             materials += [material] * len(found)
-        if quads:
-            triangles += split_quads(np.array(quads), vertices)
-            materials += np.repeat(quad_materials, 2).tolist()
-        if not triangles:
-            return
-        corners = np.array(triangles)  # [F, 3, 3]: index, u, v
+        corners = np.array(triangles).reshape(-1, 3, 3)  # [F, 3, 3]: index, u, v
         faces = corners[..., 0].astype(int)
         # strips turn corners by triangles without area, which repeat an index
         whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+        if not whole.any():
+            return
         known = [*self._materials, (*GREY, 1.0)]
         materials = [m if m < len(self._materials) else -1 for m in materials]
         corners, faces = corners[whole], faces[whole]
         colors = np.array(known)[materials][whole]
-        if len(faces) == 0:
-            return
         image = self._load_texture(texture)
         if image is not None:
-            colors = colors * _look_up(image, corners[..., 1:] * repeat + offset)
+            middle = corners[..., 1:].mean(axis=1) * repeat + offset
+            colors = colors * (uv_to_color(middle % 1.0, image) / 255.0)
         colors = np.rint(np.clip(colors, 0.0, 1.0) * 255.0).astype(np.uint8)
         self._parts.append(Part(name, vertices, faces, colors))
 
     def _load_texture(self, name):
-        """Texture uint8 [H, W, 4], or None if there is none that can be read."""
+        """A texture, or None if there is none that can be read."""
         if name is None:
             return None
         if name not in self._images:
@@ -206,7 +192,7 @@ class _Reader:
             if path is not None:
                 # Of a damaged one the material alone colours the surface.
                 with contextlib.suppress(ValueError), open_picture(path) as image:
-                    self._images[name] = np.asarray(image.convert("RGBA"))
+                    self._images[name] = image.convert("RGBA")
         return self._images[name]
 
 
@@ -217,74 +203,41 @@ def _numbers(text, count):
     return numbers
 
 
-def _look_up(image, uv):
-    """Colours [F, 4] of triangles with texture coordinates [F, 3, 2], origin below."""
-    places = np.einsum("sk,fkc->fsc", SAMPLES, uv)
-    places = (places - np.floor(places)) * image.shape[1::-1]
-    column, row = np.moveaxis(places, -1, 0).astype(int)
-    column = np.minimum(column, image.shape[1] - 1)
-    row = image.shape[0] - 1 - np.minimum(row, image.shape[0] - 1)
-    found = image[row, column].astype(np.float32) / 255
-    return np.concatenate([found[:, 0, :3], found[:, :, 3].mean(1)[:, None]], axis=1)
-
-
-def split_quads(quads: np.ndarray, vertices: np.ndarray) -> list[np.ndarray]:
-    """Two triangles for each of the quads [Q, 4, 3] (index, u, v).
-
-    They are cut along the diagonal that lies inside, all at once because most surfaces
-    have four corners.
-    """
-    a, b, c, d = np.moveaxis(vertices[quads[..., 0].astype(int)], 1, 0)
-    first = np.cross(b - a, c - a), np.cross(c - a, d - a)
-    bad = np.einsum("qc,qc->q", *first) < 0
-    order = np.where(bad[:, None], [1, 2, 3, 1, 3, 0], [0, 1, 2, 0, 2, 3])
-    corners = np.take_along_axis(quads, order[..., None], axis=1)
-    return list(corners.reshape(-1, 3, 3))
-
-
 def split_polygon(corners: np.ndarray) -> list[tuple[int, int, int]]:
     """Triangles of a polygon [K, 3] in space, as triples of indices.
 
     A convex one is split into a fan. One with dents is cut ear by ear, because a fan
     would reach outside of it.
     """
-    count = len(corners)
-    if count < 4:
-        return [(0, 1, 2)] if count == 3 else []
-    edges = np.roll(corners, -1, axis=0) - corners
-    turns = np.cross(np.roll(edges, 1, axis=0), edges)
-    spokes = corners - corners[0]
-    normal = np.cross(spokes, np.roll(spokes, -1, axis=0)).sum(axis=0)  # Newell
-    if (turns @ normal >= -1e-9 * (normal @ normal)).all():
-        return [(0, i, i + 1) for i in range(1, count - 1)]
-    return _cut_ears(corners, normal)
-
-
-def _cut_ears(corners, normal):
+    after = np.roll(corners, -1, axis=0)
+    products = (corners - after).T @ (corners + after)
+    normal = products[[1, 2, 0], [2, 0, 1]]  # Newell
     axis = int(np.argmax(np.abs(normal)))  # along it the polygon is seen best
+    # Counterclockwise in the plane of the other two.
     flat = np.delete(corners, axis, axis=1)
-    flat = flat * (np.sign(normal[axis]) * (-1 if axis == 1 else 1), 1)
+    flat = (flat * (np.sign(normal[axis]) * (-1 if axis == 1 else 1), 1)).tolist()
 
     def side(a, b, c):
         (ax, ay), (bx, by), (cx, cy) = flat[a], flat[b], flat[c]
         return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
+    count = len(flat)
+    if all(side(i - 1, i, (i + 1) % count) >= 0 for i in range(count)):
+        return [(0, i, i + 1) for i in range(1, count - 1)]
     triangles: list[tuple[int, int, int]] = []
-    left = list(range(len(corners)))
-    while len(left) > 3:
+    left = list(range(count))
+    while len(left) > 2:
         for place in range(len(left)):
-            ear = left[place - 1], left[place], left[(place + 1) % len(left)]
-            a, b, c = ear
+            ear = a, b, c = left[place - 1], left[place], left[(place + 1) % len(left)]
             inside = (
-                side(a, b, i) >= 0 and side(b, c, i) >= 0 and side(c, a, i) >= 0
+                min(side(a, b, i), side(b, c, i), side(c, a, i)) >= 0
                 for i in left
                 if i not in ear
             )
             if side(*ear) > 0 and not any(inside):
                 break
-        else:
-            place = 0  # it crosses itself, so any cut will do
-            ear = left[-1], left[0], left[1]
+        else:  # it crosses itself, so any cut will do
+            place, ear = 0, (left[-1], left[0], left[1])
         triangles.append(ear)
         del left[place]
-    return [*triangles, (left[0], left[1], left[2])]
+    return triangles

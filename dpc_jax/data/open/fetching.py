@@ -1,7 +1,7 @@
 """Open meshes of a category: fetched from packages, unpacked and converted.
 
-The folder of a category holds `train` and, for models that are set aside, `test` or
-`reserved`. In each are PLY files in the canonical frame, beside every one a JSON file
+The folder of a category holds `train` and, for models that are set aside, `test`. In
+each are PLY files in the canonical frame, beside every one a JSON file
 with licence and origin, and `families.json`, which keeps the variants of a design on
 one side of a split. `models.json` lists all models and is written last.
 """
@@ -13,14 +13,11 @@ import zipfile
 from pathlib import Path
 
 from dpc_jax import files
-from dpc_jax.data import meshes
-from dpc_jax.data.look import overview
 from dpc_jax.data.open import RECIPES, packages
 from dpc_jax.data.workers import follow
 from dpc_jax.shapes.normalization import normalize
 
-VERSION = 1  # raise it when a converted mesh changes
-SHEET_VIEW = 96  # pixels
+VERSION = 2  # raise it when a converted mesh changes
 
 
 def fetch_category(category: str, out: str | Path) -> Path:
@@ -51,13 +48,12 @@ def fetch_category(category: str, out: str | Path) -> Path:
         print(f"{folder}/{side}: {len(families)} models, {number} families")
     for name, why in record["skipped"].items():
         print(f"skipped {name}: {why}")
-    print(f"{folder}/sheet.png shows them")
     return folder
 
 
 def _list_families(records):
     """{side: {file: family}} of {"side/file": record}, what is to train on first."""
-    sides = {side: {} for side in ("train", "test", "reserved")}
+    sides = {side: {} for side in ("train", "test")}
     for name, record in records.items():
         sides[record["side"]][Path(name).name] = record["family"]
     return {side: families for side, families in sides.items() if families}
@@ -89,7 +85,6 @@ def _make_folder(category, folder, place):
         )
     for side, families in _list_families(records).items():
         files.write_json(folder / side / "families.json", families)
-    _draw_sheet(folder, records)
     made = {"version": VERSION, "packages": versions, "models": records}
     files.write_json(folder / "models.json", made | {"skipped": skipped})
     for package in versions:
@@ -133,16 +128,3 @@ def _is_complete(folder):
         return files.read_json(folder / "models.json")["version"] == VERSION
     except (OSError, ValueError, KeyError, TypeError):
         return False
-
-
-def _draw_sheet(folder, records):
-    names = sorted(records, key=lambda n: (records[n]["side"], records[n]["family"], n))
-    families = [records[name]["family"] for name in names]
-    texts = [
-        name.removesuffix(".ply") + f"  ({family})" * (family != Path(name).stem)
-        for name, family in zip(names, families, strict=True)
-    ]
-    drawn = (meshes.read_mesh(folder / name) for name in names)
-    sheet = overview.draw_meshes(drawn, texts, size=SHEET_VIEW)
-    with files.replacing(folder / "sheet.png") as partial:
-        sheet.save(partial, format="png")

@@ -31,9 +31,8 @@ LEFT_OUT = {  # after a look at each
     "BlendSwap-CC-BY-green_stool": "no back",
     "BlendSwap-CC-0-relaxChair": "a lounger",
     "Scopia-beach_chair": "a lounger",
+    "BlendSwap-CC-BY-childChair": "like mammut_1 of IKEA's manuals, which others test",
 }
-# looks like mammut_1 of the IKEA manuals, on whose chairs others test
-RESERVED = ("BlendSwap-CC-BY-childChair",)
 FAMILIES = {  # variants of one design; every other model stands alone
     "BlendSwap-CC-0-designChair": "tulip-chair",
     "BlendSwap-CC-0-sillaBlanca": "tulip-chair",
@@ -47,7 +46,7 @@ FAMILIES = {  # variants of one design; every other model stands alone
 def list_models(root: Path, category: str) -> list[OpenModel]:
     """The chairs or cars of the unpacked package, sorted by name.
 
-    The cars are reserved for testing.
+    The cars are for testing.
     """
     models = []
     for library in sorted(root.rglob("*.sh3f")):
@@ -59,14 +58,11 @@ def list_models(root: Path, category: str) -> list[OpenModel]:
                 continue
             origin = {
                 "licence": _name_licence(general.get("license", "")),
-                "licence_text": general.get("license", ""),
                 "author": item.get("creator", ""),
-                "title": item.get("name", ""),
                 "original": f"{library.relative_to(root)}:{item['model'].lstrip('/')}",
             }
             family = FAMILIES.get(name, name)
-            side = "reserved" if name in RESERVED else "train"
-            side = "test" if category == "car" else side
+            side = "test" if category == "car" else "train"
             models.append(OpenModel(name, family, side, origin, (library, item)))
     return sorted(models)
 

@@ -5,6 +5,7 @@ folder that holds images itself, and no folders of them, has one object per imag
 """
 
 import contextlib
+import os
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,6 @@ FEWEST_OBJECTS = 3  # that can be split
 
 class ImageFolder(Source):
     """A user's own images, cut out and scaled as if taken by the data set's camera."""
-
-    @classmethod
-    def recognizes(cls, folder: Path) -> bool:
-        return any(path.suffix.lower() in SUFFIXES for path in folder.rglob("*"))
 
     def find_models(self) -> dict[str, Path]:
         """See `Source.find_models`; poses are given for all objects or none."""
@@ -49,20 +46,13 @@ class ImageFolder(Source):
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
         """See `Source.identify_model`; it changes with any file of the object."""
         images = list_images(path)
-        beside = [file for image in images if (file := masks.find_mask_file(image))]
-        poses = pose_files.find_pose_files(path)
-        poses += [p.with_stem("cameras") for p in poses if p.name in pose_files.COLMAP]
-        facts = []
-        for file in [*images, *beside, *poses]:
-            place = str(file.relative_to(path.parent)) if path.is_dir() else ""
-            status = file.stat() if file.is_file() else None
-            facts.append(
-                [place, status and status.st_size, status and status.st_mtime_ns]
-            )
+        found = {*images, *path.rglob("*"), masks.find_mask_file(path) or path}
+        facts = [
+            [os.path.relpath(file, path.parent), status.st_size, status.st_mtime_ns]
+            for file in sorted(found)
+            if file.is_file() and (status := file.stat())
+        ]
         return len(images), files.digest_text(str(facts))
-
-    def estimate_bytes(self, model: Model) -> int:
-        return 4 * self.spec.image_size**2 * model.views
 
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:
         return read_views(Path(str(model.path)), self.spec)[1:]

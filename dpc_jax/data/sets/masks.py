@@ -1,8 +1,4 @@
-"""Masks of images: given in a file, or found before a plain background or by a network.
-
-The network is one of the library rembg, an extra: `pip install "dpc_jax[masks]"`. Its
-weights have to be on the disk: nothing is downloaded here.
-"""
+"""Masks of images: given in a file, or found before a plain background."""
 
 import os
 from pathlib import Path
@@ -12,11 +8,8 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from dpc_jax.data.sets.pictures import SUFFIXES, has_alpha, read_picture
+from dpc_jax.data.sets.pictures import SUFFIXES, read_picture
 
-# Of general objects, the best first, whose weights are free to use.
-NETWORKS = ("birefnet-general", "isnet-general-use", "u2net", "silueta", "u2netp")
-WEIGHTS = "https://github.com/danielgatis/rembg/releases/tag/v0.0.0"
 _SIDE = 512  # longest, of the image that is looked at: a mask is smooth beyond that
 _BORDER = 0.03  # of the image's shorter side, that shows background on all sides
 _LEAST_CONTRAST = 8.0  # of object and background in CIELAB; 2 is just noticeable
@@ -73,7 +66,7 @@ def read_mask(image: Image.Image, path: Path) -> np.ndarray:
                 f"Expected {beside} of the size of {path.name}, {image.size}, but it "
                 f"has {mask.shape[::-1]}; make it again."
             )
-    elif has_alpha(image):
+    elif image.has_transparency_data:
         mask = np.asarray(image.convert("RGBA"))[..., 3]
     else:
         raise NoMaskError(
@@ -90,39 +83,6 @@ def find_mask_file(path: Path) -> Path | None:
         if os.path.isfile(mask):  # False for a name that is too long, too
             return mask
     return None
-
-
-def open_session() -> Any:
-    """A session of the best of NETWORKS whose weights are there.
-
-    Raises:
-      ValueError: where rembg is not installed, or none of the weights is on the disk.
-    """
-    try:
-        from rembg import new_session  # pyright: ignore
-        from rembg.sessions import sessions_class  # pyright: ignore
-    except ImportError as error:
-        raise ValueError(
-            "Expected the library rembg for --mask=matting, but it cannot be loaded "
-            f'({error}); install it with: pip install "dpc_jax[masks]".'
-        ) from None
-    known = {one.name(): one for one in sessions_class}
-    for name in (name for name in NETWORKS if name in known):
-        if known[name].resolve_existing(f"{name}.onnx") is not None:
-            return new_session(name)
-    place = known["u2net"].model_dir() if "u2net" in known else os.path.expanduser("~")
-    raise ValueError(
-        "Expected the weights of a matting network on this disk, but there are none "
-        f"and nothing is downloaded here; put u2net.onnx of {WEIGHTS} into {place}."
-    )
-
-
-def find_by_network(colors: np.ndarray, session: Any) -> np.ndarray:
-    """The mask as of `find_before_plain_background`, by a session of `open_session`."""
-    from rembg import remove  # pyright: ignore
-
-    mask = remove(Image.fromarray(colors), session=session, only_mask=True)
-    return np.asarray(mask.convert("L"), np.float32) / 255.0
 
 
 def find_before_plain_background(colors: np.ndarray) -> np.ndarray:

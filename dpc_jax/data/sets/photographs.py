@@ -5,7 +5,6 @@ cannot be used is named. This module loads no JAX: a bad file is told at once.
 """
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +17,6 @@ from dpc_jax.data.sets.pictures import SUFFIXES, read_frames, to_colors
 from dpc_jax.data.spec import DataSpec
 from dpc_jax.outputs import show_text
 
-MASKS = ("given", "auto", "matting")  # where masks come from
 FINEST = 128  # pixels of masks that shapes are refined by; finer ones take minutes
 MOST_FRAMES = 24  # of a moving picture, in equal steps: a turn in steps of 15°
 
@@ -53,23 +51,18 @@ def read_photographs(
     Args:
       paths: image files, moving pictures, videos, and folders of the views of one
         object, or of such folders.
-      mask: of `MASKS`. "given": alpha channel or mask file; "auto": where there is
-        neither, the object before a plain background; "matting": by a network.
+      mask: "given": alpha channel or mask file; "auto": where there is neither, the
+        object before a plain background.
       is_one_object: whether all of it shows the same object.
 
     Raises:
-      ValueError: where nothing can be used, two objects would have the same name, or
-        masks cannot be made.
+      ValueError: where nothing can be used, or two objects would have the same name.
     """
-    finder = None  # of a mask in an image's colours; None where it has to be given
-    if mask == "auto":
-        finder = masks.find_before_plain_background
-    elif mask == "matting":
-        session = masks.open_session()
-        finder = functools.partial(masks.find_by_network, session=session)
     objects, skipped = [], []
     for name, files in _list_objects(paths, is_one_object):
-        views = [view for file in files for view in _read_file(file, finder, skipped)]
+        views = [
+            view for file in files for view in _read_file(file, mask == "auto", skipped)
+        ]
         if views:
             objects.append(_frame(name, views, tuple(files), spec))
     if not objects:
@@ -112,7 +105,7 @@ def _expand(path: Path) -> list[tuple[str, list[Path]]]:
     )
 
 
-def _read_file(path: Path, finder, skipped) -> list[tuple[str, np.ndarray, np.ndarray]]:
+def _read_file(path, finds_masks, skipped) -> list[tuple[str, np.ndarray, np.ndarray]]:
     """(source, colours, mask) of each frame that can be used; others are noted."""
     try:
         if not path.is_file():
@@ -127,7 +120,7 @@ def _read_file(path: Path, finder, skipped) -> list[tuple[str, np.ndarray, np.nd
         source = show_text(path)
         source += f", frame {number + 1}" * (len(frames) > 1)
         try:
-            mask = _find_mask(frame, path, finder)
+            mask = _find_mask(frame, path, finds_masks)
             masks.check_mask(mask, source)
         except (OSError, ValueError) as error:
             sentence = show_text(error).rstrip(".")
@@ -139,16 +132,16 @@ def _read_file(path: Path, finder, skipped) -> list[tuple[str, np.ndarray, np.nd
     return views
 
 
-def _find_mask(frame, path: Path, finder) -> np.ndarray:
+def _find_mask(frame, path, finds_masks) -> np.ndarray:
     try:
         mask = masks.read_mask(frame, path)
-        if finder is None or mask.min() <= 0.5:  # else it has an alpha of no use
+        if not finds_masks or mask.min() <= 0.5:  # else its alpha is no use
             return mask
     except masks.NoMaskError as error:
-        if finder is None:
+        if not finds_masks:
             advice = ", or take --mask=auto for an object before a plain background."
             raise masks.NoMaskError(str(error).rstrip(".") + advice) from None
-    return finder(np.asarray(frame.convert("RGB")))
+    return masks.find_before_plain_background(np.asarray(frame.convert("RGB")))
 
 
 def _frame(name, views, files, spec: DataSpec) -> Photographs:

@@ -81,11 +81,6 @@ def is_readable(path: Path) -> bool:
     return True
 
 
-def has_alpha(image: Image.Image) -> bool:
-    """Whether pixels of a picture may be transparent."""
-    return image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info
-
-
 def to_colors(image: Image.Image) -> np.ndarray:
     """Colours uint8 [height, width, 3] of a picture, without its alpha channel."""
     return np.asarray(image.convert("RGBA").convert("RGB"))

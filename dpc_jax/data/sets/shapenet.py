@@ -6,7 +6,6 @@ Version 1 keeps a model in `SYNSET/MODEL/model.obj`, version 2 in
 """
 
 import functools
-import json
 import os
 import re
 from pathlib import Path
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from dpc_jax import files
-from dpc_jax.data import meshes, splits
+from dpc_jax.data import splits
 from dpc_jax.data.sets.mesh_folder import MeshSource
 from dpc_jax.data.sources import Source
 from dpc_jax.data.splits import SPLITS
@@ -38,22 +37,6 @@ TURNS = {  # rows are the canonical axes (front, left, up) in the axes of the fi
 
 class SynsetSource(Source):
     """A source that keeps each category in the folder of its synset."""
-
-    @classmethod
-    def recognizes(cls, folder: Path) -> bool:
-        return bool(_list_synsets(folder))
-
-    @classmethod
-    def suggest_fields(cls, folder: Path, category: str | None) -> dict:
-        """See `Source.suggest_fields`; the category must be clear."""
-        synsets = _list_synsets(folder)
-        if category is None and len(synsets) != 1:
-            raise ValueError(
-                f"Expected one synset in {folder}, but found {len(synsets)}; add "
-                "--category=airplane, car or chair."
-            )
-        known = {synset: name for name, synset in SYNSETS.items()}
-        return {"category": category or known.get(synsets[0], synsets[0])}
 
     @functools.cached_property
     def place(self) -> Path:
@@ -89,21 +72,9 @@ class SynsetSource(Source):
             "published ones."
         ]
 
-    def write_split(self, cache: Path):
-        """Write a seeded split as CATEGORY-split-KEY.csv beside a cache folder."""
-        if self.division.official is None:
-            sides = self.division.sides
-            key = files.digest_text(json.dumps(sides, sort_keys=True))[:12]
-            path = cache.with_name(f"{self.spec.category}-split-{key}.csv")
-            splits.write_split(path, sides, self.synset)
-
 
 class ShapeNet(SynsetSource, MeshSource):
     """ShapeNet's meshes, rendered."""
-
-    @classmethod
-    def recognizes(cls, folder: Path) -> bool:
-        return super().recognizes(folder) and bool(meshes.find_meshes(folder))
 
     def find_models(self) -> dict[str, Path]:
         place, models, whole = self.place, {}, 0
@@ -152,8 +123,8 @@ def find_synset(folder: str | Path, category: str) -> Path:
     )
 
 
-def _list_synsets(folder):
+def list_synsets(folder: Path) -> list[str]:
     """Names of the synsets that a folder is or holds, sorted."""
-    folder = Path(folder).resolve()
+    folder = folder.resolve()
     names = [folder.name, *(p.name for p in folder.iterdir() if p.is_dir())]
     return sorted(name for name in names if re.fullmatch(r"\d{8}", name))

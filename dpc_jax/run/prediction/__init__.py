@@ -31,7 +31,7 @@ class PredictRequest:
         the scale that the largest of its views needs, "none" keeps the image's own
         framing, which is that of training then. None is as in training on images, and
         "view" for a network that was trained on renders.
-      mask: of `photographs.MASKS`.
+      mask: "given" or "auto", see `read_photographs`.
       views: "each" image shows an object, or all of them "one-object".
       is_refined: whether shape and poses are fitted to the silhouettes.
       surface: format of surfaces, of `SURFACES`.
