@@ -96,7 +96,6 @@ SHAPES = [
     (project, {"sigma": np.ones(5), "method": "cubic"}, "cubic.*a size per point"),
     (project, {"sigma": 0.5, "method": "cubic"}, "at least 0.577 voxels"),
     (project, {"sigma": 0.4, "method": "quadratic"}, "at least 0.500 voxels"),
-    (project, {"grid": dpc_jax.VoxelGrid(3), "method": "cubic"}, "at least 4 cells"),
     (
         *(project, {"sigma": np.array([0.5, 1, 2, 4.5, 1]), "method": "levels"}),
         "a factor of at most 8",

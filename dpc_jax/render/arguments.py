@@ -5,10 +5,10 @@ from jax.typing import ArrayLike, DTypeLike
 
 from dpc_jax.render import checks
 from dpc_jax.render.camera import Camera, VoxelGrid
-from dpc_jax.render.fast import levels, splines
+from dpc_jax.render.fast import levels, splatting
 
 SIGNALS = ("silhouette", "depth", "color", "termination")
-METHODS = ("auto", *splines.ORDERS, "levels", "gaussian")
+METHODS = ("auto", *splatting.ORDERS, "levels", "gaussian")
 RAY_RULES = ("termination", "maximum")
 _POSES = "use jax.vmap over several poses"
 _SIZES = "pass a scalar or one value per point"
@@ -89,7 +89,6 @@ def choose_method(
     method: str,
     sigma: jax.Array | None,
     covariance: jax.Array | None,
-    shape: tuple[int, int, int],
 ) -> str:
     """Resolve "auto", and refuse a method that cannot draw these sizes."""
     checks.check_choice("method", method, METHODS, "'auto' chooses from the arguments")
@@ -113,13 +112,8 @@ def choose_method(
             "points alike, but a size per point came; pass method='levels' or "
             "'gaussian'."
         )
-    order = splines.ORDERS[method]
-    if order > 1 and min(shape) <= order:
-        raise ValueError(
-            f"grid must have at least {order + 1} cells along each side for the method "
-            f"{method!r}, but its shape is {shape}; make it finer."
-        )
-    least = splines.find_least(order)
+    order = splatting.ORDERS[method]
+    least = splatting.find_least(order)
     if order > 1 and checks.is_known(sigma) and float(sigma) < least:
         raise ValueError(
             f"sigma must be at least {least:.3f} voxels with the method {method!r}, "

@@ -13,7 +13,7 @@ from dpc_jax.render import arguments, checks
 from dpc_jax.render.blocks import capacity
 from dpc_jax.render.camera import Camera, VoxelGrid
 from dpc_jax.render.devices import choose_mesh, find_platform, place
-from dpc_jax.render.fast import splines
+from dpc_jax.render.fast import splatting
 from dpc_jax.render.projection import Projection, project
 
 _SIZES = (
@@ -104,7 +104,7 @@ def project_batch(
     shared, own = _sort_inputs(values, batch_size=batch_size)
     checks.check_values(values | {"rotations": rotations})
     own["rotation"] = rotations
-    has_blocks = method in ("auto", *splines.ORDERS) and _has_one_size(shared, own)
+    has_blocks = method in ("auto", *splatting.ORDERS) and _has_one_size(shared, own)
     if max_blocks is None and has_blocks:
         how = {"projection": camera.projection, "grid": grid, "method": method}
         max_blocks = capacity.count_room(

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from dpc_jax.render import arguments, checks
 from dpc_jax.render.blocks import touched
 from dpc_jax.render.camera import Camera, VoxelGrid
-from dpc_jax.render.fast import splines
+from dpc_jax.render.fast import splatting
 from dpc_jax.render.volume import Scene, place_points
 
 # Blocks are counted unasked in grids of at least so many cells, and taken where they
@@ -71,8 +71,8 @@ def count_blocks(
 
 @functools.partial(jax.jit, static_argnames="shape")
 def _count(scene, *, shape):
-    total, order = math.prod(touched.divide(shape)), splines.ORDERS[scene.method]
-    sigma = splines.narrow(scene.sigma, order)
+    total, order = math.prod(touched.divide(shape)), splatting.ORDERS[scene.method]
+    sigma = splatting.narrow(scene.sigma, order)
     places = scene.coordinates, scene.is_inside, sigma
     blocks = touched.find_blocks(*places, shape, order, total)
     is_narrow = touched.is_narrow(sigma, scene.coordinates.dtype, order)
@@ -90,7 +90,7 @@ def choose_room(
     """
     if max_blocks is not None:
         _check_max_blocks(max_blocks, scene.method)
-    if scene.method not in splines.ORDERS or min(shape) < touched.BLOCK:
+    if scene.method not in splatting.ORDERS or min(shape) < touched.BLOCK:
         return None
     if max_blocks is not None:
         _check_grid(shape)
@@ -141,11 +141,11 @@ def _check_grid(shape):
 
 
 def _check_method(method):
-    if method not in splines.ORDERS:
+    if method not in splatting.ORDERS:
         raise ValueError(
-            "blocks must come with one sigma for all points and one of the methods "
-            f"{tuple(splines.ORDERS)}, but the method is {method!r}; leave max_blocks "
-            "out."
+            "blocks must come with one sigma for all points and a method of "
+            f"{tuple(splatting.ORDERS)}, but the method is {method!r}; leave "
+            "max_blocks out."
         )
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from dpc_jax.render.blocks import rays, touched
 from dpc_jax.render.blocks.filling import sum_densities
 from dpc_jax.render.camera import Camera, VoxelGrid
-from dpc_jax.render.fast import splines
+from dpc_jax.render.fast import splatting
 from dpc_jax.render.volume import Scene, clip_unit, map_channels
 
 
@@ -31,8 +31,8 @@ def render_blocks(
       (images by the name of their signal, () bool whether they are right: the blocks
       found room, and the smoothing reaches no further than the next block).
     """
-    shape, order = grid.shape, splines.ORDERS[scene.method]
-    sigma = splines.narrow(jnp.asarray(scene.sigma), order)
+    shape, order = grid.shape, splatting.ORDERS[scene.method]
+    sigma = splatting.narrow(jnp.asarray(scene.sigma), order)
     places = jax.lax.stop_gradient((scene.coordinates, scene.is_inside, sigma))
     blocks = touched.find_blocks(*places, shape, order, max_blocks)
     is_narrow = touched.is_narrow(places[2], scene.coordinates.dtype, order)

@@ -13,7 +13,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from dpc_jax.render import kernels
-from dpc_jax.render.fast import splines
+from dpc_jax.render.fast import splatting
 
 BLOCK = 8  # cells along a side
 _IN_BOUNDS = "promise_in_bounds"
@@ -71,7 +71,7 @@ def find_blocks(
     """
     counts = divide(shape)
     total = int(np.prod(counts))
-    first = splines.find_first(coordinates, shape, order)
+    first = splatting.find_first(coordinates, shape, order)
     block, cell = first // BLOCK, first % BLOCK
     number = jnp.where(is_inside, _number(block, counts), total)
     # Two steps: the blocks that hold points are few, and only for them is it asked
