@@ -14,12 +14,6 @@ _POSES = "use jax.vmap over several poses"
 _SIZES = "pass a scalar or one value per point"
 
 
-def convert_points(points: ArrayLike) -> jax.Array:
-    """Points as an array [N, 3] of floats."""
-    hint = "use jax.vmap or jax.lax.map over a batch of clouds"
-    return checks.check_array("points", points, ("N", 3), hint=hint)
-
-
 def convert_scene(
     points: jax.Array,
     rotation: ArrayLike,
@@ -70,19 +64,26 @@ def convert_pose(
     return rotation.astype(dtype), translation
 
 
-def check_view(camera: Camera, grid: VoxelGrid) -> None:
+def check_view(camera: Camera, grid: VoxelGrid = VoxelGrid()) -> None:
     """Refuse what is not one camera and one grid."""
-    check_camera(camera)
-    checks.check_type("grid", grid, VoxelGrid, "dpc_jax.VoxelGrid(64)")
-
-
-def check_camera(camera: Camera) -> None:
-    """Refuse what is not one camera."""
-    checks.check_type("camera", camera, Camera, "dpc_jax.Camera(1.875, 2.0)")
+    check_types(camera, grid)
     numbers = camera.list_numbers()
     for name, value in numbers.items():
         checks.check_real(name, value, (2,) if name.endswith("point") else ())
     checks.check_values(numbers)
+
+
+def check_types(camera: Camera, grid: VoxelGrid) -> None:
+    """Refuse what is no camera, or no grid."""
+    for name, value, kind, example in (
+        ("camera", camera, Camera, "dpc_jax.Camera(1.875, 2.0)"),
+        ("grid", grid, VoxelGrid, "dpc_jax.VoxelGrid(64)"),
+    ):
+        if not isinstance(value, kind):
+            raise ValueError(
+                f"{name} must be a dpc_jax.{kind.__name__}, but it is of type "
+                f"{type(value).__name__}; write for example {example}."
+            )
 
 
 def choose_method(

@@ -84,9 +84,9 @@ def project_batch(
       (4, 64, 64)
     """
     arguments.check_signals(signals, ray_rule, has_colors=colors is not None)
-    checks.check_type("camera", camera, Camera, "dpc_jax.Camera(1.875, 2.0)")
-    checks.check_type("grid", grid, VoxelGrid, "dpc_jax.VoxelGrid(64)")
-    check_renders_at_once(renders_at_once)
+    arguments.check_types(camera, grid)
+    if renders_at_once is not None:
+        checks.check_count("renders_at_once", renders_at_once, least=1)
     hint = "give one rotation for each example; dpc_jax.project takes a single one"
     rotations = checks.check_real(
         "rotations", rotations, ("B", 4), ("B", 3, 3), hint=hint
@@ -148,15 +148,6 @@ def map_renders(function: Callable, inputs: Any, *, renders_at_once: int | None)
     if renders_at_once == 1:
         return jax.lax.map(function, inputs)
     return jax.lax.map(function, inputs, batch_size=renders_at_once)
-
-
-def check_renders_at_once(value: Any) -> None:
-    """Refuse anything but a positive integer and None."""
-    if value is not None and not (checks.is_count(value) and value > 0):
-        raise ValueError(
-            f"renders_at_once must be a positive integer or None, but it is {value!r}; "
-            "give 1 for one after the other, or leave it out for what suits the device."
-        )
 
 
 def _sort_inputs(values, *, batch_size):

@@ -12,6 +12,8 @@ import jax
 from jax.core import Tracer
 from jax.sharding import PartitionSpec
 
+from dpc_jax.render import checks
+
 AXIS = "examples"  # the mesh axis over which a batch is divided
 # Releases of jaxlib that compute some sums of products wrong on a CPU, in silence (jax
 # issue 39103), and the flag that keeps them from it.
@@ -58,13 +60,9 @@ def use_all_cores(count: int | None = None) -> int:
       >>> dpc_jax.use_all_cores()  # doctest: +SKIP
       8
     """
-    if count is not None and not _is_positive(count):
-        raise ValueError(
-            f"count must be a positive integer, but it is {count!r}; leave it out to "
-            "use every core."
-        )
     if count is None:
         count = read_settings() or count_cores()
+    checks.check_count("count", count, least=1)
     try:
         jax.config.update("jax_num_cpu_devices", int(count))
     except RuntimeError as error:
@@ -162,7 +160,3 @@ def _list_default_devices():
     if isinstance(chosen, str):
         return jax.local_devices(backend=chosen)
     return [chosen]
-
-
-def _is_positive(value):
-    return isinstance(value, int) and not isinstance(value, bool) and value > 0

@@ -46,7 +46,7 @@ class Volume(NamedTuple):
 
 
 def place_points(
-    points: jax.Array,
+    points: ArrayLike,
     rotation: ArrayLike,
     sigma: ArrayLike | None,
     scale: ArrayLike,
@@ -61,6 +61,8 @@ def place_points(
     Arguments and errors as of `project`. The result has the dtype of the points.
     """
     warn_of_wrong_results()
+    hint = "use jax.vmap or jax.lax.map over a batch of clouds"
+    points = checks.check_array("points", points, ("N", 3), hint=hint)
     arguments.check_view(camera, grid)
     rotation, sigma, scale, covariance, translation = arguments.convert_scene(
         points, rotation, sigma, scale, covariance, translation

@@ -47,13 +47,13 @@ def splat(
       >>> float(volume[1, 2, 2])
       0.5
     """
-    checks.check_sides("shape", shape)
+    shape = checks.check_sides("shape", shape)
     coordinates = checks.check_array("coordinates", coordinates, (None, 3))
     values = checks.check_array("values", values, coordinates.shape[:1])
     sizes = jnp.array(shape, coordinates.dtype)[None]
     is_inside = jnp.all((coordinates >= -0.5) & (coordinates <= sizes - 0.5), axis=-1)
     coordinates = jnp.where(is_inside[:, None], coordinates, 0)
-    return splat_inside(coordinates, jnp.where(is_inside, values, 0), tuple(shape), 1)
+    return splat_inside(coordinates, jnp.where(is_inside, values, 0), shape, 1)
 
 
 def splat_inside(
