@@ -124,14 +124,8 @@ def choose_method(
     return method
 
 
-def check_signals(
-    signals: tuple[str, ...],
-    ray_rule: str,
-    *,
-    has_colors: bool,
-    of_colors: str = "[N, C]",
-) -> None:
-    """Refuse unknown signals, and colour without colours, whose shape is named."""
+def check_signals(signals: tuple[str, ...], ray_rule: str, *, has_colors: bool) -> None:
+    """Refuse unknown signals, and colour without colours."""
     is_list = isinstance(signals, tuple | list | set | frozenset)
     if not is_list or not signals or any(s not in SIGNALS for s in signals):
         raise ValueError(
@@ -141,7 +135,7 @@ def check_signals(
     checks.check_choice("ray_rule", ray_rule, RAY_RULES, "the paper's is 'termination'")
     if "color" in signals and not has_colors:
         raise ValueError(
-            f"the signal 'color' must have colors of shape {of_colors}, but colors is "
+            "the signal 'color' must have colors of all points or cells, but colors is "
             "None; pass them or leave 'color' out of signals."
         )
 
@@ -156,18 +150,10 @@ def convert_colors(
     None stays None. Also refuse a depth and a colour of the background that have a
     wrong shape.
     """
-    wanted, each = "[N, C]", "one row per point"
-    if len(shape) > 1:
-        wanted, each = "[X, Y, Z, C]", "one colour per cell"
     shapes: list[tuple] = [()]
     if colors is not None:
-        hint = f"give {each}"
+        hint = "give one colour per point, or per cell of a volume"
         colors = checks.check_real("colors", colors, (*shape, "C"), hint=hint)
-        if colors.shape[-1] == 0:
-            raise ValueError(
-                f"colors must have shape {wanted} with C >= 1, but they have "
-                f"{list(colors.shape)}; leave them out where there are none."
-            )
         shapes.append(colors.shape[-1:])
     background_depth, background_color = background
     checks.check_real("background_depth", background_depth, ())

@@ -75,10 +75,7 @@ def project_volume(
     checks.check_room("volume", volume.shape, volume.dtype)
     arguments.check_view(camera, grid)
     checks.check_room("grid", grid.shape, volume.dtype)
-    has_colors = colors is not None
-    arguments.check_signals(
-        signals, ray_rule, has_colors=has_colors, of_colors="[X, Y, Z, C]"
-    )
+    arguments.check_signals(signals, ray_rule, has_colors=colors is not None)
     background = background_depth, background_color
     colors = arguments.convert_colors(colors, volume.shape, background)
     colors = None if colors is None else colors.astype(volume.dtype)

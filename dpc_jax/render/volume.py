@@ -10,7 +10,6 @@ from jax.typing import ArrayLike
 
 from dpc_jax.render import arguments, checks, quaternion
 from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
-from dpc_jax.render.devices import warn_of_wrong_results
 from dpc_jax.render.exact import covariances, gaussians
 from dpc_jax.render.fast import levels, smoothing, splatting
 
@@ -60,7 +59,6 @@ def place_points(
 
     Arguments and errors as of `project`. The result has the dtype of the points.
     """
-    warn_of_wrong_results()
     hint = "use jax.vmap or jax.lax.map over a batch of clouds"
     points = checks.check_array("points", points, ("N", 3), hint=hint)
     arguments.check_view(camera, grid)
