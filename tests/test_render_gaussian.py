@@ -9,7 +9,7 @@ import pytest
 
 import dpc_jax
 from dpc_jax.render import kernels
-from dpc_jax.render.exact import covariances, factoring, gaussians, tiles
+from dpc_jax.render.exact import covariances, factoring, gaussians
 
 SHAPE = (11, 20, 9)  # neither cubic nor a multiple of a tile's side
 
@@ -132,15 +132,3 @@ def test_a_tile_beyond_the_circle_that_a_point_reaches_is_left_out():
     volume = fill(centre, np.ones((1, 1), "f4"), 0.78, shape=(12, 12, 6))[0]
     assert np.any(volume[8:, :8]) and np.any(volume[:8, 8:])
     assert not np.any(volume[8:, 8:]) and not np.any(volume[10:])
-
-
-@pytest.mark.parametrize("count", [1, 64, 65, 1000])
-def test_a_tile_lists_the_points_that_reach_it_in_their_order(count):
-    rng = np.random.default_rng(count)
-    for share in (0, 0.1, 1):
-        reaches = rng.uniform(size=count) < share
-        order, number = tiles.find_points(jnp.asarray(reaches))
-        expected = np.flatnonzero(reaches)
-        assert number == len(expected)
-        np.testing.assert_array_equal(order[:number], expected)
-        np.testing.assert_array_equal(order[number:], count)  # the point of zeros

@@ -9,12 +9,13 @@ Blocks are [M, 8, 8, 8] as (depth, row, col), columns of blocks [num, 8, 8].
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from dpc_jax.render.blocks.touched import BLOCK, divide
+from dpc_jax.render.termination import Rays
 
 _IN_BOUNDS = "promise_in_bounds"
 
@@ -115,16 +116,11 @@ def _spread(flags):
     return flags[:, None, None]
 
 
-class Rays(NamedTuple):
-    """As `termination.Rays`, for the cells of blocks and for columns of them."""
-
-    ends: jax.Array  # [M, 8, 8, 8], r_k, that a ray ends in a cell
-    background: jax.Array  # [num, 8, 8], that it passes all
-    reached: jax.Array  # [M, 8, 8, 8], that it reaches a cell
-
-
 def end_rays(occupancy: jax.Array, columns: Columns) -> Rays:
-    """Eq. 4 of the paper: ray termination, r_k = o_k·Π_{u<k}(1 - o_u)."""
+    """Eq. 4 of the paper: ray termination, r_k = o_k·Π_{u<k}(1 - o_u).
+
+    Of the cells [M, 8, 8, 8], with the background of the columns [num, 8, 8].
+    """
     clear = 1 - occupancy
     passed = [jnp.ones_like(clear[:, 0])]
     for k in range(BLOCK):
