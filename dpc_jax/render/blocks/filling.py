@@ -38,7 +38,7 @@ def sum_densities(
     side = BLOCK + order
     slot, cell = find_slots(first, blocks, counts)
     has_slot = slot < len(blocks.ids)
-    cells = splatting.scatter(
+    cells: Any = splatting.scatter(
         scene.coordinates - first,
         jnp.where(scene.is_inside & has_slot, mass, 0),
         jnp.where(has_slot, slot, 0),

@@ -7,6 +7,7 @@ at places between them is the same sum the other way round.
 """
 
 import functools
+from typing import Any
 
 import chex
 import jax
@@ -65,7 +66,7 @@ def splat_inside(
     slot = jnp.zeros(first.shape[0], jnp.int32)
     values = jnp.asarray(values, coordinates.dtype)
     room = (1, *(max(side, order + 1) for side in shape))
-    cells = scatter(coordinates - first, values, slot, first, order, room)
+    cells: Any = scatter(coordinates - first, values, slot, first, order, room)
     return cells[0, :rows, :cols, :depth]
 
 
@@ -121,7 +122,8 @@ def sample(cells: jax.Array, offset: jax.Array, cell: jax.Array) -> jax.Array:
     The transpose of `scatter` by the spline of order 1: `cell` [N, 3] is the lower
     corner, which `offset` [N, 3] is from. The backward pass reads the cells again.
     """
-    return _read(cells[None], offset, jnp.zeros(len(cell), jnp.int32), cell, 1)[0]
+    value, _ = _read(cells[None], offset, jnp.zeros(len(cell), jnp.int32), cell, 1)
+    return value
 
 
 def _sample_forward(cells, offset, cell):
@@ -155,7 +157,7 @@ def _add(offset, values, slot, cell, order, shape):
     )
 
 
-def _read(cells, offset, slot, cell, order):
+def _read(cells, offset, slot, cell, order) -> tuple[Any, jax.Array]:
     """What the transpose of `_add` reads, [N], and its slopes by the offset [N, 3].
 
     Line by line along the rays. On a CPU a gather of whole windows, the plain
