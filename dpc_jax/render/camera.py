@@ -186,8 +186,8 @@ def place_cells(
     """Where the cells of a grid are: T_c's perspective, the other way round.
 
     Returns:
-      (x, y, z of each cell, each [rows, cols, depth], relative to the middle of the
-      volume, in the camera's axes; [depth] bool, whether a cell is in front of it).
+      (x, y, z [rows, cols, depth] in the camera's axes, from the middle of the volume;
+      [depth] bool, whether a cell is in front of the camera).
     """
     v, u, z = (grid.centers(axis, dtype) for axis in range(3))
     if camera.principal_point is not None:

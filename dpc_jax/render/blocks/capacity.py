@@ -74,12 +74,7 @@ def _count(scene, *, shape):
 def choose_room(
     scene: Scene, shape: tuple[int, int, int], max_blocks: int | None
 ) -> int | None:
-    """Room for blocks to render a scene with, static; None for the whole volume.
-
-    Raises:
-      ValueError: for a room that is no positive integer, or that does not fit into
-        memory, and for one that comes with a size per point.
-    """
+    """Room for blocks to render a scene with, static; None for the whole volume."""
     if max_blocks is not None:
         checks.check_count("max_blocks", max_blocks, least=1)
         _check_method(scene.method)

@@ -39,12 +39,10 @@ def sum_in_tiles(
     """Sum points' densities over a volume of a shape (rows, cols, depth); [V, *shape].
 
     Args:
-      density: function (`Points` of one chunk and tile, first row and column [2]) ->
-        [V, SIDE, SIDE, depth], their summed density in the tile; static. A point whose
-        parameters are all zero must add nothing.
-      is_reached: function (`places`, first row and column [2]) -> [N] bool, the points
-        that add to a tile; static.
-      shape, chunk: the volume, and how many points are added at once; static.
+      density: (`Points` of one chunk and tile, first row and column [2]) ->
+        [V, SIDE, SIDE, depth]. A point whose parameters are all zero must add nothing.
+      is_reached: (`places`, first row and column [2]) -> [N] bool, who adds to a tile.
+      shape, chunk: the volume, and how many points are added at once.
       points, places: what the two functions take; places get no gradient.
     """
     points = _block(points, shape)
