@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 import dpc_jax
-from dpc_jax.render.fast import splatting
+from dpc_jax.render.fast import levels, splatting
 
 COUNT = 500
 RNG = np.random.default_rng(1)
 POINTS = jnp.asarray(RNG.normal(size=(COUNT, 3)) * 0.12, "f4")
 COLORS = jnp.asarray(RNG.uniform(size=(COUNT, 2)), "f4")
+SPREAD = RNG.uniform(0, 1, COUNT)
 POSE = jnp.array([0.9, 0.1, -0.3, 0.2])
 
 
@@ -38,13 +39,18 @@ def differentiate(sigma, method):
 
 
 def find_errors(found, right):
-    """Largest relative error of an image, and that of the gradient to points."""
+    """Largest relative error of an image, and those of both gradients."""
 
     def compare(a, b):
         return float(jnp.linalg.norm(a - b) / jnp.linalg.norm(b))
 
-    to_points, _, *images = jax.tree.leaves(jax.tree.map(compare, found, right))
-    return max(images), to_points
+    to_points, to_sizes, *images = jax.tree.leaves(jax.tree.map(compare, found, right))
+    return max(images), to_points, to_sizes
+
+
+def make_sizes(ratio):
+    """Sizes of a narrowest 0.8 voxels, the widest as many times that."""
+    return jnp.asarray(0.8 * ratio**SPREAD, "f4")
 
 
 @pytest.mark.parametrize(
@@ -55,6 +61,10 @@ def find_errors(found, right):
         ("quadratic", 1.6, 7e-4, 0.007),
         ("cubic", 1.0, 4e-3, 0.013),
         ("cubic", 1.6, 3e-4, 0.0012),
+        # What is left at equal sizes is the splines'.
+        ("levels", make_sizes(1.0), 0.02, 0.1),
+        ("levels", make_sizes(3.6), 0.005, 0.02),
+        ("levels", make_sizes(8.0), 0.005, 0.02),
     ],
 )
 def test_images_and_gradients_come_near_to_those_of_gaussians(
@@ -63,9 +73,11 @@ def test_images_and_gradients_come_near_to_those_of_gaussians(
     right = differentiate(sigma, "gaussian")
     found = find_errors(differentiate(sigma, method), right)
     assert found[0] < image and found[1] < by_points
-    # The trilinear method is not within these bounds.
-    plain = find_errors(differentiate(sigma, "trilinear"), right)
-    assert plain[0] > image and plain[1] > by_points
+    if method == "levels":
+        assert found[2] < (0.6 if sigma.max() == sigma.min() else 0.1)
+    else:  # The trilinear method is not within these bounds.
+        plain = find_errors(differentiate(sigma, "trilinear"), right)
+        assert plain[0] > image and plain[1] > by_points
 
 
 def test_compensated_widening_brings_the_fast_method_to_the_basic_one():
@@ -98,7 +110,7 @@ def test_auto_is_the_fast_method_for_one_sigma_and_the_basic_one_for_several():
 @pytest.mark.parametrize(
     "method, sigma",
     [("trilinear", s) for s in (0.0, 0.5, 3.0)]
-    + [("cubic", 1.0)]
+    + [("cubic", 1.0), ("levels", [0.6])]
     + [("gaussian", s) for s in (0.0, 0.02, 0.3, 1.0, 3.0)],
 )
 def test_the_mass_of_a_point_well_inside_is_exact(method, sigma):
@@ -112,6 +124,29 @@ def test_the_mass_of_a_point_well_inside_is_exact(method, sigma):
     )
     # Three normalisers, each right to a few roundings of 6e-8.
     assert float(volume.sum()) == pytest.approx(0.5, abs=2e-6)
+
+
+# Levels.
+
+
+def test_weights_of_a_point_sum_to_one_and_are_its_own_at_the_ends():
+    sizes = jnp.array([0.7, 1.0, 1.9, 2.8, 0.01, 99.0])
+    found, weights = levels.find_levels(sizes, jnp.arange(6) < 5)
+    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-5)
+    # The largest inside, and one below what a spline can draw.
+    np.testing.assert_allclose(found[:: len(found) - 1], [levels.LEAST, 2.8], rtol=1e-5)
+    ends = jax.nn.one_hot(jnp.array([5, 0]), 6)
+    np.testing.assert_allclose(weights[3:5], ends, atol=1e-5)
+
+
+@pytest.mark.parametrize("value", [0.0, 1e3, np.inf, np.nan])
+def test_one_odd_size_among_traced_ones_leaves_no_wrong_image_of_the_others(value):
+    """A NaN is seen; what is too small or too large draws something finite."""
+    found = differentiate(jnp.ones(COUNT).at[7].set(value), "levels")
+    if not np.isfinite(value):
+        found = found[1]
+    is_finite = [bool(jnp.isfinite(x).all()) for x in jax.tree.leaves(found)]
+    assert all(is_finite) == bool(np.isfinite(value))
 
 
 @pytest.mark.parametrize("sigma", [0.0, splatting.find_least(3)])

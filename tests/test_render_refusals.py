@@ -95,9 +95,17 @@ SHAPES = [
     (project, {"sigma": np.ones(5), "method": "cubic"}, "cubic.*a size per point"),
     (project, {"sigma": 0.5, "method": "cubic"}, "at least 0.577 voxels"),
     (project, {"sigma": 0.4, "method": "quadratic"}, "at least 0.500 voxels"),
+    (
+        *(project, {"sigma": np.array([0.5, 1, 2, 4.5, 1]), "method": "levels"}),
+        "a factor of at most 8",
+    ),
+    (
+        *(anisotropic, {"covariance": MATRICES, "method": "levels"}),
+        "has no covariance",
+    ),
     (blocks, {"max_blocks": 0}, "max_blocks must be an integer of at least 1"),
     (blocks, {"method": "gaussian"}, "one sigma for all points"),
-    (blocks, {"sigma": np.ones(5)}, "one sigma for all points"),
+    (blocks, {"sigma": np.ones(5), "method": "levels"}, "one sigma for all points"),
     (
         *(blocks, {"max_blocks": 2**31 // 729, "grid": dpc_jax.VoxelGrid(2000)}),
         "fit into",
