@@ -217,3 +217,23 @@ def test_points_that_are_not_there_leave_the_image_empty(place):
         images, _ = render_both_ways(inputs, max_blocks=ROOM[CUBE], **static)
     np.testing.assert_array_equal(images.silhouette, 0)
     np.testing.assert_array_equal(images.depth, 9)
+
+
+@pytest.mark.parametrize("method", ["trilinear", "cubic", "levels"])
+def test_the_blocks_of_a_batch_are_counted_as_its_method_fills_them(
+    method, monkeypatch
+):
+    """At a sigma that is too wide for blocks of cubic splines alone."""
+    monkeypatch.setattr(capacity, "_COUNTED_FROM", 1)
+    monkeypatch.setattr(capacity, "SMALL_UP_TO", 1)
+    monkeypatch.setattr(capacity, "_MOST_SHARE", 0.9)
+    names = ("points", "sigma", "scale")
+    inputs = make_inputs("float32", sigma=1.25)
+    given = {name: inputs[name] for name in names}
+    images = dpc_jax.project_batch(
+        **given,
+        rotations=inputs["rotation"][None],
+        grid=dpc_jax.VoxelGrid(64),
+        method=method,
+    )
+    assert np.isfinite(images.silhouette).all()

@@ -204,6 +204,15 @@ def test_of_no_examples_there_are_no_images_and_no_slope():
     np.testing.assert_array_equal(slope, np.zeros((N, 3)))
 
 
+def test_a_batch_has_blocks_for_the_example_that_touches_most():
+    """Unasked, in a large grid; traced numbers are drawn in the whole volume."""
+    with jax.enable_x64(True):
+        points, rotations = draw(2)
+        points *= jnp.array([0.2, 0.5])[:, None, None]
+        call = functools.partial(render, sigma=0.5, grid=dpc_jax.VoxelGrid(128))
+        assert_close(call(points, rotations), jax.jit(call)(points, rotations))
+
+
 def test_devices_are_not_named_inside_a_mesh():
     mesh = jax.make_mesh((1,), ("a",), axis_types=(AxisType.Auto,))
     with jax.set_mesh(mesh), pytest.raises(ValueError, match="devices must be None"):

@@ -10,8 +10,10 @@ import jax.numpy as jnp
 from jax.sharding import PartitionSpec
 
 from dpc_jax.render import arguments, checks
+from dpc_jax.render.blocks import capacity
 from dpc_jax.render.camera import Camera, VoxelGrid
 from dpc_jax.render.devices import choose_mesh, find_platform, place
+from dpc_jax.render.fast import splatting
 from dpc_jax.render.projection import Projection, project
 
 _SIZES = (
@@ -61,7 +63,8 @@ def project_batch(
       camera: its focal length and distance are () shared or [B].
       grid, signals, method, ray_rule, background_depth, background_color: shared, as
         in `project`.
-      max_blocks: as in `project`, for each example; None stores whole volumes.
+      max_blocks: as in `project`, for each example; None counts those of the example
+        that touches most.
       renders_at_once: how many renders a device makes side by side; static. None for
         what suits it: one keeps a CPU's cache, all fill a GPU.
       devices: JAX's, to render on; static. None for all of this process, or the one
@@ -101,6 +104,12 @@ def project_batch(
     shared, own = _sort_inputs(values, batch_size=batch_size)
     checks.check_values(values | {"rotations": rotations})
     own["rotation"] = rotations
+    has_blocks = method in ("auto", *splatting.ORDERS) and _has_one_size(shared, own)
+    if max_blocks is None and has_blocks:
+        how = {"projection": camera.projection, "grid": grid, "method": method}
+        max_blocks = capacity.count_room(
+            lambda: _count_blocks(shared, own, **how), grid.shape, (shared, own)
+        )
     shared["background_depth"] = background_depth
     shared["background_color"] = background_color
     mesh = choose_mesh(devices, batch_size=batch_size)
@@ -190,6 +199,35 @@ def _pad_examples(own, *, mesh):
     )
 
 
+def _has_one_size(shared, own):
+    """Whether each example has one sigma for all of its points."""
+    if "sigma" in own:
+        return own["sigma"].ndim == 1
+    return "sigma" in shared and jnp.ndim(shared["sigma"]) == 0
+
+
+def _take_camera(values, projection):
+    """(the other values by name, the camera)."""
+    rest, lens = {}, {"projection": projection}
+    for name, value in values.items():
+        into = lens if name.startswith("camera.") else rest
+        into[name.removeprefix("camera.")] = value
+    return rest, Camera(**lens)
+
+
+@functools.partial(jax.jit, static_argnames=("projection", "grid", "method"))
+def _count_blocks(shared, own, *, projection, grid, method):
+    """The most blocks that an example touches, ()."""
+    names = ("points", "rotation", "sigma", "translation")
+
+    def count_one(one):
+        values, camera = _take_camera(shared | one, projection)
+        known = {name: values[name] for name in names if name in values}
+        return capacity.count_blocks(**known, camera=camera, grid=grid, method=method)
+
+    return jnp.max(jax.lax.map(count_one, own), initial=0)
+
+
 @functools.partial(
     jax.jit,
     static_argnames=(
@@ -209,11 +247,8 @@ def _render_batch(
 ):
     def render_share(shared, own):
         def render_one(one):
-            values, lens = {}, {"projection": projection}
-            for name, value in (shared | one).items():
-                into = lens if name.startswith("camera.") else values
-                into[name.removeprefix("camera.")] = value
-            return project(**values, camera=Camera(**lens), **static)
+            values, camera = _take_camera(shared | one, projection)
+            return project(**values, camera=camera, **static)
 
         return map_renders(render_one, own, renders_at_once=renders_at_once)
 
