@@ -114,7 +114,7 @@ def test_large_images_are_fitted_in_blocks_by_more_points(scene, monkeypatch):
         monkeypatch.setattr(module, "COARSE_UP_TO", 32)
     monkeypatch.setattr(descent, "_SPARE", 0.5)
     monkeypatch.setattr(capacity, "_COUNTED_FROM", 1)
-    monkeypatch.setattr(capacity, "_SMALL_UP_TO", 1)
+    monkeypatch.setattr(capacity, "SMALL_UP_TO", 1)
     monkeypatch.setattr(capacity, "_MOST_SHARE", 1)
     large = silhouettes.repeat(2, axis=1).repeat(2, axis=2)
     settings = dataclasses.replace(SMALL, sides=(32, 64))

@@ -9,7 +9,7 @@ import pytest
 
 import dpc_jax
 from dpc_jax.render import kernels
-from dpc_jax.render.exact import covariances, factoring, gaussians, tiles
+from dpc_jax.render.exact import covariances, factoring, gaussians
 
 SHAPE = (11, 20, 9)  # neither cubic nor a multiple of a tile's side
 
@@ -132,78 +132,3 @@ def test_a_tile_beyond_the_circle_that_a_point_reaches_is_left_out():
     volume = fill(centre, np.ones((1, 1), "f4"), 0.78, shape=(12, 12, 6))[0]
     assert np.any(volume[8:, :8]) and np.any(volume[:8, 8:])
     assert not np.any(volume[8:, 8:]) and not np.any(volume[10:])
-
-
-@pytest.mark.parametrize("count", [1, 64, 65, 1000])
-def test_a_tile_lists_the_points_that_reach_it_in_their_order(count):
-    rng = np.random.default_rng(count)
-    for share in (0, 0.1, 1):
-        reaches = rng.uniform(size=count) < share
-        order, number = tiles.find_points(jnp.asarray(reaches))
-        expected = np.flatnonzero(reaches)
-        assert number == len(expected)
-        np.testing.assert_array_equal(order[:number], expected)
-        np.testing.assert_array_equal(order[number:], count)  # the point of zeros
-
-
-# Standard deviation over distance; a round point in the middle, at the corner of the
-# image, and one at the corner that is 1 : 1 : 5 long along the axis of view.
-FOCAL, DISTANCE = 1.875, 2.0
-CASES = (
-    (np.eye(3), np.array([0.0, 0.0, DISTANCE])),
-    (np.eye(3), np.array([0.5, 0.5, DISTANCE])),
-    (np.diag([0.04, 0.04, 1.0]), np.array([0.5, 0.5, DISTANCE])),
-)
-
-
-@jax.jit
-def carry_linear(matrix, centre):
-    camera, grid = dpc_jax.Camera(FOCAL, DISTANCE), dpc_jax.VoxelGrid(16)
-    return covariances.move_covariance(
-        matrix[None], centre[None], jnp.eye(3), camera=camera, grid=grid
-    )[0]
-
-
-def measure_linear(ratio, case):
-    """How far an exactly projected Gaussian is from the linearised one.
-
-    Over a lattice of 0.2 standard deviations out to six, in (v, u, z): the share of the
-    mass in the wrong place, the offset of the mean in standard deviations of a pixel
-    axis, and the relative difference of the covariances.
-    """
-    matrix, centre = CASES[case]
-    matrix = matrix * (ratio * DISTANCE) ** 2
-    with jax.enable_x64(True):
-        linear = np.asarray(carry_linear(matrix, centre))
-    steps = np.linspace(-6, 6, 61)
-    lattice = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1)
-    root = np.linalg.cholesky(linear)
-    x, y, z = centre
-    middle = np.array([FOCAL * y / z, FOCAL * x / z, z])
-    places = middle + lattice @ root.T
-    v, u, z = np.moveaxis(places, -1, 0)
-    cell = (steps[1] - steps[0]) ** 3
-    # By the change of variables dx·dy = (z/focal)²·du·dv.
-    exact = find_density(
-        np.stack([u * z / FOCAL, v * z / FOCAL, z], -1) - centre, matrix
-    )
-    exact *= (z / FOCAL) ** 2 * np.linalg.det(root) * cell
-    expected = find_density(lattice, np.eye(3)) * cell
-    mean = np.einsum("abc,abci->i", exact, places) / exact.sum()
-    away = places - mean
-    found = np.einsum("abc,abci,abcj->ij", exact, away, away) / exact.sum()
-    return (
-        0.5 * np.abs(exact - expected).sum(),
-        np.abs((mean - middle)[:2] / np.sqrt(np.diag(linear))[:2]).max(),
-        np.linalg.norm(found - linear) / np.linalg.norm(linear),
-    )
-
-
-@pytest.mark.parametrize("case", range(len(CASES)))
-def test_the_error_of_linear_perspective_falls_with_the_size_of_a_point(case):
-    rough, fine = measure_linear(0.02, case), measure_linear(0.01, case)
-    # First order for where the mass lies and the mean's offset in standard deviations,
-    # second for the covariance; the next order is a few per cent of that.
-    assert rough[0] / fine[0] == pytest.approx(2, rel=0.02)
-    assert rough[2] / fine[2] == pytest.approx(4, rel=0.05)
-    assert fine[0] < 0.01 and fine[1] < 0.01 and fine[2] < 3e-4

@@ -167,7 +167,7 @@ def lower_step(kept=24, **changes):
 def count_splats(text):
     """How many clouds a step splats: the batch dimension of its scatters."""
     updates = re.findall(
-        r'"stablehlo.scatter"\(.*?\) -> tensor<(\S+?)x10x10x10xf32>',
+        r'"stablehlo.scatter"\(.*?\) -> tensor<(\S+?)x8x8x8xf32>',
         text,
         re.S,
     )

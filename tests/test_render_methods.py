@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import dpc_jax
-from dpc_jax.render.fast import levels, splines
+from dpc_jax.render.fast import levels, splatting
 
 COUNT = 500
 RNG = np.random.default_rng(1)
@@ -149,9 +149,9 @@ def test_one_odd_size_among_traced_ones_leaves_no_wrong_image_of_the_others(valu
     assert all(is_finite) == bool(np.isfinite(value))
 
 
-@pytest.mark.parametrize("sigma", [0.0, splines.find_least(3)])
+@pytest.mark.parametrize("sigma", [0.0, splatting.find_least(3)])
 def test_a_traced_sigma_below_the_splines_own_draws_the_spline(sigma):
     gradients, images = differentiate(sigma, "cubic")
-    _, right = differentiate(splines.find_least(3) - 1e-3, "cubic")
+    _, right = differentiate(splatting.find_least(3) - 1e-3, "cubic")
     np.testing.assert_array_equal(images.silhouette, right.silhouette)
     assert np.isfinite(gradients[1])

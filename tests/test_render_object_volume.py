@@ -1,4 +1,4 @@
-"""`project_volume`: places of cells, and numbers that are large or not finite."""
+"""`project_volume`: numbers that are large or not finite."""
 
 import functools
 
@@ -16,25 +16,6 @@ def draw(volume, rotation, *, translation=None, side=4):
     return dpc_jax.project_volume(
         volume, rotation, translation=translation, grid=dpc_jax.VoxelGrid(side)
     ).silhouette
-
-
-def test_a_cell_lies_where_a_point_of_its_centre_lies():
-    """So cells and points can be compared, and taught by the same silhouettes."""
-    rng = np.random.default_rng(2)
-    rotation = jnp.asarray(rng.normal(size=4), jnp.float32)
-    grid = dpc_jax.VoxelGrid(32)
-    project = jax.jit(lambda p: dpc_jax.project(p, rotation, sigma=0.5, grid=grid))
-    places = np.stack(np.indices(grid.shape[:2]), axis=-1)
-    for cell in rng.integers(1, 15, size=(6, 3)):
-        volume = jnp.zeros((16, 16, 16)).at[tuple(cell)].set(1.0)
-        image = np.asarray(draw(volume, rotation, side=32))
-        center = jnp.asarray([(cell + 0.5) / 16 - 0.5], jnp.float32)
-        middles = [
-            np.tensordot(seen, places, 2) / seen.sum()
-            for seen in (image, np.asarray(project(center).silhouette))
-        ]
-        # The cell's image is symmetric but for perspective and sampling.
-        np.testing.assert_allclose(*middles, atol=0.2)
 
 
 def test_occupancies_far_beyond_one_leave_colours_their_gradient():

@@ -61,8 +61,7 @@ SHAPES = [
     ),
     (project, {"scale": np.ones(4)}, r"scale.*\[5\].*\[4\]"),
     (project, {"translation": np.ones(2)}, r"translation.*\[3\].*\[2\]"),
-    (project, {"colors": np.ones((4, 3))}, r"colors.*\[5, C\].*\[4, 3\].*row per"),
-    (project, {"colors": np.ones((5, 0))}, r"colors.*C >= 1.*\[5, 0\]"),
+    (project, {"colors": np.ones((4, 3))}, r"colors.*\[5, C\].*\[4, 3\]"),
     (
         *(project, {"colors": np.ones((5, 3)), "background_color": np.ones(2)}),
         r"background_color.*\[3\].*\[2\]",
@@ -96,7 +95,6 @@ SHAPES = [
     (project, {"sigma": np.ones(5), "method": "cubic"}, "cubic.*a size per point"),
     (project, {"sigma": 0.5, "method": "cubic"}, "at least 0.577 voxels"),
     (project, {"sigma": 0.4, "method": "quadratic"}, "at least 0.500 voxels"),
-    (project, {"grid": dpc_jax.VoxelGrid(3), "method": "cubic"}, "at least 4 cells"),
     (
         *(project, {"sigma": np.array([0.5, 1, 2, 4.5, 1]), "method": "levels"}),
         "a factor of at most 8",
@@ -105,9 +103,7 @@ SHAPES = [
         *(anisotropic, {"covariance": MATRICES, "method": "levels"}),
         "has no covariance",
     ),
-    (blocks, {"max_blocks": 0}, "a positive integer"),
-    (blocks, {"max_blocks": 2.5}, "a positive integer"),
-    (blocks, {"max_blocks": True}, "a positive integer"),
+    (blocks, {"max_blocks": 0}, "max_blocks must be an integer of at least 1"),
     (blocks, {"method": "gaussian"}, "one sigma for all points"),
     (blocks, {"sigma": np.ones(5), "method": "levels"}, "one sigma for all points"),
     (
@@ -144,20 +140,18 @@ SHAPES = [
     ),
     (project_batch, {"camera": None}, "camera must be a dpc_jax.Camera"),
     (project_batch, {"grid": 8}, "grid must be a dpc_jax.VoxelGrid"),
-    (project_batch, {"signals": ("color",)}, "must have colors of shape"),
-    (project_batch, {"renders_at_once": 0}, "a positive integer or None"),
-    (project_batch, {"renders_at_once": True}, "a positive integer or None"),
+    (project_batch, {"signals": ("color",)}, "must have colors of all"),
+    (project_batch, {"renders_at_once": 0}, "renders_at_once.*at least 1.* 0"),
     (project_batch, {"devices": []}, "devices must be at least one, but none came"),
     # Volumes of the object frame.
     (project_volume, {"volume": CELLS[None]}, r"volume.*\[X, Y, Z\].*vmap"),
     (project_volume, {"volume": CELLS[:, :0]}, r"at least one cell.*\[4, 0, 6\]"),
     (project_volume, {"volume": CELLS.astype(int)}, "volume.*floating.*int"),
-    (project_volume, {"signals": ("color",)}, r"'color' must.*\[X, Y, Z, C\]"),
+    (project_volume, {"signals": ("color",)}, "'color' must have colors"),
     (
         *(project_volume, {"colors": np.ones((4, 5, 3), "f4")}),
-        r"colors.*\[4, 5, 6, C\].*one colour per cell",
+        r"colors.*\[4, 5, 6, C\].*per cell of a volume",
     ),
-    (project_volume, {"colors": CELLS[..., None][..., :0]}, r"\[X, Y, Z, C\].*C >= 1"),
     (project_volume, {"rotation": -MATRIX}, "rotation must be a rotation"),
     (project_volume, {"grid": 4}, "grid.*VoxelGrid"),
     # The steps on their own.
@@ -196,9 +190,7 @@ SHAPES = [
     (choose, {"choice_points": -1}, "choice_points.*-1"),
     (choose, {"choice_top": 1.5}, "choice_top.*1.5"),
     (choose, {"renders_at_once": True}, "renders_at_once.*True"),
-    (give(dpc_jax.use_all_cores), {"count": 0}, "count must be a positive integer"),
-    (give(dpc_jax.use_all_cores), {"count": True}, "count must be a positive integer"),
-    (give(dpc_jax.use_all_cores), {"count": 1.5}, "count must be a positive integer"),
+    (give(dpc_jax.use_all_cores), {"count": 1.5}, "count must be an integer.*1.5"),
 ]
 
 

@@ -5,19 +5,13 @@ from jax.typing import ArrayLike, DTypeLike
 
 from dpc_jax.render import checks
 from dpc_jax.render.camera import Camera, VoxelGrid
-from dpc_jax.render.fast import levels, splines
+from dpc_jax.render.fast import levels, splatting
 
 SIGNALS = ("silhouette", "depth", "color", "termination")
-METHODS = ("auto", *splines.ORDERS, "levels", "gaussian")
+METHODS = ("auto", *splatting.ORDERS, "levels", "gaussian")
 RAY_RULES = ("termination", "maximum")
 _POSES = "use jax.vmap over several poses"
 _SIZES = "pass a scalar or one value per point"
-
-
-def convert_points(points: ArrayLike) -> jax.Array:
-    """Points as an array [N, 3] of floats."""
-    hint = "use jax.vmap or jax.lax.map over a batch of clouds"
-    return checks.check_array("points", points, ("N", 3), hint=hint)
 
 
 def convert_scene(
@@ -70,26 +64,32 @@ def convert_pose(
     return rotation.astype(dtype), translation
 
 
-def check_view(camera: Camera, grid: VoxelGrid) -> None:
+def check_view(camera: Camera, grid: VoxelGrid = VoxelGrid()) -> None:
     """Refuse what is not one camera and one grid."""
-    check_camera(camera)
-    checks.check_type("grid", grid, VoxelGrid, "dpc_jax.VoxelGrid(64)")
-
-
-def check_camera(camera: Camera) -> None:
-    """Refuse what is not one camera."""
-    checks.check_type("camera", camera, Camera, "dpc_jax.Camera(1.875, 2.0)")
+    check_types(camera, grid)
     numbers = camera.list_numbers()
     for name, value in numbers.items():
         checks.check_real(name, value, (2,) if name.endswith("point") else ())
     checks.check_values(numbers)
 
 
+def check_types(camera: Camera, grid: VoxelGrid) -> None:
+    """Refuse what is no camera, or no grid."""
+    for name, value, kind, example in (
+        ("camera", camera, Camera, "dpc_jax.Camera(1.875, 2.0)"),
+        ("grid", grid, VoxelGrid, "dpc_jax.VoxelGrid(64)"),
+    ):
+        if not isinstance(value, kind):
+            raise ValueError(
+                f"{name} must be a dpc_jax.{kind.__name__}, but it is of type "
+                f"{type(value).__name__}; write for example {example}."
+            )
+
+
 def choose_method(
     method: str,
     sigma: jax.Array | None,
     covariance: jax.Array | None,
-    shape: tuple[int, int, int],
 ) -> str:
     """Resolve "auto", and refuse a method that cannot draw these sizes."""
     checks.check_choice("method", method, METHODS, "'auto' chooses from the arguments")
@@ -113,13 +113,8 @@ def choose_method(
             "points alike, but a size per point came; pass method='levels' or "
             "'gaussian'."
         )
-    order = splines.ORDERS[method]
-    if order > 1 and min(shape) <= order:
-        raise ValueError(
-            f"grid must have at least {order + 1} cells along each side for the method "
-            f"{method!r}, but its shape is {shape}; make it finer."
-        )
-    least = splines.find_least(order)
+    order = splatting.ORDERS[method]
+    least = splatting.find_least(order)
     if order > 1 and checks.is_known(sigma) and float(sigma) < least:
         raise ValueError(
             f"sigma must be at least {least:.3f} voxels with the method {method!r}, "
@@ -129,14 +124,8 @@ def choose_method(
     return method
 
 
-def check_signals(
-    signals: tuple[str, ...],
-    ray_rule: str,
-    *,
-    has_colors: bool,
-    of_colors: str = "[N, C]",
-) -> None:
-    """Refuse unknown signals, and colour without colours, whose shape is named."""
+def check_signals(signals: tuple[str, ...], ray_rule: str, *, has_colors: bool) -> None:
+    """Refuse unknown signals, and colour without colours."""
     is_list = isinstance(signals, tuple | list | set | frozenset)
     if not is_list or not signals or any(s not in SIGNALS for s in signals):
         raise ValueError(
@@ -146,7 +135,7 @@ def check_signals(
     checks.check_choice("ray_rule", ray_rule, RAY_RULES, "the paper's is 'termination'")
     if "color" in signals and not has_colors:
         raise ValueError(
-            f"the signal 'color' must have colors of shape {of_colors}, but colors is "
+            "the signal 'color' must have colors of all points or cells, but colors is "
             "None; pass them or leave 'color' out of signals."
         )
 
@@ -161,18 +150,10 @@ def convert_colors(
     None stays None. Also refuse a depth and a colour of the background that have a
     wrong shape.
     """
-    wanted, each = "[N, C]", "one row per point"
-    if len(shape) > 1:
-        wanted, each = "[X, Y, Z, C]", "one colour per cell"
     shapes: list[tuple] = [()]
     if colors is not None:
-        hint = f"give {each}"
+        hint = "give one colour per point, or per cell of a volume"
         colors = checks.check_real("colors", colors, (*shape, "C"), hint=hint)
-        if colors.shape[-1] == 0:
-            raise ValueError(
-                f"colors must have shape {wanted} with C >= 1, but they have "
-                f"{list(colors.shape)}; leave them out where there are none."
-            )
         shapes.append(colors.shape[-1:])
     background_depth, background_color = background
     checks.check_real("background_depth", background_depth, ())

@@ -13,7 +13,7 @@ from dpc_jax.render import arguments, checks
 from dpc_jax.render.blocks import capacity
 from dpc_jax.render.camera import Camera, VoxelGrid
 from dpc_jax.render.devices import choose_mesh, find_platform, place
-from dpc_jax.render.fast import splines
+from dpc_jax.render.fast import splatting
 from dpc_jax.render.projection import Projection, project
 
 _SIZES = (
@@ -84,9 +84,9 @@ def project_batch(
       (4, 64, 64)
     """
     arguments.check_signals(signals, ray_rule, has_colors=colors is not None)
-    checks.check_type("camera", camera, Camera, "dpc_jax.Camera(1.875, 2.0)")
-    checks.check_type("grid", grid, VoxelGrid, "dpc_jax.VoxelGrid(64)")
-    check_renders_at_once(renders_at_once)
+    arguments.check_types(camera, grid)
+    if renders_at_once is not None:
+        checks.check_count("renders_at_once", renders_at_once, least=1)
     hint = "give one rotation for each example; dpc_jax.project takes a single one"
     rotations = checks.check_real(
         "rotations", rotations, ("B", 4), ("B", 3, 3), hint=hint
@@ -104,13 +104,11 @@ def project_batch(
     shared, own = _sort_inputs(values, batch_size=batch_size)
     checks.check_values(values | {"rotations": rotations})
     own["rotation"] = rotations
-    has_blocks = method in ("auto", *splines.ORDERS) and _has_one_size(shared, own)
+    has_blocks = method in ("auto", *splatting.ORDERS) and _has_one_size(shared, own)
     if max_blocks is None and has_blocks:
         how = {"projection": camera.projection, "grid": grid, "method": method}
         max_blocks = capacity.count_room(
-            lambda: _count_blocks(shared, own, **how),
-            grid.shape,
-            (shared, own),
+            lambda: _count_blocks(shared, own, **how), grid.shape, (shared, own)
         )
     shared["background_depth"] = background_depth
     shared["background_color"] = background_color
@@ -148,15 +146,6 @@ def map_renders(function: Callable, inputs: Any, *, renders_at_once: int | None)
     if renders_at_once == 1:
         return jax.lax.map(function, inputs)
     return jax.lax.map(function, inputs, batch_size=renders_at_once)
-
-
-def check_renders_at_once(value: Any) -> None:
-    """Refuse anything but a positive integer and None."""
-    if value is not None and not (checks.is_count(value) and value > 0):
-        raise ValueError(
-            f"renders_at_once must be a positive integer or None, but it is {value!r}; "
-            "give 1 for one after the other, or leave it out for what suits the device."
-        )
 
 
 def _sort_inputs(values, *, batch_size):
@@ -219,10 +208,11 @@ def _has_one_size(shared, own):
 
 def _take_camera(values, projection):
     """(the other values by name, the camera)."""
-    numbers = {n: v for n, v in values.items() if n.startswith("camera.")}
-    rest = {n: v for n, v in values.items() if n not in numbers}
-    own = {name.removeprefix("camera."): value for name, value in numbers.items()}
-    return rest, Camera(projection=projection, **own)
+    rest, lens = {}, {"projection": projection}
+    for name, value in values.items():
+        into = lens if name.startswith("camera.") else rest
+        into[name.removeprefix("camera.")] = value
+    return rest, Camera(**lens)
 
 
 @functools.partial(jax.jit, static_argnames=("projection", "grid", "method"))
@@ -233,8 +223,7 @@ def _count_blocks(shared, own, *, projection, grid, method):
     def count_one(one):
         values, camera = _take_camera(shared | one, projection)
         known = {name: values[name] for name in names if name in values}
-        static = {"grid": grid, "method": method}
-        return capacity.count_blocks(**known, camera=camera, **static)
+        return capacity.count_blocks(**known, camera=camera, grid=grid, method=method)
 
     return jnp.max(jax.lax.map(count_one, own), initial=0)
 

@@ -85,19 +85,15 @@ class VoxelGrid:
     extent: float
 
     def __init__(self, shape: tuple[int, int, int] | int = 64, extent: float = 1.0):
-        sides = (shape,) * 3 if checks.is_count(shape) else shape
-        if not checks.are_sides(sides):
-            raise ValueError(
-                "VoxelGrid shape must be a positive int or three of them (rows, cols, "
-                f"depth), but it is {shape!r}; give for example VoxelGrid(64)."
-            )
+        is_cube = isinstance(shape, numbers.Integral)
+        sides = checks.check_sides("grid", (shape,) * 3 if is_cube else shape)
         is_number = isinstance(extent, numbers.Real) and extent is not True
         if not (is_number and 0 < extent < float("inf")):
             raise ValueError(
                 "VoxelGrid extent must be a positive finite number, but it is "
                 f"{extent!r}; the unit cube has extent 1.0."
             )
-        object.__setattr__(self, "shape", tuple(int(side) for side in sides))
+        object.__setattr__(self, "shape", sides)
         object.__setattr__(self, "extent", extent)
 
     def depths(self, camera: Camera, dtype: DTypeLike = jnp.float32) -> jax.Array:
@@ -190,8 +186,8 @@ def place_cells(
     """Where the cells of a grid are: T_c's perspective, the other way round.
 
     Returns:
-      (x, y, z of each cell, each [rows, cols, depth], relative to the middle of the
-      volume, in the camera's axes; [depth] bool, whether a cell is in front of it).
+      (x, y, z [rows, cols, depth] in the camera's axes, from the middle of the volume;
+      [depth] bool, whether a cell is in front of the camera).
     """
     v, u, z = (grid.centers(axis, dtype) for axis in range(3))
     if camera.principal_point is not None:

@@ -5,7 +5,7 @@ import math
 import numbers
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, ParamSpec, TypeGuard, TypeVar
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -134,52 +134,37 @@ def _are_covariances(matrices):
     return (m[..., 0, 0] > 0) & (minor > 0) & (np.linalg.det(m) > 0)
 
 
-_QUATERNION = _Rule(
-    1,
-    lambda value: _are_finite(value) & (value != 0).any(axis=-1),
-    "finite and not zero",
-    "(1, 0, 0, 0) leaves the points as they are",
-)
-_MATRIX = _Rule(
-    2,
-    _are_rotations,
-    "a rotation, with RᵀR = 1 and determinant 1",
-    "scale or mirror the points instead",
-)
+def _are_positive(values):
+    return (values > 0) & (values < np.inf)
+
+
+def _are_quaternions(values):
+    return _are_finite(values) & (values != 0).any(axis=-1)
+
+
+def _are_sizes(values):
+    return (values >= 0) & (values <= _MOST_MASS)
+
+
+_IDENTITY = "(1, 0, 0, 0) leaves the points as they are"
+_QUATERNION = _Rule(1, _are_quaternions, "finite and not zero", _IDENTITY)
+_ROTATION = "a rotation, with RᵀR = 1 and determinant 1"
+_MATRIX = _Rule(2, _are_rotations, _ROTATION, "scale or mirror the points instead")
 _SIZE = "at least 0 voxels and finite"
+_NUMBER = "finite and above 0"
+_FULL = "finite without negative eigenvalues"
 _RULES = {
     "points": _Rule(1, _are_finite, "finite", "leave out those that are not"),
     "rotation": _MATRIX,
     "rotations": _MATRIX,
-    "sigma": _Rule(
-        0, lambda v: (v >= 0) & (v < np.inf), _SIZE, "0 leaves each point in its cell"
-    ),
-    "scale": _Rule(
-        0, lambda v: (v >= 0) & (v <= _MOST_MASS), _SIZE, "0 leaves a point out"
-    ),
-    "covariance": _Rule(
-        2,
-        _are_covariances,
-        "finite without negative eigenvalues",
-        "a product A·Aᵀ has none",
-    ),
+    "sigma": _Rule(0, _are_sizes, _SIZE, "0 leaves each point in its cell"),
+    "scale": _Rule(0, _are_sizes, _SIZE, "0 leaves a point out"),
+    "covariance": _Rule(2, _are_covariances, _FULL, "a product A·Aᵀ has none"),
     "translation": _Rule(1, _are_finite, "finite", "give it in box diagonals"),
-    "camera.focal_length": _Rule(
-        0,
-        lambda v: (v > 0) & (v < np.inf),
-        "finite and above 0",
-        "the paper's camera has 1.875",
-    ),
+    "camera.focal_length": _Rule(0, _are_positive, _NUMBER, "the paper has 1.875"),
     "camera.distance": _Rule(0, np.isfinite, "finite", "the paper's camera has 2.0"),
-    "camera.principal_point": _Rule(
-        1, _are_finite, "finite", "(0, 0) is the middle of the image"
-    ),
-    "camera.aspect": _Rule(
-        0,
-        lambda v: (v > 0) & (v < np.inf),
-        "finite and above 0",
-        "1 has square units",
-    ),
+    "camera.principal_point": _Rule(1, _are_finite, "finite", "(0, 0) is the middle"),
+    "camera.aspect": _Rule(0, _are_positive, _NUMBER, "1 has square units"),
 }
 
 
@@ -223,47 +208,32 @@ def _find_room():
     memory = jax.local_devices()[0].memory_stats() or {}
     if "bytes_limit" in memory:
         return memory["bytes_limit"]
-    if not hasattr(os, "sysconf"):
-        return math.inf
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
-def check_sides(name: str, shape: Any) -> None:
+def check_sides(name: str, sides: Any) -> tuple[int, int, int]:
     """Refuse anything but three positive integers."""
-    if not are_sides(shape):
+    is_triple = isinstance(sides, tuple | list) and len(sides) == 3
+    if not (is_triple and all(_is_integer(side) and side > 0 for side in sides)):
         raise ValueError(
             f"{name} must be three positive integers (rows, cols, depth), but it is "
-            f"{shape!r}; give for example (64, 64, 64)."
+            f"{sides!r}; give for example (64, 64, 64)."
         )
+    rows, cols, depth = map(int, sides)
+    return rows, cols, depth
 
 
-def check_count(name: str, value: Any) -> None:
-    """Refuse anything but an integer of at least zero."""
-    if not (is_count(value) and value >= 0):
+def check_count(name: str, value: Any, *, least: int = 0) -> None:
+    """Refuse anything but an integer of at least so many."""
+    if not (_is_integer(value) and value >= least):
         raise ValueError(
-            f"{name} must be an integer of at least 0, but it is {value!r}; give 0 to "
-            "leave it out."
+            f"{name} must be an integer of at least {least}, but it is {value!r}; "
+            "leave it out for its default."
         )
 
 
-def check_type(name: str, value: Any, kind: type, example: str) -> None:
-    """Refuse anything but an instance of a public class."""
-    if not isinstance(value, kind):
-        raise ValueError(
-            f"{name} must be a dpc_jax.{kind.__name__}, but it is of type "
-            f"{type(value).__name__}; write for example {example}."
-        )
-
-
-def is_count(value: Any) -> bool:
-    """Whether a static value is an integer; True and False are not."""
+def _is_integer(value):
     return isinstance(value, numbers.Integral) and not isinstance(value, bool)
-
-
-def are_sides(shape: Any) -> TypeGuard[Sequence[int]]:
-    """Whether a static value is a triple of positive integers."""
-    is_triple = isinstance(shape, tuple | list) and len(shape) == 3
-    return is_triple and all(is_count(side) and side > 0 for side in shape)
 
 
 def _convert(name, value):

@@ -1,10 +1,7 @@
 """Which devices a batch is rendered on, and how many renders at once suit them."""
 
-import functools
-import importlib.metadata
 import os
 import re
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,27 +9,9 @@ import jax
 from jax.core import Tracer
 from jax.sharding import PartitionSpec
 
+from dpc_jax.render import checks
+
 AXIS = "examples"  # the mesh axis over which a batch is divided
-# Releases of jaxlib that compute some sums of products wrong on a CPU, in silence (jax
-# issue 39103), and the flag that keeps them from it.
-_WRONG = ("0.10.2",)
-_CURE = "--xla_cpu_experimental_ynn_fusion_type="
-
-
-@functools.cache
-def warn_of_wrong_results() -> None:
-    """Warn once where the installed jaxlib computes wrong results on this CPU."""
-    version = importlib.metadata.version("jaxlib")
-    is_cured = _CURE in os.environ.get("XLA_FLAGS", "").split()
-    if version not in _WRONG or is_cured or jax.default_backend() != "cpu":
-        return
-    warnings.warn(
-        f"jaxlib {version} computes some results wrong on a CPU (jax issue "
-        "39103); install another release of jax, which dpc_jax asks for, or set the "
-        f"environment variable XLA_FLAGS={_CURE} before Python starts.",
-        RuntimeWarning,
-        stacklevel=2,
-    )
 
 
 def use_all_cores(count: int | None = None) -> int:
@@ -58,13 +37,9 @@ def use_all_cores(count: int | None = None) -> int:
       >>> dpc_jax.use_all_cores()  # doctest: +SKIP
       8
     """
-    if count is not None and not _is_positive(count):
-        raise ValueError(
-            f"count must be a positive integer, but it is {count!r}; leave it out to "
-            "use every core."
-        )
     if count is None:
         count = read_settings() or count_cores()
+    checks.check_count("count", count, least=1)
     try:
         jax.config.update("jax_num_cpu_devices", int(count))
     except RuntimeError as error:
@@ -162,7 +137,3 @@ def _list_default_devices():
     if isinstance(chosen, str):
         return jax.local_devices(backend=chosen)
     return [chosen]
-
-
-def _is_positive(value):
-    return isinstance(value, int) and not isinstance(value, bool) and value > 0

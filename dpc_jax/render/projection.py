@@ -7,6 +7,7 @@ computed.
 """
 
 import functools
+import math
 
 import chex
 import jax
@@ -110,11 +111,12 @@ def project(
         `count_blocks` counts those of a cloud. Where a cloud touches more, or sigma is
         so wide that the smoothing reaches beyond the next block (above 1.4 voxels,
         1.2 for "cubic", 0.9 in float64), the whole volume steps in up to 256³ cells;
-        images of a larger grid are NaN. None: blocks are counted where all numbers are
-        known (outside of `jax.jit`, `jax.grad` and `jax.vmap`) and the grid has at
-        least 128³ cells; otherwise the whole volume is stored. Inside `jax.vmap` both
-        are computed up to 256³ cells; `project_batch` on a CPU takes one example after
-        the other.
+        images of a larger grid are NaN. The signal "termination" and the rule
+        "maximum" always take the whole volume. None: blocks are counted where all
+        numbers are known (outside of `jax.jit`, `jax.grad` and `jax.vmap`) and the grid
+        has at least 128³ cells; otherwise the whole volume is stored. Inside `jax.vmap`
+        both are computed up to 256³ cells; `project_batch` on a CPU takes one example
+        after the other.
 
     Returns:
       `Projection`: silhouette and depth [rows, cols], color [rows, cols, C],
@@ -135,13 +137,12 @@ def project(
       >>> image.shape
       (64, 64)
     """
-    points = arguments.convert_points(points)
     arguments.check_signals(signals, ray_rule, has_colors=colors is not None)
-    background = background_depth, background_color
-    colors = arguments.convert_colors(colors, points.shape[:1], background)
     scene = place_points(
         points, rotation, sigma, scale, covariance, translation, camera, grid, method
     )
+    background = background_depth, background_color
+    colors = arguments.convert_colors(colors, scene.mass.shape, background)
     colors = colors if "color" in signals else None
     view = {
         "grid": grid,
@@ -150,10 +151,9 @@ def project(
         "background": background,
     }
     room = capacity.choose_room(scene, grid.shape, max_blocks)
-    if room is None:
+    if room is None or ray_rule == "maximum" or "termination" in signals:
         return _project_densely(scene, colors, camera, **view)
-    project_blocks = _project_counted if room.is_counted else _project_checked
-    return project_blocks(scene, colors, camera, max_blocks=room.max_blocks, **view)
+    return _project_in_blocks(scene, colors, camera, max_blocks=room, **view)
 
 
 def _project_densely(scene, colors, camera, grid, signals, ray_rule, background):
@@ -164,19 +164,17 @@ def _project_densely(scene, colors, camera, grid, signals, ray_rule, background)
 @functools.partial(
     jax.jit, static_argnames=("grid", "signals", "ray_rule", "max_blocks")
 )
-def _project_counted(scene, colors, camera, *, background, **static):
-    """One program for each room, where all operations would run one by one."""
-    images, _ = render_blocks(scene, colors, camera, background=background, **static)
-    return Projection(**images)
+def _project_in_blocks(scene, colors, camera, *, max_blocks, **view):
+    """In blocks where they do, else the whole volume; NaN where that is large.
 
-
-def _project_checked(scene, colors, camera, max_blocks, **view):
-    """In blocks where they do, else the whole volume; NaN where that is large."""
+    One program, where all operations would run one by one.
+    """
+    options = {name: value for name, value in view.items() if name != "ray_rule"}
     images, is_right = render_blocks(
-        scene, colors, camera, max_blocks=max_blocks, **view
+        scene, colors, camera, max_blocks=max_blocks, **options
     )
     in_blocks = Projection(**images)
-    if not capacity.is_small(view["grid"].shape):
+    if math.prod(view["grid"].shape) > capacity.SMALL_UP_TO:
         return jax.tree.map(lambda x: jnp.where(is_right, x, jnp.nan), in_blocks)
     # What either branch keeps for its gradient comes out of both: nothing is kept of
     # the whole volume, which is filled again.
@@ -251,7 +249,6 @@ def voxelize(
       >>> dpc_jax.voxelize(jnp.zeros((1, 3)), jnp.eye(3), sigma=1.0).shape
       (64, 64, 64)
     """
-    points = arguments.convert_points(points)
     scene = place_points(
         points, rotation, sigma, scale, covariance, translation, camera, grid, method
     )

@@ -10,9 +10,8 @@ from jax.typing import ArrayLike
 
 from dpc_jax.render import arguments, checks, quaternion
 from dpc_jax.render.camera import Camera, VoxelGrid, to_camera_frame, to_grid
-from dpc_jax.render.devices import warn_of_wrong_results
 from dpc_jax.render.exact import covariances, gaussians
-from dpc_jax.render.fast import levels, smoothing, splatting, splines
+from dpc_jax.render.fast import levels, smoothing, splatting
 
 # Up to so many channels of colour, volumes are kept for the backward pass. Filling them
 # again took as long as all the rest: 34 ms for a render with its gradient where keeping
@@ -30,7 +29,7 @@ class Scene:
     is_inside: jax.Array  # [N] bool, in the volume and in front of the camera
     sigma: jax.Array | None  # () or [N] in voxels
     covariance: jax.Array | None  # [N, 3, 3] in the grid's axes, voxels²
-    # "gaussian", "levels", or one of `splines.ORDERS`
+    # "gaussian", "levels", or one of `splatting.ORDERS`
     method: str = dataclasses.field(metadata={"static": True})
 
 
@@ -46,7 +45,7 @@ class Volume(NamedTuple):
 
 
 def place_points(
-    points: jax.Array,
+    points: ArrayLike,
     rotation: ArrayLike,
     sigma: ArrayLike | None,
     scale: ArrayLike,
@@ -60,12 +59,13 @@ def place_points(
 
     Arguments and errors as of `project`. The result has the dtype of the points.
     """
-    warn_of_wrong_results()
+    hint = "use jax.vmap or jax.lax.map over a batch of clouds"
+    points = checks.check_array("points", points, ("N", 3), hint=hint)
     arguments.check_view(camera, grid)
     rotation, sigma, scale, covariance, translation = arguments.convert_scene(
         points, rotation, sigma, scale, covariance, translation
     )
-    method = arguments.choose_method(method, sigma, covariance, grid.shape)
+    method = arguments.choose_method(method, sigma, covariance)
     moved = to_camera_frame(points, rotation, translation=translation, camera=camera)
     coordinates, is_inside = to_grid(moved, camera=camera, grid=grid)
     if covariance is not None:
@@ -134,17 +134,14 @@ def _sum_smoothed(scene, colors, shape):
         sizes = jnp.broadcast_to(scene.sigma, scene.is_inside.shape)
         found = levels.find_levels(sizes, scene.is_inside)
     else:
-        order = splines.ORDERS[scene.method]
-        sigma = splines.narrow(scene.sigma, order)
+        order = splatting.ORDERS[scene.method]
+        sigma = splatting.narrow(scene.sigma, order)
 
     def fill(mass):
-        if scene.method == "trilinear":
-            volume = splatting.splat(scene.coordinates, mass, shape)
-            return smoothing.smooth(volume, sigma)
         mass = jnp.where(scene.is_inside, mass, 0)
         if scene.method == "levels":
             return levels.fill(scene.coordinates, mass, found, shape)
-        volume = splines.splat(scene.coordinates, mass, shape, order)
+        volume = splatting.splat_inside(scene.coordinates, mass, shape, order)
         return smoothing.smooth(volume, sigma)
 
     def map_colors(function):

@@ -16,7 +16,7 @@ from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View, place_view
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.signals import SILHOUETTES, downsample_images, make_targets
 from dpc_jax.render import Camera, checks
-from dpc_jax.render.batch import check_renders_at_once, map_renders
+from dpc_jax.render.batch import map_renders
 
 
 class Winners(NamedTuple):
@@ -169,7 +169,8 @@ def choose_candidate(
     side = target.shape[0]
     checks.check_count("choice_points", choice_points)
     checks.check_count("choice_top", choice_top)
-    check_renders_at_once(renders_at_once)
+    if renders_at_once is not None:
+        checks.check_count("renders_at_once", renders_at_once, least=1)
     if not (len(points) and len(candidates) and side and target.shape == (side, side)):
         raise ValueError(
             "choose_candidate needs at least one point, one candidate and a square "

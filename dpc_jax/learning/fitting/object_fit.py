@@ -113,7 +113,7 @@ def fit(
     steps = settings.steps[: len(sides)]
     settings = dataclasses.replace(settings, sides=sides, steps=steps)
     _check_settings(settings, views["masks"], learn, is_searched=rotations is None)
-    arguments.check_camera(camera)
+    arguments.check_view(camera)
     key = jax.random.key(seed)
     if rotations is None:
         learn = tuple(dict.fromkeys(("rotations", *learn)))

@@ -3,16 +3,16 @@
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import chex
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.render import arguments, checks
+from dpc_jax.render import checks
 from dpc_jax.render.blocks import touched
 from dpc_jax.render.camera import Camera, VoxelGrid
-from dpc_jax.render.fast import splines
+from dpc_jax.render.fast import splatting
 from dpc_jax.render.volume import Scene, place_points
 
 # Blocks are counted unasked in grids of at least so many cells, and taken where they
@@ -23,14 +23,7 @@ _COUNTED_UP_TO = 4096**3  # the numbers of its blocks take half a gigabyte
 _MOST_SHARE = 1 / 4
 # Up to so many cells the whole volume steps in where blocks do not do: a third of a
 # gigabyte for a gradient.
-_SMALL_UP_TO = 256**3
-
-
-class Room(NamedTuple):
-    """Static room for blocks; counted, where it is known to do."""
-
-    max_blocks: int
-    is_counted: bool
+SMALL_UP_TO = 256**3
 
 
 def count_blocks(
@@ -60,9 +53,8 @@ def count_blocks(
       >>> int(dpc_jax.count_blocks(jnp.zeros((1, 3)), jnp.eye(3), sigma=0.6))
       8
     """
-    points, scale, covariance = arguments.convert_points(points), 1.0, None
     scene = place_points(
-        *(points, rotation, sigma, scale, covariance, translation, camera, grid, method)
+        *(points, rotation, sigma, 1.0, None, translation, camera, grid, method)
     )
     _check_method(scene.method)
     _check_grid(grid.shape)
@@ -71,8 +63,8 @@ def count_blocks(
 
 @functools.partial(jax.jit, static_argnames="shape")
 def _count(scene, *, shape):
-    total, order = math.prod(touched.divide(shape)), splines.ORDERS[scene.method]
-    sigma = splines.narrow(scene.sigma, order)
+    total, order = math.prod(touched.divide(shape)), splatting.ORDERS[scene.method]
+    sigma = splatting.narrow(scene.sigma, order)
     places = scene.coordinates, scene.is_inside, sigma
     blocks = touched.find_blocks(*places, shape, order, total)
     is_narrow = touched.is_narrow(sigma, scene.coordinates.dtype, order)
@@ -81,31 +73,23 @@ def _count(scene, *, shape):
 
 def choose_room(
     scene: Scene, shape: tuple[int, int, int], max_blocks: int | None
-) -> Room | None:
-    """The room to render a scene with; None for the whole volume.
-
-    Raises:
-      ValueError: for a room that is no positive integer, or that does not fit into
-        memory, and for one that comes with a size per point.
-    """
+) -> int | None:
+    """Room for blocks to render a scene with, static; None for the whole volume."""
     if max_blocks is not None:
-        _check_max_blocks(max_blocks, scene.method)
-    if scene.method not in splines.ORDERS or min(shape) < touched.BLOCK:
+        checks.check_count("max_blocks", max_blocks, least=1)
+        _check_method(scene.method)
+    if scene.method not in splatting.ORDERS or min(shape) < touched.BLOCK:
         return None
     if max_blocks is not None:
         _check_grid(shape)
-    is_counted = max_blocks is None
-    if max_blocks is None:
-        max_blocks = count_room(
-            lambda: _count(scene, shape=shape),
-            shape,
-            (scene.coordinates, scene.mass, scene.sigma),
-        )
+    else:
+        numbers = scene.coordinates, scene.mass, scene.sigma
+        max_blocks = count_room(lambda: _count(scene, shape=shape), shape, numbers)
     if max_blocks is None or max_blocks >= math.prod(touched.divide(shape)):
         return None
     sides = (max_blocks, *[touched.BLOCK] * 3)
     checks.check_room("max_blocks", sides, scene.coordinates.dtype)
-    return Room(max_blocks, is_counted)
+    return max_blocks
 
 
 def count_room(
@@ -126,29 +110,15 @@ def count_room(
     return max(found, math.ceil(2 ** (steps / 4)))
 
 
-def _check_max_blocks(max_blocks, method):
-    if not (checks.is_count(max_blocks) and max_blocks > 0):
-        raise ValueError(
-            f"max_blocks must be None or a positive integer, but it is {max_blocks!r}; "
-            "dpc_jax.count_blocks counts those of a cloud."
-        )
-    _check_method(method)
-
-
 def _check_grid(shape):
     """Refuse a grid whose blocks cannot be numbered."""
     checks.check_room("grid", touched.divide(shape), jnp.int32)
 
 
 def _check_method(method):
-    if method not in splines.ORDERS:
+    if method not in splatting.ORDERS:
         raise ValueError(
-            "blocks must come with one sigma for all points and one of the methods "
-            f"{tuple(splines.ORDERS)}, but the method is {method!r}; leave max_blocks "
-            "out."
+            "blocks must come with one sigma for all points and a method of "
+            f"{tuple(splatting.ORDERS)}, but the method is {method!r}; leave "
+            "max_blocks out."
         )
-
-
-def is_small(shape: tuple[int, int, int]) -> bool:
-    """Whether the whole volume can step in where blocks do not do."""
-    return math.prod(shape) <= _SMALL_UP_TO

@@ -14,7 +14,7 @@ from dpc_jax.render.blocks.touched import (
     find_neighbours,
     find_slots,
 )
-from dpc_jax.render.fast import splines
+from dpc_jax.render.fast import splatting
 from dpc_jax.render.volume import Scene
 
 # An axis is smoothed as the last one, where a matrix product takes a tenth of the time.
@@ -33,12 +33,12 @@ def sum_densities(
 
     Mass is [N]; sigma is () in voxels, of the smoothing alone.
     """
-    counts, order = divide(shape), splines.ORDERS[scene.method]
-    first = splines.find_first(jax.lax.stop_gradient(scene.coordinates), shape, order)
+    counts, order = divide(shape), splatting.ORDERS[scene.method]
+    first = splatting.find_first(jax.lax.stop_gradient(scene.coordinates), shape, order)
     side = BLOCK + order
     slot, cell = find_slots(first, blocks, counts)
     has_slot = slot < len(blocks.ids)
-    cells = splines.scatter(
+    cells: Any = splatting.scatter(
         scene.coordinates - first,
         jnp.where(scene.is_inside & has_slot, mass, 0),
         jnp.where(has_slot, slot, 0),

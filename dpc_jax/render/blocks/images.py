@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from dpc_jax.render.blocks import rays, touched
 from dpc_jax.render.blocks.filling import sum_densities
 from dpc_jax.render.camera import Camera, VoxelGrid
-from dpc_jax.render.fast import splines
+from dpc_jax.render.fast import splatting
 from dpc_jax.render.volume import Scene, clip_unit, map_channels
 
 
@@ -19,7 +19,6 @@ def render_blocks(
     camera: Camera,
     grid: VoxelGrid,
     signals: tuple[str, ...],
-    ray_rule: str,
     background: tuple[chex.Numeric, chex.Numeric],
     max_blocks: int,
 ) -> tuple[dict[str, jax.Array], jax.Array]:
@@ -31,8 +30,8 @@ def render_blocks(
       (images by the name of their signal, () bool whether they are right: the blocks
       found room, and the smoothing reaches no further than the next block).
     """
-    shape, order = grid.shape, splines.ORDERS[scene.method]
-    sigma = splines.narrow(jnp.asarray(scene.sigma), order)
+    shape, order = grid.shape, splatting.ORDERS[scene.method]
+    sigma = splatting.narrow(jnp.asarray(scene.sigma), order)
     places = jax.lax.stop_gradient((scene.coordinates, scene.is_inside, sigma))
     blocks = touched.find_blocks(*places, shape, order, max_blocks)
     is_narrow = touched.is_narrow(places[2], scene.coordinates.dtype, order)
@@ -44,21 +43,14 @@ def render_blocks(
     columns = rays.find_columns(blocks.ids, touched.divide(shape))
     images = {}
     if "silhouette" in signals:
-        images["silhouette"] = rays.lay_out_image(
-            rays.opacity(occupancy, columns)
-            if ray_rule == "termination"
-            else rays.fullest(occupancy, columns, shape[2]),
-            shape,
-        )
+        united = rays.opacity(occupancy, columns)
+        images["silhouette"] = rays.lay_out_image(united, shape)
     if set(signals) == {"silhouette"}:
         return images, is_right
 
     found = rays.end_rays(occupancy, columns)
     behind = rays.lay_out_image(found.background, shape)
     background_depth, background_color = background
-    if "termination" in signals:
-        images["termination"] = rays.lay_out_volume(found.ends, blocks.ids, shape)
-        images["background"] = behind
     if "depth" in signals:
         cells = _find_depth_cells(blocks.ids, shape).clip(0, shape[2] - 1)
         depths = grid.depths(camera, density.dtype)[cells][:, :, None, None]

@@ -9,12 +9,13 @@ Blocks are [M, 8, 8, 8] as (depth, row, col), columns of blocks [num, 8, 8].
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from dpc_jax.render.blocks.touched import BLOCK, divide
+from dpc_jax.render.termination import Rays
 
 _IN_BOUNDS = "promise_in_bounds"
 
@@ -115,32 +116,11 @@ def _spread(flags):
     return flags[:, None, None]
 
 
-def fullest(occupancy: jax.Array, columns: Columns, depth: int) -> jax.Array:
-    """The largest occupancy of all rays of `depth` cells; equals share its slope."""
-    peak = jnp.max(jax.lax.stop_gradient(occupancy), axis=1)
-    peaks = jnp.zeros((columns.num + 1, *peak.shape[1:]), peak.dtype)
-    peaks = peaks.at[columns.index].max(peak, mode=_IN_BOUNDS)
-    # Two computations of one number may differ by rounding.
-    rounding = 4 * jnp.finfo(peak.dtype).eps
-    is_peak = occupancy >= (peaks * (1 - rounding))[columns.index][:, None]
-    share = is_peak.astype(peak.dtype)
-    num_peaks = columns.add_up(jnp.sum(share, axis=1))
-    num_peaks = jnp.where(peaks[:-1] > 0, num_peaks, depth)
-    mean = columns.add_up(jnp.sum(share * occupancy, axis=1)) / num_peaks.clip(1)
-    # The value is the largest one, not a mean of those near to it.
-    return mean + jax.lax.stop_gradient(peaks[:-1] - mean)
-
-
-class Rays(NamedTuple):
-    """As `termination.Rays`, for the cells of blocks and for columns of them."""
-
-    ends: jax.Array  # [M, 8, 8, 8], r_k, that a ray ends in a cell
-    background: jax.Array  # [num, 8, 8], that it passes all
-    reached: jax.Array  # [M, 8, 8, 8], that it reaches a cell
-
-
 def end_rays(occupancy: jax.Array, columns: Columns) -> Rays:
-    """Eq. 4 of the paper: ray termination, r_k = o_k·Π_{u<k}(1 - o_u)."""
+    """Eq. 4 of the paper: ray termination, r_k = o_k·Π_{u<k}(1 - o_u).
+
+    Of the cells [M, 8, 8, 8], with the background of the columns [num, 8, 8].
+    """
     clear = 1 - occupancy
     passed = [jnp.ones_like(clear[:, 0])]
     for k in range(BLOCK):
@@ -198,17 +178,3 @@ def lay_out_image(columns: jax.Array, shape: tuple[int, int, int]) -> jax.Array:
     image = jnp.moveaxis(image, 2, 1)  # [blocks, row, blocks, col, ...]
     image = image.reshape(counts[0] * BLOCK, counts[1] * BLOCK, *rest)
     return image[: shape[0], : shape[1]]
-
-
-def lay_out_volume(
-    cells: jax.Array, ids: jax.Array, shape: tuple[int, int, int]
-) -> jax.Array:
-    """[rows, cols, depth] from blocks [M, 8, 8, 8], zero where there are none."""
-    counts = divide(shape)
-    total = counts[0] * counts[1] * counts[2]
-    volume = jnp.zeros((total + 1, *cells.shape[1:]), cells.dtype)
-    volume = volume.at[ids].set(cells, mode=_IN_BOUNDS)[:-1]
-    volume = volume.reshape(*counts, BLOCK, BLOCK, BLOCK)
-    volume = volume.transpose(0, 4, 1, 5, 2, 3)
-    volume = volume.reshape([count * BLOCK for count in counts])
-    return volume[: shape[0], : shape[1], : shape[2]]

@@ -13,7 +13,8 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from dpc_jax.render import kernels
-from dpc_jax.render.fast import splines
+from dpc_jax.render.exact.tiles import find_points
+from dpc_jax.render.fast import splatting
 
 BLOCK = 8  # cells along a side
 _IN_BOUNDS = "promise_in_bounds"
@@ -71,7 +72,7 @@ def find_blocks(
     """
     counts = divide(shape)
     total = int(np.prod(counts))
-    first = splines.find_first(coordinates, shape, order)
+    first = splatting.find_first(coordinates, shape, order)
     block, cell = first // BLOCK, first % BLOCK
     number = jnp.where(is_inside, _number(block, counts), total)
     # Two steps: the blocks that hold points are few, and only for them is it asked
@@ -132,18 +133,10 @@ def _mark(numbers, total):
 
 
 def _index(marks, room):
-    """Number the marked blocks: `jnp.nonzero`, whose sums take ten times as long.
-
-    Sums over 64 blocks are a product with a triangle of ones.
-    """
-    total, width = marks.shape[0], 64
-    lines = jnp.pad(marks, (0, -total % width)).reshape(-1, width).astype(jnp.float32)
-    within = jnp.matmul(lines, jnp.triu(jnp.ones((width, width), jnp.float32)))
-    within = within.astype(jnp.int32)
-    ends = jnp.cumsum(within[:, -1])
-    rank = (within + (ends - within[:, -1])[:, None]).reshape(-1)[:total]
-    slots = jnp.where(marks & (rank <= room), rank - 1, room)
-    ids = jnp.full(room + 1, total, jnp.int32)
-    ids = ids.at[slots].set(jnp.arange(total, dtype=jnp.int32), mode=_IN_BOUNDS)
-    ids = jnp.where(jnp.arange(room) < ends[-1], ids[:room], total)
-    return Blocks(ids, jnp.append(slots, room), ends[-1])
+    """Number the marked blocks."""
+    total = len(marks)
+    found, count = find_points(marks)
+    ids = found[:room]
+    slots = jnp.full(total + 1, room, jnp.int32)
+    slots = slots.at[ids].set(jnp.arange(room, dtype=jnp.int32), mode=_IN_BOUNDS)
+    return Blocks(ids, slots.at[total].set(room), count)

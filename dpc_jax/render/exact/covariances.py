@@ -39,14 +39,9 @@ def move_covariance(
     perspective is taken as linear (as in EWA splatting); docs/projection.md tells how
     large the error is. Rotation and orthographic projection are exact.
 
-    Args:
-      covariance: [N, 3, 3], object frame, in squares of extent / rows.
-      points: [N, 3], camera frame, all in front of the camera.
-      matrix: [3, 3] rotation, object to camera.
-      camera, grid: of `project`.
-
-    Returns:
-      [N, 3, 3], axes (row, col, depth), voxels².
+    From the object frame, in squares of extent / rows, to the axes (row, col, depth) in
+    voxels². Points are in the camera frame, all in front of it; the matrix is the
+    rotation.
     """
     x, y, z = points.T
     one, zero = jnp.ones_like(z), jnp.zeros_like(z)

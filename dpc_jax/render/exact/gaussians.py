@@ -30,16 +30,9 @@ def sum_gaussians(
     Each is the product of its factors along the three axes, v_n·a_n ⊗ b_n ⊗ c_n. They
     are normalised, so that a point adds its mass v_n; the paper's G_n has height 1.
 
-    Args:
-      coordinates: [N, 3] continuous (row, col, depth) index.
-      values: [N, V], mass of a point, and mass times each colour channel.
-      sigma: () or [N], standard deviation in voxels, >= 0.
-      shape: (rows, cols, depth), static.
-      is_inside: () or [N] bool, the points to add. The others cost nothing. A point of
-        mass zero may not be left out, because its mass has a gradient.
-
-    Returns:
-      [V, rows, cols, depth].
+    Values are [N, V] (mass, and mass times each colour channel), sigma is () or [N],
+    the result [V, rows, cols, depth]. A point of mass zero may not be left out by
+    `is_inside`, because its mass has a gradient.
     """
     count = coordinates.shape[0]
     if count == 0:

@@ -39,12 +39,10 @@ def sum_in_tiles(
     """Sum points' densities over a volume of a shape (rows, cols, depth); [V, *shape].
 
     Args:
-      density: function (`Points` of one chunk and tile, first row and column [2]) ->
-        [V, SIDE, SIDE, depth], their summed density in the tile; static. A point whose
-        parameters are all zero must add nothing.
-      is_reached: function (`places`, first row and column [2]) -> [N] bool, the points
-        that add to a tile; static.
-      shape, chunk: the volume, and how many points are added at once; static.
+      density: (`Points` of one chunk and tile, first row and column [2]) ->
+        [V, SIDE, SIDE, depth]. A point whose parameters are all zero must add nothing.
+      is_reached: (`places`, first row and column [2]) -> [N] bool, who adds to a tile.
+      shape, chunk: the volume, and how many points are added at once.
       points, places: what the two functions take; places get no gradient.
     """
     points = _block(points, shape)
@@ -86,8 +84,11 @@ def _sum_backward(density, is_reached, shape, chunk, residuals, cotangent):
         return _fold_chunks(add_chunk, grads, is_reached(places, corner), chunk), None
 
     zeros = jax.tree.map(jnp.zeros_like, points)
-    tiles = _split_tiles(cotangent, shape)
-    grads, _ = jax.lax.scan(add_tile, zeros, (_list_corners(shape), tiles))
+    corners = _list_corners(shape)
+    sides = len(corners), len(cotangent), SIDE, SIDE, shape[2]
+    like = jax.ShapeDtypeStruct(sides, cotangent.dtype)
+    (tiles,) = jax.linear_transpose(lambda t: _join_tiles(t, shape), like)(cotangent)
+    grads, _ = jax.lax.scan(add_tile, zeros, (corners, tiles))
     return *unblock(grads), None
 
 
@@ -177,17 +178,6 @@ def _join_tiles(tiles, shape):
     volume = tiles.transpose(2, 0, 3, 1, 4, 5)
     volume = volume.reshape(channels, down * SIDE, across * SIDE, -1)
     return volume[:, : shape[0], : shape[1]]
-
-
-def _split_tiles(volume, shape):
-    """The transpose of `_join_tiles`."""
-    down, across = _count_tiles(shape)
-    padding = ((0, 0), (0, down * SIDE - shape[0]), (0, across * SIDE - shape[1]))
-    volume = jnp.pad(volume, (*padding, (0, 0)))
-    tiles = volume.reshape(-1, down, SIDE, across, SIDE, shape[2])
-    return tiles.transpose(1, 3, 0, 2, 4, 5).reshape(
-        down * across, -1, SIDE, SIDE, shape[2]
-    )
 
 
 def find_gaps(centers: jax.Array, corner: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from dpc_jax.render.fast import smoothing, splines
+from dpc_jax.render.fast import smoothing, splatting
 
 # The error of a single point's image (relative L2) is at most 0.6 % if sizes differ by
 # a factor of 3.6, 2.5 % by 6 and 5 % by 8; with five levels three times as much.
 _NODES = -np.cos(np.pi * np.arange(6) / 5)
 MOST_RATIO = 8.0
 _ORDER = 2  # of the splines: the narrowest are as wide as half a voxel
-LEAST = splines.find_least(_ORDER)
+LEAST = splatting.find_least(_ORDER)
 
 
 def find_levels(sigma: jax.Array, is_inside: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -56,8 +56,8 @@ def fill(
 
     def add_level(volume, level):
         size, weight = level
-        cells = splines.splat(coordinates, mass * weight, shape, _ORDER)
-        return volume + smoothing.smooth(cells, splines.narrow(size, _ORDER)), None
+        cells = splatting.splat_inside(coordinates, mass * weight, shape, _ORDER)
+        return volume + smoothing.smooth(cells, splatting.narrow(size, _ORDER)), None
 
     empty = jnp.zeros(shape, coordinates.dtype)
     return jax.lax.scan(add_level, empty, (sizes, weights.T))[0]
