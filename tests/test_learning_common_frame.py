@@ -66,7 +66,7 @@ def turn(winners, points, images, masks, frame, is_due, heads=HEADS):
             camera=Camera(),
             cameras={},
             heads=heads,
-            by_colors=len(frame.colors) > 0,
+            by_colors=frame.colors is not None,
             is_due=is_due,
         )
 

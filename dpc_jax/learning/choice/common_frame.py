@@ -51,7 +51,7 @@ class Frame(NamedTuple):
       shapes: [OBJECTS, CELLS³] of each of the last objects the share of its points in
         each cell, blurred; zeros where there was none yet.
       count: () int32 of all objects so far.
-      colors: [CELLS³, BINS, BINS] of colours, a moving sum over batches; of no cells
+      colors: [CELLS³, BINS, BINS] of colours, a moving sum over batches; None
         where they are not asked for.
       moments: [3, 1 or 2, T - 1] moving sums of 1, x and x², where x is what objects
         gain by points, and by colours, after each half turn; nats per point or sample.
@@ -59,7 +59,7 @@ class Frame(NamedTuple):
 
     shapes: jax.Array
     count: jax.Array
-    colors: jax.Array
+    colors: jax.Array | None
     moments: jax.Array
 
 
@@ -68,7 +68,7 @@ def start_frame(turns: int = 4, *, by_colors: bool) -> Frame:
     return Frame(
         jnp.zeros((OBJECTS, CELLS**3)),
         jnp.zeros((), jnp.int32),
-        jnp.zeros((CELLS**3 if by_colors else 0, BINS, BINS)),
+        jnp.zeros((CELLS**3, BINS, BINS)) if by_colors else None,
         jnp.zeros((3, 2 if by_colors else 1, turns - 1)),
     )
 
@@ -165,19 +165,19 @@ def _count_batch(frame, points, samples, gains):
     return Frame(
         frame.shapes.at[rows].set(shapes[-OBJECTS:]),
         frame.count + len(shapes),
-        _KEPT * frame.colors + _count_colors(samples, frame.colors.shape),
+        _count_colors(samples, frame.colors),
         _KEPT * frame.moments + moments,
     )
 
 
-def _count_colors(samples, shape):
-    """Colours of the samples of all devices in each cell; 0 where there are none."""
+def _count_colors(samples, before):
+    """Colours in each cell after those of all devices' samples."""
     if samples is None:
-        return jnp.zeros(shape)
+        return None
     colors = jnp.zeros((CELLS**3, BINS**2))
     cells = find_cells(samples.places.reshape(-1, 3))
     colors = colors.at[cells, samples.bins.reshape(-1)].add(samples.weights.reshape(-1))
-    return jax.lax.psum(colors, AXIS).reshape(shape)
+    return _KEPT * before + jax.lax.psum(colors, AXIS).reshape(before.shape)
 
 
 def compare_colors(samples: Samples, turns: jax.Array, frame: Frame) -> jax.Array:
@@ -185,6 +185,7 @@ def compare_colors(samples: Samples, turns: jax.Array, frame: Frame) -> jax.Arra
 
     Relative to the category's colours anywhere, nats per sample.
     """
+    assert frame.colors is not None
     counts = frame.colors.reshape(CELLS**3, BINS**2)
     usual = (jnp.sum(counts, axis=0) + 1e-3) / (jnp.sum(counts) + 1e-3 * BINS**2)
     there = (counts + _PRIOR * usual[None]) / (
