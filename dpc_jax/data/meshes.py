@@ -15,7 +15,7 @@ from trimesh.resolvers import FilePathResolver
 from trimesh.visual.color import uv_to_color
 
 from dpc_jax import files
-from dpc_jax.data.sets.pictures import is_readable
+from dpc_jax.data.sets import pictures
 from dpc_jax.files import Damage, describe_error
 from dpc_jax.shapes.normalization import join_pieces, replace_vertices
 
@@ -23,6 +23,7 @@ SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 MOST_BYTES = 1 << 29  # of a file: a mesh of some millions of faces
 MOST_PIXELS = 1 << 26  # of a texture: 8192 x 8192
 STRETCH = 0.15  # largest change of an axis in copies of a mesh, as a share of it
+_PICTURES = (*pictures.SUFFIXES, ".tga")
 PLAIN = np.array([170, 170, 170, 255], dtype=np.uint8)  # where a file has no colour
 
 
@@ -47,7 +48,9 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
         resolver = _Files(str(path))
         kind, file = path.suffix.lower()[1:], io.BytesIO(content)
         if kind == "obj":
-            file = io.StringIO(decode_text(content))
+            text = decode_text(content)
+            _expect_whole_line(text)
+            file = io.StringIO(text)
         scene = trimesh.load_scene(
             file, file_type=kind, resolver=resolver, process=False
         )
@@ -75,7 +78,9 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
     if not np.ptp(used, axis=0).max() > 0:
         raise _refuse(path, "a mesh with an extent", "all its vertices coincide")
     flaw = ""
-    if kind == "obj" and not resolver.asked and (colors == colors[0]).all():
+    # Readers give the faces of a file without colours one grey.
+    is_grey = (colors == colors[0]).all() and np.ptp(colors[0, :3]) == 0
+    if kind == "obj" and not resolver.asked and is_grey:
         flaw = "names no materials, rendered grey"
     elif kind == "obj" and (lost := resolver.lost):
         flaw = f"lacks {', '.join(lost[:2])}{' and more' * (len(lost) > 2)}"
@@ -133,7 +138,7 @@ class _Files(FilePathResolver):
         if path is None:
             raise FileNotFoundError(name)
         if path.suffix.lower() != ".mtl":
-            if path.suffix.lower() != ".bin" and not is_readable(path):
+            if path.suffix.lower() in _PICTURES and not pictures.is_readable(path):
                 raise Damage("it is no readable picture")
             return files.read_bytes(path, most=MOST_BYTES)
         text = decode_text(files.read_bytes(path, most=files.MOST_TEXT))
@@ -148,6 +153,16 @@ def decode_text(content: bytes) -> str:
         return content.decode("utf-8")
     except UnicodeDecodeError:
         return content.decode("latin-1")
+
+
+def _expect_whole_line(text):
+    """Refuse an OBJ file that was cut within its last vertex or face."""
+    if not text or text[-1] in "\r\n":
+        return
+    words = text[text.rfind("\n") + 1 :].split()
+    least = {"v": 4, "vt": 3, "vn": 4, "f": 4}.get(words[0] if words else "", 0)
+    if len(words) < least or (least and words[-1][-1] in "/-+eE"):
+        raise Damage(f"it ends within a line, {' '.join(words)!r}")
 
 
 def _place_part(scene, node):

@@ -39,7 +39,8 @@ class TensorBoardLog(MetricLog):
         super().cut_after(step)
         for path in self._folder.glob("events.*"):
             path.unlink()
-        self._writer = SummaryWriter(str(self._folder))
+        # A TensorBoard that has read the files before forgets their steps.
+        self._writer = SummaryWriter(str(self._folder), purge_step=0)
         records = self.read()
         self._started = time.time() - (records[-1]["seconds"] if records else 0.0)
         for record in records:

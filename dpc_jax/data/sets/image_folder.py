@@ -46,7 +46,8 @@ class ImageFolder(Source):
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
         """See `Source.identify_model`; it changes with any file of the object."""
         images = list_images(path)
-        found = {*images, *path.rglob("*"), masks.find_mask_file(path) or path}
+        beside = filter(None, map(masks.find_mask_file, images))
+        found = {*images, *path.rglob("*"), *beside}
         facts = [
             [os.path.relpath(file, path.parent), status.st_size, status.st_mtime_ns]
             for file in sorted(found)

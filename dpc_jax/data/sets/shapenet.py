@@ -124,7 +124,7 @@ def find_synset(folder: str | Path, category: str) -> Path:
 
 
 def list_synsets(folder: Path) -> list[str]:
-    """Names of the synsets that a folder is or holds, sorted."""
+    """Names of the synsets that a folder is or holds, sorted; of dates none is one."""
     folder = folder.resolve()
     names = [folder.name, *(p.name for p in folder.iterdir() if p.is_dir())]
-    return sorted(name for name in names if re.fullmatch(r"\d{8}", name))
+    return sorted(name for name in names if re.fullmatch(r"0\d{7}", name))

@@ -41,6 +41,6 @@ def find_place(
     if not 0 <= process < processes:
         raise ValueError(
             f"--process must be 0 or more and below --processes = {processes}, but it "
-            f"is {process}; number the processes from 0."
+            f"is {process}; give --processes of at least 1 and count from 0."
         )
     return Place(coordinator, processes, process) if processes > 1 else None
