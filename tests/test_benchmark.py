@@ -165,7 +165,7 @@ def test_one_command_measures_and_writes(tmp_path, monkeypatch, capsys):
     assert benchmark.main(["--quick", "--parts=sizes", f"--out={tmp_path}"]) == 0
     assert "1/1 sizes: silhouette+color, B=1" in capsys.readouterr().out
     text = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
-    assert "python -m dpc_jax.benchmark --parts=sizes --quick" in text
+    assert "python -m dpc_jax.benchmark --quick --parts=sizes --out=" in text
 
 
 def test_parts_before_a_failing_one_are_kept(tmp_path, monkeypatch, capsys):

@@ -257,9 +257,9 @@ def test_few_views_without_poses_and_views_not_explained_are_doubted():
         ("nowhere", "is not a folder"),
         ("objects", "holds folders; give one of them"),
         (". --poses=rough", "needs the poses of"),
-        (". --points=0", "--points must be at least 1"),
-        (". --elevations=50,10", "--elevations must be two numbers"),
-        (". --learn=zoom", "--learn must be of"),
+        (". --points=0", "--points: it must be a whole number of at least 1"),
+        (". --elevations=50,10", "--elevations: it must be two numbers"),
+        (". --learn=zoom", "--learn: names must be of"),
         (". --speed=3", "unrecognized arguments"),
     ],
 )
