@@ -35,7 +35,7 @@ def extract_surface(cells: ArrayLike, threshold: float) -> tuple[np.ndarray, ...
     """
     cells = np.asarray(cells, np.float32)
     padded = np.pad(cells, 1)
-    if padded.max() <= threshold:
+    if not padded.max() > threshold:  # NaN is nowhere
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int64)
     found: Any = marching_cubes(padded, threshold)
     vertices, faces = found[:2]

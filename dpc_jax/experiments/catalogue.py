@@ -59,7 +59,7 @@ BESIDE = {"train.colors_move_points": False}
 
 KINDS = {"": "hand-tuned σ", "sigma": "learned σ", "covariance": "learned covariance"}
 # Hand-tuned sigma at the end of a run, a share of the volume's side, by number of
-# points: the best on validation views of those tried (docs/baselines.md).
+# points: the best on validation views of those tried.
 HAND_TUNED = {20: 0.055, 60: 0.035, 200: 0.03, 2000: 0.02}
 
 

@@ -44,7 +44,7 @@ def draw_errors(out: Path, workdirs: Sequence[Path]) -> Figures:
                 "none; remove the report, and give the same command again."
             )
         found.append(float(error))
-    path = out / "projection_error.png"
+    path = out / "projection_error.svg"
     figures.draw_projection_errors({k: v for k, v in errors.items() if v}, path)
     caption = "Projection error against the number of points: mean and single runs."
     return [(path, caption)]

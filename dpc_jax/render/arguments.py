@@ -86,11 +86,7 @@ def check_types(camera: Camera, grid: VoxelGrid) -> None:
             )
 
 
-def choose_method(
-    method: str,
-    sigma: jax.Array | None,
-    covariance: jax.Array | None,
-) -> str:
+def choose_method(method: str, sigma: jax.Array | None) -> str:
     """Resolve "auto", and refuse a method that cannot draw these sizes."""
     checks.check_choice("method", method, METHODS, "'auto' chooses from the arguments")
     if method == "auto":

@@ -105,7 +105,8 @@ def project_batch(
     checks.check_values(values | {"rotations": rotations})
     own["rotation"] = rotations
     has_blocks = method in ("auto", *splatting.ORDERS) and _has_one_size(shared, own)
-    if max_blocks is None and has_blocks:
+    is_whole = ray_rule == "maximum" or "termination" in signals
+    if max_blocks is None and has_blocks and not is_whole:
         how = {"projection": camera.projection, "grid": grid, "method": method}
         max_blocks = capacity.count_room(
             lambda: _count_blocks(shared, own, **how), grid.shape, (shared, own)

@@ -150,8 +150,11 @@ def project(
         "ray_rule": ray_rule,
         "background": background,
     }
-    room = capacity.choose_room(scene, grid.shape, max_blocks)
-    if room is None or ray_rule == "maximum" or "termination" in signals:
+    is_whole = ray_rule == "maximum" or "termination" in signals
+    room = None
+    if max_blocks is not None or not is_whole:  # a wrong max_blocks is refused
+        room = capacity.choose_room(scene, grid.shape, max_blocks)
+    if room is None or is_whole:
         return _project_densely(scene, colors, camera, **view)
     return _project_in_blocks(scene, colors, camera, max_blocks=room, **view)
 

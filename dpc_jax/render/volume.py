@@ -65,7 +65,7 @@ def place_points(
     rotation, sigma, scale, covariance, translation = arguments.convert_scene(
         points, rotation, sigma, scale, covariance, translation
     )
-    method = arguments.choose_method(method, sigma, covariance)
+    method = arguments.choose_method(method, sigma)
     moved = to_camera_frame(points, rotation, translation=translation, camera=camera)
     coordinates, is_inside = to_grid(moved, camera=camera, grid=grid)
     if covariance is not None:

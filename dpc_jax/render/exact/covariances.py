@@ -36,8 +36,9 @@ def move_covariance(
 
     J is the derivative of the perspective at the centre of the point, S the sizes of
     the grid relative to its rows. An approximation: over the width of a point,
-    perspective is taken as linear (as in EWA splatting); docs/projection.md tells how
-    large the error is. Rotation and orthographic projection are exact.
+    perspective is taken as linear (as in EWA splatting): a point as wide as 1 % of its
+    distance has 0.6 to 0.9 % of its mass in the wrong place. Rotation and orthographic
+    projection are exact.
 
     From the object frame, in squares of extent / rows, to the axes (row, col, depth) in
     voxels². Points are in the camera frame, all in front of it; the matrix is the
