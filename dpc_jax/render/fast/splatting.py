@@ -2,8 +2,7 @@
 
 Along each axis a point goes to `order` + 1 cells; order 1 is the paper's trilinear
 method. The derivative of an image with respect to a point is as smooth as the spline:
-constant inside of a cell for order 1, linear for 2, quadratic for 3. Reading the cells
-at places between them is the same sum the other way round.
+constant inside of a cell for order 1, linear for 2, quadratic for 3.
 """
 
 import functools
@@ -113,32 +112,6 @@ def _scatter_backward(order, _, residuals, cotangent):
 
 
 scatter.defvjp(_scatter_forward, _scatter_backward)
-
-
-@jax.custom_vjp
-def sample(cells: jax.Array, offset: jax.Array, cell: jax.Array) -> jax.Array:
-    """Values between the cells [rows, cols, depth], linear in each direction, [N].
-
-    The transpose of `scatter` by the spline of order 1: `cell` [N, 3] is the lower
-    corner, which `offset` [N, 3] is from. The backward pass reads the cells again.
-    """
-    value, _ = _read(cells[None], offset, jnp.zeros(len(cell), jnp.int32), cell, 1)
-    return value
-
-
-def _sample_forward(cells, offset, cell):
-    return sample(cells, offset, cell), (cells, offset, cell)
-
-
-def _sample_backward(residuals, cotangent):
-    cells, offset, cell = residuals
-    slot = jnp.zeros(len(cell), jnp.int32)
-    _, slopes = _read(cells[None], offset, slot, cell, 1)
-    grad = _add(offset, cotangent, slot, cell, 1, (1, *cells.shape))[0]
-    return grad, slopes * cotangent[:, None], None
-
-
-sample.defvjp(_sample_forward, _sample_backward)
 
 
 def _add(offset, values, slot, cell, order, shape):
