@@ -1,14 +1,17 @@
 """What `predict` reads: masks, folders, moving pictures, and files of no use."""
 
+import dataclasses
 import sys
 
 import av
 import numpy as np
 import pytest
+from data_trees import write_photos
 from PIL import Image
 
 from dpc_jax.data import DataSpec
 from dpc_jax.data.sets import masks, pictures
+from dpc_jax.data.sets.image_folder import read_views
 from dpc_jax.data.sets.photographs import MOST_FRAMES, read_photographs
 from dpc_jax.data.viewpoints import look_at_rotation
 from dpc_jax.data.views import build_scene, draw_lights, render_view
@@ -109,6 +112,27 @@ def test_a_folder_holds_the_views_of_one_object(tmp_path):
     assert 0.2 < small / large < 0.3
     (one,), _ = read(tmp_path, is_one_object=True)
     assert one.name == "object" and len(one.images) == 4
+
+
+def test_views_of_known_cameras_are_those_that_training_would_see(tmp_path):
+    """With place and lens known, though the images have another centre and size."""
+    place = tmp_path / "mug"
+    write_photos(place, views=4)
+    (one,), skipped = read(place)
+    files, arrays, _ = read_views(place, SPEC)
+    assert not skipped and one.name == "mug" and one.files == tuple(files)
+    np.testing.assert_array_equal(one.images, arrays["images"])
+    np.testing.assert_array_equal(one.masks, arrays["masks"])
+    own = dataclasses.replace(SPEC, crop="none")  # framed as in training: as they are
+    (as_they_are,), _ = read(place, spec=own)
+    assert np.abs(1.0 * as_they_are.masks - one.masks).max() > 100
+    draw_disc().save(place / "new.png")  # which has no camera, and is not asked for
+    assert len(read(place)[0][0].images) == 4
+    write_photos(tmp_path / "pan", views=3, convention="opencv")  # which they are not
+    objects, skipped = read(tmp_path)
+    assert [one.name for one in objects] == ["mug"]
+    assert skipped[0][0] == str(tmp_path / "pan")
+    assert "check the convention of the poses" in skipped[0][1]
 
 
 @pytest.mark.parametrize("kind", ["gif", "webp", "png"])

@@ -1,7 +1,8 @@
 """Photographs that a trained network is asked about: files, folders, videos.
 
-Each becomes an object of one or more views, cut out and framed as in training. What
-cannot be used is named. This module loads no JAX: a bad file is told at once.
+Each becomes an object of one or more views, cut out and framed as in training, or as
+the camera of training would have seen them, where a folder says how they were taken.
+What cannot be used is named. This module loads no JAX: a bad file is told at once.
 """
 
 import dataclasses
@@ -11,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dpc_jax.data.sets import framing, masks
-from dpc_jax.data.sets.image_folder import find_images
+from dpc_jax.data.sets import framing, masks, pose_files
+from dpc_jax.data.sets.image_folder import list_images
 from dpc_jax.data.sets.pictures import SUFFIXES, read_frames, to_colors
 from dpc_jax.data.spec import DataSpec
 from dpc_jax.outputs import show_text
@@ -59,12 +60,18 @@ def read_photographs(
       ValueError: where nothing can be used, or two objects would have the same name.
     """
     objects, skipped = [], []
-    for name, files in _list_objects(paths, is_one_object):
-        views = [
-            view for file in files for view in _read_file(file, mask == "auto", skipped)
-        ]
-        if views:
-            objects.append(_frame(name, views, tuple(files), spec))
+    for name, files, folder in _list_objects(paths, is_one_object):
+        try:
+            cameras = {} if spec.crop == "none" else _read_cameras(folder)
+            views = [
+                view
+                for file in files
+                for view in _read_file(file, mask == "auto", cameras, skipped)
+            ]
+            if views:
+                objects.append(_frame(name, views, tuple(files), spec))
+        except ValueError as error:  # of cameras, which concern all views
+            skipped.append((show_text(folder), show_text(error).rstrip(".")))
     if not objects:
         first = skipped[0][1]
         if len(skipped) == 1:
@@ -76,13 +83,12 @@ def read_photographs(
     return objects, skipped
 
 
-def _list_objects(paths, is_one_object) -> list[tuple[str, list[Path]]]:
-    """(name, files) of each object."""
-    found = [pair for path in paths for pair in _expand(path)]
-    if is_one_object:
-        name = found[0][0] if len(found) == 1 else "object"
-        return [(name, [file for _, files in found for file in files])]
-    names = [name for name, _ in found]
+def _list_objects(paths, is_one_object) -> list[tuple[str, list[Path], Path | None]]:
+    """(name, files, folder) of each object."""
+    found = [each for path in paths for each in _expand(path)]
+    if is_one_object and len(found) > 1:  # of different cameras, perhaps
+        return [("object", [file for _, files, _ in found for file in files], None)]
+    names = [name for name, *_ in found]
     if repeated := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(
             f"Expected images of different names, but {', '.join(repeated)} came more "
@@ -91,13 +97,13 @@ def _list_objects(paths, is_one_object) -> list[tuple[str, list[Path]]]:
     return found
 
 
-def _expand(path: Path) -> list[tuple[str, list[Path]]]:
+def _expand(path: Path) -> list[tuple[str, list[Path], Path | None]]:
     if not path.is_dir():
-        return [(show_text(path.stem), [path])]
-    if files := find_images(path):
-        return [(show_text(path.resolve().name), files)]
+        return [(show_text(path.stem), [path], None)]
+    if files := list_images(path):
+        return [(show_text(path.resolve().name), files, path)]
     inner = [place for place in sorted(path.iterdir()) if place.is_dir()]
-    if found := [(show_text(p.name), f) for p in inner if (f := find_images(p))]:
+    if found := [(show_text(p.name), f, p) for p in inner if (f := list_images(p))]:
         return found
     raise ValueError(
         f"Expected images ({', '.join(SUFFIXES)}) in the folder {path} or in folders "
@@ -105,12 +111,27 @@ def _expand(path: Path) -> list[tuple[str, list[Path]]]:
     )
 
 
-def _read_file(path, finds_masks, skipped) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """(source, colours, mask) of each frame that can be used; others are noted."""
+def _read_cameras(folder: Path | None) -> dict[Path, pose_files.Pose]:
+    """Cameras of known place and lens by image; none where the folder has no such."""
+    found = pose_files.find_pose_files(folder) if folder else []
+    return pose_files.read_poses([p for p in found if p.name != pose_files.QUATERNIONS])
+
+
+class _View(NamedTuple):
+    source: str
+    colors: np.ndarray
+    mask: np.ndarray
+    camera: pose_files.Pose | None
+
+
+def _read_file(path, finds_masks, cameras, skipped) -> list[_View]:
+    """Each frame that can be used; others are noted."""
     try:
         if not path.is_file():
             problem = "is no regular file" if path.exists() else "is not there"
             raise ValueError(f"Expected an image file, but {path} {problem}; check it.")
+        if cameras and path not in cameras:
+            raise ValueError(f"Expected a pose of {path}, but there is none; add it.")
         frames = read_frames(path, MOST_FRAMES)
     except (OSError, ValueError) as error:
         skipped.append((show_text(path), show_text(error).rstrip(".")))
@@ -128,7 +149,7 @@ def _read_file(path, finds_masks, skipped) -> list[tuple[str, np.ndarray, np.nda
                 sentence = f"{source}: {sentence}"
             skipped.append((source, sentence))
             continue
-        views.append((source, to_colors(frame), mask))
+        views.append(_View(source, to_colors(frame), mask, cameras.get(path)))
     return views
 
 
@@ -144,14 +165,15 @@ def _find_mask(frame, path, finds_masks) -> np.ndarray:
     return masks.find_before_plain_background(np.asarray(frame.convert("RGB")))
 
 
-def _frame(name, views, files, spec: DataSpec) -> Photographs:
-    outlines = [framing.trace_outline(mask > 0.5) for _, _, mask in views]
-    frames = framing.frame_views(outlines, None, spec)
-    pairs = [view[1:] for view in views]
+def _frame(name, views: list[_View], files, spec: DataSpec) -> Photographs:
+    outlines = [framing.trace_outline(view.mask > 0.5) for view in views]
+    cameras = [view.camera for view in views if view.camera]
+    frames = framing.frame_views(outlines, cameras or None, spec)
+    pairs = [(view.colors, view.mask) for view in views]
     arrays = framing.cut_frames(pairs, frames, spec)
     side = max(spec.image_size, min(2 * spec.image_size, FINEST))
     fine = framing.cut_frames(pairs, frames, dataclasses.replace(spec, image_size=side))
-    sources = tuple(source for source, _, _ in views)
+    sources = tuple(view.source for view in views)
     return Photographs(
         name, sources, arrays["images"], arrays["masks"], fine["masks"], files
     )
