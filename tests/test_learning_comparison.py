@@ -278,8 +278,8 @@ MIXED = {"silhouette_weight": 0.05, "depth_weight": 2.0, "color_weight": 1.0}
 FEW = {"choice_points": 6}
 CHOICES = {
     "exact": ("points", False, {}),
-    "all signals": ("points", True, {"choice_signals": "all", **MIXED}),
-    "all signals of few": ("points", True, {"choice_signals": "all", **FEW, **MIXED}),
+    "all signals": ("points", True, MIXED),
+    "all signals of few": ("points", True, {**FEW, **MIXED}),
     "sigmas": ("sigma", False, FEW),
     "covariances": ("covariance", False, FEW),
     "cells": ("voxels", False, {"shape": "voxels"}),
@@ -298,8 +298,7 @@ def test_the_candidate_of_the_smallest_weighted_loss_wins(case, monkeypatch):
     candidates = as_float32(random_quaternions(10, 4, 6))
     choose = functools.partial(choose_poses, recipe=make_recipe(config))
     winners = jax.jit(choose)(shapes, candidates, batch, cameras)
-    by_all = config.pose.choice_signals == "all"
-    compared = config if by_all else tiny_config(**{**fields, "choice_top": 0})
+    compared = tiny_config(**{**fields, "choice_top": 0})
 
     @jax.jit
     def compare_all(candidates):

@@ -143,8 +143,7 @@ def test_of_several_viewpoints_none_is_searched_for_nearby():
 
 def test_candidates_are_compared_by_the_signals_of_training_that_are_there():
     scene, poses = make_scene() | {"colors": jnp.full((60, 3), 0.2)}, face(50.0, 10.0)
-    changes = {"pose": {"choice_signals": "all"}, "train": {"color_weight": 0.5}}
-    config = replace_fields(CONFIG, changes)
+    config = replace_fields(CONFIG, {"train": {"color_weight": 0.5}})
 
     @jax.jit
     def compare(observation):

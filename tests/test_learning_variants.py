@@ -49,8 +49,7 @@ VARIANTS = {
         {"pose", "pose_encoder", "student", "judge"},
     ),
     "cameras, depth alone": (
-        {"silhouette_weight": 0.0, "depth_weight": 1.0, "translation": True}
-        | {"choice_signals": "all"},
+        {"silhouette_weight": 0.0, "depth_weight": 1.0, "translation": True},
         {"depth", "camera_mean", "student"},
         {"pose", "student", "translation", "focal"},
     ),

@@ -103,7 +103,6 @@ SMALL = {"data.image_size": 16, "render.grid": 4, "render.fine_grid": 0}
             {"train.silhouette_weight": 0.0, "train.color_weight": 1.0},
             "config.train.colors_move_points must be True",
         ),
-        ({"pose.choice_signals": "all", "pose.choice_top": 0}, "silhouettes alone"),
         ({"category": "boat"}, "boat"),
         ({"data.meshes": "HERE"}, "Expected"),  # no mesh in it
     ],

@@ -144,7 +144,7 @@ def _list_system_rules(config):
 
 def _list_signal_rules(config):
     """Rules of the signals that are compared, and of what a view's camera is."""
-    data, pose, train = config.data, config.pose, config.train
+    data, train = config.data, config.train
     others = train.depth_weight + train.color_weight
     yield (
         "train.silhouette_weight",
@@ -163,14 +163,6 @@ def _list_signal_rules(config):
         "train.depth_weight",
         not (train.depth_weight and data.images),
         "0 with data.images, which come without depths",
-    )
-    is_coarse = pose.choice_points or config.network.shape == "voxels"
-    is_exact = pose.choice_top or not is_coarse
-    yield (
-        "pose.choice_top",
-        is_exact or pose.choice_signals == "silhouette",
-        "above 0 with pose.choice_signals = 'all', because the first, coarse choice "
-        "sees silhouettes alone",
     )
     for name, value in (
         ("data.offset", data.offset),

@@ -141,8 +141,6 @@ class Pose:
     student: str = field("posterior", one_of(*STUDENTS))  # what it predicts
     choice_points: int = field(250, at_least(0))  # that rank candidates; 0: no ranking
     choice_top: int = field(6, at_least(0))  # candidates then compared exactly
-    # Signals that the candidates' exact comparison sees: of all that have a weight.
-    choice_signals: str = field("silhouette", one_of("silhouette", "all"))
     common_frame: str = field("points", one_of(*FRAMES))  # reversed kinds turn back
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     translation: bool = False  # of each view, learned (released code)

@@ -54,7 +54,6 @@ DEFAULTS = FRAME | {
     "network.sees_mask": True,
 }
 DRAWN = {"pose.head": "viewpoint", "pose.student": "selects"}
-CHOOSE_BY_ALL = {"pose.choice_signals": "all"}
 BESIDE = {"train.colors_move_points": False}
 
 KINDS = {"": "hand-tuned σ", "sigma": "learned σ", "covariance": "learned covariance"}
@@ -198,14 +197,10 @@ EXPERIMENTS = (
         ("chamfer", *_POSES, "flip_share", "color_psnr"),
         (
             Row("Silhouettes", budget="signals"),
-            Row("With colour, chosen by silhouettes", variant="color",
-                budget="signals"),
-            Row("With colour, chosen by both", variant="color", changes=CHOOSE_BY_ALL,
-                tag="choose-by-all", budget="signals"),
+            Row("With colour", variant="color", budget="signals"),
             _DEFAULTS,
-            Row("Defaults of this package, with colour, chosen by both",
-                variant="color", changes=DEFAULTS | BESIDE | CHOOSE_BY_ALL,
-                tag="defaults"),
+            Row("Defaults of this package, with colour", variant="color",
+                changes=DEFAULTS | BESIDE, tag="defaults"),
             _SILHOUETTES,
             Row("Known pose, with colour", variant="known_pose,32,color"),
             Row("Known pose, with colour that moves no points",
@@ -230,8 +225,8 @@ EXPERIMENTS = (
                 changes=CONTAINED | {"train.silhouette_weight": 0.0},
                 tag="contained-alone"),
             _DEFAULTS,
-            Row("Defaults of this package, with depth, chosen by both", variant="depth",
-                changes=DEFAULTS | CHOOSE_BY_ALL, tag="defaults"),
+            Row("Defaults of this package, with depth", variant="depth",
+                changes=DEFAULTS, tag="defaults"),
         ),
         categories=("car", "chair"),
         picture="signals.png",

@@ -14,7 +14,7 @@ from dpc_jax.learning.cameras import Cameras, flatten_views
 from dpc_jax.learning.recipe import Recipe
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View, place_view
 from dpc_jax.learning.shapes.points import Points
-from dpc_jax.learning.signals import SILHOUETTES, downsample_images, make_targets
+from dpc_jax.learning.signals import downsample_images, make_targets
 from dpc_jax.render import Camera, checks
 from dpc_jax.render.batch import map_renders
 
@@ -54,7 +54,7 @@ def choose_poses(
         return Winners(candidates[:, :, 0], indices)
 
     pose, render, camera = recipe.pose, recipe.render, recipe.camera
-    weights = recipe.weights if pose.choice_signals == "all" else SILHOUETTES
+    weights = recipe.weights._replace(background=0)  # silhouettes by their squares
     at_once = render.renders_at_once
     how = Choice(pose.choice_points, pose.choice_top, at_once, weights)
     shapes, still, cameras = jax.lax.stop_gradient((shapes, candidates, cameras))

@@ -56,15 +56,15 @@ def observe(
     """The observations of n views, averaged down to a grid of that side.
 
     Args:
-      arrays: images, masks and what else there is of the views, by name. What training
-        chooses candidates by and the data lack (depths of own images) is left out.
+      arrays: images, masks and what else there is of the views, by name. Signals of
+        training that the data lack (depths of own images) are left out.
       knows_distance: whether the cameras of the views are those of the run.
     """
     target = downsample_images(arrays["masks"], side)
     if not knows_distance:
         return Observation(target, cameras, frame=frame_by_moments(target))
     others = {}
-    if config.pose.choice_signals == "all" and config.pose.learned_heads > 1:
+    if config.pose.learned_heads > 1:
         weighted = read_weights(config.train).signals
         names = tuple(n for n in weighted if _SOURCES.get(n) in arrays)
         distance = config.render.distance
@@ -90,14 +90,14 @@ def compare_poses(
 
     Args:
       scene: of the shape, sizes in voxels of the observation's grid.
-      weights: of silhouettes and the observation's other signals; None for those that
-        training chooses candidates by.
+      weights: of silhouettes and the observation's other signals; None for those of
+        training.
     """
-    if weights is None and config.pose.choice_signals == "all":
+    if weights is None:
         trained = read_weights(config.train)
         others = {n: getattr(trained, n) for n in _SOURCES if n in observation.others}
         weights = Weights(trained.silhouette, **others)
-    if weights is None or not weights.signals:
+    if not weights.signals:  # the data lack them
         weights = SILHOUETTES
     side = observation.target.shape[0]
     if observation.frame is not None:
