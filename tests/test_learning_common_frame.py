@@ -10,7 +10,7 @@ from tiny_runs import (
     rotation_matrix,
 )
 
-from dpc_jax.learning.choice import common_frame, seen_colors
+from dpc_jax.learning.choice import colors, common_frame
 from dpc_jax.learning.choice.common_frame import turn_back
 from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
@@ -74,7 +74,8 @@ def turn(winners, points, images, masks, frame, is_due, heads=HEADS):
         winners, points, images, masks
     )
     frame = jax.tree.map(lambda a: a[0], frames)  # all devices have the same
-    return Winners(*(a[:, 0] for a in new)), frame, jnp.mean(shares)
+    new = Winners(new.poses[:, 0], new.indices[:, 0], winners.losses)
+    return new, frame, jnp.mean(shares)
 
 
 def make_objects(count, *, thick, ends, seed=0):
@@ -90,7 +91,9 @@ def make_objects(count, *, thick, ends, seed=0):
         drawn = draw_views(points[-1], poses[-1], own)
         images.append(drawn[0]), masks.append(drawn[1])
     turns = jnp.zeros((count, 3), jnp.int32)  # of head 1 of 2, not turned
-    winners = Winners(jnp.stack(poses), turns + 1)
+    # No other candidate was compared.
+    losses = jnp.full((count, 3, 4 * HEADS), jnp.inf).at[:, :, 1].set(0)
+    winners = Winners(jnp.stack(poses), turns + 1, losses)
     return winners, *map(jnp.stack, (points, images, masks))
 
 
@@ -108,7 +111,7 @@ def exchange_ends(winners, points, images, masks):
     over = jax.vmap(jax.vmap(quaternion.multiply, (0, None)), (0, None))
     poses = over(winners.poses, about_y)
     turned = jax.vmap(quaternion.rotate, (0, None))(points, about_y)
-    return Winners(poses, winners.indices), turned, images, masks
+    return winners._replace(poses=poses), turned, images, masks
 
 
 def test_a_shape_that_fits_the_category_better_turned_is_turned_back():
@@ -144,7 +147,7 @@ def test_the_winner_is_the_same_head_after_that_half_turn():
         index = before * HEADS + 1
         poses = candidates[:, index].reshape(2, 3, 4)
         undone = jax.vmap(quaternion.rotate, (0, None))(wrong[1], turns[before])
-        winners = Winners(poses, jnp.full((2, 3), index))
+        winners = Winners(poses, jnp.full((2, 3), index), wrong[0].losses)
         found, _, share = turn(winners, undone, *wrong[2:], frame, True)
         chosen = jax.vmap(lambda q, i: q[i])(candidates, found.indices.reshape(-1))
         same = jax.vmap(quaternion.angle_between)(chosen, found.poses.reshape(-1, 4))
@@ -279,7 +282,7 @@ def test_a_color_has_the_same_bin_however_dark_it_is():
     color = np.array([0.8, 0.5, 0.1])
     grey = np.array([0.5, 0.5, 0.5])
     bright, dark, *greys = np.asarray(
-        seen_colors.sort_colors(
+        colors.sort_colors(
             jnp.asarray([color, 0.7 * color, grey, 0.1 * grey, 2 * grey])
         )
     )
@@ -292,10 +295,10 @@ def test_points_behind_others_have_no_color():
     grid = np.stack(np.meshgrid(*[np.linspace(-0.2, 0.2, 20)] * 2), -1).reshape(-1, 2)
     walls = [np.c_[grid, np.full(len(grid), z)] for z in (-0.2, 0.2)]
     points = jnp.asarray(np.concatenate(walls), jnp.float32)
-    own = {"rotation": jnp.array([[1.0, 0, 0, 0]])}
-    image = jnp.full((1, SIDE, SIDE, 3), 100, jnp.uint8)
-    mask = jnp.full((1, SIDE, SIDE), 255, jnp.uint8)
-    samples = seen_colors.see_object(points, own, image, mask, camera=Camera())
+    own = {"rotation": jnp.array([1.0, 0, 0, 0])}
+    image = jnp.full((SIDE, SIDE, 3), 100, jnp.uint8)
+    mask = jnp.full((SIDE, SIDE), 255, jnp.uint8)
+    samples = colors.see_points(points, own, image, mask, camera=Camera())
     near, far = np.asarray(samples.weights).reshape(2, -1)
     assert np.all(near > 0)
     assert np.mean(far > 0) < 0.1  # none but at the border of the near one

@@ -25,7 +25,6 @@ from dpc_jax.learning.inference.explanation import (
 )
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.shapes.points import Points
-from dpc_jax.learning.signals import SILHOUETTES
 from dpc_jax.networks.viewpoints import face_object, read_elevations
 
 CONFIG = tiny_config(student="posterior", flips=True, head="viewpoint", fine_grid=32)
@@ -141,22 +140,6 @@ def test_of_several_viewpoints_none_is_searched_for_nearby():
     assert np.array_equal(take_likeliest(*known, count=1)[0], candidates[1])
 
 
-def test_candidates_are_compared_by_the_signals_of_training_that_are_there():
-    scene, poses = make_scene() | {"colors": jnp.full((60, 3), 0.2)}, face(50.0, 10.0)
-    config = replace_fields(CONFIG, {"train": {"color_weight": 0.5}})
-
-    @jax.jit
-    def compare(observation):
-        colored = observation._replace(others={"color": jnp.ones((32, 32, 3))})
-        measure = functools.partial(compare_poses, scene, poses[None], config=config)
-        plain = measure(observation, weights=SILHOUETTES)
-        return plain, measure(observation), measure(colored)
-
-    plain, without, with_colors = compare(see(TRUTH))
-    np.testing.assert_allclose(without, plain, rtol=1e-6)
-    assert with_colors > plain + 1
-
-
 def test_an_elevation_is_read_from_the_pose_of_any_azimuth():
     azimuths, elevations = np.meshgrid([-170.0, -35, 0, 80, 179], [-80.0, -20, 0, 85])
     read = read_elevations(3 * face(azimuths.ravel(), elevations.ravel()))  # any length
@@ -174,7 +157,7 @@ def test_a_pose_is_told_from_others_whatever_the_distance(middle):
 
     def compare(knows_distance):
         return measure(
-            poses, observe(views, {}, 32, CONFIG, knows_distance=knows_distance)
+            poses, observe(views["masks"], {}, 32, knows_distance=knows_distance)
         )
 
     costs = compare(False)

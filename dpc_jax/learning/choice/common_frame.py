@@ -12,30 +12,29 @@ points, by moving sums over batches the colours. Of each object, with all its vi
 is asked whether it fits these better after a half turn. If so, its views learn the
 turned poses, and with them its shape learns to turn. Where colours are asked for they
 decide, as soon as they tell the category from its half turn; until then points do.
+From then on they decide between the half turns of single views, too, together with
+silhouettes: these hardly tell a car seen from the front from one seen from behind.
 """
 
-import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from dpc_jax.learning.cameras import Cameras
+from dpc_jax.learning.choice import colors
+from dpc_jax.learning.choice.colors import BINS, CELLS, POINTS, Samples, find_cells
 from dpc_jax.learning.choice.hindsight import Winners
-from dpc_jax.learning.choice.seen_colors import BINS, Samples, see_object
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import find_half_turns
 from dpc_jax.render import Camera, quaternion
 
-CELLS = 12  # along each axis of the object frame
 OBJECTS = 256  # the last ones, whose points are remembered
 _ALIKE = 0.2  # share of these objects, the most like one, that do not judge it
 _EMPTY = 0.02  # density that is added, of the mean over the cells
 _BLUR = (0.12, 0.76, 0.12)  # of densities, along each axis
 _SHIFTS = tuple(0.04 * i for i in range(-5, 6))  # along each axis, box diagonals
 _SCALES = (0.8, 1.0, 1.25)
-_POINTS = 1000  # of a shape, that are looked at
-_PRIOR = 500.0  # samples of the category's mean colours in each cell
 _FITTED = 400  # of these points, that are moved and scaled to fit
 _KEPT = 0.995  # of the sums in a step: 200 batches
 # Standard deviations below 0 of what a half turn gains by points or colours, to count.
@@ -51,7 +50,7 @@ class Frame(NamedTuple):
       shapes: [OBJECTS, CELLS³] of each of the last objects the share of its points in
         each cell, blurred; zeros where there was none yet.
       count: () int32 of all objects so far.
-      colors: [CELLS³, BINS, BINS] of colours, a moving sum over batches; None
+      colors: [CELLS³, BINS²] of colours, a moving sum over batches; None
         where they are not asked for.
       moments: [3, 1 or 2, T - 1] moving sums of 1, x and x², where x is what objects
         gain by points, and by colours, after each half turn; nats per point or sample.
@@ -68,7 +67,7 @@ def start_frame(turns: int = 4, *, by_colors: bool) -> Frame:
     return Frame(
         jnp.zeros((OBJECTS, CELLS**3)),
         jnp.zeros((), jnp.int32),
-        jnp.zeros((CELLS**3, BINS, BINS)) if by_colors else None,
+        jnp.zeros((CELLS**3, BINS**2)) if by_colors else None,
         jnp.zeros((3, 2 if by_colors else 1, turns - 1)),
     )
 
@@ -90,7 +89,8 @@ def turn_back(
     """Half turns of the objects that fit the category better that way.
 
     Args:
-      winners: of B objects with V views. points: [B, N, 3].
+      winners: of B objects with V views; with their losses where colours are asked
+        for. points: [B, N, 3].
       images: uint8 [B, V, S, S, 3]. masks: uint8 [B, V, S, S].
       covariance: [3, 3] of points, whose axes the half turns are about.
       frame: of the batches before.
@@ -101,29 +101,76 @@ def turn_back(
     Returns:
       (the winners to learn, the frame with this batch, () share of objects turned).
     """
-    points, covariance = jax.lax.stop_gradient((points[:, :_POINTS], covariance))
-    samples = None
+    points, covariance = jax.lax.stop_gradient((points[:, :POINTS], covariance))
+    turns, samples = find_half_turns(covariance, frame.moments.shape[2] + 1), None
     if by_colors:
-        per_view = {"rotation": jax.lax.stop_gradient(winners.poses), **cameras}
-        see = functools.partial(see_object, camera=camera)
-        samples = jax.vmap(see)(points, per_view, images, masks)
-    turns = find_half_turns(covariance, frame.moments.shape[2] + 1)
+        scores = jnp.where(is_due, score_colors(frame), 0)
+        views = jax.lax.stop_gradient((winners, dict(cameras))), images, masks
+        chosen, samples = _judge_views(points, *views, turns, scores, camera, heads)
+        winners = _turn_winners(winners, turns, chosen, heads)
     ways = list_ways(covariance, is_upright=len(turns) == 2)
     gains = _measure_gains(points, samples, turns, ways, frame)
     turned = jnp.where(is_due, _choose_turns(gains, frame.moments), 0)
 
-    # Candidate i is of head i % K after half turn i // K, and these form a group in
-    # which the turn a after the turn b is the turn a ^ b.
-    head, turn = winners.indices % heads, winners.indices // heads
-    indices = (turn ^ turned[:, None].astype(jnp.int32)) * heads + head
-    over_views = jax.vmap(quaternion.multiply, in_axes=(0, None))
-    poses = jax.vmap(over_views)(winners.poses, turns[turned])
+    of_views = jnp.broadcast_to(turned[:, None], winners.indices.shape)
+    winners = _turn_winners(winners, turns, of_views, heads)
     if samples is not None:
         places = jax.vmap(quaternion.rotate)(samples.places, turns[turned])
         samples = samples._replace(places=places)
     # Shapes are counted as they are predicted: turned ones would vote for more of them.
     new = _count_batch(frame, points, samples, gains)
-    return Winners(poses, indices), new, jnp.mean(turned > 0)
+    return winners, new, jnp.mean(turned > 0)
+
+
+def _turn_winners(winners, turns, chosen, heads):
+    """The winners [B, V] after the chosen [B, V] of the turns [T, 4]."""
+    multiply = jax.vmap(jax.vmap(quaternion.multiply))
+    poses = multiply(winners.poses, turns[chosen])
+    return Winners(poses, _turn_index(winners.indices, chosen, heads))
+
+
+def _turn_index(index, turn, heads):
+    """The candidate of the same head after one more half turn.
+
+    Candidate i is of head i % K after half turn i // K, and these form a group in which
+    the turn a after the turn b is the turn a ^ b.
+    """
+    return (index // heads ^ turn.astype(jnp.int32)) * heads + index % heads
+
+
+def score_colors(frame: Frame) -> jax.Array:
+    """`colors.score_colors` of the category; 0 where they tell nothing of turns."""
+    assert frame.colors is not None
+    _, is_clear = _find_clarity(frame.moments)
+    return jnp.where(jnp.any(is_clear[1]), colors.score_colors(frame.colors), 0)
+
+
+def _judge_views(points, seen, images, masks, turns, scores, camera, heads):
+    """Half turns of single views that colours and silhouettes find likelier together.
+
+    Returns:
+      ([B, V] of the turns, `Samples` of each object after them).
+    """
+    winners, cameras = seen
+
+    def judge_view(points, winner, per_view, image, mask):
+        poses = jax.vmap(quaternion.multiply, (None, 0))(winner.poses, turns)
+        indices = _turn_index(winner.indices, jnp.arange(len(turns)), heads)
+
+        def see(pose):
+            view = {"rotation": pose, **per_view}
+            found = colors.see_points(points, view, image, mask, camera=camera)
+            return found, colors.judge_samples(colors.weigh_paint(found), scores)
+
+        samples, fits = jax.vmap(see)(poses)
+        # Both as logarithms of likelihoods, as in `explanation.find_posteriors`.
+        best = jnp.argmax(fits - winner.losses[indices])
+        return best, jax.tree.map(lambda a: a[best], samples)
+
+    over_views = jax.vmap(judge_view, (None, 0, 0, 0, 0))
+    chosen, samples = jax.vmap(over_views)(points, winners, cameras, images, masks)
+    joined = jax.tree.map(lambda a: a.reshape(len(a), -1, *a.shape[3:]), samples)
+    return chosen, jax.vmap(colors.weigh_paint)(joined)
 
 
 def _measure_gains(points, samples, turns, ways, frame):
@@ -135,7 +182,8 @@ def _measure_gains(points, samples, turns, ways, frame):
 
     fits = [jax.vmap(compare)(points)]
     if samples is not None:
-        fits += [jax.vmap(lambda x: compare_colors(x, turns, frame))(samples)]
+        scores = colors.score_colors(frame.colors)
+        fits += [jax.vmap(lambda x: compare_colors(x, turns, scores))(samples)]
     return jnp.stack([a[:, 1:] - a[:, :1] for a in fits])
 
 
@@ -145,14 +193,19 @@ def _choose_turns(gains, moments):
     Only what tells a category from its own half turn counts: objects that look the same
     either way would be turned by chance.
     """
-    mean, square = moments[1:] / jnp.maximum(moments[:1], 1e-6)
-    spread = jnp.sqrt(jnp.maximum(square - mean**2, 0))
-    is_clear = mean < -_CLARITY * spread
+    mean, is_clear = _find_clarity(moments)
     # What fits both ways alike, half way round, is left to what its views say.
     total = jnp.where(is_clear[0], gains[0] + _MARGIN * mean[:1], -jnp.inf)
     if len(gains) > 1:
         total = jnp.where(is_clear[1], gains[1], total)
     return jnp.where(jnp.max(total, axis=1) > 0, jnp.argmax(total, axis=1) + 1, 0)
+
+
+def _find_clarity(moments):
+    """Mean gains by a half turn, and whether they tell the category from it."""
+    mean, square = moments[1:] / jnp.maximum(moments[:1], 1e-6)
+    spread = jnp.sqrt(jnp.maximum(square - mean**2, 0))
+    return mean, mean < -_CLARITY * spread
 
 
 def _count_batch(frame, points, samples, gains):
@@ -174,28 +227,19 @@ def _count_colors(samples, before):
     """Colours in each cell after those of all devices' samples."""
     if samples is None:
         return None
-    colors = jnp.zeros((CELLS**3, BINS**2))
-    cells = find_cells(samples.places.reshape(-1, 3))
-    colors = colors.at[cells, samples.bins.reshape(-1)].add(samples.weights.reshape(-1))
-    return _KEPT * before + jax.lax.psum(colors, AXIS).reshape(before.shape)
+    flat = Samples(*(a.reshape(-1, *a.shape[2:]) for a in samples))
+    return _KEPT * before + jax.lax.psum(colors.count_colors(flat), AXIS)
 
 
-def compare_colors(samples: Samples, turns: jax.Array, frame: Frame) -> jax.Array:
+def compare_colors(samples: Samples, turns: jax.Array, scores: jax.Array) -> jax.Array:
     """Mean log-likelihood [T] of colours after each of the turns [T, 4] of the object.
 
-    Relative to the category's colours anywhere, nats per sample.
+    By the scores of `colors.score_colors`, nats per sample.
     """
-    assert frame.colors is not None
-    counts = frame.colors.reshape(CELLS**3, BINS**2)
-    usual = (jnp.sum(counts, axis=0) + 1e-3) / (jnp.sum(counts) + 1e-3 * BINS**2)
-    there = (counts + _PRIOR * usual[None]) / (
-        jnp.sum(counts, axis=1, keepdims=True) + _PRIOR
-    )
-    scores = jnp.log(there / usual[None])
 
     def fit(turn):
-        cells = find_cells(quaternion.rotate(samples.places, turn))
-        return jnp.sum(samples.weights * scores[cells, samples.bins])
+        places = quaternion.rotate(samples.places, turn)
+        return colors.judge_samples(samples._replace(places=places), scores)
 
     count = jnp.sum(samples.weights > 0)
     return jax.vmap(fit)(turns) / jnp.maximum(count, 1)
@@ -264,9 +308,3 @@ def compare_places(
         return jnp.max(jnp.mean(jnp.where(is_inside, found, jnp.log(_EMPTY)), axis=-1))
 
     return jax.vmap(fit)(turns)
-
-
-def find_cells(places: jax.Array) -> jax.Array:
-    """Cells [n] int32 of places [n, 3]."""
-    x, y, z = jnp.clip(jnp.floor((places + 0.5) * CELLS), 0, CELLS - 1).T
-    return ((x * CELLS + y) * CELLS + z).astype(jnp.int32)

@@ -25,10 +25,13 @@ class Winners(NamedTuple):
     Attributes:
       poses: [B, V, 4] quaternions.
       indices: [B, V] int32; candidate i belongs to head i % K.
+      losses: [B, V, C] of all candidates, infinite of those that are ranked too low to
+        be compared exactly; None where none are.
     """
 
     poses: jax.Array
     indices: jax.Array
+    losses: jax.Array | None = None
 
 
 def choose_poses(
@@ -71,10 +74,10 @@ def choose_poses(
     def place(scene, candidates, per_view):
         return kind.place_in_image(scene | shared, make_view(candidates, per_view), how)
 
-    def choose(inputs):
+    def compare(inputs):
         scene, candidates, targets, places, per_view = inputs
         view = make_view(candidates, per_view)
-        return choose_in_scene(kind, scene | shared, view, targets, places, how)
+        return compare_in_scene(kind, scene | shared, view, targets, places, how)
 
     per_view = flatten_views(cameras)
     # Outside of the loop over views: inside, XLA projects each point again for every
@@ -84,16 +87,17 @@ def choose_poses(
     if others := tuple(name for name in weights.signals if name != "silhouette"):
         distance = render.distance
         targets |= make_targets(batch, render.grid, signals=others, distance=distance)
-    indices = map_renders(
-        choose,
+    found = map_renders(
+        compare,
         (scene, flat, flatten_views(targets), places, per_view),
         renders_at_once=at_once,
-    ).reshape(objects, per_object)
+    ).reshape(objects, per_object, -1)
+    indices = jnp.argmin(found, axis=-1)
     poses = jnp.take_along_axis(candidates, indices[..., None, None], axis=2)[:, :, 0]
-    return Winners(poses, indices)
+    return Winners(poses, indices, found)
 
 
-def choose_in_scene(
+def compare_in_scene(
     kind: type[Shape],
     scene: Scene,
     view: View,
@@ -101,10 +105,10 @@ def choose_in_scene(
     places: Any,
     how: Choice,
 ) -> jax.Array:
-    """Eq. 2 for one view of checked arguments: index of its best candidate; ()."""
+    """Losses [C] of a view of checked arguments; infinite of what is ranked too low."""
     coarse = kind.rank(scene, view, targets["silhouette"], places, how)
     if coarse is not None and how.top == 0:
-        return jnp.argmin(coarse)
+        return coarse
 
     def compare(view):
         at_once = how.renders_at_once
@@ -113,9 +117,10 @@ def choose_in_scene(
         )
 
     if coarse is None:
-        return jnp.argmin(compare(view))
+        return compare(view)
     _, best = jax.lax.top_k(-coarse, min(how.top, len(view.rotation)))
-    return best[jnp.argmin(compare(view._replace(rotation=view.rotation[best])))]
+    exact = compare(view._replace(rotation=view.rotation[best]))
+    return jnp.full_like(coarse, jnp.inf).at[best].set(exact)
 
 
 def choose_candidate(
@@ -181,4 +186,5 @@ def choose_candidate(
     scene = {"points": points, "mass": mass, "sigma": sigma}
     view = View(candidates, camera, side)
     places = Points.place_in_image(scene, view, how)
-    return choose_in_scene(Points, scene, view, {"silhouette": target}, places, how)
+    targets = {"silhouette": target}
+    return jnp.argmin(compare_in_scene(Points, scene, view, targets, places, how))

@@ -10,14 +10,7 @@ from dpc_jax.config import Config
 from dpc_jax.learning.framing import Frame, cut_silhouettes, frame_by_moments
 from dpc_jax.learning.shapes import find_shape_class
 from dpc_jax.learning.shapes.kind import Scene, View, place_view
-from dpc_jax.learning.signals import (
-    SILHOUETTES,
-    Weights,
-    downsample_images,
-    find_background,
-    make_targets,
-    read_weights,
-)
+from dpc_jax.learning.signals import downsample_images, find_background
 from dpc_jax.networks.viewpoints import read_elevations
 from dpc_jax.render import Camera, Projection, quaternion
 from dpc_jax.render.batch import map_renders
@@ -25,7 +18,6 @@ from dpc_jax.render.batch import map_renders
 FINALISTS = 4  # candidates of a view that are compared in the finest grid
 STEPS = (4.0, 2.8, 2.0)  # degrees that a viewpoint is moved by, one after the other
 _SLACK = 1e-3  # radians that an elevation may lie beyond its range by rounding
-_SOURCES = {"depth": "depths", "color": "images"}  # arrays that signals are read from
 
 
 class Observation(NamedTuple):
@@ -34,42 +26,31 @@ class Observation(NamedTuple):
     Attributes:
       target: [D, D] silhouette.
       camera: what the view's camera has of its own: translation [3], focal_length ().
-      others: {signal: target} that candidates are compared by, too.
-      frame: of a target that was taken from any distance, by its moments; silhouettes
-        alone are compared then, each in its own frame. None: the camera is the run's.
+      frame: of a target that was taken from any distance, by its moments: silhouettes
+        are compared each in its own frame then. None: the camera is the run's.
     """
 
     target: Any
     camera: Mapping[str, Any]
-    others: Mapping[str, Any] = {}
     frame: Frame | None = None
 
 
 def observe(
-    arrays: Mapping[str, jax.Array],
+    masks: jax.Array,
     cameras: Mapping[str, jax.Array],
     side: int,
-    config: Config,
     *,
     knows_distance: bool = True,
 ) -> Observation:
     """The observations of n views, averaged down to a grid of that side.
 
     Args:
-      arrays: images, masks and what else there is of the views, by name. Signals of
-        training that the data lack (depths of own images) are left out.
+      masks: uint8 [n, S, S].
       knows_distance: whether the cameras of the views are those of the run.
     """
-    target = downsample_images(arrays["masks"], side)
-    if not knows_distance:
-        return Observation(target, cameras, frame=frame_by_moments(target))
-    others = {}
-    if config.pose.learned_heads > 1:
-        weighted = read_weights(config.train).signals
-        names = tuple(n for n in weighted if _SOURCES.get(n) in arrays)
-        distance = config.render.distance
-        others = make_targets(arrays, side, signals=names, distance=distance)
-    return Observation(target, cameras, others)
+    target = downsample_images(masks, side)
+    frame = None if knows_distance else frame_by_moments(target)
+    return Observation(target, cameras, frame)
 
 
 def _place_view(rotation, per_view, side: int, config: Config) -> View:
@@ -79,34 +60,22 @@ def _place_view(rotation, per_view, side: int, config: Config) -> View:
 
 
 def compare_poses(
-    scene: Scene,
-    poses: jax.Array,
-    observation: Observation,
-    *,
-    config: Config,
-    weights: Weights | None = None,
+    scene: Scene, poses: jax.Array, observation: Observation, *, config: Config
 ) -> jax.Array:
-    """Losses [n] of a shape seen from poses [n, 4]: sums of squared differences.
+    """Losses [n] of a shape seen from poses [n, 4]: squares of silhouettes, summed.
+
+    Signals beside silhouettes are not compared: a user's image has no depth.
 
     Args:
       scene: of the shape, sizes in voxels of the observation's grid.
-      weights: of silhouettes and the observation's other signals; None for those of
-        training.
     """
-    if weights is None:
-        trained = read_weights(config.train)
-        others = {n: getattr(trained, n) for n in _SOURCES if n in observation.others}
-        weights = Weights(trained.silhouette, **others)
-    if not weights.signals:  # the data lack them
-        weights = SILHOUETTES
     side = observation.target.shape[0]
     if observation.frame is not None:
         return _compare_framed(scene, poses, observation, config)
     return find_shape_class(config.network.shape).compare_candidates(
         scene,
         _place_view(poses, observation.camera, side, config),
-        {"silhouette": observation.target, **observation.others},
-        weights=weights,
+        {"silhouette": observation.target},
         renders_at_once=config.render.renders_at_once,
     )
 
@@ -127,6 +96,56 @@ def _compare_framed(scene, poses, observation, config):
         return jnp.sum((framed - target) ** 2)
 
     return map_renders(compare, poses, renders_at_once=config.render.renders_at_once)
+
+
+def find_color_scores(frame: Any) -> jax.Array | None:
+    """What the colours of a view are judged by; None where a run counts none.
+
+    Args:
+      frame: of the run's averages.
+    """
+    if frame is None or frame.colors is None:
+        return None
+    from dpc_jax.learning.choice.common_frame import score_colors  # where asked for
+
+    return score_colors(frame)
+
+
+def weigh_by_colors(
+    probabilities: jax.Array,
+    scene: Scene,
+    candidates: jax.Array,
+    image: jax.Array,
+    mask: jax.Array,
+    base: Observation,
+    *,
+    scores: jax.Array,
+    config: Config,
+) -> jax.Array:
+    """Probabilities [C] of the candidates [C, 4], by the colours of the view, too.
+
+    Args:
+      scene: of points. image: uint8 [S, S, 3]. mask: uint8 [S, S].
+      scores: of `find_color_scores`.
+    """
+    from dpc_jax.learning.choice import colors  # where asked for
+
+    camera = Camera(config.render.focal_length, config.render.distance)
+
+    def judge(pose):
+        samples = colors.see_points(
+            scene["points"][: colors.POINTS],
+            {"rotation": pose, **base.camera},
+            image,
+            mask,
+            camera=camera,
+            frame=base.frame,
+        )
+        return colors.judge_samples(colors.weigh_paint(samples), scores)
+
+    tiny = jnp.finfo(probabilities.dtype).tiny
+    fits = jax.vmap(judge)(candidates)
+    return jax.nn.softmax(jnp.log(jnp.maximum(probabilities, tiny)) + fits)
 
 
 def find_posteriors(losses: jax.Array, probabilities: jax.Array) -> jax.Array:

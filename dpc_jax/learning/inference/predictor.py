@@ -18,9 +18,11 @@ from dpc_jax.learning.cameras import find_cameras
 from dpc_jax.learning.inference.explanation import (
     Observation,
     compare_poses,
+    find_color_scores,
     find_likeliest,
     observe,
     render_finest,
+    weigh_by_colors,
     weigh_finest,
 )
 from dpc_jax.learning.predictions import (
@@ -30,7 +32,6 @@ from dpc_jax.learning.predictions import (
     make_inputs,
 )
 from dpc_jax.learning.shapes import find_shape_class
-from dpc_jax.learning.signals import SILHOUETTES
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.networks.columns import sharing_columns
@@ -63,10 +64,10 @@ class Predictions(NamedTuple):
       costs: [M, V, 2] of the silhouette in the finest grid as seen from the predicted
         pose and from the true one; without a frame (`predict_all`) of no meaning.
       cells: [M, V, D, D, D], the occupancies that voxel models predict; else None.
-      candidates: [M, V, C, 4], turned ones included; probabilities: [M, V, C] that the
-        student gives them, alike where it does not select; losses: [M, V, C] of them in
-        the base grid; codes: [M, V, F] that shapes are decoded from, tints at the end.
-        Only where asked for.
+      candidates: [M, V, C, 4], turned ones included; probabilities: [M, V, C] of them
+        by student (alike where it does not select) and colours; losses: [M, V, C] of
+        them in the base grid; codes: [M, V, F] that shapes are decoded from, tints at
+        the end. Only where asked for.
     """
 
     points: np.ndarray
@@ -95,7 +96,7 @@ class _Entry(NamedTuple):
       scene, shown: of the shape, its points of the size that training has now, and of
         that which the schedule ends with: so images compare over training.
       poses: predicted, or given ones; chances: [C] of the candidates.
-      true: [4], the pose of the data.
+      true: [4], the pose of the data. image, mask: [S, S, 3] and [S, S] bytes.
       base, fine: what the view shows, in the base grid and in the finest.
     """
 
@@ -104,6 +105,8 @@ class _Entry(NamedTuple):
     poses: Poses
     chances: Any
     true: Any
+    image: Any
+    mask: Any
     base: Observation
     fine: Observation
 
@@ -137,8 +140,9 @@ def make_predictor(
         entries, shared = _list_entries(
             output, state, arrays, quaternions, config, knows_distance
         )
+        scores = find_color_scores(state.averages.frame)
         found = map_renders(
-            functools.partial(_explain, shared=shared, config=config),
+            functools.partial(_explain, shared=shared, scores=scores, config=config),
             entries,
             renders_at_once=config.render.renders_at_once,
         )
@@ -147,8 +151,10 @@ def make_predictor(
         losses = found.pop("losses")
         found |= {"candidate_poses": best(candidates, found["winners"])}
         if keeps_evidence:
-            found |= {"candidates": candidates, "probabilities": entries.chances}
-            found |= {"codes": output["codes"], "losses": losses}
+            found |= {"candidates": candidates, "losses": losses}
+            found |= {"codes": output["codes"]}
+        else:
+            found.pop("probabilities")
         cameras = ("translations", "focal_lengths")
         found |= {name: output[name] for name in cameras if name in output}
         return found | find_shape_class(config.network.shape).find_evaluated(
@@ -190,7 +196,7 @@ def _list_entries(output, state, arrays, quaternions, config, knows_distance):
         poses = complete_poses(output, state.averages.covariance, pose=config.pose)
     cameras = find_cameras(output, arrays, pose=config.pose)
     base, fine = (
-        observe(arrays, cameras, side, config, knows_distance=knows_distance)
+        observe(arrays["masks"], cameras, side, knows_distance=knows_distance)
         for side in (config.render.grid, config.render.finest)
     )
     entries = _Entry(
@@ -199,29 +205,33 @@ def _list_entries(output, state, arrays, quaternions, config, knows_distance):
         poses,
         find_probabilities(poses),
         quaternions,
+        arrays["images"],
+        arrays["masks"],
         base,
         fine,
     )
     return entries, (shared, shown_shared)
 
 
-def _explain(entry, *, shared, config):
+def _explain(entry, *, shared, scores, config):
     """What one view is taken for: images, poses, winner, and what poses cost."""
     scene, shown = entry.scene | shared[0], entry.shown | shared[1]
     candidates, taken = entry.poses.candidates, entry.poses.student
-    losses = jnp.zeros(1)
+    losses, chances = jnp.zeros(1), entry.chances
     if len(candidates) > 1:
         losses = compare_poses(scene, candidates, entry.base, config=config)
+    if scores is not None:
+        view = candidates, entry.image, entry.mask, entry.base
+        chances = weigh_by_colors(chances, scene, *view, scores=scores, config=config)
     if config.pose.weighs_fit:
-        known = candidates, losses, entry.chances, entry.fine
+        known = candidates, losses, chances, entry.fine
         (taken,) = find_likeliest(scene, *known, count=1, config=config)
     found = {"winners": jnp.argmin(losses), "poses": taken, "losses": losses}
+    found["probabilities"] = chances
     found |= _render_images(shown, taken, entry.fine.camera, config)
     if not config.pose.known:
         finer, both = weigh_finest(scene, config), jnp.stack([taken, entry.true])
-        found["costs"] = compare_poses(
-            finer, both, entry.fine, config=config, weights=SILHOUETTES
-        )
+        found["costs"] = compare_poses(finer, both, entry.fine, config=config)
     return found
 
 
