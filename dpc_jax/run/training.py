@@ -5,8 +5,9 @@ import functools
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 
-from dpc_jax.config import Config, from_json, replace_fields, to_json
+from dpc_jax.config import Config, replace_fields
 from dpc_jax.learning.inference.predictor import compile_predictor
 from dpc_jax.learning.step import TrainState, describe_state, init_state
 from dpc_jax.learning.training import loop
@@ -74,12 +75,12 @@ def _restore_run(
         step = int(restored.state.step)
         print(f"Going on from the checkpoint of step {step}.", flush=True)
     else:
-        restored = Restored(begin_run(learner.network, learner.config, job), 0.0, ())
+        restored = Restored(begin_run(learner.network, learner.config), 0.0, ())
     log.cut_after(int(restored.state.step))
     return restored
 
 
-def begin_run(network: ShapePoseNetwork, config: Config, job: Job) -> TrainState:
+def begin_run(network: ShapePoseNetwork, config: Config) -> TrainState:
     """The state at step 0, on the run's devices.
 
     With `train.init_from` it has the parameters of the last checkpoint of that workdir.
@@ -93,19 +94,14 @@ def begin_run(network: ShapePoseNetwork, config: Config, job: Job) -> TrainState
     if not config.train.init_from:
         return state
     workdir = Path(config.train.init_from)
-    # Only process 0 has to see the folder.
-    text = job.do_first(lambda: to_json(read_config(workdir)))
-    other = from_json(job.gather(text or "")[0])
+    other = read_config(workdir)
     here = {
         "run": {"devices": config.run.devices},
         "train": {"models_per_batch": config.train.models_per_batch},
     }
     like = describe_state(make_network(other), replace_fields(other, here))
-
-    def measure(params):
-        return jax.tree.map(lambda a: (a.shape, a.dtype), params)
-
-    if measure(like.params) != measure(state.params):
+    sizes, found = (jax.tree.map(jnp.shape, s.params) for s in (state, like))
+    if sizes != found:
         listed = list_differences(other, config)
         differing = [text for text in listed if text.startswith(_OF_NETWORK)]
         raise ValueError(
@@ -114,9 +110,9 @@ def begin_run(network: ShapePoseNetwork, config: Config, job: Job) -> TrainState
             f"{', '.join(differing)}; give another, or its values "
             "(--config.SECTION.FIELD=VALUE)."
         )
-    found = restore_last(workdir / "checkpoints", like, job)
-    print(f"Beginning with the parameters of {workdir}, step {int(found.step)}.")
-    return state._replace(params=found.params)
+    last = restore_last(workdir / "checkpoints", like)
+    print(f"Beginning with the parameters of {workdir}, step {int(last.step)}.")
+    return state._replace(params=last.params)
 
 
 def check_memory(program: jax.stages.Compiled) -> None:
