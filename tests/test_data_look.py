@@ -142,8 +142,7 @@ def test_a_set_is_listed_and_drawn(cache, tmp_path, capsys, monkeypatch):
         assert "views per model: 4" in out and "sheet.png" in out
         with Image.open("sheet.png") as sheet:
             # three tiles for each of four views, three models
-            assert sheet.width >= 4 * 3 * overview.TILE
-            assert sheet.height >= 3 * overview.TILE
+            assert sheet.size == (4 * 3 * overview.TILE, 3 * overview.TILE)
             pixels = np.asarray(sheet).reshape(-1, 3)
         for color in overview.AXES:
             assert (pixels == color).all(axis=1).sum() > 100

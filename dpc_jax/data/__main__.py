@@ -104,11 +104,12 @@ def _draw(opened, flags):
     # Among what commands make, not into a folder of data that may be anybody's.
     name = f"{Path(flags.folder).resolve().name}-sheet.png"
     out = Path(flags.out or Path("runs") / name)
+    models = overview.choose_models(opened, flags.models)
     with outputs.owning(out.parent, [out.name]), files.replacing(out) as partial:
-        sheet = overview.draw_set(opened, models=flags.models)
-        sheet.save(partial, format="png")
+        overview.draw_set(opened, models).save(partial, format="png")
     axes = "; red is the front, green the left, blue the top"
-    _say([f"  {out} shows some{axes * (opened.data.quaternions is not None)}"])
+    names = ", ".join(opened.data.names[model] for model in models)
+    _say([f"  {out} shows {names}{axes * (opened.data.quaternions is not None)}"])
 
 
 def _say(lines):
