@@ -193,7 +193,7 @@ def test_meshes_and_images_are_prepared_to_be_looked_at(tmp_path, capsys, monkey
         procedural.make_shape("chair", seed).export(path)
     assert run("show", "meshes", "--models", 2) == 0
     out = capsys.readouterr().out
-    assert "Rendering train object: 2/2" in out and "red is the front" in out
+    assert "Rendering train object: models, 2/2" in out and "red is the front" in out
     assert "prepared from meshes (meshes)" in out
     assert (tmp_path / "runs" / "meshes-sheet.png").exists()
     assert run("check", "meshes") == 0
@@ -209,7 +209,7 @@ def test_meshes_and_images_are_prepared_to_be_looked_at(tmp_path, capsys, monkey
     out = capsys.readouterr().out
     assert "(images)" in out and "no fault found; no poses" in out
     # nothing is rendered, and without poses no axes are drawn
-    assert "Reading train object: 3/3" in out
+    assert "Reading train object: models, 3/3" in out
     assert "Rendering" not in out and "red is the front" not in out
     # nothing is left behind, nothing lies between the images
     assert sorted(p.name for p in tmp_path.iterdir()) == [

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from dpc_jax.data import DataSpec, load_or_render, workers
+from dpc_jax.data import DataSpec, load_or_render
 from dpc_jax.data.dataset import read_cache
 from dpc_jax.files import claiming
 
@@ -125,23 +125,6 @@ def test_the_shard_of_a_killed_process_is_taken_over(start, alone, tmp_path):
     assert read(other) == "whole"
     assert [sum(notes.values()) for notes in count(tmp_path)] == [1, 9]
     assert_like_alone(tmp_path / "shared", alone)
-
-
-def test_processes_of_a_job_begin_at_different_shards(tmp_path, monkeypatch):
-    begun = []
-
-    def note(plan, numbers, **options):
-        begun.append(list(numbers))
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(workers, "write_together", note)
-    for part in range(3):
-        with pytest.raises(KeyboardInterrupt):
-            load_or_render(
-                DataSpec(**SPEC), cache_dir=tmp_path, progress=False, share=(part, 3)
-            )
-    assert [numbers[0] for numbers in begun] == [0, 3, 6]
-    assert all(sorted(numbers) == list(range(10)) for numbers in begun)
 
 
 def test_where_the_disk_knows_no_locks_everything_is_still_made(

@@ -109,7 +109,7 @@ def _run_in(folder, config, job):
     make_mesh(config)
     log = _open_log(folder, config, job)
     started = time.monotonic()
-    sets = load_sets(config, share=(job.process, job.processes))
+    sets = load_sets(config)
     data_seconds = time.monotonic() - started
 
     learner = Learner(config, sets)
