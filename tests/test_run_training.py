@@ -12,7 +12,7 @@ from tiny_runs import assert_same_bits, make_network, tiny_config
 from dpc_jax.config import to_json
 from dpc_jax.learning.step import init_state
 from dpc_jax.learning.training.checkpoints import Checkpoints
-from dpc_jax.run.training import begin_run, check_memory
+from dpc_jax.run.pipeline import begin_run, check_memory
 
 CONFIG = tiny_config()
 
