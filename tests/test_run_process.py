@@ -12,7 +12,7 @@ import pytest
 from dpc_jax.run.process import catch_signals, keep_compiled_programs
 
 COMPILE = """
-from dpc_jax.run.task import hush_jaxlib
+from dpc_jax.task import hush_jaxlib
 hush_jaxlib()
 import jax, jax.numpy as jnp, sys, warnings
 warnings.simplefilter("error")

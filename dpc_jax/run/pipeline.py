@@ -26,7 +26,6 @@ from dpc_jax.run.learner import Learner
 from dpc_jax.run.process import catch_signals, prepare_process
 from dpc_jax.run.report.summary import report_run
 from dpc_jax.run.setup import load_sets, make_network
-from dpc_jax.run.task import Task, run_command
 from dpc_jax.run.workdir import (
     check_same,
     claim_workdir,
@@ -34,6 +33,7 @@ from dpc_jax.run.workdir import (
     list_differences,
     read_config,
 )
+from dpc_jax.task import Task, run_command
 
 # Fields that the shapes of parameters depend on.
 _OF_NETWORK = (

@@ -2,8 +2,8 @@
 
 Process 0 hosts jax's coordination service, and the others find it by its address. A
 process that is lost ends all of them, so that the job can be started again from its
-last checkpoint. Where process 0 is lost or not found, jax's client ends the others
-itself, with words of its own.
+last checkpoint: by an error of the next exchange or, where process 0 is lost or not
+found, or a process says nothing, by jax's client, with words of its own.
 """
 
 import atexit
@@ -82,8 +82,6 @@ def _connect(place):
     """Start the service in process 0, and meet the others there."""
     # jax would catch SIGTERM for itself, so that it did not end a process that renders.
     jax.config.update("jax_enable_preemption_service", False)
-    # Else the loss of any process would end the others by jax's words, not by ours.
-    jax.config.update("jax_enable_recoverability", True)
     logging.getLogger("jax").setLevel(logging.ERROR)
     seconds = _read_seconds("JOIN", JOIN_SECONDS)
     heartbeat = _read_seconds("HEARTBEAT", HEARTBEAT_SECONDS)
