@@ -8,7 +8,6 @@ import pytest
 
 from dpc_jax.data import DataSpec, load_or_render
 from dpc_jax.data.dataset import read_cache
-from dpc_jax.files import claiming
 
 MODELS = 40  # in ten shards
 SPEC = dict(
@@ -136,12 +135,3 @@ def test_where_the_disk_knows_no_locks_everything_is_still_made(
     monkeypatch.setattr("fcntl.flock", refuse)
     load_or_render(DataSpec(**SPEC), cache_dir=tmp_path, processes=1, progress=False)
     assert_like_alone(tmp_path, alone)
-
-
-def test_a_claim_is_held_by_one_at_a_time(tmp_path):
-    path = tmp_path / "file"
-    with claiming(path) as first, claiming(path) as second, claiming(path) as third:
-        assert (first, second, third) == (True, False, False)
-    with claiming(path) as again:
-        assert again
-    assert list(tmp_path.iterdir()) == []

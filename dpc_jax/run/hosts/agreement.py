@@ -110,16 +110,6 @@ class Job:
             raise ValueError(said)
         return result
 
-    def share(self, tree: Any) -> Any:
-        """The arrays that process 0 has, in every process.
-
-        Args:
-          tree: arrays; those of the other processes give only shapes and dtypes.
-        """
-        if self.processes == 1:
-            return tree
-        return multihost_utils.broadcast_one_to_all(tree)
-
     def agree_to_stop(self, is_asked: Callable[[], bool]) -> Callable[[], bool]:
         """A question for after each step, which all processes answer alike.
 

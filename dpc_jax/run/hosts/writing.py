@@ -104,7 +104,9 @@ class SharedCheckpoints(Checkpoints):
             return None
         seconds, damaged = told
         read = jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), there)
-        read = self._job.share(jax.device_get(found.state) if found else read)
+        read = multihost_utils.broadcast_one_to_all(
+            jax.device_get(found.state) if found else read
+        )
         state = jax.tree.map(spread_array, read, like)
         return Restored(state, seconds, tuple(damaged))
 
