@@ -173,7 +173,7 @@ def test_what_cannot_be_read_of_colmap_is_a_sentence(tmp_path, monkeypatch):
     ):
         pose_files.read_poses(pose_files.find_pose_files(place))
     (place / "cameras.txt").write_text("1 PINHOLE wide")
-    with pytest.raises(ValueError, match="Expected poses in .* cannot be read"):
+    with pytest.raises(ValueError, match="Expected poses in .* cannot be used"):
         pose_files.read_poses([place / "images.txt"])
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     with pytest.raises(ValueError, match=r"pip install 'dpc_jax\[colmap\]'"):
@@ -275,11 +275,11 @@ def write_frame(matrix, **lens):
 
 
 BAD_POSES = [
-    ("poses.json", "{", "poses.json, but they cannot be read"),
+    ("poses.json", "{", "poses.json, but it cannot be used"),
     ("poses.json", "[1, 2]", "it holds a list, not names"),
     ("poses.json", "[" * 100_000, "nested too deep"),
     ("poses.json", '{"view0.png": [1, 0, 0]}', "four numbers that are not"),
-    ("poses.json", f'{{"a": [1{"0" * 400}, 0, 0, 0]}}', "cannot be read"),
+    ("poses.json", f'{{"a": [1{"0" * 400}, 0, 0, 0]}}', "cannot be used"),
     ("transforms.json", '{"frames": [{"file_path": "view0"}]}', "transform_matrix"),
     ("transforms.json", write_frame(np.diag([2.0, 1, 1, 1])), "no rigid transform"),
     ("transforms.json", write_frame(np.diag([-1.0, 1, 1, 1])), "mirrored"),

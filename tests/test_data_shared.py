@@ -102,17 +102,6 @@ def assert_like_alone(cache, alone):
     assert len(read_cache(folder).names) == MODELS
 
 
-def test_two_processes_render_each_shard_once(start, alone, tmp_path):
-    processes = [start(), start()]
-    for process in processes:
-        begin(process)
-    assert [read(process) for process in processes] == ["whole", "whole"]
-    first, second = count(tmp_path)
-    assert first and second, "one process did all the work"
-    assert first + second == {path.name: 1 for path in alone.glob("shard-*.npz")}
-    assert_like_alone(tmp_path / "shared", alone)
-
-
 def test_the_shard_of_a_killed_process_is_taken_over(start, alone, tmp_path):
     killed, other = start("stuck"), start()
     begin(killed)
