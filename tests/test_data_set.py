@@ -88,20 +88,17 @@ def test_any_number_of_processes_gives_the_same_bytes(tmp_path, monkeypatch):
         assert path.read_bytes() == other.read_bytes()
 
 
-FAIL = "import numpy\ndef fail(*a, **k): raise OSError(28, 'No space')\n"
-FAIL += workers.BOOT.replace("workers.work", "numpy.savez = fail\nworkers.work")
 DEATHS = [  # what a worker does instead, and what is said of it
-    ("import sys; sys.exit('out of luck')", RuntimeError, "status 1;.*out of luck"),
-    ("import os; os.kill(os.getpid(), 9)", RuntimeError, "ended with status -9"),
-    (FAIL, OSError, r"shard-0000\d.npz, but that failed .No space"),
+    ("import sys; sys.exit('out of luck')", "status 1;.*out of luck"),
+    ("import os; os.kill(os.getpid(), 9)", "ended with status -9"),
 ]
 
 
-@pytest.mark.parametrize("boot, kind, said", DEATHS)
-def test_a_worker_that_fails_is_reported(tmp_path, monkeypatch, boot, kind, said):
+@pytest.mark.parametrize("boot, said", DEATHS)
+def test_a_worker_that_fails_is_reported(tmp_path, monkeypatch, boot, said):
     monkeypatch.setattr(workers, "INLINE", 0)
     monkeypatch.setattr(workers, "BOOT", boot)
-    with pytest.raises(kind, match=rf"(?s){said}"):
+    with pytest.raises(RuntimeError, match=rf"(?s){said}"):
         load(tmp_path, processes=2, models=9)
     assert list(tmp_path.iterdir()) == []
 

@@ -139,15 +139,11 @@ def write_together(
 
 
 def work():
-    """Body of a worker: make the shards that its input names."""
+    """Body of a worker: make the shards that its input names, while its parent lives."""
     parent = os.getppid()
-    try:
-        for _ in write_shards(*pickle.load(sys.stdin.buffer)):
-            if os.getppid() != parent:  # it was killed
-                break
-    except OSError as error:
-        print(error, file=sys.stderr)
-        sys.exit(os.EX_IOERR)
+    for _ in write_shards(*pickle.load(sys.stdin.buffer)):
+        if os.getppid() != parent:
+            break
 
 
 def _write_in_processes(plan, numbers, count):
@@ -179,8 +175,6 @@ def _write_in_processes(plan, numbers, count):
             if worker.returncode:
                 log.seek(0)
                 tail = log.read().decode("utf-8", errors="replace")[-2000:].strip()
-                if worker.returncode == os.EX_IOERR:
-                    raise OSError(tail.rsplit("\n", 1)[-1])
                 raise RuntimeError(
                     "Expected a render process to end well, but it ended with status "
                     f"{worker.returncode}; set data.processes to 1 to look closer. Its "
