@@ -139,7 +139,7 @@ def write_together(
 
 
 def work():
-    """Body of a worker: make the shards that its input names, while its parent lives."""
+    """Body of a worker: make the shards that its input names until its parent dies."""
     parent = os.getppid()
     for _ in write_shards(*pickle.load(sys.stdin.buffer)):
         if os.getppid() != parent:
