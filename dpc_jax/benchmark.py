@@ -12,8 +12,7 @@ import sys
 from pathlib import Path
 
 from dpc_jax.measure.benchmark.plan import FULL, PARTS, QUICK
-from dpc_jax.run.flags import FlagParser, reading_names
-from dpc_jax.run.task import Task, run_command
+from dpc_jax.task import FlagParser, Task, reading_names, run_command
 
 WRITES = ("benchmark.md", "benchmark.json", "error.png")
 

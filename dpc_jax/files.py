@@ -28,6 +28,26 @@ class Damage(ValueError):
     """
 
 
+@contextlib.contextmanager
+def reading(
+    what: str, path: str | os.PathLike, cure: str = "repair or remove it"
+) -> Iterator[None]:
+    """Say in a sentence where a file cannot be used, and what to do then.
+
+    Raises:
+      ValueError: instead of whatever a reader raises on a damaged file.
+    """
+    try:
+        yield
+    except Exception as error:
+        known = isinstance(error, ValueError | OSError)
+        kind = "" if known else f"{type(error).__name__}: "
+        raise ValueError(
+            f"Expected {what} in {path}, but it cannot be used "
+            f"({kind}{describe_error(error)}); {cure}."
+        ) from None
+
+
 def open_regular(path: str | os.PathLike, *, most: int | None = None) -> BufferedReader:
     """Open a file that a user names, to read: a regular one of at most `most` bytes.
 

@@ -11,8 +11,7 @@ from pathlib import Path
 
 from dpc_jax.files import SURFACES
 from dpc_jax.learning.fitting import LEARNED, POSES, FitSettings
-from dpc_jax.run.flags import FlagParser, read_count, reading_names
-from dpc_jax.run.task import Task, run_command
+from dpc_jax.task import FlagParser, Task, read_count, reading_names, run_command
 
 _DEFAULT = FitSettings()
 

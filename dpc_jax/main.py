@@ -12,9 +12,8 @@ from typing import Any
 from absl import app, flags, logging
 
 from dpc_jax.config import from_config_dict, resolve_flags
-from dpc_jax.run.flags import FlagParser
 from dpc_jax.run.hosts.places import Place, find_place
-from dpc_jax.run.task import hush_jaxlib, say_missing
+from dpc_jax.task import FlagParser, hush_jaxlib, say_missing
 
 try:
     from ml_collections import config_flags

@@ -11,8 +11,7 @@ from pathlib import Path
 from dpc_jax.experiments.catalogue import NAMES
 from dpc_jax.experiments.published import CATEGORIES
 from dpc_jax.experiments.runs import SIZES, SOURCES, Request, Source
-from dpc_jax.run.flags import FlagParser, read_count, reading_names
-from dpc_jax.run.task import Task, run_command
+from dpc_jax.task import FlagParser, Task, read_count, reading_names, run_command
 
 # In --out; each run claims its own folder.
 WRITES = ("index.html", "logs/", "figures/")

@@ -11,8 +11,7 @@ import sys
 from pathlib import Path
 
 from dpc_jax.files import SURFACES
-from dpc_jax.run.flags import FlagParser
-from dpc_jax.run.task import Task, run_command
+from dpc_jax.task import FlagParser, Task, run_command
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -12,8 +12,7 @@ import time
 from pathlib import Path
 
 from dpc_jax.measure.stability import DTYPES, SUBJECTS
-from dpc_jax.run.flags import FlagParser, reading_names
-from dpc_jax.run.task import Task, run_command
+from dpc_jax.task import FlagParser, Task, reading_names, run_command
 
 QUICK_DTYPES = ("float32",)
 WRITES = ("stability.md", "stability.json")

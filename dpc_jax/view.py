@@ -9,8 +9,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from dpc_jax.run.flags import FlagParser
-from dpc_jax.run.task import Task, run_command
+from dpc_jax.task import FlagParser, Task, run_command
 
 
 def make_parser() -> argparse.ArgumentParser:

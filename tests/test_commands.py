@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from dpc_jax import commands
-from dpc_jax.run.task import run_command
+from dpc_jax.task import run_command
 
 LINES, COLUMNS = 24, 80  # of a terminal as it opens
 

@@ -70,40 +70,44 @@ def widen(path):
     savemat(path, {key: content[key] for key in ("extrinsic", "K")})
 
 
-HARMS = {  # what is done to a file, and what is said of it
-    "render_0.png": (cut, "render_0.png"),
-    "depth_1.png": (cut, "depth_1.png"),
-    "depth_0.png": (
-        lambda path: Image.fromarray(np.zeros((112, 112), np.uint8)).save(path),
-        "16-bit depth",
-    ),
-    "camera_0.mat": (lambda path: path.write_bytes(b"nonsense"), "camera_0.mat"),
-    "camera_1.mat": (widen, "focal length 1.875 and distance 2.0"),
-    "./camera_0.mat": (
+def empty(path):
+    path.unlink()
+    path.with_name("render_2.png").unlink()
+
+
+def shorten(path):
+    Image.fromarray(np.zeros((112, 112), np.uint8)).save(path)
+
+
+TRUTH = "../../../gt/downsampled/02958343/truth.mat"
+HARMS = {  # a file of each model, what is done to it, and what is said of it
+    "colors": ("render_0.png", cut, "render_0.png"),
+    "depth": ("depth_1.png", cut, "depth_1.png"),
+    "bytes": ("depth_0.png", shorten, "16-bit depth"),
+    "camera": ("camera_0.mat", cut, "camera_0.mat"),
+    "lens": ("camera_1.mat", widen, "focal length 1.875 and distance 2.0"),
+    "shapes": (
+        "camera_0.mat",
         lambda path: savemat(path, {"extrinsic": np.eye(3), "K": np.eye(3)}),
         "extrinsic [4, 4] and K [3, 3] in",
     ),
-    "./camera_1.mat": (
+    "texts": (
+        "camera_1.mat",
         lambda path: savemat(path, {"extrinsic": "none", "K": np.eye(3)}),
         "camera_1.mat",
     ),
-    "render_1.png": (
-        lambda path: [path.unlink(), path.with_name("render_2.png").unlink()],
-        "2 views render_N.png in",
-    ),
-    f"../../../gt/downsampled/02958343/{NAMES[1]}.mat": (
-        lambda path: path.unlink(),
-        f"{NAMES[1]}.mat, but it is missing",
-    ),
+    "few": ("render_1.png", empty, "2 views render_N.png in"),
+    "truth": (TRUTH, lambda path: path.unlink(), "truth.mat, but it is missing"),
 }
 
 
-@pytest.mark.parametrize("file", HARMS)
-def test_a_damaged_model_is_left_out_and_its_file_named(tmp_path, file):
-    folder = write_renders(tmp_path, NAMES)
-    harm, said = HARMS[file]
-    harm(folder / "02958343" / NAMES[1] / file)
+def test_damaged_models_are_left_out_and_their_files_named(tmp_path):
+    folder = write_renders(tmp_path, ["whole", *HARMS])
+    for model, (file, harm, _) in HARMS.items():
+        harm(folder / "02958343" / model / file)
     data = load(folder, tmp_path / "cache", split="test", fractions=(0, 0, 1))
-    assert len(data.names) == 4
-    ((name, reason),) = data.skipped
-    assert name == NAMES[1] and said in reason
+    assert data.names == ("whole",)
+    reasons = dict(data.skipped)
+    assert reasons.keys() == HARMS.keys()
+    for model, (_, _, said) in HARMS.items():
+        assert said in reasons[model]

@@ -88,20 +88,17 @@ def test_any_number_of_processes_gives_the_same_bytes(tmp_path, monkeypatch):
         assert path.read_bytes() == other.read_bytes()
 
 
-FAIL = "import numpy\ndef fail(*a, **k): raise OSError(28, 'No space')\n"
-FAIL += workers.BOOT.replace("workers.work", "numpy.savez = fail\nworkers.work")
 DEATHS = [  # what a worker does instead, and what is said of it
-    ("import sys; sys.exit('out of luck')", RuntimeError, "status 1;.*out of luck"),
-    ("import os; os.kill(os.getpid(), 9)", RuntimeError, "ended with status -9"),
-    (FAIL, OSError, r"shard-0000\d.npz, but that failed .No space"),
+    ("import sys; sys.exit('out of luck')", "status 1;.*out of luck"),
+    ("import os; os.kill(os.getpid(), 9)", "ended with status -9"),
 ]
 
 
-@pytest.mark.parametrize("boot, kind, said", DEATHS)
-def test_a_worker_that_fails_is_reported(tmp_path, monkeypatch, boot, kind, said):
+@pytest.mark.parametrize("boot, said", DEATHS)
+def test_a_worker_that_fails_is_reported(tmp_path, monkeypatch, boot, said):
     monkeypatch.setattr(workers, "INLINE", 0)
     monkeypatch.setattr(workers, "BOOT", boot)
-    with pytest.raises(kind, match=rf"(?s){said}"):
+    with pytest.raises(RuntimeError, match=rf"(?s){said}"):
         load(tmp_path, processes=2, models=9)
     assert list(tmp_path.iterdir()) == []
 
@@ -115,14 +112,13 @@ def test_ctrl_c_ends_the_workers(tmp_path, monkeypatch):
         started.append(original(*args, **options))
         return started[-1]
 
-    def interrupt(results, **options):
-        next(iter(results))
+    def interrupt(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(subprocess, "Popen", record)
-    monkeypatch.setattr(dataset, "follow", interrupt)
+    monkeypatch.setattr(dataset, "telling_tenths", lambda _: interrupt)
     with pytest.raises(KeyboardInterrupt):
-        load(tmp_path, processes=2, models=400)
+        load(tmp_path, processes=2, models=400, progress=True)
     assert len(started) == 2
     # Ended, by the signal or by the pipe that broke before it came.
     assert all(worker.poll() is not None for worker in started)
@@ -276,5 +272,5 @@ def test_a_changed_file_or_material_is_rendered_anew_but_a_moved_folder_is_not(
 def test_progress_is_shown_in_lines(tmp_path, capsys):
     load(tmp_path, progress=True, models=20, views=1)
     lines = capsys.readouterr().out.splitlines()
-    assert 8 <= len(lines) <= 11
-    assert "20/20 models" in lines[-1] and "/s" in lines[-1] and "left" in lines[-1]
+    assert 5 <= len(lines) <= 11  # of five shards
+    assert lines[-1].startswith("Rendering train car: models, 20/20, ")

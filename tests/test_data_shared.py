@@ -6,9 +6,8 @@ import sys
 
 import pytest
 
-from dpc_jax.data import DataSpec, load_or_render, workers
+from dpc_jax.data import DataSpec, load_or_render
 from dpc_jax.data.dataset import read_cache
-from dpc_jax.files import claiming
 
 MODELS = 40  # in ten shards
 SPEC = dict(
@@ -103,17 +102,6 @@ def assert_like_alone(cache, alone):
     assert len(read_cache(folder).names) == MODELS
 
 
-def test_two_processes_render_each_shard_once(start, alone, tmp_path):
-    processes = [start(), start()]
-    for process in processes:
-        begin(process)
-    assert [read(process) for process in processes] == ["whole", "whole"]
-    first, second = count(tmp_path)
-    assert first and second, "one process did all the work"
-    assert first + second == {path.name: 1 for path in alone.glob("shard-*.npz")}
-    assert_like_alone(tmp_path / "shared", alone)
-
-
 def test_the_shard_of_a_killed_process_is_taken_over(start, alone, tmp_path):
     killed, other = start("stuck"), start()
     begin(killed)
@@ -127,23 +115,6 @@ def test_the_shard_of_a_killed_process_is_taken_over(start, alone, tmp_path):
     assert_like_alone(tmp_path / "shared", alone)
 
 
-def test_processes_of_a_job_begin_at_different_shards(tmp_path, monkeypatch):
-    begun = []
-
-    def note(plan, numbers, **options):
-        begun.append(list(numbers))
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(workers, "write_together", note)
-    for part in range(3):
-        with pytest.raises(KeyboardInterrupt):
-            load_or_render(
-                DataSpec(**SPEC), cache_dir=tmp_path, progress=False, share=(part, 3)
-            )
-    assert [numbers[0] for numbers in begun] == [0, 3, 6]
-    assert all(sorted(numbers) == list(range(10)) for numbers in begun)
-
-
 def test_where_the_disk_knows_no_locks_everything_is_still_made(
     tmp_path, monkeypatch, alone
 ):
@@ -153,12 +124,3 @@ def test_where_the_disk_knows_no_locks_everything_is_still_made(
     monkeypatch.setattr("fcntl.flock", refuse)
     load_or_render(DataSpec(**SPEC), cache_dir=tmp_path, processes=1, progress=False)
     assert_like_alone(tmp_path, alone)
-
-
-def test_a_claim_is_held_by_one_at_a_time(tmp_path):
-    path = tmp_path / "file"
-    with claiming(path) as first, claiming(path) as second, claiming(path) as third:
-        assert (first, second, third) == (True, False, False)
-    with claiming(path) as again:
-        assert again
-    assert list(tmp_path.iterdir()) == []

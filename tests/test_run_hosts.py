@@ -43,12 +43,10 @@ def test_what_processes_differ_in_is_named_and_what_may_differ_is_not():
     config = Config("car")
     changes = {"data": dict(cache_dir="/other"), "train": dict(steps=7)}
     told = [list_versions(config), list_versions(replace_fields(config, changes))]
-    assert name_differences(told) == (
-        "process 1 differs from process 0 in config.train.steps (6300 there, 7 here)"
-    )
-    assert name_differences([told[0], told[0]]) == ""
+    assert name_differences(*told) == "config.train.steps (6300 there, 7 here)"
+    assert name_differences(told[0], told[0]) == ""
     old = told[0] | {"the version of jax": "0.1"}
-    assert "the version of jax" in name_differences([told[0], told[0], old])
+    assert "the version of jax" in name_differences(told[0], old)
 
 
 def test_a_process_on_its_own_waits_for_nobody():
@@ -83,8 +81,6 @@ with joining(Place(address, 2, process)) as job:
         job.do_first(fail)
     except ValueError as error:
         found["failed"] = str(error)
-    shared = job.share(np.array([1.5, process], np.float32))
-    found["shared"] = shared.tolist()
     mesh = jax.sharding.Mesh(jax.devices(), ("all",))
     spread = jax.NamedSharding(mesh, jax.P("all"))
     step = jax.jit(lambda x: x + jnp.sum(x @ x.T), out_shardings=spread)
@@ -119,7 +115,6 @@ def test_two_processes_tell_each_other_fail_together_and_stop_at_one_step():
     assert found[0] == found[1]
     assert found[0]["gathered"] == ["", "ä"]
     assert found[0]["failed"] == "the disk is full"
-    assert found[0]["shared"] == [1.5, 0.0]
     assert 5 <= found[0]["steps"] <= 7
 
 
@@ -141,20 +136,14 @@ def find_port():
         return found.getsockname()[1]
 
 
-@pytest.mark.parametrize(
-    ("process", "missing"),
-    [(0, "not all of them came"), (1, "process 0 did not answer")],
-)
-def test_processes_that_do_not_come_are_waited_for_only_so_long(
-    tmp_path, process, missing
-):
+def test_processes_that_do_not_come_are_waited_for_only_so_long(tmp_path):
+    """Then jax ends the process, with words of its own."""
     address = f"127.0.0.1:{find_port()}"
-    flags = [f"--coordinator={address}", "--processes=2", f"--process={process}"]
+    flags = [f"--coordinator={address}", "--processes=2", "--process=1"]
     done = start(*flags, f"--workdir={tmp_path / 'w'}")
-    assert done.returncode == 1
-    said = f"the job at {address} must have 2 processes, but {missing} within 2 s"
-    assert f"Process {process}: {said}; start all of them" in done.stderr
-    assert done.stderr.count("\n") == 1 and not (tmp_path / "w").exists()
+    assert done.returncode != 0 and "DEADLINE_EXCEEDED" in done.stderr
+    said = f"Process 1 waits up to 2 s for all 2 processes of the job at {address}."
+    assert done.stdout == f"{said}\n" and not (tmp_path / "w").exists()
 
 
 def test_a_port_that_is_taken_is_said_so(tmp_path):
@@ -166,33 +155,3 @@ def test_a_port_that_is_taken_is_said_so(tmp_path):
     assert done.returncode == 1
     assert f"Expected process 0 to open {address} to the other" in done.stderr
     assert "Traceback" not in done.stderr
-
-
-# The client finds that the coordinator is gone while the process is about to say what
-# it found itself: both happen where process 0, told to end, is the quicker one.
-SCRIPT = """
-import ctypes, os, sys, threading, time
-from dpc_jax.run.hosts.aborts import speaking_for_jax
-
-try:
-    with speaking_for_jax(lambda text: "process 0 has ended") as speak_itself:
-        if sys.argv[1] == "told":
-            speak_itself()
-        os.write(2, b"JAX distributed service detected fatal errors: gone\\n")
-        threading.Thread(target=ctypes.CDLL(None).abort, daemon=True).start()
-        time.sleep(0.5)
-        raise ValueError("process 1 differs")
-except ValueError as error:
-    print(f"Error: {error}", file=sys.stderr, flush=True)
-    os._exit(1)
-"""
-
-
-@pytest.mark.parametrize(
-    "told, said", [("told", "process 1 differs"), ("untold", "process 0 has ended")]
-)
-def test_a_process_that_says_itself_why_it_ends_is_let_finish(told, said):
-    command = [sys.executable, "-c", SCRIPT, told]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert (ended.returncode, ended.stdout) == (1, "")
-    assert ended.stderr == f"Error: {said}\n"

@@ -4,13 +4,15 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
+import jax
 import pytest
 
-from dpc_jax.run.process import catch_signals
+from dpc_jax.run.process import catch_signals, keep_compiled_programs
 
 COMPILE = """
-from dpc_jax.run.task import hush_jaxlib
+from dpc_jax.task import hush_jaxlib
 hush_jaxlib()
 import jax, jax.numpy as jnp, sys, warnings
 warnings.simplefilter("error")
@@ -24,7 +26,7 @@ print("hit" if "/jax/compilation_cache/cache_hits" in hits else "compiled")
 """
 
 
-def start(home, **environment):
+def start(home):
     """(folder, what happened) of a process that compiles one program."""
     ours = ("COMPILATION_CACHE", "TF_CPP")
     cleared = {n: v for n, v in os.environ.items() if not any(o in n for o in ours)}
@@ -32,37 +34,45 @@ def start(home, **environment):
         [sys.executable, "-c", COMPILE],
         capture_output=True,
         text=True,
-        env=cleared | {"XDG_CACHE_HOME": str(home)} | environment,
+        env=cleared | {"XDG_CACHE_HOME": str(home)},
     )
     assert done.returncode == 0 and done.stderr == "", done.stderr
     return done.stdout.split()
 
 
-@pytest.fixture(scope="module")
-def first(tmp_path_factory):
-    """The user's cache folder after a first start, and what that start said."""
-    home = tmp_path_factory.mktemp("home")
-    return home, start(home)
+def test_a_second_start_compiles_nothing_again(tmp_path):
+    folder = str(tmp_path / "dpc_jax" / "programs")
+    assert start(tmp_path) == [folder, "compiled"]
+    assert start(tmp_path) == [folder, "hit"]
 
 
-def test_a_second_start_compiles_nothing_again(first):
-    home, said = first
-    folder = str(home / "dpc_jax" / "programs")
-    assert said == [folder, "compiled"]
-    assert start(home) == [folder, "hit"]
+@pytest.fixture
+def set_jax():
+    """Sets a setting of JAX for as long as the test."""
+    before = dict(jax.config.values)
+    changed = []
+
+    def change(name, value):
+        changed.append(name)
+        jax.config.update(name, value)
+
+    yield change
+    for name in changed:
+        jax.config.update(name, before[name])
 
 
-def test_the_user_s_own_settings_come_first(tmp_path):
-    other = str(tmp_path / "mine")
-    assert start(tmp_path, JAX_COMPILATION_CACHE_DIR=other)[0] == other
-    off = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
-    assert start(tmp_path, **off) == ["None", "compiled"]
-    assert not (tmp_path / "dpc_jax").exists()
-
-
-def test_where_nothing_can_be_kept_everything_is_compiled(tmp_path):
+def test_the_user_s_own_settings_come_first(set_jax, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    set_jax("jax_compilation_cache_dir", "/mine")
+    assert keep_compiled_programs() == Path("/mine")
+    set_jax("jax_compilation_cache_dir", None)
+    set_jax("jax_enable_compilation_cache", False)
+    assert keep_compiled_programs() is None
+    set_jax("jax_enable_compilation_cache", True)
     (tmp_path / "file").write_text("no folder")
-    assert start(tmp_path / "file") == ["None", "compiled"]
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    assert keep_compiled_programs() is None
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_sigterm_asks_to_stop_and_no_more():

@@ -12,8 +12,7 @@ from tiny_runs import assert_same_bits, make_network, tiny_config
 from dpc_jax.config import to_json
 from dpc_jax.learning.step import init_state
 from dpc_jax.learning.training.checkpoints import Checkpoints
-from dpc_jax.run.hosts.agreement import Job
-from dpc_jax.run.training import begin_run, check_memory
+from dpc_jax.run.pipeline import begin_run, check_memory
 
 CONFIG = tiny_config()
 
@@ -36,7 +35,7 @@ def workdir(tmp_path_factory):
 
 def begin(workdir, **changes):
     config = tiny_config(init_from=str(workdir), **changes)
-    return begin_run(make_network(config), config, Job())
+    return begin_run(make_network(config), config)
 
 
 def test_parameters_are_the_other_runs_and_all_else_begins_anew(workdir, capsys):

@@ -12,31 +12,13 @@ from pathlib import Path
 
 from dpc_jax import files, outputs
 from dpc_jax.data.open import RECIPES
-
-
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in a sentence; argparse prints all flags before it."""
-
-    def error(self, message):
-        text = f"Expected a command as --help lists it, but {message}; correct it."
-        print(f"Error: {text}", file=sys.stderr)
-        sys.exit(2)
-
-
-def _count(text):
-    if int(text) < 1:
-        raise argparse.ArgumentTypeError(f"it is {text}, below 1")
-    return int(text)
+from dpc_jax.task import FlagParser, Task, read_count, run_command
 
 
 def make_parser() -> argparse.ArgumentParser:
     """The flags of the command."""
-    started = sys.argv[0] == "dpc_jax data"
-    parser = _Parser(
-        prog="dpc_jax data" if started else "python -m dpc_jax.data",
-        description="Get data and look at it.",
-    )
-    commands = parser.add_subparsers(dest="command", required=True)
+    parser = FlagParser("data", takes="COMMAND", description="Get data and look at it.")
+    commands = parser.add_subparsers(dest="command", required=True, prog=parser.prog)
     fetch = commands.add_parser("fetch", help="open meshes, from Debian packages")
     fetch.add_argument("category", choices=tuple(RECIPES), help="of the meshes")
     fetch.add_argument("--out", default="data/open", help="folder (%(default)s)")
@@ -46,7 +28,7 @@ def make_parser() -> argparse.ArgumentParser:
         add = command.add_argument
         add("folder", help="a rendered set, a folder of them, of meshes or of images")
         number = f"of meshes or images, how many ({models or 'all'})"
-        add("--models", type=_count, default=models, help=number)
+        add("--models", type=read_count, default=models, help=number)
     show.add_argument("--out", help="picture to write (runs/FOLDER-sheet.png)")
     return parser
 
@@ -54,11 +36,18 @@ def make_parser() -> argparse.ArgumentParser:
 # What reads meshes and draws is heavy: flags are read first.
 
 
+def _read(flags) -> Task:
+    out, work = Path("runs"), lambda: _look(flags)
+    if flags.command == "fetch":
+        out, work = Path(flags.out), lambda: _fetch(flags)
+    errors = ValueError, RuntimeError, OSError
+    return Task(work, out, "Stopped; the same command continues.", errors=errors)
+
+
 def _fetch(flags):
     from dpc_jax.data.open import fetching
 
     fetching.fetch_category(flags.category, flags.out)
-    return 0
 
 
 def _look(flags):
@@ -104,11 +93,12 @@ def _draw(opened, flags):
     # Among what commands make, not into a folder of data that may be anybody's.
     name = f"{Path(flags.folder).resolve().name}-sheet.png"
     out = Path(flags.out or Path("runs") / name)
+    models = overview.choose_models(opened, flags.models)
     with outputs.owning(out.parent, [out.name]), files.replacing(out) as partial:
-        sheet = overview.draw_set(opened, models=flags.models)
-        sheet.save(partial, format="png")
+        overview.draw_set(opened, models).save(partial, format="png")
     axes = "; red is the front, green the left, blue the top"
-    _say([f"  {out} shows some{axes * (opened.data.quaternions is not None)}"])
+    names = ", ".join(opened.data.names[model] for model in models)
+    _say([f"  {out} shows {names}{axes * (opened.data.quaternions is not None)}"])
 
 
 def _say(lines):
@@ -118,15 +108,7 @@ def _say(lines):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; print a failure as a sentence."""
-    flags = make_parser().parse_args(arguments)
-    try:
-        return _fetch(flags) if flags.command == "fetch" else _look(flags)
-    except (ValueError, RuntimeError, OSError, ModuleNotFoundError) as error:
-        print(f"Error: {outputs.explain(error)}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("Stopped; the same command continues.", file=sys.stderr)
-        return 130
+    return run_command(lambda: _read(make_parser().parse_args(arguments)))
 
 
 if __name__ == "__main__":

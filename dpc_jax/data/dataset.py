@@ -19,8 +19,7 @@ from dpc_jax.data import shards, workers
 from dpc_jax.data.arrays import ROWS, DataSet, Pages, Stack
 from dpc_jax.data.sources import open_source
 from dpc_jax.data.spec import SUPERSAMPLE, DataSpec
-from dpc_jax.data.workers import follow
-from dpc_jax.outputs import show_text
+from dpc_jax.outputs import show_text, telling_tenths
 
 SHOWN = 20  # skipped models that are printed
 VERSION = 4  # raise it when rendering, the procedural shapes or the shards change
@@ -34,7 +33,6 @@ def load_or_render(
     cache_dir: str | Path,
     processes: int | None = None,
     progress: bool = True,
-    share: tuple[int, int] = (0, 1),
 ) -> DataSet:
     """The data set of a specification, from the cache or prepared now.
 
@@ -45,8 +43,6 @@ def load_or_render(
       processes: how many render at once; None for one per core. The result does not
         depend on it.
       progress: whether to show progress and what was skipped on stdout.
-      share: (i, n), where the i-th of n processes (from 0) begins among the shards, so
-        that they seldom meet.
 
     Raises:
       ValueError: if there is no folder, no model, or none that can be used.
@@ -64,7 +60,7 @@ def load_or_render(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         files.remove_leftovers(folder)
-        _prepare(plan, share, processes or _count_cores(), progress=progress)
+        _prepare(plan, processes or _count_cores(), progress=progress)
         _finish(plan, record, progress=progress)
     except OSError as error:
         if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
@@ -94,7 +90,7 @@ def _locate(spec, cache_dir):
     return source, models, record, folder
 
 
-def _prepare(plan, share, processes, *, progress):
+def _prepare(plan, processes, *, progress):
     """Make the shards that are missing."""
     folder, source, models, ranges = plan
     missing = [n for n in range(len(ranges)) if not plan.is_whole(n)]
@@ -110,12 +106,12 @@ def _prepare(plan, share, processes, *, progress):
             f"Expected {needed / 1e9:.1f} GB free for {folder}, but there are "
             f"{free / 1e9:.1f}; free some or set another data.cache_dir."
         )
-    numbers = workers.rotate(missing, *share)
-    results = workers.write_together(plan, numbers, processes=processes)
-    label = f"{source.work} {source.spec.split} {source.spec.category}"
+    results = workers.write_together(plan, missing, processes=processes)
+    tell = telling_tenths(f"{source.work} {source.spec.split} {source.spec.category}")
     with contextlib.closing(results):
-        for _ in follow(results, count=count, label=label, progress=progress):
-            pass
+        for left in results:
+            if progress:
+                tell("models", count - left, count)
 
 
 def _finish(plan, record, *, progress):

@@ -14,12 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from dpc_jax.files import Damage, describe_error, read_json
+from dpc_jax.files import Damage, read_json, reading
 
 SPLITS = ("train", "val", "test")
 FINAL = "final"  # of procedural shapes: a test set by which nothing is chosen
-# What tables of another form raise, and the end of one within a value.
-_FAULTS = (ValueError, csv.Error, StopIteration, AttributeError, RuntimeError)
 SYNONYMS = {"validation": "val", "valid": "val", "training": "train", "testing": "test"}
 
 
@@ -99,14 +97,9 @@ def group_variants(paths: Sequence[Path], digests: Sequence[str]) -> list[int]:
         listed = place / "families.json"
         if not listed.is_file():
             continue
-        try:
+        with reading("families by the names of files", listed):
             known = read_json(listed)
             named |= {place / name: f"family {known[name]}" for name in known}
-        except (OSError, ValueError, TypeError) as error:
-            raise ValueError(
-                f"Expected {listed} to map file names to families, but it cannot be "
-                f"read ({describe_error(error)}); repair or remove it."
-            ) from error
     # two families that share a file are one
     numbers = {}
     pairs = [
@@ -140,20 +133,14 @@ def read_split(path: Path, synset: str) -> dict[str, list[str]]:
     a `.file` table, or of any one of the text files.
     """
     readers = {".csv": lambda path: _read_csv(path, synset), ".file": _read_table}
-    try:
+    cure = "repair it or give another split file"
+    with reading(f"models of {synset} by split", path, cure):
         sides = readers.get(path.suffix, _read_texts)(path)
         listed = Counter(model for side in sides.values() for model in side)
         if not listed:
             raise Damage(f"found none with the splits {', '.join(SPLITS)}")
         if twice := sorted(model for model, count in listed.items() if count > 1):
             raise Damage(f"{twice[0]} is there twice")
-    except _FAULTS as error:
-        reason = f"it cannot be read ({error or 'it ends too early'})"
-        raise ValueError(
-            f"Expected models of {synset} by split in {path}, but "
-            f"{error if isinstance(error, Damage) else reason}; repair it or give "
-            "another split file."
-        ) from None
     return sides
 
 
@@ -189,19 +176,19 @@ def _read_texts(path):
 
 def _read_table(path):
     """Splits from a Torch table in ASCII form, which has one token per line."""
-    lines = iter(path.read_text(encoding="utf-8").split("\n"))
+    lines = path.read_text(encoding="utf-8").split("\n")[::-1]
 
     def read():
-        kind = next(lines)
+        kind = lines.pop()
         if kind == "1":
-            return float(next(lines))
+            return float(lines.pop())
         if kind == "2":
-            length, text = int(next(lines)), next(lines)
+            length, text = int(lines.pop()), lines.pop()
             if len(text) != length:
                 raise Damage(f"{text!r} is not {length} characters long")
             return text
         if kind == "3":
-            _, count = next(lines), int(next(lines))
+            _, count = lines.pop(), int(lines.pop())
             return {read(): read() for _ in range(count)}
         raise Damage(f"a value of the unknown kind {kind!r}")
 

@@ -1,7 +1,7 @@
 """Preparing the shards of a data set, by any number of processes.
 
-Nobody hands out work: every process goes through the shards that are missing, each from
-another place, and makes those that it can claim. So processes that know nothing of each
+Nobody hands out work: every process goes through the shards that are missing and makes
+those that it can claim. So processes that know nothing of each
 other share a set in the same way as the workers of one command.
 
 Workers are plain Python processes, which read on their input what to make: forks would
@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -115,14 +115,14 @@ def write_shards(plan: Plan, numbers: Sequence[int]) -> Generator[None]:
 
 
 def write_together(
-    plan: Plan, numbers: Sequence[int], *, processes: int
+    plan: Plan, missing: Sequence[int], *, processes: int
 ) -> Generator[int]:
     """Make the shards that nobody else makes, then wait for those of the others.
 
-    A shard that another process has begun and given up is taken over. Yields the index
-    of each model once its shard is on disk, whoever made it.
+    A shard that another process has begun and given up is taken over. Yields how many
+    models are still missing on disk, whoever makes them.
     """
-    missing = list(numbers)
+    missing = list(missing)
     processes = min(processes, len(missing)) if plan.count(missing) > INLINE else 1
     while missing:
         if processes > 1:
@@ -131,31 +131,19 @@ def write_together(
             work = write_shards(plan, missing)
         with contextlib.closing(work):
             for _ in work:
-                made = [n for n in missing if plan.locate(n).exists()]
-                missing = [number for number in missing if number not in made]
-                for number in made:
-                    yield from plan.ranges[number]
+                missing = [n for n in missing if not plan.locate(n).exists()]
+                yield plan.count(missing)
         processes = 1  # few are left: others are at work on them, or have given up
         if missing:
             time.sleep(0.2)
 
 
-def rotate(numbers: Sequence[int], part: int, parts: int) -> list[int]:
-    """The numbers from where one of several processes begins, so that they part."""
-    first = len(numbers) * part // parts
-    return [*numbers[first:], *numbers[:first]]
-
-
 def work():
-    """Body of a worker: make the shards that its input names."""
+    """Body of a worker: make the shards that its input names until its parent dies."""
     parent = os.getppid()
-    try:
-        for _ in write_shards(*pickle.load(sys.stdin.buffer)):
-            if os.getppid() != parent:  # it was killed
-                break
-    except OSError as error:
-        print(error, file=sys.stderr)
-        sys.exit(os.EX_IOERR)
+    for _ in write_shards(*pickle.load(sys.stdin.buffer)):
+        if os.getppid() != parent:
+            break
 
 
 def _write_in_processes(plan, numbers, count):
@@ -163,11 +151,11 @@ def _write_in_processes(plan, numbers, count):
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     workers = []
     with contextlib.ExitStack() as stack:
-        for part in range(count):
+        for _ in range(count):
             task, log = (
                 stack.enter_context(tempfile.TemporaryFile()) for _ in range(2)
             )
-            pickle.dump((plan, rotate(numbers, part, count)), task)
+            pickle.dump((plan, numbers), task)
             task.seek(0)
             worker = subprocess.Popen(
                 [sys.executable, "-c", BOOT],
@@ -187,31 +175,9 @@ def _write_in_processes(plan, numbers, count):
             if worker.returncode:
                 log.seek(0)
                 tail = log.read().decode("utf-8", errors="replace")[-2000:].strip()
-                if worker.returncode == os.EX_IOERR:
-                    raise OSError(tail.rsplit("\n", 1)[-1])
                 raise RuntimeError(
                     "Expected a render process to end well, but it ended with status "
                     f"{worker.returncode}; set data.processes to 1 to look closer. Its "
                     f"last words:\n{tail}."
                 )
     yield
-
-
-def follow(
-    results: Iterable[Any], *, count: int, label: str, progress: bool
-) -> Iterator[Any]:
-    """Pass on `count` results, one per model, and show how far they are."""
-    if not progress:
-        yield from results
-        return
-    start, shown = time.monotonic(), 0
-    for done, result in enumerate(results, start=1):
-        yield result
-        if 10 * done // count > shown:
-            shown = 10 * done // count
-            rate = done / max(time.monotonic() - start, 1e-9)
-            print(
-                f"{label}: {done}/{count} models, {rate:.1f}/s, "
-                f"{(count - done) / rate:.0f} s left",
-                flush=True,
-            )

@@ -88,21 +88,17 @@ def make_data_specs(config: Config) -> dict[str, DataSpec]:
     return specs
 
 
-def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, DataSet]:
+def load_sets(config: Config) -> dict[str, DataSet]:
     """The data sets of a run: "train", "val" and "test".
-
-    Args:
-      share: (i, n) of the i-th of n processes that prepare them together.
 
     Raises:
       ValueError: where a set cannot be used, or does not fit the config.
       OSError: where the cache cannot be written.
     """
     specs = make_data_specs(config)
-    sets = {name: load_set(config, spec, share) for name, spec in specs.items()}
-    if share[0] == 0:
-        for warning in collect_warnings(sets):
-            print(f"Warning: {warning}", flush=True)
+    sets = {name: load_set(config, spec) for name, spec in specs.items()}
+    for warning in collect_warnings(sets):
+        print(f"Warning: {warning}", flush=True)
     wanted, found = config.train.models_per_batch, len(sets["train"].names)
     if wanted > found:
         raise ValueError(
@@ -121,17 +117,12 @@ def load_sets(config: Config, share: tuple[int, int] = (0, 1)) -> dict[str, Data
     return sets
 
 
-def load_set(
-    config: Config, spec: DataSpec, share: tuple[int, int] = (0, 1)
-) -> DataSet:
+def load_set(config: Config, spec: DataSpec) -> DataSet:
     """A data set of a run, from its cache or prepared now; see `load_sets`."""
     data = config.data
     with explaining_full_disk(data.cache_dir):
         return load_or_render(
-            spec,
-            cache_dir=data.cache_dir,
-            processes=data.processes or None,
-            share=share,
+            spec, cache_dir=data.cache_dir, processes=data.processes or None
         )
 
 

@@ -11,11 +11,12 @@ import numpy as np
 from dpc_jax.config import Config, from_json, to_json
 from dpc_jax.evaluation.alignment import Alignment
 from dpc_jax.files import (
+    Damage,
     claiming,
-    describe_error,
     locate_claim,
     read_json,
     read_text,
+    reading,
     write_json,
     write_text,
 )
@@ -97,18 +98,6 @@ def list_differences(old: Config, new: Config) -> list[str]:
     ]
 
 
-@contextlib.contextmanager
-def _reading(what: str, path: Path, cure: str) -> Iterator[None]:
-    """Say in a sentence where a file of a run cannot be used, and what to do then."""
-    try:
-        yield
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(
-            f"Expected the {what} of a run in {path}, but it cannot be used "
-            f"({describe_error(error)}); {cure}."
-        ) from None
-
-
 _AGAIN = (
     "remove it and start the command that began the run again, which writes it anew"
 )
@@ -121,7 +110,9 @@ def read_config(workdir: Path) -> Config:
       ValueError: where the folder holds none, or one that cannot be read.
     """
     path = workdir / "config.json"
-    with _reading("config", path, "give the --workdir of a run of dpc_jax.main"):
+    with reading(
+        "the config of a run", path, "give the --workdir of a run of dpc_jax.main"
+    ):
         return from_json(read_text(path))
 
 
@@ -134,7 +125,7 @@ def read_metrics(workdir: Path) -> dict[str, Any] | None:
     path = workdir / "report" / "metrics.json"
     if not path.is_file():
         return None
-    with _reading("metrics", path, _AGAIN):
+    with reading("the metrics of a run", path, _AGAIN):
         return dict(read_json(path))
 
 
@@ -153,10 +144,10 @@ def read_alignment(workdir: Path) -> Alignment | None:
     path = workdir / _ALIGNMENT
     if not path.is_file():
         return None
-    with _reading("alignment", path, _AGAIN):
+    with reading("the alignment of a run", path, _AGAIN):
         fields = read_json(path)
         rotation = np.array(fields.pop("rotation"), np.float64).reshape(4)
         if not 0.9 < np.linalg.norm(rotation) < 1.1:
-            raise ValueError(f"{rotation.tolist()} is no unit quaternion")
+            raise Damage(f"{rotation.tolist()} is no unit quaternion")
         others = (fields.get(name) for name in Alignment._fields[1:])
         return Alignment(rotation, *(np.nan if n is None else float(n) for n in others))

@@ -3,7 +3,7 @@
 import contextlib
 import json
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +22,6 @@ TILE = 128  # pixels of a picture on the sheet
 VIEWS = 4  # of an object on the sheet
 AXES = ((220, 0, 0), (0, 150, 0), (0, 60, 255))  # colours of front, left and up
 LISTED = 5  # skipped models that are named
-LINE, GAP = 12, 6  # pixels of a line of text, and between pictures
 
 
 class OpenSet(NamedTuple):
@@ -139,25 +138,25 @@ def describe_set(opened: OpenSet) -> list[str]:
     return lines
 
 
-def draw_set(opened: OpenSet, *, models: int = 8) -> Image.Image:
-    """Sheet of some models, spread over the set: images, masks, depths and poses.
+def choose_models(opened: OpenSet, models: int) -> list[int]:
+    """The indices of so many models, spread over the set."""
+    last = len(opened.data.names) - 1
+    return np.linspace(0, last, min(models, last + 1)).round().astype(int).tolist()
+
+
+def draw_set(opened: OpenSet, models: Sequence[int]) -> Image.Image:
+    """Sheet with a row for each model: images, masks and depths of some of its views.
 
     On the images are the object's axes: red the front, green the left, blue the top.
     """
-    data = opened.data
-    count = min(models, len(data.names))
-    chosen = np.linspace(0, len(data.names) - 1, count).round().astype(int)
-    columns = int(min(VIEWS, data.counts.max()))
-    pictures, texts = [], []
-    for model in chosen:
-        for view in range(columns):
-            if view < data.counts[model]:
-                pictures.append(_draw_view(opened, model, view))
-                texts.append(f"{data.names[model][:20]} {view}")
-            else:
-                pictures.append(np.full_like(pictures[-1], 255))
-                texts.append("")
-    return _arrange(pictures, texts, columns=columns)
+    counts = opened.data.counts
+    most = min(VIEWS, int(counts.max()))
+    rows = []
+    for model in models:
+        seen = [_draw_view(opened, model, v) for v in range(min(most, counts[model]))]
+        blank = [np.full_like(seen[0], 255)] * (most - len(seen))
+        rows.append(np.concatenate([*seen, *blank], axis=1))
+    return Image.fromarray(np.concatenate(rows))
 
 
 def _draw_view(opened, model, view):
@@ -190,17 +189,3 @@ def _draw_axes(picture, quaternion, lens):
     middle, *tips = (tuple(place * TILE) for place in places)
     for tip, color in zip(tips, AXES, strict=True):
         ImageDraw.Draw(picture).line([middle, tip], fill=color, width=2)
-
-
-def _arrange(pictures, texts, *, columns):
-    """Pictures uint8 [H, W, 3] of one size in a grid, a line of text under each."""
-    height, width = pictures[0].shape[:2]
-    right, down = width + GAP, height + LINE + GAP
-    size = columns * right, -(-len(pictures) // columns) * down
-    sheet = Image.new("RGB", size, "white")
-    pen = ImageDraw.Draw(sheet)
-    for i, (picture, text) in enumerate(zip(pictures, texts, strict=True)):
-        x, y = i % columns * right, i // columns * down
-        sheet.paste(Image.fromarray(picture), (x, y))
-        pen.text((x + 2, y + height), text[: width // 6], fill="black")
-    return sheet

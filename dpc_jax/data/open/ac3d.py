@@ -16,7 +16,7 @@ from trimesh.visual.color import uv_to_color
 
 from dpc_jax.data.meshes import MOST_BYTES, find_beside
 from dpc_jax.data.sets.pictures import open_picture
-from dpc_jax.files import Damage, describe_error, read_bytes
+from dpc_jax.files import Damage, read_bytes, reading
 from dpc_jax.shapes.normalization import join_pieces
 
 GREY = (0.667, 0.667, 0.667)  # of a surface without a material
@@ -41,16 +41,11 @@ def read_parts(path: Path, *, textures: Path | None = None) -> list[Part]:
     Textures that are not where the file says are searched by name in the folder
     `textures`, if there is one.
     """
-    try:
+    with reading("an AC3D file", path):
         lines = read_bytes(path, most=MOST_BYTES).decode("latin-1").split("\n")
         if not lines[0].startswith("AC3D"):
             raise Damage("its first line is not AC3D")
         parts = _Reader(lines, path, textures).read_all()
-    except (OSError, ValueError, IndexError, RecursionError) as error:
-        raise ValueError(
-            f"Expected an AC3D file in {path}, but it cannot be read "
-            f"({describe_error(error)}); repair or remove it."
-        ) from error
     if not parts:
         raise ValueError(f"Expected surfaces in {path}, but found none; remove it.")
     return parts

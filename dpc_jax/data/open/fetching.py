@@ -14,7 +14,7 @@ from pathlib import Path
 
 from dpc_jax import files
 from dpc_jax.data.open import RECIPES, packages
-from dpc_jax.data.workers import follow
+from dpc_jax.outputs import telling_tenths
 from dpc_jax.shapes.normalization import normalize
 
 VERSION = 2  # raise it when a converted mesh changes
@@ -69,8 +69,9 @@ def _make_folder(category, folder, place):
         found = _list_models(module, root, category, path)
         models += [(module, model) for model in found]
     skipped, records = {}, {}
-    label = f"Converting {category}"
-    for module, model in follow(models, count=len(models), label=label, progress=True):
+    tell = telling_tenths(f"Converting {category}")
+    for done, (module, model) in enumerate(models):
+        tell("models", done, len(models))
         package = f"{module.PACKAGE} {versions[module.PACKAGE]}"
         name = f"{model.side}/{model.name}.ply"
         try:

@@ -15,7 +15,7 @@ import trimesh
 from dpc_jax.data import meshes
 from dpc_jax.data.open import ac3d
 from dpc_jax.data.open.packages import OpenModel, move_vertices
-from dpc_jax.files import describe_error
+from dpc_jax.files import reading
 
 PACKAGE = "torcs-data"
 UNITS = {"m": 1.0, "": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
@@ -61,17 +61,12 @@ def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
     wheel = values.get("Graphic Objects/3d wheel directory", WHEEL)
     wheel = _read_turned(game / f"wheels/{wheel}/wheel0.acc")
     pieces = [_read_turned(path)]
-    try:
+    with reading("the places of wheels", path.with_suffix(".xml")):
         pieces += [
             _place_wheel(wheel, values, f"{end} {side} Wheel", f"{end} Axle")
             for end in ("Front", "Rear")
             for side in ("Right", "Left")
         ]
-    except KeyError as error:
-        raise ValueError(
-            f"Expected {error} in {path.with_suffix('.xml')}, but it is missing; "
-            "repair the file."
-        ) from error
     joined: Any = trimesh.util.concatenate(pieces)
     return joined
 
@@ -97,16 +92,10 @@ def _place_wheel(wheel, values, name, axle):
 
 def _read_parameters(path):
     """{"Section/name": value} of a parameter file, lengths in metres."""
-    try:
-        tree = xml.etree.ElementTree.fromstring(
-            # entities, which only include other files of the game, are not needed
-            re.sub(rb"&[\w-]+;", b"", path.read_bytes())
-        )
-    except (OSError, xml.etree.ElementTree.ParseError) as error:
-        raise ValueError(
-            f"Expected parameters of a car in {path}, but they cannot be read "
-            f"({describe_error(error)}); repair it."
-        ) from error
+    with reading("parameters of a car", path):
+        # entities, which only include other files of the game, are not needed
+        text = re.sub(rb"&[\w-]+;", b"", path.read_bytes())
+        tree = xml.etree.ElementTree.fromstring(text)
     values = {}
     for section in tree.iter("section"):
         for item in section:

@@ -17,7 +17,7 @@ from dpc_jax.data import viewpoints
 from dpc_jax.data.sets.pose_files import Pose
 from dpc_jax.data.spec import DataSpec
 
-MOST_SAMPLES = 16  # per output pixel and axis
+MOST_SAMPLES = 16  # per output pixel and axis, of blocks of the image's pixels
 
 
 class Outline(NamedTuple):
@@ -203,51 +203,18 @@ def _cut_frame(
     region = np.s_[low[1] : high[1], low[0] : high[0]]
     wide = np.linalg.norm(outline[:, 1] - outline[:, 0]) / image_size
     block = max(1, int(wide / MOST_SAMPLES * 2))
-    layers = _weigh_colors(image[region], mask[region], block)
-    samples = int(np.clip(np.ceil(wide / block), 2, MOST_SAMPLES))
-    total = np.zeros((image_size, image_size, 4), dtype=np.float32)
-    steps = (np.arange(image_size * samples) + 0.5) / (image_size * samples) - 0.5
-    for i in range(samples):
-        for j in range(samples):
-            v, u = np.meshgrid(steps[i::samples], steps[j::samples], indexing="ij")
-            rays = np.stack([u, v, np.ones_like(u)])
-            x, y, z = np.tensordot(frame.homography, rays, axes=1)
-            y, x = (y / z - low[1]) / block, (x / z - low[0]) / block
-            total += _interpolate(layers, y, x)
-    total /= samples**2
-    coverage = np.clip(total[..., 3:], 0.0, 1.0)
-    picture = np.clip(total[..., :3] + 255.0 * (1.0 - coverage), 0.0, 255.0)
-    return (
-        np.rint(picture).astype(np.uint8),
-        np.rint(255.0 * coverage[..., 0]).astype(np.uint8),
-    )
-
-
-def _weigh_colors(image, mask, block):
-    """Colours times coverage, and coverage [h, w, 4], as means over blocks of pixels.
-
-    A few rows at a time: a whole photograph in floats would fill the memory.
-    """
-    height, width = (-(-side // block) for side in mask.shape)
-    layers = np.zeros((height, width, 4), dtype=np.float32)
-    for row in range(height):
-        here = np.s_[row * block : (row + 1) * block]
-        covered = mask[here].astype(np.float32)[..., None]
-        band = np.concatenate([image[here] * covered, covered], axis=2)
-        # the last block may reach beyond the image, where it is empty
-        short = width * block - band.shape[1]
-        band = np.pad(band.sum(axis=0), ((0, short), (0, 0)))
-        layers[row] = band.reshape(width, block, 4).sum(axis=1) / block**2
-    return layers
-
-
-def _interpolate(layers, y, x):
-    """Bilinear samples of [h, w, c] at pixel coordinates; 0 outside of the image."""
-    height, width, channels = layers.shape
-    inside = (y >= 0) & (y <= height) & (x >= 0) & (x <= width)
-    samples = np.empty((*y.shape, channels), np.float32)
-    for i in range(channels):
-        ndimage.map_coordinates(
-            layers[..., i], [y - 0.5, x - 0.5], samples[..., i], order=1, mode="nearest"
-        )
-    return samples * inside[..., None]
+    side = image_size * int(np.clip(np.ceil(wide / block), 2, MOST_SAMPLES))
+    picture = Image.fromarray(image[region])
+    picture.putalpha(Image.fromarray(np.rint(255 * mask[region]).astype(np.uint8)))
+    # with colours times coverage, so that what is not the object does not mix in
+    picture = picture.convert("RGBa").reduce(block)
+    from_samples = [[1 / side, 0, -0.5], [0, 1 / side, -0.5], [0, 0, 1]]
+    to_blocks = [[1, 0, -low[0]], [0, 1, -low[1]], [0, 0, block]]
+    places = to_blocks @ frame.homography @ from_samples
+    numbers = (places / places[2, 2]).ravel()[:8].tolist()
+    way = Image.Transform.PERSPECTIVE
+    picture = picture.transform((side, side), way, numbers, Image.Resampling.BILINEAR)
+    layers = np.asarray(picture.reduce(side // image_size))
+    colors, coverage = layers[..., :3], layers[..., 3]
+    on_white = np.minimum(colors + (255 - coverage[..., None].astype(int)), 255)
+    return on_white.astype(np.uint8), coverage

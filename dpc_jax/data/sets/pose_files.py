@@ -21,8 +21,6 @@ QUATERNIONS = "poses.json"
 TRANSFORMS = "transforms*.json"
 COLMAP = ("images.bin", "images.txt")  # beside which its cameras lie
 _PLACES = (Path(), Path("sparse"), Path("sparse", "0"))  # of them in an object's folder
-# What values of the wrong kinds, and files that cannot be opened, raise.
-_FAULTS = (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError)
 LENS = ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x")
 
 
@@ -52,7 +50,7 @@ def read_poses(paths: Sequence[Path]) -> dict[Path, Pose]:
     """Poses by image path from the pose files of one object."""
     poses = {}
     for path in paths:
-        try:
+        with files.reading("poses", path, "see docs/data.md for their form"):
             if path.name in COLMAP:
                 poses |= _read_colmap(path)
                 continue
@@ -62,19 +60,7 @@ def read_poses(paths: Sequence[Path]) -> dict[Path, Pose]:
                 raise Damage(f"it holds {kind}, not names and what belongs to them")
             read = _read_quaternions if path.name == QUATERNIONS else _read_transforms
             poses |= read(content, path.parent)
-        except _FAULTS as error:
-            raise ValueError(
-                f"Expected poses in {path}, but they cannot be read "
-                f"({_explain(error)}); see docs/data.md for their form."
-            ) from None
     return poses
-
-
-def _explain(error):
-    """The error in words; that of a library says its kind too."""
-    known = isinstance(error, Damage | OSError)
-    text = files.describe_error(error)
-    return text if known else f"{type(error).__name__}: {text}"
 
 
 def _read_quaternions(content, folder):

@@ -170,15 +170,9 @@ def _read_mat(path, names):
         raise ValueError(
             f"Expected the file {path}, but it is missing; unpack the renders again."
         )
-    expected = f"numbers {', '.join(names)}"
-    try:
+    with files.reading(f"numbers {', '.join(names)}", path, "unpack the renders again"):
         content = loadmat(path)
         return {name: np.asarray(content[name], dtype=np.float64) for name in names}
-    except KeyError as error:
-        raise _refuse(path, expected, f"{error} is missing") from None
-    except Exception as error:  # the reader raises anything at all on damaged files
-        found = f"got {type(error).__name__}: {error}"
-        raise _refuse(path, expected, found) from None
 
 
 def _refuse(path, expected, found):

@@ -81,12 +81,15 @@ class Job:
                 "them with the same command."
             )
         told = self.gather(json.dumps(list_versions(config)))
-        if differing := name_differences([json.loads(text) for text in told]):
-            raise ValueError(
-                "All processes of a job must have the same config and versions, but "
-                f"{differing}; start all of them with the same command from the same "
-                "installation."
-            )
+        first, *others = map(json.loads, told)
+        for process, other in enumerate(others, start=1):
+            if differing := name_differences(first, other):
+                raise ValueError(
+                    "All processes of a job must have the same config and versions, "
+                    f"but process {process} differs from process 0 in {differing}; "
+                    "start all of them with the same command from the same "
+                    "installation."
+                )
 
     def do_first(self, action: Callable[[], _Result]) -> _Result | None:
         """Have process 0 do something while the others wait, which get None.
@@ -106,16 +109,6 @@ class Job:
         if said:
             raise ValueError(said)
         return result
-
-    def share(self, tree: Any) -> Any:
-        """The arrays that process 0 has, in every process.
-
-        Args:
-          tree: arrays; those of the other processes give only shapes and dtypes.
-        """
-        if self.processes == 1:
-            return tree
-        return multihost_utils.broadcast_one_to_all(tree)
 
     def agree_to_stop(self, is_asked: Callable[[], bool]) -> Callable[[], bool]:
         """A question for after each step, which all processes answer alike.
@@ -152,16 +145,10 @@ def list_versions(config: Config) -> dict[str, Any]:
     return told | {f"config.{n}": v for n, v in fields if n not in OWN_FIELDS}
 
 
-def name_differences(told: list[dict]) -> str:
-    """What the processes differ in, and "" where they do not."""
-    first, parts = told[0], []
-    for process, other in enumerate(told[1:], start=1):
-        differing = [
-            f"{name} ({first.get(name)!r} there, {other.get(name)!r} here)"
-            for name in sorted(first.keys() | other.keys())
-            if first.get(name) != other.get(name)
-        ]
-        if differing:
-            named = ", ".join(differing[:5])
-            parts.append(f"process {process} differs from process 0 in {named}")
-    return " and ".join(parts[:3])
+def name_differences(first: dict, other: dict) -> str:
+    """What two processes were told differently; "" where nothing."""
+    return ", ".join(
+        f"{name} ({first.get(name)!r} there, {other.get(name)!r} here)"
+        for name in sorted(first.keys() | other.keys())
+        if first.get(name) != other.get(name)
+    )

@@ -2,7 +2,8 @@
 
 Process 0 hosts jax's coordination service, and the others find it by its address. A
 process that is lost ends all of them, so that the job can be started again from its
-last checkpoint.
+last checkpoint: by an error of the next exchange or, where process 0 is lost or not
+found, or a process says nothing, by jax's client, with words of its own.
 """
 
 import atexit
@@ -13,11 +14,11 @@ import os
 import re
 import socket
 import sys
+import time
 from collections.abc import Iterator
 
 import jax
 
-from dpc_jax.run.hosts.aborts import speaking_for_jax
 from dpc_jax.run.hosts.agreement import Job
 from dpc_jax.run.hosts.places import Place
 
@@ -25,9 +26,9 @@ from dpc_jax.run.hosts.places import Place
 # virtual machines stand still at times, DPC_JAX_HEARTBEAT_SECONDS sets a longer one.
 HEARTBEAT_SECONDS = 45
 JOIN_SECONDS = 300  # for all processes to come; DPC_JAX_JOIN_SECONDS sets another
-AGAIN = "start all of them again: training goes on from the last checkpoint"
 # Of the errors that a collective or a barrier raises, those that a lost process causes.
-_LOSS = re.compile(r"gloo|nccl|coordination|barrier|socket closed|connection", re.I)
+_LOSS = re.compile(r"[A-Z_]+: (?is:.*(gloo|nccl|coordination|barrier|socket|connect))")
+_SECONDS_TO_SPEAK = 3  # that the others have before process 0 ends a job that failed
 
 
 @contextlib.contextmanager
@@ -37,35 +38,68 @@ def joining(place: Place | None) -> Iterator[Job]:
     Only process 0 prints to stdout. It must be entered before jax touches a device.
 
     Raises:
-      OSError: where the coordinator does not answer, or another process is lost.
+      OSError: where the port is taken, or another process is lost.
     """
     if place is None:
         yield Job()
         return
+    _connect(place)
+    if place.process:
+        sys.stdout = open(os.devnull, "w")
+    job = Job(place.processes, place.process)
+    try:
+        yield job
+        job.wait("end")
+        jax.distributed.shutdown()
+    except BaseException as error:
+        # The others may never come to where jax would meet them at the end.
+        is_interrupted = isinstance(error, KeyboardInterrupt)
+        atexit.register(_leave, place, 130 if is_interrupted else 1)
+        kinds = (ValueError, jax.errors.JaxRuntimeError)
+        if isinstance(error, kinds) and _LOSS.match(str(error)):
+            raise OSError(
+                f"Process {place.process}: all {place.processes} processes of the job "
+                "must go on, but another one has ended or cannot be reached; look at "
+                "what it said last, and start all of them again: training goes on from "
+                "the last checkpoint."
+            ) from None
+        # Let the others say what stops them too, before they see this one go.
+        name = "end" if is_interrupted else "failure"  # Ctrl-C: after saving
+        with contextlib.suppress(jax.errors.JaxRuntimeError, KeyboardInterrupt):
+            job.wait(name, seconds=5)
+        raise
+
+
+def _leave(place, status):
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if not place.process:
+        time.sleep(_SECONDS_TO_SPEAK)  # jax ends the others once its service is gone
+    os._exit(status)
+
+
+def _connect(place):
+    """Start the service in process 0, and meet the others there."""
+    # jax would catch SIGTERM for itself, so that it did not end a process that renders.
+    jax.config.update("jax_enable_preemption_service", False)
+    logging.getLogger("jax").setLevel(logging.ERROR)
     seconds = _read_seconds("JOIN", JOIN_SECONDS)
-    words, job = _Words(place, seconds), Job(place.processes, place.process)
-    with speaking_for_jax(words.explain) as speak_itself:
-        try:
-            _connect(place, seconds)
-            words.has_joined = True
-            if place.process:
-                sys.stdout = open(os.devnull, "w")
-            yield job
-            job.wait("end")
-            jax.distributed.shutdown()
-        except BaseException as error:
-            speak_itself()
-            # The others may never come to where jax would meet them at the end.
-            status = 130 if isinstance(error, KeyboardInterrupt) else 1
-            atexit.register(_leave, status)
-            if words.is_loss(error):
-                raise OSError(words.explain(str(error))) from None
-            if words.has_joined:
-                # Let the others say what stops them too, before they see this one go.
-                name = "end" if status == 130 else "failure"  # Ctrl-C: after saving
-                with contextlib.suppress(jax.errors.JaxRuntimeError, KeyboardInterrupt):
-                    job.wait(name, seconds=5)
-            raise
+    heartbeat = _read_seconds("HEARTBEAT", HEARTBEAT_SECONDS)
+    if not place.process:
+        _check_port(place.coordinator)
+    print(
+        f"Process {place.process} waits up to {seconds} s for all {place.processes} "
+        f"processes of the job at {place.coordinator}.",
+        flush=True,
+    )
+    jax.distributed.initialize(
+        place.coordinator,
+        place.processes,
+        place.process,
+        cluster_detection_method="deactivate",
+        initialization_timeout=seconds,
+        heartbeat_timeout_seconds=heartbeat,
+    )
 
 
 def _read_seconds(name, default):
@@ -77,36 +111,6 @@ def _read_seconds(name, default):
             f"{given!r}; set it to {default}, for instance."
         )
     return int(given)
-
-
-def _leave(status):
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(status)
-
-
-def _connect(place, seconds):
-    """Start the service in process 0, and meet the others there."""
-    # jax would catch SIGTERM for itself, so that it did not end a process that renders.
-    jax.config.update("jax_enable_preemption_service", False)
-    logging.getLogger("jax").setLevel(logging.ERROR)
-    if not place.process:
-        _check_port(place.coordinator)
-    try:
-        jax.distributed.initialize(
-            place.coordinator,
-            place.processes,
-            place.process,
-            cluster_detection_method="deactivate",
-            initialization_timeout=seconds,
-            heartbeat_timeout_seconds=_read_seconds("HEARTBEAT", HEARTBEAT_SECONDS),
-        )
-    except jax.errors.JaxRuntimeError as error:
-        raise OSError(
-            f"Expected process 0 to open {place.coordinator} to the other processes, "
-            f"but it cannot ({str(error).rstrip('.')}); choose another port, or end "
-            "what uses this one."
-        ) from None
 
 
 def _check_port(address):
@@ -124,50 +128,3 @@ def _check_port(address):
             "port is taken, perhaps by the same command; end what uses it, or choose "
             "another port."
         ) from None
-
-
-class _Words:
-    """Sentences for what jax says when the processes of a job do not come together."""
-
-    def __init__(self, place: Place, seconds: int):
-        self._place, self._seconds = place, seconds
-        self.has_joined = False
-
-    def is_loss(self, error) -> bool:
-        """Whether an error tells that another process is lost."""
-        kinds = (ValueError, jax.errors.JaxRuntimeError)
-        text = str(error)
-        has_code = re.match(r"[A-Z_]+: ", text)  # as jax's errors begin
-        return bool(isinstance(error, kinds) and has_code and _LOSS.search(text))
-
-    def explain(self, text: str) -> str:
-        """The sentence for the words of jax's client or of a collective."""
-        _, processes, process = self._place
-        if not self.has_joined:
-            return self._explain_start(text)
-        silent = re.search(r"heartbeats\):\s*([\d, ]+)", text)
-        if silent:
-            lost = f"process {silent[1].strip()} has ended or says nothing"
-        elif process and "CoordinationService" in text:
-            lost = f"process 0, the coordinator at {self._place.coordinator}, has ended"
-        else:
-            lost = "another one has ended or cannot be reached"
-        return (
-            f"Process {process}: all {processes} processes of the job must go on, but "
-            f"{lost}; look at what it said last, and {AGAIN}."
-        )
-
-    def _explain_start(self, text):
-        address, processes, process = self._place
-        if "DEADLINE_EXCEEDED" not in text:
-            reason = re.search(r"absl::Status: (.*)", text)
-            found = f"that failed ({reason[1] if reason else text.strip()[-300:]})"
-        elif process:
-            found = f"process 0 did not answer within {self._seconds} s"
-        else:
-            found = f"not all of them came within {self._seconds} s"
-        return (
-            f"Process {process}: the job at {address} must have {processes} processes, "
-            f"but {found}; start all of them with the same --coordinator and "
-            "--processes."
-        )

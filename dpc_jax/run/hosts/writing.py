@@ -27,33 +27,28 @@ def open_checkpoints(folder: Path, job: Job) -> Checkpoints:
     return SharedCheckpoints(folder, job) if job.processes > 1 else Checkpoints(folder)
 
 
-def restore_last(folder: Path, like: TrainState, job: Job = Job()) -> TrainState:
+def restore_last(folder: Path, like: TrainState) -> TrainState:
     """The last state of a run that is not gone on with; nothing is made in its folder.
 
     Raises:
       ValueError: where there is no checkpoint, or none that can be read.
     """
-    missing = ValueError(
-        f"Expected a checkpoint in {folder}, but there is none; give the workdir of a "
-        "run that has saved one."
-    )
-
-    def check():
-        if not folder.is_dir():
-            raise missing
-
-    job.do_first(check)  # only process 0 has to see the folder
-    with contextlib.closing(open_checkpoints(folder, job)) as checkpoints:
-        try:
-            found = checkpoints.restore(like)
-        except ValueError:  # whose advice is for a run's own folder
-            raise ValueError(
-                f"Expected a whole checkpoint in {folder}, but none of them could be "
-                "read; give the workdir of another run."
-            ) from None
+    found = None
+    if folder.is_dir():
+        with contextlib.closing(Checkpoints(folder)) as checkpoints:
+            try:
+                found = checkpoints.restore(describe_here(like))
+            except ValueError:  # whose advice is for a run's own folder
+                raise ValueError(
+                    f"Expected a whole checkpoint in {folder}, but none of them could "
+                    "be read; give the workdir of another run."
+                ) from None
     if found is None:
-        raise missing
-    return found.state
+        raise ValueError(
+            f"Expected a checkpoint in {folder}, but there is none; give the workdir "
+            "of a run that has saved one."
+        )
+    return jax.tree.map(spread_array, found.state, like)
 
 
 class SharedCheckpoints(Checkpoints):
@@ -101,11 +96,7 @@ class SharedCheckpoints(Checkpoints):
         Raises:
           ValueError: if there are checkpoints, yet none can be read.
         """
-        own = SingleDeviceSharding(jax.local_devices()[0])
-        there = jax.tree.map(
-            lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=own), like
-        )
-        restore = super().restore
+        there, restore = describe_here(like), super().restore
         found = self._job.do_first(lambda: restore(there))
         facts = [found.seconds, found.damaged] if found else None
         told = json.loads(self._job.gather(json.dumps(facts))[0])
@@ -113,7 +104,9 @@ class SharedCheckpoints(Checkpoints):
             return None
         seconds, damaged = told
         read = jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), there)
-        read = self._job.share(jax.device_get(found.state) if found else read)
+        read = multihost_utils.broadcast_one_to_all(
+            jax.device_get(found.state) if found else read
+        )
         state = jax.tree.map(spread_array, read, like)
         return Restored(state, seconds, tuple(damaged))
 
@@ -133,6 +126,14 @@ class SilentLog(MetricLog):
 
     def cut_after(self, step: int):
         """Do nothing."""
+
+
+def describe_here(like: TrainState) -> TrainState:
+    """What `describe_state` says of a state, on the first device of this process."""
+    own = SingleDeviceSharding(jax.local_devices()[0])
+    return jax.tree.map(
+        lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=own), like
+    )
 
 
 def gather_array(array: Any) -> np.ndarray:
