@@ -288,7 +288,7 @@ def _list_cells() -> list[Case]:
     cases = []
     for projection, names in (("perspective", ""), ("orthographic", ORTHOGRAPHIC)):
         is_flat = projection == "orthographic"
-        scenes = [row for row in CELL_SCENES if row[0].startswith(names)]
+        scenes: list[tuple] = [row for row in CELL_SCENES if row[0].startswith(names)]
         # Rays on both sides of the rim, a thousandth of a cell from it.
         for side, step, fields in (("inside", -5e-4, GRAZING), ("outside", 5e-4, {})):
             moved = (LAST[projection] + step, 0.1, 0.07)
