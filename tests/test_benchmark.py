@@ -12,7 +12,6 @@ from dpc_jax.measure.benchmark import (
     plan,
     pytorch,
     report,
-    sizes,
     speed,
     suite,
 )
@@ -79,7 +78,7 @@ def test_errors_of_an_exact_setting_vanish_and_of_a_rough_one_do_not():
 
 
 def test_a_surface_has_the_same_gradient_in_blocks_as_in_the_whole_volume():
-    result = sizes.compare_volumes(*SURFACE, rounds=1)
+    result = speed.compare_volumes(*SURFACE, rounds=1)
     assert set(result["median_seconds"]) == set(result["bytes"]) == {"whole", "blocks"}
     assert 0.1 < result["share"] < 0.7
     assert result["gradient_difference"] < 1e-5  # float32, sums in another order
@@ -120,15 +119,10 @@ def make_results():
     speeds["gradient_difference"] = {"other": [1e-6, 2e-6, 3e-6]}
     large = {"case": "B=1", "signals": ["silhouette", "depth"], "share": 0.031}
     large |= {"median_seconds": {"blocks": 1.5}, "bytes": {"blocks": 900_000_000}}
-    surfaces = [
-        {"points": 1000, "side": side, "median_seconds": {"blocks": 0.012} | whole}
-        for side, whole in ((512, {"whole": 1.234}), (1024, {}))
-    ]
     errors = (("one", 1e-3, 0.02), ("two", 2e-3, float("inf")))
     return results | {
         "speed": [speeds],
         "sizes": [large],
-        "surfaces": surfaces,
         "error": [make_record(*numbers) for numbers in errors],
     }
 
@@ -140,7 +134,6 @@ def test_the_report_shows_its_figure_and_numbers_and_leaves_no_other_file(tmp_pa
     assert "PyTorch is not installed and was left out" in text
     assert "| other | 20.00 | 2.00 | 3.0e-06 |" in text
     assert "| silhouette, depth | 3.1 % | – | 1.5e+03 | – | 0.9 | – |" in text
-    assert "| 1,000 | 1,234 / 12 | – / 12 |" in text
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,11 @@ from PIL import Image
 from dpc_jax import paper
 from dpc_jax.config import to_json
 from dpc_jax.experiments import results as module
+from dpc_jax.experiments import suite
 from dpc_jax.experiments.catalogue import EXPERIMENTS
 from dpc_jax.experiments.page import list_measures, tabulate
 from dpc_jax.experiments.results import Outcome, Results, analyze
-from dpc_jax.experiments.runs import Request, Run
+from dpc_jax.experiments.runs import Request
 from dpc_jax.run.workdir import hold_workdir
 
 KNOWN, UNKNOWN = EXPERIMENTS[:2]
@@ -103,7 +104,7 @@ def test_every_seed_is_analysed_and_the_first_one_is_shown(tmp_path, monkeypatch
         measures = {"Share": 0.7 + 0.1 * int(workdir.name[-1])}
         return measures, [(folder / "picture.png", "A picture.")]
 
-    monkeypatch.setitem(module._EACH, "correspondences", transfer)
+    monkeypatch.setitem(module._MEASURED, "correspondences", transfer)
     request = Request(("correspondences",), "cpu")
     outcomes = {
         run.name: Outcome(run, tmp_path / run.name, metrics={"chamfer": 4.0})
@@ -115,11 +116,14 @@ def test_every_seed_is_analysed_and_the_first_one_is_shown(tmp_path, monkeypatch
     assert picture.read_text().endswith("seed0") and caption == "A picture."
 
     def refuse(folder, workdir):
-        raise ValueError("Expected parts, but there are none; leave it out.")
+        if workdir.name.endswith("seed1"):
+            raise ValueError("Expected parts, but there are none; leave it out.")
+        return transfer(folder, workdir)
 
-    monkeypatch.setitem(module._EACH, "correspondences", refuse)
+    monkeypatch.setitem(module._MEASURED, "correspondences", refuse)
     failed = analyze(Results(request, outcomes), TRANSFER, tmp_path)
-    assert "there are none" in failed.problem and not failed.figures
+    assert "there are none" in failed.problems[0]
+    assert len(failed.measures) == 2 and failed.figures == found.figures
 
 
 # The whole command, on finished runs.
@@ -183,19 +187,17 @@ def test_a_damaged_report_is_never_a_number(text, tmp_path):
 def test_a_run_that_fails_fails_the_command_and_the_page_says_why(
     tmp_path, monkeypatch
 ):
-    load = Run.load_config
-
-    def refuse(run):
-        if "ptn" in run.name:
-            raise ValueError("A config that cannot work.")
-        return load(run)
+    def fail(jobs, **_):
+        (job,) = (job for job in jobs if not job.is_finished())
+        return {job.run.name: "A run that cannot work."}
 
     finish_runs(tmp_path, Request(("known_pose",), "quick"), without="ptn")
-    monkeypatch.setattr(Run, "load_config", refuse)
+    monkeypatch.setattr(suite, "train_missing", fail)
     flags = [f"--out={tmp_path}", "--size=quick", "--experiment=known_pose"]
     assert paper.main([*flags, "--no-training"]) == 0
+    assert "A run that cannot work." not in read_page(tmp_path)
     assert paper.main(flags) == 1
-    assert "A config that cannot work." in read_page(tmp_path)
+    assert "A run that cannot work." in read_page(tmp_path)
 
 
 def test_a_page_without_runs_has_the_paper_s_numbers(tmp_path):

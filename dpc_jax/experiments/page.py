@@ -78,8 +78,7 @@ def _show_experiment(
     if experiment.name in ("known_pose", "unknown_pose"):
         parts.append(_say(OTHER_SYSTEMS))
     analysis = analyze(results, experiment, folder)
-    if analysis.problem:
-        parts.append(_say(f"Not analysed: {analysis.problem}"))
+    parts += [_say(f"Not analysed: {problem}") for problem in analysis.problems]
     if analysis.measures:
         parts.append(_show_table(("Measure", "Value"), list_measures(analysis)))
     for path, caption in (

@@ -21,17 +21,12 @@ SHOWN = 5  # chairs in a figure
 Figures = list[tuple[Path, str]]  # with their captions
 
 
-def run(out: Path, workdirs: Sequence[Path]) -> Figures:
-    """The errors of finished runs, and the shapes of the first one of each kind.
+def draw_errors(out: Path, workdirs: Sequence[Path]) -> Figures:
+    """The projection error over the number of points, of finished runs of all kinds.
 
     Raises:
       ValueError: where a run has no projection error.
     """
-    return draw_errors(out, workdirs) + draw_shapes(out, workdirs)
-
-
-def draw_errors(out: Path, workdirs: Sequence[Path]) -> Figures:
-    """The projection error over the number of points, of finished runs of all kinds."""
     errors: dict[str, dict[int, list[float]]] = {kind: {} for kind in figures.LABELS}
     for workdir in workdirs:
         config = read_config(workdir)

@@ -1,8 +1,9 @@
 """What finished runs gave: groups of seeds, measured rows, analyses."""
 
+import contextlib
 import dataclasses
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,17 +75,28 @@ class Results:
         return statistics.fmean(means) if means and None not in found else None
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass
 class Analysis:
     """What an experiment made of its finished runs."""
 
-    measures: Sequence[Mapping[str, float]] = ()  # of each run, by name for people
-    figures: Sequence[tuple[Path, str]] = ()  # of the first run, with captions
-    problem: str = ""  # why it was not made; "" where it was
+    # Of each run, by name for people
+    measures: list[Mapping[str, float]] = dataclasses.field(default_factory=list)
+    figures: Sequence[tuple[Path, str]] = ()  # with captions
+    problems: list[str] = dataclasses.field(default_factory=list)  # what was not made
+
+    @contextlib.contextmanager
+    def noting_problems(self) -> Iterator[None]:
+        """What fails here leaves the rest of the analysis as it is."""
+        try:
+            yield
+        except (ValueError, OSError) as error:
+            self.problems.append(str(error))
 
 
-_TOGETHER = {"points": point_sizes.run}
-_EACH = {"correspondences": correspondences.run, "interpolation": interpolation.run}
+# Of all runs of an experiment together: figures.
+_DRAWN = {"points": (point_sizes.draw_errors, point_sizes.draw_shapes)}
+# Of each run: measures and figures.
+_MEASURED = {"correspondences": correspondences.run, "interpolation": interpolation.run}
 
 
 def analyze(results: Results, experiment: Experiment, folder: Path) -> Analysis:
@@ -92,15 +104,15 @@ def analyze(results: Results, experiment: Experiment, folder: Path) -> Analysis:
 
     Of analyses of single runs the figures of the first run are kept.
     """
-    name = experiment.name
+    found = Analysis()
     workdirs = [outcome.workdir for outcome in results.list_finished(experiment)]
-    if not workdirs or name not in (_TOGETHER | _EACH):
-        return Analysis()
-    try:
-        if name in _TOGETHER:
-            return Analysis(figures=_TOGETHER[name](folder, workdirs))
+    for draw in _DRAWN.get(experiment.name, ()) if workdirs else ():
+        with found.noting_problems():
+            found.figures = (*found.figures, *draw(folder, workdirs))
+    if measure := _MEASURED.get(experiment.name):
         # Figures of the same name replace each other: those of the first run come last.
-        made = [_EACH[name](folder, workdir) for workdir in reversed(workdirs)]
-    except (ValueError, OSError) as error:
-        return Analysis(problem=str(error))
-    return Analysis([measures for measures, _ in made], made[-1][1])
+        for workdir in reversed(workdirs):
+            with found.noting_problems():
+                measures, found.figures = measure(folder, workdir)
+                found.measures.append(measures)
+    return found

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from dpc_jax.experiments.page import write_page
 from dpc_jax.experiments.results import Outcome, Results
-from dpc_jax.experiments.runs import SIZES, Request
+from dpc_jax.experiments.runs import SIZES, Request, Run
 from dpc_jax.experiments.training import Job, choose_cores, train_missing
 from dpc_jax.learning.inference.predictor import VIEWS_AT_ONCE
 from dpc_jax.run.process import catch_signals, prepare_process
@@ -33,49 +33,37 @@ def run_suite(
       The page, and how many of the runs failed.
 
     Raises:
-      ValueError: where another command uses DIR.
+      ValueError: where another command uses DIR, or a config cannot work.
       OSError: where DIR cannot be written.
       KeyboardInterrupt: where Ctrl-C stopped it; the runs have saved.
     """
     prepare_process(VIEWS_AT_ONCE)  # the networks of finished runs are asked here
     with hold_workdir(folder), catch_signals() as stop:
-        jobs, problems = _plan(request, folder, cache)
+        jobs = [_make_job(run, request, folder, cache) for run in request.list_runs()]
+        problems = {}
         if trains:
-            cores = choose_cores(at_once)
-            problems |= train_missing(list(jobs.values()), cores=cores, stop=stop)
+            problems = train_missing(jobs, cores=choose_cores(at_once), stop=stop)
         outcomes = {
-            run.name: _gather(run, folder, jobs.get(run.name), problems)
-            for run in request.list_runs()
+            job.run.name: _gather(job, problems.get(job.run.name, "")) for job in jobs
         }
         path = write_page(Results(request, outcomes), folder)
-    return path, len(problems) if trains else 0
+    return path, len(problems)
 
 
-def _plan(
-    request: Request, folder: Path, cache: Path
-) -> tuple[dict[str, Job], dict[str, str]]:
-    """The jobs of all runs, and of others why their config cannot work, by name."""
-    jobs, problems = {}, {}
-    for run in request.list_runs():
-        try:
-            config = run.load_config()
-        except ValueError as error:
-            problems[run.name] = str(error)
-            continue
-        data = dataclasses.replace(config.data, cache_dir=str(cache))
-        jobs[run.name] = Job(
-            run,
-            dataclasses.replace(config, data=data),
-            folder / "runs" / run.name,
-            folder / "logs" / f"{run.name}.txt",
-            SIZES[request.size].environment,
-        )
-    return jobs, problems
+def _make_job(run: Run, request: Request, folder: Path, cache: Path) -> Job:
+    config = run.load_config()
+    data = dataclasses.replace(config.data, cache_dir=str(cache))
+    return Job(
+        run,
+        dataclasses.replace(config, data=data),
+        folder / "runs" / run.name,
+        folder / "logs" / f"{run.name}.txt",
+        SIZES[request.size].environment,
+    )
 
 
-def _gather(run, folder, job: Job | None, problems) -> Outcome:
-    workdir, problem = folder / "runs" / run.name, problems.get(run.name, "")
+def _gather(job: Job, problem: str) -> Outcome:
     try:
-        return Outcome(run, workdir, job.read_metrics() if job else None, problem)
+        return Outcome(job.run, job.workdir, job.read_metrics(), problem)
     except ValueError as error:
-        return Outcome(run, workdir, problem=str(error))
+        return Outcome(job.run, job.workdir, problem=str(error))

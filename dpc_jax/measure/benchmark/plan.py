@@ -2,9 +2,8 @@
 
 import dataclasses
 
-PARTS = ("speed", "sizes", "surfaces", "error")
+PARTS = ("speed", "sizes", "error")
 SEED = 0  # of all that is drawn
-SURFACE_SIGMA = 0.6  # voxels, as at the end of a fit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,9 +28,6 @@ class Plan:
     sized: Case  # of a sigma per point
     # Surfaces in the whole volume and in blocks, and which signals are rendered.
     sizes: tuple[tuple[Case, tuple[str, ...]], ...]
-    # Silhouettes of each number of points on each grid.
-    surface_points: tuple[int, ...]
-    surface_sides: tuple[int, ...]
     scene_points: int  # of the dense scenes
     sparse_points: int  # of the sparse one
     sigmas: tuple[float, ...]  # voxels of a grid with `base_side` cells a side
@@ -54,8 +50,6 @@ FULL = Plan(
         (Case(1, 250_000, 512, 0.6), ("silhouette",)),
         (Case(1, 1_000_000, 1024, 0.6), ("silhouette",)),
     ),
-    surface_points=(1000, 10_000, 100_000, 1_000_000),
-    surface_sides=(32, 64, 128, 256, 512, 1024),
     scene_points=8000,
     sparse_points=400,
     sigmas=(0.3, 0.6, 1.2, 2.5, 5.0),
@@ -75,9 +69,7 @@ QUICK = Plan(
     rounds=3,
     cases=(Case(2, 500, 16, 1.5),),
     sized=Case(1, 500, 16, 1.3),
-    sizes=((Case(1, 500, 32, SURFACE_SIGMA), ("silhouette",)),),
-    surface_points=(500,),
-    surface_sides=(32,),
+    sizes=((Case(1, 500, 32, 0.6), ("silhouette",)),),
     scene_points=500,
     sparse_points=500,
     sigmas=(0.5, 2.0),

@@ -11,7 +11,6 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from dpc_jax.evaluation.metrics import MISSING
 from dpc_jax.files import write_json, write_text
 from dpc_jax.measure.benchmark import accuracy
-from dpc_jax.measure.benchmark.plan import SURFACE_SIGMA
 from dpc_jax.measure.timing import phrase_machine
 from dpc_jax.reporting import style
 from dpc_jax.reporting.tables import format_table
@@ -95,23 +94,6 @@ def _write_sizes(out, results) -> list[str]:
     ]
 
 
-def _write_surfaces(out, results) -> list[str]:
-    found = {(r["points"], r["side"]): r["median_seconds"] for r in results["surfaces"]}
-    counts, sides = (sorted(set(numbers)) for numbers in zip(*found, strict=True))
-    rows = []
-    for count in counts:
-        pairs = (found[count, side] for side in sides)
-        times = ((pair.get("whole"), pair["blocks"]) for pair in pairs)
-        cells = (" / ".join(_round_ms(t) for t in pair) for pair in times)
-        rows.append([f"{count:,}", *cells])
-    return [
-        "## Points and grids",
-        "A car's silhouette, forward and backward, float32, a sigma of "
-        f"{SURFACE_SIGMA} voxels, ms: in the whole volume / in blocks.",
-        format_table(["points", *(f"{side}³" for side in sides)], rows),
-    ]
-
-
 def _write_error(out, results) -> list[str]:
     records = accuracy.take_scenes_together(results["error"])
     fine = f"{results['reference_side']}³"
@@ -185,19 +167,12 @@ def draw_errors(records: Sequence[dict[str, Any]], path: Path) -> Path:
 _SECTIONS = {
     "speed": _write_speed,
     "sizes": _write_sizes,
-    "surfaces": _write_surfaces,
     "error": _write_error,
 }
 
 
 def _ms(seconds: float) -> str:
     return f"{1e3 * seconds:.2f}"
-
-
-def _round_ms(seconds: float | None) -> str:
-    if seconds is None:
-        return MISSING
-    return f"{1e3 * seconds:{',.0f' if seconds > 0.01 else '.2g'}}"
 
 
 def _percent(value: float) -> str:

@@ -8,8 +8,8 @@ from typing import Any
 
 from dpc_jax.learning.training.progress import ProgressReport
 from dpc_jax.measure import scenes
-from dpc_jax.measure.benchmark import accuracy, pytorch, report, sizes, speed
-from dpc_jax.measure.benchmark.plan import PARTS, SEED, SURFACE_SIGMA, Case, Plan
+from dpc_jax.measure.benchmark import accuracy, pytorch, report, speed
+from dpc_jax.measure.benchmark.plan import PARTS, SEED, Plan
 from dpc_jax.measure.timing import describe_machine
 
 # A part, what is measured, and the call that gives its record, or several.
@@ -65,12 +65,8 @@ def list_tasks(plan: Plan) -> Iterator[Task]:
     call = partial(speed.compare_sizes, plan.sized, **turns)
     yield "speed", "a sigma per point", call
     for case, signals in plan.sizes:
-        call = partial(sizes.compare_volumes, case, signals, **turns)
+        call = partial(speed.compare_volumes, case, signals, **turns)
         yield "sizes", f"{'+'.join(signals)}, {case}", call
-    for side, points in itertools.product(plan.surface_sides, plan.surface_points):
-        case = Case(1, points, side, SURFACE_SIGMA)
-        call = partial(sizes.compare_volumes, case, ("silhouette",), rounds=3)
-        yield "surfaces", f"{case}", call
     made = scenes.make_scenes(
         num_points=plan.scene_points, num_sparse=plan.sparse_points, seed=SEED
     )

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from dpc_jax.files import write_json, write_text
-from dpc_jax.measure.stability import DTYPES
-from dpc_jax.measure.stability.case import Row
+from dpc_jax.measure.stability import DTYPES, SUBJECTS
+from dpc_jax.measure.stability.runner import Row
 from dpc_jax.measure.timing import phrase_machine
 from dpc_jax.reporting.tables import format_table
 
@@ -70,18 +70,15 @@ def _summarize(rows) -> str:
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in sorted(rows, key=lambda row: DTYPES.index(row.dtype)):
         groups.setdefault((row.subject, row.dtype), []).append(row)
-    subjects = list(dict.fromkeys(row.subject for row in rows))
     lines = []
-    for key in sorted(groups, key=lambda key: subjects.index(key[0])):
+    for key in sorted(groups, key=lambda key: list(SUBJECTS).index(key[0])):
         group = groups[key]
-        worst = [
-            max((r.ratios[kind] for r in group if kind in r.ratios), default=None)
-            for kind in ("value", "gradient")
-        ]
-        nearest = max(group, key=lambda row: max(row.ratios.values(), default=0))
-        counts = (len(group), sum(not row.passes for row in group))
-        only_finite = sum(row.value_tolerance is None for row in group)
-        cells = ("–" if ratio is None else f"{ratio:.2g}" for ratio in worst)
-        lines.append((*key, *counts, only_finite, *cells, nearest.case))
-    head = ("subject", "dtype", "rows", "outside", "finite only", "worst value")
-    return format_table((*head, "worst gradient", "nearest to its limit"), lines)
+        failed = sum(not row.passes for row in group)
+        finite = sum(not row.ratios for row in group)
+        worst = {row.case: max(row.ratios.values(), default=0) for row in group}
+        nearest = max(worst, key=lambda case: worst[case])
+        lines.append(
+            (*key, len(group), failed, finite, f"{worst[nearest]:.2g}", nearest)
+        )
+    head = ("subject", "dtype", "rows", "outside", "finite only", "worst")
+    return format_table((*head, "nearest to its limit"), lines)

@@ -1,9 +1,9 @@
-"""Runs cases in every dtype, under jit, vmap and grad, against the oracles."""
+"""What a case is, and how cases run: in every dtype, against their oracles."""
 
-import functools
+import dataclasses
 import importlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -11,14 +11,112 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.measure.stability import DTYPES, SUBJECTS
-from dpc_jax.measure.stability.case import Case, Row
 from dpc_jax.measure.stability.oracles import COMPLEX, REAL
 
+WIDE = DTYPES[:2]
+IN_WIDE = {"dtypes": WIDE}  # the changes of a row that 16 bits cannot hold
 # Of programs that run once: compiling them takes most of the time.
 QUICKLY = {
     "xla_backend_optimization_level": 0,
     "xla_llvm_disable_expensive_passes": True,
 }
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Case:
+    """One function at one input where it may break."""
+
+    name: str  # what is extreme about the input; unique within the subject
+    # Maps arrays to an array or a tuple of arrays. Cases with the same function object
+    # and the same shapes share compiled programs.
+    function: Callable
+    # Float64 arrays. They are rounded to each dtype, and the oracle gets the rounded
+    # numbers, so that an error is the function's own.
+    inputs: tuple
+    # The same function in numpy, for real and complex long doubles; at a kink its slope
+    # is the right one-sided derivative. None takes the function itself in float64,
+    # where only rounding is in question.
+    oracle: Callable | None
+    # Largest errors of the value, and of the gradient of Σ w·output to each input (None
+    # without a gradient), in units of the dtype's epsilon; relative to the largest
+    # magnitude of what is right, or to the floor.
+    value_tolerance: float
+    gradient_tolerance: float | None
+    floor: float = 0.0
+    gradient_floor: float = 0.0
+    dtypes: tuple[str, ...] = DTYPES  # the case runs in these
+    is_half_checked: bool = True  # or results in 16 bits only have to be finite
+    is_slow: bool = False  # left out of the quick form
+
+    def __post_init__(self):
+        inputs = tuple(np.asarray(x, np.float64) for x in self.inputs)
+        object.__setattr__(self, "inputs", inputs)
+
+
+def make_cases(
+    title: str,
+    function: Callable,
+    oracle: Callable | None,
+    tolerances: tuple[float, float | None],
+    rows: Iterable[tuple],
+    **shared: Any,
+) -> list[Case]:
+    """The cases of one function from a table, one for each row.
+
+    A case is called "title: name". Tolerances are those of the value and of the
+    gradient. A row is (name, input, input, ...), and may end in a dict of the fields of
+    `Case` in which it differs; **shared are fields that are the same for all.
+    """
+    value, gradient = tolerances
+    shared |= {"value_tolerance": value, "gradient_tolerance": gradient}
+    cases = []
+    for name, *inputs in rows:
+        fields = shared | (inputs.pop() if isinstance(inputs[-1], dict) else {})
+        name = f"{title}: {name}"
+        cases.append(Case(name, function, tuple(inputs), oracle, **fields))
+    return cases
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """What became of a case in one dtype."""
+
+    subject: str
+    case: str
+    dtype: str
+    # By name an error and the largest that passes, or None where it only has to be
+    # finite. Those of values and gradients are the worst of all modes, and relative.
+    errors: Mapping[str, tuple[float, float | None]] = dataclasses.field(
+        default_factory=dict
+    )
+    is_finite: bool = True  # whether all values and gradients are
+    found: str = ""  # what else did not hold
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """Error over tolerance of what has one."""
+        return {
+            name: error / tolerance if tolerance else math.inf if error else 0.0
+            for name, (error, tolerance) in self.errors.items()
+            if tolerance is not None
+        }
+
+    @property
+    def passes(self) -> bool:
+        """Whether all is finite, within the tolerances, and nothing else was found."""
+        is_near = all(ratio <= 1 for ratio in self.ratios.values())  # no NaN
+        return self.is_finite and is_near and not self.found
+
+    def describe_failure(self) -> str:
+        """One sentence on a row outside its tolerance."""
+        reasons = [] if self.is_finite else ["a value or gradient is not finite"]
+        reasons += [
+            "the {} is {:.2e}, the tolerance {:.2e}".format(name, *self.errors[name])
+            for name, ratio in self.ratios.items()
+            if not ratio <= 1
+        ]
+        reasons += [self.found] * bool(self.found)
+        return f"{self.subject}, {self.case}, {self.dtype}: {' and '.join(reasons)}."
 
 
 def run_subject(
@@ -37,15 +135,10 @@ def run_subject(
       seed: of the random draws.
     """
     module = importlib.import_module(f"{__package__}.{SUBJECTS[subject]}")
-    return list(module.ROWS[subject](dtypes=dtypes, quick=quick, seed=seed))
-
-
-def tabulate(**tables: Iterable[Case]) -> dict[str, Callable[..., Iterator[Row]]]:
-    """By subject the call that gives the rows of its cases."""
-    return {
-        name: functools.partial(run_cases, name, cases)
-        for name, cases in tables.items()
-    }
+    if hasattr(module, "CASES"):
+        cases = module.CASES[subject]
+        return list(run_cases(subject, cases, dtypes=dtypes, quick=quick))
+    return list(module.run(quick=quick, seed=seed))
 
 
 def run_cases(
@@ -54,7 +147,6 @@ def run_cases(
     *,
     dtypes: tuple[str, ...] | None = None,
     quick: bool = False,
-    **_,
 ) -> Iterator[Row]:
     """Rows of all cases, in some dtypes or in all that a case names.
 
@@ -129,28 +221,20 @@ def _fetch(tree):
 
 def _judge(subject, case, dtype, results, expected):
     """The row of one case, by (outputs, gradients) that were found and expected."""
-    epsilon = float(jnp.finfo(dtype).eps)
     only_finite = not case.is_half_checked and dtype in ("bfloat16", "float16")
-
-    def scale(tolerance):
-        return None if tolerance is None or only_finite else tolerance * epsilon
-
-    floors = case.floor, case.gradient_floor
-    value_error, gradient_error = (
-        max(compare(found[i], expected[i], dtype, floor=floors[i]) for found in results)
-        for i in range(2)
-    )
-    return Row(
-        subject=subject,
-        case=case.name,
-        dtype=dtype,
-        value_error=value_error,
-        value_tolerance=scale(case.value_tolerance),
-        gradient_error=None if case.gradient_tolerance is None else gradient_error,
-        gradient_tolerance=scale(case.gradient_tolerance),
-        is_finite=all(np.all(np.isfinite(a)) for a in jax.tree.leaves(results)),
-        because=case.because,
-    )
+    errors = {}
+    for i, (name, tolerance, floor) in enumerate(
+        (
+            ("value error", case.value_tolerance, case.floor),
+            ("gradient error", case.gradient_tolerance, case.gradient_floor),
+        )
+    ):
+        if tolerance is not None:
+            pairs = (compare(found[i], expected[i], dtype, floor) for found in results)
+            most = None if only_finite else tolerance * float(jnp.finfo(dtype).eps)
+            errors[name] = max(pairs), most
+    is_finite = all(np.all(np.isfinite(a)) for a in jax.tree.leaves(results))
+    return Row(subject, case.name, dtype, errors, is_finite)
 
 
 def make_weights(outputs: Sequence[Any]) -> list[np.ndarray]:
@@ -197,8 +281,7 @@ def compare(
     found: Sequence[np.ndarray],
     expected: Sequence[np.ndarray],
     dtype: str,
-    *,
-    floor: float | tuple[float, ...] = 0.0,
+    floor: float = 0.0,
 ) -> float:
     """Largest error relative to the largest magnitude of its array, or to `floor`.
 
@@ -208,8 +291,7 @@ def compare(
     """
     tiny = float(jnp.finfo(dtype).tiny)
     worst = 0.0
-    floors = np.broadcast_to(floor, len(expected))
-    for a, b, lowest in zip(found, expected, floors, strict=True):
+    for a, b in zip(found, expected, strict=True):
         if np.shape(a) != np.shape(b) or not np.all(np.isfinite(a)):
             return math.inf
         if np.size(b) == 0:
@@ -217,7 +299,7 @@ def compare(
         b = np.real(b).astype(REAL)
         assert np.all(np.isfinite(b)), "an oracle that is not finite judges nothing"
         error = np.max(np.abs(np.asarray(a, REAL) - b))
-        scale = max(np.max(np.abs(b)), lowest)
+        scale = max(np.max(np.abs(b)), floor)
         if error > tiny:
             worst = max(worst, float(error / scale) if scale > tiny else math.inf)
     return worst

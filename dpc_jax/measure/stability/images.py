@@ -1,45 +1,104 @@
-"""Whole images of clouds and of volumes of cells: poses, lenses, masses, empty rays."""
+"""Cases of whole images: cameras, clouds, volumes of cells, and sums of many terms."""
 
 import functools
+import math
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
+from dpc_jax.learning.losses import reprojection_loss
+from dpc_jax.measure.scenes import draw_ball
 from dpc_jax.measure.stability import oracles
-from dpc_jax.measure.stability.case import IN_WIDE, STILL, TURN, Case, make_cases
-from dpc_jax.measure.stability.runner import tabulate
-from dpc_jax.render import Camera, VoxelGrid, project, project_volume
+from dpc_jax.measure.stability.functions import SHAPE, STILL
+from dpc_jax.measure.stability.runner import IN_WIDE, Case, make_cases
+from dpc_jax.render import (
+    Camera,
+    VoxelGrid,
+    opacity,
+    project,
+    project_volume,
+    smooth,
+    termination_probabilities,
+)
+from dpc_jax.render import camera as cameras
 
-SHAPE = (4, 3, 5)
+TURN = (0.8, 0.1, -0.3, 0.2)  # a quaternion of nearly length one
+
+# Cameras: points at, behind and before the eye.
+GRID = VoxelGrid((8, 6, 4))
+CLOUD = np.array([[0.1, -0.2, 0.3], [-0.3, 0.25, -0.1], [0.05, 0.0, -0.35]])
+EYE = np.array([[0, 0, 0.3], [0.01, 0.02, 0.2], [0, 0, 0]])
+CROSSING = CLOUD * [1, 1, 0] + [[0, 0, -2], [0, 0, 0], [0, 0, 0.1]]
+CLOSE = [[1e-6, -1e-6, 1e-5], [0, 0, 0.3], [0.1, 0, 0.2]]
+# name, points, rotation, focal length, distance
+SIGHTS = (
+    ("plain", CLOUD, TURN, 1.875, 2.0),
+    ("one point in the camera plane", CROSSING, STILL, 1.875, 2.0),
+    ("distance 0", EYE, STILL, 0.5, 0.0),
+    ("one point behind the camera", EYE - [0, 0, 0.1], STILL, 0.5, 0.0),
+    (
+        "one point 1e-7 before the plane",
+        *(EYE + [0, 0, 1e-7], STILL, 0.5, 0.0, IN_WIDE),
+    ),
+    ("focal length 1e3, on the axis", CLOUD * [1e-4, 1e-4, 1], STILL, 1e3, 2.0),
+    ("focal length 1e3 from 1e3", CLOUD, TURN, 1e3, 1024.0),
+    ("points 3e38 away", np.sign(CLOUD) * 3e38, TURN, 1.875, 2.0),
+    ("object larger than the volume", CLOUD * 4, TURN, 1.875, 2.0),
+    ("quaternion of length 1e-30", CLOUD, np.multiply(TURN, 1e-30), 1.875, 2, IN_WIDE),
+)
+
+
+def _find_coordinates(points, rotation, focal, distance, *, projection):
+    """Continuous indices of the points in the grid; zeros for points outside it."""
+    camera = Camera(focal, distance, projection)
+    moved = cameras.to_camera_frame(points, rotation, translation=None, camera=camera)
+    return cameras.to_grid(moved, camera=camera, grid=GRID).coordinates
+
+
+def _place(*inputs, is_flat):
+    return oracles.place(*inputs, shape=GRID.shape, orthographic=is_flat)[0]
+
+
+CAMERAS = [
+    case
+    # Perspective multiplies roundings by the inverse distance to the eye, orthographic
+    # projection does not.
+    for projection, close in (("perspective", 64e3), ("orthographic", 64))
+    for case in make_cases(
+        projection,
+        functools.partial(_find_coordinates, projection=projection),
+        functools.partial(_place, is_flat=projection == "orthographic"),
+        (32, 64),
+        [
+            *SIGHTS,
+            (
+                *("1e-5 before the eye", CLOSE, STILL, 1.0, 0.0),
+                IN_WIDE | {"gradient_tolerance": close},
+            ),
+        ],
+        floor=1.0,
+        is_half_checked=False,
+    )
+]
+
+# Clouds. Coordinates of a few cells carry 30 roundings, kernels multiply them by their
+# slope, rays by their length.
+TOLERANCES = 128, 1024
 POINTS = np.array(
     [[0.1, -0.2, 0.3], [-0.3, 0.25, -0.1], [0.05, 0.01, -0.35], [-0.1, -0.2, 0.13]]
 )
 COLORS = np.array([[0.1, 0.9], [0.5, 0.2], [0.0, 1.0], [0.7, 0.7]])
-CAMERA = {"translation": (0, 0, 0), "focal": 1.875, "distance": 2.0}
-CAMERA |= {"background_depth": 10.0, "background_color": (1.0, 0.25)}
+VIEW = {"translation": (0, 0, 0), "focal": 1.875, "distance": 2.0}
+VIEW |= {"background_depth": 10.0, "background_color": (1.0, 0.25)}
 PLAIN = {"points": POINTS, "rotation": TURN, "sizes": 0.6, "scale": [0.6] * 4}
-PLAIN |= {"colors": COLORS, **CAMERA}
-MATRIX = oracles.rotate(np.eye(3), np.array(TURN)).T
-MANY = (1e-12, 1e-6, 1, 1e6)
-
-ROUNDINGS = "coordinates of a few cells carry 30 roundings, kernels multiply them by "
-ROUNDINGS += "their slope, rays by their length"
+PLAIN |= {"colors": COLORS, **VIEW}
 # Scenes that multiply roundings by more than that.
-TAILS = {
-    "gradient_tolerance": 4 * 1024,
-    "because": ROUNDINGS + "; of mass 1e6 the tails count, at exponents of 14",
-}
-NARROW = {
-    "gradient_tolerance": 400 * 1024,
-    "because": ROUNDINGS + "; so narrow a kernel has slopes of 1/2σ² = 400 a voxel",
-}
+TAILS = {"gradient_tolerance": 4 * 1024}  # masses of 1e6: tails, at exponents of 14
+NARROW = {"gradient_tolerance": 400 * 1024}  # a slope of 1/2σ² = 400 a voxel
 # The gradient to a place is a difference of two cells' readings, which the wide kernel
 # makes 3e-8 of what they are; so it is for the pose.
-PLACES = ("points", "rotation", "translation", "focal", "distance")
-WIDE_KERNEL = {
-    "gradient_floor": tuple(3e-8 if name in PLACES else 1e-30 for name in PLAIN)
-}
+WIDE_KERNEL = {"gradient_floor": 3e-8}
 # What differs from `PLAIN`, and the fields of `Case`.
 SCENES = (
     ("plain", {}),
@@ -47,7 +106,7 @@ SCENES = (
     ("one point of mass 1e-30", {"scale": [1e-30, 0, 0, 0]}, IN_WIDE),
     ("the camera inside", {"distance": 0.0}, IN_WIDE),
     ("mass 0", {"scale": [0] * 4}),
-    ("masses from 1e-12 to 1e6", {"scale": MANY}, IN_WIDE | TAILS),
+    ("masses from 1e-12 to 1e6", {"scale": (1e-12, 1e-6, 1, 1e6)}, IN_WIDE | TAILS),
     ("colours 1e30", {"colors": COLORS * 1e30}, IN_WIDE),
     ("colours below 0", {"colors": -COLORS}),
     ("sigma 0", {"sizes": 0.0}),
@@ -67,6 +126,7 @@ def _tilt(*sides):
 
 
 TILTED = _tilt(0.6, 0.8, 1, 1.2)
+MATRIX = oracles.rotate(np.eye(3), np.array(TURN)).T
 COVARIANCES = (
     # The others turn by a quaternion.
     ("by a matrix", TILTED | {"rotation": MATRIX}, {"is_slow": True}),
@@ -136,22 +196,14 @@ def render_cloud(points, rotation, sizes, scale, colors, *scene, method, **rules
     return image.silhouette, image.depth, image.color
 
 
-def render_cells(volume, colors, rotation, *scene, **rules):
-    """The three images of `project_volume`."""
-    looks = _describe(*scene, shape=CELLS, **rules)
-    image = project_volume(volume, rotation, colors=colors, **looks)
-    return image.silhouette, image.depth, image.color
-
-
 def _make_cases(title, function, oracle, plain, scenes) -> list[Case]:
     """Cases with the gradient to every input, which differ from the plain ones."""
     return make_cases(
-        *(title, function, oracle, (128, 1024)),
+        *(title, function, oracle, TOLERANCES),
         [
             (name, *(plain | changes).values(), *fields)
             for name, changes, *fields in scenes
         ],
-        because=ROUNDINGS,
         is_half_checked=False,
         gradient_floor=1e-30,
     )
@@ -184,14 +236,11 @@ def _fill(shape):
     return {"volume": volume.reshape(shape), "colors": colors.reshape(*shape, 2)}
 
 
-SOLID = _fill(CELLS) | {"rotation": TURN, **CAMERA, "translation": (0.03, -0.05, 0.02)}
+SOLID = _fill(CELLS) | {"rotation": TURN, **VIEW, "translation": (0.03, -0.05, 0.02)}
 VOLUME = SOLID["volume"]
 LONE, CHECKERS = np.eye(16)[6].reshape(CELLS), np.indices(CELLS).sum(0) % 2
-GRAZING = {
-    "value_tolerance": 8 * 1024,
-    "gradient_tolerance": 8 * 1024,
-    "because": "the samples are thousandths of the indices whose rounding they have",
-}
+# The samples are thousandths of the indices whose rounding they have.
+GRAZING = {"value_tolerance": 8 * 1024, "gradient_tolerance": 8 * 1024}
 # What differs from `SOLID`, and the fields of `Case`.
 CELL_SCENES = (
     ("plain", {}),
@@ -228,11 +277,18 @@ CELL_SCENES = (
 ORTHOGRAPHIC = ("plain", "samples", "moved", "quaternion 0", "half")
 
 
+def render_cells(volume, colors, rotation, *scene, **rules):
+    """The three images of `project_volume`."""
+    looks = _describe(*scene, shape=CELLS, **rules)
+    image = project_volume(volume, rotation, colors=colors, **looks)
+    return image.silhouette, image.depth, image.color
+
+
 def _list_cells() -> list[Case]:
     cases = []
     for projection, names in (("perspective", ""), ("orthographic", ORTHOGRAPHIC)):
         is_flat = projection == "orthographic"
-        scenes = [row for row in CELL_SCENES if row[0].startswith(names)]
+        scenes: list[tuple] = [row for row in CELL_SCENES if row[0].startswith(names)]
         # Rays on both sides of the rim, a thousandth of a cell from it.
         for side, step, fields in (("inside", -5e-4, GRAZING), ("outside", 5e-4, {})):
             moved = (LAST[projection] + step, 0.1, 0.07)
@@ -247,4 +303,80 @@ def _list_cells() -> list[Case]:
     return cases
 
 
-ROWS = tabulate(image=_list_images(), cells=_list_cells())
+# Sums of more and more terms, beside the function itself in float64. Independent
+# rounding errors of n terms add up as √n, and so do the tolerances.
+def _render_many(points, rotation, scale, sizes, *, method):
+    """A silhouette of 16² pixels; the mass is shared out among the points."""
+    look = {"grid": VoxelGrid(16), "scale": scale / len(points)}
+    is_round = jnp.ndim(sizes) < 3
+    look |= {"sigma": sizes, "method": method} if is_round else {"covariance": sizes}
+    return project(points, rotation, **look).silhouette
+
+
+_TRILINEAR, _CUBIC, _GAUSSIAN, _LEVELS = (
+    functools.partial(_render_many, method=method)
+    for method in ("trilinear", "cubic", "gaussian", "levels")
+)
+# What adds up how many terms n of which kind, and the tolerance of the gradient in
+# units of √n epsilons; that of the value is four. Each is at least four times the
+# largest error measured.
+SUMS = (
+    # Trilinear weights have a kink at a cell's centre: of 10⁵ points one lies within
+    # rounding of it, and float32 takes the other side's slope.
+    ("trilinear", _TRILINEAR, "points", 1000, 64),
+    ("trilinear", _TRILINEAR, "points", 100_000, 64),
+    ("cubic", _CUBIC, "points", 1000, 16),
+    ("gaussian", _GAUSSIAN, "points", 1000, 64),
+    ("gaussian", _GAUSSIAN, "points", 100_000, 64),
+    ("gaussian", _GAUSSIAN, "points of all sizes", 1000, 16),
+    ("levels", _LEVELS, "points of all sizes", 1000, 16),
+    ("gaussian", _GAUSSIAN, "points of covariances", 200, 16),
+    ("loss", reprojection_loss, "pixels", 100_000, 4),
+    # A cell is a sum along each axis, sigma's gradient one over all cells: √n³.
+    ("smooth", smooth, "cells", 16, 4),
+    ("smooth", smooth, "cells", 128, 32),
+    ("opacity", opacity, "cells of a ray", 64, 4),
+    ("opacity", opacity, "cells of a ray", 4096, 4),
+    ("termination", termination_probabilities, "cells of a ray", 64, 4),
+    ("termination", termination_probabilities, "cells of a ray", 4096, 4),
+)
+
+
+def _draw(kind, n):
+    """The inputs of a sum of n terms."""
+    rng = np.random.default_rng(n)
+    points = draw_ball(rng, n) * (0.42, 0.28, 0.16)
+    if kind.startswith("points"):
+        # A fixed mass fills an ellipsoid to a half. It is turned, so that no symmetry
+        # makes the rotation's gradient vanish.
+        sizes = {"points": 1.0, "points of all sizes": rng.uniform(0.7, 2.5, n)}
+        axes = rng.normal(0, 0.8, (n, 3, 3))
+        matrices = axes @ axes.transpose(0, 2, 1) + 0.3 * np.eye(3)
+        return points, (0.8, 0.4, 0, 0.4), 160, sizes.get(kind, matrices)
+    if kind == "pixels":
+        return tuple(rng.uniform(0, 1, (2, n)))
+    if kind == "cells":
+        return rng.uniform(0, 1, (n, n, n)), n / 8
+    return (rng.uniform(0, 4 / n, (16, n)),)  # the rays' sums stay at two
+
+
+def _list_sums() -> list[Case]:
+    """Cases of sums over points, cells, pixels and rays."""
+    cases = []
+    for title, function, kind, n, tolerance in SUMS:
+        tolerances = 4 * math.sqrt(n), tolerance * math.sqrt(n)
+        cases += make_cases(
+            f"{title}, {kind}",
+            *(function, None, tolerances, [(str(n), *_draw(kind, n))]),
+            is_slow=n > 64,
+            dtypes=("float32",),
+        )
+    return cases
+
+
+CASES = {
+    "camera": CAMERAS,
+    "image": _list_images(),
+    "cells": _list_cells(),
+    "sum": _list_sums(),
+}
