@@ -21,7 +21,8 @@ from dpc_jax.run.object_fitting import fit_folder, list_doubts
 
 # A few large steps; the points come from 0.45 away.
 SMALL = FitSettings(num_points=300, sides=(16, 32), steps=(60, 40), learning_rate=0.03)
-ONE_SIDE = FitSettings(num_points=300, sides=(32,), steps=(150,), learning_rate=0.02)
+COARSE = dataclasses.replace(SMALL, sides=(16,), steps=(60,))
+ONE_SIDE = FitSettings(num_points=300, sides=(32,), steps=(100,), learning_rate=0.03)
 VIEWS = 9
 
 
@@ -116,17 +117,20 @@ def test_large_images_are_fitted_in_blocks_by_more_points(scene, monkeypatch):
     monkeypatch.setattr(capacity, "_COUNTED_FROM", 1)
     monkeypatch.setattr(capacity, "SMALL_UP_TO", 1)
     monkeypatch.setattr(capacity, "_MOST_SHARE", 1)
-    large = silhouettes.repeat(2, axis=1).repeat(2, axis=2)
-    settings = dataclasses.replace(SMALL, sides=(32, 64))
-    found = dpc_jax.fit(large, rotations=rotations, settings=settings)
+    large = silhouettes[::2].repeat(2, axis=1).repeat(2, axis=2)
+    settings = dataclasses.replace(SMALL, sides=(32, 64), steps=(60, 20))
+    found = dpc_jax.fit(large, rotations=rotations[::2], settings=settings)
     assert found.side == 64 and found.points.shape == (1200, 3)
     assert found.overlaps.mean() > 0.85
 
 
-def test_the_same_seed_gives_the_same_cloud(scene, given):
+def test_the_same_seed_gives_the_same_cloud(scene):
     _, silhouettes, rotations = scene
-    again = dpc_jax.fit(silhouettes, rotations=rotations, settings=SMALL)
-    np.testing.assert_array_equal(again.points, given.points)
+    first, again = (
+        dpc_jax.fit(silhouettes, rotations=rotations, settings=COARSE).points
+        for _ in range(2)
+    )
+    np.testing.assert_array_equal(again, first)
 
 
 def test_rough_poses_become_better(scene):
@@ -228,7 +232,7 @@ def test_a_folder_of_images_becomes_files(scene, tmp_path, capsys):
         poses[f"{i}.png"] = rotations[view].tolist()
     (place / "poses.json").write_text(json.dumps(poses))
     out = tmp_path / "out"
-    fit_folder(place, out, image_size=32, crop="none", settings=SMALL)
+    fit_folder(place, out, image_size=32, crop="none", settings=COARSE)
     facts = json.loads((out / "fit.json").read_text())
     assert set(facts["views"]) == {f"{i}.png" for i in range(VIEWS)}
     assert facts["overlap"] > 0.85 and facts["points"] == 300

@@ -47,7 +47,7 @@ def find_cells(view, points):
     return found.coordinates, found.inside
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_points_are_at_the_pixels_that_k_says_and_depth_is_metric(seed):
     lens, matrix = draw_camera(seed)
     points = np.random.default_rng(seed).uniform(-0.15, 0.15, (50, 3))
@@ -71,9 +71,8 @@ def find_centroid(lens, matrix, point):
     return jnp.stack([jnp.sum(image * cols), jnp.sum(image * rows)]) / jnp.sum(image)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_drawn_point_has_its_pixel_and_gradients_reach_the_numbers_of_k(seed):
-    lens, matrix = draw_camera(seed)
+def test_a_drawn_point_has_its_pixel_and_gradients_reach_the_numbers_of_k():
+    lens, matrix = draw_camera(0)
     point = np.array([[0.11, -0.07, 0.13]])
     with jax.enable_x64(True):
         found = find_centroid(lens, matrix, point)
