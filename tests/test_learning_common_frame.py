@@ -183,11 +183,18 @@ def remember(clouds):
 
 def compare_ends(remembered, points):
     """What points gain by the half turns that exchange the ends of a plane."""
+    # Each value of what tests change has a program of its own.
+    changed = common_frame._SHIFTS, common_frame._ALIKE
+    return np.asarray(compute_gains(remembered, points, changed))
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def compute_gains(remembered, points, _):
     turns = find_half_turns(COVARIANCE)
     ways = common_frame.list_ways(COVARIANCE, is_upright=False)
     scores = common_frame.judge_cells(points, *remembered)
     fits = common_frame.compare_places(points, turns, ways, scores)
-    return np.asarray(fits[1:3] - fits[0])
+    return fits[1:3] - fits[0]
 
 
 ABOUT_X = jnp.array([[1.0, -1, -1]])
