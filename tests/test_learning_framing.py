@@ -157,7 +157,7 @@ def test_training_sees_framed_views_where_they_are_asked_for(monkeypatch):
 
     monkeypatch.setattr(objective, "encode_views", record)
     for asked in (False, True):
-        config = tiny_config(sees_mask=True, framed_views=asked)
+        config = tiny_config(source="given", sees_mask=True, framed_views=asked)
         network = make_network(config)
         state = describe_state(network, config)
         jax.eval_shape(make_step(network, config), state, make_batch())

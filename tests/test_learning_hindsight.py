@@ -118,11 +118,15 @@ def splat_plainly(points, mass, candidate, *, side, sigma):
 @pytest.mark.parametrize("count", [34, 7])
 def test_an_image_ranks_by_the_optical_depth_of_splatted_points_in_sight(scene, count):
     points = jnp.concatenate([FAR[:2], scene["points"], FAR[2:]])
-    view = View(scene["candidates"], CAMERA, 8)
-    places = place_candidates(points, view, choice_points=count)
-    found = compute_image_losses(
-        places, scene["mass"], scene["target"], sigma=jnp.array(SIGMA)
-    )
+
+    @jax.jit
+    def rank(points, mass, candidates, target):
+        places = place_candidates(
+            points, View(candidates, CAMERA, 8), choice_points=count
+        )
+        return compute_image_losses(places, mass, target, sigma=jnp.array(SIGMA))
+
+    found = rank(**scene | {"points": points})
     points, mass = points[:count], float(scene["mass"]) * (34 / count)
     for candidate, loss in zip(scene["candidates"], found, strict=True):
         depth = splat_plainly(points, mass, candidate, side=8, sigma=SIGMA)

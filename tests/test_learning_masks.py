@@ -33,12 +33,12 @@ def test_all_that_reads_views_shows_masks_to_the_network():
     config, network, state = make_run(True)
     dataset = tiny_runs.make_dataset()
     other = dataset._replace(masks=np.roll(np.asarray(dataset.masks), 3, axis=-1))
+    predictor = make_predictor(network, config, keeps_evidence=True)
 
     def read(dataset):
         images, masks = dataset.images, dataset.masks
         first = images[:, 0], masks[:, 0]
         features = encode_views(state.params, images, masks, network=network)
-        predictor = make_predictor(network, config, keeps_evidence=True)
         predicted = predict_all(predictor, state, dataset)
         whole, codes = predicted.points[:, 0], predicted.codes[:, 0]
         inputs = make_inputs(*first, network=network)
