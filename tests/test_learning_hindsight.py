@@ -211,15 +211,14 @@ def plain_objective(params, batch, *, network, config):
     return jnp.mean(losses) + jnp.mean(student)
 
 
-@pytest.fixture(scope="module")
-def objective():
-    """The objective and its gradient, without dropout; compiled once."""
+def test_the_gradient_through_the_winner_alone_is_that_of_the_plain_minimum():
+    """Without dropout."""
     config = tiny_config(sigma_start=0.1, sigma_end=0.1, keep_start=1.0)
-    network = make_network(config)
+    network, batch = make_network(config), make_batch()
+    params = make_state(network, config).params
 
-    @jax.jit
-    def differentiate(params, batch):
-        return jax.value_and_grad(compute_loss, has_aux=True)(
+    def compute(params):
+        return compute_loss(
             params,
             batch,
             jax.random.split(jax.random.key(0), 2),
@@ -229,18 +228,11 @@ def objective():
             stage=find_stage(0, config.render, steps=config.train.steps),
         )
 
-    return differentiate, network, config, make_state(network, config).params
+    def compute_plainly(params):
+        return plain_objective(params, batch, network=network, config=config)
 
-
-def test_the_gradient_through_the_winner_alone_is_that_of_the_plain_minimum(objective):
-    differentiate, network, config, params = objective
-    batch = make_batch()
-    (loss, _), gradient = differentiate(params, batch)
-    expected_loss, expected = jax.jit(
-        jax.value_and_grad(
-            lambda p: plain_objective(p, batch, network=network, config=config)
-        )
-    )(params)
+    (loss, _), gradient = jax.jit(jax.value_and_grad(compute, has_aux=True))(params)
+    expected_loss, expected = jax.jit(jax.value_and_grad(compute_plainly))(params)
     assert float(loss) == pytest.approx(float(expected_loss), rel=1e-5)
     # The same sums in another order: float32, against the largest entry of each leaf.
     for found, wanted in zip(
