@@ -21,8 +21,8 @@ from dpc_jax.run.object_fitting import fit_folder, list_doubts
 
 # A few large steps; the points come from 0.45 away.
 SMALL = FitSettings(num_points=300, sides=(16, 32), steps=(60, 40), learning_rate=0.03)
-COARSE = dataclasses.replace(SMALL, sides=(16,), steps=(60,))
 ONE_SIDE = FitSettings(num_points=300, sides=(32,), steps=(100,), learning_rate=0.03)
+COARSE = dataclasses.replace(SMALL, sides=(16,), steps=(60,))
 VIEWS = 9
 
 
@@ -109,18 +109,16 @@ def test_images_are_halved_until_the_first_are_coarse(finest, sides):
 
 
 def test_large_images_are_fitted_in_blocks_by_more_points(scene, monkeypatch):
-    """Though at first there is room for half of the blocks; of 64² to be quick."""
+    """Though at first there is room for half of the blocks; of 32² to be quick."""
     _, silhouettes, rotations = scene
     for module in object_fit, descent:
-        monkeypatch.setattr(module, "COARSE_UP_TO", 32)
+        monkeypatch.setattr(module, "COARSE_UP_TO", 16)
     monkeypatch.setattr(descent, "_SPARE", 0.5)
     monkeypatch.setattr(capacity, "_COUNTED_FROM", 1)
     monkeypatch.setattr(capacity, "SMALL_UP_TO", 1)
     monkeypatch.setattr(capacity, "_MOST_SHARE", 1)
-    large = silhouettes[::2].repeat(2, axis=1).repeat(2, axis=2)
-    settings = dataclasses.replace(SMALL, sides=(32, 64), steps=(60, 20))
-    found = dpc_jax.fit(large, rotations=rotations[::2], settings=settings)
-    assert found.side == 64 and found.points.shape == (1200, 3)
+    found = dpc_jax.fit(silhouettes, rotations=rotations, settings=SMALL)
+    assert found.side == 32 and found.points.shape == (1200, 3)
     assert found.overlaps.mean() > 0.85
 
 
@@ -176,8 +174,11 @@ def test_translations_colors_and_depths_are_fitted_where_they_are_asked_for(scen
     assert fitted.overlaps.mean() > 0.85
 
 
-def test_a_search_from_nothing_finds_most_poses(scene):
+def test_a_search_from_nothing_finds_most_poses(scene, monkeypatch):
     """Of random rotations one in 130 is within 30° of the right one."""
+    # The last search has as coarse images as the others, to be quick.
+    level = pose_search.FINE._replace(side=16, num_points=300)
+    monkeypatch.setattr(pose_search, "FINE", level)
     _, silhouettes, rotations = scene
     found = pose_search.search_poses(
         {"masks": np.round(255 * silhouettes).astype(np.uint8)},
