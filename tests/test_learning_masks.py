@@ -1,5 +1,7 @@
 """What the network sees of a view: its image and, not in the paper, its mask."""
 
+import functools
+
 import jax
 import numpy as np
 import tiny_runs
@@ -34,15 +36,17 @@ def test_all_that_reads_views_shows_masks_to_the_network():
     dataset = tiny_runs.make_dataset()
     other = dataset._replace(masks=np.roll(np.asarray(dataset.masks), 3, axis=-1))
     predictor = make_predictor(network, config, keeps_evidence=True)
+    encode = jax.jit(functools.partial(encode_views, network=network))
+    apply = jax.jit(network.apply)
 
     def read(dataset):
         images, masks = dataset.images, dataset.masks
         first = images[:, 0], masks[:, 0]
-        features = encode_views(state.params, images, masks, network=network)
+        features = encode(state.params, images, masks)
         predicted = predict_all(predictor, state, dataset)
         whole, codes = predicted.points[:, 0], predicted.codes[:, 0]
         inputs = make_inputs(*first, network=network)
-        output = jax.jit(network.apply)(state.params, inputs)
+        output = apply(state.params, inputs)
         np.testing.assert_allclose(whole, output["points"], atol=1e-5)
         np.testing.assert_allclose(codes, features[:, 0], atol=1e-5)
         return features, codes, whole
