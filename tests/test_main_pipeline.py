@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import trimesh
 from config_files import TINY, load_editable
-from data_trees import write_photos
+from data_trees import save_disc, write_photos
 from orbax.checkpoint import v1 as ocp
 from PIL import Image
 
@@ -335,16 +335,6 @@ def test_whatever_stopped_a_run_it_ends_as_one_that_nothing_stopped(
     assert read_events(workdir) == read_events(finished[0])
 
 
-def save_drawing(path, image=None):
-    """An image with an alpha channel: a disc, or what is given."""
-    if image is None:
-        rows, cols = np.mgrid[:40, :40]
-        mask = ((rows - 20) ** 2 + (cols - 17) ** 2 < 80).astype(np.uint8) * 255
-        image = np.dstack([mask // 2, mask, mask, mask])
-    Image.fromarray(image).save(path)
-    return str(path)
-
-
 def test_predicting_test_images_gives_what_the_report_scored(
     command, finished, tmp_path, capsys
 ):
@@ -357,13 +347,10 @@ def test_predicting_test_images_gives_what_the_report_scored(
     assert len(cards) == 3
     places = [(test.names.index(name), int(view)) for name, view, _ in cards]
     names = [f"{test.names[model]}_view_{view}" for model, view in places]
-    images = [
-        save_drawing(
-            tmp_path / f"{name}.png",
-            np.dstack([test.images[place], test.masks[place]]),
-        )
-        for name, place in zip(names, places, strict=True)
-    ]
+    images = [str(tmp_path / f"{name}.png") for name in names]
+    for path, place in zip(images, places, strict=True):
+        image = np.dstack([test.images[place], test.masks[place]])
+        Image.fromarray(image).save(path)
     out = tmp_path / "out"
     options = [f"--workdir={workdir}", f"--out={out}", "--crop=none"]
     bad = tmp_path / "bad.png"
@@ -413,7 +400,7 @@ def test_views_of_one_object_are_refined_together(
     workdir, folder = finished[0], tmp_path / "thing"
     folder.mkdir()
     for name in ("a", "b"):
-        save_drawing(folder / f"{name}.png")
+        save_disc(folder / f"{name}.png")
     out = tmp_path / "out"
     options = [f"--workdir={workdir}", f"--out={out}", "--refine"]
     assert predict.main([*options, str(folder)]) == 0
@@ -448,8 +435,9 @@ def predict_points(workdir):
     """The points that a run predicts of a grey square, [N, 3]."""
     image = np.zeros((16, 16, 4), np.uint8)
     image[4:12, 5:11] = (90, 90, 90, 255)
-    path = save_drawing(workdir / "square.png", image)
-    assert predict.main([f"--workdir={workdir}", path]) == 0
+    path = workdir / "square.png"
+    Image.fromarray(image).save(path)
+    assert predict.main([f"--workdir={workdir}", str(path)]) == 0
     return np.asarray(trimesh.load(workdir / "predictions" / "square.ply").vertices)
 
 
@@ -545,8 +533,7 @@ def test_the_live_view_shows_what_a_run_predicts_of_validation_and_of_an_image(
         assert view.candidates.losses.min() > 0
         # The student's probabilities, float32.
         assert view.candidates.probabilities.sum() == pytest.approx(1, abs=1e-5)
-    path = Path(save_drawing(tmp_path / "good.png"))
-    (one,) = network.show_images([path])
+    (one,) = network.show_images([save_disc(tmp_path / "good.png")])
     assert one.name == "good.png" and np.isfinite(one.points).all()
     (tmp_path / "bad.png").write_text("no image")
     with pytest.raises(ValueError, match="Expected a readable image"):
