@@ -1,4 +1,6 @@
-"""Views of unknown distance are framed alike, and compared whatever their size."""
+"""What the network sees of a view: image and mask, framed where distance is unknown."""
+
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -146,6 +148,46 @@ def test_a_photograph_means_the_same_wherever_its_object_is(knows_distance):
 
     away = np.abs(predict((3, -2)) - predict((0, 0))).max()
     assert away > 1e-3 if knows_distance else away < 1e-5
+
+
+def test_masks_are_the_fourth_channel_in_the_units_of_images():
+    images = np.full((1, 16, 16, 3), 51, np.uint8)
+    masks = np.zeros((1, 16, 16), np.uint8)
+    masks[0, 3:9] = 255
+    inputs, plain = (
+        make_inputs(images, masks, network=make_network(tiny_config(sees_mask=sees)))
+        for sees in (True, False)
+    )
+    assert inputs.shape == (1, 16, 16, 4)
+    np.testing.assert_allclose(inputs[..., :3], 51 / 127.5 - 1, rtol=1e-6)
+    np.testing.assert_array_equal(inputs[0, 3:9, :, 3], 1)
+    np.testing.assert_array_equal(inputs[0, 9:, :, 3], -1)
+    np.testing.assert_array_equal(plain, inputs[..., :3])
+
+
+def test_all_that_reads_views_shows_masks_to_the_network():
+    """Other masks of the same images: features, codes and shapes differ."""
+    config = tiny_config(sees_mask=True)
+    network = make_network(config)
+    state, dataset = make_state(network, config), make_dataset()
+    other = dataset._replace(masks=np.roll(np.asarray(dataset.masks), 3, axis=-1))
+    predictor = make_predictor(network, config, keeps_evidence=True)
+    encode = jax.jit(functools.partial(encode_views, network=network))
+    apply = jax.jit(network.apply)
+
+    def read(dataset):
+        images, masks = dataset.images, dataset.masks
+        features = encode(state.params, images, masks)
+        predicted = predict_all(predictor, state, dataset)
+        whole, codes = predicted.points[:, 0], predicted.codes[:, 0]
+        inputs = make_inputs(images[:, 0], masks[:, 0], network=network)
+        output = apply(state.params, inputs)
+        np.testing.assert_allclose(whole, output["points"], atol=1e-5)
+        np.testing.assert_allclose(codes, features[:, 0], atol=1e-5)
+        return features, codes, whole
+
+    for one, two in zip(read(dataset), read(other), strict=True):
+        assert np.abs(np.asarray(one) - two).max() > 1e-4
 
 
 def test_training_sees_framed_views_where_they_are_asked_for(monkeypatch):
