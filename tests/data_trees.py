@@ -106,6 +106,16 @@ def write_renders(folder, models, *, views=3, size=112, truth=True):
     return folder / "renders"
 
 
+def save_disc(path, *, alpha=255):
+    """An image of a disc of some opacity on nothing; the path."""
+    rows, cols = np.mgrid[:40, :40]
+    mask = ((rows - 20) ** 2 + (cols - 17) ** 2 < 80).astype(np.uint8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = Image.fromarray(np.dstack([90 * mask] * 3 + [alpha * mask]))
+    image.save(path, format="PNG")
+    return path
+
+
 def write_photos(folder, *, views, seed=0, axes=(1, -1, -1), **fields):
     """Photographs of the balls from all around, anywhere in the picture.
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from data_trees import save_disc
 from hostile import Table, assert_try_says, losing_rights
 from PIL import Image
 from tiny_runs import tiny_config
@@ -33,16 +34,6 @@ from dpc_jax.run.workdir import claim_workdir
 TABLE = Table()
 tries = TABLE.tries
 NOT_OURS = "what is there was not written by a command; move it, or give another --out"
-
-
-def draw_image(path, *, alpha=255):
-    """A disc of some opacity on nothing; the path."""
-    rows, cols = np.mgrid[:40, :40]
-    mask = ((rows - 20) ** 2 + (cols - 17) ** 2 < 80).astype(np.uint8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    image = Image.fromarray(np.dstack([90 * mask] * 3 + [alpha * mask]))
-    image.save(path, format="GIF" if path.suffix == ".gif" else "PNG")
-    return path
 
 
 def read_all(folder):
@@ -85,7 +76,7 @@ def make_workdir(folder, **changes):
 def predict_images(folder, *, names, draw=()):
     words = [f"--workdir={make_workdir(folder)}", f"--out={folder / 'out'}"]
     for name in {*names, *draw}:
-        draw_image(folder / name)
+        save_disc(folder / name)
     return call(predict, *words, *(folder / name for name in names))
 
 
@@ -93,7 +84,7 @@ def predict_images(folder, *, names, draw=()):
 @tries("made or written (it is a file); give", out="a.png")
 @tries("made or written (File name too long)", out="x" * 300)
 def predict_into(folder, *, out, run="run"):
-    image = draw_image(folder / "a.png")
+    image = save_disc(folder / "a.png")
     make_workdir(folder)
     return call(predict, f"--workdir={folder / run}", f"--out={folder / out}", image)
 
@@ -127,15 +118,15 @@ def write_after_a_kill(folder):
 
 @tries(NOT_OURS)
 def show_over_a_photograph(folder):
-    draw_image(folder / "set" / "one" / "0.png")
-    photograph = draw_image(folder / "photograph.png")
+    save_disc(folder / "set" / "one" / "0.png")
+    photograph = save_disc(folder / "photograph.png")
     return call(data_command, "show", folder / "set", f"--out={photograph}")
 
 
 @tries("views.png, but it is an input")
 def fit_into_the_folder_of_its_views(folder):
     for name in ("0.png", "views.png"):
-        draw_image(folder / name)
+        save_disc(folder / name)
     return call(fit, folder, f"--out={folder}")
 
 
@@ -170,7 +161,7 @@ def predict_into_a_folder_of_others(_):
     with losing_rights() as (folder, lose):
         workdir = make_workdir(folder)
         workdir.chmod(0o555)
-        image = draw_image(folder / "a.png")
+        image = save_disc(folder / "a.png")
         # The first call loads modules, which need rights.
         call(predict, "--workdir=/nowhere", image)
         lose()
@@ -182,7 +173,7 @@ def name_files_in_bytes_of_all_kinds(folder):
     """Bytes that are no UTF-8, line breaks, codes of terminals, formulas, 車."""
     names = [b"a\xff", b"a\nb", b"\x1b[31ma", b"a\xe2\x80\xaeb", b"$\\frac$"]
     names.append("車".encode())
-    paths = [draw_image(folder / os.fsdecode(name + b".png")) for name in names]
+    paths = [save_disc(folder / os.fsdecode(name + b".png")) for name in names]
     spec = DataSpec("car", kind="images", folder=".", image_size=16, crop="object")
     found, _ = read_photographs([folder], spec)
     (one,) = found
@@ -201,7 +192,7 @@ def name_files_in_bytes_of_all_kinds(folder):
 @tries("3 object models")
 def show_a_set_with_a_name_that_is_no_text(folder):
     for name in (b"a\xff", b"b", b"c\nd"):
-        draw_image(folder / "set" / os.fsdecode(name) / "0.png")
+        save_disc(folder / "set" / os.fsdecode(name) / "0.png")
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
         words = ["show", str(folder / "set"), f"--out={folder / 'sheet.png'}"]
@@ -266,7 +257,7 @@ FAINT = "a.png, but it is nowhere more than 39 % opaque, and what is half opaque
 NO_MASK = "a_mask.png beside it, but found neither; add a mask. Status 1."
 
 
-@tries(FAINT, draw=functools.partial(draw_image, alpha=100))
+@tries(FAINT, draw=functools.partial(save_disc, alpha=100))
 @tries(NO_MASK, draw=draw_without_alpha)  # --mask=auto is no answer to it
 def fit_a_view(folder, *, draw):
     draw(folder / "views" / "a.png")

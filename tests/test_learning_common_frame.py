@@ -5,10 +5,7 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tiny_runs import (
-    assert_same_bits,
-    rotation_matrix,
-)
+from tiny_runs import assert_same_bits, rotation_matrix
 
 from dpc_jax.learning.choice import colors, common_frame
 from dpc_jax.learning.choice.common_frame import turn_back
@@ -23,6 +20,7 @@ from dpc_jax.render import Camera, quaternion
 
 COVARIANCE = jnp.diag(jnp.array([1.0, 2.0, 4.0]))  # the axes are x, y and z
 HEADS, SIDE = 2, 32
+COUNT = 4  # of objects in every batch, so that few programs are compiled
 YELLOW, RED, GREY = (240, 220, 40), (220, 30, 30), (128, 128, 128)
 
 
@@ -78,7 +76,7 @@ def turn(winners, points, images, masks, frame, is_due, heads=HEADS):
     return new, frame, jnp.mean(shares)
 
 
-def make_objects(count, *, thick, ends, seed=0):
+def make_objects(count=COUNT, *, thick, ends, seed=0):
     """Objects in one frame, seen from anywhere; winners are the true poses."""
     rng = np.random.default_rng(seed)
     points, images, masks, poses = [], [], [], []
@@ -97,10 +95,11 @@ def make_objects(count, *, thick, ends, seed=0):
     return winners, *map(jnp.stack, (points, images, masks))
 
 
+@functools.cache
 def learn_frame(*, by_colors=False, **kind):
     frame = common_frame.start_frame(by_colors=by_colors)
-    for seed in range(3):
-        _, frame, share = turn(*make_objects(8, **kind, seed=seed), frame, False)
+    for seed in range(24 // COUNT):
+        _, frame, share = turn(*make_objects(**kind, seed=seed), frame, False)
         assert not share
     return frame
 
@@ -116,7 +115,7 @@ def exchange_ends(winners, points, images, masks):
 
 def test_a_shape_that_fits_the_category_better_turned_is_turned_back():
     frame = learn_frame(thick=True, ends=(GREY, GREY))
-    right = make_objects(3, thick=True, ends=(GREY, GREY), seed=9)
+    right = make_objects(thick=True, ends=(GREY, GREY), seed=9)
     kept, _, share = turn(*right, frame, True)
     assert float(share) == 0
     assert_same_bits(kept, right[0])
@@ -138,16 +137,16 @@ def test_a_shape_that_fits_the_category_better_turned_is_turned_back():
 
 def test_the_winner_is_the_same_head_after_that_half_turn():
     frame = learn_frame(thick=True, ends=(GREY, GREY))
-    wrong = exchange_ends(*make_objects(2, thick=True, ends=(GREY, GREY), seed=4))
+    wrong = exchange_ends(*make_objects(thick=True, ends=(GREY, GREY), seed=4))
     turns = find_half_turns(COVARIANCE)
     for before in range(4):  # the half turn that the view had
-        heads = wrong[0].poses.reshape(6, 1, 4)
+        heads = wrong[0].poses.reshape(3 * COUNT, 1, 4)
         both = jnp.concatenate([heads[:, :, ::-1], heads], axis=1)  # K = 2, the second
         candidates = jax.vmap(turn_candidates, (0, None))(both, turns)
         index = before * HEADS + 1
-        poses = candidates[:, index].reshape(2, 3, 4)
+        poses = candidates[:, index].reshape(COUNT, 3, 4)
         undone = jax.vmap(quaternion.rotate, (0, None))(wrong[1], turns[before])
-        winners = Winners(poses, jnp.full((2, 3), index), wrong[0].losses)
+        winners = wrong[0]._replace(poses=poses, indices=jnp.full((COUNT, 3), index))
         found, _, share = turn(winners, undone, *wrong[2:], frame, True)
         chosen = jax.vmap(lambda q, i: q[i])(candidates, found.indices.reshape(-1))
         same = jax.vmap(quaternion.angle_between)(chosen, found.poses.reshape(-1, 4))
@@ -163,7 +162,7 @@ def test_where_shapes_look_the_same_turned_colors_decide():
     frame = learn_frame(by_colors=True, thick=False, ends=ends)
     # Kept sums are those of some 24 objects; a run has seen hundreds.
     frame = frame._replace(colors=frame.colors * 30)
-    right = make_objects(3, thick=False, ends=ends, seed=9)
+    right = make_objects(thick=False, ends=ends, seed=9)
     assert float(turn(*right, frame, True)[2]) == 0
     assert float(turn(*exchange_ends(*right), frame, True)[2]) == 1
 
@@ -180,18 +179,25 @@ def draw_plane(rng, *, wing, tail):
 
 def remember(clouds):
     """Shapes and their number, as a frame has them."""
-    shapes = jnp.stack([common_frame.count_points(points) for points in clouds])
+    shapes = jax.vmap(common_frame.count_points)(jnp.stack(clouds))
     room = common_frame.OBJECTS - len(clouds)
     return jnp.pad(shapes, ((0, room), (0, 0))), jnp.array(len(clouds))
 
 
 def compare_ends(remembered, points):
     """What points gain by the half turns that exchange the ends of a plane."""
+    # Each value of what tests change has a program of its own.
+    changed = common_frame._SHIFTS, common_frame._ALIKE
+    return np.asarray(compute_gains(remembered, points, changed))
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def compute_gains(remembered, points, _):
     turns = find_half_turns(COVARIANCE)
     ways = common_frame.list_ways(COVARIANCE, is_upright=False)
     scores = common_frame.judge_cells(points, *remembered)
     fits = common_frame.compare_places(points, turns, ways, scores)
-    return np.asarray(fits[1:3] - fits[0])
+    return fits[1:3] - fits[0]
 
 
 ABOUT_X = jnp.array([[1.0, -1, -1]])
@@ -224,21 +230,18 @@ def test_a_kind_that_is_turned_round_does_not_judge_itself(monkeypatch):
 
 
 def test_the_last_objects_are_remembered(monkeypatch):
-    monkeypatch.setattr(common_frame, "OBJECTS", 16)
-    size = common_frame.OBJECTS + 4
-    objects = make_objects(size, thick=True, ends=(GREY, GREY))
-    begun = common_frame.start_frame(by_colors=False)
-    _, frame, _ = turn(*objects, begun, False)
-    newest = jax.vmap(common_frame.count_points)(objects[1])
-    assert int(frame.count) == size
-    # Object i is in row i, and the last 4 begin anew; the next ones come behind.
-    assert_same_bits(frame.shapes[:4], newest[16:])
-    assert_same_bits(frame.shapes[4:], newest[4:16])
-    objects = make_objects(8, thick=True, ends=(GREY, GREY))
-    _, after, _ = turn(*objects, frame, False)
-    newest = jax.vmap(common_frame.count_points)(objects[1])
-    assert_same_bits(after.shapes[4:12], newest)
-    assert_same_bits(after.shapes[12:], frame.shapes[12:])
+    monkeypatch.setattr(common_frame, "OBJECTS", 10)
+    frame = common_frame.start_frame(by_colors=False)
+    clouds = []
+    for seed in range(3):
+        objects = make_objects(thick=True, ends=(GREY, GREY), seed=seed)
+        clouds.append(jax.vmap(common_frame.count_points)(objects[1]))
+        _, frame, _ = turn(*objects, frame, False)
+    counted = jnp.concatenate(clouds)
+    assert int(frame.count) == len(counted) == 12
+    # Object i is in row i, and the last 2 begin anew.
+    assert_same_bits(frame.shapes[:2], counted[10:])
+    assert_same_bits(frame.shapes[2:], counted[2:10])
 
 
 def test_ways_are_level_where_cameras_are_upright():
@@ -274,18 +277,15 @@ def test_colors_that_tell_nothing_turn_nothing():
         return (YELLOW, RED) if index % 2 else (RED, YELLOW)
 
     frame = learn_frame(by_colors=True, thick=True, ends=draw_ends)
-    right = make_objects(4, thick=True, ends=draw_ends, seed=9)
+    right = make_objects(thick=True, ends=draw_ends, seed=9)
     assert float(turn(*right, frame, True)[2]) == 0
 
 
 def test_a_color_has_the_same_bin_however_dark_it_is():
     color = np.array([0.8, 0.5, 0.1])
     grey = np.array([0.5, 0.5, 0.5])
-    bright, dark, *greys = np.asarray(
-        colors.sort_colors(
-            jnp.asarray([color, 0.7 * color, grey, 0.1 * grey, 2 * grey])
-        )
-    )
+    shades = [color, 0.7 * color, grey, 0.1 * grey, 2 * grey]
+    bright, dark, *greys = np.asarray(colors.sort_colors(jnp.asarray(shades)))
     assert bright == dark
     assert len(set(greys)) == 1 and greys[0] != bright
 
@@ -298,7 +298,8 @@ def test_points_behind_others_have_no_color():
     own = {"rotation": jnp.array([1.0, 0, 0, 0])}
     image = jnp.full((SIDE, SIDE, 3), 100, jnp.uint8)
     mask = jnp.full((SIDE, SIDE), 255, jnp.uint8)
-    samples = colors.see_points(points, own, image, mask, camera=Camera())
+    see = jax.jit(functools.partial(colors.see_points, camera=Camera()))
+    samples = see(points, own, image, mask)
     near, far = np.asarray(samples.weights).reshape(2, -1)
     assert np.all(near > 0)
     assert np.mean(far > 0) < 0.1  # none but at the border of the near one

@@ -143,6 +143,11 @@ def compare_plainly(shapes, view, side, config):
     options = {"signals": tuple(RENDERED[n] for n in chosen)}
     options["ray_rule"] = config.render.ray_rule
     image = render_plainly(shapes, row, rotation, own, side, **options)
+    if not train.colors_move_points:
+        still = dataclasses.replace(jax.lax.stop_gradient(shapes), colors=shapes.colors)
+        still = still, row, jax.lax.stop_gradient(rotation), own, side
+        color_alone = render_plainly(*still, **options).color
+        image = dataclasses.replace(image, color=color_alone)
     total = 0.0
     for name, weight in zip(RENDERED, weights, strict=True):
         if not weight:
@@ -170,12 +175,12 @@ def list_views(batch, rotations, cameras, side):
 
 # kind, side of the winners, whether views have cameras of their own, fields
 CASES = {
-    "silhouettes, finer": ("points", 16, False, {"renders_at_once": 99}),
-    "colours, finer": ("points", 16, False, {"color_weight": 0.3}),
     "all signals": ("points", 8, True, ALL),
-    "sigmas": ("sigma", 8, False, {}),
+    "colours that move no points, finer": (
+        *("points", 16, False),
+        {"color_weight": 0.3, "colors_move_points": False, "renders_at_once": 9},
+    ),
     "covariances": ("covariance", 8, False, {}),
-    "cells": ("voxels", 8, False, {"shape": "voxels"}),
     "ptn": ("voxels", 8, False, {"shape": "voxels", "ray_rule": "maximum"}),
     "drc with depth": (
         *("voxels", 8, False),
@@ -244,53 +249,20 @@ def test_winners_of_a_large_grid_are_rendered_in_the_blocks_of_their_stage(monke
     assert rooms == {99}
 
 
-def test_colors_that_move_no_points_leave_the_shape_the_gradient_of_silhouettes():
-    shapes, names = make_shapes("points")
-    batch, found = make_views(), {}
-    for name, changes in (
-        ("beside", {"color_weight": 0.3, "colors_move_points": False}),
-        ("joint", {"color_weight": 0.3}),
-        ("silhouettes", {}),
-    ):
-        recipe = make_recipe(tiny_config(renders_at_once=1, **changes))
-
-        def compare(learned, rotations, recipe=recipe):
-            seen = dataclasses.replace(shapes, **learned)
-            stage = Stage(COUNT, SIDE)
-            return seen.compare(rotations, batch, {}, recipe=recipe, stage=stage)[0]
-
-        learned = {name: getattr(shapes, name) for name in names}
-        call = jax.jit(jax.value_and_grad(compare, (0, 1)))
-        found[name] = call(learned, ROTATIONS)
-    # The same float32 sums, compiled apart.
-    assert float(found["beside"][0]) == pytest.approx(float(found["joint"][0]))
-    beside, joint, silhouettes = (
-        {**slopes[0], "poses": slopes[1]} for _, slopes in found.values()
-    )
-    for name, slope in beside.items():
-        wanted = (joint if name == "colors" else silhouettes)[name]
-        limit = 1e-5 * float(jnp.max(jnp.abs(wanted)))
-        np.testing.assert_allclose(slope, wanted, atol=limit)
-    assert float(jnp.max(jnp.abs(joint["kept"] - silhouettes["kept"]))) > 1e-3
-
-
 MIXED = {"silhouette_weight": 0.05, "depth_weight": 2.0, "color_weight": 1.0}
 FEW = {"choice_points": 6}
 CHOICES = {
     "exact": ("points", False, {}),
-    "all signals": ("points", True, MIXED),
-    "all signals of few": ("points", True, {**FEW, **MIXED}),
+    "all signals": ("points", True, {**FEW, **MIXED}),
     "sigmas": ("sigma", False, FEW),
-    "covariances": ("covariance", False, FEW),
     "cells": ("voxels", False, {"shape": "voxels"}),
-    "cells after coarse ones": ("voxels", False, {"shape": "voxels"}),
 }
 
 
 @pytest.mark.parametrize("case", CHOICES)
 def test_the_candidate_of_the_smallest_weighted_loss_wins(case, monkeypatch):
     """Where all pass the first look."""
-    monkeypatch.setattr(voxels, "COARSE_SIDE", 4 if "after" in case else 16)
+    monkeypatch.setattr(voxels, "COARSE_SIDE", 4)
     kind, has_cameras, fields = CHOICES[case]
     config = tiny_config(choice_top=6, renders_at_once=1, **fields)
     shapes, _ = make_shapes(kind)
@@ -438,25 +410,29 @@ def sum_depths(points, masses, covariances, quaternion):
 def test_an_image_ranks_by_the_widths_of_gaussians_along_rows_and_columns(kind):
     shapes, _ = make_shapes(kind)
     points, mass, size = (a[0] for a in (shapes.kept, shapes.mass, shapes.sigma))
-    view = View(as_float32(random_quaternions(5, 3)), Camera(), SIDE)
+    candidates = as_float32(random_quaternions(5, 3))
     target = as_float32(np.random.default_rng(1).uniform(size=(SIDE, SIDE)))
-    places = place_candidates(points, view, choice_points=0, size=size)
-    found = compute_image_losses(places, mass, target, sigma=size)
+
+    @jax.jit
+    def rank(candidates):
+        view = View(candidates, Camera(), SIDE)
+        places = place_candidates(points, view, choice_points=0, size=size)
+        return compute_image_losses(places, mass, target, sigma=size)
+
     squares = np.asarray(size, float)
     squares = squares**2 if kind == "sigma" else squares
-    for candidate, loss in zip(view.rotation, found, strict=True):
+    for candidate, loss in zip(candidates, rank(candidates), strict=True):
         depth = sum_depths(np.asarray(points), np.asarray(mass), squares, candidate)
         expected = np.sum((1 - np.exp(-depth) - np.asarray(target, float)) ** 2)
         # Rounding of float32 in a few points' places and weights.
         assert float(loss) == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.parametrize("kind", ["sigma", "covariance"])
-def test_dropout_keeps_each_point_with_its_own_size_and_mass(kind):
-    config = tiny_config(source="given", num_points=COUNT, point_size=kind)
+def test_dropout_keeps_each_point_with_its_own_size_and_mass():
+    config = tiny_config(source="given", num_points=COUNT, point_size="covariance")
     network = make_network(config)
     features = as_float32(np.random.default_rng(0).normal(size=(2, 12)))
-    params = network.init(jax.random.key(0), jnp.zeros((1, 16, 16, 3)))
+    params = jax.jit(network.init)(jax.random.key(0), jnp.zeros((1, 16, 16, 3)))
     keys = jax.random.split(jax.random.key(1), 2)
     predict = functools.partial(
         predict_shapes,
@@ -477,7 +453,7 @@ def test_dropout_keeps_each_point_with_its_own_size_and_mass(kind):
             np.testing.assert_array_equal(found[row], all_of_them[row][order])
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 64, 1000])
+@pytest.mark.parametrize("count", [1, 3, 1000])
 def test_an_order_has_every_index_once_and_depends_on_the_key(count):
     orders = [
         np.asarray(draw_order(jax.random.key(seed), count=count)) for seed in (0, 0, 1)

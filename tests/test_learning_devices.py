@@ -119,7 +119,7 @@ def test_gradients_are_measured_when_asked_and_else_looked_at(bad):
 def test_volumes_are_learned_on_two_devices_as_on_one():
     found = []
     for count in (1, 2):
-        config = tiny_config(shape="voxels")
+        config = tiny_config(shape="voxels", source="given", keep_levels=1)
         config = replace_fields(config, {"run": {"devices": count}})
         network = make_network(config)
         state, metrics = make_step(network, config)(

@@ -1,4 +1,6 @@
-"""Views of unknown distance are framed alike, and compared whatever their size."""
+"""What the network sees of a view: image and mask, framed where distance is unknown."""
+
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -13,13 +15,13 @@ from tiny_runs import (
     tiny_config,
 )
 
-from dpc_jax.config import replace_fields
 from dpc_jax.data import DataSpec
 from dpc_jax.data.sets import framing as photographs
 from dpc_jax.data.sets.photographs import Photographs
-from dpc_jax.learning import framing
+from dpc_jax.learning import framing, objective
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
-from dpc_jax.learning.predictions import draw_framed, make_inputs
+from dpc_jax.learning.predictions import draw_framed, encode_views, make_inputs
+from dpc_jax.learning.step import describe_state
 from dpc_jax.run.prediction.objects import place_photographs
 
 SIDE = 64
@@ -148,12 +150,57 @@ def test_a_photograph_means_the_same_wherever_its_object_is(knows_distance):
     assert away > 1e-3 if knows_distance else away < 1e-5
 
 
-def test_training_sees_framed_views_where_they_are_asked_for():
+def test_masks_are_the_fourth_channel_in_the_units_of_images():
+    images = np.full((1, 16, 16, 3), 51, np.uint8)
+    masks = np.zeros((1, 16, 16), np.uint8)
+    masks[0, 3:9] = 255
+    inputs, plain = (
+        make_inputs(images, masks, network=make_network(tiny_config(sees_mask=sees)))
+        for sees in (True, False)
+    )
+    assert inputs.shape == (1, 16, 16, 4)
+    np.testing.assert_allclose(inputs[..., :3], 51 / 127.5 - 1, rtol=1e-6)
+    np.testing.assert_array_equal(inputs[0, 3:9, :, 3], 1)
+    np.testing.assert_array_equal(inputs[0, 9:, :, 3], -1)
+    np.testing.assert_array_equal(plain, inputs[..., :3])
+
+
+def test_all_that_reads_views_shows_masks_to_the_network():
+    """Other masks of the same images: features, codes and shapes differ."""
     config = tiny_config(sees_mask=True)
-    framed = replace_fields(config, {"train": {"framed_views": True}})
-    network, batch = make_network(config), make_batch()
-    losses = [
-        float(make_step(network, one)(make_state(network, one), batch)[1]["loss"])
-        for one in (config, framed)
-    ]
-    assert np.isfinite(losses).all() and abs(losses[0] / losses[1] - 1) > 1e-4
+    network = make_network(config)
+    state, dataset = make_state(network, config), make_dataset()
+    other = dataset._replace(masks=np.roll(np.asarray(dataset.masks), 3, axis=-1))
+    predictor = make_predictor(network, config, keeps_evidence=True)
+    encode = jax.jit(functools.partial(encode_views, network=network))
+    apply = jax.jit(network.apply)
+
+    def read(dataset):
+        images, masks = dataset.images, dataset.masks
+        features = encode(state.params, images, masks)
+        predicted = predict_all(predictor, state, dataset)
+        whole, codes = predicted.points[:, 0], predicted.codes[:, 0]
+        inputs = make_inputs(images[:, 0], masks[:, 0], network=network)
+        output = apply(state.params, inputs)
+        np.testing.assert_allclose(whole, output["points"], atol=1e-5)
+        np.testing.assert_allclose(codes, features[:, 0], atol=1e-5)
+        return features, codes, whole
+
+    for one, two in zip(read(dataset), read(other), strict=True):
+        assert np.abs(np.asarray(one) - two).max() > 1e-4
+
+
+def test_training_sees_framed_views_where_they_are_asked_for(monkeypatch):
+    seen = []
+
+    def record(*arguments, is_framed, **options):
+        seen.append(is_framed)
+        return encode_views(*arguments, is_framed=is_framed, **options)
+
+    monkeypatch.setattr(objective, "encode_views", record)
+    for asked in (False, True):
+        config = tiny_config(source="given", sees_mask=True, framed_views=asked)
+        network = make_network(config)
+        state = describe_state(network, config)
+        jax.eval_shape(make_step(network, config), state, make_batch())
+    assert seen[0] is False and seen[-1].shape == (2, 2)

@@ -118,11 +118,15 @@ def splat_plainly(points, mass, candidate, *, side, sigma):
 @pytest.mark.parametrize("count", [34, 7])
 def test_an_image_ranks_by_the_optical_depth_of_splatted_points_in_sight(scene, count):
     points = jnp.concatenate([FAR[:2], scene["points"], FAR[2:]])
-    view = View(scene["candidates"], CAMERA, 8)
-    places = place_candidates(points, view, choice_points=count)
-    found = compute_image_losses(
-        places, scene["mass"], scene["target"], sigma=jnp.array(SIGMA)
-    )
+
+    @jax.jit
+    def rank(points, mass, candidates, target):
+        places = place_candidates(
+            points, View(candidates, CAMERA, 8), choice_points=count
+        )
+        return compute_image_losses(places, mass, target, sigma=jnp.array(SIGMA))
+
+    found = rank(**scene | {"points": points})
     points, mass = points[:count], float(scene["mass"]) * (34 / count)
     for candidate, loss in zip(scene["candidates"], found, strict=True):
         depth = splat_plainly(points, mass, candidate, side=8, sigma=SIGMA)
@@ -207,15 +211,14 @@ def plain_objective(params, batch, *, network, config):
     return jnp.mean(losses) + jnp.mean(student)
 
 
-@pytest.fixture(scope="module")
-def objective():
-    """The objective and its gradient, without dropout; compiled once."""
+def test_the_gradient_through_the_winner_alone_is_that_of_the_plain_minimum():
+    """Without dropout."""
     config = tiny_config(sigma_start=0.1, sigma_end=0.1, keep_start=1.0)
-    network = make_network(config)
+    network, batch = make_network(config), make_batch()
+    params = make_state(network, config).params
 
-    @jax.jit
-    def differentiate(params, batch):
-        return jax.value_and_grad(compute_loss, has_aux=True)(
+    def compute(params):
+        return compute_loss(
             params,
             batch,
             jax.random.split(jax.random.key(0), 2),
@@ -225,18 +228,11 @@ def objective():
             stage=find_stage(0, config.render, steps=config.train.steps),
         )
 
-    return differentiate, network, config, make_state(network, config).params
+    def compute_plainly(params):
+        return plain_objective(params, batch, network=network, config=config)
 
-
-def test_the_gradient_through_the_winner_alone_is_that_of_the_plain_minimum(objective):
-    differentiate, network, config, params = objective
-    batch = make_batch()
-    (loss, _), gradient = differentiate(params, batch)
-    expected_loss, expected = jax.jit(
-        jax.value_and_grad(
-            lambda p: plain_objective(p, batch, network=network, config=config)
-        )
-    )(params)
+    (loss, _), gradient = jax.jit(jax.value_and_grad(compute, has_aux=True))(params)
+    expected_loss, expected = jax.jit(jax.value_and_grad(compute_plainly))(params)
     assert float(loss) == pytest.approx(float(expected_loss), rel=1e-5)
     # The same sums in another order: float32, against the largest entry of each leaf.
     for found, wanted in zip(

@@ -155,7 +155,7 @@ def test_room_for_blocks_follows_the_clouds_and_a_run_that_goes_on_knows_it(
     assert_same_bits(outcome.state, whole)
 
 
-@pytest.mark.parametrize("count", [1, 4, 7])
+@pytest.mark.parametrize("count", [1, 4])  # within a stage, and where one ends
 def test_a_run_that_stops_saves_and_then_ends_as_one_that_did_not(
     tmp_path, first_state, unbroken, count, monkeypatch
 ):
@@ -225,12 +225,11 @@ def grow_loss(program, state, batch):
     return state, metrics | {"loss": metrics["loss"] * 1e3}
 
 
-@pytest.mark.parametrize("every", [(1, 0, 2), (100, 0, 1)])
 @pytest.mark.parametrize(
-    ("take_step", "sentence"),
+    ("take_step", "sentence", "every"),
     [
-        (break_shape, "reprojection loss became nan at step 5"),
-        (grow_loss, r"diverged: the loss grew from .* step 5"),
+        (break_shape, "reprojection loss became nan at step 5", (100, 0, 1)),
+        (grow_loss, r"diverged: the loss grew from .* step 5", (1, 0, 2)),
     ],
 )
 def test_a_run_that_breaks_ends_with_its_step_at_the_last_good_checkpoint(

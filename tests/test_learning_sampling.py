@@ -39,7 +39,7 @@ def test_a_viewpoint_is_that_of_the_data(azimuth, elevation):
 def test_heads_start_in_equal_steps_and_never_leave_the_known_elevations():
     module = ViewpointEnsemble(8, (-20.0, 40.0), hidden=16)
     features = jax.random.normal(jax.random.key(0), (3, 12))
-    params = module.init(jax.random.key(1), features)
+    params = jax.jit(module.init)(jax.random.key(1), features)
     azimuths, elevations = read_angles(module.apply(params, 1e-3 * features))
     # From 180° on, where the sigmoid of 0 is; the middle of -20° and 40°.
     steps = azimuths.reshape(3, 8) - 180 - 45 * np.arange(8)

@@ -62,6 +62,7 @@ def sum_silhouette(covariance, rotation):
     ).silhouette.sum()
 
 
+@pytest.mark.slow  # it compiles for half a minute; tests/test_stability.py has others
 def test_a_flat_covariance_turned_a_little_has_a_gradient():
     # A line along x, turned so that its depth variance is 1e-19: the factors of an
     # order of axes that is not its own overflow.

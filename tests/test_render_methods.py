@@ -109,9 +109,9 @@ def test_auto_is_the_fast_method_for_one_sigma_and_the_basic_one_for_several():
 
 @pytest.mark.parametrize(
     "method, sigma",
-    [("trilinear", s) for s in (0.0, 0.5, 3.0)]
+    [("trilinear", s) for s in (0.5, 3.0)]
     + [("cubic", 1.0), ("levels", [0.6])]
-    + [("gaussian", s) for s in (0.0, 0.02, 0.3, 1.0, 3.0)],
+    + [("gaussian", s) for s in (0.02, 3.0)],
 )
 def test_the_mass_of_a_point_well_inside_is_exact(method, sigma):
     volume = dpc_jax.voxelize(

@@ -41,7 +41,7 @@ def find_threshold(width, dtype):
     return (width + 1) / math.sqrt(-2 * math.log(ROUNDING[dtype]))
 
 
-@pytest.mark.parametrize("size", WIDTHS)
+@pytest.mark.parametrize("size", [16, 33])
 def test_every_branch_equals_the_direct_sum_with_its_gradients(size):
     """On both sides of each threshold."""
     shape = (size + 1, size, size + 2)

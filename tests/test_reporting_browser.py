@@ -61,7 +61,7 @@ def test_the_clouds_are_drawn_from_the_page_alone(browser, pages, has_truth):
     assert_sound(browser, page)
 
 
-def test_what_turns_one_cloud_turns_both(browser, pages):
+def test_clouds_turn_together_and_their_colours_and_shapes_are_chosen(browser, pages):
     browser.open(pages[True])
     browser.wait_for(DRAWN)
     browser.scroll_to("#predicted")
@@ -75,17 +75,9 @@ def test_what_turns_one_cloud_turns_both(browser, pages):
     after = [read_plot(browser, name) for name in ("predicted", "true")]
     for old, new in zip(before, after, strict=True):
         assert measure_change(old, new) > 0.01
-    assert_sound(browser, pages[True])
-
-
-def test_colours_and_shapes_are_chosen(browser, pages):
-    browser.open(pages[True])
-    browser.wait_for(DRAWN)
-    browser.scroll_to("#predicted")
-    own = read_plot(browser, "predicted")
     browser.ask("document.querySelector('[data-colors=error]').click()")
     browser.wait_for(f"{DRAWN} === '0 error'")
-    assert measure_change(own, read_plot(browser, "predicted")) > 0.01
+    assert measure_change(after[0], read_plot(browser, "predicted")) > 0.01
     assert browser.ask("document.getElementById('scale').hidden") is False
     browser.ask("document.querySelector('[data-turn=\"2\"]').click()")
     browser.wait_for(f"{DRAWN} === '2 error'")

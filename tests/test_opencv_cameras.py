@@ -47,7 +47,7 @@ def find_cells(view, points):
     return found.coordinates, found.inside
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_points_are_at_the_pixels_that_k_says_and_depth_is_metric(seed):
     lens, matrix = draw_camera(seed)
     points = np.random.default_rng(seed).uniform(-0.15, 0.15, (50, 3))
@@ -63,6 +63,7 @@ def test_points_are_at_the_pixels_that_k_says_and_depth_is_metric(seed):
     np.testing.assert_allclose(found, depths, rtol=1e-5)
 
 
+@jax.jit
 def find_centroid(lens, matrix, point):
     """Pixel (x, y) of a drawn point."""
     view = dpc_jax.from_opencv(lens, matrix, **SIZES)
@@ -71,16 +72,15 @@ def find_centroid(lens, matrix, point):
     return jnp.stack([jnp.sum(image * cols), jnp.sum(image * rows)]) / jnp.sum(image)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_drawn_point_has_its_pixel_and_gradients_reach_the_numbers_of_k(seed):
-    lens, matrix = draw_camera(seed)
+def test_a_drawn_point_has_its_pixel_and_gradients_reach_the_numbers_of_k():
+    lens, matrix = draw_camera(0)
     point = np.array([[0.11, -0.07, 0.13]])
     with jax.enable_x64(True):
         found = find_centroid(lens, matrix, point)
         (pixel,), _ = find_pixels(lens, matrix, point)
         # Trilinear weights keep the mean place of a point.
         np.testing.assert_allclose(found, pixel, atol=0.1)
-        slopes = jax.jacrev(find_centroid)(lens, matrix, point)
+        slopes = jax.jit(jax.jacrev(find_centroid))(lens, matrix, point)
         for row, col in ((0, 0), (1, 1), (0, 2), (1, 2)):
             step = 1e-4 * np.eye(3)[row][:, None] * np.eye(3)[col]
             ends = [find_centroid(lens + s * step, matrix, point) for s in (1, -1)]
