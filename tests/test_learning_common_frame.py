@@ -5,7 +5,8 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tiny_runs import assert_same_bits, rotation_matrix
+import pytest
+from tiny_runs import assert_same_bits, rotation_matrix, tiny_config
 
 from dpc_jax.learning.choice import colors, common_frame
 from dpc_jax.learning.choice.common_frame import turn_back
@@ -15,6 +16,11 @@ from dpc_jax.learning.half_turns import (
     average_covariance,
     find_half_turns,
     turn_candidates,
+)
+from dpc_jax.learning.inference.explanation import (
+    find_color_scores,
+    observe,
+    weigh_by_colors,
 )
 from dpc_jax.render import Camera, quaternion
 
@@ -33,13 +39,13 @@ def draw_bar(rng, *, thick):
     return jnp.asarray(points, jnp.float32)
 
 
-def draw_views(points, poses, ends):
+def draw_views(points, poses, ends, *, distance=2.0):
     """Images of points, one half in one colour and the other in another one."""
     images = np.full((len(poses), SIDE, SIDE, 3), 255, np.uint8)
     masks = np.zeros((len(poses), SIDE, SIDE), np.uint8)
     for view, pose in enumerate(poses):
         moved = np.asarray(points) @ rotation_matrix(pose).T
-        ahead = moved[:, 2] + 2.0
+        ahead = moved[:, 2] + distance
         places = moved[:, :2] / ahead[:, None] * 1.875 + 0.5
         columns, rows = np.clip((places * SIDE).astype(int), 0, SIDE - 1).T
         for kind, color in enumerate(ends):
@@ -104,6 +110,14 @@ def learn_frame(*, by_colors=False, **kind):
     return frame
 
 
+def learn_ends():
+    """The frame of bars with ends of two colours, and a batch of others."""
+    frame = learn_frame(by_colors=True, thick=False, ends=(YELLOW, RED))
+    # Kept sums are those of some 24 objects; a run has seen hundreds.
+    frame = frame._replace(colors=frame.colors * 30)
+    return frame, *make_objects(thick=False, ends=(YELLOW, RED), seed=9)
+
+
 def exchange_ends(winners, points, images, masks):
     """The same views of shapes that were learned upside down, about the axis y."""
     about_y = jnp.array([0.0, 0, 1, 0])
@@ -158,13 +172,58 @@ def test_the_winner_is_the_same_head_after_that_half_turn():
 
 def test_where_shapes_look_the_same_turned_colors_decide():
     """Paint differs from object to object; the ends do not."""
-    ends = (YELLOW, RED)
-    frame = learn_frame(by_colors=True, thick=False, ends=ends)
-    # Kept sums are those of some 24 objects; a run has seen hundreds.
-    frame = frame._replace(colors=frame.colors * 30)
-    right = make_objects(thick=False, ends=ends, seed=9)
+    frame, *right = learn_ends()
     assert float(turn(*right, frame, True)[2]) == 0
     assert float(turn(*exchange_ends(*right), frame, True)[2]) == 1
+
+
+def test_colors_turn_a_view_that_silhouettes_leave_open():
+    """The first view of each object is learned from the wrong end."""
+    frame, right, *seen = learn_ends()
+    about_y, partner = 2, 2 * HEADS + 1
+    wrong = jax.vmap(quaternion.multiply, (0, None))(
+        right.poses[:, 0], find_half_turns(COVARIANCE)[about_y]
+    )
+    for loss, is_turned in ((0.0, True), (1e3, False)):
+        winners = Winners(
+            right.poses.at[:, 0].set(wrong),
+            right.indices.at[:, 0].set(partner),
+            right.losses.at[:, 0, partner].set(0).at[:, 0, 1].set(loss),
+        )
+        early, *_ = turn(winners, *seen, frame, False)
+        assert_same_bits(early, winners)
+        found, _, share = turn(winners, *seen, frame, True)
+        assert float(share) == 0  # of whole objects
+        expected = right if is_turned else winners
+        np.testing.assert_array_equal(found.indices, expected.indices)
+        angles = jax.vmap(jax.vmap(quaternion.angle_between))
+        assert np.all(angles(found.poses, expected.poses) < 1e-2)
+
+
+@pytest.mark.parametrize("distance", [2.0, 3.0])
+def test_colors_say_from_which_end_an_image_is_taken(distance):
+    """Also of a photograph, whose distance is not known."""
+    frame, winners, points, *_ = learn_ends()
+    scores = find_color_scores(frame)
+    cloud, true = points[0], winners.poses[0, 0]
+    away = distance != 2.0
+    image, mask = draw_views(cloud, true[None], (YELLOW, RED), distance=distance)
+    base = observe(mask, {}, 32, knows_distance=not away)
+    base = jax.tree.map(lambda a: a[0], base)
+    candidates = jnp.stack(
+        [quaternion.multiply(true, find_half_turns(COVARIANCE)[2]), true]
+    )
+
+    @jax.jit
+    def weigh(scores):
+        view = {"points": cloud}, candidates, image[0], mask[0], base
+        given = jnp.array([0.6, 0.4])  # by the student
+        return weigh_by_colors(given, *view, scores=scores, config=tiny_config())
+
+    np.testing.assert_allclose(weigh(jnp.zeros_like(scores)), [0.6, 0.4], rtol=1e-6)
+    assert weigh(scores)[1] > 0.9
+    unclear = frame._replace(moments=0 * frame.moments)
+    assert not np.any(find_color_scores(unclear))
 
 
 def draw_plane(rng, *, wing, tail):

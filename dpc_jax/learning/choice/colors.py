@@ -71,7 +71,7 @@ def see_points(
     if frame is not None:
         shown = jnp.isfinite(nearest).astype(points.dtype)
         place = find_place(frame, frame_by_moments(shown))
-        places = place.centre + place.side * places
+        places = place.centre[None] + place.side * places
     row, col = _find_pixels(places, len(image))
     is_seen &= mask[row, col] >= 128
     bins = sort_colors(image[row, col] / 255)
