@@ -83,12 +83,17 @@ def read_photographs(
     return objects, skipped
 
 
-def _list_objects(paths, is_one_object) -> list[tuple[str, list[Path], Path | None]]:
-    """(name, files, folder) of each object."""
+class _Object(NamedTuple):
+    name: str
+    files: list[Path]
+    folder: Path | None = None  # which may hold the cameras of the files
+
+
+def _list_objects(paths, is_one_object) -> list[_Object]:
     found = [each for path in paths for each in _expand(path)]
     if is_one_object and len(found) > 1:  # of different cameras, perhaps
-        return [("object", [file for _, files, _ in found for file in files], None)]
-    names = [name for name, *_ in found]
+        return [_Object("object", [file for one in found for file in one.files])]
+    names = [one.name for one in found]
     if repeated := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(
             f"Expected images of different names, but {', '.join(repeated)} came more "
@@ -97,13 +102,14 @@ def _list_objects(paths, is_one_object) -> list[tuple[str, list[Path], Path | No
     return found
 
 
-def _expand(path: Path) -> list[tuple[str, list[Path], Path | None]]:
+def _expand(path: Path) -> list[_Object]:
     if not path.is_dir():
-        return [(show_text(path.stem), [path], None)]
+        return [_Object(show_text(path.stem), [path])]
     if files := list_images(path):
-        return [(show_text(path.resolve().name), files, path)]
-    inner = [place for place in sorted(path.iterdir()) if place.is_dir()]
-    if found := [(show_text(p.name), f, p) for p in inner if (f := list_images(p))]:
+        return [_Object(show_text(path.resolve().name), files, path)]
+    inner = [p for p in sorted(path.iterdir()) if p.is_dir()]
+    found = [_Object(show_text(p.name), list_images(p), p) for p in inner]
+    if found := [one for one in found if one.files]:
         return found
     raise ValueError(
         f"Expected images ({', '.join(SUFFIXES)}) in the folder {path} or in folders "
