@@ -13,8 +13,11 @@ from dpc_jax.data import DataSpec
 from dpc_jax.data.sets import masks, pictures
 from dpc_jax.data.sets.image_folder import read_views
 from dpc_jax.data.sets.photographs import MOST_FRAMES, read_photographs
+from dpc_jax.data.sets.pose_files import read_poses
 from dpc_jax.data.viewpoints import look_at_rotation
 from dpc_jax.data.views import build_scene, draw_lights, render_view
+from dpc_jax.evaluation.rotations import to_rotation
+from dpc_jax.run.prediction.objects import PredictedObject, turn_to_cameras
 from dpc_jax.shapes.procedural import make_shape
 
 SPEC = DataSpec("car", kind="images", folder=".", image_size=16, crop="object")
@@ -123,6 +126,12 @@ def test_views_of_known_cameras_are_those_that_training_would_see(tmp_path):
     assert not skipped and one.name == "mug" and one.files == tuple(files)
     np.testing.assert_array_equal(one.images, arrays["images"])
     np.testing.assert_array_equal(one.masks, arrays["masks"])
+    # A pose in the view that was cut out is told as one in the camera that took it.
+    cameras = read_poses([place / "transforms.json"])
+    own = [cameras[file].rotation for file in files]
+    seen = PredictedObject(one, *[None] * 3, arrays["quaternions"], *[None] * 2)
+    found = to_rotation(turn_to_cameras(seen).poses).as_matrix()
+    np.testing.assert_allclose(found, own, atol=1e-6)  # float32
     own = dataclasses.replace(SPEC, crop="none")  # framed as in training: as they are
     (as_they_are,), _ = read(place, spec=own)
     assert np.abs(1.0 * as_they_are.masks - one.masks).max() > 100

@@ -30,6 +30,8 @@ class Photographs(NamedTuple):
       images: uint8 [V, S, S, 3] on white. masks: uint8 [V, S, S].
       fine_masks: uint8 [V, F, F], twice as fine up to `FINEST`.
       files: that the views are from.
+      turns: [V, 3, 3] from the camera of each to one that looks straight at the object,
+        as `images` are; None where cameras are not known.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Photographs(NamedTuple):
     masks: np.ndarray
     fine_masks: np.ndarray
     files: tuple[Path, ...]
+    turns: np.ndarray | None = None
 
 
 def read_photographs(
@@ -179,7 +182,9 @@ def _frame(name, views: list[_View], files, spec: DataSpec) -> Photographs:
     arrays = framing.cut_frames(pairs, frames, spec)
     side = max(spec.image_size, min(2 * spec.image_size, FINEST))
     fine = framing.cut_frames(pairs, frames, dataclasses.replace(spec, image_size=side))
-    sources = tuple(view.source for view in views)
-    return Photographs(
-        name, sources, arrays["images"], arrays["masks"], fine["masks"], files
-    )
+    sources, turns = tuple(view.source for view in views), None
+    if cameras:
+        pairs = zip(frames, cameras, strict=True)
+        turns = np.stack([frame.rotation @ own.rotation.T for frame, own in pairs])
+    arrays = arrays["images"], arrays["masks"], fine["masks"]
+    return Photographs(name, sources, *arrays, files, turns)

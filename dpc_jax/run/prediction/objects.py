@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from dpc_jax.config import replace_fields
 from dpc_jax.data import DataSet
@@ -14,6 +15,7 @@ from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
 from dpc_jax.evaluation.confidence import Confidence, measure_confidence
 from dpc_jax.evaluation.images import resize
+from dpc_jax.evaluation.rotations import to_quaternion, to_rotation
 from dpc_jax.learning import framing
 from dpc_jax.learning.inference.predictor import (
     VIEWS_AT_ONCE,
@@ -98,7 +100,8 @@ def predict_objects(
             one = one._replace(confidences=_judge(one, predictions))
         if config.pose.known:
             one = one._replace(poses=None)
-        predicted[place] = one if alignment is None else _align(one, alignment)
+        one = one if alignment is None else _align(one, alignment)
+        predicted[place] = turn_to_cameras(one)
     return predicted
 
 
@@ -249,6 +252,15 @@ def _judge(one: Any, found: Any) -> list[Confidence]:
         strict=True,
     )
     return [measure_confidence(*view) for view in views]
+
+
+def turn_to_cameras(one: PredictedObject) -> PredictedObject:
+    """Poses in the cameras that took the photographs, where these are known."""
+    turns = one.photographs.turns
+    if turns is None or one.poses is None:
+        return one
+    own = Rotation.from_matrix(turns).inv() * to_rotation(one.poses)
+    return one._replace(poses=to_quaternion(own))
 
 
 def _align(one: PredictedObject, alignment: Alignment) -> PredictedObject:
