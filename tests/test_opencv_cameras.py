@@ -63,7 +63,6 @@ def test_points_are_at_the_pixels_that_k_says_and_depth_is_metric(seed):
     np.testing.assert_allclose(found, depths, rtol=1e-5)
 
 
-@jax.jit
 def find_centroid(lens, matrix, point):
     """Pixel (x, y) of a drawn point."""
     view = dpc_jax.from_opencv(lens, matrix, **SIZES)
@@ -80,7 +79,7 @@ def test_a_drawn_point_has_its_pixel_and_gradients_reach_the_numbers_of_k():
         (pixel,), _ = find_pixels(lens, matrix, point)
         # Trilinear weights keep the mean place of a point.
         np.testing.assert_allclose(found, pixel, atol=0.1)
-        slopes = jax.jit(jax.jacrev(find_centroid))(lens, matrix, point)
+        slopes = jax.jacrev(find_centroid)(lens, matrix, point)
         for row, col in ((0, 0), (1, 1), (0, 2), (1, 2)):
             step = 1e-4 * np.eye(3)[row][:, None] * np.eye(3)[col]
             ends = [find_centroid(lens + s * step, matrix, point) for s in (1, -1)]
