@@ -132,8 +132,8 @@ def test_views_of_known_cameras_are_those_that_training_would_see(tmp_path):
     seen = PredictedObject(one, *[None] * 3, arrays["quaternions"], *[None] * 2)
     found = to_rotation(turn_to_cameras(seen).poses).as_matrix()
     np.testing.assert_allclose(found, own, atol=1e-6)  # float32
-    own = dataclasses.replace(SPEC, crop="none")  # framed as in training: as they are
-    (as_they_are,), _ = read(place, spec=own)
+    plain = dataclasses.replace(SPEC, crop="none")  # framed as in training: as they are
+    (as_they_are,), _ = read(place, spec=plain)
     assert np.abs(1.0 * as_they_are.masks - one.masks).max() > 100
     draw_disc().save(place / "new.png")  # which has no camera, and is not asked for
     assert len(read(place)[0][0].images) == 4

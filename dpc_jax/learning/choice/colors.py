@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from dpc_jax.learning.cameras import place_camera
 from dpc_jax.learning.framing import Frame, find_place, frame_by_moments
-from dpc_jax.render import Camera, VoxelGrid
+from dpc_jax.render import Camera, VoxelGrid, quaternion
 from dpc_jax.render.camera import to_camera_frame, to_grid
 
 CELLS = 12  # along each axis of the object frame
@@ -56,13 +56,11 @@ def see_points(
       frame: of the mask, by its moments, where the view's distance is not known: the
         image of the points is moved and scaled into it.
     """
+    camera, shift = place_camera(camera, per_view), per_view.get("translation")
     moved = to_camera_frame(
-        points,
-        per_view["rotation"],
-        translation=per_view.get("translation"),
-        camera=place_camera(camera, per_view),
+        points, per_view["rotation"], translation=shift, camera=camera
     )
-    seen = to_grid(moved, camera=place_camera(camera, per_view), grid=VoxelGrid(_IMAGE))
+    seen = to_grid(moved, camera=camera, grid=VoxelGrid(_IMAGE))
     places = (seen.coordinates[:, :2] + 0.5) / _IMAGE - 0.5  # row before column
     row, col = _find_pixels(places, _IMAGE)
     ahead = jnp.where(seen.inside, moved.ahead, jnp.inf)
@@ -112,6 +110,20 @@ def score_colors(counts: jax.Array) -> jax.Array:
 def judge_samples(samples: Samples, scores: jax.Array) -> jax.Array:
     """Log-likelihood of all samples by `score_colors`, nats; ()."""
     return jnp.sum(samples.weights * scores[find_cells(samples.places), samples.bins])
+
+
+def compare_turns(samples: Samples, turns: jax.Array, scores: jax.Array) -> jax.Array:
+    """Mean log-likelihood [T] of samples after each of the turns [T, 4] of the object.
+
+    By `score_colors`, nats per sample.
+    """
+
+    def fit(turn):
+        places = quaternion.rotate(samples.places, turn)
+        return judge_samples(samples._replace(places=places), scores)
+
+    count = jnp.sum(samples.weights > 0)
+    return jax.vmap(fit)(turns) / jnp.maximum(count, 1)
 
 
 def sort_colors(colors: jax.Array) -> jax.Array:

@@ -104,7 +104,7 @@ def turn_back(
     points, covariance = jax.lax.stop_gradient((points[:, :POINTS], covariance))
     turns, samples = find_half_turns(covariance, frame.moments.shape[2] + 1), None
     if by_colors:
-        scores = jnp.where(is_due, score_colors(frame), 0)
+        scores = jnp.where(is_due, score_clear_colors(frame), 0)
         views = jax.lax.stop_gradient((winners, dict(cameras))), images, masks
         chosen, samples = _judge_views(points, *views, turns, scores, camera, heads)
         winners = _turn_winners(winners, turns, chosen, heads)
@@ -138,7 +138,7 @@ def _turn_index(index, turn, heads):
     return (index // heads ^ turn.astype(jnp.int32)) * heads + index % heads
 
 
-def score_colors(frame: Frame) -> jax.Array:
+def score_clear_colors(frame: Frame) -> jax.Array:
     """`colors.score_colors` of the category; 0 where they tell nothing of turns."""
     assert frame.colors is not None
     _, is_clear = _find_clarity(frame.moments)
@@ -183,7 +183,7 @@ def _measure_gains(points, samples, turns, ways, frame):
     fits = [jax.vmap(compare)(points)]
     if samples is not None:
         scores = colors.score_colors(frame.colors)
-        fits += [jax.vmap(lambda x: compare_colors(x, turns, scores))(samples)]
+        fits += [jax.vmap(lambda x: colors.compare_turns(x, turns, scores))(samples)]
     return jnp.stack([a[:, 1:] - a[:, :1] for a in fits])
 
 
@@ -229,20 +229,6 @@ def _count_colors(samples, before):
         return None
     flat = Samples(*(a.reshape(-1, *a.shape[2:]) for a in samples))
     return _KEPT * before + jax.lax.psum(colors.count_colors(flat), AXIS)
-
-
-def compare_colors(samples: Samples, turns: jax.Array, scores: jax.Array) -> jax.Array:
-    """Mean log-likelihood [T] of colours after each of the turns [T, 4] of the object.
-
-    By the scores of `colors.score_colors`, nats per sample.
-    """
-
-    def fit(turn):
-        places = quaternion.rotate(samples.places, turn)
-        return colors.judge_samples(samples._replace(places=places), scores)
-
-    count = jnp.sum(samples.weights > 0)
-    return jax.vmap(fit)(turns) / jnp.maximum(count, 1)
 
 
 def count_points(points: jax.Array) -> jax.Array:

@@ -106,9 +106,9 @@ def find_color_scores(frame: Any) -> jax.Array | None:
     """
     if frame is None or frame.colors is None:
         return None
-    from dpc_jax.learning.choice.common_frame import score_colors  # where asked for
+    from dpc_jax.learning.choice import common_frame  # where it is asked for
 
-    return score_colors(frame)
+    return common_frame.score_clear_colors(frame)
 
 
 def weigh_by_colors(

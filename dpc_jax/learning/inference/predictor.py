@@ -148,13 +148,10 @@ def make_predictor(
         )
         candidates = entries.poses.candidates
         best = jax.vmap(lambda poses, winner: poses[winner])
-        losses = found.pop("losses")
+        evidence = {name: found.pop(name) for name in ("losses", "probabilities")}
         found |= {"candidate_poses": best(candidates, found["winners"])}
         if keeps_evidence:
-            found |= {"candidates": candidates, "losses": losses}
-            found |= {"codes": output["codes"]}
-        else:
-            found.pop("probabilities")
+            found |= evidence | {"candidates": candidates, "codes": output["codes"]}
         cameras = ("translations", "focal_lengths")
         found |= {name: output[name] for name in cameras if name in output}
         return found | find_shape_class(config.network.shape).find_evaluated(
