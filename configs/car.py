@@ -3,7 +3,7 @@
 Cost: 676 s on two cores, from the command to the report; 3.5 GB. Reached on 100 test
 cars, seed 0, one device: pose accuracy 0.956, median error 2.6 degrees, Chamfer 3.08;
 on 100 final cars 0.918, 2.7, 3.35. Passenger cars alone
-(`--config.category=car_simple`), without `train.framed_views`: 0.984, 1.7, 2.80.
+(`--config.category=car_simple`): 0.982, 1.9, 2.86.
 ":paper" is the paper's setting: a GPU and days, never run to the end.
 """
 
