@@ -18,7 +18,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from dpc_jax.data import DataSpec, load_or_render, viewpoints
-from dpc_jax.data.sets import pose_files
+from dpc_jax.data.sets import framing, pose_files
 from dpc_jax.data.sets.pictures import read_picture
 
 LENS = np.array([[120.0, 0, 40], [0, 120.0, 40], [0, 0, 1]])
@@ -233,6 +233,31 @@ def test_transforms_give_views_that_fit_one_object(tmp_path, fields):
             assert share_inside(1.35 * best * points, pose, mask) < 0.9
         extent = [(m > 127).any(0).sum() / 64 for m in data.masks[model]]
         assert 0.6 < max(extent) <= 0.9
+        # Cameras are held upright, and so the views are: their rows are level.
+        rows = [rotate(q)[0] for q in data.quaternions[model]]
+        np.testing.assert_allclose(np.array(rows)[:, 2], 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("rolls", [(0.0, 0, 0), (0.1, 0.05, -0.15), (0.1, 1.7, -1.2)])
+def test_views_are_upright_where_cameras_are(rolls):
+    """They look down, and past the object by some 17 degrees."""
+    mask = np.zeros((80, 80), bool)
+    mask[30:50, 30:50] = True
+    poses = []
+    for angle, roll in zip((0.3, 1.4, 3.5), rolls, strict=True):
+        place = 3 * np.array([np.cos(angle), np.sin(angle), 0.7])
+        past = 1.1 * np.array([-np.sin(angle), np.cos(angle), 0.2])
+        own = Rotation.from_euler("z", roll).as_matrix() @ look_at(place, past)
+        poses.append(pose_files.Pose(own, place, {"fl_x": 80}))
+    outlines = [framing.trace_outline(mask)] * 3
+    frames = framing.frame_views(outlines, poses, DataSpec("car"))
+    levels = [float(frame.rotation[0, 2]) for frame in frames]
+    if max(np.abs(rolls)) == 0:
+        np.testing.assert_allclose(levels, 0, atol=1e-6)
+    elif max(np.abs(rolls)) < 0.2:  # up is found from all, as well as they tell it
+        assert max(np.abs(levels)) < 0.11
+    else:  # turned the least: none of the rolls is undone
+        assert max(np.abs(levels)) > 0.5
 
 
 def test_views_without_a_usable_mask_are_left_out_and_named(tmp_path):

@@ -26,7 +26,7 @@ from dpc_jax.render import Camera, quaternion
 
 COVARIANCE = jnp.diag(jnp.array([1.0, 2.0, 4.0]))  # the axes are x, y and z
 HEADS, SIDE = 2, 32
-COUNT = 4  # of objects in every batch, so that few programs are compiled
+COUNT, VIEWS = 4, 3  # of every batch, so that few programs are compiled
 YELLOW, RED, GREY = (240, 220, 40), (220, 30, 30), (128, 128, 128)
 
 
@@ -61,14 +61,16 @@ def turn(winners, points, images, masks, frame, is_due, heads=HEADS):
     """`turn_back` on devices with an object each."""
 
     def on_device(winners, points, images, masks):
-        one = (a[None] for a in (points, images, masks))
         return turn_back(
-            Winners(*(a[None] for a in winners)),
-            *one,
+            winners,
+            jnp.repeat(points[None], VIEWS, axis=0),  # predicted alike from each view
+            images,
+            masks,
             COVARIANCE,
             frame,
             camera=Camera(),
             cameras={},
+            views=VIEWS,
             heads=heads,
             by_colors=frame.colors is not None,
             is_due=is_due,
@@ -78,7 +80,7 @@ def turn(winners, points, images, masks, frame, is_due, heads=HEADS):
         winners, points, images, masks
     )
     frame = jax.tree.map(lambda a: a[0], frames)  # all devices have the same
-    new = Winners(new.poses[:, 0], new.indices[:, 0], winners.losses)
+    new = new._replace(losses=winners.losses)
     return new, frame, jnp.mean(shares)
 
 

@@ -29,7 +29,7 @@ from dpc_jax.learning.shapes.voxels import Voxels
 from dpc_jax.measure.stability import oracles
 from dpc_jax.render import Camera, Projection, VoxelGrid, project, project_volume
 
-DISTANCE, SIDE, COUNT = 2.0, 8, 12
+DISTANCE, SIDE, COUNT, VIEWS = 2.0, 8, 12, 4
 RENDERED = {"silhouette": "silhouette", "depth": "termination", "color": "color"}
 ALL = {"silhouette_weight": 0.5, "depth_weight": 2.0, "color_weight": 0.3}
 
@@ -39,29 +39,31 @@ def as_float32(array):
 
 
 def draw_head(kind):
-    """What a head of learned sizes predicts for two objects, by name."""
+    """What a head of learned sizes predicts for four images, by name."""
     rng = np.random.default_rng(0)
     columns = 3 if kind == "covariance" else 1
     shape = {
-        "points": rng.uniform(-0.3, 0.3, (2, COUNT, 3)),
-        "scale": rng.uniform(0.5, 0.9, 2),
-        "sizes": rng.uniform(0.08, 0.25, (2, COUNT, columns)),
+        "points": rng.uniform(-0.3, 0.3, (VIEWS, COUNT, 3)),
+        "scale": rng.uniform(0.5, 0.9, VIEWS),
+        "sizes": rng.uniform(0.08, 0.25, (VIEWS, COUNT, columns)),
     }
     if kind == "covariance":
-        shape["turns"] = 2 * random_quaternions(4, 2, COUNT)
+        shape["turns"] = 2 * random_quaternions(4, VIEWS, COUNT)
     return jax.tree.map(as_float32, shape)
 
 
 def make_shapes(kind):
-    """Two objects of a kind, and the names of their fields that are learned."""
+    """A shape of a kind for each view, and the names of the fields that are learned."""
     rng = np.random.default_rng(0)
     if kind == "voxels":
-        cells = as_float32(rng.uniform(0, 0.6, (2, 8, 8, 8)) ** 3)
-        return Voxels(cells, as_float32(rng.uniform(size=(2, 8, 8, 8, 3)))), ("cells",)
-    colors = as_float32(rng.uniform(size=(2, COUNT, 3)))
+        cells = as_float32(rng.uniform(0, 0.6, (VIEWS, 8, 8, 8)) ** 3)
+        return Voxels(cells, as_float32(rng.uniform(size=(VIEWS, 8, 8, 8, 3)))), (
+            "cells",
+        )
+    colors = as_float32(rng.uniform(size=(VIEWS, COUNT, 3)))
     if kind == "points":
-        points = as_float32(rng.uniform(-0.4, 0.4, (2, COUNT, 3)))
-        mass = jnp.array([0.6, 0.9])
+        points = as_float32(rng.uniform(-0.4, 0.4, (VIEWS, COUNT, 3)))
+        mass = jnp.array([0.6, 0.9, 0.7, 0.8])
         shapes = Points(points, points, colors, mass, mass, jnp.array(0.6))
         return shapes, ("kept", "mass", "colors")
     shape = draw_head(kind)
@@ -71,8 +73,10 @@ def make_shapes(kind):
 
 
 def make_views():
-    """A batch of two objects, two views each, with depths where the masks cover."""
-    batch = make_batch()
+    """Four views with depths where the masks cover."""
+    arrays = make_batch()
+    batch = {n: arrays[n].reshape(VIEWS, *arrays[n].shape[2:])
+             for n in ("images", "masks")}  # fmt: skip
     depths = np.random.default_rng(4).uniform(1.7, 2.3, batch["masks"].shape)
     batch["depths"] = np.where(batch["masks"] > 0, depths, 0).astype(np.float32)
     return batch
@@ -81,13 +85,13 @@ def make_views():
 def make_cameras(are_own=True):
     rng = np.random.default_rng(5)
     cameras = {
-        "translation": as_float32(rng.uniform(-0.1, 0.1, (2, 2, 3))),
-        "focal_length": as_float32(rng.uniform(1.5, 2.2, (2, 2))),
+        "translation": as_float32(rng.uniform(-0.1, 0.1, (VIEWS, 3))),
+        "focal_length": as_float32(rng.uniform(1.5, 2.2, VIEWS)),
     }
     return cameras if are_own else {}
 
 
-ROTATIONS = as_float32(random_quaternions(3, 2, 2))
+ROTATIONS = as_float32(random_quaternions(3, VIEWS))
 
 
 def average_plainly(image, side):
@@ -165,12 +169,9 @@ def compare_plainly(shapes, view, side, config):
 
 def list_views(batch, rotations, cameras, side):
     """Arrays of the four views, as `compare_plainly` takes one of them."""
-    places = list(np.ndindex(2, 2))
-    targets = [find_targets(batch, at, side) for at in places]
+    targets = [find_targets(batch, at, side) for at in range(VIEWS)]
     targets = tuple(as_float32(np.stack(a)) for a in zip(*targets, strict=True))
-    own = {name: a.reshape(4, *a.shape[2:]) for name, a in cameras.items()}
-    rows = jnp.array([row for row, _ in places])
-    return rows, rotations.reshape(4, *rotations.shape[2:]), own, targets
+    return jnp.arange(VIEWS), rotations, cameras, targets
 
 
 # kind, side of the winners, whether views have cameras of their own, fields
@@ -241,7 +242,7 @@ def test_winners_of_a_large_grid_are_rendered_in_the_blocks_of_their_stage(monke
     monkeypatch.setattr(points, "project", record)
     shapes, _ = make_shapes("points")
     recipe, batch = make_recipe(tiny_config()), make_views()
-    large = {"masks": batch["masks"].repeat(16, axis=2).repeat(16, axis=3)}
+    large = {"masks": batch["masks"].repeat(16, axis=1).repeat(16, axis=2)}
     compare = functools.partial(
         shapes.compare, recipe=recipe, stage=Stage(COUNT, 256, False, 99)
     )
@@ -267,7 +268,7 @@ def test_the_candidate_of_the_smallest_weighted_loss_wins(case, monkeypatch):
     config = tiny_config(choice_top=6, renders_at_once=1, **fields)
     shapes, _ = make_shapes(kind)
     batch, cameras = make_views(), make_cameras(has_cameras)
-    candidates = as_float32(random_quaternions(10, 4, 6))
+    candidates = as_float32(random_quaternions(10, VIEWS, 6))
     choose = functools.partial(choose_poses, recipe=make_recipe(config))
     winners = jax.jit(choose)(shapes, candidates, batch, cameras)
     compared = tiny_config(**{**fields, "choice_top": 0})
@@ -283,12 +284,12 @@ def test_the_candidate_of_the_smallest_weighted_loss_wins(case, monkeypatch):
                 poses,
             )
 
-        views = list_views(batch, candidates.reshape(2, 2, 6, 4), cameras, SIDE)
+        views = list_views(batch, candidates, cameras, SIDE)
         return jax.lax.map(compare, views)
 
     expected = np.argmin(compare_all(candidates), axis=1)
-    np.testing.assert_array_equal(winners.indices.ravel(), expected)
-    chosen = np.asarray(candidates)[np.arange(4), expected].reshape(2, 2, 4)
+    np.testing.assert_array_equal(winners.indices, expected)
+    chosen = np.asarray(candidates)[np.arange(VIEWS), expected]
     np.testing.assert_array_equal(winners.poses, chosen)
 
 
@@ -368,7 +369,7 @@ def test_known_cameras_come_from_the_data_where_they_are_not_learned(fields, ext
 def test_sizes_and_masses_are_those_of_the_paper(kind):
     shape = draw_head(kind)
     size, mass = point_sizes.measure_points(shape, grid=SIDE)
-    for place in np.ndindex(2, COUNT):
+    for place in np.ndindex(VIEWS, COUNT):
         widths = SIDE * np.broadcast_to(np.asarray(shape["sizes"][place], float), 3)
         covariance = np.diag(widths**2)
         if kind == "covariance":

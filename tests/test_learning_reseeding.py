@@ -43,11 +43,9 @@ def test_a_point_is_dead_that_hangs_alone_in_most_clouds(lone, dead):
 
 
 def predict(state, batch, network):
-    features = encode_views(
-        state.params, batch["images"], batch["masks"], network=network
-    )
-    flat = features.reshape(-1, features.shape[-1])
-    return network.apply(state.params, flat, method="predict_shape")
+    views = (batch[n].reshape(-1, *batch[n].shape[2:]) for n in ("images", "masks"))
+    features = encode_views(state.params, *views, network=network)
+    return network.apply(state.params, features, method="predict_shape")
 
 
 def start(count=1, *, place=(2.0, 2.0, 2.0), **fields):

@@ -44,14 +44,11 @@ def predict_cameras(
     network: ShapePoseNetwork,
     pose: Pose,
 ) -> dict[str, jax.Array]:
-    """The cameras of views from their features [B, V, F]; see `find_cameras`."""
+    """The cameras of views from their features [n, F]; see `find_cameras`."""
     predicted = {}
     if pose.translation or pose.focal_length:
-        flat = features.reshape(-1, features.shape[-1])
-        output = network.apply(params, flat, method="predict_camera")
-        assert isinstance(output, dict)
-        views = features.shape[:2]
-        predicted = {n: a.reshape(*views, *a.shape[1:]) for n, a in output.items()}
+        predicted = network.apply(params, features, method="predict_camera")
+        assert isinstance(predicted, dict)
     return find_cameras(predicted, given, pose=pose)
 
 
@@ -64,7 +61,7 @@ def anchor_cameras(cameras: Cameras, *, recipe: Recipe) -> dict[str, Term]:
     """
     means = []
     if recipe.pose.translation:
-        means.append(jnp.mean(cameras["translation"].reshape(-1, 3), axis=0))
+        means.append(jnp.mean(cameras["translation"], axis=0))
     if recipe.pose.focal_length:
         shares = cameras["focal_length"] / recipe.camera.focal_length
         means.append(jnp.mean(jnp.log(shares))[None])
@@ -72,11 +69,6 @@ def anchor_cameras(cameras: Cameras, *, recipe: Recipe) -> dict[str, Term]:
         return {}
     loss = jnp.sum(jax.lax.pmean(jnp.concatenate(means), AXIS) ** 2)
     return {"camera_mean": Term(loss, float(recipe.render.grid**2))}
-
-
-def flatten_views(arrays: Mapping[str, jax.Array]) -> dict[str, jax.Array]:
-    """Arrays [B, V, ...] by name with one leading axis of all views, [B·V, ...]."""
-    return {name: a.reshape(-1, *a.shape[2:]) for name, a in arrays.items()}
 
 
 def place_camera(camera: Camera, per_view: Mapping[str, jax.Array]) -> Camera:

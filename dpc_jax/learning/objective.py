@@ -5,13 +5,9 @@ from collections.abc import Mapping
 import jax
 import jax.numpy as jnp
 
+from dpc_jax.data.arrays import CORNERS
 from dpc_jax.learning import schedules
-from dpc_jax.learning.cameras import (
-    anchor_cameras,
-    flatten_views,
-    place_camera,
-    predict_cameras,
-)
+from dpc_jax.learning.cameras import anchor_cameras, place_camera, predict_cameras
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.losses import sum_terms
 from dpc_jax.learning.poses.source import ForwardPass, find_poses
@@ -32,9 +28,9 @@ def compute_loss(
 ) -> tuple[jax.Array, tuple[dict[str, jax.Array], Averages]]:
     """The training objective of one batch (§ Single-view Shape and Pose Estimation).
 
-    The shape is predicted from each object's first view and compared with all its
-    views. Each view's pose is predicted from that view itself. To be called inside
-    `devices.share`, with a device's share of a batch of the run.
+    The shape that is predicted from a view is compared with the next view of the same
+    object, the last one's with the first. That view's pose is predicted from itself. To
+    be called inside `devices.share`, with a device's share of a batch of the run.
 
     Args:
       params: of the network. step: ().
@@ -45,20 +41,19 @@ def compute_loss(
       recipe: what is learned, static. stage: of the schedule, static.
 
     Returns:
-      (() loss, (metrics, averages)). Metrics: reprojection (mean sum of
-      squares of a view), student's loss, scale, winners [B·V] int32, and the other
-      active losses.
+      (() loss, (metrics, averages)). Metrics: reprojection (mean sum of squares of a
+      view), student's loss, scale, winners [B·V] int32, and the other active losses.
     """
     network, render = recipe.network, recipe.render
     sigma = schedules.compute_sigma(step, render, steps=recipe.train.steps)
-    views = batch["images"], batch["masks"]
-    is_framed = False
-    if recipe.train.framed_views:
-        is_framed = draw_framed(keys, views[0].shape[1])
-    features = encode_views(params, *views, network=network, is_framed=is_framed)
+    views = batch["masks"].shape[1]
+    batch, keys = _flatten_views(batch, keys, views)
+    is_framed = draw_framed(keys) if recipe.train.framed_views else False
+    images = batch["images"], batch["masks"]
+    features = encode_views(params, *images, network=network, is_framed=is_framed)
     shapes = predict_shapes(
         params,
-        features[:, 0],
+        _take_views_before(features, views),
         keys,
         sigma,
         network=network,
@@ -71,7 +66,7 @@ def compute_loss(
     metrics = {"scale": jnp.mean(shapes.find_scale())}
     anchor = anchor_cameras(cameras, recipe=recipe)
     forward = ForwardPass(
-        params, batch, features, shapes, cameras, keys, step, averages
+        params, batch, views, features, shapes, cameras, keys, step, averages
     )
     poses = find_poses(forward, recipe=recipe)
     compared, parts, costs = shapes.compare(
@@ -87,6 +82,24 @@ def compute_loss(
     terms = priors | anchor | poses.terms | pulls | cost_terms
     metrics |= poses.metrics | parts | {n: term.value for n, term in terms.items()}
     return compared + sum_terms(terms), (metrics, averages)
+
+
+def _flatten_views(batch, keys, views):
+    """Arrays [B, V, ...] as [B·V, ...], each object's own for all its views; keys.
+
+    What an object has of its own is the seed and the views from a cube's corners.
+    """
+    own = ("seeds", *CORNERS)
+    flat = {n: a.reshape(-1, *a.shape[2:]) for n, a in batch.items() if n not in own}
+    flat |= {n: jnp.repeat(batch[n], views, axis=0) for n in CORNERS if n in batch}
+    split = jax.vmap(lambda key: jax.random.split(key, views))
+    return flat, split(keys).reshape(-1)
+
+
+def _take_views_before(features, views):
+    """Of each view's features [B·V, F] those of its object's view before."""
+    of_objects = features.reshape(-1, views, features.shape[-1])
+    return jnp.roll(of_objects, 1, axis=1).reshape(features.shape)
 
 
 def _find_room(room, shapes, views, step, recipe, stage):
@@ -108,11 +121,10 @@ def _find_room(room, shapes, views, step, recipe, stage):
         )
 
     def count_all(points, views):
-        return jnp.max(jax.lax.map(count, (points, flatten_views(views))))
+        return jnp.max(jax.lax.map(count, (points, views)))
 
     is_due = schedules.counts_blocks(step)
-    points = jnp.repeat(shapes.find_places()[0], views["rotation"].shape[1], axis=0)
-    seen = jax.lax.stop_gradient((points, views))
+    seen = jax.lax.stop_gradient((shapes.find_places()[0], views))
     touched = jax.lax.cond(
         is_due, count_all, lambda *_: jnp.zeros((), jnp.int32), *seen
     )

@@ -52,16 +52,12 @@ def make_inputs(
     return jnp.concatenate([inputs, away[..., 3:] - 1], axis=-1)
 
 
-def draw_framed(keys: jax.Array, views: int) -> jax.Array:
-    """Which views [B, V] of a batch are framed, by the keys [B] of its objects: half.
+def draw_framed(keys: jax.Array) -> jax.Array:
+    """Which views [n] of a batch are framed, by their keys [n]: half.
 
     The other half shows sizes as they are, which tell more of a shape.
     """
-
-    def draw(key):
-        return jax.random.bernoulli(jax.random.fold_in(key, 1), shape=(views,))
-
-    return jax.vmap(draw)(keys)
+    return jax.vmap(lambda key: jax.random.bernoulli(jax.random.fold_in(key, 1)))(keys)
 
 
 def encode_views(
@@ -72,16 +68,15 @@ def encode_views(
     network: ShapePoseNetwork,
     is_framed: jax.Array | bool = False,
 ) -> jax.Array:
-    """Features [B, V, F] of images uint8 [B, V, S, S, 3] with masks [B, V, S, S].
+    """Features [n, F] of images uint8 [n, S, S, 3] with masks [n, S, S].
 
     Args:
-      is_framed: [B, V], see `make_inputs`.
+      is_framed: [n], see `make_inputs`.
     """
     inputs = make_inputs(images, masks, network=network, is_framed=is_framed)
-    flat = inputs.reshape(-1, *inputs.shape[2:])
-    features = network.apply(params, flat, method="encode")
+    features = network.apply(params, inputs, method="encode")
     assert isinstance(features, jax.Array)
-    return features.reshape(*images.shape[:2], -1)
+    return features
 
 
 def predict_shapes(
@@ -94,10 +89,10 @@ def predict_shapes(
     render: Render,
     kept_points: int,
 ) -> Shape:
-    """The shape of each object from its features [B, F], with point dropout.
+    """The shapes of images with features [n, F], with point dropout.
 
     Args:
-      keys: [B], of the objects. sigma: (), of the schedule.
+      keys: [n], of the images. sigma: (), of the schedule.
     """
     output = network.apply(params, features, method="predict_shape")
     assert isinstance(output, dict)

@@ -89,7 +89,8 @@ def _frame_by_geometry(outlines, poses, spec):
     """Frames of cameras whose place and lens are known.
 
     Each is turned to look at the point nearest to the lines through the middles of all
-    masks; the scale fits every view at its distance.
+    masks, upright where the cameras tell what is up; the scale fits every view at its
+    distance.
     """
     cameras = [
         (outline, pose, _read_lens(pose.lens, outline.shape))
@@ -101,6 +102,7 @@ def _frame_by_geometry(outlines, poses, spec):
         lines.append(pose.rotation.T @ (ray / np.linalg.norm(ray)))
     positions = np.array([pose.position for pose in poses])
     middle = _find_meeting_point(positions, np.array(lines))
+    up = _find_up(np.array([pose.rotation for pose in poses]))
 
     turned, widths = [], []
     for outline, pose, lens in cameras:
@@ -112,6 +114,7 @@ def _frame_by_geometry(outlines, poses, spec):
                 "where the others see it; check the convention of the poses."
             )
         turn = _turn_to_axis(towards / away)
+        turn = _turn_upright(turn @ pose.rotation @ up) @ turn
         rays = np.concatenate([outline.border, np.ones((1, outline.border.shape[1]))])
         seen = turn @ np.linalg.solve(lens, rays)
         # an object of size s at range r looks like one of size 1 at r / s
@@ -160,6 +163,29 @@ def _turn_to_axis(direction):
     cosine = direction[2]
     cross = np.cross(axis, np.eye(3)).T
     return np.eye(3) + cross + cross @ cross / (1.0 + cosine)
+
+
+def _find_up(rotations):
+    """The direction [3] that is up in the world; 0 where cameras do not tell it.
+
+    It is at a right angle to the rows of images that are taken upright: to the first
+    axes of rotations [n, 3, 3]. Cameras that roll much do not tell it, nor do those
+    that all look along one plane, within 8 degrees.
+    """
+    right = rotations[:, 0]
+    sizes, axes = np.linalg.eigh(right.T @ right / len(right))
+    if sizes[0] > 0.1 * sizes[1] or sizes[1] < np.sin(np.deg2rad(8)) ** 2:
+        return np.zeros(3)
+    return axes[:, 0] * np.sign(-np.sum(rotations[:, 1], axis=0) @ axes[:, 0])
+
+
+def _turn_upright(up):
+    """The rotation [3, 3] about the optical axis after which `up` [3] has no x."""
+    height = np.hypot(*up[:2])
+    if height < 0.1:  # the camera looks along it, or it is not known
+        return np.eye(3)
+    sine, cosine = up[0] / height, -up[1] / height
+    return np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1.0]])
 
 
 def cut_frames(

@@ -8,12 +8,13 @@ colours (lamps are yellow in front and red behind; a truck turned round, its cab
 front, has the silhouette of a car, but not its lamps).
 
 Points and colours are counted in cells of the network's frame: of the last objects the
-points, by moving sums over batches the colours. Of each object, with all its views, it
-is asked whether it fits these better after a half turn. If so, its views learn the
-turned poses, and with them its shape learns to turn. Where colours are asked for they
-decide, as soon as they tell the category from its half turn; until then points do.
-From then on they decide between the half turns of single views, too, together with
-silhouettes: these hardly tell a car seen from the front from one seen from behind.
+points, by moving sums over batches the colours. Of each object, with all its views and
+the shapes that are predicted from them, it is asked whether it fits these better after
+a half turn. If so, its views learn the turned poses, and with them its shape learns to
+turn. Where colours are asked for they decide, as soon as they tell the category from
+its half turn; until then points do. From then on they decide between the half turns of
+single views, too, together with silhouettes: these hardly tell a car seen from the
+front from one seen from behind.
 """
 
 from typing import NamedTuple
@@ -35,7 +36,7 @@ _EMPTY = 0.02  # density that is added, of the mean over the cells
 _BLUR = (0.12, 0.76, 0.12)  # of densities, along each axis
 _SHIFTS = tuple(0.04 * i for i in range(-5, 6))  # along each axis, box diagonals
 _SCALES = (0.8, 1.0, 1.25)
-_FITTED = 400  # of these points, that are moved and scaled to fit
+_FITTED = 100  # points of a shape, that are moved and scaled to fit
 _KEPT = 0.995  # of the sums in a step: 200 batches
 # Standard deviations below 0 of what a half turn gains by points or colours, to count.
 # A kind that is turned round makes two peaks of it, which is wide then.
@@ -82,6 +83,7 @@ def turn_back(
     *,
     camera: Camera,
     cameras: Cameras,
+    views: int,
     heads: int,
     by_colors: bool,
     is_due: jax.Array,
@@ -89,12 +91,13 @@ def turn_back(
     """Half turns of the objects that fit the category better that way.
 
     Args:
-      winners: of B objects with V views; with their losses where colours are asked
-        for. points: [B, N, 3].
-      images: uint8 [B, V, S, S, 3]. masks: uint8 [B, V, S, S].
+      winners: of B·V views, those of an object side by side; with their losses where
+        colours are asked for.
+      points: [B·V, N, 3], for each view of its object.
+      images: uint8 [B·V, S, S, 3]. masks: uint8 [B·V, S, S].
       covariance: [3, 3] of points, whose axes the half turns are about.
       frame: of the batches before.
-      camera, cameras: of the views. heads: K, of the candidates.
+      camera, cameras: of the views. views: V. heads: K, of the candidates.
       by_colors: whether colours decide, see above.
       is_due: () whether objects are turned at this step, or counted alone.
 
@@ -105,27 +108,26 @@ def turn_back(
     turns, samples = find_half_turns(covariance, frame.moments.shape[2] + 1), None
     if by_colors:
         scores = jnp.where(is_due, score_clear_colors(frame), 0)
-        views = jax.lax.stop_gradient((winners, dict(cameras))), images, masks
-        chosen, samples = _judge_views(points, *views, turns, scores, camera, heads)
+        seen = jax.lax.stop_gradient((winners, dict(cameras))), images, masks
+        chosen, samples = _judge_views(points, *seen, turns, scores, camera, heads)
         winners = _turn_winners(winners, turns, chosen, heads)
     ways = list_ways(covariance, is_upright=len(turns) == 2)
     gains = _measure_gains(points, samples, turns, ways, frame)
-    turned = jnp.where(is_due, _choose_turns(gains, frame.moments), 0)
-
-    of_views = jnp.broadcast_to(turned[:, None], winners.indices.shape)
-    winners = _turn_winners(winners, turns, of_views, heads)
+    gains = jnp.mean(gains.reshape(len(gains), -1, views, len(turns) - 1), axis=2)
+    of_objects = jnp.where(is_due, _choose_turns(gains, frame.moments), 0)
+    turned = jnp.repeat(of_objects, views)
+    winners = _turn_winners(winners, turns, turned, heads)
     if samples is not None:
         places = jax.vmap(quaternion.rotate)(samples.places, turns[turned])
         samples = samples._replace(places=places)
     # Shapes are counted as they are predicted: turned ones would vote for more of them.
-    new = _count_batch(frame, points, samples, gains)
-    return winners, new, jnp.mean(turned > 0)
+    new = _count_batch(frame, points[::views], samples, gains)
+    return winners, new, jnp.mean(of_objects > 0)
 
 
 def _turn_winners(winners, turns, chosen, heads):
-    """The winners [B, V] after the chosen [B, V] of the turns [T, 4]."""
-    multiply = jax.vmap(jax.vmap(quaternion.multiply))
-    poses = multiply(winners.poses, turns[chosen])
+    """The winners [n] after the chosen [n] of the turns [T, 4]."""
+    poses = jax.vmap(quaternion.multiply)(winners.poses, turns[chosen])
     return Winners(poses, _turn_index(winners.indices, chosen, heads))
 
 
@@ -149,7 +151,7 @@ def _judge_views(points, seen, images, masks, turns, scores, camera, heads):
     """Half turns of single views that colours and silhouettes find likelier together.
 
     Returns:
-      ([B, V] of the turns, `Samples` of each object after them).
+      ([n] of the turns, `Samples` of each view after them).
     """
     winners, cameras = seen
 
@@ -160,21 +162,19 @@ def _judge_views(points, seen, images, masks, turns, scores, camera, heads):
         def see(pose):
             view = {"rotation": pose, **per_view}
             found = colors.see_points(points, view, image, mask, camera=camera)
-            return found, colors.judge_samples(colors.weigh_paint(found), scores)
+            found = colors.weigh_paint(found)
+            return found, colors.judge_samples(found, scores)
 
         samples, fits = jax.vmap(see)(poses)
         # Both as logarithms of likelihoods, as in `explanation.find_posteriors`.
         best = jnp.argmax(fits - winner.losses[indices])
         return best, jax.tree.map(lambda a: a[best], samples)
 
-    over_views = jax.vmap(judge_view, (None, 0, 0, 0, 0))
-    chosen, samples = jax.vmap(over_views)(points, winners, cameras, images, masks)
-    joined = jax.tree.map(lambda a: a.reshape(len(a), -1, *a.shape[3:]), samples)
-    return chosen, jax.vmap(colors.weigh_paint)(joined)
+    return jax.vmap(judge_view)(points, winners, cameras, images, masks)
 
 
 def _measure_gains(points, samples, turns, ways, frame):
-    """What objects gain by points, and by colours, after half turns; [., B, T - 1]."""
+    """What views gain by points, and by colours, after half turns; [., n, T - 1]."""
 
     def compare(points):
         scores = judge_cells(points, frame.shapes, frame.count)
@@ -251,7 +251,8 @@ def judge_cells(points: jax.Array, shapes: jax.Array, count: jax.Array) -> jax.A
       shapes: [OBJECTS, CELLS³] of `count_points`, zeros where there was none yet.
       count: () int32 of all objects so far.
     """
-    away = jnp.sum((shapes - count_points(points)[None]) ** 2, axis=1)
+    # Squared distances, but for what all have: its square is the same.
+    away = jnp.sum(shapes**2, axis=1) - 2 * (shapes @ count_points(points))
     away = jnp.where(jnp.arange(OBJECTS) < count, away, jnp.inf)
     known = jnp.minimum(count, OBJECTS)
     nearest = jnp.sort(away)[(_ALIKE * known).astype(jnp.int32)]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.learning.cameras import Cameras, flatten_views
+from dpc_jax.learning.cameras import Cameras
 from dpc_jax.learning.recipe import Recipe
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View, place_view
 from dpc_jax.learning.shapes.points import Points
@@ -23,9 +23,9 @@ class Winners(NamedTuple):
     """The candidates that explain the views of a batch best.
 
     Attributes:
-      poses: [B, V, 4] quaternions.
-      indices: [B, V] int32; candidate i belongs to head i % K.
-      losses: [B, V, C] of all candidates, infinite of those that are ranked too low to
+      poses: [n, 4] quaternions.
+      indices: [n] int32; candidate i belongs to head i % K.
+      losses: [n, C] of all candidates, infinite of those that are ranked too low to
         be compared exactly; None where none are.
     """
 
@@ -42,19 +42,16 @@ def choose_poses(
     *,
     recipe: Recipe,
 ) -> Winners:
-    """Eq. 2 for all views of a batch, without gradient.
+    """Eq. 2 for all n views of a batch, without gradient.
 
     Args:
-      shapes: of B objects. candidates: [B·V, C, 4] quaternions.
-      batch: masks uint8 [B, V, S, S] and, as the signals need them by which candidates
-        are compared at full resolution, images and depths: see `make_targets`.
-      cameras: [B, V, ...] of the views.
+      shapes: one for each view. candidates: [n, C, 4] quaternions.
+      batch: masks uint8 [n, S, S] and, as the signals need them by which candidates are
+        compared at full resolution, images and depths: see `make_targets`.
+      cameras: of the views.
     """
-    objects, per_object = batch["masks"].shape[:2]
-    candidates = candidates.reshape(objects, per_object, -1, 4)
-    if candidates.shape[2] == 1:
-        indices = jnp.zeros((objects, per_object), jnp.int32)
-        return Winners(candidates[:, :, 0], indices)
+    if candidates.shape[1] == 1:
+        return Winners(candidates[:, 0], jnp.zeros(len(candidates), jnp.int32))
 
     pose, render, camera = recipe.pose, recipe.render, recipe.camera
     weights = recipe.weights._replace(background=0)  # silhouettes by their squares
@@ -65,8 +62,6 @@ def choose_poses(
     scene, shared = shapes.list_scenes()
     if "color" not in weights.signals:
         scene.pop("colors", None)
-    scene = {n: jnp.repeat(a, per_object, axis=0) for n, a in scene.items()}
-    flat = still.reshape(objects * per_object, -1, 4)
 
     def make_view(candidates, per_view):
         return place_view(candidates, per_view, render.grid, camera, render.ray_rule)
@@ -79,21 +74,20 @@ def choose_poses(
         view = make_view(candidates, per_view)
         return compare_in_scene(kind, scene | shared, view, targets, places, how)
 
-    per_view = flatten_views(cameras)
     # Outside of the loop over views: inside, XLA projects each point again for every
     # pixel.
-    places = jax.vmap(place)(scene, flat, per_view)
+    places = jax.vmap(place)(scene, still, cameras)
     targets = {"silhouette": downsample_images(batch["masks"], render.grid)}
     if others := tuple(name for name in weights.signals if name != "silhouette"):
         distance = render.distance
         targets |= make_targets(batch, render.grid, signals=others, distance=distance)
     found = map_renders(
         compare,
-        (scene, flat, flatten_views(targets), places, per_view),
+        (scene, still, targets, places, cameras),
         renders_at_once=at_once,
-    ).reshape(objects, per_object, -1)
+    )
     indices = jnp.argmin(found, axis=-1)
-    poses = jnp.take_along_axis(candidates, indices[..., None, None], axis=2)[:, :, 0]
+    poses = jnp.take_along_axis(candidates, indices[:, None, None], axis=1)[:, 0]
     return Winners(poses, indices, found)
 
 

@@ -20,7 +20,7 @@ def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
     """The labels, which the nearest candidate of each view learns."""
     averages, poses = predict_candidates(forward, recipe=recipe)
     winners, terms = compare_labels(poses, forward.batch["quaternions"], recipe=recipe)
-    metrics = {"winners": winners.indices.reshape(-1)}
+    metrics = {"winners": winners.indices}
     terms |= compare_student(poses, winners, recipe=recipe)
     return ViewPoses(winners.poses, terms, metrics, lambda _: (averages, {}))
 
@@ -28,14 +28,14 @@ def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
 def compare_labels(
     poses: Poses, labels: jax.Array, *, recipe: Recipe
 ) -> tuple[Winners, dict[str, Term]]:
-    """The candidates nearest to the labels [B, V, 4] by their angle, and their loss.
+    """The candidates nearest to the labels [n, 4] by their angle, and their loss.
 
     It is the hindsight choice with labels in place of images.
     """
     to_label = jax.vmap(losses.geodesic_loss, in_axes=(0, None))
-    angles = jax.vmap(to_label)(poses.candidates, labels.reshape(-1, 4))
+    angles = jax.vmap(to_label)(poses.candidates, labels)
     nearest = jnp.argmin(angles, axis=1)
     loss = jnp.mean(jnp.take_along_axis(angles, nearest[:, None], axis=1))
-    winners = Winners(labels, nearest.reshape(labels.shape[:2]))
+    winners = Winners(labels, nearest)
     weight = recipe.pose.student_weight * recipe.render.grid**2
     return winners, {"labels": Term(loss, weight)}

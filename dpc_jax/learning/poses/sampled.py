@@ -37,8 +37,8 @@ ENTROPY = 0.05  # weight of a nat of entropy, in shares of the baseline
 def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
     """One drawn candidate of each view; its cost teaches the probabilities."""
     averages, poses = predict_candidates(forward, recipe=recipe)
-    winners = draw_poses(poses, forward.keys, views=forward.features.shape[1])
-    logits, indices = poses.logits, winners.indices.reshape(-1)
+    winners = draw_poses(poses, forward.keys)
+    logits, indices = poses.logits, winners.indices
     before = averages.cost
     assert logits is not None and before is not None
 
@@ -58,22 +58,18 @@ def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
     return ViewPoses(winners.poses, {}, {"winners": indices}, find_cost_terms)
 
 
-def draw_poses(poses: Poses, keys: jax.Array, *, views: int) -> Winners:
+def draw_poses(poses: Poses, keys: jax.Array) -> Winners:
     """One candidate of each view, by the softmax of the logits.
 
     Args:
-      poses: candidates [B·V, K, 4] and logits [B·V, K].
-      keys: [B], of the objects. views: V.
+      poses: candidates [n, K, 4] and logits [n, K]. keys: [n], of the views.
     """
     assert poses.logits is not None
-    count = poses.logits.shape[-1]
-    logits = jax.lax.stop_gradient(poses.logits).reshape(-1, views, count)
+    logits = jax.lax.stop_gradient(poses.logits)
     own = jax.vmap(functools.partial(jax.random.fold_in, data=1))(keys)
     indices = jax.vmap(jax.random.categorical)(own, logits)
-    drawn = jnp.take_along_axis(
-        poses.candidates, indices.reshape(-1)[:, None, None], axis=1
-    )
-    return Winners(drawn.reshape(-1, views, 4), indices.astype(jnp.int32))
+    drawn = jnp.take_along_axis(poses.candidates, indices[:, None, None], axis=1)
+    return Winners(drawn[:, 0], indices.astype(jnp.int32))
 
 
 def update_baseline(
@@ -118,23 +114,21 @@ def judge_poses(
     *,
     network: ShapePoseNetwork,
 ) -> tuple[jax.Array, jax.Array]:
-    """What predicted poses lose [B·V], and what the judge loses ().
+    """What predicted poses lose [n], and what the judge loses ().
 
     Both are cross entropies in nats. The first has no gradient by the judge, the second
     none by the poses.
 
     Args:
       params: of the network, the judge's among them.
-      quaternions: [B, V, 4], of any length but zero. keys: [B], of the objects.
+      quaternions: [n, 4], of any length but zero. keys: [n], of the views.
     """
     own = jax.vmap(functools.partial(jax.random.fold_in, data=2))(keys)
-    draw = functools.partial(
-        _draw_prior, views=quaternions.shape[1], elevations=network.viewpoints
-    )
+    draw = functools.partial(_draw_prior, elevations=network.viewpoints)
     drawn, signs = jax.vmap(draw)(own)
     length = jnp.linalg.norm(quaternions, axis=-1, keepdims=True)
     # q and -q are one pose: neither sign may give it away.
-    predicted = (signs * quaternions / length).reshape(-1, 4)
+    predicted = signs[:, None] * quaternions / length
 
     def judge(params, poses, label):
         logits = network.apply(params, poses, method="judge_poses")
@@ -145,17 +139,17 @@ def judge_poses(
     stop = jax.lax.stop_gradient
     losses = judge(stop(params), predicted, 1.0)
     found = judge(params, stop(predicted), 0.0)
-    right = judge(params, drawn.reshape(-1, 4), 1.0)
+    right = judge(params, drawn, 1.0)
     return losses, jnp.mean(found) + jnp.mean(right)
 
 
-def _draw_prior(key, *, views, elevations):
-    """Poses [V, 4] by the prior, and random signs [V, 1] for the predicted ones."""
-    azimuths, heights, signs, others = jax.random.split(key, 4)
+def _draw_prior(key, *, elevations):
+    """A pose [4] by the prior, and a random sign () for the predicted one."""
+    azimuth, height, sign, other = jax.random.split(key, 4)
     low, high = (jnp.deg2rad(angle) for angle in elevations)
-    poses = face_object(
-        jax.random.uniform(azimuths, (views,), maxval=2 * jnp.pi),
-        jax.random.uniform(heights, (views,), minval=low, maxval=high),
+    pose = face_object(
+        jax.random.uniform(azimuth, maxval=2 * jnp.pi),
+        jax.random.uniform(height, minval=low, maxval=high),
     )
-    own = jax.random.rademacher(signs, (views, 1), jnp.float32)
-    return own * poses, jax.random.rademacher(others, (views, 1), jnp.float32)
+    own = jax.random.rademacher(sign, dtype=jnp.float32)
+    return own * pose, jax.random.rademacher(other, dtype=jnp.float32)

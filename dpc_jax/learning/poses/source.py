@@ -27,12 +27,15 @@ class ForwardPass(NamedTuple):
     """What the network predicts for a batch; of this a source of poses finds them.
 
     Attributes:
-      params, batch, keys, step, averages: as of `objective.compute_loss`.
-      features: [B, V, F] of the views. shapes, cameras: predicted.
+      params, step, averages: as of `objective.compute_loss`.
+      batch: its arrays of all n = B·V views. keys: [n]. views: V of each object.
+      features: [n, F] of the views. cameras: of the views, predicted.
+      shapes: each predicted from another view of the same object.
     """
 
     params: Mapping
     batch: dict[str, jax.Array]
+    views: int
     features: jax.Array
     shapes: Shape
     cameras: Cameras
@@ -48,9 +51,9 @@ class ViewPoses(NamedTuple):
     """The poses of a batch's views, and the losses they are learned by.
 
     Attributes:
-      rotations: [B, V, 4] that views are rendered from.
+      rotations: [n, 4] that views are rendered from.
       terms: losses of the poses by name. metrics: by name.
-      find_cost_terms: of the costs [B·V] of these renders, the averages after this
+      find_cost_terms: of the costs [n] of these renders, the averages after this
         batch and the losses that depend on the costs.
     """
 
@@ -85,8 +88,9 @@ def predict_candidates(
         current = compute_covariance(places, weights, axis=AXIS)
         covariance = average_covariance(averages.covariance, current, forward.step)
         averages = averages._replace(covariance=covariance)
-    features = forward.features.reshape(-1, forward.features.shape[-1])
-    output = recipe.network.apply(forward.params, features, method="predict_pose")
+    output = recipe.network.apply(
+        forward.params, forward.features, method="predict_pose"
+    )
     assert isinstance(output, dict)
     return averages, complete_poses(output, averages.covariance, pose=pose)
 
@@ -102,11 +106,10 @@ def compare_student(
     if pose.learned_heads < 2:
         return {}
     if poses.logits is not None:
-        loss = losses.selection_loss(poses.logits, winners.indices.reshape(-1))
+        loss = losses.selection_loss(poses.logits, winners.indices)
     else:
         assert poses.student is not None
-        teachers = winners.poses.reshape(-1, 4)
         form = "squared" if pose.student == "squares" else "absolute"
         compare = functools.partial(losses.student_loss, form=form)
-        loss = jnp.mean(jax.vmap(compare)(poses.student, teachers))
+        loss = jnp.mean(jax.vmap(compare)(poses.student, winners.poses))
     return {"student": Term(loss, pose.student_weight * recipe.render.grid**2)}

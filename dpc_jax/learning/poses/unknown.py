@@ -31,11 +31,12 @@ def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
             averages.frame,
             camera=recipe.camera,
             cameras=cameras,
+            views=forward.views,
             heads=pose.learned_heads,
             by_colors=pose.common_frame == "colors",
             is_due=forward.step >= FRAME_FROM * recipe.train.steps,
         )
         averages = averages._replace(frame=frame)
-    metrics["winners"] = winners.indices.reshape(-1)
+    metrics["winners"] = winners.indices
     terms = compare_student(poses, winners, recipe=recipe)
     return ViewPoses(winners.poses, terms, metrics, lambda _: (averages, {}))

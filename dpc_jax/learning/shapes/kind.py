@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.config import Render, Train
-from dpc_jax.learning.cameras import Cameras, flatten_views, place_camera
+from dpc_jax.learning.cameras import Cameras, place_camera
 from dpc_jax.learning.losses import Term
 from dpc_jax.learning.recipe import Recipe
 from dpc_jax.learning.schedules import Stage
@@ -93,7 +93,7 @@ class Choice(NamedTuple):
 
 
 class Shape:
-    """Shapes of B objects."""
+    """Shapes of B images."""
 
     def find_scale(self) -> jax.Array:
         """[B], the figure that is recorded of shapes."""
@@ -153,31 +153,29 @@ class Shape:
         recipe: Recipe,
         stage: Stage,
     ) -> tuple[jax.Array, dict[str, jax.Array], jax.Array | None]:
-        """Eq. 1: differences of rendered images and views, averaged over the views.
+        """Eq. 1: differences of each shape's image and its view, averaged over views.
 
         The sum of a finer image is divided by its pixels per pixel of the base grid, so
         that losses are comparable over the whole run.
 
         Args:
-          rotations: [B, V, 4] quaternions, the pose of each view.
-          batch: masks uint8 [B, V, S, S], images uint8 [B, V, S, S, 3] and depths
-            [B, V, S, S]: what the signals that have a weight need.
-          cameras: [B, V, ...] of the views.
+          rotations: [B, 4] quaternions, the pose of each view.
+          batch: masks uint8 [B, S, S], images uint8 [B, S, S, 3] and depths [B, S, S]:
+            what the signals that have a weight need.
+          cameras: of the views.
 
         Returns:
-          (() the weighted sum, which has the gradient; {name: ()} of its terms; [B·V]
+          (() the weighted sum, which has the gradient; {name: ()} of its terms; [B]
           what each view has of the sum, without gradient).
         """
         render, weights, camera = recipe.render, recipe.weights, recipe.camera
-        count, views = rotations.shape[0] * rotations.shape[1], rotations.shape[1]
-        ratio = stage.grid / render.grid
+        count, ratio = len(rotations), stage.grid / render.grid
         scene, shared = self.list_scenes(ratio)
-        learned = jax.tree.map(lambda array: jnp.repeat(array, views, axis=0), scene)
-        learned |= {"rotation": rotations.reshape(-1, 4)} | flatten_views(cameras)
+        learned = {**scene, "rotation": rotations, **cameras}
         targets = make_targets(
             batch, stage.grid, signals=weights.signals, distance=render.distance
         )
-        given: dict[str, Any] = {"targets": flatten_views(targets)}
+        given: dict[str, Any] = {"targets": targets}
         for name, value in shared.items():
             given[name] = jnp.broadcast_to(jax.lax.stop_gradient(value), count)
         kind, colors_move_shapes = type(self), recipe.train.colors_move_points

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from dpc_jax.config import Render, Train
 from dpc_jax.learning import losses, point_sizes
-from dpc_jax.learning.cameras import Cameras, flatten_views, place_camera
+from dpc_jax.learning.cameras import Cameras, place_camera
 from dpc_jax.learning.choice import coarse_choice
 from dpc_jax.learning.losses import Term
 from dpc_jax.learning.recipe import Recipe
@@ -24,13 +24,13 @@ from dpc_jax.learning.signals import downsample_images
 from dpc_jax.render import Projection, project
 from dpc_jax.render.kernels import sample_gaussian
 
-REPELLED = 500  # points that repel each other in a step, for the time that pairs take
+REPELLED = 160  # points that repel each other in a step, for the time that pairs take
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Points(Shape):
-    """Predicted clouds of B objects.
+    """Predicted clouds of B images.
 
     Attributes:
       points: [B, N, 3], all predicted points.
@@ -63,10 +63,10 @@ class Points(Shape):
         return cls(points, points, output.get("colors"), scale, mass, size)
 
     def drop(self, keys: jax.Array, kept_points: int) -> Self:
-        """The clouds with some of their points, drawn with each object's key of [B].
+        """The clouds with some of their points, drawn with each one's key of [B].
 
-        One subset of points serves all views and candidates of an object, so that the
-        choice among candidates does not depend on which points were drawn.
+        One subset of points serves all candidates of a view, so that the choice among
+        them does not depend on which points were drawn.
         """
         draw = functools.partial(draw_order, count=self.points.shape[1])
         subset = jax.vmap(draw)(keys)[:, :kept_points]
@@ -149,11 +149,9 @@ class Points(Shape):
             )
 
         def pull(points, rotations):
-            silhouettes = downsample_images(masks, side).reshape(-1, side, side)
-            flat = flatten_views({"rotation": rotations, **cameras})
-            flat = jax.lax.stop_gradient(flat)
-            shared = jnp.repeat(points, masks.shape[1], axis=0)
-            return jnp.mean(jax.vmap(measure)(shared, flat, silhouettes))
+            silhouettes = downsample_images(masks, side)
+            views = jax.lax.stop_gradient({"rotation": rotations, **cameras})
+            return jnp.mean(jax.vmap(measure)(points, views, silhouettes))
 
         value = jax.lax.cond(
             step >= PULL_FROM * recipe.train.steps,

@@ -22,7 +22,7 @@ COARSE_SIDE = 16
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Voxels(Shape):
-    """Predicted volumes of B objects.
+    """Predicted volumes of B images.
 
     Attributes:
       cells: [B, D, D, D] occupancies in the object frame, see `project_volume`.

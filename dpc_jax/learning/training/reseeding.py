@@ -42,9 +42,9 @@ def reseed_points(
     """
 
     def measure(params, images, masks):
+        images, masks = (a.reshape(-1, *a.shape[2:]) for a in (images, masks))
         features = encode_views(params, images, masks, network=network)
-        flat = features.reshape(-1, features.shape[-1])
-        shape: Any = network.apply(params, flat, method="predict_shape")
+        shape: Any = network.apply(params, features, method="predict_shape")
         return measure_lone(shape["points"])
 
     def replace(state, dead):
