@@ -1,8 +1,8 @@
 """Cars from silhouettes without poses: procedural, on two CPU cores.
 
 Cost: 676 s on two cores, from the command to the report; 3.5 GB. Reached on 100 test
-cars, seed 0, one device: pose accuracy 0.956, median error 2.6 degrees, Chamfer 3.08;
-on 100 final cars 0.918, 2.7, 3.35. Passenger cars alone
+cars, seed 0, one device: pose accuracy 0.966, median error 2.1 degrees, Chamfer 3.04;
+on 100 final cars 0.930, 2.4, 3.29. Passenger cars alone
 (`--config.category=car_simple`): 0.982, 1.9, 2.86.
 ":paper" is the paper's setting: a GPU and days, never run to the end.
 """
