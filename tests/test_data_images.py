@@ -256,7 +256,7 @@ def test_views_are_upright_where_cameras_are(rolls):
         np.testing.assert_allclose(levels, 0, atol=1e-6)
     elif max(np.abs(rolls)) < 0.2:  # up is found from all, as well as they tell it
         assert max(np.abs(levels)) < 0.11
-    else:  # turned the least: none of the rolls is undone
+    else:  # each stays as it was held
         assert max(np.abs(levels)) > 0.5
 
 

@@ -58,12 +58,12 @@ def draw_views(points, poses, ends, *, distance=2.0):
 
 @functools.partial(jax.jit, static_argnames="heads")
 def turn(winners, points, images, masks, frame, is_due, heads=HEADS):
-    """`turn_back` on devices with an object each."""
+    """`turn_back` on devices with an object each: a shape for all views, or of each."""
 
     def on_device(winners, points, images, masks):
         return turn_back(
             winners,
-            jnp.repeat(points[None], VIEWS, axis=0),  # predicted alike from each view
+            jnp.broadcast_to(points, (VIEWS, *points.shape[-2:])),
             images,
             masks,
             COVARIANCE,
@@ -149,6 +149,20 @@ def test_a_shape_that_fits_the_category_better_turned_is_turned_back():
     )
     others = jax.vmap(jax.vmap(quaternion.angle_between))(also, right[0].poses)
     assert np.all(np.minimum(angles, others) < 1e-2)  # float32, of an angle near 0
+
+
+def test_the_shapes_of_all_views_of_an_object_decide_together():
+    """Two of three are predicted upside down, or one."""
+    frame = learn_frame(thick=True, ends=(GREY, GREY))
+    right = make_objects(thick=True, ends=(GREY, GREY), seed=9)
+    wrong = exchange_ends(*right)
+    for count in (1, 2):
+        is_wrong = (jnp.arange(VIEWS) < count)[None, :, None, None]
+        points = jnp.where(is_wrong, wrong[1][:, None], right[1][:, None])
+        found, _, share = turn(right[0], points, *right[2:], frame, True)
+        assert float(share) == (count == 2)
+        turned = np.any(np.asarray(found.indices) != right[0].indices, axis=1)
+        assert np.all(turned == (count == 2))
 
 
 def test_the_winner_is_the_same_head_after_that_half_turn():

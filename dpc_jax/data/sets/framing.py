@@ -113,8 +113,7 @@ def _frame_by_geometry(outlines, poses, spec):
                 "Expected every camera to face the object, but one looks away from "
                 "where the others see it; check the convention of the poses."
             )
-        turn = _turn_to_axis(towards / away)
-        turn = _turn_upright(turn @ pose.rotation @ up) @ turn
+        turn = _turn_to_axis(towards / away, pose.rotation @ up)
         rays = np.concatenate([outline.border, np.ones((1, outline.border.shape[1]))])
         seen = turn @ np.linalg.solve(lens, rays)
         # an object of size s at range r looks like one of size 1 at r / s
@@ -157,14 +156,6 @@ def _find_meeting_point(origins, directions):
     return np.linalg.solve(total, np.einsum("nij,nj->i", across, origins))
 
 
-def _turn_to_axis(direction):
-    """The smallest rotation [3, 3] that takes a unit vector to (0, 0, 1)."""
-    axis = np.cross(direction, [0.0, 0.0, 1.0])
-    cosine = direction[2]
-    cross = np.cross(axis, np.eye(3)).T
-    return np.eye(3) + cross + cross @ cross / (1.0 + cosine)
-
-
 def _find_up(rotations):
     """The direction [3] that is up in the world; 0 where cameras do not tell it.
 
@@ -179,13 +170,16 @@ def _find_up(rotations):
     return axes[:, 0] * np.sign(-np.sum(rotations[:, 1], axis=0) @ axes[:, 0])
 
 
-def _turn_upright(up):
-    """The rotation [3, 3] about the optical axis after which `up` [3] has no x."""
-    height = np.hypot(*up[:2])
-    if height < 0.1:  # the camera looks along it, or it is not known
-        return np.eye(3)
-    sine, cosine = up[0] / height, -up[1] / height
-    return np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1.0]])
+def _turn_to_axis(direction, up):
+    """The rotation [3, 3] that takes a unit vector to (0, 0, 1), and keeps `up` above.
+
+    Where that is 0, or the direction is along it, what is up for the camera stays so.
+    """
+    right = np.cross(direction, up)
+    if np.linalg.norm(right) < 0.1:
+        right = np.cross(direction, [0.0, -1.0, 0.0])
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(direction, right), direction])
 
 
 def cut_frames(

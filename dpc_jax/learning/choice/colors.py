@@ -22,12 +22,12 @@ BINS = 8  # along each of two axes of hue
 POINTS = 1000  # of a shape, that are looked at
 _IMAGE = 24  # side in which points hide each other
 _BEHIND = 0.06  # box diagonals, within which points of a pixel are seen
-_PAINT = 0.1  # share of an object from which on a colour counts less: it is its paint
+_PAINT = 0.1  # share of a view from which on a colour counts less: it is its paint
 _PRIOR = 500.0  # samples of the category's mean colours in each cell
 
 
 class Samples(NamedTuple):
-    """Colours of an object as its views show them; n samples.
+    """Colours of an object as a view shows them; n samples.
 
     Attributes:
       places: [n, 3] in the network's frame. bins: [n] int32 of their colours.
@@ -82,7 +82,7 @@ def _find_pixels(places, side):
 
 
 def weigh_paint(samples: Samples) -> Samples:
-    """The samples of an object; a colour weighs less the more of it there is."""
+    """The samples of a view; a colour weighs less the more of it there is."""
     bins, weights = samples.bins, samples.weights
     amounts = jnp.zeros(BINS**2).at[bins].add(weights)
     shares = amounts / jnp.maximum(jnp.sum(amounts), 1)
