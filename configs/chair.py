@@ -2,8 +2,8 @@
 
 Cost: 583 s alone on two cores, from the command to the report; 3.3 GB. Reached on 100
 test chairs, seed 0, one device: pose accuracy 0.960, median error 4.0 degrees, Chamfer
-3.57, on 100 final chairs 0.974, 4.1, 3.54; without `train.framed_views` and on two devices 0.978, 4.0, 3.63. ":paper" is the
-paper's setting: a GPU and days, never run to the end.
+3.57; on 100 final chairs 0.974, 4.1, 3.54.
+":paper" is the paper's setting: a GPU and days, never run to the end.
 """
 
 from dpc_jax.config import make_config
