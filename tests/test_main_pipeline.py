@@ -215,6 +215,9 @@ def test_a_finished_run_is_judged_on_objects_that_no_split_has(command, finished
     kept = json.loads((workdir / "final.json").read_text())
     assert kept == {n: v if v is None else pytest.approx(v) for n, v in found.items()}
     assert found["pose_accuracy_stderr"] >= 0 and found["visible_floor_chamfer"] > 0
+    # Of 10,000 points of a surface instead of 100.
+    assert found["surface_floor_chamfer"] < found["floor_chamfer"]
+    assert found["surface_visible_chamfer"] > found["surface_visible_floor_chamfer"]
     names = {}
     for cache in (command.folder / "data").glob("car-*"):
         names.setdefault(cache.name.split("-")[1], set()).update(

@@ -59,6 +59,13 @@ def sample_surface(
         fullest = np.unravel_index(np.argmax(cells), cells.shape)
         center = (np.array(fullest) + 0.5) / cells.shape - 0.5
         return np.tile(center.astype(np.float32), (count, 1))
+    return draw_points(vertices, faces, count=count)
+
+
+def draw_points(
+    vertices: np.ndarray, faces: np.ndarray, *, count: int = SAMPLES
+) -> np.ndarray:
+    """Points [count, 3] of a surface, uniform by area, always alike."""
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     drawn: Any = trimesh.sample.sample_surface(mesh, count, seed=0)
     return np.asarray(drawn[0], np.float32)
