@@ -27,7 +27,7 @@ LENS = np.array([[120.0, 0, 40], [0, 120.0, 40], [0, 0, 1]])
 def load(folder, cache, **changes):
     spec = dict(category="car", kind="images", image_size=32, fractions=(0, 0, 1))
     spec = DataSpec(**spec | {"folder": str(folder), "split": "test"} | changes)
-    return load_or_render(spec, cache_dir=cache, processes=1, progress=False)
+    return load_or_render(spec, cache_dir=cache, processes=1)
 
 
 def write_object(folder, *, views=2, masks="alpha", shape=(80, 80), seed=0):

@@ -14,7 +14,7 @@ NAMES = [f"model{i}" for i in range(5)]
 
 def load(folder, cache, **changes):
     spec = DataSpec(**SPEC | {"folder": str(folder)} | changes)
-    return load_or_render(spec, cache_dir=cache, processes=1, progress=False)
+    return load_or_render(spec, cache_dir=cache, processes=1)
 
 
 def test_renders_arrive_with_their_poses_depth_and_ground_truth(tmp_path):

@@ -57,7 +57,7 @@ def write_tree(root, layout="model.obj", names=NAMES):
 
 def load(root, cache, **changes):
     spec = DataSpec(**SPEC | {"folder": str(root)} | changes)
-    return load_or_render(spec, cache_dir=cache, processes=1, progress=False)
+    return load_or_render(spec, cache_dir=cache, processes=1)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

@@ -43,13 +43,15 @@ shards.write_shard = write_and_note
 mesh_folder.ProceduralShapes.make_arrays = make_slowly
 print("ready", flush=True)
 sys.stdin.readline()
-load_or_render(DataSpec(**{SPEC}), cache_dir=cache, processes=1, progress=False)
+load_or_render(DataSpec(**{SPEC}), cache_dir=cache, processes=1)
 print("whole", flush=True)
 """
 
 
 def read(process):
-    return process.stdout.readline().strip()
+    """The next word, between lines of progress."""
+    lines = iter(process.stdout.readline, "")
+    return next(line.strip() for line in lines if " " not in line)
 
 
 def count(folder):
@@ -87,7 +89,7 @@ def begin(process):
 def alone(tmp_path_factory):
     """The set as one process makes it."""
     cache = tmp_path_factory.mktemp("alone")
-    load_or_render(DataSpec(**SPEC), cache_dir=cache, processes=1, progress=False)
+    load_or_render(DataSpec(**SPEC), cache_dir=cache, processes=1)
     (folder,) = cache.iterdir()
     return folder
 
@@ -122,5 +124,5 @@ def test_where_the_disk_knows_no_locks_everything_is_still_made(
         raise OSError(38, "Function not implemented")
 
     monkeypatch.setattr("fcntl.flock", refuse)
-    load_or_render(DataSpec(**SPEC), cache_dir=tmp_path, processes=1, progress=False)
+    load_or_render(DataSpec(**SPEC), cache_dir=tmp_path, processes=1)
     assert_like_alone(tmp_path, alone)

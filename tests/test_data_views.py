@@ -256,8 +256,7 @@ def test_a_set_keeps_the_cameras_that_its_views_were_rendered_with(tmp_path):
     plain = DataSpec("car", models=1, views=3, image_size=32, surface_points=100)
     own = dataclasses.replace(plain, offset=0.1, focal_spread=0.2)
     moved, still = (
-        load_or_render(spec, cache_dir=tmp_path, processes=1, progress=False)
-        for spec in (own, plain)
+        load_or_render(spec, cache_dir=tmp_path, processes=1) for spec in (own, plain)
     )
     assert len(list(tmp_path.iterdir())) == 2  # of other cameras, another key
     assert still.translations is None and still.focal_lengths is None

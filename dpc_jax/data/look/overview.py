@@ -1,7 +1,6 @@
 """What is in a data set: opened from wherever it lies, listed, and drawn."""
 
 import contextlib
-import json
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -34,13 +33,6 @@ class OpenSet(NamedTuple):
     note: str
 
 
-def list_caches(path: str | Path) -> list[Path]:
-    """The finished caches that a path is or holds, sorted; there may be none."""
-    places = [Path(path), *sorted(Path(path).glob("*/"))]
-    found = [place for place in places if (place / dataset.RECORD).is_file()]
-    return found[:1] if places[0] in found else found
-
-
 @contextlib.contextmanager
 def open_set(path: str | Path, *, models: int | None = None) -> Iterator[OpenSet]:
     """Open a cache, or prepare a folder's models for the time of looking.
@@ -67,7 +59,7 @@ def open_set(path: str | Path, *, models: int | None = None) -> Iterator[OpenSet
     note += "" if models is None else f", at most {models} models"
     with tempfile.TemporaryDirectory() as place:
         dataset.load_or_render(spec, cache_dir=place)
-        (cache,) = list_caches(place)
+        (cache,) = Path(place).iterdir()
         yield _read_set(cache, path.name, note)
 
 
@@ -76,7 +68,7 @@ def _read_set(cache, name, note):
         data = dataset.read_cache(cache)
         record = files.read_json(cache / dataset.RECORD)
         lens = Lens(*(record[field] for field in Lens._fields))
-    except (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (KeyError, TypeError) as error:
         raise ValueError(
             f"Expected the record of a set in {cache / dataset.RECORD}, but it is "
             f"damaged ({type(error).__name__}: {error}); train again to repair it."
