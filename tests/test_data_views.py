@@ -24,8 +24,9 @@ def turn_to(azimuth, elevation):
 
 
 def render(mesh, rotation, *, image_size=64, lights=LIGHTS, **options):
+    scene = views.build_scene(mesh)
     return views.render_view(
-        mesh, rotation, lights=lights, image_size=image_size, **options
+        scene, rotation, lights=lights, image_size=image_size, **options
     )
 
 

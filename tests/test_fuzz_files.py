@@ -79,9 +79,9 @@ TRANSFORMS = json.dumps(LENS | {"frames": [FRAME, FRAME | {"file_path": "b"}]}).
 
 
 def _read_mesh(path):
-    mesh = normalize(meshes.read_mesh(path))
+    scene = views.build_scene(normalize(meshes.read_mesh(path)))
     lights = views.draw_lights(np.random.default_rng(0))
-    views.render_view(mesh, np.eye(3), lights=lights, image_size=4)
+    views.render_view(scene, np.eye(3), lights=lights, image_size=4)
 
 
 def _read_beside(path):

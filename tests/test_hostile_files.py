@@ -185,7 +185,7 @@ def load_meshes_without_rights(_, *, closed):
         return _load(shared, split="test", fractions=FRACTIONS["test"])
 
 
-@tries("permission denied", read=read_picture)
+@tries("Permission denied", read=read_picture)
 @tries("Permission denied", read=lambda path: pose_files.read_poses([path]))
 def read_without_rights(_, *, read):
     with losing_rights() as (shared, lose):

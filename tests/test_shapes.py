@@ -91,10 +91,10 @@ def test_a_chair_has_leg_tips_on_the_floor_or_none_at_all():
 
 
 def see(category, seed, azimuth, size=48):
-    mesh = procedural.make_shape(category, seed)
+    scene = views.build_scene(procedural.make_shape(category, seed))
     lights = views.Lights(np.array([[0.0, 0.0, 1.0]]), np.array([0.6]), 0.4)
     rotation = viewpoints.look_at_rotation(azimuth, 0.0)
-    return views.render_view(mesh, rotation, lights=lights, image_size=size)
+    return views.render_view(scene, rotation, lights=lights, image_size=size)
 
 
 @pytest.mark.parametrize("category", procedural.CATEGORIES)

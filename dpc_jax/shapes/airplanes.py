@@ -1,7 +1,7 @@
 """Procedural airplanes of four kinds, one fuselage long, z up, nose towards +x."""
 
 import functools
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import numpy as np
 import trimesh
@@ -13,24 +13,13 @@ _SHARES = (0.4, 0.2, 0.2, 0.2)
 _UPPER = np.array([1.0, 0.5])  # chords of a fin, shares of the lower one
 
 
-class _Plan(NamedTuple):
-    """Measures of one airplane, all in fuselage lengths (the mesh is rescaled)."""
+def _draw_plan(rng: np.random.Generator) -> SimpleNamespace:
+    """Draw the kind and the measures of an airplane, in lengths of the fuselage.
 
-    kind: str
-    radius: float  # of the fuselage
-    span: float  # half span
-    root: float  # chord of the wing at the fuselage
-    taper: float  # tip chord / root chord
-    sweep: float  # run of the leading edge per half span
-    dihedral: float  # rise per half span
-    place: float  # leading edge at the root, share of the length from the nose
-    height: float  # of the wing, in fuselage radii
-    body: parts.Color
-    accent: parts.Color
-
-
-def _draw_plan(rng: np.random.Generator) -> _Plan:
-    """Draw the kind and the measures of an airplane."""
+    Of the wing, span is half of it, root the chord at the fuselage, taper tip chord by
+    root chord, sweep and dihedral run and rise per half span, place where the leading
+    edge begins behind the nose, and height is in radii of the fuselage.
+    """
     kind = str(rng.choice(_KINDS, p=_SHARES))
     ranges = {
         "airliner": dict(radius=(0.046, 0.066), span=(0.42, 0.54), root=(0.16, 0.22),
@@ -57,7 +46,7 @@ def _draw_plan(rng: np.random.Generator) -> _Plan:
     else:
         body = parts.draw_color(rng, saturation=(0.2, 0.9), value=(0.5, 0.9))
     accent = parts.draw_color(rng, saturation=(0.6, 1.0), value=(0.3, 0.9))
-    return _Plan(kind=kind, body=body, accent=accent, **measures)
+    return SimpleNamespace(kind=kind, body=body, accent=accent, **measures)
 
 
 def _wing_lead(plan, share):
@@ -77,10 +66,20 @@ def make_airplane(rng: np.random.Generator) -> trimesh.Trimesh:
     Its labels are body, wing, tail, engine and gear.
     """
     plan = _draw_plan(rng)
-    groups = [("body", _make_fuselage(plan, rng)), ("wing", _make_wings(plan))]
-    groups += [("tail", _make_tail(plan, rng)), ("engine", _make_engines(plan, rng))]
-    gear = _make_gear(plan) if plan.kind == "light" else []
-    return parts.join([*groups, ("gear", gear)])
+    engines = {
+        "airliner": _make_wing_engines,
+        "bizjet": _make_tail_engines,
+        "light": _make_propeller,
+        "fighter": _make_nozzles,
+    }
+    groups = [
+        ("body", _make_fuselage(plan, rng)),
+        ("wing", _make_wings(plan)),
+        ("tail", _make_tail(plan, rng)),
+        ("engine", engines[plan.kind](plan, rng)),
+        ("gear", _make_gear(plan) if plan.kind == "light" else []),
+    ]
+    return parts.join(groups)
 
 
 def _make_fuselage(plan, rng):
@@ -212,17 +211,6 @@ def _make_tail(plan, rng):
     chords = [0.6 * chord, 0.35 * chord] if tee else [0.75 * chord, 0.4 * chord]
     stabiliser = _foil([root, end], chords, color=plan.body, thick=0.09)
     return [*pieces, *parts.mirror([stabiliser])]
-
-
-def _make_engines(plan, rng):
-    """Under the wings, at the tail, a propeller, or one or two nozzles."""
-    makers = {
-        "airliner": _make_wing_engines,
-        "bizjet": _make_tail_engines,
-        "light": _make_propeller,
-        "fighter": _make_nozzles,
-    }
-    return makers[plan.kind](plan, rng)
 
 
 def _make_wing_engines(plan, rng):

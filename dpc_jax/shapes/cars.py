@@ -177,14 +177,9 @@ def _make_cabin(plan):
 
     front = np.array([rings[0, 3], rings[0, 0], rings[1, 1], rings[1, 2]])[[1, 0, 3, 2]]
     back = np.array([rings[4, 3], rings[4, 0], rings[3, 1], rings[3, 2]])
-    inset = functools.partial(parts.inset, lift=-0.012)
-    glass = [
-        parts.panel(corners, color=parts.GLASS)
-        for corners in (
-            inset(front, left=0.05, right=0.05, bottom=0.08, top=0.06),
-            inset(back, left=0.07, right=0.07, bottom=0.2, top=0.1),
-        )
-    ]
+    front = parts.inset(front, sides=0.05, bottom=0.08, top=0.06, lift=-0.012)
+    back = parts.inset(back, sides=0.07, bottom=0.2, top=0.1, lift=-0.012)
+    glass = [parts.panel(corners, color=parts.GLASS) for corners in (front, back)]
     for window in _side_windows(plan, base, xs, tops):
         corners = [(x, half_at(z) + 0.012, z) for x, z in window]
         glass += parts.mirror([parts.panel(corners, color=parts.GLASS)])

@@ -39,10 +39,9 @@ def check_mask(mask: np.ndarray, source: str) -> None:
     most = float(mask.max())
     if mask.min() <= 0.5 < most:
         return
-    problem = "covers the whole image" if most > 0.5 else "is empty"
-    if 0 < most <= 0.5:
-        problem = f"is nowhere more than {100 * most:.0f} % opaque, and what is half "
-        problem += "opaque or less is background"
+    problem = f"is nowhere more than {100 * most:.0f} % opaque" if most else "is empty"
+    if most > 0.5:
+        problem = "covers the whole image"
     raise ValueError(
         f"Expected a mask of the object in {source}, but it {problem}; make it again."
     )

@@ -57,8 +57,7 @@ def open_picture(path: Path) -> Iterator[Image.Image]:
 def _explain(error):
     if isinstance(error, UnidentifiedImageError):  # it would say the path again
         return "no picture that is known here"
-    text = files.describe_error(error)
-    return text[:1].lower() + text[1:] if text else type(error).__name__
+    return files.describe_error(error) or type(error).__name__
 
 
 def read_picture(path: Path) -> Image.Image:
