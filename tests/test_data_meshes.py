@@ -35,12 +35,6 @@ end_header
 MTL = "newmtl red\nKd 1 0 0\n\nnewmtl blue\nKd 0 0 0.6\n"
 
 
-def write_coloured(folder):
-    (folder / "colours.mtl").write_text(MTL)
-    (folder / "part.obj").write_text(OBJ)
-    return folder / "part.obj"
-
-
 def test_files_are_found_at_any_depth_and_in_order(tmp_path):
     (tmp_path / "b" / "deep").mkdir(parents=True)
     for name in ("z.OBJ", "b/deep/a.stl", "b/c.glb", "notes.txt", "b/colours.mtl"):
@@ -51,7 +45,9 @@ def test_files_are_found_at_any_depth_and_in_order(tmp_path):
 
 
 def test_colours_of_an_mtl_file_are_kept(tmp_path):
-    mesh = meshes.read_mesh(write_coloured(tmp_path))
+    (tmp_path / "colours.mtl").write_text(MTL)
+    (tmp_path / "part.obj").write_text(OBJ)
+    mesh = meshes.read_mesh(tmp_path / "part.obj")
     assert len(mesh.faces) == 3
     np.testing.assert_allclose(mesh.extents, [1, 1, 2])
     upright = mesh.triangles[:, :, 2].max(axis=1) > 1
@@ -94,7 +90,6 @@ def test_a_texture_is_looked_up_at_the_middle_of_each_face(tmp_path):
 @pytest.mark.parametrize(
     "name, content, flaw",
     [
-        ("t.png", b"no image", "lacks t.png"),
         ("t.png", "cut", "lacks t.png"),
         ("t.mtl", b"newmtl\nKd a b\n\xff\x00", "lacks t.mtl"),
         ("t.mtl", b"newmtl skin\nmap_Kd ../gone.jpg\n", "lacks ../gone.jpg"),
@@ -151,13 +146,10 @@ def test_names_in_an_old_encoding_and_with_backslashes_do_not_matter(tmp_path):
     "name, content, message",
     [
         ("bad.stl", b"\x00\x01garbage", "readable mesh in|faces in"),
-        ("bad.ply", b"not a ply at all", "readable mesh in"),
         ("bad.glb", b"glTF....", "readable mesh in"),
-        ("empty.obj", b"", "readable mesh in|faces in"),
         ("points.obj", b"v 0 0 0\nv 1 1 1\n", "readable mesh in|faces in"),
         ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite coordinates in"),
         ("dot.obj", b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "extent in"),
-        ("noise.obj", bytes(range(256)) * 9, "faces in"),
         ("long.stl", b"\xff" * 84 + b"\x81" * 50, "neither text nor whole|faces in"),
         ("far.ply", (PLY.format(3) + "3 0 1 7\n").encode(), "index is out of range"),
     ],

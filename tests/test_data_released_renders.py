@@ -91,11 +91,6 @@ HARMS = {  # a file of each model, what is done to it, and what is said of it
         lambda path: savemat(path, {"extrinsic": np.eye(3), "K": np.eye(3)}),
         "extrinsic [4, 4] and K [3, 3] in",
     ),
-    "texts": (
-        "camera_1.mat",
-        lambda path: savemat(path, {"extrinsic": "none", "K": np.eye(3)}),
-        "camera_1.mat",
-    ),
     "few": ("render_1.png", empty, "2 views render_N.png in"),
     "truth": (TRUTH, lambda path: path.unlink(), "truth.mat, but it is missing"),
 }

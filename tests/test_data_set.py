@@ -1,9 +1,13 @@
-"""The data set on disk: whole or absent, the same for any number of processes."""
+"""The data set on disk: whole or absent, the same for any number of processes.
+
+Also of processes that know nothing of each other and share a folder.
+"""
 
 import os
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -25,6 +29,14 @@ def assert_same(first, second):
     for name in ARRAYS:
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
     assert first.names == second.names and first.skipped == second.skipped
+
+
+def assert_same_files(first, second):
+    """Folders of caches with the same files, byte by byte."""
+    paths = [p.relative_to(first) for p in first.glob("*/*")]
+    assert sorted(paths) == sorted(p.relative_to(second) for p in second.glob("*/*"))
+    for path in paths:
+        assert (first / path).read_bytes() == (second / path).read_bytes(), path
 
 
 def write_boxes(folder, count):
@@ -77,14 +89,60 @@ def test_a_second_call_renders_nothing(tmp_path, count_renders):
 
 
 def test_any_number_of_processes_gives_the_same_bytes(tmp_path, monkeypatch):
-    alone = load(tmp_path / "alone", models=9)  # in three shards
+    load(tmp_path / "alone", models=9)  # in three shards
     monkeypatch.setattr(workers, "INLINE", 0)
     check = "\nimport sys; assert 'jax' not in sys.modules, 'a worker loaded jax'"
     monkeypatch.setattr(workers, "BOOT", workers.BOOT + check)
-    assert_same(alone, load(tmp_path / "two", processes=2, models=9))
-    for path in (tmp_path / "alone").rglob("*.npz"):
-        other = tmp_path / "two" / path.relative_to(tmp_path / "alone")
-        assert path.read_bytes() == other.read_bytes()
+    load(tmp_path / "two", processes=2, models=9)
+    assert_same_files(tmp_path / "alone", tmp_path / "two")
+
+
+# Makes a shard, and stops for ever in the middle of the next one.
+STUCK = """
+import sys, time
+from dpc_jax.data import DataSpec, load_or_render
+from dpc_jax.data.sets import mesh_folder
+make = mesh_folder.ProceduralShapes.make_arrays
+
+def make_or_stop(self, model, index):
+    if index == 5:
+        print("stuck", file=sys.stderr, flush=True)
+        time.sleep(600)
+    return make(self, model, index)
+
+mesh_folder.ProceduralShapes.make_arrays = make_or_stop
+load_or_render(DataSpec(**{spec}), cache_dir={cache!r}, processes=1)
+"""
+
+
+def test_the_shard_of_a_killed_process_is_taken_over(tmp_path):
+    load(tmp_path / "alone", models=20)  # in five shards
+    shared = tmp_path / "shared"
+    code = STUCK.format(spec=SMALL | {"models": 20}, cache=str(shared))
+    killed = subprocess.Popen(
+        [sys.executable, "-c", code], stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert killed.stderr.readline() == "stuck\n"
+        with ThreadPoolExecutor() as pool:
+            loading = pool.submit(load, shared, models=20)
+            # All but what the first has.
+            while len(list(shared.glob("*/*.npz"))) < 4:
+                assert not loading.done()
+            killed.kill()
+            loading.result()
+    finally:
+        killed.kill()
+        killed.communicate()
+    assert_same_files(tmp_path / "alone", shared)
+
+
+def test_where_the_disk_knows_no_locks_everything_is_still_made(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(38, "Function not implemented")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    assert len(load(tmp_path, models=9).names) == 9
 
 
 DEATHS = [  # what a worker does instead, and what is said of it
@@ -255,10 +313,3 @@ def test_a_changed_file_or_material_is_rendered_anew_but_a_moved_folder_is_not(
     trimesh.creation.box(extents=[3, 1, 1]).export(moved / "box0.ply")
     load(cache, folder=str(moved), **options)
     assert len(list(cache.glob("car-*"))) == 3
-
-
-def test_progress_is_shown_in_lines(tmp_path, capsys):
-    load(tmp_path, models=20, views=1)
-    lines = capsys.readouterr().out.splitlines()
-    assert 5 <= len(lines) <= 11  # of five shards
-    assert lines[-1].startswith("Rendering train car: models, 20/20, ")

@@ -178,13 +178,12 @@ def test_three_forms_of_a_split_say_the_same(tmp_path):
          "a is there twice"),
         (f"{SYNSET}.file", "3\n1\n2\n2\n5\ntrain\n3\n2\n1\n1\n", "cannot be used"),
         ("all.csv", f"synsetId,modelId,split\n{SYNSET},,train\n", "line 2 has no"),
-        ("all.csv", b"\xff\xfe\x00", "cannot be used"),
         ("cars.txt", "a\n", "SYNSET_train.txt"),
         ("x_train.txt", "a\n", "x_val.txt beside"),
     ],
 )  # fmt: skip
 def test_a_split_file_that_cannot_be_used_is_named(tmp_path, name, text, message):
-    (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    (tmp_path / name).write_text(text)
     with pytest.raises(ValueError, match=message) as error:
         splits.read_split(tmp_path / name, SYNSET)
     assert name.split(".")[0].removesuffix("train") in str(error.value)

@@ -117,16 +117,6 @@ def test_shapes_are_centred_of_diagonal_one_and_of_the_parts_of_their_category(
 
 
 @pytest.mark.parametrize("category", procedural.CATEGORIES)
-def test_another_seed_gives_another_shape(category):
-    masks = np.array([see(category, seed, np.pi / 2).mask > 127 for seed in SEEDS])
-    for i in SEEDS:
-        for j in range(i):
-            union = (masks[i] | masks[j]).sum()
-            # no two side views agree to more than 98 % of their pixels
-            assert (masks[i] & masks[j]).sum() < 0.98 * union
-
-
-@pytest.mark.parametrize("category", procedural.CATEGORIES)
 def test_front_and_back_differ_in_silhouette_and_colour(category):
     for seed in SEEDS:
         side = see(category, seed, np.pi / 2).mask > 127
