@@ -51,13 +51,9 @@ def _draw_plan(rng: np.random.Generator) -> SimpleNamespace:
 
 def _wing_lead(plan, share):
     """Leading edge [3] of the wing at a share of the half span."""
-    return np.array(
-        [
-            0.5 - plan.place - share * plan.sweep * plan.span,
-            share * plan.span,
-            plan.height * plan.radius + share * plan.dihedral * plan.span,
-        ]
-    )
+    x = 0.5 - plan.place - share * plan.sweep * plan.span
+    z = plan.height * plan.radius + share * plan.dihedral * plan.span
+    return np.array([x, share * plan.span, z])
 
 
 def make_airplane(rng: np.random.Generator) -> trimesh.Trimesh:
@@ -120,18 +116,10 @@ def _make_windows(plan):
     """A dark windscreen around the nose and a stripe of windows along each side."""
     r = plan.radius
     scale = np.array([1, r, r])
-    pane = [
-        (0.468, 0.16, 0.44),
-        (0.432, 0.66, 0.44),
-        (0.428, 0.5, 0.8),
-        (0.455, 0.14, 0.68),
-    ]
-    stripe = [
-        (0.36, 1.005, 0.18),
-        (-0.2, 1.005, 0.18),
-        (-0.2, 0.985, 0.36),
-        (0.36, 0.985, 0.36),
-    ]
+    pane = [(0.468, 0.16, 0.44), (0.432, 0.66, 0.44)]
+    pane += [(0.428, 0.5, 0.8), (0.455, 0.14, 0.68)]
+    stripe = [(0.36, 1.005, 0.18), (-0.2, 1.005, 0.18)]
+    stripe += [(-0.2, 0.985, 0.36), (0.36, 0.985, 0.36)]
     windscreen = parts.panel(pane * scale, color=parts.GLASS)
     return parts.mirror([windscreen, parts.panel(stripe * scale, color=plan.accent)])
 
@@ -231,9 +219,8 @@ def _make_tail_engines(plan, rng):
     centre = np.array([-0.2, 1.75 * r, 0.5 * r])
     pod = _make_nacelle(centre, 0.14, rng.uniform(0.42, 0.52) * r, plan.accent)
     ends = centre - [0.05, r, 0], centre - [0.05, 0, 0]
-    return parts.mirror(
-        [*pod, parts.bar(*ends, width=0.07, height=0.012, color=plan.body)]
-    )
+    pylon = parts.bar(*ends, width=0.07, height=0.012, color=plan.body)
+    return parts.mirror([*pod, pylon])
 
 
 def _make_propeller(plan, rng):
@@ -244,25 +231,19 @@ def _make_propeller(plan, rng):
     hub = np.array([0.515, 0, z])
     ends, last = ((0.5, 0, z), (0.54, 0, z)), 0.02 * r
     spinner = parts.tube(*ends, 0.25 * r, radius_stop=last, color=plan.accent)
-    return [
-        spinner,
-        parts.bar(
-            hub - blade, hub + blade, width=0.02, height=0.008, color=parts.BLACK
-        ),
-    ]
+    ends = hub - blade, hub + blade
+    return [spinner, parts.bar(*ends, width=0.02, height=0.008, color=parts.BLACK)]
 
 
 def _make_nozzles(plan, rng):
     r = plan.radius
     side = 0.0 if rng.uniform() < 0.4 else 0.6 * r
     ends, last = ((-0.48, side, 0), (-0.53, side, 0)), 0.5 * r
-    nozzle = [
-        parts.tube(*ends, 0.62 * r, radius_stop=last, color=parts.BLACK, sides=10)
-    ]
-    intake = parts.box(
-        (-0.05, 1.0 * r, -0.5 * r), (0.16, 1.5 * r, 0.4 * r), color=plan.body
-    )
-    return [*(parts.mirror(nozzle) if side else nozzle), *parts.mirror([intake])]
+    tube = functools.partial(parts.tube, color=parts.BLACK, sides=10)
+    nozzle = [tube(*ends, 0.62 * r, radius_stop=last)]
+    corners = (-0.05, 1.0 * r, -0.5 * r), (0.16, 1.5 * r, 0.4 * r)
+    intake = parts.mirror([parts.box(*corners, color=plan.body)])
+    return [*(parts.mirror(nozzle) if side else nozzle), *intake]
 
 
 def _make_nacelle(front, length, radius, color):
@@ -274,10 +255,8 @@ def _make_nacelle(front, length, radius, color):
         offset = np.column_stack([np.full(10, -share * length), radius * size * ring])
         rings.append(front + offset)
     disc = np.column_stack([np.zeros(10), 0.75 * radius * ring])
-    return [
-        parts.loft(rings, color=color),
-        parts.panel(front + [0.001, 0, 0] + disc, color=parts.BLACK),
-    ]
+    disc = parts.panel(front + [0.001, 0, 0] + disc, color=parts.BLACK)
+    return [parts.loft(rings, color=color), disc]
 
 
 def _make_gear(plan):
@@ -291,8 +270,5 @@ def _make_gear(plan):
         return parts.tube(centre - side, centre + side, radius, color=parts.BLACK)
 
     legs = [strut((0.08, 0.4 * r, -0.8 * r), main), wheel(main, 0.012, 0.03)]
-    return [
-        *parts.mirror(legs),
-        strut((0.38, 0, -0.5 * r), nose),
-        wheel(nose, 0.01, 0.026),
-    ]
+    middle = [strut((0.38, 0, -0.5 * r), nose), wheel(nose, 0.01, 0.026)]
+    return [*parts.mirror(legs), *middle]

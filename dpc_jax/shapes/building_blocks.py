@@ -160,13 +160,8 @@ def inset(
 
 def mirror(parts: Sequence[Part]) -> list[Part]:
     """The parts and their mirror images at the xz plane (left and right)."""
-    flipped = [
-        part._replace(
-            vertices=part.vertices * [1.0, -1.0, 1.0], faces=part.faces[:, ::-1]
-        )
-        for part in parts
-    ]
-    return [*parts, *flipped]
+    images = [Part(v * [1.0, -1.0, 1.0], f[:, ::-1], color) for v, f, color in parts]
+    return [*parts, *images]
 
 
 def join(groups: Sequence[tuple[str, Sequence[Part]]]) -> trimesh.Trimesh:

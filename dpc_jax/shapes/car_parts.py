@@ -7,7 +7,6 @@ Made from these: wheels, lamps, mirrors, beds, spoilers, racks.
 """
 
 import functools
-from collections.abc import Mapping
 from types import SimpleNamespace
 
 import numpy as np
@@ -86,11 +85,6 @@ WINDOWS = {"sports": 1, "city": 1, "transporter": 1, "van": 3, "wagon": 3, "suv"
 # Shares of the length where the axles are, front and rear.
 _FRONT_AXLE = {"van": (0.15, 0.19), "bus": (0.19, 0.24), "double_decker": (0.17, 0.22)}
 _REAR_AXLE = {"pickup": (0.74, 0.79), "bus": (0.68, 0.76), "double_decker": (0.7, 0.77)}
-
-
-def draw_style(rng: np.random.Generator, shares: Mapping[str, float]) -> str:
-    """A body style, by the shares of each."""
-    return str(rng.choice(list(shares), p=list(shares.values())))
 
 
 def draw_plan(rng: np.random.Generator, style: str) -> SimpleNamespace:
@@ -201,9 +195,8 @@ def make_extras(plan: SimpleNamespace, rng: np.random.Generator) -> list[Part]:
     painted = functools.partial(parts.box, color=plan.paint)
     x, z = plan.cowl - 0.18, plan.belt + 0.04
     reach = plan.half + rng.uniform(0.08, 0.16)
-    pieces = parts.mirror(
-        [painted((x - 0.1, 0.85 * plan.half, z), (x, reach, z + 0.13))]
-    )
+    mirror = painted((x - 0.1, 0.85 * plan.half, z), (x, reach, z + 0.13))
+    pieces = parts.mirror([mirror])
     rear = -plan.length / 2
     if plan.style == "pickup":
         deck, wall = deck_height(plan) - 0.05, plan.belt * 0.98

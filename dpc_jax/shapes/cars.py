@@ -13,7 +13,6 @@ from dpc_jax.shapes.car_parts import (
     deck_height,
     draw_paint,
     draw_plan,
-    draw_style,
     half_width,
     make_extras,
     make_lamps,
@@ -27,7 +26,7 @@ def make_car(rng: np.random.Generator) -> trimesh.Trimesh:
 
     Its labels are body (with lamps and bumpers), cabin (with windows), wheel and extra.
     """
-    style = draw_style(rng, SHARES)
+    style = rng.choice(list(SHARES), p=list(SHARES.values()))
     if style == "truck":
         return parts.join(make_truck(rng, draw_paint(rng)))
     if style == "three_wheeler":
@@ -41,7 +40,8 @@ def make_car(rng: np.random.Generator) -> trimesh.Trimesh:
 
 def make_simple_car(rng: np.random.Generator) -> trimesh.Trimesh:
     """Mesh of a random car of the seven most usual styles."""
-    return parts.join(_make_groups(draw_plan(rng, draw_style(rng, SIMPLE_SHARES)), rng))
+    style = rng.choice(list(SIMPLE_SHARES), p=list(SIMPLE_SHARES.values()))
+    return parts.join(_make_groups(draw_plan(rng, style), rng))
 
 
 def _make_groups(plan, rng):
@@ -76,11 +76,9 @@ def _make_open_cabin(plan):
     pieces.append(beam(corners[3], corners[2]))
     behind = plan.roof_front - 0.75
     for x in np.arange(behind, plan.roof_rear - 0.3, -0.85):
-        seat = (
-            (x, 0.12, base - 0.05),
-            (x + 0.14, 0.75 * half, base + 0.9 * (top - base)),
-        )
-        pieces += parts.mirror([parts.box(*seat, color=(74, 48, 36))])
+        high = (x + 0.14, 0.75 * half, base + 0.9 * (top - base))
+        seat = parts.box((x, 0.12, base - 0.05), high, color=(74, 48, 36))
+        pieces += parts.mirror([seat])
     folded = (plan.tail, -0.8 * wide, base), (plan.tail + 0.4, 0.8 * wide, base + 0.14)
     return [*pieces, parts.box(*folded, color=parts.BLACK)]
 
@@ -124,12 +122,8 @@ def _make_body(plan, rng):
         half = half_width(plan, x)
         shoulder = high - 0.22 * (high - low)
         waist = low + 0.25 * (high - low)
-        right = [
-            (0.95 * half, low),
-            (half, waist),
-            (0.985 * half, shoulder),
-            (0.90 * half, high),
-        ]
+        right = [(0.95 * half, low), (half, waist)]
+        right += [(0.985 * half, shoulder), (0.90 * half, high)]
         ring = [*right, *((-y, z) for y, z in reversed(right))]
         rings.append([(x, y, z) for y, z in ring])
     body = parts.loft(rings, color=plan.paint)
@@ -146,9 +140,8 @@ def _make_body(plan, rng):
         half = 0.96 * half_width(plan, end)
         low = plan.floor + 0.10
         x = sorted((end - sign * 0.10, end + sign * 0.04))
-        bumpers.append(
-            parts.box((x[0], -half, low), (x[1], half, low + 0.14), color=trim)
-        )
+        corners = (x[0], -half, low), (x[1], half, low + 0.14)
+        bumpers.append(parts.box(*corners, color=trim))
     return [body, under, *bumpers]
 
 

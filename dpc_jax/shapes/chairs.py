@@ -180,10 +180,8 @@ def _make_legs(plan, rng):
         start = np.array([sign * x, y, top])
         foot = np.array([sign * (x + splay * 0.4), y + splay * 0.3, 0.0])
         if square:
-            side = 2 * radius
-            leg = parts.bar(
-                start, foot, width=side, height=side, color=plan.frame_color
-            )
+            sizes = dict(width=2 * radius, height=2 * radius)
+            leg = parts.bar(start, foot, **sizes, color=plan.frame_color)
         else:
             leg = tube(start, foot, 1.15 * radius, radius_stop=0.75 * radius)
         pieces.append(leg)
@@ -250,8 +248,7 @@ def _make_block(plan, rng):
     x, y = 0.5 * plan.depth, 0.48 * plan.width
     top = plan.seat - plan.thick
     plinth = parts.box((-x, -y, foot), (0.96 * x, y, top), color=plan.seat_color)
-    tube = functools.partial(
-        parts.tube, radius=0.02, radius_stop=0.03, color=plan.frame_color
-    )
+    tube = functools.partial(parts.tube, color=plan.frame_color)
     corners = [(s * 0.85 * x, 0.85 * y) for s in (1, -1)]
-    return [plinth, *parts.mirror([tube((*xy, 0), (*xy, foot)) for xy in corners])]
+    feet = [tube((*c, 0), (*c, foot), 0.02, radius_stop=0.03) for c in corners]
+    return [plinth, *parts.mirror(feet)]
