@@ -65,7 +65,8 @@ def _save_shard():
     }
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "shard-00000.npz"
-        shards.write_shard(path, arrays, {"names": ["a"], "counts": {"masks": [2]}})
+        counts = {name: [len(array)] for name, array in arrays.items()}
+        shards.write_shard(path, arrays, {"names": ["a"], "counts": counts})
         return path.read_bytes()
 
 

@@ -73,12 +73,13 @@ def _draw(opened, flags):
     # Among what commands make, not into a folder of data that may be anybody's.
     name = f"{Path(flags.folder).resolve().name}-sheet.png"
     out = Path(flags.out or Path("runs") / name)
-    models = overview.choose_models(opened, flags.models)
+    sheet, names = overview.draw_set(opened, flags.models)
     with outputs.owning(out.parent, [out.name]), files.replacing(out) as partial:
-        overview.draw_set(opened, models).save(partial, format="png")
+        sheet.save(partial, format="png")
     axes = "; red is the front, green the left, blue the top"
-    names = ", ".join(opened.data.names[model] for model in models)
-    return f"  {out} shows {names}{axes * (opened.data.quaternions is not None)}"
+    if opened.data.quaternions is None:
+        axes = ""
+    return f"  {out} shows {', '.join(names)}{axes}"
 
 
 def _say(lines):

@@ -50,7 +50,7 @@ def load_or_render(
     if (folder / RECORD).exists():
         try:
             return read_cache(folder)._replace(warnings=warnings)
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError) as error:
             print(f"The cache {folder} is damaged ({error}) and will be repaired.")
     plan = workers.plan_shards(folder, source, models)
     try:

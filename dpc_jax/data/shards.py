@@ -32,23 +32,16 @@ class Shard(NamedTuple):
     mapping: mmap.mmap
 
     def split(self, name: str) -> list[np.ndarray]:
-        """The rows of an array by model.
-
-        Raises:
-          ValueError: if they are not as many as the record says.
-        """
-        array, counts = self.arrays[name], self.record["counts"][name]
-        models = len(self.record["names"])
-        if len(counts) != models or sum(counts) != len(array) or min(counts) < 0:
-            raise ValueError(
-                f"Expected a shard to say how its {len(array)} rows of {name} belong "
-                f"to {models} models, but it says {counts}; delete its folder."
-            )
-        return np.split(array, np.cumsum(counts)[:-1])
+        """The rows of an array by model."""
+        return np.split(self.arrays[name], np.cumsum(self.record["counts"][name])[:-1])
 
 
 def write_shard(path: Path, arrays: dict[str, np.ndarray], record: dict[str, Any]):
-    """Write arrays and a JSON record under a temporary name; rename it when whole."""
+    """Write arrays and a JSON record under a temporary name; rename it when whole.
+
+    The record has the "names" of the models, and in "counts" by the name of each array
+    how many of its rows belong to each model.
+    """
     text = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
     with files.replacing(path) as partial, open(partial, "wb") as file:
         np.savez(file, **dict[str, Any](arrays | {RECORD: text}))
@@ -77,8 +70,11 @@ def map_shard(path: str | os.PathLike) -> Shard:
         if name := archive.testzip():
             raise Damage(f"the checksum of {name} differs")
         record = json.loads(arrays.pop(RECORD).tobytes())
-        if not isinstance(record, dict):
-            raise Damage(f"its record is {type(record).__name__}")
+        models = len(record["names"])
+        for name, array in arrays.items():
+            counts = record["counts"][name]
+            if len(counts) != models or sum(counts) != len(array) or min(counts) < 0:
+                raise Damage(f"{name} has {len(array)} rows, the record {counts}")
         return Shard(arrays, record, mapping)
 
 

@@ -122,13 +122,7 @@ class Source:
                 f"Expected a folder of {self.spec.kind}, but {self.folder} is not a "
                 "folder; check it."
             )
-        found = self.find_models()
-        models = {show_text(name): path for name, path in found.items()}
-        if len(models) < len(found):
-            raise ValueError(
-                f"Expected names in {self.folder} that differ when they are shown, but "
-                "some differ in characters that cannot be shown alone; rename them."
-            )
+        models = {show_text(name): path for name, path in self.find_models().items()}
         official = self.find_split_file()
         if official is None:
             return Division(models, self.split_by_seed(models), None)
