@@ -6,7 +6,6 @@ import trimesh
 from PIL import Image
 
 from dpc_jax.data import meshes
-from dpc_jax.shapes.normalization import normalize
 
 OBJ = """mtllib colours.mtl
 v 0 0 0
@@ -126,7 +125,7 @@ def test_a_file_without_colours_is_grey_and_a_stray_vertex_does_not_count(tmp_pa
     (tmp_path / "a.ply").write_text(PLY.format(4) + "9 9 9\n3 0 1 2\n")
     mesh = meshes.read_mesh(tmp_path / "a.ply")
     assert len(mesh.vertices) == 3
-    np.testing.assert_allclose(normalize(mesh).extents, [0.5**0.5, 0.5**0.5, 0])
+    np.testing.assert_allclose(mesh.extents, [1, 1, 0])
     assert (mesh.visual.face_colors == meshes.PLAIN).all()
 
 
@@ -159,14 +158,3 @@ def test_a_broken_file_is_refused_by_name(tmp_path, name, content, message):
     with pytest.raises(ValueError, match=message) as caught:
         meshes.read_mesh(tmp_path / name)
     assert name in str(caught.value)
-
-
-def test_normalising_centres_the_box_and_makes_its_diagonal_one():
-    box = trimesh.creation.box(extents=[1, 2, 2])
-    box.apply_translation([7, -3, 1e3])
-    before = box.vertices.copy()
-    mesh = normalize(box)
-    # 1e3 away in float64
-    np.testing.assert_allclose(mesh.extents, [1 / 3, 2 / 3, 2 / 3], atol=1e-12)
-    np.testing.assert_allclose(mesh.bounds.sum(axis=0), 0, atol=1e-12)
-    np.testing.assert_array_equal(box.vertices, before)

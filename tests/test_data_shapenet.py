@@ -137,16 +137,6 @@ def test_the_official_split_is_read_and_what_it_misses_is_counted(tmp_path, caps
     assert again.names == data.names
 
 
-def test_a_seeded_split_has_every_model_once(tmp_path):
-    write_tree(tmp_path / "net")
-    options = dict(fractions=(5, 1, 1), seed=3)
-    sides = [
-        load(tmp_path / "net", tmp_path / "cache", split=split, **options).names
-        for split in splits.SPLITS
-    ]
-    assert sorted(sum(sides, ())) == NAMES
-
-
 def write_table(path, sides):
     """The same split as the serialised table it was first published in."""
     lines, count = ["3", "1", str(len(sides))], 1

@@ -129,11 +129,9 @@ def _make_body(plan, rng):
     body = parts.loft(rings, color=plan.paint)
     front, rear = plan.length / 2, -plan.length / 2
     inner = plan.half - 0.26
-    under = parts.box(
-        (rear + 0.25, -inner, plan.floor + 0.02),
-        (front - 0.25, inner, plan.floor + 0.36 * (plan.belt - plan.floor)),
-        color=parts.BLACK,
-    )
+    high = plan.floor + 0.36 * (plan.belt - plan.floor)
+    corners = (rear + 0.25, -inner, plan.floor + 0.02), (front - 0.25, inner, high)
+    under = parts.box(*corners, color=parts.BLACK)
     trim = parts.BLACK if rng.uniform() < 0.5 else parts.CHROME
     bumpers = []
     for end, sign in ((front, 1), (rear, -1)):

@@ -99,7 +99,10 @@ class _Back:
             return [self._plate(bottom, top, half_top=taper)]
         if plan.back == "curved":
             return self._make_curved(rng)
-        pieces = self._make_posts(rng)
+        width = rng.uniform(0.02, 0.04)  # of the posts
+        side = self._half - width / 2
+        ends = self._place(side, plan.seat - plan.thick), self._place(side, top)
+        pieces = parts.mirror([self._bar(*ends, width=width, height=0.03)])
         head = plan.rise * rng.uniform(0.12, 0.22)
         if plan.back == "slats":
             pieces.append(self._plate(top - head, top, color=plan.frame_color))
@@ -139,12 +142,6 @@ class _Back:
             pieces += parts.mirror([self._bar(*ends, width=0.03, height=0.015)])
         return pieces
 
-    def _make_posts(self, rng):
-        plan, width = self._plan, rng.uniform(0.02, 0.04)
-        y = self._half - width / 2
-        ends = self._place(y, plan.seat - plan.thick), self._place(y, self._top)
-        return parts.mirror([self._bar(*ends, width=width, height=0.03)])
-
 
 def _make_arms(plan, rng):
     """Arm rests: padded walls for an armchair, else a rest on a post on each side."""
@@ -152,12 +149,9 @@ def _make_arms(plan, rng):
     half = plan.width / 2
     if plan.base == "block":
         height = plan.seat + rng.uniform(0.12, 0.24)
-        wall = parts.box(
-            (rear - 0.04, half - 0.02, 0.12),
-            (front, half + rng.uniform(0.08, 0.16), height),
-            color=plan.seat_color,
-        )
-        return parts.mirror([wall])
+        corner = (front, half + rng.uniform(0.08, 0.16), height)
+        low = (rear - 0.04, half - 0.02, 0.12)
+        return parts.mirror([parts.box(low, corner, color=plan.seat_color)])
     bar = functools.partial(parts.bar, color=plan.frame_color)
     height = plan.seat + rng.uniform(0.17, 0.24)
     reach = rear + rng.uniform(0.6, 0.95) * plan.depth
