@@ -40,7 +40,7 @@ def assert_same_files(first, second):
 
 
 def write_boxes(folder, count):
-    folder.mkdir(parents=True, exist_ok=True)
+    folder.mkdir()
     for i in range(count):
         box = trimesh.creation.box(extents=[2 + 0.1 * i, 1, 1])
         box.export(folder / f"box{i}.ply")
@@ -145,17 +145,10 @@ def test_where_the_disk_knows_no_locks_everything_is_still_made(tmp_path, monkey
     assert len(load(tmp_path, models=9).names) == 9
 
 
-DEATHS = [  # what a worker does instead, and what is said of it
-    ("import sys; sys.exit('out of luck')", "status 1;.*out of luck"),
-    ("import os; os.kill(os.getpid(), 9)", "ended with status -9"),
-]
-
-
-@pytest.mark.parametrize("boot, said", DEATHS)
-def test_a_worker_that_fails_is_reported(tmp_path, monkeypatch, boot, said):
+def test_a_worker_that_fails_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(workers, "INLINE", 0)
-    monkeypatch.setattr(workers, "BOOT", boot)
-    with pytest.raises(RuntimeError, match=rf"(?s){said}"):
+    monkeypatch.setattr(workers, "BOOT", "import sys; sys.exit('out of luck')")
+    with pytest.raises(RuntimeError, match=r"(?s)status 1;.*out of luck"):
         load(tmp_path, processes=2, models=9)
     assert list(tmp_path.iterdir()) == []
 
@@ -185,7 +178,7 @@ def test_ctrl_c_ends_the_workers(tmp_path, monkeypatch):
 
 
 def test_workers_of_a_killed_process_end_with_their_shard(tmp_path):
-    spec = SMALL | {"models": 400, "views": 20}  # 16 shards of about a second
+    spec = SMALL | {"models": 200, "views": 20}  # 16 shards of half a second
     code = f"""
 from dpc_jax.data import DataSpec, load_or_render
 load_or_render(DataSpec(**{spec}), cache_dir={str(tmp_path)!r}, processes=2)
