@@ -5,6 +5,7 @@ import json
 import numpy as np
 from PIL import Image
 from scipy.io import savemat
+from scipy.spatial.transform import Rotation
 
 # Centres and radii of three balls, an object without symmetry; z up, x front.
 BALLS = np.array(
@@ -48,10 +49,7 @@ def sample_balls(count=300, balls=BALLS):
 
 def rotate(quaternion):
     """Rotation matrix of a quaternion wxyz."""
-    w, *v = np.asarray(quaternion, np.float64) / np.linalg.norm(quaternion)
-    x, y, z = v
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+    return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
 
 
 def share_inside(points, quaternion, mask, *, focal=1.875, distance=2.0):
@@ -80,13 +78,9 @@ def write_renders(folder, models, *, views=3, size=112, truth=True):
         place.mkdir(parents=True)
         for view in range(views):
             azimuth, elevation = rng.uniform(0, 2 * np.pi), rng.uniform(-0.3, 0.7)
-            position = 2 * np.array(
-                [
-                    np.cos(elevation) * np.cos(azimuth),
-                    np.cos(elevation) * np.sin(azimuth),
-                    np.sin(elevation),
-                ]
-            )
+            flat = 2 * np.cos(elevation)
+            position = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth),
+                                 2 * np.sin(elevation)])  # fmt: skip
             rotation = look_at(position)
             rgba, depth = draw_balls(rotation, position, lens, (size, size), balls)
             Image.fromarray(rgba).save(place / f"render_{view}.png")

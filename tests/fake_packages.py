@@ -1,7 +1,6 @@
 """Small packages of the form of the real ones, and commands that serve them."""
 
 import io
-import json
 import os
 import tarfile
 import zipfile
@@ -215,7 +214,3 @@ def install_commands(tmp_path, monkeypatch, *, commands=("apt-get", "dpkg-deb"))
 def read_log(store):
     """What the commands were asked, a line each."""
     return (store / "log").read_text().splitlines() if (store / "log").exists() else []
-
-
-def read_json(path):
-    return json.loads(path.read_text(encoding="utf-8"))

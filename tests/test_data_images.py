@@ -27,7 +27,7 @@ LENS = np.array([[120.0, 0, 40], [0, 120.0, 40], [0, 0, 1]])
 def load(folder, cache, **changes):
     spec = dict(category="car", kind="images", image_size=32, fractions=(0, 0, 1))
     spec = DataSpec(**spec | {"folder": str(folder), "split": "test"} | changes)
-    return load_or_render(spec, cache_dir=cache, processes=1, progress=False)
+    return load_or_render(spec, cache_dir=cache, processes=1)
 
 
 def write_object(folder, *, views=2, masks="alpha", shape=(80, 80), seed=0):
@@ -302,14 +302,12 @@ def write_frame(matrix, **lens):
 BAD_POSES = [
     ("poses.json", "{", "poses.json, but it cannot be used"),
     ("poses.json", "[1, 2]", "it holds a list, not names"),
-    ("poses.json", "[" * 100_000, "nested too deep"),
     ("poses.json", '{"view0.png": [1, 0, 0]}', "four numbers that are not"),
     ("poses.json", f'{{"a": [1{"0" * 400}, 0, 0, 0]}}', "cannot be used"),
     ("transforms.json", '{"frames": [{"file_path": "view0"}]}', "transform_matrix"),
     ("transforms.json", write_frame(np.diag([2.0, 1, 1, 1])), "no rigid transform"),
     ("transforms.json", write_frame(np.diag([-1.0, 1, 1, 1])), "mirrored"),
     ("transforms.json", write_frame(np.full((4, 4), np.inf)), r"no finite .* \[4, 4\]"),
-    ("transforms.json", '{"fl_x": 3}', "KeyError: 'frames'"),
     ("transforms.json", write_frame(np.eye(4), fl_x="wide"), "fl_x is 'wide'"),
     ("transforms.json", write_frame(np.eye(4), fl_x=0), "fl_x is 0, which is imposs"),
     ("transforms.json", write_frame(np.eye(4), camera_angle_x=40), "is 40 radians"),

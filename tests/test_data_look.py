@@ -22,13 +22,13 @@ def cache(tmp_path_factory):
     spec = DataSpec(
         "chair", models=MODELS, views=VIEWS, image_size=SIZE, surface_points=5000
     )
-    load_or_render(spec, cache_dir=folder, processes=1, progress=False)
+    load_or_render(spec, cache_dir=folder, processes=1)
     return folder
 
 
 @pytest.fixture(scope="module")
 def whole(cache):
-    (path,) = overview.list_caches(cache)
+    (path,) = cache.iterdir()
     data = overview.dataset.read_cache(path)
     names = ("images", "masks", "depths", "quaternions", "surfaces")
     return data._replace(**{name: np.array(getattr(data, name)) for name in names})
@@ -53,15 +53,11 @@ def restate(data, change, *, last=False):
     return data._replace(quaternions=stored.reshape(data.quaternions.shape))
 
 
-BLENDER = np.diag([1, -1, -1])
 WRONG = {  # how other tools and data sets store a rotation
     "inverse": lambda r: r.transpose(0, 2, 1),
-    "OpenGL": lambda r: BLENDER @ r,
-    "NeRF": lambda r: (BLENDER @ r).transpose(0, 2, 1),
-    "the paper's code": lambda r: np.stack([r[:, 2], -r[:, 1], r[:, 0]], axis=1),
+    "OpenGL": lambda r: np.diag([1, -1, -1]) @ r,
     # (front, left, up) of points (left, up, front)
     "y up": lambda r: r @ np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]]),
-    "front +y": lambda r: r @ Rotation.from_euler("z", -90, degrees=True).as_matrix(),
 }
 
 
@@ -80,7 +76,7 @@ def test_poses_of_another_convention_are_told(whole, name):
     assert "expected is wxyz, object to camera" in finding
     bare = whole._replace(depths=None, surfaces=None)
     findings = read_findings(restate(bare, change, last=name == "xyzw"))
-    if name in ("y up", "front +y"):  # the views agree on a body that is turned
+    if name == "y up":  # the views agree on a body that is turned
         assert findings == []
     else:
         (finding,) = findings
@@ -134,30 +130,27 @@ def run(*arguments):
 
 def test_a_set_is_listed_and_drawn(cache, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (path,) = overview.list_caches(cache)
-    for folder in (path, cache):  # the set, and the folder that holds it
-        assert run("show", folder, "--out", "sheet.png", "--models", 3) == 0
-        out = capsys.readouterr().out
-        assert "5 chair models, train split, 20 views of 48 x 48" in out
-        assert "views per model: 4" in out and "sheet.png" in out
-        with Image.open("sheet.png") as sheet:
-            # three tiles for each of four views, three models
-            assert sheet.size == (4 * 3 * overview.TILE, 3 * overview.TILE)
-            pixels = np.asarray(sheet).reshape(-1, 3)
-        for color in overview.AXES:
-            assert (pixels == color).all(axis=1).sum() > 100
-        assert sorted(p.name for p in tmp_path.iterdir()) == [outputs.LIST, "sheet.png"]
+    (path,) = cache.iterdir()
+    assert run("show", path, "--out", "sheet.png", "--models", 3) == 0
+    out = capsys.readouterr().out
+    assert "5 chair models, train split, 20 views of 48 x 48" in out
+    assert "views per model: 4" in out and "sheet.png" in out
+    with Image.open("sheet.png") as sheet:
+        # three tiles for each of four views, three models
+        assert sheet.size == (4 * 3 * overview.TILE, 3 * overview.TILE)
+        pixels = np.asarray(sheet).reshape(-1, 3)
+    for color in overview.AXES:
+        assert (pixels == color).all(axis=1).sum() > 100
+    assert sorted(p.name for p in tmp_path.iterdir()) == [outputs.LIST, "sheet.png"]
     assert run("check", path) == 0
     assert "no fault found; poses fit" in capsys.readouterr().out
 
 
-def test_the_axes_of_a_sheet_point_where_the_object_does(cache):
-    (path,) = overview.list_caches(cache)
-    with overview.open_set(path) as opened:
-        rotation = viewpoints.look_at_rotation(np.deg2rad(90), 0.0)  # from the left
-        quaternion = viewpoints.matrix_to_quaternion(rotation)
-        picture = Image.new("RGB", (overview.TILE, overview.TILE), "white")
-        overview._draw_axes(picture, quaternion, opened.lens)
+def test_the_axes_of_a_sheet_point_where_the_object_does():
+    rotation = viewpoints.look_at_rotation(np.deg2rad(90), 0.0)  # from the left
+    quaternion = viewpoints.matrix_to_quaternion(rotation)
+    picture = Image.new("RGB", (overview.TILE, overview.TILE), "white")
+    overview._draw_axes(picture, quaternion, LENS)
     pixels, middle = np.asarray(picture), overview.TILE / 2
     rows, columns = {}, {}
     for name, color in zip(("front", "left", "up"), overview.AXES, strict=True):
@@ -165,24 +158,6 @@ def test_the_axes_of_a_sheet_point_where_the_object_does(cache):
     # its front shows to the left of the image, its top upwards
     assert columns["front"].max() <= middle + 2 and columns["front"].min() < middle - 40
     assert rows["up"].max() <= middle + 2 and rows["up"].min() < middle - 40
-
-
-def test_several_sets_are_listed_and_a_damaged_one_does_not_hide_others(
-    tmp_path, capsys
-):
-    for split in ("train", "val"):
-        spec = DataSpec("chair", models=2, views=2, image_size=32, split=split)
-        load_or_render(spec, cache_dir=tmp_path, processes=1, progress=False)
-    assert run("show", tmp_path) == 0
-    assert capsys.readouterr().out.count("2 chair models") == 2
-    shard = next(overview.list_caches(tmp_path)[0].glob("shard*"))
-    shard.write_bytes(shard.read_bytes()[:-100])
-    assert run("check", tmp_path) == 1
-    out = capsys.readouterr().out
-    assert shard.name in out and out.count("no fault found") == 1
-    assert run("check", shard.parent) == 1
-    error = capsys.readouterr().err
-    assert shard.name in error and error.count("\n") == 1
 
 
 def test_meshes_and_images_are_prepared_to_be_looked_at(tmp_path, capsys, monkeypatch):
@@ -241,16 +216,14 @@ def test_published_renders_are_checked_with_the_views_they_have(tmp_path, capsys
     assert "give the folder of one of them" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "words", [[], ["chekc"], ["check"], ["show", ".", "--models=0"]]
-)
+@pytest.mark.parametrize("words", [[], ["chekc"], ["show", ".", "--models=0"]])
 def test_a_command_with_wrong_words_is_answered_by_one_sentence(words, capsys):
     assert run(*words) == 2
     error = capsys.readouterr().err
     assert error.startswith("Error: Expected flags as") and error.count("\n") == 1
 
 
-@pytest.mark.parametrize("text", [None, "{", "{}", "[]", '{"shards": []}', "\xff"])
+@pytest.mark.parametrize("text", [None, "{", "{}", '{"shards": []}'])
 def test_no_set_and_a_damaged_one_are_named(tmp_path, capsys, text):
     if text is not None:
         (tmp_path / "spec.json").write_bytes(text.encode("latin-1"))

@@ -11,7 +11,6 @@ from fake_packages import (
     RED,
     install_commands,
     make_boxes,
-    read_json,
     read_log,
     write_airplanes,
     write_deb,
@@ -23,7 +22,7 @@ from dpc_jax.data import DataSpec, __main__
 from dpc_jax.data.open import sweethome3d
 from dpc_jax.data.sources import open_source
 from dpc_jax.data.splits import SPLITS
-from dpc_jax.files import claiming
+from dpc_jax.files import claiming, read_json
 
 CHAIRS = [
     ("Chair", "plain", "Kitchen", ""),

@@ -14,7 +14,7 @@ NAMES = [f"model{i}" for i in range(5)]
 
 def load(folder, cache, **changes):
     spec = DataSpec(**SPEC | {"folder": str(folder)} | changes)
-    return load_or_render(spec, cache_dir=cache, processes=1, progress=False)
+    return load_or_render(spec, cache_dir=cache, processes=1)
 
 
 def test_renders_arrive_with_their_poses_depth_and_ground_truth(tmp_path):
@@ -90,11 +90,6 @@ HARMS = {  # a file of each model, what is done to it, and what is said of it
         "camera_0.mat",
         lambda path: savemat(path, {"extrinsic": np.eye(3), "K": np.eye(3)}),
         "extrinsic [4, 4] and K [3, 3] in",
-    ),
-    "texts": (
-        "camera_1.mat",
-        lambda path: savemat(path, {"extrinsic": "none", "K": np.eye(3)}),
-        "camera_1.mat",
     ),
     "few": ("render_1.png", empty, "2 views render_N.png in"),
     "truth": (TRUTH, lambda path: path.unlink(), "truth.mat, but it is missing"),

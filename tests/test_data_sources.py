@@ -1,5 +1,6 @@
 """What a data set is made of: impossible specifications, seeded splits."""
 
+import numpy as np
 import pytest
 import trimesh
 
@@ -71,6 +72,10 @@ def test_a_small_set_is_completed_by_copies_and_procedural_shapes(tmp_path):
     assert models[300:] == open_source(own).list_models()
     meshes = [open_source(spec).make_mesh(models[i]) for i in (0, 599)]
     assert len(meshes[0].faces) == 12 < len(meshes[1].faces)
+    for copy in models[4:24:4]:  # of a box of 1, 0.5 and 0.4
+        extents = open_source(spec).make_mesh(copy).extents
+        ratios = extents / meshes[0].extents
+        assert 1e-3 < np.ptp(ratios / ratios[0]) < 1.15 / 0.85
 
     lamps = DataSpec("lamp", copies=0, mix=True, **all_train)  # no such shapes
     assert len(open_source(lamps).list_models()) == 300

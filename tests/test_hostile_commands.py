@@ -253,7 +253,7 @@ def draw_without_alpha(path):
     Image.new("RGB", (20, 20), "red").save(path)
 
 
-FAINT = "a.png, but it is nowhere more than 39 % opaque, and what is half opaque"
+FAINT = "a.png, but it is nowhere more than 39 % opaque"
 NO_MASK = "a_mask.png beside it, but found neither; add a mask. Status 1."
 
 

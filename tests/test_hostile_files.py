@@ -92,7 +92,7 @@ def write_beside_a_linked_temporary_file(folder):
 
 POINTERS = np.full((2, 4), 1e9, np.float32)
 PACKED = {"masks": np.zeros((2, 3, 3), np.uint8), "save": np.savez_compressed}
-DAMAGED = "as it was written, but it is damaged"
+DAMAGED = "a shard as it was written in"
 
 
 @tries(DAMAGED, quaternions=POINTERS)
@@ -185,7 +185,7 @@ def load_meshes_without_rights(_, *, closed):
         return _load(shared, split="test", fractions=FRACTIONS["test"])
 
 
-@tries("permission denied", read=read_picture)
+@tries("Permission denied", read=read_picture)
 @tries("Permission denied", read=lambda path: pose_files.read_poses([path]))
 def read_without_rights(_, *, read):
     with losing_rights() as (shared, lose):

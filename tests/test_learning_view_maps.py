@@ -238,7 +238,6 @@ def test_batches_have_the_corner_views_of_their_objects(tmp_path):
             DataSpec(**shared, surface_points=20, corner_views=has_corners),
             cache_dir=tmp_path,
             processes=1,
-            progress=False,
         )
         for has_corners in (False, True)
     )

@@ -49,7 +49,6 @@ def take_photograph(category, background, *, side):
         look_at_rotation(rng.uniform(0, 2 * np.pi), 0.3),
         lights=draw_lights(rng),
         image_size=side,
-        supersample=2,
     )
     share = view.mask[..., None] / 255.0
     # On white: what the white adds at the edge is taken away again.

@@ -91,10 +91,10 @@ def test_a_chair_has_leg_tips_on_the_floor_or_none_at_all():
 
 
 def see(category, seed, azimuth, size=48):
-    mesh = procedural.make_shape(category, seed)
+    scene = views.build_scene(procedural.make_shape(category, seed))
     lights = views.Lights(np.array([[0.0, 0.0, 1.0]]), np.array([0.6]), 0.4)
     rotation = viewpoints.look_at_rotation(azimuth, 0.0)
-    return views.render_view(mesh, rotation, lights=lights, image_size=size)
+    return views.render_view(scene, rotation, lights=lights, image_size=size)
 
 
 @pytest.mark.parametrize("category", procedural.CATEGORIES)
@@ -114,16 +114,6 @@ def test_shapes_are_centred_of_diagonal_one_and_of_the_parts_of_their_category(
         labels = read_labels(mesh)
         assert labels.shape == (len(mesh.faces),)
         assert LABELS[category] <= set(labels) <= LABELS[category] | OPTIONAL[category]
-
-
-@pytest.mark.parametrize("category", procedural.CATEGORIES)
-def test_another_seed_gives_another_shape(category):
-    masks = np.array([see(category, seed, np.pi / 2).mask > 127 for seed in SEEDS])
-    for i in SEEDS:
-        for j in range(i):
-            union = (masks[i] | masks[j]).sum()
-            # no two side views agree to more than 98 % of their pixels
-            assert (masks[i] & masks[j]).sum() < 0.98 * union
 
 
 @pytest.mark.parametrize("category", procedural.CATEGORIES)

@@ -26,7 +26,7 @@ def make_parser() -> argparse.ArgumentParser:
     check = commands.add_parser("check", help="what is wrong with a set")
     for command, models in ((show, 8), (check, None)):
         add = command.add_argument
-        add("folder", help="a rendered set, a folder of them, of meshes or of images")
+        add("folder", help="a rendered set, or of meshes or images")
         number = f"of meshes or images, how many ({models or 'all'})"
         add("--models", type=read_count, default=models, help=number)
     show.add_argument("--out", help="picture to write (runs/FOLDER-sheet.png)")
@@ -51,54 +51,35 @@ def _fetch(flags):
 
 
 def _look(flags):
-    """List sets, and check them or draw the only one; the status is 1 for errors."""
-    from dpc_jax.data.look import overview
+    """Check a set, or list and draw it; the status is 1 for errors."""
+    from dpc_jax.data.look import checks, overview
 
-    paths = overview.list_caches(flags.folder) or [Path(flags.folder)]
-    failed = False
-    for path in paths:
-        try:
-            with overview.open_set(path, models=flags.models) as opened:
-                lines = overview.describe_set(opened)
-                if flags.command == "check":
-                    failed |= _check(opened, lines[0])
-                else:
-                    _say(lines)
-                    if len(paths) == 1:
-                        _draw(opened, flags)
-        except ValueError as error:
-            if len(paths) == 1:
-                raise
-            _say([path.name, f"  error: {error}"])  # the others may be fine
-            failed = True
-    if flags.command == "show" and len(paths) > 1:
-        print("Give one of them for a sheet of its pictures.")
-    return int(failed)
-
-
-def _check(opened, title):
-    """Say what is wrong with a set; whether that is an error."""
-    from dpc_jax.data.look import checks
-
-    _say([title])
-    findings = checks.check_set(opened.data, opened.lens)
+    with overview.open_set(flags.folder, models=flags.models) as opened:
+        lines = overview.describe_set(opened)
+        if flags.command == "show":
+            _say([*lines, _draw(opened, flags)])
+            return 0
+        findings = checks.check_set(opened.data, opened.lens)
     poses = "no poses" if opened.data.quaternions is None else "poses fit their masks"
-    _say(f"  {text}" for text in findings or [f"no fault found; {poses}"])
-    return any(text.startswith("error") for text in findings)
+    found = findings or [f"no fault found; {poses}"]
+    _say([lines[0], *(f"  {text}" for text in found)])
+    return int(any(text.startswith("error") for text in findings))
 
 
 def _draw(opened, flags):
+    """Write the sheet; a line that says what is on it."""
     from dpc_jax.data.look import overview
 
     # Among what commands make, not into a folder of data that may be anybody's.
     name = f"{Path(flags.folder).resolve().name}-sheet.png"
     out = Path(flags.out or Path("runs") / name)
-    models = overview.choose_models(opened, flags.models)
+    sheet, names = overview.draw_set(opened, flags.models)
     with outputs.owning(out.parent, [out.name]), files.replacing(out) as partial:
-        overview.draw_set(opened, models).save(partial, format="png")
+        sheet.save(partial, format="png")
     axes = "; red is the front, green the left, blue the top"
-    names = ", ".join(opened.data.names[model] for model in models)
-    _say([f"  {out} shows {names}{axes * (opened.data.quaternions is not None)}"])
+    if opened.data.quaternions is None:
+        axes = ""
+    return f"  {out} shows {', '.join(names)}{axes}"
 
 
 def _say(lines):

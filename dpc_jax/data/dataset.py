@@ -6,10 +6,8 @@ their models. Without it, preparing continues with the shards that are missing.
 
 import concurrent.futures
 import contextlib
-import errno
 import json
 import os
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +30,6 @@ def load_or_render(
     *,
     cache_dir: str | Path,
     processes: int | None = None,
-    progress: bool = True,
 ) -> DataSet:
     """The data set of a specification, from the cache or prepared now.
 
@@ -42,7 +39,6 @@ def load_or_render(
       cache_dir: folder of the caches; created where missing.
       processes: how many render at once; None for one per core. The result does not
         depend on it.
-      progress: whether to show progress and what was skipped on stdout.
 
     Raises:
       ValueError: if there is no folder, no model, or none that can be used.
@@ -54,20 +50,20 @@ def load_or_render(
     if (folder / RECORD).exists():
         try:
             return read_cache(folder)._replace(warnings=warnings)
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError) as error:
             print(f"The cache {folder} is damaged ({error}) and will be repaired.")
     plan = workers.plan_shards(folder, source, models)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         files.remove_leftovers(folder)
-        _prepare(plan, processes or _count_cores(), progress=progress)
-        _finish(plan, record, progress=progress)
+        _prepare(plan, processes or len(os.sched_getaffinity(0)))
+        _finish(plan, record)
     except OSError as error:
-        if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
+        if error.strerror is None:  # it is a sentence already
             raise
         raise OSError(
-            f"Expected to write the data set to {folder}, but it cannot be written "
-            f"({error.strerror}); set another data.cache_dir."
+            f"Expected to write the data set to {folder}, but that failed "
+            f"({error.strerror}); make room or set another data.cache_dir."
         ) from None
     finally:
         files.remove_leftovers(folder)
@@ -90,31 +86,23 @@ def _locate(spec, cache_dir):
     return source, models, record, folder
 
 
-def _prepare(plan, processes, *, progress):
+def _prepare(plan, processes):
     """Make the shards that are missing."""
     folder, source, models, ranges = plan
     missing = [n for n in range(len(ranges)) if not plan.is_whole(n)]
     if not missing:
         return
     count = plan.count(missing)
-    if count < len(models) and progress:
+    if count < len(models):
         print(f"Continuing in {folder}: {count} of {len(models)} models are missing.")
-    needed = sum(source.estimate_bytes(models[i]) for n in missing for i in ranges[n])
-    free = shutil.disk_usage(folder).free
-    if free < needed:
-        raise OSError(
-            f"Expected {needed / 1e9:.1f} GB free for {folder}, but there are "
-            f"{free / 1e9:.1f}; free some or set another data.cache_dir."
-        )
     results = workers.write_together(plan, missing, processes=processes)
     tell = telling_tenths(f"{source.work} {source.spec.split} {source.spec.category}")
     with contextlib.closing(results):
         for left in results:
-            if progress:
-                tell("models", count - left, count)
+            tell("models", count - left, count)
 
 
-def _finish(plan, record, *, progress):
+def _finish(plan, record):
     """Gather what the shards say of their models, and write the record of the set."""
     source, count = plan.source, len(plan.models)
     paths = [plan.locate(number) for number in range(len(plan.ranges))]
@@ -125,9 +113,8 @@ def _finish(plan, record, *, progress):
     )
     skipped = _show_pairs(skipped)
     remarks = _show_pairs([*source.remarks, *remarks])
-    if progress:
-        _tell("Skipped", skipped, count)
-        _tell("Remarks on", remarks, count)
+    _tell("Skipped", skipped, count)
+    _tell("Remarks on", remarks, count)
     if not names:
         for path in paths:
             path.unlink(missing_ok=True)
@@ -154,13 +141,6 @@ def _tell(title, pairs, count):
         print(f"  and {len(pairs) - SHOWN} more; spec.json lists all")
 
 
-def _count_cores():
-    # As in render/devices.py, which this package does not import: it needs JAX.
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def read_cache(folder: str | Path) -> DataSet:
     """Read a finished cache folder, once the checksums of all arrays are right.
 
@@ -173,10 +153,13 @@ def read_cache(folder: str | Path) -> DataSet:
         raise ValueError(
             f"Expected {path}, but the cache was never finished; prepare it again."
         )
-    record = files.read_json(path)
-    paths = [folder / Path(name).name for name in record["shards"]]  # of no other
+    with files.reading("the record of a set", path, "prepare the set again"):
+        record = files.read_json(path)
+        paths = [folder / Path(name).name for name in record["shards"]]  # of no other
+        names = tuple(map(show_text, record["names"]))
+        skipped, remarks = (_show_pairs(record[key]) for key in ("skipped", "remarks"))
     # zlib lets other threads run
-    with concurrent.futures.ThreadPoolExecutor(_count_cores()) as pool:
+    with concurrent.futures.ThreadPoolExecutor() as pool:
         try:
             parts = list(pool.map(shards.map_shard, paths))
         except FileNotFoundError as error:
@@ -195,9 +178,4 @@ def read_cache(folder: str | Path) -> DataSet:
         if any(name in part.arrays for part in parts):
             models = [rows for part in parts for rows in part.split(name)]
             arrays[name] = Stack(models, pages)
-    return DataSet(
-        **arrays,
-        names=tuple(map(show_text, record["names"])),
-        skipped=_show_pairs(record["skipped"]),
-        remarks=_show_pairs(record["remarks"]),
-    )
+    return DataSet(**arrays, names=names, skipped=skipped, remarks=remarks)

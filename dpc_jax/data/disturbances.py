@@ -39,8 +39,8 @@ def blur(image: np.ndarray, mask: np.ndarray, rng: np.random.Generator) -> View:
 def cast_shadow(image: np.ndarray, mask: np.ndarray, rng: np.random.Generator) -> View:
     """Half of the object, along a random line near the middle, has half the light."""
     angle, away = rng.uniform(0, 2 * np.pi), rng.uniform(-0.15, 0.15)
-    rows, columns = _list_places(len(mask))
-    beyond = np.cos(angle) * columns + np.sin(angle) * rows - away
+    place = (np.arange(len(mask)) + 0.5) / len(mask) - 0.5  # of a row or column
+    beyond = np.cos(angle) * place + np.sin(angle) * place[:, None] - away
     is_shaded = 1 / (1 + np.exp(-beyond / _PENUMBRA))
     white = 255.0 - mask[..., None]  # that the background adds to a pixel
     light = 1 - (1 - _SHADE) * is_shaded[..., None]
@@ -94,8 +94,3 @@ DISTURBANCES: Mapping[str, Callable[..., View]] = {
 
 def _to_bytes(values):
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
-
-
-def _list_places(side):
-    places = (np.arange(side) + 0.5) / side - 0.5
-    return places[:, None], places[None]

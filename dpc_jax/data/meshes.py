@@ -6,7 +6,6 @@ Files are expected in the canonical frame: z up, front towards +x, left towards 
 import contextlib
 import io
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +16,11 @@ from trimesh.visual.color import uv_to_color
 from dpc_jax import files
 from dpc_jax.data.sets import pictures
 from dpc_jax.files import Damage, describe_error
-from dpc_jax.shapes.normalization import join_pieces, replace_vertices
+from dpc_jax.shapes.normalization import join_pieces
 
 SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 MOST_BYTES = 1 << 29  # of a file: a mesh of some millions of faces
 MOST_PIXELS = 1 << 26  # of a texture: 8192 x 8192
-STRETCH = 0.15  # largest change of an axis in copies of a mesh, as a share of it
 _PICTURES = (*pictures.SUFFIXES, ".tga")
 PLAIN = np.array([170, 170, 170, 255], dtype=np.uint8)  # where a file has no colour
 
@@ -48,9 +46,7 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
         resolver = _Files(str(path))
         kind, file = path.suffix.lower()[1:], io.BytesIO(content)
         if kind == "obj":
-            text = decode_text(content)
-            _expect_whole_line(text)
-            file = io.StringIO(text)
+            file = io.StringIO(decode_text(content))
         scene = trimesh.load_scene(
             file, file_type=kind, resolver=resolver, process=False
         )
@@ -155,16 +151,6 @@ def decode_text(content: bytes) -> str:
         return content.decode("latin-1")
 
 
-def _expect_whole_line(text):
-    """Refuse an OBJ file that was cut within its last vertex or face."""
-    if not text or text[-1] in "\r\n":
-        return
-    words = text[text.rfind("\n") + 1 :].split()
-    least = {"v": 4, "vt": 3, "vn": 4, "f": 4}.get(words[0] if words else "", 0)
-    if len(words) < least or (least and words[-1][-1] in "/-+eE"):
-        raise Damage(f"it ends within a line, {' '.join(words)!r}")
-
-
 def _place_part(scene, node):
     """Vertices, faces and face colours of one node of a scene, or None for no mesh."""
     transform, name = scene.graph[node]
@@ -194,11 +180,3 @@ def _face_colors(part):
                 return uv_to_color(middle, texture)
         return np.tile(np.asarray(material.main_color, dtype=np.uint8), (count, 1))
     return np.tile(PLAIN, (count, 1))
-
-
-def scale_randomly(
-    mesh: trimesh.Trimesh, *, seed: int | Sequence[int]
-) -> trimesh.Trimesh:
-    """Copy of a mesh, each axis stretched by a factor within `STRETCH` of one."""
-    factors = np.random.default_rng(seed).uniform(1 - STRETCH, 1 + STRETCH, 3)
-    return replace_vertices(mesh, np.asarray(mesh.vertices, dtype=np.float64) * factors)

@@ -44,7 +44,10 @@ def render_mesh(
         pictures.append((*view, rotation))
     corners = _render_corners(scene, camera) if spec.corner_views else {}
     kept = {f"{name}s": rows.astype(np.float32) for name, rows in cameras.items()}
-    truth = {"surfaces": make_ground_truth(mesh, spec)}
+    points, _ = views.sample_surface(mesh, count=spec.surface_points, seed=spec.seed)
+    if spec.surface_voxel:
+        points = _thin_points(points, voxel=spec.surface_voxel)
+    truth = {"surfaces": points}
     if spec.visible_points:
         truth["visible"] = sample_visible(mesh, scene, spec)
     return viewpoints.stack_views(pictures) | truth | kept | corners
@@ -75,17 +78,6 @@ def _draw_cameras(spec, stream):
         shares = rng.uniform(-spec.focal_spread, spec.focal_spread, spec.views)
         cameras["focal_length"] = spec.focal_length * (1 + shares)
     return cameras
-
-
-def make_ground_truth(mesh: trimesh.Trimesh, spec: DataSpec) -> np.ndarray:
-    """Points [P, 3] float32 of a normalised mesh.
-
-    `spec.surface_points` are spread over it; `spec.surface_voxel` keeps one per voxel.
-    """
-    points, _ = views.sample_surface(mesh, count=spec.surface_points, seed=spec.seed)
-    return (
-        _thin_points(points, voxel=spec.surface_voxel) if spec.surface_voxel else points
-    )
 
 
 def sample_visible(

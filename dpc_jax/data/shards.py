@@ -5,7 +5,6 @@ the archive itself keeps a size and a checksum of every array; because nothing i
 compressed, the arrays can also be mapped where they lie.
 """
 
-import errno
 import io
 import json
 import math
@@ -33,32 +32,19 @@ class Shard(NamedTuple):
     mapping: mmap.mmap
 
     def split(self, name: str) -> list[np.ndarray]:
-        """The rows of an array by model.
-
-        Raises:
-          ValueError: if they are not as many as the record says.
-        """
-        array, counts = self.arrays[name], self.record["counts"][name]
-        models = len(self.record["names"])
-        if len(counts) != models or sum(counts) != len(array) or min(counts) < 0:
-            raise ValueError(
-                f"Expected a shard to say how its {len(array)} rows of {name} belong "
-                f"to {models} models, but it says {counts}; delete its folder."
-            )
-        return np.split(array, np.cumsum(counts)[:-1])
+        """The rows of an array by model."""
+        return np.split(self.arrays[name], np.cumsum(self.record["counts"][name])[:-1])
 
 
 def write_shard(path: Path, arrays: dict[str, np.ndarray], record: dict[str, Any]):
-    """Write arrays and a JSON record under a temporary name; rename it when whole."""
+    """Write arrays and a JSON record under a temporary name; rename it when whole.
+
+    The record has the "names" of the models, and in "counts" by the name of each array
+    how many of its rows belong to each model.
+    """
     text = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
-    try:
-        with files.replacing(path) as partial, open(partial, "wb") as file:
-            np.savez(file, **dict[str, Any](arrays | {RECORD: text}))
-    except OSError as error:
-        raise OSError(
-            f"Expected to write {path}, but that failed ({error.strerror or error}); "
-            "make room or give another folder."
-        ) from None
+    with files.replacing(path) as partial, open(partial, "wb") as file:
+        np.savez(file, **dict[str, Any](arrays | {RECORD: text}))
 
 
 def map_shard(path: str | os.PathLike) -> Shard:
@@ -72,27 +58,24 @@ def map_shard(path: str | os.PathLike) -> Shard:
       ValueError: naming the file, if it is anything but such a shard.
     """
     arrays = {}
-    try:
-        with files.open_regular(path) as file, zipfile.ZipFile(file) as archive:
-            mapping = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-            for member in archive.infolist():
-                name = member.filename.removesuffix(".npy")
-                arrays[name] = _map_array(mapping, member, name)
-            if name := archive.testzip():
-                raise Damage(f"the checksum of {name} differs")
+    with (
+        files.open_regular(path) as file,
+        files.reading("a shard as it was written", path, "delete it"),
+        zipfile.ZipFile(file) as archive,
+    ):
+        mapping = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        for member in archive.infolist():
+            name = member.filename.removesuffix(".npy")
+            arrays[name] = _map_array(mapping, member, name)
+        if name := archive.testzip():
+            raise Damage(f"the checksum of {name} differs")
         record = json.loads(arrays.pop(RECORD).tobytes())
-        if not isinstance(record, dict):
-            raise Damage(f"its record is {type(record).__name__}")
+        models = len(record["names"])
+        for name, array in arrays.items():
+            counts = record["counts"][name]
+            if len(counts) != models or sum(counts) != len(array) or min(counts) < 0:
+                raise Damage(f"{name} has {len(array)} rows, the record {counts}")
         return Shard(arrays, record, mapping)
-    except Exception as error:  # zipfile and numpy raise anything at all on damage
-        if isinstance(error, OSError) and error.errno != errno.EINVAL:
-            raise
-        # else a seek to where nothing can be
-        reason = "it is cut" if isinstance(error, OSError) else error
-        raise ValueError(
-            f"Expected {path} as it was written, but it is damaged ({reason}); delete "
-            "it."
-        ) from None
 
 
 def _map_array(mapping, member, name):

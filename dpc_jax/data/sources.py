@@ -82,15 +82,6 @@ class Source:
         """
         raise NotImplementedError
 
-    def estimate_bytes(self, model: Model) -> int:
-        """Size of a model's arrays."""
-        spec = self.spec
-        points = spec.surface_points
-        if spec.surface_voxel > 0:  # surfaces are about as large as their boxes' sides
-            points = min(points, round(2 / spec.surface_voxel**2))
-        points = 12 * points + 6 * spec.visible_points
-        return 8 * spec.image_size**2 * model.views + points
-
     def expect_model(self, name: str) -> Path:
         """Where a model that an official split names should lie."""
         return self.folder / name
@@ -122,13 +113,7 @@ class Source:
                 f"Expected a folder of {self.spec.kind}, but {self.folder} is not a "
                 "folder; check it."
             )
-        found = self.find_models()
-        models = {show_text(name): path for name, path in found.items()}
-        if len(models) < len(found):
-            raise ValueError(
-                f"Expected names in {self.folder} that differ when they are shown, but "
-                "some differ in characters that cannot be shown alone; rename them."
-            )
+        models = {show_text(name): path for name, path in self.find_models().items()}
         official = self.find_split_file()
         if official is None:
             return Division(models, self.split_by_seed(models), None)
@@ -152,7 +137,9 @@ class Source:
         return Division(models | missing, sides, official)
 
     def list_models(self) -> list[Model]:
-        """All models of the split, in order.
+        """Models of the split in order, stretched copies, procedural shapes.
+
+        There are at most `spec.models`.
 
         Raises:
           ValueError: if there are none, naming the folder.
@@ -170,7 +157,17 @@ class Source:
             path = division.models[name]
             views, digest = self.identify_model(name, path)
             models.append(Model(name, str(path), 0, 0, digest, views))
-        return complete(models, spec)
+        copies = [
+            model._replace(name=f"{model.name}#{copy}", copy=copy)
+            for copy in range(1, spec.copies or max(1, round(FEW / len(models))))
+            for model in models
+        ]
+        added = []
+        if spec.mix and len(models) < FEW:
+            from dpc_jax.shapes.procedural import CATEGORIES  # imports trimesh
+
+            added = list_procedural(spec, FEW if spec.category in CATEGORIES else 0)
+        return [*models, *copies, *added][: spec.models]
 
     def list_warnings(self) -> list[str]:
         """Sentences on the data set that a reader of results has to know."""
@@ -200,19 +197,3 @@ def list_procedural(spec: DataSpec, count: int) -> list[Model]:
         Model(f"{spec.category}-{seed:07d}", None, seed, 0, "", spec.views)
         for seed in range(first, first + count)
     ]
-
-
-def complete(models: list[Model], spec: DataSpec) -> list[Model]:
-    """Models of files, stretched copies, procedural shapes: at most `spec.models`."""
-    count = spec.copies or max(1, round(FEW / len(models)))
-    copies = [
-        model._replace(name=f"{model.name}#{copy}", copy=copy)
-        for copy in range(1, count)
-        for model in models
-    ]
-    added = []
-    if spec.mix and len(models) < FEW:
-        from dpc_jax.shapes.procedural import CATEGORIES  # imports trimesh
-
-        added = list_procedural(spec, FEW if spec.category in CATEGORIES else 0)
-    return [*models, *copies, *added][: spec.models]

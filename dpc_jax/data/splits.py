@@ -18,7 +18,6 @@ from dpc_jax.files import Damage, read_json, reading
 
 SPLITS = ("train", "val", "test")
 FINAL = "final"  # of procedural shapes: a test set by which nothing is chosen
-SYNONYMS = {"validation": "val", "valid": "val", "training": "train", "testing": "test"}
 
 
 def split_files(
@@ -152,11 +151,11 @@ def _read_csv(path, synset):
         if missing:
             raise Damage(f"its column {', '.join(sorted(missing))} is missing")
         for row in rows:
-            side = SYNONYMS.get(row["split"], row["split"])
-            if (row["synsetId"] or "").zfill(8) == synset and side in sides:
+            side = sides.get(row["split"])
+            if (row["synsetId"] or "").zfill(8) == synset and side is not None:
                 if not row["modelId"]:
                     raise Damage(f"line {rows.line_num} has no modelId")
-                sides[side].append(row["modelId"])
+                side.append(row["modelId"])
     return sides
 
 

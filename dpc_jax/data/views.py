@@ -91,19 +91,19 @@ def _shade_faces(scene, *, eye, lights):
 
 
 @functools.lru_cache(maxsize=4)
-def _camera_rays(image_size, focal_length, supersample):
+def _camera_rays(image_size, focal_length):
     """Directions [k*k, S, S, 3] in the camera frame, z = 1.
 
     Sub-samples come first: a sum over the first axis is several times cheaper.
     """
-    count = image_size * supersample
+    count = image_size * SUPERSAMPLE
     plane = ((np.arange(count) + 0.5) / count - 0.5) / focal_length
-    plane = plane.reshape(image_size, supersample).T  # [k, S]
-    shape = (supersample, supersample, image_size, image_size)
+    plane = plane.reshape(image_size, SUPERSAMPLE).T  # [k, S]
+    shape = (SUPERSAMPLE, SUPERSAMPLE, image_size, image_size)
     rays = np.ones((*shape, 3), dtype=np.float32)
     rays[..., 0] = plane[None, :, None, :]
     rays[..., 1] = plane[:, None, :, None]
-    return rays.reshape(supersample**2, image_size, image_size, 3)
+    return rays.reshape(SUPERSAMPLE**2, image_size, image_size, 3)
 
 
 def _crop_box(scene, rotation, image_size, focal_length, shift):
@@ -120,7 +120,7 @@ def _crop_box(scene, rotation, image_size, focal_length, shift):
 
 
 def render_view(
-    mesh: Scene | trimesh.Trimesh,
+    scene: Scene,
     rotation: np.ndarray,
     *,
     lights: Lights,
@@ -128,17 +128,15 @@ def render_view(
     focal_length: float = 1.875,
     distance: float = 2.0,
     translation: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
-    supersample: int = SUPERSAMPLE,
 ) -> View:
-    """Render one view of a mesh, preferably made a `Scene` once for many views.
+    """Render one view of a mesh that `build_scene` has made ready.
 
     u = focal x / z and v = focal y / z with z = z_rotated + distance; the image of
     `image_size` pixels a side spans [-1/2, 1/2] in u and v, row 0 at the top.
     `rotation` [3, 3] takes the object frame to the camera frame, where `translation`
     [3] moves the object; that and `distance` are in the units of the mesh.
-    `supersample` rays per pixel are cast along each image axis.
+    `SUPERSAMPLE` rays per pixel are cast along each image axis.
     """
-    scene = build_scene(mesh) if isinstance(mesh, trimesh.Trimesh) else mesh
     rotation = np.asarray(rotation, dtype=np.float64)
     shift = np.asarray(translation, dtype=np.float64) + [0.0, 0.0, distance]
     eye = -shift @ rotation
@@ -149,7 +147,7 @@ def render_view(
     top, bottom, left, right = _crop_box(
         scene, rotation, image_size, focal_length, shift
     )
-    rays = _camera_rays(image_size, float(focal_length), supersample)
+    rays = _camera_rays(image_size, float(focal_length))
     rays = rays[:, top:bottom, left:right]
     shape = rays.shape[:3]
     directions = rays.reshape(-1, 3) @ rotation.astype(np.float32)

@@ -98,10 +98,11 @@ def plan_shards(folder: Path, source: Source, models: Sequence[Model]) -> Plan:
     most = min(max(few, -(-len(models) // 16)), many)
     ranges, start, size = [], 0, 0
     for index, model in enumerate(models):
-        size += source.estimate_bytes(model)
+        own = 8 * source.spec.image_size**2 * model.views  # bytes, without its points
+        size += own
         if index > start and (index - start == most or size > SHARD_BYTES):
             ranges.append(range(start, index))
-            start, size = index, source.estimate_bytes(model)
+            start, size = index, own
     return Plan(folder, source, models, [*ranges, range(start, len(models))])
 
 

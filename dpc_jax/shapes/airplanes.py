@@ -1,7 +1,7 @@
 """Procedural airplanes of four kinds, one fuselage long, z up, nose towards +x."""
 
 import functools
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import numpy as np
 import trimesh
@@ -13,24 +13,13 @@ _SHARES = (0.4, 0.2, 0.2, 0.2)
 _UPPER = np.array([1.0, 0.5])  # chords of a fin, shares of the lower one
 
 
-class _Plan(NamedTuple):
-    """Measures of one airplane, all in fuselage lengths (the mesh is rescaled)."""
+def _draw_plan(rng: np.random.Generator) -> SimpleNamespace:
+    """Draw the kind and the measures of an airplane, in lengths of the fuselage.
 
-    kind: str
-    radius: float  # of the fuselage
-    span: float  # half span
-    root: float  # chord of the wing at the fuselage
-    taper: float  # tip chord / root chord
-    sweep: float  # run of the leading edge per half span
-    dihedral: float  # rise per half span
-    place: float  # leading edge at the root, share of the length from the nose
-    height: float  # of the wing, in fuselage radii
-    body: parts.Color
-    accent: parts.Color
-
-
-def _draw_plan(rng: np.random.Generator) -> _Plan:
-    """Draw the kind and the measures of an airplane."""
+    Of the wing, span is half of it, root the chord at the fuselage, taper tip chord by
+    root chord, sweep and dihedral run and rise per half span, place where the leading
+    edge begins behind the nose, and height is in radii of the fuselage.
+    """
     kind = str(rng.choice(_KINDS, p=_SHARES))
     ranges = {
         "airliner": dict(radius=(0.046, 0.066), span=(0.42, 0.54), root=(0.16, 0.22),
@@ -57,18 +46,14 @@ def _draw_plan(rng: np.random.Generator) -> _Plan:
     else:
         body = parts.draw_color(rng, saturation=(0.2, 0.9), value=(0.5, 0.9))
     accent = parts.draw_color(rng, saturation=(0.6, 1.0), value=(0.3, 0.9))
-    return _Plan(kind=kind, body=body, accent=accent, **measures)
+    return SimpleNamespace(kind=kind, body=body, accent=accent, **measures)
 
 
 def _wing_lead(plan, share):
     """Leading edge [3] of the wing at a share of the half span."""
-    return np.array(
-        [
-            0.5 - plan.place - share * plan.sweep * plan.span,
-            share * plan.span,
-            plan.height * plan.radius + share * plan.dihedral * plan.span,
-        ]
-    )
+    x = 0.5 - plan.place - share * plan.sweep * plan.span
+    z = plan.height * plan.radius + share * plan.dihedral * plan.span
+    return np.array([x, share * plan.span, z])
 
 
 def make_airplane(rng: np.random.Generator) -> trimesh.Trimesh:
@@ -77,10 +62,20 @@ def make_airplane(rng: np.random.Generator) -> trimesh.Trimesh:
     Its labels are body, wing, tail, engine and gear.
     """
     plan = _draw_plan(rng)
-    groups = [("body", _make_fuselage(plan, rng)), ("wing", _make_wings(plan))]
-    groups += [("tail", _make_tail(plan, rng)), ("engine", _make_engines(plan, rng))]
-    gear = _make_gear(plan) if plan.kind == "light" else []
-    return parts.join([*groups, ("gear", gear)])
+    engines = {
+        "airliner": _make_wing_engines,
+        "bizjet": _make_tail_engines,
+        "light": _make_propeller,
+        "fighter": _make_nozzles,
+    }
+    groups = [
+        ("body", _make_fuselage(plan, rng)),
+        ("wing", _make_wings(plan)),
+        ("tail", _make_tail(plan, rng)),
+        ("engine", engines[plan.kind](plan, rng)),
+        ("gear", _make_gear(plan) if plan.kind == "light" else []),
+    ]
+    return parts.join(groups)
 
 
 def _make_fuselage(plan, rng):
@@ -121,18 +116,10 @@ def _make_windows(plan):
     """A dark windscreen around the nose and a stripe of windows along each side."""
     r = plan.radius
     scale = np.array([1, r, r])
-    pane = [
-        (0.468, 0.16, 0.44),
-        (0.432, 0.66, 0.44),
-        (0.428, 0.5, 0.8),
-        (0.455, 0.14, 0.68),
-    ]
-    stripe = [
-        (0.36, 1.005, 0.18),
-        (-0.2, 1.005, 0.18),
-        (-0.2, 0.985, 0.36),
-        (0.36, 0.985, 0.36),
-    ]
+    pane = [(0.468, 0.16, 0.44), (0.432, 0.66, 0.44)]
+    pane += [(0.428, 0.5, 0.8), (0.455, 0.14, 0.68)]
+    stripe = [(0.36, 1.005, 0.18), (-0.2, 1.005, 0.18)]
+    stripe += [(-0.2, 0.985, 0.36), (0.36, 0.985, 0.36)]
     windscreen = parts.panel(pane * scale, color=parts.GLASS)
     return parts.mirror([windscreen, parts.panel(stripe * scale, color=plan.accent)])
 
@@ -214,17 +201,6 @@ def _make_tail(plan, rng):
     return [*pieces, *parts.mirror([stabiliser])]
 
 
-def _make_engines(plan, rng):
-    """Under the wings, at the tail, a propeller, or one or two nozzles."""
-    makers = {
-        "airliner": _make_wing_engines,
-        "bizjet": _make_tail_engines,
-        "light": _make_propeller,
-        "fighter": _make_nozzles,
-    }
-    return makers[plan.kind](plan, rng)
-
-
 def _make_wing_engines(plan, rng):
     shares = (0.32,) if rng.uniform() < 0.72 else (0.28, 0.56)
     size = plan.radius * (rng.uniform(0.42, 0.6) if len(shares) == 1 else 0.38)
@@ -243,9 +219,8 @@ def _make_tail_engines(plan, rng):
     centre = np.array([-0.2, 1.75 * r, 0.5 * r])
     pod = _make_nacelle(centre, 0.14, rng.uniform(0.42, 0.52) * r, plan.accent)
     ends = centre - [0.05, r, 0], centre - [0.05, 0, 0]
-    return parts.mirror(
-        [*pod, parts.bar(*ends, width=0.07, height=0.012, color=plan.body)]
-    )
+    pylon = parts.bar(*ends, width=0.07, height=0.012, color=plan.body)
+    return parts.mirror([*pod, pylon])
 
 
 def _make_propeller(plan, rng):
@@ -256,25 +231,19 @@ def _make_propeller(plan, rng):
     hub = np.array([0.515, 0, z])
     ends, last = ((0.5, 0, z), (0.54, 0, z)), 0.02 * r
     spinner = parts.tube(*ends, 0.25 * r, radius_stop=last, color=plan.accent)
-    return [
-        spinner,
-        parts.bar(
-            hub - blade, hub + blade, width=0.02, height=0.008, color=parts.BLACK
-        ),
-    ]
+    ends = hub - blade, hub + blade
+    return [spinner, parts.bar(*ends, width=0.02, height=0.008, color=parts.BLACK)]
 
 
 def _make_nozzles(plan, rng):
     r = plan.radius
     side = 0.0 if rng.uniform() < 0.4 else 0.6 * r
     ends, last = ((-0.48, side, 0), (-0.53, side, 0)), 0.5 * r
-    nozzle = [
-        parts.tube(*ends, 0.62 * r, radius_stop=last, color=parts.BLACK, sides=10)
-    ]
-    intake = parts.box(
-        (-0.05, 1.0 * r, -0.5 * r), (0.16, 1.5 * r, 0.4 * r), color=plan.body
-    )
-    return [*(parts.mirror(nozzle) if side else nozzle), *parts.mirror([intake])]
+    tube = functools.partial(parts.tube, color=parts.BLACK, sides=10)
+    nozzle = [tube(*ends, 0.62 * r, radius_stop=last)]
+    corners = (-0.05, 1.0 * r, -0.5 * r), (0.16, 1.5 * r, 0.4 * r)
+    intake = parts.mirror([parts.box(*corners, color=plan.body)])
+    return [*(parts.mirror(nozzle) if side else nozzle), *intake]
 
 
 def _make_nacelle(front, length, radius, color):
@@ -286,10 +255,8 @@ def _make_nacelle(front, length, radius, color):
         offset = np.column_stack([np.full(10, -share * length), radius * size * ring])
         rings.append(front + offset)
     disc = np.column_stack([np.zeros(10), 0.75 * radius * ring])
-    return [
-        parts.loft(rings, color=color),
-        parts.panel(front + [0.001, 0, 0] + disc, color=parts.BLACK),
-    ]
+    disc = parts.panel(front + [0.001, 0, 0] + disc, color=parts.BLACK)
+    return [parts.loft(rings, color=color), disc]
 
 
 def _make_gear(plan):
@@ -303,8 +270,5 @@ def _make_gear(plan):
         return parts.tube(centre - side, centre + side, radius, color=parts.BLACK)
 
     legs = [strut((0.08, 0.4 * r, -0.8 * r), main), wheel(main, 0.012, 0.03)]
-    return [
-        *parts.mirror(legs),
-        strut((0.38, 0, -0.5 * r), nose),
-        wheel(nose, 0.01, 0.026),
-    ]
+    middle = [strut((0.38, 0, -0.5 * r), nose), wheel(nose, 0.01, 0.026)]
+    return [*parts.mirror(legs), *middle]

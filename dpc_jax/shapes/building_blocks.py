@@ -140,13 +140,7 @@ def panel(corners: npt.ArrayLike, *, color: Color) -> Part:
 
 
 def inset(
-    corners: npt.ArrayLike,
-    *,
-    left: float = 0.0,
-    right: float = 0.0,
-    bottom: float = 0.0,
-    top: float = 0.0,
-    lift: float = 0.0,
+    corners: npt.ArrayLike, *, sides: float, bottom: float, top: float, lift: float
 ) -> np.ndarray:
     """Quad inside a quad [4, 3] (bottom left, bottom right, top right, top left).
 
@@ -159,20 +153,15 @@ def inset(
 
     normal = np.cross(c - a, d - b)
     normal /= np.linalg.norm(normal)
-    low, high, near, far = bottom, 1 - top, left, 1 - right
+    low, high, near, far = bottom, 1 - top, sides, 1 - sides
     quad = [place(near, low), place(far, low), place(far, high), place(near, high)]
     return np.array(quad) + lift * normal
 
 
 def mirror(parts: Sequence[Part]) -> list[Part]:
     """The parts and their mirror images at the xz plane (left and right)."""
-    flipped = [
-        part._replace(
-            vertices=part.vertices * [1.0, -1.0, 1.0], faces=part.faces[:, ::-1]
-        )
-        for part in parts
-    ]
-    return [*parts, *flipped]
+    images = [Part(v * [1.0, -1.0, 1.0], f[:, ::-1], color) for v, f, color in parts]
+    return [*parts, *images]
 
 
 def join(groups: Sequence[tuple[str, Sequence[Part]]]) -> trimesh.Trimesh:

@@ -7,7 +7,6 @@ Made from these: wheels, lamps, mirrors, beds, spoilers, racks.
 """
 
 import functools
-from collections.abc import Mapping
 from types import SimpleNamespace
 
 import numpy as np
@@ -88,11 +87,6 @@ _FRONT_AXLE = {"van": (0.15, 0.19), "bus": (0.19, 0.24), "double_decker": (0.17,
 _REAR_AXLE = {"pickup": (0.74, 0.79), "bus": (0.68, 0.76), "double_decker": (0.7, 0.77)}
 
 
-def draw_style(rng: np.random.Generator, shares: Mapping[str, float]) -> str:
-    """A body style, by the shares of each."""
-    return str(rng.choice(list(shares), p=list(shares.values())))
-
-
 def draw_plan(rng: np.random.Generator, style: str) -> SimpleNamespace:
     """Draw the measures, in metres, of a car of one of `STYLES`."""
     m = {key: rng.uniform(*span) for key, span in STYLES[style].items()}
@@ -101,7 +95,6 @@ def draw_plan(rng: np.random.Generator, style: str) -> SimpleNamespace:
     def place(share):
         return length * (0.5 - share)
 
-    roof_front = m["cowl"] + m["rake"]
     front_axle = rng.uniform(*_FRONT_AXLE.get(style, (0.165, 0.2)))
     rear_axle = rng.uniform(*_REAR_AXLE.get(style, (0.79, 0.83)))
     return SimpleNamespace(
@@ -114,7 +107,7 @@ def draw_plan(rng: np.random.Generator, style: str) -> SimpleNamespace:
         wheel=m["wheel"],
         axles=(place(front_axle), place(rear_axle)),
         cowl=place(m["cowl"]),
-        roof_front=place(roof_front),
+        roof_front=place(m["cowl"] + m["rake"]),
         roof_rear=place(m["roof_end"]),
         tail=place(m["roof_end"] + m["tail"]),
         belt=m["belt"] * height,
@@ -151,14 +144,9 @@ def make_wheels(plan: SimpleNamespace, rng: np.random.Generator) -> list[Part]:
     rim_color = parts.CHROME if rng.uniform() < 0.75 else (70, 70, 74)
     pieces = []
     for axle in plan.axles:
-        outer = half_width(plan, axle) - 0.005
-        pieces += parts.wheel(
-            (axle, 0.0, plan.wheel),
-            plan.wheel,
-            sides=(outer - width, outer),
-            rim=(outer + 0.008, 0.62 * plan.wheel),
-            color=rim_color,
-        )
+        centre, outer = (axle, 0.0, plan.wheel), half_width(plan, axle) - 0.005
+        sides, rim = (outer - width, outer), (outer + 0.008, 0.62 * plan.wheel)
+        pieces += parts.wheel(centre, plan.wheel, sides=sides, rim=rim, color=rim_color)
     return parts.mirror(pieces)
 
 
@@ -169,30 +157,22 @@ def make_lamps(plan: SimpleNamespace, rng: np.random.Generator) -> list[Part]:
     low = plan.floor + 0.55 * (plan.nose - plan.floor)
     half = half_width(plan, front)
     size = rng.uniform(0.25, 0.4)
-    head = parts.box(
-        (front - 0.20, half * (1 - size), low),
-        (front + 0.015, half * 1.02, low + 0.16),
-        color=yellow,
-    )
-    grille = parts.box(
-        (front - 0.1, -half * 0.5, low - 0.06),
-        (front + 0.02, half * 0.5, low + 0.1),
-        color=parts.BLACK,
-    )
+    inner, outer = half * (1 - size), half * 1.02
+    corners = (front - 0.20, inner, low), (front + 0.015, outer, low + 0.16)
+    head = parts.box(*corners, color=yellow)
+    wide = half * 0.5
+    corners = (front - 0.1, -wide, low - 0.06), (front + 0.02, wide, low + 0.1)
+    grille = parts.box(*corners, color=parts.BLACK)
     half = half_width(plan, rear)
     top = plan.belt if plan.style != "sports" else 0.9 * plan.belt
     tall = rng.uniform(0.3, 0.5) if plan.style in ("van", "suv", "wagon") else 0.15
     wide = 0.25 if tall > 0.2 else rng.uniform(0.3, 0.6)
-    tail = parts.box(
-        (rear - 0.015, half * (1 - wide), top - 0.10 - tall),
-        (rear + 0.12, half * 0.985, top - 0.10),
-        color=(200, 16, 24),
-    )
-    plate = parts.box(
-        (rear - 0.012, -0.26, plan.floor + 0.32),
-        (rear + 0.05, 0.26, plan.floor + 0.43),
-        color=(235, 235, 220),
-    )
+    low_corner = (rear - 0.015, half * (1 - wide), top - 0.10 - tall)
+    corners = low_corner, (rear + 0.12, half * 0.985, top - 0.10)
+    tail = parts.box(*corners, color=(200, 16, 24))
+    low, high = plan.floor + 0.32, plan.floor + 0.43
+    corners = (rear - 0.012, -0.26, low), (rear + 0.05, 0.26, high)
+    plate = parts.box(*corners, color=(235, 235, 220))
     return [*parts.mirror([head, tail]), grille, plate]
 
 
@@ -201,9 +181,8 @@ def make_extras(plan: SimpleNamespace, rng: np.random.Generator) -> list[Part]:
     painted = functools.partial(parts.box, color=plan.paint)
     x, z = plan.cowl - 0.18, plan.belt + 0.04
     reach = plan.half + rng.uniform(0.08, 0.16)
-    pieces = parts.mirror(
-        [painted((x - 0.1, 0.85 * plan.half, z), (x, reach, z + 0.13))]
-    )
+    mirror = painted((x - 0.1, 0.85 * plan.half, z), (x, reach, z + 0.13))
+    pieces = parts.mirror([mirror])
     rear = -plan.length / 2
     if plan.style == "pickup":
         deck, wall = deck_height(plan) - 0.05, plan.belt * 0.98
@@ -214,11 +193,9 @@ def make_extras(plan: SimpleNamespace, rng: np.random.Generator) -> list[Part]:
     if plan.style == "sports" and rng.uniform() < 0.6:
         z, half = plan.belt + rng.uniform(0.12, 0.3), 0.85 * plan.half
         wing = painted((rear, -half, z), (rear + 0.28, half, z + 0.04))
-        post = parts.box(
-            (rear + 0.1, 0.5 * plan.half, plan.belt - 0.15),
-            (rear + 0.18, 0.54 * plan.half, z),
-            color=parts.BLACK,
-        )
+        low_corner = (rear + 0.1, 0.5 * plan.half, plan.belt - 0.15)
+        corners = low_corner, (rear + 0.18, 0.54 * plan.half, z)
+        post = parts.box(*corners, color=parts.BLACK)
         pieces += [wing, *parts.mirror([post])]
     if plan.style in ("hatchback", "suv") and rng.uniform() < 0.4:
         x, z, half = plan.roof_rear, plan.height - 0.09, 0.9 * plan.roof_half

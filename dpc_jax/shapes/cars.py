@@ -13,7 +13,6 @@ from dpc_jax.shapes.car_parts import (
     deck_height,
     draw_paint,
     draw_plan,
-    draw_style,
     half_width,
     make_extras,
     make_lamps,
@@ -27,7 +26,7 @@ def make_car(rng: np.random.Generator) -> trimesh.Trimesh:
 
     Its labels are body (with lamps and bumpers), cabin (with windows), wheel and extra.
     """
-    style = draw_style(rng, SHARES)
+    style = rng.choice(list(SHARES), p=list(SHARES.values()))
     if style == "truck":
         return parts.join(make_truck(rng, draw_paint(rng)))
     if style == "three_wheeler":
@@ -41,7 +40,8 @@ def make_car(rng: np.random.Generator) -> trimesh.Trimesh:
 
 def make_simple_car(rng: np.random.Generator) -> trimesh.Trimesh:
     """Mesh of a random car of the seven most usual styles."""
-    return parts.join(_make_groups(draw_plan(rng, draw_style(rng, SIMPLE_SHARES)), rng))
+    style = rng.choice(list(SIMPLE_SHARES), p=list(SIMPLE_SHARES.values()))
+    return parts.join(_make_groups(draw_plan(rng, style), rng))
 
 
 def _make_groups(plan, rng):
@@ -76,11 +76,9 @@ def _make_open_cabin(plan):
     pieces.append(beam(corners[3], corners[2]))
     behind = plan.roof_front - 0.75
     for x in np.arange(behind, plan.roof_rear - 0.3, -0.85):
-        seat = (
-            (x, 0.12, base - 0.05),
-            (x + 0.14, 0.75 * half, base + 0.9 * (top - base)),
-        )
-        pieces += parts.mirror([parts.box(*seat, color=(74, 48, 36))])
+        high = (x + 0.14, 0.75 * half, base + 0.9 * (top - base))
+        seat = parts.box((x, 0.12, base - 0.05), high, color=(74, 48, 36))
+        pieces += parts.mirror([seat])
     folded = (plan.tail, -0.8 * wide, base), (plan.tail + 0.4, 0.8 * wide, base + 0.14)
     return [*pieces, parts.box(*folded, color=parts.BLACK)]
 
@@ -124,31 +122,24 @@ def _make_body(plan, rng):
         half = half_width(plan, x)
         shoulder = high - 0.22 * (high - low)
         waist = low + 0.25 * (high - low)
-        right = [
-            (0.95 * half, low),
-            (half, waist),
-            (0.985 * half, shoulder),
-            (0.90 * half, high),
-        ]
+        right = [(0.95 * half, low), (half, waist)]
+        right += [(0.985 * half, shoulder), (0.90 * half, high)]
         ring = [*right, *((-y, z) for y, z in reversed(right))]
         rings.append([(x, y, z) for y, z in ring])
     body = parts.loft(rings, color=plan.paint)
     front, rear = plan.length / 2, -plan.length / 2
     inner = plan.half - 0.26
-    under = parts.box(
-        (rear + 0.25, -inner, plan.floor + 0.02),
-        (front - 0.25, inner, plan.floor + 0.36 * (plan.belt - plan.floor)),
-        color=parts.BLACK,
-    )
+    high = plan.floor + 0.36 * (plan.belt - plan.floor)
+    corners = (rear + 0.25, -inner, plan.floor + 0.02), (front - 0.25, inner, high)
+    under = parts.box(*corners, color=parts.BLACK)
     trim = parts.BLACK if rng.uniform() < 0.5 else parts.CHROME
     bumpers = []
     for end, sign in ((front, 1), (rear, -1)):
         half = 0.96 * half_width(plan, end)
         low = plan.floor + 0.10
         x = sorted((end - sign * 0.10, end + sign * 0.04))
-        bumpers.append(
-            parts.box((x[0], -half, low), (x[1], half, low + 0.14), color=trim)
-        )
+        corners = (x[0], -half, low), (x[1], half, low + 0.14)
+        bumpers.append(parts.box(*corners, color=trim))
     return [body, under, *bumpers]
 
 
@@ -177,14 +168,9 @@ def _make_cabin(plan):
 
     front = np.array([rings[0, 3], rings[0, 0], rings[1, 1], rings[1, 2]])[[1, 0, 3, 2]]
     back = np.array([rings[4, 3], rings[4, 0], rings[3, 1], rings[3, 2]])
-    inset = functools.partial(parts.inset, lift=-0.012)
-    glass = [
-        parts.panel(corners, color=parts.GLASS)
-        for corners in (
-            inset(front, left=0.05, right=0.05, bottom=0.08, top=0.06),
-            inset(back, left=0.07, right=0.07, bottom=0.2, top=0.1),
-        )
-    ]
+    front = parts.inset(front, sides=0.05, bottom=0.08, top=0.06, lift=-0.012)
+    back = parts.inset(back, sides=0.07, bottom=0.2, top=0.1, lift=-0.012)
+    glass = [parts.panel(corners, color=parts.GLASS) for corners in (front, back)]
     for window in _side_windows(plan, base, xs, tops):
         corners = [(x, half_at(z) + 0.012, z) for x, z in window]
         glass += parts.mirror([parts.panel(corners, color=parts.GLASS)])

@@ -99,7 +99,10 @@ class _Back:
             return [self._plate(bottom, top, half_top=taper)]
         if plan.back == "curved":
             return self._make_curved(rng)
-        pieces = self._make_posts(rng)
+        width = rng.uniform(0.02, 0.04)  # of the posts
+        side = self._half - width / 2
+        ends = self._place(side, plan.seat - plan.thick), self._place(side, top)
+        pieces = parts.mirror([self._bar(*ends, width=width, height=0.03)])
         head = plan.rise * rng.uniform(0.12, 0.22)
         if plan.back == "slats":
             pieces.append(self._plate(top - head, top, color=plan.frame_color))
@@ -139,12 +142,6 @@ class _Back:
             pieces += parts.mirror([self._bar(*ends, width=0.03, height=0.015)])
         return pieces
 
-    def _make_posts(self, rng):
-        plan, width = self._plan, rng.uniform(0.02, 0.04)
-        y = self._half - width / 2
-        ends = self._place(y, plan.seat - plan.thick), self._place(y, self._top)
-        return parts.mirror([self._bar(*ends, width=width, height=0.03)])
-
 
 def _make_arms(plan, rng):
     """Arm rests: padded walls for an armchair, else a rest on a post on each side."""
@@ -152,12 +149,9 @@ def _make_arms(plan, rng):
     half = plan.width / 2
     if plan.base == "block":
         height = plan.seat + rng.uniform(0.12, 0.24)
-        wall = parts.box(
-            (rear - 0.04, half - 0.02, 0.12),
-            (front, half + rng.uniform(0.08, 0.16), height),
-            color=plan.seat_color,
-        )
-        return parts.mirror([wall])
+        corner = (front, half + rng.uniform(0.08, 0.16), height)
+        low = (rear - 0.04, half - 0.02, 0.12)
+        return parts.mirror([parts.box(low, corner, color=plan.seat_color)])
     bar = functools.partial(parts.bar, color=plan.frame_color)
     height = plan.seat + rng.uniform(0.17, 0.24)
     reach = rear + rng.uniform(0.6, 0.95) * plan.depth
@@ -180,10 +174,8 @@ def _make_legs(plan, rng):
         start = np.array([sign * x, y, top])
         foot = np.array([sign * (x + splay * 0.4), y + splay * 0.3, 0.0])
         if square:
-            side = 2 * radius
-            leg = parts.bar(
-                start, foot, width=side, height=side, color=plan.frame_color
-            )
+            sizes = dict(width=2 * radius, height=2 * radius)
+            leg = parts.bar(start, foot, **sizes, color=plan.frame_color)
         else:
             leg = tube(start, foot, 1.15 * radius, radius_stop=0.75 * radius)
         pieces.append(leg)
@@ -250,8 +242,7 @@ def _make_block(plan, rng):
     x, y = 0.5 * plan.depth, 0.48 * plan.width
     top = plan.seat - plan.thick
     plinth = parts.box((-x, -y, foot), (0.96 * x, y, top), color=plan.seat_color)
-    tube = functools.partial(
-        parts.tube, radius=0.02, radius_stop=0.03, color=plan.frame_color
-    )
+    tube = functools.partial(parts.tube, color=plan.frame_color)
     corners = [(s * 0.85 * x, 0.85 * y) for s in (1, -1)]
-    return [plinth, *parts.mirror([tube((*xy, 0), (*xy, foot)) for xy in corners])]
+    feet = [tube((*c, 0), (*c, foot), 0.02, radius_stop=0.03) for c in corners]
+    return [plinth, *parts.mirror(feet)]

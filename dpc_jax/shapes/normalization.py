@@ -21,22 +21,9 @@ def normalize(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
             f"Expected a mesh with an extent, but its box diagonal is {diagonal}; "
             "skip it."
         )
-    return replace_vertices(mesh, (vertices - (low + high) / 2) / diagonal)
-
-
-def replace_vertices(mesh: trimesh.Trimesh, vertices: np.ndarray) -> trimesh.Trimesh:
-    """Copy of a mesh with other vertices [n, 3]; the faces stay as they are.
-
-    So do their colours and what else they carry, such as labels.
-    """
-    return trimesh.Trimesh(
-        vertices,
-        mesh.faces,
-        face_colors=face_colors(mesh),
-        face_attributes=mesh.face_attributes,
-        metadata=mesh.metadata,
-        process=False,
-    )
+    moved = mesh.copy()
+    moved.vertices = (vertices - (low + high) / 2) / diagonal
+    return moved
 
 
 def face_colors(mesh: trimesh.Trimesh) -> np.ndarray:

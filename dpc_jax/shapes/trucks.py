@@ -35,27 +35,15 @@ def make_truck(rng: np.random.Generator, paint: parts.Color) -> Groups:
     elif length > 7 and rng.uniform() < 0.6:
         axles.append(behind + 1.15)
     wheels = [part for x in axles for part in _make_wheel(x, half, wheel)]
-    body = [
-        parts.box(
-            (rear, -0.45, floor - 0.25), (front - 0.3, 0.45, floor), color=_STEEL
-        ),
-        *_make_ends(front, rear, half, floor),
-    ]
-    return [
-        ("body", body),
-        ("cabin", cab),
-        ("wheel", parts.mirror(wheels)),
-        ("extra", load),
-    ]
+    frame = (rear, -0.45, floor - 0.25), (front - 0.3, 0.45, floor)
+    body = [parts.box(*frame, color=_STEEL), *_make_ends(front, rear, half, floor)]
+    groups = [("body", body), ("cabin", cab), ("wheel", parts.mirror(wheels))]
+    return [*groups, ("extra", load)]
 
 
 def _make_prism(profile, half, *, color):
     """A side view (x, z), seen from its middle, as wide as 2 · half."""
-    profile = np.asarray(profile, float)
-    rings = [
-        np.column_stack([profile[:, 0], np.full(len(profile), y), profile[:, 1]])
-        for y in (half, -half)
-    ]
+    rings = [[(x, y, z) for x, z in profile] for y in (half, -half)]
     return parts.loft(rings, color=color)
 
 
@@ -93,17 +81,13 @@ def _make_ends(front, rear, half, floor):
     """Bumpers, lamps and grille."""
     low = floor - 0.4
     bumper = (front - 0.15, -half, low - 0.1), (front + 0.05, half, low + 0.1)
-    grille = (
-        (front - 0.1, -0.5 * half, low + 0.15),
-        (front + 0.02, 0.5 * half, low + 0.5),
-    )
+    wide = 0.5 * half
+    grille = (front - 0.1, -wide, low + 0.15), (front + 0.02, wide, low + 0.5)
     under = (rear, -half, floor - 0.3), (rear + 0.1, half, floor - 0.15)
     # Wrapped round the corners, so that they are seen from the side too.
-    head = (front - 0.3, 0.5 * half, low + 0.1), (front + 0.05, 1.02 * half, low + 0.55)
-    tail = (
-        (rear - 0.05, 0.4 * half, floor - 0.2),
-        (rear + 0.3, 1.02 * half, floor + 0.3),
-    )
+    side = 1.02 * half
+    head = (front - 0.3, wide, low + 0.1), (front + 0.05, side, low + 0.55)
+    tail = (rear - 0.05, 0.4 * half, floor - 0.2), (rear + 0.3, side, floor + 0.3)
     lamps = [parts.box(*head, color=_LAMP), parts.box(*tail, color=_REAR_LAMP)]
     dark = [parts.box(*corners, color=parts.BLACK) for corners in (bumper, grille)]
     return [*dark, parts.box(*under, color=_STEEL), *parts.mirror(lamps)]
@@ -119,9 +103,8 @@ def _make_load(span, half, low, cab_top, rng):
     """What a truck carries on its frame between two stations x, from a height on."""
     rear, front = span
     color = parts.draw_color(rng, saturation=(0.0, 0.9), value=(0.5, 0.95))
-    kind = rng.choice(
-        ["box", "tank", "dump", "goods", "empty"], p=[0.4, 0.15, 0.15, 0.2, 0.1]
-    )
+    kinds = ["box", "tank", "dump", "goods", "empty"]
+    kind = rng.choice(kinds, p=[0.4, 0.15, 0.15, 0.2, 0.1])
     deck = parts.box((rear, -half, low - 0.12), (front, half, low), color=_STEEL)
     if kind == "box":
         high = max(low + 1.2, cab_top + rng.uniform(-0.3, 0.9))
@@ -152,12 +135,10 @@ def pile_goods(
         radius = rng.uniform(0.12, 0.28)
         count = max(2, int(half / radius))
         rows = (np.arange(count) - (count - 1) / 2) * 2 * radius
+        layers = (low + radius, rows), (low + 2.7 * radius, rows[:-1] + radius)
         return [
             parts.tube((rear, y, z), (front, y, z), radius, color=_STEEL)
-            for z, row in (
-                (low + radius, rows),
-                (low + 2.7 * radius, rows[:-1] + radius),
-            )
+            for z, row in layers
             for y in row
         ]
     goods, x = [], rear
@@ -178,25 +159,19 @@ def make_three_wheeler(rng: np.random.Generator, paint: parts.Color) -> Groups:
     front, rear, floor = length / 2, -length / 2, 0.22
     waist = floor + rng.uniform(0.45, 0.6)
     stations = [(front, 0.3, waist - 0.1), (front - 0.35, 0.55, waist + 0.1)]
-    stations += [
-        (front - 0.8, 0.95, waist),
-        (rear + 0.1, 1.0, waist),
-        (rear, 0.9, waist),
-    ]
+    stations += [(front - 0.8, 0.95, waist), (rear + 0.1, 1.0, waist)]
+    stations.append((rear, 0.9, waist))
     rings = []
     for x, share, high in stations:
         y, foot = half * share, 0.9 * half * share
         ring = [(x, foot, floor), (x, y, high), (x, -y, high), (x, -foot, floor)]
         rings.append(ring)
-    lamp = parts.tube(
-        (front - 0.1, 0, waist), (front + 0.06, 0, waist), 0.09, color=_LAMP
-    )
-    tail = (
-        (rear - 0.03, 0.6 * half, waist - 0.2),
-        (rear + 0.05, 0.85 * half, waist - 0.05),
-    )
-    body = [parts.loft(rings, color=paint), lamp]
-    body += parts.mirror([parts.box(*tail, color=_REAR_LAMP)])
+    body = [parts.loft(rings, color=paint)]
+    lamp = (front - 0.1, 0, waist), (front + 0.06, 0, waist)
+    body.append(parts.tube(*lamp, 0.09, color=_LAMP))
+    low, high = (rear - 0.03, 0.6 * half), (rear + 0.05, 0.85 * half)
+    tail = parts.box((*low, waist - 0.2), (*high, waist - 0.05), color=_REAR_LAMP)
+    body += parts.mirror([tail])
     roof_front = front - rng.uniform(0.5, 0.8)
     canopy = [(rear + 0.05, top - 0.15), (roof_front, top - 0.12)]
     canopy += [(roof_front - 0.3, top), (rear + 0.3, top)]
@@ -214,8 +189,7 @@ def make_three_wheeler(rng: np.random.Generator, paint: parts.Color) -> Groups:
     if rng.uniform() < 0.4:
         crate = (rear + 0.1, -0.7 * half, top), (rear + 0.9, 0.7 * half, top + 0.35)
         load.append(parts.box(*crate, color=(150, 110, 70)))
-    sides = [rear + 0.35]
-    wheels = parts.mirror([p for x in sides for p in _make_wheel(x, half, wheel)])
+    wheels = parts.mirror(_make_wheel(rear + 0.35, half, wheel))
     ends = (front - 0.25, -0.08, wheel), (front - 0.25, 0.08, wheel)
     wheels.append(parts.tube(*ends, wheel, color=parts.BLACK, sides=16))
     return [("body", body), ("cabin", cabin), ("wheel", wheels), ("extra", load)]

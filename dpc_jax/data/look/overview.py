@@ -1,9 +1,8 @@
 """What is in a data set: opened from wherever it lies, listed, and drawn."""
 
 import contextlib
-import json
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,13 +33,6 @@ class OpenSet(NamedTuple):
     note: str
 
 
-def list_caches(path: str | Path) -> list[Path]:
-    """The finished caches that a path is or holds, sorted; there may be none."""
-    places = [Path(path), *sorted(Path(path).glob("*/"))]
-    found = [place for place in places if (place / dataset.RECORD).is_file()]
-    return found[:1] if places[0] in found else found
-
-
 @contextlib.contextmanager
 def open_set(path: str | Path, *, models: int | None = None) -> Iterator[OpenSet]:
     """Open a cache, or prepare a folder's models for the time of looking.
@@ -67,20 +59,15 @@ def open_set(path: str | Path, *, models: int | None = None) -> Iterator[OpenSet
     note += "" if models is None else f", at most {models} models"
     with tempfile.TemporaryDirectory() as place:
         dataset.load_or_render(spec, cache_dir=place)
-        (cache,) = list_caches(place)
+        (cache,) = Path(place).iterdir()
         yield _read_set(cache, path.name, note)
 
 
 def _read_set(cache, name, note):
-    try:
-        data = dataset.read_cache(cache)
-        record = files.read_json(cache / dataset.RECORD)
-        lens = Lens(*(record[field] for field in Lens._fields))
-    except (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(
-            f"Expected the record of a set in {cache / dataset.RECORD}, but it is "
-            f"damaged ({type(error).__name__}: {error}); train again to repair it."
-        ) from None
+    data, path = dataset.read_cache(cache), cache / dataset.RECORD
+    with files.reading("the record of a set", path, "train again to repair it"):
+        record = files.read_json(path)
+        lens = Lens(record["focal_length"], record["distance"])
     return OpenSet(name, data, lens, record, note)
 
 
@@ -138,25 +125,22 @@ def describe_set(opened: OpenSet) -> list[str]:
     return lines
 
 
-def choose_models(opened: OpenSet, models: int) -> list[int]:
-    """The indices of so many models, spread over the set."""
-    last = len(opened.data.names) - 1
-    return np.linspace(0, last, min(models, last + 1)).round().astype(int).tolist()
+def draw_set(opened: OpenSet, models: int) -> tuple[Image.Image, list[str]]:
+    """Sheet of so many models, spread over the set, and their names.
 
-
-def draw_set(opened: OpenSet, models: Sequence[int]) -> Image.Image:
-    """Sheet with a row for each model: images, masks and depths of some of its views.
-
-    On the images are the object's axes: red the front, green the left, blue the top.
+    Each has a row: images, masks and depths of some of its views. On the images are the
+    object's axes: red the front, green the left, blue the top.
     """
-    counts = opened.data.counts
+    counts, last = opened.data.counts, len(opened.data.names) - 1
+    chosen = np.linspace(0, last, min(models, last + 1)).round().astype(int).tolist()
     most = min(VIEWS, int(counts.max()))
     rows = []
-    for model in models:
+    for model in chosen:
         seen = [_draw_view(opened, model, v) for v in range(min(most, counts[model]))]
         blank = [np.full_like(seen[0], 255)] * (most - len(seen))
         rows.append(np.concatenate([*seen, *blank], axis=1))
-    return Image.fromarray(np.concatenate(rows))
+    names = [opened.data.names[model] for model in chosen]
+    return Image.fromarray(np.concatenate(rows)), names
 
 
 def _draw_view(opened, model, view):

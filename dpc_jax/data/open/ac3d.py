@@ -61,17 +61,16 @@ def join_parts(parts: Sequence[Part]) -> trimesh.Trimesh:
 
 
 class _Reader:
-    """A cursor over the lines of a file."""
+    """Reads the lines of a file one after the other."""
 
     def __init__(self, lines, path, textures):
-        self._lines, self._at = lines, 1
+        self._lines = iter(lines)
         self._path, self._textures = path, textures
         self._images, self._materials, self._parts = {}, [], []
 
     def read_all(self):
-        while self._at < len(self._lines):
-            self._at += 1
-            key, _, rest = self._lines[self._at - 1].strip().partition(" ")
+        for line in self._lines:
+            key, _, rest = line.strip().partition(" ")
             if key == "MATERIAL":
                 words = rest.rpartition('"')[2].split()
                 color = [float(x) for x in words[words.index("rgb") + 1 :][:3]]
@@ -83,10 +82,7 @@ class _Reader:
 
     def _next(self):
         """The next line that is not blank."""
-        while True:
-            self._at += 1
-            if line := self._lines[self._at - 1].strip():
-                return line
+        return next(line for text in self._lines if (line := text.strip()))
 
     def _read_object(self, place, turn):
         """Read one object and those below it, placed as their parents say."""
@@ -100,8 +96,7 @@ class _Reader:
             elif key == "data":
                 left = int(rest)
                 while left > 0:  # characters, of any number of lines
-                    left -= len(self._lines[self._at]) + 1
-                    self._at += 1
+                    left -= len(next(self._lines)) + 1
             elif key == "texture" and texture is None:  # the first is the base layer
                 texture = rest.split('"')[1] if '"' in rest else rest
             elif key == "texrep":
@@ -122,12 +117,9 @@ class _Reader:
         vertices = vertices @ turn + place
         self._add_part(name, vertices, surfaces, texture, repeat, offset)
         for _ in range(int(rest)):
-            left = range(self._at, len(self._lines))
-            found = next((i for i in left if self._lines[i].startswith("OBJ")), None)
-            if found is None:
-                return  # some files count more objects than they have
-            self._at = found + 1
-            self._read_object(place, turn)
+            # Some files count more objects than they have.
+            if any(line.startswith("OBJ") for line in self._lines):
+                self._read_object(place, turn)
 
     def _read_surface(self):
         """(kind, material, corners): corners are lists of index, u, v."""

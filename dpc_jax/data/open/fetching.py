@@ -20,8 +20,8 @@ from dpc_jax.shapes.normalization import normalize
 VERSION = 2  # raise it when a converted mesh changes
 
 
-def fetch_category(category: str, out: str | Path) -> Path:
-    """Make the folder OUT/CATEGORY of open meshes; return its path.
+def fetch_category(category: str, out: str | Path):
+    """Make the folder OUT/CATEGORY of open meshes.
 
     A second call does nothing. Packages stay in OUT/packages; their unpacked files are
     removed again.
@@ -48,7 +48,6 @@ def fetch_category(category: str, out: str | Path) -> Path:
         print(f"{folder}/{side}: {len(families)} models, {number} families")
     for name, why in record["skipped"].items():
         print(f"skipped {name}: {why}")
-    return folder
 
 
 def _list_families(records):

@@ -12,8 +12,7 @@ import numpy as np
 import trimesh
 
 from dpc_jax.data import meshes
-from dpc_jax.data.open.packages import OpenModel, extract_model
-from dpc_jax.shapes.normalization import replace_vertices
+from dpc_jax.data.open.packages import OpenModel, extract_model, move_vertices
 
 PACKAGE = "sweethome3d-furniture"
 CHAIRS = re.compile(r"chair|stool|seat|fotel", re.IGNORECASE)
@@ -107,5 +106,5 @@ def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
     turn = np.eye(3)
     if "modelRotation" in item:
         turn = np.array(item["modelRotation"].split(), dtype=np.float64).reshape(3, 3)
-    vertices = np.asarray(mesh.vertices) @ turn.T
-    return replace_vertices(mesh, vertices[:, [2, 0, 1]])  # from y up, front +z
+    mesh.vertices = np.asarray(mesh.vertices) @ turn.T
+    return move_vertices(mesh, (2, 0, 1))  # from y up, front +z

@@ -30,30 +30,25 @@ _LEAST_SHARE = 0.9
 _MOST_TOUCHED = 0.05
 
 
-class NoMaskError(ValueError):
-    """An image has neither an alpha channel nor a mask beside it."""
-
-
 def check_mask(mask: np.ndarray, source: str) -> None:
     """Raise ValueError for a mask of 0 to 1 above one half everywhere or nowhere."""
     most = float(mask.max())
     if mask.min() <= 0.5 < most:
         return
-    problem = "covers the whole image" if most > 0.5 else "is empty"
-    if 0 < most <= 0.5:
-        problem = f"is nowhere more than {100 * most:.0f} % opaque, and what is half "
-        problem += "opaque or less is background"
+    problem = f"is nowhere more than {100 * most:.0f} % opaque" if most else "is empty"
+    if most > 0.5:
+        problem = "covers the whole image"
     raise ValueError(
         f"Expected a mask of the object in {source}, but it {problem}; make it again."
     )
 
 
-def read_mask(image: Image.Image, path: Path) -> np.ndarray:
+def read_mask(image: Image.Image, path: Path, *, advice: str = "") -> np.ndarray:
     """The mask float32 [height, width] of 0 to 1 of an upright image of a file.
 
     Raises:
-      NoMaskError: where it has neither an alpha channel nor a mask file.
-      ValueError: where the mask file has another size or cannot be read.
+      ValueError: where the mask file has another size or cannot be read, or there is
+        neither an alpha channel nor a mask file; that sentence ends in the advice.
     """
     beside = find_mask_file(path)
     if beside is not None:
@@ -69,9 +64,9 @@ def read_mask(image: Image.Image, path: Path) -> np.ndarray:
     elif image.has_transparency_data:
         mask = np.asarray(image.convert("RGBA"))[..., 3]
     else:
-        raise NoMaskError(
+        raise ValueError(
             f"Expected an alpha channel in {path} or {path.stem}_mask.png beside it, "
-            "but found neither; add a mask."
+            f"but found neither; add a mask{advice}."
         )
     return mask.astype(np.float32) / 255.0
 

@@ -15,6 +15,7 @@ from dpc_jax.shapes.normalization import normalize
 
 # Procedural shapes beside meshes, where they are not those of the category alone.
 _MIXED = {"car": "car_simple"}  # meshes of cars are seldom buses and trucks
+STRETCH = 0.15  # largest change of an axis in copies of a mesh, as a share of it
 SIDECARS = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".webp")
 
 
@@ -38,8 +39,11 @@ class MeshSource(Source):
             mesh.vertices = mesh.vertices @ turn.T
         if model.copy:
             # normalised first, so that the factors meet sides of comparable length
-            seed = [self.spec.seed, model.copy, int(model.digest[:8], 16)]
-            mesh = meshes.scale_randomly(normalize(mesh), seed=seed)
+            rng = np.random.default_rng(
+                [self.spec.seed, model.copy, int(model.digest[:8], 16)]
+            )
+            mesh = normalize(mesh)
+            mesh.vertices *= rng.uniform(1 - STRETCH, 1 + STRETCH, 3)
         return normalize(mesh)
 
     def make_arrays(self, model: Model, index: int) -> tuple[dict, list[str]]:

@@ -163,14 +163,11 @@ def _read_file(path, finds_masks, cameras, skipped) -> list[_View]:
 
 
 def _find_mask(frame, path, finds_masks) -> np.ndarray:
-    try:
-        mask = masks.read_mask(frame, path)
+    if not finds_masks or frame.has_transparency_data or masks.find_mask_file(path):
+        advice = ", or take --mask=auto for an object before a plain background"
+        mask = masks.read_mask(frame, path, advice=advice)
         if not finds_masks or mask.min() <= 0.5:  # else its alpha is no use
             return mask
-    except masks.NoMaskError as error:
-        if not finds_masks:
-            advice = ", or take --mask=auto for an object before a plain background."
-            raise masks.NoMaskError(str(error).rstrip(".") + advice) from None
     return masks.find_before_plain_background(np.asarray(frame.convert("RGB")))
 
 

@@ -48,17 +48,13 @@ def open_picture(path: Path) -> Iterator[Image.Image]:
             f"more ({error}); make it smaller."
         ) from None
     except Exception as error:  # Pillow raises anything at all on damaged files
+        reason = files.describe_error(error) or type(error).__name__
+        if isinstance(error, UnidentifiedImageError):  # it would say the path again
+            reason = "no picture that is known here"
         raise ValueError(
             f"Expected a readable image in {path}, but it is damaged or of another "
-            f"kind ({_explain(error)}); save it again as PNG, JPEG or WebP."
+            f"kind ({reason}); save it again as PNG, JPEG or WebP."
         ) from None
-
-
-def _explain(error):
-    if isinstance(error, UnidentifiedImageError):  # it would say the path again
-        return "no picture that is known here"
-    text = files.describe_error(error)
-    return text[:1].lower() + text[1:] if text else type(error).__name__
 
 
 def read_picture(path: Path) -> Image.Image:

@@ -159,7 +159,7 @@ def _read_ground_truth(path):
     is_list = points.ndim == 2 and points.shape[1] == 3 and len(points) > 0
     if not is_list or not np.isfinite(points).all():
         raise _refuse(path, "finite points [P, 3]", f"got {points.shape}")
-    return (points @ np.array(shapenet.TURNS["+x"]).T).astype(np.float32)
+    return (points @ shapenet.TURNS[1].T).astype(np.float32)
 
 
 def _read_mat(path, names):

@@ -20,7 +20,6 @@ from dpc_jax.data.splits import SPLITS
 
 SYNSETS = {"airplane": "02691156", "car": "02958343", "chair": "03001627"}
 LAYOUTS = {1: "model.obj", 2: "models/model_normalized.obj"}
-FRONTS = {1: "+x", 2: "-z"}
 # Models to train on, validate on and test on in the split that published results share
 # (of the ray consistency papers; released beside the paper's code). Its text file of
 # chairs lists one validation model less than its table.
@@ -30,8 +29,8 @@ OFFICIAL = {
     "03001627": ((4744, 678, 1356), (4744, 677, 1356)),
 }
 TURNS = {  # rows are the canonical axes (front, left, up) in the axes of the file
-    "+x": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
-    "-z": ((0, 0, -1), (-1, 0, 0), (0, 1, 0)),
+    1: np.array([(1.0, 0, 0), (0, 0, -1), (0, 1, 0)]),
+    2: np.array([(0.0, 0, -1), (-1, 0, 0), (0, 1, 0)]),
 }
 
 
@@ -101,8 +100,7 @@ class ShapeNet(SynsetSource, MeshSource):
         return self.spec.views, files.digest_text(text)
 
     def find_turn(self, path: str) -> np.ndarray:
-        version = 2 if Path(path).as_posix().endswith(LAYOUTS[2]) else 1
-        return np.array(TURNS[FRONTS[version]], dtype=np.float64)
+        return TURNS[2 if Path(path).as_posix().endswith(LAYOUTS[2]) else 1]
 
 
 def find_synset(folder: str | Path, category: str) -> Path:
