@@ -113,11 +113,7 @@ jax.tree_util.register_static(VoxelGrid)
 
 
 def to_camera_frame(
-    points: jax.Array,
-    rotation: jax.Array,
-    *,
-    translation: jax.Array | None,
-    camera: Camera,
+    points: jax.Array, rotation: jax.Array, translation: jax.Array | None
 ) -> jax.Array:
     """Move points [N, 3] to the camera's axes: T_c before the perspective division.
 

@@ -54,7 +54,7 @@ def place_points(
         points, rotation, sigma, scale, covariance, translation
     )
     method = arguments.choose_method(method, sigma)
-    moved = to_camera_frame(points, rotation, translation=translation, camera=camera)
+    moved = to_camera_frame(points, rotation, translation)
     coordinates, is_inside = to_grid(moved, camera=camera, grid=grid)
     if covariance is not None:
         matrix = quaternion.to_matrix(rotation) if rotation.shape == (4,) else rotation

@@ -57,9 +57,7 @@ def place_candidates(
         own = point_sizes.take_points(size, count)
 
     def place(candidate):
-        moved = to_camera_frame(
-            points[:count], candidate, translation=view.translation, camera=camera
-        )
+        moved = to_camera_frame(points[:count], candidate, view.translation)
         found, is_inside = to_grid(moved, camera=camera, grid=VoxelGrid(view.side))
         rows, cols, _ = found.T
         places = [jnp.where(is_inside, axis, _OUTSIDE) for axis in (rows, cols)]

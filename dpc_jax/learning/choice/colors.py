@@ -57,9 +57,7 @@ def see_points(
         image of the points is moved and scaled into it.
     """
     camera, shift = place_camera(camera, per_view), per_view.get("translation")
-    moved = to_camera_frame(
-        points, per_view["rotation"], translation=shift, camera=camera
-    )
+    moved = to_camera_frame(points, per_view["rotation"], shift)
     found, is_inside = to_grid(moved, camera=camera, grid=VoxelGrid(_IMAGE))
     places = (found[:, :2] + 0.5) / _IMAGE - 0.5  # row before column
     row, col = _find_pixels(places, _IMAGE)
