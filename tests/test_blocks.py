@@ -81,7 +81,6 @@ ROOM = {CUBE: 87, UNEVEN: 147}  # of 125 and 210
         # Full cells; points that take away.
         (CUBE, 0.4, 500.0, ALL, {}),
         (CUBE, 0.8, -1.0, ALL, {}),
-        (CUBE, 0.0, 0.01, ALL, {}),
         (UNEVEN, 0.8, 2.0, ("depth", "color"), {"method": "cubic"}),
         # For these the whole volume stays.
         (CUBE, 0.5, 2.0, ("termination",), {"ray_rule": "maximum"}),
@@ -127,7 +126,7 @@ def test_second_derivatives_are_those_of_the_whole_volume():
     np.testing.assert_allclose(found, right, rtol=1e-4)
 
 
-@pytest.mark.parametrize("sigma, size", [(0.8, 1.8), (2.0, 1.0), (1e30, 1.0)])
+@pytest.mark.parametrize("sigma, size", [(0.8, 1.8), (1e30, 1.0)])
 def test_a_cloud_that_does_not_fit_is_drawn_in_the_whole_volume(sigma, size):
     with jax.enable_x64(True):
         inputs, grid = make_inputs("float64", sigma=sigma), dpc_jax.VoxelGrid(CUBE)
@@ -183,31 +182,20 @@ def test_known_numbers_of_a_large_grid_are_drawn_in_as_many_blocks_as_they_need(
     monkeypatch.setattr(capacity, "_MOST_SHARE", 0.5)
     inputs = make_inputs("float32", sigma=0.5)
     inputs["points"] *= 0.4
-    rooms = []
-    choose = capacity.choose_room
+    rooms, choose = [], capacity.choose_room
     monkeypatch.setattr(
         capacity, "choose_room", lambda *a: rooms.append(choose(*a)) or rooms[-1]
     )
-    for side, sigma, is_jitted in (
-        (40, 0.5, False),
-        (40, 0.5, True),
-        (32, 0.5, False),
-        (40, 3.0, False),
-    ):
-        grid = dpc_jax.VoxelGrid(side)
-        given = inputs | {"sigma": jnp.float32(sigma)}
-        render = lambda given, grid=grid: dpc_jax.project(**given, grid=grid)  # noqa: E731
-        rooms.clear()
-        image = (jax.jit(render) if is_jitted else render)(given).silhouette
-        if (side, sigma, is_jitted) == (40, 0.5, False):
-            (room,) = rooms
-            needed = int(count(given, grid))
-            assert needed <= room <= 1.2 * needed
-            found = image
-        else:
-            assert rooms == [None]
-        if is_jitted:
-            assert_same(found, image, "float32")
+
+    def render(given, side=40):
+        return dpc_jax.project(**given, grid=dpc_jax.VoxelGrid(side)).silhouette
+
+    found, traced = render(inputs), jax.jit(render)(inputs)
+    assert_same(found, traced, "float32")
+    render(inputs, side=32)
+    render(inputs | {"sigma": jnp.float32(3)})
+    needed = int(count(inputs, dpc_jax.VoxelGrid(40)))
+    assert needed <= rooms[0] <= 1.2 * needed and rooms[1:] == [None] * 3
 
 
 @pytest.mark.parametrize("place", [np.nan, 3.0])
@@ -221,20 +209,20 @@ def test_points_that_are_not_there_leave_the_image_empty(place):
     np.testing.assert_array_equal(images.depth, 9)
 
 
-@pytest.mark.parametrize("method", ["trilinear", "cubic", "levels"])
+@pytest.mark.parametrize("method", ["cubic", "levels"])
 def test_the_blocks_of_a_batch_are_counted_as_its_method_fills_them(
     method, monkeypatch
 ):
-    """At a sigma that is too wide for blocks of cubic splines alone."""
+    """For the example that touches most; at a sigma too wide for cubic splines."""
     monkeypatch.setattr(capacity, "_COUNTED_FROM", 1)
     monkeypatch.setattr(capacity, "SMALL_UP_TO", 1)
     monkeypatch.setattr(capacity, "_MOST_SHARE", 0.9)
-    names = ("points", "sigma", "scale")
     inputs = make_inputs("float32", sigma=1.25)
-    given = {name: inputs[name] for name in names}
     images = dpc_jax.project_batch(
-        **given,
-        rotations=inputs["rotation"][None],
+        jnp.stack([0.2 * inputs["points"], inputs["points"]]),
+        jnp.stack([inputs["rotation"]] * 2),
+        sigma=inputs["sigma"],
+        scale=inputs["scale"],
         grid=dpc_jax.VoxelGrid(64),
         method=method,
     )

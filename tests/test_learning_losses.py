@@ -133,8 +133,8 @@ def test_points_outside_are_told_the_way_in_and_those_inside_nothing():
 )
 def test_a_point_is_pulled_from_where_it_is_drawn(camera):
     point = jnp.array([[0.21, 0.13, 0.1]])
-    moved = to_camera_frame(point, AHEAD, translation=None, camera=camera)
-    row, column, _ = to_grid(moved, camera=camera, grid=VoxelGrid(24)).coordinates[0]
+    moved = to_camera_frame(point, AHEAD, None)
+    row, column, _ = to_grid(moved, camera=camera, grid=VoxelGrid(24))[0][0]
     slope = jnp.array([0.3, 0.7])  # of a map that differs in every pixel
     outside = slope[0] * jnp.arange(24)[:, None] + slope[1] * jnp.arange(24)[None]
     found = pull_inside(point, AHEAD, outside, camera=camera)

@@ -67,36 +67,14 @@ def test_every_channel_of_colour_is_one_splat_and_none_is_kept():
     assert extra < 2 * VOLUME  # of 27 more channels: images, not volumes
 
 
-def find_branches(text):
-    """Texts of the computations that each conditional of a program chooses from."""
-    return [
-        [
-            re.search(rf"^{re.escape(name.strip())} .*?^}}", text, re.S | re.M).group()
-            for name in names.split(",")
-        ]
-        for names in re.findall(r"branch_computations=\{([^}]*)\}", text)
-    ]
-
-
-def test_the_first_branch_of_smoothing_hands_the_volume_through():
-    volume = jax.ShapeDtypeStruct((D,) * 3, "float32")
-    text = jax.jit(dpc_jax.smooth).lower(volume, SIGMA).compile().as_text()
-    (choices,) = [c for c in find_branches(text) if "conditional(" in c[1]]
-    (ways,) = [c for c in find_branches(text) if c is not choices and c != choices]
-    arithmetic = r" (dot|multiply|add|fusion|custom-call|call)\("
-    assert len(choices) == 2 and not re.search(arithmetic, choices[0])
-    assert len(ways) > 2 and all(re.search(arithmetic, branch) for branch in ways)
-
-
 def test_a_known_sigma_is_smoothed_by_the_same_ways_as_a_traced_one():
     """With one way left XLA would compute sums of shifts again for each shift."""
     text = compile_sum(POINTS, sigma=0.5).as_text()
-    assert any(len(branches) > 2 for branches in find_branches(text))
+    assert re.search(r"branch_computations=\{(\S+, ){2}", text)  # three or more
 
 
-@pytest.mark.parametrize("sigma", [0.0, 0.1])
-def test_a_known_sigma_below_rounding_leaves_no_smoothing_in_the_program(sigma):
-    program, smoothed = (compile_sum(POINTS, sigma=s) for s in (sigma, 0.5))
+def test_a_known_sigma_below_rounding_leaves_no_smoothing_in_the_program():
+    program, smoothed = (compile_sum(POINTS, sigma=s) for s in (0.1, 0.5))
     assert "conditional(" not in program.as_text()
     # Three matrix products.
     assert count_flops(smoothed) > count_flops(program) + 3 * 2 * D**4

@@ -43,14 +43,6 @@ def test_a_gradient_comes_with_the_size_of_every_array_it_is_taken_to():
     assert VOLUME <= sizes.temporary <= 9 * VOLUME  # 5.8 when written
 
 
-def test_a_gaussian_of_its_own_per_point_never_takes_cells_times_points():
-    points = jax.ShapeDtypeStruct((4000, 3), "float32")
-    sizes = dpc_jax.estimate_memory(
-        points, ROTATION, sigma=1.0, method="gaussian", grid=GRID, gradient=True
-    )
-    assert sizes.total < 4 * 4000 * D**3 / 10
-
-
 def test_blocks_take_less_memory():
     size = jax.ShapeDtypeStruct((), "float32")
     temporary = [

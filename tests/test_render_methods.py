@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import dpc_jax
-from dpc_jax.render.fast import levels, splatting
+from dpc_jax.render.fast import splatting
 
 COUNT = 500
 RNG = np.random.default_rng(1)
@@ -57,13 +57,10 @@ def make_sizes(ratio):
     "method, sigma, image, by_points",
     # About one and a half times what is measured.
     [
-        ("quadratic", 1.0, 6e-3, 0.04),
         ("quadratic", 1.6, 7e-4, 0.007),
-        ("cubic", 1.0, 4e-3, 0.013),
         ("cubic", 1.6, 3e-4, 0.0012),
         # What is left at equal sizes is the splines'.
         ("levels", make_sizes(1.0), 0.02, 0.1),
-        ("levels", make_sizes(3.6), 0.005, 0.02),
         ("levels", make_sizes(8.0), 0.005, 0.02),
     ],
 )
@@ -107,39 +104,7 @@ def test_auto_is_the_fast_method_for_one_sigma_and_the_basic_one_for_several():
     assert write("auto", **matrices) == write("gaussian", **matrices)
 
 
-@pytest.mark.parametrize(
-    "method, sigma",
-    [("trilinear", s) for s in (0.5, 3.0)]
-    + [("cubic", 1.0), ("levels", [0.6])]
-    + [("gaussian", s) for s in (0.02, 3.0)],
-)
-def test_the_mass_of_a_point_well_inside_is_exact(method, sigma):
-    volume = dpc_jax.voxelize(
-        jnp.array([[0.02, -0.011, 0.007]]),
-        POSE,
-        sigma=jnp.array(sigma),
-        scale=0.5,
-        grid=dpc_jax.VoxelGrid(48),
-        method=method,
-    )
-    # Three normalisers, each right to a few roundings of 6e-8.
-    assert float(volume.sum()) == pytest.approx(0.5, abs=2e-6)
-
-
-# Levels.
-
-
-def test_weights_of_a_point_sum_to_one_and_are_its_own_at_the_ends():
-    sizes = jnp.array([0.7, 1.0, 1.9, 2.8, 0.01, 99.0])
-    found, weights = levels.find_levels(sizes, jnp.arange(6) < 5)
-    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-5)
-    # The largest inside, and one below what a spline can draw.
-    np.testing.assert_allclose(found[:: len(found) - 1], [levels.LEAST, 2.8], rtol=1e-5)
-    ends = jax.nn.one_hot(jnp.array([5, 0]), 6)
-    np.testing.assert_allclose(weights[3:5], ends, atol=1e-5)
-
-
-@pytest.mark.parametrize("value", [0.0, 1e3, np.inf, np.nan])
+@pytest.mark.parametrize("value", [1e3, np.nan])
 def test_one_odd_size_among_traced_ones_leaves_no_wrong_image_of_the_others(value):
     """A NaN is seen; what is too small or too large draws something finite."""
     found = differentiate(jnp.ones(COUNT).at[7].set(value), "levels")

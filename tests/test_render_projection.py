@@ -12,6 +12,7 @@ import pytest
 
 import dpc_jax
 from dpc_jax.measure.stability import oracles
+from dpc_jax.render.exact import covariances
 
 ALL = ("silhouette", "depth", "color", "termination")
 SHAPE, EXTENT = (9, 12, 7), 1.1
@@ -96,22 +97,29 @@ def test_images_of_a_volume_equal_the_written_equations(kind):
     assert_equal(image, expected)
 
 
-def test_without_perspective_an_isotropic_covariance_is_that_sigma():
-    # The grid's voxels are not cubes: turn nothing, and give each axis its own.
-    sides = np.array([SHAPE[1], SHAPE[0], SHAPE[2]]) / SHAPE[0]  # of x, y, z
-    variances = SIZES[:, None] ** 2 / sides**2
-    own = {"scale": MASSES, "colors": COLORS, "method": "gaussian"}
-    still = np.array([1.0, 0, 0, 0])
+def find_density(away, matrix):
+    """Of a continuous Gaussian, at distances [..., 3] from its mean."""
+    square = np.einsum("...i,ij,...j->...", away, np.linalg.inv(matrix), away)
+    return np.exp(-square / 2) / np.sqrt((2 * np.pi) ** 3 * np.linalg.det(matrix))
+
+
+def test_a_well_sampled_covariance_gives_the_continuous_density():
+    shape = (11, 20, 9)  # neither cubic nor a multiple of a tile's side
+    rng = np.random.default_rng(0)
+    coordinates = np.array(shape) * rng.uniform(-0.1, 1.1, (30, 3))
+    values = rng.normal(size=(30, 2))
+    half = rng.normal(size=(30, 3, 3)) * rng.uniform(0.3, 2, (30, 1, 1))
+    matrices = half @ half.transpose(0, 2, 1) + 0.7 * np.eye(3)
     with jax.enable_x64(True):
-        found, right = (
-            render(dpc_jax.project, POINTS, still, "orthographic", **own, **size)
-            for size in (
-                {"covariance": np.eye(3) * variances[:, None]},
-                {"sigma": SIZES},
-            )
-        )
-    for name in ALL:  # rounding
-        np.testing.assert_allclose(found[name], right[name], rtol=0, atol=1e-12)
+        sum_points = functools.partial(covariances.sum_covariances, shape=shape)
+        volume = jax.jit(sum_points)(coordinates, values, matrices)
+    cells = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
+    expected = np.zeros((2, *shape))
+    for point, value, matrix in zip(coordinates, values, matrices, strict=True):
+        density = find_density(cells - point, matrix)
+        expected += value[:, None, None, None] * density
+    # Aliasing of the thinnest, 2·exp(-2π²·0.7) = 2e-6 of a density of at most 0.05.
+    np.testing.assert_allclose(volume, expected, atol=3e-7)
 
 
 def test_a_cloud_of_no_points_shows_the_background():

@@ -1,4 +1,4 @@
-"""What rays make of occupancies: their maximum, their clip; sizes on a finer grid."""
+"""Rays: their maximum and clip, volumes of large numbers, sizes on a finer grid."""
 
 import functools
 
@@ -12,6 +12,7 @@ from dpc_jax.measure.stability import oracles
 from dpc_jax.render.projection import MASS_EXPONENT, scale_sizes
 from dpc_jax.render.volume import clip_unit
 
+STILL = jnp.array([1.0, 0, 0, 0])
 RNG = np.random.default_rng(0)
 POINTS, POSE = RNG.uniform(-0.3, 0.3, (9, 3)).astype("f4"), RNG.normal(size=4)
 
@@ -29,31 +30,22 @@ def test_the_maximum_along_a_ray_is_that_of_its_occupancies(method):
     )
 
 
-@pytest.mark.parametrize(
-    ("density", "slope"), [(-0.1, 0.0), (0.0, 1.0), (0.3, 1.0), (1.0, 1.0), (1.1, 0.0)]
-)
-def test_the_clip_passes_gradients_at_both_of_its_ends(density, slope):
-    assert jax.grad(clip_unit)(density) == slope
-    assert clip_unit(jnp.float32(density)) == np.clip(np.float32(density), 0, 1)
-
-
-@functools.partial(jax.jit, static_argnames="rule")
-def draw(volume, rotation, *, rule):
-    return dpc_jax.project_volume(
-        volume,
-        rotation,
-        camera=dpc_jax.Camera(projection="orthographic"),
-        grid=dpc_jax.VoxelGrid(8),
-        ray_rule=rule,
-    ).silhouette
+def test_the_clip_passes_gradients_at_both_of_its_ends():
+    slopes = jax.vmap(jax.grad(clip_unit))(jnp.array([-0.1, 0, 0.3, 1, 1.1]))
+    np.testing.assert_array_equal(slopes, [0, 1, 1, 1, 0])
 
 
 def test_under_the_maximum_only_the_fullest_cells_of_a_ray_have_a_gradient():
     """Samples lie on the centres of cells, exactly: sides are powers of two."""
 
     def look(ray):
-        volume = jnp.zeros((8, 8, 8)).at[4, 4].set(ray)
-        return draw(volume, jnp.eye(3), rule="maximum")[4, 4]
+        return dpc_jax.project_volume(
+            jnp.zeros((8, 8, 8)).at[4, 4].set(ray),
+            jnp.eye(3),
+            camera=dpc_jax.Camera(projection="orthographic"),
+            grid=dpc_jax.VoxelGrid(8),
+            ray_rule="maximum",
+        ).silhouette[4, 4]
 
     measure = jax.jit(jax.value_and_grad(look))
     # Shared where none is fuller.
@@ -111,3 +103,56 @@ def test_mass_by_r3_keeps_each_density_and_mass_by_r2_the_optical_depth(exponent
     assert scale_sizes(*sizes, 1 / ratio, exponent=exponent) == pytest.approx(
         (1.2, 0.05)
     )
+
+
+def test_occupancies_far_beyond_one_leave_colours_their_gradient():
+    """A colour is a mean by occupancy, so its slope falls as they grow: 1e-30 here."""
+    rng = np.random.default_rng(4)
+    volume = jnp.asarray(rng.uniform(0.5, 1, (3, 3, 3)), jnp.float32)
+    colors = jnp.asarray(rng.uniform(size=(3, 3, 3, 1)), jnp.float32)
+
+    @jax.jit
+    @jax.grad
+    def differentiate(volume):
+        image = dpc_jax.project_volume(
+            volume,
+            STILL,
+            colors=colors,
+            camera=dpc_jax.Camera(2.5),  # the view lies inside the volume
+            grid=dpc_jax.VoxelGrid(4),
+            signals=("color",),
+        )
+        return jnp.sum(image.color)
+
+    # Powers of two, so that the large and the usual case round alike; every sample is
+    # above one in both.
+    small, large = (differentiate(volume * 2.0**k) for k in (5, 100))
+    assert float(jnp.max(jnp.abs(small))) > 0
+    np.testing.assert_allclose(large * 2.0**95, small, rtol=1e-4, atol=1e-7)
+
+
+def test_places_that_are_not_finite_count_as_outside():
+    nowhere = jnp.array([jnp.nan, 0, 0])
+    image = jax.jit(dpc_jax.project_volume)(
+        jnp.ones((4, 4, 4)), STILL, translation=nowhere
+    )
+    assert np.all(image.silhouette == 0)
+
+
+def test_a_cell_that_is_not_finite_spoils_the_rays_that_read_it_alone():
+    spoiled = np.full((4, 4, 4), 0.3, np.float32)
+    spoiled[0, 0, 0] = np.nan
+    grid = dpc_jax.VoxelGrid(4)
+    image = np.asarray(dpc_jax.project_volume(spoiled, STILL, grid=grid).silhouette)
+    # Half of the columns and half of the rows lie nearer to other cells.
+    assert np.isnan(image[0, 0]) and np.isfinite(image[2:]).all()
+    assert np.isfinite(image[:, 2:]).all()
+
+
+def test_colours_that_are_not_asked_for_cost_nothing():
+    volume, colors = jnp.zeros((5, 7, 6)), jnp.zeros((5, 7, 6, 2))
+    call = functools.partial(dpc_jax.project_volume, grid=dpc_jax.VoxelGrid(6))
+    with_colors, without = (
+        str(jax.make_jaxpr(call)(volume, STILL, colors=c)) for c in (colors, None)
+    )
+    assert with_colors.count(" gather") == without.count(" gather")

@@ -69,6 +69,7 @@ SHAPES = [
     (project, {"background_depth": np.ones(3)}, r"background_depth.*\[3\]"),
     (project, {"camera": None}, "Camera.*NoneType"),
     (project, {"camera": dpc_jax.Camera(np.ones(5))}, r"focal_length.*\[5\].*vmap"),
+    (project, {"camera": dpc_jax.Camera(principal_point=0.1)}, r"shape \[2\]"),
     (project, {"grid": 32}, "VoxelGrid.*int"),
     (
         project,
@@ -78,23 +79,17 @@ SHAPES = [
     (project, {"ray_rule": "minimum"}, "ray_rule.*termination.*minimum"),
     (project, {"signals": ("shadow",)}, "signals.*silhouette.*shadow"),
     (project, {"signals": "depth"}, "signals.*tuple.*depth"),
-    (project, {"signals": ()}, r"signals.*\(\)"),
     (project, {"signals": ("color",)}, "colors.*None"),
     (camera, {"projection": "fisheye"}, "fisheye"),
     (grid, {"shape": 0}, "positive.*0"),
-    (grid, {"shape": (4, 4)}, r"\(4, 4\)"),
     (grid, {"shape": (4, 4, 4.0)}, r"\(4, 4, 4.0\)"),
     (grid, {"shape": "64"}, "int.*'64'"),
     (grid, {"shape": True}, "int.*True"),
     (grid, {"extent": float("nan")}, "extent.*nan"),
-    (grid, {"extent": "1"}, "extent.*'1'"),
-    (grid, {"extent": 0.0}, "extent.*0.0"),
     # Methods.
     (project, {"method": "quartic"}, "method.*trilinear.*quartic"),
     (project, {"sigma": np.ones(5), "method": "trilinear"}, "linear.*size per point"),
-    (project, {"sigma": np.ones(5), "method": "cubic"}, "cubic.*a size per point"),
     (project, {"sigma": 0.5, "method": "cubic"}, "at least 0.577 voxels"),
-    (project, {"sigma": 0.4, "method": "quadratic"}, "at least 0.500 voxels"),
     (
         *(project, {"sigma": np.array([0.5, 1, 2, 4.5, 1]), "method": "levels"}),
         "a factor of at most 8",
@@ -105,7 +100,6 @@ SHAPES = [
     ),
     (blocks, {"max_blocks": 0}, "max_blocks must be an integer of at least 1"),
     (blocks, {"method": "gaussian"}, "one sigma for all points"),
-    (blocks, {"sigma": np.ones(5), "method": "levels"}, "one sigma for all points"),
     (
         *(blocks, {"max_blocks": 2**31 // 729, "grid": dpc_jax.VoxelGrid(2000)}),
         "fit into",
@@ -115,20 +109,7 @@ SHAPES = [
     # Batches.
     (project_batch, {"rotations": IDENTITY}, r"rotations .*\[B, 4\] or \[B, 3, 3\]"),
     (project_batch, {"points": CLOUDS[:2]}, r"points .*\[N, 3\] or \[3, N, 3\]"),
-    (project_batch, {"points": CLOUDS.astype(int)}, "points must be floating point"),
     (project_batch, {"sigma": np.ones(5)}, r"\[B, N\] one for each point, or \[1, N\]"),
-    (
-        *(project_batch, {"scale": np.ones((2, 5))}),
-        r"scale must have shape \(\) or \[3\] or \[3, 5\] or \[1, 5\]",
-    ),
-    (
-        *(project_batch, {"covariance": np.stack([MATRICES] * 2)}),
-        r"covariance must have shape \[5, 3, 3\] or \[3, 5, 3, 3\]",
-    ),
-    (
-        *(project_batch, {"colors": np.ones((2, 5, 1))}),
-        r"colors must have shape \[5, C\] or \[3, 5, C\]",
-    ),
     (
         project_batch,
         {"translations": np.ones((2, 3))},
@@ -138,7 +119,6 @@ SHAPES = [
         *(project_batch, {"camera": dpc_jax.Camera(np.ones(2))}),
         r"camera.focal_length must have shape \(\) or \[3\]",
     ),
-    (project_batch, {"camera": None}, "camera must be a dpc_jax.Camera"),
     (project_batch, {"grid": 8}, "grid must be a dpc_jax.VoxelGrid"),
     (project_batch, {"signals": ("color",)}, "must have colors of all"),
     (project_batch, {"renders_at_once": 0}, "renders_at_once.*at least 1.* 0"),
@@ -153,29 +133,19 @@ SHAPES = [
         r"colors.*\[4, 5, 6, C\].*per cell of a volume",
     ),
     (project_volume, {"rotation": -MATRIX}, "rotation must be a rotation"),
-    (project_volume, {"grid": 4}, "grid.*VoxelGrid"),
     # The steps on their own.
     (splat, {"values": np.zeros(4, "f4")}, r"\[5\].*\[4\]"),
-    (splat, {"values": np.zeros(5, int)}, "values.*int"),
     (splat, {"shape": (4, 4)}, r"\(4, 4\)"),
     (smooth, {"volume": IMAGE}, r"volume.*\[N, N, N\].*\[8, 8\]"),
-    (smooth, {"volume": CELLS.astype(int)}, "volume.*int"),
     (smooth, {"volume": CELLS[:, :0]}, "positive.*0"),
-    (smooth, {"sigma": np.ones(2)}, r"sigma.*\[2\]"),
     (smooth, {"sigma": -1.0}, "sigma.*-1.0"),
     (give(dpc_jax.opacity), {"occupancy": np.float32(1)}, r"\[..., N\].*\[\]"),
     (give(dpc_jax.opacity), {"occupancy": IMAGE[:, :0]}, r"one cell.*\[8, 0\]"),
-    (
-        *(give(dpc_jax.termination_probabilities), {"occupancy": [1, 0]}),
-        "occupancy.*int",
-    ),
-    (rotate, {"points": IDENTITY}, r"points.*\[N, 3\]"),
     (rotate, {"rotation": np.ones(3)}, r"\[4\] or \[3, 3\]"),
     (
         *(give(dpc_jax.quaternion.normalize), {"quaternion": POSES}),
         r"\[4\].*\[3, 4\].*vmap",
     ),
-    (give(dpc_jax.quaternion.to_matrix), {"quaternion": "up"}, "quaternion.*str"),
     (give(dpc_jax.quaternion.from_matrix), {"matrix": np.eye(2)}, r"matrix.*\[2, 2\]"),
     (
         *(give(dpc_jax.quaternion.multiply, left=IDENTITY), {"right": CLOUD}),
@@ -191,6 +161,11 @@ SHAPES = [
     (choose, {"choice_top": 1.5}, "choice_top.*1.5"),
     (choose, {"renders_at_once": True}, "renders_at_once.*True"),
     (give(dpc_jax.use_all_cores), {"count": 1.5}, "count must be an integer.*1.5"),
+    (
+        give(dpc_jax.to_opencv, rotation=MATRIX),
+        {"camera": dpc_jax.Camera(projection="orthographic")},
+        "leave the projection out",
+    ),
 ]
 
 
@@ -211,25 +186,23 @@ NUMBERS = [
     (project, "rotation", 0 * IDENTITY, "finite and not zero"),
     (project, "rotation", 2 * MATRIX, "and determinant 1, but it is [[2.0"),
     (project, "rotation", -MATRIX, "and determinant 1, but it is [[-1.0"),
-    (project, "rotation", MATRIX * np.nan, "and determinant 1, but it is [[nan"),
     (project, "points", CLOUD * np.inf, "points must be finite"),
     (project, "translation", np.array([0, 0, np.nan]), "translation must be finite"),
     (project, "sigma", -1.0, f"{SIGMA} and finite, but it is -1.0"),
-    (project, "sigma", np.nan, f"{SIGMA} and finite, but it is nan"),
     (project, "sigma", np.array([1, 1, -1, 1, 1], "f4"), "one is -1.0"),
     (project, "scale", -1.0, f"{SCALE} and finite, but it is -1.0"),
-    (project, "scale", np.full(5, np.inf, "f4"), "but one is inf"),
     (project, "scale", 1e308, f"{SCALE} and finite"),
-    (anisotropic, "covariance", -MATRICES, "without negative eigenvalues"),
-    (anisotropic, "covariance", MATRICES - SINGULAR, "without negative"),
+    (anisotropic, "covariance", MATRICES - SINGULAR, "without negative eigenvalues"),
     (project, "camera", dpc_jax.Camera(-1.0), f"{FOCAL_LENGTH} it is -1.0"),
-    (project, "camera", dpc_jax.Camera(0.0), f"{FOCAL_LENGTH} it is 0.0"),
     (project, "camera", dpc_jax.Camera(1.0, np.inf), "camera.distance must be finite"),
+    (project, "camera", dpc_jax.Camera(aspect=0.0), "camera.aspect must be finite"),
+    (
+        *(project, "camera", dpc_jax.Camera(principal_point=[0.1, np.nan])),
+        "camera.principal_point must",
+    ),
     (project_batch, "rotations", POSES * [[1], [0], [1]], ZERO),
-    (project_batch, "sigma", -1.0, SIGMA),
     (project_batch, "camera", dpc_jax.Camera(-np.ones(3)), f"{FOCAL_LENGTH} one is -1"),
     (fit, "rotations", np.zeros((1, 4), "f4"), "rotations must be finite and not zero"),
-    (fit, "camera", dpc_jax.Camera(-1.0), FOCAL_LENGTH),
 ]
 
 

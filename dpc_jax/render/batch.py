@@ -104,7 +104,8 @@ def project_batch(
     shared, own = _sort_inputs(values, batch_size=batch_size)
     checks.check_values(values | {"rotations": rotations})
     own["rotation"] = rotations
-    has_blocks = method in ("auto", *splatting.ORDERS) and _has_one_size(shared, own)
+    has_one_size = sigma is not None and jnp.ndim(sigma) < 2  # for all of its points
+    has_blocks = has_one_size and method in ("auto", *splatting.ORDERS)
     is_whole = ray_rule == "maximum" or "termination" in signals
     if max_blocks is None and has_blocks and not is_whole:
         how = {"projection": camera.projection, "grid": grid, "method": method}
@@ -198,13 +199,6 @@ def _pad_examples(own, *, mesh):
     return jax.tree.map(
         lambda a: jnp.pad(a, [(0, extra)] + [(0, 0)] * (a.ndim - 1), mode="edge"), own
     )
-
-
-def _has_one_size(shared, own):
-    """Whether each example has one sigma for all of its points."""
-    if "sigma" in own:
-        return own["sigma"].ndim == 1
-    return "sigma" in shared and jnp.ndim(shared["sigma"]) == 0
 
 
 def _take_camera(values, projection):

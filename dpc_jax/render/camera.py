@@ -8,7 +8,6 @@ centres: cell i of D has coordinate ((i + 1/2)/D - 1/2)·extent.
 
 import dataclasses
 import numbers
-from typing import NamedTuple
 
 import chex
 import jax
@@ -64,6 +63,10 @@ class Camera:
         found = {f"camera.{name}": getattr(self, name) for name in names}
         return {name: value for name, value in found.items() if value is not None}
 
+    def find_depths(self, points: jax.Array) -> jax.Array:
+        """Depths z [N] before the eye of points [N, 3] of `to_camera_frame`."""
+        return points[:, 2] + jnp.asarray(self.distance, points.dtype)
+
 
 @dataclasses.dataclass(frozen=True, init=False)
 class VoxelGrid:
@@ -109,45 +112,35 @@ class VoxelGrid:
 jax.tree_util.register_static(VoxelGrid)
 
 
-class CameraPoints(NamedTuple):
-    """Points in the camera's axes."""
-
-    # [N, 3], relative to the middle of the volume, in depth too: relative to a distant
-    # eye, depth would lose the digits that place a point in the volume.
-    centered: jax.Array
-    ahead: jax.Array  # [N] depth z, relative to the eye
-
-
-class GridPoints(NamedTuple):
-    """Points in the grid's own coordinates."""
-
-    coordinates: jax.Array  # [N, 3] continuous (row, col, depth) index
-    inside: jax.Array  # [N] bool, in the volume and in front of the camera
-
-
 def to_camera_frame(
-    points: jax.Array,
-    rotation: jax.Array,
-    *,
-    translation: jax.Array | None,
-    camera: Camera,
-) -> CameraPoints:
-    """Move points [N, 3] to the camera frame: T_c before the perspective division."""
+    points: jax.Array, rotation: jax.Array, translation: jax.Array | None
+) -> jax.Array:
+    """Move points [N, 3] to the camera's axes: T_c before the perspective division.
+
+    Relative to the middle of the volume, in depth too: relative to a distant eye, depth
+    would lose the digits that place a point in the volume.
+    """
     moved = quaternion.rotate(points, rotation)
     if translation is not None:
         moved = moved + jnp.asarray(translation, points.dtype)[None]
-    return CameraPoints(moved, moved[:, 2] + jnp.asarray(camera.distance, moved.dtype))
+    return moved
 
 
-def to_grid(points: CameraPoints, *, camera: Camera, grid: VoxelGrid) -> GridPoints:
-    """Project points to grid indices, the rest of T_c; depth stays metric.
+def to_grid(
+    points: jax.Array, *, camera: Camera, grid: VoxelGrid
+) -> tuple[jax.Array, jax.Array]:
+    """Project points of `to_camera_frame`, the rest of T_c; depth stays metric.
 
-    Points behind the camera plane, or less than a
-    millionth of the extent in front of it, have no perspective image: they are marked
-    as outside. A point outside has zero gradient.
+    Points behind the camera plane, or less than a millionth of the extent in front of
+    it, have no perspective image: they are marked as outside. A point outside has zero
+    gradient.
+
+    Returns:
+      ([N, 3] continuous (row, col, depth) index, [N] bool, whether a point is in the
+      volume and in front of the camera).
     """
-    x, y, z = points.centered.T
-    ahead = points.ahead
+    x, y, z = points.T
+    ahead = camera.find_depths(points)
     is_inside = jnp.ones_like(z, bool)
     if camera.projection == "perspective":
         is_inside = ahead > _NEAR * grid.extent
@@ -164,7 +157,7 @@ def to_grid(points: CameraPoints, *, camera: Camera, grid: VoxelGrid) -> GridPoi
         jnp.where(is_inside, fraction * size - 0.5, 0)
         for fraction, size in zip(fractions, grid.shape, strict=True)
     ]
-    return GridPoints(coordinates=jnp.stack(coordinates, axis=-1), inside=is_inside)
+    return jnp.stack(coordinates, axis=-1), is_inside
 
 
 def _find_fractions(x, y, z, ahead, camera, grid):

@@ -5,8 +5,6 @@ weights of a point sum to one for every sigma and every position. As sigma → 0
 nearest cell keeps a weight.
 """
 
-import functools
-
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike, DTypeLike
@@ -81,64 +79,16 @@ def _invert_sum(offset, sigma, inverse):
     return jnp.where(is_narrow, 1, inverse) / jnp.where(is_narrow, direct, poisson)
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
 def sample_axis(centers: jax.Array, sigma: jax.Array, size: int) -> jax.Array:
     """Weights [N, size] of points [N] on an axis, zero beyond their reach.
-
-    The values are those of `sample_gaussian` after `cut_negligible`. This form, with a
-    derivative of its own, is for many points.
-    """
-    return _sample_axis_forward(centers, sigma, size)[0]
-
-
-def _sample_axis_forward(centers, sigma, size):
-    cells = jnp.arange(size, dtype=centers.dtype)[None]
-    center, width = centers[:, None], sigma[:, None]
-    weights = sample_gaussian(cells, width, center=center)
-    weights = cut_negligible(weights, cells, width, center=center)
-    return weights, (centers, sigma)
-
-
-def _sample_axis_backward(size, residuals, cotangent):
-    """Sum over cells by matrix products: as reductions they took most of the time."""
-    centers, sigma = residuals
-    floored, clip = jax.vjp(lambda s: jnp.maximum(s, SIGMA_FLOOR), sigma)
-    nearest = jnp.round(centers)
-    offset = centers - nearest
-    share, normalise = jax.vjp(lambda x, s: _invert_sum(x, s, 1 / s), offset, floored)
-    cells = jnp.arange(size, dtype=centers.dtype)[None]
-    inverse = 1 / floored
-    distance = cells - nearest[:, None]
-    near = distance * inverse[:, None]
-    far = (distance - 2 * offset[:, None]) * inverse[:, None]
-    weights = cut_negligible(
-        jnp.exp(-0.5 * near * far), cells, sigma[:, None], center=centers[:, None]
-    )
-    # Factor by factor: near·far alone may overflow where the weight is zero.
-    first = cotangent * weights
-    second = first * near
-    ones = jnp.ones(size, centers.dtype)
-    total, mean, square = (
-        jnp.matmul(part, ones, precision="highest")
-        for part in (first, second, second * far)
-    )
-    by_offset, by_width = normalise(total)
-    scaled = share * inverse
-    return by_offset + scaled * mean, *clip(by_width + scaled * square)
-
-
-sample_axis.defvjp(_sample_axis_forward, _sample_axis_backward)
-
-
-def cut_negligible(
-    weights: jax.Array, cells: jax.Array, sigma: jax.Array, *, center: jax.Array
-) -> jax.Array:
-    """Set weights beyond the kernel's reach to exactly zero, so they can be skipped.
 
     A weight that is cut is below half a rounding unit of the nearest cell's: added to
     that one it would change nothing.
     """
-    is_near = jnp.abs(cells - center) <= find_reach(sigma, weights.dtype)
+    cells = jnp.arange(size, dtype=centers.dtype)[None]
+    center, width = centers[:, None], sigma[:, None]
+    weights = sample_gaussian(cells, width, center=center)
+    is_near = jnp.abs(cells - center) <= find_reach(width, weights.dtype)
     return jnp.where(is_near, weights, 0)
 
 

@@ -5,17 +5,15 @@ camera. They are resampled along its rays, and what follows is the projection of
 clouds: clip, ray termination, silhouette, depth, colour.
 """
 
-import functools
+from collections.abc import Callable
 
 import chex
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from dpc_jax.render import arguments, checks, quaternion
 from dpc_jax.render.camera import Camera, VoxelGrid, place_cells
 from dpc_jax.render.projection import Projection, project_signals
-from dpc_jax.render.volume import Volume, clip_unit
 
 _HINT = "use jax.vmap or jax.lax.map over a batch of volumes"
 _IN_BOUNDS = "promise_in_bounds"
@@ -85,14 +83,15 @@ def project_volume(
     coordinates, is_seen = _place_samples(
         volume.shape, rotation, translation, camera, grid, volume.dtype
     )
-    rays = _fill_rays(volume, colors, coordinates, is_seen, signals)
-    return project_signals(rays, camera, grid, signals, ray_rule, background)
+    filled = _fill_rays(volume, colors, coordinates, is_seen, signals)
+    return project_signals(*filled, camera, grid, signals, ray_rule, background)
 
 
 def _place_samples(shape, rotation, translation, camera, grid, dtype):
     """Where the grid's cells lie in the volume, and which of them see it.
 
-    The inverse of T_c: an index per axis, and a bool, each [rows, cols, depth].
+    The inverse of T_c: an index per axis, 0 where none is seen, and a bool, each
+    [rows, cols, depth].
     """
     places, is_ahead = place_cells(camera, grid, dtype)
     if translation is not None:
@@ -106,7 +105,8 @@ def _place_samples(shape, rotation, translation, camera, grid, dtype):
     for index, side in zip(found, shape, strict=True):
         is_seen &= (index > -1) & (index < side)
     places = [jnp.where(is_seen, x, 0) for x in places]
-    return _find_indices(places, matrix, shape), is_seen
+    found = _find_indices(places, matrix, shape)
+    return tuple(jnp.where(is_seen, index, 0) for index in found), is_seen
 
 
 def _find_indices(places, matrix, shape):
@@ -116,88 +116,45 @@ def _find_indices(places, matrix, shape):
         sum(x * along for x, along in zip(places, column, strict=True))
         for column in matrix.T
     ]
-    return tuple((x + 0.5) * side - 0.5 for x, side in zip(turned, shape, strict=True))
+    return [(x + 0.5) * side - 0.5 for x, side in zip(turned, shape, strict=True)]
 
 
-def _fill_rays(volume, colors, coordinates, is_seen, signals) -> Volume:
-    """What the rays go through; cells behind the camera are empty."""
+def _fill_rays(volume, colors, coordinates, is_seen, signals):
+    """What `fill_volume` gives for points; cells behind the camera are empty."""
+    places = tuple(index.ravel() for index in coordinates)
 
     def sample(cells: jax.Array) -> jax.Array:
-        return jnp.where(is_seen, sample_volume(cells, coordinates), 0)
+        return jnp.where(is_seen, _sample(cells, places).reshape(is_seen.shape), 0)
 
-    density = sample(volume)
-    occupancy = clip_unit(density)
-    if "color" not in signals:
-        return Volume(occupancy)
+    def map_colors(function: Callable) -> jax.Array:
+        call = jax.checkpoint(lambda channel: function(sample(volume * channel)))
+        return jax.lax.map(call, jnp.moveaxis(colors, -1, 0))
 
-    def sum_colors(reached: ArrayLike) -> jax.Array:
-        # One channel's samples at a time, as in `fill_volume`.
-        safe = jnp.where(density > 1, density, 1)
-
-        @jax.checkpoint
-        def call(channel):
-            return jnp.sum(reached * _divide(sample(volume * channel), safe), axis=-1)
-
-        channels = jax.lax.map(call, jnp.moveaxis(colors, -1, 0))
-        return jnp.moveaxis(channels, 0, -1)
-
-    return Volume(occupancy, sum_colors)
-
-
-@jax.custom_jvp
-def _divide(total, density):
-    """A quotient whose derivative squares no density: 1e30 has no square in float32."""
-    return total / density
-
-
-@_divide.defjvp
-def _divide_jvp(primals, tangents):
-    total, density = primals
-    quotient = total / density
-    return quotient, (tangents[0] - quotient * tangents[1]) / density
-
-
-def sample_volume(
-    volume: jax.Array, coordinates: tuple[jax.Array, jax.Array, jax.Array]
-) -> jax.Array:
-    """Values between the cells of a volume, zero beyond its rim.
-
-    A cell is a tent: full at its centre, fading to zero at the centres of its
-    neighbours, or at the same distance beyond the rim. The backward pass takes the
-    samples again and keeps no corner.
-
-    Args:
-      volume: [X, Y, Z].
-      coordinates: [...] continuous index along each axis; cell i has its centre at i.
-        Those that are not finite count as beyond the rim.
-
-    Returns:
-      [...]. The gradient with respect to the coordinates is that of the tents; on a
-      cell's centre it is that towards the higher index.
-    """
-    flat = tuple(along.ravel() for along in coordinates)
-    return _sample(volume, flat).reshape(coordinates[0].shape)
+    return sample(volume), map_colors if "color" in signals else None
 
 
 @jax.custom_vjp
 def _sample(volume, coordinates):
-    """Samples [N] at three [N]."""
-    first, shares, is_near = _find_corners(coordinates, volume.shape)
+    """Values [N] of a volume [X, Y, Z] at continuous indices, [N] along each axis.
+
+    A cell is a tent: full at its centre, fading to zero at the centres of its
+    neighbours, or at the same distance beyond the rim. On a centre the slope is that
+    towards the higher index. The backward pass takes the samples again and keeps no
+    corner.
+    """
+    first, shares = _find_corners(coordinates, volume.shape)
     planes, _ = _blend(_read_corners(volume, first), shares)
-    return jnp.where(is_near, _mix(planes, shares[0]), 0)
+    return _mix(planes, shares[0])
 
 
 def _find_corners(coordinates, shape):
-    """Lower corners in the padded volume, shares of the upper, who has any; by axis."""
-    pairs = zip(coordinates, shape, strict=True)
-    near = [(along > -1) & (along < size) for along, size in pairs]
-    is_near = functools.reduce(jnp.logical_and, near)
-    # Beyond the rim every sample reads padding, and has no gradient.
-    safe = [jnp.where(is_near, along, 0) for along in coordinates]
-    lower = [jnp.floor(along) for along in safe]
+    """Lower corners in the padded volume, and the shares of the upper ones; by axis."""
+    pairs = list(zip(coordinates, shape, strict=True))
+    # Clipped, because rounding may move a sample at the rim beyond it.
+    lower = [jnp.clip(jnp.floor(along), -1, size - 1) for along, size in pairs]
     first = [along.astype(jnp.int32) + 1 for along in lower]
-    shares = [along - below for along, below in zip(safe, lower, strict=True)]
-    return first, shares, is_near
+    shares = [along - below for along, below in zip(coordinates, lower, strict=True)]
+    return first, shares
 
 
 def _read_corners(volume, first):
@@ -239,8 +196,7 @@ def _sample_forward(volume, coordinates):
 
 def _sample_backward(residuals, cotangent):
     volume, coordinates = residuals
-    first, shares, is_near = _find_corners(coordinates, volume.shape)
-    cotangent = jnp.where(is_near, cotangent, 0)
+    first, shares = _find_corners(coordinates, volume.shape)
     planes, slopes = _blend(_read_corners(volume, first), shares)
     slope = [planes[1] - planes[0]]
     slope += [_mix(pair, shares[0]) for pair in zip(*slopes, strict=True)]
@@ -248,7 +204,7 @@ def _sample_backward(residuals, cotangent):
     # computes the cotangents again for each of the eight cells that they go to, and a
     # silhouette's gradient takes three times as long.
     volume_grad = jax.lax.cond(
-        jnp.any(is_near),
+        jnp.any(cotangent != 0),
         lambda: _add_corners(cotangent, first, shares, volume.shape),
         lambda: jnp.zeros_like(volume),
     )

@@ -8,6 +8,7 @@ computed.
 
 import functools
 import math
+from collections.abc import Callable
 
 import chex
 import jax
@@ -17,7 +18,7 @@ from dpc_jax.render import arguments, checks, termination
 from dpc_jax.render.blocks import capacity
 from dpc_jax.render.blocks.images import render_blocks
 from dpc_jax.render.camera import Camera, VoxelGrid
-from dpc_jax.render.volume import Volume, fill_volume, place_points
+from dpc_jax.render.volume import clip_unit, fill_volume, place_points
 
 # Power of the ratio of two grids' sides that a point's mass is multiplied by.
 MASS_EXPONENT = 3
@@ -144,49 +145,45 @@ def project(
     background = background_depth, background_color
     colors = arguments.convert_colors(colors, scene.mass.shape, background)
     colors = colors if "color" in signals else None
-    view = {
-        "grid": grid,
-        "signals": tuple(signals),
-        "ray_rule": ray_rule,
-        "background": background,
-    }
     is_whole = ray_rule == "maximum" or "termination" in signals
     room = None
     if max_blocks is not None or not is_whole:  # a wrong max_blocks is refused
         room = capacity.choose_room(scene, grid.shape, max_blocks)
     if room is None or is_whole:
-        return _project_densely(scene, colors, camera, **view)
-    return _project_in_blocks(scene, colors, camera, max_blocks=room, **view)
+        filled = fill_volume(scene, colors, grid.shape)
+        return project_signals(*filled, camera, grid, signals, ray_rule, background)
+    return _project_in_blocks(
+        scene, colors, camera, background, grid, tuple(signals), room
+    )
 
 
-def _project_densely(scene, colors, camera, grid, signals, ray_rule, background):
-    volume = fill_volume(scene, colors, grid.shape)
-    return project_signals(volume, camera, grid, signals, ray_rule, background)
-
-
-@functools.partial(
-    jax.jit, static_argnames=("grid", "signals", "ray_rule", "max_blocks")
-)
-def _project_in_blocks(scene, colors, camera, *, max_blocks, **view):
+@functools.partial(jax.jit, static_argnums=(4, 5, 6))
+def _project_in_blocks(scene, colors, camera, background, grid, signals, max_blocks):
     """In blocks where they do, else the whole volume; NaN where that is large.
 
     One program, where all operations would run one by one.
     """
-    options = {name: value for name, value in view.items() if name != "ray_rule"}
     images, is_right = render_blocks(
-        scene, colors, camera, max_blocks=max_blocks, **options
+        scene, colors, camera, grid, signals, background, max_blocks
     )
     in_blocks = Projection(**images)
-    if math.prod(view["grid"].shape) > capacity.SMALL_UP_TO:
+    if math.prod(grid.shape) > capacity.SMALL_UP_TO:
         return jax.tree.map(lambda x: jnp.where(is_right, x, jnp.nan), in_blocks)
+
     # What either branch keeps for its gradient comes out of both: nothing is kept of
     # the whole volume, which is filled again.
-    whole = jax.checkpoint(lambda: _project_densely(scene, colors, camera, **view))
-    return jax.lax.cond(is_right, lambda: in_blocks, whole)
+    @jax.checkpoint
+    def project_whole():
+        filled = fill_volume(scene, colors, grid.shape)
+        rule = "termination"
+        return project_signals(*filled, camera, grid, signals, rule, background)
+
+    return jax.lax.cond(is_right, lambda: in_blocks, project_whole)
 
 
 def project_signals(
-    volume: Volume,
+    density: jax.Array,
+    map_colors: Callable | None,
     camera: Camera,
     grid: VoxelGrid,
     signals: tuple[str, ...],
@@ -196,11 +193,11 @@ def project_signals(
     """Eq. 5 of the paper: p = Σ_k r_k·y_k along each ray, the background included.
 
     y_k is 1 for a silhouette (0 in the background), the depth z_k, or a colour; the
-    background has a depth and a colour. Arguments as in `project`.
+    background has a depth and a colour. The densities and map_colors are those of
+    `fill_volume`, the other arguments as in `project`.
     """
     background_depth, background_color = background
-    occupancy = volume.occupancy
-    dtype = occupancy.dtype
+    occupancy, dtype = clip_unit(density), density.dtype
     images = {}
     if "silhouette" in signals:
         is_product = ray_rule == "termination"
@@ -220,11 +217,28 @@ def project_signals(
         images["depth"] = jnp.matmul(
             rays.ends, grid.depths(camera, dtype), precision="highest"
         ) + rays.background * jnp.asarray(background_depth, dtype)
-    if volume.sum_colors is not None:
+    if map_colors is not None:
         behind = jnp.asarray(background_color, dtype).reshape(1, 1, -1)
-        colors = volume.sum_colors(rays.reached)
+        # o·y without a division by a density that may be as small as floats go: below
+        # the clip it is Σ y_i·f_i, above it Σ y_i·f_i / Σ f_i.
+        weight = _divide(rays.reached, jnp.where(density > 1, density, 1))
+        channels = map_colors(lambda channel: jnp.sum(weight * channel, axis=-1))
+        colors = jnp.moveaxis(channels, 0, -1)
         images["color"] = colors + rays.background[..., None] * behind
     return Projection(**images)
+
+
+@jax.custom_jvp
+def _divide(total, density):
+    """A quotient whose derivative squares no density: 1e30 has no square in float32."""
+    return total / density
+
+
+@_divide.defjvp
+def _divide_jvp(primals, tangents):
+    total, density = primals
+    quotient = total / density
+    return quotient, (tangents[0] - quotient * tangents[1]) / density
 
 
 @checks.refusing_forward_mode
@@ -255,7 +269,7 @@ def voxelize(
     scene = place_points(
         points, rotation, sigma, scale, covariance, translation, camera, grid, method
     )
-    return fill_volume(scene, None, grid.shape).occupancy
+    return clip_unit(fill_volume(scene, None, grid.shape)[0])
 
 
 def mass_of_peak(peak: chex.Numeric, sigma: chex.Numeric) -> jax.Array:

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,17 +32,6 @@ class Scene:
     method: str = dataclasses.field(metadata={"static": True})
 
 
-class Volume(NamedTuple):
-    """What the rays of one view go through."""
-
-    # [rows, cols, depth] in [0, 1], the o of Eq. 3, nearest cell first.
-    occupancy: jax.Array
-    # From the probability t_k of reaching each cell, [rows, cols, depth], to
-    # Σ_k t_k·o_k·y_k of each ray, [rows, cols, C]. A function, so that it can take
-    # one channel of the colours y at a time instead of keeping a volume for each.
-    sum_colors: Callable[[jax.Array], jax.Array] | None = None
-
-
 def place_points(
     points: ArrayLike,
     rotation: ArrayLike,
@@ -66,13 +54,14 @@ def place_points(
         points, rotation, sigma, scale, covariance, translation
     )
     method = arguments.choose_method(method, sigma)
-    moved = to_camera_frame(points, rotation, translation=translation, camera=camera)
+    moved = to_camera_frame(points, rotation, translation)
     coordinates, is_inside = to_grid(moved, camera=camera, grid=grid)
     if covariance is not None:
         matrix = quaternion.to_matrix(rotation) if rotation.shape == (4,) else rotation
         # A point outside may lie in the camera plane: perspective has no derivative.
-        x, y, _ = jnp.where(is_inside[:, None], moved.centered, 0).T
-        safe = jnp.stack([x, y, jnp.where(is_inside, moved.ahead, 1)], axis=-1)
+        x, y, _ = jnp.where(is_inside[:, None], moved, 0).T
+        ahead = jnp.where(is_inside, camera.find_depths(moved), 1)
+        safe = jnp.stack([x, y, ahead], axis=-1)
         covariance = covariances.move_covariance(
             covariance, safe, matrix, camera=camera, grid=grid
         )
@@ -82,11 +71,17 @@ def place_points(
 
 def fill_volume(
     scene: Scene, colors: jax.Array | None, shape: tuple[int, int, int]
-) -> Volume:
-    """Eq. 3 of the paper: the occupancy o(x) = clip(Σ_i f_i(x), [0, 1]) on the grid.
+) -> tuple[jax.Array, Callable | None]:
+    """Eq. 3 of the paper: Σ_i f_i(x) on the grid, whose clip is the occupancy o(x).
 
-    With colours, also the signal y(x) = Σ_i y_i·f_i(x) / Σ_i f_i(x) that the paper
-    gives after Eq. 5. Colours are [N, C]; the shape is (rows, cols, depth).
+    With colours, also what the paper gives after Eq. 5 as the signal
+    y(x) = Σ_i y_i·f_i(x) / Σ_i f_i(x). Colours are [N, C]; the shape is (rows, cols,
+    depth).
+
+    Returns:
+      ([rows, cols, depth] densities, nearest first; map_colors(function), which gives
+      function(Σ y_i·f_i) of each channel, [C, ...], or None without colours). A
+      function, so that there may be one channel's volume at a time.
 
     Raises:
       ValueError: for a volume that does not fit into memory.
@@ -95,15 +90,7 @@ def fill_volume(
     colors = None if colors is None else colors.astype(scene.coordinates.dtype)
     sum_densities = _sum_exact if scene.method == "gaussian" else _sum_smoothed
     density, map_colors = sum_densities(scene, colors, shape)
-
-    def sum_colors(reached):
-        # o·y without a division by a density that may be as small as floats go: below
-        # the clip it is Σ y_i·f_i, above it Σ y_i·f_i / Σ f_i.
-        weight = reached / jnp.where(density > 1, density, 1)
-        channels = map_colors(lambda channel: jnp.sum(weight * channel, axis=-1))
-        return jnp.moveaxis(channels, 0, -1)
-
-    return Volume(clip_unit(density), None if colors is None else sum_colors)
+    return density, None if colors is None else map_colors
 
 
 @jax.custom_jvp
@@ -124,11 +111,9 @@ def _clip_unit_jvp(primals, tangents):
 
 
 def _sum_smoothed(scene, colors, shape):
-    """Σ f_i by the fast methods, [rows, cols, depth], and its sums over colours.
+    """`fill_volume` by the fast methods.
 
-    The latter as map_colors(function), which gives [C, ...], function(Σ y_i·f_i) of
-    each channel. One channel's volume is there at a time; the backward pass keeps those
-    of few channels, and fills those of many again.
+    The backward pass keeps the volumes of few channels, and fills those of many again.
     """
     if scene.method == "levels":
         sizes = jnp.broadcast_to(scene.sigma, scene.is_inside.shape)
@@ -157,7 +142,7 @@ def map_channels(function: Callable, colors: jax.Array) -> jax.Array:
 
 
 def _sum_exact(scene, colors, shape):
-    """Σ f_i by the basic method; exact, slower than `_sum_smoothed`."""
+    """`fill_volume` by the basic method; exact, slower than `_sum_smoothed`."""
     values = scene.mass[:, None]
     if colors is not None:
         values = jnp.concatenate([values, values * colors], axis=1)

@@ -57,15 +57,13 @@ def place_candidates(
         own = point_sizes.take_points(size, count)
 
     def place(candidate):
-        moved = to_camera_frame(
-            points[:count], candidate, translation=view.translation, camera=camera
-        )
-        seen = to_grid(moved, camera=camera, grid=VoxelGrid(view.side))
-        rows, cols, _ = seen.coordinates.T
-        places = [jnp.where(seen.inside, axis, _OUTSIDE) for axis in (rows, cols)]
+        moved = to_camera_frame(points[:count], candidate, view.translation)
+        found, is_inside = to_grid(moved, camera=camera, grid=VoxelGrid(view.side))
+        rows, cols, _ = found.T
+        places = [jnp.where(is_inside, axis, _OUTSIDE) for axis in (rows, cols)]
         if own is None:
             return *places, None
-        ahead = jnp.where(seen.inside, moved.ahead, 1)
+        ahead = jnp.where(is_inside, camera.find_depths(moved), 1)
         zoom = jnp.asarray(camera.focal_length) / ahead
         return *places, point_sizes.find_image_sigmas(own, candidate, zoom)
 

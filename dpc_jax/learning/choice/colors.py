@@ -57,15 +57,13 @@ def see_points(
         image of the points is moved and scaled into it.
     """
     camera, shift = place_camera(camera, per_view), per_view.get("translation")
-    moved = to_camera_frame(
-        points, per_view["rotation"], translation=shift, camera=camera
-    )
-    seen = to_grid(moved, camera=camera, grid=VoxelGrid(_IMAGE))
-    places = (seen.coordinates[:, :2] + 0.5) / _IMAGE - 0.5  # row before column
+    moved = to_camera_frame(points, per_view["rotation"], shift)
+    found, is_inside = to_grid(moved, camera=camera, grid=VoxelGrid(_IMAGE))
+    places = (found[:, :2] + 0.5) / _IMAGE - 0.5  # row before column
     row, col = _find_pixels(places, _IMAGE)
-    ahead = jnp.where(seen.inside, moved.ahead, jnp.inf)
+    ahead = jnp.where(is_inside, camera.find_depths(moved), jnp.inf)
     nearest = jnp.full((_IMAGE, _IMAGE), jnp.inf).at[row, col].min(ahead)
-    is_seen = seen.inside & (ahead < nearest[row, col] + _BEHIND)
+    is_seen = is_inside & (ahead < nearest[row, col] + _BEHIND)
     if frame is not None:
         shown = jnp.isfinite(nearest).astype(points.dtype)
         place = find_place(frame, frame_by_moments(shown))

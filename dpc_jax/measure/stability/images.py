@@ -52,8 +52,8 @@ SIGHTS = (
 def _find_coordinates(points, rotation, focal, distance, *, projection):
     """Continuous indices of the points in the grid; zeros for points outside it."""
     camera = Camera(focal, distance, projection)
-    moved = cameras.to_camera_frame(points, rotation, translation=None, camera=camera)
-    return cameras.to_grid(moved, camera=camera, grid=GRID).coordinates
+    moved = cameras.to_camera_frame(points, rotation, None)
+    return cameras.to_grid(moved, camera=camera, grid=GRID)[0]
 
 
 def _place(*inputs, is_flat):

@@ -63,12 +63,7 @@ def count_blocks(
 
 @functools.partial(jax.jit, static_argnames="shape")
 def _count(scene, *, shape):
-    total, order = math.prod(touched.divide(shape)), splatting.ORDERS[scene.method]
-    sigma = splatting.narrow(scene.sigma, order)
-    places = scene.coordinates, scene.is_inside, sigma
-    blocks = touched.find_blocks(*places, shape, order, total)
-    is_narrow = touched.is_narrow(sigma, scene.coordinates.dtype, order)
-    return jnp.where(is_narrow, blocks.count, total)
+    return touched.find_blocks(scene, shape, math.prod(touched.divide(shape))).count
 
 
 def choose_room(

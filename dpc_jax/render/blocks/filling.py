@@ -7,13 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.render import kernels
-from dpc_jax.render.blocks.touched import (
-    BLOCK,
-    Blocks,
-    divide,
-    find_neighbours,
-    find_slots,
-)
+from dpc_jax.render.blocks import touched
+from dpc_jax.render.blocks.touched import BLOCK, Blocks
 from dpc_jax.render.fast import splatting
 from dpc_jax.render.volume import Scene
 
@@ -25,18 +20,17 @@ _PASSES = ((2, (0, 3, 1, 2)), (1, (0, 3, 1, 2)), (0, (0, 2, 3, 1)))
 def sum_densities(
     scene: Scene,
     mass: jax.Array,
-    sigma: jax.Array,
     blocks: Blocks,
     shape: tuple[int, int, int],
 ) -> jax.Array:
-    """Σ_i f_i in the touched blocks, [M, 8, 8, 8] as (depth, row, col).
+    """Σ_i f_i of points' masses [N] in the touched blocks.
 
-    Mass is [N]; sigma is () in voxels, of the smoothing alone.
+    [M, 8, 8, 8] as (depth, row, col); 0 where the last block stands out of the volume.
     """
-    counts, order = divide(shape), splatting.ORDERS[scene.method]
+    counts, order = touched.divide(shape), splatting.ORDERS[scene.method]
     first = splatting.find_first(jax.lax.stop_gradient(scene.coordinates), shape, order)
     side = BLOCK + order
-    slot, cell = find_slots(first, blocks, counts)
+    slot, cell = touched.find_slots(first, blocks, counts)
     has_slot = slot < len(blocks.ids)
     cells: Any = splatting.scatter(
         scene.coordinates - first,
@@ -47,14 +41,19 @@ def sum_densities(
         # What a block's points give to the next one is kept in cells of its own.
         (len(blocks.ids), side, side, side),
     )
+    sigma = splatting.narrow(jnp.asarray(scene.sigma), order)
     kernel = kernels.sample_gaussian(jnp.arange(BLOCK, dtype=cells.dtype), sigma)
-    return _smooth(cells, kernel, blocks, counts)
+    density = _smooth(cells, kernel, blocks, counts)
+    if shape[2] % BLOCK == 0:
+        return density
+    depths = touched.find_depths(blocks.ids, shape)
+    return jnp.where((depths < shape[2])[:, :, None, None], density, 0)
 
 
 def _smooth(cells, kernel, blocks, counts):
     sides = cells.shape[-1], BLOCK
     for axis, axes in _PASSES:
-        neighbours = find_neighbours(blocks, counts, axis)
+        neighbours = touched.find_neighbours(blocks, counts, axis)
         smoothed: Any = _smooth_axis(cells, kernel, neighbours, sides)
         cells = jnp.transpose(smoothed, axes)
     return cells

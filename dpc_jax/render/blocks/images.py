@@ -9,7 +9,6 @@ import jax.numpy as jnp
 from dpc_jax.render.blocks import rays, touched
 from dpc_jax.render.blocks.filling import sum_densities
 from dpc_jax.render.camera import Camera, VoxelGrid
-from dpc_jax.render.fast import splatting
 from dpc_jax.render.volume import Scene, clip_unit, map_channels
 
 
@@ -30,17 +29,14 @@ def render_blocks(
       (images by the name of their signal, () bool whether they are right: the blocks
       found room, and the smoothing reaches no further than the next block).
     """
-    shape, order = grid.shape, splatting.ORDERS[scene.method]
-    sigma = splatting.narrow(jnp.asarray(scene.sigma), order)
-    places = jax.lax.stop_gradient((scene.coordinates, scene.is_inside, sigma))
-    blocks = touched.find_blocks(*places, shape, order, max_blocks)
-    is_narrow = touched.is_narrow(places[2], scene.coordinates.dtype, order)
-    is_right = (blocks.count <= max_blocks) & is_narrow
-
-    fill = functools.partial(_fill, scene, sigma, blocks, shape)
+    shape = grid.shape
+    blocks = touched.find_blocks(scene, shape, max_blocks)
+    is_right = blocks.count <= max_blocks
+    fill = functools.partial(sum_densities, scene, blocks=blocks, shape=shape)
     density = fill(scene.mass)
     occupancy = clip_unit(density)
-    columns = rays.find_columns(blocks.ids, touched.divide(shape))
+    rows, cols, depth = touched.divide(shape)
+    columns = rays.Columns(blocks.ids // depth, rows * cols, depth)
     images = {}
     if "silhouette" in signals:
         united = rays.opacity(occupancy, columns)
@@ -52,7 +48,7 @@ def render_blocks(
     behind = rays.lay_out_image(found.background, shape)
     background_depth, background_color = background
     if "depth" in signals:
-        cells = _find_depth_cells(blocks.ids, shape).clip(0, shape[2] - 1)
+        cells = touched.find_depths(blocks.ids, shape).clip(0, shape[2] - 1)
         depths = grid.depths(camera, density.dtype)[cells][:, :, None, None]
         ahead = columns.add_up(jnp.sum(found.ends * depths, axis=1))
         beyond = behind * jnp.asarray(background_depth, density.dtype)
@@ -68,18 +64,3 @@ def render_blocks(
         beyond = behind[..., None] * color
         images["color"] = rays.lay_out_image(ahead, shape) + beyond
     return images, is_right
-
-
-def _fill(scene, sigma, blocks, shape, mass):
-    """Densities [M, 8, 8, 8]; none where the last block stands out of the volume."""
-    density = sum_densities(scene, mass, sigma, blocks, shape)
-    if shape[2] % touched.BLOCK == 0:
-        return density
-    cells = _find_depth_cells(blocks.ids, shape)
-    return jnp.where((cells < shape[2])[:, :, None, None], density, 0)
-
-
-def _find_depth_cells(ids, shape):
-    """Index along a ray of each layer of cells of blocks [M], [M, 8]."""
-    first = ids % touched.divide(shape)[2] * touched.BLOCK
-    return first[:, None] + jnp.arange(touched.BLOCK)[None]

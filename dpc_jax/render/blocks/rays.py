@@ -46,12 +46,6 @@ class Columns:
         return jnp.concatenate([values, extra])[self.index]
 
 
-def find_columns(ids: jax.Array, counts: tuple[int, int, int]) -> Columns:
-    """Columns of blocks [M] by their ascending numbers."""
-    # A free slot's number is one more than the last block's.
-    return Columns(ids // counts[2], counts[0] * counts[1], counts[2])
-
-
 def opacity(occupancy: jax.Array, columns: Columns) -> jax.Array:
     """1 - Π(1 - o) of all rays, as `termination.opacity` of the dense volume."""
     united = occupancy

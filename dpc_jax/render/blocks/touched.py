@@ -10,11 +10,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import DTypeLike
 
 from dpc_jax.render import kernels
 from dpc_jax.render.exact.tiles import find_points
 from dpc_jax.render.fast import splatting
+from dpc_jax.render.volume import Scene
 
 BLOCK = 8  # cells along a side
 _IN_BOUNDS = "promise_in_bounds"
@@ -41,44 +41,28 @@ def divide(shape: tuple[int, int, int]) -> tuple[int, int, int]:
     return rows, cols, depth
 
 
-def find_reach(sigma: jax.Array, dtype: DTypeLike, order: int) -> jax.Array:
-    """How many cells beyond a point's own the smoothing reaches, () int32.
+def find_blocks(scene: Scene, shape: tuple[int, int, int], room: int) -> Blocks:
+    """The blocks that the splines of points reach, and their smoothing.
 
-    With them it may reach one block further along each axis: 8 - `order` cells. The
-    result is at most one more.
+    There is room for `room` of them (static). Where the smoothing reaches beyond the
+    next block, the count is that of all blocks.
     """
-    reach = jnp.floor(kernels.find_half_width(sigma, dtype))
-    most = BLOCK - order
-    # NaN and infinity are as wide as can be.
-    return jnp.where(reach <= most, reach, most + 1).astype(jnp.int32)
-
-
-def is_narrow(sigma: jax.Array, dtype: DTypeLike, order: int) -> jax.Array:
-    """Whether the smoothing reaches no further than the next block, () bool."""
-    return find_reach(sigma, dtype, order) <= BLOCK - order
-
-
-def find_blocks(
-    coordinates: jax.Array,
-    is_inside: jax.Array,
-    sigma: jax.Array,
-    shape: tuple[int, int, int],
-    order: int,
-    room: int,
-) -> Blocks:
-    """The blocks that points [N, 3] reach, `order` + 1 cells of each and the smoothing.
-
-    There is room for `room` of them (static).
-    """
+    order = splatting.ORDERS[scene.method]
+    coordinates, sigma = jax.lax.stop_gradient(
+        (scene.coordinates, splatting.narrow(jnp.asarray(scene.sigma), order))
+    )
     counts = divide(shape)
     total = int(np.prod(counts))
     first = splatting.find_first(coordinates, shape, order)
     block, cell = first // BLOCK, first % BLOCK
-    number = jnp.where(is_inside, _number(block, counts), total)
+    number = jnp.where(scene.is_inside, _number(block, counts), total)
+    # How many cells beyond a point's own the smoothing reaches.
+    reach = jnp.floor(kernels.find_half_width(sigma, coordinates.dtype))
+    is_narrow = reach <= BLOCK - order  # not NaN
+    reach = jnp.where(is_narrow, reach, BLOCK).astype(jnp.int32)
     # Two steps: the blocks that hold points are few, and only for them is it asked
     # which neighbours their points reach.
     homes = _index(_mark(number, total), room)
-    reach = find_reach(sigma, coordinates.dtype, order)
     kinds = (cell < reach) + 2 * (cell + order + reach >= BLOCK)
     kind = (kinds[:, 0] * 4 + kinds[:, 1]) * 4 + kinds[:, 2]
     seen = jnp.zeros((homes.ids.shape[0] + 1) * 64, jnp.float32)
@@ -94,7 +78,8 @@ def find_blocks(
     touched = jnp.where(is_there, _number(places, counts), total)
     found = _index(_mark(touched.reshape(-1), total), room)
     # Where the blocks with points alone are too many, their neighbours are not known.
-    return found._replace(count=jnp.maximum(found.count, homes.count))
+    count = jnp.maximum(found.count, homes.count)
+    return found._replace(count=jnp.where(is_narrow, count, total))
 
 
 def find_slots(
@@ -102,6 +87,12 @@ def find_slots(
 ) -> tuple[jax.Array, jax.Array]:
     """([N] slot of the block of a cell, M where it has none; [N, 3] cell in it)."""
     return blocks.slots[_number(first // BLOCK, counts)], first % BLOCK
+
+
+def find_depths(ids: jax.Array, shape: tuple[int, int, int]) -> jax.Array:
+    """Index along a ray of each layer of cells of blocks [M], [M, 8]."""
+    first = ids % divide(shape)[2] * BLOCK
+    return first[:, None] + jnp.arange(BLOCK)[None]
 
 
 def find_neighbours(

@@ -9,6 +9,7 @@ So the mass of a point is exact for every covariance, singular ones included.
 """
 
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -16,12 +17,13 @@ from jax.typing import ArrayLike
 
 from dpc_jax.render import kernels
 from dpc_jax.render.camera import Camera, VoxelGrid
-from dpc_jax.render.exact import factoring, tiles
+from dpc_jax.render.exact import tiles
 
 # Points added at once. Tiles of few points would mostly add padding: on a CPU a render
 # with its gradient, at 32 voxels, takes 16 ms for 20 points where 32 at once take 62,
 # and 70 ms for 200 points where these take 86.
 _CHUNK = 8
+_ORDERS = tuple(itertools.permutations(range(3)))  # of axes
 
 
 def move_covariance(
@@ -79,14 +81,14 @@ def sum_covariances(
     """Sum Gaussians with covariances [N, 3, 3]; otherwise as `sum_gaussians`."""
     if coordinates.shape[0] == 0:
         return jnp.zeros((values.shape[1], *shape), values.dtype)
-    chosen = factoring.choose_order(jax.lax.stop_gradient(covariance))
+    chosen = _choose_order(jax.lax.stop_gradient(covariance))
     side = max(shape)
     identity = jnp.eye(3, dtype=covariance.dtype)[None]
 
     def add_order(total, i):
         # One program serves all orders: the volume is a cube until the end. Tiles that
         # no point reaches cost nothing.
-        order = jnp.array(factoring.ORDERS)[i]
+        order = jnp.array(_ORDERS)[i]
         is_mine = is_inside & (chosen == i)
         # In an order that was not chosen slopes are unbounded, and the infinity of
         # their derivative times zero would be NaN.
@@ -95,23 +97,23 @@ def sum_covariances(
         part = _sum_in_order(coordinates[:, order], values, safe, is_mine, side)
         turns = [
             lambda part, o=o: jnp.moveaxis(part, (1, 2, 3), [1 + axis for axis in o])
-            for o in factoring.ORDERS
+            for o in _ORDERS
         ]
         return total + jax.lax.switch(i, turns, part), None
 
     total = jnp.zeros((values.shape[1], side, side, side), values.dtype)
-    total, _ = jax.lax.scan(add_order, total, jnp.arange(len(factoring.ORDERS)))
+    total, _ = jax.lax.scan(add_order, total, jnp.arange(len(_ORDERS)))
     return total[:, : shape[0], : shape[1], : shape[2]]
 
 
 def _sum_in_order(centers, values, covariance, is_inside, side):
     """Sum the points that this order of axes was chosen for."""
-    factors = factoring.factor_covariance(covariance)
-    reaches = kernels.find_reach(factors.sigmas, centers.dtype)
-    along = reaches[:, 1] + jnp.abs(factors.slopes[:, 0]) * reaches[:, 0]
+    sigmas, slopes = _factor(covariance)
+    reaches = kernels.find_reach(sigmas, centers.dtype)
+    along = reaches[:, 1] + jnp.abs(slopes[:, 0]) * reaches[:, 0]
     places = centers, reaches[:, 0], along, is_inside
-    parameters = {"centers": centers, "values": values, "factors": factors}
-    points, shape = tiles.Points(parameters, {}, {}), (side, side, side)
+    points = tiles.Points((centers, sigmas, slopes, values), (), ())
+    shape = side, side, side
     density = _make_density(side)
     return tiles.sum_in_tiles(density, _is_reached, shape, _CHUNK, points, places)
 
@@ -128,11 +130,8 @@ def _make_density(size):
 
     def sum_density(points, corner):
         # Axes: points, cells along the first, second and third axis.
-        factors = points.whole["factors"]
-        point, sigma, slope = (
-            leaf.T[..., None, None, None]
-            for leaf in (points.whole["centers"], factors.sigmas, factors.slopes)
-        )
+        *three, values = points.whole
+        point, sigma, slope = (leaf.T[..., None, None, None] for leaf in three)
         square, dtype = jnp.arange(tiles.SIDE), point.dtype
         first = (corner[0] + square).astype(dtype).reshape(1, -1, 1, 1)
         second = (corner[1] + square).astype(dtype).reshape(1, 1, -1, 1)
@@ -144,9 +143,87 @@ def _make_density(size):
             first, sigma[0], center=point[0]
         ) * kernels.sample_gaussian(second, sigma[1], center=mean_second)
         along = kernels.sample_gaussian(third, sigma[2], center=mean_third)
-        values = points.whole["values"]
         return jnp.einsum(
             "nv,nrc,nrcd->vrcd", values, weights[..., 0], along, precision="highest"
         )
 
     return sum_density
+
+
+def _choose_order(covariance: jax.Array) -> jax.Array:
+    """Which of the six orders of axes to factor each covariance [N, 3, 3] in; [N].
+
+    The widest axis first, then the one with the wider conditional, as in pivoting. No
+    slope then exceeds one, and no cell that a thin Gaussian is assigned to is more than
+    half a voxel from its line or plane.
+    """
+    variances = jnp.diagonal(covariance, 0, 1, 2)
+    first = jnp.argmax(variances, axis=1)  # of equal ones, the lowest axis
+
+    def take(array, index):
+        return jnp.take_along_axis(array, index, axis=1)
+
+    widest = take(variances, first[:, None])
+    shared = take(covariance, first[:, None, None])[:, 0]
+    rest = variances - _divide(shared**2, widest, jnp.zeros_like(widest))
+    lower, higher = take(rest, jnp.array([[1, 2], [0, 2], [0, 1]])[first]).T
+    return 2 * first + (lower < higher)  # as `_ORDERS` lists them
+
+
+def _factor(covariance: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Covariances [N, 3, 3] as conditionals: x₁, x₂ given x₁, x₃ given x₁ and x₂.
+
+    Returns their standard deviations [N, 3] in voxels, and the slopes [N, 3] of the
+    conditional means: of x₂ over x₁, of x₃ over x₁, and of x₃ over the deviation of x₂
+    from its mean given x₁.
+
+    Negative variances, such as rounding makes of a singular covariance, count as zero;
+    a conditional without variance lies on the nearest cell.
+    """
+    first, zero = covariance[:, 0, 0], jnp.zeros_like(covariance[:, 0, 0])
+    ba, ca, cb = covariance[:, 1, 0], covariance[:, 2, 0], covariance[:, 2, 1]
+    slope_b = _find_slope(ba, first, zero)
+    slope_c = _find_slope(ca, first, zero)
+    second = covariance[:, 1, 1] - slope_b * ba
+    # A remainder below the rounding error of the subtraction says nothing.
+    noise = 8 * jnp.finfo(first.dtype).eps * jnp.abs(first)
+    shared = cb - slope_c * ba
+    slope_e = _find_slope(shared, second, noise)
+    third = covariance[:, 2, 2] - slope_c * ca - slope_e * shared
+    sigmas = [_take_root(v) for v in (first, second, third)]
+    return jnp.stack(sigmas, axis=-1), jnp.stack([slope_b, slope_c, slope_e], axis=-1)
+
+
+def _find_slope(shared, variance, threshold):
+    """Slope of a conditional mean; zero where the variance is no more than rounding.
+
+    Over the widest axis no slope exceeds one, but for rounding. One above two comes
+    from a matrix that is no covariance, and is set to zero too. The square of the
+    variance, by which the derivative divides, must not underflow.
+    """
+    least = jnp.sqrt(jnp.finfo(variance.dtype).tiny)
+    is_safe = jnp.abs(shared) <= 2 * variance
+    # Mask both: otherwise a large cotangent times the inverse square of a small
+    # variance is infinite before it is multiplied by zero.
+    return _divide(
+        jnp.where(is_safe, shared, 0),
+        jnp.where(is_safe, variance, 0),
+        jnp.maximum(threshold, least),
+    )
+
+
+def _divide(numerator, denominator, threshold):
+    """Quotient, or zero where the denominator does not exceed the threshold.
+
+    Computed with the inverse. Its derivative multiplies by the numerator before it
+    divides by the square of the denominator, which alone might overflow.
+    """
+    is_safe = denominator > threshold
+    return jnp.where(is_safe, numerator * (1 / jnp.where(is_safe, denominator, 1)), 0)
+
+
+def _take_root(variance):
+    """Standard deviation, at least the kernels' floor; no infinite slope at zero."""
+    is_wide = variance > kernels.SIGMA_FLOOR**2
+    root = jnp.sqrt(jnp.where(is_wide, variance, 1))
+    return jnp.where(is_wide, root, kernels.SIGMA_FLOOR)
