@@ -59,36 +59,39 @@ def draw_predictions(examples: Sequence[Example], path: str | os.PathLike) -> Pa
 
     Columns: the input, the target silhouette, the predicted one, their difference (red
     where the prediction is too large, blue where it is too small), the predicted cloud
-    from the front and from the rear, and the true shape from the front where an example
-    has one. Clouds are orthographic, z up; near points are drawn over far ones and
-    darker, or in their predicted colour, fading with distance.
+    from the front and from the rear, and from the front the true shape and its
+    neighbours, where examples have them. Clouds are orthographic, z up; near points are
+    drawn over far ones and darker, or in their predicted colour, fading with distance.
+    Below each row stands what is measured of it.
     """
     titles = "input|target|predicted|difference|shape, front|shape, rear".split("|")
     if any(example.surface is not None for example in examples):
         titles.append("true shape")
+    titles += [near.title for near in examples[0].neighbours]
     rows, labels = [], []
     for example in examples:
         cloud = example.points, example.colors
-        row = [
+        row: list[np.ndarray | None] = [
             example.image,
             example.target,
             example.predicted,
             draw_difference(example),
         ]
-        row += [draw_cloud(*cloud), draw_cloud(*cloud, view_deg=REAR), None]
+        row += [draw_cloud(*cloud), draw_cloud(*cloud, view_deg=REAR)]
         if example.surface is not None:
             step = max(1, len(example.surface) // _SHOWN_SURFACE_POINTS)
-            row[-1] = draw_cloud(example.surface[::step])
-        rows.append(row[: len(titles)])
-        error = example.pose_error_deg
-        what = "" if error is None else f"   pose error {error:.1f}°"
-        labels.append(style.spell_name(example.name) + what)
+            row.append(draw_cloud(example.surface[::step]))
+        row += [draw_cloud(near.points) for near in example.neighbours]
+        rows.append(row + [None] * (len(titles) - len(row)))
+        labels.append(
+            "   ".join([style.spell_name(example.title), *example.list_measures()])
+        )
     return draw_grid(rows, path, titles=titles, labels=labels, size=1.45)
 
 
 def draw_difference(example: Example) -> np.ndarray:
-    """Of the silhouettes, uint8 [S, S, 3]: red too large, blue too small."""
+    """Of the silhouettes, [S, S, 3] of 0 to 1: red too large, blue too small."""
     side = max(len(example.predicted), len(example.target))
     difference = resize(example.predicted, side) - resize(example.target, side)
     colors = colormaps["RdBu_r"].with_extremes(bad="white")((difference + 1) / 2)
-    return np.rint(255 * colors[..., :3]).astype(np.uint8)
+    return colors[..., :3]
