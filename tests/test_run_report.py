@@ -68,8 +68,7 @@ def show(sets, **changes):
     predictions = predict_truth(sets["test"])
     result = evaluator.score(predictions, test, alignment=identity_alignment())
     shapes = TrainingShapes.gather(sets | {"test": test}, 60)
-    overlaps = evaluator.measure_overlaps(predictions, test)
-    judged = Judged(predictions, test, identity_alignment(), result, overlaps, 2.0)
+    judged = Judged(predictions, test, identity_alignment(), result, 2.0)
     examples, ranking = choose_examples(judged, per_group=3, shapes=shapes)
     return judged, shapes, examples, ranking
 

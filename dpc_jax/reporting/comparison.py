@@ -79,15 +79,10 @@ def tabulate_groups(groups: Sequence[Group]) -> str:
     return format_table(heads, [cells for _, _, cells in rows])
 
 
-def list_columns(groups: Sequence[Group]) -> list[str]:
-    """The metrics that some run has."""
-    found = [n for n in COLUMNS if any(g.summarize(n) is not None for g in groups)]
-    return found or ["train_seconds"]
-
-
 def _tabulate(groups: Sequence[Group]):
     """Heads, and rows: the group's index, the run of several or None, cells of text."""
-    columns = list_columns(groups)
+    columns = [n for n in COLUMNS if any(g.summarize(n) is not None for g in groups)]
+    columns = columns or ["train_seconds"]
     best = {name: find_best(groups, name) for name in columns}
     rows: list[tuple[int, ComparedRun | None, list[str]]] = []
     for index, group in enumerate(groups):

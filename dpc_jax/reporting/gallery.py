@@ -13,6 +13,7 @@ from dpc_jax.reporting.clouds import REAR, draw_cloud
 from dpc_jax.reporting.examples import Example
 
 _SHOWN_SURFACE_POINTS = 2000  # about as many as are predicted, to compare fairly
+_FRAME = "#d5dbe1"
 
 
 def draw_grid(
@@ -33,13 +34,18 @@ def draw_grid(
       size: of a picture, inches.
     """
     height = size * len(rows) * (1.12 if labels else 1.02) + (0.3 if titles else 0.05)
-    figure = style.make_figure(size * len(rows[0]), height, is_close=True)
+    figure = style.make_figure(size * len(rows[0]), height)
+    gaps = dict.fromkeys(("w_pad", "h_pad", "wspace", "hspace"), 0.02)
+    top = 1 - 0.06 / height  # what is above a title, or its letters are cut
+    figure.set_layout_engine("constrained", **gaps, rect=(0, 0, 1, top))
     grid = figure.subplots(len(rows), len(rows[0]), squeeze=False)
     for axes, picture in zip(grid.flat, (p for row in rows for p in row), strict=True):
         if picture is None:
             axes.set_axis_off()
         else:
-            style.show_picture(axes, picture)
+            axes.set(xticks=[], yticks=[])
+            axes.spines[:].set_color(_FRAME)
+            axes.imshow(picture, cmap="gray", vmin=0.0, vmax=1.0)
     for axes in grid[0, :framed]:
         axes.spines[:].set(color=style.INK, linewidth=2.2)
     for axes, title in zip(grid[0], titles, strict=False):

@@ -101,6 +101,7 @@ def write_report(
     folder = Path(folder)
     values = dict(sorted(metrics.items()))
     write_json(folder / "metrics.json", values)
+    named = ", ".join(lost[:_NAMED]) + (", ..." if len(lost) > _NAMED else "")
     draw_curves = functools.partial(figures.draw_curves, stages=stages)
     rendered = [e for e in examples if e.images and len(e.images.rendered) > 1]
     parts = [
@@ -112,7 +113,7 @@ def write_report(
         _write_clouds(examples, folder / "points") if examples else "",
         _draw(folder, "pose_errors", figures.draw_pose_errors, failures),
         _draw(folder, "azimuths", figures.draw_azimuths, failures),
-        _name_lost(lost),
+        f"<p>Wrong in all views: {escape(named)}.</p>" if lost else "",
         _compare_shapes(values),
         _draw(folder, "curves", draw_curves, records),
         _draw(folder, "signals", draw_signals, rendered, is_photo=True),
@@ -201,14 +202,6 @@ def _compare_shapes(values: Mapping[str, Any]) -> str:
     heads = ("", "whole surface", "visible surface")[: 1 + len(columns)]
     table = make_table(rows, heads, kind="numbers")
     return _introduce("training_shapes") + table if columns else ""
-
-
-def _name_lost(lost: Sequence[str]) -> str:
-    """The objects that are wrong in all their views."""
-    if not lost:
-        return ""
-    shown = ", ".join(lost[:_NAMED]) + (", ..." if len(lost) > _NAMED else "")
-    return f"<p>Wrong in all views: {escape(shown)}.</p>"
 
 
 def _list_metrics(values: Mapping[str, Any]) -> str:

@@ -51,20 +51,15 @@ def draw_transfers(
         for i, index in enumerate(found):
             colors[index], radius[index] = to_rgb(_COLORS[i % len(_COLORS)]), _MARKED
         picture = draw_cloud(cloud, colors, radius=radius, size=_SIDE)
-        pictures.append(_inset(picture, image))
+        size = _INSET, _INSET
+        small = Image.fromarray(image).resize(size, Image.Resampling.BICUBIC)
+        corner = picture[:_INSET, :_INSET]
+        corner[:] = np.minimum(corner, np.array(small))
+        pictures.append(picture)
     pictures += [None] * (-len(pictures) % _COLUMNS)
     rows = [pictures[i : i + _COLUMNS] for i in range(0, len(pictures), _COLUMNS)]
     titles = ["template"] * templates
     return draw_grid(rows, path, titles=titles, framed=templates)
-
-
-def _inset(picture: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """The picture with an input in its upper left corner."""
-    size = _INSET, _INSET
-    small = Image.fromarray(image).resize(size, Image.Resampling.BICUBIC)
-    corner = picture[:_INSET, :_INSET]
-    corner[:] = np.minimum(corner, np.array(small))
-    return picture
 
 
 def draw_strips(
@@ -167,7 +162,9 @@ def draw_projection_errors(
         grid="both",
     )
     axes.set_xscale("log")
-    style.set_ticks(axes, sorted({count for runs in errors.values() for count in runs}))
+    counts = sorted({count for runs in errors.values() for count in runs})
+    axes.set_xticks(counts, [f"{count:g}" for count in counts])
+    axes.set_xticks([], minor=True)
     axes.set_ylim(0.0, 1.1 * axes.dataLim.y1)
     axes.legend(frameon=False, fontsize=9)
     return style.save_figure(figure, path)

@@ -7,7 +7,7 @@ import numpy as np
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, align_points
 from dpc_jax.evaluation.scores import Scores
-from dpc_jax.learning.inference.evaluator import read_view
+from dpc_jax.learning.inference.evaluator import measure_overlaps, read_view
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.reporting.examples import Example
 from dpc_jax.run.report.training_shapes import TrainingShapes
@@ -22,7 +22,6 @@ class Judged(NamedTuple):
       predictions, dataset: of the same views.
       alignment: from the network's frame to the object frame.
       scores: of the predictions.
-      overlaps: [n, V] of silhouettes, 0 to 1.
       distance: of the camera.
       threshold: of the surfaces of a voxel model; None of others.
     """
@@ -31,22 +30,8 @@ class Judged(NamedTuple):
     dataset: DataSet
     alignment: Alignment
     scores: Scores
-    overlaps: np.ndarray
     distance: float
     threshold: float | None = None
-
-    def rank_views(self) -> tuple[np.ndarray, str]:
-        """How bad each view is [n, V], by the first measure there is, and its name.
-
-        That is the pose error; where poses are not predicted, or their truth is not
-        known, the Chamfer distance, and without true shapes the overlap of silhouettes.
-        """
-        if self.scores.pose_errors_deg is not None:
-            return np.asarray(self.scores.pose_errors_deg), "pose error"
-        if self.scores.chamfers is not None:
-            badness = np.asarray(self.scores.chamfers).sum(axis=-1)
-            return badness, "Chamfer distance"
-        return -self.overlaps, "overlap of silhouettes"
 
 
 def choose_views(
@@ -85,13 +70,23 @@ def choose_examples(
 ) -> tuple[list[Example], str]:
     """The worst, median and best views, and a sentence on how they were chosen.
 
+    They are ranked by the pose error; where poses are not predicted, or their truth is
+    not known, by the Chamfer distance, and without true shapes by the overlap of
+    silhouettes.
+
     Args:
       per_group: views of each. shapes: of the training set, to show beside them.
     """
     models, _ = arrange_views(judged.dataset)
-    badness, measure = judged.rank_views()
+    scores = judged.scores
+    overlaps = measure_overlaps(judged.predictions, judged.dataset)
+    badness, measure = -overlaps, "overlap of silhouettes"
+    if scores.pose_errors_deg is not None:
+        badness, measure = scores.pose_errors_deg, "pose error"
+    elif scores.chamfers is not None:
+        badness, measure = scores.chamfers.sum(axis=-1), "Chamfer distance"
     examples = [
-        _make_example(judged, *chosen, shapes=shapes)
+        _make_example(judged, *chosen, overlaps=overlaps, shapes=shapes)
         for chosen in choose_views(badness, models, per_group=per_group)
     ]
     return examples, f"The worst, median and best of all test views by {measure}."
@@ -103,10 +98,11 @@ def _make_example(
     row: int,
     place: int,
     *,
+    overlaps: np.ndarray,
     shapes: TrainingShapes | None,
 ) -> Example:
     """What is shown of a view."""
-    predictions, dataset, alignment, scores, overlaps, distance, threshold = judged
+    predictions, dataset, alignment, scores, distance, threshold = judged
     models, views = arrange_views(dataset)
     model, view = models[row, place], views[row, place]
     errors, colors = scores.pose_errors_deg, predictions.colors

@@ -10,11 +10,7 @@ from dpc_jax.config import Config, to_config_dict
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
-from dpc_jax.evaluation.pose import (
-    collapse_warning,
-    count_alive,
-    winner_share,
-)
+from dpc_jax.evaluation.pose import collapse_warning, count_alive, winner_share
 from dpc_jax.evaluation.scores import estimate_errors
 from dpc_jax.learning import schedules
 from dpc_jax.learning.inference import evaluator
@@ -110,16 +106,10 @@ def judge(
 ) -> Judged:
     """Predictions for a data set with their scores; see `Judged`."""
     scores = evaluator.score(
-        predictions,
-        dataset,
-        alignment=alignment,
-        poses_given=config.pose.known,
+        predictions, dataset, alignment=alignment, poses_given=config.pose.known
     )
-    overlaps = evaluator.measure_overlaps(predictions, dataset)
     distance = config.render.distance
-    return Judged(
-        predictions, dataset, alignment, scores, overlaps, distance, threshold
-    )
+    return Judged(predictions, dataset, alignment, scores, distance, threshold)
 
 
 def list_metrics(
@@ -130,7 +120,7 @@ def list_metrics(
     Args:
       shapes: of training, that predictions are compared with.
     """
-    predictions, dataset, alignment, scores, _, distance, threshold = judged
+    predictions, dataset, alignment, scores, distance, threshold = judged
     metrics = dict.fromkeys(REQUIRED_METRICS) | scores.metrics | estimate_errors(scores)
     metrics |= evaluator.measure_images(predictions, dataset, distance=distance)
     metrics |= evaluator.measure_cameras(predictions, dataset)

@@ -139,18 +139,11 @@ class NetworkShapes:
 
 
 def _take_first(dataset: DataSet) -> DataSet:
-    """Its first objects, in memory, without what the view does not show."""
-    count = min(_OBJECTS, len(dataset.names))
-
-    def take(name):
-        return Stack([dataset.rows(name, i) for i in range(count)])
-
-    return DataSet(
-        images=take("images"),
-        masks=take("masks"),
-        depths=None,
-        quaternions=None if dataset.quaternions is None else take("quaternions"),
-        surfaces=None,
-        names=dataset.names[:count],
-        skipped=(),
-    )
+    """Its first objects, with what predictions read of them in memory."""
+    names = dataset.names[:_OBJECTS]
+    taken = {
+        name: Stack([dataset.rows(name, i) for i in range(len(names))])
+        for name in ("images", "masks", "quaternions")
+        if getattr(dataset, name) is not None
+    }
+    return dataset._replace(**taken, names=names)
