@@ -36,9 +36,8 @@ def test_thin_parts_stay_and_a_gap_between_them_too():
     np.testing.assert_allclose(mesh.extents[1:], [0.012, 0.812], atol=0.015)
 
 
-@pytest.mark.parametrize("category", ["chair", "car", "airplane"])
-def test_a_surface_is_as_near_as_its_points_and_has_no_more_faces_than_asked(category):
-    shape = make_shape(category, 5)
+def test_a_surface_is_as_near_as_its_points_and_has_no_more_faces_than_asked():
+    shape = make_shape("chair", 5)
     points, others = (
         np.asarray(trimesh.sample.sample_surface(shape, count, seed=count)[0])
         for count in (4000, 100_000)
