@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
@@ -96,7 +97,7 @@ def test_the_shared_chamfer_is_that_of_the_turned_prediction():
     turn = FRAMES["anything"]
     gaps = cdist(turn.apply(cloud), surface)
     expected = gaps.min(axis=1).mean() + gaps.min(axis=0).mean()
-    got = icp.shared_chamfer([icp.pair_clouds(cloud, surface)] * 2, wxyz(turn))
+    got = icp.shared_chamfer([(KDTree(cloud), KDTree(surface))] * 2, wxyz(turn))
     assert got == pytest.approx(expected, rel=1e-12)  # float64 throughout
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from dpc_jax.evaluation import chamfer_distance
-from dpc_jax.evaluation.chamfer import Surface, spread_rows
+from dpc_jax.evaluation.chamfer import Surface, count_stray_points, spread_rows
 
 
 def mean_gap_by_loops(a, b):
@@ -65,3 +65,35 @@ def test_the_floor_is_the_distance_of_some_points_from_the_others(count):
 def test_clouds_unfit_for_a_distance_are_refused_in_a_sentence(predicted, truth, words):
     with pytest.raises(ValueError, match=words):
         chamfer_distance(predicted, truth)
+
+
+def make_sphere(count=500, seed=0):
+    points = np.random.default_rng(seed).normal(size=(count, 3))
+    return 0.3 * points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("bad", [np.empty((0, 3)), [[0.0, np.nan, 0.0]]])
+def test_what_is_no_cloud_is_refused(bad):
+    with pytest.raises(ValueError, match="points"):
+        count_stray_points(bad)
+
+
+def test_a_surface_has_none_and_points_away_from_it_are_counted():
+    surface = make_sphere()
+    assert count_stray_points(surface) == 0
+    away = np.array([[0, 0, 0.61], [0.02, 0, 0.61], [0.5, 0, 0]])  # two side by side
+    assert count_stray_points(np.concatenate([surface, away])) == 3
+
+
+def test_a_group_of_five_is_a_part_of_the_shape():
+    group = np.array([0, 0, 0.6]) + 0.01 * make_sphere(5, seed=1)
+    assert count_stray_points(np.concatenate([make_sphere(), group])) == 0
+    assert count_stray_points(np.concatenate([make_sphere(), group[:4]])) == 4
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_cloud_of_few_points_can_have_none_or_all(count):
+    near = 0.01 * make_sphere(count)
+    assert count_stray_points(near) == 0
+    if count > 1:
+        assert count_stray_points(100 * near) == count

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
 
 from dpc_jax.evaluation import icp, rotations
 from dpc_jax.evaluation.chamfer import check_points
@@ -87,10 +88,10 @@ def align(
     )
     votes = _vote(poses, truth)  # [n, V, 4]
     rng = np.random.default_rng(0)
-    surfaces = [_draw(surface, _SURFACE_POINTS, rng) for surface in surfaces]
+    trees = [KDTree(_draw(surface, _SURFACE_POINTS, rng)) for surface in surfaces]
     pairs = [
-        [icp.pair_clouds(_draw(cloud, _POINTS, rng), surface) for cloud in views]
-        for views, surface in zip(clouds, surfaces, strict=True)
+        [(KDTree(_draw(cloud, _POINTS, rng)), tree) for cloud in views]
+        for views, tree in zip(clouds, trees, strict=True)
     ]
 
     everyone = [pair for views in pairs for pair in views]

@@ -118,7 +118,10 @@ class Page:
             if view and view.candidates and parts["Candidates"].value:
                 best = np.argmin(view.candidates.losses)
                 for i, pose in enumerate(view.candidates.poses):
-                    color, name = _BEST if i == best else _OTHERS, f"/candidates/{i + 1}"
+                    color, name = (
+                        _BEST if i == best else _OTHERS,
+                        f"/candidates/{i + 1}",
+                    )
                     self._add_camera(name, pose, color, scale=0.06)
             self._picture.image = _draw_picture(view)
             self._table.content = _describe_view(view)
