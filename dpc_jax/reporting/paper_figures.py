@@ -24,7 +24,7 @@ _COLORS = (
     "#e6194b", "#3cb44b", "#ffb000", "#4363d8", "#f06a1d", "#911eb4",
     "#1fb8c4", "#f032e6", "#8db600", "#7a4a1e", "#008080", "#000075",
 )  # fmt: skip
-_SIDE, _STRIP = 320, 256  # of pictures, pixels: of a cloud, of one in a strip
+_STRIP = 256  # pixels of a cloud in a strip
 _INSET = 80  # of an input in the corner of a cloud
 
 
@@ -50,7 +50,7 @@ def draw_transfers(
         radius = np.full(len(cloud), _PLAIN)
         for i, index in enumerate(found):
             colors[index], radius[index] = to_rgb(_COLORS[i % len(_COLORS)]), _MARKED
-        picture = draw_cloud(cloud, colors, radius=radius, size=_SIDE)
+        picture = draw_cloud(cloud, colors, radius=radius)
         size = _INSET, _INSET
         small = Image.fromarray(image).resize(size, Image.Resampling.BICUBIC)
         corner = picture[:_INSET, :_INSET]

@@ -44,25 +44,20 @@ def choose_views(
       models: [n, V] its object, of which a group shows one view.
       per_group: views of each, of different objects.
     """
-    order = np.argsort(badness, axis=None, kind="stable")
-    middle = (len(order) - 1) / 2
-    from_middle = np.argsort(np.abs(np.arange(len(order)) - middle), kind="stable")
-    orders = (order[::-1], order[from_middle], order)
-    objects = np.ravel(models).tolist()
-    found: dict[str, list[int]] = {name: [] for name in GROUPS}
-    taken: set[int] = set()
+    best = np.argsort(badness, axis=None, kind="stable")
+    from_middle = np.abs(np.arange(len(best)) - (len(best) - 1) / 2)
+    median = best[np.argsort(from_middle, kind="stable")]
+    objects, found = np.ravel(models).tolist(), []
     # By turns, so that where there are few views each group has some.
     for _ in range(per_group):
-        for name, ranked in zip(GROUPS, orders, strict=True):
-            shown = {objects[i] for i in found[name]}
-            free = (i for i in ranked.tolist() if i not in taken)
+        for group, order in zip(GROUPS, (best[::-1], median, best), strict=True):
+            taken = {index for _, index in found}
+            shown = {objects[index] for name, index in found if name == group}
+            free = (i for i in order.tolist() if i not in taken)
             index = next((i for i in free if objects[i] not in shown), None)
-            if index is not None:
-                found[name].append(index)
-                taken.add(index)
-    width = badness.shape[1]
-    chosen = [(name, index) for name in GROUPS for index in found[name]]
-    return [(name, index // width, index % width) for name, index in chosen]
+            found += [] if index is None else [(group, index)]
+    found.sort(key=lambda one: GROUPS.index(one[0]))
+    return [(group, *divmod(index, badness.shape[1])) for group, index in found]
 
 
 def choose_examples(
@@ -114,9 +109,8 @@ def _make_example(
 
         mesh = find_surface(predictions, row, threshold, alignment, place=place)
     points = align_points(alignment, predictions.points[row, place])
-    chamfer = None  # of the views that it was measured of
-    if scores.chamfers is not None and place < scores.chamfers.shape[1]:
-        chamfer = 100 * float(scores.chamfers[row, place].sum())
+    chamfers = scores.chamfers
+    chamfer = None if chamfers is None else 100 * float(chamfers[row, place].sum())
     if shapes is not None and surface is not None:
         neighbours = shapes.list_neighbours(surface, len(points))
     several = dataset.counts[model] > 1

@@ -87,13 +87,13 @@ def report_run(
 def measure_gains(metrics: dict[str, Any]) -> dict[str, float | None]:
     """How much of the way from the mean training shape to the floor predictions go."""
     gains = {}
-    for name in ("chamfer", "visible_chamfer"):
-        prefix = name.removesuffix("chamfer")
+    for prefix in ("", "visible_"):
         mean = metrics.get(f"{prefix}mean_shape_chamfer")
         if mean is not None:
             way = mean - metrics[f"{prefix}floor_chamfer"]
+            gone = mean - metrics[f"{prefix}chamfer"]
             # Shapes that are all alike: there is no way to go.
-            gains[f"{name}_gain"] = (mean - metrics[name]) / way if way > 0 else None
+            gains[f"{prefix}chamfer_gain"] = gone / way if way > 0 else None
     return gains
 
 
