@@ -8,9 +8,6 @@ import numpy as np
 import pytest
 from report_pages import make_report
 
-from dpc_jax.reporting.comparison import write_comparison
-from dpc_jax.reporting.groups import ComparedRun, group_runs
-
 SIZE_LIMIT = 8e6  # bytes of a page
 DRAWN = "document.body.dataset.clouds"  # index and colours, once they are drawn
 
@@ -93,25 +90,6 @@ def test_a_phone_needs_no_sideways_scrolling(browser, pages, has_truth, dark):
     # Configuration and files unfolded, too.
     browser.ask("document.querySelectorAll('details').forEach(d => d.open = true)")
     assert browser.ask("document.documentElement.scrollWidth") == 400
-    assert_sound(browser, page)
-
-
-@pytest.mark.parametrize("width", [400, 1200])
-def test_a_row_of_a_comparison_shows_its_curves_alone(browser, tmp_path, width):
-    lines = [{"seconds": 60.0 * t, "chamfer": 9.0 - t} for t in range(1, 6)]
-    groups = group_runs(
-        ComparedRun(f"a-rather-long-name-{i}", fields={"x": i}, records=lines)
-        for i in range(3)
-    )
-    page = write_comparison(tmp_path, groups)
-    browser.open(page, width=width, height=800)
-    # On a phone the table and the figure scroll sideways, not the page.
-    assert browser.ask("document.documentElement.scrollWidth") == width
-    ask = "[...document.querySelectorAll('svg [id^=\"line-{}-chamfer\"]')]"
-    ask += ".map(e => Number(getComputedStyle(e).opacity))"
-    assert [browser.ask(ask.format(i)) for i in range(3)] == [[1], [1], [1]]
-    browser.ask("document.querySelector('[data-group=\"1\"]').click()")
-    assert [browser.ask(ask.format(i)) for i in range(3)] == [[0.1], [1], [0.1]]
     assert_sound(browser, page)
 
 

@@ -20,7 +20,6 @@ from dpc_jax.reporting.tables import make_table
 from dpc_jax.reporting.web import viewer
 from dpc_jax.reporting.web.markup import assemble_page, embed_chart
 
-_NAMED = 30  # objects
 # Title of a section, and how to read it.
 CAPTIONS = {
     "predictions": (
@@ -38,9 +37,9 @@ CAPTIONS = {
     ),
     "azimuths": (
         "Pose errors over azimuth",
-        "Each point is a test view. A band at the top left, or on a dotted line at the "
-        "right, over a range of azimuths is a part of the poses that the network has "
-        "learned the wrong way round; single points are single objects.",
+        "Each point is a test view. A band at the top over a range of azimuths is a "
+        "part of the poses that the network has learned the wrong way round; single "
+        "points are single objects.",
     ),
     "training_shapes": (
         "Beside shapes that see no image",
@@ -77,7 +76,6 @@ def write_report(
     examples: Sequence[Example] = (),
     ranking: str = "",
     failures: Failures | None = None,
-    lost: Sequence[str] = (),
     warnings: Sequence[str] = (),
     config_text: str = "",
 ) -> Path:
@@ -94,14 +92,12 @@ def write_report(
       examples: views to show, those of a group one after the other.
       ranking: how they were chosen, a sentence.
       failures: errors of the poses of the test views, and what is wrong with them.
-      lost: names of objects that are wrong in all their views.
       warnings: sentences for the top of the page.
       config_text: the configuration, shown as it is.
     """
     folder = Path(folder)
     values = dict(sorted(metrics.items()))
     write_json(folder / "metrics.json", values)
-    named = ", ".join(lost[:_NAMED]) + (", ..." if len(lost) > _NAMED else "")
     draw_curves = functools.partial(figures.draw_curves, stages=stages)
     rendered = [e for e in examples if e.images and len(e.images.rendered) > 1]
     parts = [
@@ -113,7 +109,6 @@ def write_report(
         _write_clouds(examples, folder / "points") if examples else "",
         _draw(folder, "pose_errors", figures.draw_pose_errors, failures),
         _draw(folder, "azimuths", figures.draw_azimuths, failures),
-        f"<p>Wrong in all views: {escape(named)}.</p>" if lost else "",
         _compare_shapes(values),
         _draw(folder, "curves", draw_curves, records),
         _draw(folder, "signals", draw_signals, rendered, is_photo=True),

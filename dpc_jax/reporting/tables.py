@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Sequence
 
 # What a column of numbers holds: digits first, but for marks; or nothing.
-_NUMBER = re.compile(r"(\*\*|▸ )?[-+]?(\d|inf|nan|–)|$")
+_NUMBER = re.compile(r"(\*\*)?[-+]?(\d|inf|nan|–)|$")
 
 
 def format_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

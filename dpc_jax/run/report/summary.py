@@ -14,7 +14,7 @@ from dpc_jax.evaluation.pose import collapse_warning, count_alive, winner_share
 from dpc_jax.evaluation.scores import estimate_errors
 from dpc_jax.learning import schedules
 from dpc_jax.learning.inference import evaluator
-from dpc_jax.learning.inference.predictor import Predictions, arrange_views
+from dpc_jax.learning.inference.predictor import Predictions
 from dpc_jax.learning.training.loop import Outcome
 from dpc_jax.reporting.page import write_report
 from dpc_jax.run.learner import Evaluation
@@ -47,10 +47,6 @@ def report_run(
     """
     test, predictions = sets["test"], found.predictions
     judged = judge(predictions, test, config, found.alignment, found.threshold)
-    failures = judged.scores.failures
-    models, _ = arrange_views(test)
-    lost = failures.wrong_objects if failures else ()
-    lost = [test.names[models[row, 0]] for row in lost]
     shapes = TrainingShapes.gather(sets, predictions.points.shape[2])
     metrics = list_metrics(judged, config, shapes)
     metrics |= _count_costs(sets, outcome, data_seconds) | (refined or {})
@@ -69,8 +65,7 @@ def report_run(
         stages=list_stages(config),
         examples=examples,
         ranking=ranking,
-        failures=failures,
-        lost=lost,
+        failures=judged.scores.failures,
         warnings=warnings,
         config_text=str(to_config_dict(config)),
     )
