@@ -123,13 +123,6 @@ def test_sections_without_data_are_left_out(tmp_path):
     assert "<img" not in path.read_text(encoding="utf-8")
 
 
-def test_the_same_run_gives_the_same_bytes(tmp_path, folder):
-    again = tmp_path / "elsewhere"
-    make_report(again)
-    for path in folder.rglob("*.*"):
-        assert (again / path.relative_to(folder)).read_bytes() == path.read_bytes()
-
-
 def test_clouds_reach_the_page_as_they_are_and_errors_with_them():
     def decode(text, dtype):
         return np.frombuffer(base64.b64decode(text), dtype)

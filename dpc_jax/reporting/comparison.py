@@ -10,7 +10,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from dpc_jax.evaluation.metrics import format_metric, get_metric
+from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.files import write_text
 from dpc_jax.reporting import style
 from dpc_jax.reporting.figures import AXIS_TEXTS, find_curve, limit_metric
@@ -80,19 +80,18 @@ def tabulate_groups(groups: Sequence[Group]) -> str:
 
 
 def _tabulate(groups: Sequence[Group]):
-    """Heads, and rows: the group's index, the run of several or None, cells of text."""
+    """Heads, and rows: of a group or one of its runs, what differs, cells of text."""
     columns = [n for n in COLUMNS if any(g.summarize(n) is not None for g in groups)]
     columns = columns or ["train_seconds"]
-    rows: list[tuple[int, ComparedRun | None, list[str]]] = []
-    for index, group in enumerate(groups):
-        runs = list(group.runs)
-        several = len(runs) > 1
-        name = f"{group.name}, {len(runs)} seeds" if several else _name(runs[0])
-        rows.append((index, None, [name, *map(group.describe, columns)]))
-        for run in runs if several else ():
-            values = [run.metrics.get(metric) for metric in columns]
-            cells = map(format_metric, columns, values)
-            rows.append((index, run, [_name(run), *cells]))
+    rows: list[tuple[str, Mapping[str, Any], list[str]]] = []
+    for group in groups:
+        count = len(group.runs)
+        name = f"{group.name}, {count} seeds" if count > 1 else _name(group.runs[0])
+        cells = [name, *map(group.describe, columns)]
+        rows.append(("group", group.differs, cells))
+        for run in group.runs if count > 1 else ():
+            alone = Group(run.name, (run,))
+            rows.append(("run", {}, [_name(run), *map(alone.describe, columns)]))
     return ["Run", *(get_metric(name).heading for name in columns)], rows
 
 
@@ -103,8 +102,7 @@ def _name(run: ComparedRun) -> str:
 def _show_table(groups: Sequence[Group]) -> str:
     heads, rows = _tabulate(groups)
     shown = []
-    for index, run, (name, *cells) in rows:
-        kind, differs = ("run", {}) if run else ("group", groups[index].differs)
+    for kind, differs, (name, *cells) in rows:
         first = f'<div class="{kind}">{html.escape(name)}</div>'
         shown.append([first + _mark(differs), *map(html.escape, cells)])
     return make_table(shown, map(html.escape, heads), kind="numbers")

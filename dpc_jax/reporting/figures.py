@@ -95,8 +95,14 @@ def draw_curves(
 
 
 def _draw_curve(axes: Axes, metric: str, seconds: np.ndarray, values: np.ndarray):
-    if metric == "loss":
-        _draw_loss(axes, seconds, values)
+    if metric == "loss":  # faint where it is noisy, under its running mean
+        window = max(1, values.size // 40)
+        if window > 1:
+            axes.plot(seconds, values, color=style.BLUE, lw=0.6, alpha=0.35)
+            kernel = np.full(window, 1.0 / window)
+            values = np.convolve(values, kernel, mode="valid")
+            seconds = np.convolve(seconds, kernel, mode="valid")
+        axes.plot(seconds, values, color=style.BLUE, lw=1.5)
     elif metric == "candidates_alive":
         axes.step(seconds, values, where="post", color=style.BLUE, lw=1.5)
         axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
@@ -124,17 +130,6 @@ def _mark_stages(axes: Axes, lines: Records, stages: Stages, *, named: bool) -> 
             axes.annotate(
                 label, where, xycoords=("data", "axes fraction"), ha="right", **text
             )
-
-
-def _draw_loss(axes: Axes, seconds: np.ndarray, values: np.ndarray) -> None:
-    """The loss, faint where it is noisy, under its running mean."""
-    window = max(1, values.size // 40)
-    if window > 1:
-        axes.plot(seconds, values, color=style.BLUE, lw=0.6, alpha=0.35)
-        kernel = np.full(window, 1.0 / window)
-        values = np.convolve(values, kernel, mode="valid")
-        seconds = np.convolve(seconds, kernel, mode="valid")
-    axes.plot(seconds, values, color=style.BLUE, lw=1.5)
 
 
 def draw_pose_errors(views: Failures, path: str | os.PathLike) -> Path:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
+from dpc_jax.evaluation.chamfer import find_rows, spread_rows
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.web.markup import read_asset
 
@@ -78,7 +79,8 @@ def embed_scripts(examples: Sequence[Example]) -> str:
 
 def describe_clouds(example: Example) -> dict[str, Any]:
     """Both clouds of an example and their distances, as the script reads them."""
-    rows = _spread(len(example.points))
+    count = len(example.points)
+    rows = find_rows(count, min(_SHOWN, count))
     points, surface = np.asarray(example.points)[rows], example.surface
     predicted = {"points": _encode(points, "<f4"), "plain": _PLAIN}
     if example.colors is not None:
@@ -86,15 +88,11 @@ def describe_clouds(example: Example) -> dict[str, Any]:
         predicted["colors"] = _encode(np.rint(colors), "u1")
     if surface is None:
         return {"predicted": predicted}
-    true = np.asarray(surface)[_spread(len(surface))]
+    true = spread_rows(surface, min(_SHOWN, len(surface)))
     errors = KDTree(surface).query(points)[0], KDTree(example.points).query(true)[0]
     predicted["errors"], missing = (_encode(away, "<f4") for away in errors)
     truth = {"points": _encode(true, "<f4"), "plain": _TRUE, "errors": missing}
     return {"predicted": predicted, "true": truth}
-
-
-def _spread(count):
-    return np.linspace(0, count - 1, min(_SHOWN, count)).round().astype(int)
 
 
 def _encode(array, dtype) -> str:
