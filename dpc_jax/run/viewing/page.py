@@ -39,6 +39,7 @@ class Page:
         # Of the run or the files, and of images that were given to the page.
         self._own: list[ShownObject] = []
         self._given: list[ShownObject] = []
+        self._shapes: dict[str, ShownObject] = {}  # of both, as the page lists them
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         server.scene.set_up_direction("+z")
         server.initial_camera.position = (1.9, 1.2, 0.9)
@@ -62,9 +63,9 @@ class Page:
         """Show these shapes, and those of given images; what is chosen stays chosen."""
         with self._lock:
             self._own = objects
-            names = [one.name for one in [*self._own, *self._given]]
-            options = [f"{i + 1}. {name}" for i, name in enumerate(names)] or ["none"]
-            _offer(self._object, options)
+            shapes = enumerate([*self._own, *self._given])
+            self._shapes = {f"{i + 1}. {one.name}": one for i, one in shapes}
+            _offer(self._object, list(self._shapes) or ["none"])
             self._choose_object()
 
     def add_upload(self, predict):
@@ -98,9 +99,7 @@ class Page:
             self._draw()
 
     def _find_object(self) -> ShownObject:
-        place = str(self._object.value).partition(".")[0]
-        shapes = [*self._own, *self._given]
-        return shapes[int(place) - 1] if place != "none" else ShownObject("none")
+        return self._shapes.get(str(self._object.value), ShownObject("none"))
 
     def _draw(self):
         with self._lock, self._server.atomic():
@@ -118,11 +117,8 @@ class Page:
             if view and view.candidates and parts["Candidates"].value:
                 best = np.argmin(view.candidates.losses)
                 for i, pose in enumerate(view.candidates.poses):
-                    color, name = (
-                        _BEST if i == best else _OTHERS,
-                        f"/candidates/{i + 1}",
-                    )
-                    self._add_camera(name, pose, color, scale=0.06)
+                    color = _BEST if i == best else _OTHERS
+                    self._add_camera(f"/candidates/{i + 1}", pose, color, scale=0.06)
             self._picture.image = _draw_picture(view)
             self._table.content = _describe_view(view)
 
