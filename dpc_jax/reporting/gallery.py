@@ -22,7 +22,6 @@ def draw_grid(
     *,
     titles: Sequence[str] = (),
     labels: Sequence[str] = (),
-    framed: int = 0,
     size: float = 1.9,
 ) -> Path:
     """Write pictures as a grid; None leaves a place empty.
@@ -30,7 +29,6 @@ def draw_grid(
     Args:
       rows: of pictures [S, S] of 0 to 1, or [S, S, 3]; some, all of one length.
       titles: of the columns. labels: of the rows, below the first picture.
-      framed: how many pictures of the first row get a dark frame.
       size: of a picture, inches.
     """
     height = size * len(rows) * (1.12 if labels else 1.02) + (0.3 if titles else 0.05)
@@ -46,8 +44,6 @@ def draw_grid(
             axes.set(xticks=[], yticks=[])
             axes.spines[:].set_color(_FRAME)
             axes.imshow(picture, cmap="gray", vmin=0.0, vmax=1.0)
-    for axes in grid[0, :framed]:
-        axes.spines[:].set(color=style.INK, linewidth=2.2)
     for axes, title in zip(grid[0], titles, strict=False):
         axes.set_title(title, fontsize=9, color=style.INK)
     for axes, label in zip(grid[:, 0], labels, strict=False):

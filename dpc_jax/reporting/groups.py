@@ -97,8 +97,8 @@ def find_common(settings: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """
     common = {}
     for name in dict.fromkeys(name for fields in settings for name in fields):
-        values = {repr(fields.get(name)): fields.get(name) for fields in settings}
-        if len(values) > 1:
-            counts = collections.Counter(repr(fields.get(name)) for fields in settings)
-            common[name] = values[counts.most_common(1)[0][0]]
+        texts = [repr(fields.get(name)) for fields in settings]
+        if len(set(texts)) > 1:
+            most = collections.Counter(texts).most_common(1)[0][0]
+            common[name] = settings[texts.index(most)].get(name)
     return common

@@ -42,7 +42,7 @@ def draw_transfers(
       images: uint8 [S, S, 3], the input of each cloud, shown in its corner.
       clouds: [N, 3] in the object frame.
       found: for each keypoint the indices of its points.
-      templates: how many of the first clouds are templates, which get a frame.
+      templates: how many of the first clouds are templates, which are named.
     """
     pictures: list[np.ndarray | None] = []
     for image, cloud in zip(images, clouds, strict=True):
@@ -58,8 +58,7 @@ def draw_transfers(
         pictures.append(picture)
     pictures += [None] * (-len(pictures) % _COLUMNS)
     rows = [pictures[i : i + _COLUMNS] for i in range(0, len(pictures), _COLUMNS)]
-    titles = ["template"] * templates
-    return draw_grid(rows, path, titles=titles, framed=templates)
+    return draw_grid(rows, path, titles=["template"] * templates)
 
 
 def draw_strips(
