@@ -47,7 +47,8 @@ def choose_views(
     best = np.argsort(badness, axis=None, kind="stable")
     from_middle = np.abs(np.arange(len(best)) - (len(best) - 1) / 2)
     median = best[np.argsort(from_middle, kind="stable")]
-    objects, found = np.ravel(models).tolist(), []
+    objects, width = np.ravel(models).tolist(), badness.shape[1]
+    found: list[tuple[str, int]] = []
     # By turns, so that where there are few views each group has some.
     for _ in range(per_group):
         for group, order in zip(GROUPS, (best[::-1], median, best), strict=True):
@@ -57,7 +58,7 @@ def choose_views(
             index = next((i for i in free if objects[i] not in shown), None)
             found += [] if index is None else [(group, index)]
     found.sort(key=lambda one: GROUPS.index(one[0]))
-    return [(group, *divmod(index, badness.shape[1])) for group, index in found]
+    return [(group, index // width, index % width) for group, index in found]
 
 
 def choose_examples(

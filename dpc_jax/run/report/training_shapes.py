@@ -94,7 +94,9 @@ class TrainingShapes(NamedTuple):
         for model in models.tolist():
             surface = np.asarray(dataset.surfaces[model])
             near = self.index.find_nearest(surface)
-            truths = {"": (Surface(surface), self.mean, self.surfaces[near])}
+            truths: dict[str, tuple[Surface, Any, Any]] = {
+                "": (Surface(surface), self.mean, self.surfaces[near])
+            }
             if self.read_visible is not None:
                 visible = Surface(dataset.read_visible(model), asked=ASKED)
                 shapes = self.visible_mean, self.read_visible(near)
