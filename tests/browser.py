@@ -73,11 +73,9 @@ class Browser:
             if not url.startswith(("data:", "blob:")):
                 self.requests.append(url)
         elif method == "Runtime.exceptionThrown":
-            details = params["exceptionDetails"]
-            thrown = details.get("exception", {}).get("description", "")
-            self.errors.append(f"{details['text']} {thrown}")
+            self.errors.append(str(params["exceptionDetails"]))
         elif method == "Runtime.consoleAPICalled" and params["type"] == "error":
-            self.errors.append(str([a.get("value") for a in params["args"]]))
+            self.errors.append(str(params["args"]))
         elif method == "Log.entryAdded" and params["entry"]["level"] == "error":
             self.errors.append(params["entry"]["text"])
 
@@ -85,13 +83,8 @@ class Browser:
         """Load a file in a window of that size, and wait until it is loaded."""
         self.requests.clear()
         self.errors.clear()
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=1,
-            mobile=False,
-        )
+        window = {"width": width, "height": height, "deviceScaleFactor": 1}
+        self.call("Emulation.setDeviceMetricsOverride", **window, mobile=False)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", media="screen", features=[scheme])
         self.call("Page.navigate", url=Path(path).resolve().as_uri())
@@ -102,12 +95,8 @@ class Browser:
 
     def ask(self, expression: str):
         """The value of a JavaScript expression, of a promise once it is kept."""
-        answer = self.call(
-            "Runtime.evaluate",
-            expression=expression,
-            awaitPromise=True,
-            returnByValue=True,
-        )
+        how = {"awaitPromise": True, "returnByValue": True}
+        answer = self.call("Runtime.evaluate", expression=expression, **how)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 

@@ -1,9 +1,8 @@
 """The training shape that is nearest to a shape."""
 
 import numpy as np
-import pytest
 
-from dpc_jax.evaluation.chamfer import chamfer_distance, spread_rows
+from dpc_jax.evaluation.chamfer import chamfer_distance
 from dpc_jax.evaluation.training_shapes import (
     ShapeIndex,
     average_surfaces,
@@ -34,16 +33,6 @@ def test_the_shortlist_loses_little_against_comparing_all():
         excess.append(found / best - 1)
     # Sampling noise of 500 points decides between shapes that are nearly as near.
     assert np.mean(excess) < 0.02 and max(excess) < 0.1
-
-
-@pytest.mark.parametrize(
-    ("count", "rows"), [(3, [0, 4, 9]), (10, range(10)), (19, [*range(10)])]
-)
-def test_rows_are_spread_over_all_and_repeated_where_there_are_few(count, rows):
-    points = np.arange(30.0).reshape(10, 3)
-    found = spread_rows(points, count)
-    assert len(found) == count
-    np.testing.assert_array_equal(np.unique(found, axis=0), points[list(rows)])
 
 
 def test_cells_count_shapes_once_and_have_the_mean_of_all_points():

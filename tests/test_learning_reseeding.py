@@ -14,7 +14,7 @@ from tiny_runs import (
 )
 
 from dpc_jax.config import replace_fields
-from dpc_jax.evaluation.stray_points import count_stray_points
+from dpc_jax.evaluation.chamfer import count_stray_points
 from dpc_jax.learning import devices
 from dpc_jax.learning.predictions import encode_views
 from dpc_jax.learning.step import describe_state

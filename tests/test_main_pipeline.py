@@ -346,9 +346,10 @@ def test_predicting_test_images_gives_what_the_report_scored(
     caches = map(read_cache, (command.folder / "data").glob("car-test-*"))
     (test,) = (one for one in caches if one.visible is not None)
     page = (workdir / "report" / "index.html").read_text(encoding="utf-8")
-    cards = re.findall(r"<b>(\S+), view (\d+)</b>.*?pose error ([\d.]+)°", page)
-    assert len(cards) == 3
-    places = [(test.names.index(name), int(view)) for name, view, _ in cards]
+    row = r"<td>\w+: (\S+), view (\d+)</td>.*?pose error ([\d.]+)°"
+    shown = re.findall(row, page)
+    assert len(shown) == 3
+    places = [(test.names.index(name), int(view)) for name, view, _ in shown]
     names = [f"{test.names[model]}_view_{view}" for model, view in places]
     images = [str(tmp_path / f"{name}.png") for name in names]
     for path, place in zip(images, places, strict=True):
@@ -369,7 +370,7 @@ def test_predicting_test_images_gives_what_the_report_scored(
     # Cutting an image out again at its own size blurs it by up to a pixel, and its edge
     # gets whiter. That moves a barely trained network a little, and of two candidates
     # that fit alike it may take the other one.
-    away = np.abs(errors - [float(e) for *_, e in cards])
+    away = np.abs(errors - [float(e) for *_, e in shown])
     assert (away < 3).sum() >= 2, away
     for name in names:
         cloud = trimesh.load(out / f"{name}.ply")

@@ -52,7 +52,7 @@ def test_far_points_are_paler_and_what_lies_outside_is_cut_off():
 
 def test_a_grid_has_its_pictures_in_reading_order_and_leaves_holes_empty(tmp_path):
     red, blue = (np.tile(np.uint8(255 * np.array(c)), (8, 8, 1)) for c in (RED, BLUE))
-    path = draw_grid([[red, blue], [blue, None]], tmp_path / "a.png", framed=1)
+    path = draw_grid([[red, blue], [blue, None]], tmp_path / "a.png")
     picture = np.array(Image.open(path).convert("RGB")).astype(int)
     height, width = (side // 4 for side in picture.shape[:2])
     middles = [[picture[i * height, j * width] for j in (1, 3)] for i in (1, 3)]
@@ -63,6 +63,6 @@ def test_a_grid_has_its_pictures_in_reading_order_and_leaves_holes_empty(tmp_pat
 def test_the_difference_is_red_where_the_prediction_is_too_large():
     shown = types.SimpleNamespace(target=np.zeros((2, 2)), predicted=np.zeros((4, 4)))
     shown.predicted[0, 0], shown.target[1, 1] = 1.0, 1.0
-    red, _, blue = np.moveaxis(draw_difference(shown).astype(int), -1, 0)
+    red, _, blue = np.moveaxis(255 * draw_difference(shown), -1, 0)
     assert red.shape == (4, 4) and red[0, 0] > blue[0, 0] + 50
     assert np.all(blue[2:, 2:] > red[2:, 2:] + 50) and np.all(red[:2, 2:] > 200)

@@ -45,23 +45,6 @@ def test_a_ply_file_holds_the_same_points_and_colours_if_any(tmp_path):
     assert trimesh.load(path).colors[0, :3].tolist() == [0, 128, 255]
 
 
-def test_the_order_of_an_array_in_memory_does_not_matter(tmp_path):
-    points, colors = cloud()
-    plain = write_ply(tmp_path / "plain", points, colors).read_bytes()
-    turned = np.asfortranarray(points), np.asfortranarray(colors)
-    assert write_ply(tmp_path / "turned", *turned).read_bytes() == plain
-
-
-def test_a_surface_is_a_closed_mesh_that_stands_upright(tmp_path):
-    ball = trimesh.creation.icosphere(2, radius=0.4)
-    path = write_surface(tmp_path / "a.glb", ball.vertices, ball.faces)
-    mesh, _ = read_glb(path)
-    np.testing.assert_allclose(mesh.vertices, ball.vertices, atol=1e-7)
-    np.testing.assert_array_equal(mesh.faces, ball.faces)
-    outward = ball.vertices / 0.4  # normals of a ball, up to its facets
-    np.testing.assert_allclose(mesh.vertex_normals, outward, atol=0.05)
-
-
 def test_glb_colours_are_linear_light_and_those_of_other_formats_are_not(tmp_path):
     ball = trimesh.creation.icosphere(1)
     colors = np.random.default_rng(0).integers(0, 256, ball.vertices.shape) / 255

@@ -48,36 +48,32 @@ def test_a_cloud_its_surface_and_its_views_are_one_shape_in_the_object_frame(tmp
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "words"),
+    ("given", "words"),
     [
-        ("a.txt", "no shape", "Expected a file that ends with .ply"),
-        ("a.ply", "no shape", "Expected a shape in"),
-        ("", "", "Expected a run or shapes"),
+        (["a.txt"], "Expected a file that ends with .ply"),
+        (["a.ply"], "Expected a shape in"),
+        (["empty"], "Expected a run or shapes"),
+        (["a.ply", "--port=65536"], "--port must be a number from 1 to 65535"),
     ],
 )
-def test_what_is_no_shape_is_refused_in_a_sentence(
-    tmp_path, capsys, name, content, words
+def test_what_cannot_be_shown_is_refused_in_a_sentence(
+    tmp_path, capsys, monkeypatch, given, words
 ):
-    if name:
-        (tmp_path / name).write_text(content)
-    assert view.main([str(tmp_path / name)]) == 1
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.txt", "a.ply"):
+        (tmp_path / name).write_text("no shape")
+    (tmp_path / "empty").mkdir()
+    assert view.main(given) == 1
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert line.startswith("Error: ") and words in line
 
 
-def test_a_port_that_is_none_is_refused_in_a_sentence(tmp_path, capsys):
-    make_files(tmp_path)
-    assert view.main([str(tmp_path), "--port=65536"]) == 1
-    assert "--port must be a number from 1 to 65535" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("ending", [".ply", ".obj"])
-def test_a_surface_is_the_same_whatever_its_file(tmp_path, ending):
+def test_a_surface_is_the_same_whatever_its_file(tmp_path):
     box, colors = trimesh.creation.box((0.8, 0.3, 0.2)), np.full((8, 3), 0.5)
-    for path in (tmp_path / "a.glb", tmp_path / f"b{ending}"):
-        write_surface(path, box.vertices, box.faces, colors)
-    first, second = read_shapes([tmp_path])
-    assert first.surface == (tmp_path / "a.glb").read_bytes() == second.surface
+    for name in ("a.glb", "b.ply", "c.obj"):
+        write_surface(tmp_path / name, box.vertices, box.faces, colors)
+    for one in read_shapes([tmp_path]):
+        assert one.surface == (tmp_path / "a.glb").read_bytes()
 
 
 def make_view(azimuth):

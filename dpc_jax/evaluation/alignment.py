@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
 
 from dpc_jax.evaluation import icp, rotations
 from dpc_jax.evaluation.chamfer import check_points
@@ -35,16 +36,10 @@ _RIVAL_GAIN = 0.05  # and win with a Chamfer distance lower by this share (heuri
 
 
 class Alignment(NamedTuple):
-    """The rotation from the network's frame to the object frame; NaN: not measured."""
+    """The rotation from the network's frame to the object frame."""
 
     rotation: np.ndarray  # [4] unit quaternion wxyz, w >= 0
     inlier_share: float  # of the validation views within 30 degrees of it, 0 to 1
-    spread_deg: float  # root mean square angle of those views; infinite without any
-    # Of the validation shapes under it, object units, not times 100; on subsampled
-    # points, and therefore too large.
-    chamfer: float = np.nan
-    # How far ICP turned the vote's rotation; 0 where not taken.
-    icp_turn_deg: float = 0.0
 
 
 def align(
@@ -80,17 +75,16 @@ def align(
     if surfaces is None:
         votes = _vote(predicted_poses, true_poses).reshape(-1, 4)[:_MOST_VOTES]
         voted = find_modes(votes)[0].rotation
-        agreement = _measure_agreement(votes, voted)
-        return Alignment(rotations.canonical_sign(voted), *agreement)
+        return _agree(votes, voted)
     poses, truth, clouds, surfaces = _check(
         predicted_poses, true_poses, points, surfaces
     )
     votes = _vote(poses, truth)  # [n, V, 4]
     rng = np.random.default_rng(0)
-    surfaces = [_draw(surface, _SURFACE_POINTS, rng) for surface in surfaces]
+    trees = [KDTree(_draw(surface, _SURFACE_POINTS, rng)) for surface in surfaces]
     pairs = [
-        [icp.pair_clouds(_draw(cloud, _POINTS, rng), surface) for cloud in views]
-        for views, surface in zip(clouds, surfaces, strict=True)
+        [(KDTree(_draw(cloud, _POINTS, rng)), tree) for cloud in views]
+        for views, tree in zip(clouds, trees, strict=True)
     ]
 
     everyone = [pair for views in pairs for pair in views]
@@ -104,20 +98,11 @@ def align(
         if flag
     ] or everyone
 
-    rotation, chamfer = voted, icp.shared_chamfer(trusted, voted)
     refined = icp.fit_rotation(trusted, voted)
-    refined_chamfer = icp.shared_chamfer(trusted, refined)
+    before, after = (icp.shared_chamfer(trusted, q) for q in (voted, refined))
     # ICP on poor shapes can wander off to where no pose agrees: that refines nothing.
     near = rotations.angle_deg(refined, voted) <= INLIER_DEG
-    if near and refined_chamfer < chamfer:
-        rotation, chamfer = refined, refined_chamfer
-
-    return Alignment(
-        rotations.canonical_sign(rotation),
-        *_measure_agreement(votes, rotation),
-        chamfer=chamfer,
-        icp_turn_deg=float(rotations.angle_deg(rotation, voted)),
-    )
+    return _agree(votes, refined if near and after < before else voted)
 
 
 def _vote(predicted_poses: ArrayLike, true_poses: ArrayLike) -> np.ndarray:
@@ -126,12 +111,10 @@ def _vote(predicted_poses: ArrayLike, true_poses: ArrayLike) -> np.ndarray:
     return rotations.to_quaternion(truth.inv() * rotations.to_rotation(predicted_poses))
 
 
-def _measure_agreement(votes, rotation) -> tuple[float, float]:
-    """Share and spread of the votes near a rotation."""
-    angles = rotations.angle_deg(votes, rotation)
-    inliers = angles[angles <= INLIER_DEG]
-    spread = float(np.sqrt(np.mean(inliers**2))) if inliers.size else np.inf
-    return inliers.size / angles.size, spread
+def _agree(votes: np.ndarray, rotation: np.ndarray) -> Alignment:
+    """A rotation with the share of the votes near it."""
+    is_near = rotations.angle_deg(votes, rotation) <= INLIER_DEG
+    return Alignment(rotations.canonical_sign(rotation), float(np.mean(is_near)))
 
 
 def align_points(alignment: Alignment, points: ArrayLike) -> np.ndarray:
@@ -153,7 +136,7 @@ def place_poses(alignment: Alignment, poses: ArrayLike) -> np.ndarray:
 
 def identity_alignment() -> Alignment:
     """No turn at all: for a network trained with known poses, in the object frame."""
-    return Alignment(np.array([1.0, 0.0, 0.0, 0.0]), 1.0, 0.0)
+    return Alignment(np.array([1.0, 0.0, 0.0, 0.0]), 1.0)
 
 
 class Mode(NamedTuple):

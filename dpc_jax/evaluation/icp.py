@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -15,18 +14,9 @@ _MAX_ITERATIONS = 30
 _TOLERANCE_DEG = 0.01  # a smaller turn ends the search
 
 
-class CloudPair(NamedTuple):
-    """A predicted cloud and the true surface, with their search trees."""
-
-    predicted: np.ndarray  # [N, 3] network's frame
-    surface: np.ndarray  # [P, 3] object frame
-    predicted_tree: KDTree
-    surface_tree: KDTree
-
-
-def pair_clouds(predicted: np.ndarray, surface: np.ndarray) -> CloudPair:
-    """A pair with both trees. Only query points are turned, so each is built once."""
-    return CloudPair(predicted, surface, KDTree(predicted), KDTree(surface))
+# Search trees of a predicted cloud in the network's frame and of the true surface in
+# that of the object. Only query points are turned, so each is built once.
+CloudPair = tuple[KDTree, KDTree]
 
 
 def best_rotation(source: np.ndarray, target: np.ndarray, weight=None) -> Rotation:
@@ -45,9 +35,9 @@ def shared_chamfer(pairs: Sequence[CloudPair], rotation: np.ndarray) -> float:
     """Mean Chamfer distance of the pairs once the predictions are turned."""
     matrix = rotations.to_rotation(rotation).as_matrix()
     total = 0.0
-    for pair in pairs:
-        precision, _ = pair.surface_tree.query(pair.predicted @ matrix.T)
-        coverage, _ = pair.predicted_tree.query(pair.surface @ matrix)
+    for predicted, surface in pairs:
+        precision, _ = surface.query(predicted.data @ matrix.T)
+        coverage, _ = predicted.query(surface.data @ matrix)
         total += precision.mean() + coverage.mean()
     return float(total / len(pairs))
 
@@ -60,13 +50,11 @@ def _match(pairs: Sequence[CloudPair], rotation: np.ndarray) -> list[np.ndarray]
     """
     matrix = rotations.to_rotation(rotation).as_matrix()
     found = []
-    for pair in pairs:
-        turned = pair.predicted @ matrix.T
-        near, index, weight = _find_partners(pair.surface_tree, turned)
-        found.append((pair.predicted[near], pair.surface[index], weight))
-        turned = pair.surface @ matrix
-        near, index, weight = _find_partners(pair.predicted_tree, turned)
-        found.append((pair.predicted[index], pair.surface[near], weight))
+    for predicted, surface in pairs:
+        near, index, weight = _find_partners(surface, predicted.data @ matrix.T)
+        found.append((predicted.data[near], surface.data[index], weight))
+        near, index, weight = _find_partners(predicted, surface.data @ matrix)
+        found.append((predicted.data[index], surface.data[near], weight))
     return [np.concatenate(part) for part in zip(*found, strict=True)]
 
 

@@ -95,20 +95,17 @@ class Failures(NamedTuple):
 
     Attributes:
       errors_deg: [n, V] of the whole pose, 0 to 180.
-      azimuths_deg: [2, n, V] of the true and of the predicted poses, 0 to 360; 0 looks
-        at the front.
+      azimuths_deg: [n, V] of the true poses, 0 to 360; 0 looks at the front.
       kinds: [n, V] index into `KINDS` of each wrong view; -1 of right ones.
-      wrong_objects: [k] indices of objects that are wrong in all their views, of which
-        there are at least two.
       metrics: shares from 0 to 1: `wrong_half_turn_share`, `wrong_mirror_share` and
-        `truth_cheaper_share` of the wrong views, `wrong_object_share` of the objects;
-        without wrong views the first three are left out, and the third without costs.
+        `truth_cheaper_share` of the wrong views; `wrong_object_share` of the objects
+        that are wrong in all their views, of which there are at least two. Without
+        wrong views the first three are left out, and the third without costs.
     """
 
     errors_deg: np.ndarray
     azimuths_deg: np.ndarray
     kinds: np.ndarray
-    wrong_objects: np.ndarray
     metrics: dict[str, float]
 
 
@@ -131,7 +128,7 @@ def find_failures(
     """
     found = rotations.to_rotation(predicted)
     errors = rotations.angle_deg(predicted, true)
-    azimuths = np.stack([rotations.view_angles(q)[0] for q in (true, predicted)])
+    azimuths, _ = rotations.view_angles(true)
     wrong = errors > ACCURACY_THRESHOLD_DEG
     kinds = np.where(wrong, len(KINDS) - 1, -1)
     pose = rotations.to_rotation(true)
@@ -151,7 +148,7 @@ def find_failures(
     if wrong.any() and costs is not None:
         chosen, right = np.moveaxis(np.asarray(costs), -1, 0)
         metrics["truth_cheaper_share"] = float(np.mean((right < chosen)[wrong]))
-    return Failures(errors, azimuths, kinds, np.flatnonzero(is_lost), metrics)
+    return Failures(errors, azimuths, kinds, metrics)
 
 
 def winner_share(winners: ArrayLike, *, heads: int) -> np.ndarray:

@@ -94,24 +94,21 @@ def score(
 
     if surfaces is None:
         return Scores(metrics, errors, failures=failures)
-    clouds = np.asarray(points)[:, :chamfer_views]
-    chamfers = np.empty((*clouds.shape[:2], 2))
-    outer = np.empty_like(chamfers)
-    outside = None if visible is None else iter(visible)
-    for model, points in enumerate(surfaces):
-        surface = Surface(points, name=f"surface of model {model}")
-        seen = None if outside is None else Surface(next(outside), asked=ASKED)
-        for view in range(clouds.shape[1]):
-            cloud = align_points(alignment, clouds[model, view])
-            chamfers[model, view] = surface.compare(cloud)
-            if seen is not None:
-                outer[model, view] = seen.compare(cloud)
-    found = {"": chamfers}
-    found |= {"visible_": outer} if visible is not None else {}
+    clouds = align_points(alignment, np.asarray(points)[:, :chamfer_views])
+    truths = (Surface(p, name=f"surface of model {i}") for i, p in enumerate(surfaces))
+    found = {"": _compare(clouds, truths)}
+    if visible is not None:
+        found["visible_"] = _compare(clouds, (Surface(p, asked=ASKED) for p in visible))
     for prefix, distances in found.items():
         mean = Chamfer(*distances.mean(axis=(0, 1)).tolist()).in_paper_units()
         metrics |= {prefix + name: value for name, value in mean.items()}
-    return Scores(metrics, errors, chamfers, failures, found.get("visible_"))
+    return Scores(metrics, errors, found[""], failures, found.get("visible_"))
+
+
+def _compare(clouds: np.ndarray, surfaces: Iterable[Surface]) -> np.ndarray:
+    """Precision and coverage [n, V, 2] of clouds [n, V, N, 3], by their surfaces."""
+    pairs = zip(clouds, surfaces, strict=True)
+    return np.array([[truth.compare(c) for c in views] for views, truth in pairs])
 
 
 def estimate_errors(scores: Scores) -> dict[str, float]:

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from dpc_jax.evaluation.chamfer import Surface, spread_rows
@@ -34,7 +33,6 @@ class ShapeIndex:
     def __init__(self, surfaces: Sequence[Any]):
         self._surfaces = surfaces
         self._coarse = np.stack([spread_rows(s, _COARSE) for s in surfaces])
-        self._fine: dict[int, tuple[np.ndarray, KDTree]] = {}
 
     def find_nearest(self, points: np.ndarray) -> int:
         """Index of the training shape of the smallest Chamfer distance to points.
@@ -42,28 +40,15 @@ class ShapeIndex:
         Args:
           points: [N, 3], a predicted cloud or points of a true surface.
         """
-        rough = self._compare_roughly(spread_rows(points, _COARSE))
-        shortlist = np.argsort(rough, kind="stable")[:_SHORTLIST]
-        cloud = spread_rows(points, _FINE)
-        tree = KDTree(cloud)
-        distances = []
-        for index in shortlist.tolist():
-            surface, its_tree = self._read_fine(index)
-            there, back = tree.query(surface)[0], its_tree.query(cloud)[0]
-            distances.append(there.mean() + back.mean())
-        return int(shortlist[np.argmin(distances)])
-
-    def _compare_roughly(self, cloud):
-        """Chamfer distances [T] by few points."""
+        # By few points first.
+        cloud = spread_rows(points, _COARSE)
         away = cdist(self._coarse.reshape(-1, 3), cloud)
         away = away.reshape(*self._coarse.shape[:2], len(cloud))
-        return away.min(axis=1).mean(axis=-1) + away.min(axis=2).mean(axis=-1)
-
-    def _read_fine(self, index):
-        if index not in self._fine:
-            surface = spread_rows(self._surfaces[index], _FINE)
-            self._fine[index] = surface, KDTree(surface)
-        return self._fine[index]
+        rough = away.min(axis=1).mean(axis=-1) + away.min(axis=2).mean(axis=-1)
+        shortlist = np.argsort(rough, kind="stable")[:_SHORTLIST].tolist()
+        truth = Surface(spread_rows(points, _FINE))
+        shapes = (spread_rows(self._surfaces[index], _FINE) for index in shortlist)
+        return shortlist[np.argmin([truth.compare(shape).chamfer for shape in shapes])]
 
 
 def find_mean_shape(

@@ -26,18 +26,16 @@ _SPECK = 12  # cells; smaller parts are left out, of which stray points make a h
 _KEPT = 0.006  # half the thickness of a sheet of points, object units
 
 
-def wrap_points(
-    points: ArrayLike, *, most_faces: int = MOST_FACES
-) -> tuple[np.ndarray, np.ndarray]:
+def wrap_points(points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """The surface of a solid that the points [N, 3] cover, at least one of them.
 
     Args:
       points: finite, object units.
-      most_faces: that the surface may have; a coarser grid has fewer.
 
     Returns:
       (vertices [V, 3], object units; faces [F, 3] of their indices, counter-clockwise
-      seen from outside). The surface is closed, and it may have several parts.
+      seen from outside). The surface is closed, and it may have several parts; a
+      coarser grid is taken until it has at most `MOST_FACES`.
     """
     points = np.asarray(points, np.float64)
     count = min(_NEIGHBOURS + 1, len(points))  # a point is its own nearest
@@ -51,11 +49,11 @@ def wrap_points(
         level = min(radius - _KEPT, 0.5 * field.max())
         found: Any = marching_cubes(_drop_specks(field, level), level)
         vertices, faces = found[:2]
-        if len(faces) <= most_faces:
+        if len(faces) <= MOST_FACES:
             places = (vertices + low + 0.5) / side
             # Marching cubes winds triangles as seen from where values are high.
             return places.astype(np.float32), faces[:, ::-1].astype(np.int64)
-        side *= 0.97 * np.sqrt(most_faces / len(faces))
+        side *= 0.97 * np.sqrt(MOST_FACES / len(faces))
 
 
 def _close_holes(points, radius):

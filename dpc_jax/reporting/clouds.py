@@ -11,9 +11,7 @@ _FINER = 2  # times finer than asked for, then averaged: smooth edges
 # From the upper left, towards the viewer: right, up, nearness.
 _LIGHT = np.array([-0.45, 0.6, 0.66]) / np.linalg.norm([-0.45, 0.6, 0.66])
 _DEPTH = 0.8  # from the farthest to the nearest that colours tell apart
-_FADE = 0.45  # how far the colour of what is farthest fades
-# To what it fades; on a clear picture to what is seen on white and on black.
-_WHITE, _CLEAR = (1.0, 1.0, 1.0), (0.75, 0.79, 0.83)
+_FADE = 0.45  # how far the colour of what is farthest fades to white
 _NEAR, _FAR = np.array([0.10, 0.29, 0.55]), np.array([0.62, 0.75, 0.88])
 # How many standard deviations from its centre a Gaussian's surface is drawn.
 DEVIATIONS = 1.5
@@ -47,46 +45,36 @@ def draw_cloud(
     view_deg: tuple[float, float] = FRONT,
     radius: ArrayLike | None = None,
     size: int = 320,
-    is_clear: bool = False,
 ) -> np.ndarray:
     """Picture uint8 [size, size, 3] of points as spheres, on white, orthographic.
 
     Args:
       points: [N, 3] in the object frame (z up). What lies outside is cut off.
-      colors: [N, 3] or [3] of 0 to 1; None for depth.
+      colors: [N, 3] of 0 to 1; None for depth.
       view_deg: azimuth and elevation, as of `view_points`.
       radius: of the spheres in object units, one or [N]; None: the smaller the more
         there are.
       size: of the picture's side, pixels.
-      is_clear: the picture has no background but a fourth channel, its opacity.
     """
     cloud = np.asarray(points, np.float64)
     if radius is None:
         radius = _RADIUS * np.clip(np.sqrt(2000 / max(len(cloud), 1)), 0.5, 3.0)
-    paint = shade_depth(cloud, view_deg) if colors is None else np.asarray(colors)
-    paint = np.clip(np.broadcast_to(paint, cloud.shape), 0.0, 1.0)
+    paint = shade_depth(cloud, view_deg) if colors is None else colors
     seen = view_points(cloud, view_deg)
     order = np.argsort(seen[:, 2], kind="stable")  # painter's order: far first
     seen = seen[order]
     radii = np.broadcast_to(np.asarray(radius, float), len(seen))[order]
     # The far ones fade, as in the other pictures of clouds.
     fade = _FADE * (1.0 - _find_nearness(seen))
-    faded = np.asarray(paint, float)[order]
-    faded = faded + (np.array(_CLEAR if is_clear else _WHITE) - faded) * fade
+    faded = np.clip(np.asarray(paint, float), 0.0, 1.0)[order]
+    faded = faded + (1.0 - faded) * fade
 
     side = _FINER * size
     scale = side / (2 * _REACH)  # pixels in an object unit
     pixels, shades = _cover_pixels(seen, faded, radii, scale, side)
-    picture = np.ones((side * side, 4), np.float32)
-    picture[:, 3] = 0.0
-    # Of several for one pixel the last one stays: the nearest.
-    picture[pixels] = np.concatenate([shades, np.ones((len(shades), 1))], axis=1)
-    if is_clear:  # what is clear has no colour to mix in
-        picture[:, :3] *= picture[:, 3:]
-    fine = picture.reshape(size, _FINER, size, _FINER, 4).mean(axis=(1, 3))
-    if not is_clear:
-        return np.rint(255 * fine[..., :3]).astype(np.uint8)
-    fine[..., :3] /= np.maximum(fine[..., 3:], 1e-6)
+    picture = np.ones((side * side, 3), np.float32)
+    picture[pixels] = shades  # of several for one pixel the last one stays: the nearest
+    fine = picture.reshape(size, _FINER, size, _FINER, 3).mean(axis=(1, 3))
     return np.rint(255 * fine).astype(np.uint8)
 
 

@@ -10,13 +10,13 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from dpc_jax.evaluation.metrics import format_metric, get_metric
+from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.files import write_text
 from dpc_jax.reporting import style
 from dpc_jax.reporting.figures import AXIS_TEXTS, find_curve, limit_metric
-from dpc_jax.reporting.groups import ComparedRun, Group, find_best, find_common
+from dpc_jax.reporting.groups import ComparedRun, Group, find_common
 from dpc_jax.reporting.tables import format_table, make_table
-from dpc_jax.reporting.web.markup import assemble_page, read_asset
+from dpc_jax.reporting.web.markup import assemble_page, embed_chart, read_asset
 
 # Columns of the table; one without any number is left out.
 COLUMNS = (
@@ -42,11 +42,10 @@ _LEGEND_ROW = 0.2  # inches
 _TABLE = (
     "Figures of the test split. Runs that differ in the seed alone stand together, "
     "under their mean ± standard deviation (n − 1). Marked: settings that most others "
-    "have otherwise. ▸ is the best of its column, whatever the spread."
+    "have otherwise."
 )
 _HOW_TO_READ = (
-    "Validation during training, over wall clock. The runs of a group have one colour. "
-    "Point at a row of the table to see its curves alone, click to keep them."
+    "Validation during training, over wall clock. The runs of a group have one colour."
 )
 
 
@@ -56,7 +55,10 @@ def write_comparison(folder: Path, groups: Sequence[Group]) -> Path:
     Args:
       groups: at least one.
     """
-    curves = draw_comparison(groups, folder / "curves.svg").read_text("utf-8")
+    title = "Error against run time"
+    path = draw_comparison(groups, folder / "curves.svg")
+    curves = f"<h2>{title}</h2><p>{_HOW_TO_READ}</p>\n"
+    curves += embed_chart(path, title, is_photo=False)
     count = sum(len(group.runs) for group in groups)
     title = f"{count} runs side by side" if count > 1 else "One run"
     common = find_common([group.runs[0].fields for group in groups])
@@ -65,9 +67,7 @@ def write_comparison(folder: Path, groups: Sequence[Group]) -> Path:
         f"<h1>{title}</h1>\n<p>{_TABLE}</p>\n"
         f"{_show_table(groups)}"
         + (f"<details>{summary}{_mark(common)}</details>\n" if common else "")
-        + f"<h2>Error against run time</h2><p>{_HOW_TO_READ}</p>\n"
-        f'<div class="wide chart">{curves[curves.index("<svg") :]}</div>\n'
-        f"<script>{read_asset('comparison.js')}</script>"
+        + curves
     )
     page = assemble_page(title, body, style=read_asset("comparison.css"))
     return write_text(folder / "index.html", page)
@@ -79,30 +79,19 @@ def tabulate_groups(groups: Sequence[Group]) -> str:
     return format_table(heads, [cells for _, _, cells in rows])
 
 
-def list_columns(groups: Sequence[Group]) -> list[str]:
-    """The metrics that some run has."""
-    found = [n for n in COLUMNS if any(g.summarize(n) is not None for g in groups)]
-    return found or ["train_seconds"]
-
-
 def _tabulate(groups: Sequence[Group]):
-    """Heads, and rows: the group's index, the run of several or None, cells of text."""
-    columns = list_columns(groups)
-    best = {name: find_best(groups, name) for name in columns}
-    rows: list[tuple[int, ComparedRun | None, list[str]]] = []
-    for index, group in enumerate(groups):
-        runs = list(group.runs)
-        several = len(runs) > 1
-        name = f"{group.name}, {len(runs)} seeds" if several else _name(runs[0])
-        cells = [
-            ("▸ " if best[metric] is group else "") + group.describe(metric)
-            for metric in columns
-        ]
-        rows.append((index, None, [name, *cells]))
-        for run in runs if several else ():
-            values = [run.metrics.get(metric) for metric in columns]
-            cells = map(format_metric, columns, values)
-            rows.append((index, run, [_name(run), *cells]))
+    """Heads, and rows: of a group or one of its runs, what differs, cells of text."""
+    columns = [n for n in COLUMNS if any(g.summarize(n) is not None for g in groups)]
+    columns = columns or ["train_seconds"]
+    rows: list[tuple[str, Mapping[str, Any], list[str]]] = []
+    for group in groups:
+        count = len(group.runs)
+        name = f"{group.name}, {count} seeds" if count > 1 else _name(group.runs[0])
+        cells = [name, *map(group.describe, columns)]
+        rows.append(("group", group.differs, cells))
+        for run in group.runs if count > 1 else ():
+            alone = Group(run.name, (run,))
+            rows.append(("run", {}, [_name(run), *map(alone.describe, columns)]))
     return ["Run", *(get_metric(name).heading for name in columns)], rows
 
 
@@ -113,9 +102,8 @@ def _name(run: ComparedRun) -> str:
 def _show_table(groups: Sequence[Group]) -> str:
     heads, rows = _tabulate(groups)
     shown = []
-    for index, run, (name, *cells) in rows:
-        kind, differs = ("run", {}) if run else ("group", groups[index].differs)
-        first = f'<div class="{kind}" data-group="{index}">{html.escape(name)}</div>'
+    for kind, differs, (name, *cells) in rows:
+        first = f'<div class="{kind}">{html.escape(name)}</div>'
         shown.append([first + _mark(differs), *map(html.escape, cells)])
     return make_table(shown, map(html.escape, heads), kind="numbers")
 
@@ -131,9 +119,7 @@ def _mark(settings: Mapping[str, object]) -> str:
 def draw_comparison(groups: Sequence[Group], path: Path) -> Path:
     """Draw error against run time as SVG; returns the path.
 
-    The lines of group i have ids that begin with "line-i-", those of its entry in the
-    legend too. Of `PANELS` those are drawn that are recorded; where none
-    is, the loss.
+    Of `PANELS` those are drawn that are recorded; where none is, the loss.
 
     Args:
       groups: a colour and line style for each.
@@ -163,9 +149,7 @@ def draw_comparison(groups: Sequence[Group], path: Path) -> Path:
         label = style.spell_name(group.name) + seeds
         look: dict[str, Any] = style.pick_series(index) | {"marker": ""}
         handles.append(Line2D([], [], lw=2.0, label=label, **look))
-    legend = style.add_legend(figure, handles=handles, ncols=names, handlelength=3.2)
-    for index, line in enumerate(legend.get_lines()):
-        line.set_gid(f"line-{index}-legend")
+    style.add_legend(figure, handles=handles, ncols=names, handlelength=3.2)
     buffer = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "curves"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
@@ -177,5 +161,4 @@ def _draw_run(axes: Axes, run: ComparedRun, metric: str, index: int) -> None:
     look: dict[str, Any] = style.pick_series(index) | {"marker": "o"}
     look |= {"markevery": slice(len(values) - 1, None), "ms": 3.5}
     # The last point lies on the edge.
-    (line,) = axes.plot(seconds / 60, values, lw=1.3, clip_on=False, **look)
-    line.set_gid(f"line-{index}-{metric}-{run.name}")
+    axes.plot(seconds / 60, values, lw=1.3, clip_on=False, **look)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpc_jax.evaluation.images import ViewImages
+from dpc_jax.evaluation.metrics import format_metric
 
 
 @dataclass(frozen=True)
@@ -35,3 +36,22 @@ class Example:
     chamfer: float | None = None  # times 100; None without a true shape
     overlap: float | None = None  # of silhouettes, intersection over union, 0 to 1
     neighbours: tuple[Neighbour, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """Its group and name: "Worst: car-3, view 2"."""
+        return f"{self.group}: {self.name}" if self.group else self.name
+
+    def list_measures(self) -> list[str]:
+        """What is known of it: "pose error 12.0°"."""
+        found = [
+            ("pose error", "pose_median_error_deg", self.pose_error_deg, "°"),
+            ("silhouette overlap", "silhouette_iou", self.overlap, " %"),
+            ("Chamfer distance", "chamfer", self.chamfer, ""),
+            *((near.title, "chamfer", near.chamfer, "") for near in self.neighbours),
+        ]
+        return [
+            f"{label} {format_metric(metric, value)}{unit}"
+            for label, metric, value, unit in found
+            if value is not None
+        ]

@@ -95,8 +95,14 @@ def draw_curves(
 
 
 def _draw_curve(axes: Axes, metric: str, seconds: np.ndarray, values: np.ndarray):
-    if metric == "loss":
-        _draw_loss(axes, seconds, values)
+    if metric == "loss":  # faint where it is noisy, under its running mean
+        window = max(1, values.size // 40)
+        if window > 1:
+            axes.plot(seconds, values, color=style.BLUE, lw=0.6, alpha=0.35)
+            kernel = np.full(window, 1.0 / window)
+            values = np.convolve(values, kernel, mode="valid")
+            seconds = np.convolve(seconds, kernel, mode="valid")
+        axes.plot(seconds, values, color=style.BLUE, lw=1.5)
     elif metric == "candidates_alive":
         axes.step(seconds, values, where="post", color=style.BLUE, lw=1.5)
         axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
@@ -124,17 +130,6 @@ def _mark_stages(axes: Axes, lines: Records, stages: Stages, *, named: bool) -> 
             axes.annotate(
                 label, where, xycoords=("data", "axes fraction"), ha="right", **text
             )
-
-
-def _draw_loss(axes: Axes, seconds: np.ndarray, values: np.ndarray) -> None:
-    """The loss, faint where it is noisy, under its running mean."""
-    window = max(1, values.size // 40)
-    if window > 1:
-        axes.plot(seconds, values, color=style.BLUE, lw=0.6, alpha=0.35)
-        kernel = np.full(window, 1.0 / window)
-        values = np.convolve(values, kernel, mode="valid")
-        seconds = np.convolve(seconds, kernel, mode="valid")
-    axes.plot(seconds, values, color=style.BLUE, lw=1.5)
 
 
 def draw_pose_errors(views: Failures, path: str | os.PathLike) -> Path:
@@ -198,31 +193,20 @@ _LOOKS = {
 
 
 def draw_azimuths(views: Failures, path: str | os.PathLike) -> Path:
-    """Pose error, and predicted azimuth, of each view over its true azimuth."""
-    figure = style.make_figure(9.0, 4.2)
-    left, right = style.make_panels(figure, 2)
-    true_deg, predicted_deg = views.azimuths_deg
+    """Pose error of each view over its true azimuth."""
+    figure = style.make_figure(7.5, 4.2)
+    axes = figure.subplots()
     for kind, (label, color, marker) in _LOOKS.items():
         rows = views.kinds == kind
-        if not rows.any():
-            continue
-        look = {"s": 14, "color": color, "marker": marker, "linewidths": 0}
-        look |= {"alpha": 0.75, "clip_on": False, "zorder": 3}
-        label = f"{label}: {int(rows.sum())}"
-        left.scatter(true_deg[rows], views.errors_deg[rows], label=label, **look)
-        right.scatter(true_deg[rows], predicted_deg[rows], **look)
-    left.axhline(ACCURACY_THRESHOLD_DEG, color=style.INK, lw=1.0)
-    for shift in (-180, 0, 180):
-        line = {"color": style.INK if shift == 0 else style.MUTED, "lw": 0.9}
-        ends = [0, 360], [shift, 360 + shift]
-        right.plot(*ends, ls="-" if shift == 0 else ":", zorder=1, **line)
-    for axes, title, y_label, top in (
-        (left, "Pose error", "degrees", 180),
-        (right, "Predicted azimuth", "degrees; dotted: half a turn off", 360),
-    ):
-        x_label = "true azimuth (degrees; 0 front, 90 left, 180 rear)"
-        style.label_axes(axes, title=title, x_label=x_label, y_label=y_label)
-        axes.set(xlim=(0, 360), xticks=range(0, 361, 90), ylim=(0, top))
-        axes.set_yticks(range(0, top + 1, top // 6 if top == 180 else 90))
+        if rows.any():
+            label = f"{label}: {int(rows.sum())}"
+            look = {"s": 14, "color": color, "marker": marker, "linewidths": 0}
+            look |= {"alpha": 0.75, "clip_on": False, "zorder": 3, "label": label}
+            axes.scatter(views.azimuths_deg[rows], views.errors_deg[rows], **look)
+    axes.axhline(ACCURACY_THRESHOLD_DEG, color=style.INK, lw=1.0)
+    x_label = "true azimuth (degrees; 0 front, 90 left, 180 rear)"
+    style.label_axes(axes, title="Pose error", x_label=x_label, y_label="degrees")
+    axes.set(xlim=(0, 360), xticks=range(0, 361, 90), ylim=(0, 180))
+    axes.set_yticks(range(0, 181, 30))
     style.add_legend(figure, ncols=len(_LOOKS))
     return style.save_figure(figure, path)

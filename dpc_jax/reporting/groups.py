@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from dpc_jax.evaluation.metrics import MISSING, format_metric, get_metric
+from dpc_jax.evaluation.metrics import MISSING, format_metric
 
 
 @dataclass(frozen=True)
@@ -97,17 +97,8 @@ def find_common(settings: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """
     common = {}
     for name in dict.fromkeys(name for fields in settings for name in fields):
-        values = {repr(fields.get(name)): fields.get(name) for fields in settings}
-        if len(values) > 1:
-            counts = collections.Counter(repr(fields.get(name)) for fields in settings)
-            common[name] = values[counts.most_common(1)[0][0]]
+        texts = [repr(fields.get(name)) for fields in settings]
+        if len(set(texts)) > 1:
+            most = collections.Counter(texts).most_common(1)[0][0]
+            common[name] = settings[texts.index(most)].get(name)
     return common
-
-
-def find_best(groups: Sequence[Group], metric: str) -> Group | None:
-    """The group of the best mean; None where there is nothing to choose from."""
-    better = get_metric(metric).higher_is_better
-    found = [(s.mean, group) for group in groups if (s := group.summarize(metric))]
-    if better is None or len({mean for mean, _ in found}) < 2:
-        return None
-    return (max if better else min)(found, key=lambda pair: pair[0])[1]

@@ -1,7 +1,6 @@
 """The report of a run: one HTML page that opens anywhere, with its data beside it."""
 
 import functools
-import math
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -18,17 +17,17 @@ from dpc_jax.reporting.export import write_files
 from dpc_jax.reporting.gallery import draw_predictions
 from dpc_jax.reporting.signals import draw_signals
 from dpc_jax.reporting.tables import make_table
-from dpc_jax.reporting.web import cards, viewer
+from dpc_jax.reporting.web import viewer
 from dpc_jax.reporting.web.markup import assemble_page, embed_chart
 
-_NAMED = 30  # objects
 # Title of a section, and how to read it.
 CAPTIONS = {
     "predictions": (
         "Predictions on test views",
-        "Views that the network never trained on. All shapes are lit and seen from the "
-        "same direction, whatever the input's; numbers below them are Chamfer "
-        "distances (× 100) to the true shape, where there is one.",
+        "Views that the network never trained on. In the difference of the silhouettes "
+        "red is too much, blue is missing. All shapes are lit and seen from the same "
+        "direction, whatever the input's; Chamfer distances are times 100, to the true "
+        "shape.",
     ),
     "pose_errors": (
         "Pose errors",
@@ -38,9 +37,9 @@ CAPTIONS = {
     ),
     "azimuths": (
         "Pose errors over azimuth",
-        "Each point is a test view. A band at the top left, or on a dotted line at the "
-        "right, over a range of azimuths is a part of the poses that the network has "
-        "learned the wrong way round; single points are single objects.",
+        "Each point is a test view. A band at the top over a range of azimuths is a "
+        "part of the poses that the network has learned the wrong way round; single "
+        "points are single objects.",
     ),
     "training_shapes": (
         "Beside shapes that see no image",
@@ -77,7 +76,6 @@ def write_report(
     examples: Sequence[Example] = (),
     ranking: str = "",
     failures: Failures | None = None,
-    lost: Sequence[str] = (),
     warnings: Sequence[str] = (),
     config_text: str = "",
 ) -> Path:
@@ -94,32 +92,23 @@ def write_report(
       examples: views to show, those of a group one after the other.
       ranking: how they were chosen, a sentence.
       failures: errors of the poses of the test views, and what is wrong with them.
-      lost: names of objects that are wrong in all their views.
       warnings: sentences for the top of the page.
       config_text: the configuration, shown as it is.
     """
     folder = Path(folder)
-    values = {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in sorted(metrics.items())
-    }
+    values = dict(sorted(metrics.items()))
     write_json(folder / "metrics.json", values)
-    parts = [_begin(title, values, warnings)]
-    if examples:
-        # One picture of all, for other pages; this one shows them larger.
-        draw_predictions(examples, folder / "predictions.png")
-        parts += [
-            viewer.show_clouds(examples),
-            _introduce("predictions", ranking),
-            cards.show_examples(examples),
-            _write_clouds(examples, folder / "points"),
-        ]
     draw_curves = functools.partial(figures.draw_curves, stages=stages)
     rendered = [e for e in examples if e.images and len(e.images.rendered) > 1]
-    parts += [
+    parts = [
+        _begin(title, values, warnings),
+        viewer.show_clouds(examples) if examples else "",
+        _draw(
+            folder, "predictions", draw_predictions, examples, ranking, is_photo=True
+        ),
+        _write_clouds(examples, folder / "points") if examples else "",
         _draw(folder, "pose_errors", figures.draw_pose_errors, failures),
         _draw(folder, "azimuths", figures.draw_azimuths, failures),
-        _name_lost(lost),
         _compare_shapes(values),
         _draw(folder, "curves", draw_curves, records),
         _draw(folder, "signals", draw_signals, rendered, is_photo=True),
@@ -156,7 +145,7 @@ def _introduce(name: str, more: str = "") -> str:
 
 def _draw(folder, name, draw, data, more: str = "", *, is_photo: bool = False) -> str:
     """A section with a figure; "" where there are no data for it."""
-    if data is None or (isinstance(data, Sequence) and not data):
+    if not data:
         return ""
     path = draw(data, folder / f"{name}.png")
     chart = embed_chart(path, CAPTIONS[name][0], is_photo=is_photo)
@@ -170,7 +159,8 @@ def _write_clouds(examples: Sequence[Example], folder: Path) -> str:
         stem = _file_name(example.name, taken)
         write_files(example, folder / stem)
         links = [f'<a href="points/{stem}.{k.lower()}">{k}</a>' for k in ("GLB", "PLY")]
-        rows.append((escape(viewer.name_example(example)), " ".join(links)))
+        measures = escape(", ".join(example.list_measures()))
+        rows.append((escape(example.title), " ".join(links), measures))
     return (
         "<details><summary>The same shapes as files</summary><p>GLB is the surface, "
         "for any 3D viewer; PLY the points, for tools of clouds and of Gaussian "
@@ -207,14 +197,6 @@ def _compare_shapes(values: Mapping[str, Any]) -> str:
     heads = ("", "whole surface", "visible surface")[: 1 + len(columns)]
     table = make_table(rows, heads, kind="numbers")
     return _introduce("training_shapes") + table if columns else ""
-
-
-def _name_lost(lost: Sequence[str]) -> str:
-    """The objects that are wrong in all their views."""
-    if not lost:
-        return ""
-    shown = ", ".join(lost[:_NAMED]) + (", ..." if len(lost) > _NAMED else "")
-    return f"<p>Wrong in all views: {escape(shown)}.</p>"
 
 
 def _list_metrics(values: Mapping[str, Any]) -> str:

@@ -24,7 +24,7 @@ _COLORS = (
     "#e6194b", "#3cb44b", "#ffb000", "#4363d8", "#f06a1d", "#911eb4",
     "#1fb8c4", "#f032e6", "#8db600", "#7a4a1e", "#008080", "#000075",
 )  # fmt: skip
-_SIDE, _STRIP = 320, 256  # of pictures, pixels: of a cloud, of one in a strip
+_STRIP = 256  # pixels of a cloud in a strip
 _INSET = 80  # of an input in the corner of a cloud
 
 
@@ -42,7 +42,7 @@ def draw_transfers(
       images: uint8 [S, S, 3], the input of each cloud, shown in its corner.
       clouds: [N, 3] in the object frame.
       found: for each keypoint the indices of its points.
-      templates: how many of the first clouds are templates, which get a frame.
+      templates: how many of the first clouds are templates, which are named.
     """
     pictures: list[np.ndarray | None] = []
     for image, cloud in zip(images, clouds, strict=True):
@@ -50,21 +50,15 @@ def draw_transfers(
         radius = np.full(len(cloud), _PLAIN)
         for i, index in enumerate(found):
             colors[index], radius[index] = to_rgb(_COLORS[i % len(_COLORS)]), _MARKED
-        picture = draw_cloud(cloud, colors, radius=radius, size=_SIDE)
-        pictures.append(_inset(picture, image))
+        picture = draw_cloud(cloud, colors, radius=radius)
+        size = _INSET, _INSET
+        small = Image.fromarray(image).resize(size, Image.Resampling.BICUBIC)
+        corner = picture[:_INSET, :_INSET]
+        corner[:] = np.minimum(corner, np.array(small))
+        pictures.append(picture)
     pictures += [None] * (-len(pictures) % _COLUMNS)
     rows = [pictures[i : i + _COLUMNS] for i in range(0, len(pictures), _COLUMNS)]
-    titles = ["template"] * templates
-    return draw_grid(rows, path, titles=titles, framed=templates)
-
-
-def _inset(picture: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """The picture with an input in its upper left corner."""
-    size = _INSET, _INSET
-    small = Image.fromarray(image).resize(size, Image.Resampling.BICUBIC)
-    corner = picture[:_INSET, :_INSET]
-    corner[:] = np.minimum(corner, np.array(small))
-    return picture
+    return draw_grid(rows, path, titles=["template"] * templates)
 
 
 def draw_strips(
@@ -167,7 +161,9 @@ def draw_projection_errors(
         grid="both",
     )
     axes.set_xscale("log")
-    style.set_ticks(axes, sorted({count for runs in errors.values() for count in runs}))
+    counts = sorted({count for runs in errors.values() for count in runs})
+    axes.set_xticks(counts, [f"{count:g}" for count in counts])
+    axes.set_xticks([], minor=True)
     axes.set_ylim(0.0, 1.1 * axes.dataLim.y1)
     axes.legend(frameon=False, fontsize=9)
     return style.save_figure(figure, path)

@@ -8,46 +8,33 @@ import os
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
-from matplotlib.layout_engine import ConstrainedLayoutEngine
-from numpy.typing import ArrayLike
+from matplotlib.rcsetup import cycler
 
 from dpc_jax.files import write_bytes
 
 INK, MUTED, GRID = "#22303c", "#8795a1", "#e6eaee"
-FRAME = "#d5dbe1"  # of a picture
 # Colours of series, in the order in which they are given out.
 BLUE, RED, GREEN, AMBER = "#2f7ebc", "#d1495b", "#3a9d6e", "#e0a030"
 SERIES = (BLUE, RED, GREEN, AMBER, "#7b5ea7", "#5f6c77", "#56b4c9", "#8c5a3c")
 
-# Once the colours are used up.
-_LINES = (("-", "o"), ("--", "s"), (":", "^"), ("-.", "D"))
+# Other lines, once the colours are used up.
+_LINES = cycler(linestyle=["-", "--", ":", "-."], marker=["o", "s", "^", "D"])
+_LOOKS = list(_LINES * cycler(color=SERIES))
 
 
 def pick_series(number: int) -> dict[str, str]:
     """How a line is drawn, for `Axes.plot`: no two of the first 32 look the same."""
-    turn = number // len(SERIES)
-    line, marker = _LINES[turn % len(_LINES)]
-    color = SERIES[number % len(SERIES)]
-    return {"color": color, "linestyle": line, "marker": marker}
+    return _LOOKS[number % len(_LOOKS)]
 
 
-def make_figure(width: float, height: float, *, is_close: bool = False) -> Figure:
-    """An empty figure of that size in inches, laid out by its content.
-
-    Args:
-      is_close: whether its axes, pictures in rows, stand close to each other.
-    """
+def make_figure(width: float, height: float) -> Figure:
+    """An empty figure of that size in inches, laid out by its content."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
-    if is_close:
-        gaps = dict.fromkeys(("w_pad", "h_pad", "wspace", "hspace"), 0.02)
-        top = 1 - 0.06 / height  # what is above a title, or its letters are cut
-        figure.set_layout_engine(ConstrainedLayoutEngine(**gaps, rect=(0, 0, 1, top)))
     return figure
 
 
@@ -58,15 +45,6 @@ def make_panels(figure: Figure, count: int) -> list[Axes]:
     for axes in grid.flat[count:]:
         axes.set_visible(False)
     return list(grid.flat[:count])
-
-
-def show_picture(axes: Axes, picture: ArrayLike, **look: Any) -> Any:
-    """A picture without ticks; one without colours, of 0 to 1, is grey by default."""
-    axes.set(xticks=[], yticks=[])
-    axes.spines[:].set_color(FRAME)
-    settings: dict[str, Any] = {"cmap": "gray"}
-    settings |= {} if "norm" in look else {"vmin": 0.0, "vmax": 1.0}
-    return axes.imshow(picture, **settings | look)
 
 
 def label_axes(
@@ -85,13 +63,6 @@ def label_axes(
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(axis=grid, color=GRID, lw=0.8)
     axes.set_axisbelow(True)
-
-
-def set_ticks(axes: Axes, values: ArrayLike, spec: str = "g") -> None:
-    """Ticks of a logarithmic x axis at exactly these values."""
-    places = np.asarray(values, np.float64)
-    axes.set_xticks(places, [format(place, spec) for place in places])
-    axes.set_xticks([], minor=True)
 
 
 def add_legend(figure: Figure, **more: Any):

@@ -4,28 +4,22 @@ import re
 from collections.abc import Iterable, Sequence
 
 # What a column of numbers holds: digits first, but for marks; or nothing.
-_NUMBER = re.compile(r"(\*\*|▸ )?[-+]?(\d|inf|nan|–)|$")
+_NUMBER = re.compile(r"(\*\*)?[-+]?(\d|inf|nan|–)|$")
 
 
-def format_table(
-    heads: Sequence[str], rows: Iterable[Sequence[object]], *, align: str = ""
-) -> str:
-    """A Markdown table, ending in a newline.
+def format_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table, ending in a newline; columns of numbers are aligned right.
 
     Args:
       heads: of the columns.
       rows: cells by row, each as many as there are heads; shown by `str`. Pipes are
         escaped, line breaks become spaces.
-      align: one letter per column, "l" or "r"; by default columns of numbers are
-        aligned right, others left.
     """
     cells = [[_escape(cell) for cell in row] for row in rows]
-    columns = list(zip(*cells, strict=True)) or [("",)] * len(heads)
-    letters = align or [
-        "r" if all(map(_NUMBER.match, column)) and any(column) else "l"
-        for column in columns
+    rule = [
+        "---:" if all(map(_NUMBER.match, column)) and any(column) else "---"
+        for column in zip(*cells, strict=True)
     ]
-    rule = ["---:" if letter == "r" else "---" for letter in letters]
     lines = [map(_escape, heads), rule, *cells]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 

@@ -146,8 +146,7 @@ def read_alignment(workdir: Path) -> Alignment | None:
         return None
     with reading("the alignment of a run", path, _AGAIN):
         fields = read_json(path)
-        rotation = np.array(fields.pop("rotation"), np.float64).reshape(4)
+        rotation = np.array(fields["rotation"], np.float64).reshape(4)
         if not 0.9 < np.linalg.norm(rotation) < 1.1:
             raise Damage(f"{rotation.tolist()} is no unit quaternion")
-        others = (fields.get(name) for name in Alignment._fields[1:])
-        return Alignment(rotation, *(np.nan if n is None else float(n) for n in others))
+        return Alignment(rotation, float(fields["inlier_share"]))

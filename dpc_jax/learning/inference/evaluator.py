@@ -6,7 +6,7 @@ import numpy as np
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation import alignment as alignments
 from dpc_jax.evaluation import images, scores
-from dpc_jax.evaluation.stray_points import count_stray_points
+from dpc_jax.evaluation.chamfer import count_stray_points
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.learning.signals import find_background, make_targets
 

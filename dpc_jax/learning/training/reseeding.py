@@ -15,7 +15,7 @@ import numpy as np
 from jax.sharding import NamedSharding
 
 from dpc_jax.config import Config
-from dpc_jax.evaluation.stray_points import NEIGHBORS, REACH
+from dpc_jax.evaluation.chamfer import NEIGHBORS, REACH
 from dpc_jax.learning import devices
 from dpc_jax.learning.predictions import encode_views
 from dpc_jax.learning.step import TrainState, describe_state

@@ -58,7 +58,7 @@ def _write_speed(out, results) -> list[str]:
     return [
         "## Speed",
         intro,
-        format_table(heads, rows, align="lrlrrr"),
+        format_table(heads, rows),
         "*gradient*: largest relative L2 difference from ours among the gradients. "
         f"*All devices*: `project_batch` on {count} device{'s' * (count != 1)}; *one "
         "device* has all of XLA's threads. *PyTorch* does a batch at once. *levels*: "
@@ -90,7 +90,7 @@ def _write_sizes(out, results) -> list[str]:
         "A car's surface, forward and backward, float32: in the whole volume, and in "
         "room for a fifth more blocks of 8³ cells than it touches (`max_blocks`). "
         "Memory is that of `dpc_jax.estimate_memory`.",
-        format_table(heads, rows, align="llrrrrrr"),
+        format_table(heads, rows),
     ]
 
 

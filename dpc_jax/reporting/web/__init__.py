@@ -1,1 +1,1 @@
-"""Parts of the report's page: its style, tables, pictures, and clouds to turn."""
+"""Parts of the report's page: its style, its charts, and clouds to turn."""

@@ -1,4 +1,4 @@
-"""Pieces of HTML: the page, charts and pictures that lie inside it."""
+"""Pieces of HTML: the page, and charts that lie inside it."""
 
 import base64
 import html
@@ -6,7 +6,6 @@ import io
 from importlib import resources
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 
 
@@ -41,29 +40,13 @@ def embed_chart(path: Path, title: str, *, is_photo: bool) -> str:
         they take a tenth of the bytes.
     """
     if is_photo:
+        buffer = io.BytesIO()
         with Image.open(path) as picture:
-            source, kind = _pack(picture.convert("RGB")), ""
+            picture.convert("RGB").save(buffer, format="WEBP", quality=82, method=4)
+        data, form, kind = buffer.getvalue(), "webp", ""
     else:
-        data = base64.b64encode(path.read_bytes()).decode("ascii")
         form = "svg+xml" if path.suffix == ".svg" else "png"
-        source, kind = f"data:image/{form};base64,{data}", ' class="chart"'
-    title = html.escape(title)
-    return f'<div class="wide"><img{kind} alt="{title}" src="{source}"></div>\n'
-
-
-def embed_picture(picture: np.ndarray, title: str, caption: str = "") -> str:
-    """A picture uint8 [H, W, 3 or 4] with a caption that is HTML."""
-    source = _pack(Image.fromarray(picture))
-    height, width = picture.shape[:2]
-    title = html.escape(title)
-    return (
-        f'<figure><img alt="{title}" width="{width}" height="{height}" loading="lazy" '
-        f'src="{source}"><figcaption>{title}{caption}</figcaption></figure>'
-    )
-
-
-def _pack(picture: Image.Image) -> str:
-    """A picture as a source of `img`: WebP, which can be clear."""
-    buffer = io.BytesIO()
-    picture.save(buffer, format="WEBP", quality=82, method=4)
-    return f"data:image/webp;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+        data, kind = path.read_bytes(), ' class="chart"'
+    source = f"data:image/{form};base64,{base64.b64encode(data).decode()}"
+    alt = html.escape(title)
+    return f'<div class="wide"><img{kind} alt="{alt}" src="{source}"></div>\n'

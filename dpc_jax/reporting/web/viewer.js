@@ -11,7 +11,7 @@
   const FACES = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2],
     [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]];
   // From near to far, as the strip of the page has them.
-  const STOPS = [[69, 117, 180], [145, 191, 219], [254, 224, 144], [252, 141, 89], [215, 48, 39]];
+  const SCALE = ["#4575b4", "#91bfdb", "#fee090", "#fc8d59", "#d73027"].map((c, i) => [i / 4, c]);
   const HOME = { eye: { x: 0.62, y: 0.44, z: 0.36 }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: 0 } };
   const shown = { index: 0, colors: "own", camera: HOME };
   let ready = null;
@@ -27,27 +27,24 @@
     document.head.append(script);
   }
 
-  function readPoints(cloud) {
-    const whole = new Int16Array(bytes(cloud.points).buffer);
-    return Float64Array.from(whole, (value) => (value / 32767) * cloud.reach);
-  }
+  const floats = (text) => new Float32Array(bytes(text).buffer);
+
+  // Of each vertex, six to a point.
+  const repeat = (values) => Array.from(values).flatMap((value) => new Array(6).fill(value));
 
   function listColors(cloud, count) {
     if (shown.colors === "error" && cloud.errors) {
-      return Array.from(bytes(cloud.errors), (value) => {
-        const place = (value / 255) * (STOPS.length - 1);
-        const low = Math.min(Math.floor(place), STOPS.length - 2);
-        const mixed = STOPS[low].map((v, i) => v + (place - low) * (STOPS[low + 1][i] - v));
-        return `rgb(${mixed.map(Math.round)})`;
-      });
+      const range = { cmin: 0, cmax: data.farthest, colorscale: SCALE, showscale: false };
+      return { intensity: repeat(floats(cloud.errors)), ...range };
     }
-    if (!cloud.colors) return new Array(count).fill(cloud.plain);
+    if (!cloud.colors) return { color: cloud.plain };
     const rgb = bytes(cloud.colors);
-    return Array.from({ length: count }, (_, n) => `rgb(${rgb.slice(3 * n, 3 * n + 3)})`);
+    const colors = Array.from({ length: count }, (_, n) => `rgb(${rgb.slice(3 * n, 3 * n + 3)})`);
+    return { vertexcolor: repeat(colors) };
   }
 
   function makeBalls(cloud) {
-    const points = readPoints(cloud), count = points.length / 3;
+    const points = floats(cloud.points), count = points.length / 3;
     const trace = { x: [], y: [], z: [], i: [], j: [], k: [] };
     for (let n = 0; n < count; n++) {
       for (const corner of CORNERS) {
@@ -61,10 +58,9 @@
         trace.k.push(6 * n + face[2]);
       }
     }
-    const vertexcolor = listColors(cloud, count).flatMap((color) => new Array(6).fill(color));
     const lighting = { ambient: 0.55, diffuse: 0.75, specular: 0.12, roughness: 0.7, fresnel: 0.05 };
     const lightposition = { x: 300, y: -500, z: 900 };
-    return { type: "mesh3d", hoverinfo: "skip", vertexcolor, lighting, lightposition, ...trace };
+    return { type: "mesh3d", hoverinfo: "skip", lighting, lightposition, ...listColors(cloud, count), ...trace };
   }
 
   function makeLayout() {
@@ -143,12 +139,6 @@
   choice.addEventListener("change", () => show({ index: Number(choice.value) }));
   for (const button of buttons) {
     button.addEventListener("click", () => show({ colors: button.dataset.colors }));
-  }
-  for (const button of document.querySelectorAll("[data-turn]")) {
-    button.addEventListener("click", () => {
-      document.getElementById("turn").scrollIntoView({ behavior: "smooth" });
-      show({ index: Number(button.dataset.turn) });
-    });
   }
   // Nothing is built before the page is painted and the plots come near the window.
   new IntersectionObserver((entries, observer) => {

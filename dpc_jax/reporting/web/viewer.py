@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
+from dpc_jax.evaluation.chamfer import find_rows, spread_rows
 from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.web.markup import read_asset
 
@@ -30,7 +31,7 @@ def show_clouds(examples: Sequence[Example]) -> str:
     has_colors = any(example.colors is not None for example in examples)
     own = "Predicted colours" if has_colors else "One colour"
     options = "".join(
-        f'<option value="{index}">{html.escape(name_example(example))}</option>'
+        f'<option value="{index}">{html.escape(example.title)}</option>'
         for index, example in enumerate(examples)
     )
     controls = f'<select id="choice" aria-label="Shown shape">{options}</select>'
@@ -62,54 +63,36 @@ def show_clouds(examples: Sequence[Example]) -> str:
     )
 
 
-def name_example(example: Example) -> str:
-    """Its group and name: "Worst: car-3, view 2"."""
-    return f"{example.group}: {example.name}" if example.group else example.name
-
-
 def embed_scripts(examples: Sequence[Example]) -> str:
     """What stands at the end of the page: data, compressed library, and the script."""
     clouds = [describe_clouds(example) for example in examples]
     count = min(_SHOWN, max(len(example.points) for example in examples))
     radius = _RADIUS * np.clip(np.sqrt(2000 / max(count, 1)), 1.0, 2.5)
-    data = json.dumps({"radius": round(float(radius), 5), "examples": clouds})
-    script = read_asset("viewer.js")
+    sizes = {"radius": round(float(radius), 5), "farthest": FARTHEST}
+    data = json.dumps(sizes | {"examples": clouds})
     return (
         f'<script type="application/json" id="clouds">{data}</script>\n'
         f'<script type="text/plain" id="plotly">{_pack_library()}</script>\n'
-        f"<script>{script}</script>\n"
+        f"<script>{read_asset('viewer.js')}</script>\n"
     )
 
 
 def describe_clouds(example: Example) -> dict[str, Any]:
     """Both clouds of an example and their distances, as the script reads them."""
-    rows = _spread(len(example.points))
+    count = len(example.points)
+    rows = find_rows(count, min(_SHOWN, count))
     points, surface = np.asarray(example.points)[rows], example.surface
-    predicted = _describe_cloud(points, _PLAIN)
+    predicted = {"points": _encode(points, "<f4"), "plain": _PLAIN}
     if example.colors is not None:
         colors = np.clip(255 * np.asarray(example.colors)[rows], 0, 255)
         predicted["colors"] = _encode(np.rint(colors), "u1")
     if surface is None:
         return {"predicted": predicted}
-    surface = np.asarray(surface)
-    true = surface[_spread(len(surface))]
-    away = KDTree(surface).query(points)[0], KDTree(example.points).query(true)[0]
-    described = predicted, _describe_cloud(true, _TRUE)
-    for cloud, distances in zip(described, away, strict=True):
-        share = np.clip(distances / FARTHEST, 0, 1)
-        cloud["errors"] = _encode(np.rint(255 * share), "u1")
-    return dict(zip(("predicted", "true"), described, strict=True))
-
-
-def _describe_cloud(points, plain):
-    """Points in 16 bits, 3e-5 of the farthest coordinate apart."""
-    reach = float(np.abs(points).max(initial=1e-6))
-    whole = np.rint(32767 * points / reach)
-    return {"points": _encode(whole, "<i2"), "reach": round(reach, 6), "plain": plain}
-
-
-def _spread(count):
-    return np.linspace(0, count - 1, min(_SHOWN, count)).round().astype(int)
+    true = spread_rows(surface, min(_SHOWN, len(surface)))
+    errors = KDTree(surface).query(points)[0], KDTree(example.points).query(true)[0]
+    predicted["errors"], missing = (_encode(away, "<f4") for away in errors)
+    truth = {"points": _encode(true, "<f4"), "plain": _TRUE, "errors": missing}
+    return {"predicted": predicted, "true": truth}
 
 
 def _encode(array, dtype) -> str:

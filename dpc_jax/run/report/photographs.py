@@ -41,7 +41,7 @@ def judge_photographs(
     spec = make_data_specs(trained.config)["test"]
     side = _FINER * spec.image_size
     fine = load_split(trained, "test", image_size=side, visible_points=0)
-    takes = {"photographs": _leave} | dict(DISTURBANCES)
+    takes = {"photographs": lambda *view: view[:2]} | dict(DISTURBANCES)
     for name, disturb in takes.items():
         taken = _take_photographs(fine, disturb, spec)
         found[name] = _measure(taken, trained, knows_distance=False)
@@ -51,21 +51,15 @@ def judge_photographs(
     return found
 
 
-def _leave(image, mask, rng):
-    del rng
-    return image, mask
-
-
 def _take_photographs(fine: DataSet, disturb, spec: DataSpec) -> DataSet:
     """Every view disturbed, then cut out by its mask, in the network's size."""
     spec = dataclasses.replace(spec, crop="view")
     images, masks = [], []
     for model in range(len(fine.names)):
+        given = fine.rows("images", model), fine.rows("masks", model)
         views = [
-            disturb(image, mask, np.random.default_rng((model, view)))
-            for view, (image, mask) in enumerate(
-                zip(fine.rows("images", model), fine.rows("masks", model), strict=True)
-            )
+            disturb(*pair, np.random.default_rng((model, view)))
+            for view, pair in enumerate(zip(*given, strict=True))
         ]
         outlines = [framing.trace_outline(mask > 127) for _, mask in views]
         pairs = [(image, mask / np.float32(255)) for image, mask in views]

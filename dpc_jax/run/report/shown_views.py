@@ -7,7 +7,7 @@ import numpy as np
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, align_points
 from dpc_jax.evaluation.scores import Scores
-from dpc_jax.learning.inference.evaluator import read_view
+from dpc_jax.learning.inference.evaluator import measure_overlaps, read_view
 from dpc_jax.learning.inference.predictor import Predictions, arrange_views
 from dpc_jax.reporting.examples import Example
 from dpc_jax.run.report.training_shapes import TrainingShapes
@@ -22,7 +22,6 @@ class Judged(NamedTuple):
       predictions, dataset: of the same views.
       alignment: from the network's frame to the object frame.
       scores: of the predictions.
-      overlaps: [n, V] of silhouettes, 0 to 1.
       distance: of the camera.
       threshold: of the surfaces of a voxel model; None of others.
     """
@@ -31,22 +30,8 @@ class Judged(NamedTuple):
     dataset: DataSet
     alignment: Alignment
     scores: Scores
-    overlaps: np.ndarray
     distance: float
     threshold: float | None = None
-
-    def rank_views(self) -> tuple[np.ndarray, str]:
-        """How bad each view is [n, V], by the first measure there is, and its name.
-
-        That is the pose error; where poses are not predicted, or their truth is not
-        known, the Chamfer distance, and without true shapes the overlap of silhouettes.
-        """
-        if self.scores.pose_errors_deg is not None:
-            return np.asarray(self.scores.pose_errors_deg), "pose error"
-        if self.scores.chamfers is not None:
-            badness = np.asarray(self.scores.chamfers).sum(axis=-1)
-            return badness, "Chamfer distance"
-        return -self.overlaps, "overlap of silhouettes"
 
 
 def choose_views(
@@ -59,25 +44,21 @@ def choose_views(
       models: [n, V] its object, of which a group shows one view.
       per_group: views of each, of different objects.
     """
-    order = np.argsort(badness, axis=None, kind="stable")
-    middle = (len(order) - 1) / 2
-    from_middle = np.argsort(np.abs(np.arange(len(order)) - middle), kind="stable")
-    orders = (order[::-1], order[from_middle], order)
-    objects = np.ravel(models).tolist()
-    found: dict[str, list[int]] = {name: [] for name in GROUPS}
-    taken: set[int] = set()
+    best = np.argsort(badness, axis=None, kind="stable")
+    from_middle = np.abs(np.arange(len(best)) - (len(best) - 1) / 2)
+    median = best[np.argsort(from_middle, kind="stable")]
+    objects, width = np.ravel(models).tolist(), badness.shape[1]
+    found: list[tuple[str, int]] = []
     # By turns, so that where there are few views each group has some.
     for _ in range(per_group):
-        for name, ranked in zip(GROUPS, orders, strict=True):
-            shown = {objects[i] for i in found[name]}
-            free = (i for i in ranked.tolist() if i not in taken)
+        for group, order in zip(GROUPS, (best[::-1], median, best), strict=True):
+            taken = {index for _, index in found}
+            shown = {objects[index] for name, index in found if name == group}
+            free = (i for i in order.tolist() if i not in taken)
             index = next((i for i in free if objects[i] not in shown), None)
-            if index is not None:
-                found[name].append(index)
-                taken.add(index)
-    width = badness.shape[1]
-    chosen = [(name, index) for name in GROUPS for index in found[name]]
-    return [(name, index // width, index % width) for name, index in chosen]
+            found += [] if index is None else [(group, index)]
+    found.sort(key=lambda one: GROUPS.index(one[0]))
+    return [(group, index // width, index % width) for group, index in found]
 
 
 def choose_examples(
@@ -85,13 +66,23 @@ def choose_examples(
 ) -> tuple[list[Example], str]:
     """The worst, median and best views, and a sentence on how they were chosen.
 
+    They are ranked by the pose error; where poses are not predicted, or their truth is
+    not known, by the Chamfer distance, and without true shapes by the overlap of
+    silhouettes.
+
     Args:
       per_group: views of each. shapes: of the training set, to show beside them.
     """
     models, _ = arrange_views(judged.dataset)
-    badness, measure = judged.rank_views()
+    scores = judged.scores
+    overlaps = measure_overlaps(judged.predictions, judged.dataset)
+    badness, measure = -overlaps, "overlap of silhouettes"
+    if scores.pose_errors_deg is not None:
+        badness, measure = scores.pose_errors_deg, "pose error"
+    elif scores.chamfers is not None:
+        badness, measure = scores.chamfers.sum(axis=-1), "Chamfer distance"
     examples = [
-        _make_example(judged, *chosen, shapes=shapes)
+        _make_example(judged, *chosen, overlaps=overlaps, shapes=shapes)
         for chosen in choose_views(badness, models, per_group=per_group)
     ]
     return examples, f"The worst, median and best of all test views by {measure}."
@@ -103,10 +94,11 @@ def _make_example(
     row: int,
     place: int,
     *,
+    overlaps: np.ndarray,
     shapes: TrainingShapes | None,
 ) -> Example:
     """What is shown of a view."""
-    predictions, dataset, alignment, scores, overlaps, distance, threshold = judged
+    predictions, dataset, alignment, scores, distance, threshold = judged
     models, views = arrange_views(dataset)
     model, view = models[row, place], views[row, place]
     errors, colors = scores.pose_errors_deg, predictions.colors
@@ -118,9 +110,8 @@ def _make_example(
 
         mesh = find_surface(predictions, row, threshold, alignment, place=place)
     points = align_points(alignment, predictions.points[row, place])
-    chamfer = None  # of the views that it was measured of
-    if scores.chamfers is not None and place < scores.chamfers.shape[1]:
-        chamfer = 100 * float(scores.chamfers[row, place].sum())
+    chamfers = scores.chamfers
+    chamfer = None if chamfers is None else 100 * float(chamfers[row, place].sum())
     if shapes is not None and surface is not None:
         neighbours = shapes.list_neighbours(surface, len(points))
     several = dataset.counts[model] > 1

@@ -10,15 +10,11 @@ from dpc_jax.config import Config, to_config_dict
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment
 from dpc_jax.evaluation.metrics import REQUIRED_METRICS, describe_metrics
-from dpc_jax.evaluation.pose import (
-    collapse_warning,
-    count_alive,
-    winner_share,
-)
+from dpc_jax.evaluation.pose import collapse_warning, count_alive, winner_share
 from dpc_jax.evaluation.scores import estimate_errors
 from dpc_jax.learning import schedules
 from dpc_jax.learning.inference import evaluator
-from dpc_jax.learning.inference.predictor import Predictions, arrange_views
+from dpc_jax.learning.inference.predictor import Predictions
 from dpc_jax.learning.training.loop import Outcome
 from dpc_jax.reporting.page import write_report
 from dpc_jax.run.learner import Evaluation
@@ -51,10 +47,6 @@ def report_run(
     """
     test, predictions = sets["test"], found.predictions
     judged = judge(predictions, test, config, found.alignment, found.threshold)
-    failures = judged.scores.failures
-    models, _ = arrange_views(test)
-    lost = failures.wrong_objects if failures else ()
-    lost = [test.names[models[row, 0]] for row in lost]
     shapes = TrainingShapes.gather(sets, predictions.points.shape[2])
     metrics = list_metrics(judged, config, shapes)
     metrics |= _count_costs(sets, outcome, data_seconds) | (refined or {})
@@ -73,8 +65,7 @@ def report_run(
         stages=list_stages(config),
         examples=examples,
         ranking=ranking,
-        failures=failures,
-        lost=lost,
+        failures=judged.scores.failures,
         warnings=warnings,
         config_text=str(to_config_dict(config)),
     )
@@ -91,13 +82,13 @@ def report_run(
 def measure_gains(metrics: dict[str, Any]) -> dict[str, float | None]:
     """How much of the way from the mean training shape to the floor predictions go."""
     gains = {}
-    for name in ("chamfer", "visible_chamfer"):
-        prefix = name.removesuffix("chamfer")
+    for prefix in ("", "visible_"):
         mean = metrics.get(f"{prefix}mean_shape_chamfer")
         if mean is not None:
             way = mean - metrics[f"{prefix}floor_chamfer"]
+            gone = mean - metrics[f"{prefix}chamfer"]
             # Shapes that are all alike: there is no way to go.
-            gains[f"{name}_gain"] = (mean - metrics[name]) / way if way > 0 else None
+            gains[f"{prefix}chamfer_gain"] = gone / way if way > 0 else None
     return gains
 
 
@@ -110,16 +101,10 @@ def judge(
 ) -> Judged:
     """Predictions for a data set with their scores; see `Judged`."""
     scores = evaluator.score(
-        predictions,
-        dataset,
-        alignment=alignment,
-        poses_given=config.pose.known,
+        predictions, dataset, alignment=alignment, poses_given=config.pose.known
     )
-    overlaps = evaluator.measure_overlaps(predictions, dataset)
     distance = config.render.distance
-    return Judged(
-        predictions, dataset, alignment, scores, overlaps, distance, threshold
-    )
+    return Judged(predictions, dataset, alignment, scores, distance, threshold)
 
 
 def list_metrics(
@@ -130,7 +115,7 @@ def list_metrics(
     Args:
       shapes: of training, that predictions are compared with.
     """
-    predictions, dataset, alignment, scores, _, distance, threshold = judged
+    predictions, dataset, alignment, scores, distance, threshold = judged
     metrics = dict.fromkeys(REQUIRED_METRICS) | scores.metrics | estimate_errors(scores)
     metrics |= evaluator.measure_images(predictions, dataset, distance=distance)
     metrics |= evaluator.measure_cameras(predictions, dataset)

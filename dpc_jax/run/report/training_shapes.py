@@ -1,13 +1,13 @@
 """What Chamfer distances are compared with: a perfect cloud, and shapes of training."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, align_points
-from dpc_jax.evaluation.chamfer import Chamfer, Surface, chamfer_distance, spread_rows
+from dpc_jax.evaluation.chamfer import Surface, chamfer_distance, spread_rows
 from dpc_jax.evaluation.scores import ASKED
 from dpc_jax.evaluation.training_shapes import (
     ShapeIndex,
@@ -90,27 +90,24 @@ class TrainingShapes(NamedTuple):
         models, rows = np.unique(arrange_views(dataset)[0][:, 0], return_index=True)
         clouds = [align_points(alignment, predictions.points[r, 0]) for r in rows]
         own = take_fullest(*average_surfaces(clouds), len(clouds[0]))
-        found: dict[str, list[Chamfer]] = {}
+        found: dict[str, list[float]] = {}
         for model in models.tolist():
-            for prefix, truth, mean, nearest in self._list_truths(dataset, model):
+            surface = np.asarray(dataset.surfaces[model])
+            near = self.index.find_nearest(surface)
+            truths: dict[str, tuple[Surface, Any, Any]] = {
+                "": (Surface(surface), self.mean, self.surfaces[near])
+            }
+            if self.read_visible is not None:
+                visible = Surface(dataset.read_visible(model), asked=ASKED)
+                shapes = self.visible_mean, self.read_visible(near)
+                truths["visible_"] = visible, *shapes
+            for prefix, (truth, mean, nearest) in truths.items():
                 nearest = spread_rows(nearest, min(len(own), len(nearest)))
                 floor = truth.measure_floor(len(clouds[0]))
                 distances = floor, *map(truth.compare, (mean, nearest, own))
-                for name, distance in zip(REFERENCES, distances, strict=True):
-                    found.setdefault(f"{prefix}{name}_chamfer", []).append(distance)
-        return {
-            name: 100 * float(np.mean([one.chamfer for one in distances]))
-            for name, distances in found.items()
-        }
-
-    def _list_truths(self, dataset, model) -> Iterator[tuple]:
-        """Prefix, true surface, mean and nearest training shape."""
-        surface = np.asarray(dataset.surfaces[model])
-        nearest = self.index.find_nearest(surface)
-        yield "", Surface(surface), self.mean, np.asarray(self.surfaces[nearest])
-        if self.read_visible is not None:
-            visible = Surface(dataset.read_visible(model), asked=ASKED)
-            yield "visible_", visible, self.visible_mean, self.read_visible(nearest)
+                for name, one in zip(REFERENCES, distances, strict=True):
+                    found.setdefault(f"{prefix}{name}_chamfer", []).append(one.chamfer)
+        return {name: 100 * float(np.mean(each)) for name, each in found.items()}
 
 
 def _average(read_train, read_val, sets, most) -> np.ndarray:

@@ -36,13 +36,12 @@ class NetworkShapes:
 
     def __init__(self, workdir: Path, data: Path | None):
         """data: folder of rendered sets; None for that of the config."""
-        self._workdir = workdir
-        self.config = replace_fields(read_config(workdir), {"run": {"devices": 1}})
+        self._workdir, config = workdir, read_config(workdir)
         # The folder that a stranger's config names is not made here.
-        folder = data or Path(self.config.data.cache_dir)
+        folder = data or Path(config.data.cache_dir)
         folder = folder if data or folder.is_dir() else workdir / "data"
-        here = {"data": {"cache_dir": str(folder)}}
-        self.config = replace_fields(self.config, here)
+        here = {"run": {"devices": 1}, "data": {"cache_dir": str(folder)}}
+        self.config = replace_fields(config, here)
         self._predictors: dict[bool, Any] = {}  # by whether distances are known
         self._run: Any = None
         self._validation: DataSet | None = None
@@ -74,8 +73,7 @@ class NetworkShapes:
         """The first objects of the validation split, as the first views show them."""
         if self._validation is None:
             self._validation = _take_first(load_split(self._run, "val"))
-        names = self._validation.names
-        return self._show(self._validation, [str(name) for name in names])
+        return self._show(self._validation)
 
     def show_images(self, paths: list[Path]) -> list[ShownObject]:
         """What images show, each an object.
@@ -86,12 +84,11 @@ class NetworkShapes:
         spec = make_spec(self.config, None)
         found, _ = read_photographs(paths, spec, mask="auto")
         placed = [] if knows_distance(self.config, spec.crop) else found
-        names = [source for one in found for source in one.sources]
-        shown = self._show(make_dataset(found), names, placed)
+        shown = self._show(make_dataset(found), placed)
         return [one._replace(name=show_text(Path(one.name).name)) for one in shown]
 
     def _show(
-        self, dataset: DataSet, names: list[str], placed: Sequence[Photographs] = ()
+        self, dataset: DataSet, placed: Sequence[Photographs] = ()
     ) -> list[ShownObject]:
         """Objects as they are predicted; `placed` are those of unknown distance."""
         found = predict_all(self._predictors[not placed], self._run.state, dataset)
@@ -103,22 +100,15 @@ class NetworkShapes:
             found = volumes.add_points(found, volumes.FIRST_THRESHOLD)
         models, views = arrange_views(dataset)
         shown = []
-        for model, name in enumerate(names):
+        for model, name in enumerate(dataset.names):
             places = list(zip(*np.nonzero(models == model), strict=True))
-            first = places[0]
-            shown.append(
-                ShownObject(
-                    name,
-                    align_points(self._run.alignment, found.points[first]),
-                    None if found.colors is None else found.colors[first],
-                    views=tuple(
-                        self._show_view(
-                            found, place, dataset.images[model, views[place]]
-                        )
-                        for place in places
-                    ),
-                )
+            points = align_points(self._run.alignment, found.points[places[0]])
+            colors = None if found.colors is None else found.colors[places[0]]
+            seen = tuple(
+                self._show_view(found, place, dataset.images[model, views[place]])
+                for place in places
             )
+            shown.append(ShownObject(name, points, colors, views=seen))
         return shown
 
     def _show_view(self, found: Predictions, place, image) -> ShownView:
@@ -139,18 +129,11 @@ class NetworkShapes:
 
 
 def _take_first(dataset: DataSet) -> DataSet:
-    """Its first objects, in memory, without what the view does not show."""
-    count = min(_OBJECTS, len(dataset.names))
-
-    def take(name):
-        return Stack([dataset.rows(name, i) for i in range(count)])
-
-    return DataSet(
-        images=take("images"),
-        masks=take("masks"),
-        depths=None,
-        quaternions=None if dataset.quaternions is None else take("quaternions"),
-        surfaces=None,
-        names=dataset.names[:count],
-        skipped=(),
-    )
+    """Its first objects, with what predictions read of them in memory."""
+    names = dataset.names[:_OBJECTS]
+    taken = {
+        name: Stack([dataset.rows(name, i) for i in range(len(names))])
+        for name in ("images", "masks", "quaternions")
+        if getattr(dataset, name) is not None
+    }
+    return dataset._replace(**taken, names=names)

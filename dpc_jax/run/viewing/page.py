@@ -39,7 +39,7 @@ class Page:
         # Of the run or the files, and of images that were given to the page.
         self._own: list[ShownObject] = []
         self._given: list[ShownObject] = []
-        self._nodes: list[Any] = []
+        self._shapes: dict[str, ShownObject] = {}  # of both, as the page lists them
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         server.scene.set_up_direction("+z")
         server.initial_camera.position = (1.9, 1.2, 0.9)
@@ -63,9 +63,9 @@ class Page:
         """Show these shapes, and those of given images; what is chosen stays chosen."""
         with self._lock:
             self._own = objects
-            names = [one.name for one in [*self._own, *self._given]]
-            options = [f"{i + 1}. {name}" for i, name in enumerate(names)] or ["none"]
-            _offer(self._object, options)
+            shapes = enumerate([*self._own, *self._given])
+            self._shapes = {f"{i + 1}. {one.name}": one for i, one in shapes}
+            _offer(self._object, list(self._shapes) or ["none"])
             self._choose_object()
 
     def add_upload(self, predict):
@@ -99,36 +99,33 @@ class Page:
             self._draw()
 
     def _find_object(self) -> ShownObject:
-        place = str(self._object.value).partition(".")[0]
-        shapes = [*self._own, *self._given]
-        return shapes[int(place) - 1] if place != "none" else ShownObject("none")
+        return self._shapes.get(str(self._object.value), ShownObject("none"))
 
     def _draw(self):
         with self._lock, self._server.atomic():
-            for node in self._nodes:
-                node.remove()
+            self._server.scene.reset()
             one, parts = self._find_object(), self._parts
             place = int(self._view.value) - 1 if self._view.value != "none" else 0
             view = one.views[place] if place < len(one.views) else None
-            self._nodes = []
             if one.points is not None and parts["Points"].value:
-                self._nodes.append(self._add_cloud(one.points, one.colors))
+                self._add_cloud(one.points, one.colors)
             if parts["Surface"].value or one.points is None:
-                self._nodes += self._add_surface(one)
-            if parts["Cameras"].value:
-                for i, other in enumerate(one.views):
-                    color = _CHOSEN if i == place else _OTHERS
-                    name = f"/cameras/{i + 1}"
-                    self._nodes.append(self._add_camera(name, other.pose, color, other))
+                self._add_surface(one)
+            for i, other in enumerate(one.views if parts["Cameras"].value else ()):
+                color = _CHOSEN if i == place else _OTHERS
+                self._add_camera(f"/cameras/{i + 1}", other.pose, color, other.image)
             if view and view.candidates and parts["Candidates"].value:
-                self._nodes += self._add_candidates(view)
+                best = np.argmin(view.candidates.losses)
+                for i, pose in enumerate(view.candidates.poses):
+                    color = _BEST if i == best else _OTHERS
+                    self._add_camera(f"/candidates/{i + 1}", pose, color, scale=0.06)
             self._picture.image = _draw_picture(view)
             self._table.content = _describe_view(view)
 
-    def _add_cloud(self, points, colors) -> Any:
+    def _add_cloud(self, points, colors):
         if colors is None:
             colors = np.broadcast_to(PLAIN_COLOR, points.shape)
-        return self._server.scene.add_point_cloud(
+        self._server.scene.add_point_cloud(
             "/points",
             np.asarray(points, np.float32),
             np.round(255 * np.clip(colors, 0, 1)).astype(np.uint8),
@@ -136,15 +133,14 @@ class Page:
             point_shape="circle",
         )
 
-    def _add_surface(self, one: ShownObject) -> list[Any]:
+    def _add_surface(self, one: ShownObject):
         data = one.surface
         if data is None and one.points is not None:
             data = export_glb(*find_surface(one.points, one.colors))
-        if data is None:
-            return []
-        return [self._server.scene.add_glb("/surface", data, wxyz=_FROM_GLTF)]
+        if data is not None:
+            self._server.scene.add_glb("/surface", data, wxyz=_FROM_GLTF)
 
-    def _add_camera(self, name, pose, color, view=None, scale=0.12) -> Any:
+    def _add_camera(self, name, pose, color, image=None, scale=0.12) -> Any:
         turn = to_rotation(pose)
         x, y, z, w = turn.inv().as_quat()
         return self._server.scene.add_camera_frustum(
@@ -154,23 +150,10 @@ class Page:
             scale=scale,
             thickness=0.004,
             color=color,
-            image=None if view is None else view.image,
+            image=image,
             wxyz=(w, x, y, z),
             position=turn.inv().apply([0, 0, -float(self._camera.distance)]),
         )
-
-    def _add_candidates(self, view: ShownView) -> list[Any]:
-        assert view.candidates is not None
-        best = int(np.argmin(view.candidates.losses))
-        return [
-            self._add_camera(
-                f"/candidates/{i + 1}",
-                pose,
-                _BEST if i == best else _OTHERS,
-                scale=0.06,
-            )
-            for i, pose in enumerate(view.candidates.poses)
-        ]
 
 
 def _offer(dropdown: Any, options: list[str]):
