@@ -41,7 +41,6 @@ class Experiment:
     metrics: tuple[str, ...]  # names of `metrics.json` that its table shows
     rows: tuple[Row, ...]  # what is trained
     categories: tuple[str, ...] = CATEGORIES  # that it can be made of
-    picture: str = ""  # of each row's own report that the page shows
 
 
 # What several rows change beside their variant.
@@ -156,7 +155,6 @@ EXPERIMENTS = (
             Row("Ours, one frame, pull and containment", "", "", FRAME, "frame"),
             Row("Ours, defaults of this package", "", "", DEFAULTS, "defaults"),
         ),
-        picture="predictions.png",
     ),
     Experiment(
         "ablation",
@@ -207,7 +205,6 @@ EXPERIMENTS = (
                 variant="known_pose,32,color", changes=BESIDE, tag="beside"),
         ),
         categories=("car", "chair"),
-        picture="signals.png",
     ),
     Experiment(
         "depth",
@@ -229,7 +226,6 @@ EXPERIMENTS = (
                 changes=DEFAULTS, tag="defaults"),
         ),
         categories=("car", "chair"),
-        picture="signals.png",
     ),
     Experiment(
         "correspondences",
