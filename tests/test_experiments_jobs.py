@@ -99,7 +99,7 @@ def test_a_folder_with_runs_of_another_size_is_refused_and_left_alone(tmp_path):
     assert make_job(tmp_path, "a").read_metrics() is None
     kept = path.read_text()
     failures = train(tmp_path, "a")
-    assert "train.steps (6 there, 5 now)" in failures["a"]
+    assert "train.steps (6 there, 5 here)" in failures["a"]
     assert path.read_text() == kept and read_starts(tmp_path, "a") == ["0"]
 
 

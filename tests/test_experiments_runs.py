@@ -2,11 +2,7 @@
 
 import pytest
 
-from dpc_jax.experiments.catalogue import (
-    HAND_TUNED,
-    Row,
-    change_point_sizes,
-)
+from dpc_jax.experiments.catalogue import Row
 from dpc_jax.experiments.runs import SIZES, Request, declare_run
 
 ALL = ("airplane", "car", "chair")
@@ -91,10 +87,3 @@ def test_shapenet_takes_the_place_of_procedural_shapes(tmp_path):
         run = declare_run(row, "car", 0, Request(shapenet=shapenet))
         config = run.load_config()
         assert (config.data.shapenet, config.category) == (shapenet, category)
-
-
-def test_hand_tuned_runs_go_to_the_sigma_of_the_nearest_number_of_points():
-    assert change_point_sizes("", 25)["render.sigma_end"] == HAND_TUNED[20]
-    learned = change_point_sizes("covariance", 25)
-    assert "render.sigma_end" not in learned
-    assert learned["network.point_size"] == "covariance"

@@ -96,10 +96,7 @@ SIZES = {
         budgets={
             # The same steps at every resolution: a column of Table 1 differs in nothing
             # else.
-            "32": {"train.steps": 2000},
-            "64": {"train.steps": 2000},
-            "128": {"train.steps": 2000},
-            "256": {"train.steps": 2000},
+            **dict.fromkeys(RESOLUTIONS, {"train.steps": 2000}),
             # A step of points takes a third of the time of one of 32³ cells.
             "longer": {"train.steps": 6000},
             # A render of 200 covariances takes 70 ms: four minutes and a half a run.
