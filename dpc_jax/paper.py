@@ -11,7 +11,7 @@ from pathlib import Path
 from dpc_jax.experiments.catalogue import NAMES
 from dpc_jax.experiments.published import CATEGORIES
 from dpc_jax.experiments.runs import SIZES, Request
-from dpc_jax.task import FlagParser, Task, read_count, reading_names, run_command
+from dpc_jax.task import FlagParser, Task, reading_names, run_command
 
 # In --out; each run claims its own folder.
 WRITES = ("index.html", "logs/", "figures/")
@@ -33,8 +33,6 @@ def make_parser() -> argparse.ArgumentParser:
     add("--shapenet", type=Path, metavar="DIR", help=text)
     text = "keeps rendered data sets"
     add("--data", type=Path, default=Path("data"), metavar="DIR", help=text)
-    text = "runs; default: as many as cores and memory allow"
-    add("--at-once", type=read_count, metavar="N", default=0, help=text)
     text = "the page of what is there alone"
     add("--no-training", action="store_true", help=text)
     return parser
@@ -86,11 +84,7 @@ def _read(options):
 
     def work():
         page, failed = run_suite(
-            request,
-            options.out,
-            trains=not options.no_training,
-            cache=options.data,
-            at_once=options.at_once,
+            request, options.out, trains=not options.no_training, cache=options.data
         )
         print(f"Page: {page}")
         return int(bool(failed))

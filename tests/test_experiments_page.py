@@ -222,7 +222,6 @@ def test_a_second_command_of_the_same_folder_is_refused(tmp_path, capsys):
         ("--experiment=ablation --category=car", "is not made of car"),
         ("--category=,", "not empty"),
         ("--seeds=0,", "as in 0,1,2, not ''"),
-        ("--at-once=-2", "must be a whole number of at least 1"),
         ("--steps=3", "unrecognized arguments: --steps=3"),
     ],
 )

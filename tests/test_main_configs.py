@@ -181,32 +181,20 @@ def test_with_known_poses_there_is_no_pose_branch():
     assert set(output) == {"points", "scale"}
 
 
-def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
-    config = load("car")
-    config = change(config, "data", meshes="meshes")
-    specs = make_data_specs(config)
-    assert {s.folder for s in specs.values()} == {"meshes"}
-    assert {s.fractions for s in specs.values()} == {(0.8, 0.1, 0.1)}
-    assert [specs[s].mix for s in ("train", "val", "test")] == [True, False, False]
-    assert [specs[s].copies for s in ("train", "val", "test")] == [0, 1, 1]
+def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on():
+    config = change(load("car"), "data", meshes="meshes")
+    specs = make_data_specs(config).values()
+    assert {(s.folder, s.fractions) for s in specs} == {("meshes", (0.8, 0.1, 0.1))}
+    assert [(s.mix, s.copies) for s in specs] == [(True, 0), (False, 1), (False, 1)]
+    # What is visible of the tested surfaces is dense.
+    assert [s.visible_points for s in specs] == [2500, 2500, 100_000]
     folds = make_data_specs(change(config, "data", fold="2/5"))
     assert {spec.fold for spec in folds.values()} == {(2, 5)}
-    config = change(config, "data", test_meshes="others")
-    specs = make_data_specs(config)
-    assert [specs[s].folder for s in ("train", "val", "test")] == [
-        "meshes",
-        "meshes",
-        "others",
-    ]
-    assert specs["test"].fractions == (0, 0, 1)
-    config = change(config, "data", copies=3)
-    specs = make_data_specs(config)
-    assert [specs[s].copies for s in ("train", "val", "test")] == [3, 1, 1]
-    assert not specs["train"].mix
-    assert set(specs) == {"train", "val", "test"}
-    # What is visible of the tested surfaces is dense.
-    counts = [specs[s].visible_points for s in ("train", "val", "test")]
-    assert counts == [2500, 2500, 100_000]
+    changed = change(config, "data", test_meshes="others", copies=3)
+    specs = make_data_specs(changed).values()
+    assert [s.folder for s in specs] == ["meshes", "meshes", "others"]
+    assert [s.fractions[2] for s in specs] == [0, 0, 1]
+    assert [(s.mix, s.copies) for s in specs] == [(False, 3), (False, 1), (False, 1)]
 
 
 @pytest.mark.parametrize("source", ["shapenet", "renders", "images"])

@@ -1,6 +1,7 @@
 """What finished runs gave: groups of seeds, measured rows, analyses."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -85,13 +86,15 @@ def analyze(results: Results, experiment: Experiment, folder: Path) -> Analysis:
     """
     found = Analysis()
     workdirs = [outcome.workdir for outcome in results.list_finished(experiment)]
-    measure, inputs = _OF_A_RUN.get(experiment.name), workdirs[::-1]
+    parts: list[Callable[[], tuple]] = []
     if experiment.name == "points" and workdirs:
-        measure, inputs = point_sizes.run, [workdirs]
-    # Figures of the same name replace each other: those of the first run come last.
-    for given in inputs if measure else ():
+        parts = [functools.partial(point_sizes.run, folder, workdirs)]
+    elif measure := _OF_A_RUN.get(experiment.name):
+        # Figures of the same name replace each other: those of the first run come last.
+        parts = [functools.partial(measure, folder, one) for one in reversed(workdirs)]
+    for part in parts:
         try:
-            measures, found.figures = measure(folder, given)
+            measures, found.figures = part()
             found.measures += [measures] if measures else []
         except (ValueError, OSError) as error:
             found.problems.append(str(error))

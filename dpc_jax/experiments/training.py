@@ -55,7 +55,7 @@ class Job:
 
 
 def run_suite(
-    request: Request, folder: Path, *, trains: bool, cache: Path, at_once: int = 0
+    request: Request, folder: Path, *, trains: bool, cache: Path
 ) -> tuple[Path, int]:
     """Train what is missing of some runs, then write the page of the request.
 
@@ -64,7 +64,6 @@ def run_suite(
       folder: DIR, with a folder per run under runs/.
       trains: whether what is missing is trained, or left out of the page.
       cache: of rendered data sets.
-      at_once: how many runs at most; 0 for as many as there are cores and memory.
 
     Returns:
       The page, and how many of the runs failed.
@@ -79,7 +78,7 @@ def run_suite(
         jobs = [_make_job(run, request, folder, cache) for run in request.list_runs()]
         problems = {}
         if trains:
-            problems = train_missing(jobs, cores=choose_cores(at_once), stop=stop)
+            problems = train_missing(jobs, cores=choose_cores(), stop=stop)
         outcomes = {
             job.run.name: Outcome(
                 job.run,
@@ -191,13 +190,10 @@ def _run(job: Job, core: int, stop: threading.Event, program: Sequence[str]) -> 
     return own[-1] if own else f"It was {ended}; see {job.log}."
 
 
-def choose_cores(limit: int = 0) -> list[int]:
+def choose_cores() -> list[int]:
     """The cores that a run each is kept to, as many as runs fit into memory.
 
     [-1] where runs come one after the other, with the whole machine each: on a GPU.
-
-    Args:
-      limit: how many runs at most; 0 for as many as fit.
     """
     # Another process is asked what JAX runs on: a GPU must not be taken here.
     words = [sys.executable, "-c", "import jax; print(jax.default_backend())"]
@@ -206,5 +202,4 @@ def choose_cores(limit: int = 0) -> list[int]:
         return [-1]
     cores = sorted(os.sched_getaffinity(0))
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    fitting = max(1, int(memory // _BYTES_PER_RUN))
-    return cores[: min(limit or len(cores), fitting)]
+    return cores[: max(1, memory // _BYTES_PER_RUN)]
