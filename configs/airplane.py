@@ -7,7 +7,7 @@ rounding.
 ":paper" is the paper's setting: a GPU and days, never run to the end.
 """
 
-from dpc_jax.config import make_config
+from dpc_jax.config import build_config, to_config_dict
 
 # With masks one of two runs had 30 of 100 airplanes turned round in all views. Framed
 # views cost 0.06 of the pose accuracy of renders (docs/log.md).
@@ -16,4 +16,4 @@ CHANGES = {"network": {"sees_mask": False}, "train": {"framed_views": False}}
 
 def get_config(variant: str | None = None):
     """The config, or variants of it (`dpc_jax.config.VARIANTS`), with commas."""
-    return make_config("airplane", variant, CHANGES)
+    return to_config_dict(build_config("airplane", variant, CHANGES))

@@ -7,7 +7,7 @@ on 100 final cars 0.930, 2.4, 3.29. Passenger cars alone
 ":paper" is the paper's setting: a GPU and days, never run to the end.
 """
 
-from dpc_jax.config import make_config
+from dpc_jax.config import build_config, to_config_dict
 
 CHANGES = {
     # A large surface: holes between 2000 points are a tenth of the error.
@@ -25,4 +25,4 @@ CHANGES = {
 
 def get_config(variant: str | None = None):
     """The config, or variants of it (`dpc_jax.config.VARIANTS`), with commas."""
-    return make_config("car", variant, CHANGES)
+    return to_config_dict(build_config("car", variant, CHANGES))

@@ -6,9 +6,9 @@ test chairs, seed 0, one device: pose accuracy 0.960, median error 4.0 degrees, 
 ":paper" is the paper's setting: a GPU and days, never run to the end.
 """
 
-from dpc_jax.config import make_config
+from dpc_jax.config import build_config, to_config_dict
 
 
 def get_config(variant: str | None = None):
     """The config, or variants of it (`dpc_jax.config.VARIANTS`), with commas."""
-    return make_config("chair", variant)
+    return to_config_dict(build_config("chair", variant))

@@ -62,11 +62,4 @@ def main(arguments: list[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 2
-    try:
-        # Flags of a config are found in sys.argv, and a command's own name, too.
-        sys.argv = [f"dpc_jax {name}", *rest]
-        module = load_module(name)
-        return module.start() if name == "train" else module.main(rest)
-    except KeyboardInterrupt:
-        print("Interrupted.", file=sys.stderr)
-        return 130
+    return load_module(name).main(rest)

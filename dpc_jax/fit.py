@@ -5,6 +5,7 @@ Writes cloud.ply, its surface cloud.glb, fit.json, views.png and curve.png into 
 """
 
 import argparse
+import functools
 import sys
 import types
 from pathlib import Path
@@ -17,7 +18,7 @@ _DEFAULT = FitSettings()
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """The flags of the command."""
+    """The flags of the command, with the names of `fit_folder` and `FitSettings`."""
     parser = FlagParser(
         "fit", takes="FOLDER", description="One object without a network."
     )
@@ -36,10 +37,12 @@ def make_parser() -> argparse.ArgumentParser:
     text = f"of cameras: {', '.join(LEARNED[1:])}"
     reading = reading_names(LEARNED)
     add("--learn", type=reading, default=(), metavar="WHAT", help=text)
-    add("--colors", action="store_true", help="learn colours too")
+    text = "learn colours too"
+    add("--colors", dest="is_colored", action="store_true", help=text)
     count = {"type": read_count, "metavar": "N"}
     text = "of the cloud (%(default)s)"
-    add("--points", default=_DEFAULT.num_points, help=text, **count)
+    default = _DEFAULT.num_points
+    add("--points", dest="num_points", default=default, help=text, **count)
     text = f"of its surface: {', '.join(SURFACES)} (%(default)s)"
     add("--surface", choices=SURFACES, default="glb", metavar="AS", help=text)
     text = "pixels of images (%(default)s); more show thin parts"
@@ -64,28 +67,13 @@ def _read(options):
     from dpc_jax.data.sets.image_folder import list_images
     from dpc_jax.run.object_fitting import fit_folder
 
-    folder = options.folder
-    out = options.out or Path(f"{folder.resolve().name}-fit")
-
-    def work():
-        fit_folder(
-            folder,
-            out,
-            poses=options.poses,
-            crop=options.crop,
-            image_size=options.image_size,
-            is_colored=options.colors,
-            learn=options.learn,
-            settings=FitSettings(
-                num_points=options.points,
-                searches=options.searches,
-                elevations=options.elevations,
-            ),
-            surface=options.surface,
-            seed=options.seed,
-        )
-
-    names = "cloud.ply", f"cloud{SURFACES[options.surface]}", "views.png", "curve.png"
+    given = vars(options)
+    folder = given.pop("folder")
+    out = given.pop("out") or Path(f"{folder.resolve().name}-fit")
+    fields = ("num_points", "searches", "elevations")
+    settings = FitSettings(**{name: given.pop(name) for name in fields})
+    work = functools.partial(fit_folder, folder, out, settings=settings, **given)
+    names = "cloud.ply", f"cloud{SURFACES[given['surface']]}", "views.png", "curve.png"
     return Task(
         work,
         out=out,

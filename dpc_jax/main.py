@@ -6,56 +6,13 @@ Starting again in the same workdir goes on from its last checkpoint.
 import argparse
 import functools
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from absl import app, flags, logging
+from dpc_jax.config import Config, from_config_dict, locate_config
+from dpc_jax.run.hosts.places import find_place
+from dpc_jax.task import FlagParser, Task, run_command
 
-from dpc_jax.config import from_config_dict, resolve_flags
-from dpc_jax.run.hosts.places import Place, find_place
-from dpc_jax.task import FlagParser, hush_jaxlib, say_missing
-
-try:
-    from ml_collections import config_flags
-except ModuleNotFoundError as error:
-    sys.exit(say_missing(error))
-
-_CONFIG = config_flags.DEFINE_config_file(
-    "config",
-    None,
-    "Path of a config, or name of a shipped one: configs/car.py:paper, or car.",
-)
-_WORKDIR = flags.DEFINE_string(
-    "workdir", None, "Folder of the run; runs/NAME-seedN where not given."
-)
-_FINAL = flags.DEFINE_bool(
-    "final",
-    False,
-    "Judge the finished run on objects by which nothing was chosen, instead.",
-)
-_FINAL_MESHES = flags.DEFINE_string(
-    "final_meshes", None, "The same on the meshes of a folder of another source."
-)
-_PHOTOGRAPHS = flags.DEFINE_bool(
-    "photographs",
-    False,
-    "The same on test views as photographs show them.",
-)
-_COORDINATOR = flags.DEFINE_string(
-    "coordinator", None, "HOST:PORT of process 0, for a run of several processes."
-)
-_PROCESSES = flags.DEFINE_integer("processes", None, "How many processes the run has.")
-_PROCESS = flags.DEFINE_integer("process", None, "Which of them this one is, from 0.")
-_VALUES = {  # of the flags, for --help
-    "config": "CONFIG",
-    "workdir": "DIR",
-    "final": None,
-    "final_meshes": "DIR",
-    "photographs": None,
-    "coordinator": "HOST:PORT",
-    "processes": "N",
-    "process": "I",
-}
 _FIELDS = (
     "Every field of a config is a flag, as --config.train.steps=4000; "
     "dpc_jax/config/sections.py lists them with their units."
@@ -63,42 +20,58 @@ _FIELDS = (
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """The flags of the command, for --help."""
-    parser = FlagParser("train", description="Train, evaluate, report.", epilog=_FIELDS)
-    for name, value in _VALUES.items():
-        kind: Any = {"metavar": value} if value else {"action": "store_true"}
-        parser.add_argument(f"--{name}", help=flags.FLAGS[name].help, **kind)
+    """The flags of the command, but for the fields of the config."""
+    parser = FlagParser(
+        "train",
+        description="Train, evaluate, report.",
+        epilog=_FIELDS,
+        allow_abbrev=False,
+    )
+    add = parser.add_argument
+    text = "path of a config, or name of a shipped one: configs/car.py:paper, or car"
+    add("--config", required=True, help=text)
+    text = "folder of the run; runs/NAME-seedN where not given"
+    add("--workdir", type=Path, metavar="DIR", help=text)
+    text = "judge the finished run on objects by which nothing was chosen, instead"
+    add("--final", action="store_true", help=text)
+    text = "the same on the meshes of a folder of another source"
+    add("--final_meshes", type=Path, metavar="DIR", help=text)
+    text = "the same on test views as photographs show them"
+    add("--photographs", action="store_true", help=text)
+    text = "process 0, for a run of several processes"
+    add("--coordinator", metavar="HOST:PORT", help=text)
+    add("--processes", type=int, metavar="N", help="how many processes the run has")
+    text = "which of them this one is, from 0"
+    add("--process", type=int, metavar="I", help=text)
     return parser
 
 
-def _parse(argv):
-    """Parse the flags; what is wrong with them is said in one sentence."""
-    if {"--help", "-h"} & set(argv[1:]):
-        make_parser().print_help()
-        sys.exit(0)
+def read_flags(arguments: Sequence[str]) -> tuple[argparse.Namespace, Config]:
+    """The flags, and the config with its fields as they say.
+
+    Raises:
+      ValueError: with one sentence on what is wrong with them.
+    """
+    options, rest = make_parser().parse_known_args(arguments)
+    # Libraries of the extra "learn": --help does without.
+    from absl import flags
+    from ml_collections import config_flags
+
+    words = ["train", f"--config={locate_config(options.config)}", *rest]
+    values = flags.FlagValues()
+    config_flags.DEFINE_config_file("config", flag_values=values, sys_argv=words)
     try:
-        rest = flags.FLAGS(resolve_flags(argv))
-        if len(rest) > 1:
-            raise ValueError(
-                f"Expected only flags, but {' '.join(rest[1:])} was given; write "
-                "for example --config=configs/car.py."
-            )
-        if _CONFIG.value is None:
-            raise ValueError(
-                "Expected a config, but none was given; write for example "
-                "--config=configs/car.py."
-            )
+        others = values(words)[1:]
         # A config that could not be loaded says so only when it is read.
-        from_config_dict(_CONFIG.value)
-        _find_place()
-        return rest
+        config = from_config_dict(values.config)
     except (flags.Error, AttributeError, KeyError, TypeError, ValueError, OSError) as e:
-        print(f"Error: {_explain(e)}", file=sys.stderr)
-        sys.exit(2)
-
-
-def _find_place() -> Place | None:
-    return find_place(_COORDINATOR.value, _PROCESSES.value, _PROCESS.value)
+        raise ValueError(_explain(e)) from None
+    if others:
+        raise ValueError(
+            f"Expected only flags, but {' '.join(others)} was given; write for example "
+            "--config=configs/car.py."
+        )
+    return options, config
 
 
 def _explain(error: Exception) -> str:
@@ -116,35 +89,44 @@ def _explain(error: Exception) -> str:
     return last.partition(": ")[2] if "Traceback" in text else last
 
 
-def main(_: list[str]):
-    """Hand the parsed flags to the run."""
-    hush_jaxlib()
+def main(arguments: list[str] | None = None) -> int:
+    """Parse the command line, train, evaluate, report; returns the exit status."""
+    words = sys.argv[1:] if arguments is None else arguments
+    status = run_command(lambda: _read(words))
+    process = sys.modules.get("dpc_jax.run.process")  # where something has run
+    return process.leave(status) if process else status
+
+
+def _read(arguments: Sequence[str]) -> Task:
+    options, config = read_flags(arguments)
+    place = find_place(options.coordinator, options.processes, options.process)
+    folder = options.workdir or _name_workdir(config, options.config)
     # Heavy: flags are read first.
-    from dpc_jax.run import pipeline, process
+    from dpc_jax.learning.training.records import NonFiniteError
+    from dpc_jax.run import pipeline
     from dpc_jax.run.report.final import judge_finally
     from dpc_jax.run.report.photographs import judge_photographs
 
-    logging.set_verbosity(logging.ERROR)  # JAX tells of each accelerator not found
-    path = config_flags.get_config_filename(flags.FLAGS["config"])
-    config = from_config_dict(_CONFIG.value)
-    run: dict = {"config_path": path, "workdir": _WORKDIR.value}
-    if _PHOTOGRAPHS.value:
-        status = pipeline.judge_guarded(config, judge=judge_photographs, **run)
-    elif _FINAL.value or _FINAL_MESHES.value:
-        meshes = _FINAL_MESHES.value
-        judge = functools.partial(
-            judge_finally, meshes=Path(meshes) if meshes else None
-        )
-        status = pipeline.judge_guarded(config, judge=judge, **run)
-    else:
-        status = pipeline.run_guarded(config, place=_find_place(), **run)
-    process.leave(status)
+    work = functools.partial(pipeline.run, config, folder, place)
+    if options.photographs:
+        work = functools.partial(pipeline.judge, config, folder, judge_photographs)
+    elif options.final or options.final_meshes:
+        judge = functools.partial(judge_finally, meshes=options.final_meshes)
+        work = functools.partial(pipeline.judge, config, folder, judge)
+    return Task(
+        work,
+        out=folder,
+        interrupted="Interrupted; start again in the same workdir to go on.",
+        errors=(ValueError, OSError, NonFiniteError),
+    )
 
 
-def start():
-    """Run the command with the flags in `sys.argv`; it ends the process."""
-    app.run(main, flags_parser=_parse)
+def _name_workdir(config: Config, path: str) -> Path:
+    """runs/car-paper-seed0, for instance."""
+    variant = config.variant.replace(",", "-")
+    parts = (Path(path.partition(":")[0]).stem, variant, f"seed{config.seed}")
+    return Path("runs") / "-".join(part for part in parts if part)
 
 
 if __name__ == "__main__":
-    start()
+    sys.exit(main())

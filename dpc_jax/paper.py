@@ -10,8 +10,8 @@ from pathlib import Path
 
 from dpc_jax.experiments.catalogue import NAMES
 from dpc_jax.experiments.published import CATEGORIES
-from dpc_jax.experiments.runs import SIZES, SOURCES, Request, Source
-from dpc_jax.task import FlagParser, Task, read_count, reading_names, run_command
+from dpc_jax.experiments.runs import SIZES, Request
+from dpc_jax.task import FlagParser, Task, reading_names, run_command
 
 # In --out; each run claims its own folder.
 WRITES = ("index.html", "logs/", "figures/")
@@ -29,14 +29,10 @@ def make_parser() -> argparse.ArgumentParser:
     add("--size", default="cpu", choices=SIZES, metavar="SIZE", help=text)
     add("--category", type=reading_names(CATEGORIES), **names, help=of_size)
     add("--seeds", type=_read_seeds, default=(), metavar="N,N", help=of_size)
-    text = f"{', '.join(SOURCES)} (%(default)s)"
-    add("--source", default="procedural", choices=SOURCES, metavar="KIND", help=text)
-    text = "of the source: meshes, ShapeNet or renders"
-    add("--folder", default="", metavar="DIR", help=text)
+    text = "its folder of synsets, instead of procedural shapes"
+    add("--shapenet", type=Path, metavar="DIR", help=text)
     text = "keeps rendered data sets"
     add("--data", type=Path, default=Path("data"), metavar="DIR", help=text)
-    text = "runs; default: as many as cores and memory allow"
-    add("--at-once", type=read_count, metavar="N", default=0, help=text)
     text = "the page of what is there alone"
     add("--no-training", action="store_true", help=text)
     return parser
@@ -57,10 +53,16 @@ def make_request(options: argparse.Namespace) -> Request:
     Raises:
       ValueError: for flags that do not fit together.
     """
+    folder = options.shapenet
+    if folder and not folder.is_dir():
+        raise ValueError(
+            f"--shapenet must be a folder that exists, but it is {folder}; give that "
+            "of ShapeNet's synsets."
+        )
+    shapenet = str(folder.absolute()) if folder else ""
     is_all = not options.experiment or "all" in options.experiment
     names = NAMES if is_all else options.experiment
-    source = make_source(options.source, options.folder)
-    request = Request(names, options.size, source, options.category, options.seeds)
+    request = Request(names, options.size, shapenet, options.category, options.seeds)
     made = {experiment.name for experiment in request.list_experiments()}
     missing = [name for name in names if name not in made]
     if missing and not is_all:
@@ -68,25 +70,7 @@ def make_request(options: argparse.Namespace) -> Request:
             f"--category must fit --experiment={','.join(names)}, but {missing[0]} is "
             f"not made of {','.join(options.category)}; leave one of them out."
         )
-    request.list_runs()  # refuses a folder that lacks a category
     return request
-
-
-def make_source(kind: str, folder: str) -> Source:
-    """The source of objects.
-
-    Raises:
-      ValueError: where its folder is missing, or given without need.
-    """
-    if kind == "procedural" and not folder:
-        return Source()
-    if kind == "procedural" or not Path(folder or "-").is_dir():
-        raise ValueError(
-            "--folder must be a folder that exists for all sources but procedural "
-            f"shapes, which have none, but it is {folder or 'not given'} for --source="
-            f"{kind}; write for example --source=open --folder=data/open."
-        )
-    return Source(kind, str(Path(folder).absolute()))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -96,15 +80,11 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _read(options):
     request = make_request(options)
-    from dpc_jax.experiments.suite import run_suite  # heavy: flags come first
+    from dpc_jax.experiments.training import run_suite  # heavy: flags come first
 
     def work():
         page, failed = run_suite(
-            request,
-            options.out,
-            trains=not options.no_training,
-            cache=options.data,
-            at_once=options.at_once,
+            request, options.out, trains=not options.no_training, cache=options.data
         )
         print(f"Page: {page}")
         return int(bool(failed))

@@ -77,18 +77,6 @@ def hush_jaxlib():
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 
-def say_missing(error: ModuleNotFoundError) -> int:
-    """Say which library is not installed; the exit status. Our own modules are there.
-
-    Raises:
-      ModuleNotFoundError: for one of them.
-    """
-    if str(error.name).partition(".")[0] == "dpc_jax":
-        raise error
-    print(f"Error: {explain(error)}", file=sys.stderr)
-    return 1
-
-
 class Task(NamedTuple):
     """What a command does when its flags are read.
 
@@ -113,31 +101,31 @@ class Task(NamedTuple):
 def run_command(read: Callable[[], Task]) -> int:
     """Read the flags of a command and do its task; its exit status.
 
-    It is the task's own, 1 for an error in it, 2 for wrong flags, for which `read`
-    raises ValueError, and 130 after Ctrl-C. With DPC_JAX_TRACEBACK in the environment
-    errors of the task keep their traceback.
+    It is the task's own, 1 for an error in it or a library that is not installed, 2 for
+    wrong flags, for which `read` raises ValueError, and 130 after Ctrl-C. With
+    DPC_JAX_TRACEBACK in the environment errors of the task keep their traceback.
     """
     hush_jaxlib()
+    task: Task | None = None
+    errors: tuple[type[Exception], ...] = (ValueError, OSError)
     try:
         task = read()
-    except (ValueError, OSError) as error:
-        print(f"Error: {explain(error)}", file=sys.stderr)
-        return 2
-    except ModuleNotFoundError as error:
-        return say_missing(error)
-    try:
+        errors = task.errors
         with (
             explaining_full_disk(task.out),
             owning(task.out, task.writes, inputs=task.inputs),
         ):
             return task.work() or 0
-    except task.errors as error:
-        if os.environ.get("DPC_JAX_TRACEBACK"):
-            raise
+    except KeyboardInterrupt:
+        print(task.interrupted if task else "Interrupted.", file=sys.stderr)
+        return 130
+    except ModuleNotFoundError as error:
+        if str(error.name).partition(".")[0] == "dpc_jax":
+            raise  # our own modules are there
         print(f"Error: {explain(error)}", file=sys.stderr)
         return 1
-    except ModuleNotFoundError as error:
-        return say_missing(error)
-    except KeyboardInterrupt:
-        print(task.interrupted, file=sys.stderr)
-        return 130
+    except errors as error:
+        if task and os.environ.get("DPC_JAX_TRACEBACK"):
+            raise
+        print(f"Error: {explain(error)}", file=sys.stderr)
+        return 1 if task else 2

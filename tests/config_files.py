@@ -1,18 +1,14 @@
 """The configs of configs/, and the parameters of their networks."""
 
-import contextlib
 import importlib.util
-import io
-import sys
 from pathlib import Path
-from unittest import mock
 
 import jax
 import jax.numpy as jnp
-from absl import flags
 
 from dpc_jax import main
 from dpc_jax.config import check, from_config_dict, replace_fields
+from dpc_jax.outputs import explain
 from dpc_jax.run.setup import make_network
 
 FOLDER = Path(__file__).parents[1] / "configs"
@@ -55,25 +51,10 @@ def load_editable(name, variant=None):
 
 def refuse_flags(arguments):
     """What the command says where it refuses its flags, and None where it does not."""
-    argv = ["main.py", *arguments]
-    before = set(flags.FLAGS)
-    with (
-        # Values of config fields are found in sys.argv by the flags library.
-        mock.patch.object(sys, "argv", argv),
-        contextlib.redirect_stderr(io.StringIO()) as error,
-    ):
-        try:
-            main._parse(argv)
-            check(from_config_dict(main._CONFIG.value))
-        except SystemExit as caught:
-            assert caught.code == 2
-            return error.getvalue()
-        except ValueError as caught:  # is said by the command as a sentence
-            return f"Error: {caught}\n"
-        finally:
-            flags.FLAGS.unparse_flags()
-            for name in set(flags.FLAGS) - before:
-                delattr(flags.FLAGS, name)
+    try:
+        check(main.read_flags(arguments)[1])
+    except ValueError as error:
+        return explain(error)
 
 
 def parameter_shapes(config):

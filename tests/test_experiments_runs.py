@@ -2,12 +2,8 @@
 
 import pytest
 
-from dpc_jax.experiments.catalogue import (
-    HAND_TUNED,
-    Row,
-    change_point_sizes,
-)
-from dpc_jax.experiments.runs import SIZES, Request, Source, declare_run
+from dpc_jax.experiments.catalogue import Row
+from dpc_jax.experiments.runs import SIZES, Request, declare_run
 
 ALL = ("airplane", "car", "chair")
 
@@ -78,43 +74,16 @@ def test_the_flags_of_a_run_say_its_config():
     row = Row("", variant="known_pose,64", changes=changes, tag="a")
     run = declare_run(row, "chair", 2, Request(size="quick"))
     flags = run.list_flags()
-    assert flags[0].endswith("configs/chair.py:known_pose,64")
+    assert flags[0] == "--config=chair:known_pose,64"
     assert {"--config.seed=2", "--config.render.keep_start=1.0"} <= set(flags)
     assert run.name == "chair-known_pose-64-a-seed2"
     config = run.load_config()
     assert config.render.keep_start == 1.0 and config.train.steps == 7
 
 
-def test_a_source_is_read_from_its_folder(tmp_path):
-    for name in ("car/train", "car/test", "chair/train"):
-        (tmp_path / name).mkdir(parents=True)
-    source = Source("open", str(tmp_path))
-    cars, chairs = source.list_changes("car"), source.list_changes("chair")
-    assert cars["data.test_meshes"] == str(tmp_path / "car/test")
-    assert "data.test_meshes" not in chairs
-    assert chairs["data.copies"] == 6
-    with pytest.raises(ValueError, match="launch/data.sh fetch airplane"):
-        source.list_changes("airplane")
-    renders = Source("renders", str(tmp_path))
-    with pytest.raises(ValueError, match="Expected the folder 02958343"):
-        renders.list_changes("car")
-    (tmp_path / "02958343").mkdir()
-    assert renders.list_changes("car") == {"data.renders": str(tmp_path)}
-    run = declare_run(Row("", variant="naive"), "car", 0, Request(source=source))
-    assert run.load_config().data.meshes == str(tmp_path / "car/train")
-
-
-def test_rows_that_renders_cannot_train_are_left_out(tmp_path):
-    (tmp_path / "03001627").mkdir()
-    request = Request(("known_pose",), "quick", Source("renders", str(tmp_path)))
-    runs = request.list_runs()
-    assert runs and not [run.name for run in runs if "epcg" in run.name]
-    for run in runs:
-        run.load_config()
-
-
-def test_hand_tuned_runs_go_to_the_sigma_of_the_nearest_number_of_points():
-    assert change_point_sizes("", 25)["render.sigma_end"] == HAND_TUNED[20]
-    learned = change_point_sizes("covariance", 25)
-    assert "render.sigma_end" not in learned
-    assert learned["network.point_size"] == "covariance"
+def test_shapenet_takes_the_place_of_procedural_shapes(tmp_path):
+    row = Row("", variant="naive")
+    for shapenet, category in (("", "car_simple"), (str(tmp_path), "car")):
+        run = declare_run(row, "car", 0, Request(shapenet=shapenet))
+        config = run.load_config()
+        assert (config.data.shapenet, config.category) == (shapenet, category)

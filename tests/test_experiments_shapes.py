@@ -161,7 +161,7 @@ def test_errors_of_all_kinds_of_points_are_drawn_over_their_number(tmp_path):
         for kind in ("", "sigma")
         for count in (20, 60)
     ]
-    ((path, _),) = point_sizes.draw_errors(tmp_path, workdirs)
+    path, _ = point_sizes.draw_errors(tmp_path, workdirs)
     with Image.open(path) as picture:
         assert np.asarray(picture.convert("L")).std() > 5
     workdirs.append(write_error(tmp_path / "damaged", "", 20, {}))
@@ -173,9 +173,9 @@ def test_gaussians_of_test_objects_are_drawn_under_the_input(
     finished, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(point_sizes, "read_config", lambda workdir: finished.config)
-    for path, _ in point_sizes.draw_shapes(tmp_path, [tmp_path]):
-        with Image.open(path) as picture:
-            assert np.asarray(picture.convert("L")).std() > 5
+    path, _ = point_sizes.draw_shapes(tmp_path, [tmp_path])
+    with Image.open(path) as picture:
+        assert np.asarray(picture.convert("L")).std() > 5
     first, *_ = point_sizes.predict_gaussians(tmp_path)
     # Turned with the frame, hand-tuned Gaussians stay round.
     np.testing.assert_allclose(

@@ -8,7 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -71,42 +70,18 @@ def test_a_record_that_finds_no_room_says_so(tmp_path, monkeypatch):
         MetricLog(tmp_path / "metrics.jsonl").write({"step": 1, "seconds": 0.5})
 
 
-@pytest.fixture
-def checkpoints(tmp_path):
-    """One is saved; no other is there at the end."""
-    opened = Checkpoints(tmp_path / "checkpoints")
-    opened.save(make_state(1), seconds=1.0)
-    yield opened
-    opened.close()
-    assert [path.name for path in (tmp_path / "checkpoints").iterdir()] == ["1"]
-
-
-def test_a_checkpoint_that_finds_no_room_leaves_the_one_before(
-    checkpoints, tmp_path, monkeypatch
-):
+def test_a_checkpoint_that_finds_no_room_leaves_the_one_before(tmp_path, monkeypatch):
     def fail(step, **_):
-        (tmp_path / "checkpoints" / f"{step}.orbax-checkpoint-tmp").mkdir()
+        (tmp_path / f"{step}.orbax-checkpoint-tmp").mkdir()
         raise ValueError(IN_CPP)
 
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(make_state(1), seconds=1.0)
     monkeypatch.setattr(checkpoints._manager, "save", fail)
-    with pytest.raises(OSError, match="checkpoints must have room .* disk is full"):
+    with pytest.raises(OSError, match="must have room .* disk is full"):
         checkpoints.save(make_state(2), seconds=2.0)
-
-
-def test_a_checkpoint_that_does_not_fit_is_not_begun(
-    checkpoints, tmp_path, monkeypatch
-):
-    def fail(*_, **__):
-        raise AssertionError("orbax was called")
-
-    needed = sum(leaf.nbytes for leaf in jax.tree.leaves(make_state(2)))
-    usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(checkpoints._manager, "save", fail)
-    for free, error in ((needed - 1, OSError), (needed, AssertionError)):
-        free_now = usage._replace(free=free)
-        monkeypatch.setattr(shutil, "disk_usage", lambda _, free_now=free_now: free_now)
-        with pytest.raises(error, match="the disk is full|orbax was called"):
-            checkpoints.save(make_state(2), seconds=2.0)
+    checkpoints.close()
+    assert [path.name for path in tmp_path.iterdir()] == ["1"]
 
 
 FILL = """

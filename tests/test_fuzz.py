@@ -36,7 +36,6 @@ def test_every_value_of_a_config_works_or_is_refused_in_a_line(tries):
         words = [f"--config={FOLDER / 'debug.py'}"]
         said = refuse_flags(words + [f"--{name}={v}" for name, v in changes.items()])
         if said is not None:
-            assert said.startswith("Error: ") and said.count("\n") == 1
-            assert "Traceback" not in said
+            assert said and "\n" not in said and "Traceback" not in said
 
     change()

@@ -189,17 +189,6 @@ def name_files_in_bytes_of_all_kinds(folder):
     return Path(shown[-1]).name
 
 
-@tries("3 object models")
-def show_a_set_with_a_name_that_is_no_text(folder):
-    for name in (b"a\xff", b"b", b"c\nd"):
-        save_disc(folder / "set" / os.fsdecode(name) / "0.png")
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
-        words = ["show", str(folder / "set"), f"--out={folder / 'sheet.png'}"]
-        assert data_command.main(words) == 0
-    return said.getvalue()
-
-
 @tries("['RUN/data', '/asked']")
 def refine_with_a_cache_folder_of_others(folder):
     """Where data are kept for a workdir whose config says elsewhere."""

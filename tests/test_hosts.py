@@ -146,19 +146,6 @@ def test_all_stop_where_one_is_asked_to_and_one_process_goes_on(command, alone):
 
 
 @pytest.mark.slow
-def test_two_processes_begin_with_what_another_run_has_learned(command, alone):
-    changes = {"train.init_from": command.folder / "alone", "train.steps": 4}
-    one, two = (command.folder / name for name in ("begun-by-one", "begun-by-two"))
-    finish(command.start(one, **{"run.devices": 2} | changes))
-    first, second = command.start_two(two, **changes)
-    out, _ = finish(first)
-    finish(second)
-    assert f"Beginning with the parameters of {command.folder / 'alone'}" in out
-    assert_losses_agree(read_losses(two), read_losses(one))
-    assert read_losses(one)[1] != alone[1]
-
-
-@pytest.mark.slow
 def test_processes_with_other_configs_are_refused_and_nothing_is_written(command):
     workdir = command.folder / "differing"
     for process in command.start_two(workdir, second={"train.learning_rate": 0.5}):

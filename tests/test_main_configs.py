@@ -1,17 +1,18 @@
 """Every config builds in every variant, and in those that combine."""
 
-import dataclasses
 import json
 
 import pytest
-from config_files import NAMES, change, load, parameter_shapes
+from config_files import FOLDER, NAMES, change, load, parameter_shapes
 
 from dpc_jax.config import (
     VARIANTS,
     Config,
     check,
     from_config_dict,
-    from_json,
+    from_fields,
+    list_shipped,
+    locate_config,
     replace_fields,
     to_config_dict,
     to_json,
@@ -22,7 +23,8 @@ from dpc_jax.run.setup import make_data_specs, make_network
 @pytest.mark.parametrize(
     "name, variant",
     [(name, None) for name in NAMES]
-    + [(name, variant) for name in ("car", "debug") for variant in VARIANTS]
+    + [("car", variant) for variant in VARIANTS]
+    + [("debug", "paper")]
     + [("car", f"paper,{name}") for name in VARIANTS if name != "paper"],
 )
 def test_every_config_builds_in_every_variant(name, variant):
@@ -47,6 +49,13 @@ def test_every_config_builds_in_every_variant(name, variant):
     assert config.variant == (variant or "")
 
 
+def test_the_name_of_a_shipped_config_becomes_its_path():
+    assert list_shipped() == {path.stem: path for path in FOLDER.glob("*.py")}
+    assert locate_config("car:paper,64") == f"{FOLDER}/car.py:paper,64"
+    for other in ("configs/car.py:paper", "bus"):
+        assert locate_config(other) == other
+
+
 def test_variants_combine_in_any_order():
     config = load("car", "known_pose, paper")
     assert config == load("car", "paper,known_pose")
@@ -59,14 +68,9 @@ def test_variants_combine_in_any_order():
     "variant, says",
     [
         ("naive,known_pose", "known_pose and naive exclude each other"),
-        ("known_pose,gt_pose", "gt_pose and known_pose exclude each other"),
         ("32,paper,128", "128 and 32 exclude each other"),
-        ("naive,mvc", "mvc and naive exclude each other"),
-        ("mvc,gt_pose", "gt_pose and mvc exclude each other"),
         ("paper,paper", "paper is given twice"),
-        (",", "it has an empty name"),
         ("paper,", "it has an empty name"),
-        ("96", "it has 96"),
         ("fast", "paper, naive, known_pose.*but it has fast"),
     ],
 )
@@ -79,13 +83,13 @@ def test_variants_that_mean_nothing_are_refused(variant, says):
 def test_a_config_survives_the_command_line_and_the_workdir(name):
     config = load(name, "paper")
     assert from_config_dict(to_config_dict(config)) == config
-    assert from_json(to_json(config)) == config
+    assert from_fields(json.loads(to_json(config))) == config
 
 
 def test_a_workdir_from_before_a_field_has_its_default():
     fields = json.loads(to_json(load("car")))
     del fields["render"]["anneal_until"], fields["log"]
-    assert from_json(json.dumps(fields)) == load("car")
+    assert from_fields(fields) == load("car")
 
 
 @pytest.mark.parametrize(
@@ -101,16 +105,12 @@ def test_a_workdir_from_before_a_field_has_its_default():
 )
 def test_a_workdir_with_fields_that_are_none_of_ours_is_refused(change, says):
     with pytest.raises(ValueError, match=says):
-        from_json(json.dumps(({"category": "car"} if change else {}) | change))
+        from_fields(({"category": "car"} if change else {}) | change)
 
 
 def test_whole_numbers_stand_for_real_ones():
-    read = from_json(
-        '{"category": "car", "render": {"anneal_until": 1, "focal_length": 2}}'
-    )
-    assert read.render == (
-        dataclasses.replace(Config("car").render, anneal_until=1.0, focal_length=2.0)
-    )
+    read = from_fields({"category": "car", "render": {"focal_length": 2}})
+    assert read == change(Config("car"), "render", focal_length=2.0)
 
 
 def test_the_naive_variant_is_one_regressor_without_a_student():
@@ -136,7 +136,6 @@ def test_labels_teach_an_ensemble_only_where_a_student_selects_from_it():
     ("changes", "expected"),
     [
         ({"fold": "0/5"}, "config.data.fold must be '' unless there is a folder"),
-        ({"fold": "0/1", "meshes": "x"}, "config.data.fold must be '' or PART/PARTS"),
         ({"fold": "5/5", "meshes": "x"}, "config.data.fold must be '' or PART/PARTS"),
         ({"fold": "0/5", "meshes": "x", "test_meshes": "y"}, "config.data.fold must"),
         ({"split_file": "a.csv", "meshes": "x"}, "split_file must be '' without"),
@@ -182,32 +181,20 @@ def test_with_known_poses_there_is_no_pose_branch():
     assert set(output) == {"points", "scale"}
 
 
-def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on(tmp_path):
-    config = load("car")
-    config = change(config, "data", meshes="meshes")
-    specs = make_data_specs(config)
-    assert {s.folder for s in specs.values()} == {"meshes"}
-    assert {s.fractions for s in specs.values()} == {(0.8, 0.1, 0.1)}
-    assert [specs[s].mix for s in ("train", "val", "test")] == [True, False, False]
-    assert [specs[s].copies for s in ("train", "val", "test")] == [0, 1, 1]
+def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on():
+    config = change(load("car"), "data", meshes="meshes")
+    specs = make_data_specs(config).values()
+    assert {(s.folder, s.fractions) for s in specs} == {("meshes", (0.8, 0.1, 0.1))}
+    assert [(s.mix, s.copies) for s in specs] == [(True, 0), (False, 1), (False, 1)]
+    # What is visible of the tested surfaces is dense.
+    assert [s.visible_points for s in specs] == [2500, 2500, 100_000]
     folds = make_data_specs(change(config, "data", fold="2/5"))
     assert {spec.fold for spec in folds.values()} == {(2, 5)}
-    config = change(config, "data", test_meshes="others")
-    specs = make_data_specs(config)
-    assert [specs[s].folder for s in ("train", "val", "test")] == [
-        "meshes",
-        "meshes",
-        "others",
-    ]
-    assert specs["test"].fractions == (0, 0, 1)
-    config = change(config, "data", copies=3)
-    specs = make_data_specs(config)
-    assert [specs[s].copies for s in ("train", "val", "test")] == [3, 1, 1]
-    assert not specs["train"].mix
-    assert set(specs) == {"train", "val", "test"}
-    # What is visible of the tested surfaces is dense.
-    counts = [specs[s].visible_points for s in ("train", "val", "test")]
-    assert counts == [2500, 2500, 100_000]
+    changed = change(config, "data", test_meshes="others", copies=3)
+    specs = make_data_specs(changed).values()
+    assert [s.folder for s in specs] == ["meshes", "meshes", "others"]
+    assert [s.fractions[2] for s in specs] == [0, 0, 1]
+    assert [(s.mix, s.copies) for s in specs] == [(False, 3), (False, 1), (False, 1)]
 
 
 @pytest.mark.parametrize("source", ["shapenet", "renders", "images"])
@@ -236,9 +223,6 @@ def test_cells_are_contained_where_poses_have_to_be_found(variant, is_contained)
     assert network.shape_kind == "voxels" and network.contains_voxels == is_contained
 
 
-MAPS = "must be .*'maps'"  # which would ignore it
-
-
 @pytest.mark.parametrize(
     ("variant", "changes", "says"),
     [
@@ -246,12 +230,8 @@ MAPS = "must be .*'maps'"  # which would ignore it
         ("epcg", {"train": {"color_weight": 1.0}}, "train.color_weight must be 0"),
         ("epcg", {"data": {"images": "."}}, "train.depth_weight must be 0"),
         ("epcg", {"network": {"shape": "points"}}, "render.fixed_views_until must be"),
-        ("epcg", {"render": {"ray_rule": "maximum"}}, f"render.ray_rule {MAPS}"),
-        ("epcg", {"train": {"background_weight": 0.2}}, f"background_weight {MAPS}"),
-        ("epcg", {"train": {"silhouette_weight": 0.0}}, f"silhouette_weight {MAPS}"),
+        ("epcg", {"render": {"ray_rule": "maximum"}}, "render.ray_rule must be"),
         ("mvc", {"pose": {"num_heads": 1}}, "pose.num_heads must be above 1"),
-        ("mvc", {"pose": {"head": "quaternion"}}, "pose.head must be 'viewpoint'"),
-        ("mvc", {"pose": {"student": "squares"}}, "pose.student must be 'selects'"),
     ],
 )
 def test_what_a_baseline_cannot_do_is_refused(variant, changes, says):

@@ -25,11 +25,8 @@ SIDES = {32: 2000, 64: 8000, 128: 16_000}  # and points (§ Training details)
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
-@pytest.mark.parametrize("variant", ["paper", "paper,128", "paper,known_pose,32"])
-def test_datasets_three_categories_five_random_views_and_the_published_counts(
-    category, variant
-):
-    specs = make_data_specs(load(category, variant))
+def test_datasets_three_categories_five_random_views_and_the_published_counts(category):
+    specs = make_data_specs(load(category, "paper"))
     counts = tuple(specs[split].models for split in ("train", "val", "test"))
     assert counts == CATEGORIES[category]
     for spec in specs.values():

@@ -50,12 +50,6 @@ def test_a_process_that_was_killed_holds_nothing(holder, tmp_path):
     holder.wait()
     with hold_workdir(tmp_path):
         assert str(os.getpid()) in (tmp_path / ".run.claim").read_text()
-
-
-def test_the_same_process_may_come_again(tmp_path):
-    for _ in range(2):
-        with hold_workdir(tmp_path):
-            assert str(os.getpid()) in (tmp_path / ".run.claim").read_text()
     assert not list(tmp_path.iterdir())
 
 
@@ -66,7 +60,6 @@ def test_a_command_that_is_refused_leaves_the_config_of_the_other_as_it_is(tmp_p
     with hold_workdir(tmp_path), pytest.raises(ValueError, match="one command at a"):
         pipeline.run(
             replace_fields(config, {"train": {"learning_rate": 0.5}}),
-            config_path="configs/car.py",
-            workdir=str(tmp_path),
+            tmp_path,
         )
     assert (tmp_path / "config.json").read_bytes() == before

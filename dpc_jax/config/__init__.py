@@ -7,7 +7,11 @@ command line edits, and back.
 
 from dpc_jax.config.checks import check as check
 from dpc_jax.config.face import from_config_dict as from_config_dict
-from dpc_jax.config.face import from_json as from_json
+from dpc_jax.config.face import from_fields as from_fields
+from dpc_jax.config.face import list_fields as list_fields
+from dpc_jax.config.face import list_shipped as list_shipped
+from dpc_jax.config.face import locate_config as locate_config
+from dpc_jax.config.face import name_differences as name_differences
 from dpc_jax.config.face import to_config_dict as to_config_dict
 from dpc_jax.config.face import to_json as to_json
 from dpc_jax.config.sections import CROPS as CROPS
@@ -20,9 +24,6 @@ from dpc_jax.config.sections import Network as Network
 from dpc_jax.config.sections import Pose as Pose
 from dpc_jax.config.sections import Render as Render
 from dpc_jax.config.sections import Train as Train
-from dpc_jax.config.shipped import list_shipped as list_shipped
-from dpc_jax.config.shipped import resolve_flags as resolve_flags
 from dpc_jax.config.variants import VARIANTS as VARIANTS
 from dpc_jax.config.variants import build_config as build_config
-from dpc_jax.config.variants import make_config as make_config
 from dpc_jax.config.variants import replace_fields as replace_fields

@@ -1,14 +1,39 @@
-"""The face of a config: what the command line edits, and what a workdir keeps."""
+"""The face of a config: its file, what the command line edits, what a workdir keeps."""
 
 import dataclasses
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dpc_jax.config.sections import Config
 
 if TYPE_CHECKING:
     import ml_collections
+
+# A checkout has its config files beside the package; a wheel in a folder inside it.
+_PACKAGE = Path(__file__).parents[1]
+_PLACES = (_PACKAGE / "configs", _PACKAGE.parent / "configs")
+
+
+def list_shipped() -> dict[str, Path]:
+    """The config files by name, as "car"."""
+    found = {}
+    for folder in _PLACES:
+        for path in sorted(folder.glob("*.py")):
+            found.setdefault(path.stem, path)
+    return found
+
+
+def locate_config(value: str) -> str:
+    """The path of a config that --config names: of car:paper, DIR/car.py:paper.
+
+    What has a slash or a suffix is a path already, and what is no name of a config
+    stays.
+    """
+    name, colon, variant = value.partition(":")
+    path = list_shipped().get(name)
+    return value if path is None else f"{path}{colon}{variant}"
 
 
 def to_config_dict(config: Config) -> "ml_collections.ConfigDict":
@@ -24,7 +49,7 @@ def from_config_dict(edited: "ml_collections.ConfigDict") -> Config:
     Raises:
       ValueError: for a field that is not known, or a value of another type.
     """
-    return _read(Config, edited.to_dict(), "config")
+    return from_fields(edited.to_dict())
 
 
 def to_json(config: Config) -> str:
@@ -32,17 +57,33 @@ def to_json(config: Config) -> str:
     return json.dumps(dataclasses.asdict(config), indent=2) + "\n"
 
 
-def from_json(text: str) -> Config:
-    """The config of a workdir; fields that it lacks have their defaults.
+def from_fields(values: Any) -> Config:
+    """The config of sections of fields; those that it lacks have their defaults.
 
     Raises:
-      ValueError: as `from_config_dict`, and for what is not JSON.
+      ValueError: as `from_config_dict`.
     """
-    try:
-        values = json.loads(text)
-    except RecursionError:
-        raise ValueError("it is nested too deep to be read") from None
     return _read(Config, values, "config")
+
+
+def list_fields(config: Config) -> dict[str, Any]:
+    """Every field by its name, as {"train.steps": 6300}."""
+    found = {}
+    for name, value in dataclasses.asdict(config).items():
+        if isinstance(value, dict):
+            found |= {f"{name}.{field}": one for field, one in value.items()}
+        else:
+            found[name] = value
+    return found
+
+
+def name_differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
+    """What differs, with both values: "train.steps (20 there, 40 here)"."""
+    return [
+        f"{name} ({there.get(name)!r} there, {here.get(name)!r} here)"
+        for name in sorted(there.keys() | here.keys())
+        if there.get(name) != here.get(name)
+    ]
 
 
 def _read(kind: type, values: Any, name: str) -> Any:

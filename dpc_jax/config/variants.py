@@ -6,13 +6,9 @@ listed agrees already.
 
 import dataclasses
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from dpc_jax.config.face import to_config_dict
 from dpc_jax.config.sections import Config
-
-if TYPE_CHECKING:
-    import ml_collections
 
 Changes = Mapping[str, Mapping[str, Any]]  # section: {field: value}
 
@@ -148,16 +144,6 @@ EXCLUSIVE = (
     ("epcg", "gt_pose"),  # learns no poses
     ("epcg", "naive"),
 )
-
-
-def make_config(
-    category: str, variant: str | None = None, changes: Changes | None = None
-) -> "ml_collections.ConfigDict":
-    """A config for the command line to edit: what a file in configs/ returns.
-
-    Arguments and errors as of `build_config`.
-    """
-    return to_config_dict(build_config(category, variant, changes))
 
 
 def build_config(

@@ -6,7 +6,6 @@ row.
 """
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -41,7 +40,6 @@ class Experiment:
     metrics: tuple[str, ...]  # names of `metrics.json` that its table shows
     rows: tuple[Row, ...]  # what is trained
     categories: tuple[str, ...] = CATEGORIES  # that it can be made of
-    picture: str = ""  # of each row's own report that the page shows
 
 
 # What several rows change beside their variant.
@@ -59,14 +57,13 @@ BESIDE = {"train.colors_move_points": False}
 KINDS = {"": "hand-tuned σ", "sigma": "learned σ", "covariance": "learned covariance"}
 # Hand-tuned sigma at the end of a run, a share of the volume's side, by number of
 # points: the best on validation views of those tried.
-HAND_TUNED = {20: 0.055, 60: 0.035, 200: 0.03, 2000: 0.02}
+_HAND_TUNED = {20: 0.055, 60: 0.035, 200: 0.03, 2000: 0.02}
 
 
-def change_point_sizes(kind: str, count: int) -> dict[str, Any]:
+def _change_point_sizes(kind: str, count: int) -> dict[str, Any]:
     """Fields of the config for points of one kind of `KINDS`.
 
-    All kinds learn the peak height of Eq. 3 and drop no points. Hand-tuned sizes go to
-    that of the nearest number of points in `HAND_TUNED`.
+    All kinds learn the peak height of Eq. 3 and drop no points.
     """
     changes = {
         "render.num_points": count,
@@ -76,8 +73,7 @@ def change_point_sizes(kind: str, count: int) -> dict[str, Any]:
         "network.point_size": kind,
     }
     if not kind:
-        nearest = min(HAND_TUNED, key=lambda n: abs(math.log(n / count)))
-        end = HAND_TUNED[nearest]
+        end = _HAND_TUNED[count]
         changes |= {"render.sigma_start": max(0.05, end), "render.sigma_end": end}
     return changes
 
@@ -87,7 +83,7 @@ def _list_point_sizes(*counts: int) -> tuple[Row, ...]:
         Row(
             f"{label}, {count} points",
             variant="known_pose,32",
-            changes=change_point_sizes(kind, count),
+            changes=_change_point_sizes(kind, count),
             tag=f"{kind or 'fixed'}{count}",
             budget="points",
         )
@@ -156,7 +152,6 @@ EXPERIMENTS = (
             Row("Ours, one frame, pull and containment", "", "", FRAME, "frame"),
             Row("Ours, defaults of this package", "", "", DEFAULTS, "defaults"),
         ),
-        picture="predictions.png",
     ),
     Experiment(
         "ablation",
@@ -207,7 +202,6 @@ EXPERIMENTS = (
                 variant="known_pose,32,color", changes=BESIDE, tag="beside"),
         ),
         categories=("car", "chair"),
-        picture="signals.png",
     ),
     Experiment(
         "depth",
@@ -229,7 +223,6 @@ EXPERIMENTS = (
                 changes=DEFAULTS, tag="defaults"),
         ),
         categories=("car", "chair"),
-        picture="signals.png",
     ),
     Experiment(
         "correspondences",

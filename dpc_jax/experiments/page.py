@@ -6,11 +6,9 @@ from pathlib import Path
 
 from dpc_jax.evaluation.metrics import MISSING, format_metric, get_metric
 from dpc_jax.experiments.catalogue import NAMES, Experiment, Row
-from dpc_jax.experiments.published import MEAN, TITLE
+from dpc_jax.experiments.published import TITLE
 from dpc_jax.experiments.results import Analysis, Results, analyze
-from dpc_jax.experiments.runs import SOURCES
 from dpc_jax.files import write_text
-from dpc_jax.reporting.comparison import draw_comparison
 from dpc_jax.reporting.groups import ComparedRun, Group
 from dpc_jax.reporting.tables import make_table
 from dpc_jax.reporting.web.markup import assemble_page, embed_chart
@@ -33,7 +31,6 @@ OTHER_SYSTEMS = (
     "evaluation of the point clouds. What of each is followed and what differs is in "
     "the documentation (baselines.md)."
 )
-Figures = list[tuple[Path, str]]  # with their captions
 
 
 def write_page(results: Results, folder: Path) -> Path:
@@ -71,8 +68,7 @@ def _show_experiment(
     title, table = escape(experiment.title), experiment.table
     parts = [f"<h2>{title}</h2>"]
     parts.append(_say(f"{experiment.question} Paper: {table.place}."))
-    categories = results.request.list_categories(experiment)
-    for category in [*categories, *[MEAN] * (len(categories) > 1)]:
+    for category in results.request.list_categories(experiment):
         parts.append(_show_table(*tabulate(results, experiment, category)))
     parts += map(_say, (say_difference(results, experiment), *table.remarks))
     if experiment.name in ("known_pose", "unknown_pose"):
@@ -81,11 +77,7 @@ def _show_experiment(
     parts += [_say(f"Not analysed: {problem}") for problem in analysis.problems]
     if analysis.measures:
         parts.append(_show_table(("Measure", "Value"), list_measures(analysis)))
-    for path, caption in (
-        *_draw_run_times(results, experiment, folder),
-        *_find_pictures(results, experiment),
-        *analysis.figures,
-    ):
+    for path, caption in analysis.figures:
         chart = embed_chart(path, caption, is_photo=path.suffix != ".svg")
         parts.append(chart + _say(caption))
     return parts
@@ -100,9 +92,10 @@ def say_difference(results: Results, experiment: Experiment) -> str:
         _join((o.metrics or {}).get(name) for o in done)
         for name in ("steps", "train_models", "test_models")
     )
+    shapes = "ShapeNet" if results.request.shapenet else "procedural shapes"
     return (
-        f"What differs: ours are trained on {SOURCES[results.request.source.kind]}, "
-        f"{trained} models a category, tested on {tested} others, in {steps} steps; "
+        f"What differs: ours are trained on {shapes}, {trained} models a category, "
+        f"tested on {tested} others, in {steps} steps; "
         "the paper's on ShapeNet's thousands of models a category, in 600,000 steps."
     )
 
@@ -116,43 +109,29 @@ def _join(values: Iterator) -> str:
 def tabulate(
     results: Results, experiment: Experiment, category: str
 ) -> tuple[list[str], list[list[str]]]:
-    """The table of an experiment: a line for each row.
-
-    Args:
-      category: one, or "mean" of those that there are.
-
-    Returns:
-      The heads of the columns, and the cells.
-    """
+    """The table of an experiment in a category: heads, and a line for each row."""
     heads, columns = [category], [[row.label for row in experiment.rows]]
-    names = [category]
-    if category == MEAN:
-        names = results.request.list_categories(experiment)
     for metric in experiment.metrics:
         heading = get_metric(metric).heading
-        paper = [
-            experiment.table.find(row.published, names, metric)
+        published = [
+            experiment.table.rows.get(row.published, {}).get(category, {}).get(metric)
             for row in experiment.rows
         ]
         ours = [
-            format_metric(metric, results.find_mean(row, names, metric))
-            if category == MEAN
-            else results.make_group(row, category).describe(metric)
+            results.make_group(row, category).describe(metric)
             for row in experiment.rows
         ]
-        is_published = any(value is not None for value in paper)
+        is_published = any(value is not None for value in published)
         if is_published:
             heads.append(f"{heading}, paper")
-            columns.append([format_metric(metric, value) for value in paper])
+            columns.append([format_metric(metric, value) for value in published])
         if is_published or set(ours) != {MISSING}:  # others have no number
             heads.append(f"{heading}, ours")
             columns.append(ours)
-    rows = [list(cells) for cells in zip(*columns, strict=True)]
-    if category == MEAN:
-        return heads, rows
-    costs = [_describe_cost(results, row, category) for row in experiment.rows]
     heads += ["Runs", "Minutes", "Memory (GB)"]
-    return heads, [a + b for a, b in zip(rows, costs, strict=True)]
+    costs = [_describe_cost(results, row, category) for row in experiment.rows]
+    rows = zip(*columns, strict=True)
+    return heads, [[*a, *b] for a, b in zip(rows, costs, strict=True)]
 
 
 def _describe_cost(results: Results, row: Row, category: str) -> list[str]:
@@ -181,37 +160,3 @@ def list_measures(analysis: Analysis) -> list[tuple[str, str]]:
             spread = f" ± {found.spread:.2g}" if found.spread else ""
             rows.append((name, f"{found.mean:.3g}{spread}"))
     return rows
-
-
-def _draw_run_times(results: Results, experiment: Experiment, folder: Path) -> Figures:
-    """Validation over training time, a figure per category and a line per run."""
-    if experiment.name not in ("known_pose", "unknown_pose", "color", "depth"):
-        return []
-    drawn = []
-    for category in results.request.list_categories(experiment):
-        groups = []
-        for row in experiment.rows:
-            runs = [
-                ComparedRun(o.run.name, records=tuple(o.read_records()))
-                for o in results.list_outcomes(row, category)
-                if o.metrics is not None
-            ]
-            groups += [Group(row.label, tuple(runs))] if runs else []
-        if groups:
-            path = draw_comparison(groups, folder / f"{category}_time.svg")
-            caption = f"{category}: validation over minutes of training."
-            drawn.append((path, caption))
-    return drawn
-
-
-def _find_pictures(results: Results, experiment: Experiment) -> Figures:
-    """The pictures in the reports of each row's first run."""
-    found = []
-    for category in results.request.list_categories(experiment)[:1]:
-        for row in experiment.rows if experiment.picture else ():
-            for outcome in results.list_outcomes(row, category)[:1]:
-                path = outcome.workdir / "report" / experiment.picture
-                if outcome.metrics is not None and path.is_file():
-                    text = f"{row.label}: test views of the {category}s, first seed."
-                    found.append((path, text))
-    return found

@@ -21,7 +21,12 @@ SHOWN = 5  # chairs in a figure
 Figures = list[tuple[Path, str]]  # with their captions
 
 
-def draw_errors(out: Path, workdirs: Sequence[Path]) -> Figures:
+def run(out: Path, workdirs: Sequence[Path]) -> tuple[dict[str, float], Figures]:
+    """No measures, and the figures of finished runs of all kinds."""
+    return {}, [draw_errors(out, workdirs), draw_shapes(out, workdirs)]
+
+
+def draw_errors(out: Path, workdirs: Sequence[Path]) -> tuple[Path, str]:
     """The projection error over the number of points, of finished runs of all kinds.
 
     Raises:
@@ -30,22 +35,21 @@ def draw_errors(out: Path, workdirs: Sequence[Path]) -> Figures:
     errors: dict[str, dict[int, list[float]]] = {kind: {} for kind in figures.LABELS}
     for workdir in workdirs:
         config = read_config(workdir)
-        by_count = errors[config.network.point_size]
-        found = by_count.setdefault(config.render.num_points, [])
         error = (read_metrics(workdir) or {}).get("projection_error")
         if error is None:
             raise ValueError(
                 f"Expected a projection error in the report of {workdir}, but there is "
                 "none; remove the report, and give the same command again."
             )
-        found.append(float(error))
+        by_count = errors[config.network.point_size]
+        by_count.setdefault(config.render.num_points, []).append(float(error))
     path = out / "projection_error.svg"
     figures.draw_projection_errors({k: v for k, v in errors.items() if v}, path)
     caption = "Projection error against the number of points: mean and single runs."
-    return [(path, caption)]
+    return path, caption
 
 
-def draw_shapes(out: Path, workdirs: Sequence[Path]) -> Figures:
+def draw_shapes(out: Path, workdirs: Sequence[Path]) -> tuple[Path, str]:
     """What the first run of each kind renders, and its Gaussians as ellipsoids."""
     runs: dict[str, Path] = {}
     for workdir in workdirs:
@@ -56,7 +60,7 @@ def draw_shapes(out: Path, workdirs: Sequence[Path]) -> Figures:
         "Input, true silhouette, what the points of each kind render, and their "
         "Gaussians as ellipsoids, all seen from one side; a point has one colour."
     )
-    return [(path, caption)]
+    return path, caption
 
 
 def predict_gaussians(workdir: Path) -> list[figures.Gaussians]:

@@ -1,16 +1,14 @@
 """What finished runs gave: groups of seeds, measured rows, analyses."""
 
-import contextlib
 import dataclasses
-import statistics
-from collections.abc import Iterator, Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from dpc_jax.experiments import correspondences, interpolation, point_sizes
 from dpc_jax.experiments.catalogue import Experiment, Row
 from dpc_jax.experiments.runs import Request, Run
-from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.reporting.groups import ComparedRun, Group
 
 _MEAN = "mean_shape_chamfer"  # of each run's own report
@@ -24,10 +22,6 @@ class Outcome:
     workdir: Path  # its folder
     metrics: Mapping[str, Any] | None = None  # None where it is not finished
     problem: str = ""  # why it is not finished, as far as that is known
-
-    def read_records(self) -> list[dict]:
-        """What it recorded over its steps."""
-        return MetricLog(self.workdir / "metrics.jsonl").read()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,14 +60,6 @@ class Results:
         runs = [ComparedRun(n, metrics=m) for n, m in found.items() if m is not None]
         return Group(row.label, tuple(runs))
 
-    def find_mean(
-        self, row: Row, categories: Sequence[str], metric: str
-    ) -> float | None:
-        """The mean of a measure over the categories if all have it."""
-        found = [self.make_group(row, name).summarize(metric) for name in categories]
-        means = [summary.mean for summary in found if summary is not None]
-        return statistics.fmean(means) if means and None not in found else None
-
 
 @dataclasses.dataclass
 class Analysis:
@@ -84,35 +70,32 @@ class Analysis:
     figures: Sequence[tuple[Path, str]] = ()  # with captions
     problems: list[str] = dataclasses.field(default_factory=list)  # what was not made
 
-    @contextlib.contextmanager
-    def noting_problems(self) -> Iterator[None]:
-        """What fails here leaves the rest of the analysis as it is."""
-        try:
-            yield
-        except (ValueError, OSError) as error:
-            self.problems.append(str(error))
 
-
-# Of all runs of an experiment together: figures.
-_DRAWN = {"points": (point_sizes.draw_errors, point_sizes.draw_shapes)}
-# Of each run: measures and figures.
-_MEASURED = {"correspondences": correspondences.run, "interpolation": interpolation.run}
+# Of each run, by the name of the experiment: measures and figures.
+_OF_A_RUN: dict[str, Callable] = {
+    "correspondences": correspondences.run,
+    "interpolation": interpolation.run,
+}
 
 
 def analyze(results: Results, experiment: Experiment, folder: Path) -> Analysis:
     """The analysis of an experiment, its figures in a folder; an empty one of others.
 
-    Of analyses of single runs the figures of the first run are kept.
+    What fails leaves the rest as it is. Of analyses of single runs the figures of the
+    first run are kept.
     """
     found = Analysis()
     workdirs = [outcome.workdir for outcome in results.list_finished(experiment)]
-    for draw in _DRAWN.get(experiment.name, ()) if workdirs else ():
-        with found.noting_problems():
-            found.figures = (*found.figures, *draw(folder, workdirs))
-    if measure := _MEASURED.get(experiment.name):
+    parts: list[Callable[[], tuple]] = []
+    if experiment.name == "points" and workdirs:
+        parts = [functools.partial(point_sizes.run, folder, workdirs)]
+    elif measure := _OF_A_RUN.get(experiment.name):
         # Figures of the same name replace each other: those of the first run come last.
-        for workdir in reversed(workdirs):
-            with found.noting_problems():
-                measures, found.figures = measure(folder, workdir)
-                found.measures.append(measures)
+        parts = [functools.partial(measure, folder, one) for one in reversed(workdirs)]
+    for part in parts:
+        try:
+            measures, found.figures = part()
+            found.measures += [measures] if measures else []
+        except (ValueError, OSError) as error:
+            found.problems.append(str(error))
     return found

@@ -7,7 +7,6 @@ a value itself, that one counts.
 import dataclasses
 import runpy
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from dpc_jax import config as configs
@@ -97,10 +96,7 @@ SIZES = {
         budgets={
             # The same steps at every resolution: a column of Table 1 differs in nothing
             # else.
-            "32": {"train.steps": 2000},
-            "64": {"train.steps": 2000},
-            "128": {"train.steps": 2000},
-            "256": {"train.steps": 2000},
+            **dict.fromkeys(RESOLUTIONS, {"train.steps": 2000}),
             # A step of points takes a third of the time of one of 32³ cells.
             "longer": {"train.steps": 6000},
             # A render of 200 covariances takes 70 ms: four minutes and a half a run.
@@ -119,51 +115,6 @@ SIZES = {
     ),
 }
 
-# Of each mesh of the open sets, which are few (docs/log.md).
-_COPIES = {"car": 12, "chair": 6, "airplane": 4}
-SOURCES = {  # and what they are called
-    "procedural": "procedural shapes",
-    "open": "open meshes",
-    "shapenet": "ShapeNet",
-    "renders": "the renders published with the paper",
-}
-
-
-@dataclasses.dataclass(frozen=True)
-class Source:
-    """Where the objects come from."""
-
-    kind: str = "procedural"  # of `SOURCES`
-    folder: str = ""  # that the kind needs; "" for procedural shapes
-
-    def list_changes(self, category: str) -> dict[str, Any]:
-        """What a config of that category differs in.
-
-        Raises:
-          ValueError: where the category is not in the folder.
-        """
-        if self.kind == "procedural":
-            # The paper's cars are passenger cars.
-            return {"category": "car_simple"} if category == "car" else {}
-        folder = Path(self.folder).absolute()
-        if self.kind != "open":
-            # Loads trimesh, which nothing else needs here.
-            from dpc_jax.data.sets.shapenet import find_synset
-
-            find_synset(folder, category)
-            return {f"data.{self.kind}": str(folder)}
-        meshes = folder / category / "train"
-        if not meshes.is_dir():
-            raise ValueError(
-                f"Expected meshes of the category in {meshes}, but there is no such "
-                f"folder; fetch them with: launch/data.sh fetch {category}."
-            )
-        copies = _COPIES.get(category, 1)
-        # Systems are compared on the meshes alone.
-        changes = {"data.meshes": str(meshes), "data.copies": copies}
-        tested = folder / category / "test"
-        return changes | ({"data.test_meshes": str(tested)} if tested.is_dir() else {})
-
 
 @dataclasses.dataclass(frozen=True)
 class Run:
@@ -175,14 +126,9 @@ class Run:
     seed: int
     changes: tuple[tuple[str, Any], ...]  # ("section.field", value), after the variant
 
-    @property
-    def config_path(self) -> Path:
-        """The config file."""
-        return configs.list_shipped()[self.category]
-
     def list_flags(self) -> list[str]:
         """Flags for `dpc_jax.main`."""
-        config = f"{self.config_path}:{self.variant}".rstrip(":")
+        config = f"{self.category}:{self.variant}".rstrip(":")
         fields = {"seed": self.seed} | dict(self.changes)
         flags = [f"--config.{name}={value}" for name, value in fields.items()]
         return [f"--config={config}", *flags]
@@ -193,11 +139,9 @@ class Run:
         Raises:
           ValueError: for a config that cannot work.
         """
-        module = runpy.run_path(str(self.config_path))
+        module = runpy.run_path(str(configs.list_shipped()[self.category]))
         edited = module["get_config"](self.variant or None)
-        edited.seed = self.seed
-        for name, value in self.changes:
-            edited.update_from_flattened_dict({name: value})
+        edited.update_from_flattened_dict({"seed": self.seed} | dict(self.changes))
         config = from_config_dict(edited)
         configs.check(config)
         return config
@@ -215,7 +159,7 @@ class Request:
 
     names: tuple[str, ...] = NAMES  # of experiments
     size: str = "cpu"  # of `SIZES`
-    source: Source = Source()
+    shapenet: str = ""  # its folder; empty for procedural shapes
     categories: tuple[str, ...] = ()  # empty for those of the size
     seeds: tuple[int, ...] = ()  # empty for those of the size
 
@@ -241,8 +185,6 @@ class Request:
             return "measured in each run"
         if row.tag in SIZES[self.size].left_out:
             return "too long for this size"
-        if "epcg" in row.variant.split(",") and self.source.kind == "renders":
-            return "renders have no views from fixed places"
         return ""
 
     def list_row_runs(self, row: Row, category: str) -> list[Run]:
@@ -264,18 +206,18 @@ class Request:
 
 
 def declare_run(row: Row, category: str, seed: int, request: Request) -> Run:
-    """The run of a row that is trained.
-
-    Raises:
-      ValueError: for a missing folder of the source.
-    """
+    """The run of a row that is trained."""
     size, points = SIZES[request.size], "render.num_points"
     own = dict(row.changes)
     if points in own:
         own[points] = max(own[points] // size.fewer_points, 4)
     usual = size.budgets.get(find_resolution(row), {})
     budget = size.budgets.get(row.budget, {}) if row.budget else usual
-    shared = request.source.list_changes(category) | dict(size.changes) | dict(budget)
+    shared = dict(size.changes) | dict(budget)
+    if request.shapenet:
+        shared["data.shapenet"] = request.shapenet
+    elif category == "car":
+        shared["category"] = "car_simple"  # the paper's cars are passenger cars
     variant = ",".join(part for part in (size.variant, row.variant) if part)
     parts = (category, *variant.split(","), row.tag)
     parts += (row.budget if budget != usual else "", f"seed{seed}")

@@ -1,4 +1,4 @@
-"""Trains the runs that are missing: a process of `dpc_jax.main` each, some at once."""
+"""Trains the runs that are missing, a process of `dpc_jax.main` each, for the page."""
 
 import collections
 import contextlib
@@ -14,17 +14,22 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from dpc_jax.config import Config
-from dpc_jax.experiments.runs import Run
+from dpc_jax.config import Config, replace_fields
+from dpc_jax.experiments.page import write_page
+from dpc_jax.experiments.results import Outcome, Results
+from dpc_jax.experiments.runs import SIZES, Request, Run
+from dpc_jax.learning.inference.predictor import VIEWS_AT_ONCE
+from dpc_jax.run.process import catch_signals, prepare_process
 from dpc_jax.run.workdir import (
     claim_workdir,
+    hold_workdir,
     list_differences,
     read_config,
     read_metrics,
 )
 
 PROGRAM = ("-m", "dpc_jax.main")  # that trains a run, for Python
-_GB_PER_RUN = 3.0  # the default run takes 2.8 while its programs compile
+_BYTES_PER_RUN = 3 * 2**30  # the default run takes 2.8 GB while its programs compile
 _POLL_SECONDS = 0.5
 
 
@@ -35,28 +40,63 @@ class Job:
     run: Run
     config: Config  # that its flags stand for
     workdir: Path  # its folder
-    log: Path  # file that its output is appended to
+    log: Path  # file of its output
     # Variables of its process, beside those of this one.
     environment: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def read_metrics(self) -> dict[str, Any] | None:
-        """The test metrics of its report; None where it is not finished.
-
-        Raises:
-          ValueError: where they cannot be read.
-        """
+        """The test metrics of its report; None where there is no whole one."""
         page = self.workdir / "report" / "index.html"  # is written after the metrics
-        if not page.is_file():
-            return None
-        if list_differences(read_config(self.workdir), self.config):
-            return None
-        return read_metrics(self.workdir)
-
-    def is_finished(self) -> bool:
-        """Whether there is a whole report of this config."""
         with contextlib.suppress(ValueError):
-            return self.read_metrics() is not None
-        return False
+            config = read_config(self.workdir)
+            if page.is_file() and not list_differences(config, self.config):
+                return read_metrics(self.workdir)
+        return None
+
+
+def run_suite(
+    request: Request, folder: Path, *, trains: bool, cache: Path
+) -> tuple[Path, int]:
+    """Train what is missing of some runs, then write the page of the request.
+
+    Args:
+      request: what is asked for.
+      folder: DIR, with a folder per run under runs/.
+      trains: whether what is missing is trained, or left out of the page.
+      cache: of rendered data sets.
+
+    Returns:
+      The page, and how many of the runs failed.
+
+    Raises:
+      ValueError: where another command uses DIR, or a config cannot work.
+      OSError: where DIR cannot be written.
+      KeyboardInterrupt: where Ctrl-C stopped it; the runs have saved.
+    """
+    prepare_process(VIEWS_AT_ONCE)  # the networks of finished runs are asked here
+    with hold_workdir(folder), catch_signals() as stop:
+        jobs = [_make_job(run, request, folder, cache) for run in request.list_runs()]
+        problems = {}
+        if trains:
+            problems = train_missing(jobs, cores=choose_cores(), stop=stop)
+        outcomes = {
+            job.run.name: Outcome(
+                job.run,
+                job.workdir,
+                job.read_metrics(),
+                problems.get(job.run.name, ""),
+            )
+            for job in jobs
+        }
+        path = write_page(Results(request, outcomes), folder)
+    return path, len(problems)
+
+
+def _make_job(run: Run, request: Request, folder: Path, cache: Path) -> Job:
+    config = replace_fields(run.load_config(), {"data": {"cache_dir": str(cache)}})
+    log = folder / "logs" / f"{run.name}.txt"
+    environment = SIZES[request.size].environment
+    return Job(run, config, folder / "runs" / run.name, log, environment)
 
 
 def train_missing(
@@ -77,18 +117,20 @@ def train_missing(
     Returns:
       Why jobs failed, by name of the run.
     """
-    waiting = collections.deque(job for job in jobs if not job.is_finished())
+    waiting = collections.deque(job for job in jobs if job.read_metrics() is None)
     print(f"{len(jobs) - len(waiting)} of {len(jobs)} runs are finished.", flush=True)
     failures: dict[str, str] = {}
 
     def work(core):
-        if core >= 0 and hasattr(os, "sched_setaffinity"):
+        if core >= 0:
             os.sched_setaffinity(0, {core})  # this thread, and what it starts
-        while waiting and not stop.is_set():
-            with contextlib.suppress(IndexError):  # another thread was quicker
+        while not stop.is_set():
+            try:
                 job = waiting.popleft()
-                if problem := _train(job, core, stop, program):
-                    failures[job.run.name] = problem
+            except IndexError:
+                return
+            if problem := _train(job, core, stop, program):
+                failures[job.run.name] = problem
 
     with ThreadPoolExecutor(len(cores)) as pool:
         list(pool.map(work, cores))
@@ -101,14 +143,9 @@ def _train(job: Job, core: int, stop: threading.Event, program: Sequence[str]) -
     _say(f"{name}: begins")
     try:
         claim_workdir(job.workdir, job.config)
-        start, status = _run(job, core, stop, program)
+        problem = _run(job, core, stop, program)
     except (ValueError, OSError) as error:
         problem = str(error)
-    else:
-        if stop.is_set() or (status == 0 and job.is_finished()):
-            problem = ""
-        else:
-            problem = _read_failure(job.log, start, status)
     minutes = (time.monotonic() - started) / 60
     end = f"failed: {problem}" if problem else f"ended after {minutes:.1f} min"
     _say(f"{name} {end}")
@@ -120,8 +157,8 @@ def _say(text: str) -> None:
     print(f"{text}\n", end="", flush=True)
 
 
-def _run(job, core, stop, program) -> tuple[int, int]:
-    """Run the process to its end; where its output begins in the log, its status.
+def _run(job: Job, core: int, stop: threading.Event, program: Sequence[str]) -> str:
+    """Run the process to its end; why it failed, or "".
 
     It has a session of its own, so that Ctrl-C reaches it through this command alone.
     """
@@ -130,8 +167,7 @@ def _run(job, core, stop, program) -> tuple[int, int]:
     if core >= 0:
         flags.append("--config.run.devices=1")
     job.log.parent.mkdir(parents=True, exist_ok=True)
-    with open(job.log, "ab") as log:
-        start = log.tell()
+    with open(job.log, "wb") as log:
         process = subprocess.Popen(
             [sys.executable, *program, *flags],
             stdin=subprocess.DEVNULL,
@@ -144,51 +180,26 @@ def _run(job, core, stop, program) -> tuple[int, int]:
             if stop.wait(_POLL_SECONDS):
                 process.terminate()  # it saves
                 process.wait()
-    return start, process.returncode
-
-
-def _read_failure(log: Path, start: int, status: int) -> str:
-    """Why a run ended before its report, by its own sentence after a byte of its log.
-
-    Args:
-      status: that it ended with; -9 for signal 9.
-    """
-    with open(log, "rb") as file:
-        file.seek(start)
-        lines = file.read().decode("utf-8", "replace").splitlines()
+    status = process.returncode
+    if stop.is_set() or (status == 0 and job.read_metrics() is not None):
+        return ""
+    lines = job.log.read_text("utf-8", "replace").splitlines()
     own = [line.removeprefix("Error: ") for line in lines if line.startswith("Error: ")]
-    if own:
-        return own[-1]
-    if status < 0:
-        return f"It was ended by {signal.Signals(-status).name}; see {log}."
-    return f"It ended with status {status} and no report; see {log}."
+    ended = f"ended by {signal.Signals(-status).name}" if status < 0 else ""
+    ended = ended or f"over with status {status} and no report"
+    return own[-1] if own else f"It was {ended}; see {job.log}."
 
 
-def choose_cores(limit: int = 0) -> list[int]:
+def choose_cores() -> list[int]:
     """The cores that a run each is kept to, as many as runs fit into memory.
 
     [-1] where runs come one after the other, with the whole machine each: on a GPU.
-
-    Args:
-      limit: how many runs at most; 0 for as many as fit.
     """
     # Another process is asked what JAX runs on: a GPU must not be taken here.
     words = [sys.executable, "-c", "import jax; print(jax.default_backend())"]
     answer = subprocess.run(words, capture_output=True, text=True, check=False)
     if (answer.stdout.strip() or "cpu") != "cpu":
         return [-1]
-    if hasattr(os, "sched_getaffinity"):
-        cores = sorted(os.sched_getaffinity(0))
-    else:
-        cores = list(range(os.cpu_count() or 1))
-    fitting = max(1, int(_read_free_gb() // _GB_PER_RUN))
-    return cores[: min(limit or len(cores), fitting)]
-
-
-def _read_free_gb() -> float:
-    """Memory that is free; infinity where the system does not tell."""
-    with contextlib.suppress(OSError, ValueError, IndexError):
-        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) / 2**20
-    return float("inf")
+    cores = sorted(os.sched_getaffinity(0))
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return cores[: max(1, memory // _BYTES_PER_RUN)]

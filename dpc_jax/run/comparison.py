@@ -1,12 +1,10 @@
 """Runs as a comparison shows them, read from their workdirs."""
 
-import dataclasses
 import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from flax.traverse_util import flatten_dict
-
+from dpc_jax.config import list_fields
 from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.outputs import show_text
 from dpc_jax.reporting.comparison import tabulate_groups, write_comparison
@@ -55,8 +53,8 @@ def read_runs(workdirs: Sequence[Path]) -> list[ComparedRun]:
 
 def _read_run(workdir: Path, name: str) -> ComparedRun:
     config = read_config(workdir)
-    fields = flatten_dict(dataclasses.asdict(config), sep=".")
-    fields = {n: v for n, v in fields.items() if not n.startswith(_LEFT_OUT)}
+    fields = list_fields(config).items()
+    fields = {n: v for n, v in fields if not n.startswith(_LEFT_OUT)}
     records = MetricLog(workdir / "metrics.jsonl").read()
     metrics = read_metrics(workdir)
     unfinished = ""

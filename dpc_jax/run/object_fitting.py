@@ -41,7 +41,7 @@ def fit_folder(
     settings: FitSettings = FitSettings(),
     surface: str = "glb",
     seed: int = 0,
-) -> Fit:
+):
     """Fit the object of a folder; write its cloud, surface, fit.json and pictures.
 
     Args:
@@ -97,7 +97,6 @@ def fit_folder(
     overlaps = dict(zip(names, found.overlaps, strict=True))
     for doubt in list_doubts(overlaps, is_searched=rotations is None):
         print(f"Warning: {doubt}.", file=sys.stderr)
-    return found
 
 
 def list_doubts(overlaps: Mapping[str, float], *, is_searched: bool) -> list[str]:

@@ -16,7 +16,7 @@ from dpc_jax.learning.inference.predictor import compile_predictor
 from dpc_jax.learning.step import TrainState, describe_state, init_state
 from dpc_jax.learning.training import loop
 from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
-from dpc_jax.learning.training.records import MetricLog, NonFiniteError
+from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.hosts.agreement import Job
 from dpc_jax.run.hosts.joining import joining
@@ -33,7 +33,6 @@ from dpc_jax.run.workdir import (
     list_differences,
     read_config,
 )
-from dpc_jax.task import Task, run_command
 
 # Fields that the shapes of parameters depend on.
 _OF_NETWORK = (
@@ -43,57 +42,26 @@ _OF_NETWORK = (
 _GB = 1e9
 
 
-def run_guarded(
-    config: Config,
-    *,
-    config_path: str,
-    workdir: str | None,
-    place: Place | None = None,
-) -> int:
-    """`run`, with expected failures as one sentence and an exit status."""
-    task = Task(
-        functools.partial(
-            run, config, config_path=config_path, workdir=workdir, place=place
-        ),
-        out=Path(workdir or "runs"),
-        interrupted="Interrupted; start again in the same workdir to go on.",
-        errors=(ValueError, OSError, NonFiniteError),
-    )
-    return run_command(lambda: task)
-
-
-def judge_guarded(
-    config: Config, *, config_path: str, workdir: str | None, judge: Callable
-) -> int:
-    """What judges the finished run of a config, guarded in the same way.
+def judge(config: Config, folder: Path, judge_run: Callable):
+    """Have the finished run of a config judged.
 
     Args:
-      judge: `judge_finally`, `judge_photographs`.
+      judge_run: `judge_finally`, `judge_photographs`.
+
+    Raises:
+      ValueError: where the folder holds no finished run of that config.
     """
-    folder = Path(workdir or _name_workdir(config, config_path))
-
-    def run_judge():
-        check_same(folder, read_config(folder), config)
-        prepare_process(1, 1)
-        judge(folder, cache_dir=config.data.cache_dir)
-
-    errors = ValueError, OSError
-    return run_command(lambda: Task(run_judge, folder, "Interrupted.", errors=errors))
+    check_same(folder, read_config(folder), config)
+    prepare_process(1, 1)
+    judge_run(folder, cache_dir=config.data.cache_dir)
 
 
-def run(
-    config: Config,
-    *,
-    config_path: str,
-    workdir: str | None,
-    place: Place | None = None,
-):
+def run(config: Config, folder: Path, place: Place | None = None):
     """Train where that is left to do, then evaluate on the test split and report.
 
     Args:
       config: of the run.
-      config_path: file it came from, for the default workdir's name.
-      workdir: folder of the run; runs/NAME-seedN where None.
+      folder: of the run.
       place: of this process among those of a job; None where it is on its own.
 
     Raises:
@@ -106,7 +74,6 @@ def run(
     processes = place.processes if place else 1
     objects = max(1, config.train.models_per_batch // processes)
     prepare_process(objects, config.run.devices // processes)
-    folder = Path(workdir or _name_workdir(config, config_path))
     with joining(place) as job, contextlib.ExitStack() as held:
         job.check_same(config)
 
@@ -282,10 +249,3 @@ def check_memory(program: jax.stages.Compiled) -> None:
             "--config.render.renders_at_once=4 to render fewer views side by side, or "
             "--config.train.models_per_batch lower."
         )
-
-
-def _name_workdir(config, config_path):
-    """runs/car-paper-seed0, for instance."""
-    variant = config.variant.replace(",", "-")
-    parts = (Path(config_path).stem, variant, f"seed{config.seed}")
-    return Path("runs") / "-".join(part for part in parts if part)

@@ -1,14 +1,19 @@
 """The folder of a run: the config that it belongs to, and its canonical alignment."""
 
 import contextlib
-import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dpc_jax.config import Config, from_json, to_json
+from dpc_jax.config import (
+    Config,
+    from_fields,
+    list_fields,
+    name_differences,
+    to_json,
+)
 from dpc_jax.evaluation.alignment import Alignment
 from dpc_jax.files import (
     Damage,
@@ -85,17 +90,10 @@ def check_same(workdir: Path, other: Config, config: Config):
 def list_differences(old: Config, new: Config) -> list[str]:
     """Fields that keep a config from going on with a run of another one.
 
-    Each with both values: "train.steps (20 there, 40 now)".
+    Each with both values, see `name_differences`.
     """
-    # Here: it loads JAX, and reading a config should not.
-    from flax.traverse_util import flatten_dict
-
-    there, now = (flatten_dict(dataclasses.asdict(c), sep=".") for c in (old, new))
-    return [
-        f"{name} ({there[name]!r} there, {now[name]!r} now)"
-        for name in sorted(now)
-        if there[name] != now[name] and not name.startswith(FREE_FIELDS)
-    ]
+    differing = name_differences(list_fields(old), list_fields(new))
+    return [text for text in differing if not text.startswith(FREE_FIELDS)]
 
 
 _AGAIN = (
@@ -113,7 +111,7 @@ def read_config(workdir: Path) -> Config:
     with reading(
         "the config of a run", path, "give the --workdir of a run of dpc_jax.main"
     ):
-        return from_json(read_text(path))
+        return from_fields(read_json(path))
 
 
 def read_metrics(workdir: Path) -> dict[str, Any] | None:

@@ -1,6 +1,5 @@
 """What the processes of a job tell each other and decide together."""
 
-import dataclasses
 import hashlib
 import importlib.metadata
 import json
@@ -11,11 +10,10 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax.traverse_util import flatten_dict
 from jax.experimental import multihost_utils
 from orbax.checkpoint import multihost
 
-from dpc_jax.config import Config
+from dpc_jax.config import Config, list_fields, name_differences
 
 # For what process 0 does alone while the others wait for it, and for slow hosts.
 PATIENCE_SECONDS = 4 * 3600
@@ -86,9 +84,9 @@ class Job:
             if differing := name_differences(first, other):
                 raise ValueError(
                     "All processes of a job must have the same config and versions, "
-                    f"but process {process} differs from process 0 in {differing}; "
-                    "start all of them with the same command from the same "
-                    "installation."
+                    f"but process {process} differs from process 0 in "
+                    f"{', '.join(differing)}; start all of them with the same command "
+                    "from the same installation."
                 )
 
     def do_first(self, action: Callable[[], _Result]) -> _Result | None:
@@ -141,14 +139,5 @@ def list_versions(config: Config) -> dict[str, Any]:
     for path in sorted(root.rglob("*.py")):
         digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
     told["the code of dpc_jax"] = digest.hexdigest()[:12]
-    fields = flatten_dict(dataclasses.asdict(config), sep=".").items()
+    fields = list_fields(config).items()
     return told | {f"config.{n}": v for n, v in fields if n not in OWN_FIELDS}
-
-
-def name_differences(first: dict, other: dict) -> str:
-    """What two processes were told differently; "" where nothing."""
-    return ", ".join(
-        f"{name} ({first.get(name)!r} there, {other.get(name)!r} here)"
-        for name in sorted(first.keys() | other.keys())
-        if first.get(name) != other.get(name)
-    )

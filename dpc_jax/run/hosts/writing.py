@@ -5,6 +5,7 @@ calls it at the same steps. Only process 0 needs the workdir.
 """
 
 import contextlib
+import functools
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,7 +16,6 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import SingleDeviceSharding
 
-from dpc_jax.files import explaining_full_disk
 from dpc_jax.learning.step import TrainState
 from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.training.records import MetricLog
@@ -77,13 +77,8 @@ class SharedCheckpoints(Checkpoints):
           ValueError: in the other processes, where process 0 cannot write.
         """
         whole = jax.tree.map(gather_array, state)
-        save = super().save
-
-        def save_whole():
-            with explaining_full_disk(self._folder):
-                save(whole, seconds=seconds)
-
-        self._job.do_first(save_whole)
+        save = functools.partial(super().save, whole, seconds=seconds)
+        self._job.do_first(save)
 
     def set_aside(self, steps: Iterable[int]):
         """Move checkpoints to damaged-checkpoint-STEP beside the folder."""
