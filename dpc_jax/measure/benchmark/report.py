@@ -60,9 +60,8 @@ def _write_speed(out, results) -> list[str]:
         intro,
         format_table(heads, rows, align="lrlrrr"),
         "*gradient*: largest relative L2 difference from ours among the gradients. "
-        f"*All devices*: `project_batch` on {count} device{'s' * (count != 1)}; *one "
-        "device* has all of XLA's threads. *PyTorch* does a batch at once. *levels*: "
-        "sizes of 0.7 to 2.5 voxels.",
+        f"`project_batch` on {count} device{'s' * (count != 1)}; *PyTorch* does a "
+        "batch at once. *levels*: sizes of 0.7 to 2.5 voxels.",
     ]
 
 
@@ -148,8 +147,6 @@ def draw_errors(records: Sequence[dict[str, Any]], path: Path) -> Path:
                     if (r["family"], r["sigma"]) == (family, sigma)
                 ]
                 look = style.pick_series(number) | {"lw": 1.2, "ms": 4}
-                if family == "other dtypes":  # nothing joins these
-                    look["linestyle"] = ""
                 axes.plot(*zip(*sorted(chosen), strict=True), label=family, **look)
             axes.axhline(0.01, color=style.MUTED, ls="--", lw=0.8)
             axes.set(xscale="log", yscale="log")

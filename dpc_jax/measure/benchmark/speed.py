@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import PartitionSpec
 
-from dpc_jax.learning.losses import reprojection_loss
 from dpc_jax.measure.benchmark.plan import SEED, Case
 from dpc_jax.measure.benchmark.pytorch import has_torch, make_torch_call
 from dpc_jax.measure.scenes import make_scenes
@@ -18,7 +17,6 @@ from dpc_jax.measure.timing import measure_medians
 from dpc_jax.render import VoxelGrid, count_blocks, project, project_batch
 from dpc_jax.render.devices import choose_mesh, place
 
-ALL_DEVICES, ONE_DEVICE = "ours, all devices", "ours, one device"
 ONE_SIZE = "trilinear, one sigma"
 # The whole volume of a larger grid takes more memory than many machines have.
 _WHOLE_UP_TO = 512
@@ -45,59 +43,22 @@ def _draw_work(case: Case) -> Work:
     return Work(*(a.astype("f4") for a in (points, quaternions, masses, targets)))
 
 
-def render_ours(
-    points: jax.Array,
-    rotation: jax.Array,
-    mass: jax.Array,
-    sigma: jax.Array | float,
-    *,
-    side: int,
-    method: str,
-) -> jax.Array:
-    """Silhouette [side, side] by `project`; sigma () or [N], voxels."""
-    grid = VoxelGrid(side)
-    image = project(points, rotation, sigma=sigma, scale=mass, grid=grid, method=method)
-    assert image.silhouette is not None  # it is the default signal
-    return image.silhouette
+def _make_call(work: Work, sigma, *, method: str = "auto") -> Callable[[], Any]:
+    """A call that gives the gradients of points, quaternions and masses.
 
-
-def _make_call(work: Work, sigma, method: str = "auto") -> Callable[[], Any]:
-    """A call that gives the gradients of points, quaternions and masses."""
-    *inputs, targets, sigma = (jnp.asarray(a, jnp.float32) for a in (*work, sigma))
-    return functools.partial(_compile_gradient(method), inputs, targets, sigma)
-
-
-@functools.lru_cache
-def _compile_gradient(method):
-    """Compiled once for cases of the same sizes; takes sample after sample."""
-
-    def compute_loss(inputs, targets, sigma):
-        def compare(one):
-            (points, rotation, mass), target = one
-            look = {"side": len(target), "method": method}
-            image = render_ours(points, rotation, mass, sigma, **look)
-            return reprojection_loss(image, target)
-
-        return jnp.sum(jax.lax.map(compare, (inputs, targets)))
-
-    return jax.jit(jax.grad(compute_loss))
-
-
-def _make_batch_call(work: Work, sigma, *, side) -> Callable[[], Any]:
-    """As `_make_call`, by `project_batch` on all devices.
-
-    Arrays lie where the steps of a descent would leave them: shared out.
+    Arrays lie where the steps of a descent would leave them: shared out among devices.
     """
     arrays = tuple(jnp.asarray(a) for a in work)
     mesh = choose_mesh(None, batch_size=len(work.points))
     if mesh is not None and len(work.points) % mesh.size == 0:
         arrays = place(arrays, mesh, PartitionSpec(mesh.axis_names))
+    grid = VoxelGrid(work.targets.shape[-1])
 
     @jax.jit
     @jax.grad
     def gradient(inputs, targets, sigma):
         points, rotations, masses = inputs
-        looks = {"sigma": sigma, "scale": masses, "grid": VoxelGrid(side)}
+        looks = {"sigma": sigma, "scale": masses, "grid": grid, "method": method}
         images = project_batch(points, rotations, **looks).silhouette
         return jnp.sum((images - targets) ** 2)
 
@@ -105,28 +66,25 @@ def _make_batch_call(work: Work, sigma, *, side) -> Callable[[], Any]:
 
 
 def compare_with_peers(case: Case, *, rounds: int) -> dict[str, Any]:
-    """Silhouette, forward and backward, on all devices, on one, and in PyTorch.
+    """Silhouette, forward and backward, by `project_batch` and in PyTorch.
 
     Returns:
-      A record: the case, seconds of each call with their medians and ratios to ours on
-      all devices, and the relative distances of the gradients from ours.
+      A record: the case, median seconds of each call and their ratios to ours, and the
+      relative distances of the gradients from ours.
     """
     work = _draw_work(case)
-    calls = {
-        ALL_DEVICES: _make_batch_call(work, case.sigma, side=case.side),
-        ONE_DEVICE: _make_call(work, case.sigma),
-    }
+    calls = {"project_batch": _make_call(work, case.sigma)}
     if has_torch():
         calls["PyTorch"] = make_torch_call(work[:3], work.targets, sigma=case.sigma)
-    return _compare(str(case), calls, ALL_DEVICES, rounds)
+    return _compare(str(case), calls, "project_batch", rounds)
 
 
 def compare_sizes(case: Case, *, rounds: int) -> dict[str, Any]:
     """A sigma per point, of 0.7 to 2.5 voxels, by levels and exactly; one for all."""
     work = _draw_work(case)
-    sizes = np.random.default_rng([SEED, 2]).uniform(0.7, 2.5, case.points)
+    sizes = np.random.default_rng([SEED, 2]).uniform(0.7, 2.5, (1, case.points))
     calls = {
-        name: _make_call(work, sigma, method)
+        name: _make_call(work, sigma, method=method)
         for name, method, sigma in (
             ("levels", "levels", sizes),
             ("gaussian", "gaussian", sizes),
