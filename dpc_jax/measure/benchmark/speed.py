@@ -3,7 +3,7 @@
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,44 +23,35 @@ _WHOLE_UP_TO = 512
 _TORCH_UP_TO = 256  # which keeps every step's volume
 
 
-class Work(NamedTuple):
-    """The arrays of a case, numpy float32."""
-
-    points: np.ndarray  # [B, N, 3]
-    quaternions: np.ndarray  # [B, 4]
-    masses: np.ndarray  # [B] voxels
-    targets: np.ndarray  # [B, D, D]
-
-
-def _draw_work(case: Case) -> Work:
-    """Random points, poses and targets of a case."""
+def _draw_work(case: Case) -> list[np.ndarray]:
+    """Points [B, N, 3], quaternions [B, 4], masses [B] and targets [B, D, D]."""
     rng = np.random.default_rng(SEED)
     points = rng.uniform(-0.4, 0.4, (case.batch, case.points, 3))
     quaternions = rng.normal(size=(case.batch, 4))
     # A mean occupancy of 0.03, so that some of the middle is clipped.
     masses = np.full(case.batch, 0.03 * case.side**3 / case.points)
     targets = rng.uniform(size=(case.batch, case.side, case.side))
-    return Work(*(a.astype("f4") for a in (points, quaternions, masses, targets)))
+    return [a.astype("f4") for a in (points, quaternions, masses, targets)]
 
 
-def _make_call(work: Work, sigma, *, method: str = "auto") -> Callable[[], Any]:
+def _make_call(work, sigma, *, method: str = "auto") -> Callable[[], Any]:
     """A call that gives the gradients of points, quaternions and masses.
 
     Arrays lie where the steps of a descent would leave them: shared out among devices.
     """
-    arrays = tuple(jnp.asarray(a) for a in work)
-    mesh = choose_mesh(None, batch_size=len(work.points))
-    if mesh is not None and len(work.points) % mesh.size == 0:
+    batch, side = len(work[0]), work[-1].shape[-1]
+    arrays = tuple(map(jnp.asarray, work))
+    mesh = choose_mesh(None, batch_size=batch)
+    if mesh is not None and batch % mesh.size == 0:
         arrays = place(arrays, mesh, PartitionSpec(mesh.axis_names))
-    grid = VoxelGrid(work.targets.shape[-1])
+    looks = {"grid": VoxelGrid(side), "method": method}
 
     @jax.jit
     @jax.grad
     def gradient(inputs, targets, sigma):
         points, rotations, masses = inputs
-        looks = {"sigma": sigma, "scale": masses, "grid": grid, "method": method}
-        images = project_batch(points, rotations, **looks).silhouette
-        return jnp.sum((images - targets) ** 2)
+        images = project_batch(points, rotations, sigma=sigma, scale=masses, **looks)
+        return jnp.sum((images.silhouette - targets) ** 2)
 
     return lambda: gradient(arrays[:3], arrays[3], jnp.asarray(sigma, jnp.float32))
 
@@ -69,14 +60,14 @@ def compare_with_peers(case: Case, *, rounds: int) -> dict[str, Any]:
     """Silhouette, forward and backward, by `project_batch` and in PyTorch.
 
     Returns:
-      A record: the case, median seconds of each call and their ratios to ours, and the
-      relative distances of the gradients from ours.
+      A record: the case, median seconds of each call, and the relative distances of
+      the gradients from ours.
     """
     work = _draw_work(case)
     calls = {"project_batch": _make_call(work, case.sigma)}
     if has_torch():
-        calls["PyTorch"] = make_torch_call(work[:3], work.targets, sigma=case.sigma)
-    return _compare(str(case), calls, "project_batch", rounds)
+        calls["PyTorch"] = make_torch_call(work[:3], work[3], sigma=case.sigma)
+    return _compare(str(case), calls, rounds)
 
 
 def compare_sizes(case: Case, *, rounds: int) -> dict[str, Any]:
@@ -92,24 +83,22 @@ def compare_sizes(case: Case, *, rounds: int) -> dict[str, Any]:
         )
     }
     name = f"{case.batch} × {case.points}, D={case.side}, a sigma per point"
-    record = _compare(name, calls, "levels", rounds)
+    record = _compare(name, calls, rounds)
     # Another image: nothing to compare.
     del record["gradient_difference"][ONE_SIZE]
     return record
 
 
-def _compare(name, calls, ours, rounds):
-    """Medians, ratios to ours, and how far each gradient is from ours."""
-    peers = [name for name in calls if name != ours]
-    own = [np.asarray(value, np.float64) for value in calls[ours]()]
-    differences = {peer: [*map(measure_distance, calls[peer](), own)] for peer in peers}
-    medians = measure_medians(calls, rounds=rounds)
+def _compare(name, calls, rounds):
+    """Medians, and how far each gradient is from that of the first call."""
+    own, *others = (
+        [np.asarray(value, np.float64) for value in call()] for call in calls.values()
+    )
+    differences = [[*map(measure_distance, other, own)] for other in others]
     return {
         "case": name,
-        "ours": ours,
-        "median_seconds": medians,
-        "ratio_to_ours": {peer: medians[peer] / medians[ours] for peer in peers},
-        "gradient_difference": differences,
+        "median_seconds": measure_medians(calls, rounds=rounds),
+        "gradient_difference": dict(zip(list(calls)[1:], differences, strict=True)),
     }
 
 
