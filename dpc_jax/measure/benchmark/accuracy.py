@@ -20,12 +20,9 @@ from dpc_jax.measure.benchmark.speed import measure_distance
 from dpc_jax.measure.scenes import Scene
 from dpc_jax.measure.timing import measure_medians
 from dpc_jax.render import VoxelGrid, compensate_widening, project
-from dpc_jax.render.projection import scale_sizes
 
 _MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
 ERRORS = ("error", "error_same_grid")  # ends of their names in a record
-
-
 # Name, method, whether sigma is that of `compensate_widening`, and dtype.
 FAMILIES = (
     ("trilinear", "trilinear", False, "float32"),
@@ -92,10 +89,10 @@ def measure_scene(
 def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
     """Calls that give the image, and the gradient with the image, of a setting."""
     image, gradient = _make_programs(setting.method, setting.side, min(plan.sides))
-    # Exponent 2: grids are compared by how near they come to the same image, so the
-    # optical depth along a ray has to stay. Learning keeps the density instead.
-    _, mass = scale_sizes(sigma, scene.mass, setting.side / _MASS_SIDE, exponent=2)
-    sigma, _ = scale_sizes(sigma, mass, setting.side / plan.base_side, exponent=2)
+    # Grids are compared by how near they come to the same image, so the optical depth
+    # along a ray has to stay. Learning keeps the density instead.
+    mass = scene.mass * (setting.side / _MASS_SIDE) ** 2
+    sigma = sigma * setting.side / plan.base_side
     if setting.is_compensated:
         sigma = float(compensate_widening(sigma))
     values = (scene.points, scene.pose, mass, sigma, target)

@@ -8,7 +8,7 @@ optimisation. Each gives rows, which `report` writes.
 # In the order of the report.
 SUBJECTS = (
     *("rotation", "splat", "gaussian", "ray", "loss"),
-    *("camera", "image", "cells", "sum", "random", "descent"),
+    *("image", "cells", "sum", "random", "descent"),
 )
 DTYPES = ("float64", "float32", "bfloat16", "float16")
 QUICK_DTYPES = ("float32",)
