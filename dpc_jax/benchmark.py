@@ -11,7 +11,7 @@ import shlex
 import sys
 from pathlib import Path
 
-from dpc_jax.measure.benchmark.plan import FULL, PARTS, QUICK
+from dpc_jax.measure.benchmark.plan import FULL, PARTS, QUICK, SEED
 from dpc_jax.task import FlagParser, Task, reading_names, run_command
 
 WRITES = ("benchmark.md", "benchmark.json", "error.png")
@@ -51,21 +51,41 @@ def _read(arguments):
 
 
 def _measure(options, command):
+    """Measure part by part, and write the report after each: parts take minutes."""
     # Heavy: flags are read first.
-    from dpc_jax.measure.benchmark.suite import run_benchmark
+    from dpc_jax.learning.training.progress import ProgressReport
+    from dpc_jax.measure.benchmark import pytorch, report, suite
+    from dpc_jax.measure.timing import describe_machine
     from dpc_jax.render import use_all_cores
     from dpc_jax.run.process import keep_freed_memory
 
     with contextlib.suppress(RuntimeError):  # a program of the caller's has begun
         use_all_cores()
     keep_freed_memory()
-    path = run_benchmark(
-        options.out,
-        plan=QUICK if options.quick else FULL,
-        parts=options.parts,
-        command=command,
-    )
-    print(f"Report: {path}")
+    options.out.mkdir(parents=True, exist_ok=True)
+    plan = QUICK if options.quick else FULL
+    results = {
+        "machine": describe_machine(),
+        "command": command,
+        "has_torch": pytorch.has_torch(),
+        "seed": SEED,
+        "reference_side": plan.reference_side,
+        "base_side": plan.base_side,
+    }
+    tasks = {p: suite.list_tasks(p, plan) for p in PARTS if p in options.parts}
+    step, total = 0, sum(map(len, tasks.values()))
+    with ProgressReport("Benchmark", total=total) as progress:
+        for part, measures in tasks.items():
+            records = []
+            for name, measure in measures:
+                step += 1
+                progress.tell(f"{step}/{total} {part}: {name}")
+                found = measure()
+                records += [found] if isinstance(found, dict) else found
+                progress.advance(step)
+            results[part] = records
+            report.write_report(options.out, results)
+    print(f"Report: {options.out / 'benchmark.md'}")
 
 
 if __name__ == "__main__":

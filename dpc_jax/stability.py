@@ -11,10 +11,9 @@ import sys
 import time
 from pathlib import Path
 
-from dpc_jax.measure.stability import DTYPES, SUBJECTS
+from dpc_jax.measure.stability import QUICK_DTYPES, SUBJECTS
 from dpc_jax.task import FlagParser, Task, reading_names, run_command
 
-QUICK_DTYPES = ("float32",)
 WRITES = ("stability.md", "stability.json")
 
 
@@ -50,40 +49,49 @@ def make_parser() -> argparse.ArgumentParser:
         "--quick",
         action="store_true",
         help="a small version of each subject, in a few minutes; the cases in "
-        f"{','.join(QUICK_DTYPES)} unless --dtypes says otherwise",
+        f"{','.join(QUICK_DTYPES)}",
     )
-    for flag, known in (("subjects", SUBJECTS), ("dtypes", DTYPES)):
-        words = f"some of {','.join(known)}; default: all"
-        parser.add_argument(f"--{flag}", type=reading_names(known), help=words)
-    parser.add_argument("--seed", type=int, default=0, help="of the random draws")
+    parser.add_argument(
+        "--subjects",
+        type=reading_names(SUBJECTS),
+        default=SUBJECTS,
+        help=f"some of {','.join(SUBJECTS)}; default: all",
+    )
     return parser
+
+
+def run_subject(subject: str, *, quick: bool) -> list:
+    """Rows of a subject, or of a small version of it."""
+    # Heavy: flags are read first.
+    from dpc_jax.measure.stability import descents, functions, images, random_draws
+    from dpc_jax.measure.stability.runner import run_cases
+
+    if subject == "random":
+        return [random_draws.run(t, quick=quick) for t in random_draws.TARGETS]
+    if subject == "descent":
+        return list(descents.run(quick=quick))
+    cases = (functions.CASES | images.CASES)[subject]
+    return list(run_cases(subject, cases, quick=quick))
 
 
 def _measure(options, command):
     """Run subject by subject, and print what failed; the exit status."""
-    # Heavy: flags are read first.
     from dpc_jax.learning.training.progress import ProgressReport
     from dpc_jax.measure.stability.report import write_report
-    from dpc_jax.measure.stability.runner import run_subject
-    from dpc_jax.measure.timing import describe_machine
 
     options.out.mkdir(parents=True, exist_ok=True)
     rows, seconds, path = [], {}, None
-    about = {"seed": options.seed, "command": command}
-    about["machine"] = describe_machine()
     # In the order of the report, whatever the order of the flag.
-    subjects = [name for name in SUBJECTS if name in (options.subjects or SUBJECTS)]
-    wanted = {"quick": options.quick, "seed": options.seed}
-    wanted["dtypes"] = options.dtypes or (QUICK_DTYPES if options.quick else None)
-    with ProgressReport("Stability", total=len(subjects)) as progress:
-        for step, subject in enumerate(subjects, start=1):
+    wanted = [name for name in SUBJECTS if name in options.subjects]
+    with ProgressReport("Stability", total=len(wanted)) as progress:
+        for step, subject in enumerate(wanted, start=1):
             start = time.perf_counter()
-            found = run_subject(subject, **wanted)
+            found = run_subject(subject, quick=options.quick)
             seconds[subject] = time.perf_counter() - start
             rows += found
-            progress.tell(f"{step}/{len(subjects)} {subject}: {len(found)} rows")
+            progress.tell(f"{step}/{len(wanted)} {subject}: {len(found)} rows")
             # After each one, so that an interrupted run keeps those that are done.
-            path = write_report(options.out, rows, seconds=seconds, **about)
+            path = write_report(options.out, rows, seconds=seconds, command=command)
             progress.advance(step)
     failures = [row.describe_failure() for row in rows if not row.passes]
     for failure in failures:

@@ -2,27 +2,24 @@
 
 import os
 import platform
+import statistics
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 
 from dpc_jax.render.devices import count_cores
 
-# Those flags of a processor that decide the speed of a matrix product.
-_FLAGS = ("avx2", "fma", "avx512f", "avx512_bf16", "amx_bf16", "asimd", "sve")
 
-
-def time_interleaved(
+def measure_medians(
     calls: Mapping[str, Callable[[], Any]],
     *,
     rounds: int,
     budget_seconds: float = float("inf"),
-) -> dict[str, list[float]]:
-    """Seconds of each call, round by round, all calls in each round.
+) -> dict[str, float]:
+    """Median seconds of each call; all calls take their turn in each round.
 
     So a machine that is slow for a while is slow for all of them. An additional first
     round, which compiles, is not counted. Each call must return the arrays that it
@@ -38,45 +35,30 @@ def time_interleaved(
             start = time.perf_counter()
             jax.block_until_ready(call())
             seconds[name].append(time.perf_counter() - start)
-    return seconds
-
-
-def measure_medians(
-    calls: Mapping[str, Callable[[], Any]], *, rounds: int
-) -> dict[str, float]:
-    """Median seconds of each call, which take turns."""
-    seconds = time_interleaved(calls, rounds=rounds)
-    return {name: float(np.median(values)) for name, values in seconds.items()}
+    return {name: statistics.median(values) for name, values in seconds.items()}
 
 
 def describe_machine() -> dict[str, Any]:
     """What a reader must know to compare times with those of another machine."""
     info = Path("/proc/cpuinfo")
-    fields = {}
-    for line in info.read_text().splitlines() if info.is_file() else []:
-        name, _, value = line.partition(":")
-        fields.setdefault(name.strip(), value.strip())
-    flags = fields.get("flags", fields.get("Features", "")).split()
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    lines = info.read_text().splitlines() if info.is_file() else []
+    names = [line.partition(":")[2] for line in lines if line.startswith("model name")]
     return {
-        "processor": fields.get("model name", platform.machine()),
+        "processor": names[0].strip() if names else platform.machine(),
         "cores": count_cores(),
-        "flags": [flag for flag in _FLAGS if flag in flags],
         "system": platform.system(),
         "python": platform.python_version(),
         "jax": jax.__version__,
         "backend": jax.default_backend(),
-        "device": jax.devices()[0].device_kind,
         "devices": jax.local_device_count(),
-        "load_at_start": load,
+        "load_at_start": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
     }
 
 
 def phrase_machine(machine: Mapping[str, Any]) -> str:
     """A line of text about the machine, from `describe_machine`."""
-    flags = ", ".join(machine["flags"]) or "no flags of note"
     return (
-        f"{machine['processor']} ({flags}), {machine['cores']} of its cores, "
+        f"{machine['processor']}, {machine['cores']} of its cores, "
         f"{machine['system']}; JAX {machine['jax']} on {machine['backend']}, Python "
         f"{machine['python']}"
     )

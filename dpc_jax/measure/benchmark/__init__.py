@@ -1,4 +1,4 @@
 """Error against run time: what `python -m dpc_jax.benchmark` measures and writes.
 
-`suite` runs the parts of a `plan.Plan`; `report` shows their records.
+`suite` lists what a `plan.Plan` measures; `report` shows the records.
 """

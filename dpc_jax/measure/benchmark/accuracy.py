@@ -8,7 +8,7 @@ same, so that results converge.
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -16,49 +16,41 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.measure.benchmark.plan import Plan
-from dpc_jax.measure.benchmark.speed import measure_distance, render_ours
+from dpc_jax.measure.benchmark.speed import measure_distance
 from dpc_jax.measure.scenes import Scene
-from dpc_jax.measure.timing import time_interleaved
-from dpc_jax.render import compensate_widening
-from dpc_jax.render.projection import scale_sizes
+from dpc_jax.measure.timing import measure_medians
+from dpc_jax.render import VoxelGrid, compensate_widening, project
 
 _MASS_SIDE = 64  # scenes give their mass for a grid of this many cells a side
 ERRORS = ("error", "error_same_grid")  # ends of their names in a record
+# Name, method, whether sigma is that of `compensate_widening`, and dtype.
+FAMILIES = (
+    ("trilinear", "trilinear", False, "float32"),
+    ("trilinear, compensated", "trilinear", True, "float32"),
+    ("trilinear, bfloat16", "trilinear", False, "bfloat16"),
+    ("quadratic", "quadratic", False, "float32"),
+    ("cubic", "cubic", False, "float32"),
+    ("gaussian", "gaussian", False, "float32"),
+)
 
 
 class Setting(NamedTuple):
     """One way to render."""
 
-    family: str  # name of the settings that differ from this one in one number
-    label: str
+    family: str  # name of the settings that differ from this one in the grid alone
     method: str  # of `project`
+    is_compensated: bool
+    dtype: str
     side: int  # cells of the grid along each axis
-    is_compensated: bool = False  # whether sigma is that of `compensate_widening`
-    dtype: str = "float32"
 
-
-def list_settings(plan: Plan) -> list[Setting]:
-    """All settings of a plan."""
-    settings = [
-        Setting(family, f"{family}, {side}³", method, side, is_compensated)
-        for side in plan.sides
-        for family, method, is_compensated in (
-            ("trilinear", "trilinear", False),
-            ("trilinear, compensated", "trilinear", True),
-            ("quadratic", "quadratic", False),
-            ("cubic", "cubic", False),
-            ("gaussian", "gaussian", False),
-        )
-    ]
-    side = plan.base_side
-    for method, dtype in plan.dtypes:
-        label = f"{method}, {side}³, {dtype}"
-        settings.append(Setting("other dtypes", label, method, side, dtype=dtype))
-    return settings
+    @property
+    def label(self) -> str:
+        """Its name."""
+        return f"{self.family}, {self.side}³"
 
 
 def measure_scene(
-    scene: Scene, sigma: float, *, plan: Plan, settings: list[Setting]
+    scene: Scene, sigma: float, *, plan: Plan, settings: Sequence[Setting]
 ) -> list[dict[str, Any]]:
     """Errors and run times of all settings on one scene, which take turns.
 
@@ -70,7 +62,7 @@ def measure_scene(
     target = _compute_target(scene, sigma, plan)
     calls = {s.label: _prepare(scene, sigma, s, plan, target) for s in settings}
     times = {
-        kind: time_interleaved(
+        kind: measure_medians(
             {label: pair[i] for label, pair in calls.items()},
             rounds=plan.rounds,
             budget_seconds=plan.budget_seconds,
@@ -89,9 +81,7 @@ def measure_scene(
         for kind, found in (("image", image), ("gradient", gradient)):
             for name, n in zip(ERRORS, (side, setting.side), strict=True):
                 record[f"{kind}_{name}"] = measure_distance(found, exact[n][kind])
-            seconds = times[kind][setting.label]
-            record[f"{kind}_seconds"] = float(np.median(seconds))
-            record[f"{kind}_rounds"] = len(seconds)
+            record[f"{kind}_seconds"] = times[kind][setting.label]
         records.append(record)
     return records
 
@@ -99,10 +89,10 @@ def measure_scene(
 def _prepare(scene, sigma, setting, plan, target) -> tuple[Callable, Callable]:
     """Calls that give the image, and the gradient with the image, of a setting."""
     image, gradient = _make_programs(setting.method, setting.side, min(plan.sides))
-    # Exponent 2: grids are compared by how near they come to the same image, so the
-    # optical depth along a ray has to stay. Learning keeps the density instead.
-    _, mass = scale_sizes(sigma, scene.mass, setting.side / _MASS_SIDE, exponent=2)
-    sigma, _ = scale_sizes(sigma, mass, setting.side / plan.base_side, exponent=2)
+    # Grids are compared by how near they come to the same image, so the optical depth
+    # along a ray has to stay. Learning keeps the density instead.
+    mass = scene.mass * (setting.side / _MASS_SIDE) ** 2
+    sigma = sigma * setting.side / plan.base_side
     if setting.is_compensated:
         sigma = float(compensate_widening(sigma))
     values = (scene.points, scene.pose, mass, sigma, target)
@@ -122,8 +112,9 @@ def _make_programs(method, side, blocks):
     """Compiled once for all scenes: sigma, mass and target are inputs."""
 
     def render(points, pose, mass, sigma):
-        image = render_ours(points, pose, mass, sigma, side=side, method=method)
-        tiles = image.reshape(blocks, side // blocks, blocks, side // blocks)
+        looks = {"grid": VoxelGrid(side), "method": method}
+        image = project(points, pose, sigma=sigma, scale=mass, **looks)
+        tiles = image.silhouette.reshape(blocks, side // blocks, blocks, side // blocks)
         return jnp.mean(tiles, axis=(1, 3))
 
     def compute_loss(points, pose, mass, sigma, target):
@@ -135,7 +126,7 @@ def _make_programs(method, side, blocks):
 
 def _compute_exact(scene, sigma, side, plan, target) -> dict[str, np.ndarray]:
     """Image [C, C] and gradient [N, 3] of the gaussian method in float64."""
-    setting = Setting("exact", "exact", "gaussian", side, dtype="float64")
+    setting = Setting("exact", "gaussian", False, "float64", side)
     _, call = _prepare(scene, sigma, setting, plan, target)
     gradient, image = call()
     return {"image": np.asarray(image), "gradient": np.asarray(gradient)}
@@ -144,7 +135,7 @@ def _compute_exact(scene, sigma, side, plan, target) -> dict[str, np.ndarray]:
 def _compute_target(scene, sigma, plan) -> np.ndarray:
     """An image from the other pose. Any would do, so this is the cheapest."""
     turned = scene._replace(pose=scene.target_pose)
-    setting = Setting("target", "target", "trilinear", plan.base_side)
+    setting = Setting("target", "trilinear", False, "float32", plan.base_side)
     image, _ = _prepare(turned, sigma, setting, plan, np.zeros(()))
     return np.asarray(image(), np.float64)
 

@@ -33,7 +33,6 @@ class Plan:
     sigmas: tuple[float, ...]  # voxels of a grid with `base_side` cells a side
     base_side: int
     sides: tuple[int, ...]  # of cubic grids
-    dtypes: tuple[tuple[str, str], ...]  # method and dtype, beside float32
     reference_side: int  # of the float64 reference
     budget_seconds: float  # after so much time a setting gets no further round
 
@@ -55,11 +54,6 @@ FULL = Plan(
     sigmas=(0.3, 0.6, 1.2, 2.5, 5.0),
     base_side=64,
     sides=(32, 64, 128),
-    dtypes=(
-        ("trilinear", "float64"),
-        ("trilinear", "bfloat16"),
-        ("gaussian", "float64"),
-    ),
     reference_side=192,  # a multiple of 32 and 64
     budget_seconds=1.5,
 )
@@ -75,7 +69,6 @@ QUICK = Plan(
     sigmas=(0.5, 2.0),
     base_side=16,
     sides=(16,),
-    dtypes=(),
     reference_side=32,
     budget_seconds=0.2,
 )

@@ -5,11 +5,10 @@
 optimisation. Each gives rows, which `report` writes.
 """
 
-# Subjects by the names that the command line takes, and the modules of their cases.
-SUBJECTS = {
-    **dict.fromkeys(("rotation", "splat", "gaussian", "ray", "loss"), "functions"),
-    **dict.fromkeys(("camera", "image", "cells", "sum"), "images"),
-    "random": "random_draws",
-    "descent": "descents",
-}
+# In the order of the report.
+SUBJECTS = (
+    *("rotation", "splat", "gaussian", "ray", "loss"),
+    *("image", "cells", "sum", "random", "descent"),
+)
 DTYPES = ("float64", "float32", "bfloat16", "float16")
+QUICK_DTYPES = ("float32",)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpc_jax.learning import losses
-from dpc_jax.measure.stability import DTYPES, oracles
+from dpc_jax.measure.stability import oracles
 from dpc_jax.measure.stability.oracles import REAL
 from dpc_jax.measure.stability.runner import IN_WIDE, WIDE, make_cases
 from dpc_jax.render import (
@@ -124,8 +124,6 @@ SPLATS = (
     ("plain, of masses from 1e-30 to 1e30", PLACE, [1e-30, 1.0, 1e30], IN_WIDE),
     ("no point", np.zeros((0, 3)), np.zeros(0), {"is_slow": True}),
 )
-ONE_CELL = ("a grid of one cell", [[0.25, -0.25, 0], [0, 0, 0.5]], [1, 2])
-CROWD = 100_000
 VOLUME = np.cos(3.0 * np.arange(60)).reshape(SHAPE) + 1.5
 # Gradients in units of the slope for each voxel of σ, or of σ itself where it is wide.
 BROAD = {"gradient_floor": 1e-6}
@@ -159,11 +157,6 @@ COMPENSATED = (
 )
 
 
-def _crowd_mass(coordinate, value):
-    coordinates = jnp.broadcast_to(coordinate, (CROWD, 3))
-    return jnp.sum(splat(coordinates, jnp.broadcast_to(value, (CROWD,)), SHAPE))
-
-
 def _find_mass(peak, sigma):
     return peak * (2 * oracles.PI) ** REAL(1.5) * sigma * sigma * sigma
 
@@ -176,29 +169,11 @@ def _narrow(sigma):
 
 
 SPLATTING = [
-    *(
-        case
-        for shape, rows in ((SHAPE, SPLATS), ((1, 1, 1), [ONE_CELL]))
-        for case in make_cases(
-            "splat",
-            functools.partial(splat, shape=shape),
-            functools.partial(oracles.splat, shape=shape),
-            (8, 16),
-            rows,
-        )
-    ),
     *make_cases(
         "splat",
-        _crowd_mass,
-        lambda coordinate, value: CROWD * value + 0 * np.sum(coordinate),
-        # Equal terms all round the same way while the sum is between two powers of two:
-        # the last half of them errs by n/8, all of them by n/6.
-        (CROWD / 4, CROWD / 4),
-        [("1e5 coincident points, mass 1e30", [1.25, 1.5, 2.75], 1e30)],
-        # The gradient to the place is zero: what a point leaves on one side it takes on
-        # the other.
-        gradient_floor=CROWD * 1e30,
-        dtypes=WIDE,  # sums in 16 bits stop growing at 2/epsilon
+        functools.partial(splat, shape=SHAPE),
+        functools.partial(oracles.splat, shape=SHAPE),
+        *((8, 16), SPLATS),
     ),
     *make_cases(  # the slope in sigma cancels where the kernel is wide
         *("smooth", smooth, oracles.smooth, (64, 256), WIDTHS),
@@ -262,24 +237,25 @@ GAUSSIANS = make_cases(
 )
 
 # Rays.
-LONG = 1024
 MIDDLE = np.linspace(0.1, 0.8, 6)
 # In 16 bits 1 - 1e-7 is 1, and in float16 1e-9 is 0: these are cases all the same.
-RAYS = {
-    "plain": MIDDLE,
-    "empty": np.zeros(6),
-    "full": np.ones(6),
-    "one full cell, the last": np.eye(6)[-1],
-    "one full among others": np.where(np.arange(6) == 2, 1, MIDDLE),
-    "two full among others": np.where(np.arange(6) % 3 == 1, 1, MIDDLE),
-    "all at 1 - 1e-7": np.full(6, 1 - 1e-7),
-    "all at 1e-30": np.full(6, 1e-30),
-    "from 1e-30 to 1": np.array([1e-30, 1e-9, 0.5, 1e-20, 1, 1e-5]),
-    "one full cell alone": np.array([1.0]),
-    f"{LONG} at 1e-9": np.full(LONG, 1e-9),
-    f"{LONG} at 1e-3": np.full(LONG, 1e-3),
-    f"{LONG} full": np.ones(LONG),
-}
+RAYS = (
+    ("plain", MIDDLE),
+    ("empty", np.zeros(6)),
+    ("full", np.ones(6)),
+    ("one full cell, the last", np.eye(6)[-1]),
+    ("one full among others", np.where(np.arange(6) == 2, 1, MIDDLE)),
+    ("two full among others", np.where(np.arange(6) % 3 == 1, 1, MIDDLE)),
+    ("all at 1 - 1e-7", np.full(6, 1 - 1e-7)),
+    ("all at 1e-30", np.full(6, 1e-30)),
+    ("from 1e-30 to 1", [1e-30, 1e-9, 0.5, 1e-20, 1, 1e-5]),
+)
+LONG = 1024
+LONG_RAYS = (
+    (f"{LONG} at 1e-9", np.full(LONG, 1e-9), IN_WIDE),
+    (f"{LONG} at 1e-3", np.full(LONG, 1e-3), IN_WIDE),
+    (f"{LONG} full", np.ones(LONG), IN_WIDE),
+)
 TERMINATION = [
     case
     for title, function, oracle, floor in (
@@ -287,14 +263,13 @@ TERMINATION = [
         # The gradient is at most one; where it is zero, the oracle's sum leaves 1e-19.
         ("opacity", opacity, oracles.find_opacity, 1e-4),
     )
-    for name, ray in RAYS.items()
+    # Each cell rounds the product twice, at worst in one direction.
+    for tolerances, rays in (
+        ((20, 64), RAYS),
+        ((2 * LONG + 8, 8 * LONG + 16), LONG_RAYS),
+    )
     for case in make_cases(
-        # Each cell rounds the product twice, at worst in one direction.
-        *(title, function, oracle, (2 * len(ray) + 8, 8 * len(ray) + 16)),
-        [(name, ray)],
-        dtypes=WIDE if len(ray) == LONG else DTYPES,
-        gradient_floor=floor,
-        is_slow=len(ray) == 1,
+        *(title, function, oracle, tolerances, rays), gradient_floor=floor
     )
 ]
 
