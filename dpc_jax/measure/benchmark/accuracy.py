@@ -114,6 +114,7 @@ def _make_programs(method, side, blocks):
     def render(points, pose, mass, sigma):
         looks = {"grid": VoxelGrid(side), "method": method}
         image = project(points, pose, sigma=sigma, scale=mass, **looks)
+        assert image.silhouette is not None
         tiles = image.silhouette.reshape(blocks, side // blocks, blocks, side // blocks)
         return jnp.mean(tiles, axis=(1, 3))
 

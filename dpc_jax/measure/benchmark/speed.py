@@ -66,7 +66,7 @@ def compare_with_peers(case: Case, *, rounds: int) -> dict[str, Any]:
     work = _draw_work(case)
     calls = {"project_batch": _make_call(work, case.sigma)}
     if has_torch():
-        calls["PyTorch"] = make_torch_call(work[:3], work[3], sigma=case.sigma)
+        calls["PyTorch"] = make_torch_call(tuple(work[:3]), work[3], sigma=case.sigma)
     return _compare(str(case), calls, rounds)
 
 

@@ -66,9 +66,9 @@ def run(*, quick: bool) -> Iterator[Row]:
     program = jax.jit(descend, compiler_options=options, static_argnames="rate")
     for name in plan.objects:
         problems = [_make_problem(name, plan, seed) for seed in range(plan.seeds)]
-        for words, (ends, rate) in RECIPES.items():
+        for words, ((begin, end), rate) in RECIPES.items():
             # log sigma goes evenly between its ends.
-            sigmas = jnp.asarray(np.geomspace(*ends, plan.steps), jnp.float32)
+            sigmas = jnp.asarray(np.geomspace(begin, end, plan.steps), jnp.float32)
             found = [jax.device_get(program(p, sigmas, rate=rate)) for p in problems]
             bounds = plan.bounds if words == BEST else {}
             yield judge(f"{name}, {words}", found, bounds)
@@ -105,11 +105,12 @@ def descend(problem: Problem, sigmas: jax.Array, *, rate: float | None) -> dict:
         updates, state = optimizer.update((points, poses.at[0].set(0)), state)
         return (optax.apply_updates(params, updates), state), None
 
-    begin = problem.start, optimizer.init(problem.start)
-    ((points, poses), _), _ = jax.lax.scan(step, begin, sigmas)
+    begin: Any = problem.start, optimizer.init(problem.start)
+    end: Any = jax.lax.scan(step, begin, sigmas)[0][0]
+    points, poses = end
     angles = jax.vmap(quaternion.angle_between)(poses, problem.poses)
     gaps = jnp.linalg.norm(points[:, None] - problem.surface[None], axis=-1)
-    first, last = (compute_loss(p, 1.0) for p in (problem.start, (points, poses)))
+    first, last = (compute_loss(p, 1.0) for p in (problem.start, end))
     return {
         LOSS: last / first,
         POSE: jnp.median(jnp.degrees(angles[1:])),
