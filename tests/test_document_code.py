@@ -20,7 +20,6 @@ NAMES = [f"{page} {' '.join(words)}" for page, words in COMMANDS]
 WITH_PYTHON = sorted({block.page for block in list_blocks("python")})
 # Of other programs: whoever writes one here has tried it.
 OTHERS = {".", "dpc_jax", "jupyter", "pip", "pre-commit", "python3", "tensorboard"}
-OTHERS |= {"wandb"}
 RUN_FLAGS = {"--workdir", "--coordinator", "--processes", "--process"}
 RUN_FLAGS |= {"--final", "--final_meshes", "--photographs"}
 # Numbers that would take a minute, and those that the test takes in their place.
