@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from dpc_jax import view
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
 from dpc_jax.evaluation.rotations import view_angles
-from dpc_jax.render import Camera
+from dpc_jax.config import Render
 from dpc_jax.reporting.export import write_ply, write_surface
 from dpc_jax.run.viewing import Candidates, ShownObject, ShownView
 from dpc_jax.run.viewing.page import _FROM_GLTF, Page
@@ -90,7 +90,7 @@ def make_view(azimuth):
 @pytest.fixture
 def page():
     server = viser.ViserServer("127.0.0.1", 8470, verbose=False)
-    yield Page(server, Camera()), f"http://127.0.0.1:{server.get_port()}"
+    yield Page(server, Render()), f"http://127.0.0.1:{server.get_port()}"
     server.stop()
 
 

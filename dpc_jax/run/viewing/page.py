@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import viser
 
+from dpc_jax.config import Render
 from dpc_jax.evaluation.images import resize
 from dpc_jax.evaluation.rotations import to_rotation, view_angles
 from dpc_jax.files import describe_error
 from dpc_jax.outputs import show_text
-from dpc_jax.render import Camera
 from dpc_jax.reporting.export import PLAIN_COLOR, export_glb, find_surface
 from dpc_jax.run.viewing import ShownObject, ShownView
 from dpc_jax.run.viewing.shape_files import read_shapes
@@ -33,7 +33,8 @@ _POINT = 0.008  # object units
 class Page:
     """What a browser shows; every method may be called from any thread."""
 
-    def __init__(self, server: viser.ViserServer, camera: Camera):
+    def __init__(self, server: viser.ViserServer, camera: Render):
+        """camera: the section of a config, because `Camera` loads JAX: seconds."""
         self._server, self._camera = server, camera
         self._lock = threading.RLock()
         # Of the run or the files, and of images that were given to the page.
@@ -145,14 +146,14 @@ class Page:
         x, y, z, w = turn.inv().as_quat()
         return self._server.scene.add_camera_frustum(
             name,
-            2 * math.atan(0.5 / float(self._camera.focal_length)),
+            2 * math.atan(0.5 / self._camera.focal_length),
             1.0,
             scale=scale,
             thickness=0.004,
             color=color,
             image=image,
             wxyz=(w, x, y, z),
-            position=turn.inv().apply([0, 0, -float(self._camera.distance)]),
+            position=turn.inv().apply([0, 0, -self._camera.distance]),
         )
 
 
@@ -213,11 +214,11 @@ def serve(paths: list[Path], *, port: int, data: Path | None):
             f"Expected one run, or files, but {runs[0]} and {len(paths) - 1} more were "
             "given; view a run on its own."
         )
-    camera = Camera()
+    camera = Render()
     if runs:
-        render, points = read_config(runs[0]).render, runs[0] / "report" / "points"
-        camera = Camera(render.focal_length, render.distance)
-        paths = sorted(points.glob("*.ply"))  # until the network is read
+        camera = read_config(runs[0]).render
+        # Until the network is read.
+        paths = sorted((runs[0] / "report" / "points").glob("*.ply"))
     objects = read_shapes(paths)
     with contextlib.redirect_stdout(io.StringIO()):  # of a box with the address
         server = viser.ViserServer("127.0.0.1", port, "dpc_jax", verbose=False)
@@ -237,7 +238,7 @@ def serve(paths: list[Path], *, port: int, data: Path | None):
 
 def _follow(page: Page, workdir: Path, data: Path | None):
     """Show what each new checkpoint of a run predicts, until Ctrl-C."""
-    from dpc_jax.run.viewing.network_shapes import NetworkShapes  # loads JAX: seconds
+    from dpc_jax.run.viewing.network_shapes import NetworkShapes  # as JAX does
 
     network, busy, shown = NetworkShapes(workdir, data), threading.Lock(), None
 
