@@ -74,6 +74,7 @@ def test_errors_of_an_exact_setting_vanish_and_of_a_rough_one_do_not():
         assert 1e-3 < rough[f"{kind}_error"] < 1
 
 
+@pytest.mark.slow
 def test_a_surface_has_the_same_gradient_in_blocks_as_in_the_whole_volume():
     result = speed.compare_volumes(*SURFACE, rounds=1)
     assert set(result["median_seconds"]) == set(result["bytes"]) == {"whole", "blocks"}

@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 from config_files import TINY
 
+pytestmark = pytest.mark.slow  # processes that start and compile
+
 ROOT = Path(__file__).parents[1]
 STEPS = 24
 FIELDS = TINY | {
@@ -127,7 +129,6 @@ def test_two_processes_learn_what_one_with_two_devices_learns(command, alone):
     assert steps == [STEPS - 8, STEPS]
 
 
-@pytest.mark.slow
 def test_all_stop_where_one_is_asked_to_and_one_process_goes_on(command, alone):
     workdir = command.folder / "stopped"
     processes = command.start_two(workdir, **{"train.steps": STEPS})
@@ -145,7 +146,6 @@ def test_all_stop_where_one_is_asked_to_and_one_process_goes_on(command, alone):
     assert_losses_agree(read_losses(workdir), alone)
 
 
-@pytest.mark.slow
 def test_processes_with_other_configs_are_refused_and_nothing_is_written(command):
     workdir = command.folder / "differing"
     for process in command.start_two(workdir, second={"train.learning_rate": 0.5}):
@@ -156,7 +156,6 @@ def test_processes_with_other_configs_are_refused_and_nothing_is_written(command
     assert not workdir.exists()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("lost", [0, 1])
 def test_a_killed_process_ends_all_and_the_same_command_goes_on(command, alone, lost):
     workdir = command.folder / f"killed-{lost}"

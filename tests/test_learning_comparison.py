@@ -190,7 +190,13 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, marks=pytest.mark.slow if case == "covariances" else ())
+        for case in CASES
+    ],
+)
 def test_winners_have_the_loss_and_the_gradient_of_plain_renders(case):
     kind, side, has_cameras, fields = CASES[case]
     config = tiny_config(**{"renders_at_once": 1} | fields)

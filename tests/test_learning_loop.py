@@ -118,6 +118,7 @@ def test_the_loop_ends_at_the_last_step_with_a_checkpoint_of_it(
     assert_same_bits(restored.state, unbroken)
 
 
+@pytest.mark.slow
 def test_room_for_blocks_follows_the_clouds_and_a_run_that_goes_on_knows_it(
     tmp_path, monkeypatch, capsys
 ):

@@ -121,6 +121,7 @@ def test_views_of_an_object_have_the_pose_that_their_shape_fits_best(
     assert angle_deg(poses, selecting.list_plain("poses")).max() > 1
 
 
+@pytest.mark.slow
 def test_shapes_are_shown_and_refined_with_the_mass_that_training_renders_last():
     """Points twice as heavy, of which half are kept, look as all of these do."""
     whole = Run(scale_fixed=0.2, keep_end=1.0)
@@ -187,6 +188,7 @@ def test_figures_of_refinement_stand_beside_the_plain_ones(run, monkeypatch):
     assert refined < joined
 
 
+@pytest.mark.slow
 def test_of_the_likeliest_candidates_of_a_view_the_one_that_needs_least_bending_stays(
     selecting, monkeypatch
 ):

@@ -61,6 +61,7 @@ VARIANTS = {
         set(),
     ),
 }
+OFTEN = ("paper", "defaults", "mvc,color")  # the others are combinations of these parts
 
 
 def make_views(config):
@@ -85,7 +86,13 @@ def go_on(step, state, batch, count):
     return state, jax.device_get(metrics)
 
 
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in OFTEN else pytest.mark.slow)
+        for name in VARIANTS
+    ],
+)
 def test_a_variant_learns_goes_on_from_a_checkpoint_and_predicts(name, tmp_path):
     fields, losses, branches = VARIANTS[name]
     config = tiny_config(**fields)

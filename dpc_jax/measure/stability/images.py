@@ -125,16 +125,17 @@ def render_cloud(points, rotation, sizes, scale, colors, *scene, method, **rules
     return image.silhouette, image.depth, image.color
 
 
-def _make_cases(title, function, oracle, plain, scenes) -> list[Case]:
+def _make_cases(title, function, oracle, plain, scenes, **fields) -> list[Case]:
     """Cases with the gradient to every input, which differ from the plain ones."""
     return make_cases(
         *(title, function, oracle, TOLERANCES),
         [
-            (name, *(plain | changes).values(), *fields)
-            for name, changes, *fields in scenes
+            (name, *(plain | changes).values(), *others)
+            for name, changes, *others in scenes
         ],
         is_half_checked=False,
         gradient_floor=1e-30,
+        **fields,
     )
 
 
@@ -146,7 +147,9 @@ def _list_images() -> list[Case]:
             rules |= {"method": "trilinear", "max_blocks": 11}
         render = functools.partial(render_cloud, **rules)
         oracle = functools.partial(oracles.project, shape=shape, method=rules["method"])
-        cases += _make_cases(title, render, oracle, PLAIN | {"sizes": sizes}, scenes)
+        plain = PLAIN | {"sizes": sizes}
+        is_slow = title == "blocks"  # the oracle's grid is large
+        cases += _make_cases(title, render, oracle, plain, scenes, is_slow=is_slow)
     return cases
 
 
