@@ -244,7 +244,7 @@ def test_winners_of_a_large_grid_are_rendered_in_the_blocks_of_their_stage(monke
     recipe, batch = make_recipe(tiny_config()), make_views()
     large = {"masks": batch["masks"].repeat(16, axis=1).repeat(16, axis=2)}
     compare = functools.partial(
-        shapes.compare, recipe=recipe, stage=Stage(COUNT, 256, False, 99)
+        shapes.compare, recipe=recipe, stage=Stage(COUNT, 256, 99)
     )
     jax.eval_shape(compare, ROTATIONS, large, {})
     assert rooms == {99}

@@ -83,7 +83,6 @@ def test_size_and_dropout_reach_their_ends_before_the_run_does(until):
         dict(steps=10, grid=8, fine_grid=16),
         dict(steps=10, keep_levels=3),
         dict(steps=100, keep_start=1.0, keep_levels=32),
-        dict(steps=20, keep_levels=1, fixed_views_until=0.5),
     ],
 )
 def test_spans_are_the_stages_of_the_steps_in_their_order(fields):
@@ -97,8 +96,6 @@ def test_spans_are_the_stages_of_the_steps_in_their_order(fields):
     assert [s.grid for s in stages] == [
         fine if step >= 0.6 * steps else 8 for step in range(steps)
     ]
-    half = fields.get("fixed_views_until", 0) * steps
-    assert [s.fixed_views for s in stages] == [step < half for step in range(steps)]
 
 
 def rates(*steps, **changes):

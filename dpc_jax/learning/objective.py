@@ -36,7 +36,7 @@ def compute_loss(
       params: of the network. step: ().
       batch: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S], quaternions
         [B, V, 4] (read where poses are given or labelled), what `list_extras` names,
-        and corner_masks and corner_depths [B, 8, S, S] in stages of fixed views.
+        and corner_masks and corner_depths [B, 8, S, S] of maps.
       keys: [B], of each object. averages: of the batches before.
       recipe: what is learned, static. stage: of the schedule, static.
 

@@ -65,14 +65,12 @@ class Stage(NamedTuple):
     Attributes:
       kept_points: number of points rendered.
       grid: side of the volume that the winners are rendered in.
-      fixed_views: whether maps are compared in their own views (EPCG's first stage).
       max_blocks: room for blocks of points' volumes, see `project`; all there are draw
         whole volumes, None in small grids. A run adapts it, see `fit_room`.
     """
 
     kept_points: int
     grid: int
-    fixed_views: bool = False
     max_blocks: int | None = None
 
 
@@ -83,7 +81,6 @@ def find_stage(step: int, render: Render, *, steps: int) -> Stage:
     return Stage(
         kept_points=count_kept_points(step, render, steps=steps),
         grid=grid,
-        fixed_views=step < render.fixed_views_until * steps,
         max_blocks=count_all_blocks(grid) if grid > _WHOLE_UP_TO else None,
     )
 

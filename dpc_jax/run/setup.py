@@ -75,7 +75,7 @@ def make_data_specs(config: Config) -> dict[str, DataSpec]:
         }
     else:
         specs = _split_folder(config, kind, shared)
-    if config.render.fixed_views_until:
+    if config.network.shape == "maps":
         specs["train"] = dataclasses.replace(specs["train"], corner_views=True)
     if data.test_meshes:
         specs["test"] = DataSpec(
