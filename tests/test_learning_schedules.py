@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from tiny_runs import make_network, tiny_config
 
-from dpc_jax.learning.predictions import predict_shapes
 from dpc_jax.learning.schedules import (
     FINE_FROM,
     compute_sigma,
@@ -18,7 +17,7 @@ from dpc_jax.learning.schedules import (
     list_spans,
     make_learning_rate,
 )
-from dpc_jax.learning.shapes.points import compute_mass
+from dpc_jax.learning.shapes.points import Points, compute_mass
 from dpc_jax.learning.step import find_penalized, make_optimizer
 from dpc_jax.render import Camera, VoxelGrid, voxelize
 
@@ -157,15 +156,9 @@ def test_a_fixed_scale_is_that_number_for_every_object():
     config = tiny_config(source="given", scale_fixed=0.7)
     network = make_network(config)
     params = jax.jit(network.init)(jax.random.key(0), jnp.zeros((1, 16, 16, 3)))
-    shapes = predict_shapes(
-        params,
-        jax.random.normal(jax.random.key(1), (2, 12)),
-        jax.random.split(jax.random.key(2), 2),
-        jnp.array(1.0),
-        network=network,
-        render=config.render,
-        kept_points=5,
-    )
+    features = jax.random.normal(jax.random.key(1), (2, 12))
+    output = network.apply(params, features, method="predict_shape")
+    shapes = Points.read(output, jnp.array(1.0), render=config.render)
     np.testing.assert_array_equal(shapes.scale, np.float32([0.7, 0.7]))
     np.testing.assert_array_equal(shapes.mass, np.float32([0.7, 0.7]))
     assert "scale" not in params["params"]["shape"]

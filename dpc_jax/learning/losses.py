@@ -23,14 +23,6 @@ class Term(NamedTuple):
     weight: chex.Numeric = 1.0
 
 
-def sum_terms(terms: dict[str, Term]) -> jax.Array:
-    """The weighted sum; ()."""
-    total = jnp.zeros(())
-    for term in terms.values():
-        total = total + term.weight * term.value
-    return total
-
-
 def reprojection_loss(predicted: jax.Array, target: jax.Array) -> jax.Array:
     """Sum of squared differences of two images of one view, a term of Eq. 1; ().
 

@@ -54,11 +54,6 @@ def count_kept_points(step: int, render: Render, *, steps: int) -> int:
     return max(1, round(share * render.num_points))
 
 
-def ramp_repulsion(step: chex.Numeric, *, steps: int) -> jax.Array:
-    """The share of the repulsion's weight: 0 until shapes have formed, at the half."""
-    return jnp.maximum(0, 2 * (step / steps) - 1)
-
-
 class Stage(NamedTuple):
     """What is static about a step; each stage is a program of its own.
 

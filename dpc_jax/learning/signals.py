@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.config import Train
 from dpc_jax.learning.losses import reprojection_loss
 from dpc_jax.render import Camera, Projection, VoxelGrid
 
@@ -56,16 +55,6 @@ class Weights(NamedTuple):
 
 
 SILHOUETTES = Weights()
-
-
-def read_weights(train: Train) -> Weights:
-    """The weights that a run trains with."""
-    return Weights(
-        train.silhouette_weight,
-        train.depth_weight,
-        train.color_weight,
-        train.background_weight,
-    )
 
 
 def find_background(distance: Any) -> Any:

@@ -54,9 +54,7 @@ def make_network(config: Config) -> ShapePoseNetwork:
         map_focal_length=config.render.focal_length,
         map_distance=config.render.distance,
         viewpoints=config.pose.elevations,
-        # As MVC has them.
-        own_pose_encoder=config.pose.source == "sampled",
-        judges_poses=config.pose.source == "sampled",
+        samples_poses=config.pose.source == "sampled",
     )
 
 

@@ -56,7 +56,8 @@ def observe(
 def _place_view(rotation, per_view, side: int, config: Config) -> View:
     """A view of the run's shapes; see `place_view`."""
     camera = Camera(config.render.focal_length, config.render.distance)
-    return place_view(rotation, per_view, side, camera, config.render.ray_rule)
+    rule = config.render.ray_rule
+    return place_view(rotation, per_view, side, camera, ray_rule=rule)
 
 
 def compare_poses(

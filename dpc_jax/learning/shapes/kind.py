@@ -66,16 +66,11 @@ class View(NamedTuple):
 
 
 def place_view(
-    rotation: jax.Array,
-    per_view: Mapping[str, Any],
-    side: int,
-    camera: Camera,
-    rule: str,
-    max_blocks: int | None = None,
+    rotation: jax.Array, per_view: Cameras, side: int, camera: Camera, **how: Any
 ) -> View:
-    """A view; `per_view` is what its camera differs in, see `Cameras`."""
-    camera, shift = place_camera(camera, per_view), per_view.get("translation")
-    return View(rotation, camera, side, shift, rule, max_blocks)
+    """A view; `per_view` is what its camera differs in, `how` other fields of it."""
+    shift = per_view.get("translation")
+    return View(rotation, place_camera(camera, per_view), side, shift, **how)
 
 
 class Choice(NamedTuple):
@@ -181,9 +176,9 @@ class Shape:
         kind, colors_move_shapes = type(self), recipe.train.colors_move_points
 
         def compare_view(learned, given):
-            scene, rule = given | learned, render.ray_rule
-            how = stage.grid, camera, rule, stage.max_blocks
-            view = place_view(scene["rotation"], scene, *how)
+            scene = given | learned
+            how = {"ray_rule": render.ray_rule, "max_blocks": stage.max_blocks}
+            view = place_view(scene["rotation"], scene, stage.grid, camera, **how)
             return kind.compare_view(
                 scene,
                 view,

@@ -18,7 +18,7 @@ from dpc_jax.learning.cameras import Cameras, place_camera
 from dpc_jax.learning.choice import coarse_choice
 from dpc_jax.learning.losses import Term
 from dpc_jax.learning.recipe import Recipe
-from dpc_jax.learning.schedules import PULL_FROM, ramp_repulsion
+from dpc_jax.learning.schedules import PULL_FROM
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
 from dpc_jax.learning.signals import downsample_images
 from dpc_jax.render import Projection, project
@@ -104,13 +104,13 @@ class Points(Shape):
         return self.points
 
     def find_priors(self, step: jax.Array, *, train: Train) -> dict[str, Term]:
-        """Containment and repulsion, 0 where they have no weight yet."""
+        """Containment; repulsion, which comes in from the half on, of formed shapes."""
         terms = {}
         if train.containment_weight:
             outside = jnp.mean(jax.vmap(losses.containment_loss)(self.points))
             terms["containment"] = Term(outside, train.containment_weight)
         if train.repulsion_weight:
-            ramp = ramp_repulsion(step, steps=train.steps)
+            ramp = jnp.maximum(0, 2 * (step / train.steps) - 1)
             energy = jax.lax.cond(
                 ramp > 0,
                 lambda points: jnp.mean(jax.vmap(losses.repulsion_energy)(points)),
