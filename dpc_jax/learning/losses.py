@@ -74,16 +74,6 @@ def student_loss(
     return 1 - jnp.where(cosine >= 0, cosine, -cosine)
 
 
-def geodesic_loss(predicted: jax.Array, label: jax.Array) -> jax.Array:
-    """Angle in radians, 0 to π, between a predicted and a given rotation [4]; ().
-
-    The same for q and -q. The gradient has one length for all angles (2 over that of
-    the predicted quaternion), so that large errors shrink as fast as small ones; at
-    exactly 0 it is zero, and at 180°, a kink, that towards +label. The label gets none.
-    """
-    return quaternion.angle_between(predicted, jax.lax.stop_gradient(label))
-
-
 def selection_loss(logits: jax.Array, winners: jax.Array) -> jax.Array:
     """Mean cross entropy, in nats, of a student that selects; logits [n, C].
 

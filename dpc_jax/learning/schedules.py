@@ -85,13 +85,6 @@ def count_all_blocks(grid: int) -> int:
     return (-(-grid // 8)) ** 3
 
 
-def begin_room(render: Render) -> jax.Array | None:
-    """`Averages.room` before blocks are counted; None where they never are."""
-    if render.finest <= _WHOLE_UP_TO:
-        return None
-    return jnp.asarray(count_all_blocks(render.finest), jnp.int32)
-
-
 def counts_blocks(step: int | jax.Array) -> bool | jax.Array:
     """Whether a step in a large grid counts the blocks that its clouds touch."""
     return step % _COUNT_EVERY == 0

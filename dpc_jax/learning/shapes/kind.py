@@ -2,7 +2,7 @@
 
 An instance holds the shapes of a batch. Its class, which is static, knows what is done
 with the scene of one object: a dictionary of what it is rendered from, by name. What a
-kind does not say itself, it does as here.
+kind does not say itself, it does as here; what methods are for is said here alone.
 """
 
 import dataclasses
@@ -103,7 +103,6 @@ class Shape:
 
     def drop(self, keys: jax.Array, kept_points: int) -> Self:
         """The shapes with the dropout of training, by the objects' keys [B]."""
-        del keys, kept_points
         return self
 
     def list_scenes(self, ratio: float = 1.0) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -123,7 +122,6 @@ class Shape:
 
     def find_priors(self, step: jax.Array, *, train: Train) -> dict[str, Term]:
         """Regularisers of the shapes alone. Not in the paper."""
-        del step, train
         return {}
 
     def find_pulls(
@@ -136,7 +134,6 @@ class Shape:
         recipe: Recipe,
     ) -> dict[str, Term]:
         """Regularisers of the shapes in their views. Not in the paper."""
-        del rotations, batch, cameras, step, recipe
         return {}
 
     def compare(
@@ -205,13 +202,11 @@ class Shape:
     @staticmethod
     def resize(scene: Scene, ratio: float) -> Scene:
         """A scene for a grid with `ratio` times as many cells per side."""
-        del ratio
         return scene
 
     @staticmethod
     def weigh_as_trained(scene: Scene, render: Render) -> Scene:
         """A scene as dense as training renders last."""
-        del render
         return scene
 
     @classmethod
@@ -276,16 +271,14 @@ class Shape:
         def compute_loss(candidate):
             seen = view._replace(rotation=candidate)
             image = cls.render(scene, seen, signals=weights.renders)
-            return compare_images(image, targets, weights=weights, camera=view.camera)[
-                0
-            ]
+            how = {"weights": weights, "camera": view.camera}
+            return compare_images(image, targets, **how)[0]
 
         return map_renders(compute_loss, view.rotation, renders_at_once=renders_at_once)
 
     @staticmethod
     def place_in_image(scene: Scene, view: View, how: Choice) -> Any:
         """What a batch finds of all views at once, for `rank`; None for nothing."""
-        del scene, view, how
 
     @classmethod
     def rank(

@@ -52,13 +52,9 @@ class ViewMaps(Shape):
     def read(
         cls, output: Mapping[str, Any], sigma: jax.Array, *, render: Render
     ) -> Self:
-        """Points of maps have no size to read."""
-        del sigma, render
         return cls(output["maps"], output["points"], output["point_logits"])
 
     def list_scenes(self, ratio: float = 1.0) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The scenes of a batch, which are the same in every grid."""
-        del ratio
         return {"points": self.points, "point_logits": self.logits}, {}
 
     def compare(
@@ -78,7 +74,6 @@ class ViewMaps(Shape):
         Args:
           batch: corner_masks uint8 and corner_depths [B, 8, S, S] of the fixed views.
         """
-        del rotations, cameras, stage
         weights, distance = recipe.weights, recipe.render.distance
         views = {"masks": batch["corner_masks"], "depths": batch["corner_depths"]}
         side = self.maps.shape[-2]
@@ -106,7 +101,6 @@ class ViewMaps(Shape):
     @staticmethod
     def find_evaluated(output: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
         """Visible points, spread evenly over all of them."""
-        del scene
         points, logits = output["points"], output["point_logits"]
         choose = functools.partial(choose_visible, count=min(SAMPLES, points.shape[1]))
         return {"points": jax.vmap(choose)(points, logits)}
@@ -121,7 +115,6 @@ class ViewMaps(Shape):
         background_depth: jax.Array | float = 10.0,
     ) -> Projection:
         """Pixels of visible points are covered, as far away as the nearest of them."""
-        del signals
         camera, side = view.camera, view.side
         moved = to_camera_frame(scene["points"], view.rotation, view.translation)
         depths = camera.find_depths(moved)
