@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.render import Camera, checks, quaternion
+from dpc_jax.render.camera import to_camera_frame
 
 _RADIUS = 0.5  # of the sphere that an object of box diagonal 1 lies in
 # Distance below which the energy of a pair levels off, so that coincident points have
@@ -203,10 +204,8 @@ def pull_inside(
         `project`.
     """
     side = outside.shape[-1]
-    moved = quaternion.rotate(points, rotation)
-    if translation is not None:
-        moved = moved + translation[None]
-    ahead = moved[:, 2] + camera.distance
+    moved = to_camera_frame(points, rotation, translation)
+    ahead = camera.find_depths(moved)
     is_seen = ahead > _NEAREST
     plane = moved[:, :2]
     if camera.projection == "perspective":
