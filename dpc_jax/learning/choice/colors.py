@@ -88,7 +88,7 @@ def weigh_paint(samples: Samples) -> Samples:
 
 
 def score_colors(counts: jax.Array) -> jax.Array:
-    """Log-likelihood of each colour in each cell [CELLS³, BINS²] by their weights there.
+    """Log-likelihood of colours in cells [CELLS³, BINS²] by their weights there.
 
     Relative to the category's colours anywhere, nats.
     """
