@@ -215,17 +215,16 @@ def _count_batch(frame, points, samples, gains):
     rows = (frame.count + jnp.arange(len(shapes))[-OBJECTS:]) % OBJECTS
     moments = jnp.stack([jnp.mean(gains**power, axis=1) for power in range(3)])
     moments = jax.lax.pmean(moments, AXIS)
-    counts = frame.colors
+    new = frame._replace(
+        shapes=frame.shapes.at[rows].set(shapes[-OBJECTS:]),
+        count=frame.count + len(shapes),
+    )
     if samples is not None:
         places, bins, weights = (a.reshape(-1, *a.shape[2:]) for a in samples)
-        seen = jnp.zeros_like(counts).at[find_cells(places), bins].add(weights)
-        counts = _KEPT * counts + jax.lax.psum(seen, AXIS)
-    return Frame(
-        frame.shapes.at[rows].set(shapes[-OBJECTS:]),
-        frame.count + len(shapes),
-        counts,
-        _KEPT * frame.moments + moments,
-    )
+        kept, nothing = _KEPT * frame.colors, jnp.zeros_like(frame.colors)
+        seen = nothing.at[find_cells(places), bins].add(weights)
+        new = new._replace(colors=kept + jax.lax.psum(seen, AXIS))
+    return new._replace(moments=_KEPT * frame.moments + moments)
 
 
 def count_points(points: jax.Array) -> jax.Array:
