@@ -127,10 +127,11 @@ class ViewMaps(Shape):
         nearest = jnp.full(side**2, jnp.inf).at[pixels].min(depths, mode="drop")
         nearest = nearest.reshape(side, side)
         is_covered = jnp.isfinite(nearest)
-        return Projection(
-            silhouette=is_covered.astype(depths.dtype),
-            depth=jnp.where(is_covered, nearest, background_depth),
-        )
+        images = {
+            "silhouette": is_covered.astype(depths.dtype),
+            "depth": jnp.where(is_covered, nearest, background_depth),
+        }
+        return Projection(**images)
 
 
 def choose_visible(points: jax.Array, logits: jax.Array, *, count: int) -> jax.Array:
