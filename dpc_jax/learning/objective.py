@@ -52,7 +52,8 @@ def compute_loss(
     is_framed = draw_framed(keys) if recipe.train.framed_views else False
     images = batch["images"], batch["masks"]
     features = encode_views(params, *images, network=network, is_framed=is_framed)
-    before = _take_views_before(features, views)
+    of_objects = features.reshape(-1, views, features.shape[-1])
+    before = jnp.roll(of_objects, 1, axis=1).reshape(features.shape)
     output: Any = network.apply(params, before, method="predict_shape")
     kind = find_shape_class(network.shape_kind)
     shapes = kind.read(output, sigma, render=render).drop(keys, stage.kept_points)
@@ -92,12 +93,6 @@ def _flatten_views(batch, keys, views):
     flat |= {n: jnp.repeat(batch[n], views, axis=0) for n in CORNERS if n in batch}
     split = jax.vmap(lambda key: jax.random.split(key, views))
     return flat, split(keys).reshape(-1)
-
-
-def _take_views_before(features, views):
-    """Of each view's features [B·V, F] those of its object's view before."""
-    of_objects = features.reshape(-1, views, features.shape[-1])
-    return jnp.roll(of_objects, 1, axis=1).reshape(features.shape)
 
 
 def _find_room(room, shapes, views, step, recipe, stage):
