@@ -329,22 +329,24 @@ def test_ways_are_level_where_cameras_are_upright():
     assert abs(ways[0] @ np.asarray(covariance) @ ways[1]) < 1e-5
 
 
-def test_a_kind_is_turned_by_its_points_where_these_are_clear():
-    """Two objects, of which the first fits better turned round."""
-    gains, moments = jnp.array([[[0.02], [-0.08]]]), jnp.array([[1], [-0.06], [0.0052]])
-    assert common_frame._choose_turns(gains, moments[:, None]).tolist() == [1, 0]
-    half_way = gains.at[0, 0].set(0.01)  # that fits both ways nearly alike
-    assert common_frame._choose_turns(half_way, moments[:, None]).tolist() == [0, 0]
-    unclear = moments.at[1].set(-0.01)  # of points that tell nothing apart
-    assert common_frame._choose_turns(gains, unclear[:, None]).tolist() == [0, 0]
+POINTS, COLORS = [[0.02], [-0.08]], [[-0.03], [0.01]]  # gains of two objects
+CLEAR = [0.0052, 0.0017]  # mean squares
 
 
-def test_clear_colors_decide_whatever_points_say():
-    gains = jnp.array([[[0.02], [-0.08]], [[-0.03], [0.01]]])
-    moments = jnp.array([[[1.0], [1.0]], [[-0.06], [-0.04]], [[0.0052], [0.0017]]])
-    assert common_frame._choose_turns(gains, moments).tolist() == [0, 1]
-    unclear = moments.at[1, 1].set(-0.001)
-    assert common_frame._choose_turns(gains, unclear).tolist() == [1, 0]
+@pytest.mark.parametrize(
+    ("gains", "means", "turns"),
+    [
+        ([POINTS], [-0.06], [1, 0]),
+        ([[[0.01], [-0.08]]], [-0.06], [0, 0]),  # fits both ways nearly alike
+        ([POINTS], [-0.01], [0, 0]),  # points that tell nothing apart
+        ([POINTS, COLORS], [-0.06, -0.04], [0, 1]),
+        ([POINTS, COLORS], [-0.06, -0.001], [1, 0]),  # colours that do not
+    ],
+)
+def test_clear_colors_decide_and_without_them_clear_points(gains, means, turns):
+    count = len(means)
+    moments = jnp.array([[1.0] * count, means, CLEAR[:count]])[..., None]
+    assert common_frame._choose_turns(jnp.array(gains), moments).tolist() == turns
 
 
 def test_colors_that_tell_nothing_turn_nothing():

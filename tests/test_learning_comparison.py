@@ -20,7 +20,6 @@ from dpc_jax.learning import batches, point_sizes, signals
 from dpc_jax.learning.choice.coarse_choice import compute_image_losses, place_candidates
 from dpc_jax.learning.choice.hindsight import choose_poses
 from dpc_jax.learning.half_turns import compute_covariance
-from dpc_jax.learning.predictions import predict_shapes
 from dpc_jax.learning.schedules import Stage
 from dpc_jax.learning.shapes import points, voxels
 from dpc_jax.learning.shapes.kind import View
@@ -250,7 +249,7 @@ def test_winners_of_a_large_grid_are_rendered_in_the_blocks_of_their_stage(monke
     recipe, batch = make_recipe(tiny_config()), make_views()
     large = {"masks": batch["masks"].repeat(16, axis=1).repeat(16, axis=2)}
     compare = functools.partial(
-        shapes.compare, recipe=recipe, stage=Stage(COUNT, 256, False, 99)
+        shapes.compare, recipe=recipe, stage=Stage(COUNT, 256, 99)
     )
     jax.eval_shape(compare, ROTATIONS, large, {})
     assert rooms == {99}
@@ -441,14 +440,9 @@ def test_dropout_keeps_each_point_with_its_own_size_and_mass():
     features = as_float32(np.random.default_rng(0).normal(size=(2, 12)))
     params = jax.jit(network.init)(jax.random.key(0), jnp.zeros((1, 16, 16, 3)))
     keys = jax.random.split(jax.random.key(1), 2)
-    predict = functools.partial(
-        predict_shapes,
-        *(params, features, keys, jnp.array(0.4)),
-        network=network,
-        render=config.render,
-    )
-    whole, half = predict(kept_points=COUNT), predict(kept_points=COUNT // 2)
     shape = network.apply(params, features, method="predict_shape")
+    read = Points.read(shape, jnp.array(0.4), render=config.render)
+    whole, half = read.drop(keys, COUNT), read.drop(keys, COUNT // 2)
     sizes, masses = point_sizes.measure_points(shape, grid=SIDE)
     for name, all_of_them in (("kept", shape["points"]), ("mass", masses),
                               ("sigma", sizes)):  # fmt: skip

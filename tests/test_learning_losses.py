@@ -8,7 +8,6 @@ from scipy import ndimage
 from tiny_runs import make_batch, make_recipe, random_quaternions, tiny_config
 
 from dpc_jax.learning.losses import (
-    geodesic_loss,
     measure_outside,
     pull_inside,
     reprojection_loss,
@@ -46,36 +45,6 @@ def test_the_papers_and_the_released_codes_forms_of_the_student_loss(angle):
     # Only the form of the text punishes the other sign of the same rotation.
     loss = student_loss(jnp.asarray(-student), jnp.asarray(TEACHER), form="signed")
     assert float(loss) == pytest.approx(1 + cosine, abs=ROUNDING)
-
-
-differentiate_geodesic = jax.jit(jax.value_and_grad(geodesic_loss, argnums=(0, 1)))
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("angle", [0.0, 1e-3, 1.0, 90.0, 179.0, 180.0])
-def test_the_geodesic_loss_is_the_angle_whatever_the_signs(angle, sign):
-    predicted = turn(TEACHER, angle)
-    loss, (gradient, to_label) = differentiate_geodesic(sign * predicted, TEACHER)
-    # float32 inputs: an angle of a few ulps near 0 and near 180 degrees.
-    assert float(loss) == pytest.approx(np.radians(angle), abs=3e-6)
-    assert np.all(np.isfinite(gradient))
-    np.testing.assert_array_equal(to_label, 0)
-    if 0.1 < angle:
-        # 2 over the length of the prediction, at every angle.
-        assert np.linalg.norm(gradient) == pytest.approx(2, rel=1e-3)
-        step = sign * predicted - 1e-3 * np.asarray(gradient)
-        assert differentiate_geodesic(step, TEACHER)[0] < loss
-
-
-def test_the_geodesic_gradient_at_half_a_turn_and_at_none():
-    label = np.array([1.0, 0, 0, 0])
-    for offset, sign in ((0.0, -1), (1e-7, -1), (-1e-7, 1)):
-        half_way = np.array([offset, 1.0, 0, 0])
-        loss, (gradient, _) = differentiate_geodesic(half_way, label)
-        assert float(loss) == pytest.approx(np.pi, abs=ROUNDING)
-        np.testing.assert_allclose(gradient, 2 * sign * label, atol=ROUNDING)
-    loss, (gradient, _) = differentiate_geodesic(-label, label)
-    assert float(loss) == 0 and not np.any(gradient)
 
 
 def test_images_of_other_shapes_and_single_points_are_refused():

@@ -57,7 +57,7 @@ def test_a_half_written_last_line_is_passed_over_and_cut_away(path):
 
 
 def test_a_record_is_the_mean_over_its_steps_of_what_they_measured():
-    """Also where a loss is of one stage alone, as where EPCG's first one ends."""
+    """Also of a loss that some of them do not have."""
 
     def step(loss, norm, *winners, **others):
         norms = {"shape": norm, "pose": -1.0}  # -1: not measured in this step

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from tiny_runs import make_network, tiny_config
 
-from dpc_jax.learning.predictions import predict_shapes
 from dpc_jax.learning.schedules import (
     FINE_FROM,
     compute_sigma,
@@ -18,7 +17,7 @@ from dpc_jax.learning.schedules import (
     list_spans,
     make_learning_rate,
 )
-from dpc_jax.learning.shapes.points import compute_mass
+from dpc_jax.learning.shapes.points import Points, compute_mass
 from dpc_jax.learning.step import find_penalized, make_optimizer
 from dpc_jax.render import Camera, VoxelGrid, voxelize
 
@@ -83,7 +82,6 @@ def test_size_and_dropout_reach_their_ends_before_the_run_does(until):
         dict(steps=10, grid=8, fine_grid=16),
         dict(steps=10, keep_levels=3),
         dict(steps=100, keep_start=1.0, keep_levels=32),
-        dict(steps=20, keep_levels=1, fixed_views_until=0.5),
     ],
 )
 def test_spans_are_the_stages_of_the_steps_in_their_order(fields):
@@ -97,8 +95,6 @@ def test_spans_are_the_stages_of_the_steps_in_their_order(fields):
     assert [s.grid for s in stages] == [
         fine if step >= 0.6 * steps else 8 for step in range(steps)
     ]
-    half = fields.get("fixed_views_until", 0) * steps
-    assert [s.fixed_views for s in stages] == [step < half for step in range(steps)]
 
 
 def rates(*steps, **changes):
@@ -160,15 +156,9 @@ def test_a_fixed_scale_is_that_number_for_every_object():
     config = tiny_config(source="given", scale_fixed=0.7)
     network = make_network(config)
     params = jax.jit(network.init)(jax.random.key(0), jnp.zeros((1, 16, 16, 3)))
-    shapes = predict_shapes(
-        params,
-        jax.random.normal(jax.random.key(1), (2, 12)),
-        jax.random.split(jax.random.key(2), 2),
-        jnp.array(1.0),
-        network=network,
-        render=config.render,
-        kept_points=5,
-    )
+    features = jax.random.normal(jax.random.key(1), (2, 12))
+    output = network.apply(params, features, method="predict_shape")
+    shapes = Points.read(output, jnp.array(1.0), render=config.render)
     np.testing.assert_array_equal(shapes.scale, np.float32([0.7, 0.7]))
     np.testing.assert_array_equal(shapes.mass, np.float32([0.7, 0.7]))
     assert "scale" not in params["params"]["shape"]

@@ -55,8 +55,7 @@ VARIANTS = {
         {"pose", "student", "translation", "focal"},
     ),
     "epcg": (
-        {"shape": "maps", "source": "given", "depth_weight": 1.0}
-        | {"fixed_views_until": 1.0},
+        {"shape": "maps", "source": "given", "depth_weight": 1.0},
         {"pixel_deviation", "depth"},
         set(),
     ),

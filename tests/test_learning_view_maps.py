@@ -1,4 +1,4 @@
-"""EPCG: fusion of maps against known geometry, pseudo-renders against an oracle."""
+"""EPCG: fusion of maps and their comparison with known geometry, what points show."""
 
 import jax
 import jax.numpy as jnp
@@ -15,45 +15,17 @@ from tiny_runs import (
 from dpc_jax.config import replace_fields
 from dpc_jax.data import DataSpec, load_or_render
 from dpc_jax.data.batches import read_batch
-from dpc_jax.data.viewpoints import CORNERS, look_at_rotation, matrix_to_quaternion
+from dpc_jax.data.viewpoints import CORNERS, look_at_rotation
 from dpc_jax.data.views import Lights, build_scene, render_view
 from dpc_jax.learning.shapes import view_maps
 from dpc_jax.learning.shapes.kind import View
 from dpc_jax.learning.shapes.view_maps import ViewMaps
-from dpc_jax.learning.signals import Weights
 from dpc_jax.networks.view_maps import fuse_maps, list_fixed_views, make_planes
 from dpc_jax.render import Camera
 
-CAMERA = Camera()
-IDENTITY = jnp.array([1.0, 0.0, 0.0, 0.0])
-BOTH = Weights(depth=1.0)
-
-
-def maps_config(**fields):
-    base = tiny_config(source="given", depth_weight=1.0, **fields)
-    changes = {"network": {"shape": "maps"}}
-    return replace_fields(base, changes | {"render": {"fixed_views_until": 0.5}})
-
-
-def place(u, v, z):
-    """The point of the object frame, seen with the identity, at (u, v) and depth z."""
-    focal = CAMERA.focal_length
-    return [u * z / focal, v * z / focal, z - CAMERA.distance]
-
-
-def draw(points, logits, *, side=4, rotation=IDENTITY):
-    return view_maps.pseudo_render(
-        jnp.asarray(points, jnp.float32),
-        jnp.asarray(logits, jnp.float32),
-        View(rotation, CAMERA, side),
-    )
-
-
-def compare(points, logits, targets, weights, side=4):
-    scene = {"points": jnp.asarray(points, jnp.float32)}
-    scene["point_logits"] = jnp.asarray(logits, jnp.float32)
-    view = View(IDENTITY, CAMERA, side)
-    return ViewMaps.compare_view(scene, view, targets, weights=weights)
+CONFIG = replace_fields(
+    tiny_config(source="given", depth_weight=1.0), {"network": {"shape": "maps"}}
+)
 
 
 @pytest.fixture(scope="module")
@@ -102,12 +74,12 @@ def test_maps_of_their_own_views_cost_next_to_nothing(corners):
     points = fuse_maps(maps, focal_length=1.875, distance=2.0)
     masks, depths = corners
     batch = {"corner_masks": masks[None], "corner_depths": depths[None]}
-    recipe = make_recipe(maps_config())
+    recipe = make_recipe(CONFIG)
 
     @jax.jit
     def compare(maps, logits):
         shapes = ViewMaps(maps, points, logits)
-        return view_maps.compare_fixed_views(shapes, batch, recipe=recipe)
+        return shapes.compare(None, batch, {}, recipe=recipe, stage=None)[:2]
 
     _, terms = compare(maps, logits)
     assert float(terms["pixel_deviation"]) == pytest.approx(0, abs=1e-6)
@@ -120,103 +92,32 @@ def test_maps_of_their_own_views_cost_next_to_nothing(corners):
     assert float(shifted["pixel_deviation"]) == pytest.approx(0.01 * 32**2, rel=1e-4)
 
 
-def test_fused_maps_drawn_in_each_fixed_view_are_the_maps_again(corners):
-    maps, logits = true_maps(corners)
-    points = fuse_maps(maps, focal_length=1.875, distance=2.0)[0]
-    rotations = jnp.asarray(matrix_to_quaternion(list_fixed_views()), jnp.float32)
-    seen = corners[0] == 255
-    # Of each view its own points alone: others may be nearer in the same pixel.
-    own = jnp.where(jnp.eye(8)[..., None] > 0, logits.reshape(8, -1), -9)
-    drawn = jax.jit(jax.vmap(lambda q, own: draw(points, own, side=32, rotation=q)))(
-        rotations, own.reshape(8, -1)
-    )
-    np.testing.assert_array_equal(drawn.logits > 0, seen)
-    np.testing.assert_array_equal(np.asarray(drawn.counts)[seen], 1)
-    # float32 through two rotations.
-    np.testing.assert_allclose(
-        np.asarray(drawn.depths)[seen], maps[0, ..., 2][seen], atol=1e-5
-    )
-
-
-def test_of_two_points_in_a_pixel_the_nearer_one_is_seen_and_alone_learns():
-    # Cells are a twentieth wide: 0.01 and 0.06 are neighbours in one pixel.
-    def read(depths):
-        points = jnp.stack(
-            [
-                jnp.stack(place(0.01, 0.01, depths[0])),
-                jnp.stack(place(0.06, 0.01, depths[1])),
-            ]
-        )
-        return draw(points, [1.0, 2.0])
-
-    depths = jnp.array([0.8, 1.2])
-    seen = read(depths)
-    assert float(seen.depths[2, 2]) == pytest.approx(0.8, rel=1e-6)
-    assert float(seen.logits[2, 2]) == 2.0 and float(seen.counts[2, 2]) == 1
-    assert float(jnp.sum(seen.counts)) == 1
-    slope = jax.grad(lambda z: read(z).depths[2, 2])(depths)
-    np.testing.assert_allclose(slope, [1, 0], atol=1e-5)
-
-
-def test_two_points_in_one_cell_are_not_compared():
-    points = [place(0.01, 0.01, 1.0), place(0.02, 0.02, 1.0)]
-    whole = jnp.ones((4, 4))
-    targets = {"silhouette": whole, "depth": 2 * whole, "measured": whole}
-    for count, cost in ((2, 0), (1, 1)):
-        terms = compare(points[:count], [1.0] * count, targets, BOTH)[1]
-        assert float(terms["depth"]) == pytest.approx(cost)
-
-
-def test_masks_alone_teach_no_coordinate():
-    rng = np.random.default_rng(0)
-    points = jnp.asarray(rng.uniform(-0.4, 0.4, (40, 3)), jnp.float32)
-    logits = jnp.asarray(rng.normal(size=40), jnp.float32)
-    targets = {"silhouette": jnp.asarray(rng.uniform(size=(4, 4)), jnp.float32)}
-
-    def measure(points, logits):
-        return compare(points, logits, targets, Weights())[0]
-
-    by_points, by_logits = jax.grad(measure, (0, 1))(points, logits)
-    assert not np.any(by_points) and np.any(by_logits)
-
-
-def draw_plainly(points, logits, rotation, side):
-    """The same in float64, point by point."""
-    size = side * view_maps.FINER
-    fine = np.zeros((size, size, 4))
-    for point, logit in zip(points, logits, strict=True):
-        x, y, z = rotation_matrix(rotation) @ point
-        z += 2
-        column = int(np.floor((1.875 * x / z + 0.5) * size))
-        row = int(np.floor((1.875 * y / z + 0.5) * size))
-        if z <= 0.1 or not (0 <= column < size and 0 <= row < size):
-            continue
-        if logit > 0:
-            fine[row, column, :3] += [1 / z, logit, 1]
-        else:
-            fine[row, column, 3] += logit
-    found = np.zeros((3, side, side))
-    for i, j in np.ndindex(side, side):
-        block = fine[5 * i : 5 * i + 5, 5 * j : 5 * j + 5].reshape(25, 4)
-        nearest, top, count = block[:, :3].max(axis=0)
-        hidden = block[:, 3].mean()
-        logit = top if top > 0 else hidden if hidden < 0 else -1
-        found[:, i, j] = logit, 1 / nearest if nearest else 1, count
-    return found
-
-
 @pytest.mark.parametrize("seed", range(2))
-def test_a_cloud_is_drawn_as_by_hand_and_nothing_outside_comes_back_in(seed):
+def test_of_visible_points_in_a_pixel_the_nearest_is_seen(seed):
+    """Point by point in float64."""
     rng = np.random.default_rng(seed)
     # Half a dozen of them beside the image, and some behind the camera.
     points = rng.uniform(-0.6, 0.6, (60, 3))
     points[:5, 2] -= 2.5
     logits = rng.normal(size=60)
     rotation = random_quaternions(seed, 1)[0] if seed else np.eye(4)[0]
-    seen = draw(points, logits, side=6, rotation=jnp.asarray(rotation, jnp.float32))
-    expected = draw_plainly(points, logits, rotation, 6)
-    for one, other in zip(seen, expected, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5)  # float32
+    expected = np.full((6, 6), np.inf)
+    for x, y, z in points[logits > 0] @ rotation_matrix(rotation).T + [0, 0, 2]:
+        column, row = (int(np.floor(6 * (1.875 * a / z + 0.5))) for a in (x, y))
+        if z > 0.1 and 0 <= column < 6 and 0 <= row < 6:
+            expected[row, column] = min(expected[row, column], z)
+    scene = {"points": points, "point_logits": logits}
+    image = ViewMaps.render(
+        jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), scene),
+        View(jnp.asarray(rotation, jnp.float32), Camera(), 6),
+        signals=("silhouette", "depth"),
+        background_depth=2.5,
+    )
+    is_covered = np.isfinite(expected)
+    assert 0 < is_covered.sum() < 36
+    np.testing.assert_array_equal(image.silhouette, is_covered)
+    depth = np.where(is_covered, expected, 2.5)
+    np.testing.assert_allclose(image.depth, depth, rtol=1e-5)  # float32
 
 
 def test_judged_are_visible_points_spread_over_all_of_them():

@@ -228,8 +228,7 @@ def test_cells_are_contained_where_poses_have_to_be_found(variant, is_contained)
     [
         ("epcg", {"pose": {"source": "unknown"}}, "pose.source must be 'given'"),
         ("epcg", {"train": {"color_weight": 1.0}}, "train.color_weight must be 0"),
-        ("epcg", {"data": {"images": "."}}, "train.depth_weight must be 0"),
-        ("epcg", {"network": {"shape": "points"}}, "render.fixed_views_until must be"),
+        ("epcg", {"data": {"images": "."}}, "network.shape must be 'points' or"),
         ("epcg", {"render": {"ray_rule": "maximum"}}, "render.ray_rule must be"),
         ("mvc", {"pose": {"num_heads": 1}}, "pose.num_heads must be above 1"),
     ],

@@ -128,9 +128,12 @@ def _list_system_rules(config):
             f"'' with network.shape = {shape!r}, whose points have no size",
         )
     if shape != "maps":
-        expected = "0 unless network.shape = 'maps', which are seen from fixed views"
-        yield "render.fixed_views_until", not render.fixed_views_until, expected
         return
+    expected = (
+        "'points' or 'voxels' with data.images or data.renders, which are rendered "
+        "already: maps are learned from fixed views"
+    )
+    yield "network.shape", not (config.data.images or config.data.renders), expected
     for name, holds, expected in (
         ("pose.source", config.pose.known, "'given'"),
         ("train.color_weight", not train.color_weight, "0"),
@@ -167,7 +170,6 @@ def _list_signal_rules(config):
     for name, value in (
         ("data.offset", data.offset),
         ("data.focal_spread", data.focal_spread),
-        ("render.fixed_views_until", config.render.fixed_views_until),
     ):
         expected = "0 with data.images or data.renders, which are rendered already"
         yield name, not (value and (data.images or data.renders)), expected

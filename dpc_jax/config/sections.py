@@ -91,7 +91,7 @@ class Network:
     layers: str = field("", one_of(*LAYERS))  # the paper's, or its code's; "": ours
     # What is learned of the size of each point; "": nothing.
     point_size: str = field("", one_of(*POINT_SIZES))
-    # What is predicted; voxels have the side `render.grid`.
+    # What is predicted; voxels and maps have the side `render.grid`.
     shape: str = field("points", one_of(*SHAPES))
     sees_mask: bool = True  # beside the image, as a fourth channel
 
@@ -103,8 +103,6 @@ class Render:
     grid: int = field(32, _GRID)  # side of volume and target silhouettes, voxels
     # Of winners after 60 % of steps; 0: never.
     fine_grid: int = field(64, between(0, 256))
-    # Share of the run that compares views from a cube's corners (EPCG).
-    fixed_views_until: float = field(0.0, between(0, 1))
     num_points: int = field(2000, at_least(1))  # of a cloud (2000 at 32³ in the paper)
     sigma_start: float = field(0.05, between(0, 1))  # of the volume's side (§ Training)
     sigma_end: float = field(0.003, between(0, 1))  # of the volume's side

@@ -119,8 +119,7 @@ VARIANTS: dict[str, Changes] = {
     },
     "epcg": {
         "network": {"shape": "maps"},
-        # The first stage alone, each map beside its own view; the second gains nothing.
-        "render": {"fine_grid": 0, "keep_levels": 1, "fixed_views_until": 1.0},
+        "render": {"fine_grid": 0, "keep_levels": 1},
         "pose": {"source": "given"},
         "train": {"depth_weight": 1.0},
     },

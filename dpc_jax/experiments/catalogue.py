@@ -127,8 +127,6 @@ EXPERIMENTS = (
             Row("Ours-V, 64²", "Ours-V, 64", "known_pose,64,ours_v", is_long=True),
             Row("Ours, 64²", "Ours, 64", "known_pose,64"),
             Row("EPCG, 32²", variant="known_pose,32,epcg"),
-            Row("EPCG, 32², second stage from 5/6", variant="known_pose,32,epcg",
-                changes={"render.fixed_views_until": 5 / 6}, tag="two-stages"),
             Row("EPCG, 32², masks alone", variant="known_pose,32,epcg",
                 changes={"train.depth_weight": 0.0}, tag="masks"),
             Row("EPCG, 128²", "EPCG, 128", "known_pose,128,epcg"),

@@ -40,7 +40,7 @@ def list_extras(config: Config) -> tuple[str, ...]:
 
 def list_corners(config: Config) -> tuple[str, ...]:
     """Arrays of the training set, of its own fixed views, that batches hold."""
-    return ("corner_masks", "corner_depths") if config.render.fixed_views_until else ()
+    return ("corner_masks", "corner_depths") if config.network.shape == "maps" else ()
 
 
 def repeat_seed(seed: int, objects: int) -> np.ndarray:

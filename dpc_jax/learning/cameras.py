@@ -14,7 +14,6 @@ from dpc_jax.config import Pose
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.losses import Term
 from dpc_jax.learning.recipe import Recipe
-from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera
 
 # What views have of their own; what is missing is the config's, for all views:
@@ -34,22 +33,6 @@ def find_cameras(
     arrays = {**(given if pose.known else {}), **predicted}
     names = {"translation": "translations", "focal_length": "focal_lengths"}
     return {one: arrays[many] for one, many in names.items() if many in arrays}
-
-
-def predict_cameras(
-    params: Mapping,
-    features: jax.Array,
-    given: Mapping[str, jax.Array],
-    *,
-    network: ShapePoseNetwork,
-    pose: Pose,
-) -> dict[str, jax.Array]:
-    """The cameras of views from their features [n, F]; see `find_cameras`."""
-    predicted = {}
-    if pose.translation or pose.focal_length:
-        predicted = network.apply(params, features, method="predict_camera")
-        assert isinstance(predicted, dict)
-    return find_cameras(predicted, given, pose=pose)
 
 
 def anchor_cameras(cameras: Cameras, *, recipe: Recipe) -> dict[str, Term]:

@@ -6,9 +6,11 @@ all and their gradients never leave a device; what travels are the few rows of a
 All other parameters are whole on every device, and their gradients are summed.
 """
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -134,6 +136,28 @@ def take_own(array: jax.Array) -> jax.Array:
     """Inside `share`: this device's share of the leading axis."""
     size = array.shape[0] // jax.lax.axis_size(AXIS)
     return jax.lax.dynamic_slice_in_dim(array, jax.lax.axis_index(AXIS) * size, size)
+
+
+def sharing_columns() -> contextlib.AbstractContextManager:
+    """Inside `share`: a context in which layers that have own columns compute all.
+
+    A layer is shared where its weights have fewer columns than it has features.
+    """
+    return nn.intercept_methods(_share_columns)
+
+
+def _share_columns(call, args, kwargs, context):
+    """Own columns of all rows, exchanged for all columns of the device's own rows."""
+    layer = context.module
+    if not isinstance(layer, nn.Dense) or context.method_name != "__call__":
+        return call(*args, **kwargs)
+    kernel = layer.get_variable("params", "kernel")
+    if kernel is None or kernel.shape[1] == layer.features:
+        return call(*args, **kwargs)
+    rows = jax.lax.all_gather(args[0], AXIS, tiled=True)
+    columns = jnp.matmul(rows, kernel)
+    own = jax.lax.all_to_all(columns, AXIS, split_axis=0, concat_axis=1, tiled=True)
+    return own + layer.get_variable("params", "bias")[None]
 
 
 def sum_whole(tree: Any, parts: Any) -> Any:

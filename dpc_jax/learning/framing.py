@@ -36,7 +36,19 @@ class Frame(NamedTuple):
 
 def frame_by_box(masks: Array) -> Frame:
     """Frames about the boxes of masks uint8 [..., S, S]; the whole of an empty one."""
-    return Frame(*_frame_by_box(masks))
+
+    @functools.partial(jnp.vectorize, signature="(s,s)->(k),()")
+    def find_frame(mask):
+        is_covered, size = mask > 127, len(mask)
+        ends = []
+        for axis in (1, 0):
+            line = jnp.any(is_covered, axis)
+            ends.append(jnp.stack([jnp.argmax(line), size - jnp.argmax(line[::-1])]))
+        low, high = jnp.stack(ends, axis=1) / size - 0.5
+        side = jnp.where(jnp.any(is_covered), jnp.max(high - low) / FILL, 1)
+        return (low + high) / 2, side
+
+    return Frame(*find_frame(masks))
 
 
 def frame_by_moments(silhouettes: Array) -> Frame:
@@ -44,7 +56,17 @@ def frame_by_moments(silhouettes: Array) -> Frame:
 
     Of one that shows nothing, a frame of a pixel's spread about the middle.
     """
-    return Frame(*_frame_by_moments(silhouettes))
+
+    @functools.partial(jnp.vectorize, signature="(s,s)->(k),()")
+    def find_frame(silhouette):
+        size = len(silhouette)
+        places, total = _list_places(size), jnp.maximum(jnp.sum(silhouette), 1e-6)
+        lines = jnp.stack([jnp.sum(silhouette, axis) for axis in (1, 0)]) / total
+        centre = lines @ places
+        square = jnp.sum(lines @ places**2) - jnp.sum(centre**2)
+        return centre, jnp.sqrt(jnp.maximum(square, 1 / size**2)) / _SPREAD
+
+    return Frame(*find_frame(silhouettes))
 
 
 def find_place(given: Frame, wanted: Frame) -> Frame:
@@ -58,49 +80,27 @@ def cut_out(images: Array, frame: Frame) -> jax.Array:
 
     Bilinear where pixels grow, else means over the pixels that one is made of.
     """
-    return _cut_out(images, frame.centre, frame.side)
+
+    @functools.partial(jnp.vectorize, signature="(s,s,c),(k),()->(s,s,c)")
+    def cut(image, centre, side):
+        size = len(image)
+        places, width = _list_places(size), jnp.maximum(side, 1) / size
+
+        def weigh(middle):
+            away = (middle + side * places)[:, None] - places[None]
+            weights = jnp.maximum(1 - jnp.abs(away) / width, 0)
+            # Where pixels shrink a row adds up to about how many of them make one.
+            return weights / jnp.maximum(jnp.sum(weights, axis=1, keepdims=True), 1)
+
+        rows, columns = weigh(centre[0]), weigh(centre[1])
+        return jnp.einsum("ij,jkc,lk->ilc", rows, image, columns)
+
+    return cut(images, frame.centre, frame.side)
 
 
 def cut_silhouettes(silhouettes: Array, frame: Frame) -> jax.Array:
     """`cut_out` of silhouettes [..., S, S]."""
     return cut_out(silhouettes[..., None], frame)[..., 0]
-
-
-@functools.partial(jnp.vectorize, signature="(s,s)->(k),()")
-def _frame_by_box(mask):
-    is_covered, size = mask > 127, len(mask)
-    ends = []
-    for axis in (1, 0):
-        line = jnp.any(is_covered, axis)
-        ends.append(jnp.stack([jnp.argmax(line), size - jnp.argmax(line[::-1])]))
-    low, high = jnp.stack(ends, axis=1) / size - 0.5
-    side = jnp.where(jnp.any(is_covered), jnp.max(high - low) / FILL, 1)
-    return (low + high) / 2, side
-
-
-@functools.partial(jnp.vectorize, signature="(s,s)->(k),()")
-def _frame_by_moments(silhouette):
-    size = len(silhouette)
-    places, total = _list_places(size), jnp.maximum(jnp.sum(silhouette), 1e-6)
-    lines = jnp.stack([jnp.sum(silhouette, axis) for axis in (1, 0)]) / total
-    centre = lines @ places
-    square = jnp.sum(lines @ places**2) - jnp.sum(centre**2)
-    return centre, jnp.sqrt(jnp.maximum(square, 1 / size**2)) / _SPREAD
-
-
-@functools.partial(jnp.vectorize, signature="(s,s,c),(k),()->(s,s,c)")
-def _cut_out(image, centre, side):
-    size = len(image)
-    places, width = _list_places(size), jnp.maximum(side, 1) / size
-
-    def weigh(middle):
-        away = (middle + side * places)[:, None] - places[None]
-        weights = jnp.maximum(1 - jnp.abs(away) / width, 0)
-        # Where pixels shrink a row adds up to about how many of them make one.
-        return weights / jnp.maximum(jnp.sum(weights, axis=1, keepdims=True), 1)
-
-    rows, columns = weigh(centre[0]), weigh(centre[1])
-    return jnp.einsum("ij,jkc,lk->ilc", rows, image, columns)
 
 
 def _list_places(size):

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from dpc_jax.render import Camera, checks, quaternion
+from dpc_jax.render.camera import to_camera_frame
 
 _RADIUS = 0.5  # of the sphere that an object of box diagonal 1 lies in
 # Distance below which the energy of a pair levels off, so that coincident points have
@@ -21,14 +22,6 @@ class Term(NamedTuple):
 
     value: jax.Array
     weight: chex.Numeric = 1.0
-
-
-def sum_terms(terms: dict[str, Term]) -> jax.Array:
-    """The weighted sum; ()."""
-    total = jnp.zeros(())
-    for term in terms.values():
-        total = total + term.weight * term.value
-    return total
 
 
 def reprojection_loss(predicted: jax.Array, target: jax.Array) -> jax.Array:
@@ -80,16 +73,6 @@ def student_loss(
     if form == "squared":
         return 1 - cosine**2
     return 1 - jnp.where(cosine >= 0, cosine, -cosine)
-
-
-def geodesic_loss(predicted: jax.Array, label: jax.Array) -> jax.Array:
-    """Angle in radians, 0 to π, between a predicted and a given rotation [4]; ().
-
-    The same for q and -q. The gradient has one length for all angles (2 over that of
-    the predicted quaternion), so that large errors shrink as fast as small ones; at
-    exactly 0 it is zero, and at 180°, a kink, that towards +label. The label gets none.
-    """
-    return quaternion.angle_between(predicted, jax.lax.stop_gradient(label))
 
 
 def selection_loss(logits: jax.Array, winners: jax.Array) -> jax.Array:
@@ -221,10 +204,8 @@ def pull_inside(
         `project`.
     """
     side = outside.shape[-1]
-    moved = quaternion.rotate(points, rotation)
-    if translation is not None:
-        moved = moved + translation[None]
-    ahead = moved[:, 2] + camera.distance
+    moved = to_camera_frame(points, rotation, translation)
+    ahead = camera.find_depths(moved)
     is_seen = ahead > _NEAREST
     plane = moved[:, :2]
     if camera.projection == "perspective":

@@ -1,18 +1,19 @@
 """The objective of a batch: Eq. 1 with the hindsight choice, and the student's loss."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from dpc_jax.data.arrays import CORNERS
 from dpc_jax.learning import schedules
-from dpc_jax.learning.cameras import anchor_cameras, place_camera, predict_cameras
+from dpc_jax.learning.cameras import anchor_cameras, find_cameras, place_camera
 from dpc_jax.learning.devices import AXIS
-from dpc_jax.learning.losses import sum_terms
 from dpc_jax.learning.poses.source import ForwardPass, find_poses
-from dpc_jax.learning.predictions import draw_framed, encode_views, predict_shapes
+from dpc_jax.learning.predictions import draw_framed, encode_views
 from dpc_jax.learning.recipe import Averages, Recipe
+from dpc_jax.learning.shapes import find_shape_class
 from dpc_jax.render import VoxelGrid, count_blocks
 
 
@@ -36,7 +37,7 @@ def compute_loss(
       params: of the network. step: ().
       batch: images uint8 [B, V, S, S, 3], masks uint8 [B, V, S, S], quaternions
         [B, V, 4] (read where poses are given or labelled), what `list_extras` names,
-        and corner_masks and corner_depths [B, 8, S, S] in stages of fixed views.
+        and corner_masks and corner_depths [B, 8, S, S] of maps.
       keys: [B], of each object. averages: of the batches before.
       recipe: what is learned, static. stage: of the schedule, static.
 
@@ -51,18 +52,13 @@ def compute_loss(
     is_framed = draw_framed(keys) if recipe.train.framed_views else False
     images = batch["images"], batch["masks"]
     features = encode_views(params, *images, network=network, is_framed=is_framed)
-    shapes = predict_shapes(
-        params,
-        _take_views_before(features, views),
-        keys,
-        sigma,
-        network=network,
-        render=render,
-        kept_points=stage.kept_points,
-    )
-    cameras = predict_cameras(
-        params, features, batch, network=network, pose=recipe.pose
-    )
+    of_objects = features.reshape(-1, views, features.shape[-1])
+    before = jnp.roll(of_objects, 1, axis=1).reshape(features.shape)
+    output: Any = network.apply(params, before, method="predict_shape")
+    kind = find_shape_class(network.shape_kind)
+    shapes = kind.read(output, sigma, render=render).drop(keys, stage.kept_points)
+    predicted: Any = network.apply(params, features, method="predict_camera")
+    cameras = find_cameras(predicted, batch, pose=recipe.pose)
     metrics = {"scale": jnp.mean(shapes.find_scale())}
     anchor = anchor_cameras(cameras, recipe=recipe)
     forward = ForwardPass(
@@ -81,7 +77,10 @@ def compute_loss(
     priors = shapes.find_priors(step, train=recipe.train)
     terms = priors | anchor | poses.terms | pulls | cost_terms
     metrics |= poses.metrics | parts | {n: term.value for n, term in terms.items()}
-    return compared + sum_terms(terms), (metrics, averages)
+    total = jnp.zeros(())
+    for term in terms.values():
+        total = total + term.weight * term.value
+    return compared + total, (metrics, averages)
 
 
 def _flatten_views(batch, keys, views):
@@ -94,12 +93,6 @@ def _flatten_views(batch, keys, views):
     flat |= {n: jnp.repeat(batch[n], views, axis=0) for n in CORNERS if n in batch}
     split = jax.vmap(lambda key: jax.random.split(key, views))
     return flat, split(keys).reshape(-1)
-
-
-def _take_views_before(features, views):
-    """Of each view's features [B·V, F] those of its object's view before."""
-    of_objects = features.reshape(-1, views, features.shape[-1])
-    return jnp.roll(of_objects, 1, axis=1).reshape(features.shape)
 
 
 def _find_room(room, shapes, views, step, recipe, stage):

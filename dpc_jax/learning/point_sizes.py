@@ -64,11 +64,6 @@ def has_own_sizes(size: jax.Array) -> bool:
     return jnp.ndim(size) > 0
 
 
-def take_points(size: jax.Array, count: int) -> jax.Array:
-    """Of the first `count` points; what all share stays."""
-    return size[:count] if has_own_sizes(size) else size
-
-
 def find_image_sigmas(
     size: jax.Array, rotation: jax.Array, zoom: jax.Array
 ) -> tuple[jax.Array, jax.Array]:

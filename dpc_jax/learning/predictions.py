@@ -6,10 +6,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.config import Pose, Render
+from dpc_jax.config import Pose
 from dpc_jax.learning.framing import Frame, cut_out, frame_by_box
 from dpc_jax.learning.half_turns import find_half_turns, turn_candidates
-from dpc_jax.learning.shapes import Shape, find_shape_class
 from dpc_jax.networks import ShapePoseNetwork
 
 
@@ -77,27 +76,6 @@ def encode_views(
     features = network.apply(params, inputs, method="encode")
     assert isinstance(features, jax.Array)
     return features
-
-
-def predict_shapes(
-    params: Mapping,
-    features: jax.Array,
-    keys: jax.Array,
-    sigma: jax.Array,
-    *,
-    network: ShapePoseNetwork,
-    render: Render,
-    kept_points: int,
-) -> Shape:
-    """The shapes of images with features [n, F], with point dropout.
-
-    Args:
-      keys: [n], of the images. sigma: (), of the schedule.
-    """
-    output = network.apply(params, features, method="predict_shape")
-    assert isinstance(output, dict)
-    shapes = find_shape_class(network.shape_kind).read(output, sigma, render=render)
-    return shapes.drop(keys, kept_points)
 
 
 def complete_poses(

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax
 
 from dpc_jax.config import Pose, Render, Train
-from dpc_jax.learning.signals import Weights, read_weights
+from dpc_jax.learning.signals import Weights
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import Camera
 
@@ -26,7 +26,13 @@ class Recipe(NamedTuple):
     @property
     def weights(self) -> Weights:
         """Of the signals."""
-        return read_weights(self.train)
+        train = self.train
+        return Weights(
+            train.silhouette_weight,
+            train.depth_weight,
+            train.color_weight,
+            train.background_weight,
+        )
 
 
 class Averages(NamedTuple):

@@ -54,25 +54,18 @@ def count_kept_points(step: int, render: Render, *, steps: int) -> int:
     return max(1, round(share * render.num_points))
 
 
-def ramp_repulsion(step: chex.Numeric, *, steps: int) -> jax.Array:
-    """The share of the repulsion's weight: 0 until shapes have formed, at the half."""
-    return jnp.maximum(0, 2 * (step / steps) - 1)
-
-
 class Stage(NamedTuple):
     """What is static about a step; each stage is a program of its own.
 
     Attributes:
       kept_points: number of points rendered.
       grid: side of the volume that the winners are rendered in.
-      fixed_views: whether maps are compared in their own views (EPCG's first stage).
       max_blocks: room for blocks of points' volumes, see `project`; all there are draw
         whole volumes, None in small grids. A run adapts it, see `fit_room`.
     """
 
     kept_points: int
     grid: int
-    fixed_views: bool = False
     max_blocks: int | None = None
 
 
@@ -83,7 +76,6 @@ def find_stage(step: int, render: Render, *, steps: int) -> Stage:
     return Stage(
         kept_points=count_kept_points(step, render, steps=steps),
         grid=grid,
-        fixed_views=step < render.fixed_views_until * steps,
         max_blocks=count_all_blocks(grid) if grid > _WHOLE_UP_TO else None,
     )
 
@@ -91,13 +83,6 @@ def find_stage(step: int, render: Render, *, steps: int) -> Stage:
 def count_all_blocks(grid: int) -> int:
     """The blocks of 8³ cells of a cubic grid."""
     return (-(-grid // 8)) ** 3
-
-
-def begin_room(render: Render) -> jax.Array | None:
-    """`Averages.room` before blocks are counted; None where they never are."""
-    if render.finest <= _WHOLE_UP_TO:
-        return None
-    return jnp.asarray(count_all_blocks(render.finest), jnp.int32)
 
 
 def counts_blocks(step: int | jax.Array) -> bool | jax.Array:

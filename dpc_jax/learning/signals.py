@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.config import Train
 from dpc_jax.learning.losses import reprojection_loss
 from dpc_jax.render import Camera, Projection, VoxelGrid
 
@@ -56,16 +55,6 @@ class Weights(NamedTuple):
 
 
 SILHOUETTES = Weights()
-
-
-def read_weights(train: Train) -> Weights:
-    """The weights that a run trains with."""
-    return Weights(
-        train.silhouette_weight,
-        train.depth_weight,
-        train.color_weight,
-        train.background_weight,
-    )
 
 
 def find_background(distance: Any) -> Any:
@@ -145,26 +134,16 @@ def compare_images(
         else:
             rendered, target = getattr(image, signal), targets[signal]
             if signal == "silhouette" and weights.background:
-                term = sum_event_costs(rendered, target, background=weights.background)
+                # Ray consistency with a mask (Tulsiani et al., CVPR 2017): 1 that a ray
+                # of the object passes, `background` that another one is stopped.
+                missed = jnp.sum(target * (1 - rendered))
+                term = missed + weights.background * jnp.sum((1 - target) * rendered)
             else:
                 term = reprojection_loss(rendered, target)
         terms[LOSSES[signal]] = term
         part = term if weight == 1 else weight * term
         total = part if len(terms) == 1 else total + part
     return total, terms
-
-
-def sum_event_costs(
-    silhouette: jax.Array, target: jax.Array, *, background: float
-) -> jax.Array:
-    """Ray consistency [D, D] with a mask (Tulsiani et al., CVPR 2017), all pixels; ().
-
-    It costs 1 that the ray of an object's pixel passes, and `background` that the ray
-    of another one is stopped: m·(1 - S) + background·(1 - m)·S for a pixel of which the
-    object covers the share m, and whose ray is stopped with probability S.
-    """
-    missed = jnp.sum(target * (1 - silhouette))
-    return missed + background * jnp.sum((1 - target) * silhouette)
 
 
 def compare_depths(

@@ -15,7 +15,6 @@ from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.objective import compute_loss
 from dpc_jax.learning.recipe import Averages, Recipe
 from dpc_jax.networks import ShapePoseNetwork
-from dpc_jax.networks.columns import sharing_columns
 
 
 class TrainState(NamedTuple):
@@ -91,9 +90,11 @@ def _init_whole(network, config, seed):
         pose = config.pose
         frame = start_frame(pose.turns, by_colors=pose.common_frame == "colors")
     step = jnp.asarray(0, jnp.int32)
-    room = None
-    if config.network.shape == "points" and not config.network.point_size:
-        room = schedules.begin_room(config.render)
+    steps, room = config.train.steps, None
+    last = schedules.find_stage(steps - 1, config.render, steps=steps)
+    is_alike = config.network.shape == "points" and not config.network.point_size
+    if last.max_blocks and is_alike:  # all that there are, until some are counted
+        room = jnp.asarray(last.max_blocks, jnp.int32)
     averages = Averages(jnp.zeros((3, 3)), cost, room, frame)
     return TrainState(step, params, optimizer, averages)
 
@@ -144,7 +145,7 @@ def _make_update(network, config, stage, parts, num_devices):
 
     def compute_share(params, batch, keys, state):
         """This device's part of the loss, which is a mean over all objects."""
-        with sharing_columns(devices.AXIS):
+        with devices.sharing_columns():
             loss, aux = compute_loss(
                 params,
                 batch,

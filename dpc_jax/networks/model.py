@@ -34,9 +34,8 @@ class ShapePoseNetwork(nn.Module):
       map_focal_length, map_distance: of the `ViewMapHead`.
       viewpoints: lowest and highest elevation, degrees, of heads that predict azimuth
         and elevation (`ViewpointEnsemble`); None for heads that predict quaternions.
-      own_pose_encoder: poses are predicted from features of an encoder of their own,
-        which come behind those of shapes.
-      judges_poses: have a `PoseJudge`.
+      samples_poses: as MVC has a `PoseJudge`, and predicts poses from features of an
+        encoder of their own, which come behind those of shapes.
       num_heads: K, the number of pose predictors; 0 where poses are known.
       channels, hidden, normalize, blocks: of the `ImageEncoder`.
       num_classes: how many candidates the student selects from, turned ones included;
@@ -74,8 +73,7 @@ class ShapePoseNetwork(nn.Module):
     map_focal_length: float = 1.875
     map_distance: float = 2.0
     viewpoints: tuple[float, float] | None = None
-    own_pose_encoder: bool = False
-    judges_poses: bool = False
+    samples_poses: bool = False
     is_tinted: bool = False
     sees_mask: bool = False
 
@@ -90,12 +88,10 @@ class ShapePoseNetwork(nn.Module):
         self.shape = self._make_shape_head()
         if self.num_heads:
             self.pose = self._make_pose_heads()
-        if self.num_heads and self.own_pose_encoder:
-            self.pose_encoder = self._make_encoder()
-        if self.num_heads and self.judges_poses:
+        if self.samples_poses:
             from dpc_jax.networks.viewpoints import PoseJudge  # where asked
 
-            self.judge = PoseJudge()
+            self.pose_encoder, self.judge = self._make_encoder(), PoseJudge()
         student: dict[str, Any] = {
             "hidden": self.hidden,
             "width": self.student_width,
@@ -165,7 +161,7 @@ class ShapePoseNetwork(nn.Module):
         """
         chex.assert_axis_dimension(images, -1, self.inputs)
         features = self.encoder(images, mix=mix)
-        if self.num_heads and self.own_pose_encoder:
+        if self.samples_poses:
             others = self.pose_encoder(images, mix=mix)
             features = jnp.concatenate([features, others], axis=-1)
         if self.is_tinted:
@@ -223,6 +219,6 @@ class ShapePoseNetwork(nn.Module):
         """All predictions for images [B, S, S, 3], or 4; also makes the parameters."""
         features = self.encode(images)
         poses = self.predict_pose(features) | self.predict_camera(features)
-        if self.is_initializing() and self.num_heads and self.judges_poses:
+        if self.is_initializing() and self.samples_poses:
             self.judge_poses(poses["candidates"][:, 0])  # makes its parameters
         return self.predict_shape(features) | poses

@@ -54,9 +54,7 @@ def make_network(config: Config) -> ShapePoseNetwork:
         map_focal_length=config.render.focal_length,
         map_distance=config.render.distance,
         viewpoints=config.pose.elevations,
-        # As MVC has them.
-        own_pose_encoder=config.pose.source == "sampled",
-        judges_poses=config.pose.source == "sampled",
+        samples_poses=config.pose.source == "sampled",
     )
 
 
@@ -75,7 +73,7 @@ def make_data_specs(config: Config) -> dict[str, DataSpec]:
         }
     else:
         specs = _split_folder(config, kind, shared)
-    if config.render.fixed_views_until:
+    if config.network.shape == "maps":
         specs["train"] = dataclasses.replace(specs["train"], corner_views=True)
     if data.test_meshes:
         specs["test"] = DataSpec(

@@ -54,7 +54,7 @@ def place_candidates(
     count = min(choice_points or len(points), len(points))
     camera, own = view.camera, None
     if size is not None and point_sizes.has_own_sizes(size):
-        own = point_sizes.take_points(size, count)
+        own = size[:count]
 
     def place(candidate):
         moved = to_camera_frame(points[:count], candidate, view.translation)
@@ -118,7 +118,7 @@ def compute_image_losses(
 def _sum_own_sizes(places, mass, target):
     """Optical depths [C, D, D] of Gaussians with sizes of their own."""
     assert places.sigmas is not None
-    mass = point_sizes.take_points(mass, places.rows.shape[1])
+    mass = mass[: places.rows.shape[1]] if mass.ndim else mass
     pixels = jnp.arange(target.shape[0], dtype=target.dtype)[None, :, None]
 
     def weigh(centers, sigmas):

@@ -87,14 +87,8 @@ def weigh_paint(samples: Samples) -> Samples:
     return samples._replace(weights=weights / (1 + (shares[bins] / _PAINT) ** 2))
 
 
-def count_colors(samples: Samples) -> jax.Array:
-    """Weights of all samples in each cell and bin; [CELLS³, BINS²]."""
-    counts = jnp.zeros((CELLS**3, BINS**2))
-    return counts.at[find_cells(samples.places), samples.bins].add(samples.weights)
-
-
 def score_colors(counts: jax.Array) -> jax.Array:
-    """Log-likelihood of each colour in each cell [CELLS³, BINS²] by counts of them.
+    """Log-likelihood of colours in cells [CELLS³, BINS²] by their weights there.
 
     Relative to the category's colours anywhere, nats.
     """

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 
 from dpc_jax.learning.cameras import Cameras
 from dpc_jax.learning.choice import colors
-from dpc_jax.learning.choice.colors import BINS, CELLS, POINTS, Samples, find_cells
+from dpc_jax.learning.choice.colors import BINS, CELLS, POINTS, find_cells
 from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import find_half_turns
@@ -215,20 +215,16 @@ def _count_batch(frame, points, samples, gains):
     rows = (frame.count + jnp.arange(len(shapes))[-OBJECTS:]) % OBJECTS
     moments = jnp.stack([jnp.mean(gains**power, axis=1) for power in range(3)])
     moments = jax.lax.pmean(moments, AXIS)
-    return Frame(
-        frame.shapes.at[rows].set(shapes[-OBJECTS:]),
-        frame.count + len(shapes),
-        _count_colors(samples, frame.colors),
-        _KEPT * frame.moments + moments,
+    new = frame._replace(
+        shapes=frame.shapes.at[rows].set(shapes[-OBJECTS:]),
+        count=frame.count + len(shapes),
     )
-
-
-def _count_colors(samples, before):
-    """Colours in each cell after those of all devices' samples."""
-    if samples is None:
-        return None
-    flat = Samples(*(a.reshape(-1, *a.shape[2:]) for a in samples))
-    return _KEPT * before + jax.lax.psum(colors.count_colors(flat), AXIS)
+    if samples is not None:
+        places, bins, weights = (a.reshape(-1, *a.shape[2:]) for a in samples)
+        kept, nothing = _KEPT * frame.colors, jnp.zeros_like(frame.colors)
+        seen = nothing.at[find_cells(places), bins].add(weights)
+        new = new._replace(colors=kept + jax.lax.psum(seen, AXIS))
+    return new._replace(moments=_KEPT * frame.moments + moments)
 
 
 def count_points(points: jax.Array) -> jax.Array:

@@ -64,7 +64,8 @@ def choose_poses(
         scene.pop("colors", None)
 
     def make_view(candidates, per_view):
-        return place_view(candidates, per_view, render.grid, camera, render.ray_rule)
+        rule = render.ray_rule
+        return place_view(candidates, per_view, render.grid, camera, ray_rule=rule)
 
     def place(scene, candidates, per_view):
         return kind.place_in_image(scene | shared, make_view(candidates, per_view), how)

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.learning.cameras import place_camera
-from dpc_jax.learning.shapes.kind import View, sum_views
+from dpc_jax.learning.shapes.kind import View, place_view, sum_views
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.signals import Weights
 from dpc_jax.render import Camera, VoxelGrid
@@ -82,10 +81,8 @@ def place(
     max_blocks: int | None = None,
 ) -> View:
     """One of `Cloud.list_views`, in a grid of that side."""
-    own = place_camera(camera, view)
-    shift = view.get("translation")
     how = {"max_blocks": max_blocks, "method": METHOD}
-    return View(view["rotation"], own, side, shift, **how)
+    return place_view(view["rotation"], view, side, camera, **how)
 
 
 def split_points(cloud: Cloud, key: jax.Array, *, parts: int, distance: float) -> Cloud:

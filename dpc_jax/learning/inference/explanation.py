@@ -56,7 +56,8 @@ def observe(
 def _place_view(rotation, per_view, side: int, config: Config) -> View:
     """A view of the run's shapes; see `place_view`."""
     camera = Camera(config.render.focal_length, config.render.distance)
-    return place_view(rotation, per_view, side, camera, config.render.ray_rule)
+    rule = config.render.ray_rule
+    return place_view(rotation, per_view, side, camera, ray_rule=rule)
 
 
 def compare_poses(
@@ -69,33 +70,22 @@ def compare_poses(
     Args:
       scene: of the shape, sizes in voxels of the observation's grid.
     """
-    side = observation.target.shape[0]
-    if observation.frame is not None:
-        return _compare_framed(scene, poses, observation, config)
-    return find_shape_class(config.network.shape).compare_candidates(
-        scene,
-        _place_view(poses, observation.camera, side, config),
-        {"silhouette": observation.target},
-        renders_at_once=config.render.renders_at_once,
-    )
-
-
-def _compare_framed(scene, poses, observation, config):
-    """Losses [n] of silhouettes, each in the frame of its own moments."""
-    side, kind = observation.target.shape[0], find_shape_class(config.network.shape)
-    target = cut_silhouettes(observation.target, observation.frame)
+    target, own, frame = observation
+    side, at_once = target.shape[0], config.render.renders_at_once
+    kind = find_shape_class(config.network.shape)
+    if frame is None:
+        view = _place_view(poses, own, side, config)
+        targets = {"silhouette": target}
+        return kind.compare_candidates(scene, view, targets, renders_at_once=at_once)
+    framed = cut_silhouettes(target, frame)
 
     def compare(pose):
-        view = _place_view(pose, observation.camera, side, config)
-        background = find_background(config.render.distance)
-        image = kind.render(
-            scene, view, signals=("silhouette",), background_depth=background
-        ).silhouette
+        view = _place_view(pose, own, side, config)
+        image = kind.render(scene, view, signals=("silhouette",)).silhouette
         assert image is not None
-        framed = cut_silhouettes(image, frame_by_moments(image))
-        return jnp.sum((framed - target) ** 2)
+        return jnp.sum((cut_silhouettes(image, frame_by_moments(image)) - framed) ** 2)
 
-    return map_renders(compare, poses, renders_at_once=config.render.renders_at_once)
+    return map_renders(compare, poses, renders_at_once=at_once)
 
 
 def find_color_scores(frame: Any) -> jax.Array | None:
@@ -143,9 +133,8 @@ def weigh_by_colors(
         )
         return colors.judge_samples(colors.weigh_paint(samples), scores)
 
-    tiny = jnp.finfo(probabilities.dtype).tiny
-    fits = jax.vmap(judge)(candidates)
-    return jax.nn.softmax(jnp.log(jnp.maximum(probabilities, tiny)) + fits)
+    misfits = -jax.vmap(judge)(candidates)
+    return jax.nn.softmax(find_posteriors(misfits, probabilities))
 
 
 def find_posteriors(losses: jax.Array, probabilities: jax.Array) -> jax.Array:

@@ -34,7 +34,6 @@ from dpc_jax.learning.predictions import (
 from dpc_jax.learning.shapes import find_shape_class
 from dpc_jax.learning.step import TrainState, find_parts
 from dpc_jax.networks import ShapePoseNetwork
-from dpc_jax.networks.columns import sharing_columns
 from dpc_jax.networks.encoder import TINT
 from dpc_jax.render.batch import map_renders
 
@@ -134,7 +133,7 @@ def make_predictor(
     def predict(state, images, masks, quaternions, extras):
         is_framed = not knows_distance and config.train.framed_views
         inputs = make_inputs(images, masks, network=network, is_framed=is_framed)
-        with sharing_columns(devices.AXIS):
+        with devices.sharing_columns():
             output: Any = network.apply(state.params, inputs, method=_predict_all)
         arrays = {"images": images, "masks": masks, **extras}
         entries, shared = _list_entries(

@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 
-from dpc_jax.learning import losses
 from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.losses import Term
 from dpc_jax.learning.poses.source import (
@@ -14,6 +13,7 @@ from dpc_jax.learning.poses.source import (
 )
 from dpc_jax.learning.predictions import Poses
 from dpc_jax.learning.recipe import Recipe
+from dpc_jax.render import quaternion
 
 
 def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
@@ -32,7 +32,8 @@ def compare_labels(
 
     It is the hindsight choice with labels in place of images.
     """
-    to_label = jax.vmap(losses.geodesic_loss, in_axes=(0, None))
+    # An angle's gradient has one length: large errors shrink as fast as small ones.
+    to_label = jax.vmap(quaternion.angle_between, in_axes=(0, None))
     angles = jax.vmap(to_label)(poses.candidates, labels)
     nearest = jnp.argmin(angles, axis=1)
     loss = jnp.mean(jnp.take_along_axis(angles, nearest[:, None], axis=1))

@@ -49,7 +49,8 @@ def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
         weight = PRIOR * recipe.render.grid**2
         terms = {"prior": Term(jnp.mean(unlikely), weight), "judge": Term(judge)}
         costs = costs + weight * unlikely
-        baseline = update_baseline(before, costs, axis=AXIS)
+        mean = jax.lax.pmean(jnp.mean(jax.lax.stop_gradient(costs)), AXIS)
+        baseline = _KEPT * before + (1 - _KEPT) * mean
         loss = reinforce_loss(logits, indices, costs, baseline)
         terms["reinforce"] = Term(loss)
         terms["head_entropy"] = Term(measure_entropy(logits), -ENTROPY * baseline)
@@ -70,19 +71,6 @@ def draw_poses(poses: Poses, keys: jax.Array) -> Winners:
     indices = jax.vmap(jax.random.categorical)(own, logits)
     drawn = jnp.take_along_axis(poses.candidates, indices[:, None, None], axis=1)
     return Winners(drawn[:, 0], indices.astype(jnp.int32))
-
-
-def update_baseline(
-    baseline: jax.Array, costs: jax.Array, *, axis: str | None = None
-) -> jax.Array:
-    """The moving average () of costs [...], after one more batch; from 0 on.
-
-    Devices along a named axis, each with its share of the batch, get that of all.
-    """
-    mean = jnp.mean(jax.lax.stop_gradient(costs))
-    if axis is not None:
-        mean = jax.lax.pmean(mean, axis)
-    return _KEPT * baseline + (1 - _KEPT) * mean
 
 
 def reinforce_loss(

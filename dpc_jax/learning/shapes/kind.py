@@ -2,7 +2,7 @@
 
 An instance holds the shapes of a batch. Its class, which is static, knows what is done
 with the scene of one object: a dictionary of what it is rendered from, by name. What a
-kind does not say itself, it does as here.
+kind does not say itself, it does as here; what methods are for is said here alone.
 """
 
 import dataclasses
@@ -66,16 +66,11 @@ class View(NamedTuple):
 
 
 def place_view(
-    rotation: jax.Array,
-    per_view: Mapping[str, Any],
-    side: int,
-    camera: Camera,
-    rule: str,
-    max_blocks: int | None = None,
+    rotation: jax.Array, per_view: Cameras, side: int, camera: Camera, **how: Any
 ) -> View:
-    """A view; `per_view` is what its camera differs in, see `Cameras`."""
-    camera, shift = place_camera(camera, per_view), per_view.get("translation")
-    return View(rotation, camera, side, shift, rule, max_blocks)
+    """A view; `per_view` is what its camera differs in, `how` other fields of it."""
+    shift = per_view.get("translation")
+    return View(rotation, place_camera(camera, per_view), side, shift, **how)
 
 
 class Choice(NamedTuple):
@@ -108,7 +103,6 @@ class Shape:
 
     def drop(self, keys: jax.Array, kept_points: int) -> Self:
         """The shapes with the dropout of training, by the objects' keys [B]."""
-        del keys, kept_points
         return self
 
     def list_scenes(self, ratio: float = 1.0) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -128,7 +122,6 @@ class Shape:
 
     def find_priors(self, step: jax.Array, *, train: Train) -> dict[str, Term]:
         """Regularisers of the shapes alone. Not in the paper."""
-        del step, train
         return {}
 
     def find_pulls(
@@ -141,7 +134,6 @@ class Shape:
         recipe: Recipe,
     ) -> dict[str, Term]:
         """Regularisers of the shapes in their views. Not in the paper."""
-        del rotations, batch, cameras, step, recipe
         return {}
 
     def compare(
@@ -181,9 +173,9 @@ class Shape:
         kind, colors_move_shapes = type(self), recipe.train.colors_move_points
 
         def compare_view(learned, given):
-            scene, rule = given | learned, render.ray_rule
-            how = stage.grid, camera, rule, stage.max_blocks
-            view = place_view(scene["rotation"], scene, *how)
+            scene = given | learned
+            how = {"ray_rule": render.ray_rule, "max_blocks": stage.max_blocks}
+            view = place_view(scene["rotation"], scene, stage.grid, camera, **how)
             return kind.compare_view(
                 scene,
                 view,
@@ -210,13 +202,11 @@ class Shape:
     @staticmethod
     def resize(scene: Scene, ratio: float) -> Scene:
         """A scene for a grid with `ratio` times as many cells per side."""
-        del ratio
         return scene
 
     @staticmethod
     def weigh_as_trained(scene: Scene, render: Render) -> Scene:
         """A scene as dense as training renders last."""
-        del render
         return scene
 
     @classmethod
@@ -281,16 +271,14 @@ class Shape:
         def compute_loss(candidate):
             seen = view._replace(rotation=candidate)
             image = cls.render(scene, seen, signals=weights.renders)
-            return compare_images(image, targets, weights=weights, camera=view.camera)[
-                0
-            ]
+            how = {"weights": weights, "camera": view.camera}
+            return compare_images(image, targets, **how)[0]
 
         return map_renders(compute_loss, view.rotation, renders_at_once=renders_at_once)
 
     @staticmethod
     def place_in_image(scene: Scene, view: View, how: Choice) -> Any:
         """What a batch finds of all views at once, for `rank`; None for nothing."""
-        del scene, view, how
 
     @classmethod
     def rank(

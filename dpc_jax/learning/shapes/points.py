@@ -18,7 +18,7 @@ from dpc_jax.learning.cameras import Cameras, place_camera
 from dpc_jax.learning.choice import coarse_choice
 from dpc_jax.learning.losses import Term
 from dpc_jax.learning.recipe import Recipe
-from dpc_jax.learning.schedules import PULL_FROM, ramp_repulsion
+from dpc_jax.learning.schedules import PULL_FROM
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View
 from dpc_jax.learning.signals import downsample_images
 from dpc_jax.render import Projection, project
@@ -83,7 +83,6 @@ class Points(Shape):
         )
 
     def list_scenes(self, ratio: float = 1.0) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The scenes of a batch; a sigma of the schedule is shared."""
         colors = {} if self.colors is None else {"colors": self.colors}
         sigma, mass = point_sizes.scale_point_sizes(self.sigma, self.mass, ratio)
         scene = {"points": self.kept, "mass": mass} | colors
@@ -92,25 +91,22 @@ class Points(Shape):
         return scene, {"sigma": sigma}
 
     def find_places(self) -> tuple[jax.Array, jax.Array | None]:
-        """All kept points, alike."""
         return self.kept, None
 
     def find_scale(self) -> jax.Array:
-        """The learned one."""
         return self.scale
 
     def find_cloud(self) -> jax.Array:
-        """All points, those that dropout leaves out too."""
         return self.points
 
     def find_priors(self, step: jax.Array, *, train: Train) -> dict[str, Term]:
-        """Containment and repulsion, 0 where they have no weight yet."""
+        """Containment; repulsion, which comes in from the half on, of formed shapes."""
         terms = {}
         if train.containment_weight:
             outside = jnp.mean(jax.vmap(losses.containment_loss)(self.points))
             terms["containment"] = Term(outside, train.containment_weight)
         if train.repulsion_weight:
-            ramp = ramp_repulsion(step, steps=train.steps)
+            ramp = jnp.maximum(0, 2 * (step / train.steps) - 1)
             energy = jax.lax.cond(
                 ramp > 0,
                 lambda points: jnp.mean(jax.vmap(losses.repulsion_energy)(points)),
@@ -164,13 +160,11 @@ class Points(Shape):
 
     @staticmethod
     def find_evaluated(output: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
-        """Points, and their colours and sizes where these are learned."""
         found = {name: output[name] for name in ("points", "colors") if name in output}
         return found | ({"sizes": scene["sigma"]} if "sigma" in scene else {})
 
     @staticmethod
     def resize(scene: Scene, ratio: float) -> Scene:
-        """Sizes and masses are in cells of the grid."""
         sigma, mass = point_sizes.scale_point_sizes(
             scene["sigma"], scene["mass"], ratio
         )
@@ -195,7 +189,6 @@ class Points(Shape):
         signals: tuple[str, ...],
         background_depth: jax.Array | float = 10.0,
     ) -> Projection:
-        """Eqs. 2 to 5; see `project`."""
         size = jnp.asarray(scene["sigma"])
         is_covariance = size.ndim == 3
         return project(
@@ -216,7 +209,6 @@ class Points(Shape):
     def place_in_image(
         scene: Scene, view: View, how: Choice
     ) -> coarse_choice.ImagePoints | None:
-        """Some points in the image of each candidate; None without a first choice."""
         if not how.points:
             return None
         return coarse_choice.place_candidates(
@@ -233,7 +225,6 @@ class Points(Shape):
         how: Choice,
     ) -> jax.Array | None:
         """By the optical depths of some points in the image."""
-        del view, how
         if places is None:
             return None
         mass, sigma = scene["mass"], scene["sigma"]

@@ -40,18 +40,13 @@ class Voxels(Shape):
     def read(
         cls, output: Mapping[str, Any], sigma: jax.Array, *, render: Render
     ) -> Self:
-        """Cells have no size to read."""
-        del sigma, render
         return cls(output["cells"], output.get("colors"))
 
     def list_scenes(self, ratio: float = 1.0) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The scenes of a batch, which are the same in every grid."""
-        del ratio
         colors = {} if self.colors is None else {"colors": self.colors}
         return {"cells": self.cells} | colors, {}
 
     def find_places(self) -> tuple[jax.Array, jax.Array | None]:
-        """The centres of cells, by their occupancies."""
         sides = self.cells.shape[1:]
         axes = [(jnp.arange(side) + 0.5) / side - 0.5 for side in sides]
         centers = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -61,7 +56,6 @@ class Voxels(Shape):
     @staticmethod
     def find_evaluated(output: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
         """Cells; their surface has points once `volumes.add_points` finds them."""
-        del scene
         return {
             "cells": output["cells"],
             "points": jnp.zeros((len(output["cells"]), 0, 3)),
@@ -76,7 +70,6 @@ class Voxels(Shape):
         signals: tuple[str, ...],
         background_depth: jax.Array | float = 10.0,
     ) -> Projection:
-        """See `project_volume`."""
         return project_volume(
             scene["cells"],
             view.rotation,
@@ -91,7 +84,6 @@ class Voxels(Shape):
         cls, scene: Scene, view: View, target: jax.Array, places: None, how: Choice
     ) -> jax.Array | None:
         """Volumes stay as they are, and are seen in a coarser grid."""
-        del places
         if target.shape[0] < 2 * COARSE_SIDE:
             return None
         return cls.compare_candidates(

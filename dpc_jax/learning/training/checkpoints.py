@@ -43,9 +43,6 @@ class Checkpoints:
         # Orbax reports every file that it touches, and of an error the tracebacks of
         # all its threads; it raises the error, too.
         logging.set_verbosity(logging.FATAL)
-        self._open()
-
-    def _open(self):
         self._has_failed = False
         self._folder.mkdir(parents=True, exist_ok=True)
         processes = ocp.options.MultiprocessingOptions()
@@ -109,14 +106,11 @@ class Checkpoints:
 
         A run that went on from an earlier one can then save at those steps again.
         """
-        if not (steps := tuple(steps)):
-            return
-        self.close()
         for step in steps:
             target = self._folder.with_name(f"damaged-checkpoint-{step}")
             shutil.rmtree(target, ignore_errors=True)
             os.replace(self._folder / str(step), target)
-        self._open()
+        self._manager.reload()
 
     def restore(self, like: TrainState) -> Restored | None:
         """The newest checkpoint that can be read, or None where there is none.
@@ -127,11 +121,8 @@ class Checkpoints:
         Raises:
           ValueError: if there are checkpoints, yet none can be read.
         """
-        described = jax.tree.map(
-            lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=a.sharding), like
-        )
         target = ocp.args.Composite(
-            state=ocp.args.StandardRestore(_list_parts(described)),
+            state=ocp.args.StandardRestore(_list_parts(like)),
             progress=ocp.args.JsonRestore(),
         )
         damaged = []

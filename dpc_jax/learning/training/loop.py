@@ -3,7 +3,7 @@
 import functools
 import time
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import jax
 
@@ -14,17 +14,11 @@ from dpc_jax.learning import schedules
 from dpc_jax.learning.batches import make_batch
 from dpc_jax.learning.step import TrainState, make_train_step
 from dpc_jax.learning.training import reseeding
+from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.learning.training.programs import StagePrograms
 from dpc_jax.learning.training.progress import Forecast, ProgressReport
 from dpc_jax.learning.training.records import MetricLog, Stopwatch, Window
 from dpc_jax.networks import ShapePoseNetwork
-
-
-class Keeper(Protocol):
-    """Keeps states: `Checkpoints`, for instance."""
-
-    def save(self, state: TrainState, *, seconds: float) -> None:
-        """Keep a state and the seconds of training that it took."""
 
 
 class Outcome(NamedTuple):
@@ -47,7 +41,7 @@ def train(
     *,
     network: ShapePoseNetwork,
     config: Config,
-    checkpoints: Keeper,
+    checkpoints: Checkpoints,
     log: MetricLog,
     evaluate: Callable[[TrainState], dict[str, float]] | None = None,
     should_stop: Callable[[], bool] = lambda: False,
@@ -88,10 +82,8 @@ def train(
         saved then: the last checkpoint is the last good state.
     """
     start, steps, due = int(state.step), config.train.steps, config.log
-    watch, window = (
-        Stopwatch(seconds),
-        Window(start, seconds, heads=config.pose.learned_heads),
-    )
+    watch = Stopwatch(seconds)
+    window = Window(start, seconds, heads=config.pose.learned_heads)
     spans = schedules.list_spans(config.render, steps=steps)
     forecast = Forecast(
         steps,

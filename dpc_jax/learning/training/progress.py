@@ -17,39 +17,35 @@ class ProgressReport:
 
     def __init__(self, title: str, *, total: int, start: int = 0):
         self._title, self._total = title, total
-        self._bar: Progress | None = None
-        if sys.stdout.isatty():
-            self._bar = Progress(
-                TextColumn("{task.description}"),
-                BarColumn(),
-                TextColumn("{task.completed}/{task.total}"),
-                TextColumn("{task.fields[text]}"),
-                console=Console(file=sys.stdout),
-            )
-            self._task = self._bar.add_task(
-                title, total=total, completed=start, text=""
-            )
+        self._is_plain = not sys.stdout.isatty()
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed}/{task.total}"),
+            TextColumn("{task.fields[text]}"),
+            console=Console(file=sys.stdout),
+            disable=self._is_plain,
+        )
+        self._task = self._bar.add_task(title, total=total, completed=start, text="")
 
     def __enter__(self):
-        if self._bar is not None:
-            self._bar.start()
+        self._bar.start()
         return self
 
     def __exit__(self, *_):
-        if self._bar is not None:
+        if not self._is_plain:  # where it would end with an empty line
             self._bar.stop()
 
     def tell(self, text: str):
         """Print a line of its own, above the bar where there is one."""
-        if self._bar is not None:
-            self._bar.console.print(text, highlight=False, markup=False)
-        else:
+        if self._is_plain:
             print(text, flush=True)
+        else:
+            self._bar.console.print(text, highlight=False, markup=False)
 
     def advance(self, step: int):
         """Move the bar; plain output has no bar."""
-        if self._bar is not None:
-            self._bar.update(self._task, completed=step)
+        self._bar.update(self._task, completed=step)
 
     def report(
         self,
@@ -60,29 +56,24 @@ class ProgressReport:
         seconds_left: float | None,
     ):
         """Show loss, rate and time left, which leaves out nothing that is still due."""
-        rate = f"{steps_per_second:.1f} steps/s"
-        left = "" if seconds_left is None else f"{seconds_left:.0f} s left"
-        if self._bar is not None:
-            text = f"loss {loss:.2f}  {rate}  {left}".rstrip()
-            self._bar.update(self._task, completed=step, text=text)
-            return
-        parts = (f"step {step}/{self._total}", f"loss {loss:.2f}", rate, left)
-        print(f"{self._title}: {', '.join(filter(None, parts))}", flush=True)
+        parts = [f"loss {loss:.2f}", f"{steps_per_second:.1f} steps/s"]
+        parts += [] if seconds_left is None else [f"{seconds_left:.0f} s left"]
+        self._bar.update(self._task, completed=step, text="  ".join(parts))
+        if self._is_plain:
+            found = ", ".join([f"step {step}/{self._total}", *parts])
+            self.tell(f"{self._title}: {found}")
 
     @contextlib.contextmanager
     def compiling(self) -> Iterator[None]:
         """Say "compiling" inside the context, and at its end how long it took."""
-        started, before = time.monotonic(), ""
-        if self._bar is not None:
-            before = self._bar.tasks[0].fields["text"]
-            self._bar.update(self._task, text="compiling")
-        else:
-            print(f"{self._title}: compiling", flush=True)
+        started, before = time.monotonic(), self._bar.tasks[0].fields["text"]
+        self._bar.update(self._task, text="compiling")
+        if self._is_plain:
+            self.tell(f"{self._title}: compiling")
         yield
         seconds = time.monotonic() - started
         self.tell(f"{self._title}: compiling took {seconds:.1f} s")
-        if self._bar is not None:
-            self._bar.update(self._task, text=before)
+        self._bar.update(self._task, text=before)
 
 
 class Forecast:

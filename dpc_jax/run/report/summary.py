@@ -187,7 +187,5 @@ def list_stages(config: Config) -> list[tuple[int, str]]:
         points, side = span.stage.kept_points, span.stage.grid
         new = [f"{points} points"] if not old or old.kept_points != points else []
         new += [f"{side}³ cells"] if not old or old.grid != side else []
-        if old and old.fixed_views and not span.stage.fixed_views:
-            new.append("free views")
         stages.append((span.start, ", ".join(new)))
     return stages
