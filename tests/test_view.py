@@ -13,9 +13,9 @@ import viser
 from scipy.spatial.transform import Rotation
 
 from dpc_jax import view
+from dpc_jax.config import Render
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
 from dpc_jax.evaluation.rotations import view_angles
-from dpc_jax.config import Render
 from dpc_jax.reporting.export import write_ply, write_surface
 from dpc_jax.run.viewing import Candidates, ShownObject, ShownView
 from dpc_jax.run.viewing.page import _FROM_GLTF, Page
