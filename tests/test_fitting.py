@@ -220,7 +220,8 @@ def test_what_cannot_be_fitted_is_said_in_a_sentence(changes, words):
         dpc_jax.fit(arguments.pop("silhouettes"), **arguments)
 
 
-def test_a_folder_of_images_becomes_files(scene, tmp_path, capsys):
+@pytest.mark.parametrize("crop", ["none", "object"])
+def test_a_folder_of_images_becomes_files(scene, tmp_path, capsys, crop):
     """Images with alpha, one more of them empty, and their poses."""
     _, silhouettes, rotations = scene
     place, poses = tmp_path / "images", {}
@@ -233,10 +234,13 @@ def test_a_folder_of_images_becomes_files(scene, tmp_path, capsys):
         poses[f"{i}.png"] = rotations[view].tolist()
     (place / "poses.json").write_text(json.dumps(poses))
     out = tmp_path / "out"
-    fit_folder(place, out, image_size=32, crop="none", settings=COARSE)
+    fit_folder(place, out, image_size=32, crop=crop, settings=COARSE)
     facts = json.loads((out / "fit.json").read_text())
     assert set(facts["views"]) == {f"{i}.png" for i in range(VIEWS)}
     assert facts["overlap"] > 0.85 and facts["points"] == 300
+    # Images cut out by their masks do not have the object's middle in theirs.
+    moved = [view.get("translation") for view in facts["views"].values()]
+    assert moved == [None] * VIEWS if crop == "none" else np.shape(moved) == (VIEWS, 3)
     assert facts["views"]["3.png"]["azimuth_deg"] == pytest.approx(120, abs=1)
     for name in ("cloud.ply", "cloud.glb", "views.png", "curve.png"):
         assert (out / name).stat().st_size > 0

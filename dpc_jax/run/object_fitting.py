@@ -10,6 +10,7 @@ import numpy as np
 
 from dpc_jax.data import DataSpec
 from dpc_jax.data.sets.image_folder import read_views
+from dpc_jax.data.sets.pose_files import QUATERNIONS, find_pose_files
 from dpc_jax.evaluation.rotations import describe_pose
 from dpc_jax.files import write_json
 from dpc_jax.learning.fitting import FitSettings
@@ -48,7 +49,9 @@ def fit_folder(
       folder: of the images of one object. out: folder of the results.
       poses: of `POSES`; "auto" takes those of the folder's pose file as they are where
         it has one.
-      crop: how images are framed, see `DataSpec`.
+      crop: how images are framed, see `DataSpec`. A box about the mask has another
+        middle than the object, so translations are learned, too, where images are cut
+        out so; cameras of known place and lens need none.
       image_size: pixels that images are brought to.
       is_colored: whether points learn colours.
       learn, settings, seed: see `fit`.
@@ -78,8 +81,10 @@ def fit_folder(
             "poses.json nor transforms.json; add one (docs/data.md), or give "
             "--poses=none."
         )
-    if poses == "rough":
-        learn = tuple(dict.fromkeys(("rotations", *learn)))
+    files = find_pose_files(folder)
+    is_boxed = crop != "none" and all(path.name == QUATERNIONS for path in files)
+    own = ("rotations",) * (poses == "rough") + ("translations",) * is_boxed
+    learn = tuple(dict.fromkeys((*own, *learn)))
     found = fit(
         arrays["masks"],
         rotations=rotations,
@@ -142,6 +147,9 @@ def _write(out: Path, found: Fit, arrays, names, asked, seconds, *, surface):
     draw_fit(found.curve, out / "curve.png")
     poses = zip(names, found.rotations, found.overlaps, strict=True)
     views = {n: describe_pose(q) | {"overlap": float(o)} for n, q, o in poses}
+    if found.translations is not None:
+        for name, moved in zip(names, found.translations.tolist(), strict=True):
+            views[name]["translation"] = moved
     facts = {"overlap": mean, "seconds": seconds, "points": len(found.points)}
     facts |= {"sigma": found.sigma, "scale": found.scale, "side": found.side}
     facts |= asked | {"views": views, "curve": found.curve}
