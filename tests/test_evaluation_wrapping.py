@@ -9,8 +9,8 @@ from dpc_jax.evaluation.wrapping import wrap_points
 from dpc_jax.shapes.procedural import make_shape
 
 
-def wrap(points):
-    return trimesh.Trimesh(*wrap_points(points), process=False)
+def wrap(points, **options):
+    return trimesh.Trimesh(*wrap_points(points, **options), process=False)
 
 
 def test_points_of_a_sphere_give_a_solid_ball_whatever_floats_in_it():
@@ -33,6 +33,16 @@ def test_thin_parts_stay_and_a_gap_between_them_too():
     mesh = wrap(legs)
     assert mesh.is_watertight and mesh.body_count == 2
     np.testing.assert_allclose(mesh.extents[1:], [0.012, 0.812], atol=0.015)
+
+
+def test_a_fitted_sheet_with_fewer_points_on_one_side_is_whole():
+    rng = np.random.default_rng(0)
+    dense, sparse = rng.uniform(-0.4, 0.4, (3000, 3)), rng.uniform(-0.4, 0.4, (900, 3))
+    sheet = np.concatenate([dense - [0.4, 0, 0], sparse + [0.4, 0, 0]]) * [0.5, 1, 0]
+    mesh = wrap(sheet, is_fitted=True)
+    assert mesh.is_watertight and mesh.body_count == 1
+    assert mesh.euler_number == 2  # of a solid without holes; else less by 2 for each
+    assert wrap(sheet).euler_number < 0
 
 
 def test_a_surface_is_as_near_as_its_points_and_has_no_more_faces_than_asked():

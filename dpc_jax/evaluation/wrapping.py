@@ -24,13 +24,19 @@ _COARSE = 48  # cells along the unit cube, while the radius is chosen
 _WIDER, _LEAK = 1.4, 2.0  # ratios of radii that are tried, and of volumes that tell
 _SPECK = 12  # cells; smaller parts are left out, of which stray points make a hundred
 _KEPT = 0.006  # half the thickness of a sheet of points, object units
+# Without stray points that wider balls would connect: rods and sheets stay whole.
+_SHARE_FITTED, _KEPT_FITTED = 0.95, 0.009
 
 
-def wrap_points(points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+def wrap_points(
+    points: ArrayLike, *, is_fitted: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """The surface of a solid that the points [N, 3] cover, at least one of them.
 
     Args:
       points: finite, object units.
+      is_fitted: whether none of them strays, as in fits of one object: the balls reach
+        the neighbours of nearly all of them, and more of a sheet's thickness is kept.
 
     Returns:
       (vertices [V, 3], object units; faces [F, 3] of their indices, counter-clockwise
@@ -40,13 +46,17 @@ def wrap_points(points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     points = np.asarray(points, np.float64)
     count = min(_NEIGHBOURS + 1, len(points))  # a point is its own nearest
     distances = np.reshape(KDTree(points).query(points, k=count)[0], (len(points), -1))
-    radius = max(float(np.quantile(distances[:, -1], _SHARE)), _LEAST_RADIUS)
-    radius = _close_holes(points, radius)
+    share, kept = (_SHARE_FITTED, _KEPT_FITTED) if is_fitted else (_SHARE, _KEPT)
+    radius = max(float(np.quantile(distances[:, -1], share)), _LEAST_RADIUS)
+    radius = _close_holes(points, radius, kept)
     side = _SIDE
     while True:
         field, low, side = _measure_depth(points, radius, side)
+        # A cell of a point belongs to the solid: rods thinner than a cell stay whole.
+        cells = tuple((np.floor(points * side).astype(int) - low).T)
+        field[cells] = np.maximum(field[cells], radius - 0.75 * kept)
         # A lone point may be shallower, where no cell's centre is near it.
-        level = min(radius - _KEPT, 0.5 * field.max())
+        level = min(radius - kept, 0.5 * field.max())
         found: Any = marching_cubes(_drop_specks(field, level), level)
         vertices, faces = found[:2]
         if len(faces) <= MOST_FACES:
@@ -56,7 +66,7 @@ def wrap_points(points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         side *= 0.97 * np.sqrt(MOST_FACES / len(faces))
 
 
-def _close_holes(points, radius):
+def _close_holes(points, radius, kept):
     """A radius at which no larger one would fill much more.
 
     Through a single hole all that a surface encloses counts as outside.
@@ -64,7 +74,7 @@ def _close_holes(points, radius):
 
     def measure(radius):
         depth, *_ = _measure_depth(points, radius, _COARSE)
-        return np.sum(depth > radius - _KEPT)
+        return np.sum(depth > radius - kept)
 
     volume = measure(radius)
     while radius < _MOST_RADIUS:

@@ -12,6 +12,7 @@ from dpc_jax.data import DataSpec
 from dpc_jax.data.sets.image_folder import read_views
 from dpc_jax.data.sets.pose_files import QUATERNIONS, find_pose_files
 from dpc_jax.evaluation.rotations import describe_pose
+from dpc_jax.evaluation.wrapping import wrap_points
 from dpc_jax.files import write_json
 from dpc_jax.learning.fitting import FitSettings
 from dpc_jax.learning.fitting.object_fit import Fit, fit
@@ -142,7 +143,9 @@ def _write(out: Path, found: Fit, arrays, names, asked, seconds, *, surface):
         )
         for i in chosen
     ]
-    mesh = write_files(examples[0], out / "cloud", surface=surface)
+    solid = wrap_points(found.points, is_fitted=True)
+    first = dataclasses.replace(examples[0], mesh=solid)
+    mesh = write_files(first, out / "cloud", surface=surface)
     picture = draw_predictions(examples, out / "views.png")
     draw_fit(found.curve, out / "curve.png")
     poses = zip(names, found.rotations, found.overlaps, strict=True)
