@@ -27,7 +27,7 @@ from dpc_jax.run.process import keep_compiled_programs
 SHOWN = 8  # views in the picture, spread over all
 GOOD_OVERLAP = 0.8  # below, a view is named
 # As many were shown to be enough to find poses by; of six half were wrong at an overlap
-# of 0.94 (docs/tutorial.md).
+# of 0.98 (docs/tutorial.md).
 ENOUGH_VIEWS = 20
 
 
