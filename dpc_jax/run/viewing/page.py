@@ -34,7 +34,7 @@ class Page:
     """What a browser shows; every method may be called from any thread."""
 
     def __init__(self, server: viser.ViserServer, camera: Render):
-        """camera: the section of a config, because `Camera` loads JAX: seconds."""
+        """camera: of a config, because a `Camera` would load JAX: seconds."""
         self._server, self._camera = server, camera
         self._lock = threading.RLock()
         # Of the run or the files, and of images that were given to the page.
@@ -238,7 +238,7 @@ def serve(paths: list[Path], *, port: int, data: Path | None):
 
 def _follow(page: Page, workdir: Path, data: Path | None):
     """Show what each new checkpoint of a run predicts, until Ctrl-C."""
-    from dpc_jax.run.viewing.network_shapes import NetworkShapes  # as JAX does
+    from dpc_jax.run.viewing.network_shapes import NetworkShapes  # and JAX: seconds
 
     network, busy, shown = NetworkShapes(workdir, data), threading.Lock(), None
 
