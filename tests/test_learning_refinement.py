@@ -5,15 +5,12 @@ import numpy as np
 import pytest
 import tiny_runs
 
-from dpc_jax.evaluation.alignment import identity_alignment
 from dpc_jax.evaluation.rotations import angle_deg
-from dpc_jax.learning.inference import refinement as refinement_module
 from dpc_jax.learning.inference import refiner as refiner_module
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
 from dpc_jax.learning.inference.refinement import (
     find_directions,
     join_views,
-    measure_refinement,
     refine_objects,
 )
 from dpc_jax.learning.inference.refiner import make_refiner
@@ -167,25 +164,6 @@ def test_directions_are_the_deviations_of_codes():
     assert abs(directions[0] @ [0, 1, 0]) > 4.7
     with pytest.raises(ValueError, match="at least two views"):
         find_directions(codes[:1, :1])
-
-
-def test_figures_of_refinement_stand_beside_the_plain_ones(run, monkeypatch):
-    monkeypatch.setattr(refinement_module, "make_refiner", lambda *_: run.refiner)
-    figures = measure_refinement(
-        run.network,
-        run.config,
-        run.state,
-        run.dataset,
-        run.plain,
-        validated=run.plain,
-        alignment=identity_alignment(),
-    )
-    for start in ("refined_", "joined_", "refined_joined_"):
-        assert figures[f"{start}chamfer"] > 0
-        assert 0 <= figures[f"{start}pose_accuracy"] <= 1
-    names = ("refined_joined_silhouette_error", "joined_silhouette_error")
-    refined, joined = (figures[name] for name in names)
-    assert refined < joined
 
 
 @pytest.mark.slow

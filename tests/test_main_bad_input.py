@@ -89,10 +89,6 @@ SMALL = {"data.image_size": 16, "render.grid": 4, "render.fine_grid": 0}
         (VOXELS | {"network.point_size": "sigma"}, "points have no size"),
         (VOXELS | SMALL, "at least 8"),
         (
-            {"eval.refine": True, "pose.source": "given"},
-            "config.eval.refine must be False where poses are known",
-        ),
-        (
             {"train.silhouette_weight": 0.0, "train.color_weight": 1.0},
             "config.train.colors_move_points must be True",
         ),
@@ -154,7 +150,6 @@ def test_what_does_not_change_the_result_may_differ(config, tmp_path):
     changes = {
         "data.cache_dir": "elsewhere",
         "data.processes": 7,
-        "eval.refine": True,
         "log.every": 3,
         "render.renders_at_once": 7,
         "run.devices": 1,

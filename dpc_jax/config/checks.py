@@ -43,12 +43,6 @@ def _list_rules(config):
     """(field, whether it fits the others, what is expected) of each rule."""
     data, render, train = config.data, config.render, config.train
     given = [name for name in SOURCES if getattr(data, name)]
-    yield (
-        "eval.refine",
-        not config.eval.refine
-        or (config.network.shape == "points" and not config.pose.known),
-        "False where poses are known or the shape is not of points",
-    )
     if len(given) > 1:
         expected = f"'' where data.{given[0]} is given: one source at a time"
         yield f"data.{given[-1]}", False, expected

@@ -254,13 +254,6 @@ class Log:
 
 
 @dataclasses.dataclass(frozen=True)
-class Eval:
-    """What a finished run measures beside the usual; any time later, too."""
-
-    refine: bool = False  # test views once more, fitted to their silhouettes
-
-
-@dataclasses.dataclass(frozen=True)
 class Machine:
     """What of the machine a run uses; results agree to rounding."""
 
@@ -280,5 +273,4 @@ class Config:
     pose: Pose = Pose()
     train: Train = Train()
     log: Log = Log()
-    eval: Eval = Eval()
     run: Machine = Machine()

@@ -13,13 +13,7 @@ from typing import Any, Literal
 
 STDERR = "_stderr"  # ends the name of the standard error of the metric before it
 MISSING = "–"
-# Prefixes of scores beside those of the test split as it is.
-_BESIDE = {
-    "refined_joined_": "all views of an object together, refined",
-    "joined_": "all views of an object together",
-    "refined_": "refined",
-    "visible_": "what can be seen",
-}
+_VISIBLE = "visible_"  # begins the name of a score from what can be seen alone
 
 
 @dataclass(frozen=True)
@@ -108,11 +102,6 @@ METRICS = {metric.name: metric for metric in (
            "mean distance from the true place in the camera frame", role="required"),
     Metric("focal_length_error_percent", "Focal length error", "percent", ".2f", False,
            "mean, of the true focal length", role="required"),
-    Metric("silhouette_error", "Silhouette error", "", ".4f", False,
-           "squared difference per pixel of the finest grid"),
-    Metric("refine_seconds", "Refinement of a view", "s", ".2f", False),
-    Metric("refine_joined_seconds", "Refinement of an object", "s", ".2f", False,
-           "from all its views"),
     Metric("train_seconds", "Training time", "s", ".0f", False,
            "wall clock, including compilation", role="headline"),
     Metric("peak_memory_gb", "Peak memory", "GB", ".1f", False,
@@ -145,11 +134,10 @@ def get_metric(name: str) -> Metric:
         metric = get_metric(name.removesuffix(STDERR))
         label = f"{metric.label}, standard error over objects"
         return replace(metric, name=name, label=label, hint="")
-    for prefix, what in _BESIDE.items():
-        plain = name.removeprefix(prefix)
-        if plain != name and plain in METRICS:
-            metric = METRICS[plain]
-            return replace(metric, name=name, label=f"{metric.label}, {what}")
+    plain = name.removeprefix(_VISIBLE)
+    if plain != name and plain in METRICS:
+        metric = METRICS[plain]
+        return replace(metric, name=name, label=f"{metric.label}, what can be seen")
     return Metric(name, name)
 
 

@@ -24,13 +24,11 @@ class Evaluation(NamedTuple):
       predictions: for the split.
       alignment: from the network's frame to the object frame.
       threshold: of the surfaces of a voxel model; None for other shapes.
-      validated: predictions for the validation split, which gave both.
     """
 
     predictions: Predictions
     alignment: Alignment
     threshold: float | None
-    validated: Predictions
 
 
 class Learner:
@@ -44,9 +42,7 @@ class Learner:
     def __init__(self, config: Config, sets: dict[str, DataSet]):
         self.config, self.sets = config, sets
         self.network: ShapePoseNetwork = make_network(config)
-        self.predictor = make_predictor(
-            self.network, config, keeps_evidence=config.eval.refine
-        )
+        self.predictor = make_predictor(self.network, config)
 
     def predict(
         self,
@@ -114,4 +110,4 @@ class Learner:
         validated, threshold = self.find_points(self.predict(state, "val"))
         alignment = self.align(validated)
         predictions = self.predict(state, "test", frame=alignment, threshold=threshold)
-        return Evaluation(predictions, alignment, threshold, validated)
+        return Evaluation(predictions, alignment, threshold)

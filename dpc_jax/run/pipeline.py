@@ -106,21 +106,6 @@ def _run_in(folder, config, job):
     found = learner.evaluate_test(outcome.state)
     if not job.is_first:
         return
-    refined = None
-    if config.eval.refine:
-        # Only where asked for.
-        from dpc_jax.learning.inference.refinement import measure_refinement
-
-        print("Refining the test views.", flush=True)
-        refined = measure_refinement(
-            learner.network,
-            config,
-            outcome.state,
-            sets["test"],
-            found.predictions,
-            validated=found.validated,
-            alignment=found.alignment,
-        )
     report_run(
         folder,
         config,
@@ -129,7 +114,6 @@ def _run_in(folder, config, job):
         found,
         records=log.read(),
         data_seconds=data_seconds,
-        refined=refined,
     )
 
 

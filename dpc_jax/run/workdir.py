@@ -31,7 +31,6 @@ from dpc_jax.outputs import trying_to_write
 FREE_FIELDS = (
     "data.cache_dir",
     "data.processes",
-    "eval",
     "log",
     "render.renders_at_once",
     "run",

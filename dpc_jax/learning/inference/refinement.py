@@ -1,27 +1,16 @@
-"""Objects refined with all their views: what goes in, and what that is worth."""
+"""Objects refined with all their views: what goes in, and in which portions."""
 
-import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from dpc_jax.config import Config
-from dpc_jax.data import DataSet
-from dpc_jax.evaluation.alignment import Alignment
-from dpc_jax.evaluation.scores import score
-from dpc_jax.learning.inference.evaluator import arrange_truth
-from dpc_jax.learning.inference.predictor import Predictions, arrange_views
-from dpc_jax.learning.inference.refiner import Evidence, make_refiner
-from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.learning.inference.predictor import Predictions
+from dpc_jax.learning.inference.refiner import Evidence
 
 OBJECTS_AT_ONCE = 16
 COMPONENTS = 64  # directions in which codes differ that are told apart
-_MEASURED = (
-    *("pose_accuracy", "pose_median_error_deg", "flip_share"),
-    *("chamfer", "precision", "coverage"),
-)
 
 
 def join_views(
@@ -98,61 +87,3 @@ def refine_objects(
         views = {name: one[name][:count] for name in ("poses", "silhouettes")}
         objects.append(one | views | {"errors": one["errors"][:, :count]})
     return objects
-
-
-def measure_refinement(
-    network: ShapePoseNetwork,
-    config: Config,
-    state: NamedTuple,
-    test: DataSet,
-    found: Predictions,
-    *,
-    validated: Predictions,
-    alignment: Alignment,
-) -> dict[str, Any]:
-    """Figures of the test split with refinement, beside the plain ones.
-
-    Their names begin with refined_ for each view on its own, joined_ for all views of
-    an object together, and refined_joined_ for both; refine_seconds and
-    refine_joined_seconds are for a view and for an object, compilation included.
-
-    Args:
-      found, validated: predictions of the test and validation splits, with their
-        evidence.
-    """
-    assert validated.codes is not None
-    directions = find_directions(validated.codes[..., : network.hidden])
-    models, views = arrange_views(test)
-    masks = np.asarray(test.masks[models.reshape(-1), views.reshape(-1)])
-    every, refiner = np.arange(models.size), make_refiner(network, config)
-    poses, surfaces = arrange_truth(test)
-
-    def measure(groups, directions):
-        begun = time.perf_counter()
-        evidence = join_views(found, masks, groups)
-        refined = refine_objects(refiner, state, evidence, directions)
-        seconds = (time.perf_counter() - begun) / len(groups)
-        clouds = np.stack([one["points"] for one in refined for _ in one["poses"]])
-        result = score(
-            np.concatenate([one["poses"] for one in refined]).reshape(*models.shape, 4),
-            poses,
-            clouds.reshape(*models.shape, *clouds.shape[1:]),
-            surfaces,
-            alignment=alignment,
-        ).metrics
-        errors = np.concatenate([one["errors"][1] for one in refined])
-        kept = {n: result[n] for n in _MEASURED if n in result}
-        return kept | {"silhouette_error": float(errors.mean())}, round(seconds, 2)
-
-    figures: dict[str, Any] = {}
-    alone, seconds = measure(list(every[:, None]), directions)
-    figures |= {f"refined_{n}": v for n, v in alone.items()}
-    figures["refine_seconds"] = seconds
-    if models.shape[1] > 1:
-        groups = list(every.reshape(models.shape))
-        joined, _ = measure(groups, directions[:0])
-        both, seconds = measure(groups, directions)
-        figures |= {f"joined_{n}": v for n, v in joined.items()}
-        figures |= {f"refined_joined_{n}": v for n, v in both.items()}
-        figures["refine_joined_seconds"] = seconds
-    return figures

@@ -35,7 +35,6 @@ def report_run(
     *,
     records: list[dict],
     data_seconds: float,
-    refined: dict[str, Any] | None = None,
 ):
     """Score the test set, write WORKDIR/report, and print what is in it.
 
@@ -43,13 +42,12 @@ def report_run(
       sets: by name. found: what the network makes of "test".
       outcome: of the training loop. records: of its log.
       data_seconds: spent on preparing the data.
-      refined: of `measure_refinement`, where it was asked for.
     """
     test, predictions = sets["test"], found.predictions
     judged = judge(predictions, test, config, found.alignment, found.threshold)
     shapes = TrainingShapes.gather(sets, predictions.points.shape[2])
     metrics = list_metrics(judged, config, shapes)
-    metrics |= _count_costs(sets, outcome, data_seconds) | (refined or {})
+    metrics |= _count_costs(sets, outcome, data_seconds)
     heads = config.pose.learned_heads
     shares = winner_share(predictions.winners, heads=heads) if heads else None
     metrics["candidates_alive"] = None if shares is None else count_alive(shares)
