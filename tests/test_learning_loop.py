@@ -17,7 +17,6 @@ from tiny_runs import (
 )
 
 from dpc_jax.config import Log
-from dpc_jax.learning import schedules
 from dpc_jax.learning.training import loop
 from dpc_jax.learning.training import records as recording
 from dpc_jax.learning.training.checkpoints import Checkpoints
@@ -116,44 +115,6 @@ def test_the_loop_ends_at_the_last_step_with_a_checkpoint_of_it(
     # Written while the steps after it took its memory, and yet the same bits.
     assert restored.damaged == ()
     assert_same_bits(restored.state, unbroken)
-
-
-@pytest.mark.slow
-def test_room_for_blocks_follows_the_clouds_and_a_run_that_goes_on_knows_it(
-    tmp_path, monkeypatch, capsys
-):
-    """On two devices; at first the clouds touch the middle eight of 64 blocks."""
-    monkeypatch.setattr(schedules, "_WHOLE_UP_TO", 16)
-    monkeypatch.setattr(schedules, "_COUNT_EVERY", 2)
-    sizes = dict(image_size=32, fine_grid=32, sigma_start=0.05, sigma_end=0.01)
-    config = tiny_config(steps=10, keep_levels=1, devices=2, **sizes)
-    images, masks = (
-        getattr(DATASET, name).repeat(2, axis=2).repeat(2, axis=3)
-        for name in ("images", "masks")
-    )
-    data = DATASET._replace(images=images, masks=masks)
-    rooms = []
-
-    def make_step(network, config, stage):
-        rooms.append(stage.max_blocks)
-        return _compile(network, config, stage)
-
-    monkeypatch.setattr(loop, "make_train_step", make_step)
-    network = make_network(config)
-    run = {"network": network, "config": config, "dataset": data}
-    start = functools.partial(make_state, network, config)
-    whole = run_loop(tmp_path / "whole", start(), **run).state
-    # The coarse grid, all blocks of the fine one, then 8 and a tenth or more to spare.
-    assert rooms == [None, 64, 12] and int(whole.averages.room) == 12
-    assert "Large volumes after step 7: room for 12 blocks." in capsys.readouterr().out
-    stop = stop_after(8, monkeypatch)
-    run_loop(tmp_path / "parts", start(), should_stop=stop, **run)
-    restored, steps = restore(tmp_path / "parts", start())
-    assert steps[-1] == 8
-    rooms.clear()
-    outcome = run_loop(tmp_path / "parts", restored.state, **run)
-    assert rooms == [12]
-    assert_same_bits(outcome.state, whole)
 
 
 @pytest.mark.parametrize("count", [1, 4])  # within a stage, and where one ends

@@ -13,7 +13,6 @@ from dpc_jax.learning.schedules import (
     compute_sigma,
     count_kept_points,
     find_stage,
-    fit_room,
     list_spans,
     make_learning_rate,
 )
@@ -207,28 +206,9 @@ def test_grids_beyond_128_begin_when_blocks_can_draw_their_points():
         4 * float(compute_sigma(step, large, steps=100)) for step in (start - 1, start)
     ]
     assert sizes[0] > 1.3 >= sizes[1]
-    # All blocks, until they are counted.
-    assert find_stage(99, large, steps=100).max_blocks == 32**3
+    assert find_stage(99, large, steps=100).max_blocks == 32**3 // 8
     assert find_stage(99, render, steps=100).max_blocks is None
     # One that never becomes so small is rendered finely when it is smallest.
     wide = dataclasses.replace(large, sigma_end=0.04)
     assert find_stage(79, wide, steps=100).grid == 64
     assert find_stage(80, wide, steps=100).grid == 256
-
-
-def test_room_for_blocks_has_a_tenth_to_spare_and_changes_seldom():
-    total, found = 32**3, []
-    for room, touched in [
-        (total, total),
-        (total, total // 4),  # the whole volume is as quick
-        (total, 3000),
-        (4096, 3700),  # a tenth is there
-        (4096, 3800),
-        (5793, 3700),  # three tenths are not
-        (5793, 3100),
-        (4096, 0),
-        (4096, total // 2),
-    ]:
-        found.append(int(fit_room(jnp.int32(room), jnp.int32(touched), 256)))
-    least = 256  # a part in 128
-    assert found == [total, total, 4096, 4096, 5793, 5793, 4096, least, total]

@@ -8,13 +8,11 @@ import jax.numpy as jnp
 
 from dpc_jax.data.arrays import CORNERS
 from dpc_jax.learning import schedules
-from dpc_jax.learning.cameras import anchor_cameras, find_cameras, place_camera
-from dpc_jax.learning.devices import AXIS
+from dpc_jax.learning.cameras import anchor_cameras, find_cameras
 from dpc_jax.learning.poses.source import ForwardPass, find_poses
 from dpc_jax.learning.predictions import draw_framed, encode_views
 from dpc_jax.learning.recipe import Averages, Recipe
 from dpc_jax.learning.shapes import find_shape_class
-from dpc_jax.render import VoxelGrid, count_blocks
 
 
 def compute_loss(
@@ -70,10 +68,6 @@ def compute_loss(
     )
     pulls = shapes.find_pulls(poses.rotations, batch, cameras, step, recipe=recipe)
     averages, cost_terms = poses.find_cost_terms(costs)
-    if averages.room is not None and stage.max_blocks is not None:
-        seen = {"rotation": poses.rotations, **cameras}
-        room = _find_room(averages.room, shapes, seen, step, recipe, stage)
-        averages = averages._replace(room=room)
     priors = shapes.find_priors(step, train=recipe.train)
     terms = priors | anchor | poses.terms | pulls | cost_terms
     metrics |= poses.metrics | parts | {n: term.value for n, term in terms.items()}
@@ -93,33 +87,3 @@ def _flatten_views(batch, keys, views):
     flat |= {n: jnp.repeat(batch[n], views, axis=0) for n in CORNERS if n in batch}
     split = jax.vmap(lambda key: jax.random.split(key, views))
     return flat, split(keys).reshape(-1)
-
-
-def _find_room(room, shapes, views, step, recipe, stage):
-    """Room for the blocks that a view of the batch touches, counted now and then.
-
-    In the grid that the batch is rendered in, on all devices; of points of one size.
-    """
-    _, shared = shapes.list_scenes(stage.grid / recipe.render.grid)
-
-    def count(inputs):
-        points, view = inputs
-        return count_blocks(
-            points,
-            view["rotation"],
-            sigma=shared["sigma"],
-            translation=view.get("translation"),
-            camera=place_camera(recipe.camera, view),
-            grid=VoxelGrid(stage.grid),
-        )
-
-    def count_all(points, views):
-        return jnp.max(jax.lax.map(count, (points, views)))
-
-    is_due = schedules.counts_blocks(step)
-    seen = jax.lax.stop_gradient((shapes.find_places()[0], views))
-    touched = jax.lax.cond(
-        is_due, count_all, lambda *_: jnp.zeros((), jnp.int32), *seen
-    )
-    touched = jax.lax.pmax(touched, AXIS)
-    return jnp.where(is_due, schedules.fit_room(room, touched, stage.grid), room)

@@ -42,11 +42,9 @@ class Averages(NamedTuple):
       covariance: [3, 3] of predicted points, over the last hundred or so batches: its
         principal axes are those of the half turns.
       cost: () of a view; of runs that draw poses, else None.
-      room: () int32, see `Stage.max_blocks`; of points in large grids, else None.
       frame: of runs with `pose.common_frame`, see `choice.common_frame`; else None.
     """
 
     covariance: jax.Array
     cost: jax.Array | None = None
-    room: jax.Array | None = None
     frame: Any = None  # its module is loaded where it is asked for

@@ -1,7 +1,6 @@
 """Schedules over a run: point size, dropout, learning rate (§ Training details)."""
 
 import bisect
-import math
 from typing import NamedTuple
 
 import chex
@@ -18,8 +17,10 @@ FINE_FROM = 0.6
 _NARROW = 1.3
 # Grids up to this side are drawn as whole volumes, which are as quick there.
 _WHOLE_UP_TO = 128
-# Steps between two counts of the blocks that clouds touch: 1 % of these steps' time.
-_COUNT_EVERY = 50
+# Share of a large volume's blocks that there is room for. Of 32,000 points of a surface
+# in 256³, cars touch up to 11 %, chairs 13, airplanes 3 (six of each); `project` draws
+# the whole volume for a cloud that touches more.
+_ROOM = 1 / 8
 # Shares of a run from which shapes have formed: objects are turned to one frame.
 FRAME_FROM = 0.2
 PULL_FROM = 0.5  # before it poses are too often wrong to pull points into silhouettes
@@ -60,8 +61,7 @@ class Stage(NamedTuple):
     Attributes:
       kept_points: number of points rendered.
       grid: side of the volume that the winners are rendered in.
-      max_blocks: room for blocks of points' volumes, see `project`; all there are draw
-        whole volumes, None in small grids. A run adapts it, see `fit_room`.
+      max_blocks: room for blocks of a volume, see `project`; None in small grids.
     """
 
     kept_points: int
@@ -76,39 +76,8 @@ def find_stage(step: int, render: Render, *, steps: int) -> Stage:
     return Stage(
         kept_points=count_kept_points(step, render, steps=steps),
         grid=grid,
-        max_blocks=count_all_blocks(grid) if grid > _WHOLE_UP_TO else None,
+        max_blocks=int(_ROOM * (grid / 8) ** 3) if grid > _WHOLE_UP_TO else None,
     )
-
-
-def count_all_blocks(grid: int) -> int:
-    """The blocks of 8³ cells of a cubic grid."""
-    return (-(-grid // 8)) ** 3
-
-
-def counts_blocks(step: int | jax.Array) -> bool | jax.Array:
-    """Whether a step in a large grid counts the blocks that its clouds touch."""
-    return step % _COUNT_EVERY == 0
-
-
-def fit_room(room: jax.Array, touched: jax.Array, grid: int) -> jax.Array:
-    """Room for the blocks of the next steps, () int32, from that of those before.
-
-    It is a quarter of all blocks, that divided by powers of √2, or all: above a quarter
-    the whole volume is as quick. It grows where a tenth to spare is not left, and
-    shrinks where three tenths are: so few programs are compiled.
-
-    Args:
-      touched: () int32, the most blocks that a cloud of this step touches.
-    """
-    total = count_all_blocks(grid)
-    levels = [math.ceil(total / 2 ** (k / 2)) for k in range(14, 3, -1)] + [total]
-    least, most = (
-        jnp.array(levels)[
-            jnp.searchsorted(jnp.array(levels[:-1]), tenths * touched // 10)
-        ]
-        for tenths in (11, 13)
-    )
-    return jnp.clip(room, least, most)
 
 
 def _find_fine_start(render: Render) -> float:

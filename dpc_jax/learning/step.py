@@ -90,12 +90,7 @@ def _init_whole(network, config, seed):
         pose = config.pose
         frame = start_frame(pose.turns, by_colors=pose.common_frame == "colors")
     step = jnp.asarray(0, jnp.int32)
-    steps, room = config.train.steps, None
-    last = schedules.find_stage(steps - 1, config.render, steps=steps)
-    is_alike = config.network.shape == "points" and not config.network.point_size
-    if last.max_blocks and is_alike:  # all that there are, until some are counted
-        room = jnp.asarray(last.max_blocks, jnp.int32)
-    averages = Averages(jnp.zeros((3, 3)), cost, room, frame)
+    averages = Averages(jnp.zeros((3, 3)), cost, frame)
     return TrainState(step, params, optimizer, averages)
 
 

@@ -98,7 +98,6 @@ def train(
         StagePrograms(make_step, spans, check=check) as programs,
     ):
         log_steps = functools.partial(_log_steps, log, forecast, progress)
-        _follow_room(programs, state, None)
         for done in range(start + 1, steps + 1):
             batch = make_batch(dataset, done - 1, config)
             program = programs.find(done - 1) or _begin_stage(
@@ -112,8 +111,6 @@ def train(
             if done == start + 1:
                 programs.run_ahead(prepare)
             state, metrics = program(state, batch)
-            if schedules.counts_blocks(done - 1):
-                _follow_room(programs, state, progress)
             window.add(metrics)
             progress.advance(done)
             stops, is_finished = should_stop(), done == steps
@@ -140,14 +137,6 @@ def _begin_stage(programs, step_state_batch, progress, window, should_stop):
         return programs.begin(*step_state_batch)
     with window.waiting(), progress.compiling():
         return programs.begin(*step_state_batch, should_stop=should_stop)
-
-
-def _follow_room(programs, state, progress):
-    """Draw the next steps in the blocks that this state has room for."""
-    room = state.averages.room
-    if room is not None and programs.take_room(int(room)) and progress:
-        step = int(state.step)
-        progress.tell(f"Large volumes after step {step}: room for {int(room)} blocks.")
 
 
 def _validate(evaluate, state, watch, forecast, log, progress):

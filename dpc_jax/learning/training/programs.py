@@ -47,7 +47,6 @@ class StagePrograms:
         self._pending: dict[Stage, Future] = {}
         self._stage: Stage | None = None
         self._program: Program | None = None
-        self._room: int | None = None
 
     def __enter__(self):
         return self
@@ -89,21 +88,15 @@ class StagePrograms:
             own = front.submit(self._compile, stage, structs)
             front.shutdown(wait=False)
         for span in self._spans:
-            coming = self._fit(span)
-            if span.start > step and coming not in self._pending:
-                later = self._background.submit(self._compile, coming, structs)
-                self._pending[coming] = later
+            if span.start > step and span.stage not in self._pending:
+                later = self._background.submit(self._compile, span.stage, structs)
+                self._pending[span.stage] = later
         while not should_stop():
             with contextlib.suppress(NotDone):
                 self._program = own.result(timeout=_POLL_SECONDS)
                 self._stage = stage
                 return self._program
         return None
-
-    def take_room(self, room: int) -> bool:
-        """Draw the steps of large grids in so many blocks; whether that is new."""
-        is_new, self._room = room != self._room, room
-        return is_new
 
     def is_ready(self, step: int) -> bool:
         """Whether the program of a step is compiled, so that nobody waits for it."""
@@ -131,13 +124,7 @@ class StagePrograms:
         return program
 
     def _find_stage(self, step):
-        return self._fit(next(s for s in self._spans if s.start <= step < s.end))
-
-    def _fit(self, span):
-        """The stage of a span, with the room for blocks that is known now."""
-        if span.stage.max_blocks is None or self._room is None:
-            return span.stage
-        return span.stage._replace(max_blocks=self._room)
+        return next(s.stage for s in self._spans if s.start <= step < s.end)
 
 
 def _describe(leaf):
