@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from dpc_jax.render import arguments, checks, termination
 from dpc_jax.render.blocks import capacity
-from dpc_jax.render.blocks.images import render_blocks
+from dpc_jax.render.blocks.rays import render_blocks
 from dpc_jax.render.camera import Camera, VoxelGrid
 from dpc_jax.render.volume import clip_unit, fill_volume, place_points
 
