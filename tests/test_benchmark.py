@@ -7,13 +7,7 @@ import pytest
 
 from dpc_jax import benchmark, stability
 from dpc_jax.measure import scenes, timing
-from dpc_jax.measure.benchmark import (
-    accuracy,
-    plan,
-    report,
-    speed,
-    suite,
-)
+from dpc_jax.measure.benchmark import accuracy, plan, report, speed, suite
 
 TINY = plan.Case(batch=2, points=40, side=8, sigma=1.0)
 SURFACE = plan.Case(1, points=200, side=32, sigma=0.5), ("silhouette", "color")

@@ -142,15 +142,7 @@ SHAPES = [
     (give(dpc_jax.opacity), {"occupancy": np.float32(1)}, r"\[..., N\].*\[\]"),
     (give(dpc_jax.opacity), {"occupancy": IMAGE[:, :0]}, r"one cell.*\[8, 0\]"),
     (rotate, {"rotation": np.ones(3)}, r"\[4\] or \[3, 3\]"),
-    (
-        *(give(dpc_jax.quaternion.normalize), {"quaternion": POSES}),
-        r"\[4\].*\[3, 4\].*vmap",
-    ),
     (give(dpc_jax.quaternion.from_matrix), {"matrix": np.eye(2)}, r"matrix.*\[2, 2\]"),
-    (
-        *(give(dpc_jax.quaternion.multiply, left=IDENTITY), {"right": CLOUD}),
-        r"right.*\[5, 3\]",
-    ),
     (
         *(give(dpc_jax.reprojection_loss, target=IMAGE), {"predicted": IMAGE > 0}),
         "predicted.*bool",

@@ -9,7 +9,7 @@ import pytest
 
 import dpc_jax
 from dpc_jax.measure.stability import oracles
-from dpc_jax.render.projection import MASS_EXPONENT, scale_sizes
+from dpc_jax.render.projection import scale_sizes
 from dpc_jax.render.volume import clip_unit
 
 STILL = jnp.array([1.0, 0, 0, 0])
@@ -80,10 +80,9 @@ def test_under_the_maximum_views_have_their_gradients_however_they_are_combined(
     np.testing.assert_allclose(found, wanted, atol=2e-5)  # float32 sums of 64 pixels
 
 
-@pytest.mark.parametrize("exponent", [2, MASS_EXPONENT])
-def test_mass_by_r3_keeps_each_density_and_mass_by_r2_the_optical_depth(exponent):
+def test_sizes_on_a_finer_grid_keep_each_density():
     side, ratio, points = 10, 3, POINTS.astype("f8") / 3
-    sizes = scale_sizes(1.2, 0.05, ratio, exponent=exponent)
+    sizes = scale_sizes(1.2, 0.05, ratio)
     volumes = []
     for cells, (sigma, mass) in ((side, (1.2, 0.05)), (side * ratio, sizes)):
         shape = (cells,) * 3
@@ -94,15 +93,7 @@ def test_mass_by_r3_keeps_each_density_and_mass_by_r2_the_optical_depth(exponent
     # Of three fine cells per side the middle one has the centre of the coarse cell.
     same = fine[1::ratio, 1::ratio, 1::ratio]
     # Aliasing of the sampled kernel at 1.2 voxels, 2·exp(-2π²·1.44) = 1e-12, relative.
-    close = {"rtol": 1e-10, "atol": 1e-14}
-    np.testing.assert_allclose(same, coarse * ratio ** (exponent - 3), **close)
-    depth = fine[1::ratio, 1::ratio].sum(-1)
-    # The grid ends 4 standard deviations from the points: 6e-5 of their mass is cut.
-    expected = coarse.sum(-1) * ratio ** (exponent - 2)
-    np.testing.assert_allclose(depth, expected, rtol=1e-3, atol=1e-9)
-    assert scale_sizes(*sizes, 1 / ratio, exponent=exponent) == pytest.approx(
-        (1.2, 0.05)
-    )
+    np.testing.assert_allclose(same, coarse, rtol=1e-10, atol=1e-14)
 
 
 def test_occupancies_far_beyond_one_leave_colours_their_gradient():

@@ -170,11 +170,7 @@ def test_the_best_recipe_is_held_to_its_bounds(bounds, error, failing):
 @pytest.fixture
 def install(monkeypatch):
     """Puts these cases in place of a subject's."""
-
-    def put(*cases):
-        monkeypatch.setattr(functions, "CASES", {"loss": cases})
-
-    return put
+    return lambda *cases: monkeypatch.setattr(functions, "CASES", {"loss": cases})
 
 
 def run(folder, *flags):
@@ -191,9 +187,7 @@ def test_the_command_writes_its_tables_of_all_dtypes_and_ends_with_status_0(
     install(make_case(lambda x: x * x))
     assert run(tmp_path) == 0
     assert "All within tolerance" in capsys.readouterr().out
-    report = (tmp_path / "stability.md").read_text()
-    for text in ("4 of 4 rows are within", "JAX 0"):
-        assert text in report
+    assert "4 of 4 rows are within" in (tmp_path / "stability.md").read_text()
     data = read_json(tmp_path)
     assert data["passes"] and not data["failures"] and data["seconds"]["loss"] > 0
     assert [row["dtype"] for row in data["rows"]] == list(DTYPES)

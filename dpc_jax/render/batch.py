@@ -14,7 +14,7 @@ from dpc_jax.render.blocks import capacity
 from dpc_jax.render.camera import Camera, VoxelGrid
 from dpc_jax.render.devices import choose_mesh, find_platform, place
 from dpc_jax.render.fast import splatting
-from dpc_jax.render.projection import Projection, project
+from dpc_jax.render.projection import STATIC, Projection, project
 
 _SIZES = (
     "give one number for all, [B] one for each example, [B, N] one for each point, or "
@@ -115,9 +115,10 @@ def project_batch(
     shared["background_depth"] = background_depth
     shared["background_color"] = background_color
     mesh = choose_mesh(devices, batch_size=batch_size)
-    own = _pad_examples(own, mesh=mesh)
-    if mesh is not None and batch_size:
+    mesh = mesh if batch_size else None
+    if mesh is not None:
         shared = place(shared, mesh, PartitionSpec())
+        own = _pad_examples(own, mesh=mesh)
         own = place(own, mesh, PartitionSpec(mesh.axis_names))
     return _render_batch(
         shared,
@@ -177,23 +178,21 @@ def _sort_inputs(values, *, batch_size):
         allowed = shapes[name]
         hint = _SIZES if allowed is sizes else _SHARED
         array = checks.check_real(name, value, *allowed, hint=hint)
+        if name == "translations":
+            name = "translation"  # of `project`
         if array.ndim == len(allowed[0]):
             shared[name] = value  # a Python number has the dtype of the points
         elif allowed is sizes and array.shape[0] == 1 != b:
             shared[name] = array[0]
         else:
             own[name] = array
-    for values in (shared, own):  # as `project` names it
-        if "translations" in values:
-            values["translation"] = values.pop("translations")
     return shared, own
 
 
 def _pad_examples(own, *, mesh):
     """Repeat the last example until all devices have as many."""
-    count = own["rotation"].shape[0]
-    extra = -count % (mesh.size if mesh else 1)
-    if not count or not extra:
+    extra = -len(own["rotation"]) % mesh.size
+    if not extra:
         return own
     own = place(own, mesh, PartitionSpec())
     return jax.tree.map(
@@ -225,17 +224,7 @@ def _count_blocks(shared, own, *, projection, grid, method):
 
 @functools.partial(
     jax.jit,
-    static_argnames=(
-        "batch_size",
-        "mesh",
-        "renders_at_once",
-        "projection",
-        "grid",
-        "signals",
-        "method",
-        "ray_rule",
-        "max_blocks",
-    ),
+    static_argnames=("batch_size", "mesh", "renders_at_once", "projection", *STATIC),
 )
 def _render_batch(
     shared, own, *, batch_size, mesh, renders_at_once, projection, **static
@@ -247,7 +236,7 @@ def _render_batch(
 
         return map_renders(render_one, own, renders_at_once=renders_at_once)
 
-    if mesh is None or batch_size == 0:
+    if mesh is None:
         return render_share(shared, own)
     share = PartitionSpec(mesh.axis_names)
     images = jax.shard_map(

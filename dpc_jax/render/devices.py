@@ -1,4 +1,4 @@
-"""Which devices a batch is rendered on, and how many renders at once suit them."""
+"""Which devices a batch is rendered on."""
 
 import os
 import re
@@ -10,8 +10,6 @@ from jax.core import Tracer
 from jax.sharding import PartitionSpec
 
 from dpc_jax.render import checks
-
-AXIS = "examples"  # the mesh axis over which a batch is divided
 
 
 def use_all_cores(count: int | None = None) -> int:
@@ -65,9 +63,7 @@ def read_settings() -> int:
 
 def count_cores() -> int:
     """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return len(os.sched_getaffinity(0))
 
 
 def choose_mesh(
@@ -101,7 +97,7 @@ def choose_mesh(
         return None  # wherever the inputs are
     return jax.make_mesh(
         (needed,),
-        (AXIS,),
+        ("examples",),
         axis_types=(jax.sharding.AxisType.Auto,),
         devices=chosen[:needed],
     )
@@ -117,8 +113,7 @@ def place(
     """
     if jax.sharding.AxisType.Explicit in mesh.axis_types:
         return jax.sharding.reshard(tree, spec)
-    leaves = jax.tree.leaves(tree)
-    is_traced = any(isinstance(leaf, Tracer) for leaf in leaves)
+    is_traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
     if is_traced or not isinstance(mesh, jax.sharding.Mesh):
         return tree
     return jax.device_put(tree, jax.sharding.NamedSharding(mesh, spec))

@@ -6,10 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from dpc_jax.render.projection import project
-
-# Arguments that a program is compiled for; all others are its inputs.
-_STATIC = ("grid", "signals", "method", "ray_rule", "max_blocks")
+from dpc_jax.render.projection import STATIC, project
 
 
 class MemoryEstimate(NamedTuple):
@@ -62,7 +59,7 @@ def estimate_memory(
       >>> 1e6 < dpc_jax.estimate_memory(cloud, jnp.eye(3), sigma=1.0).total < 1e7
       True
     """
-    static = {name: arguments.pop(name) for name in _STATIC if name in arguments}
+    static = {name: arguments.pop(name) for name in STATIC if name in arguments}
     inputs = {"points": points, "rotation": rotation, **arguments}
     for name, value in inputs.items():
         if isinstance(value, list | tuple):

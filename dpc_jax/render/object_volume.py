@@ -15,7 +15,6 @@ from dpc_jax.render import arguments, checks, quaternion
 from dpc_jax.render.camera import Camera, VoxelGrid, place_cells
 from dpc_jax.render.projection import Projection, project_signals
 
-_HINT = "use jax.vmap or jax.lax.map over a batch of volumes"
 _IN_BOUNDS = "promise_in_bounds"
 
 
@@ -66,7 +65,8 @@ def project_volume(
       >>> dpc_jax.project_volume(jnp.ones((8, 8, 8)), jnp.eye(3)).silhouette.shape
       (64, 64)
     """
-    volume = checks.check_array("volume", volume, ("X", "Y", "Z"), hint=_HINT)
+    hint = "use jax.vmap or jax.lax.map over a batch of volumes"
+    volume = checks.check_array("volume", volume, ("X", "Y", "Z"), hint=hint)
     if 0 in volume.shape:
         raise ValueError(
             "volume must have at least one cell along each axis, but its shape is "

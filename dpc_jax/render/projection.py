@@ -16,12 +16,12 @@ import jax.numpy as jnp
 
 from dpc_jax.render import arguments, checks, termination
 from dpc_jax.render.blocks import capacity
-from dpc_jax.render.blocks.images import render_blocks
+from dpc_jax.render.blocks.rays import render_blocks
 from dpc_jax.render.camera import Camera, VoxelGrid
 from dpc_jax.render.volume import clip_unit, fill_volume, place_points
 
-# Power of the ratio of two grids' sides that a point's mass is multiplied by.
-MASS_EXPONENT = 3
+# Arguments that a program is compiled for; all others are its inputs.
+STATIC = ("grid", "signals", "method", "ray_rule", "max_blocks")
 
 
 @chex.dataclass(frozen=True)
@@ -201,11 +201,8 @@ def project_signals(
     images = {}
     if "silhouette" in signals:
         is_product = ray_rule == "termination"
-        images["silhouette"] = (
-            termination.opacity(occupancy)
-            if is_product
-            else termination.fullest(occupancy)
-        )
+        combine = termination.opacity if is_product else termination.fullest
+        images["silhouette"] = combine(occupancy)
     if set(signals) == {"silhouette"}:
         return Projection(**images)
 
@@ -292,27 +289,16 @@ def mass_of_peak(peak: chex.Numeric, sigma: chex.Numeric) -> jax.Array:
 
 
 def scale_sizes(
-    sigma: chex.Numeric,
-    mass: chex.Numeric,
-    ratio: chex.Numeric,
-    *,
-    exponent: int = MASS_EXPONENT,
+    sigma: chex.Numeric, mass: chex.Numeric, ratio: chex.Numeric
 ) -> tuple[chex.Numeric, chex.Numeric]:
     """Convert sizes in voxels to a grid with `ratio` times as many cells per side.
 
     A Gaussian as wide as before spans `ratio` times as many voxels, so sigma grows by
-    that. Its mass has to be spread over ratio³ times as many cells, of which a ray
-    crosses `ratio` times as many:
-
-    * With exponent 3 the density of every cell stays as it was (the peak height c_i of
-      Eq. 3), and the optical depth of a ray, the sum of its densities, grows by
-      `ratio`: a finer grid renders the same points as more opaque.
-    * With exponent 2 the optical depth of a ray stays, and so does its silhouette as
-      long as occupancies are small; the density of a cell shrinks by `ratio`.
-
-    No exponent keeps both, because Eq. 4 multiplies what each cell lets through,
-    however deep the cell is. Learning takes 3, by which poses are slightly more
-    accurate (docs/log.md). A comparison of grids by the image that they approximate
-    takes 2.
+    that. With its mass times ratio³ the density of every cell stays as it was (the
+    peak height c_i of Eq. 3), and the optical depth of a ray, the sum of its densities,
+    grows by `ratio`: a finer grid renders the same points as more opaque. Times ratio²
+    the optical depth would stay. Nothing keeps both, because Eq. 4 multiplies what each
+    cell lets through, however deep the cell is. With ratio³ poses are slightly more
+    accurate (docs/log.md).
     """
-    return sigma * ratio, mass * ratio**exponent
+    return sigma * ratio, mass * ratio**3

@@ -21,11 +21,11 @@ _SHOWN = 3  # sigmas in the figure of errors
 
 def write_report(out: Path, results: dict[str, Any]) -> Path:
     """Write the figures, benchmark.json and benchmark.md; returns the last."""
-    load = results["machine"]["load_at_start"]
-    load = "" if load is None else f"; load {load:.1f} at the start"
+    machine = results["machine"]
     blocks = [
         "# Error against run time",
-        f"{phrase_machine(results['machine'])}; seed {results['seed']}{load}.",
+        f"{phrase_machine(machine)}; seed {results['seed']}; load "
+        f"{machine['load_at_start']:.1f} at the start.",
         "All times are medians of rounds in which the compared calls take turns. With "
         "glibc, the process keeps freed memory for the next call, for all peers alike "
         "(`dpc_jax.run.process`); otherwise page faults would be much of what is "
@@ -67,22 +67,19 @@ def _write_speed(out, results) -> list[str]:
 def _write_sizes(out, results) -> list[str]:
     rows = []
     for result in results["sizes"]:
+        seconds, sizes = result["median_seconds"], result["bytes"]
         numbers = [
-            MISSING if name not in values else f"{scale * values[name]:.3g}"
-            for values, scale in (
-                (result["median_seconds"], 1e3),
-                (result["bytes"], 1e-9),
+            f"{scale * values[name]:.3g}" if name in values else MISSING
+            for values, scale, name in (
+                *((seconds, 1e3, "whole"), (seconds, 1e3, "blocks")),
+                *((sizes, 1e-9, "whole"), (sizes, 1e-9, "blocks")),
+                (seconds, 1e3, "PyTorch"),
             )
-            for name in ("whole", "blocks")
         ]
-        torch = result["median_seconds"].get("PyTorch")
-        numbers.append(f"{1e3 * torch:.3g}" if torch else MISSING)
         signals, share = ", ".join(result["signals"]), _percent(result["share"])
         rows.append([result["case"], signals, share, *numbers])
-    heads = ["work", "signals", "blocks touched"]
-    volumes = ("whole volume", "blocks")
-    heads += [f"{name} ({unit})" for unit in ("ms", "GB") for name in volumes]
-    heads.append("PyTorch, whole volume (ms)")
+    heads = ["work", "signals", "blocks touched", "whole volume (ms)", "blocks (ms)"]
+    heads += ["whole volume (GB)", "blocks (GB)", "PyTorch, whole volume (ms)"]
     return [
         "## How large",
         "A car's surface, forward and backward, float32: in the whole volume, and in "
@@ -160,11 +157,7 @@ def draw_errors(records: Sequence[dict[str, Any]], path: Path) -> Path:
     return style.save_figure(figure, path)
 
 
-_SECTIONS = {
-    "speed": _write_speed,
-    "sizes": _write_sizes,
-    "error": _write_error,
-}
+_SECTIONS = {"speed": _write_speed, "sizes": _write_sizes, "error": _write_error}
 
 
 def _ms(seconds: float) -> str:

@@ -69,7 +69,7 @@ ABOUT = {"0": 0.0, "1e-30": 1e-30, "a half turn": np.pi, "1e4": 1e4}
 
 def _pass_through_matrix(q):
     """As q·qᵀ, which is the same for q and -q."""
-    back = jnp.asarray(quaternion.from_matrix(quaternion.to_matrix(q)))
+    back = quaternion.from_matrix(quaternion.to_matrix(q))
     return jnp.outer(back, back)
 
 
@@ -368,10 +368,5 @@ LOSSES = [
         is_half_checked=False,
     ),
 ]
-CASES = {
-    "rotation": ROTATIONS,
-    "splat": SPLATTING,
-    "gaussian": GAUSSIANS,
-    "ray": TERMINATION,
-    "loss": LOSSES,
-}
+CASES = {"rotation": ROTATIONS, "splat": SPLATTING, "gaussian": GAUSSIANS}
+CASES |= {"ray": TERMINATION, "loss": LOSSES}

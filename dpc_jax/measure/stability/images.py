@@ -267,8 +267,4 @@ def _list_sums() -> list[Case]:
     return cases
 
 
-CASES = {
-    "image": _list_images(),
-    "cells": _list_cells(),
-    "sum": _list_sums(),
-}
+CASES = {"image": _list_images(), "cells": _list_cells(), "sum": _list_sums()}

@@ -18,10 +18,7 @@ _PASSES = ((2, (0, 3, 1, 2)), (1, (0, 3, 1, 2)), (0, (0, 2, 3, 1)))
 
 
 def sum_densities(
-    scene: Scene,
-    mass: jax.Array,
-    blocks: Blocks,
-    shape: tuple[int, int, int],
+    scene: Scene, mass: jax.Array, blocks: Blocks, shape: tuple[int, int, int]
 ) -> jax.Array:
     """Σ_i f_i of points' masses [N] in the touched blocks.
 
@@ -30,13 +27,13 @@ def sum_densities(
     counts, order = touched.divide(shape), splatting.ORDERS[scene.method]
     first = splatting.find_first(jax.lax.stop_gradient(scene.coordinates), shape, order)
     side = BLOCK + order
-    slot, cell = touched.find_slots(first, blocks, counts)
+    slot = blocks.slots[touched.number(first // BLOCK, counts)]
     has_slot = slot < len(blocks.ids)
     cells: Any = splatting.scatter(
         scene.coordinates - first,
         jnp.where(scene.is_inside & has_slot, mass, 0),
         jnp.where(has_slot, slot, 0),
-        cell,
+        first % BLOCK,
         order,
         # What a block's points give to the next one is kept in cells of its own.
         (len(blocks.ids), side, side, side),

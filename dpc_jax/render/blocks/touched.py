@@ -55,38 +55,28 @@ def find_blocks(scene: Scene, shape: tuple[int, int, int], room: int) -> Blocks:
     total = int(np.prod(counts))
     first = splatting.find_first(coordinates, shape, order)
     block, cell = first // BLOCK, first % BLOCK
-    number = jnp.where(scene.is_inside, _number(block, counts), total)
+    home = jnp.where(scene.is_inside, number(block, counts), total)
     # How many cells beyond a point's own the smoothing reaches.
     reach = jnp.floor(kernels.find_half_width(sigma, coordinates.dtype))
     is_narrow = reach <= BLOCK - order  # not NaN
     reach = jnp.where(is_narrow, reach, BLOCK).astype(jnp.int32)
     # Two steps: the blocks that hold points are few, and only for them is it asked
     # which neighbours their points reach.
-    homes = _index(_mark(number, total), room)
+    homes = _index(home, total, room)
     kinds = (cell < reach) + 2 * (cell + order + reach >= BLOCK)
     kind = (kinds[:, 0] * 4 + kinds[:, 1]) * 4 + kinds[:, 2]
     seen = jnp.zeros((homes.ids.shape[0] + 1) * 64, jnp.float32)
-    seen = seen.at[homes.slots[number] * 64 + kind].set(1, mode=_IN_BOUNDS)
-    steps = (
-        jnp.matmul(seen.reshape(-1, 64)[:-1], _REACHED.astype(np.float32)) > 0
-    )  # [M, 27]
+    seen = seen.at[homes.slots[home] * 64 + kind].set(1, mode=_IN_BOUNDS)
+    steps = jnp.matmul(seen.reshape(-1, 64)[:-1], _REACHED.astype(np.float32)) > 0
     places = _place(homes.ids, counts)[:, None] + _STEPS[None]
-    is_there = jnp.all(
-        (places >= 0) & (places < jnp.array(counts)[None, None]), axis=-1
-    )
+    limits = jnp.array(counts)[None, None]
+    is_there = jnp.all((places >= 0) & (places < limits), axis=-1)
     is_there &= steps & (homes.ids < total)[:, None]
-    touched = jnp.where(is_there, _number(places, counts), total)
-    found = _index(_mark(touched.reshape(-1), total), room)
+    touched = jnp.where(is_there, number(places, counts), total)
+    found = _index(touched.reshape(-1), total, room)
     # Where the blocks with points alone are too many, their neighbours are not known.
     count = jnp.maximum(found.count, homes.count)
     return found._replace(count=jnp.where(is_narrow, count, total))
-
-
-def find_slots(
-    first: jax.Array, blocks: Blocks, counts: tuple[int, int, int]
-) -> tuple[jax.Array, jax.Array]:
-    """([N] slot of the block of a cell, M where it has none; [N, 3] cell in it)."""
-    return blocks.slots[_number(first // BLOCK, counts)], first % BLOCK
 
 
 def find_depths(ids: jax.Array, shape: tuple[int, int, int]) -> jax.Array:
@@ -108,7 +98,8 @@ def find_neighbours(
     return blocks.slots[before], blocks.slots[after]
 
 
-def _number(places, counts):
+def number(places: jax.Array, counts: tuple[int, int, int]) -> jax.Array:
+    """Numbers of the blocks at places [..., 3] among the blocks."""
     return (places[..., 0] * counts[1] + places[..., 1]) * counts[2] + places[..., 2]
 
 
@@ -118,15 +109,10 @@ def _place(numbers, counts):
     return jnp.stack([rest // cols, rest % cols, numbers % depth], axis=-1)
 
 
-def _mark(numbers, total):
+def _index(numbers, total, room):
+    """The blocks of these numbers; `total` stands for none."""
     marks = jnp.zeros(total + 1, bool).at[numbers].set(True, mode=_IN_BOUNDS)
-    return marks[:total]
-
-
-def _index(marks, room):
-    """Number the marked blocks."""
-    total = len(marks)
-    found, count = find_points(marks)
+    found, count = find_points(marks[:total])
     ids = found[:room]
     slots = jnp.full(total + 1, room, jnp.int32)
     slots = slots.at[ids].set(jnp.arange(room, dtype=jnp.int32), mode=_IN_BOUNDS)

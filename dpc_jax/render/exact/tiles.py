@@ -118,9 +118,8 @@ def _block(points, shape):
     """
 
     def split(leaf, count):
-        padding = [(0, 0)] * leaf.ndim
-        padding[0], padding[1] = (0, 1), (0, count * SIDE - leaf.shape[1])
-        leaf = jnp.pad(leaf, padding)
+        rest = [(0, 0)] * (leaf.ndim - 2)
+        leaf = jnp.pad(leaf, [(0, 1), (0, count * SIDE - leaf.shape[1]), *rest])
         return leaf.reshape(leaf.shape[0], count, SIDE, *leaf.shape[2:])
 
     down, across = _count_tiles(shape)
