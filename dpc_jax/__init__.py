@@ -46,27 +46,23 @@ if TYPE_CHECKING:
     from dpc_jax.render import use_all_cores as use_all_cores
     from dpc_jax.render import voxelize as voxelize
 
-_RENDER = (
-    "Camera MemoryEstimate Projection VoxelGrid compensate_widening estimate_memory "
-    "count_blocks from_opencv mass_of_peak opacity project project_batch "
-    "project_volume quaternion smooth splat termination_probabilities to_opencv "
-    "use_all_cores voxelize"
-)
-_NETWORKS = "ImageEncoder PoseEnsemble PoseStudent ShapeHead ShapePoseNetwork"
-_NAMES = {  # public name: the module that it is loaded from
-    "choose_candidate": "dpc_jax.learning.choice.hindsight",
-    **dict.fromkeys(
-        ("Fit", "FitSettings", "fit"), "dpc_jax.learning.fitting.object_fit"
+_MODULES = {
+    "dpc_jax.evaluation": "align chamfer_distance pose_summary rotation_angle_deg",
+    "dpc_jax.learning.choice.hindsight": "choose_candidate",
+    "dpc_jax.learning.fitting.object_fit": "Fit FitSettings fit",
+    "dpc_jax.learning.losses": "reprojection_loss student_loss",
+    "dpc_jax.networks": (
+        "ImageEncoder PoseEnsemble PoseStudent ShapeHead ShapePoseNetwork"
     ),
-    "reprojection_loss": "dpc_jax.learning.losses",
-    "student_loss": "dpc_jax.learning.losses",
-    **dict.fromkeys(_RENDER.split(), "dpc_jax.render"),
-    **dict.fromkeys(_NETWORKS.split(), "dpc_jax.networks"),
-    **dict.fromkeys(
-        ("align", "chamfer_distance", "pose_summary", "rotation_angle_deg"),
-        "dpc_jax.evaluation",
+    "dpc_jax.render": (
+        "Camera MemoryEstimate Projection VoxelGrid compensate_widening count_blocks "
+        "estimate_memory from_opencv mass_of_peak opacity project project_batch "
+        "project_volume quaternion smooth splat termination_probabilities to_opencv "
+        "use_all_cores voxelize"
     ),
 }
+# Public name: the module that it is loaded from.
+_NAMES = {name: module for module in _MODULES for name in _MODULES[module].split()}
 
 
 def __getattr__(name: str):

@@ -20,14 +20,12 @@ WRITES = ("benchmark.md", "benchmark.json", "error.png")
 def make_parser() -> argparse.ArgumentParser:
     """The flags of the command."""
     parser = FlagParser("benchmark", description="Error against run time.")
-    parser.add_argument(
-        "--quick", action="store_true", help="tiny sizes, to check that all works"
-    )
-    parser.add_argument(
-        "--out", type=Path, default=Path("runs/benchmark"), help="folder (%(default)s)"
-    )
+    add = parser.add_argument
+    text = "tiny sizes, to check that all works"
+    add("--quick", action="store_true", help=text)
+    add("--out", type=Path, default=Path("runs/benchmark"), help="folder (%(default)s)")
     text = f"some of {','.join(PARTS)}; default: all"
-    parser.add_argument("--parts", type=reading_names(PARTS), default=PARTS, help=text)
+    add("--parts", type=reading_names(PARTS), default=PARTS, help=text)
     return parser
 
 

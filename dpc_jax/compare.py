@@ -17,19 +17,11 @@ def make_parser() -> argparse.ArgumentParser:
     parser = FlagParser(
         "compare", takes="RUN...", description="Runs side by side, as a page."
     )
-    parser.add_argument(
-        "workdirs",
-        nargs="+",
-        type=Path,
-        metavar="RUN",
-        help="folder of a run, or a folder of runs",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("runs/comparison"),
-        help="folder of the page (%(default)s)",
-    )
+    add = parser.add_argument
+    text = "folder of a run, or a folder of runs"
+    add("workdirs", nargs="+", type=Path, metavar="RUN", help=text)
+    text = "folder of the page (%(default)s)"
+    add("--out", type=Path, default=Path("runs/comparison"), help=text)
     return parser
 
 

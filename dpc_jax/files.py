@@ -56,7 +56,7 @@ def open_regular(path: str | os.PathLike, *, most: int | None = None) -> Buffere
     Raises:
       OSError: where it cannot be opened, is another kind of file, or is larger.
     """
-    file = open(path, "rb", opener=_open_at_once)
+    file = open(path, "rb", opener=lambda p, flags: os.open(p, flags | os.O_NONBLOCK))
     status = os.fstat(file.fileno())
     if not stat.S_ISREG(status.st_mode):
         file.close()
@@ -71,10 +71,6 @@ def open_regular(path: str | os.PathLike, *, most: int | None = None) -> Buffere
             f"{status.st_size:,}; give another file."
         )
     return file
-
-
-def _open_at_once(path, flags):
-    return os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
 
 
 def read_bytes(path: str | os.PathLike, *, most: int) -> bytes:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dpc_jax.config import Config, from_config_dict, locate_config
-from dpc_jax.run.hosts.places import find_place
+from dpc_jax.run.hosts import find_place
 from dpc_jax.task import FlagParser, Task, run_command
 
 _FIELDS = (
@@ -104,8 +104,7 @@ def _read(arguments: Sequence[str]) -> Task:
     # Heavy: flags are read first.
     from dpc_jax.learning.training.records import NonFiniteError
     from dpc_jax.run import pipeline
-    from dpc_jax.run.report.final import judge_finally
-    from dpc_jax.run.report.photographs import judge_photographs
+    from dpc_jax.run.report.judging import judge_finally, judge_photographs
 
     work = functools.partial(pipeline.run, config, folder, place)
     if options.photographs:

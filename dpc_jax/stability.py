@@ -18,11 +18,9 @@ WRITES = ("stability.md", "stability.json")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Parse the command line, run the subjects, write the report.
+    """Parse the command line, measure, write the report; returns the exit status.
 
-    Returns:
-      The exit status: 0, 1 if anything is outside its tolerance or cannot be written, 2
-      for a wrong flag, 130 after Ctrl-C.
+    It is 1 where anything is outside its tolerance, too.
     """
     return run_command(lambda: _read(arguments))
 
@@ -42,21 +40,12 @@ def _read(arguments):
 def make_parser() -> argparse.ArgumentParser:
     """The flags of the command."""
     parser = FlagParser("stability", description="What happens in extreme cases.")
-    parser.add_argument(
-        "--out", type=Path, default=Path("runs/stability"), help="folder (%(default)s)"
-    )
-    parser.add_argument(
-        "--quick",
-        action="store_true",
-        help="a small version of each subject, in a few minutes; the cases in "
-        f"{','.join(QUICK_DTYPES)}",
-    )
-    parser.add_argument(
-        "--subjects",
-        type=reading_names(SUBJECTS),
-        default=SUBJECTS,
-        help=f"some of {','.join(SUBJECTS)}; default: all",
-    )
+    add = parser.add_argument
+    add("--out", type=Path, default=Path("runs/stability"), help="folder (%(default)s)")
+    text = "a small version of each subject, in a few minutes; the cases in "
+    add("--quick", action="store_true", help=text + ",".join(QUICK_DTYPES))
+    text = f"some of {','.join(SUBJECTS)}; default: all"
+    add("--subjects", type=reading_names(SUBJECTS), default=SUBJECTS, help=text)
     return parser
 
 
@@ -96,8 +85,8 @@ def _measure(options, command):
     failures = [row.describe_failure() for row in rows if not row.passes]
     for failure in failures:
         print(f"Outside tolerance: {failure}")
-    num_failed = len(failures)
-    print(f"{num_failed} outside tolerance." if failures else "All within tolerance.")
+    outcome = f"{len(failures)} outside" if failures else "All within"
+    print(f"{outcome} tolerance.")
     print(f"Report: {path}")
     return int(bool(failures))
 

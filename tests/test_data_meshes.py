@@ -7,17 +7,6 @@ from PIL import Image
 
 from dpc_jax.data import meshes
 
-OBJ = """mtllib colours.mtl
-v 0 0 0
-v 1 0 0
-v 0 1 0
-v 0 0 2
-usemtl red
-f 1 2 3
-usemtl blue
-f 1 2 4
-f 1 3 4
-"""
 PLY = """ply
 format ascii 1.0
 element vertex {}
@@ -31,7 +20,6 @@ end_header
 1 0 0
 0 1 0
 """
-MTL = "newmtl red\nKd 1 0 0\n\nnewmtl blue\nKd 0 0 0.6\n"
 
 
 def test_files_are_found_at_any_depth_and_in_order(tmp_path):
@@ -41,19 +29,6 @@ def test_files_are_found_at_any_depth_and_in_order(tmp_path):
     (tmp_path / "folder.obj").mkdir()
     found = [p.relative_to(tmp_path).as_posix() for p in meshes.find_meshes(tmp_path)]
     assert found == ["b/c.glb", "b/deep/a.stl", "z.OBJ"]
-
-
-def test_colours_of_an_mtl_file_are_kept(tmp_path):
-    (tmp_path / "colours.mtl").write_text(MTL)
-    (tmp_path / "part.obj").write_text(OBJ)
-    mesh = meshes.read_mesh(tmp_path / "part.obj")
-    assert len(mesh.faces) == 3
-    np.testing.assert_allclose(mesh.extents, [1, 1, 2])
-    upright = mesh.triangles[:, :, 2].max(axis=1) > 1
-    np.testing.assert_array_equal(mesh.visual.face_colors[~upright, :3], [[255, 0, 0]])
-    np.testing.assert_array_equal(
-        mesh.visual.face_colors[upright, :3], [[0, 0, 153]] * 2
-    )
 
 
 def test_colours_of_vertices_become_their_mean_on_a_face(tmp_path):

@@ -1,6 +1,5 @@
 """Shards on disk and the arrays that lie over several of them."""
 
-import mmap
 import subprocess
 import sys
 
@@ -75,8 +74,6 @@ def test_what_is_written_is_mapped_and_numpy_reads_it(tmp_path):
 
 def test_reading_a_large_set_needs_little_memory(tmp_path):
     """A process that has read 40 MB twice holds a fraction of it."""
-    if not hasattr(mmap, "MADV_DONTNEED"):
-        pytest.skip("the system cannot be told to give pages back")
     rows = np.random.default_rng(0).integers(0, 255, (40, 1 << 10, 1 << 10), np.uint8)
     path = tmp_path / "shard-0.npz"
     shards.write_shard(path, {"masks": rows}, {"names": "a", "counts": {"masks": [40]}})

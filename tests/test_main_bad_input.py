@@ -9,7 +9,7 @@ from tiny_runs import make_dataset
 from dpc_jax.config import from_config_dict
 from dpc_jax.outputs import explain
 from dpc_jax.run import pipeline, setup
-from dpc_jax.run.report.final import judge_finally
+from dpc_jax.run.report.judging import judge_finally
 from dpc_jax.run.workdir import FREE_FIELDS, claim_workdir
 
 

@@ -30,8 +30,7 @@ from dpc_jax.evaluation.metrics import get_metric
 from dpc_jax.learning.inference import refinement
 from dpc_jax.learning.inference.refinement import join_views
 from dpc_jax.run import pipeline
-from dpc_jax.run.report.final import judge_finally
-from dpc_jax.run.report.photographs import judge_photographs
+from dpc_jax.run.report.judging import judge_finally, judge_photographs
 from dpc_jax.run.viewing.network_shapes import NetworkShapes
 from dpc_jax.run.workdir import read_config
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from dpc_jax.config import Config, name_differences, replace_fields
+from dpc_jax.run.hosts import Place, find_place
 from dpc_jax.run.hosts.agreement import list_versions
-from dpc_jax.run.hosts.places import Place, find_place
 
 ROOT = Path(__file__).parents[1]
 
@@ -53,7 +53,7 @@ JOB = """
 import json, sys
 import jax, jax.numpy as jnp, numpy as np
 from dpc_jax.run.hosts.joining import joining
-from dpc_jax.run.hosts.places import Place
+from dpc_jax.run.hosts import Place
 
 process, address, devices = int(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 jax.config.update("jax_num_cpu_devices", devices)

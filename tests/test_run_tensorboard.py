@@ -27,33 +27,23 @@ def go_on(folder, step, *steps):
     log.close()
 
 
-def check_numbers(folder):
-    """Every number of all steps is there once, by its seconds of training."""
+def test_each_step_is_shown_once_from_the_log_s_first_on_also_after_a_kill(tmp_path):
+    plain = MetricLog(tmp_path / "metrics.jsonl")  # which TensorBoard joins later
+    for record in make_records(5):
+        plain.write(record)
+    go_on(tmp_path, 5, 10, 15)
+    (path,) = (tmp_path / "tensorboard").iterdir()
+    path.write_bytes(path.read_bytes()[:-3])  # a kill may leave a torn event
+    go_on(tmp_path, 10, 15, 20)  # the last checkpoint is older
     expected = [
         (record["step"], name, pytest.approx(value))
         for record in make_records(*STEPS)
         for name, value in record.items()
         if isinstance(value, float)
     ]
-    events = read_events(folder / "tensorboard")
+    events = read_events(tmp_path / "tensorboard")
     found = [(e.step, v.tag, v.simple_value) for e in events for v in e.summary.value]
     assert found == expected
     times = {event.step: event.wall_time for event in events}
-    for step in STEPS:
+    for step in STEPS:  # seconds of training
         assert times[step] - times[5] == pytest.approx((step - 5) / 2, abs=1e-3)
-
-
-def test_a_run_that_goes_on_after_a_kill_has_each_step_once(tmp_path):
-    go_on(tmp_path, 0, 5, 10, 15)
-    (path,) = (tmp_path / "tensorboard").iterdir()
-    path.write_bytes(path.read_bytes()[:-3])  # a kill may leave a torn event
-    go_on(tmp_path, 10, 15, 20)  # the last checkpoint is older
-    check_numbers(tmp_path)
-
-
-def test_a_log_that_tensorboard_joins_later_is_shown_from_its_start(tmp_path):
-    plain = MetricLog(tmp_path / "metrics.jsonl")
-    for record in make_records(5, 10):
-        plain.write(record)
-    go_on(tmp_path, 10, 15, 20)
-    check_numbers(tmp_path)

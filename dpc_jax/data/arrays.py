@@ -92,7 +92,7 @@ class Pages:
     def count(self, size: int):
         """Note that `size` bytes were read."""
         self._read += size
-        if self._read > KEPT_PAGES and hasattr(mmap, "MADV_DONTNEED"):
+        if self._read > KEPT_PAGES:
             self._read = 0
             for mapping in self._mappings:
                 mapping.madvise(mmap.MADV_DONTNEED)

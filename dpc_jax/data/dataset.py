@@ -26,10 +26,7 @@ RECORD = "spec.json"  # the file that finishes a cache
 
 
 def load_or_render(
-    spec: DataSpec,
-    *,
-    cache_dir: str | Path,
-    processes: int | None = None,
+    spec: DataSpec, *, cache_dir: str | Path, processes: int | None = None
 ) -> DataSet:
     """The data set of a specification, from the cache or prepared now.
 

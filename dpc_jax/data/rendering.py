@@ -111,8 +111,7 @@ def _thin_points(points, *, voxel):
     points = np.asarray(points, dtype=np.float64)
     cells = np.floor(points / voxel).astype(np.int64)
     cells -= cells.min(axis=0)
-    wide = cells.max(axis=0) + 1
-    keys = (cells[:, 0] * wide[1] + cells[:, 1]) * wide[2] + cells[:, 2]
+    keys = np.ravel_multi_index(tuple(cells.T), cells.max(axis=0) + 1)
     _, voxels, counts = np.unique(keys, return_inverse=True, return_counts=True)
     sums = [np.bincount(voxels, weights=column) for column in points.T]
     return (np.stack(sums, axis=1) / counts[:, None]).astype(np.float32)

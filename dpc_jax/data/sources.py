@@ -90,8 +90,8 @@ class Source:
         """The official split, given or found."""
         return Path(self.spec.split_file) if self.spec.split_file else None
 
-    def group_models(self, models: dict[str, Path]) -> list[int] | None:
-        """A number for each model; a split parts none that have the same."""
+    def group_models(self, models: dict[str, Path]) -> list[str] | None:
+        """A name for each model; a split parts none that have the same."""
         return None
 
     def split_by_seed(self, models: dict[str, Path]) -> dict[str, list[str]]:

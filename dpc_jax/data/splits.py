@@ -82,14 +82,13 @@ def _take_fold(order, index, count):
     return order[first:last], np.concatenate([order[last:], order[:first]])
 
 
-def group_variants(paths: Sequence[Path], digests: Sequence[str]) -> list[int]:
+def group_variants(paths: Sequence[Path], digests: Sequence[str]) -> list[str]:
     """One key per file; files of equal content or of one family share it.
 
     Families are read from `families.json` in a file's folder, which maps file names to
     families. Without it, only equal files belong together.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+    from scipy.cluster.hierarchy import DisjointSet
 
     named = {}
     for place in {path.parent for path in paths}:
@@ -100,14 +99,10 @@ def group_variants(paths: Sequence[Path], digests: Sequence[str]) -> list[int]:
             known = read_json(listed)
             named |= {place / name: f"family {known[name]}" for name in known}
     # two families that share a file are one
-    numbers = {}
-    pairs = [
-        [numbers.setdefault(key, len(numbers)) for key in (named.get(path, own), own)]
-        for path, own in zip(paths, digests, strict=True)
-    ]
-    links = coo_array((np.ones(len(pairs)), np.transpose(pairs)), 2 * [len(numbers)])
-    _, parts = connected_components(links, directed=False)
-    return [int(parts[own]) for _, own in pairs]
+    groups = DisjointSet([*digests, *named.values()])
+    for path, own in zip(paths, digests, strict=True):
+        groups.merge(own, named.get(path, own))
+    return [groups[own] for own in digests]
 
 
 def find_split(folder: Path, synset: str) -> Path | None:

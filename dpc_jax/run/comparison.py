@@ -46,9 +46,7 @@ def read_runs(workdirs: Sequence[Path]) -> list[ComparedRun]:
     if len(set(names)) < len(names):
         above = Path(os.path.commonpath(workdirs))
         names = [path.relative_to(above).as_posix() for path in workdirs]
-    return [
-        _read_run(*pair) for pair in zip(workdirs, map(show_text, names), strict=True)
-    ]
+    return list(map(_read_run, workdirs, map(show_text, names)))
 
 
 def _read_run(workdir: Path, name: str) -> ComparedRun:

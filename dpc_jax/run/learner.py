@@ -1,7 +1,5 @@
 """A network with its data sets: prediction, alignment, validation, test."""
 
-from typing import NamedTuple
-
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet
 from dpc_jax.evaluation.alignment import Alignment, identity_alignment
@@ -15,20 +13,6 @@ from dpc_jax.learning.inference.predictor import (
 from dpc_jax.learning.step import TrainState
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.run.setup import make_network
-
-
-class Evaluation(NamedTuple):
-    """What a trained network makes of the test split.
-
-    Attributes:
-      predictions: for the split.
-      alignment: from the network's frame to the object frame.
-      threshold: of the surfaces of a voxel model; None for other shapes.
-    """
-
-    predictions: Predictions
-    alignment: Alignment
-    threshold: float | None
 
 
 class Learner:
@@ -102,12 +86,18 @@ class Learner:
         )
         return result.metrics
 
-    def evaluate_test(self, state: TrainState) -> Evaluation:
+    def predict_test(
+        self, state: TrainState
+    ) -> tuple[Predictions, Alignment, float | None]:
         """Predictions for the test split, with what the validation split tells of them.
 
         All processes of a job must call it.
+
+        Returns:
+          (predictions; alignment from the network's frame to the object frame;
+          threshold of the surfaces of a voxel model, None for other shapes).
         """
         validated, threshold = self.find_points(self.predict(state, "val"))
         alignment = self.align(validated)
         predictions = self.predict(state, "test", frame=alignment, threshold=threshold)
-        return Evaluation(predictions, alignment, threshold)
+        return predictions, alignment, threshold

@@ -18,9 +18,9 @@ from dpc_jax.learning.training import loop
 from dpc_jax.learning.training.checkpoints import Checkpoints, Restored
 from dpc_jax.learning.training.records import MetricLog
 from dpc_jax.networks import ShapePoseNetwork
+from dpc_jax.run.hosts import Place
 from dpc_jax.run.hosts.agreement import Job
 from dpc_jax.run.hosts.joining import joining
-from dpc_jax.run.hosts.places import Place
 from dpc_jax.run.hosts.writing import SilentLog, open_checkpoints, restore_last
 from dpc_jax.run.learner import Learner
 from dpc_jax.run.process import catch_signals, prepare_process
@@ -93,7 +93,6 @@ def _run_in(folder, config, job):
     started = time.monotonic()
     sets = load_sets(config)
     data_seconds = time.monotonic() - started
-
     learner = Learner(config, sets)
     with contextlib.closing(log):
         outcome = _train(learner, folder, log, job)
@@ -103,18 +102,9 @@ def _run_in(folder, config, job):
             "same workdir to go on."
         )
         return
-    found = learner.evaluate_test(outcome.state)
-    if not job.is_first:
-        return
-    report_run(
-        folder,
-        config,
-        sets,
-        outcome,
-        found,
-        records=log.read(),
-        data_seconds=data_seconds,
-    )
+    found = learner.predict_test(outcome.state)
+    if job.is_first:
+        report_run(folder, learner, outcome, found, log.read(), data_seconds)
 
 
 def _open_log(folder: Path, config, job: Job) -> MetricLog:

@@ -7,13 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dpc_jax.config import (
-    Config,
-    from_fields,
-    list_fields,
-    name_differences,
-    to_json,
-)
+from dpc_jax.config import Config, from_fields, list_fields, name_differences, to_json
 from dpc_jax.evaluation.alignment import Alignment
 from dpc_jax.files import (
     Damage,

@@ -49,11 +49,7 @@ def open_set(path: str | Path, *, models: int | None = None) -> Iterator[OpenSet
         )
     fields = recognize_folder(path)
     spec = DataSpec(
-        **fields,
-        folder=str(path),
-        fractions=(1, 0, 0),
-        models=models,
-        image_size=TILE,
+        **fields, folder=str(path), fractions=(1, 0, 0), models=models, image_size=TILE
     )
     note = f"prepared from {path} ({spec.kind}) to be looked at"
     note += "" if models is None else f", at most {models} models"

@@ -90,7 +90,7 @@ class MeshFolder(MeshSource):
     def identify_model(self, name: str, path: Path) -> tuple[int, str]:
         return self.spec.views, self.digests[path]
 
-    def group_models(self, models: dict[str, Path]) -> list[int]:
+    def group_models(self, models: dict[str, Path]) -> list[str]:
         """See `Source.group_models`; the variants of a design stay together."""
         paths = list(models.values())
         return splits.group_variants(paths, [self.digests[path] for path in paths])

@@ -17,7 +17,7 @@ from dpc_jax.learning.inference import evaluator
 from dpc_jax.learning.inference.predictor import Predictions
 from dpc_jax.learning.training.loop import Outcome
 from dpc_jax.reporting.page import write_report
-from dpc_jax.run.learner import Evaluation
+from dpc_jax.run.learner import Learner
 from dpc_jax.run.report.shown_views import Judged, choose_examples
 from dpc_jax.run.report.training_shapes import TrainingShapes
 from dpc_jax.run.setup import collect_warnings
@@ -28,23 +28,21 @@ _FEW_STEPS = 1000  # before which heads have hardly begun to share the views
 
 def report_run(
     workdir: Path,
-    config: Config,
-    sets: dict[str, DataSet],
+    learner: Learner,
     outcome: Outcome,
-    found: Evaluation,
-    *,
+    found: tuple[Predictions, Alignment, float | None],
     records: list[dict],
     data_seconds: float,
 ):
     """Score the test set, write WORKDIR/report, and print what is in it.
 
     Args:
-      sets: by name. found: what the network makes of "test".
-      outcome: of the training loop. records: of its log.
-      data_seconds: spent on preparing the data.
+      outcome: of the training loop. found: see `Learner.predict_test`.
+      records: of the log. data_seconds: spent on preparing the data.
     """
-    test, predictions = sets["test"], found.predictions
-    judged = judge(predictions, test, config, found.alignment, found.threshold)
+    config, sets, test = learner.config, learner.sets, learner.sets["test"]
+    judged = judge(test, config, *found)
+    predictions = judged.predictions
     shapes = TrainingShapes.gather(sets, predictions.points.shape[2])
     metrics = list_metrics(judged, config, shapes)
     metrics |= _count_costs(sets, outcome, data_seconds)
@@ -68,7 +66,7 @@ def report_run(
         config_text=str(to_config_dict(config)),
     )
     if config.pose.aligned or sets["val"].quaternions is not None:
-        write_alignment(workdir, found.alignment)
+        write_alignment(workdir, judged.alignment)
     for warning in warnings:
         print(f"Warning: {warning}")
     print(
@@ -91,9 +89,9 @@ def measure_gains(metrics: dict[str, Any]) -> dict[str, float | None]:
 
 
 def judge(
-    predictions: Predictions,
     dataset: DataSet,
     config: Config,
+    predictions: Predictions,
     alignment: Alignment,
     threshold: float | None,
 ) -> Judged:

@@ -1,4 +1,7 @@
-"""A finished run on objects by which nothing was chosen: a test set of its own."""
+"""A finished run judged once more: on objects that it has not seen, on photographs.
+
+By the split "final" nothing is chosen; photographs show the test objects, disturbed.
+"""
 
 import dataclasses
 from pathlib import Path
@@ -7,24 +10,32 @@ from typing import Any
 import numpy as np
 
 from dpc_jax.config.checks import SOURCES
-from dpc_jax.data import DataSpec
+from dpc_jax.data import DataSet, DataSpec
+from dpc_jax.data.arrays import Stack
+from dpc_jax.data.disturbances import DISTURBANCES
+from dpc_jax.data.sets import framing
 from dpc_jax.data.splits import FINAL
+from dpc_jax.evaluation import scores
 from dpc_jax.evaluation.metrics import describe_metrics
-from dpc_jax.evaluation.scores import score
 from dpc_jax.evaluation.surfaces import SAMPLES, draw_points
 from dpc_jax.evaluation.wrapping import wrap_points
 from dpc_jax.files import write_json
-from dpc_jax.learning.inference.evaluator import arrange_truth
-from dpc_jax.learning.inference.predictor import arrange_views
+from dpc_jax.learning.inference import evaluator
+from dpc_jax.learning.inference.predictor import (
+    arrange_views,
+    make_predictor,
+    predict_all,
+)
 from dpc_jax.run.learner import Learner
+from dpc_jax.run.prediction import check_ability
 from dpc_jax.run.report.shown_views import Judged
 from dpc_jax.run.report.summary import judge, list_metrics, measure_gains
 from dpc_jax.run.report.training_shapes import TrainingShapes
 from dpc_jax.run.setup import load_set, load_sets, make_data_specs
-from dpc_jax.run.trained import load_trained
-from dpc_jax.run.workdir import read_metrics
+from dpc_jax.run.trained import TrainedNetwork, load_split, load_trained
+from dpc_jax.run.workdir import read_config, read_metrics
 
-RECORD = "final.json"
+_FINER = 2  # times the network's images: photographs are cut out and made smaller
 
 
 def judge_finally(
@@ -49,7 +60,7 @@ def judge_finally(
     predictions = learner.predict(
         trained.state, FINAL, frame=trained.alignment, threshold=threshold
     )
-    judged = judge(predictions, dataset, config, trained.alignment, threshold)
+    judged = judge(dataset, config, predictions, trained.alignment, threshold)
     count = predictions.points.shape[2]
     shapes = TrainingShapes.gather(sets | {"test": dataset}, count)
     metrics = list_metrics(judged, config, shapes)
@@ -57,7 +68,7 @@ def judge_finally(
     metrics |= {f"surface_{name}": value for name, value in of_surfaces.items()}
     metrics["objects"] = len(dataset.names)
     metrics["source"] = str(meshes) if meshes else "procedural"
-    path = write_json(workdir / RECORD, metrics)
+    path = write_json(workdir / "final.json", metrics)
     print(f"Final: {describe_metrics(metrics)}, on {len(dataset.names)} objects.")
     if of_surfaces:
         print(f"Of their surfaces: {describe_metrics(of_surfaces)}.")
@@ -75,7 +86,7 @@ def _judge_surfaces(judged: Judged, sets) -> dict[str, Any]:
     if shapes is None:
         return {}
     predictions, dataset, alignment = judged[:3]
-    poses, surfaces = arrange_truth(dataset)
+    poses, surfaces = evaluator.arrange_truth(dataset)
     models, _ = arrange_views(dataset)
     clouds = [draw_points(*wrap_points(cloud)) for cloud in predictions.points[:, 0]]
     wrapped = predictions._replace(points=np.stack(clouds)[:, None])
@@ -83,7 +94,7 @@ def _judge_surfaces(judged: Judged, sets) -> dict[str, Any]:
     if dataset.visible is not None:
         visible = map(dataset.read_visible, models[:, 0].tolist())
     known = {"alignment": alignment, "visible": visible}
-    metrics = score(None, poses, wrapped.points, surfaces, **known).metrics
+    metrics = scores.score(None, poses, wrapped.points, surfaces, **known).metrics
     metrics |= shapes.measure_references(wrapped, dataset, alignment)
     return metrics | measure_gains(metrics)
 
@@ -95,7 +106,6 @@ def _specify(test: DataSpec, config, meshes: Path | None) -> DataSpec:
             test,
             kind="meshes",
             folder=str(meshes),
-            split="test",
             fractions=(0, 0, 1),
             models=None,
             fold=None,
@@ -107,3 +117,63 @@ def _specify(test: DataSpec, config, meshes: Path | None) -> DataSpec:
             "another source with --final_meshes=DIR."
         )
     return dataclasses.replace(test, split=FINAL, models=config.data.test_models)
+
+
+def judge_photographs(
+    workdir: Path, *, cache_dir: str = ""
+) -> dict[str, dict[str, float]]:
+    """Metrics of a finished run on its test views, as they are and as photographs.
+
+    Photographs are framed by their masks; their distance is not known. They are taken
+    of the same objects from the same sides, undisturbed ("photographs") and with each
+    of `DISTURBANCES` alone. Printed, and kept in WORKDIR/photographs.json.
+
+    Args:
+      cache_dir: of rendered sets; that of the run where it is empty.
+    """
+    check_ability(read_config(workdir), "--photographs")
+    trained = load_trained(workdir, cache_dir=cache_dir)
+    found = {"renders": _measure(load_split(trained, "test"), trained)}
+    spec = make_data_specs(trained.config)["test"]
+    side = _FINER * spec.image_size
+    fine = load_split(trained, "test", image_size=side, visible_points=0)
+    takes = {"photographs": lambda *view: view[:2]} | dict(DISTURBANCES)
+    for name, disturb in takes.items():
+        taken = _take_photographs(fine, disturb, spec)
+        found[name] = _measure(taken, trained, knows_distance=False)
+    for name, metrics in found.items():
+        print(f"{name.capitalize()}: {describe_metrics(metrics)}.")
+    print(f"Record: {write_json(workdir / 'photographs.json', found)}")
+    return found
+
+
+def _take_photographs(fine: DataSet, disturb, spec: DataSpec) -> DataSet:
+    """Every view disturbed, then cut out by its mask, in the network's size."""
+    spec = dataclasses.replace(spec, crop="view")
+    images, masks = [], []
+    for model in range(len(fine.names)):
+        given = fine.rows("images", model), fine.rows("masks", model)
+        views = [
+            disturb(*pair, np.random.default_rng((model, view)))
+            for view, pair in enumerate(zip(*given, strict=True))
+        ]
+        outlines = [framing.trace_outline(mask > 127) for _, mask in views]
+        pairs = [(image, mask / np.float32(255)) for image, mask in views]
+        frames = framing.frame_views(outlines, None, spec)
+        cut = framing.cut_frames(pairs, frames, spec)
+        images.append(cut["images"])
+        masks.append(cut["masks"])
+    return fine._replace(images=Stack(images), masks=Stack(masks), depths=None)
+
+
+def _measure(dataset: DataSet, trained: TrainedNetwork, *, knows_distance=True):
+    config, alignment = trained.config, trained.alignment
+    predictor = make_predictor(trained.network, config, knows_distance=knows_distance)
+    predictions = predict_all(predictor, trained.state, dataset, frame=alignment)
+    found = evaluator.score(
+        predictions, dataset, alignment=alignment, has_visible=False
+    )
+    metrics = found.metrics | scores.estimate_errors(found)
+    # Where distances are not known, silhouettes have sizes of their own.
+    left_out = {} if knows_distance else {"silhouette_iou", "projection_error"}
+    return {n: v for n, v in metrics.items() if n not in left_out}
