@@ -326,6 +326,46 @@ def test_a_target_depth_is_the_mean_over_all_samples_of_the_pixels():
     np.testing.assert_array_equal(find(views, 8)["depth"], 2.5)
 
 
+def test_spread_masks_are_as_wide_as_points_draw_a_solid():
+    """40,000 points in a cylinder, seen along its axis: 5 of their mass on a pixel."""
+    rng, side, radius, count = np.random.default_rng(0), 32, 0.25, 40_000
+    away, angle = radius * np.sqrt(rng.random(count)), rng.uniform(0, 2 * np.pi, count)
+    along = rng.uniform(-0.45, 0.45, count)
+    cloud = np.stack([away * np.cos(angle), away * np.sin(angle), along], axis=1)
+    places = (np.arange(16 * side) + 0.5) / (16 * side) - 0.5
+    is_hit = places[:, None] ** 2 + places**2 < radius**2
+    mask = average_plainly(is_hit, side)
+    drawn = project(
+        jnp.asarray(cloud, jnp.float32),
+        jnp.eye(3),
+        sigma=0.01,
+        scale=5 * mask.sum() / count,
+        camera=Camera(1.0, 2.0, "orthographic"),
+        grid=VoxelGrid(side),
+    ).silhouette
+    spread = signals.spread_masks(jnp.asarray(mask, jnp.float32))
+    # Within its pixels a mask is not even, as it is taken to be.
+    away = [np.abs(image - drawn).mean() for image in (spread, mask)]
+    assert away[0] < away[1] / 2
+
+
+@pytest.mark.parametrize("spreads", [False, True])
+def test_points_alone_are_compared_with_spread_masks(spreads, monkeypatch):
+    seen = []
+    spread = signals.spread_masks
+    monkeypatch.setattr(signals, "spread_masks", lambda m: seen.append(1) or spread(m))
+    config = tiny_config(spread_masks=spreads)
+    for name in ("points", "voxels"):
+        shapes, _ = make_shapes(name)
+        recipe, stage = make_recipe(config), Stage(COUNT, SIDE)
+        network = recipe.network.clone(shape_kind=name)
+        compare = functools.partial(
+            shapes.compare, recipe=recipe._replace(network=network), stage=stage
+        )
+        jax.eval_shape(compare, ROTATIONS, make_views(), {})
+    assert len(seen) == spreads
+
+
 def compare_one_pixel(ends, share, depth, *, is_alone):
     """The cost of a pixel of the share whose depth is given; 8 cells of 1/8."""
     targets = {

@@ -172,7 +172,7 @@ def test_nothing_beyond_the_paper_is_on(variant):
     assert not (pose.flips or pose.selects or pose.source == "labels")
     assert not (pose.common_frame or pose.translation or pose.focal_length)
     assert not (train.repulsion_weight or train.containment_weight)
-    assert not train.framed_views
+    assert not train.framed_views and not train.spread_masks
     assert not (train.pull_weight or train.depth_weight or train.color_weight)
     assert (train.silhouette_weight, train.background_weight) == (1, 0)
     assert train.colors_move_points

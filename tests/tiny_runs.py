@@ -54,6 +54,7 @@ PLAIN = {
         learning_rate=1e-3,
         schedule="constant",
         framed_views=False,
+        spread_masks=False,
         pull_weight=0.0,
         repulsion_weight=0.0,
         containment_weight=0.0,

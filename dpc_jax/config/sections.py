@@ -227,6 +227,8 @@ class Train:
     l2_weight: float = field(0.0, at_least(0))  # half squared weights (released code)
     # The network sees half of the views cut out by their masks, as photographs are.
     framed_views: bool = True
+    # Renders of points are compared with masks as wide as points would draw them.
+    spread_masks: bool = True
     # Of points that project outside the silhouette, per pixel. Above 0 those that hang
     # alone are placed anew beside others after the last step.
     pull_weight: float = field(0.03, at_least(0))
@@ -274,3 +276,8 @@ class Config:
     train: Train = Train()
     log: Log = Log()
     run: Machine = Machine()
+
+    @property
+    def spreads_masks(self) -> bool:
+        """Whether masks are spread: for renders of points alone."""
+        return self.train.spread_masks and self.network.shape == "points"

@@ -57,6 +57,7 @@ VARIANTS: dict[str, Changes] = {
             "learning_rate": 1e-4,
             "schedule": "constant",
             "framed_views": False,
+            "spread_masks": False,
             "pull_weight": 0.0,
             "repulsion_weight": 0.0,
             "containment_weight": 0.0,

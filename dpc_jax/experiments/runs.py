@@ -19,6 +19,7 @@ _PLAIN = {
     "pose.student": "selects",
     "pose.common_frame": "",
     "train.framed_views": False,
+    "train.spread_masks": False,
     "train.pull_weight": 0.0,
     "train.containment_weight": 1.0,
     "train.colors_move_points": True,

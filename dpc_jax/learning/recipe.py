@@ -32,6 +32,7 @@ class Recipe(NamedTuple):
             train.depth_weight,
             train.color_weight,
             train.background_weight,
+            train.spread_masks and self.network.shape_kind == "points",
         )
 
 

@@ -24,6 +24,10 @@ from dpc_jax.render import Camera, Projection, VoxelGrid
 
 # Signals, and the names of their losses.
 LOSSES = {"silhouette": "reprojection", "depth": "depth", "color": "color"}
+# Optical depth of an object in `spread_masks`: so much mass lies on a pixel. Of 3, 5
+# and 8, true points of cars and airplanes have the lowest loss with 5 and 8, and the
+# loss of predicted points is the farthest above it with 5.
+_OPTICAL_DEPTH = 5.0
 
 
 class Weights(NamedTuple):
@@ -35,12 +39,14 @@ class Weights(NamedTuple):
       silhouette, depth, color: of the signals.
       background: above 0 silhouettes are compared by their event cost, in which a
         pixel of the background has this weight and one of the object 1.
+      spreads_masks: whether silhouettes are compared with `spread_masks`.
     """
 
     silhouette: float = 1.0
     depth: float = 0.0
     color: float = 0.0
     background: float = 0.0
+    spreads_masks: bool = False
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -67,6 +73,28 @@ def downsample_images(images: jax.Array, size: int) -> jax.Array:
     return average_blocks(images.astype(jnp.float32), size) / 255
 
 
+def spread_masks(masks: jax.Array) -> jax.Array:
+    """Masks [..., D, D] in [0, 1] as points of the object would draw them.
+
+    A point is shared out to the two cells around it along each axis, and little mass
+    stops a ray: drawn by points, an object is about half a cell wider on each side than
+    its mask. Shapes that are compared with the mask itself shrink by as much, and thin
+    parts, which cover their pixels in part, dissolve. With b, the mask after points
+    spread evenly over their pixels are shared out, it is (1 - exp(-κb))/(1 - exp(-κ))
+    of the optical depth κ. Not in the paper.
+    """
+    for axis in (-2, -1):
+        edges = [(0, 0)] * masks.ndim
+        edges[axis] = (1, 1)
+        wide, size = jnp.pad(masks, edges), masks.shape[axis]
+        before, after = (
+            jax.lax.slice_in_dim(wide, start, start + size, axis=axis)
+            for start in (0, 2)
+        )
+        masks = 0.75 * masks + 0.125 * (before + after)
+    return jnp.expm1(-_OPTICAL_DEPTH * masks) / jnp.expm1(-_OPTICAL_DEPTH)
+
+
 def average_blocks(images: jax.Array, size: int) -> jax.Array:
     """Means of the square blocks of images [..., S, S], to [..., size, size]."""
     factor = images.shape[-1] // size
@@ -80,6 +108,7 @@ def make_targets(
     *,
     signals: tuple[str, ...],
     distance: float,
+    spreads_masks: bool = False,
 ) -> dict[str, jax.Array]:
     """What renders of a view should look like, averaged down to the render's grid.
 
@@ -89,6 +118,7 @@ def make_targets(
         A depth of 0 was not measured: the pixel counts as background.
       side: D of the grid, a divisor of S.
       signals: any of `LOSSES`. distance: of the camera.
+      spreads_masks: whether silhouettes are `spread_masks`.
 
     Returns:
       {signal: [..., D, D] or, of colours, [..., D, D, 3]}; colours and silhouettes in
@@ -96,7 +126,10 @@ def make_targets(
     """
     targets = {}
     if "silhouette" in signals:
-        targets["silhouette"] = downsample_images(views["masks"], side)
+        silhouettes = downsample_images(views["masks"], side)
+        targets["silhouette"] = (
+            spread_masks(silhouettes) if spreads_masks else silhouettes
+        )
     if "depth" in signals:
         background, depths = find_background(distance), views["depths"]
         covered = jnp.where(depths > 0, views["masks"].astype(jnp.float32) / 255, 0)

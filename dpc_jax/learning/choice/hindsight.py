@@ -14,7 +14,7 @@ from dpc_jax.learning.cameras import Cameras
 from dpc_jax.learning.recipe import Recipe
 from dpc_jax.learning.shapes.kind import Choice, Scene, Shape, View, place_view
 from dpc_jax.learning.shapes.points import Points
-from dpc_jax.learning.signals import downsample_images, make_targets
+from dpc_jax.learning.signals import make_targets
 from dpc_jax.render import Camera, checks
 from dpc_jax.render.batch import map_renders
 
@@ -78,10 +78,13 @@ def choose_poses(
     # Outside of the loop over views: inside, XLA projects each point again for every
     # pixel.
     places = jax.vmap(place)(scene, still, cameras)
-    targets = {"silhouette": downsample_images(batch["masks"], render.grid)}
-    if others := tuple(name for name in weights.signals if name != "silhouette"):
-        distance = render.distance
-        targets |= make_targets(batch, render.grid, signals=others, distance=distance)
+    targets = make_targets(
+        batch,
+        render.grid,
+        signals=("silhouette", *(n for n in weights.signals if n != "silhouette")),
+        distance=render.distance,
+        spreads_masks=weights.spreads_masks,
+    )
     found = map_renders(
         compare,
         (scene, still, targets, places, cameras),

@@ -10,7 +10,11 @@ from dpc_jax.config import Config
 from dpc_jax.learning.framing import Frame, cut_silhouettes, frame_by_moments
 from dpc_jax.learning.shapes import find_shape_class
 from dpc_jax.learning.shapes.kind import Scene, View, place_view
-from dpc_jax.learning.signals import downsample_images, find_background
+from dpc_jax.learning.signals import (
+    downsample_images,
+    find_background,
+    spread_masks,
+)
 from dpc_jax.networks.viewpoints import read_elevations
 from dpc_jax.render import Camera, Projection, quaternion
 from dpc_jax.render.batch import map_renders
@@ -40,15 +44,18 @@ def observe(
     cameras: Mapping[str, jax.Array],
     side: int,
     *,
+    spreads_masks: bool = False,
     knows_distance: bool = True,
 ) -> Observation:
     """The observations of n views, averaged down to a grid of that side.
 
     Args:
       masks: uint8 [n, S, S].
+      spreads_masks: as of the run's config.
       knows_distance: whether the cameras of the views are those of the run.
     """
     target = downsample_images(masks, side)
+    target = spread_masks(target) if spreads_masks else target
     frame = None if knows_distance else frame_by_moments(target)
     return Observation(target, cameras, frame)
 

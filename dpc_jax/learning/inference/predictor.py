@@ -192,7 +192,11 @@ def _list_entries(output, state, arrays, quaternions, config, knows_distance):
         poses = complete_poses(output, state.averages.covariance, pose=config.pose)
     cameras = find_cameras(output, arrays, pose=config.pose)
     base, fine = (
-        observe(arrays["masks"], cameras, side, knows_distance=knows_distance)
+        observe(
+            *(arrays["masks"], cameras, side),
+            spreads_masks=config.spreads_masks,
+            knows_distance=knows_distance,
+        )
         for side in (config.render.grid, config.render.finest)
     )
     entries = _Entry(

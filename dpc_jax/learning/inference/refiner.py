@@ -19,13 +19,12 @@ from dpc_jax.config import Config
 from dpc_jax.learning import devices, schedules
 from dpc_jax.learning.inference.explanation import (
     FINALISTS,
-    Observation,
     compare_poses,
     find_likeliest,
+    observe,
     render_finest,
 )
 from dpc_jax.learning.shapes import find_shape_class
-from dpc_jax.learning.signals import downsample_images
 from dpc_jax.networks import ShapePoseNetwork
 from dpc_jax.render import quaternion
 from dpc_jax.render.batch import map_renders
@@ -112,7 +111,7 @@ def _choose_poses(decode, evidence, is_bent, config):
         candidates = jnp.concatenate([evidence.poses[:, :, None], candidates], axis=2)
         probabilities = jnp.ones(candidates.shape[:-1])
     base, fine = (
-        Observation(downsample_images(evidence.masks, side), evidence.cameras)
+        _observe(evidence, side, config)
         for side in (config.render.grid, config.render.finest)
     )
     count = FINALISTS if is_alone and is_bent else 1
@@ -126,12 +125,17 @@ def _choose_poses(decode, evidence, is_bent, config):
     return _map_views(rank, scenes, shared, views, config)
 
 
+def _observe(evidence, side, config):
+    masks, spreads_masks = evidence.masks, config.spreads_masks
+    return observe(masks, evidence.cameras, side, spreads_masks=spreads_masks)
+
+
 def _fit(decode, evidence: Evidence, directions, config, poses):
     """Shapes and poses of least objective, begun with poses [n, V, 4]; see `refine`.
 
     The objective is beside them as costs [n].
     """
-    targets = downsample_images(evidence.masks, config.render.finest)
+    targets = _observe(evidence, config.render.finest, config).target
 
     def render(scene, pose, camera):
         return render_finest(scene, pose, camera, config=config).silhouette

@@ -165,7 +165,11 @@ class Shape:
         scene, shared = self.list_scenes(ratio)
         learned = {**scene, "rotation": rotations, **cameras}
         targets = make_targets(
-            batch, stage.grid, signals=weights.signals, distance=render.distance
+            batch,
+            stage.grid,
+            signals=weights.signals,
+            distance=render.distance,
+            spreads_masks=weights.spreads_masks,
         )
         given: dict[str, Any] = {"targets": targets}
         for name, value in shared.items():
