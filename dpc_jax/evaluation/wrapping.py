@@ -17,8 +17,8 @@ from skimage.measure import marching_cubes
 MOST_FACES = 20_000
 _SIDE = 96  # cells along the unit cube, at the most
 _MOST_CELLS = 4_000_000  # of a cloud that reaches far beyond it
-# The balls reach the sixth nearest neighbour of three points of five.
-_NEIGHBOURS, _SHARE = 6, 0.6
+# The balls reach the sixth nearest neighbour of four points of five.
+_NEIGHBOURS, _SHARE = 6, 0.8
 _LEAST_RADIUS, _MOST_RADIUS = 0.01, 0.08
 _COARSE = 48  # cells along the unit cube, while the radius is chosen
 _WIDER, _LEAK = 1.4, 2.0  # ratios of radii that are tried, and of volumes that tell
