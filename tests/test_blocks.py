@@ -81,7 +81,7 @@ ROOM = {CUBE: 87, UNEVEN: 147}  # of 125 and 210
         # Full cells; points that take away.
         (CUBE, 0.4, 500.0, ALL, {}),
         (CUBE, 0.8, -1.0, ALL, {}),
-        (UNEVEN, 0.8, 2.0, ("depth", "color"), {"method": "cubic"}),
+        (UNEVEN, 0.8, 2.0, ("depth",), {"method": "cubic"}),
         # For these the whole volume stays.
         (CUBE, 0.5, 2.0, ("termination",), {"ray_rule": "maximum"}),
     ],

@@ -42,12 +42,6 @@ def share_compiled_steps(monkeypatch):
     monkeypatch.setattr(loop, "make_train_step", compile_once)
 
 
-@pytest.fixture(autouse=True)
-def refuse_reseeding(monkeypatch):
-    """The config does not ask for it, so calling it fails."""
-    monkeypatch.setattr(loop.reseeding, "reseed_points", None)
-
-
 @pytest.fixture(scope="module")
 def first_state():
     return make_state(NETWORK, CONFIG)

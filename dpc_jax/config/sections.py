@@ -229,9 +229,7 @@ class Train:
     framed_views: bool = True
     # Renders of points are compared with masks as wide as points would draw them.
     spread_masks: bool = True
-    # Of points that project outside the silhouette, per pixel. Above 0 those that hang
-    # alone are placed anew beside others after the last step.
-    pull_weight: float = field(0.03, at_least(0))
+    pull_weight: float = field(0.03, at_least(0))  # of points outside, per pixel
     # Of the mean energy by which points repel each other, late in the run.
     repulsion_weight: float = field(0.0, at_least(0))
     containment_weight: float = field(30.0, at_least(0))  # of points beyond radius 1/2

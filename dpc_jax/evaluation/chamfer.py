@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 _PAPER_UNITS = 100.0  # the paper's tables list distances times this, for diagonal 1
-REACH = 0.1  # box diagonals, within which a point that is not stray has others
-NEIGHBORS = 4  # so many
+_REACH = 0.1  # box diagonals, within which a point that is not stray has others
+_NEIGHBORS = 4  # so many
 
 
 class Chamfer(NamedTuple):
@@ -94,11 +94,11 @@ def count_stray_points(points: ArrayLike) -> int:
     ValueError for points that are not finite, or of another shape.
     """
     cloud = check_points(points, name="points")
-    wanted = min(NEIGHBORS, len(cloud) - 1)
+    wanted = min(_NEIGHBORS, len(cloud) - 1)
     if wanted < 1:
         return 0
     distances, _ = KDTree(cloud).query(cloud, k=wanted + 1)  # the first is itself
-    return int(np.sum(distances[:, -1] > REACH))
+    return int(np.sum(distances[:, -1] > _REACH))
 
 
 def find_rows(total: int, count: int) -> np.ndarray:

@@ -140,7 +140,8 @@ def _fit(decode, evidence: Evidence, directions, config, poses):
     def render(scene, pose, camera):
         return render_finest(scene, pose, camera, config=config).silhouette
 
-    def compare(bent):
+    def measure(bent):
+        """The objective [n], and what is shown of it."""
         weights, turns = bent
         changes = weights @ directions  # tints stay
         tints = evidence.codes.shape[1] - changes.shape[1]
@@ -154,24 +155,20 @@ def _fit(decode, evidence: Evidence, directions, config, poses):
         views = turned, evidence.cameras
         images = _map_views(render, scenes, shared, views, config)
         errors = jnp.mean((images - targets) ** 2, axis=(2, 3))
-        known = {n: shape[n] for n in ("points", "colors") if n in shape}
-        return known | {"silhouettes": images, "errors": errors, "poses": turned}
-
-    def measure(bent):
-        weights, turns = bent
         pulls = POSE_PULL * jnp.sum(turns**2, axis=-1)
-        views = jnp.maximum(jnp.sum(evidence.weights, axis=1), 1)
-        errors = compare(bent)["errors"]
+        count = jnp.maximum(jnp.sum(evidence.weights, axis=1), 1)
         total = jnp.sum(evidence.weights * (errors + pulls), axis=1)
-        return (total + CODE_PULL * jnp.sum(weights**2, axis=1)) / views
+        cost = (total + CODE_PULL * jnp.sum(weights**2, axis=1)) / count
+        known = {n: shape[n] for n in ("points", "colors") if n in shape}
+        return cost, known | {"silhouettes": images, "errors": errors, "poses": turned}
 
     begun: Any = (
         jnp.zeros((len(poses), len(directions))),
         jnp.zeros_like(poses[..., 1:]),
     )
     found = _descend(measure, begun) if len(directions) else begun
-    before = compare(begun)["errors"]
-    return compare(found) | {"costs": measure(found), "before": before}
+    cost, shown = measure(found)
+    return shown | {"costs": cost, "before": measure(begun)[1]["errors"]}
 
 
 def _map_views(function, scenes, shared, views, config):
@@ -211,7 +208,7 @@ def _descend(measure, bent):
     optimizer = optax.multi_transform(
         {"codes": fall(CODE_RATE), "turns": fall(POSE_RATE)}, ("codes", "turns")
     )
-    slope = jax.grad(lambda bent: jnp.sum(measure(bent)))
+    slope = jax.grad(lambda bent: jnp.sum(measure(bent)[0]))
 
     def step(carry, _):
         bent, state = carry

@@ -13,7 +13,6 @@ from dpc_jax.evaluation.metrics import describe_metrics
 from dpc_jax.learning import schedules
 from dpc_jax.learning.batches import make_batch
 from dpc_jax.learning.step import TrainState, make_train_step
-from dpc_jax.learning.training import reseeding
 from dpc_jax.learning.training.checkpoints import Checkpoints
 from dpc_jax.learning.training.programs import StagePrograms
 from dpc_jax.learning.training.progress import Forecast, ProgressReport
@@ -115,8 +114,6 @@ def train(
             progress.advance(done)
             stops, is_finished = should_stop(), done == steps
             is_last = stops or is_finished
-            if is_finished and config.train.pull_weight:
-                state = _reseed(state, dataset, network, config, progress)
             if _is_due(done, due.every) or is_last:
                 log_steps(done, window.close(watch.seconds))
             if evaluate and (_is_due(done, due.evaluate) or is_finished):
@@ -148,23 +145,6 @@ def _validate(evaluate, state, watch, forecast, log, progress):
     log.write({"step": step, "seconds": round(seconds, 3)} | scores)
     found = describe_metrics(scores, share_digits=2)
     progress.tell(f"Validation at step {step}: {found}")
-
-
-def _reseed(state, dataset, network, config, progress):
-    """The last state without points that hang alone in most shapes."""
-    if config.network.shape != "points":
-        return state
-    last = int(state.step)
-    batches = [
-        make_batch(dataset, last - 1 - back, config)
-        for back in range(min(reseeding.BATCHES, last))
-    ]
-    state, count = reseeding.reseed_points(
-        state, batches, network=network, config=config
-    )
-    if count:
-        progress.tell(f"Points that hung alone, and have others' places now: {count}")
-    return state
 
 
 def _log_steps(log, forecast, progress, done, record):

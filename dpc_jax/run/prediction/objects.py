@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dpc_jax.config import replace_fields
+from dpc_jax.config import Config, replace_fields
 from dpc_jax.data import DataSet
 from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.evaluation.alignment import Alignment, align_points, align_poses
@@ -23,6 +23,7 @@ from dpc_jax.learning.inference.predictor import (
     make_predictor,
     predict_all,
 )
+from dpc_jax.learning.signals import spread_masks
 from dpc_jax.run.prediction import PredictRequest, knows_distance, make_spec
 from dpc_jax.run.process import prepare_process
 from dpc_jax.run.trained import TrainedNetwork, load_checkpoint, load_split
@@ -97,7 +98,7 @@ def predict_objects(
         _join_and_refine(predicted, predictions, masks, run, directions)
     for place, one in enumerate(predicted):
         if config.pose.learned_heads > 1:
-            one = one._replace(confidences=_judge(one, predictions))
+            one = one._replace(confidences=_judge(one, predictions, config))
         if config.pose.known:
             one = one._replace(poses=None)
         one = one if alignment is None else _align(one, alignment)
@@ -239,16 +240,19 @@ def _tell(done: int, total: int):
         print(f"Fitting to silhouettes: {done} of {total}", file=sys.stderr)
 
 
-def _judge(one: Any, found: Any) -> list[Confidence]:
-    """The confidence in each view's pose."""
+def _judge(one: Any, found: Any, config: Config) -> list[Confidence]:
+    """The confidence in each view's pose, by masks as renders would show them."""
     side, given = one.silhouettes.shape[-1], one.photographs
     masks = given.masks if side <= given.masks.shape[-1] else given.fine_masks
+    shown = [resize(mask / 255.0, side) for mask in masks]
+    if config.spreads_masks:
+        shown = np.asarray(spread_masks(np.stack(shown)))
     views = zip(
         one.poses,
         found.candidates[one.rows, 0],
         found.probabilities[one.rows, 0],
         one.silhouettes,
-        [resize(mask / 255.0, side) for mask in masks],
+        shown,
         strict=True,
     )
     return [measure_confidence(*view) for view in views]

@@ -133,14 +133,20 @@ def judge_photographs(
     """
     check_ability(read_config(workdir), "--photographs")
     trained = load_trained(workdir, cache_dir=cache_dir)
-    found = {"renders": _measure(load_split(trained, "test"), trained)}
-    spec = make_data_specs(trained.config)["test"]
+    network, config = trained.network, trained.config
+    predictor = make_predictor(network, config)
+    found = {"renders": _measure(load_split(trained, "test"), trained, predictor)}
+    spec = make_data_specs(config)["test"]
     side = _FINER * spec.image_size
     fine = load_split(trained, "test", image_size=side, visible_points=0)
     takes = {"photographs": lambda *view: view[:2]} | dict(DISTURBANCES)
+    predictor = make_predictor(network, config, knows_distance=False)
+    # Where distances are not known, silhouettes have sizes of their own.
+    unknown = {"silhouette_iou", "projection_error"}
     for name, disturb in takes.items():
         taken = _take_photographs(fine, disturb, spec)
-        found[name] = _measure(taken, trained, knows_distance=False)
+        metrics = _measure(taken, trained, predictor)
+        found[name] = {n: v for n, v in metrics.items() if n not in unknown}
     for name, metrics in found.items():
         print(f"{name.capitalize()}: {describe_metrics(metrics)}.")
     print(f"Record: {write_json(workdir / 'photographs.json', found)}")
@@ -166,14 +172,10 @@ def _take_photographs(fine: DataSet, disturb, spec: DataSpec) -> DataSet:
     return fine._replace(images=Stack(images), masks=Stack(masks), depths=None)
 
 
-def _measure(dataset: DataSet, trained: TrainedNetwork, *, knows_distance=True):
-    config, alignment = trained.config, trained.alignment
-    predictor = make_predictor(trained.network, config, knows_distance=knows_distance)
+def _measure(dataset: DataSet, trained: TrainedNetwork, predictor) -> dict[str, float]:
+    alignment = trained.alignment
     predictions = predict_all(predictor, trained.state, dataset, frame=alignment)
     found = evaluator.score(
         predictions, dataset, alignment=alignment, has_visible=False
     )
-    metrics = found.metrics | scores.estimate_errors(found)
-    # Where distances are not known, silhouettes have sizes of their own.
-    left_out = {} if knows_distance else {"silhouette_iou", "projection_error"}
-    return {n: v for n, v in metrics.items() if n not in left_out}
+    return found.metrics | scores.estimate_errors(found)
