@@ -19,6 +19,8 @@ wheel=$(echo "$folder"/dist/dpc_jax-*.whl)
 "$folder/empty/bin/python" -m pip install --quiet "$wheel"
 cd "$folder"
 export JAX_PLATFORMS=cpu
+# Programs run for a few steps only: compiled with little effort.
+export XLA_FLAGS="--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
 # The projection alone is light, and commands say what they lack.
 "$folder/empty/bin/python" -c "
 import dpc_jax, importlib.util, jax
