@@ -23,8 +23,8 @@ from dpc_jax.data.arrays import ROWS
 from dpc_jax.files import Damage
 
 RECORD = "record"  # member that says what the shard holds, as JSON
-# numpy reads headers by Python's parser. That of Python 3.11 counts the recursion of all
-# threads together, and may fail (python/cpython#106905).
+# numpy reads headers by Python's parser, which in Python 3.11 counts the recursion of
+# all threads together, and may fail (python/cpython#106905).
 _PARSING = threading.Lock()
 
 
