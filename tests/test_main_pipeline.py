@@ -40,6 +40,7 @@ EVALUATED = 40
 FIELDS = TINY | {
     "log.tensorboard": True,
     "run.devices": 1,
+    "render.keep_levels": 1,
     "train.steps": STEPS,
     "log.evaluate": EVALUATED,
     "log.checkpoint": 10,
@@ -465,7 +466,7 @@ OFTEN = ("known",)  # the others take as long, and touch less of their own
 def test_known_and_labelled_poses_and_another_source_with_one_head_run_too(
     command, name, capsys
 ):
-    short = {"train.steps": 2, "render.keep_levels": 1}
+    short = {"train.steps": 2}
     fields = OTHER_PATHS[name]
     if name == "other":
         meshes = make_boxes(command.folder / "boxes", 6)

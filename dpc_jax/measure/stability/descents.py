@@ -51,7 +51,7 @@ class Plan(NamedTuple):
 _STIFF = ("chair", 1e4)
 FULL = Plan(400, 600, 3, (("car", 1.0), ("chair", 1.0), _STIFF), BOUNDS)
 # In so few iterations the loss falls, and that is all.
-QUICK = Plan(40, 24, 1, (("chair", 1.0), _STIFF), {LOSS: BOUNDS[LOSS]})
+QUICK = Plan(40, 24, 1, (_STIFF,), {LOSS: BOUNDS[LOSS]})
 
 
 class Problem(NamedTuple):
