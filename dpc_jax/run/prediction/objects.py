@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -246,7 +247,7 @@ def _judge(one: Any, found: Any, config: Config) -> list[Confidence]:
     masks = given.masks if side <= given.masks.shape[-1] else given.fine_masks
     shown = [resize(mask / 255.0, side) for mask in masks]
     if config.spreads_masks:
-        shown = np.asarray(spread_masks(np.stack(shown)))
+        shown = list(spread_masks(jnp.asarray(shown)))
     views = zip(
         one.poses,
         found.candidates[one.rows, 0],
