@@ -75,19 +75,20 @@ def test_what_is_written_is_mapped_and_numpy_reads_it(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
-def test_threads_map_shards_side_by_side(tmp_path, monkeypatch):
+def test_threads_map_shards_side_by_side(tmp_path):
     """Though collecting garbage, which JAX listens to, lets another thread on."""
     path = tmp_path / "shard-0.npz"
     rows = {"masks": np.zeros((3, 4, 4), np.uint8)}
     shards.write_shard(path, rows, {"names": "a", "counts": {"masks": [3]}})
-    monkeypatch.setattr(gc, "callbacks", [lambda *_: time.sleep(0)])
     often, patience = gc.get_threshold(), sys.getswitchinterval()
+    gc.callbacks.append(let_others_run := lambda *_: time.sleep(0))
     gc.set_threshold(5)
     sys.setswitchinterval(1e-6)
     try:
         with concurrent.futures.ThreadPoolExecutor(8) as pool:
             found = list(pool.map(shards.map_shard, [path] * 400))
     finally:
+        gc.callbacks.remove(let_others_run)
         gc.set_threshold(*often)
         sys.setswitchinterval(patience)
     assert len(found) == 400
