@@ -1,6 +1,6 @@
 """Cars from silhouettes without poses: procedural, on two CPU cores.
 
-Cost: 676 s on two cores, from the command to the report (commit 94acf0d); 3.7 GB.
+Cost: 676 to 990 s alone on two cores of two machines, command to report; 3.7 GB.
 Reached on 100 test cars, means of seeds 0, 1, 2, one device: pose accuracy 0.964,
 median error 2.1 degrees, Chamfer 3.03; on 100 final cars 0.931, 2.4, 3.27. Passenger
 cars alone (`--config.category=car_simple`), without spread masks, seed 0: 0.982, 1.9,
