@@ -9,7 +9,11 @@ from pathlib import Path
 import jax
 import pytest
 
-from dpc_jax.run.process import catch_signals, keep_compiled_programs
+from dpc_jax.run.process import (
+    catch_signals,
+    hasten_compilation,
+    keep_compiled_programs,
+)
 
 COMPILE = """
 from dpc_jax.task import hush_jaxlib
@@ -94,3 +98,17 @@ def test_ctrl_c_asks_to_stop_and_a_second_one_does_not_wait():
         signal.raise_signal(signal.SIGINT)
         raise AssertionError("it went on")
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_slow_pass_of_xla_is_left_out_where_there_is_an_nvidia_gpu(
+    tmp_path, monkeypatch
+):
+    driver = tmp_path / "nvidiactl"
+    monkeypatch.setenv("XLA_FLAGS", "--xla_dump_to=/tmp")
+    hasten_compilation(driver)
+    assert os.environ["XLA_FLAGS"] == "--xla_dump_to=/tmp"
+    driver.touch()
+    hasten_compilation(driver)
+    hasten_compilation(driver)
+    first, second = os.environ["XLA_FLAGS"].split()
+    assert first == "--xla_dump_to=/tmp" and second.startswith("--xla_disable_hlo_")

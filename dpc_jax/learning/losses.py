@@ -177,7 +177,8 @@ def measure_outside(silhouette: jax.Array) -> jax.Array:
     side = silhouette.shape[-1]
     steps = jnp.arange(side)
     squares = ((steps[:, None] - steps[None]) ** 2).astype(silhouette.dtype)
-    far = jnp.where(silhouette >= 0.5, 0, 2.0 * side**2)
+    # Half a pixel is 0.5, or by another order of divisions just less.
+    far = jnp.where(silhouette > 0.5 - 1e-4, 0, 2.0 * side**2)
     by_rows = jnp.min(far[None] + squares[:, :, None], axis=1)
     both = jnp.min(by_rows[:, None] + squares[None], axis=2)
     return jnp.sqrt(jnp.minimum(both, 2.0 * side**2)) / side

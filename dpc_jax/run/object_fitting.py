@@ -22,7 +22,7 @@ from dpc_jax.reporting.examples import Example
 from dpc_jax.reporting.export import write_files
 from dpc_jax.reporting.figures import draw_fit
 from dpc_jax.reporting.gallery import draw_predictions
-from dpc_jax.run.process import keep_compiled_programs
+from dpc_jax.run.process import hasten_compilation, keep_compiled_programs
 
 SHOWN = 8  # views in the picture, spread over all
 GOOD_OVERLAP = 0.8  # below, a view is named
@@ -63,6 +63,7 @@ def fit_folder(
       OSError: where files cannot be read or written.
     """
     started = time.perf_counter()
+    hasten_compilation()
     keep_compiled_programs()
     if not folder.is_dir():
         raise ValueError(

@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from dpc_jax.render import Camera
+from dpc_jax.render.devices import find_platform
 
 
 def has_torch() -> bool:
@@ -22,16 +23,22 @@ def has_torch() -> bool:
 def make_torch_call(
     arrays: tuple[np.ndarray, ...], targets: np.ndarray, *, sigma: float
 ) -> Callable[[], list[np.ndarray]]:
-    """A call that gives the gradients of points, quaternions and masses in PyTorch."""
+    """A call that gives the gradients of points, quaternions and masses in PyTorch.
+
+    On the GPU where JAX computes there; the gradients then travel back, a few MB.
+    """
     import torch  # pyright: ignore[reportMissingImports]  # optional
 
     torch.set_flush_denormal(True)  # as XLA: the kernel's tails take five times as long
+    device = torch.device("cuda" if find_platform() == "gpu" else "cpu")
+    given = [torch.tensor(value, device=device) for value in (*arrays, targets)]
 
     def call():
-        inputs = [torch.tensor(value, requires_grad=True) for value in arrays]
-        images = _render_in_torch(torch, inputs, sigma, targets.shape[-1])
-        ((images - torch.tensor(targets)) ** 2).sum().backward()
-        return [value.grad.numpy() for value in inputs]
+        inputs = [value.clone().requires_grad_() for value in given[:-1]]
+        with device:  # of what is made on the way
+            images = _render_in_torch(torch, inputs, sigma, targets.shape[-1])
+        ((images - given[-1]) ** 2).sum().backward()
+        return [value.grad.cpu().numpy() for value in inputs]
 
     return call
 
