@@ -132,6 +132,7 @@ batch = {
     "masks": jax.ShapeDtypeStruct((*views, side, side), "uint8"),
     "quaternions": jax.ShapeDtypeStruct((*views, 4), "float32"),
 }
+batch["view_ids"] = jax.ShapeDtypeStruct(views, "int32")
 batch["seeds"] = jax.ShapeDtypeStruct(views[:1], "uint32")
 state = step.describe_state(network, config)
 jax.eval_shape(step.make_train_step(network, config, stage), state, batch)

@@ -74,6 +74,7 @@ def turn(winners, points, images, masks, frame, is_due, heads=HEADS):
             heads=heads,
             by_colors=frame.colors is not None,
             is_due=is_due,
+            view_ids=jax.lax.axis_index(AXIS) * VIEWS + jnp.arange(VIEWS),
         )
 
     new, frames, shares = jax.vmap(on_device, axis_name=AXIS)(
@@ -149,6 +150,30 @@ def test_a_shape_that_fits_the_category_better_turned_is_turned_back():
     )
     others = jax.vmap(jax.vmap(quaternion.angle_between))(also, right[0].poses)
     assert np.all(np.minimum(angles, others) < 1e-2)  # float32, of an angle near 0
+
+
+def test_a_turned_object_is_held_there_until_its_shape_fits():
+    frame = learn_frame(thick=True, ends=(GREY, GREY))
+    right = make_objects(thick=True, ends=(GREY, GREY), seed=9)
+    wrong = exchange_ends(*right)
+    decided, after, _ = turn(*wrong, frame, True)
+    after = frame._replace(decisions=after.decisions)
+    half = [points[:, ::2] for points in (right[1], wrong[1])]
+    # Half way round, it fits both ways alike.
+    both = jnp.stack(half, axis=2).reshape(COUNT, -1, 3)
+    is_first = (jnp.arange(VIEWS) == 0)[None, :, None]
+    poses = jnp.where(is_first, wrong[0].poses, decided.poses)
+    mixed = wrong[0]._replace(poses=poses)
+    for views in (wrong[0], mixed, decided):
+        left, _, _ = turn(views, both, *right[2:], frame, True)
+        assert_same_bits(left.poses, views.poses)  # of one that was never turned
+        held, _, _ = turn(views, both, *right[2:], after, True)
+        angles = jax.vmap(jax.vmap(quaternion.angle_between))
+        assert np.all(angles(held.poses, decided.poses) < 1e-2)
+    # Then its views are free, also one that finds the other way.
+    free, _, share = turn(mixed, *right[1:], after, True)
+    assert float(share) == 0
+    assert_same_bits(free.poses, mixed.poses)
 
 
 def test_the_shapes_of_all_views_of_an_object_decide_together():
@@ -334,19 +359,21 @@ CLEAR = [0.0052, 0.0017]  # mean squares
 
 
 @pytest.mark.parametrize(
-    ("gains", "means", "turns"),
+    ("gains", "means", "turns", "fit"),
     [
-        ([POINTS], [-0.06], [1, 0]),
-        ([[[0.01], [-0.08]]], [-0.06], [0, 0]),  # fits both ways nearly alike
-        ([POINTS], [-0.01], [0, 0]),  # points that tell nothing apart
-        ([POINTS, COLORS], [-0.06, -0.04], [0, 1]),
-        ([POINTS, COLORS], [-0.06, -0.001], [1, 0]),  # colours that do not
+        ([POINTS], [-0.06], [1, 0], [False, True]),
+        ([[[0.01], [-0.02]]], [-0.06], [0, 0], [False, False]),  # both ways alike
+        ([POINTS], [-0.01], [0, 0], [True, True]),  # points that tell nothing apart
+        ([POINTS, COLORS], [-0.06, -0.04], [0, 1], [True, False]),
+        ([POINTS, COLORS], [-0.06, -0.001], [1, 0], [False, True]),  # colours, too
     ],
 )
-def test_clear_colors_decide_and_without_them_clear_points(gains, means, turns):
+def test_clear_colors_decide_and_without_them_clear_points(gains, means, turns, fit):
     count = len(means)
     moments = jnp.array([[1.0] * count, means, CLEAR[:count]])[..., None]
-    assert common_frame._choose_turns(jnp.array(gains), moments).tolist() == turns
+    wanted, fits = common_frame._choose_turns(jnp.array(gains), moments)
+    assert wanted.tolist() == turns
+    assert fits.tolist() == fit
 
 
 def test_colors_that_tell_nothing_turn_nothing():

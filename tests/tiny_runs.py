@@ -156,6 +156,7 @@ def make_batch(*, models: int = 2, views: int = 2, seed: int = 0) -> dict:
         "masks": dataset.masks,
         "quaternions": dataset.quaternions,
         "seeds": repeat_seed(0, models),
+        "view_ids": np.arange(models * views, dtype=np.int32).reshape(models, views),
     }
 
 

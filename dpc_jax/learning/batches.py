@@ -23,6 +23,8 @@ def make_batch(dataset: DataSet, step: int, config: Config) -> dict[str, Any]:
     own = devices.find_own(len(models))
     extras = list_extras(config) + list_corners(config)
     rows = read_batch(dataset, models[own], views[own], extras=extras)
+    view_ids = models[:, None] * int(counts.max()) + views
+    rows["view_ids"] = view_ids[own].astype(np.int32)
     rows["seeds"] = repeat_seed(config.seed, len(models))[own]
     return devices.assemble(rows, config)
 

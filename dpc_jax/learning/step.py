@@ -114,8 +114,9 @@ def make_train_step(
       A function (state, batch) -> (state, metrics) that gives the old state's memory
       to the new one. The dropout key is a function of seed, step and place in the
       batch, so any step can be replayed, on any number of devices. The batch has
-      "seeds" [B] besides the arrays of `read_batch`, the run's seed for each object
-      (`batches.repeat_seed`): as an input, so that other seeds share the program.
+      "view_ids" int32 [B, V] and "seeds" [B] besides the arrays of `read_batch`, the
+      run's seed for each object (`batches.repeat_seed`): as an input, so that other
+      seeds share the program.
       The metrics are those of `compute_loss`, the loss, and "gradient_norms" {module:
       ()}, measured at one step of ten (`devices.compute_norms`).
     """

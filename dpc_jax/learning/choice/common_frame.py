@@ -11,10 +11,10 @@ Points and colours are counted in cells of the network's frame: of the last obje
 points, by moving sums over batches the colours. Of each object, with all its views and
 the shapes that are predicted from them, it is asked whether it fits these better after
 a half turn. If so, its views learn the turned poses, and with them its shape learns to
-turn. Where colours are asked for they decide, as soon as they tell the category from
-its half turn; until then points do. From then on they decide between the half turns of
-single views, too, together with silhouettes: these hardly tell a car seen from the
-front from one seen from behind.
+turn, until it fits (`decisions`). Where colours are asked for they decide, as soon as
+they tell the category from its half turn; until then points do. From then on they
+decide between the half turns of single views, too, together with silhouettes: these
+hardly tell a car seen from the front from one seen from behind.
 """
 
 from typing import NamedTuple
@@ -25,6 +25,13 @@ import jax.numpy as jnp
 from dpc_jax.learning.cameras import Cameras
 from dpc_jax.learning.choice import colors
 from dpc_jax.learning.choice.colors import BINS, CELLS, POINTS, find_cells
+from dpc_jax.learning.choice.decisions import (
+    Decisions,
+    recall,
+    remember,
+    settle,
+    start_decisions,
+)
 from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import find_half_turns
@@ -41,7 +48,9 @@ _KEPT = 0.995  # of the sums in a step: 200 batches
 # Standard deviations below 0 of what a half turn gains by points or colours, to count.
 # A kind that is turned round makes two peaks of it, which is wide then.
 _CLARITY = 0.5
-_MARGIN = 0.3  # of the usual loss by a half turn, that points have to gain by one
+# Shares of the usual loss by a half turn: that points have to gain by one, and that
+# objects lose which fit as they are.
+_MARGIN, _FITTING = 0.3, 0.5
 
 
 class Frame(NamedTuple):
@@ -55,12 +64,14 @@ class Frame(NamedTuple):
         where they are not asked for.
       moments: [3, 1 or 2, T - 1] moving sums of 1, x and x², where x is what objects
         gain by points, and by colours, after each half turn; nats per point or sample.
+      decisions: half turns that shapes may not have followed yet.
     """
 
     shapes: jax.Array
     count: jax.Array
     colors: jax.Array | None
     moments: jax.Array
+    decisions: Decisions
 
 
 def start_frame(turns: int = 4, *, by_colors: bool) -> Frame:
@@ -70,6 +81,7 @@ def start_frame(turns: int = 4, *, by_colors: bool) -> Frame:
         jnp.zeros((), jnp.int32),
         jnp.zeros((CELLS**3, BINS**2)) if by_colors else None,
         jnp.zeros((3, 2 if by_colors else 1, turns - 1)),
+        start_decisions(),
     )
 
 
@@ -87,6 +99,7 @@ def turn_back(
     heads: int,
     by_colors: bool,
     is_due: jax.Array,
+    view_ids: jax.Array,
 ) -> tuple[Winners, Frame, jax.Array]:
     """Half turns of the objects that fit the category better that way.
 
@@ -100,6 +113,7 @@ def turn_back(
       camera, cameras: of the views. views: V. heads: K, of the candidates.
       by_colors: whether colours decide, see above.
       is_due: () whether objects are turned at this step, or counted alone.
+      view_ids: [B·V] int32, by which views are known again.
 
     Returns:
       (the winners to learn, the frame with this batch, () share of objects turned).
@@ -114,15 +128,21 @@ def turn_back(
     ways = list_ways(covariance, is_upright=len(turns) == 2)
     gains = _measure_gains(points, samples, turns, ways, frame)
     gains = jnp.mean(gains.reshape(len(gains), -1, views, len(turns) - 1), axis=2)
-    of_objects = jnp.where(is_due, _choose_turns(gains, frame.moments), 0)
-    turned = jnp.repeat(of_objects, views)
+    wanted, fits = _choose_turns(gains, frame.moments)
+    wanted = jnp.where(is_due, wanted, 0)
+    recalled = recall(frame.decisions, winners.poses, turns, view_ids)
+    recalled = recalled.reshape(-1, views)
+    of_views, is_new = settle(wanted, fits, recalled, count=len(turns))
+    turned = of_views.reshape(-1)
     winners = _turn_winners(winners, turns, turned, heads)
     if samples is not None:
         places = jax.vmap(quaternion.rotate)(samples.places, turns[turned])
         samples = samples._replace(places=places)
     # Shapes are counted as they are predicted: turned ones would vote for more of them.
     new = _count_batch(frame, points[::views], samples, gains)
-    return winners, new, jnp.mean(of_objects > 0)
+    poses, is_new = winners.poses, jnp.repeat(is_new, views)
+    new = new._replace(decisions=remember(frame.decisions, poses, view_ids, is_new))
+    return winners, new, jnp.mean(jnp.any(of_views > 0, axis=1))
 
 
 def _turn_winners(winners, turns, chosen, heads):
@@ -188,17 +208,20 @@ def _measure_gains(points, samples, turns, ways, frame):
 
 
 def _choose_turns(gains, moments):
-    """Which half turn [B] each object is given; 0 for none.
+    """Which half turn [B] each object wants, 0 for none; whether [B] it clearly fits.
 
     Only what tells a category from its own half turn counts: objects that look the same
     either way would be turned by chance.
     """
     mean, is_clear = _find_clarity(moments)
-    # What fits both ways alike, half way round, is left to what its views say.
+    # What fits both ways alike is left to its views, or to what was decided before.
     total = jnp.where(is_clear[0], gains[0] + _MARGIN * mean[:1], -jnp.inf)
+    fits = ~is_clear[:1] | (gains[0] < _FITTING * mean[:1])
     if len(gains) > 1:
         total = jnp.where(is_clear[1], gains[1], total)
-    return jnp.where(jnp.max(total, axis=1) > 0, jnp.argmax(total, axis=1) + 1, 0)
+        fits = jnp.where(is_clear[1], gains[1] < _FITTING * mean[1:], fits)
+    wanted = jnp.where(jnp.max(total, axis=1) > 0, jnp.argmax(total, axis=1) + 1, 0)
+    return wanted, jnp.all(fits, axis=1)
 
 
 def _find_clarity(moments):

@@ -35,6 +35,7 @@ def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
             heads=pose.learned_heads,
             by_colors=pose.common_frame == "colors",
             is_due=forward.step >= FRAME_FROM * recipe.train.steps,
+            view_ids=batch["view_ids"],
         )
         averages = averages._replace(frame=frame)
     metrics["winners"] = winners.indices
