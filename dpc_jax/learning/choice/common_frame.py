@@ -11,10 +11,10 @@ Points and colours are counted in cells of the network's frame: of the last obje
 points, by moving sums over batches the colours. Of each object, with all its views and
 the shapes that are predicted from them, it is asked whether it fits these better after
 a half turn. If so, its views learn the turned poses, and with them its shape learns to
-turn, until it fits (`decisions`). Where colours are asked for they decide, as soon as
-they tell the category from its half turn; until then points do. From then on they
-decide between the half turns of single views, too, together with silhouettes: these
-hardly tell a car seen from the front from one seen from behind.
+turn, where points decide until it fits (`decisions`). Where colours are asked for they
+decide, as soon as they tell the category from its half turn; until then points do. From
+then on they decide between the half turns of single views, too, together with
+silhouettes: these hardly tell a car seen from the front from one seen from behind.
 """
 
 from typing import NamedTuple
@@ -208,7 +208,7 @@ def _measure_gains(points, samples, turns, ways, frame):
 
 
 def _choose_turns(gains, moments):
-    """Which half turn [B] each object wants, 0 for none; whether [B] it clearly fits.
+    """Which half turn [B] each object wants, 0 for none; whether [B] it may end one.
 
     Only what tells a category from its own half turn counts: objects that look the same
     either way would be turned by chance.
@@ -219,7 +219,8 @@ def _choose_turns(gains, moments):
     fits = ~is_clear[:1] | (gains[0] < _FITTING * mean[:1])
     if len(gains) > 1:
         total = jnp.where(is_clear[1], gains[1], total)
-        fits = jnp.where(is_clear[1], gains[1] < _FITTING * mean[1:], fits)
+        # Colours tell half way round, too: kept by them, cars lose (docs/log.md).
+        fits = fits | is_clear[1:]
     wanted = jnp.where(jnp.max(total, axis=1) > 0, jnp.argmax(total, axis=1) + 1, 0)
     return wanted, jnp.all(fits, axis=1)
 

@@ -58,7 +58,8 @@ def settle(
 
     Args:
       wanted: [B] turns of objects; 0 for none. fits: [B] whether they clearly fit as
-        they are. recalled: [B, V] of `recall`. count: T, of the turns.
+        they are, or nothing is to be kept. recalled: [B, V] of `recall`. count: T, of
+        the turns.
 
     Returns:
       ([B, V] turns, [B] whether they are decided now).
