@@ -364,7 +364,7 @@ CLEAR = [0.0052, 0.0017]  # mean squares
         ([POINTS], [-0.06], [1, 0], [False, True]),
         ([[[0.01], [-0.02]]], [-0.06], [0, 0], [False, False]),  # both ways alike
         ([POINTS], [-0.01], [0, 0], [True, True]),  # points that tell nothing apart
-        ([POINTS, COLORS], [-0.06, -0.04], [0, 1], [True, True]),
+        ([POINTS, COLORS], [-0.06, -0.04], [0, 1], [False, True]),
         ([POINTS, COLORS], [-0.06, -0.001], [1, 0], [False, True]),  # colours, too
     ],
 )

@@ -19,8 +19,7 @@ from dpc_jax.render.devices import count_cores, read_settings, use_all_cores
 
 _KEPT_DAYS = 30  # of a compiled program
 # XLA tries to fuse all that comes before a normalisation into one kernel, in many
-# tilings. Without this pass it compiles a training step for a GPU in a fifth of the
-# time, and the step is as fast (docs/log.md).
+# tilings. Without this pass a training step compiles for a GPU in a third of the time.
 _FAST_COMPILATION = "--xla_disable_hlo_passes=triton-softmax-rewriter"
 
 

@@ -11,7 +11,7 @@ Points and colours are counted in cells of the network's frame: of the last obje
 points, by moving sums over batches the colours. Of each object, with all its views and
 the shapes that are predicted from them, it is asked whether it fits these better after
 a half turn. If so, its views learn the turned poses, and with them its shape learns to
-turn, where points decide until it fits (`decisions`). Where colours are asked for they
+turn, without colours until it fits (`decisions`). Where colours are asked for they
 decide, as soon as they tell the category from its half turn; until then points do. From
 then on they decide between the half turns of single views, too, together with
 silhouettes: these hardly tell a car seen from the front from one seen from behind.
@@ -25,13 +25,7 @@ import jax.numpy as jnp
 from dpc_jax.learning.cameras import Cameras
 from dpc_jax.learning.choice import colors
 from dpc_jax.learning.choice.colors import BINS, CELLS, POINTS, find_cells
-from dpc_jax.learning.choice.decisions import (
-    Decisions,
-    recall,
-    remember,
-    settle,
-    start_decisions,
-)
+from dpc_jax.learning.choice.decisions import Decisions, keep_turns, start_decisions
 from dpc_jax.learning.choice.hindsight import Winners
 from dpc_jax.learning.devices import AXIS
 from dpc_jax.learning.half_turns import find_half_turns
@@ -64,14 +58,15 @@ class Frame(NamedTuple):
         where they are not asked for.
       moments: [3, 1 or 2, T - 1] moving sums of 1, x and x², where x is what objects
         gain by points, and by colours, after each half turn; nats per point or sample.
-      decisions: half turns that shapes may not have followed yet.
+      decisions: half turns that shapes may not have followed yet; None with colours,
+        by which half turns are better not kept (docs/log.md).
     """
 
     shapes: jax.Array
     count: jax.Array
     colors: jax.Array | None
     moments: jax.Array
-    decisions: Decisions
+    decisions: Decisions | None
 
 
 def start_frame(turns: int = 4, *, by_colors: bool) -> Frame:
@@ -81,7 +76,7 @@ def start_frame(turns: int = 4, *, by_colors: bool) -> Frame:
         jnp.zeros((), jnp.int32),
         jnp.zeros((CELLS**3, BINS**2)) if by_colors else None,
         jnp.zeros((3, 2 if by_colors else 1, turns - 1)),
-        start_decisions(),
+        None if by_colors else start_decisions(),
     )
 
 
@@ -130,19 +125,18 @@ def turn_back(
     gains = jnp.mean(gains.reshape(len(gains), -1, views, len(turns) - 1), axis=2)
     wanted, fits = _choose_turns(gains, frame.moments)
     wanted = jnp.where(is_due, wanted, 0)
-    recalled = recall(frame.decisions, winners.poses, turns, view_ids)
-    recalled = recalled.reshape(-1, views)
-    of_views, is_new = settle(wanted, fits, recalled, count=len(turns))
-    turned = of_views.reshape(-1)
+    turned, decisions = jnp.repeat(wanted, views), None
+    if frame.decisions is not None:
+        found = wanted, fits, winners.poses, turns, view_ids
+        turned, decisions = keep_turns(frame.decisions, *found)
     winners = _turn_winners(winners, turns, turned, heads)
     if samples is not None:
         places = jax.vmap(quaternion.rotate)(samples.places, turns[turned])
         samples = samples._replace(places=places)
     # Shapes are counted as they are predicted: turned ones would vote for more of them.
     new = _count_batch(frame, points[::views], samples, gains)
-    poses, is_new = winners.poses, jnp.repeat(is_new, views)
-    new = new._replace(decisions=remember(frame.decisions, poses, view_ids, is_new))
-    return winners, new, jnp.mean(jnp.any(of_views > 0, axis=1))
+    is_turned = jnp.any(turned.reshape(-1, views) > 0, axis=1)
+    return winners, new._replace(decisions=decisions), jnp.mean(is_turned)
 
 
 def _turn_winners(winners, turns, chosen, heads):
@@ -208,7 +202,7 @@ def _measure_gains(points, samples, turns, ways, frame):
 
 
 def _choose_turns(gains, moments):
-    """Which half turn [B] each object wants, 0 for none; whether [B] it may end one.
+    """Which half turn [B] objects want, 0 for none; whether [B] they fit by points.
 
     Only what tells a category from its own half turn counts: objects that look the same
     either way would be turned by chance.
@@ -219,8 +213,6 @@ def _choose_turns(gains, moments):
     fits = ~is_clear[:1] | (gains[0] < _FITTING * mean[:1])
     if len(gains) > 1:
         total = jnp.where(is_clear[1], gains[1], total)
-        # Colours tell half way round, too: kept by them, cars lose (docs/log.md).
-        fits = fits | is_clear[1:]
     wanted = jnp.where(jnp.max(total, axis=1) > 0, jnp.argmax(total, axis=1) + 1, 0)
     return wanted, jnp.all(fits, axis=1)
 

@@ -33,14 +33,35 @@ def start_decisions() -> Decisions:
     return Decisions(jnp.zeros((_PLACES, 4)), jnp.full(_PLACES, -1, jnp.int32))
 
 
-def recall(
-    decisions: Decisions, poses: jax.Array, turns: jax.Array, view_ids: jax.Array
-) -> jax.Array:
-    """The turns that bring poses [n, 4] next to the decided ones; [n], -1 for none.
+def keep_turns(
+    decisions: Decisions,
+    wanted: jax.Array,
+    fits: jax.Array,
+    poses: jax.Array,
+    turns: jax.Array,
+    view_ids: jax.Array,
+) -> tuple[jax.Array, Decisions]:
+    """Turns of views: what is wanted now, or was before and is not followed yet.
 
     Args:
-      turns: [T, 4] of objects. view_ids: [n] int32.
+      wanted: [B] turns of objects; 0 for none. fits: [B] whether they clearly fit as
+        they are. poses: [B·V, 4] of winners. turns: [T, 4] of objects.
+      view_ids: [B·V] int32.
+
+    Returns:
+      ([B·V] turns, the decisions with those of now).
     """
+    views = len(poses) // len(wanted)
+    recalled = _recall(decisions, poses, turns, view_ids).reshape(-1, views)
+    of_views, is_new = _settle(wanted, fits, recalled, count=len(turns))
+    turned = of_views.reshape(-1)
+    poses = jax.vmap(quaternion.multiply)(poses, turns[turned])
+    is_new = jnp.repeat(is_new, views)
+    return turned, _remember(decisions, poses, view_ids, is_new)
+
+
+def _recall(decisions, poses, turns, view_ids):
+    """The turns that bring poses [n, 4] next to the decided ones; [n], -1 for none."""
 
     def find(pose, view):
         place = view % _PLACES
@@ -51,19 +72,8 @@ def recall(
     return jax.vmap(find)(poses, view_ids)
 
 
-def settle(
-    wanted: jax.Array, fits: jax.Array, recalled: jax.Array, count: int
-) -> tuple[jax.Array, jax.Array]:
-    """Turns of views: what is wanted now, or was before and is not followed yet.
-
-    Args:
-      wanted: [B] turns of objects; 0 for none. fits: [B] whether they clearly fit as
-        they are, or nothing is to be kept. recalled: [B, V] of `recall`. count: T, of
-        the turns.
-
-    Returns:
-      ([B, V] turns, [B] whether they are decided now).
-    """
+def _settle(wanted, fits, recalled, *, count):
+    """([B, V] turns, [B] whether they are decided now) of [B, V] recalled ones."""
     votes = jnp.sum(jax.nn.one_hot(recalled, count), axis=1)  # [B, T]
     total = jnp.sum(votes, axis=1)
     is_kept = (total > 0) & ~fits
@@ -74,9 +84,7 @@ def settle(
     return jnp.where(is_new[:, None], wanted[:, None], kept), is_new
 
 
-def remember(
-    decisions: Decisions, poses: jax.Array, view_ids: jax.Array, is_new: jax.Array
-) -> Decisions:
+def _remember(decisions, poses, view_ids, is_new):
     """With the poses [n, 4] of the views where [n] they are new, of all devices."""
     places = jnp.where(is_new, view_ids % _PLACES, _PLACES)  # beyond the end: dropped
     places, poses, view_ids = (
