@@ -134,8 +134,8 @@ class _Files(FilePathResolver):
         if path is None:
             raise FileNotFoundError(name)
         if path.suffix.lower() != ".mtl":
-            if path.suffix.lower() in _PICTURES and not pictures.is_readable(path):
-                raise Damage("it is no readable picture")
+            if path.suffix.lower() in _PICTURES:
+                pictures.check_picture(path)
             return files.read_bytes(path, most=MOST_BYTES)
         text = decode_text(files.read_bytes(path, most=files.MOST_TEXT))
         if not re.search(r"^\s*newmtl[ \t]+\S", text, re.MULTILINE):

@@ -177,9 +177,8 @@ def join(groups: Sequence[tuple[str, Sequence[Part]]]) -> trimesh.Trimesh:
             labels.append(np.full(len(f), LABELS.index(label), np.uint8))
     vertices, faces, colors = join_pieces(pieces)
     labels = np.concatenate(labels)
-    corners = vertices[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    keep = np.linalg.norm(normal, axis=-1) > 1e-10
+    normals = trimesh.triangles.cross(vertices[faces])
+    keep = np.linalg.norm(normals, axis=-1) > 1e-10
     return trimesh.Trimesh(
         vertices,
         faces[keep],

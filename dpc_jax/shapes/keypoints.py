@@ -83,15 +83,11 @@ def find_keypoints(category: str, seed: int) -> dict[str, Keypoint]:
         base = draw_plan(seed_stream(category, seed)).base
         if base not in FOUR_FOOTED:
             found = {n: point for n, point in found.items() if point.label != "leg"}
-    return {n: point for n, point in found.items() if _is_aside(n, found)}
-
-
-def _is_aside(name, found):
-    """Whether a left or right keypoint has the other one on the other side."""
-    other = name.replace("left", "RIGHT").replace("right", "left")
-    other = other.replace("RIGHT", "right")
-    away = found[name].position[1] - found[other].position[1]
-    return other == name or abs(away) > _LEAST_WIDTH
+    for left in [name for name in found if "left" in name]:
+        right = left.replace("left", "right")
+        if found[left].position[1] - found[right].position[1] <= _LEAST_WIDTH:
+            del found[left], found[right]
+    return found
 
 
 def _find_extreme(mesh: trimesh.Trimesh, label, direction) -> np.ndarray:

@@ -66,15 +66,11 @@ def read_picture(path: Path) -> Image.Image:
         return ImageOps.exif_transpose(picture)
 
 
-def is_readable(path: Path) -> bool:
-    """Whether a picture is there and whole."""
-    try:
-        with open_picture(path) as picture:
-            picture.draft("RGB", (1, 1))  # a small decoding shows a cut file too
-            picture.load()
-    except ValueError:
-        return False
-    return True
+def check_picture(path: Path):
+    """Raise as `open_picture` does, also where the picture in a file is cut."""
+    with open_picture(path) as picture:
+        picture.draft("RGB", (1, 1))  # a small decoding shows a cut file too
+        picture.load()
 
 
 def to_colors(image: Image.Image) -> np.ndarray:
