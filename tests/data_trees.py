@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import trimesh
 from PIL import Image
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
@@ -60,6 +61,15 @@ def share_inside(points, quaternion, mask, *, focal=1.875, distance=2.0):
     rows = np.floor((focal * y / (z + distance) + 0.5) * size).astype(int)
     inside = (rows >= 0) & (rows < size) & (columns >= 0) & (columns < size)
     return (mask[rows[inside], columns[inside]] > 0).sum() / len(points)
+
+
+def write_boxes(folder, count):
+    """So many boxes of different length as mesh files; the folder."""
+    folder.mkdir(exist_ok=True)
+    for i in range(count):
+        box = trimesh.creation.box(extents=[2 + 0.1 * i, 1, 1])
+        box.export(folder / f"box{i}.ply")
+    return folder
 
 
 def write_renders(folder, models, *, views=3, size=112, truth=True):

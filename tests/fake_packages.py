@@ -63,26 +63,32 @@ def write_obj(boxes, to_file, name):
 
 def write_ac(boxes, to_file):
     """Bytes of an AC3D file; a box of four numbers as colour is that transparent."""
-    lines = ["AC3Db"]
-    for i, (_, _, color) in enumerate(boxes):
-        rgb, trans = color[:3], color[3] if len(color) > 3 else 0
-        lines.append(
-            'MATERIAL "m{}" rgb {} {} {}  amb 1 1 1  emis 0 0 0  spec 0 0 0  shi 1  '
-            "trans {}".format(i, *rgb, trans)
-        )
-    lines += ["OBJECT world", f"kids {len(boxes)}"]
+    text = "AC3Db\n"
+    for _, _, color in boxes:
+        text += write_ac_material(color[:3], *color[3:])
+    text += f"OBJECT world\nkids {len(boxes)}\n"
+    sides = [("0x10", quad) for quad in QUADS]
     for i, (name, corners, _) in enumerate(boxes):
-        lines += ["OBJECT poly", f'name "{name}"', f"data {len(name)}", name]
-        lines += ["numvert 8"]
-        lines += ["{} {} {}".format(*v) for v in corners @ np.array(to_file).T]
-        lines += ["numsurf 6"]
-        for quad in QUADS:
-            lines += ["SURF 0x10", f"mat {i}", "refs 4"]
-            lines += [
-                f"{k} {u} {v}" for k, u, v in zip(quad, "0110", "0011", strict=True)
-            ]
-        lines += ["kids 0"]
-    return "\r\n".join(lines).encode()
+        corners, data = corners @ np.array(to_file).T, [f"data {len(name)}", name]
+        text += write_ac_object(corners, sides, name=name, material=i, more=data)
+    return text.replace("\n", "\r\n").encode()
+
+
+def write_ac_material(color, trans=0):
+    """A line of an AC3D file."""
+    rgb = "{} {} {}".format(*color)
+    return f'MATERIAL "m" rgb {rgb}  amb 1 1 1  emis 0 0 0  shi 1  trans {trans}\n'
+
+
+def write_ac_object(vertices, surfaces, *, name="part", material=0, more=(), kids=0):
+    """Text of an object; surfaces are (flags, indices), corners get u, v = x, y."""
+    lines = ["OBJECT poly", f'name "{name}"', *more, f"numvert {len(vertices)}"]
+    lines += ["{} {} {}".format(*v) for v in vertices]
+    lines += [f"numsurf {len(surfaces)}"]
+    for flags, indices in surfaces:
+        lines += [f"SURF {flags}", f"mat {material}", f"refs {len(indices)}"]
+        lines += [f"{i} {vertices[i][0]} {vertices[i][1]}" for i in indices]
+    return "\n".join([*lines, f"kids {kids}"]) + "\n"
 
 
 def write_deb(store, name, files):

@@ -2,27 +2,17 @@
 
 import numpy as np
 import pytest
+from fake_packages import write_ac_material, write_ac_object
 from PIL import Image
 
 from dpc_jax.data.open import ac3d
 
-HEAD = 'AC3Db\nMATERIAL "m" rgb 1 0.5 0.25  amb 1 1 1  emis 0 0 0  spec 0 0 0  shi 1  '
+HEAD = "AC3Db\n" + write_ac_material((1, 0.5, 0.25))
 
 
-def write(path, *, body, trans=0):
-    path.write_text(f"{HEAD}trans {trans}\n{body}")
+def write(path, *, body, head=HEAD):
+    path.write_text(head + body)
     return path
-
-
-def make_object(vertices, surfaces, *, more=(), kids=0):
-    """Text of an object; surfaces are (flags, indices), corners get u, v = x, y."""
-    lines = ["OBJECT poly", 'name "part"', *more, f"numvert {len(vertices)}"]
-    lines += ["{} {} {}".format(*v) for v in vertices]
-    lines += [f"numsurf {len(surfaces)}"]
-    for flags, indices in surfaces:
-        lines += [f"SURF {flags}", "mat 0", f"refs {len(indices)}"]
-        lines += [f"{i} {vertices[i][0]} {vertices[i][1]}" for i in indices]
-    return "\n".join([*lines, f"kids {kids}"]) + "\n"
 
 
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
@@ -34,15 +24,15 @@ def measure_area(part):
 
 
 def test_objects_are_placed_where_their_parents_are(tmp_path):
-    inner = make_object(SQUARE, [("0x10", range(4))], more=["loc 0 0 5"])
-    outer = make_object(SQUARE, [("0x10", range(4))], more=["loc 1 2 3"], kids=1)
+    inner = write_ac_object(SQUARE, [("0x10", range(4))], more=["loc 0 0 5"])
+    outer = write_ac_object(SQUARE, [("0x10", range(4))], more=["loc 1 2 3"], kids=1)
     path = write(tmp_path / "a.ac", body=f"OBJECT world\nkids 1\n{outer}{inner}")
     first, second = ac3d.read_parts(path)
     np.testing.assert_array_equal(first.vertices, np.add(SQUARE, (1, 2, 3)))
     np.testing.assert_array_equal(second.vertices, np.add(SQUARE, (1, 2, 8)))
     # rotations multiply rows from the right, as flight simulators read them
     turned = "rot 0 1 0 -1 0 0 0 0 1"
-    outer = make_object(SQUARE, [], more=[turned], kids=1)
+    outer = write_ac_object(SQUARE, [], more=[turned], kids=1)
     path = write(tmp_path / "a.ac", body=outer + inner)
     (part,) = ac3d.read_parts(path)
     expected = [(-y, x, 5) for x, y, _ in SQUARE]
@@ -57,7 +47,7 @@ def test_polygons_strips_and_lines_are_told_apart(tmp_path):
         ("0x02", (0, 1)),
         ("0x10", (0, 1)),  # a polygon without area
     ]
-    path = write(tmp_path / "a.ac", body=make_object(SQUARE, surfaces))
+    path = write(tmp_path / "a.ac", body=write_ac_object(SQUARE, surfaces))
     (part,) = ac3d.read_parts(path)
     assert sorted(sorted(face) for face in part.faces.tolist()) == [
         [0, 1, 2],
@@ -106,7 +96,7 @@ def test_textures_colour_faces_and_are_found_elsewhere(tmp_path):
     clear = [np.add(corners, (0.5, -0.5, 0))]
     vertices = np.concatenate([*quads, *clear]).tolist()
     surfaces = [("0x0", range(4 * i, 4 * i + 4)) for i in range(4)]
-    body = make_object(vertices, surfaces, more=['texture "C:\\\\x\\paint.png"'])
+    body = write_ac_object(vertices, surfaces, more=['texture "C:\\\\x\\paint.png"'])
     path = write(tmp_path / "a.ac", body=body)
     for textures in (None, tmp_path / "none"):
         (part,) = ac3d.read_parts(path, textures=textures)
@@ -123,17 +113,20 @@ def test_textures_colour_faces_and_are_found_elsewhere(tmp_path):
     body = body.replace("numvert", "texrep 0.5 1\ntexoff 0 -0.5\nnumvert")
     (part,) = ac3d.read_parts(write(tmp_path / "a.ac", body=body), textures=tmp_path)
     assert part.colors[2].tolist() == [0, 0, 64, 255]
-    path = write(tmp_path / "a.ac", body=make_object(SQUARE, surfaces[:1]), trans=0.75)
+    head = HEAD.replace("trans 0", "trans 0.75")
+    path = write(
+        tmp_path / "a.ac", body=write_ac_object(SQUARE, surfaces[:1]), head=head
+    )
     assert (ac3d.read_parts(path)[0].colors[:, 3] == 64).all()
 
 
 def test_sloppy_files_are_read(tmp_path):
-    square = make_object(
+    square = write_ac_object(
         SQUARE, [("0x10", range(4))], more=["data 10", "kids", "loc 9"]
     )
     spaced = square.replace("refs 4", "refs 4\n\n").replace("\n", "\r\n")
     path = tmp_path / "a.ac"
-    path.write_bytes(f"{HEAD}trans 0\r\nOBJECT world\r\nkids 3\r\n{spaced}".encode())
+    path.write_bytes(f"{HEAD}OBJECT world\r\nkids 3\r\n{spaced}".encode())
     (part,) = ac3d.read_parts(path)  # three objects announced, one is there
     assert len(part.faces) == 2
     # the normals and further texture coordinates of games
@@ -143,12 +136,12 @@ def test_sloppy_files_are_read(tmp_path):
     np.testing.assert_array_equal(part.vertices, SQUARE)
 
 
-OPEN, WHOLE = f"{HEAD}trans 0\n", make_object(SQUARE, [("0x0", range(4))])
+WHOLE = write_ac_object(SQUARE, [("0x0", range(4))])
 DAMAGED = [
-    "", "PLY", OPEN, HEAD, f"{OPEN}OBJECT world\nkids x\n",
-    f"{OPEN}OBJECT poly\nnumvert 1\n0 0\nnumsurf 0\nkids 0\n",
-    OPEN + make_object(SQUARE, [("0x1", (0, 1))]), OPEN + WHOLE[:-80],
-    OPEN + WHOLE.replace("3 0 1", "9 0 1"), OPEN + "OBJECT group\nkids 1\n" * 5000,
+    "", "PLY", HEAD, HEAD.partition("trans")[0], f"{HEAD}OBJECT world\nkids x\n",
+    f"{HEAD}OBJECT poly\nnumvert 1\n0 0\nnumsurf 0\nkids 0\n",
+    HEAD + write_ac_object(SQUARE, [("0x1", (0, 1))]), HEAD + WHOLE[:-80],
+    HEAD + WHOLE.replace("3 0 1", "9 0 1"), HEAD + "OBJECT group\nkids 1\n" * 5000,
 ]  # fmt: skip
 
 

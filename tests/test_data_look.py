@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from data_trees import write_renders
+from data_trees import save_disc, write_boxes, write_renders
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from dpc_jax import outputs
 from dpc_jax.data import DataSpec, __main__, load_or_render, viewpoints
 from dpc_jax.data.look import checks, overview
-from dpc_jax.shapes import procedural
 
 LENS = checks.Lens(focal_length=1.875, distance=2.0)
 MODELS, VIEWS, SIZE = 5, 4, 48
@@ -162,10 +161,7 @@ def test_the_axes_of_a_sheet_point_where_the_object_does():
 
 def test_meshes_and_images_are_prepared_to_be_looked_at(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "meshes").mkdir()
-    for seed in range(3):
-        path = tmp_path / f"meshes/{seed}.ply"
-        procedural.make_shape("chair", seed).export(path)
+    write_boxes(tmp_path / "meshes", 3)
     assert run("show", "meshes", "--models", 2) == 0
     out = capsys.readouterr().out
     assert "Rendering train object: models, 2/2" in out and "red is the front" in out
@@ -174,11 +170,8 @@ def test_meshes_and_images_are_prepared_to_be_looked_at(tmp_path, capsys, monkey
     assert run("check", "meshes") == 0
     assert "3 object models" in capsys.readouterr().out
     for name in ("one", "two", "three"):
-        (tmp_path / "own" / name).mkdir(parents=True)
         for view in range(2):
-            image = np.zeros((40, 50, 4), np.uint8)
-            image[10 : 30 - view, 15:35] = (200, 30, 30, 255)
-            Image.fromarray(image).save(tmp_path / f"own/{name}/{view}.png")
+            save_disc(tmp_path / "own" / name / f"{view}.png")
     assert run("show", "own", "--out", "own.png") == 0
     assert run("check", "own") == 0
     out = capsys.readouterr().out

@@ -4,7 +4,7 @@ import csv
 
 import numpy as np
 import pytest
-import trimesh
+from fake_packages import BOX, write_obj
 
 from dpc_jax.data import DataSpec, load_or_render, splits
 from dpc_jax.data.sets import shapenet
@@ -12,47 +12,27 @@ from dpc_jax.data.sets import shapenet
 SYNSET = "02958343"
 NAMES = [f"{i:x}" * 8 for i in range(1, 8)]
 SPEC = dict(category="car", kind="shapenet", views=1, image_size=16)
-LAYOUTS = ["model.obj", "models/model_normalized.obj"]
-FRONTS = {"model.obj": (1, 0, 0), "models/model_normalized.obj": (0, 0, -1)}
+LAYOUTS = {  # (front, left, up) in the axes of the file
+    "model.obj": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    "models/model_normalized.obj": [[0, -1, 0], [0, 0, 1], [-1, 0, 0]],
+}
 
 
-def make_wedge(layout, width=0.3):
-    """Long to the front, half as high; its nose is the only red part."""
-    front, up = np.array(FRONTS[layout]), np.array([0, 1, 0])
-    left = np.cross(up, front)
-    axes = np.stack([front, left, up], axis=1)  # canonical to file
-    body = trimesh.creation.box(extents=[1.0, width, 0.4])
-    nose = trimesh.creation.box(extents=[0.2, width / 2, 0.1])
-    nose.vertices += [0.6, 0, -0.15]
-    for part in (body, nose):
-        part.vertices = part.vertices @ axes.T
-    return body, nose
-
-
-def write_model(folder, layout, *, width=0.3, materials="colors"):
+def write_model(folder, layout="model.obj", *, width=0.3):
+    """Long to the front, half as high, with a red nose; the folder."""
     path = folder / layout
     path.parent.mkdir(parents=True)
-    lines, start = [], 1
-    if materials:
-        lines.append(f"mtllib {path.stem}.mtl")
-    for name, part in zip(("grey", "red"), make_wedge(layout, width), strict=True):
-        lines.append(f"usemtl {name}")
-        lines += ["v {} {} {}".format(*v) for v in part.vertices]
-        lines += ["vt 0.5 0.5"]
-        lines += ["f {} {} {}".format(*(f + start)) for f in part.faces]
-        start += len(part.vertices)
-    path.write_text("\n".join(lines) + "\n")
-    if materials in ("colors", "textures"):
-        text = "newmtl grey\nKd 0.2 0.2 0.2\nnewmtl red\nKd 1 0 0\n"
-        if materials == "textures":
-            text += "map_Kd ../images/gone.jpg\n"
-        path.with_suffix(".mtl").write_text(text)
+    body = ((BOX - 0.5) * (1, width, 0.4), (0.2, 0.2, 0.2))
+    nose = ((BOX - 0.5) * (0.2, width / 2, 0.1) + (0.6, 0, -0.15), (1, 0, 0))
+    boxes = [("body", *body), ("nose", *nose)]
+    for name, content in write_obj(boxes, LAYOUTS[layout], path.stem).items():
+        (path.parent / name).write_bytes(content)
+    return folder
 
 
 def write_tree(root, layout="model.obj", names=NAMES):
     for i, name in enumerate(names):
         write_model(root / SYNSET / name, layout, width=0.3 + 0.05 * i)
-    return root
 
 
 def load(root, cache, **changes):
@@ -181,14 +161,15 @@ def test_a_split_file_that_cannot_be_used_is_named(tmp_path, name, text, message
 
 def test_damaged_models_are_skipped_and_bare_ones_remarked_upon(tmp_path, capsys):
     write_tree(tmp_path, names=NAMES[:2])
-    write_model(tmp_path / SYNSET / "bare", "model.obj", materials=None)
-    write_model(tmp_path / SYNSET / "lost", "model.obj", materials="missing")
-    write_model(tmp_path / SYNSET / "plain", "model.obj", materials="textures")
+    bare = write_model(tmp_path / SYNSET / "bare") / "model.obj"
+    bare.write_text(bare.read_text().partition("\n")[2])  # names no materials
+    (write_model(tmp_path / SYNSET / "lost") / "model.mtl").unlink()
+    plain = write_model(tmp_path / SYNSET / "plain") / "model.mtl"
+    plain.write_text(plain.read_text() + "\nmap_Kd ../images/gone.jpg\n")
     (tmp_path / SYNSET / "empty").mkdir()
     (tmp_path / SYNSET / "cut").mkdir()
     (tmp_path / SYNSET / "cut" / "model.obj").write_text("v 0 0 0\nv 1 0")
-    spec = DataSpec(**SPEC, folder=str(tmp_path), split="test", fractions=(0, 0, 1))
-    data = load_or_render(spec, cache_dir=tmp_path / "cache", processes=1)
+    data = load(tmp_path, tmp_path / "cache", split="test", fractions=(0, 0, 1))
     assert sorted(data.names) == sorted([*NAMES[:2], "bare", "lost", "plain"])
     assert {name for name, _ in data.skipped} == {"empty", "cut"}
     assert all("model.obj" in reason for _, reason in data.skipped)

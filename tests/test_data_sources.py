@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import trimesh
+from data_trees import write_boxes
 
 from dpc_jax.data import DataSpec, sources, split_files
 from dpc_jax.data.sources import open_source
@@ -54,16 +54,8 @@ def test_over_all_folds_every_family_is_tested_once_and_never_trained_on():
         split_files(range(3), fractions=(0.8, 0.1, 0.1), seed=0, fold=(0, 5))
 
 
-def write_boxes(folder, count):
-    for i in range(count):
-        box = trimesh.creation.box(extents=[1, 0.5, 0.4 + i / count])
-        box.export(folder / f"{i}.ply")
-    return str(folder)
-
-
 def test_a_small_set_is_completed_by_copies_and_procedural_shapes(tmp_path):
-    folder = write_boxes(tmp_path, 4)
-    all_train = {"folder": folder, "fractions": (1, 0, 0)}
+    all_train = {"folder": str(write_boxes(tmp_path, 4)), "fractions": (1, 0, 0)}
     spec = DataSpec("car", copies=0, mix=True, **all_train)
     models = open_source(spec).list_models()
     assert [model.copy for model in models[:300]] == sorted(4 * list(range(75)))
@@ -72,7 +64,7 @@ def test_a_small_set_is_completed_by_copies_and_procedural_shapes(tmp_path):
     assert models[300:] == open_source(own).list_models()
     meshes = [open_source(spec).make_mesh(models[i]) for i in (0, 599)]
     assert len(meshes[0].faces) == 12 < len(meshes[1].faces)
-    for copy in models[4:24:4]:  # of a box of 1, 0.5 and 0.4
+    for copy in models[4:24:4]:
         extents = open_source(spec).make_mesh(copy).extents
         ratios = extents / meshes[0].extents
         assert 1e-3 < np.ptp(ratios / ratios[0]) < 1.15 / 0.85
@@ -85,9 +77,8 @@ def test_a_small_set_is_completed_by_copies_and_procedural_shapes(tmp_path):
 
 def test_a_large_set_is_left_as_it_is(tmp_path, monkeypatch):
     monkeypatch.setattr(sources, "FEW", 4)
-    spec = DataSpec(
-        "car", folder=write_boxes(tmp_path, 4), fractions=(1, 0, 0), copies=0, mix=True
-    )
+    place = {"folder": str(write_boxes(tmp_path, 4)), "fractions": (1, 0, 0)}
+    spec = DataSpec("car", copies=0, mix=True, **place)
     assert [model.copy for model in open_source(spec).list_models()] == [0] * 4
 
 
@@ -101,9 +92,8 @@ def test_procedural_splits_and_seeds_never_share_a_shape():
 
 
 def test_an_empty_split_of_a_folder_is_named(tmp_path):
-    for i in range(2):
-        trimesh.creation.box(extents=[1, 1, 1 + i]).export(tmp_path / f"{i}.ply")
-    spec = DataSpec("car", folder=str(tmp_path), split="val", fractions=(1, 0, 1))
+    folder = str(write_boxes(tmp_path, 2))
+    spec = DataSpec("car", folder=folder, split="val", fractions=(1, 0, 1))
     with pytest.raises(ValueError, match="val split"):
         open_source(spec).list_models()
 
