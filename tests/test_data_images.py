@@ -19,33 +19,36 @@ from scipy.spatial.transform import Rotation
 
 from dpc_jax.data import DataSpec, load_or_render, viewpoints
 from dpc_jax.data.sets import framing, pose_files
+from dpc_jax.data.sets.image_folder import read_views
 from dpc_jax.data.sets.pictures import read_picture
 
 LENS = np.array([[120.0, 0, 40], [0, 120.0, 40], [0, 0, 1]])
 
 
-def load(folder, cache, **changes):
+def load(place, folder="set", **changes):
+    """The data set of a folder, which is read into the cache beside it."""
     spec = dict(category="car", kind="images", image_size=32, fractions=(0, 0, 1))
-    spec = DataSpec(**spec | {"folder": str(folder), "split": "test"} | changes)
-    return load_or_render(spec, cache_dir=cache, processes=1)
+    spec = DataSpec(**spec | {"folder": str(place / folder), "split": "test"} | changes)
+    return load_or_render(spec, cache_dir=place / "cache", processes=1)
 
 
-def write_object(folder, *, views=2, masks="alpha", shape=(80, 80), seed=0):
-    """Upright views of the balls from a distance of 2, the object in the middle."""
+def write_object(folder, *, views=2, seed=0):
+    """Upright views of the balls from a distance of 2; their rotations."""
     folder.mkdir(parents=True, exist_ok=True)
     rotations = []
     for view in range(views):
         angle = 2 * np.pi * view / views + seed
         position = 2 * np.array([np.cos(angle), np.sin(angle), 0.3])
         rotations.append(look_at(position))
-        rgba, _ = draw_balls(rotations[-1], position, LENS, shape)
-        image = Image.fromarray(rgba)
-        if masks == "files":
-            image.convert("RGB").save(folder / f"view{view}.png")
-            image.getchannel("A").save(folder / f"view{view}_mask.png")
-        else:
-            image.save(folder / f"view{view}.png")
+        rgba, _ = draw_balls(rotations[-1], position, LENS, (80, 80))
+        Image.fromarray(rgba).save(folder / f"view{view}.png")
     return rotations
+
+
+def write_set(place, **options):
+    """Three objects: the rotations of each."""
+    places = [place / "set" / name for name in "abc"]
+    return {folder: write_object(folder, **options) for folder in places}
 
 
 def write_quaternions(folder, rotations):
@@ -59,21 +62,24 @@ def write_quaternions(folder, rotations):
 def test_objects_of_any_number_of_views_make_one_set(tmp_path):
     for name, views in (("a", 1), ("b", 3), ("c", 7)):
         write_object(tmp_path / "set" / name, views=views)
-    data = load(tmp_path / "set", tmp_path / "cache")
+    data = load(tmp_path)
     assert data.names == ("a", "b", "c") and data.counts.tolist() == [1, 3, 7]
     assert data.images.shape == (3, 7, 32, 32, 3)
     assert data.quaternions is data.surfaces is data.depths is None
     # images side by side are objects of one view
-    data = load(tmp_path / "set" / "c", tmp_path / "cache")
+    data = load(tmp_path, "set/c")
     assert data.names == tuple(f"view{i}" for i in range(7))
     assert (data.counts == 1).all()
 
 
 def test_alpha_and_mask_files_say_the_same(tmp_path):
-    for kind in ("alpha", "files"):
-        for name in "abc":
-            write_object(tmp_path / kind / name, masks=kind)
-    first, second = (load(tmp_path / k, tmp_path / "cache") for k in ("alpha", "files"))
+    write_set(tmp_path)
+    first = load(tmp_path)
+    for path in (tmp_path / "set").glob("*/*.png"):
+        image = Image.open(path)
+        image.convert("RGB").save(path)
+        image.getchannel("A").save(path.with_stem(f"{path.stem}_mask"))
+    second = load(tmp_path)
     np.testing.assert_array_equal(first.masks, second.masks)
     np.testing.assert_array_equal(first.images, second.images)
     # the room behind the object is gone
@@ -89,7 +95,7 @@ def test_crops_center_the_object_and_fill_the_frame(tmp_path, crop):
         rgba = np.zeros((60, 90, 4), np.uint8)
         rgba[top : top + height, left : left + width] = (10, 200, 30, 255)
         Image.fromarray(rgba).save(folder / f"{view}.png")
-    data = load(tmp_path / "set", tmp_path / "cache", crop=crop, fill=0.8)
+    data = load(tmp_path, crop=crop, fill=0.8)
     side = {"object": (50, 50), "view": (50, 37.5), "none": (60, 60)}[crop]
     for view, (_, _, width, height) in corners.items():
         mask = data.masks[0, view] / 255.0
@@ -113,7 +119,7 @@ def test_a_large_photograph_gives_the_picture_of_a_small_one(tmp_path):
     for name, pixels in (("small", small), ("large", large)):
         (tmp_path / "set" / name).mkdir(parents=True)
         Image.fromarray(pixels).save(tmp_path / "set" / name / "0.png")
-    data = load(tmp_path / "set", tmp_path / "cache", image_size=16)
+    data = load(tmp_path, image_size=16)
     masks, images = (np.asarray(a).astype(int) for a in (data.masks, data.images))
     # the small one is smoothed over its pixels, 3 of which make one of the picture's
     assert np.abs(masks[0] - masks[1]).mean() < 5
@@ -143,7 +149,7 @@ def test_a_model_of_colmap_gives_the_views_of_the_same_transforms(
 ):
     for name in "abc":
         write_photos(tmp_path / "set" / name, views=3, seed=ord(name))
-    expected = load(tmp_path / "set", tmp_path / "cache")
+    expected = load(tmp_path)
     for name in "abc":
         place = tmp_path / "set" / name
         write_model(place, place / where)
@@ -155,7 +161,7 @@ def test_a_model_of_colmap_gives_the_views_of_the_same_transforms(
             (place / "images").mkdir()
             for image in place.glob("*.png"):
                 image.rename(place / "images" / image.name)
-    found = load(tmp_path / "set", tmp_path / "cache")
+    found = load(tmp_path)
     for name in ("masks", "quaternions"):
         pairs = zip(getattr(found, name), getattr(expected, name), strict=True)
         for ours, theirs in pairs:  # float64 of the same numbers; masks round
@@ -186,7 +192,7 @@ def test_a_crop_beyond_the_border_is_empty_there(tmp_path):
     rgba = np.zeros((40, 40, 4), np.uint8)
     rgba[:, :10] = (0, 0, 0, 255)
     Image.fromarray(rgba).save(folder / "0.png")
-    data = load(tmp_path / "set", tmp_path / "cache", fill=1.0)
+    data = load(tmp_path, fill=1.0)
     mask = data.masks[0, 0]
     # the strip of 10 of 40 pixels stands upright in the middle
     assert (mask[:, 13:19] == 255).all() and (mask[:, :11] == 0).all()
@@ -194,16 +200,12 @@ def test_a_crop_beyond_the_border_is_empty_there(tmp_path):
 
 
 def test_quaternions_come_with_their_views(tmp_path):
-    for i, name in enumerate("abc"):
-        place = tmp_path / "set" / name
-        rotations = write_object(place, views=3, seed=i)
+    places = [tmp_path / "set" / name for name in "abc"]
+    expected = [write_object(p, views=3, seed=i) for i, p in enumerate(places)]
+    for place, rotations in zip(places, expected, strict=True):
         write_quaternions(place, rotations)
-    data = load(tmp_path / "set", tmp_path / "cache")
-    for i, view in np.ndindex(3, 3):
-        angle = 2 * np.pi * view / 3 + i
-        expected = look_at(2 * np.array([np.cos(angle), np.sin(angle), 0.3]))
-        found = rotate(data.quaternions[i, view])
-        np.testing.assert_allclose(found, expected, atol=1e-6)
+    found = rotate(np.reshape(load(tmp_path).quaternions, (9, 4)))
+    np.testing.assert_allclose(found, np.reshape(expected, (9, 3, 3)), atol=1e-6)
 
 
 @pytest.mark.parametrize("fields", [{}, {"convention": "opencv", "axes": 1}])
@@ -211,7 +213,7 @@ def test_transforms_give_views_that_fit_one_object(tmp_path, fields):
     """With place and lens known, one scale and one middle explain all views."""
     for i, name in enumerate("abc"):
         write_photos(tmp_path / "set" / name, views=6, seed=i, **fields)
-    data = load(tmp_path / "set", tmp_path / "cache", image_size=64)
+    data = load(tmp_path, image_size=64)
     points = sample_balls()
     for model in range(3):
         # the size is free: it is the one at which the largest view fills the frame
@@ -279,7 +281,7 @@ def test_views_without_a_usable_mask_are_left_out_and_named(tmp_path):
     for name, alpha in (("opaque", 255), ("empty", 0)):
         pixels[..., 3] = alpha
         Image.fromarray(pixels).save(paths[name])
-    data = load(tmp_path / "set", tmp_path / "cache")
+    data = load(tmp_path)
     assert data.skipped == () and len(data.remarks) == len(said)
     assert data.counts.tolist() == [3, 2, 2, 2, 2, 2]
     for name, remark in data.remarks:
@@ -287,11 +289,10 @@ def test_views_without_a_usable_mask_are_left_out_and_named(tmp_path):
 
 
 def test_poses_for_some_objects_only_are_refused(tmp_path):
-    for name in "abc":
-        rotations = write_object(tmp_path / "set" / name)
-    write_quaternions(tmp_path / "set" / "b", rotations)
+    place, rotations = list(write_set(tmp_path).items())[1]
+    write_quaternions(place, rotations)
     with pytest.raises(ValueError, match="set/b has a pose file and .*set/a does not"):
-        load(tmp_path / "set", tmp_path / "cache")
+        load(tmp_path)
 
 
 def write_frame(matrix, **lens):
@@ -317,12 +318,11 @@ BAD_POSES = [
 
 @pytest.mark.parametrize("name, text, message", BAD_POSES)
 def test_a_pose_file_that_cannot_be_used_is_named(tmp_path, name, text, message):
-    for i in "abc":
-        write_object(tmp_path / "set" / i)
-        (tmp_path / "set" / i / name).write_text(text)
+    write_object(tmp_path)
+    (tmp_path / name).write_text(text)
     with pytest.raises(ValueError, match=message) as error:
-        load(tmp_path / "set", tmp_path / "cache")
-    assert str(tmp_path / "set" / "a") in str(error.value)
+        read_views(tmp_path, DataSpec("car"))
+    assert str(tmp_path) in str(error.value)
 
 
 def test_an_object_without_any_usable_view_is_skipped_and_the_others_stay(tmp_path):
@@ -337,7 +337,7 @@ def test_an_object_without_any_usable_view_is_skipped_and_the_others_stay(tmp_pa
     (place / "transforms.json").write_text('{"fl_x": 3}')
     for path in (tmp_path / "set" / "f").glob("*.png"):
         path.write_bytes(b"no image")
-    data = load(tmp_path / "set", tmp_path / "cache")
+    data = load(tmp_path)
     assert data.names == ("a", "c", "e")
     files = {"b": "transforms.json", "d": "transforms.json", "f": "view0.png"}
     assert dict(data.skipped).keys() == files.keys()
@@ -346,18 +346,16 @@ def test_an_object_without_any_usable_view_is_skipped_and_the_others_stay(tmp_pa
 
 
 def test_cameras_that_look_away_are_refused(tmp_path):
-    for i, name in enumerate("abc"):
-        place = tmp_path / "set" / name
-        write_photos(place, views=4, seed=i, convention="opencv")  # which they are not
+    place = tmp_path / "a"
+    write_photos(place, views=4, convention="opencv")  # which they are not
     with pytest.raises(ValueError, match="check the convention of the poses"):
-        load(tmp_path / "set", tmp_path / "cache")
+        read_views(place, DataSpec("car"))
 
 
 def test_a_view_without_a_pose_is_left_out(tmp_path):
-    for name in "abc":
-        place = tmp_path / "set" / name
-        write_quaternions(place, write_object(place, views=3)[:2])
-    data = load(tmp_path / "set", tmp_path / "cache")
+    for place, rotations in write_set(tmp_path, views=3).items():
+        write_quaternions(place, rotations[:2])
+    data = load(tmp_path)
     assert (data.counts == 2).all()
     assert "a pose of" in data.remarks[0][1] and "view2.png" in data.remarks[0][1]
 
@@ -365,22 +363,19 @@ def test_a_view_without_a_pose_is_left_out(tmp_path):
 def test_one_or_two_objects_stand_in_all_splits_and_it_is_said(tmp_path):
     write_object(tmp_path / "set" / "only", views=4)
     for split in ("train", "val", "test"):
-        data = load(
-            tmp_path / "set", tmp_path / "cache", split=split, fractions=(8, 1, 1)
-        )
+        data = load(tmp_path, split=split, fractions=(8, 1, 1))
         assert data.names == ("only",)
         assert "too few objects to split" in data.remarks[0][1]
 
 
 def test_a_changed_mask_is_read_anew(tmp_path):
-    for name in "abc":
-        write_object(tmp_path / "set" / name)
-    first = load(tmp_path / "set", tmp_path / "cache")
+    write_set(tmp_path)
+    first = load(tmp_path)
     path = tmp_path / "set" / "a" / "view0.png"
     pixels = np.array(Image.open(path))
     pixels[:30, :, 3] = 0
     Image.fromarray(pixels).save(path)
-    second = load(tmp_path / "set", tmp_path / "cache")
+    second = load(tmp_path)
     assert (np.asarray(first.masks[0, 0]) != second.masks[0, 0]).any()
 
 
