@@ -12,24 +12,22 @@ from dpc_jax.task import run_command
 LINES, COLUMNS = 24, 80  # of a terminal as it opens
 
 
-def start(*words, **environment):
+def start(*words):
     """The finished process of a command that is quick."""
     return subprocess.run(
-        [sys.executable, "-m", *words],
+        [sys.executable, *words],
         capture_output=True,
         text=True,
-        env=os.environ | {"JAX_PLATFORMS": "cpu"} | environment,
+        env=os.environ | {"JAX_PLATFORMS": "cpu"},
     )
-
-
-def make_parser(name):
-    return commands.load_module(name).make_parser()
 
 
 @pytest.mark.parametrize("name", ["", *commands.COMMANDS])
 def test_help_fits_a_screen(name, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(COLUMNS))
-    text = make_parser(name).format_help() if name else commands.describe()
+    text = commands.describe()
+    if name:
+        text = commands.load_module(name).make_parser().format_help()
     lines = text.splitlines()
     # The line of the command itself and the next prompt are on the screen, too.
     assert len(lines) <= LINES - 2
@@ -48,12 +46,13 @@ for command in COMMANDS:
 heavy = "jax scipy trimesh matplotlib flax optax orbax rich tensorboardX PIL"
 print([name for name in heavy.split() if name in sys.modules])
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = start("-c", code)
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
 
 
 def test_the_fields_of_a_config_reach_the_run():
-    done = start("dpc_jax", "train", "--config=debug:known_pose", "--config.seed=-1")
+    flags = "--config=debug:known_pose", "--config.seed=-1"
+    done = start("-m", "dpc_jax", "train", *flags)
     assert done.returncode == 1
     assert done.stderr.startswith("Error: config.seed must be 0 or more, but it is -1")
 
@@ -71,7 +70,7 @@ def test_help_and_version_are_answered_with_status_0(capsys):
     assert capsys.readouterr().out == 2 * commands.describe()
     assert commands.main(["--version"]) == 0
     assert capsys.readouterr().out[0].isdigit()
-    assert start("dpc_jax.main", "--help").returncode == 0
+    assert start("-m", "dpc_jax.main", "--help").returncode == 0
 
 
 def test_a_library_that_is_not_installed_is_said_in_one_sentence(capsys):

@@ -3,6 +3,7 @@
 Also of processes that know nothing of each other and share a folder.
 """
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import trimesh
 from data_trees import rotate, share_inside, write_boxes
 
 from dpc_jax.data import DataSpec, dataset, load_or_render, views, workers
+from dpc_jax.files import locate_claim
 
 SMALL = dict(category="car", models=3, views=2, image_size=16, surface_points=50)
 ARRAYS = ("images", "masks", "depths", "quaternions", "surfaces")
@@ -89,44 +91,20 @@ def test_any_number_of_processes_gives_the_same_bytes(tmp_path, monkeypatch):
     assert_same_files(tmp_path / "alone", tmp_path / "two")
 
 
-# Makes a shard, and stops for ever in the middle of the next one.
-STUCK = """
-import sys, time
-from dpc_jax.data import DataSpec, load_or_render
-from dpc_jax.data.sets import mesh_folder
-make = mesh_folder.ProceduralShapes.make_arrays
-
-def make_or_stop(self, model, index):
-    if index == 5:
-        print("stuck", file=sys.stderr, flush=True)
-        time.sleep(600)
-    return make(self, model, index)
-
-mesh_folder.ProceduralShapes.make_arrays = make_or_stop
-load_or_render(DataSpec(**{spec}), cache_dir={cache!r}, processes=1)
-"""
-
-
 def test_the_shard_of_a_killed_process_is_taken_over(tmp_path):
     load(tmp_path / "alone", models=20)  # in five shards
-    shared = tmp_path / "shared"
-    code = STUCK.format(spec=SMALL | {"models": 20}, cache=str(shared))
-    killed = subprocess.Popen(
-        [sys.executable, "-c", code], stderr=subprocess.PIPE, text=True
-    )
-    try:
-        assert killed.stderr.readline() == "stuck\n"
-        with ThreadPoolExecutor() as pool:
-            loading = pool.submit(load, shared, models=20)
-            # All but what the first has.
-            while len(list(shared.glob("*/*.npz"))) < 4:
-                assert not loading.done()
-            killed.kill()
-            loading.result()
-    finally:
-        killed.kill()
-        killed.communicate()
-    assert_same_files(tmp_path / "alone", shared)
+    (whole,) = (tmp_path / "alone").iterdir()
+    folder = tmp_path / "shared" / whole.name
+    folder.mkdir(parents=True)
+    claim = open(locate_claim(folder / "shard-00001.npz"), "w")
+    fcntl.flock(claim, fcntl.LOCK_EX)  # as another process would
+    with ThreadPoolExecutor() as pool:
+        loading = pool.submit(load, tmp_path / "shared", models=20)
+        while len(list(folder.glob("*.npz"))) < 4:
+            assert not loading.done()
+        claim.close()  # as the system does when it kills a process
+    loading.result()
+    assert_same_files(tmp_path / "alone", tmp_path / "shared")
 
 
 def test_where_the_disk_knows_no_locks_everything_is_still_made(tmp_path, monkeypatch):

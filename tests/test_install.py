@@ -1,7 +1,6 @@
 """launch/install.sh chooses what a GPU needs, also where there is none."""
 
 import os
-import stat
 import subprocess
 from pathlib import Path
 
@@ -17,7 +16,7 @@ if [ "$2" = venv ]; then mkdir -p "$3/bin"; cp "$0" "$3/bin/python"; fi
 
 def write_script(path, text):
     path.write_text(text)
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    path.chmod(0o755)
     return path
 
 
@@ -31,20 +30,19 @@ def install(tmp_path):
         if shown is not None:
             write_script(folder / "nvidia-smi", f"#!/bin/sh\n{shown}\n")
         calls = tmp_path / "calls"
+        environment |= {
+            "PATH": f"{folder}:/usr/bin:/bin",
+            "CALLS": str(calls),
+            "PYTHON": str(write_script(tmp_path / "python", PYTHON)),
+            "VENV": str(tmp_path / "venv"),
+        }
         clean = {k: v for k, v in os.environ.items() if k != "CUDA"}
-        environment = (
-            clean
-            | environment
-            | {
-                "PATH": f"{folder}:/usr/bin:/bin",
-                "CALLS": str(calls),
-                "PYTHON": str(write_script(tmp_path / "python", PYTHON)),
-                "VENV": str(tmp_path / "venv"),
-            }
-        )
-        command = ["bash", "-euc", f'. launch/install.sh "{extras}"']
         done = subprocess.run(
-            command, cwd=ROOT, env=environment, capture_output=True, text=True
+            ["bash", "-euc", f'. launch/install.sh "{extras}"'],
+            cwd=ROOT,
+            env=clean | environment,
+            capture_output=True,
+            text=True,
         )
         lines = calls.read_text().splitlines() if calls.exists() else []
         asked = [line.split()[-1] for line in lines if "pip install" in line]
