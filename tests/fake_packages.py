@@ -141,6 +141,12 @@ def write_airplanes(store, planes):
     write_deb(store, "flightgear-data-ai", files)
 
 
+def write_section(name, *numbers):
+    """A section of the parameters of a car."""
+    items = "".join(f"<attnum {number}/>" for number in numbers)
+    return f'<section name="{name}">{items}</section>'
+
+
 def write_racing(store):
     """torcs-data and trigger-rally-data with one car each.
 
@@ -151,32 +157,28 @@ def write_racing(store):
     wheel = [("tyre", BOX - 0.5, (0, 0, 0)), ("hub", hub, (1, 1, 1))]
     to_file = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # x forward, y up
     base = "usr/share/games/torcs"
-    sections = "".join(
-        f'<section name="{end} {side} Wheel"><attnum name="ypos" unit="m" val="{y}"/>'
-        '<attnum name="ride height" unit="mm" val="100"/></section>'
-        for end in ("Front", "Rear")
-        for side, y in (("Left", 0.7), ("Right", -0.7))
-    )
     own = (
         '<?xml version="1.0"?><!DOCTYPE params SYSTEM "p.dtd" [<!ENTITY more SYSTEM '
         '"more.xml">]><params>&more;<section name="Car"><attstr name="category" '
-        f'val="A"/></section>{sections}<section name="Front Axle"><attnum name="xpos" '
-        'val="1.2"/></section><section name="Rear Axle"><attnum name="xpos" '
-        'val="-1.4"/></section></params>'
+        'val="A"/></section>'
     )
-    wheels = "".join(
-        f'<section name="{end} {side} Wheel"><attnum name="rim diameter" unit="in" '
-        f'val="{0.4 / 0.0254}"/><attnum name="tire width" unit="mm" val="200"/>'
-        '<attnum name="tire height-width ratio" val="0.5"/></section>'
-        for end in ("Front", "Rear")
-        for side in ("Left", "Right")
-    )
+    general = "<params>"
+    for end, x in (("Front", 1.2), ("Rear", -1.4)):
+        own += write_section(f"{end} Axle", f'name="xpos" val="{x}"')
+        for side, y in (("Left", 0.7), ("Right", -0.7)):
+            place = f'name="ypos" unit="m" val="{y}"'
+            height = 'name="ride height" unit="mm" val="100"'
+            own += write_section(f"{end} {side} Wheel", place, height)
+            size = f'name="rim diameter" unit="in" val="{0.4 / 0.0254}"'
+            width = 'name="tire width" unit="mm" val="200"'
+            ratio = 'name="tire height-width ratio" val="0.5"'
+            general += write_section(f"{end} {side} Wheel", size, width, ratio)
     files = {
         f"{base}/cars/racer/racer.acc": write_ac(body, to_file),
         f"{base}/cars/racer/racer-lod1.acc": b"AC3Db\n",
-        f"{base}/cars/racer/racer.xml": own.encode(),
+        f"{base}/cars/racer/racer.xml": f"{own}</params>".encode(),
         f"{base}/cars/racer/readme.txt": "Copyright © 2002 Ann".encode("latin-1"),
-        f"{base}/categories/A.xml": f"<params>{wheels}</params>".encode(),
+        f"{base}/categories/A.xml": f"{general}</params>".encode(),
         f"{base}/wheels/trb1-5/wheel0.acc": write_ac(wheel, to_file),
     }
     write_deb(store, "torcs-data", files)
