@@ -1,10 +1,7 @@
 """Shards on disk and the arrays that lie over several of them."""
 
-import concurrent.futures
-import gc
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -73,25 +70,6 @@ def test_what_is_written_is_mapped_and_numpy_reads_it(tmp_path):
             np.testing.assert_array_equal(loaded[name], array, strict=True)
             assert not shard.arrays[name].flags.writeable
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
-
-
-def test_threads_map_shards_side_by_side(tmp_path):
-    """Though collecting garbage, which JAX listens to, lets another thread on."""
-    path = tmp_path / "shard-0.npz"
-    rows = {"masks": np.zeros((3, 4, 4), np.uint8)}
-    shards.write_shard(path, rows, {"names": "a", "counts": {"masks": [3]}})
-    often, patience = gc.get_threshold(), sys.getswitchinterval()
-    gc.callbacks.append(let_others_run := lambda *_: time.sleep(0))
-    gc.set_threshold(5)
-    sys.setswitchinterval(1e-6)
-    try:
-        with concurrent.futures.ThreadPoolExecutor(8) as pool:
-            found = list(pool.map(shards.map_shard, [path] * 400))
-    finally:
-        gc.callbacks.remove(let_others_run)
-        gc.set_threshold(*often)
-        sys.setswitchinterval(patience)
-    assert len(found) == 400
 
 
 def test_reading_a_large_set_needs_little_memory(tmp_path):

@@ -4,7 +4,6 @@ A cache folder holds shards and, when all are there, `spec.json`, which lists th
 their models. Without it, preparing continues with the shards that are missing.
 """
 
-import concurrent.futures
 import contextlib
 import json
 import os
@@ -155,14 +154,12 @@ def read_cache(folder: str | Path) -> DataSet:
         paths = [folder / Path(name).name for name in record["shards"]]  # of no other
         names = tuple(map(show_text, record["names"]))
         skipped, remarks = (_show_pairs(record[key]) for key in ("skipped", "remarks"))
-    # zlib lets other threads run
-    with concurrent.futures.ThreadPoolExecutor() as pool:
-        try:
-            parts = list(pool.map(shards.map_shard, paths))
-        except FileNotFoundError as error:
-            raise ValueError(
-                f"Expected {error.filename}, but it is missing; prepare the set again."
-            ) from None
+    try:
+        parts = [shards.map_shard(path) for path in paths]
+    except FileNotFoundError as error:
+        raise ValueError(
+            f"Expected {error.filename}, but it is missing; prepare the set again."
+        ) from None
     if [name for part in parts for name in part.record["names"]] != record["names"]:
         raise ValueError(
             f"Expected shards of the models that {path} lists, but they hold others; "

@@ -11,7 +11,6 @@ import math
 import mmap
 import os
 import struct
-import threading
 import zipfile
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,9 +22,6 @@ from dpc_jax.data.arrays import ROWS
 from dpc_jax.files import Damage
 
 RECORD = "record"  # member that says what the shard holds, as JSON
-# numpy reads headers by Python's parser, which in Python 3.11 counts the recursion of
-# all threads together, and may fail (python/cpython#106905).
-_PARSING = threading.Lock()
 
 
 class Shard(NamedTuple):
@@ -94,8 +90,7 @@ def _map_array(mapping, member, name):
     head = io.BytesIO(mapping[start : min(start + 1024, stop)])
     if np.lib.format.read_magic(head) != (1, 0):
         raise Damage(f"{name} is of another version")
-    with _PARSING:
-        shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(head)
+    shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(head)
     kind, row = ("|u1", ()) if name == RECORD else ROWS[name]
     fits = len(shape) == 1 + len(row) and all(
         size >= 0 and size == (expected or size)
