@@ -115,7 +115,7 @@ def test_a_large_photograph_gives_the_picture_of_a_small_one(tmp_path):
     small = np.zeros((64, 64, 4), np.uint8)
     small[..., :3] = np.stack([4 * rows, 4 * columns, 0 * rows], -1)
     small[(rows - 30) ** 2 + (columns - 33) ** 2 < 400, 3] = 255
-    large = small.repeat(31, axis=0).repeat(31, axis=1)
+    large = small.repeat(15, axis=0).repeat(15, axis=1)
     for name, pixels in (("small", small), ("large", large)):
         (tmp_path / "set" / name).mkdir(parents=True)
         Image.fromarray(pixels).save(tmp_path / "set" / name / "0.png")

@@ -130,8 +130,7 @@ def _find_visible(points, scene, *, distance):
         if len(left) == 0:
             break
         directions = points[left] - eye.astype(np.float32)
-        origins = np.empty_like(directions)
-        origins[:] = eye
+        origins = np.full_like(directions, eye)
         # directions end at the points: only what lies before t = 1 can hide them
         before = 1.0 - CLEARANCE / np.linalg.norm(directions, axis=1)
         blocked = scene.embree.run(

@@ -151,9 +151,7 @@ def render_view(
     rays = rays[:, top:bottom, left:right]
     shape = rays.shape[:3]
     directions = rays.reshape(-1, 3) @ rotation.astype(np.float32)
-    origins = np.empty_like(directions)
-    origins[:] = eye
-    hits = scene.embree.run(origins, directions, output=True)
+    hits = scene.embree.run(np.full_like(directions, eye), directions, output=True)
 
     face = hits["primID"]
     # the last row stands for a miss (index -1): the white background

@@ -42,13 +42,8 @@ def fetch_package(name: str, folder: Path) -> Path:
     advice = "connect to the network, run `apt-get update` once as root, or put the "
     advice += f"file {name}_VERSION.deb from any Debian mirror into {folder}"
     _run(["apt-get", "download", name], advice, folder=partial)
-    found = max(partial.glob(pattern), default=None)
-    if found is None:
-        raise RuntimeError(
-            f"Expected apt-get to download {name}, but no {pattern} came; {advice}."
-        )
-    path = folder / found.name
-    os.replace(found, path)
+    path = folder / next(partial.glob(pattern)).name
+    os.replace(partial / path.name, path)
     shutil.rmtree(partial, ignore_errors=True)
     return path
 

@@ -103,8 +103,7 @@ def make_mesh(model: OpenModel, folder: Path) -> trimesh.Trimesh:
     library, item = model.source
     member = item["model"].lstrip("/")
     mesh = meshes.read_mesh(extract_model(library, member, folder))
-    turn = np.eye(3)
-    if "modelRotation" in item:
-        turn = np.array(item["modelRotation"].split(), dtype=np.float64).reshape(3, 3)
+    rotation = item.get("modelRotation", "1 0 0 0 1 0 0 0 1")
+    turn = np.array(rotation.split(), dtype=np.float64).reshape(3, 3)
     mesh.vertices = np.asarray(mesh.vertices) @ turn.T
     return move_vertices(mesh, (2, 0, 1))  # from y up, front +z

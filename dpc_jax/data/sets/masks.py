@@ -209,8 +209,6 @@ def _keep_largest(away, threshold):
 
 def _trim_edge(mask, away):
     """The mask without those pixels of its edge that are mostly background."""
-    if not mask.any():
-        return mask
     inner = ndimage.binary_erosion(mask, np.ones((3, 3)), iterations=_EDGE)
     nearby = ndimage.grey_dilation(np.where(mask, away, 0.0), size=2 * _EDGE + 1)
     trimmed = mask & (inner | (away > 0.5 * np.minimum(nearby, 60.0)))
