@@ -1,5 +1,7 @@
 """What a data set is made of: impossible specifications, seeded splits."""
 
+import functools
+
 import numpy as np
 import pytest
 from data_trees import write_boxes
@@ -8,42 +10,35 @@ from dpc_jax.data import DataSpec, sources, split_files
 from dpc_jax.data.sources import open_source
 from dpc_jax.data.splits import SPLITS
 
+TENTHS = (0.8, 0.1, 0.1)
+
 
 def test_splits_hold_every_file_once_and_equal_files_together():
     paths = [f"{i:02d}.obj" for i in range(23)]
     groups = [i // 2 for i in range(23)]
-    sides = split_files(paths, fractions=(0.7, 0.15, 0.15), seed=3, groups=groups)
+    split = functools.partial(split_files, fractions=(0.7, 0.15, 0.15))
+    sides = split(paths, seed=3, groups=groups)
     assert sorted(sum(sides, [])) == paths
     assert all(sides)
     for first, second in zip(paths[0:22:2], paths[1:22:2], strict=True):
         assert sum(first in side and second in side for side in sides) == 1
-    again = split_files(
-        paths[::-1], fractions=(0.7, 0.15, 0.15), seed=3, groups=groups[::-1]
-    )
-    assert sides == again
-    assert sides != split_files(
-        paths, fractions=(0.7, 0.15, 0.15), seed=4, groups=groups
-    )
+    assert sides == split(paths[::-1], seed=3, groups=groups[::-1])
+    assert sides != split(paths, seed=4, groups=groups)
     assert split_files(paths, fractions=(0, 0, 1), seed=0) == ([], [], paths)
 
 
 def test_every_side_with_a_share_gets_a_file_as_far_as_they_last():
     for count in (3, 5, 9):
-        sides = split_files(range(count), fractions=(0.8, 0.1, 0.1), seed=0)
-        assert all(sides)
+        assert all(split_files(range(count), fractions=TENTHS, seed=0))
     assert all(split_files(range(2), fractions=(0.5, 0, 0.5), seed=0)[::2])
-    assert split_files(range(1), fractions=(0.8, 0.1, 0.1), seed=0) == ([0], [], [])
+    assert split_files(range(1), fractions=TENTHS, seed=0) == ([0], [], [])
 
 
 def test_over_all_folds_every_family_is_tested_once_and_never_trained_on():
     paths = list(range(23))
     groups = [path // 3 for path in paths]  # 8 families, the last of two
-    sides = [
-        split_files(
-            paths, fractions=(0.8, 0.1, 0.1), seed=4, groups=groups, fold=(i, 5)
-        )
-        for i in range(5)
-    ]
+    split = functools.partial(split_files, fractions=TENTHS, seed=4)
+    sides = [split(paths, groups=groups, fold=(i, 5)) for i in range(5)]
     assert sorted(path for side in sides for path in side[2]) == paths
     for train, val, test in sides:
         families = [{path // 3 for path in side} for side in (train, val, test)]
@@ -51,7 +46,7 @@ def test_over_all_folds_every_family_is_tested_once_and_never_trained_on():
         assert sum(map(len, families)) == 8
         assert [len(found) for found in families[1:]] in ([1, 1], [1, 2])
     with pytest.raises(ValueError, match="there are 3 and data.fold asks for 5"):
-        split_files(range(3), fractions=(0.8, 0.1, 0.1), seed=0, fold=(0, 5))
+        split(range(3), fold=(0, 5))
 
 
 def test_a_small_set_is_completed_by_copies_and_procedural_shapes(tmp_path):
