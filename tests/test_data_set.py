@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -42,15 +43,10 @@ def assert_same_files(first, second):
 
 
 @pytest.fixture
-def count_renders(monkeypatch):
-    calls = []
-    original = views.render_view
-
-    def counted(*args, **options):
-        calls.append(1)
-        return original(*args, **options)
-
-    monkeypatch.setattr(views, "render_view", counted)
+def renders(monkeypatch):
+    """What has been called to render views."""
+    calls = mock.Mock(wraps=views.render_view)
+    monkeypatch.setattr(views, "render_view", calls)
     return calls
 
 
@@ -73,13 +69,13 @@ def test_a_set_holds_what_it_says(tmp_path):
         assert abs(rotate(pose)[0, 2]) < 1e-6  # upright
 
 
-def test_a_second_call_renders_nothing(tmp_path, count_renders):
+def test_a_second_call_renders_nothing(tmp_path, renders):
     first = load(tmp_path)
-    rendered = len(count_renders)
+    assert renders.call_count == 6
     assert_same(first, load(tmp_path))
-    assert rendered == 6 and len(count_renders) == 6
+    assert renders.call_count == 6
     load(tmp_path, seed=1)
-    assert len(count_renders) == 12
+    assert renders.call_count == 12
 
 
 def test_any_number_of_processes_gives_the_same_bytes(tmp_path, monkeypatch):
@@ -169,15 +165,10 @@ load_or_render(DataSpec(**{spec}), cache_dir={str(tmp_path)!r}, processes=2)
 def test_an_interrupted_set_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
     """What a killed process has left half written is removed and never read."""
     whole = load(tmp_path / "unbroken", models=9)
-    original, calls = views.sample_surface, []
-
-    def stop(*args, **options):
-        calls.append(1)
-        if len(calls) == 7:  # of the second shard, which has four models
-            raise KeyboardInterrupt
-        return original(*args, **options)
-
-    monkeypatch.setattr(views, "sample_surface", stop)
+    # In the second shard, which has four models.
+    turns = [*6 * [mock.DEFAULT], KeyboardInterrupt, *5 * [mock.DEFAULT]]
+    calls = mock.Mock(wraps=views.sample_surface, side_effect=turns)
+    monkeypatch.setattr(views, "sample_surface", calls)
     with pytest.raises(KeyboardInterrupt):
         load(tmp_path / "broken", models=9)
     (folder,) = (tmp_path / "broken").iterdir()
@@ -188,13 +179,13 @@ def test_an_interrupted_set_goes_on_where_it_stopped(tmp_path, monkeypatch, caps
     dead.wait()
     (folder / f".{os.uname().nodename}.{dead.pid}.0.tmp").write_bytes(b"PK")
     assert_same(whole, load(tmp_path / "broken", models=9))
-    assert len(calls) == 7 + 5 and not list(folder.glob("*.tmp"))
+    assert calls.call_count == 7 + 5 and not list(folder.glob("*.tmp"))
     assert "5 of 9 models are missing" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("harm", ["flip", "gone", "swapped", "nonsense"])
 def test_a_damaged_cache_is_named_and_only_that_is_made_again(
-    tmp_path, capsys, count_renders, harm
+    tmp_path, capsys, renders, harm
 ):
     whole = load(tmp_path, models=9)
     expected = {name: np.array(getattr(whole, name)) for name in ARRAYS}
@@ -210,12 +201,12 @@ def test_a_damaged_cache_is_named_and_only_that_is_made_again(
         path.write_bytes(content)
     elif harm == "swapped":
         path.write_bytes((folder / "shard-00000.npz").read_bytes())
-    before = len(count_renders)
+    renders.reset_mock()
     again = load(tmp_path, models=9)
     text = capsys.readouterr().out
     assert "is damaged" in text
     # The views of one shard.
-    assert len(count_renders) - before == (0 if harm == "nonsense" else 4 * 2)
+    assert renders.call_count == (0 if harm == "nonsense" else 4 * 2)
     assert harm == "nonsense" or "shard-00001.npz" in text
     for name in ARRAYS:
         np.testing.assert_array_equal(getattr(again, name), expected[name])
