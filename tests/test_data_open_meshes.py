@@ -1,6 +1,7 @@
 """Open meshes in one command: canonical frame, origins, families, failures, reruns."""
 
 import shutil
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -166,19 +167,10 @@ def test_airplanes_lose_their_discs_and_keep_their_families(tmp_path, store):
     assert families["733.ply"] == families["734.ply"] == families["735.ply"]
 
 
-def test_a_conversion_that_was_stopped_is_made_whole(
-    tmp_path, store, monkeypatch, capsys
-):
-    make, made = sweethome3d.make_mesh, []
-
-    def stop_at_second(model, folder):
-        if made:
-            raise KeyboardInterrupt
-        made.append(model.name)
-        return make(model, folder)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(sweethome3d, "make_mesh", stop_at_second)
+def test_a_conversion_that_was_stopped_is_made_whole(tmp_path, store, capsys):
+    turns = [mock.DEFAULT, KeyboardInterrupt]
+    stopped = mock.Mock(wraps=sweethome3d.make_mesh, side_effect=turns)
+    with mock.patch.object(sweethome3d, "make_mesh", stopped):
         assert fetch("chair", tmp_path) == 130
     assert "continues" in capsys.readouterr().err
     folder = tmp_path / "open/chair"
