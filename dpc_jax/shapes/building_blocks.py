@@ -44,8 +44,7 @@ def loft(rings: npt.ArrayLike, *, color: Color, caps: bool = True) -> Part:
     index = np.arange(stations * around).reshape(stations, around)
     a, b = index[:-1], np.roll(index[:-1], -1, axis=1)
     c, d = index[1:], np.roll(index[1:], -1, axis=1)
-    faces = [np.stack([a, b, d], -1).reshape(-1, 3)]
-    faces.append(np.stack([a, d, c], -1).reshape(-1, 3))
+    faces = [np.stack(half, -1).reshape(-1, 3) for half in ((a, b, d), (a, d, c))]
     vertices = rings.reshape(-1, 3)
     if caps:
         for ring, centre in ((index[0, ::-1], rings[0]), (index[-1], rings[-1])):

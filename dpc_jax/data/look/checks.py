@@ -4,8 +4,7 @@ Poses must put an object where its masks are: its surface points or, without tho
 block that the masks of all its views carve out.
 """
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -56,13 +55,11 @@ def _name(places):
     return ", ".join(places[:NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
-def _check_model(
-    data: DataSet, lens: Lens, model: int
-) -> Iterator[tuple[str, str, Any]]:
+def _check_model(data, lens, model):
     """(level, fault, which views have it); what objects "have" is of the whole one."""
     masks, images = data.rows("masks", model), data.rows("images", model)
     if len(masks) < 2:
-        yield "warning", "have fewer than two views", None
+        yield "warning", "have fewer than two views", ()
     share = masks.mean(axis=(1, 2)) / 255.0
     small = (share > 0) & (share < SMALL)
     yield "error", "an empty mask", share == 0
@@ -84,7 +81,7 @@ def _check_model(
     if data.surfaces is not None:
         points = np.asarray(data.surfaces[model])
         if not 0.8 < np.linalg.norm(np.ptp(points, axis=0)) < 1.1:
-            yield "warning", "have surface points whose box diagonal is not 1", None
+            yield "warning", "have surface points whose box diagonal is not 1", ()
 
 
 def _check_poses(data, lens):

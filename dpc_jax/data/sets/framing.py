@@ -204,9 +204,7 @@ def cut_frames(
     return arrays
 
 
-def _cut_frame(
-    image: np.ndarray, mask: np.ndarray, frame: Frame, *, image_size: int
-) -> tuple[np.ndarray, np.ndarray]:
+def _cut_frame(image, mask, frame, *, image_size):
     """Image and mask as the camera of a frame sees them, by supersampling.
 
     From uint8 [height, width, 3] and coverage float32 [height, width] of 0 to 1 to
