@@ -114,7 +114,7 @@ def test_where_the_disk_knows_no_locks_everything_is_still_made(tmp_path, monkey
 def test_a_worker_that_fails_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(workers, "INLINE", 0)
     monkeypatch.setattr(workers, "BOOT", "import sys; sys.exit('out of luck')")
-    with pytest.raises(RuntimeError, match=r"(?s)status 1;.*out of luck"):
+    with pytest.raises(ChildProcessError, match=r"(?s)status 1;.*out of luck"):
         load(tmp_path, processes=2, models=9)
     assert list(tmp_path.iterdir()) == []
 

@@ -176,7 +176,7 @@ def _write_in_processes(plan, numbers, count):
             if worker.returncode:
                 log.seek(0)
                 tail = log.read().decode("utf-8", errors="replace")[-2000:].strip()
-                raise RuntimeError(
+                raise ChildProcessError(
                     "Expected a render process to end well, but it ended with status "
                     f"{worker.returncode}; set data.processes to 1 to look closer. Its "
                     f"last words:\n{tail}."
