@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 
 SIDE = 8  # pixels of a tile along each axis (measured: 4 and 16 are slower)
-_BLOCK = 64  # points whose running count is one row of a matrix product
 _IN_BOUNDS = "promise_in_bounds"
 
 
@@ -193,17 +192,11 @@ def find_gaps(centers: jax.Array, corner: jax.Array) -> tuple[jax.Array, jax.Arr
 def find_points(reaches: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Indices of the points [N] that reach a tile, then N up to [N]; their number.
 
-    As `jnp.nonzero` with a fixed size, in a quarter of its time on a CPU: the running
-    count is taken block by block, as a product with a triangle of ones. Counts that
-    small are exact in every precision.
+    As `jnp.nonzero` with a fixed size, in half of its time or less on a CPU.
     """
     count = len(reaches)
-    blocks = jnp.pad(reaches, (0, -count % _BLOCK)).reshape(-1, _BLOCK)
-    ones = jnp.triu(jnp.ones((_BLOCK, _BLOCK), jnp.float32))
-    within = (blocks.astype(jnp.float32) @ ones).astype(jnp.int32)
-    sizes = within[:, -1]
-    ranks = (within + (jnp.cumsum(sizes) - sizes)[:, None]).ravel()[:count]
+    ranks = jnp.cumsum(reaches, dtype=jnp.int32)
     index = jnp.arange(count, dtype=jnp.int32)
     order = jnp.full(count, count, jnp.int32)
     order = order.at[jnp.where(reaches, ranks - 1, count)].set(index, mode="drop")
-    return order, jnp.sum(sizes)
+    return order, ranks[-1]
