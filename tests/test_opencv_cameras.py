@@ -148,10 +148,10 @@ LENS, MATRIX = draw_camera(0)
     [
         ({"K": LENS[:2]}, r"K must have shape \[3, 3\]"),
         ({"K": LENS + np.diag([1.0, 0], 1)}, "skew"),
-        ({"K": -LENS}, "focal lengths above 0"),
-        ({"K": LENS * np.nan}, "finite numbers"),
+        ({"K": -LENS}, "f_x, f_y above 0"),
+        ({"K": LENS * np.nan}, "finite and f_x"),
         ({"world_to_camera": 2 * MATRIX}, "must be a rotation"),
-        ({"world_to_camera": MATRIX * [[1], [1], [-1]]}, "invert a camera-to-world"),
+        ({"world_to_camera": MATRIX * [[1], [1], [-1]]}, "invert camera-to-world"),
         ({"world_to_camera": MATRIX[:, :3]}, r"\[3, 4\] or \[4, 4\]"),
         ({"radius": 0.0}, "radius must be finite and above 0"),
         ({"center": [np.inf, 0, 0]}, "finite"),

@@ -83,7 +83,7 @@ def check_values(values: Mapping[str, Any]) -> None:
     what is traced there passes, and so does None. All are fetched at once.
 
     Args:
-      values: arguments of `project` by name, of the right shapes; with leading axes
+      values: arguments of renders by name, of the right shapes; with leading axes
         for many. Those without a rule pass.
     """
     known = {n: v for n, v in values.items() if n in _RULES and is_known(v)}
@@ -134,6 +134,19 @@ def _are_covariances(matrices):
     return (m[..., 0, 0] > 0) & (minor > 0) & (np.linalg.det(m) > 0)
 
 
+def _are_views(matrices):
+    is_finite = np.isfinite(matrices).all(axis=(-1, -2))
+    return is_finite & _are_rotations(matrices[..., :3, :3])
+
+
+def _are_lenses(matrices):
+    focal = np.diagonal(matrices, 0, -1, -2)[..., :2]
+    form = np.array([[1, 0, 1], [0, 1, 1], [0, 0, 0]], bool)
+    others = np.abs(np.where(form, 0, matrices) - np.diag([0, 0, 1]))
+    is_right = others.max(axis=(-1, -2)) <= 1e-9 * focal[..., 0]
+    return is_right & (focal > 0).all(-1) & np.isfinite(matrices).all(axis=(-1, -2))
+
+
 def _are_positive(values):
     return (values > 0) & (values < np.inf)
 
@@ -153,6 +166,9 @@ _MATRIX = _Rule(2, _are_rotations, _ROTATION, "scale or mirror the points instea
 _SIZE = "at least 0 voxels and finite"
 _NUMBER = "finite and above 0"
 _FULL = "finite without negative eigenvalues"
+_LENS = "[[f_x, 0, c_x], [0, f_y, c_y], [0, 0, 1]], finite and f_x, f_y above 0"
+_VIEW = "a rotation [3, 3] and a finite translation"
+_OTHER_VIEWS = "invert camera-to-world matrices, and turn axes that look along -z"
 _RULES = {
     "points": _Rule(1, _are_finite, "finite", "leave out those that are not"),
     "rotation": _MATRIX,
@@ -165,6 +181,10 @@ _RULES = {
     "camera.distance": _Rule(0, np.isfinite, "finite", "the paper's camera has 2.0"),
     "camera.principal_point": _Rule(1, _are_finite, "finite", "(0, 0) is the middle"),
     "camera.aspect": _Rule(0, _are_positive, _NUMBER, "1 has square units"),
+    "K": _Rule(2, _are_lenses, _LENS, "undistort images of cameras with a skew first"),
+    "world_to_camera": _Rule(2, _are_views, _VIEW, _OTHER_VIEWS),
+    "center": _Rule(1, _are_finite, "finite", "take the middle of the object"),
+    "radius": _Rule(0, _are_positive, _NUMBER, "take half the width of the cube"),
 }
 
 

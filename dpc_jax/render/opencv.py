@@ -83,7 +83,7 @@ def from_opencv(
     numpy: ModuleType | Any = np if is_known else jnp
     if is_known:
         given = {name: np.asarray(value, float) for name, value in given.items()}
-        _check(**given)
+        checks.check_values(given)
     lens, matrix, origin, half = (numpy.asarray(value) for value in given.values())
     turn = matrix[:3, :3]
     x, y, z = ((turn * origin[None]).sum(axis=1) + matrix[:3, 3]) / (2 * half)
@@ -142,31 +142,3 @@ def to_opencv(
     if center is not None:
         place = place - jnp.matmul(turn, jnp.asarray(center), precision="highest")
     return lens, jnp.concatenate([turn, place[:, None]], axis=1)
-
-
-def _check(K, world_to_camera, center, radius):  # noqa: N803
-    """Refuse numbers that no camera has."""
-    turn = world_to_camera[:3, :3]
-    is_rotation = np.abs(turn.T @ turn - np.eye(3)).max() < 0.01
-    is_rotation &= np.linalg.det(turn) > 0  # NaN holds nowhere
-    if not (is_rotation and np.isfinite(world_to_camera).all()):
-        raise ValueError(
-            "world_to_camera must be a rotation [3, 3] and a finite translation, but "
-            f"it is {world_to_camera.tolist()}; invert a camera-to-world matrix, and "
-            "turn the axes of cameras that look along -z."
-        )
-    checks.check_values({"translation": center})
-    if not (0 < radius < np.inf):
-        raise ValueError(
-            f"radius must be finite and above 0, but it is {radius.tolist()}; take "
-            "half the width of the cube around the object."
-        )
-    form = np.array([[1, 0, 1], [0, 1, 1], [0, 0, 0]], bool)
-    others = np.abs(np.where(form, 0, K) - np.diag([0, 0, 1])).max()
-    is_lens = np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0
-    if not is_lens or others > 1e-9 * K[0, 0]:
-        raise ValueError(
-            "K must be [[f_x, 0, c_x], [0, f_y, c_y], [0, 0, 1]] with finite numbers "
-            f"and focal lengths above 0, but it is {K.tolist()}; undistort images of "
-            "cameras with a skew first."
-        )
