@@ -43,7 +43,8 @@ RNG = np.random.default_rng(7)
 COLORS, SIZES = RNG.uniform(size=(3, N, 2)), RNG.uniform(0.8, 1.6, (3, N))
 SHIFTS = RNG.uniform(-0.1, 0.1, (3, 3))
 COVARIANCES = np.eye(3) * (1 + SIZES[..., None, None])
-LENSES = np.array([1.5, 1.875, 2.2]), np.array([1.8, 2.0, 2.4])
+LENSES = {"focal_length": np.array([1.5, 1.875, 2.2]), "distance": 2 + SHIFTS[:, 0]}
+LENSES |= {"principal_point": SHIFTS[:, :2], "aspect": 1 + SHIFTS[:, 2]}
 
 
 @pytest.mark.parametrize(
@@ -51,7 +52,7 @@ LENSES = np.array([1.5, 1.875, 2.2]), np.array([1.8, 2.0, 2.4])
     [
         (
             {"sigma": SIZES[:, 0], "translation": SHIFTS}
-            | {"camera": dpc_jax.Camera(*LENSES)},
+            | {"camera": dpc_jax.Camera(**LENSES)},
             *({"scale": SIZES[:1]}, True),
         ),
         (
