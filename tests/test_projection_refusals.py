@@ -67,7 +67,6 @@ SHAPES = [
         r"background_color.*\[3\].*\[2\]",
     ),
     (project, {"background_depth": np.ones(3)}, r"background_depth.*\[3\]"),
-    (project, {"camera": None}, "Camera.*NoneType"),
     (project, {"camera": dpc_jax.Camera(np.ones(5))}, r"focal_length.*\[5\].*vmap"),
     (project, {"camera": dpc_jax.Camera(principal_point=0.1)}, r"shape \[2\]"),
     (project, {"grid": 32}, "VoxelGrid.*int"),
@@ -83,7 +82,6 @@ SHAPES = [
     (camera, {"projection": "fisheye"}, "fisheye"),
     (grid, {"shape": 0}, "positive.*0"),
     (grid, {"shape": (4, 4, 4.0)}, r"\(4, 4, 4.0\)"),
-    (grid, {"shape": "64"}, "int.*'64'"),
     (grid, {"shape": True}, "int.*True"),
     (grid, {"extent": float("nan")}, "extent.*nan"),
     # Methods.
@@ -170,7 +168,7 @@ def test_wrong_arguments_are_refused_in_a_sentence(call, wrong, words):
 
 # Numbers that make no image, where they are known.
 
-SIGMA, SCALE = "sigma must be at least 0 voxels", "scale must be at least 0 voxels"
+SIZE = "must be at least 0 voxels and finite"
 ZERO = "rotations must be finite and not zero, but one is [0.0, 0.0, 0.0, 0.0]"
 FOCAL_LENGTH = "camera.focal_length must be finite and above 0, but"
 NUMBERS = [
@@ -180,10 +178,9 @@ NUMBERS = [
     (project, "rotation", -MATRIX, "and determinant 1, but it is [[-1.0"),
     (project, "points", CLOUD * np.inf, "points must be finite"),
     (project, "translation", np.array([0, 0, np.nan]), "translation must be finite"),
-    (project, "sigma", -1.0, f"{SIGMA} and finite, but it is -1.0"),
+    (project, "sigma", -1.0, f"sigma {SIZE}, but it is -1.0"),
     (project, "sigma", np.array([1, 1, -1, 1, 1], "f4"), "one is -1.0"),
-    (project, "scale", -1.0, f"{SCALE} and finite, but it is -1.0"),
-    (project, "scale", 1e308, f"{SCALE} and finite"),
+    (project, "scale", 1e308, f"scale {SIZE}"),
     (anisotropic, "covariance", MATRICES - SINGULAR, "without negative eigenvalues"),
     (project, "camera", dpc_jax.Camera(-1.0), f"{FOCAL_LENGTH} it is -1.0"),
     (project, "camera", dpc_jax.Camera(1.0, np.inf), "camera.distance must be finite"),
@@ -208,34 +205,29 @@ def test_known_numbers_that_make_no_image_are_refused(call, name, value, says):
 def test_traced_numbers_are_rendered_by_the_documented_rule():
     """NaN points are left out, a zero quaternion is none, a negative sigma is 0."""
 
+    @jax.jit
     def render(points, rotation, sigma):
         return dpc_jax.project(points, rotation, sigma=sigma, grid=GRID).silhouette
 
     spoiled = np.concatenate([CLOUD, np.full((1, 3), np.nan, "f4")])
-    image = jax.jit(render)(spoiled, 0 * IDENTITY, -1.0)
+    image = render(spoiled, 0 * IDENTITY, -1.0)
     np.testing.assert_allclose(image, render(CLOUD, IDENTITY, 0.0), atol=1e-6)
 
 
 def test_lists_integers_and_singular_matrices_are_taken():
     assert dpc_jax.VoxelGrid(np.int64(8)) == dpc_jax.VoxelGrid(8)
     assert dpc_jax.VoxelGrid([4, 5, np.int32(6)]) == dpc_jax.VoxelGrid((4, 5, 6))
-    image = project(
-        points=CLOUD.tolist(),
-        rotation=[1.0, 0.0, 0.0, 0.0],
-        sigma=None,
-        covariance=SINGULAR,
-        scale=[1.0, 2.0, 0.0, 1.0, 1.0],
-        translation=[0.0, 0.1, 0.0],
-        colors=[[0.5]] * 5,
-        signals=["color"],
-    ).color
+    lists = {"points": CLOUD.tolist(), "rotation": [1.0, 0.0, 0.0, 0.0]}
+    lists |= {"translation": [0.0, 0.1, 0.0], "scale": [1.0, 2.0, 0.0, 1.0, 1.0]}
+    lists |= {"colors": [[0.5]] * 5, "signals": ["color"]}
+    image = jax.jit(lambda: anisotropic(covariance=SINGULAR, **lists).color)()
     assert image.shape == (4, 4, 1) and np.isfinite(image).all()
 
 
 @pytest.mark.parametrize(
     "transform, says",
     [
-        (jax.jacfwd, "but forward mode came"),
+        (lambda f: jax.jit(jax.jacfwd(f)), "but forward mode came"),
         (lambda f: jax.jit(jax.hessian(f)), "take jax.jacrev twice for second"),
     ],
 )

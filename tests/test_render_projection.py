@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 import dpc_jax
 from dpc_jax.measure.stability import oracles
@@ -66,11 +67,9 @@ def assert_equal(image, expected):
     [
         ("perspective", "trilinear", 0.0),
         ("orthographic", "trilinear", 0.7),
-        ("perspective", "trilinear", 1.9),
         ("perspective", "quadratic", 0.9),
         ("orthographic", "cubic", 1.1),
         ("perspective", "gaussian", SIZES),
-        ("orthographic", "gaussian", 0.8),
     ],
 )
 def test_images_of_a_cloud_equal_the_written_equations(kind, method, sigma):
@@ -97,12 +96,6 @@ def test_images_of_a_volume_equal_the_written_equations(kind):
     assert_equal(image, expected)
 
 
-def find_density(away, matrix):
-    """Of a continuous Gaussian, at distances [..., 3] from its mean."""
-    square = np.einsum("...i,ij,...j->...", away, np.linalg.inv(matrix), away)
-    return np.exp(-square / 2) / np.sqrt((2 * np.pi) ** 3 * np.linalg.det(matrix))
-
-
 def test_a_well_sampled_covariance_gives_the_continuous_density():
     shape = (11, 20, 9)  # neither cubic nor a multiple of a tile's side
     rng = np.random.default_rng(0)
@@ -116,18 +109,16 @@ def test_a_well_sampled_covariance_gives_the_continuous_density():
     cells = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
     expected = np.zeros((2, *shape))
     for point, value, matrix in zip(coordinates, values, matrices, strict=True):
-        density = find_density(cells - point, matrix)
+        density = multivariate_normal(point, matrix).pdf(cells)
         expected += value[:, None, None, None] * density
     # Aliasing of the thinnest, 2·exp(-2π²·0.7) = 2e-6 of a density of at most 0.05.
     np.testing.assert_allclose(volume, expected, atol=3e-7)
 
 
 def test_a_cloud_of_no_points_shows_the_background():
-    points, pose = jnp.zeros((0, 3)), jnp.array([1.0, 0, 0, 0])
-    grid = dpc_jax.VoxelGrid(4)
-    image = dpc_jax.project(
-        points, pose, sigma=1.2, colors=jnp.zeros((0, 1)), grid=grid, signals=ALL
-    )
+    scene = {"sigma": 1.2, "colors": np.zeros((0, 1)), "signals": ALL}
+    scene |= {"rotation": np.eye(3), "grid": dpc_jax.VoxelGrid(4)}
+    image = jax.jit(lambda points: dpc_jax.project(points, **scene))(jnp.zeros((0, 3)))
     np.testing.assert_array_equal(image.silhouette, np.zeros((4, 4)))
     np.testing.assert_array_equal(image.depth, np.full((4, 4), 10.0))
     np.testing.assert_array_equal(image.color, np.ones((4, 4, 1)))
@@ -137,25 +128,12 @@ def test_a_cloud_of_no_points_shows_the_background():
     "dtype, other", [("float32", "float64"), ("float64", "float32")]
 )
 def test_the_dtype_of_the_points_decides_that_of_every_image(dtype, other):
-    def project(points, rotation, sigma, translation, colors, focal_length, distance):
-        return dpc_jax.project(
-            *(points, rotation),
-            sigma=sigma,
-            scale=sigma,
-            translation=translation,
-            colors=colors,
-            camera=dpc_jax.Camera(focal_length, distance),
-            grid=dpc_jax.VoxelGrid(4),
-            signals=ALL,
-        )
-
-    shapes = ((4,), (2,), (3,), (2, 1), (), ())
+    others = {"rotation": POSE, "sigma": SIZES, "scale": MASSES, "colors": COLORS}
+    others |= {"translation": SHIFT, "camera": dpc_jax.Camera(FOCAL_LENGTH, DISTANCE)}
+    project = functools.partial(dpc_jax.project, signals=ALL)
     with jax.enable_x64(True):
-        image = jax.eval_shape(
-            project,
-            jax.ShapeDtypeStruct((2, 3), dtype),
-            *(jax.ShapeDtypeStruct(shape, other) for shape in shapes),
-        )
+        others = jax.tree.map(lambda value: jnp.asarray(value, other), others)
+        image = jax.eval_shape(project, POINTS.astype(dtype), **others)
     assert {image[name].dtype.name for name in ALL} == {dtype}
 
 
