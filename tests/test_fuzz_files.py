@@ -135,7 +135,7 @@ def test_a_damaged_file_is_read_or_refused_in_a_sentence(name, tries, tmp_path):
     make, read = READERS[name]
     content, path = make(), tmp_path / name
 
-    @hypothesis.settings(max_examples=tries, database=None, deadline=None)
+    @hypothesis.settings(max_examples=tries, database=None)
     @hypothesis.given(EDITS)
     def try_once(edits):
         path.write_bytes(damage(content, edits))

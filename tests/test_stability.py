@@ -16,7 +16,6 @@ from dpc_jax.measure.stability.runner import Case, Row, compare, run_cases
 
 # Sums, all draws and long descents are left to the slow test.
 TABLES = [s for s in SUBJECTS if s not in ("sum", "random", "descent")]
-BOTH = ["value error", "gradient error"]
 # Compiled in a second or two each.
 CHEAP = ("splat", "opacity", "mass_of_peak", "from_axis_angle", "student")
 
@@ -153,9 +152,7 @@ def test_draws_reach_the_ends_of_the_float_range():
     [
         (descents.BOUNDS, 0.5, ""),
         (descents.BOUNDS, 9, "pose error (degrees) is 9"),
-        # Others may crawl, but stay finite.
-        ({}, 90, ""),
-        ({}, np.inf, "pose error (degrees) is inf"),
+        ({}, 90, ""),  # others may crawl
     ],
 )
 def test_the_best_recipe_is_held_to_its_bounds(bounds, error, failing):
