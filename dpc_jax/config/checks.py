@@ -161,9 +161,7 @@ def _list_signal_rules(config):
         not (train.depth_weight and data.images),
         "0 with data.images, which come without depths",
     )
-    for name, value in (
-        ("data.offset", data.offset),
-        ("data.focal_spread", data.focal_spread),
-    ):
+    is_free = not (data.images or data.renders)
+    for name in ("offset", "focal_spread"):
         expected = "0 with data.images or data.renders, which are rendered already"
-        yield name, not (value and (data.images or data.renders)), expected
+        yield f"data.{name}", is_free or not getattr(data, name), expected

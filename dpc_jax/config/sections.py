@@ -22,19 +22,6 @@ from dpc_jax.config.fields import (
 
 CROPS = ("object", "view", "none")  # images that are scaled alike
 FILL = 0.85  # share of the frame that images cut out so fill
-LAYERS = ("", "paper", "released")  # "": normalised, and a wider student
-SHAPES = ("points", "voxels", "maps")  # what the shape branch predicts
-POSE_HEADS = ("quaternion", "viewpoint")  # what a head predicts
-# Where poses come from: the ensemble in hindsight; the data, none to learn (the variant
-# known_pose); the data, and a regressor learns them (gt_pose); drawn heads (mvc).
-POSE_SOURCES = ("unknown", "given", "labels", "sampled")
-# A pose of its own, by the paper's angle (q and -q alike) or by the released code's
-# squares of it; the likeliest candidate, or that weighed by how it fits the image.
-STUDENTS = ("regresses", "squares", "selects", "posterior")
-# What tells a kind of objects from its half turn: where its points are, or where it has
-# which colours; "": no kind is turned back.
-FRAMES = ("", "points", "colors")
-POINT_SIZES = ("", "sigma", "covariance")  # what is learned of each point's size
 # Of the cameras of rendered views, degrees, uniform (§ Datasets); azimuths: all 360.
 ELEVATIONS = (-20.0, 40.0)
 _IMAGE_SIZE = Allowed(
@@ -88,11 +75,12 @@ class Network:
     channels: int = field(16, at_least(1))  # of the first convolution (released code)
     hidden: int = field(512, at_least(1))  # of encoder and pose branches
     shape_hidden: int = field(512, at_least(1))  # of the shape branch's hidden layer
-    layers: str = field("", one_of(*LAYERS))  # the paper's, or its code's; "": ours
+    # The paper's, or its code's; "": normalised, and a wider student.
+    layers: str = field("", one_of("", "paper", "released"))
     # What is learned of the size of each point; "": nothing.
-    point_size: str = field("", one_of(*POINT_SIZES))
+    point_size: str = field("", one_of("", "sigma", "covariance"))
     # What is predicted; voxels and maps have the side `render.grid`.
-    shape: str = field("points", one_of(*SHAPES))
+    shape: str = field("points", one_of("points", "voxels", "maps"))
     sees_mask: bool = True  # beside the image, as a fourth channel
 
 
@@ -129,17 +117,27 @@ class Render:
 class Pose:
     """The pose candidates, and the student that learns from their winners."""
 
-    source: str = field("unknown", one_of(*POSE_SOURCES))  # where poses come from
+    # Where poses come from: the ensemble in hindsight; the data, none to learn (the
+    # variant known_pose); the data, and a regressor learns them (gt_pose); drawn heads
+    # (mvc).
+    source: str = field("unknown", one_of("unknown", "given", "labels", "sampled"))
     num_heads: int = field(8, _HEADS)  # K heads (§ distilled ensemble)
-    head: str = field("viewpoint", one_of(*POSE_HEADS))  # upright, or any rotation
+    # Of an upright camera, or any rotation.
+    head: str = field("viewpoint", one_of("quaternion", "viewpoint"))
     # Range of elevations that viewpoint heads predict, degrees.
     elevation_low: float = field(ELEVATIONS[0], between(-90, 90))
     elevation_high: float = field(ELEVATIONS[1], between(-90, 90))
     flips: bool = True  # also try each head after half turns of the object
-    student: str = field("posterior", one_of(*STUDENTS))  # what it predicts
+    # Predicts a pose, by the paper's angle (q and -q alike) or by the released code's
+    # squares of it; the likeliest candidate, or that weighed by how it fits the image.
+    student: str = field(
+        "posterior", one_of("regresses", "squares", "selects", "posterior")
+    )
     choice_points: int = field(250, at_least(0))  # that rank candidates; 0: no ranking
     choice_top: int = field(6, at_least(0))  # candidates then compared exactly
-    common_frame: str = field("points", one_of(*FRAMES))  # reversed kinds turn back
+    # What tells a kind of objects from its half turn, to be turned back: where its
+    # points are, or where it has which colours; "": no kind is.
+    common_frame: str = field("points", one_of("", "points", "colors"))
     student_weight: float = field(0.003, at_least(0))  # per pixel of the silhouette
     translation: bool = False  # of each view, learned (released code)
     focal_length: bool = False  # of each view, learned (released code)

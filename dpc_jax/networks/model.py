@@ -28,7 +28,7 @@ class ShapePoseNetwork(nn.Module):
     Attributes:
       num_points, shape_hidden, has_color, scale_fixed, point_size, first_size: of the
         `ShapeHead`.
-      shape_kind: what the shape branch predicts, one of `config.SHAPES`.
+      shape_kind: what the shape branch predicts, see `config.network.shape`.
       grid: side of volumes and maps.
       contains_voxels: is_contained of the `VoxelHead`.
       map_focal_length, map_distance: of the `ViewMapHead`.
