@@ -249,7 +249,7 @@ def test_colors_say_from_which_end_an_image_is_taken(distance):
     cloud, true = points[0], winners.poses[0, 0]
     away = distance != 2.0
     image, mask = draw_views(cloud, true[None], (YELLOW, RED), distance=distance)
-    base = observe(mask, {}, 32, knows_distance=not away)
+    base = observe(mask, {}, 32, config=tiny_config(), knows_distance=not away)
     base = jax.tree.map(lambda a: a[0], base)
     candidates = jnp.stack(
         [quaternion.multiply(true, find_half_turns(COVARIANCE)[2]), true]

@@ -152,13 +152,12 @@ def test_a_pose_is_told_from_others_whatever_the_distance(middle):
     """The true pose fits, where a camera of the run's distance would choose wrong."""
     place = framing.Frame(jnp.array(middle), jnp.array(1.5))  # farther
     seen = framing.cut_silhouettes(see(TRUTH).target, place)
-    views = {"masks": np.uint8(255 * np.asarray(seen))}
+    masks = np.uint8(255 * np.asarray(seen))
     poses = jnp.stack([TRUTH, face(20.0, 6.0), face(90.0, 6.0), RIVAL])
 
     def compare(knows_distance):
-        return measure(
-            poses, observe(views["masks"], {}, 32, knows_distance=knows_distance)
-        )
+        how = {"config": CONFIG, "knows_distance": knows_distance}
+        return measure(poses, observe(masks, {}, 32, **how))
 
     costs = compare(False)
     assert costs.argmin() == 0 and costs[0] < 0.25 * costs[1:].min()

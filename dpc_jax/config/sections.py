@@ -200,11 +200,6 @@ class Pose:
         return self.student == "posterior" and self.choices > 0
 
     @property
-    def searches(self) -> bool:
-        """Whether predicted viewpoints are then searched for nearby."""
-        return self.weighs_fit and self.elevations is not None
-
-    @property
     def choices(self) -> int:
         """How many candidates a selecting student chooses among; 0: it regresses."""
         if not self.selects or self.learned_heads < 2:

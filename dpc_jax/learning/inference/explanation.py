@@ -44,18 +44,17 @@ def observe(
     cameras: Mapping[str, jax.Array],
     side: int,
     *,
-    spreads_masks: bool = False,
+    config: Config,
     knows_distance: bool = True,
 ) -> Observation:
     """The observations of n views, averaged down to a grid of that side.
 
     Args:
       masks: uint8 [n, S, S].
-      spreads_masks: as of the run's config.
       knows_distance: whether the cameras of the views are those of the run.
     """
     target = downsample_images(masks, side)
-    target = spread_masks(target) if spreads_masks else target
+    target = spread_masks(target) if config.spreads_masks else target
     frame = None if knows_distance else frame_by_moments(target)
     return Observation(target, cameras, frame)
 
@@ -96,11 +95,7 @@ def compare_poses(
 
 
 def find_color_scores(frame: Any) -> jax.Array | None:
-    """What the colours of a view are judged by; None where a run counts none.
-
-    Args:
-      frame: of the run's averages.
-    """
+    """What colours are judged by, from a run's frame; None where it counts none."""
     if frame is None or frame.colors is None:
         return None
     from dpc_jax.learning.choice import common_frame  # where it is asked for
@@ -186,7 +181,7 @@ def find_likeliest(
         losses = compare_poses(finer, candidates[best], fine, config=config)
         posteriors = find_posteriors(losses, probabilities[best])
         best = best[jnp.argsort(-posteriors)]
-    if count == 1 and config.pose.searches:
+    if count == 1 and config.pose.weighs_fit and config.pose.elevations:
         return search_nearby(scene, candidates[best[0]], fine, config=config)[None]
     return candidates[best[:count]]
 

@@ -194,7 +194,7 @@ def _list_entries(output, state, arrays, quaternions, config, knows_distance):
     base, fine = (
         observe(
             *(arrays["masks"], cameras, side),
-            spreads_masks=config.spreads_masks,
+            config=config,
             knows_distance=knows_distance,
         )
         for side in (config.render.grid, config.render.finest)

@@ -111,7 +111,7 @@ def _choose_poses(decode, evidence, is_bent, config):
         candidates = jnp.concatenate([evidence.poses[:, :, None], candidates], axis=2)
         probabilities = jnp.ones(candidates.shape[:-1])
     base, fine = (
-        _observe(evidence, side, config)
+        observe(evidence.masks, evidence.cameras, side, config=config)
         for side in (config.render.grid, config.render.finest)
     )
     count = FINALISTS if is_alone and is_bent else 1
@@ -125,17 +125,13 @@ def _choose_poses(decode, evidence, is_bent, config):
     return _map_views(rank, scenes, shared, views, config)
 
 
-def _observe(evidence, side, config):
-    masks, spreads_masks = evidence.masks, config.spreads_masks
-    return observe(masks, evidence.cameras, side, spreads_masks=spreads_masks)
-
-
 def _fit(decode, evidence: Evidence, directions, config, poses):
     """Shapes and poses of least objective, begun with poses [n, V, 4]; see `refine`.
 
     The objective is beside them as costs [n].
     """
-    targets = _observe(evidence, config.render.finest, config).target
+    seen, finest = (evidence.masks, evidence.cameras), config.render.finest
+    targets = observe(*seen, finest, config=config).target
 
     def render(scene, pose, camera):
         return render_finest(scene, pose, camera, config=config).silhouette
