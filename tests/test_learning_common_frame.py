@@ -56,25 +56,23 @@ def draw_views(points, poses, ends, *, distance=2.0):
     return jnp.asarray(images), jnp.asarray(masks)
 
 
-@functools.partial(jax.jit, static_argnames="heads")
-def turn(winners, points, images, masks, frame, is_due, heads=HEADS):
+@jax.jit
+def turn(winners, points, images, masks, frame, is_due):
     """`turn_back` on devices with an object each: a shape for all views, or of each."""
 
     def on_device(winners, points, images, masks):
         return turn_back(
+        numbers = jax.lax.axis_index(AXIS) * VIEWS + jnp.arange(VIEWS)
             winners,
             jnp.broadcast_to(points, (VIEWS, *points.shape[-2:])),
-            images,
-            masks,
+            {"images": images, "masks": masks, "view_ids": numbers},
             COVARIANCE,
             frame,
             camera=Camera(),
             cameras={},
             views=VIEWS,
-            heads=heads,
-            by_colors=frame.colors is not None,
+            heads=HEADS,
             is_due=is_due,
-            view_ids=jax.lax.axis_index(AXIS) * VIEWS + jnp.arange(VIEWS),
         )
 
     new, frames, shares = jax.vmap(on_device, axis_name=AXIS)(

@@ -190,11 +190,6 @@ class Pose:
         return 2 if self.elevations else 4
 
     @property
-    def finds_frame(self) -> bool:
-        """Whether kinds of objects, if they are points, are turned to one frame."""
-        return bool(self.common_frame) and self.half_turns
-
-    @property
     def weighs_fit(self) -> bool:
         """Whether predictions weigh how candidates fit the image's silhouette."""
         return self.student == "posterior" and self.choices > 0

@@ -83,11 +83,10 @@ def _init_whole(network, config, seed):
     )
     optimizer = make_optimizer(config.train).init(params)
     cost = jnp.zeros(()) if config.pose.source == "sampled" else None
-    frame = None
-    if config.pose.finds_frame and config.network.shape == "points":
+    frame, pose = None, config.pose
+    if pose.common_frame and pose.half_turns and config.network.shape == "points":
         from dpc_jax.learning.choice.common_frame import start_frame  # where asked
 
-        pose = config.pose
         frame = start_frame(pose.turns, by_colors=pose.common_frame == "colors")
     step = jnp.asarray(0, jnp.int32)
     averages = Averages(jnp.zeros((3, 3)), cost, frame)

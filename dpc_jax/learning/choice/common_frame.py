@@ -17,6 +17,7 @@ then on they decide between the half turns of single views, too, together with
 silhouettes: these hardly tell a car seen from the front from one seen from behind.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
@@ -83,8 +84,7 @@ def start_frame(turns: int = 4, *, by_colors: bool) -> Frame:
 def turn_back(
     winners: Winners,
     points: jax.Array,
-    images: jax.Array,
-    masks: jax.Array,
+    batch: Mapping[str, jax.Array],
     covariance: jax.Array,
     frame: Frame,
     *,
@@ -92,42 +92,38 @@ def turn_back(
     cameras: Cameras,
     views: int,
     heads: int,
-    by_colors: bool,
     is_due: jax.Array,
-    view_ids: jax.Array,
 ) -> tuple[Winners, Frame, jax.Array]:
     """Half turns of the objects that fit the category better that way.
 
     Args:
       winners: of B·V views, those of an object side by side; with their losses where
-        colours are asked for.
+        the frame has colours.
       points: [B·V, N, 3], for each view of its object.
-      images: uint8 [B·V, S, S, 3]. masks: uint8 [B·V, S, S].
+      batch: images uint8 [B·V, S, S, 3], masks uint8 [B·V, S, S], and view_ids int32
+        [B·V], by which views are known again.
       covariance: [3, 3] of points, whose axes the half turns are about.
-      frame: of the batches before.
-      camera, cameras: of the views. views: V. heads: K, of the candidates.
-      by_colors: whether colours decide, see above.
+      frame: of the batches before. camera, cameras: of the views.
+      views: V. heads: K, of the candidates.
       is_due: () whether objects are turned at this step, or counted alone.
-      view_ids: [B·V] int32, by which views are known again.
 
     Returns:
       (the winners to learn, the frame with this batch, () share of objects turned).
     """
     points, covariance = jax.lax.stop_gradient((points[:, :POINTS], covariance))
     turns, samples = find_half_turns(covariance, frame.moments.shape[2] + 1), None
-    if by_colors:
+    if frame.colors is not None:
         scores = jnp.where(is_due, score_clear_colors(frame), 0)
-        seen = jax.lax.stop_gradient((winners, dict(cameras))), images, masks
+        seen = *jax.lax.stop_gradient((winners, dict(cameras))), batch
         chosen, samples = _judge_views(points, *seen, turns, scores, camera, heads)
         winners = _turn_winners(winners, turns, chosen, heads)
-    ways = list_ways(covariance, is_upright=len(turns) == 2)
-    gains = _measure_gains(points, samples, turns, ways, frame)
+    gains = _measure_gains(points, samples, turns, covariance, frame)
     gains = jnp.mean(gains.reshape(len(gains), -1, views, len(turns) - 1), axis=2)
     wanted, fits = _choose_turns(gains, frame.moments)
     wanted = jnp.where(is_due, wanted, 0)
     turned, decisions = jnp.repeat(wanted, views), None
     if frame.decisions is not None:
-        found = wanted, fits, winners.poses, turns, view_ids
+        found = wanted, fits, winners.poses, turns, batch["view_ids"]
         turned, decisions = keep_turns(frame.decisions, *found)
     winners = _turn_winners(winners, turns, turned, heads)
     if samples is not None:
@@ -161,13 +157,12 @@ def score_clear_colors(frame: Frame) -> jax.Array:
     return jnp.where(jnp.any(is_clear[1]), colors.score_colors(frame.colors), 0)
 
 
-def _judge_views(points, seen, images, masks, turns, scores, camera, heads):
+def _judge_views(points, winners, cameras, batch, turns, scores, camera, heads):
     """Half turns of single views that colours and silhouettes find likelier together.
 
     Returns:
       ([n] of the turns, `Samples` of each view after them).
     """
-    winners, cameras = seen
 
     def judge_view(points, winner, per_view, image, mask):
         poses = jax.vmap(quaternion.multiply, (None, 0))(winner.poses, turns)
@@ -184,11 +179,13 @@ def _judge_views(points, seen, images, masks, turns, scores, camera, heads):
         best = jnp.argmax(fits - winner.losses[indices])
         return best, jax.tree.map(lambda a: a[best], samples)
 
-    return jax.vmap(judge_view)(points, winners, cameras, images, masks)
+    views = winners, cameras, batch["images"], batch["masks"]
+    return jax.vmap(judge_view)(points, *views)
 
 
-def _measure_gains(points, samples, turns, ways, frame):
+def _measure_gains(points, samples, turns, covariance, frame):
     """What views gain by points, and by colours, after half turns; [., n, T - 1]."""
+    ways = list_ways(covariance, is_upright=len(turns) == 2)
 
     def compare(points):
         scores = judge_cells(points, frame.shapes, frame.count)

@@ -18,24 +18,21 @@ def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:
     winners = choose_poses(
         forward.shapes, poses.candidates, batch, cameras, recipe=recipe
     )
-    metrics, cloud = {}, forward.shapes.find_cloud()
-    if pose.finds_frame and cloud is not None:
+    metrics = {}
+    if averages.frame is not None:
         from dpc_jax.learning.choice import common_frame  # where it is asked for
 
         winners, frame, metrics["turned_back"] = common_frame.turn_back(
             winners,
-            cloud,
-            batch["images"],
-            batch["masks"],
+            forward.shapes.find_cloud(),
+            batch,
             averages.covariance,
             averages.frame,
             camera=recipe.camera,
             cameras=cameras,
             views=forward.views,
             heads=pose.learned_heads,
-            by_colors=pose.common_frame == "colors",
             is_due=forward.step >= FRAME_FROM * recipe.train.steps,
-            view_ids=batch["view_ids"],
         )
         averages = averages._replace(frame=frame)
     metrics["winners"] = winners.indices

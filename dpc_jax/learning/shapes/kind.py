@@ -117,8 +117,9 @@ class Shape:
         """Where the matter is: places [B, n, 3], and weights [B, n] or None."""
         raise NotImplementedError
 
-    def find_cloud(self) -> jax.Array | None:
+    def find_cloud(self) -> jax.Array:
         """All points [B, N, 3], where one frame can be found by them for all kinds."""
+        raise NotImplementedError
 
     def find_priors(self, step: jax.Array, *, train: Train) -> dict[str, Term]:
         """Regularisers of the shapes alone. Not in the paper."""
