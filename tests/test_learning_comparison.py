@@ -354,13 +354,10 @@ def test_points_alone_are_compared_with_spread_masks(spreads, monkeypatch):
     seen = []
     spread = signals.spread_masks
     monkeypatch.setattr(signals, "spread_masks", lambda m: seen.append(1) or spread(m))
-    config = tiny_config(spread_masks=spreads)
     for name in ("points", "voxels"):
-        shapes, _ = make_shapes(name)
-        recipe, stage = make_recipe(config), Stage(COUNT, SIDE)
-        network = recipe.network.clone(shape_kind=name)
+        recipe = make_recipe(tiny_config(spread_masks=spreads, shape=name))
         compare = functools.partial(
-            shapes.compare, recipe=recipe._replace(network=network), stage=stage
+            make_shapes(name)[0].compare, recipe=recipe, stage=Stage(COUNT, SIDE)
         )
         jax.eval_shape(compare, ROTATIONS, make_views(), {})
     assert len(seen) == spreads

@@ -81,7 +81,8 @@ def tiny_config(*, seed: int = 0, **changes) -> Config:
 def make_recipe(config: Config, network: ShapePoseNetwork | None = None) -> Recipe:
     """What is static about the config's steps."""
     network = network or make_network(config)
-    return Recipe(network, config.render, config.pose, config.train)
+    sections = config.render, config.pose, config.train
+    return Recipe(network, *sections, config.spreads_masks)
 
 
 def make_state(network: ShapePoseNetwork, config: Config):

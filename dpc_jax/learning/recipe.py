@@ -11,12 +11,13 @@ from dpc_jax.render import Camera
 
 
 class Recipe(NamedTuple):
-    """What is learned and how: the network and the sections that losses need."""
+    """What is learned and how: the network and what losses need of the config."""
 
     network: ShapePoseNetwork
     render: Render
     pose: Pose
     train: Train
+    spreads_masks: bool
 
     @property
     def camera(self) -> Camera:
@@ -32,7 +33,7 @@ class Recipe(NamedTuple):
             train.depth_weight,
             train.color_weight,
             train.background_weight,
-            train.spread_masks and self.network.shape_kind == "points",
+            self.spreads_masks,
         )
 
 

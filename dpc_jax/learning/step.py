@@ -134,7 +134,8 @@ def make_train_step(
 def _make_update(network, config, stage, parts, num_devices):
     """The step of one device, with its share of the batch."""
     optimizer = make_optimizer(config.train)
-    recipe = Recipe(network, config.render, config.pose, config.train)
+    sections = config.render, config.pose, config.train
+    recipe = Recipe(network, *sections, config.spreads_masks)
     # Some steps of every record, and its last.
     cadence = math.gcd(10, config.log.every)
 
