@@ -205,7 +205,8 @@ def test_winners_have_the_loss_and_the_gradient_of_plain_renders(case):
 
     def compare(learned, rotations, cameras):
         seen = dataclasses.replace(shapes, **learned)
-        total, *rest = seen.compare(rotations, batch, cameras, **sections)
+        views = {"rotation": rotations, **cameras}
+        total, *rest = seen.compare(views, batch, **sections)
         return 3 * total, rest  # so that the cotangent is not one
 
     def sum_plainly(learned, rotations, cameras):
@@ -251,7 +252,7 @@ def test_winners_of_a_large_grid_are_rendered_in_the_blocks_of_their_stage(monke
     compare = functools.partial(
         shapes.compare, recipe=recipe, stage=Stage(COUNT, 256, 99)
     )
-    jax.eval_shape(compare, ROTATIONS, large, {})
+    jax.eval_shape(compare, {"rotation": ROTATIONS}, large)
     assert rooms == {99}
 
 
@@ -359,7 +360,7 @@ def test_points_alone_are_compared_with_spread_masks(spreads, monkeypatch):
         compare = functools.partial(
             make_shapes(name)[0].compare, recipe=recipe, stage=Stage(COUNT, SIDE)
         )
-        jax.eval_shape(compare, ROTATIONS, make_views(), {})
+        jax.eval_shape(compare, {"rotation": ROTATIONS}, make_views())
     assert len(seen) == spreads
 
 

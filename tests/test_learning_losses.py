@@ -143,8 +143,8 @@ def test_a_batch_is_pulled_by_the_mean_of_its_views_and_moves_points_alone():
 
     def pull(points, rotations, moved, step=10):
         shapes = Points(points, points, None, one, one, jnp.ones(()))
-        cameras = {"translation": moved}
-        terms = shapes.find_pulls(rotations, batch, cameras, step, recipe=recipe)
+        views = {"rotation": rotations, "translation": moved}
+        terms = shapes.find_pulls(views, batch, step, recipe=recipe)
         assert terms["pull"].weight == pytest.approx(0.1 * 8**2)
         return terms["pull"].value
 

@@ -79,7 +79,7 @@ def test_maps_of_their_own_views_cost_next_to_nothing(corners):
     @jax.jit
     def compare(maps, logits):
         shapes = ViewMaps(maps, points, logits)
-        return shapes.compare(None, batch, {}, recipe=recipe, stage=None)[:2]
+        return shapes.compare({}, batch, recipe=recipe, stage=None)[:2]
 
     _, terms = compare(maps, logits)
     assert float(terms["pixel_deviation"]) == pytest.approx(0, abs=1e-6)

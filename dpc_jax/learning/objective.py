@@ -63,10 +63,9 @@ def compute_loss(
         params, batch, views, features, shapes, cameras, keys, step, averages
     )
     poses = find_poses(forward, recipe=recipe)
-    compared, parts, costs = shapes.compare(
-        poses.rotations, batch, cameras, recipe=recipe, stage=stage
-    )
-    pulls = shapes.find_pulls(poses.rotations, batch, cameras, step, recipe=recipe)
+    placed = {"rotation": poses.rotations, **cameras}
+    compared, parts, costs = shapes.compare(placed, batch, recipe=recipe, stage=stage)
+    pulls = shapes.find_pulls(placed, batch, step, recipe=recipe)
     averages, cost_terms = poses.find_cost_terms(costs)
     priors = shapes.find_priors(step, train=recipe.train)
     terms = priors | anchor | poses.terms | pulls | cost_terms

@@ -127,9 +127,8 @@ class Shape:
 
     def find_pulls(
         self,
-        rotations: jax.Array,
+        views: Cameras,
         batch: Mapping[str, jax.Array],
-        cameras: Cameras,
         step: jax.Array,
         *,
         recipe: Recipe,
@@ -139,9 +138,8 @@ class Shape:
 
     def compare(
         self,
-        rotations: jax.Array,
+        views: Cameras,
         batch: Mapping[str, jax.Array],
-        cameras: Cameras,
         *,
         recipe: Recipe,
         stage: Stage,
@@ -152,19 +150,18 @@ class Shape:
         that losses are comparable over the whole run.
 
         Args:
-          rotations: [B, 4] quaternions, the pose of each view.
+          views: `Cameras` of the views, and their rotation [B, 4], quaternions.
           batch: masks uint8 [B, S, S], images uint8 [B, S, S, 3] and depths [B, S, S]:
             what the signals that have a weight need.
-          cameras: of the views.
 
         Returns:
           (() the weighted sum, which has the gradient; {name: ()} of its terms; [B]
           what each view has of the sum, without gradient).
         """
         render, weights, camera = recipe.render, recipe.weights, recipe.camera
-        count, ratio = len(rotations), stage.grid / render.grid
+        count, ratio = len(views["rotation"]), stage.grid / render.grid
         scene, shared = self.list_scenes(ratio)
-        learned = {**scene, "rotation": rotations, **cameras}
+        learned = {**scene, **views}
         targets = make_targets(
             batch,
             stage.grid,

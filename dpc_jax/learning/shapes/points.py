@@ -120,9 +120,8 @@ class Points(Shape):
 
     def find_pulls(
         self,
-        rotations: jax.Array,
+        views: Cameras,
         batch: Mapping[str, jax.Array],
-        cameras: Cameras,
         step: jax.Array,
         *,
         recipe: Recipe,
@@ -144,17 +143,17 @@ class Points(Shape):
                 translation=view.get("translation"),
             )
 
-        def pull(points, rotations):
+        def pull(points, views):
             silhouettes = downsample_images(masks, side)
-            views = jax.lax.stop_gradient({"rotation": rotations, **cameras})
-            return jnp.mean(jax.vmap(measure)(points, views, silhouettes))
+            still = jax.lax.stop_gradient(views)
+            return jnp.mean(jax.vmap(measure)(points, still, silhouettes))
 
         value = jax.lax.cond(
             step >= PULL_FROM * recipe.train.steps,
             pull,
-            lambda points, rotations: jnp.zeros(()),
+            lambda points, views: jnp.zeros(()),
             self.kept,
-            rotations,
+            views,
         )
         return {"pull": Term(value, recipe.train.pull_weight * side**2)}
 

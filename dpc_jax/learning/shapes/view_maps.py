@@ -59,9 +59,8 @@ class ViewMaps(Shape):
 
     def compare(
         self,
-        rotations: jax.Array,
+        views: Cameras,
         batch: Mapping[str, jax.Array],
-        cameras: Cameras,
         *,
         recipe: Recipe,
         stage: Stage,
@@ -75,10 +74,10 @@ class ViewMaps(Shape):
           batch: corner_masks uint8 and corner_depths [B, 8, S, S] of the fixed views.
         """
         weights, distance = recipe.weights, recipe.render.distance
-        views = {"masks": batch["corner_masks"], "depths": batch["corner_depths"]}
+        corners = {"masks": batch["corner_masks"], "depths": batch["corner_depths"]}
         side = self.maps.shape[-2]
         signals = ("silhouette", "depth")
-        targets = make_targets(views, side, signals=signals, distance=distance)
+        targets = make_targets(corners, side, signals=signals, distance=distance)
         count = self.maps.shape[0] * self.maps.shape[1]
         logits = self.logits.reshape(targets["silhouette"].shape)
         # In nats; masks are shares of pixels.
