@@ -1,7 +1,5 @@
 """What the network sees of a view: image and mask, framed where distance is unknown."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +18,7 @@ from dpc_jax.data.sets import framing as photographs
 from dpc_jax.data.sets.photographs import Photographs
 from dpc_jax.learning import framing, objective
 from dpc_jax.learning.inference.predictor import make_predictor, predict_all
-from dpc_jax.learning.predictions import draw_framed, encode_views, make_inputs
+from dpc_jax.learning.predictions import draw_framed, make_inputs
 from dpc_jax.learning.step import describe_state
 from dpc_jax.run.prediction.objects import place_photographs
 
@@ -165,39 +163,14 @@ def test_masks_are_the_fourth_channel_in_the_units_of_images():
     np.testing.assert_array_equal(plain, inputs[..., :3])
 
 
-def test_all_that_reads_views_shows_masks_to_the_network():
-    """Other masks of the same images: features, codes and shapes differ."""
-    config = tiny_config(sees_mask=True)
-    network = make_network(config)
-    state, dataset = make_state(network, config), make_dataset()
-    other = dataset._replace(masks=np.roll(np.asarray(dataset.masks), 3, axis=-1))
-    predictor = make_predictor(network, config, keeps_evidence=True)
-    encode = jax.jit(functools.partial(encode_views, network=network))
-    apply = jax.jit(network.apply)
-
-    def read(dataset):
-        images, masks = dataset.images, dataset.masks
-        features = encode(state.params, images[:, 0], masks[:, 0])
-        predicted = predict_all(predictor, state, dataset)
-        whole, codes = predicted.points[:, 0], predicted.codes[:, 0]
-        inputs = make_inputs(images[:, 0], masks[:, 0], network=network)
-        output = apply(state.params, inputs)
-        np.testing.assert_allclose(whole, output["points"], atol=1e-5)
-        np.testing.assert_allclose(codes, features, atol=1e-5)
-        return features, codes, whole
-
-    for one, two in zip(read(dataset), read(other), strict=True):
-        assert np.abs(np.asarray(one) - two).max() > 1e-4
-
-
 def test_training_sees_framed_views_where_they_are_asked_for(monkeypatch):
     seen = []
 
     def record(*arguments, is_framed, **options):
         seen.append(is_framed)
-        return encode_views(*arguments, is_framed=is_framed, **options)
+        return make_inputs(*arguments, is_framed=is_framed, **options)
 
-    monkeypatch.setattr(objective, "encode_views", record)
+    monkeypatch.setattr(objective, "make_inputs", record)
     for asked in (False, True):
         config = tiny_config(source="given", sees_mask=True, framed_views=asked)
         network = make_network(config)

@@ -10,7 +10,7 @@ from dpc_jax.data.arrays import CORNERS
 from dpc_jax.learning import schedules
 from dpc_jax.learning.cameras import anchor_cameras, find_cameras
 from dpc_jax.learning.poses.source import ForwardPass, find_poses
-from dpc_jax.learning.predictions import draw_framed, encode_views
+from dpc_jax.learning.predictions import draw_framed, make_inputs
 from dpc_jax.learning.recipe import Averages, Recipe
 from dpc_jax.learning.shapes import find_shape_class
 
@@ -49,7 +49,8 @@ def compute_loss(
     batch, keys = _flatten_views(batch, keys, views)
     is_framed = draw_framed(keys) if recipe.train.framed_views else False
     images = batch["images"], batch["masks"]
-    features = encode_views(params, *images, network=network, is_framed=is_framed)
+    inputs = make_inputs(*images, network=network, is_framed=is_framed)
+    features: Any = network.apply(params, inputs, method="encode")
     of_objects = features.reshape(-1, views, features.shape[-1])
     before = jnp.roll(of_objects, 1, axis=1).reshape(features.shape)
     output: Any = network.apply(params, before, method="predict_shape")

@@ -1,6 +1,5 @@
 """What the network predicts for a batch: shapes, pose candidates, cameras."""
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
@@ -57,25 +56,6 @@ def draw_framed(keys: jax.Array) -> jax.Array:
     The other half shows sizes as they are, which tell more of a shape.
     """
     return jax.vmap(lambda key: jax.random.bernoulli(jax.random.fold_in(key, 1)))(keys)
-
-
-def encode_views(
-    params: Mapping,
-    images: jax.Array,
-    masks: jax.Array,
-    *,
-    network: ShapePoseNetwork,
-    is_framed: jax.Array | bool = False,
-) -> jax.Array:
-    """Features [n, F] of images uint8 [n, S, S, 3] with masks [n, S, S].
-
-    Args:
-      is_framed: [n], see `make_inputs`.
-    """
-    inputs = make_inputs(images, masks, network=network, is_framed=is_framed)
-    features = network.apply(params, inputs, method="encode")
-    assert isinstance(features, jax.Array)
-    return features
 
 
 def complete_poses(
