@@ -121,10 +121,9 @@ def test_an_image_ranks_by_the_optical_depth_of_splatted_points_in_sight(scene, 
 
     @jax.jit
     def rank(points, mass, candidates, target):
-        places = place_candidates(
-            points, View(candidates, CAMERA, 8), choice_points=count
-        )
-        return compute_image_losses(places, mass, target, sigma=jnp.array(SIGMA))
+        view, sigma = View(candidates, CAMERA, 8), jnp.array(SIGMA)
+        places = place_candidates(points, view, choice_points=count, size=sigma)
+        return compute_image_losses(places, mass, target, sigma=sigma)
 
     found = rank(**scene | {"points": points})
     points, mass = points[:count], float(scene["mass"]) * (34 / count)

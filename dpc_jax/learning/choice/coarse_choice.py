@@ -39,7 +39,7 @@ def place_candidates(
     view: View,
     *,
     choice_points: int,
-    size: jax.Array | None = None,
+    size: jax.Array,
 ) -> ImagePoints:
     """Project the first `choice_points` points (0: all) from each candidate's pose.
 
@@ -49,12 +49,11 @@ def place_candidates(
 
     Args:
       points: [N, 3]. view: of the candidates.
-      size: of points that have sizes of their own, see `point_sizes`.
+      size: see `point_sizes`; read where each point has its own.
     """
     count = min(choice_points or len(points), len(points))
-    camera, own = view.camera, None
-    if size is not None and point_sizes.has_own_sizes(size):
-        own = size[:count]
+    camera = view.camera
+    own = size[:count] if point_sizes.has_own_sizes(size) else None
 
     def place(candidate):
         moved = to_camera_frame(points[:count], candidate, view.translation)

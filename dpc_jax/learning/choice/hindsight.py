@@ -81,7 +81,7 @@ def choose_poses(
     targets = make_targets(
         batch,
         render.grid,
-        signals=("silhouette", *(n for n in weights.signals if n != "silhouette")),
+        signals=("silhouette", *weights.signals),
         distance=render.distance,
         spreads_masks=weights.spreads_masks,
     )
