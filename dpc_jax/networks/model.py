@@ -92,15 +92,11 @@ class ShapePoseNetwork(nn.Module):
             from dpc_jax.networks.viewpoints import PoseJudge  # where asked
 
             self.pose_encoder, self.judge = self._make_encoder(), PoseJudge()
-        student: dict[str, Any] = {
-            "hidden": self.hidden,
-            "width": self.student_width,
-            "slope": self.pose_slope,
-        }
+        layers = self.hidden, self.student_width, self.pose_slope
         if self.num_heads > 1 and self.num_classes:
-            self.student = PoseSelector(num_classes=self.num_classes, **student)
+            self.student = PoseSelector(self.num_classes, *layers)
         elif self.num_heads > 1:
-            self.student = PoseStudent(**student)
+            self.student = PoseStudent(*layers)
         if self.has_translation:
             self.translation = BoundedHead(outputs=3, bound=TRANSLATION_RANGE)
         if self.focal_length:

@@ -137,16 +137,14 @@ class BoundedHead(nn.Module):
 
     Attributes:
       outputs: how many numbers. bound: what their size stays below.
-      width: of the hidden layer.
     """
 
     outputs: int
     bound: float
-    width: int = 32
 
     @nn.compact
     def __call__(self, features: jax.Array) -> jax.Array:
         """Features [B, F] to [B, outputs] in (-bound, bound), at first near 0."""
-        x = leaky_relu(nn.Dense(self.width, kernel_init=conv_init)(features))
+        x = leaky_relu(nn.Dense(32, kernel_init=conv_init)(features))
         x = nn.Dense(self.outputs, kernel_init=nn.initializers.normal(0.05))(x)
         return self.bound * nn.tanh(x)

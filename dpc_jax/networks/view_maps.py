@@ -12,7 +12,8 @@ import numpy as np
 from dpc_jax.networks.encoder import activate, conv_init
 
 _FIRST_SIDE = 4  # pixels, of the dense layer's maps
-_MOST_CHANNELS = 192
+# Of the largest maps; each smaller one has twice as many, up to the second number.
+_CHANNELS, _MOST_CHANNELS = 48, 192
 # Where the fixed cameras stand: the corners of a cube.
 _CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 
@@ -33,14 +34,12 @@ class ViewMapHead(nn.Module):
     Attributes:
       side: S of the maps, a power of two from 8 on.
       focal_length, distance: of the fixed cameras.
-      channels: of the largest maps; each smaller one has twice as many, 192 at most.
       normalize: see `ImageEncoder`.
     """
 
     side: int
     focal_length: float
     distance: float
-    channels: int = 48
     normalize: bool = True
 
     @nn.compact
@@ -55,7 +54,7 @@ class ViewMapHead(nn.Module):
         doublings = (self.side // _FIRST_SIDE).bit_length() - 1
 
         def count(level):
-            return min(self.channels * 2**level, _MOST_CHANNELS)
+            return min(_CHANNELS * 2**level, _MOST_CHANNELS)
 
         width = count(doublings)
         x = nn.Dense(width * _FIRST_SIDE**2, kernel_init=conv_init)(features)

@@ -65,13 +65,13 @@ class Cloud(NamedTuple):
         return views
 
 
-def make_shell(key: jax.Array, count: int, radius: float = 0.45) -> jax.Array:
-    """Points [count, 3], uniform on a sphere about the origin.
+def make_shell(key: jax.Array, count: int) -> jax.Array:
+    """Points [count, 3], uniform on a sphere of radius 0.45 about the origin.
 
     From outside, points sink until silhouettes hold them up: they end on the surface.
     """
     away = jax.random.normal(key, (count, 3))
-    return radius * away / jnp.linalg.norm(away, axis=1, keepdims=True)
+    return 0.45 * away / jnp.linalg.norm(away, axis=1, keepdims=True)
 
 
 def place(
