@@ -17,7 +17,7 @@ from dpc_jax.learning.losses import (
 from dpc_jax.learning.shapes.points import Points
 from dpc_jax.learning.signals import downsample_images
 from dpc_jax.measure.stability import oracles
-from dpc_jax.render import Camera, VoxelGrid, quaternion
+from dpc_jax.render import Camera, VoxelGrid
 from dpc_jax.render.camera import to_camera_frame, to_grid
 
 # float64 oracles against float32 results of order one: a few ulps of 6e-8.
@@ -109,28 +109,6 @@ def test_a_point_is_pulled_from_where_it_is_drawn(camera):
     outside = slope[0] * jnp.arange(24)[:, None] + slope[1] * jnp.arange(24)[None]
     found = pull_inside(point, AHEAD, outside, camera=camera)
     assert float(found) == pytest.approx(float(slope @ jnp.stack([row, column])), 1e-5)
-
-
-@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
-def test_the_gradient_is_that_of_finite_differences(projection):
-    camera = Camera(projection=projection)
-    outside = measure_outside(draw_disc())
-    rotation = quaternion.normalize(jnp.array([0.9, 0.1, -0.3, 0.2]))
-    points = jax.random.uniform(jax.random.key(0), (40, 3), minval=-0.7, maxval=0.7)
-    way = jax.random.normal(jax.random.key(1), points.shape)
-
-    def pull(step):
-        with jax.enable_x64(True):
-            doubled = (jnp.asarray(a, jnp.float64) for a in (points, rotation, outside))
-            places, turned, far = doubled
-            moved = places + step * np.asarray(way, np.float64)
-            return float(pull_inside(moved, turned, far, camera=camera))
-
-    slopes = jax.grad(lambda p: pull_inside(p, rotation, outside, camera=camera))(
-        points
-    )
-    expected = (pull(1e-6) - pull(-1e-6)) / 2e-6
-    assert float(jnp.sum(slopes * way)) == pytest.approx(expected, rel=1e-3)
 
 
 def test_a_batch_is_pulled_by_the_mean_of_its_views_and_moves_points_alone():

@@ -14,7 +14,6 @@ from dpc_jax.learning import framing
 from dpc_jax.learning.inference import explanation, predictor
 from dpc_jax.learning.inference.explanation import (
     FINALISTS,
-    STEPS,
     Observation,
     compare_poses,
     find_likeliest,
@@ -218,14 +217,3 @@ def test_predictions_take_the_candidate_of_the_largest_posterior(monkeypatch):
     moved = np.abs(student.poses - posterior.poses).max(axis=-1) > 1e-3
     changed = np.abs(student.silhouettes - posterior.silhouettes).max(axis=(2, 3))
     assert moved.any() and ((changed > 1e-4) == moved).all()
-
-
-@pytest.mark.parametrize("head", ["viewpoint", "quaternion"])
-def test_predictions_are_moved_where_heads_say_viewpoints_alone(head):
-    found = predict(head=head)
-    angles = rotation_angle_deg(found.poses[:, :, None], found.candidates)
-    away = np.asarray(angles).min(axis=-1)
-    if head == "quaternion":
-        assert (away < 0.1).all()
-    else:
-        assert (away > 1).any() and (away <= np.hypot(sum(STEPS), sum(STEPS))).all()

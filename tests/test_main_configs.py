@@ -154,13 +154,6 @@ def test_fields_of_data_that_mean_nothing_are_refused(
     check(change(load("car"), "data", renders="x", split_file="a.csv"))
 
 
-def test_a_fixed_scale_has_no_parameters():
-    config = load("car", "known_pose")
-    _, learned = parameter_shapes(config)
-    _, fixed = parameter_shapes(change(config, "render", scale_fixed=1.0))
-    assert set(learned) - set(fixed) == {"shape/scale/kernel", "shape/scale/bias"}
-
-
 def test_the_released_codes_choices_are_laid_over_the_papers():
     config = load("chair", "released,paper")
     assert (config.data.image_size, config.render.grid) == (128, 64)
@@ -171,14 +164,6 @@ def test_the_released_codes_choices_are_laid_over_the_papers():
     assert config.render.sigma_start * 64 == 3 and config.render.sigma_end * 64 == 0.2
     assert config.pose.student_weight * 64**2 == 40
     assert config.train.models_per_batch * config.train.views_per_batch == 32
-
-
-def test_with_known_poses_there_is_no_pose_branch():
-    config = load("car", "known_pose")
-    assert config.pose.learned_heads == 0
-    output, shapes = parameter_shapes(config)
-    assert {name.split("/")[0] for name in shapes} == {"encoder", "shape"}
-    assert set(output) == {"points", "scale"}
 
 
 def test_a_folder_of_meshes_is_split_unless_another_one_is_tested_on():
