@@ -8,22 +8,14 @@ import pytest
 from tiny_runs import copy, make_batch, make_network, make_state, make_step, tiny_config
 
 from dpc_jax.data.viewpoints import look_at_rotation, matrix_to_quaternion
+from dpc_jax.evaluation.rotations import view_angles
 from dpc_jax.learning.poses import sampled
 from dpc_jax.learning.predictions import Poses
 from dpc_jax.networks.viewpoints import ViewpointEnsemble, face_object
-from dpc_jax.render import quaternion
 
 DRAWN = {"source": "sampled", "head": "viewpoint", "student": "selects"}
 CONFIG = tiny_config(background_weight=0.2, shape="voxels", **DRAWN)
 NETWORK = make_network(CONFIG)
-
-
-def read_angles(quaternions):
-    """Azimuth and elevation of upright cameras, by where they sit; degrees."""
-    matrices = jax.vmap(quaternion.to_matrix)(jnp.reshape(quaternions, (-1, 4)))
-    places = -np.asarray(matrices)[:, 2]  # opposite to where they look
-    azimuths = np.degrees(np.arctan2(places[:, 1], places[:, 0])) % 360
-    return azimuths, np.degrees(np.arcsin(places[:, 2]))
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (50, 30), (200, -15)])
@@ -38,13 +30,13 @@ def test_heads_start_in_equal_steps_and_never_leave_the_known_elevations():
     module = ViewpointEnsemble(8, (-20.0, 40.0), hidden=16)
     features = jax.random.normal(jax.random.key(0), (3, 12))
     params = jax.jit(module.init)(jax.random.key(1), features)
-    azimuths, elevations = read_angles(module.apply(params, 1e-3 * features))
+    azimuths, elevations = view_angles(module.apply(params, 1e-3 * features))
     # From 180° on, where the sigmoid of 0 is; the middle of -20° and 40°.
     steps = azimuths.reshape(3, 8) - 180 - 45 * np.arange(8)
     np.testing.assert_allclose((steps + 180) % 360, 180, atol=0.1)
     np.testing.assert_allclose(elevations, 10, atol=0.1)
     wild = jax.tree.map(lambda a: 40 * a, params)
-    azimuths, elevations = read_angles(module.apply(wild, 40 * features))
+    azimuths, elevations = view_angles(module.apply(wild, 40 * features))
     assert elevations.min() >= -20.01 and elevations.max() <= 40.01
     assert np.ptp(elevations) > 50
 

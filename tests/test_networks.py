@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_runs import rotation_matrix
 
+from dpc_jax import rotation_angle_deg
 from dpc_jax.networks import ImageEncoder, ShapeHead, ShapePoseNetwork
 from dpc_jax.networks.encoder import measure_tint
 from dpc_jax.networks.pose import BoundedHead, PoseEnsemble, spread_rotations
@@ -151,12 +151,6 @@ def test_points_stay_in_the_cube_and_colours_and_scale_in_the_unit_interval():
         assert 0 <= float(jnp.min(shape[name])) <= float(jnp.max(shape[name])) <= 1
 
 
-def angle_deg(first, second):
-    """Angle between two rotations from the trace of their matrices, degrees."""
-    trace = np.trace(rotation_matrix(first) @ rotation_matrix(second).T)
-    return np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
-
-
 @pytest.mark.parametrize("count, least", [(1, 0), (2, 170), (4, 100), (8, 75)])
 def test_initial_rotations_are_spread_over_so3(count, least):
     # The best possible pairwise angles are 180°, 120° (4 of the 24 cells' centres) and
@@ -165,8 +159,8 @@ def test_initial_rotations_are_spread_over_so3(count, least):
     assert rotations.shape == (count, 4)
     np.testing.assert_array_equal(rotations[0], [1, 0, 0, 0])
     np.testing.assert_allclose(np.linalg.norm(rotations, axis=-1), 1, atol=1e-6)
-    angles = [angle_deg(a, b) for a, b in itertools.combinations(rotations, 2)]
-    assert min(angles, default=1) > least
+    pairs = itertools.combinations(rotations, 2)
+    assert min((rotation_angle_deg(*pair) for pair in pairs), default=1) > least
 
 
 def test_heads_start_near_their_rotations_yet_depend_on_the_image():
@@ -174,21 +168,17 @@ def test_heads_start_near_their_rotations_yet_depend_on_the_image():
     features = jax.random.normal(KEY, (20, 64))
     candidates = np.asarray(run(ensemble, features))
     assert candidates.shape == (20, 4, 4)
-    initial = spread_rotations(4)
-    angles = [angle_deg(q, initial[k]) for row in candidates for k, q in enumerate(row)]
+    angles = rotation_angle_deg(candidates, spread_rotations(4))
     # Heads are at least 100° apart: within 50° each is nearest to its own rotation.
     assert np.median(angles) < 50
     assert np.min(np.std(candidates, axis=0)) > 1e-3
 
 
-def encode(images, *, normalize):
-    return run(ImageEncoder(channels=2, hidden=8, normalize=normalize), images)
-
-
 def test_normalisation_makes_features_independent_of_contrast():
     image = jax.random.uniform(KEY, (1, 16, 16, 3), minval=-1)
     images = jnp.concatenate([image, image / 4])
-    plain, normal = (encode(images, normalize=flag) for flag in (False, True))
+    encoder = ImageEncoder(channels=2, hidden=8)
+    plain, normal = (run(encoder.clone(normalize=f), images) for f in (False, True))
     # Without biases every layer is linear but for its leaky ReLU: a quarter in, a
     # quarter out, to rounding. With normalisation the factor divides out, up to the
     # 1e-6 added to the variance of the first layer, here of order 1e-2: 1e-3, relative.
