@@ -105,26 +105,25 @@ def repulsion_energy(points: jax.Array) -> jax.Array:
             f"repulsion_energy needs at least two points, but it got {count}; a single "
             "one has no energy."
         )
-    return _sum_energies(points, jnp.asarray(_SOFTENING, points.dtype))
+    return _sum_energies(points)
 
 
 @jax.custom_vjp
-def _sum_energies(points, softening):
-    energies, _ = _repel_pairs(points, softening)
+def _sum_energies(points):
+    energies, _ = _repel_pairs(points)
     return _average_pairs(jnp.sum(energies), points)
 
 
-def _sum_energies_forward(points, softening):
+def _sum_energies_forward(points):
     """The forces beside the energies: both share the distances of all pairs."""
-    energies, forces = _repel_pairs(points, softening)
+    energies, forces = _repel_pairs(points)
     gradient = jnp.stack([-2 * jnp.sum(force, axis=1) for force in forces], axis=1)
     mean = _average_pairs(jnp.sum(energies), points)
-    return mean, (_average_pairs(gradient, points), softening)
+    return mean, _average_pairs(gradient, points)
 
 
-def _sum_energies_backward(kept, cotangent):
-    gradient, softening = kept
-    return gradient * cotangent, jnp.zeros_like(softening)
+def _sum_energies_backward(gradient, cotangent):
+    return (gradient * cotangent,)
 
 
 _sum_energies.defvjp(_sum_energies_forward, _sum_energies_backward)
@@ -134,11 +133,11 @@ def _average_pairs(total, points):
     return total / (points.shape[0] * (points.shape[0] - 1))
 
 
-def _repel_pairs(points, softening):
+def _repel_pairs(points):
     """Energies [N, N] of pairs, and their forces on the first point by coordinate."""
     # An eighth of each distance: the distance between points near the two ends of the
     # float range would itself overflow.
-    eighths, softening = points.T / 8, softening / 8
+    eighths, softening = points.T / 8, jnp.asarray(_SOFTENING, points.dtype) / 8
     away = [axis[:, None] - axis[None] for axis in eighths]
     # In units of each distance: then no square overflows, and the cube of a distance
     # in the derivative does not underflow.

@@ -160,7 +160,6 @@ def compare_images(
     """
     total, terms = jnp.zeros(()), {}
     for signal in weights.signals:
-        weight = getattr(weights, signal)
         if signal == "depth":
             is_alone = not weights.silhouette
             term = compare_depths(image, targets, camera=camera, is_alone=is_alone)
@@ -174,8 +173,7 @@ def compare_images(
             else:
                 term = reprojection_loss(rendered, target)
         terms[LOSSES[signal]] = term
-        part = term if weight == 1 else weight * term
-        total = part if len(terms) == 1 else total + part
+        total = total + getattr(weights, signal) * term
     return total, terms
 
 
