@@ -60,7 +60,7 @@ VARIANTS = {
         set(),
     ),
 }
-OFTEN = ("paper", "defaults", "mvc,color")  # the others are combinations of these parts
+OFTEN = ("defaults", "mvc,color")  # the others are combinations of these parts
 
 
 def make_views(config):
@@ -71,7 +71,7 @@ def make_views(config):
         del batch["quaternions"]
     if "depths" in batches.list_extras(config):
         batch["depths"] = rng.uniform(1.6, 2.4, batch["masks"].shape).astype(np.float32)
-    if batches.list_corners(config):
+    if config.network.shape == "maps":
         corners = len(batch["masks"]), 8, size, size
         batch["corner_masks"] = rng.integers(0, 255, corners, np.uint8)
         batch["corner_depths"] = rng.uniform(1.6, 2.4, corners).astype(np.float32)

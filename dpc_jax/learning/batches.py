@@ -6,6 +6,7 @@ import numpy as np
 
 from dpc_jax.config import Config
 from dpc_jax.data import DataSet, choose_batch, read_batch
+from dpc_jax.data.arrays import CORNERS
 from dpc_jax.learning import devices
 
 
@@ -21,7 +22,8 @@ def make_batch(dataset: DataSet, step: int, config: Config) -> dict[str, Any]:
         views_per_batch=config.train.views_per_batch,
     )
     own = devices.find_own(len(models))
-    extras = list_extras(config) + list_corners(config)
+    corners = CORNERS if config.network.shape == "maps" else ()
+    extras = *list_extras(config), *corners
     rows = read_batch(dataset, models[own], views[own], extras=extras)
     view_ids = models[:, None] * int(counts.max()) + views
     rows["view_ids"] = view_ids[own].astype(np.int32)
@@ -38,11 +40,6 @@ def list_extras(config: Config) -> tuple[str, ...]:
         "focal_lengths": pose.known and data.focal_spread and not pose.focal_length,
     }
     return tuple(name for name, holds in is_given.items() if holds)
-
-
-def list_corners(config: Config) -> tuple[str, ...]:
-    """Arrays of the training set, of its own fixed views, that batches hold."""
-    return ("corner_masks", "corner_depths") if config.network.shape == "maps" else ()
 
 
 def repeat_seed(seed: int, objects: int) -> np.ndarray:
