@@ -145,12 +145,10 @@ def make_predictor(
             entries,
             renders_at_once=config.render.renders_at_once,
         )
-        candidates = entries.poses.candidates
-        best = jax.vmap(lambda poses, winner: poses[winner])
         evidence = {name: found.pop(name) for name in ("losses", "probabilities")}
-        found |= {"candidate_poses": best(candidates, found["winners"])}
         if keeps_evidence:
-            found |= evidence | {"candidates": candidates, "codes": output["codes"]}
+            found |= evidence | {"candidates": entries.poses.candidates}
+            found["codes"] = output["codes"]
         cameras = ("translations", "focal_lengths")
         found |= {name: output[name] for name in cameras if name in output}
         return found | find_shape_class(config.network.shape).find_evaluated(
@@ -226,8 +224,9 @@ def _explain(entry, *, shared, scores, config):
     if config.pose.weighs_fit:
         known = candidates, losses, chances, entry.fine
         (taken,) = find_likeliest(scene, *known, count=1, config=config)
-    found = {"winners": jnp.argmin(losses), "poses": taken, "losses": losses}
-    found["probabilities"] = chances
+    winner = jnp.argmin(losses)
+    found = {"winners": winner, "candidate_poses": candidates[winner], "poses": taken}
+    found |= {"losses": losses, "probabilities": chances}
     found |= _render_images(shown, taken, entry.fine.camera, config)
     if not config.pose.known:
         finer, both = weigh_finest(scene, config), jnp.stack([taken, entry.true])
