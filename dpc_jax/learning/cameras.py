@@ -25,11 +25,7 @@ Cameras = Mapping[str, jax.Array]
 def find_cameras(
     predicted: Mapping[str, jax.Array], given: Mapping[str, jax.Array], *, pose: Pose
 ) -> dict[str, jax.Array]:
-    """The `Cameras` of views: learned, or with known poses those of the data set.
-
-    Args:
-      predicted: output of the network. given: arrays of the views, those they have.
-    """
+    """The `Cameras` of views: predicted, or with known poses those of the data set."""
     arrays = {**(given if pose.known else {}), **predicted}
     names = {"translation": "translations", "focal_length": "focal_lengths"}
     return {one: arrays[many] for one, many in names.items() if many in arrays}

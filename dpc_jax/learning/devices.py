@@ -113,9 +113,7 @@ def share_padded(function: Callable, mesh: Mesh, in_specs: tuple) -> Callable:
     """`share` of a function of a state and arrays of n objects; n need not divide.
 
     All devices have as many objects: the last one is repeated, and cut off again.
-
-    Args:
-      in_specs: of the arguments, `WHOLE` ones as they are.
+    Arguments that are `WHOLE` stay as they are.
     """
     shared = share(function, mesh, in_specs=in_specs, out_specs=OBJECTS)
 

@@ -76,11 +76,7 @@ def student_loss(
 
 
 def selection_loss(logits: jax.Array, winners: jax.Array) -> jax.Array:
-    """Mean cross entropy, in nats, of a student that selects; logits [n, C].
-
-    Args:
-      winners: [n] int32, the hindsight choice. No gradient reaches the candidates.
-    """
+    """Mean cross entropy, in nats, of a student's logits [n, C] and winners [n]; ()."""
     import optax  # not of the light install
 
     entropies = optax.losses.softmax_cross_entropy_with_integer_labels(logits, winners)

@@ -151,10 +151,6 @@ def compare_images(
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """A term of Eq. 1: differences of a view's images, summed over pixels.
 
-    Args:
-      image: has the renders of the weights. targets: of `make_targets`.
-      camera: of the render.
-
     Returns:
       (() the weighted sum, {name of the loss: ()}).
     """
@@ -191,7 +187,6 @@ def compare_depths(
     whose depth was measured.
 
     Args:
-      image: has its termination. targets: of `make_targets`. camera: of the render.
       is_alone: where no silhouettes are compared, depths have to teach the outline. The
         squared difference of mean depths is added then, the background's included, by
         which rays that miss an object or hit beside it are wrong.

@@ -44,9 +44,6 @@ class ForwardPass(NamedTuple):
     averages: Averages
 
 
-CostTerms = Callable[[jax.Array | None], tuple[Averages, dict[str, Term]]]
-
-
 class ViewPoses(NamedTuple):
     """The poses of a batch's views, and the losses they are learned by.
 
@@ -60,7 +57,7 @@ class ViewPoses(NamedTuple):
     rotations: jax.Array
     terms: dict[str, Term]
     metrics: dict[str, jax.Array]
-    find_cost_terms: CostTerms
+    find_cost_terms: Callable[[jax.Array | None], tuple[Averages, dict[str, Term]]]
 
 
 def find_poses(forward: ForwardPass, *, recipe: Recipe) -> ViewPoses:

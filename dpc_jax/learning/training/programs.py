@@ -108,11 +108,7 @@ class StagePrograms:
         self._background.submit(function)
 
     def raise_failures(self):
-        """Raise where a later stage's program cannot be made, rather than there.
-
-        Raises:
-          Exception: whatever made its compilation fail.
-        """
+        """Raise what made the compilation of a later stage fail, rather than there."""
         for pending in self._pending.values():
             if pending.done():
                 pending.result()

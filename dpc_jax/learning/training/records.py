@@ -52,7 +52,7 @@ class Stopwatch:
 
 
 class Window:
-    """The steps since the last record.
+    """The steps since the last record; their losses are checked by `check_step`.
 
     Args:
       step: steps done before the first one. seconds: of training until then.
@@ -77,9 +77,6 @@ class Window:
         """Take the metrics of one more step, and check those of the step before.
 
         That step has finished while this one runs: reading its metrics is free.
-
-        Raises:
-          NonFiniteError: as `check_step`.
         """
         self.check()
         self._metrics.append(metrics)
@@ -94,11 +91,7 @@ class Window:
             self._waited += time.monotonic() - started
 
     def check(self):
-        """Check the last step too.
-
-        Raises:
-          NonFiniteError: as `check_step`.
-        """
+        """Check the last step too."""
         if self._metrics:
             metrics = self._metrics[-1]
             check_step(metrics, self._step + len(self._metrics) - 1, first=self._first)
@@ -114,9 +107,6 @@ class Window:
 
         Args:
           seconds: of training until now.
-
-        Raises:
-          NonFiniteError: as `check_step`.
         """
         self.check()
         done = self._step + len(self._metrics)
