@@ -148,21 +148,6 @@ def test_a_photograph_means_the_same_wherever_its_object_is(knows_distance):
     assert away > 1e-3 if knows_distance else away < 1e-5
 
 
-def test_masks_are_the_fourth_channel_in_the_units_of_images():
-    images = np.full((1, 16, 16, 3), 51, np.uint8)
-    masks = np.zeros((1, 16, 16), np.uint8)
-    masks[0, 3:9] = 255
-    inputs, plain = (
-        make_inputs(images, masks, network=make_network(tiny_config(sees_mask=sees)))
-        for sees in (True, False)
-    )
-    assert inputs.shape == (1, 16, 16, 4)
-    np.testing.assert_allclose(inputs[..., :3], 51 / 127.5 - 1, rtol=1e-6)
-    np.testing.assert_array_equal(inputs[0, 3:9, :, 3], 1)
-    np.testing.assert_array_equal(inputs[0, 9:, :, 3], -1)
-    np.testing.assert_array_equal(plain, inputs[..., :3])
-
-
 def test_training_sees_framed_views_where_they_are_asked_for(monkeypatch):
     seen = []
 

@@ -99,9 +99,7 @@ def rates(*steps, **changes):
     return [float(schedule(step)) for step in steps]
 
 
-def test_the_learning_rate_is_constant_or_warms_up_and_decays_as_a_cosine():
-    constant = rates(0, 1, 999, steps=1000, learning_rate=1e-4, schedule="constant")
-    assert constant == pytest.approx(3 * [1e-4], rel=1e-6)  # float32
+def test_the_learning_rate_warms_up_and_decays_as_a_cosine():
     found = rates(
         *(0, 1, 200, 700, 1200, 2000),
         **dict(steps=1200, learning_rate=1e-2, schedule="cosine"),
