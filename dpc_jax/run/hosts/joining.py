@@ -80,13 +80,13 @@ def _leave(place, status):
 
 def _connect(place):
     """Start the service in process 0, and meet the others there."""
+    if not place.process:
+        _check_port(place.coordinator)
     # jax would catch SIGTERM for itself, so that it did not end a process that renders.
     jax.config.update("jax_enable_preemption_service", False)
     logging.getLogger("jax").setLevel(logging.ERROR)
     seconds = _read_seconds("JOIN", JOIN_SECONDS)
     heartbeat = _read_seconds("HEARTBEAT", HEARTBEAT_SECONDS)
-    if not place.process:
-        _check_port(place.coordinator)
     print(
         f"Process {place.process} waits up to {seconds} s for all {place.processes} "
         f"processes of the job at {place.coordinator}.",
