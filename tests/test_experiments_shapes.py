@@ -119,8 +119,6 @@ def test_pairs_are_of_different_images():
     assert len(np.unique(pairs)) == pairs.size == 2 * interpolation.PAIRS
     with pytest.raises(ValueError, match="at least two test images.*there are 1"):
         interpolation.draw_pairs(1)
-    with pytest.raises(ValueError, match="with all keypoints, but there are 1"):
-        correspondences.draw_pairs(1)
 
 
 def test_a_run_that_has_not_ended_is_refused(tmp_path):

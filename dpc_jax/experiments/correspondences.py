@@ -53,20 +53,15 @@ class LabelledShapes(NamedTuple):
 
 
 def run(out: Path, workdir: Path) -> tuple[dict[str, float], Figures]:
-    """Transfer keypoints in a finished run, measure it and draw it.
+    """Transfer keypoints in a finished run on procedural shapes; measure and draw it.
 
     Args:
-      out: folder of the figures.
-      workdir: of a finished run on procedural shapes, with known poses or without.
+      out: folder of the figures. workdir: of the run.
 
     Returns:
       The measures of each of `METHODS`, and the figures.
-
-    Raises:
-      ValueError: where the workdir holds no such run, or too few of its validation
-        shapes have all keypoints. OSError: where files cannot be written.
     """
-    finished = load_trained(Path(workdir))
+    finished = load_trained(workdir)
     labels = list(name_keypoints(finished).values())
     templates, shapes = (read_shapes(finished, name) for name in ("val", "test"))
     has_all = np.isfinite(templates.keypoints).all(axis=(1, 2))
@@ -75,7 +70,8 @@ def run(out: Path, workdir: Path) -> tuple[dict[str, float], Figures]:
         label_points(cloud, finished.config.category, seed)
         for cloud, seed in zip(shapes.clouds, shapes.seeds, strict=True)
     ]
-    rows = draw_pairs(len(templates.seeds))
+    count, draw = len(templates.seeds), np.random.default_rng(0).choice
+    rows = np.array([draw(count, 2, replace=False) for _ in range(PAIRS)])
     rng = np.random.default_rng(0)
     pairs = [_transfer(templates, row, rng, shapes, near, labels) for row in rows]
     values = np.mean([found for _, found in pairs], axis=0).tolist()
@@ -142,21 +138,6 @@ def label_points(cloud: np.ndarray, category: str, seed: int) -> np.ndarray:
     surface, faces = sample_surface(mesh, count=SURFACE_POINTS)
     _, nearest = KDTree(surface).query(cloud)
     return read_labels(mesh)[faces][nearest]
-
-
-def draw_pairs(count: int) -> np.ndarray:
-    """Rows [PAIRS, 2] of different templates out of `count`, seed 0.
-
-    Raises:
-      ValueError: where there are fewer than two templates.
-    """
-    if count < 2:
-        raise ValueError(
-            "Expected at least 2 validation shapes with all keypoints, but there "
-            f"are {count}; give a run with more --config.data.val_models."
-        )
-    rng = np.random.default_rng(0)
-    return np.array([rng.choice(count, 2, replace=False) for _ in range(PAIRS)])
 
 
 def _transfer(
