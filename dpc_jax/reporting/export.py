@@ -33,7 +33,6 @@ def write_ply(
     of splats draw a cloud without gaps.
 
     Args:
-      path: where to; replaced only once the new file is whole.
       points: [N, 3] object frame.
       colors: [N, 3] of 0 to 1 (clipped); left out of the file if None, and splats are
         plain blue.
@@ -80,7 +79,6 @@ def write_surface(
     object upright.
 
     Args:
-      path: where to; replaced only once the new file is whole.
       vertices: [V, 3] object frame. faces: [F, 3] of their indices, at least one,
         counter-clockwise seen from outside.
       colors: [V, 3] of 0 to 1 (clipped); a plain blue if None.
@@ -120,14 +118,14 @@ def export_glb(
 
 def _make_mesh(vertices, faces, colors, *, is_linear: bool = False) -> Any:
     import trimesh  # takes half a second to load: clouds as PLY do without
+    from trimesh.visual.color import srgb_to_linear
 
     vertices, colors = _check_cloud(vertices, colors)
     if colors is None:
         colors = np.broadcast_to(PLAIN_COLOR, vertices.shape)
     if is_linear:
         # glTF vertex colours are linear light; pictures, PLY and OBJ hold sRGB.
-        curve = ((colors + 0.055) / 1.055) ** 2.4
-        colors = np.where(colors <= 0.04045, colors / 12.92, curve)
+        colors = srgb_to_linear(colors)
     rgba = np.full((len(vertices), 4), 255, dtype="u1")
     rgba[:, :3] = _bytes(colors)
     return trimesh.Trimesh(vertices, faces, vertex_colors=rgba, process=False)
@@ -181,7 +179,7 @@ def _check_cloud(points, colors) -> tuple[np.ndarray, np.ndarray | None]:
         raise ValueError(
             f"Expected finite points [N, 3], but the shape is {points.shape} and "
             f"{int((~np.isfinite(points)).sum())} coordinates are not finite; viewers "
-            f"could not open such a file."
+            "could not open such a file."
         )
     if colors is not None:
         colors = np.clip(np.asarray(colors, np.float64), 0.0, 1.0)

@@ -6,11 +6,10 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
-
 from dpc_jax.data import DataSpec
 from dpc_jax.data.sets.image_folder import read_views
 from dpc_jax.data.sets.pose_files import QUATERNIONS, find_pose_files
+from dpc_jax.evaluation.chamfer import find_rows
 from dpc_jax.evaluation.rotations import describe_pose
 from dpc_jax.evaluation.wrapping import wrap_points
 from dpc_jax.files import write_json
@@ -131,7 +130,7 @@ def list_doubts(overlaps: Mapping[str, float], *, is_searched: bool) -> list[str
 def _write(out: Path, found: Fit, arrays, names, asked, seconds, *, surface):
     out.mkdir(parents=True, exist_ok=True)
     count, mean = len(names), float(found.overlaps.mean())
-    chosen = np.unique(np.linspace(0, count - 1, min(SHOWN, count)).round().astype(int))
+    solid = wrap_points(found.points, is_fitted=True)
     examples = [
         Example(
             name=names[i],
@@ -141,12 +140,11 @@ def _write(out: Path, found: Fit, arrays, names, asked, seconds, *, surface):
             points=found.points,
             colors=found.colors,
             pose_error_deg=None,
+            mesh=solid,
         )
-        for i in chosen
+        for i in find_rows(count, min(SHOWN, count))
     ]
-    solid = wrap_points(found.points, is_fitted=True)
-    first = dataclasses.replace(examples[0], mesh=solid)
-    mesh = write_files(first, out / "cloud", surface=surface)
+    mesh = write_files(examples[0], out / "cloud", surface=surface)
     picture = draw_predictions(examples, out / "views.png")
     draw_fit(found.curve, out / "curve.png")
     poses = zip(names, found.rotations, found.overlaps, strict=True)
